@@ -1,0 +1,22 @@
+"""One configuration a stage; the pipeline's is all of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from momapos.manipulation.motion import MotionConfig
+from momapos.manipulation.planner import PlannerConfig
+from momapos.placement.place import PlaceConfig
+
+
+@dataclass(frozen=True)
+class PipelineConfig:
+    """How a question is answered."""
+
+    motion: MotionConfig = field(default_factory=MotionConfig)
+    place: PlaceConfig = field(default_factory=PlaceConfig)
+    planner: PlannerConfig = field(default_factory=PlannerConfig)
+    arm_clearance: float = 0.003
+    """Distance that the arm's spheres keep from everything [m]."""
+    timeout: float = 30.0
+    """Time for one answer [s]."""

@@ -1,0 +1,66 @@
+"""The errors that momapos raises on purpose.
+
+Every one of them says in one line what is wrong, where, and what would be right.
+The command line prints that line and exits with status 2.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+
+class MomaposError(Exception):
+    """Base of all errors raised on purpose."""
+
+
+class InputError(MomaposError):
+    """Something given from outside cannot be used."""
+
+
+class FileFormatError(InputError):
+    """A file is missing, unreadable, of the wrong format or version, or damaged."""
+
+
+class UrdfError(FileFormatError):
+    """A URDF cannot be used: malformed, hostile, or not a tree."""
+
+
+class SceneError(InputError):
+    """A scene contradicts itself, or does not hold what is asked for."""
+
+
+class RobotError(InputError):
+    """A robot file contradicts itself or its URDF."""
+
+
+class TaskError(InputError):
+    """A task cannot be asked of this scene and robot."""
+
+
+class UnknownNameError(InputError):
+    """A name that does not exist; the message offers the nearest ones."""
+
+
+class MissingExtraError(MomaposError):
+    """An optional package is not installed; the message names the extra."""
+
+
+def unknown_name(kind: str, name: str, known: Iterable[str], where: str) -> UnknownNameError:
+    """Build the error for a name that does not exist.
+
+    Args:
+        kind: What is named, e.g. "object".
+        name: The name that was given.
+        known: The names that exist.
+        where: Where they exist, e.g. "scene kitchen".
+
+    Returns:
+        An error whose message lists the nearest names first.
+    """
+    names = sorted(known)
+    near = difflib.get_close_matches(name, names, n=3, cutoff=0.4)
+    offer = near or names[:12]
+    more = "" if near or len(names) <= 12 else f" and {len(names) - 12} more"
+    hint = f"did you mean {', '.join(offer)}?" if near else f"it has {', '.join(offer)}{more}"
+    return UnknownNameError(f"no {kind} {name!r} in {where}; {hint if names else 'it has none'}")

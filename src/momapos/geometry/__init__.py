@@ -1,0 +1,1 @@
+"""Frames, boxes, footprints and grids: geometry without robots or rooms."""

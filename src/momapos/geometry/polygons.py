@@ -1,0 +1,55 @@
+"""Outlines on the floor."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+
+def contains(
+    polygon: Float[np.ndarray, "k 2"], points: Float[np.ndarray, "n 2"]
+) -> Bool[np.ndarray, " n"]:
+    """Whether points lie in a simple polygon of either orientation (even-odd rule)."""
+    a, b = polygon, np.roll(polygon, -1, axis=0)
+    y = points[:, None, 1]
+    crosses = (a[None, :, 1] > y) != (b[None, :, 1] > y)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        x = a[:, 0] + (y - a[:, 1]) / (b[:, 1] - a[:, 1]) * (b[:, 0] - a[:, 0])
+    return np.count_nonzero(crosses & (points[:, None, 0] < x), axis=1) % 2 == 1
+
+
+def all_inside(
+    polygon: Float[np.ndarray, "k 2"], outlines: Float[np.ndarray, "n m 2"]
+) -> Bool[np.ndarray, " n"]:
+    """Whether whole convex outlines lie in a polygon: corners inside, no edges that cross."""
+    n, m, _ = outlines.shape
+    corners = contains(polygon, outlines.reshape(-1, 2)).reshape(n, m).all(1)
+    return corners & ~_edges_cross(polygon, outlines)
+
+
+def _edges_cross(
+    polygon: Float[np.ndarray, "k 2"], outlines: Float[np.ndarray, "n m 2"]
+) -> Bool[np.ndarray, " n"]:
+    p, q = polygon, np.roll(polygon, -1, axis=0)
+    a, b = outlines[:, :, None], np.roll(outlines, -1, axis=1)[:, :, None]
+
+    def side(o: np.ndarray, d: np.ndarray, x: np.ndarray) -> np.ndarray:
+        return (d[..., 0] - o[..., 0]) * (x[..., 1] - o[..., 1]) - (d[..., 1] - o[..., 1]) * (
+            x[..., 0] - o[..., 0]
+        )
+
+    apart = (side(p, q, a) * side(p, q, b) > 0) | (side(a, b, p) * side(a, b, q) > 0)
+    return (~apart).any((1, 2))
+
+
+def signed_area(polygon: Float[np.ndarray, "k 2"]) -> float:
+    """Area of a simple polygon, positive when it runs anticlockwise [m^2]."""
+    x, y = polygon.T
+    return float(0.5 * np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
+
+
+def inscribed_radius(polygon: Float[np.ndarray, "k 2"]) -> float:
+    """Radius of the largest circle about the origin inside a convex anticlockwise polygon [m]."""
+    edge = np.roll(polygon, -1, axis=0) - polygon
+    normal = np.stack([edge[:, 1], -edge[:, 0]], -1) / np.linalg.norm(edge, axis=1)[:, None]
+    return float(max(0.0, np.einsum("ij,ij->i", normal, polygon).min()))

@@ -1,0 +1,1 @@
+"""Trees of links and joints: URDF files, forward and inverse kinematics, collision."""

@@ -1,0 +1,111 @@
+"""A URDF with its collision geometry: what scenes and robots are made of."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float
+
+from momapos.errors import unknown_name
+from momapos.geometry.transforms import rotation_about
+from momapos.kinematics.hulls import Boxes, Hull, cover, hull_of
+from momapos.kinematics.urdf import Geometry, Joint, Urdf
+
+
+@dataclass(frozen=True)
+class Articulated:
+    """A tree of links with named joints; geometry is made when it is first asked for."""
+
+    urdf: Urdf
+
+    @cached_property
+    def links(self) -> tuple[str, ...]:
+        """Link names, the root first, parents before children."""
+        return (self.urdf.root, *(joint.child for joint in self.urdf.joints))
+
+    @cached_property
+    def joints(self) -> dict[str, Joint]:
+        """The movable joints by name, parents before children."""
+        return {joint.name: joint for joint in self.urdf.joints if joint.movable}
+
+    def joint(self, name: str) -> Joint:
+        """Look a movable joint up by name.
+
+        Raises:
+            UnknownNameError: There is none; the message offers the nearest.
+        """
+        if name not in self.joints:
+            raise unknown_name("movable joint", name, self.joints, self.urdf.name)
+        return self.joints[name]
+
+    @cached_property
+    def rest(self) -> dict[str, float]:
+        """Zero, or the limit nearest to it, for every movable joint."""
+        return {n: float(np.clip(0.0, j.lower, j.upper)) for n, j in self.joints.items()}
+
+    def link_poses(self, values: Mapping[str, float]) -> dict[str, Float[np.ndarray, "4 4"]]:
+        """Poses of all links in the root's frame; joints not named are at rest."""
+        poses = {self.urdf.root: np.eye(4)}
+        for joint in self.urdf.joints:
+            T = poses[joint.parent] @ joint.T_parent_joint
+            if joint.movable:
+                value = values.get(joint.name, self.rest[joint.name])
+                T = T @ joint_motion(joint, value)
+            poses[joint.child] = T
+        return poses
+
+    @cached_property
+    def _children(self) -> dict[str, list[Joint]]:
+        children: dict[str, list[Joint]] = {}
+        for joint in self.urdf.joints:
+            children.setdefault(joint.parent, []).append(joint)
+        return children
+
+    def links_below(self, link: str) -> tuple[str, ...]:
+        """The link and everything that hangs from it."""
+        below, queue = [], [link]
+        while queue:
+            below.append(queue.pop())
+            queue += [joint.child for joint in self._children.get(below[-1], [])]
+        return tuple(name for name in self.links if name in set(below))
+
+    def moved_by(self, joint: str) -> tuple[str, ...]:
+        """Names of the links that move when the joint does."""
+        return self.links_below(self.joint(joint).child)
+
+    @cached_property
+    def hulls(self) -> dict[str, tuple[Hull, ...]]:
+        """Convex hulls of the collision elements by link, in the link's frame."""
+        return {
+            name: tuple(hull_of(shape, name) for shape in link.collisions)
+            for name, link in self.urdf.links.items()
+        }
+
+    @cached_property
+    def boxes(self) -> dict[str, tuple[Boxes, ...]]:
+        """Boxes that cover each hull, by link, in the link's frame."""
+        return {name: tuple(cover(hull) for hull in hulls) for name, hulls in self.hulls.items()}
+
+    def shapes_named(self, word: str, links: tuple[str, ...]) -> list[tuple[str, Geometry]]:
+        """Shapes whose link, collision or visual is named so, without regard to case."""
+        found = []
+        for name in links:
+            link = self.urdf.links[name]
+            named = word in name.lower()
+            exact = [s for s in (*link.collisions, *link.visuals) if word in s.name.lower()]
+            shapes = list(link.collisions or link.visuals) if named else exact
+            found += [(name, shape) for shape in shapes]
+        return found
+
+
+def joint_motion(joint: Joint, value: float) -> Float[np.ndarray, "4 4"]:
+    """Transform of a joint's child at a value [rad] or [m], in the joint's frame."""
+    T = np.eye(4)
+    if joint.kind == "prismatic":
+        T[:3, 3] = value * joint.axis
+    else:
+        T[:3, :3] = rotation_about(joint.axis, value)
+    return T

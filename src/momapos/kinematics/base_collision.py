@@ -1,0 +1,97 @@
+"""Where a base can stand: its boxes against the boxes of the room (separating axes)."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float, Int
+from numba import njit
+
+from momapos.kinematics.collision import FREE
+from momapos.kinematics.hulls import Boxes
+
+
+@njit(cache=True, nogil=True)
+def _separated(ca, Ra, ha, cb, Rb, hb):
+    """Whether two oriented boxes are apart (Gottschalk 1996: 15 axes)."""
+    t = np.empty(3)
+    C, A = np.empty((3, 3)), np.empty((3, 3))
+    for i in range(3):
+        t[i] = (
+            (cb[0] - ca[0]) * Ra[0, i] + (cb[1] - ca[1]) * Ra[1, i] + (cb[2] - ca[2]) * Ra[2, i]
+        )
+        for j in range(3):
+            C[i, j] = Ra[0, i] * Rb[0, j] + Ra[1, i] * Rb[1, j] + Ra[2, i] * Rb[2, j]
+            A[i, j] = abs(C[i, j]) + 1e-9
+    for i in range(3):
+        if abs(t[i]) > ha[i] + hb[0] * A[i, 0] + hb[1] * A[i, 1] + hb[2] * A[i, 2]:
+            return True
+    for j in range(3):
+        s = abs(t[0] * C[0, j] + t[1] * C[1, j] + t[2] * C[2, j])
+        if s > hb[j] + ha[0] * A[0, j] + ha[1] * A[1, j] + ha[2] * A[2, j]:
+            return True
+    for i in range(3):
+        i1, i2 = (i + 1) % 3, (i + 2) % 3
+        for j in range(3):
+            j1, j2 = (j + 1) % 3, (j + 2) % 3
+            r = ha[i1] * A[i2, j] + ha[i2] * A[i1, j] + hb[j1] * A[i, j2] + hb[j2] * A[i, j1]
+            if abs(t[i2] * C[i1, j] - t[i1] * C[i2, j]) > r:
+                return True
+    return False
+
+
+@njit(cache=True, nogil=True)
+def _hit(bases, base, boxes, clearance):
+    base_center, base_rotation, base_half = base
+    center, rotation, half = boxes
+    out = np.full(len(bases), FREE, np.int64)
+    reach = 0.0
+    for a in range(len(base_center)):
+        r = np.hypot(base_center[a, 0], base_center[a, 1]) + np.sqrt((base_half[a] ** 2).sum())
+        reach = max(reach, r)
+    spread = np.empty((len(center), 2))
+    for b in range(len(center)):
+        for k in range(2):
+            spread[b, k] = reach + clearance
+            for a in range(3):
+                spread[b, k] += abs(rotation[b, k, a]) * half[b, a]
+    c0, R0, h0 = np.empty(3), np.empty((3, 3)), np.empty(3)
+    for n in range(len(bases)):
+        x, y = bases[n, 0], bases[n, 1]
+        cos, sin = np.cos(bases[n, 2]), np.sin(bases[n, 2])
+        for b in range(len(center)):
+            if abs(center[b, 0] - x) > spread[b, 0] or abs(center[b, 1] - y) > spread[b, 1]:
+                continue
+            for a in range(len(base_center)):
+                c0[0] = x + cos * base_center[a, 0] - sin * base_center[a, 1]
+                c0[1] = y + sin * base_center[a, 0] + cos * base_center[a, 1]
+                c0[2] = base_center[a, 2]
+                for k in range(3):
+                    R0[0, k] = cos * base_rotation[a, 0, k] - sin * base_rotation[a, 1, k]
+                    R0[1, k] = sin * base_rotation[a, 0, k] + cos * base_rotation[a, 1, k]
+                    R0[2, k] = base_rotation[a, 2, k]
+                    h0[k] = base_half[a, k] + clearance
+                if not _separated(c0, R0, h0, center[b], rotation[b], half[b]):
+                    out[n] = b
+                    break
+            if out[n] != FREE:
+                break
+    return out
+
+
+def base_hits(
+    bases: Float[np.ndarray, "n 3"], base: Boxes, boxes: Boxes, *, clearance: float
+) -> Int[np.ndarray, " n"]:
+    """Index of the first box that each base pose hits, FREE where it stands clear.
+
+    Args:
+        bases: Base poses (x [m], y [m], yaw [rad]).
+        base: The base in its own frame.
+        boxes: The room in the world frame.
+        clearance: Distance to keep [m].
+    """
+    return _hit(
+        np.ascontiguousarray(bases, float),
+        (base.center, base.rotation, base.half),
+        (boxes.center, boxes.rotation, boxes.half),
+        clearance,
+    )

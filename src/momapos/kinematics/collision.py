@@ -1,0 +1,169 @@
+"""Batched collision kernels: robot spheres against oriented boxes, and against each other.
+
+Whole links are culled by a bounding sphere first. The result of a check is a code, so that the
+caller can say what was hit: FREE, SELF, or the index of a box.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from momapos.kinematics.chain import forward
+
+FREE = -1
+SELF = -2
+FLOOR = -3
+
+
+@njit(cache=True, nogil=True)
+def box_gap(c, r, center, rotation, half, b):
+    """Whether a sphere is clear of box b: squared distance to the box minus r squared."""
+    x, y, z = c[0] - center[b, 0], c[1] - center[b, 1], c[2] - center[b, 2]
+    s = 0.0
+    for k in range(3):
+        local = x * rotation[b, 0, k] + y * rotation[b, 1, k] + z * rotation[b, 2, k]
+        excess = abs(local) - half[b, k]
+        if excess > 0.0:
+            s += excess * excess
+    return s - r * r
+
+
+@njit(cache=True, nogil=True)
+def _moved(R, p, segment, local):
+    """A point of a segment in the frame of the chain's base pose."""
+    return (
+        p[segment, 0] + R[segment, 0, 0] * local[0] + R[segment, 0, 1] * local[1]
+        + R[segment, 0, 2] * local[2],
+        p[segment, 1] + R[segment, 1, 0] * local[0] + R[segment, 1, 1] * local[1]
+        + R[segment, 1, 2] * local[2],
+        p[segment, 2] + R[segment, 2, 0] * local[0] + R[segment, 2, 1] * local[1]
+        + R[segment, 2, 2] * local[2],
+    )
+
+
+@njit(cache=True, nogil=True)
+def hit_boxes(R, p, spheres, boxes, skip_gripper, margin):
+    """First box that a configuration hits, or FREE.
+
+    Args:
+        R, p: Segment poses (n + 1, 3, 3), (n + 1, 3) as `forward` leaves them.
+        spheres: `Spheres.arrays()`.
+        boxes: (center (b, 3), rotation (b, 3, 3), half (b, 3), grasped (b,)).
+        skip_gripper: Whether the gripper may touch the boxes marked as grasped.
+        margin: Clearance that is asked for [m].
+    """
+    center, radius, start, segment, bound_center, bound_radius, gripper = spheres[:7]
+    box_center, box_rotation, box_half, grasped = boxes
+    for g in range(len(segment)):
+        c = _moved(R, p, segment[g], bound_center[g])
+        far = bound_radius[g] + margin
+        for b in range(len(box_center)):
+            if skip_gripper and gripper[g] and grasped[b]:
+                continue
+            if box_gap(c, far, box_center, box_rotation, box_half, b) > 0.0:
+                continue
+            for s in range(start[g], start[g + 1]):
+                m = _moved(R, p, segment[g], center[s])
+                if box_gap(m, radius[s] + margin, box_center, box_rotation, box_half, b) < 0.0:
+                    return b
+    return FREE
+
+
+@njit(cache=True, nogil=True)
+def hit_self(R, p, spheres):
+    """SELF when the arm touches itself or the base, else FREE.
+
+    R, p are relative to any base pose; entry 0 is that pose.
+    """
+    (
+        center, radius, start, segment, bound_center, bound_radius, gripper, pairs,
+        base_center, base_rotation, base_half, base_pairs,
+    ) = spheres
+    for k in range(len(pairs)):
+        i, j = pairs[k, 0], pairs[k, 1]
+        a, b = _moved(R, p, segment[i], bound_center[i]), _moved(R, p, segment[j], bound_center[j])
+        r = bound_radius[i] + bound_radius[j]
+        if (a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2 > r * r:
+            continue
+        for s in range(start[i], start[i + 1]):
+            a = _moved(R, p, segment[i], center[s])
+            r = radius[s] + bound_radius[j]
+            if (a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2 > r * r:
+                continue
+            for t in range(start[j], start[j + 1]):
+                c = _moved(R, p, segment[j], center[t])
+                r = radius[s] + radius[t]
+                if (a[0] - c[0]) ** 2 + (a[1] - c[1]) ** 2 + (a[2] - c[2]) ** 2 < r * r:
+                    return SELF
+    for g in range(len(segment)):
+        c = _into_base(R, p, _moved(R, p, segment[g], bound_center[g]))
+        for b in range(len(base_center)):
+            if not base_pairs[g, b]:
+                continue
+            if box_gap(c, bound_radius[g], base_center, base_rotation, base_half, b) > 0.0:
+                continue
+            for s in range(start[g], start[g + 1]):
+                m = _into_base(R, p, _moved(R, p, segment[g], center[s]))
+                if box_gap(m, radius[s], base_center, base_rotation, base_half, b) < 0.0:
+                    return SELF
+    return FREE
+
+
+@njit(cache=True, nogil=True)
+def _into_base(R, p, c):
+    """A point in the frame of segment 0."""
+    x, y, z = c[0] - p[0, 0], c[1] - p[0, 1], c[2] - p[0, 2]
+    return (
+        R[0, 0, 0] * x + R[0, 1, 0] * y + R[0, 2, 0] * z,
+        R[0, 0, 1] * x + R[0, 1, 1] * y + R[0, 2, 1] * z,
+        R[0, 0, 2] * x + R[0, 1, 2] * y + R[0, 2, 2] * z,
+    )
+
+
+@njit(cache=True, nogil=True)
+def hit_floor(R, p, spheres):
+    """FLOOR when a sphere of the arm dips below z = 0, else FREE."""
+    center, radius, start, segment, bound_center, bound_radius = spheres[:6]
+    for g in range(len(segment)):
+        if _moved(R, p, segment[g], bound_center[g])[2] > bound_radius[g]:
+            continue
+        for s in range(start[g], start[g + 1]):
+            if _moved(R, p, segment[g], center[s])[2] < radius[s]:
+                return FLOOR
+    return FREE
+
+
+@njit(cache=True, nogil=True)
+def place_segments(q, base, chain, R, p):
+    """Segment poses of a configuration for a base at (x, y, yaw) on the floor."""
+    h, d, prismatic = chain[0], chain[1], chain[2]
+    c, s = np.cos(base[2]), np.sin(base[2])
+    R[0, 0, 0], R[0, 0, 1], R[0, 0, 2] = c, -s, 0.0
+    R[0, 1, 0], R[0, 1, 1], R[0, 1, 2] = s, c, 0.0
+    R[0, 2, 0], R[0, 2, 1], R[0, 2, 2] = 0.0, 0.0, 1.0
+    p[0, 0], p[0, 1], p[0, 2] = base[0], base[1], 0.0
+    forward(q, h, d, prismatic, R, p)
+
+
+@njit(cache=True, nogil=True)
+def check_state(q, base, chain, spheres, boxes, skip_gripper, margin, R, p):
+    """First thing that a configuration hits: FREE, FLOOR, SELF or a box's index."""
+    place_segments(q, base, chain, R, p)
+    if hit_floor(R, p, spheres) != FREE:
+        return FLOOR
+    code = hit_boxes(R, p, spheres, boxes, skip_gripper, margin)
+    if code != FREE:
+        return code
+    return hit_self(R, p, spheres)
+
+
+@njit(cache=True, nogil=True)
+def check_states(q, base, chain, spheres, boxes, skip_gripper, margin):
+    """`check_state` for a batch of configurations (m, n): codes (m,)."""
+    n = q.shape[1]
+    R, p = np.empty((n + 1, 3, 3)), np.empty((n + 1, 3))
+    out = np.empty(len(q), np.int64)
+    for i in range(len(q)):
+        out[i] = check_state(q[i], base, chain, spheres, boxes, skip_gripper, margin, R, p)
+    return out

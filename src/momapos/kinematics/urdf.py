@@ -1,0 +1,362 @@
+"""Read URDF files that come from strangers.
+
+yourdfpy parses; this module guards what goes in (no entities, bounded size, no path out of the
+root folder) and what comes out (a tree, finite numbers, ordered limits), and hands on frozen
+records with everything scaled to metres.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from momapos.errors import UrdfError
+
+JointKind = Literal["revolute", "continuous", "prismatic", "fixed"]
+MAX_URDF_BYTES = 20_000_000
+MAX_LINKS = 5_000
+MAX_SIZE = 1e4
+"""Edge, radius or length of a shape may be this at most [m]; distances too."""
+MAX_DEPTH = 50
+_COUNTS = {
+    "xyz": (3,), "rpy": (3,), "size": (3,), "scale": (1, 3), "radius": (1,), "length": (1,),
+    "lower": (1,), "upper": (1,), "velocity": (1,),
+}  # fmt: skip
+"""How many numbers an attribute holds."""
+_LENGTHS = {"xyz", "size", "radius", "length", "scale"}
+_SHAPES = {
+    "box": ("size",), "cylinder": ("radius", "length"), "sphere": ("radius",),
+    "mesh": ("filename",),
+}  # fmt: skip
+"""The shapes of a URDF and the attributes that each must have."""
+_OPTENV = re.compile(r"\$\(optenv\s{1,20}[^\s)]{1,200}\s{0,20}([^)]{0,500})\)")
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """One shape of a link."""
+
+    kind: Literal["box", "cylinder", "sphere", "mesh"]
+    size: tuple[float, ...]
+    """box: edges; cylinder: radius, length; sphere: radius [m]; mesh: scale per axis [-]."""
+    T_link_geometry: Float[np.ndarray, "4 4"]
+    """Pose in the link frame; cylinders lie along z."""
+    name: str = ""
+    """Name of the `collision` or `visual` element, often empty."""
+    mesh: Path | None = None
+
+
+@dataclass(frozen=True)
+class Link:
+    """A rigid body."""
+
+    name: str
+    collisions: tuple[Geometry, ...]
+    visuals: tuple[Geometry, ...]
+
+
+@dataclass(frozen=True)
+class Joint:
+    """A joint between two links."""
+
+    name: str
+    kind: JointKind
+    parent: str
+    child: str
+    T_parent_joint: Float[np.ndarray, "4 4"]
+    axis: Float[np.ndarray, "3"]
+    """Unit axis in the joint frame."""
+    lower: float
+    upper: float
+    """Limits [rad] or [m]; infinite for continuous joints."""
+    velocity: float
+    """Speed limit [rad/s] or [m/s]; infinite when the file gives none."""
+
+    @property
+    def movable(self) -> bool:
+        """Whether the joint moves at all."""
+        return self.kind != "fixed"
+
+
+@dataclass(frozen=True)
+class Urdf:
+    """A tree of links and joints, parents before children."""
+
+    name: str
+    path: Path | None
+    root: str
+    links: dict[str, Link]
+    joints: tuple[Joint, ...]
+    scale: float = 1.0
+    """What all lengths of the file were multiplied by [-]."""
+
+
+def read_urdf(path: Path, *, root: Path | None = None, scale: float = 1.0) -> Urdf:
+    """Read a URDF file.
+
+    Args:
+        path: The file.
+        root: Folder that no mesh may leave; the file's own folder and every parent up to four
+            levels where None (packages keep meshes beside the `urdf` folder).
+        scale: Uniform scale of all lengths [-].
+
+    Raises:
+        UrdfError: The file cannot be used; the message says where and why.
+    """
+    text = _read_text(path)
+    robot = _parse(text, path)
+    reader = _Reader(path, root, scale)
+    links = {link.name: reader.link(link) for link in robot.links}
+    if len(links) != len(robot.links):
+        raise UrdfError(f"{path}: two links share a name; link names must be unique")
+    joints = [reader.joint(joint) for joint in robot.joints]
+    _refuse_twins(path, "joint", [joint.name for joint in joints])
+    root_link, ordered = _order(path, links, joints)
+    return Urdf(robot.name or path.stem, path, root_link, links, ordered, scale)
+
+
+def box_urdf(name: str, size: tuple[float, float, float]) -> Urdf:
+    """Build the model of a rigid box, its frame at the centre."""
+    shape = Geometry("box", size, np.eye(4))
+    return Urdf(name, None, "box", {"box": Link("box", (shape,), (shape,))}, ())
+
+
+def _read_text(path: Path) -> str:
+    from defusedxml import DefusedXmlException, ElementTree
+
+    if not path.is_file():
+        raise UrdfError(f"{path}: no such URDF file")
+    if path.stat().st_size > MAX_URDF_BYTES:
+        raise UrdfError(f"{path}: larger than {MAX_URDF_BYTES // 1_000_000} MB; is it a URDF?")
+    text = _OPTENV.sub(r"\1", path.read_text(encoding="utf-8", errors="replace"))
+    try:
+        tree = ElementTree.fromstring(text.encode(), forbid_dtd=True)
+    except DefusedXmlException as error:
+        raise UrdfError(f"{path}: DTDs and entities are not allowed in a URDF") from error
+    except ElementTree.ParseError as error:
+        raise UrdfError(f"{path}: not well-formed XML ({error})") from error
+    if tree.tag != "robot":
+        raise UrdfError(f"{path}: the root element is <{tree.tag}>, a URDF has <robot>")
+    _check_tree(path, tree)
+    return text
+
+
+def _check_tree(path: Path, tree: Any) -> None:
+    """Refuse what a parser would choke on or, worse, take in silence."""
+    if not tree.get("name"):
+        raise UrdfError(f"{path}: <robot> has no name")
+    if len(tree.findall("link")) > MAX_LINKS or len(tree.findall("joint")) > MAX_LINKS:
+        raise UrdfError(f"{path}: more than {MAX_LINKS} links")
+    level = [tree]
+    for _ in range(MAX_DEPTH):
+        level = [child for element in level for child in element]
+    if level:
+        raise UrdfError(f"{path}: elements are nested deeper than {MAX_DEPTH}")
+    for part in tree:
+        if not isinstance(part.tag, str):
+            continue
+        if "xacro" in part.tag:
+            raise UrdfError(f"{path}: holds xacro macros; expand it first: xacro IN > OUT.urdf")
+        if part.tag in ("link", "joint"):
+            name = part.get("name", "")
+            if not name.strip() or not name.isprintable() or len(name) > 500:
+                raise UrdfError(f"{path}: a {part.tag} has no usable name: {name!r:.60}")
+            _check_part(part, f"{path}: {part.tag} {name!r}")
+
+
+def _check_part(part: Any, where: str) -> None:
+    """Check the numbers and shapes of a link or joint; commas stand for spaces."""
+    for element in part.iter():
+        if element.tag == "geometry":
+            _check_geometry(element, where)
+        for key in _COUNTS.keys() & set(element.keys()):
+            if element.tag in ("texture", "color"):
+                continue
+            text = element.get(key)
+            values = [_float(word) for word in text.replace(",", " ").split()]
+            if len(values) not in _COUNTS[key] or not all(map(math.isfinite, values)):
+                count = " or ".join(map(str, _COUNTS[key]))
+                raise UrdfError(
+                    f"{where}: {key}={text!r:.80} in <{element.tag}> must be {count} finite "
+                    f"number{'s' * (count != '1')}"
+                )
+            if key in _LENGTHS and max(map(abs, values)) > MAX_SIZE:
+                raise UrdfError(f"{where}: {key}={text!r:.80} is larger than {MAX_SIZE:g}")
+            if key in ("size", "radius", "length") and min(values) <= 0:
+                raise UrdfError(f"{where}: {key}={text!r:.80} in <{element.tag}> must be > 0")
+    if part.tag == "joint":
+        missing = [end for end in ("parent", "child") if part.find(end) is None]
+        if missing:
+            raise UrdfError(f"{where} has no <{missing[0]}>")
+
+
+def _check_geometry(geometry: Any, where: str) -> None:
+    tags = [child.tag for child in geometry]
+    if len(tags) != 1 or tags[0] not in _SHAPES:
+        found, shapes = ", ".join(map(str, tags)) or "nothing", ", ".join(_SHAPES)
+        raise UrdfError(f"{where}: <geometry> holds {found:.80}; it must be one of {shapes}")
+    for key in _SHAPES[tags[0]]:
+        if not geometry[0].get(key):
+            raise UrdfError(f"{where}: <{tags[0]}> has no {key}")
+
+
+def _float(word: str) -> float:
+    try:
+        return float(word)
+    except ValueError:
+        return math.nan
+
+
+def _parse(text: str, path: Path) -> Any:
+    import yourdfpy
+
+    plain = re.sub(
+        r'\b(xyz|rpy|size|scale)\s*=\s*"([^"]*)"',
+        lambda m: f'{m[1]}="{m[2].replace(",", " ")}"',
+        text,
+    )
+    try:
+        urdf = yourdfpy.URDF.load(
+            io.BytesIO(plain.encode()), build_scene_graph=False, load_meshes=False
+        )
+    except Exception as error:  # yourdfpy raises whatever its parser met
+        reason = " ".join(str(error).split())
+        raise UrdfError(f"{path}: not a usable URDF ({reason})") from error
+    if not urdf.robot.links:
+        raise UrdfError(f"{path}: has no links")
+    return urdf.robot
+
+
+class _Reader:
+    """Turns yourdfpy's records into ours, scaled and checked."""
+
+    def __init__(self, path: Path, root: Path | None, scale: float) -> None:
+        if not (math.isfinite(scale) and scale > 0):
+            raise UrdfError(f"{path}: scale must be a number > 0, not {scale}")
+        self.path, self.scale = path, scale
+        folder = path.resolve().parent
+        self.folders = [folder, *list(folder.parents)[:4]]
+        self.root = root.resolve() if root else self.folders[-1]
+
+    def link(self, link: Any) -> Link:
+        shapes = [
+            tuple(self.geometry(link.name, item) for item in items if item.geometry is not None)
+            for items in (link.collisions, link.visuals)
+        ]
+        return Link(link.name, shapes[0], shapes[1])
+
+    def geometry(self, link: str, item: Any) -> Geometry:
+        T, g, s = self.transform(item.origin), item.geometry, self.scale
+        name = item.name or ""
+        if g.mesh is not None:
+            factor = np.ones(3) if g.mesh.scale is None else np.broadcast_to(g.mesh.scale, 3)
+            shape = Geometry("mesh", tuple(s * factor), T, name, self.find(g.mesh.filename))
+        elif g.box is not None:
+            shape = Geometry("box", tuple(s * np.asarray(g.box.size, float)), T, name)
+        elif g.cylinder is not None:
+            shape = Geometry("cylinder", (s * g.cylinder.radius, s * g.cylinder.length), T, name)
+        elif g.sphere is not None:
+            shape = Geometry("sphere", (s * g.sphere.radius,), T, name)
+        else:
+            raise UrdfError(f"{self.path}: a shape of link {link!r} has no geometry")
+        sizes = np.abs(shape.size)
+        if not (len(sizes) and np.isfinite(sizes).all() and sizes.min() > 0):
+            raise UrdfError(f"{self.path}: a {shape.kind} of link {link!r} has size {shape.size}")
+        return shape
+
+    def transform(self, origin: Any) -> Float[np.ndarray, "4 4"]:
+        T = np.eye(4) if origin is None else np.array(origin, float)
+        T[:3, 3] *= self.scale
+        return T
+
+    def find(self, filename: str) -> Path:
+        """Resolve a mesh name inside the root; `package://` is looked for in parent folders."""
+        relative = re.sub(r"^(package|file|model)://", "", filename)
+        try:
+            for folder in self.folders:
+                for name in (relative, relative.split("/", 1)[-1]):
+                    candidate = (folder / name).resolve()
+                    if candidate.is_relative_to(self.root) and candidate.is_file():
+                        return candidate
+            outside = not (self.folders[0] / relative).resolve().is_relative_to(self.root)
+        except (OSError, RuntimeError) as error:  # too long a name, or links in a circle
+            raise UrdfError(f"{self.path}: mesh {filename!r:.80} cannot be looked up") from error
+        if outside:
+            raise UrdfError(
+                f"{self.path}: mesh {filename!r} leaves {self.root}; keep meshes inside it"
+            )
+        raise UrdfError(f"{self.path}: mesh {filename!r} does not exist below {self.root}")
+
+    def joint(self, joint: Any) -> Joint:
+        kind, where = joint.type, f"{self.path}: joint {joint.name!r}"
+        if kind not in ("revolute", "continuous", "prismatic", "fixed"):
+            raise UrdfError(
+                f"{where} is {kind!r}; revolute, continuous, prismatic and fixed are supported"
+            )
+        axis = np.array([1.0, 0.0, 0.0] if joint.axis is None else joint.axis, float)
+        length = float(np.linalg.norm(axis))
+        if kind != "fixed" and length < 1e-9:
+            raise UrdfError(f"{where} has a zero axis")
+        lower, upper = self.limits(where, kind, joint.limit)
+        velocity = getattr(joint.limit, "velocity", None) or math.inf
+        unit = axis / length if length > 1e-9 else axis
+        T = self.transform(joint.origin)
+        return Joint(joint.name, kind, joint.parent, joint.child, T, unit, lower, upper, velocity)
+
+    def limits(self, where: str, kind: str, limit: Any) -> tuple[float, float]:
+        if kind == "fixed":
+            return 0.0, 0.0
+        lower, upper = getattr(limit, "lower", None), getattr(limit, "upper", None)
+        if kind == "continuous" or (lower is None and upper is None):
+            return -math.inf, math.inf
+        factor = self.scale if kind == "prismatic" else 1.0
+        lower, upper = factor * (lower or 0.0), factor * (upper or 0.0)
+        if lower > upper:
+            raise UrdfError(f"{where} has lower limit {lower:g} above upper limit {upper:g}")
+        return lower, upper
+
+
+def _refuse_twins(path: Path, kind: str, names: Iterable[str]) -> None:
+    seen: set[str] = set()
+    for name in names:
+        if name in seen:
+            raise UrdfError(f"{path}: two {kind}s are named {name!r}; names must be unique")
+        seen.add(name)
+
+
+def _order(
+    path: Path, links: dict[str, Link], joints: list[Joint]
+) -> tuple[str, tuple[Joint, ...]]:
+    """Sort joints parents first and make sure that they form one tree."""
+    by_parent: dict[str, list[Joint]] = {}
+    parents: dict[str, str] = {}
+    for joint in joints:
+        for link in (joint.parent, joint.child):
+            if link not in links:
+                raise UrdfError(f"{path}: joint {joint.name!r} names a missing link {link!r}")
+        if joint.child in parents:
+            raise UrdfError(f"{path}: link {joint.child!r} has two parents (a loop); need a tree")
+        parents[joint.child] = joint.parent
+        by_parent.setdefault(joint.parent, []).append(joint)
+    roots = [name for name in links if name not in parents]
+    if not roots:
+        raise UrdfError(f"{path}: the joints form a loop; a URDF must be a tree")
+    ordered: list[Joint] = []
+    queue = [roots[0]]
+    while queue:
+        for joint in by_parent.get(queue.pop(0), []):
+            ordered.append(joint)
+            queue.append(joint.child)
+    if len(ordered) != len(joints):
+        raise UrdfError(f"{path}: the joints form a loop; a URDF must be a tree")
+    if len(roots) > 1:
+        raise UrdfError(f"{path}: links {roots[0]!r} and {roots[1]!r} are not connected")
+    return roots[0], tuple(ordered)

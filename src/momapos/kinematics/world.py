@@ -1,0 +1,204 @@
+"""The room as boxes that the arm can hit: what stands still, and what the task moves.
+
+Standing boxes are found through a bucket grid: each cell lists the boxes that a robot sphere
+centred in it could touch. Moving boxes are few and are tested directly, at each value of the
+object's joint that the motion passes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numba import njit
+
+from momapos.kinematics.chain import Chain
+from momapos.kinematics.collision import (
+    FLOOR, FREE, SELF, _moved, box_gap, hit_boxes, hit_floor, hit_self, place_segments,
+)
+from momapos.kinematics.hulls import Boxes
+from momapos.kinematics.ik import chain_arrays
+from momapos.kinematics.spheres import Spheres
+
+CELL = 0.1
+"""Edge of a bucket [m]."""
+
+
+@dataclass(frozen=True)
+class World:
+    """What the arm of one robot can hit during one task."""
+
+    static: Boxes
+    labels: tuple[str, ...]
+    """Name of each standing box, then of each moving box."""
+    moving: Boxes
+    """Moving boxes at every value: arrays have a leading axis of values."""
+    grasped: Bool[np.ndarray, " m"]
+    """Moving boxes that the gripper may touch."""
+    clearance: float
+    """Distance that robot spheres keep [m]."""
+    grid_origin: Float[np.ndarray, "3"]
+    grid_shape: Int[np.ndarray, "3"]
+    grid_start: Int[np.ndarray, " cells_plus_1"]
+    grid_index: Int[np.ndarray, " entries"]
+
+    def reason(self, code: int) -> str:
+        """Say what a code of `check` means."""
+        if code == FREE:
+            return "free"
+        if code == SELF:
+            return "the robot itself"
+        return "the floor" if code == FLOOR else self.labels[code]
+
+    def arrays(self) -> tuple[np.ndarray, ...]:
+        """The world as the kernel takes it."""
+        return (
+            self.static.center, self.static.rotation, self.static.half, self.moving.center,
+            self.moving.rotation, self.moving.half, self.grasped, self.grid_origin,
+            self.grid_shape, self.grid_start, self.grid_index,
+        )
+
+
+def build_world(
+    static: Boxes,
+    moving: Boxes,
+    grasped: Bool[np.ndarray, " m"],
+    labels: Sequence[str],
+    spheres: Spheres,
+    *,
+    clearance: float,
+) -> World:
+    """Sort the standing boxes into buckets for one robot.
+
+    Args:
+        static: Standing boxes in the world frame.
+        moving: Moving boxes with a leading axis of joint values: center (v, m, 3) and so on.
+        grasped: Which moving boxes the gripper may touch.
+        labels: Names of the standing boxes, then of the moving ones.
+        spheres: The robot.
+        clearance: Distance to keep [m].
+    """
+    reach = float(spheres.radius.max()) + clearance
+    corners = np.einsum("bij,bj->bij", static.rotation, static.half)
+    extent = np.abs(corners).sum(2)
+    if len(static):
+        low = (static.center - extent).min(0) - reach
+        high = (static.center + extent).max(0) + reach
+    else:
+        low, high = np.zeros(3), np.full(3, CELL)
+    shape = np.maximum(1, np.ceil((high - low) / CELL)).astype(np.int64)
+    start, index = _fill_buckets(static.center, static.rotation, static.half, low, shape, reach)
+    return World(
+        static, tuple(labels), moving, grasped, clearance, low, shape, start, index
+    )
+
+
+@njit(cache=True, nogil=True)
+def _fill_buckets(center, rotation, half, low, shape, reach):
+    """Lists of the boxes that a sphere of radius `reach` in each cell could touch (CSR)."""
+    cells = shape[0] * shape[1] * shape[2]
+    counts = np.zeros(cells + 1, np.int64)
+    index = np.empty(0, np.int64)
+    inflated = reach + CELL * np.sqrt(3.0) / 2
+    for fill in range(2):
+        if fill == 1:
+            for c in range(cells):
+                counts[c + 1] += counts[c]
+            index = np.empty(counts[cells], np.int64)
+            cursor = counts.copy()
+        for b in range(len(center)):
+            lo = np.empty(3, np.int64)
+            hi = np.empty(3, np.int64)
+            for k in range(3):
+                extent = inflated
+                for a in range(3):
+                    extent += abs(rotation[b, k, a]) * half[b, a]
+                lo[k] = max(0, int((center[b, k] - extent - low[k]) / CELL))
+                hi[k] = min(shape[k] - 1, int((center[b, k] + extent - low[k]) / CELL))
+            for i in range(lo[0], hi[0] + 1):
+                for j in range(lo[1], hi[1] + 1):
+                    for k in range(lo[2], hi[2] + 1):
+                        c = (
+                            low[0] + (i + 0.5) * CELL,
+                            low[1] + (j + 0.5) * CELL,
+                            low[2] + (k + 0.5) * CELL,
+                        )
+                        if box_gap(c, inflated, center, rotation, half, b) > 0.0:
+                            continue
+                        cell = (i * shape[1] + j) * shape[2] + k
+                        if fill == 0:
+                            counts[cell + 1] += 1
+                        else:
+                            index[cursor[cell]] = b
+                            cursor[cell] += 1
+    return counts, index
+
+
+@njit(cache=True, nogil=True)
+def _hit_static(R, p, spheres, world, margin):
+    """First standing box that the arm hits, or FREE."""
+    center, radius, start, segment = spheres[:4]
+    box_center, box_rotation, box_half = world[:3]
+    low, shape, grid_start, grid_index = world[7:]
+    for g in range(len(segment)):
+        for s in range(start[g], start[g + 1]):
+            m = _moved(R, p, segment[g], center[s])
+            i = int(np.floor((m[0] - low[0]) / CELL))
+            j = int(np.floor((m[1] - low[1]) / CELL))
+            k = int(np.floor((m[2] - low[2]) / CELL))
+            if not (0 <= i < shape[0] and 0 <= j < shape[1] and 0 <= k < shape[2]):
+                continue
+            cell = (i * shape[1] + j) * shape[2] + k
+            for entry in range(grid_start[cell], grid_start[cell + 1]):
+                b = grid_index[entry]
+                if box_gap(m, radius[s] + margin, box_center, box_rotation, box_half, b) < 0.0:
+                    return b
+    return FREE
+
+
+@njit(cache=True, nogil=True)
+def _check(q, bases, value, holding, chain, spheres, world, margin):
+    n = q.shape[1]
+    R, p = np.empty((n + 1, 3, 3)), np.empty((n + 1, 3))
+    out = np.empty(len(q), np.int64)
+    moving_center, moving_rotation, moving_half, grasped = world[3:7]
+    for i in range(len(q)):
+        place_segments(q[i], bases[i], chain, R, p)
+        out[i] = hit_floor(R, p, spheres)
+        if out[i] != FREE:
+            continue
+        v = value[i]
+        boxes = (moving_center[v], moving_rotation[v], moving_half[v], grasped)
+        code = hit_boxes(R, p, spheres, boxes, holding[i], margin)
+        if code != FREE:
+            out[i] = code + len(world[0])
+            continue
+        out[i] = _hit_static(R, p, spheres, world, margin)
+        if out[i] == FREE:
+            out[i] = hit_self(R, p, spheres)
+    return out
+
+
+def check(
+    world: World,
+    chain: Chain,
+    spheres: Spheres,
+    q: Float[np.ndarray, "m n"],
+    bases: Float[np.ndarray, "m 3"],
+    value: Int[np.ndarray, " m"],
+    holding: Bool[np.ndarray, " m"],
+) -> Int[np.ndarray, " m"]:
+    """Say what each configuration hits first: FREE, FLOOR, SELF or an index into the labels.
+
+    Args:
+        q: Arm configurations.
+        bases: Base pose (x, y, yaw) of each.
+        value: Index of the object's joint value at each.
+        holding: Whether the gripper may touch what is grasped.
+    """
+    return _check(
+        q, bases, value, holding, chain_arrays(chain), spheres.arrays(), world.arrays(),
+        world.clearance,
+    )

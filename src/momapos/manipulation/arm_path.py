@@ -1,0 +1,242 @@
+"""One continuous arm path over the waypoints: all branches, a graph over them, a dense check."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+from numba import njit
+
+from momapos.geometry.transforms import invert, pose_planar
+from momapos.kinematics.collision import FREE
+from momapos.kinematics.ik import chain_arrays, newton, solve_ik
+from momapos.kinematics.world import World, check
+from momapos.manipulation.motion import TaskMotion
+from momapos.robots.robot import Robot
+
+UNREACHABLE, HIT, BROKEN, FOUND = 0, 1, 2, 3
+MAX_STEP = 0.8
+"""Largest joint step between waypoints [rad] or [m]."""
+MAX_DENSE_STEP = 0.25
+"""Largest joint step between states [rad] or [m]."""
+
+
+@dataclass(frozen=True)
+class ArmPath:
+    """What came of one grasp at one base pose."""
+
+    status: int
+    """UNREACHABLE, HIT, BROKEN (no continuous branch) or FOUND."""
+    waypoint: int
+    """The waypoint at which it failed; the number of waypoints when it did not."""
+    obstacle: int
+    """What was hit, a code of the world; FREE where nothing was."""
+    q: Float[np.ndarray, "d n"] | None = None
+    """Arm states at every step of the motion."""
+
+
+def find_paths(
+    robot: Robot,
+    world: World,
+    motion: TaskMotion,
+    bases: Float[np.ndarray, "j 3"],
+    grasps: Int[np.ndarray, " j"],
+) -> list[ArmPath]:
+    """Look for an arm path for each pair of base pose and grasp.
+
+    Waypoints are taken one after the other for all pairs at once; a pair that fails at one
+    is not carried on.
+    """
+    jobs = len(grasps)
+    failed: list[ArmPath | None] = [None] * jobs
+    layers: list[_Layer] = []
+    alive = np.arange(jobs)
+    for w in range(len(motion.coarse)):
+        layer = _solve_layer(robot, world, motion, bases, grasps, alive, w)
+        for j, counts, code in zip(layer.jobs, layer.counts, layer.codes, strict=True):
+            if counts == 0:
+                status = UNREACHABLE if code == FREE else HIT
+                failed[j] = ArmPath(status, w, int(code))
+        alive = layer.jobs[layer.counts > 0]
+        layers.append(layer)
+        if not len(alive):
+            break
+    found = [_connect(robot, world, motion, bases, grasps, layers, int(j)) for j in alive]
+    for j, path in zip(alive, found, strict=True):
+        failed[int(j)] = path
+    return [path for path in failed if path is not None]
+
+
+@dataclass(frozen=True)
+class _Layer:
+    """The free configurations of all living jobs at one waypoint."""
+
+    jobs: Int[np.ndarray, " a"]
+    q: Float[np.ndarray, "a b n"]
+    """Free configurations first, NaN beyond the count."""
+    counts: Int[np.ndarray, " a"]
+    codes: Int[np.ndarray, " a"]
+    """What the first configuration hit, FREE where there was none at all."""
+
+    def nodes(self, job: int) -> Float[np.ndarray, "k n"]:
+        row = int(np.searchsorted(self.jobs, job))
+        return self.q[row, : self.counts[row]]
+
+
+def _solve_layer(
+    robot: Robot,
+    world: World,
+    motion: TaskMotion,
+    bases: np.ndarray,
+    grasps: np.ndarray,
+    alive: np.ndarray,
+    w: int,
+) -> _Layer:
+    step = motion.coarse[w]
+    T_base_world = invert(np.array([pose_planar(*bases[j]) for j in alive]))
+    poses = T_base_world @ motion.Ts_world_tool[grasps[alive], step]
+    q, counts = solve_ik(robot.chain, robot.ik, poses)
+    n, width = robot.chain.size, q.shape[1]
+    given = np.arange(width) < counts[:, None]
+    flat = q[given]
+    owner = np.repeat(np.arange(len(alive)), counts)
+    codes = check(
+        world, robot.chain, robot.spheres, flat, bases[alive][owner],
+        np.full(len(flat), motion.value[step]), np.full(len(flat), motion.holding[step]),
+    )
+    free = codes == FREE
+    kept = np.bincount(owner[free], minlength=len(alive))
+    out = np.full((len(alive), int(kept.max(initial=1)), n), np.nan)
+    slot = np.concatenate([np.arange(k) for k in kept]) if len(kept) else np.zeros(0, int)
+    out[owner[free], slot.astype(int)] = flat[free]
+    first = np.full(len(alive), FREE, np.int64)
+    if len(owner):
+        heads, at = np.unique(owner, return_index=True)
+        first[heads] = codes[at]
+    return _Layer(alive, out, kept, first)
+
+
+def _connect(
+    robot: Robot, world: World, motion: TaskMotion, bases: np.ndarray, grasps: np.ndarray,
+    layers: list[_Layer], job: int,
+) -> ArmPath:
+    """Shortest path through the layers, then every state between, checked."""
+    nodes = [layer.nodes(job) for layer in layers]
+    start = np.cumsum([0, *(len(k) for k in nodes)])
+    stacked = np.concatenate(nodes)
+    chain = robot.chain
+    full_turn = ~chain.prismatic & (chain.upper - chain.lower > 2 * np.pi + 0.1)
+    banned = np.zeros(len(stacked), bool)
+    T_base_world = invert(pose_planar(*bases[job]))
+    targets = T_base_world @ motion.Ts_world_tool[grasps[job]]
+    worst = ArmPath(BROKEN, 0, FREE)
+    for _ in range(4):
+        chosen = np.full(len(nodes), -1)
+        reached = _shortest(stacked, start, banned, full_turn, chosen)
+        if reached < len(nodes):
+            return worst if worst.obstacle != FREE else ArmPath(BROKEN, reached, FREE)
+        q = _unwrap(stacked[chosen], full_turn, chain.lower, chain.upper)
+        dense = np.empty((len(motion.object_q), chain.size))
+        bad = _track(
+            q, motion.coarse, targets, robot.ik.active, chain_arrays(chain),
+            (chain.lower, chain.upper), dense,
+        )
+        if bad < 0:
+            codes = check(
+                world, chain, robot.spheres, dense, np.tile(bases[job], (len(dense), 1)),
+                motion.value, motion.holding,
+            )
+            hit = np.flatnonzero(codes != FREE)
+            if not len(hit):
+                return ArmPath(FOUND, len(nodes), FREE, dense)
+            bad = int(hit[0])
+            worst = ArmPath(HIT, int(np.searchsorted(motion.coarse, bad)), int(codes[bad]))
+        # Without the node after the failure the next path must take another way.
+        banned[chosen[min(int(np.searchsorted(motion.coarse, bad)), len(nodes) - 1)]] = True
+    return worst
+
+
+@njit(cache=True, nogil=True)
+def _step(a, b, full_turn):
+    """Largest joint difference, the short way round where a joint turns fully."""
+    worst = 0.0
+    for k in range(len(a)):
+        d = b[k] - a[k]
+        if full_turn[k]:
+            d -= 2.0 * np.pi * np.round(d / (2.0 * np.pi))
+        worst = max(worst, abs(d))
+    return worst
+
+
+@njit(cache=True, nogil=True)
+def _shortest(q, start, banned, full_turn, chosen):
+    """Path with the smallest sum of steps through the layers; returns the layers reached."""
+    count, layers = len(q), len(start) - 1
+    cost, parent = np.full(count, np.inf), np.full(count, -1)
+    for i in range(start[0], start[1]):
+        if not banned[i]:
+            cost[i] = 0.0
+    for w in range(1, layers):
+        any_reached = False
+        for i in range(start[w], start[w + 1]):
+            if banned[i]:
+                continue
+            for j in range(start[w - 1], start[w]):
+                if cost[j] >= cost[i]:
+                    continue
+                d = _step(q[j], q[i], full_turn)
+                if d < MAX_STEP and cost[j] + d < cost[i]:
+                    cost[i], parent[i] = cost[j] + d, j
+                    any_reached = True
+        if not any_reached:
+            return w
+    best = -1
+    for i in range(start[layers - 1], start[layers]):
+        if cost[i] < np.inf and (best < 0 or cost[i] < cost[best]):
+            best = i
+    if best < 0:
+        return layers - 1
+    for w in range(layers - 1, -1, -1):
+        chosen[w] = best
+        best = parent[best]
+    return layers
+
+
+def _unwrap(
+    q: np.ndarray, full_turn: np.ndarray, lower: np.ndarray, upper: np.ndarray
+) -> np.ndarray:
+    """Follow joints that turn fully across the cut at pi, inside their limits if possible."""
+    out = q.copy()
+    out[:, full_turn] = np.unwrap(q[:, full_turn], axis=0)
+    turn = 2 * np.pi
+    for k in np.flatnonzero(full_turn & np.isfinite(upper)):
+        over = max(0.0, out[:, k].max() - upper[k])
+        under = max(0.0, lower[k] - out[:, k].min())
+        out[:, k] -= turn * np.ceil(over / turn) - turn * np.ceil(under / turn)
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _track(q, coarse, targets, active, chain, limits, dense):
+    """Fill the states between waypoints by Newton steps; returns the step that fails, or -1."""
+    n = q.shape[1]
+    lower, upper = limits
+    R, p = np.empty((n + 1, 3, 3)), np.empty((n + 1, 3))
+    for w in range(len(coarse)):
+        first = coarse[w - 1] + 1 if w > 0 else 0
+        for s in range(first, coarse[w] + 1):
+            t = (s - coarse[w - 1]) / (coarse[w] - coarse[w - 1]) if w > 0 else 1.0
+            for k in range(n):
+                dense[s, k] = (1.0 - t) * q[max(w - 1, 0), k] + t * q[w, k]
+            residual = newton(
+                dense[s], active, chain, targets[s, :3, :3], targets[s, :3, 3], 8, 1e-6, (R, p)
+            )
+            if residual > 1e-9:
+                return s
+            for k in range(n):
+                if dense[s, k] < lower[k] - 1e-6 or dense[s, k] > upper[k] + 1e-6:
+                    return s
+                if s > 0 and abs(dense[s, k] - dense[s - 1, k]) > MAX_DENSE_STEP:
+                    return s
+    return -1

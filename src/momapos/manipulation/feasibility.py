@@ -1,0 +1,119 @@
+"""Is a base pose feasible? Path over the waypoints, approach from home, exact check."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from momapos.kinematics.collision import FREE
+from momapos.kinematics.world import World, check
+from momapos.manipulation.arm_path import FOUND, HIT, UNREACHABLE, ArmPath, find_paths
+from momapos.manipulation.motion import TaskMotion
+from momapos.manipulation.planner import PlannerConfig, interpolate, plan_motion
+from momapos.robots.robot import Robot
+from momapos.types import Attempt, Motion
+
+Refusal = Callable[[Float[np.ndarray, "3"], Motion], str | None]
+"""The exact check: None where a motion holds, else what is wrong with it."""
+_FIRST = 4
+"""Grasps that are tried together before the rest [-]."""
+
+
+@dataclass(frozen=True)
+class Feasibility:
+    """Checks base poses for one robot, room and task."""
+
+    robot: Robot
+    world: World
+    motion: TaskMotion
+    planner: PlannerConfig
+    refuse: Refusal
+    seed: int
+
+    def __call__(self, base: Float[np.ndarray, "3"], grasps: Int[np.ndarray, " k"]) -> Attempt:
+        """Check one base pose with some grasps, best first.
+
+        Args:
+            base: Base pose x [m], y [m], yaw [rad].
+            grasps: Indices into the family of grasps.
+        """
+        at_home = self._check(self.robot.home[None], base)[0]
+        if at_home != FREE:
+            return Attempt(None, f"arm at home hits {self.world.reason(int(at_home))}")
+        furthest: ArmPath | None = None
+        last = ""
+        chunks = np.split(grasps, range(_FIRST, len(grasps), 4 * _FIRST))
+        for chunk in chunks:
+            bases = np.tile(base, (len(chunk), 1))
+            for path in find_paths(self.robot, self.world, self.motion, bases, chunk):
+                if path.status != FOUND:
+                    if furthest is None or path.waypoint > furthest.waypoint:
+                        furthest = path
+                    continue
+                motion, last = self._complete(base, path, int(chunk[0]))
+                if motion is not None:
+                    return Attempt(motion, "")
+        return Attempt(None, last or self._reason(furthest))
+
+    def _check(self, q: Float[np.ndarray, "m n"], base: np.ndarray) -> Int[np.ndarray, " m"]:
+        return check(
+            self.world, self.robot.chain, self.robot.spheres, np.ascontiguousarray(q),
+            np.broadcast_to(base, (len(q), 3)), np.full(len(q), self.motion.value[0]),
+            np.zeros(len(q), bool),
+        )
+
+    def _complete(
+        self, base: np.ndarray, path: ArmPath, salt: int
+    ) -> tuple[Motion | None, str]:
+        """Add the approach from home, and let the exact check decide."""
+        assert path.q is not None
+        chain, hold = self.robot.chain, self.motion.hold
+        q = near_home(path.q, self.robot.home, chain.lower, chain.upper)
+
+        def free(states: Float[np.ndarray, "m n"]) -> Bool[np.ndarray, " m"]:
+            return self._check(states, base) == FREE
+
+        way = plan_motion(
+            self.robot.home, q[0], chain.lower, chain.upper, free,
+            config=self.planner, seed=self.seed + salt,
+        )
+        if way is None:
+            return None, "no approach from home"
+        approach = np.concatenate([interpolate(way), q[1 : hold + 1]])
+        motion = Motion(approach, q[hold:], self.motion.object_q[hold:], self._tools(q[hold:], base))
+        refusal = self.refuse(base, motion)
+        return (motion, "") if refusal is None else (None, f"exact check: {refusal}")
+
+    def _tools(self, q: np.ndarray, base: np.ndarray) -> Float[np.ndarray, "m 4 4"]:
+        from momapos.geometry.transforms import pose_planar
+
+        return pose_planar(*base) @ self.robot.chain.tool_poses(q)
+
+    def _reason(self, path: ArmPath | None) -> str:
+        if path is None:
+            return "no grasp within reach"
+        where = "the pre-grasp" if path.waypoint == 0 else f"waypoint {path.waypoint}"
+        if path.status == UNREACHABLE:
+            return f"out of reach at {where}"
+        if path.status == HIT:
+            return f"arm hits {self.world.reason(path.obstacle)} at {where}"
+        return "no continuous branch"
+
+
+def near_home(
+    q: Float[np.ndarray, "d n"], home: np.ndarray, lower: np.ndarray, upper: np.ndarray
+) -> Float[np.ndarray, "d n"]:
+    """Shift joints that turn fully by whole turns, so that a path starts as near home as it can."""
+    out = q.copy()
+    turn = 2 * np.pi
+    for k in np.flatnonzero(upper - lower > turn + 0.1):
+        wanted = np.round((home[k] - q[0, k]) / turn)
+        for shift in sorted((-1, 0, 1), key=lambda s: abs(s - wanted)):
+            low, high = q[:, k].min() + shift * turn, q[:, k].max() + shift * turn
+            if low >= lower[k] and high <= upper[k]:
+                out[:, k] += shift * turn
+                break
+    return out

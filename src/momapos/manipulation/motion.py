@@ -1,0 +1,282 @@
+"""A task as motion: tool poses over time, and what else moves meanwhile."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from momapos.errors import TaskError
+from momapos.geometry.transforms import invert
+from momapos.kinematics.articulated import joint_motion
+from momapos.kinematics.hulls import Boxes
+from momapos.manipulation.grasps import GraspConfig, box_grasps, handle_grasps
+from momapos.manipulation.handles import Handle, find_handle
+from momapos.manipulation.tasks import opening_sign
+from momapos.robots.robot import Robot
+from momapos.scene.scene import Scene, SceneObject
+from momapos.types import Task
+
+LIFT = 0.05
+"""How far a rigid object is lifted, or the gripper drawn back [m]."""
+
+
+@dataclass(frozen=True)
+class MotionConfig:
+    """How finely a motion is cut."""
+
+    waypoint_angle: float = 7.5
+    """Turn of a hinge between waypoints [deg]."""
+    waypoint_slide: float = 0.05
+    """Slide between waypoints [m]."""
+    waypoints: int | None = None
+    """Number of waypoints, whatever the motion [-]; None to follow the two above."""
+    substeps: int = 4
+    """States between waypoints, all of which are checked [-]."""
+    grasps: GraspConfig = GraspConfig()
+
+
+@dataclass(frozen=True)
+class TaskMotion:
+    """Tool poses of every grasp along the motion, and the boxes that move with it."""
+
+    task: Task
+    Ts_world_tool: Float[np.ndarray, "g d 4 4"]
+    """Straight approach first, then the motion itself."""
+    object_q: Float[np.ndarray, " d"]
+    """Value of the object's joint at each step [rad] or [m]; zeros for rigid objects."""
+    coarse: Int[np.ndarray, " w"]
+    """Steps that are waypoints; the first is the pre-grasp."""
+    hold: int
+    """Step at which the gripper holds the object."""
+    holding: Bool[np.ndarray, " d"]
+    """Whether the gripper may touch what it grasps."""
+    static: Boxes
+    """Boxes that stand still, world frame."""
+    moving: Boxes
+    """Boxes that move, at each value: leading axis v, world frame."""
+    value: Int[np.ndarray, " d"]
+    """Index of each step's value into `moving`."""
+    grasped: Bool[np.ndarray, " m"]
+    """Moving boxes that the gripper may touch."""
+    labels: tuple[str, ...]
+    """Names of the standing, then of the moving boxes."""
+
+    @property
+    def waypoints(self) -> Float[np.ndarray, "w 3"]:
+        """Tool positions of the plainest grasp at the waypoints, pre-grasp left out [m]."""
+        return self.Ts_world_tool[0, self.coarse[1:], :3, 3]
+
+    def sweep(self) -> Boxes:
+        """The moving boxes at all values, as one set."""
+        m = self.moving
+        return Boxes(
+            m.center.reshape(-1, 3), m.rotation.reshape(-1, 3, 3), m.half.reshape(-1, 3)
+        )
+
+    def standing_boxes(self) -> Boxes:
+        """All boxes as they are before the task begins; `labels` names them in this order."""
+        m = self.moving
+        return Boxes(
+            np.concatenate([self.static.center, m.center[0]]),
+            np.concatenate([self.static.rotation, m.rotation[0]]),
+            np.concatenate([self.static.half, m.half[0]]),
+        )
+
+
+def task_motion(scene: Scene, robot: Robot, task: Task, config: MotionConfig) -> TaskMotion:
+    """Turn a task into tool poses.
+
+    Raises:
+        TaskError: The object cannot be held by this gripper.
+    """
+    target = scene.object(task.object)
+    if task.joint is None:
+        return _rigid_motion(scene, robot, task, target, config)
+    return _joint_motion(scene, robot, task, target, config)
+
+
+def _joint_motion(
+    scene: Scene, robot: Robot, task: Task, target: SceneObject, config: MotionConfig
+) -> TaskMotion:
+    assert task.joint is not None and task.to is not None
+    joint = target.model.joint(task.joint)
+    start = target.values()[joint.name]
+    count = config.waypoints or _count(joint.kind, abs(task.to - start), config)
+    values = np.linspace(start, task.to, (count - 1) * config.substeps + 1)
+    handle = find_handle(target.model, joint.name, opening_sign(joint))
+    _check_width(robot, handle, f"{target.name}/{joint.name}")
+    Ts_part_tool = handle_grasps(robot, handle, config.grasps)
+    poses = target.link_poses()
+    T_world_joint = poses[joint.parent] @ joint.T_parent_joint
+    Ts_world_part = np.array([T_world_joint @ joint_motion(joint, v) for v in values])
+    moved = target.model.moved_by(joint.name)
+    Ts_part_link = {n: invert(poses[joint.child]) @ poses[n] for n in moved}
+    moving, moving_labels, grasped = _moving_boxes(target, Ts_world_part, Ts_part_link, handle)
+    static, labels = _static_boxes(scene, target, set(moved))
+    approach = _straight_approach(robot, Ts_world_part[0] @ Ts_part_tool, config.grasps)
+    steps = approach.shape[1]
+    Ts_world_tool = np.concatenate(
+        [approach, Ts_world_part[None] @ Ts_part_tool[:, None]], axis=1
+    )
+    return TaskMotion(
+        task=task,
+        Ts_world_tool=np.ascontiguousarray(Ts_world_tool),
+        object_q=np.concatenate([np.full(steps, start), values]),
+        coarse=np.concatenate([[0], steps + np.arange(count) * config.substeps]),
+        hold=steps,
+        holding=np.ones(steps + len(values), bool),
+        static=static,
+        moving=moving,
+        value=np.concatenate([np.zeros(steps, np.int64), np.arange(len(values))]),
+        grasped=grasped,
+        labels=(*labels, *moving_labels),
+    )
+
+
+def _count(kind: str, span: float, config: MotionConfig) -> int:
+    step = config.waypoint_slide if kind == "prismatic" else np.radians(config.waypoint_angle)
+    return max(2, int(np.ceil(span / step - 1e-9)) + 1)
+
+
+def _check_width(robot: Robot, handle: Handle, where: str) -> None:
+    if not handle.edge and handle.thickness > robot.opening:
+        raise TaskError(
+            f"{where}: its handle is {handle.thickness * 100:.1f} cm thick, the gripper of "
+            f"{robot.name} opens {robot.opening * 100:.1f} cm"
+        )
+
+
+def _straight_approach(
+    robot: Robot, Ts_world_tool: Float[np.ndarray, "g 4 4"], config: GraspConfig
+) -> Float[np.ndarray, "g s 4 4"]:
+    """Tool poses on the straight line to the grasp, the grasp itself left out."""
+    steps = max(2, int(np.ceil(config.pregrasp / 0.02)))
+    back = np.linspace(config.pregrasp, 0.0, steps + 1)[:-1]
+    T = np.tile(Ts_world_tool[:, None], (1, steps, 1, 1))
+    direction = Ts_world_tool[:, :3, :3] @ robot.approach_axis
+    T[:, :, :3, 3] -= back[None, :, None] * direction[:, None]
+    return T
+
+
+def _moving_boxes(
+    target: SceneObject,
+    Ts_world_part: Float[np.ndarray, "v 4 4"],
+    T_part_link: dict[str, Float[np.ndarray, "4 4"]],
+    handle: Handle | None,
+) -> tuple[Boxes, list[str], Bool[np.ndarray, " m"]]:
+    """Boxes of the moving links at each value, and which of them the gripper may touch."""
+    center, rotation, half, labels, near = [], [], [], [], []
+    for link, T in T_part_link.items():
+        for boxes in target.model.boxes[link]:
+            local = boxes.center @ T[:3, :3].T + T[:3, 3]
+            axes = T[:3, :3] @ boxes.rotation
+            center.append(local)
+            rotation.append(axes)
+            half.append(boxes.half)
+            labels += [f"{target.name}/{link}"] * len(boxes)
+            near.append(_near_handle(local, axes, boxes.half, handle))
+    c, R, h = _stack(center, rotation, half)
+    world = Boxes(
+        np.einsum("vij,mj->vmi", Ts_world_part[:, :3, :3], c) + Ts_world_part[:, None, :3, 3],
+        np.einsum("vij,mjk->vmik", Ts_world_part[:, :3, :3], R),
+        np.broadcast_to(h, (len(Ts_world_part), *h.shape)).copy(),
+    )
+    return world, labels, np.concatenate(near) if near else np.zeros(0, bool)
+
+
+def _near_handle(
+    center: np.ndarray, rotation: np.ndarray, half: np.ndarray, handle: Handle | None
+) -> Bool[np.ndarray, " m"]:
+    """Boxes that the fingers touch when they hold: those that the handle itself lies in or at."""
+    if handle is None:
+        return np.ones(len(center), bool)
+    t = np.linspace(-1, 1, 9)[:, None] * handle.half_length
+    points = handle.center + t * handle.long
+    local = np.abs(np.einsum("mij,pmi->pmj", rotation, points[:, None] - center[None]))
+    gap = np.linalg.norm(np.maximum(local - half, 0.0), axis=-1)
+    return gap.min(0) < 0.01
+
+
+def _static_boxes(
+    scene: Scene, target: SceneObject, moved: set[str]
+) -> tuple[Boxes, list[str]]:
+    center, rotation, half, labels = [], [], [], []
+    for item in scene.objects:
+        for link, T in item.link_poses().items():
+            if item is target and link in moved:
+                continue
+            for boxes in item.model.boxes[link]:
+                center.append(boxes.center @ T[:3, :3].T + T[:3, 3])
+                rotation.append(T[:3, :3] @ boxes.rotation)
+                half.append(boxes.half)
+                labels += [f"{item.name}/{link}"] * len(boxes)
+    return Boxes(*_stack(center, rotation, half)), labels
+
+
+def _stack(
+    center: list[np.ndarray], rotation: list[np.ndarray], half: list[np.ndarray]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    if not center:
+        return np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3))
+    return np.concatenate(center), np.concatenate(rotation), np.concatenate(half)
+
+
+def _rigid_motion(
+    scene: Scene, robot: Robot, task: Task, target: SceneObject, config: MotionConfig
+) -> TaskMotion:
+    """Pick: approach, grasp, lift. Place: the same backwards, from release to retreat."""
+    T_object, half = _object_box(target)
+    Ts_object_tool = box_grasps(robot, half, config.grasps)
+    if len(Ts_object_tool) == 0:
+        size = " x ".join(f"{2 * h * 100:.0f}" for h in half)
+        raise TaskError(
+            f"{target.name!r} is {size} cm; the gripper of {robot.name} opens "
+            f"{robot.opening * 100:.1f} cm"
+        )
+    lifts = np.linspace(0.0, LIFT, config.substeps + 1)
+    Ts_world_object = np.tile(T_object, (len(lifts), 1, 1))
+    Ts_world_object[:, 2, 3] += lifts
+    T_object_link = {n: invert(T_object) @ T for n, T in target.link_poses().items()}
+    moving, moving_labels, grasped = _moving_boxes(target, Ts_world_object, T_object_link, None)
+    static, labels = _static_boxes(scene, target, set(target.model.links))
+    approach = _straight_approach(robot, T_object @ Ts_object_tool, config.grasps)
+    steps = approach.shape[1]
+    if task.verb == "pick":
+        hold = Ts_world_object[None] @ Ts_object_tool[:, None]
+        Ts = np.concatenate([approach, hold], axis=1)
+        value = np.concatenate([np.zeros(steps, np.int64), np.arange(len(lifts))])
+        coarse, first = np.array([0, steps, steps + len(lifts) - 1]), steps
+    else:
+        # The hand comes down with the object, lets go, and backs off along its approach.
+        down = (Ts_world_object[None] @ Ts_object_tool[:, None])[:, ::-1]
+        Ts = np.concatenate([down, approach[:, ::-1]], axis=1)
+        value = np.concatenate([np.arange(len(lifts))[::-1], np.zeros(steps, np.int64)])
+        coarse = np.array([0, len(lifts) - 1, len(lifts) - 1 + steps])
+        first = len(lifts) - 1
+    return TaskMotion(
+        task=task, Ts_world_tool=np.ascontiguousarray(Ts), object_q=np.zeros(Ts.shape[1]),
+        coarse=coarse, hold=first, holding=np.ones(Ts.shape[1], bool), static=static,
+        moving=moving, value=value, grasped=grasped, labels=(*labels, *moving_labels),
+    )
+
+
+def _object_box(target: SceneObject) -> tuple[Float[np.ndarray, "4 4"], Float[np.ndarray, "3"]]:
+    """The upright box around a rigid object: its pose (turned as the object is) and half edges."""
+    poses = target.link_poses()
+    points = [
+        hull.vertices @ T[:3, :3].T + T[:3, 3]
+        for name, T in poses.items()
+        for hull in target.model.hulls[name]
+    ]
+    if not points:
+        raise TaskError(f"{target.name!r} has no shape that could be held")
+    x = target.T_world_object[:3, 0]
+    yaw = float(np.arctan2(x[1], x[0])) if np.hypot(x[0], x[1]) > 1e-6 else 0.0
+    R = np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1.0]])
+    local = np.concatenate(points) @ R
+    low, high = local.min(0), local.max(0)
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = R, R @ ((low + high) / 2)
+    return T, (high - low) / 2

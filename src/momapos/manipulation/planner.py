@@ -1,0 +1,118 @@
+"""Free arm motions between two configurations: a straight line where it is free, else OMPL."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+CheckStates = Callable[[Float[np.ndarray, "m n"]], Bool[np.ndarray, " m"]]
+"""Tell which of a batch of configurations are free."""
+RESOLUTION = 0.04
+"""Largest joint step at which a motion is checked [rad] or [m]."""
+_UNBOUNDED = np.pi
+"""Half range in which a joint without limits is sampled, about its start [rad]."""
+
+
+@dataclass(frozen=True)
+class PlannerConfig:
+    """How the arm gets from home to the first waypoint."""
+
+    algorithm: Literal["RRTConnect", "RRTstar", "BITstar"] = "RRTConnect"
+    """OMPL's planner; RRTstar is the paper's and uses its whole budget."""
+    budget: float = 0.25
+    """Time for one motion [s]."""
+
+
+def interpolate(
+    path: Float[np.ndarray, "k n"], step: float = RESOLUTION
+) -> Float[np.ndarray, "m n"]:
+    """Fill a path so that no joint moves more than `step` between states."""
+    pieces = [path[:1]]
+    for a, b in zip(path, path[1:], strict=False):
+        count = max(1, int(np.ceil(np.abs(b - a).max() / step - 1e-9)))
+        pieces.append(a + (b - a) * (np.arange(1, count + 1) / count)[:, None])
+    return np.concatenate(pieces)
+
+
+def plan_motion(
+    start: Float[np.ndarray, " n"],
+    goal: Float[np.ndarray, " n"],
+    lower: Float[np.ndarray, " n"],
+    upper: Float[np.ndarray, " n"],
+    free: CheckStates,
+    *,
+    config: PlannerConfig,
+    seed: int,
+) -> Float[np.ndarray, "k n"] | None:
+    """Find a free path between two configurations.
+
+    Args:
+        start, goal: Configurations; a joint without limits is not wrapped.
+        lower, upper: Joint limits, infinite where there are none.
+        free: Checks configurations; the path is free at `RESOLUTION`.
+        config: Which planner, for how long.
+        seed: Same seed, same path, as long as the budget is not exhausted.
+
+    Returns:
+        Corner states, start and goal included, or None.
+    """
+    line = np.stack([start, goal])
+    ends = free(line)
+    if not ends.all():
+        return None
+    if free(interpolate(line)).all():
+        return line
+    low = np.where(np.isfinite(lower), lower, np.minimum(start, goal) - _UNBOUNDED)
+    high = np.where(np.isfinite(upper), upper, np.maximum(start, goal) + _UNBOUNDED)
+    path = _ompl(np.clip(start, low, high), np.clip(goal, low, high), low, high, free, config, seed)
+    if path is None:
+        return None
+    path = np.concatenate([start[None], path[1:-1], goal[None]])
+    return path if free(interpolate(path)).all() else None
+
+
+def _ompl(
+    start: np.ndarray, goal: np.ndarray, low: np.ndarray, high: np.ndarray, free: CheckStates,
+    config: PlannerConfig, seed: int,
+) -> Float[np.ndarray, "k n"] | None:
+    from ompl import base as ob
+    from ompl import geometric as og
+    from ompl import util as ou
+
+    ou.setLogLevel(ou.LogLevel.LOG_NONE)
+    ou.RNG.setSeed(seed + 1)  # OMPL takes 0 for "from the clock"
+    n = len(start)
+    space = ob.RealVectorStateSpace(n)
+    bounds = ob.RealVectorBounds(n)
+    for k in range(n):
+        bounds.setLow(k, float(low[k]))
+        bounds.setHigh(k, float(high[k]) + 1e-9)
+    space.setBounds(bounds)
+    setup = og.SimpleSetup(space)
+
+    def valid(state: object) -> bool:
+        q = np.array([state[k] for k in range(n)])  # type: ignore[index]
+        return bool(free(q[None])[0])
+
+    setup.setStateValidityChecker(valid)
+    info = setup.getSpaceInformation()
+    info.setStateValidityCheckingResolution(RESOLUTION / space.getMaximumExtent())
+    ends = [space.allocState(), space.allocState()]
+    for state, q in zip(ends, (start, goal), strict=True):
+        for k in range(n):
+            state[k] = float(q[k])
+    setup.setStartAndGoalStates(ends[0], ends[1])
+    setup.setPlanner(getattr(og, config.algorithm)(info))
+    solved = setup.solve(config.budget)
+    if not solved or "Approximate" in solved.asString():
+        return None
+    if config.algorithm == "RRTConnect":
+        setup.simplifySolution(config.budget)
+    path = setup.getSolutionPath()
+    return np.array(
+        [[path.getState(i)[k] for k in range(n)] for i in range(path.getStateCount())]
+    )

@@ -1,0 +1,1 @@
+"""How the base drives: the cost map and driving lengths over it."""

@@ -1,0 +1,118 @@
+"""The free area A: where the base stands clear and every waypoint is within the arm's length."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from momapos.geometry.polygons import all_inside
+from momapos.kinematics.base_collision import base_hits
+from momapos.kinematics.collision import FREE
+from momapos.kinematics.hulls import Boxes
+from momapos.robots.robot import Robot
+
+CLEAR, BLOCKED, OFF_FLOOR, TOO_FAR = 0, 1, 2, 3
+
+
+@dataclass(frozen=True)
+class Site:
+    """What placement knows of the room and the task: no objects, no joints, only geometry."""
+
+    robot: Robot
+    Ts_world_tool: Float[np.ndarray, "g w 4 4"]
+    """Tool poses of every grasp at every waypoint."""
+    static: Boxes
+    """Boxes that stand still."""
+    sweep: Boxes
+    """The moving part at every opening."""
+    floor: Float[np.ndarray, "k 2"] | None
+    clearance: float
+    """Distance that the base keeps from everything [m]."""
+
+    @property
+    def shoulder(self) -> Float[np.ndarray, "3"]:
+        """Where the arm's first turning axis meets its height range's middle, base frame [m]."""
+        chain = self.robot.chain
+        first = int(np.argmin(chain.prismatic))
+        point = chain.d[: first + 1].sum(0)
+        lift = chain.h[:first] * ((chain.lower + chain.upper) / 2)[:first, None]
+        return point + lift.sum(0)
+
+    @property
+    def lift(self) -> float:
+        """Half the travel of a torso before that axis [m]."""
+        chain = self.robot.chain
+        first = int(np.argmin(chain.prismatic))
+        return float(((chain.upper - chain.lower) / 2)[:first].sum())
+
+
+def arm_radius(site: Site) -> Float[np.ndarray, " w"]:
+    """Horizontal reach Delta_r at the height of each waypoint, NaN where it is out of reach.
+
+    Source: MoMa-Pos, section III-C, `sqrt(r_l^2 - dz^2)`; the family of grasps widens it.
+    """
+    plain = site.Ts_world_tool[0, :, :3, 3]
+    spread = np.linalg.norm(site.Ts_world_tool[..., :3, 3] - plain, axis=-1).max(0)
+    reach = site.robot.reach + spread
+    dz = np.maximum(np.abs(plain[:, 2] - site.shoulder[2]) - site.lift, 0.0)
+    with np.errstate(invalid="ignore"):
+        return np.sqrt(reach**2 - dz**2)
+
+
+def sampling_box(site: Site) -> Float[np.ndarray, "2 2"] | None:
+    """Corners of the floor rectangle that holds A, or None where A is empty [m]."""
+    radius = arm_radius(site)
+    if np.isnan(radius).any():
+        return None
+    reach = radius + np.linalg.norm(site.shoulder[:2])
+    plain = site.Ts_world_tool[0, :, :2, 3]
+    low = (plain - reach[:, None]).max(0)
+    high = (plain + reach[:, None]).min(0)
+    return None if (low >= high).any() else np.stack([low, high])
+
+
+def within_reach(site: Site, poses: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
+    """Whether every waypoint is within the arm's length of its axis (dist_xy <= Delta_r)."""
+    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    x, y = site.shoulder[:2]
+    axis = poses[:, :2] + np.stack([c * x - s * y, s * x + c * y], -1)
+    plain = site.Ts_world_tool[0, :, :2, 3]
+    distance = np.linalg.norm(axis[:, None] - plain[None], axis=-1)
+    return (distance <= arm_radius(site)).all(1)
+
+
+def standing(
+    site: Site, poses: Float[np.ndarray, "n 3"]
+) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
+    """Say whether the base can stand at each pose while the part moves.
+
+    Returns:
+        CLEAR, BLOCKED, OFF_FLOOR or TOO_FAR, and the box that blocks (static boxes first, then
+        the sweep), FREE where none does.
+    """
+    outcome = np.where(within_reach(site, poses), CLEAR, TOO_FAR)
+    if site.floor is not None:
+        near = np.flatnonzero(outcome == CLEAR)
+        off = ~all_inside(site.floor, footprints(site.robot, poses[near]))
+        outcome[near[off]] = OFF_FLOOR
+    boxes = Boxes(
+        np.concatenate([site.static.center, site.sweep.center]),
+        np.concatenate([site.static.rotation, site.sweep.rotation]),
+        np.concatenate([site.static.half, site.sweep.half]),
+    )
+    code = np.full(len(poses), FREE, np.int64)
+    near = np.flatnonzero(outcome == CLEAR)
+    code[near] = base_hits(poses[near], site.robot.base, boxes, clearance=site.clearance)
+    outcome[code != FREE] = BLOCKED
+    return outcome, code
+
+
+def footprints(
+    robot: Robot, poses: Float[np.ndarray, "n 3"]
+) -> Float[np.ndarray, "n k 2"]:
+    """Outline of the base at each pose [m]."""
+    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    R = np.stack([np.stack([c, -s], -1), np.stack([s, c], -1)], -2)
+    return np.einsum("nij,kj->nki", R, robot.footprint) + poses[:, None, :2]

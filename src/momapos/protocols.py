@@ -1,0 +1,24 @@
+"""The seams between stages, where there is more than one real implementation."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol
+
+import numpy as np
+from jaxtyping import Float
+
+TravelCost = Callable[[Float[np.ndarray, "n 2"]], Float[np.ndarray, " n"]]
+"""Driving length from the start to floor positions [m], infinite where there is no way."""
+Clock = Callable[[], float]
+"""Seconds from some origin; passed in, so that nothing else depends on the time of day."""
+
+
+class ReachScorer(Protocol):
+    """Says how well an arm reaches tool poses."""
+
+    def weakest(
+        self, bases: Float[np.ndarray, "n 3"], Ts_world_tool: Float[np.ndarray, "g w 4 4"]
+    ) -> Float[np.ndarray, "n g"]:
+        """Smallest score over the waypoints, for each base pose and grasp, in [0, 1]."""
+        ...

@@ -1,0 +1,250 @@
+"""Put a map together for a robot: frame, grid, answers, margins."""
+
+from __future__ import annotations
+
+import logging
+import os
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from momapos.errors import RobotError
+from momapos.geometry.transforms import orthonormal
+from momapos.kinematics.chain import Chain
+from momapos.kinematics.ik import build_ik, chain_arrays, ik_arrays
+from momapos.reachability.build import BEARINGS, line_masks
+from momapos.reachability.grid import grid_points, pack_shape
+from momapos.reachability.map import ReachConfig, ReachMap
+from momapos.reachability.margin import (
+    INTERIOR, close_seam, deepen, near_margins, uneven_edges,
+)
+from momapos.robots.robot import Robot
+
+log = logging.getLogger(__name__)
+Progress = Callable[[float], None]
+BLOCK = 1024
+"""Lines a thread takes at once."""
+FULL_TURN = 0.95 * 2 * np.pi
+"""A last joint with this range counts as turning fully [rad]."""
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Where the first and the last axis of an arm are."""
+
+    first: int
+    """Index of the first revolute joint; only vertical prismatic joints come before it."""
+    turn: float
+    """1 where the first joint turns anticlockwise seen from above, else -1."""
+    axis: Float[np.ndarray, "3"]
+    """Foot of the first axis in the base frame [m]."""
+    tool: Float[np.ndarray, "4 3"]
+    """Direction of the last axis, two vectors across it and a point on it, in the tool frame."""
+    full_roll: bool
+    """Whether the last joint turns fully."""
+
+
+def arm_frame(chain: Chain, approach_axis: Float[np.ndarray, "3"]) -> Frame:
+    """Find the first and the last axis of an arm.
+
+    Raises:
+        RobotError: The arm's first turning axis is not vertical.
+    """
+    origin = np.cumsum(chain.d, axis=0)
+    first = int(np.argmin(chain.prismatic))
+    if np.abs(chain.h[: first + 1, 2]).min() < 1 - 1e-4:
+        raise RobotError(
+            f"the first axis of the arm, {chain.names[first]!r}, is not vertical; a reachability "
+            "map needs an upright arm"
+        )
+    last = chain.size - 1
+    p_tool = origin[last] + chain.tool_offset
+    axis, point, full = chain.h[last], origin[last], False
+    if chain.prismatic[last]:
+        axis, point = chain.tool_rotation @ approach_axis, p_tool
+    else:
+        full = bool(chain.upper[last] - chain.lower[last] >= FULL_TURN)
+        point = _nearest(origin[last], axis, origin[last - 1], chain.h[last - 1])
+    across = orthonormal(axis)
+    rows = np.stack([axis, across, np.cross(axis, across), point - p_tool])
+    foot = np.array([origin[first, 0], origin[first, 1], 0.0])
+    turn = float(np.sign(chain.h[first, 2]))
+    return Frame(first, turn, foot, rows @ chain.tool_rotation, full)
+
+
+def _nearest(o: np.ndarray, h: np.ndarray, other: np.ndarray, k: np.ndarray) -> np.ndarray:
+    """Point of the line (o, h) that is nearest to the line (other, k)."""
+    w, c = o - other, float(h @ k)
+    if 1 - c * c < 1e-4:
+        return o
+    return o + h * (c * float(k @ w) - float(h @ w)) / (1 - c * c)
+
+
+def build_map(
+    robot: Robot,
+    config: ReachConfig | None = None,
+    *,
+    progress: Progress | None = None,
+    key: str = "",
+) -> ReachMap:
+    """Build the map of a robot.
+
+    Args:
+        robot: The robot; self-collision and the floor count, other things do not.
+        config: How finely.
+        progress: Called with the share that is done, in [0, 1].
+        key: Content key to be kept in the map.
+    """
+    config = config or ReachConfig()
+    began = time.perf_counter()
+    if config.bearings < 1 or BEARINGS % config.bearings or config.directions % 2 == 0:
+        raise RobotError("reach: bearings must divide 64 and directions must be odd")
+    chain = robot.chain
+    frame = arm_frame(chain, robot.approach_axis)
+    low, shape = _extent(chain, frame, config)
+    evaluate = _Evaluator(robot, frame, config, progress or (lambda share: None))
+    zs, rs, us, vs = grid_points(shape, low, config.cell)
+    points = np.stack(np.meshgrid(zs, rs, us, vs, indexing="ij"), -1).reshape(-1, 4)
+    masks = evaluate(points, 0.0, 0.5)
+    t1 = time.perf_counter()
+    edges = uneven_edges(masks.reshape(shape[:4]), 1 if config.bearings == 1 else 6)
+    rows, interior = _look_between(edges, points, shape, low, config, evaluate)
+    t2 = time.perf_counter()
+    values = np.empty((len(points), shape[4]), np.int8)
+    _threaded(
+        lambda lo, hi: near_margins(lo, hi, masks, pack_shape(shape), rows, interior, values),
+        len(points), 8 * BLOCK, lambda share: None,
+    )
+    values = values.reshape(shape)
+    close_seam(values)
+    deepen(values.reshape(-1), pack_shape(shape))
+    seconds = time.perf_counter() - began
+    log.info(
+        "%s: %d lines in %.1f s, %d answers between in %.1f s, all in %.1f s", robot.name,
+        len(points), t1 - began, interior.size, t2 - t1, seconds,
+    )
+    line = np.stack([frame.tool[0], frame.tool[3]])
+    return ReachMap(values, low, config.cell, frame.axis[:2], line, key, seconds)
+
+
+def _extent(
+    chain: Chain, frame: Frame, config: ReachConfig
+) -> tuple[float, tuple[int, int, int, int, int]]:
+    """Lowest height and shape of a grid that holds every line, by random arm states."""
+    rng = np.random.default_rng(0)
+    lower = np.where(np.isfinite(chain.lower), chain.lower, -np.pi)
+    upper = np.where(np.isfinite(chain.upper), chain.upper, np.pi)
+    T = chain.tool_poses(rng.uniform(lower, upper, (100_000, chain.size)))
+    points = T[:, :3, :3] @ frame.tool[3] + T[:, :3, 3] - frame.axis
+    r = float(np.hypot(points[:, 0], points[:, 1]).max())
+    bottom, top = float(points[:, 2].min()), float(points[:, 2].max())
+    # Random states stop a little short of a stretched arm.
+    slack = 0.03 * r + config.cell
+    low = max(bottom - slack, -config.cell)
+    nz, nr = int(np.ceil((top + slack - low) / config.cell)) + 1, int((r + slack) / config.cell) + 2
+    return low, (nz, nr, config.directions, config.directions, config.bearings)
+
+
+class _Evaluator:
+    """Answers for lines, on two threads."""
+
+    def __init__(
+        self, robot: Robot, frame: Frame, config: ReachConfig, progress: Progress
+    ) -> None:
+        chain, first = robot.chain, frame.first
+        free = replace(
+            chain,
+            lower=np.where(np.arange(chain.size) == first, -np.inf, chain.lower),
+            upper=np.where(np.arange(chain.size) == first, np.inf, chain.upper),
+        )
+        ik = build_ik(free, samples_per_joint=config.samples)
+        rolls = max(config.rolls, 1 if frame.full_roll else 8)
+        turning, fixed, rings = _split(robot, frame)
+        self.progress = progress
+        self.rolls = np.pi * 2 / rolls * np.arange(rolls)
+        arm = (
+            first, frame.turn, float(chain.lower[first]), float(chain.upper[first]), frame.axis,
+            turning, fixed, rings,
+        )
+        self.arguments = (
+            np.ascontiguousarray(frame.tool), arm, chain_arrays(free), (free.lower, free.upper),
+            ik_arrays(ik),
+        )
+
+    def __call__(self, lines: np.ndarray, begin: float, end: float) -> np.ndarray:
+        """Masks of lines (m, 4); progress goes from begin to end."""
+        masks = np.empty(len(lines), np.uint64)
+
+        def block(lo: int, hi: int) -> None:
+            line_masks(lines[lo:hi], self.rolls, *self.arguments, masks[lo:hi])
+
+        _threaded(
+            block, len(lines), BLOCK, lambda share: self.progress(begin + share * (end - begin))
+        )
+        return masks
+
+
+def _split(robot: Robot, frame: Frame) -> tuple[tuple, tuple, np.ndarray]:  # type: ignore[type-arg]
+    """Self-collision in two parts: what turns with the first joint, and what does not.
+
+    Returns:
+        Spheres with the pairs that turn together and no base; spheres with the other pairs and
+        the base; and for each box of the base the ring it sweeps about the first axis: least and
+        greatest distance, lowest and highest point [m].
+    """
+    spheres = robot.spheres
+    stays = spheres.segment <= frame.first
+    mixed = stays[spheres.pairs].any(1) if len(spheres.pairs) else np.zeros(0, bool)
+    arrays = spheres.arrays()
+    none = (np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3)))
+    turning = (*arrays[:7], spheres.pairs[~mixed], *none, np.zeros((len(stays), 0), bool))
+    fixed = (*arrays[:7], spheres.pairs[mixed], *arrays[8:])
+    base = spheres.base
+    signs = np.array([[i, j, k] for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)], float)
+    corners = base.center[:, None] + np.einsum(
+        "bij,bcj->bci", base.rotation, signs * base.half[:, None]
+    )
+    if len(base) == 0:
+        return turning, fixed, np.zeros((0, 4))
+    xy = np.linalg.norm(corners[..., :2] - frame.axis[:2], axis=-1)
+    middle = np.linalg.norm(base.center[:, :2] - frame.axis[:2], axis=-1)
+    span = np.linalg.norm((corners - base.center[:, None])[..., :2], axis=-1).max(1)
+    rings = np.stack(
+        [np.maximum(middle - span, 0), xy.max(1), corners[..., 2].min(1), corners[..., 2].max(1)],
+        axis=1,
+    )
+    return turning, fixed, rings
+
+
+def _threaded(work: Callable[[int, int], None], count: int, block: int, done: Progress) -> None:
+    """Run work(lo, hi) over blocks on two threads; the kernels hold no lock."""
+    ranges = [(lo, min(lo + block, count)) for lo in range(0, count, block)]
+    with ThreadPoolExecutor(min(2, os.cpu_count() or 1)) as pool:
+        for i, _ in enumerate(pool.map(lambda r: work(*r), ranges)):
+            done((i + 1) / len(ranges))
+
+
+def _look_between(
+    edges: list[np.ndarray],
+    points: np.ndarray,
+    shape: tuple[int, ...],
+    low: float,
+    config: ReachConfig,
+    evaluate: _Evaluator,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Answers on the edges whose ends disagree, and for each edge its row among them."""
+    step = np.diag([config.cell, config.cell, 2 / (shape[2] - 1), 2 / (shape[3] - 1)])
+    between = np.arange(1, INTERIOR + 1) / (INTERIOR + 1)
+    rows = np.full((4, len(points)), -1, np.int32)
+    begin = 0
+    lines = []
+    for axis, starts in enumerate(edges):
+        rows[axis, starts] = begin + np.arange(len(starts), dtype=np.int32)
+        begin += len(starts)
+        lines.append(points[starts, None] + between[:, None] * step[axis])
+    flat = np.concatenate(lines).reshape(-1, 4)
+    return rows, evaluate(flat, 0.5, 0.95).reshape(-1, INTERIOR)

@@ -1,0 +1,97 @@
+"""How true a map is, against exact inverse kinematics."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from momapos.kinematics.collision import FREE, check_states
+from momapos.kinematics.ik import IkModel, chain_arrays, solve_ik
+from momapos.reachability.map import ReachMap
+from momapos.robots.robot import Robot
+
+
+@dataclass(frozen=True)
+class ReachEvaluation:
+    """A map against exact inverse kinematics on random tool poses."""
+
+    count: int
+    accuracy: float
+    """Share of poses on which both agree [-]."""
+    false_positives: float
+    """Share of what the map calls reachable that is not [-]."""
+    misses: float
+    """Share of what is reachable that the map denies [-]."""
+    reachable: float
+    """Share of the poses that are reachable [-]."""
+
+
+def reachable(
+    robot: Robot, Ts_base_tool: Float[np.ndarray, "m 4 4"], ik: IkModel | None = None
+) -> Bool[np.ndarray, " m"]:
+    """Whether any IK solution is free of the robot itself and of the floor."""
+    ik = ik or robot.ik
+    out = np.zeros(len(Ts_base_tool), bool)
+    boxes = (np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3)), np.zeros(0, bool))
+    block = max(1, 40_000 // ik.max_solutions)
+    for lo in range(0, len(out), block):
+        q, count = solve_ik(robot.chain, ik, Ts_base_tool[lo : lo + block])
+        valid = np.arange(q.shape[1]) < count[:, None]
+        codes = check_states(
+            np.ascontiguousarray(q[valid]), np.zeros(3), chain_arrays(robot.chain),
+            robot.spheres.arrays(), boxes, False, 0.0,
+        )
+        free = np.zeros(valid.shape, bool)
+        free[valid] = codes == FREE
+        out[lo : lo + block] = free.any(1)
+    return out
+
+
+def random_poses(
+    robot: Robot, rng: np.random.Generator, count: int
+) -> Float[np.ndarray, "count 4 4"]:
+    """Tool poses uniform in the ball around the shoulder that the tool can reach, any direction."""
+    from scipy.spatial.transform import Rotation
+
+    chain = robot.chain
+    lower = np.where(np.isfinite(chain.lower), chain.lower, -np.pi)
+    upper = np.where(np.isfinite(chain.upper), chain.upper, np.pi)
+    q = rng.uniform(lower, upper, (100_000, chain.size))
+    first = int(np.argmin(chain.prismatic))
+    middle = np.where(chain.prismatic, (lower + upper) / 2, 0.0)
+    shoulder = chain.d[: first + 1].sum(0) + (middle[:first, None] * chain.h[:first]).sum(0)
+    radius = np.linalg.norm(chain.tool_poses(q)[:, :3, 3] - shoulder, axis=1).max()
+    direction = rng.normal(size=(count, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    Ts = np.zeros((count, 4, 4))
+    Ts[:, :3, 3] = shoulder + direction * radius * np.cbrt(rng.random((count, 1)))
+    Ts[:, :3, :3] = Rotation.random(count, random_state=rng).as_matrix()
+    Ts[:, 3, 3] = 1.0
+    return Ts
+
+
+def evaluate(
+    reach_map: ReachMap, robot: Robot, rng: np.random.Generator, count: int = 20_000,
+    ik: IkModel | None = None,
+) -> ReachEvaluation:
+    """Compare a map with exact inverse kinematics, self-collision and floor included.
+
+    Args:
+        reach_map: The map of the robot.
+        robot: The robot.
+        rng: Draws the poses.
+        count: Number of poses [-].
+        ik: What counts as exact; the robot's own IK where None.
+    """
+    Ts = random_poses(robot, rng, count)
+    truth, told = reachable(robot, Ts, ik), reach_map.score(Ts) > 0
+    both = float((truth & told).sum())
+    return ReachEvaluation(
+        count,
+        float((truth == told).mean()),
+        1 - both / max(float(told.sum()), 1.0),
+        1 - both / max(float(truth.sum()), 1.0),
+        float(truth.mean()),
+    )

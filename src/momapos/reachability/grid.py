@@ -1,0 +1,207 @@
+"""Coordinates of a reachability map, and the kernels that look values up.
+
+A tool pose is reduced to the line of the arm's last axis: turning the tool about that line costs
+nothing. The line is described around the vertical first axis of the arm: distance `r` and height
+`z` of a point on it, its direction relative to the radius, and the bearing of the point, which
+counts only where the first joint or the base is in the way. Source: Rudorfer, RM4D: a combined
+reachability and inverse reachability map for common 6-/7-axis robot arms by dimensionality
+reduction to 4D (ICRA 2025).
+
+The direction is mapped to the square [-1, 1]^2 by the octahedral projection (Cigolle et al., A
+survey of efficient representations for independent unit vectors, JCGT 2014), which needs no
+trigonometry. Values stand at grid points; between them a lookup interpolates over the simplex of
+the cell that holds the query (Kuhn's triangulation: six corners instead of 32).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+STEPS = 8
+"""Stored steps per cell of margin [-]."""
+DEPTH = 32
+"""Stored value from which on the score is 1: four cells from the boundary."""
+OUTSIDE = -12
+"""Stored value of points that are far from anything reachable."""
+
+
+@njit(cache=True, nogil=True)
+def oct_decode(u: float, v: float) -> tuple[float, float, float]:
+    """Unit vector of a point on the octahedral square."""
+    z = 1.0 - abs(u) - abs(v)
+    x, y = u, v
+    if z < 0.0:
+        x = (1.0 - abs(v)) * (1.0 if u >= 0.0 else -1.0)
+        y = (1.0 - abs(u)) * (1.0 if v >= 0.0 else -1.0)
+    n = 1.0 / math.sqrt(x * x + y * y + z * z)
+    return x * n, y * n, z * n
+
+
+@njit(cache=True, nogil=True)
+def _turns(y: float, x: float) -> float:
+    """atan2(y, x) / 2 pi in [0, 1], within 1e-5 (polynomial after Abramowitz and Stegun)."""
+    ax, ay = abs(x), abs(y)
+    low, high = min(ax, ay), max(ax, ay)
+    a = low / high if high > 0.0 else 0.0
+    s = a * a
+    t = ((-0.0464964749 * s + 0.15931422) * s - 0.327622764) * s * a + a
+    t *= 0.15915494309189535
+    t = 0.25 - t if ay > ax else t
+    t = 0.5 - t if x < 0.0 else t
+    return 1.0 - t if y < 0.0 else t
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _order(f, i, g, j):
+    """The two (fraction, stride) pairs, the larger fraction first."""
+    if g > f:
+        return g, j, f, i
+    return f, i, g, j
+
+
+@njit(cache=True, nogil=True)
+def lookup(x, y, z, ax, ay, az, yaw_turns, values, shape, frame):
+    """Interpolated value of a line.
+
+    Args:
+        x, y: Point of the line relative to the first axis, in any frame with z up [m].
+        z: Height of the point over the floor [m].
+        ax, ay, az: Unit direction of the line in the same frame.
+        yaw_turns: Yaw of the base in that frame [turns].
+        values: Stored values, flat, int8.
+        shape: Number of points along z, r, u, v, bearing.
+        frame: (lowest height [m], 1 / cell [1/m]).
+
+    Returns:
+        Value in stored steps; above zero where the line can be reached.
+    """
+    nz, nr, nu, nv, nb = shape
+    z0, per_metre = frame
+    r = math.sqrt(x * x + y * y)
+    fr, fz = r * per_metre, (z - z0) * per_metre
+    if fr >= nr - 1 or fz < 0.0 or fz >= nz - 1:
+        return -1.0
+    if r > 1e-9:
+        cx, cy = x / r, y / r
+    else:
+        cx, cy = 1.0, 0.0
+    radial, tangential = ax * cx + ay * cy, ay * cx - ax * cy
+    n = 1.0 / (abs(radial) + abs(tangential) + abs(az))
+    u, v = radial * n, tangential * n
+    if az < 0.0:
+        fold_u = math.copysign(1.0 - abs(v), u)
+        v = math.copysign(1.0 - abs(u), v)
+        u = fold_u
+    fu, fv = (u + 1.0) * (0.5 * (nu - 1)), (v + 1.0) * (0.5 * (nv - 1))
+    iz, ir = int(fz), int(fr)
+    iu, iv = min(int(fu), nu - 2), min(int(fv), nv - 2)
+    fz, fr, fu, fv = fz - iz, fr - ir, fu - iu, fv - iv
+    sv = nb
+    su = sv * nv
+    sr = su * nu
+    sz = sr * nr
+    at = iz * sz + ir * sr + iu * su + iv * sv
+    fb, sb = 0.0, 0
+    if nb > 1:
+        turns = _turns(y, x) - yaw_turns
+        fb = (turns - math.floor(turns)) * nb
+        ib = int(fb)
+        fb -= ib
+        if ib >= nb:
+            ib = 0
+        at += ib
+        sb = 1 if ib < nb - 1 else 1 - nb
+    # Sorting network for five pairs.
+    fz, sz, fr, sr = _order(fz, sz, fr, sr)
+    fu, su, fv, sv = _order(fu, su, fv, sv)
+    fr, sr, fb, sb = _order(fr, sr, fb, sb)
+    fz, sz, fr, sr = _order(fz, sz, fr, sr)
+    fz, sz, fu, su = _order(fz, sz, fu, su)
+    fr, sr, fv, sv = _order(fr, sr, fv, sv)
+    fr, sr, fu, su = _order(fr, sr, fu, su)
+    fv, sv, fb, sb = _order(fv, sv, fb, sb)
+    fu, su, fv, sv = _order(fu, su, fv, sv)
+    total = values[at] * (1.0 - fz)
+    at += sz
+    total += values[at] * (fz - fr)
+    at += sr
+    total += values[at] * (fr - fu)
+    at += su
+    total += values[at] * (fu - fv)
+    at += sv
+    total += values[at] * (fv - fb)
+    at += sb
+    return total + values[at] * fb
+
+
+@njit(cache=True, nogil=True)
+def score_lines(lines, values, shape, frame, out):
+    """Scores of lines (m, 6) given as x, y, z, direction, relative to the first axis."""
+    for i in range(len(lines)):
+        v = lookup(
+            lines[i, 0], lines[i, 1], lines[i, 2], lines[i, 3], lines[i, 4], lines[i, 5],
+            0.0, values, shape, frame,
+        )
+        out[i] = min(max(v / DEPTH, 0.0), 1.0)
+
+
+@njit(cache=True, nogil=True)
+def weakest_lines(bases, lines, axis_x, axis_y, values, shape, frame, out):
+    """Least score over the lines (g, w, 6) in the world, for every base (n, 3) and g."""
+    for i in range(len(bases)):
+        c, s = math.cos(bases[i, 2]), math.sin(bases[i, 2])
+        x, y = bases[i, 0] + c * axis_x - s * axis_y, bases[i, 1] + s * axis_x + c * axis_y
+        turns = bases[i, 2] / (2.0 * math.pi)
+        for g in range(lines.shape[0]):
+            least = float(DEPTH)
+            for w in range(lines.shape[1]):
+                v = lookup(
+                    lines[g, w, 0] - x, lines[g, w, 1] - y, lines[g, w, 2],
+                    lines[g, w, 3], lines[g, w, 4], lines[g, w, 5],
+                    turns, values, shape, frame,
+                )
+                least = min(least, v)
+                if least <= 0.0:
+                    break
+            out[i, g] = max(least, 0.0) / DEPTH
+
+
+@njit(cache=True, nogil=True)
+def floor_scores(line, xs, ys, yaws, axis_x, axis_y, values, shape, frame, out):
+    """Best score over the yaws for bases on a grid of the floor, out (len(ys), len(xs))."""
+    reach = (shape[1] - 1) / frame[1]
+    slack = math.hypot(axis_x, axis_y)
+    far = (reach + slack) ** 2
+    for i in range(len(ys)):
+        for j in range(len(xs)):
+            dx, dy = line[0] - xs[j], line[1] - ys[i]
+            best = 0.0
+            if dx * dx + dy * dy < far:
+                for k in range(len(yaws)):
+                    c, s = yaws[k, 0], yaws[k, 1]
+                    v = lookup(
+                        dx - c * axis_x + s * axis_y, dy - s * axis_x - c * axis_y, line[2],
+                        line[3], line[4], line[5], yaws[k, 2], values, shape, frame,
+                    )
+                    best = max(best, v)
+            out[i, j] = best / DEPTH
+
+
+def pack_shape(shape: tuple[int, ...]) -> tuple[int, int, int, int, int]:
+    """The shape of the values as the kernels take it."""
+    z, r, u, v, b = (int(n) for n in shape)
+    return z, r, u, v, b
+
+
+def grid_points(
+    shape: tuple[int, ...], low: float, cell: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Coordinates of the grid along z [m], r [m], u [-] and v [-]."""
+    nz, nr, nu, nv = shape[:4]
+    return (
+        low + cell * np.arange(nz), cell * np.arange(nr),
+        np.linspace(-1.0, 1.0, nu), np.linspace(-1.0, 1.0, nv),
+    )

@@ -1,0 +1,117 @@
+"""The reachability map of one robot: how well can a tool pose be reached from a base pose."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int8
+
+from momapos.reachability.grid import floor_scores, pack_shape, score_lines, weakest_lines
+
+YAWS = 16
+"""Yaws that `base_scores` tries where the yaw matters."""
+
+
+@dataclass(frozen=True)
+class ReachConfig:
+    """How finely a reachability map is built."""
+
+    cell: float = 0.05
+    """Spacing of the grid in height and distance [m]."""
+    directions: int = 25
+    """Grid points along each side of the octahedral square of directions, odd [-]."""
+    bearings: int = 32
+    """Grid points along the bearing where it matters, a divisor of 64 [-]; 1 leaves it out."""
+    samples: int = 9
+    """Values at which each redundant joint of a longer arm is locked [-]."""
+    rolls: int = 1
+    """Turns of the tool about its last axis that must all be reachable [-]; more where the last
+    joint does not turn fully."""
+
+
+@dataclass(frozen=True)
+class ReachMap:
+    """Signed margins over the lines of the last axis; see `momapos.reachability.grid`."""
+
+    values: Int8[np.ndarray, "z r u v bearing"]
+    """Cells to the boundary in steps of 1/8; above zero where reachable."""
+    low: float
+    """Height of the lowest grid point over the floor [m]."""
+    cell: float
+    """Spacing in height and distance [m]."""
+    axis_xy: Float[np.ndarray, "2"]
+    """Where the vertical first axis stands in the base frame [m]."""
+    line_tool: Float[np.ndarray, "2 3"]
+    """Direction of the last axis and a point on it [m], in the tool frame."""
+    key: str = ""
+    """Content key of what the map was built from."""
+    build_seconds: float = 0.0
+
+    @property
+    def reach(self) -> float:
+        """No tool's last axis point is farther from the first axis than this [m]."""
+        return (self.values.shape[1] - 1) * self.cell
+
+    def _arrays(self) -> tuple:  # type: ignore[type-arg]
+        flat = self.values.reshape(-1)
+        return flat, pack_shape(self.values.shape), (self.low, 1.0 / self.cell)
+
+    def lines(self, Ts: Float[np.ndarray, "*batch 4 4"]) -> Float[np.ndarray, "*batch 6"]:
+        """The last axis of tool poses: a point [m] and a direction, in the frame of the poses."""
+        Ts = np.asarray(Ts, float)
+        direction = Ts[..., :3, :3] @ self.line_tool[0]
+        point = Ts[..., :3, :3] @ self.line_tool[1] + Ts[..., :3, 3]
+        return np.concatenate([point, direction], -1)
+
+    def score(self, Ts_base_tool: Float[np.ndarray, "*batch 4 4"]) -> Float[np.ndarray, " *batch"]:
+        """How well tool poses can be reached: 0 not at all, 1 four cells inside the boundary.
+
+        Args:
+            Ts_base_tool: Tool poses in the base frame, z up from the floor.
+        """
+        lines = self.lines(Ts_base_tool)
+        batch = lines.shape[:-1]
+        lines = np.ascontiguousarray(lines.reshape(-1, 6))
+        lines[:, :2] -= self.axis_xy
+        out = np.empty(len(lines))
+        score_lines(lines, *self._arrays(), out)
+        return out.reshape(batch)
+
+    def weakest(
+        self, bases: Float[np.ndarray, "n 3"], Ts_world_tool: Float[np.ndarray, "g w 4 4"]
+    ) -> Float[np.ndarray, "n g"]:
+        """The worst score along each grasp's waypoints, for each base pose.
+
+        Args:
+            bases: x, y [m], yaw [rad] of the base on the floor, in the world frame.
+            Ts_world_tool: Tool poses of g grasps at w waypoints.
+        """
+        lines = np.ascontiguousarray(self.lines(Ts_world_tool))
+        bases = np.ascontiguousarray(bases, float)
+        out = np.empty((len(bases), len(lines)), np.float32)
+        x, y = float(self.axis_xy[0]), float(self.axis_xy[1])
+        weakest_lines(bases, lines, x, y, *self._arrays(), out)
+        return out
+
+    def base_scores(
+        self,
+        T_world_tool: Float[np.ndarray, "4 4"],
+        xs: Float[np.ndarray, " columns"],
+        ys: Float[np.ndarray, " rows"],
+    ) -> Float[np.ndarray, "rows columns"]:
+        """Score of bases on a grid of the floor for one tool pose, each at its best yaw.
+
+        Args:
+            T_world_tool: Tool pose in the world frame.
+            xs, ys: Coordinates of the bases [m].
+        """
+        x, y = float(self.axis_xy[0]), float(self.axis_xy[1])
+        turns = self.values.shape[-1] > 1 or np.hypot(x, y) > 0.25 * self.cell
+        angle = 2 * np.pi / YAWS * np.arange(YAWS if turns else 1)
+        yaws = np.stack([np.cos(angle), np.sin(angle), angle / (2 * np.pi)], -1)
+        out = np.empty((len(ys), len(xs)), np.float32)
+        line = np.ascontiguousarray(self.lines(T_world_tool))
+        xs, ys = np.ascontiguousarray(xs, float), np.ascontiguousarray(ys, float)
+        floor_scores(line, xs, ys, yaws, x, y, *self._arrays(), out)
+        return out

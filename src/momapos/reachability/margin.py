@@ -1,0 +1,148 @@
+"""From answers at grid points to a signed margin: how many cells the boundary is away.
+
+Along every grid edge whose ends disagree the boundary is located by further answers on the edge.
+With crossings at distances t_i along the axes, the distance to a flat boundary is
+`1 / sqrt(sum 1 / t_i^2)`; farther inside, steps along the axes are added (chamfer distance).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from momapos.reachability.build import BEARINGS
+from momapos.reachability.grid import DEPTH, OUTSIDE, STEPS
+
+INTERIOR = 3
+"""Answers that are taken on an edge whose ends disagree."""
+
+
+def uneven_edges(masks: np.ndarray, least: int) -> list[np.ndarray]:
+    """Indices of the points whose neighbour one step up disagrees, for each axis.
+
+    Args:
+        masks: Answers (z, r, u, v).
+        least: In how many bearings they must disagree [-].
+    """
+    found = []
+    for axis in range(masks.ndim):
+        near = np.moveaxis(masks, axis, 0)
+        differ = np.zeros(masks.shape, bool)
+        np.moveaxis(differ, axis, 0)[:-1] = np.bitwise_count(near[1:] ^ near[:-1]) >= least
+        found.append(np.flatnonzero(differ))
+    return found
+
+
+@njit(cache=True, nogil=True)
+def _first_change(bit, here, there, row, interior, backwards):
+    """Distance along an edge to the first answer that differs, or 9 where none does."""
+    one, shift = np.uint64(1), np.uint64(bit)
+    state = (here >> shift) & one
+    if row >= 0:
+        n = interior.shape[1]
+        for k in range(n):
+            m = interior[row, n - 1 - k] if backwards else interior[row, k]
+            if (m >> shift) & one != state:
+                return (k + 0.5) / (n + 1)
+        return (n + 0.5) / (n + 1) if (there >> shift) & one != state else 9.0
+    return 0.5 if (there >> shift) & one != state else 9.0
+
+
+@njit(cache=True, nogil=True)
+def near_margins(lo, hi, masks, shape, rows, interior, out):
+    """Signed margins next to the boundary, for points lo to hi.
+
+    Args:
+        lo, hi: Range of points.
+        masks: Answers (points,).
+        shape: Number of points along z, r, u, v, bearing.
+        rows: (4, points): row of `interior` for the edge one step up each axis, or -1.
+        interior: (edges, INTERIOR) answers on the uneven edges.
+        out: (points, bearings) int8.
+    """
+    nz, nr, nu, nv, nb = shape
+    stride = (nr * nu * nv, nu * nv, nv, 1)
+    count = (nz, nr, nu, nv)
+    one = np.uint64(1)
+    for i in range(lo, hi):
+        for b in range(nb):
+            bit = b * (BEARINGS // nb)
+            state = (masks[i] >> np.uint64(bit)) & one
+            total = 0.0
+            for a in range(4):
+                at = (i // stride[a]) % count[a]
+                t = 9.0
+                if at + 1 < count[a]:
+                    j = i + stride[a]
+                    t = _first_change(bit, masks[i], masks[j], rows[a, i], interior, False)
+                if at > 0:
+                    j = i - stride[a]
+                    t = min(t, _first_change(bit, masks[i], masks[j], rows[a, j], interior, True))
+                if t < 9.0:
+                    total += 1.0 / (t * t)
+            if nb > 1:
+                per = BEARINGS // nb
+                for k in range(1, per + 1):
+                    up = (masks[i] >> np.uint64((bit + k) % BEARINGS)) & one
+                    down = (masks[i] >> np.uint64((bit - k) % BEARINGS)) & one
+                    if up != state or down != state:
+                        t = (k - 0.5) / per
+                        total += 1.0 / (t * t)
+                        break
+            if total == 0.0:
+                out[i, b] = DEPTH if state else OUTSIDE
+            else:
+                d = max(1.0, round(STEPS / math.sqrt(total)))
+                out[i, b] = d if state else -d
+
+
+@njit(cache=True, nogil=True)
+def deepen(values, shape):
+    """Count steps inwards: a point is at most one cell deeper than its neighbours."""
+    nz, nr, nu, nv, nb = shape
+    stride = (nr * nu * nv * nb, nu * nv * nb, nv * nb, nb)
+    count = (nz, nr, nu, nv)
+    for direction in (1, -1):
+        for step in range(nz * nr * nu * nv):
+            i = step if direction == 1 else nz * nr * nu * nv - 1 - step
+            for a in range(4):
+                at = (i // (stride[a] // nb)) % count[a]
+                if not 0 <= at - direction < count[a]:
+                    continue
+                j = (i * nb) - direction * stride[a]
+                for b in range(nb):
+                    least = max(values[j + b], 0) + STEPS
+                    if values[i * nb + b] > least:
+                        values[i * nb + b] = least
+            if nb > 1:
+                for k in range(2 * nb):
+                    b = (k if direction == 1 else -k) % nb
+                    c = (b - direction) % nb
+                    least = max(values[i * nb + c], 0) + STEPS
+                    if values[i * nb + b] > least:
+                        values[i * nb + b] = least
+
+
+def close_seam(values: np.ndarray) -> None:
+    """Give the points that are one on the octahedron's border one value, in place."""
+    flipped = values[:, :, ::-1]
+    for edge in (0, -1):
+        pair = np.stack([values[:, :, :, edge], flipped[:, :, :, edge]])
+        values[:, :, :, edge] = _milder(pair)
+    flipped = values[:, :, :, ::-1]
+    for edge in (0, -1):
+        pair = np.stack([values[:, :, edge], flipped[:, :, edge]])
+        values[:, :, edge] = _milder(pair)
+    corners = np.stack([values[:, :, i, j] for i in (0, -1) for j in (0, -1)])
+    least = _milder(corners)
+    for i in (0, -1):
+        for j in (0, -1):
+            values[:, :, i, j] = least
+
+
+def _milder(values: np.ndarray) -> np.ndarray:
+    """Of several values the one nearest to the boundary."""
+    pick = np.argmin(np.abs(values), axis=0)
+    return np.take_along_axis(values, pick[None], 0)[0]

@@ -1,0 +1,1 @@
+"""Mobile manipulators: the robot record, robot files and the library of named robots."""

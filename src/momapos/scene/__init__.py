@@ -1,0 +1,1 @@
+"""Rooms: the scene record, scene files, importers and built-in kitchens."""

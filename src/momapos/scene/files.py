@@ -1,0 +1,397 @@
+"""Scene files: reading whatever kind is given, and writing momapos scenes.
+
+What a file is, its content says: a JSON object is a momapos scene, a JSON list a BestMan scene,
+XML a URDF, which is a scene of one object.
+"""
+
+from __future__ import annotations
+
+import difflib
+import json
+import math
+import os
+import tempfile
+from collections.abc import Mapping, Sequence
+from importlib import resources
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from momapos.errors import FileFormatError, SceneError, unknown_name
+from momapos.geometry.transforms import pose_wxyz
+from momapos.kinematics.articulated import Articulated
+from momapos.kinematics.urdf import box_urdf, read_urdf
+from momapos.scene import bestman
+from momapos.scene.scene import Scene, SceneObject
+
+FORMAT, VERSION = "momapos-scene", 1
+MAX_BYTES = 50_000_000
+MAX_OBJECTS = 10_000
+MAX_EDGE, MAX_DISTANCE = 1e3, 1e4  # [m] of a box, from the world's origin
+_SCENE_KEYS = {"format", "version", "name", "objects", "floor", "start"}
+_OBJECT_KEYS = {"name", "category", "pose", "urdf", "scale", "joints", "box"}
+_SUFFIXES = (".json", ".urdf", ".xml")
+
+
+def builtin_names() -> tuple[str, ...]:
+    """Names of the kitchens that come with the package."""
+    root = resources.files("momapos.scene") / "library"
+    names = [entry.name for entry in root.iterdir()]
+    return tuple(sorted(name[: -len(".json")] for name in names if name.endswith(".json")))
+
+
+def load_scene(source: str | Path, *, root: Path | None = None) -> Scene:
+    """Load a scene.
+
+    Args:
+        source: Name of a built-in kitchen, or a file: a momapos scene, a BestMan scene, or the
+            URDF of a single object, which is put on the floor at the origin.
+        root: Folder that no path in the scene may leave. Where None: the file's own folder; for
+            a BestMan scene the folder above it that holds `Asset`.
+
+    Raises:
+        UnknownNameError, FileFormatError, SceneError, UrdfError: It cannot be used; one line
+            says what is wrong and where.
+    """
+    path = _locate(source)
+    text = _read_text(path)
+    start = text.lstrip("\ufeff \t\r\n")[:1]
+    if start == "<":
+        return _read_single(path, root)
+    if start not in ("{", "["):
+        raise FileFormatError(
+            f"{path}: neither a scene (JSON: a momapos scene or a BestMan list) nor a URDF"
+        )
+    data = _parse_json(text, path)
+    if bestman.is_bestman(data):
+        scene = _read_bestman(data, path, root)
+    else:
+        scene = _read_momapos(data, path, root)
+    _refuse_twins(scene)
+    return scene
+
+
+def _locate(source: str | Path) -> Path:
+    text = str(source)
+    names = builtin_names()
+    if text in names:
+        return Path(str(resources.files("momapos.scene") / "library" / f"{text}.json"))
+    path = Path(source)
+    try:
+        is_folder, is_file = path.is_dir(), path.is_file()
+    except OSError as error:  # a name that is too long, say
+        raise FileFormatError(f"{text:.80}: no such scene file ({error.strerror})") from error
+    if is_folder:
+        raise FileFormatError(f"{path}: is a folder; give a scene file in it")
+    if not is_file:
+        if path.suffix.lower() in _SUFFIXES or len(path.parts) > 1:
+            raise FileFormatError(f"{path}: no such scene file")
+        raise unknown_name("kitchen", text, names, "the built-in ones (or give a scene file)")
+    return path
+
+
+def _read_text(path: Path) -> str:
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise FileFormatError(f"{path}: larger than a scene can be ({MAX_BYTES // 10**6} MB)")
+        text = path.read_text(encoding="utf-8", errors="replace")
+    except OSError as error:
+        raise FileFormatError(f"{path}: cannot be read ({error.strerror})") from error
+    if not text.strip():
+        raise FileFormatError(f"{path}: is empty")
+    return text
+
+
+def _parse_json(text: str, path: Path) -> Any:
+    def refuse(constant: str) -> NoReturn:
+        raise FileFormatError(f"{path}: holds {constant}, which is not a finite number")
+
+    try:
+        return json.loads(text.lstrip("\ufeff"), parse_constant=refuse)
+    except (json.JSONDecodeError, RecursionError, ValueError) as error:
+        raise FileFormatError(f"{path}: damaged JSON ({error})") from error
+
+
+def _refuse_twins(scene: Scene) -> None:
+    seen: dict[str, int] = {}
+    for index, item in enumerate(scene.objects):
+        if item.name in seen:
+            raise SceneError(
+                f"{scene.path}: objects {seen[item.name]} and {index} are both named "
+                f"{item.name!r}; names must be unique"
+            )
+        seen[item.name] = index
+
+
+class _Models:
+    """Reads each URDF once per scale, so that objects share their models."""
+
+    def __init__(self, root: Path | None) -> None:
+        self.root = root
+        self.read: dict[tuple[Path, float], Articulated] = {}
+
+    def __call__(self, path: Path, scale: float) -> Articulated:
+        key = (path.resolve(), scale)
+        if key not in self.read:
+            self.read[key] = Articulated(read_urdf(path, root=self.root, scale=scale))
+        return self.read[key]
+
+
+# ------------------------------------------------------------------------- the kinds of scene files
+
+
+def _read_single(path: Path, root: Path | None) -> Scene:
+    """A scene of one object, its lowest point on the floor."""
+    model = _Models(root)(path, 1.0)
+    category = bestman.category_of("", str(path.resolve()))
+    plain = path.stem.lower() not in ("mobility", "model", "robot", "object")
+    name = path.stem if plain else category
+    item = SceneObject(name, category, np.eye(4), model)
+    T = np.eye(4)
+    T[2, 3] = -item.bounds[0, 2]
+    return Scene(name, path, (SceneObject(name, category, T, model),))
+
+
+def _read_bestman(data: Sequence[Any], path: Path, root: Path | None) -> Scene:
+    if len(data) > MAX_OBJECTS:
+        raise FileFormatError(f"{path}: more than {MAX_OBJECTS} objects")
+    entries = bestman.read_entries(data, path)
+    root = root or bestman.find_root(path)
+    objects, warnings = bestman.read_objects(entries, root, _Models(root))
+    return Scene(path.stem, path, objects, warnings=warnings)
+
+
+def _read_momapos(data: Mapping[str, Any], path: Path, root: Path | None) -> Scene:
+    if data.get("format") != FORMAT:
+        raise FileFormatError(
+            f"{path}: not a scene; a momapos scene has \"format\": {FORMAT!r}, "
+            f"this file has {data.get('format')!r:.60}"
+        )
+    if data.get("version") != VERSION:
+        raise FileFormatError(
+            f"{path}: version {data.get('version')!r:.60} of the scene format; "
+            f"this momapos reads version {VERSION}"
+        )
+    items = data.get("objects")
+    if not isinstance(items, list) or len(items) > MAX_OBJECTS:
+        raise FileFormatError(f"{path}: 'objects' must be a list of at most {MAX_OBJECTS}")
+    root = (root or path.parent).resolve()
+    models, warnings = _Models(root), _unknown_keys(data, _SCENE_KEYS, f"{path}")
+    objects = []
+    for index, item in enumerate(items):
+        where = f"{path}: object {index}"
+        if not isinstance(item, dict):
+            raise FileFormatError(f"{where} must be a JSON object")
+        reader = _ObjectReader(item, where, path.parent, root, models)
+        objects.append(reader.read())
+        warnings += _unknown_keys(item, _OBJECT_KEYS, reader.where)
+    return Scene(
+        name=_text(data.get("name", path.stem), f"{path}: name"),
+        path=path,
+        objects=tuple(objects),
+        floor=_floor(data.get("floor"), path),
+        start=_start(data.get("start"), path),
+        warnings=tuple(warnings),
+    )
+
+
+class _ObjectReader:
+    """One object of a momapos scene."""
+
+    def __init__(
+        self, item: Mapping[str, Any], where: str, folder: Path, root: Path, models: _Models
+    ) -> None:
+        self.item, self.folder, self.root, self.models = item, folder, root, models
+        self.name = _text(item.get("name"), f"{where}: name")
+        self.where = f"{where} ({self.name!r})"
+
+    def read(self) -> SceneObject:
+        category = self.item.get("category", "")
+        if not isinstance(category, str):
+            raise SceneError(f"{self.where}: category must be a text")
+        model = self.model()
+        return SceneObject(self.name, category, self.pose(), model, self.joints(model))
+
+    def pose(self) -> Float[np.ndarray, "4 4"]:
+        pose = self.item.get("pose")
+        if not isinstance(pose, dict):
+            raise SceneError(f"{self.where}: pose must be {{'xyz': [...], 'wxyz': [...]}}")
+        xyz = _numbers(pose.get("xyz"), 3, f"{self.where}: pose.xyz")
+        wxyz = _numbers(pose.get("wxyz", [1, 0, 0, 0]), 4, f"{self.where}: pose.wxyz")
+        if np.abs(xyz).max() > MAX_DISTANCE:
+            raise SceneError(f"{self.where}: pose.xyz is more than 10 km away")
+        length = float(np.linalg.norm(wxyz))
+        if not 0.9 < length < 1.1:
+            raise SceneError(f"{self.where}: pose.wxyz has length {length:g}; it must be 1")
+        return pose_wxyz(tuple(xyz), tuple(wxyz))
+
+    def model(self) -> Articulated:
+        if ("urdf" in self.item) == ("box" in self.item):
+            raise SceneError(f"{self.where}: needs either 'urdf' or 'box'")
+        if "box" in self.item:
+            size = _numbers(self.item["box"], 3, f"{self.where}: box")
+            if size.min() <= 0 or size.max() > MAX_EDGE:
+                raise SceneError(
+                    f"{self.where}: box edges must be between 0 and {MAX_EDGE:g} m, not "
+                    f"{', '.join(f'{v:g}' for v in size)}"
+                )
+            x, y, z = map(float, size)
+            return Articulated(box_urdf(self.name, (x, y, z)))
+        scale = float(_numbers([self.item.get("scale", 1.0)], 1, f"{self.where}: scale")[0])
+        if not 1e-3 <= scale <= 1e3:
+            raise SceneError(f"{self.where}: scale must be between 0.001 and 1000, not {scale:g}")
+        return self.models(self.file(), scale)
+
+    def file(self) -> Path:
+        text = _text(self.item["urdf"], f"{self.where}: urdf")
+        try:
+            file = (self.folder / text).resolve()
+            inside, exists = file.is_relative_to(self.root), file.is_file()
+        except (OSError, RuntimeError, ValueError) as error:  # too long, or links in a circle
+            raise SceneError(f"{self.where}: urdf {text!r:.80} cannot be looked up") from error
+        if Path(text).is_absolute() or not inside:
+            raise SceneError(
+                f"{self.where}: urdf {text!r} leaves the scene's folder {self.root}; "
+                "paths are relative and stay inside it"
+            )
+        if not exists:
+            raise SceneError(f"{self.where}: urdf {text!r} does not exist below {self.folder}")
+        return self.folder / text
+
+    def joints(self, model: Articulated) -> dict[str, float]:
+        joints = self.item.get("joints", {})
+        if not isinstance(joints, dict):
+            raise SceneError(f"{self.where}: joints must be {{name: value}}")
+        values = {}
+        for name, value in joints.items():
+            if name not in model.joints:
+                raise unknown_name("movable joint", name, model.joints, self.where)
+            number = float(_numbers([value], 1, f"{self.where}: joint {name!r}")[0])
+            joint = model.joint(name)
+            if not joint.lower - 1e-6 <= number <= joint.upper + 1e-6:
+                raise SceneError(
+                    f"{self.where}: joint {name!r} is {number:g}, its limits are "
+                    f"{joint.lower:g} to {joint.upper:g}"
+                )
+            values[name] = number
+        return values
+
+
+def _unknown_keys(item: Mapping[str, Any], known: set[str], where: str) -> list[str]:
+    warnings = []
+    for key in sorted(set(item) - known):
+        near = difflib.get_close_matches(key, known, n=1)
+        hint = f"; is {near[0]!r} meant?" if near else ""
+        warnings.append(f"{where}: {key!r} is not known and was left out{hint}")
+    return warnings
+
+
+def _text(value: object, where: str) -> str:
+    if not isinstance(value, str) or not 0 < len(value) <= 1000 or not value.isprintable():
+        raise SceneError(f"{where} must be a printable text")
+    return value
+
+
+def _numbers(value: object, count: int, where: str) -> Float[np.ndarray, " count"]:
+    values = value if isinstance(value, list) else []
+    if len(values) != count or not all(
+        isinstance(v, int | float) and not isinstance(v, bool) for v in values
+    ):
+        raise SceneError(f"{where} must be {f'{count} numbers' if count > 1 else 'a number'}")
+    try:
+        array = np.array(values, float)
+    except OverflowError:
+        array = np.array([math.inf])
+    if not np.isfinite(array).all():
+        raise SceneError(f"{where} must be finite")
+    return array
+
+
+def _floor(value: object, path: Path) -> Float[np.ndarray, "k 2"] | None:
+    if value is None:
+        return None
+    if not isinstance(value, list) or not 3 <= len(value) <= 10_000:
+        raise SceneError(f"{path}: floor must be an outline of 3 or more points [x, y]")
+    points = np.array([_numbers(p, 2, f"{path}: floor point {i}") for i, p in enumerate(value)])
+    if np.abs(points).max() > MAX_DISTANCE:
+        raise SceneError(f"{path}: floor reaches more than 10 km")
+    ahead = np.roll(points, -1, axis=0)
+    area = float(abs(points[:, 0] @ ahead[:, 1] - points[:, 1] @ ahead[:, 0])) / 2
+    if area < 1e-6:
+        raise SceneError(f"{path}: floor encloses no area")
+    return points
+
+
+def _start(value: object, path: Path) -> Float[np.ndarray, "3"] | None:
+    if value is None:
+        return None
+    if not isinstance(value, dict) or not {"x", "y", "yaw"} <= set(value):
+        raise SceneError(f"{path}: start must be {{'x', 'y', 'yaw'}}")
+    return _numbers([value[k] for k in ("x", "y", "yaw")], 3, f"{path}: start")
+
+
+# ------------------------------------------------------------------------------------------ writing
+
+
+def save_scene(scene: Scene, path: Path) -> None:
+    """Write a scene in momapos' own format, the whole file or nothing.
+
+    Raises:
+        SceneError: A URDF or mesh lies outside the file's folder, so that the file could not be
+            read again; the message says which and where the scene could stand.
+    """
+    folder = path.resolve().parent
+    objects = ",\n".join(f"  {json.dumps(_object(item, folder))}" for item in scene.objects)
+    head = {"format": FORMAT, "version": VERSION, "name": scene.name}
+    text = json.dumps(head)[:-1]
+    if scene.floor is not None:
+        text += f',\n "floor": {json.dumps(np.asarray(scene.floor, float).tolist())}'
+    if scene.start is not None:
+        start = dict(zip(("x", "y", "yaw"), map(float, scene.start), strict=True))
+        text += f',\n "start": {json.dumps(start)}'
+    write_whole(path, f'{text},\n "objects": [\n{objects}\n ]}}\n')
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Write a text file so that a reader sees the old file or the new one, never half of it."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+        with os.fdopen(handle, "w", encoding="utf-8") as file:
+            file.write(text)
+        os.chmod(name, 0o644)
+        os.replace(name, path)
+    except OSError as error:
+        raise SceneError(f"{path}: cannot be written ({error.strerror})") from error
+
+
+def _object(item: SceneObject, folder: Path) -> dict[str, Any]:
+    T, urdf = item.T_world_object, item.model.urdf
+    wxyz = Rotation.from_matrix(T[:3, :3]).as_quat(scalar_first=True)
+    entry: dict[str, Any] = {
+        "name": item.name,
+        "category": item.category,
+        "pose": {"xyz": (T[:3, 3] + 0.0).tolist(), "wxyz": (wxyz + 0.0).tolist()},
+    }
+    if urdf.path is None:
+        return {**entry, "box": list(urdf.links[urdf.root].collisions[0].size)}
+    for file in model_files(item.model):
+        if not file.resolve().is_relative_to(folder):
+            raise SceneError(
+                f"object {item.name!r} needs {file}, which is not below {folder}; "
+                "write the scene into a folder above it, or copy the files"
+            )
+    relative = urdf.path.resolve().relative_to(folder).as_posix()
+    return {**entry, "urdf": relative, "scale": urdf.scale, "joints": dict(item.joints)}
+
+
+def model_files(model: Articulated) -> tuple[Path, ...]:
+    """The URDF and mesh files that a model was read from; none for a box."""
+    if model.urdf.path is None:
+        return ()
+    shapes = (s for link in model.urdf.links.values() for s in (*link.collisions, *link.visuals))
+    meshes = {shape.mesh: None for shape in shapes if shape.mesh is not None}
+    return (model.urdf.path, *meshes)

@@ -1,0 +1,1 @@
+"""The finished kitchens that ship with momapos, and the furniture of boxes they are made of."""

@@ -1,0 +1,222 @@
+"""Furniture made of boxes: what its parts are, how they move, and what they hit.
+
+Frame of a piece: x right, y to its back, z up, as seen from in front of it. All its parts are
+axis-aligned boxes in that frame while its joints are closed (0).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from momapos.geometry.transforms import apply, pose_planar, rotation_about
+
+TOUCH = 5e-4  # [m] of overlap that still counts as touching
+BAR, STAND_OFF = 0.02, 0.04  # [m] thickness of a handle, and its distance from the door
+
+Vec = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Box:
+    """An axis-aligned box in the frame of its piece, at the closed state."""
+
+    name: str
+    low: Vec
+    """Lowest corner [m]."""
+    high: Vec
+    """Highest corner [m]."""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """How a part moves against the body; the closed state is 0."""
+
+    kind: Literal["revolute", "prismatic"]
+    pivot: Vec
+    """A point on the axis, in the frame of the piece [m]."""
+    axis: Vec
+    """Unit vector along a coordinate axis of the piece."""
+    upper: float
+    """Where it ends [rad] or [m]."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """What moves as one: the body, a door, a drawer."""
+
+    name: str
+    boxes: tuple[Box, ...]
+    motion: Motion | None = None
+    """None: fixed to the body."""
+    handle: tuple[Box, ...] = ()
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A piece of furniture; its first part is the body."""
+
+    name: str
+    category: str
+    xyz: Vec
+    """Origin of its frame in the world [m]."""
+    yaw: float
+    """Turn of its frame about the world's z axis [rad]."""
+    parts: tuple[Part, ...]
+
+
+def vec(values: Iterable[float]) -> Vec:
+    """Make a triple of plain floats, to 10 micrometres and without negative zeros."""
+    x, y, z = (round(float(value), 5) + 0.0 for value in values)
+    return x, y, z
+
+
+def union(name: str, boxes: Sequence[Box]) -> Box:
+    """Bound boxes by one."""
+    low = np.min([box.low for box in boxes], axis=0)
+    high = np.max([box.high for box in boxes], axis=0)
+    return Box(name, vec(low), vec(high))
+
+
+def solid(name: str, category: str, size: Vec, centre: Vec, yaw: float = 0.0) -> Piece:
+    """A piece that is one box, its frame in the centre."""
+    half = tuple(value / 2 for value in size)
+    box = Box(name, vec(-value for value in half), vec(half))
+    return Piece(name, category, centre, yaw, (Part("body", (box,)),))
+
+
+def bar_handle(
+    part: str, x: float, z: float, length: float, *, upright: bool, front: float
+) -> tuple[Box, ...]:
+    """A bar on two posts.
+
+    Args:
+        part: Name of the part that it is on.
+        x: Its centre [m].
+        z: Its centre [m].
+        length: Of the bar [m].
+        upright: Along z; else along x.
+        front: The y coordinate of the surface that it stands on [m].
+    """
+    along = np.array([0.0, 0.0, 1.0] if upright else [1.0, 0.0, 0.0])
+    across = np.array([1.0, 0.0, 0.0] if upright else [0.0, 0.0, 1.0])
+    centre = np.array([x, front - STAND_OFF - BAR / 2, z])
+    half = along * length / 2 + across * BAR / 2 + np.array([0.0, BAR / 2, 0.0])
+    boxes = [Box(f"{part}_handle_bar", vec(centre - half), vec(centre + half))]
+    for end, sign in (("a", -1.0), ("b", 1.0)):
+        foot = np.array([x, front - STAND_OFF / 2, z]) + sign * along * (length / 2 - BAR)
+        half = np.array([0.0075, STAND_OFF / 2, 0.0075])
+        boxes.append(Box(f"{part}_handle_post_{end}", vec(foot - half), vec(foot + half)))
+    return tuple(boxes)
+
+
+# ---------------------------------------------------------------- where the boxes are
+
+
+def part_poses(
+    piece: Piece, part: Part, values: Float[np.ndarray, " s"]
+) -> Float[np.ndarray, "s 4 4"]:
+    """Motion of a part in the world: maps where its points are when closed, in the piece's frame.
+
+    Args:
+        piece: The piece of furniture.
+        part: One of its parts.
+        values: Joint values [rad] or [m]; without effect on a part that does not move.
+    """
+    T_world_piece = pose_planar(piece.xyz[0], piece.xyz[1], piece.yaw)
+    T_world_piece[2, 3] = piece.xyz[2]
+    Ts_piece_part = np.tile(np.eye(4), (len(values), 1, 1))
+    if part.motion is not None and part.motion.kind == "prismatic":
+        Ts_piece_part[:, :3, 3] = values[:, None] * np.asarray(part.motion.axis)
+    elif part.motion is not None:
+        R, pivot = (
+            rotation_about(np.asarray(part.motion.axis), values),
+            np.asarray(part.motion.pivot),
+        )
+        Ts_piece_part[:, :3, :3] = R
+        Ts_piece_part[:, :3, 3] = pivot - R @ pivot
+    return T_world_piece @ Ts_piece_part
+
+
+def centres_and_halves(
+    boxes: Sequence[Box],
+) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
+    """Centres and half sizes of boxes [m], in the frame of their piece."""
+    low, high = np.array([b.low for b in boxes]), np.array([b.high for b in boxes])
+    return (low + high) / 2, (high - low) / 2
+
+
+@dataclass(frozen=True)
+class Obstacles:
+    """Boxes in the world."""
+
+    R: Float[np.ndarray, "n 3 3"]
+    centres: Float[np.ndarray, "n 3"]
+    halves: Float[np.ndarray, "n 3"]
+
+    def bounds(self) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
+        """Lowest and highest corners of the axis-aligned boxes around them [m]."""
+        half = np.einsum("nij,nj->ni", np.abs(self.R), self.halves)
+        return self.centres - half, self.centres + half
+
+
+def obstacles(pieces: Iterable[Piece], without: tuple[str, str] | None = None) -> Obstacles:
+    """Collect all boxes of closed furniture, but for one part given by piece and name."""
+    Rs, centres, halves = [], [], []
+    for piece in pieces:
+        for part in piece.parts:
+            boxes = (*part.boxes, *part.handle)
+            if boxes and (piece.name, part.name) != without:
+                T = part_poses(piece, part, np.zeros(1))[0]
+                centre, half = centres_and_halves(boxes)
+                Rs.append(np.tile(T[:3, :3], (len(boxes), 1, 1)))
+                centres.append(apply(T, centre))
+                halves.append(half)
+    return Obstacles(np.concatenate(Rs), np.concatenate(centres), np.concatenate(halves))
+
+
+def hits(
+    piece: Piece, part: Part, values: Float[np.ndarray, " s"], others: Obstacles
+) -> Bool[np.ndarray, " s"]:
+    """Whether a part overlaps other boxes at each joint value [rad] or [m].
+
+    Only the boxes' own axes are tried as separating ones. That decides exactly where two boxes
+    share an axis, as everything does here but a few small objects; for these it errs to a hit.
+    """
+    Ts = part_poses(piece, part, values)
+    centre, h = centres_and_halves((*part.boxes, *part.handle))
+    R, c = Ts[:, :3, :3], apply(Ts, centre)
+    reach = np.einsum("sij,mj->smi", np.abs(R), h)
+    low, high = others.bounds()
+    near = np.all((low < (c + reach).max((0, 1))) & (high > (c - reach).min((0, 1))), axis=1)
+    R2, c2, h2 = others.R[near], others.centres[near], others.halves[near]
+    t = c2 - c[:, :, None]
+    A = np.abs(np.einsum("sji,njk->snik", R, R2))
+    own = h[:, None] + np.einsum("snij,nj->sni", A, h2)[:, None]
+    own = own - np.abs(np.einsum("sji,smnj->smni", R, t))
+    other = h2 + np.einsum("snji,mj->smni", A, h) - np.abs(np.einsum("nji,smnj->smni", R2, t))
+    return (np.minimum(own.min(-1), other.min(-1)) > TOUCH).any(axis=(1, 2))
+
+
+def ending_before_hits(piece: Piece, pieces: Sequence[Piece], least: Mapping[str, float]) -> Piece:
+    """End each joint of a piece before its part hits anything that stands closed.
+
+    A part that cannot be opened as far as `least` [rad, m] says for its kind of joint is fixed
+    instead, and loses its handle.
+    """
+    parts = []
+    for part in piece.parts:
+        motion, handle = part.motion, part.handle
+        if motion is not None:
+            values = np.linspace(0.0, motion.upper, 121)
+            hit = hits(piece, part, values, obstacles(pieces, without=(piece.name, part.name)))
+            if hit.any():
+                motion = replace(motion, upper=float(values[max(int(np.argmax(hit)) - 3, 0)]))
+            if motion.upper < least[motion.kind]:
+                motion, handle = None, ()
+        parts.append(replace(part, motion=motion, handle=handle))
+    return replace(piece, parts=tuple(parts))

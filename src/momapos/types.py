@@ -1,0 +1,104 @@
+"""Records handed between stages. Everything is in SI units, in the world frame."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+Verb = Literal["open", "close", "pick", "place"]
+Status = Literal["solved", "infeasible", "timeout"]
+
+
+@dataclass(frozen=True)
+class Task:
+    """What is to be done."""
+
+    verb: Verb
+    object: str
+    joint: str | None = None
+    """The joint that must move; None for pick and place."""
+    to: float | None = None
+    """The value the joint must reach [rad] or [m]."""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """What the robot does at one base pose."""
+
+    approach: Float[np.ndarray, "a n"]
+    """Arm states from home to the grasp [rad] or [m]."""
+    q: Float[np.ndarray, "m n"]
+    """Arm states while it holds the object."""
+    object_q: Float[np.ndarray, " m"]
+    """Value of the object's joint at each state; zeros for pick and place."""
+    Ts_world_tool: Float[np.ndarray, "m 4 4"]
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """What came of checking one base pose."""
+
+    motion: Motion | None
+    reason: str
+    """Why there is no motion; "" where there is one."""
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """What became of the base poses that were looked at."""
+
+    sampled: int = 0
+    checked: int = 0
+    rejections: Mapping[str, int] = field(default_factory=dict)
+    """How many were refused, by reason."""
+
+
+@dataclass(frozen=True)
+class PlacementPlan:
+    """Where the robot stands and how it moves, or why it cannot."""
+
+    scene: str
+    """Path of the scene file."""
+    robot_name: str
+    robot_urdf: str
+    base_link: str
+    tool_link: str
+    task: Task
+    status: Status
+    joints: tuple[str, ...]
+    """Names of the arm's joints, in the order of all configurations."""
+    base_pose: tuple[float, float, float] | None = None
+    """x [m], y [m], yaw [rad] of `base_link` on the floor."""
+    motion: Motion | None = None
+    navigation_cost: float | None = None
+    """Driving length from the start [m]."""
+    candidates: Candidates = Candidates()
+    timing: Mapping[str, float] = field(default_factory=dict)
+    """Seconds by stage, and "total"."""
+    method: str = "ours"
+    seed: int = 0
+    versions: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Trace:
+    """What the search saw; for pictures and benchmarks, not part of the plan file."""
+
+    potential: Float[np.ndarray, "rows columns"]
+    """Value of each floor cell, 0 where the base cannot stand."""
+    origin: Float[np.ndarray, "2"]
+    """World position of the corner of cell (0, 0) [m]."""
+    cell: float
+    """Edge of a cell [m]."""
+    poses: Float[np.ndarray, "c 3"]
+    """Base poses that were looked at."""
+    outcome: Int[np.ndarray, " c"]
+    """Index into `reasons`."""
+    reasons: tuple[str, ...]
+    feasible: Bool[np.ndarray, " c"]
+    waypoints: Float[np.ndarray, "w 3"]
+    """Tool positions along the motion [m]."""

@@ -1,0 +1,353 @@
+"""Built-in kitchens: everything opens, nothing collides, and a seed says it all.
+
+The scenes are judged by an independent reader, `scene_io` of the shared acceptance tools.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+import random
+import sys
+import tempfile
+from collections.abc import Iterator
+from itertools import product
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from momapos.errors import InputError, MissingExtraError, UnknownNameError
+from momapos.scene.kitchens import LAYOUTS, generate_kitchen
+from momapos.scene.library import writer
+from momapos.scene.library.furniture import TOUCH, Box, Motion, Obstacles, Part, Piece, hits
+
+REPOSITORY = Path(__file__).parents[2]
+SHARED = Path(os.environ.get("MOMAPOS_SHARED", REPOSITORY.parent / "shared" / "data"))
+SCENE_IO = SHARED.parent / "tools" / "scene_io.py"
+LIBRARY = REPOSITORY / "src" / "momapos" / "scene" / "library"
+SHIPPED = ("kitchen_small", "kitchen_island")
+CHEAPEST = "single_wall"
+
+needs_generator = pytest.mark.skipif(
+    importlib.util.find_spec("scene_synthesizer") is None, reason="scene-synthesizer is missing"
+)
+
+
+@pytest.fixture(scope="module")
+def scene_io() -> ModuleType:
+    """The independent reader."""
+    if not SCENE_IO.is_file():
+        pytest.skip(f"the shared tools are absent: no {SCENE_IO}")
+    pytest.importorskip("coal")
+    pytest.importorskip("pinocchio")
+    spec = importlib.util.spec_from_file_location("shared_scene_io", SCENE_IO)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def generated(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One generated kitchen."""
+    pytest.importorskip("scene_synthesizer")
+    out = tmp_path_factory.mktemp("generated") / "kitchen.json"
+    return generate_kitchen(CHEAPEST, seed=3, out=out)
+
+
+@pytest.fixture(params=[*SHIPPED, "generated"], scope="module")
+def kitchen(request: pytest.FixtureRequest) -> Path:
+    """The scene file of each shipped kitchen, and of a generated one."""
+    if request.param == "generated":
+        path: Path = request.getfixturevalue("generated")
+        return path
+    return LIBRARY / f"{request.param}.json"
+
+
+Shape = tuple[Any, np.ndarray, np.ndarray]
+
+
+def bounds(shapes: list[Shape]) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest and highest corners [m] of the axis-aligned boxes around shapes."""
+    corners = [geom.verts @ R.T + t for geom, R, t in shapes]
+    return np.array([c.min(0) for c in corners]), np.array([c.max(0) for c in corners])
+
+
+def least_distance(scene_io: ModuleType, some: list[Shape], others: list[Shape]) -> float:
+    """Least signed distance [m] between two sets of shapes that is below 3 mm; else 3 mm."""
+    margin, least = 0.003, 0.003
+    low, high = bounds(others)
+    for (a, R, t), a_low, a_high in zip(some, *bounds(some), strict=True):
+        near = np.all((low < a_high + margin) & (high > a_low - margin), axis=1)
+        for index in np.flatnonzero(near):
+            b, R_b, t_b = others[index]
+            distance = scene_io.signed_distance(a.shape, R, t, b.shape, R_b, t_b)
+            least = min(least, distance)
+    return float(least)
+
+
+def moving_parts(scene: Any) -> Iterator[tuple[Any, int, list[Shape]]]:
+    """Every object and joint of a scene, with all that stands still while it moves."""
+    for item in scene.objects:
+        rest = [shape for other in scene.objects if other is not item for shape in other.shapes()]
+        for joint in range(1, item.art.model.njoints):
+            moved = item.art.moved_by(joint)
+            yield item, joint, [*rest, *(s for s in item.shapes() if s[0].joint not in moved)]
+
+
+def shapes_at(item: Any, joint: int, value: float) -> list[Shape]:
+    """The shapes that a joint moves, at a value of it."""
+    q = item.q.copy()
+    q[item.art.model.joints[joint].idx_q] = value
+    return [s for s in item.shapes(q) if s[0].joint in item.art.moved_by(joint)]
+
+
+def test_a_kitchen_loads_with_unique_named_and_categorised_closed_objects(
+    kitchen: Path, scene_io: ModuleType
+) -> None:
+    scene = scene_io.Scene(kitchen)
+    names = [item.name for item in scene.objects]
+    assert scene.notes == []
+    assert len(set(names)) == len(names)
+    assert all(item.category for item in scene.objects)
+    assert all(not item.q.any() for item in scene.objects)
+    assert sum(len(item.q) for item in scene.objects) >= 8
+
+
+def test_every_file_of_a_kitchen_lies_in_its_own_folder(kitchen: Path) -> None:
+    entries = json.loads(kitchen.read_text())["objects"]
+    named = {entry["urdf"] for entry in entries if "urdf" in entry}
+    folder = f"{kitchen.stem}_urdf"
+    there = {f"{folder}/{path.name}" for path in (kitchen.parent / folder).iterdir()}
+    assert named == there
+
+
+def test_a_moving_part_hits_nothing_along_its_whole_opening(
+    kitchen: Path, scene_io: ModuleType
+) -> None:
+    for item, joint, still in moving_parts(scene_io.Scene(kitchen)):
+        index = item.art.model.joints[joint].idx_q
+        for value in np.linspace(item.art.lower[index], item.art.upper[index], 30):
+            least = least_distance(scene_io, shapes_at(item, joint, value), still)
+            assert least >= -1e-3, (item.name, item.art.model.names[joint], value, least)
+
+
+def test_a_closed_part_leaves_a_gap_all_around(kitchen: Path, scene_io: ModuleType) -> None:
+    for item, joint, still in moving_parts(scene_io.Scene(kitchen)):
+        least = least_distance(scene_io, shapes_at(item, joint, 0.0), still)
+        assert least >= 1e-3, (item.name, item.art.model.names[joint], least)
+
+
+def test_every_moving_part_has_a_bar_that_fingers_fit_behind(
+    kitchen: Path, scene_io: ModuleType
+) -> None:
+    for item, joint, _ in moving_parts(scene_io.Scene(kitchen)):
+        moved = [geom for geom in item.art.geoms if geom.joint == joint]
+        bars = [g for g in moved if "handle" in g.link and max(g.shape.halfSide) >= 0.06]
+        panels = [g for g in moved if "handle" not in g.link]
+        assert len(bars) == 1, (item.name, item.art.model.names[joint])
+        length = 2 * float(max(bars[0].shape.halfSide))
+        door_front = min(float((g.verts @ g.R.T + g.t)[:, 1].min()) for g in panels)
+        bar_back = float((bars[0].verts @ bars[0].R.T + bars[0].t)[:, 1].max())
+        assert 0.12 - 1e-6 <= length <= 0.40 + 1e-6
+        assert door_front - bar_back == pytest.approx(0.04, abs=1e-4)
+
+
+def test_the_start_is_on_the_floor_and_clear_of_everything(
+    kitchen: Path, scene_io: ModuleType
+) -> None:
+    scene = scene_io.Scene(kitchen)
+    start, floor = np.array([scene.start["x"], scene.start["y"]]), np.array(scene.floor)
+    assert np.all(start - floor.min(0) >= 0.6) and np.all(floor.max(0) - start >= 0.6)
+    low, high = bounds([shape for item in scene.objects for shape in item.shapes()])
+    away = np.maximum(np.maximum(low[:, :2] - start, start - high[:, :2]), 0.0)
+    assert np.linalg.norm(away, axis=1).min() >= 0.6
+
+
+def test_the_furniture_stands_on_the_floor_and_the_walls_beside_it(
+    kitchen: Path, scene_io: ModuleType
+) -> None:
+    scene = scene_io.Scene(kitchen)
+    floor = np.array(scene.floor)
+    for item in scene.objects:
+        low, high = (bound[:, :2] for bound in bounds(item.shapes()))
+        inside = (low.min(0) >= floor.min(0) - 1e-6).all() and (
+            high.max(0) <= floor.max(0) + 1e-6
+        ).all()
+        beside = (low.min(0) >= floor.max(0) - 1e-6).any() or (
+            high.max(0) <= floor.min(0) + 1e-6
+        ).any()
+        assert beside if item.category == "wall" else inside, item.name
+
+
+def test_there_are_things_to_pick_that_rest_on_something(
+    kitchen: Path, scene_io: ModuleType
+) -> None:
+    scene = scene_io.Scene(kitchen)
+    small = {"cup", "apple", "cereal box", "bottle", "can"}
+    things = [item for item in scene.objects if item.category in small]
+    assert 3 <= len(things) <= 5
+    for item in things:
+        others = [s for other in scene.objects if other is not item for s in other.shapes()]
+        assert 0 < least_distance(scene_io, item.shapes(), others) <= 0.002, item.name
+
+
+def test_the_shipped_kitchens_are_small() -> None:
+    files = [path for path in LIBRARY.rglob("*") if path.suffix in (".json", ".urdf")]
+    assert {path.stem for path in files if path.suffix == ".json"} == set(SHIPPED)
+    assert sum(path.stat().st_size for path in files) < 300_000
+
+
+@needs_generator
+def test_the_same_seed_gives_the_same_bytes_and_leaves_no_trace(
+    generated: Path, tmp_path: Path
+) -> None:
+    def left_behind() -> set[Path]:
+        return set(Path(tempfile.gettempdir()).glob("sink*"))
+
+    before, files = (np.random.get_state()[1].tolist(), random.getstate()), left_behind()
+    again = generate_kitchen(CHEAPEST, seed=3, out=tmp_path / "deep" / "kitchen.json")
+    assert (np.random.get_state()[1].tolist(), random.getstate()) == before
+    assert left_behind() == files
+    first, second = (
+        {path.relative_to(scene.parent): path.read_bytes() for path in scene.parent.rglob("*.urdf")}
+        | {Path("scene"): scene.read_bytes()}
+        for scene in (generated, again)
+    )
+    assert len(first) > 5
+    assert first == second
+
+
+@needs_generator
+@pytest.mark.skipif("MOMAPOS_SLOW" not in os.environ, reason="set MOMAPOS_SLOW for every layout")
+@pytest.mark.parametrize(("layout", "seed"), list(product(LAYOUTS, (0, 1))))
+def test_every_layout_opens_without_hitting_anything(
+    layout: str, seed: int, tmp_path: Path, scene_io: ModuleType
+) -> None:
+    out = generate_kitchen(layout, seed=seed, out=tmp_path / "kitchen.json")
+    test_a_kitchen_loads_with_unique_named_and_categorised_closed_objects(out, scene_io)
+    test_a_moving_part_hits_nothing_along_its_whole_opening(out, scene_io)
+    test_a_closed_part_leaves_a_gap_all_around(out, scene_io)
+    test_every_moving_part_has_a_bar_that_fingers_fit_behind(out, scene_io)
+    test_the_start_is_on_the_floor_and_clear_of_everything(out, scene_io)
+    test_the_furniture_stands_on_the_floor_and_the_walls_beside_it(out, scene_io)
+    test_there_are_things_to_pick_that_rest_on_something(out, scene_io)
+
+
+def test_an_unknown_layout_is_refused_with_the_nearest_name(tmp_path: Path) -> None:
+    with pytest.raises(UnknownNameError, match="did you mean l_shaped"):
+        generate_kitchen("l_shape", seed=0, out=tmp_path / "kitchen.json")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_negative_seed_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="0 or more"):
+        generate_kitchen(CHEAPEST, seed=-1, out=tmp_path / "kitchen.json")
+
+
+def test_without_scene_synthesizer_the_extra_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "scene_synthesizer", None)
+    with pytest.raises(MissingExtraError, match=r"momapos\[kitchens\]"):
+        generate_kitchen(CHEAPEST, seed=0, out=tmp_path / "kitchen.json")
+    assert list(tmp_path.iterdir()) == []
+
+
+def cupboard(name: str, upper: float = 1.0) -> Piece:
+    """A body with one door."""
+    body = Box("wall", (0.0, 0.0, 0.0), (1.0, 0.5, 1.0))
+    door = Box("panel", (0.0, -0.03, 0.0), (1.0, -0.01, 1.0))
+    motion = Motion("revolute", (0.0, -0.03, 0.0), (0.0, 0.0, -1.0), upper)
+    return Piece(
+        name, "x", (0.0, 0.0, 0.0), 0.0, (Part("body", (body,)), Part("door", (door,), motion))
+    )
+
+
+def write(out: Path, *pieces: Piece) -> Path:
+    """A scene of these pieces."""
+    return writer.write_kitchen(out, "k", pieces, [(0, 0), (1, 0), (1, 1)], (0.0, 0.0, 0.0))
+
+
+def contents(folder: Path) -> dict[str, str]:
+    """The files in a folder and what is in them."""
+    return {
+        str(path.relative_to(folder)): path.read_text()
+        for path in folder.rglob("*")
+        if path.is_file()
+    }
+
+
+def test_a_kitchen_that_cannot_be_finished_leaves_the_old_one_whole(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = write(tmp_path / "kitchen.json", cupboard("old_one"), cupboard("old_two"))
+    before = contents(tmp_path)
+
+    def broken(self: Path, target: Path) -> Path:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "replace", broken)
+    with pytest.raises(InputError, match="No space left"):
+        write(out, cupboard("new"))
+    assert contents(tmp_path) == before
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["kitchen.json", "kitchen_urdf"]
+
+
+def test_a_new_kitchen_replaces_all_of_the_old_one(tmp_path: Path) -> None:
+    out = write(tmp_path / "kitchen.json", cupboard("old"))
+    write(out, cupboard("new"))
+    assert set(contents(tmp_path)) == {"kitchen.json", "kitchen_urdf/new.urdf"}
+
+
+def test_a_folder_of_other_files_is_never_replaced(tmp_path: Path) -> None:
+    (tmp_path / "kitchen_urdf").mkdir()
+    (tmp_path / "kitchen_urdf" / "thesis.tex").write_text("precious")
+    with pytest.raises(InputError, match=r"thesis\.tex"):
+        write(tmp_path / "kitchen.json", cupboard("new"))
+    assert contents(tmp_path) == {"kitchen_urdf/thesis.tex": "precious"}
+
+
+@given(
+    centre=st.tuples(*[st.floats(-1.2, 1.2)] * 3),
+    size=st.tuples(*[st.floats(0.02, 0.8)] * 3),
+    axis=st.sampled_from([(1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, -1.0)]),
+    turns=st.integers(0, 3),
+)
+@settings(deadline=None, max_examples=60)
+def test_hits_are_those_that_coal_finds(
+    centre: tuple[float, float, float],
+    size: tuple[float, float, float],
+    axis: tuple[float, float, float],
+    turns: int,
+) -> None:
+    coal = pytest.importorskip("coal")
+    values, pivot = np.linspace(0.0, 2.0, 7), np.array([0.0, -0.1, 0.0])
+    motion = Motion("revolute", (0.0, -0.1, 0.0), axis, 2.0)
+    door = Part("door", (Box("panel", (0.0, -0.1, 0.0), (0.6, 0.0, 0.5)),), motion)
+    piece = Piece("piece", "x", (0.1, 0.2, 0.3), turns * np.pi / 2, (door,))
+    half = np.array(size) / 2
+    found = hits(piece, door, values, Obstacles(np.eye(3)[None], np.array([centre]), half[None]))
+    request = coal.DistanceRequest()
+    request.enable_signed_distance = True
+    R_yaw = Rotation.from_euler("z", piece.yaw)
+    for value, hit in zip(values, found, strict=True):
+        R = Rotation.from_rotvec(value * np.array(axis))
+        middle = piece.xyz + R_yaw.apply(pivot + R.apply(np.array([0.3, -0.05, 0.25]) - pivot))
+        distance = coal.distance(
+            coal.Box(0.6, 0.1, 0.5),
+            coal.Transform3s((R_yaw * R).as_matrix(), middle),
+            coal.Box(*size),
+            coal.Transform3s(np.eye(3), np.array(centre)),
+            request,
+            coal.DistanceResult(),
+        )
+        if abs(distance + TOUCH) > 1e-4:
+            assert hit == (distance < -TOUCH)
