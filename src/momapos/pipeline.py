@@ -22,10 +22,10 @@ from momapos.kinematics.base_collision import base_hits
 from momapos.kinematics.collision import FREE
 from momapos.kinematics.world import World, build_world
 from momapos.manipulation.feasibility import Feasibility
-from momapos.manipulation.handles import find_handle
+from momapos.manipulation.handles import opening_direction
 from momapos.manipulation.motion import TaskMotion, task_motion
-from momapos.manipulation.tasks import openable, opening_sign
-from momapos.navigation.cost_map import CostMap, FloorPlan, build_cost_map, floor_plan
+from momapos.manipulation.tasks import openable
+from momapos.navigation.cost_map import FloorPlan, build_cost_map, floor_plan
 from momapos.navigation.start import find_start
 from momapos.placement.area import Site, footprints
 from momapos.placement.place import Search, search
@@ -35,7 +35,7 @@ from momapos.scene.scene import Scene
 from momapos.types import Motion, PlacementPlan, Task
 from momapos.verification.exact import ExactWorld
 
-ROOM_MARGIN = 1.2
+ROOM_MARGIN = 2.0
 """Free border that is mapped around a room without a known floor [m]."""
 
 
@@ -48,6 +48,8 @@ class Answer:
     motion: TaskMotion
     search: Search
     start: Float[np.ndarray, "3"]
+    slides: bool
+    """Whether the part slides [m]; it turns otherwise [rad]."""
 
 
 @dataclass
@@ -125,8 +127,20 @@ def place(
         )
     timing = {**watch.seconds, "total": clock() - began}
     return Answer(
-        _plan(scene, robot, task, result, cost, config, seed, timing), site, motion, result, start
+        plan=_plan(scene, robot, task, result, config, seed, timing),
+        site=site,
+        motion=motion,
+        search=result,
+        start=start,
+        slides=slides(scene, task),
     )
+
+
+def slides(scene: Scene, task: Task) -> bool:
+    """Whether a task moves a part along a line, and does not turn it."""
+    if task.joint is None:
+        return False
+    return scene.object(task.object).model.joint(task.joint).kind == "prismatic"
 
 
 def arm_world(robot: Robot, motion: TaskMotion, config: PipelineConfig) -> World:
@@ -172,22 +186,19 @@ def start_pose(
 
 
 def _in_front(scene: Scene) -> Float[np.ndarray, "2"]:
-    """A point before the handles of the room, on the side from which they are opened."""
-    points = []
-    for name, joint in openable(scene):
-        item = scene.object(name)
-        record = item.model.joint(joint)
-        handle = find_handle(item.model, joint, opening_sign(record))
-        T = item.link_poses()[record.child]
-        points.append((T[:3, :3] @ (handle.center + 1.5 * handle.out) + T[:3, 3])[:2])
+    """A point before the doors and drawers of the room, on the side to which they open."""
+    points = [
+        point[:2] + 1.5 * direction[:2]
+        for name, joint in openable(scene)
+        for point, direction in [opening_direction(scene.object(name), joint)]
+    ]
     if points:
         return np.mean(points, axis=0)
     return np.mean([item.bounds[:, :2].mean(0) for item in scene.objects], axis=0)
 
 
 def _plan(
-    scene: Scene, robot: Robot, task: Task, result: Search, cost: CostMap,
-    config: PipelineConfig, seed: int, timing: dict[str, float],
+    scene: Scene, robot: Robot, task: Task, result: Search, config: PipelineConfig, seed: int, timing: dict[str, float],
 ) -> PlacementPlan:
     solved = result.motion is not None and result.base is not None
     base = result.base

@@ -31,10 +31,15 @@ def pose_wxyz(xyz: tuple[float, ...], wxyz: tuple[float, ...]) -> Float[np.ndarr
     return pose(xyz, Rotation.from_quat(wxyz, scalar_first=True).as_matrix())
 
 
-def pose_planar(x: float, y: float, yaw: float) -> Float[np.ndarray, "4 4"]:
-    """Build the transform of a base that stands on the floor at (x, y) [m], yaw [rad]."""
-    c, s = np.cos(yaw), np.sin(yaw)
-    return pose((x, y, 0.0), np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]))
+def pose_planar(base: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 4 4"]:
+    """Build the transforms of bases that stand on the floor at (x [m], y [m], yaw [rad])."""
+    base = np.asarray(base, float)
+    c, s = np.cos(base[..., 2]), np.sin(base[..., 2])
+    T = np.zeros((*base.shape[:-1], 4, 4))
+    T[..., 0, 0], T[..., 0, 1], T[..., 1, 0], T[..., 1, 1] = c, -s, s, c
+    T[..., 0, 3], T[..., 1, 3] = base[..., 0], base[..., 1]
+    T[..., 2, 2] = T[..., 3, 3] = 1.0
+    return T
 
 
 def invert(T: Float[np.ndarray, "*batch 4 4"]) -> Float[np.ndarray, "*batch 4 4"]:

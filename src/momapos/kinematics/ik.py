@@ -327,7 +327,7 @@ def newton(q, active, chain, R_target, p_target, steps, damping, work):
         residual = 0.0
         for k in range(6):
             residual += e[k] * e[k]
-        if residual < 1e-18 or step == steps:
+        if residual < 1e-16 or step == steps:
             break
         for a in range(m):
             j = active[a]

@@ -7,7 +7,7 @@ exact check at the end of planning is what decides, see `momapos.verification`.
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -105,6 +105,38 @@ def build_spheres(
     )
 
 
+def carry(
+    spheres: Spheres, segment: int, center: Float[np.ndarray, "k 3"], radius: Float[np.ndarray, " k"]
+) -> Spheres:
+    """The same robot with something in its hand, which is not checked against the robot itself.
+
+    Args:
+        spheres: The robot.
+        segment: Segment that holds it: the last.
+        center: Spheres of the thing, relative to the segment's joint origin [m].
+        radius: Their radii [m].
+    """
+    middle, bound = _bound(center, radius)
+    return replace(
+        spheres,
+        center=np.concatenate([spheres.center, center]),
+        radius=np.concatenate([spheres.radius, radius]),
+        start=np.append(spheres.start, len(spheres.center) + len(center)),
+        segment=np.append(spheres.segment, segment),
+        bound_center=np.vstack([spheres.bound_center, middle]),
+        bound_radius=np.append(spheres.bound_radius, bound),
+        links=(*spheres.links, "carried object"),
+        gripper=np.append(spheres.gripper, True),
+        base_pairs=np.vstack([spheres.base_pairs, np.zeros((1, len(spheres.base)), bool)]),
+    )
+
+
+def box_spheres(boxes: Boxes) -> tuple[Float[np.ndarray, "s 3"], Float[np.ndarray, " s"]]:
+    """Spheres that cover boxes up to `MARGIN`, in the boxes' frame."""
+    parts = [_box(boxes.center[i], boxes.rotation[i], boxes.half[i]) for i in range(len(boxes))]
+    return np.concatenate([c for c, _ in parts]), np.concatenate([r for _, r in parts])
+
+
 def _neighbours(model: Articulated):  # type: ignore[no-untyped-def]
     """Tell whether two links are joined by one moving joint, fixed joints being no joints."""
     body: dict[str, str] = {model.urdf.root: model.urdf.root}
@@ -172,11 +204,7 @@ def shape_spheres(shape: Geometry) -> tuple[Float[np.ndarray, "s 3"], Float[np.n
     if shape.kind == "cylinder" and shape.size[1] > 1.2 * shape.size[0]:
         center, radius = _cylinder(*shape.size)
         return apply(shape.T_link_geometry, center), radius
-    boxes = cover(hull_of(shape), depth=4)
-    parts = [
-        _box(boxes.center[i], boxes.rotation[i], boxes.half[i]) for i in range(len(boxes))
-    ]
-    return np.concatenate([c for c, _ in parts]), np.concatenate([r for _, r in parts])
+    return box_spheres(cover(hull_of(shape), depth=4))
 
 
 def _cylinder(radius: float, length: float) -> tuple[np.ndarray, np.ndarray]:

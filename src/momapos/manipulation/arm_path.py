@@ -94,7 +94,7 @@ def _solve_layer(
     w: int,
 ) -> _Layer:
     step = motion.coarse[w]
-    T_base_world = invert(np.array([pose_planar(*bases[j]) for j in alive]))
+    T_base_world = invert(pose_planar(bases[alive]))
     poses = T_base_world @ motion.Ts_world_tool[grasps[alive], step]
     q, counts = solve_ik(robot.chain, robot.ik, poses)
     n, width = robot.chain.size, q.shape[1]
@@ -128,7 +128,7 @@ def _connect(
     chain = robot.chain
     full_turn = ~chain.prismatic & (chain.upper - chain.lower > 2 * np.pi + 0.1)
     banned = np.zeros(len(stacked), bool)
-    T_base_world = invert(pose_planar(*bases[job]))
+    T_base_world = invert(pose_planar(bases[job]))
     targets = T_base_world @ motion.Ts_world_tool[grasps[job]]
     worst = ArmPath(BROKEN, 0, FREE)
     for _ in range(4):

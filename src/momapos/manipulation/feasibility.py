@@ -8,7 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from momapos.geometry.transforms import apply, invert, pose_planar
 from momapos.kinematics.collision import FREE
+from momapos.kinematics.hulls import Boxes
+from momapos.kinematics.spheres import Spheres, box_spheres, carry
 from momapos.kinematics.world import World, check
 from momapos.manipulation.arm_path import FOUND, HIT, UNREACHABLE, ArmPath, find_paths
 from momapos.manipulation.motion import TaskMotion
@@ -40,7 +43,7 @@ class Feasibility:
             base: Base pose x [m], y [m], yaw [rad].
             grasps: Indices into the family of grasps.
         """
-        at_home = self._check(self.robot.home[None], base)[0]
+        at_home = self._check(self.robot.home[None], base, self.robot.spheres)[0]
         if at_home != FREE:
             return Attempt(None, f"arm at home hits {self.world.reason(int(at_home))}")
         furthest: ArmPath | None = None
@@ -48,37 +51,56 @@ class Feasibility:
         chunks = np.split(grasps, range(_FIRST, len(grasps), 4 * _FIRST))
         for chunk in chunks:
             bases = np.tile(base, (len(chunk), 1))
-            for path in find_paths(self.robot, self.world, self.motion, bases, chunk):
+            paths = find_paths(self.robot, self.world, self.motion, bases, chunk)
+            for grasp, path in zip(chunk, paths, strict=True):
                 if path.status != FOUND:
                     if furthest is None or path.waypoint > furthest.waypoint:
                         furthest = path
                     continue
-                motion, last = self._complete(base, path, int(chunk[0]))
+                motion, last = self._complete(base, path, int(grasp))
                 if motion is not None:
                     return Attempt(motion, "")
         return Attempt(None, last or self._reason(furthest))
 
-    def _check(self, q: Float[np.ndarray, "m n"], base: np.ndarray) -> Int[np.ndarray, " m"]:
+    def _check(
+        self, q: Float[np.ndarray, "m n"], base: np.ndarray, spheres: Spheres
+    ) -> Int[np.ndarray, " m"]:
+        """What states on the way from home hit; a carried object is already in the hand."""
+        carrying = self.motion.task.verb == "place"
         return check(
-            self.world, self.robot.chain, self.robot.spheres, np.ascontiguousarray(q),
+            self.world, self.robot.chain, spheres, np.ascontiguousarray(q),
             np.broadcast_to(base, (len(q), 3)), np.full(len(q), self.motion.value[0]),
-            np.zeros(len(q), bool),
-        )
+            np.full(len(q), carrying),
+        )  # fmt: skip
+
+    def _with_load(self, grasp: int) -> Spheres:
+        """The robot's spheres, with the object in its hand where the task is to place it."""
+        if self.motion.task.verb != "place":
+            return self.robot.spheres
+        chain, m = self.robot.chain, self.motion.moving
+        center, radius = box_spheres(Boxes(m.center[-1], m.rotation[-1], m.half[-1]))
+        T_tool_world = invert(self.motion.Ts_world_tool[grasp, 0])
+        in_tool = apply(T_tool_world, center)
+        return carry(
+            self.robot.spheres, chain.size,
+            chain.tool_offset + in_tool @ chain.tool_rotation.T, radius,
+        )  # fmt: skip
 
     def _complete(
-        self, base: np.ndarray, path: ArmPath, salt: int
+        self, base: np.ndarray, path: ArmPath, grasp: int
     ) -> tuple[Motion | None, str]:
         """Add the approach from home, and let the exact check decide."""
         assert path.q is not None
         chain, hold = self.robot.chain, self.motion.hold
+        spheres = self._with_load(grasp)
         q = near_home(path.q, self.robot.home, chain.lower, chain.upper)
 
         def free(states: Float[np.ndarray, "m n"]) -> Bool[np.ndarray, " m"]:
-            return self._check(states, base) == FREE
+            return self._check(states, base, spheres) == FREE
 
         way = plan_motion(
             self.robot.home, q[0], chain.lower, chain.upper, free,
-            config=self.planner, seed=self.seed + salt,
+            config=self.planner, seed=self.seed + grasp,
         )
         if way is None:
             return None, "no approach from home"
@@ -88,9 +110,7 @@ class Feasibility:
         return (motion, "") if refusal is None else (None, f"exact check: {refusal}")
 
     def _tools(self, q: np.ndarray, base: np.ndarray) -> Float[np.ndarray, "m 4 4"]:
-        from momapos.geometry.transforms import pose_planar
-
-        return pose_planar(*base) @ self.robot.chain.tool_poses(q)
+        return pose_planar(base) @ self.robot.chain.tool_poses(q)
 
     def _reason(self, path: ArmPath | None) -> str:
         if path is None:

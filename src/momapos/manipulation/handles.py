@@ -11,7 +11,8 @@ from momapos.errors import TaskError
 from momapos.geometry.transforms import apply, invert
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.hulls import fit_box, hull_of
-from momapos.kinematics.urdf import Geometry
+from momapos.kinematics.urdf import Geometry, Joint
+from momapos.scene.scene import SceneObject
 
 WORD = "handle"
 ROUND = 1.5
@@ -36,6 +37,17 @@ class Handle:
     """Whether this is a free edge and no handle."""
 
 
+def closed_value(joint: Joint) -> float:
+    """The value at which a part is closed: zero, or the limit nearest to it."""
+    return min(max(0.0, joint.lower), joint.upper)
+
+
+def opening_sign(joint: Joint) -> float:
+    """Direction in which the joint opens: toward its farther limit."""
+    closed = closed_value(joint)
+    return 1.0 if joint.upper - closed >= closed - joint.lower else -1.0
+
+
 def has_handle(model: Articulated, joint: str) -> bool:
     """Whether the part that a joint moves has geometry named "handle"."""
     return bool(_handle_shapes(model, joint))
@@ -53,6 +65,20 @@ def rigid_links(model: Articulated, joint: str) -> tuple[str, ...]:
         if other.parent in links and not other.movable:
             links.add(other.child)
     return tuple(name for name in model.links if name in links)
+
+
+def opening_direction(
+    item: SceneObject, joint: str
+) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+    """Middle of the part that a joint moves, and where it moves when it opens, in the world."""
+    model, record = item.model, item.model.joint(joint)
+    links = rigid_links(model, joint)
+    T_link = _poses_in_part(model, joint, links)
+    centers = [apply(T_link[n], h.vertices).mean(0) for n in links for h in model.hulls[n]]
+    middle = np.mean(centers, axis=0) if centers else np.zeros(3)
+    T_world_part = item.link_poses()[record.child]
+    direction = _motion_direction(model, joint, opening_sign(record), middle)
+    return apply(T_world_part, middle[None])[0], T_world_part[:3, :3] @ direction
 
 
 def find_handle(model: Articulated, joint: str, sign: float) -> Handle:

@@ -12,8 +12,7 @@ from momapos.geometry.transforms import invert
 from momapos.kinematics.articulated import joint_motion
 from momapos.kinematics.hulls import Boxes
 from momapos.manipulation.grasps import GraspConfig, box_grasps, handle_grasps
-from momapos.manipulation.handles import Handle, find_handle
-from momapos.manipulation.tasks import opening_sign
+from momapos.manipulation.handles import Handle, find_handle, opening_sign
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene, SceneObject
 from momapos.types import Task

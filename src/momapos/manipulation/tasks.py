@@ -7,7 +7,7 @@ from typing import get_args
 
 from momapos.errors import TaskError
 from momapos.kinematics.urdf import Joint
-from momapos.manipulation.handles import has_handle
+from momapos.manipulation.handles import closed_value, has_handle, opening_sign
 from momapos.scene.scene import Scene, SceneObject
 from momapos.types import Task, Verb
 
@@ -70,17 +70,6 @@ def _only_joint(target: SceneObject) -> Joint:
             + ", ".join(choice)
         )
     return target.model.joints[choice[0]]
-
-
-def closed_value(joint: Joint) -> float:
-    """The value at which a part is closed: zero, or the limit nearest to it."""
-    return min(max(0.0, joint.lower), joint.upper)
-
-
-def opening_sign(joint: Joint) -> float:
-    """Direction in which the joint opens: toward its farther limit."""
-    closed = closed_value(joint)
-    return 1.0 if joint.upper - closed >= closed - joint.lower else -1.0
 
 
 def _goal(joint: Joint, verb: str, start: float) -> float:

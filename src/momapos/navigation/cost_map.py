@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
+from PIL import Image, ImageDraw
 from scipy.ndimage import distance_transform_edt
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import ConvexHull
 
-from momapos.geometry.polygons import contains, signed_area
 from momapos.kinematics.hulls import Boxes
 
 CELL = 0.05
@@ -73,35 +73,42 @@ def floor_plan(
         floor: Outline of the floor; None where it has no known end.
     """
     low_z = boxes.center[:, 2] - np.einsum("bj,bj->b", np.abs(boxes.rotation[:, 2]), boxes.half)
-    outlines = [_outline(boxes, int(b)) for b in np.flatnonzero(low_z < height)]
+    outlines = _outlines(boxes, np.flatnonzero(low_z < height))
     points = np.concatenate(outlines) if outlines else np.zeros((1, 2))
     if floor is not None:
         points = floor
     low = np.floor((points.min(0) - margin) / CELL) * CELL
     columns, rows = (int(np.ceil(v)) for v in (points.max(0) + margin - low) / CELL)
-    blocked = np.zeros((rows, columns), bool)
-    for outline in outlines:
-        _fill_convex(blocked, outline, low)
+    image = Image.new("L", (columns, rows), 0 if floor is None else 1)
+    draw = ImageDraw.Draw(image)
+
+    def fill(outline: Float[np.ndarray, "k 2"], value: int) -> None:
+        draw.polygon((((outline - low) / CELL) - 0.5).ravel().tolist(), fill=value)
+
     if floor is not None:
-        x = low[0] + (np.arange(columns) + 0.5) * CELL
-        y = low[1] + (np.arange(rows) + 0.5) * CELL
-        grid = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
-        blocked |= ~contains(floor, grid).reshape(rows, columns)
-    return FloorPlan(low, blocked)
+        fill(floor, 0)
+    for outline in outlines:
+        fill(outline, 1)
+    return FloorPlan(low, np.array(image, bool))
 
 
-def _outline(boxes: Boxes, b: int) -> Float[np.ndarray, "k 2"]:
-    """Projection of a box, anticlockwise."""
-    R, h = boxes.rotation[b], boxes.half[b]
-    up = int(np.argmax(np.abs(R[2])))
-    if abs(R[2, up]) > 1 - 1e-9:
-        i, j = (k for k in range(3) if k != up)
-        signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
-        corners = boxes.center[b, :2] + signs @ (R[:2, [i, j]] * h[[i, j]]).T
-        return corners if signed_area(corners) > 0 else corners[::-1]
-    signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
-    corners = boxes.center[b, :2] + (signs * h) @ R[:2].T
-    return corners[ConvexHull(corners).vertices]
+def _outlines(boxes: Boxes, which: Int[np.ndarray, " k"]) -> list[Float[np.ndarray, "c 2"]]:
+    """Projections of boxes onto the floor, as convex polygons."""
+    R, h, c = boxes.rotation[which], boxes.half[which], boxes.center[which, :2]
+    if not len(which):
+        return []
+    up = np.argmax(np.abs(R[:, 2]), axis=1)
+    upright = np.abs(R[np.arange(len(up)), 2, up]) > 1 - 1e-9
+    sides = np.stack([(up + 1) % 3, (up + 2) % 3], -1)
+    edges = np.take_along_axis(R[:, :2] * h[:, None], sides[:, None], axis=2)
+    signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    rectangles = c[:, None] + np.einsum("bij,kj->bki", edges, signs)
+    found = list(rectangles[upright])
+    cube = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
+    for b in np.flatnonzero(~upright):
+        corners = c[b] + (cube * h[b]) @ R[b, :2].T
+        found.append(corners[ConvexHull(corners).vertices])
+    return found
 
 
 def build_cost_map(
@@ -125,24 +132,6 @@ def build_cost_map(
     free[i, j] = True
     distance = dijkstra(_graph(free), indices=int(i * columns + j)).reshape(rows, columns)
     return CostMap(plan.origin, distance, free)
-
-
-def _fill_convex(blocked: np.ndarray, outline: np.ndarray, low: np.ndarray) -> None:
-    """Mark the cells whose centre lies in a convex outline."""
-    rows, columns = blocked.shape
-    lo = np.floor((outline.min(0) - low) / CELL).astype(int)
-    hi = np.ceil((outline.max(0) - low) / CELL).astype(int)
-    j0, i0 = np.clip(lo, 0, [columns, rows])
-    j1, i1 = np.clip(hi, 0, [columns, rows])
-    if j0 >= j1 or i0 >= i1:
-        return
-    x = low[0] + (np.arange(j0, j1) + 0.5) * CELL
-    y = low[1] + (np.arange(i0, i1) + 0.5) * CELL
-    edge = np.roll(outline, -1, axis=0) - outline
-    inside = np.ones((len(y), len(x)), bool)
-    for (px, py), (ex, ey) in zip(outline, edge, strict=True):
-        inside &= ex * (y[:, None] - py) - ey * (x[None] - px) >= -0.5 * CELL * np.hypot(ex, ey)
-    blocked[i0:i1, j0:j1] |= inside
 
 
 def _graph(free: Bool[np.ndarray, "rows columns"]) -> csr_matrix:

@@ -25,7 +25,7 @@ def find_start(
     Raises:
         SceneError: Nowhere is there room.
     """
-    clear = distance_transform_edt(np.pad(~plan.blocked, 1))[1:-1, 1:-1] * CELL
+    clear = distance_transform_edt(np.pad(~plan.blocked, 1, constant_values=True))[1:-1, 1:-1] * CELL
     i, j = np.nonzero(clear > min(ROOM, float(clear.max()) * 0.9))
     if not len(i):
         raise SceneError("the room is full: nowhere can a robot start; give --start X,Y,YAW")

@@ -142,19 +142,23 @@ def _furniture(layout: str, seed: int) -> list[Piece]:
 @contextmanager
 def _contained(utils: Any, seed: int) -> Iterator[None]:
     """Keep a generator's side effects in: global random state, and mesh files left in /tmp."""
-    states, file_name = (np.random.get_state(), random.getstate()), utils.get_random_filename
-    np.random.seed(seed % 2**32)
+    numpy_state, python_state = np.random.get_state(), random.getstate()  # noqa: NPY002
+    file_name = utils.get_random_filename
+    np.random.seed(seed % 2**32)  # noqa: NPY002 - what others draw from it shall be the same too
     random.seed(seed)
     with tempfile.TemporaryDirectory() as folder:
-        utils.get_random_filename = lambda suffix, prefix="", dir="": file_name(
-            suffix, prefix, folder
-        )
+
+        def in_folder(suffix: str, prefix: str = "", **_: Any) -> str:
+            name: str = file_name(suffix, prefix, folder)
+            return name
+
+        utils.get_random_filename = in_folder
         try:
             yield
         finally:
             utils.get_random_filename = file_name
-            np.random.set_state(states[0])
-            random.setstate(states[1])
+            np.random.set_state(numpy_state)  # noqa: NPY002
+            random.setstate(python_state)
 
 
 def _piece(scene: Any, name: str) -> Piece:

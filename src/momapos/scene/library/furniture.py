@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Bool, Float
 
-from momapos.geometry.transforms import apply, pose_planar, rotation_about
+from momapos.geometry.transforms import apply, pose, rotation_about
 
 TOUCH = 5e-4  # [m] of overlap that still counts as touching
 BAR, STAND_OFF = 0.02, 0.04  # [m] thickness of a handle, and its distance from the door
@@ -127,8 +127,7 @@ def part_poses(
         part: One of its parts.
         values: Joint values [rad] or [m]; without effect on a part that does not move.
     """
-    T_world_piece = pose_planar(piece.xyz[0], piece.xyz[1], piece.yaw)
-    T_world_piece[2, 3] = piece.xyz[2]
+    T_world_piece = pose(piece.xyz, rotation_about(np.array([0.0, 0.0, 1.0]), piece.yaw))
     Ts_piece_part = np.tile(np.eye(4), (len(values), 1, 1))
     if part.motion is not None and part.motion.kind == "prismatic":
         Ts_piece_part[:, :3, 3] = values[:, None] * np.asarray(part.motion.axis)
@@ -199,7 +198,7 @@ def hits(
     own = h[:, None] + np.einsum("snij,nj->sni", A, h2)[:, None]
     own = own - np.abs(np.einsum("sji,smnj->smni", R, t))
     other = h2 + np.einsum("snji,mj->smni", A, h) - np.abs(np.einsum("nji,smnj->smni", R2, t))
-    return (np.minimum(own.min(-1), other.min(-1)) > TOUCH).any(axis=(1, 2))
+    return np.any(np.minimum(own.min(-1), other.min(-1)) > TOUCH, axis=(1, 2))
 
 
 def ending_before_hits(piece: Piece, pieces: Sequence[Piece], least: Mapping[str, float]) -> Piece:

@@ -1,0 +1,92 @@
+"""What a person reads on the terminal."""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from momapos.pipeline import Answer
+
+MOST_REASONS = 8
+
+
+@contextmanager
+def progress(title: str) -> Iterator[Callable[[float], None]]:
+    """Show the share of long work on stderr when that is a terminal, once it takes a second."""
+    began = time.monotonic()
+    shown = False
+
+    def report(share: float) -> None:
+        nonlocal shown
+        if sys.stderr.isatty() and time.monotonic() - began > 1.0:
+            shown = True
+            print(f"\r{title}: {100 * share:3.0f} %", end="", file=sys.stderr, flush=True)
+
+    yield report
+    if shown:
+        print(file=sys.stderr)
+
+
+def summary(answer: Answer, out: Path | None) -> str:
+    """The answer in a few lines: question, pose, motion, time, and why others were refused."""
+    plan = answer.plan
+    lines = [_question(answer), ""]
+    if plan.base_pose is not None and plan.motion is not None:
+        x, y, yaw = plan.base_pose
+        turn = "" if plan.task.joint is None else f", holding {_span(answer)}"
+        lines += [
+            f"  stand at    x {x:.3f} m, y {y:.3f} m, yaw {math.degrees(yaw):.1f} deg",
+            f"  drive       {plan.navigation_cost:.2f} m from "
+            f"({answer.start[0]:.2f}, {answer.start[1]:.2f})",
+            f"  move        {len(plan.motion.approach)} states to the grasp, then "
+            f"{len(plan.motion.q)}{turn}",
+            "  checked     base, arm and moving part over the whole motion, exact geometry",
+        ]
+    else:
+        word = {"infeasible": "there is no base pose", "timeout": "out of time"}[plan.status]
+        lines.append(f"  {plan.status:<11} {word}; the reasons are below")
+    lines.append(f"  time        {_times(plan.timing)}")
+    lines += _rejections(answer)
+    if out is not None:
+        lines.append(f"  plan        {out}")
+    return "\n".join(lines)
+
+
+def _question(answer: Answer) -> str:
+    task = answer.plan.task
+    what = task.object if task.joint is None else f"{task.object}/{task.joint}"
+    to = "" if task.to is None else f" to {_value(answer, task.to)}"
+    return f"{answer.plan.robot_name}: {task.verb} {what}{to}: {answer.plan.status}"
+
+
+def _value(answer: Answer, value: float) -> str:
+    return f"{100 * value:.0f} cm" if answer.slides else f"{math.degrees(value):.0f} deg"
+
+
+def _span(answer: Answer) -> str:
+    q = answer.motion.object_q
+    return f"{_value(answer, q[0])} to {_value(answer, q[-1])}"
+
+
+def _times(timing: object) -> str:
+    stages = dict(timing)  # type: ignore[call-overload]
+    total = stages.pop("total", 0.0)
+    parts = [f"{name} {1000 * value:.0f}" for name, value in stages.items() if value >= 0.0005]
+    return f"{1000 * total:.0f} ms ({', '.join(parts)})"
+
+
+def _rejections(answer: Answer) -> list[str]:
+    candidates = answer.plan.candidates
+    lines = [f"  candidates  {candidates.sampled} sampled, {candidates.checked} checked in full"]
+    ranked = sorted(candidates.rejections.items(), key=lambda item: -item[1])
+    lines += [f"    {count:>7}  {reason}" for reason, count in ranked[:MOST_REASONS]]
+    if len(ranked) > MOST_REASONS:
+        rest = sum(count for _, count in ranked[MOST_REASONS:])
+        lines.append(f"    {rest:>7}  for {len(ranked) - MOST_REASONS} other reasons")
+    return lines

@@ -1,0 +1,243 @@
+"""momapos place: where to stand and how to move."""
+
+from __future__ import annotations
+
+import math
+import re
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from tyro.conf import Positional, arg
+
+from momapos.errors import TaskError
+
+if TYPE_CHECKING:
+    from momapos.pipeline import Answer
+
+Method = Literal["ours", "paper", "exhaustive"]
+Planner = Literal["RRTConnect", "RRTstar", "BITstar"]
+_UNITS = {"": 1.0, "rad": 1.0, "deg": math.pi / 180, "m": 1.0, "cm": 0.01, "mm": 0.001}
+_STATUS = {"solved": 0, "infeasible": 3, "timeout": 4}
+Target = Annotated[str, arg(metavar="OBJECT[/JOINT]")]
+StartArg = Annotated[str | None, arg(metavar="X,Y,YAW")]
+ToArg = Annotated[str | None, arg(metavar="VALUE")]
+
+
+def place_open(
+    scene: Positional[str],
+    target: Positional[Target],
+    /,
+    *,
+    robot: str = "fetch",
+    to: ToArg = None,
+    start: StartArg = None,
+    method: Method = "ours",
+    planner: Planner = "RRTConnect",
+    seed: int = 0,
+    timeout: float = 30.0,
+    out: Path | None = None,
+    plot: Path | None = None,
+    json: bool = False,
+) -> int:
+    """Open a door, a drawer or a lid.
+
+    Args:
+        scene: A scene file or the name of a built-in kitchen.
+        target: The object, and the joint where it has several.
+        robot: A library robot or a robot file.
+        to: How far, as 90deg, 1.2rad, 0.3m or 30cm; a quarter turn or the whole slide by default.
+        start: Where the robot is now [m, m, rad or deg]; the scene's start by default.
+        method: ours: cheapest pose first; paper: MoMa-Pos as printed; exhaustive: a grid.
+        planner: OMPL's planner for the way from home to the handle.
+        seed: Same seed, same answer.
+        timeout: Time for the answer [s].
+        out: Write the plan here (JSON).
+        plot: Draw the answer here (PNG).
+        json: Print the plan as one JSON object and nothing else.
+    """
+    return _answer("open", scene, target, robot, to, start, method, planner, seed, timeout, out,
+                   plot, json)  # fmt: skip
+
+
+def place_close(
+    scene: Positional[str],
+    target: Positional[Target],
+    /,
+    *,
+    robot: str = "fetch",
+    to: ToArg = None,
+    start: StartArg = None,
+    method: Method = "ours",
+    planner: Planner = "RRTConnect",
+    seed: int = 0,
+    timeout: float = 30.0,
+    out: Path | None = None,
+    plot: Path | None = None,
+    json: bool = False,
+) -> int:
+    """Close a door, a drawer or a lid that stands open in the scene.
+
+    Args:
+        scene: A scene file or the name of a built-in kitchen.
+        target: The object, and the joint where it has several.
+        robot: A library robot or a robot file.
+        to: How far, as 0deg or 0m; shut by default.
+        start: Where the robot is now [m, m, rad or deg]; the scene's start by default.
+        method: ours: cheapest pose first; paper: MoMa-Pos as printed; exhaustive: a grid.
+        planner: OMPL's planner for the way from home to the handle.
+        seed: Same seed, same answer.
+        timeout: Time for the answer [s].
+        out: Write the plan here (JSON).
+        plot: Draw the answer here (PNG).
+        json: Print the plan as one JSON object and nothing else.
+    """
+    return _answer("close", scene, target, robot, to, start, method, planner, seed, timeout, out,
+                   plot, json)  # fmt: skip
+
+
+def place_pick(
+    scene: Positional[str],
+    target: Positional[Annotated[str, arg(metavar="OBJECT")]],
+    /,
+    *,
+    robot: str = "fetch",
+    start: StartArg = None,
+    method: Method = "ours",
+    planner: Planner = "RRTConnect",
+    seed: int = 0,
+    timeout: float = 30.0,
+    out: Path | None = None,
+    plot: Path | None = None,
+    json: bool = False,
+) -> int:
+    """Pick up a rigid object.
+
+    Args:
+        scene: A scene file or the name of a built-in kitchen.
+        target: The object.
+        robot: A library robot or a robot file.
+        start: Where the robot is now [m, m, rad or deg]; the scene's start by default.
+        method: ours: cheapest pose first; paper: MoMa-Pos as printed; exhaustive: a grid.
+        planner: OMPL's planner for the way from home to the object.
+        seed: Same seed, same answer.
+        timeout: Time for the answer [s].
+        out: Write the plan here (JSON).
+        plot: Draw the answer here (PNG).
+        json: Print the plan as one JSON object and nothing else.
+    """
+    return _answer("pick", scene, target, robot, None, start, method, planner, seed, timeout, out,
+                   plot, json)  # fmt: skip
+
+
+def place_place(
+    scene: Positional[str],
+    target: Positional[Annotated[str, arg(metavar="OBJECT")]],
+    /,
+    *,
+    robot: str = "fetch",
+    start: StartArg = None,
+    method: Method = "ours",
+    planner: Planner = "RRTConnect",
+    seed: int = 0,
+    timeout: float = 30.0,
+    out: Path | None = None,
+    plot: Path | None = None,
+    json: bool = False,
+) -> int:
+    """Put a rigid object, which the robot holds, where it stands in the scene.
+
+    Args:
+        scene: A scene file or the name of a built-in kitchen, with the object where it shall be.
+        target: The object.
+        robot: A library robot or a robot file.
+        start: Where the robot is now [m, m, rad or deg]; the scene's start by default.
+        method: ours: cheapest pose first; paper: MoMa-Pos as printed; exhaustive: a grid.
+        planner: OMPL's planner for the way from home to the place.
+        seed: Same seed, same answer.
+        timeout: Time for the answer [s].
+        out: Write the plan here (JSON).
+        plot: Draw the answer here (PNG).
+        json: Print the plan as one JSON object and nothing else.
+    """
+    return _answer("place", scene, target, robot, None, start, method, planner, seed, timeout, out,
+                   plot, json)  # fmt: skip
+
+
+def parse_value(text: str) -> float:
+    """Read a joint value such as 90deg, 1.2, 0.3m or 30cm [rad] or [m]."""
+    match = re.fullmatch(r"\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*([a-z]*)\s*", text)
+    try:
+        if match and match[2] in _UNITS:
+            return float(match[1]) * _UNITS[match[2]]
+    except ValueError:
+        match = None
+    raise TaskError(f"{text!r} is no value; write it as 90deg, 1.2rad, 0.3m or 30cm")
+
+
+def parse_start(text: str) -> list[float]:
+    """Read a base pose X,Y,YAW [m, m, rad], the yaw with a unit if it is not in radians."""
+    parts = text.split(",")
+    if len(parts) != 3:
+        raise TaskError(f"start {text!r} is not X,Y,YAW; write it as 1.5,2.0,90deg")
+    return [parse_value(part) for part in parts]
+
+
+def _answer(
+    verb: str, scene_name: str, target: str, robot_name: str, to: str | None, start: str | None,
+    method: Method, planner: Planner, seed: int, timeout: float, out: Path | None,
+    plot: Path | None, as_json: bool,
+) -> int:  # fmt: skip
+    value = None if to is None else parse_value(to)
+    begin = None if start is None else parse_start(start)
+    if not timeout > 0:
+        raise TaskError("--timeout must be > 0 seconds")
+
+    import numpy as np
+
+    from momapos.cache import default_cache_dir
+    from momapos.cli.console import progress
+    from momapos.config import PipelineConfig
+    from momapos.manipulation.planner import PlannerConfig
+    from momapos.manipulation.tasks import make_task
+    from momapos.pipeline import place
+    from momapos.placement.place import PlaceConfig
+    from momapos.reachability.store import load_or_build
+    from momapos.robots.robot import load_robot
+    from momapos.scene.files import load_scene
+
+    robot = load_robot(robot_name)
+    scene = load_scene(scene_name)
+    for warning in scene.warnings:
+        print(f"momapos: {warning}", file=sys.stderr)
+    name, _, joint = target.partition("/")
+    task = make_task(scene, verb, name, joint or None, value)
+    with progress(f"reachability map of {robot.name}") as report:
+        reach = load_or_build(robot, default_cache_dir(), report)
+    config = PipelineConfig(
+        place=PlaceConfig(method=method), planner=PlannerConfig(algorithm=planner), timeout=timeout
+    )
+    answer = place(
+        scene, robot, task, reach, start=None if begin is None else np.array(begin),
+        config=config, seed=seed,
+    )  # fmt: skip
+    _deliver(answer, out, as_json)
+    if plot is not None:
+        from momapos.viewer.plot import draw_answer
+
+        draw_answer(scene, answer, reach, plot)
+    return _STATUS[answer.plan.status]
+
+
+def _deliver(answer: Answer, out: Path | None, as_json: bool) -> None:
+    import json
+
+    from momapos.cli.console import summary
+    from momapos.plans import plan_to_dict, write_plan
+
+    if out is not None:
+        write_plan(answer.plan, out)
+    if as_json:
+        print(json.dumps(plan_to_dict(answer.plan)))
+    else:
+        print(summary(answer, out))

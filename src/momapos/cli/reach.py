@@ -1,0 +1,75 @@
+"""momapos reach: reachability maps."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from tyro.conf import Positional
+
+
+def reach_build(robot: Positional[str], /, *, cache: Path | None = None, json: bool = False) -> int:
+    """Build a robot's reachability map, or find it in the cache.
+
+    Args:
+        robot: A library robot or a robot file.
+        cache: Folder of the cache.
+        json: Print one JSON object.
+    """
+    import json as encoder
+    import time
+
+    from momapos.cache import default_cache_dir
+    from momapos.cli.console import progress
+    from momapos.reachability.store import load_or_build
+    from momapos.robots.robot import load_robot
+
+    machine, folder = load_robot(robot), cache or default_cache_dir()
+    began = time.perf_counter()
+    with progress(f"reachability map of {machine.name}") as report:
+        load_or_build(machine, folder, report)
+    seconds = time.perf_counter() - began
+    if json:
+        print(encoder.dumps({"robot": machine.name, "cache": str(folder), "seconds": seconds}))
+    else:
+        print(f"reachability map of {machine.name}: ready after {seconds:.1f} s in {folder}")
+    return 0
+
+
+def reach_eval(
+    robot: Positional[str], /, *, count: int = 20_000, seed: int = 0, cache: Path | None = None,
+    json: bool = False,
+) -> int:  # fmt: skip
+    """Hold a robot's reachability map against exact inverse kinematics.
+
+    Args:
+        robot: A library robot or a robot file.
+        count: Number of random tool poses.
+        seed: Seed of the poses.
+        cache: Folder of the cache.
+        json: Print one JSON object.
+    """
+    import json as encoder
+    from dataclasses import asdict
+
+    import numpy as np
+
+    from momapos.cache import default_cache_dir
+    from momapos.cli.console import progress
+    from momapos.errors import InputError
+    from momapos.reachability.evaluation import evaluate
+    from momapos.reachability.store import load_or_build
+    from momapos.robots.robot import load_robot
+
+    if not 0 < count <= 10_000_000:
+        raise InputError("--count must be between 1 and 10000000")
+    machine = load_robot(robot)
+    with progress(f"reachability map of {machine.name}") as report:
+        reach = load_or_build(machine, cache or default_cache_dir(), report)
+    result = asdict(evaluate(reach, machine, np.random.default_rng(seed), count))
+    if json:
+        print(encoder.dumps({"robot": machine.name, **result}))
+    else:
+        width = max(len(name) for name in result)
+        for name, value in result.items():
+            print(f"{name:<{width}}  {value:.4g}")
+    return 0
