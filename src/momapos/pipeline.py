@@ -114,12 +114,14 @@ def place(
         with watch.stage("exact check"):
             return exact.refusal((float(base[0]), float(base[1]), float(base[2])), found)
 
+    feasible = Feasibility(robot, world, motion, config.planner, refuse, seed)
     with watch.stage("search"):
         result = search(
             site,
             reach,
             cost.lengths,
-            Feasibility(robot, world, motion, config.planner, refuse, seed),
+            feasible,
+            feasible.screen,
             config.place,
             np.random.default_rng(seed),
             start=start,

@@ -236,7 +236,7 @@ def test_arithmetic_has_its_value(text: object, value: float) -> None:
     ],
 )  # fmt: skip
 def test_everything_else_is_refused(text: object) -> None:
-    with pytest.raises(ValueError, match="^.+$") as caught:
+    with pytest.raises(ValueError, match=r"^.+$") as caught:
         number(text)
     assert "\n" not in str(caught.value)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
+from momapos.cli.scene import scene_convert, scene_list, scene_show
 from momapos.errors import FileFormatError, SceneError, UnknownNameError
 from momapos.geometry.transforms import pose_rpy
 from momapos.kinematics.articulated import Articulated
@@ -169,6 +171,54 @@ def test_paths_go_below_the_given_root(tmp_path: Path) -> None:
     with pytest.raises(SceneError, match="leaves"):
         load_scene(path)
     assert load_scene(path, root=tmp_path).objects[0].name == "cupboard"
+
+
+def test_converting_copies_what_the_scene_needs(tmp_path: Path) -> None:
+    source, out = tmp_path / "source", tmp_path / "target" / "room.json"
+    source.mkdir()
+    path = write(source)
+    (source / "mesh.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n")
+    (source / "sub").mkdir()
+    mesh = CUPBOARD.replace('<box size="0.4 0.6 0.8"/>', '<mesh filename="../mesh.obj"/>')
+    (source / "sub" / "cupboard.urdf").write_text(mesh)
+    path.write_text(path.read_text().replace('"cupboard.urdf"', '"sub/cupboard.urdf"'))
+    with pytest.raises(SceneError, match="--copy") as caught:
+        scene_convert(str(path), out)
+    assert str(source) in str(caught.value), "says where it could stand"
+    assert not out.parent.exists()
+    assert scene_convert(str(path), out, copy=True) == 0
+    shutil.rmtree(source / "sub")
+    names = {str(p.relative_to(out.parent)) for p in out.parent.rglob("*") if p.is_file()}
+    assert names == {"room.json", "room_files/mesh.obj", "room_files/sub/cupboard.urdf"}
+    copied = load_scene(out)
+    assert copied.object("cupboard").values() == {"hinge": 0.5}
+    assert len(copied.object("cupboard").model.hulls["body"][0].vertices) == 4
+    with pytest.raises(SceneError, match="exists already"):
+        scene_convert(str(out), out, copy=True)
+
+
+def test_showing_a_scene_tells_its_joints_and_draws_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, picture = write(tmp_path, colour="red"), tmp_path / "new" / "room.png"
+    assert scene_show(str(path), plot=picture) == 0
+    text = capsys.readouterr()
+    assert "hinge" in text.out
+    assert "0.00 to 1.50 rad, at 0.50" in text.out
+    assert "'colour'" in text.err, "what was assumed goes to stderr"
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert scene_show(str(path), json=True) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["floor_area"] == pytest.approx(18.0)
+    assert facts["objects"][0]["joints"] == [
+        {"name": "hinge", "kind": "revolute", "lower": 0.0, "upper": 1.5, "value": 0.5}
+    ]
+
+
+def test_the_built_in_kitchens_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert scene_list(json=True) == 0
+    scenes = json.loads(capsys.readouterr().out)["scenes"]
+    assert len(scenes) == len(builtin_names())
 
 
 BOX = {"name": "a", "pose": {"xyz": [0, 0, 0]}, "box": [1, 1, 1]}

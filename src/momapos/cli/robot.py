@@ -38,7 +38,7 @@ def robot_list(*, json: bool = False) -> int:
     return SOLVED
 
 
-def robot_show(name: str, *, json: bool = False) -> int:
+def robot_show(name: str, /, *, json: bool = False) -> int:
     """Show a robot: its joints, tool, footprint and how its arm is inverted.
 
     Args:
@@ -51,7 +51,7 @@ def robot_show(name: str, *, json: bool = False) -> int:
 
 
 def robot_check(
-    file: Path, *, out: Path | None = None, plot: Path | None = None, json: bool = False
+    file: Path, /, *, out: Path | None = None, plot: Path | None = None, json: bool = False
 ) -> int:
     """Check a robot file, or derive one from a URDF alone.
 
@@ -93,7 +93,7 @@ def robot_check(
     return SOLVED
 
 
-def robot_export(name: str, dir: Path) -> int:
+def robot_export(name: str, dir: Path, /) -> int:
     """Copy a robot of the library into a folder, to start a robot of your own from.
 
     Args:
@@ -106,7 +106,9 @@ def robot_export(name: str, dir: Path) -> int:
     files = [path for path in sorted(source.rglob("*")) if path.is_file()]
     taken = [path for path in files if (dir / path.relative_to(source)).exists()]
     if taken:
-        raise RobotError(f"{dir / taken[0].relative_to(source)}: exists already; choose a new folder")
+        raise RobotError(
+            f"{dir / taken[0].relative_to(source)}: exists already; choose a new folder"
+        )
     for path in files:
         target = dir / path.relative_to(source)
         try:
@@ -186,7 +188,7 @@ def as_text(facts: dict[str, Any]) -> str:
 
 
 def draw_robot(robot: Robot, path: Path) -> None:
-    """Draw a robot at home from above and from its left, with its collision spheres."""
+    """Draw a robot at home from above and from its right, with its collision spheres."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(11, 6), layout="constrained")
@@ -221,9 +223,7 @@ def _draw_view(robot: Robot, axes: Axes, i: int, j: int) -> None:
         boxes.append(Polygon(points[ConvexHull(points).vertices]))
     axes.add_collection(PatchCollection(boxes, facecolor="0.8", edgecolor="0.5", alpha=0.7))
     centers, held = sphere_centers(robot, robot.home)
-    circles = [
-        Circle((c[i], c[j]), r) for c, r in zip(centers, robot.spheres.radius, strict=True)
-    ]
+    circles = [Circle((c[i], c[j]), r) for c, r in zip(centers, robot.spheres.radius, strict=True)]
     colours = np.where(held, "tab:orange", "tab:blue")
     axes.add_collection(PatchCollection(circles, facecolor=colours, edgecolor="none", alpha=0.25))
     T = robot.chain.tool_poses(robot.home[None])[0]

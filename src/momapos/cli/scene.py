@@ -40,7 +40,7 @@ def scene_list(*, json: bool = False) -> int:
     return SOLVED
 
 
-def scene_show(scene: str, *, plot: Path | None = None, json: bool = False) -> int:
+def scene_show(scene: str, /, *, plot: Path | None = None, json: bool = False) -> int:
     """Show what is in a scene: its objects, their sizes, their joints.
 
     Args:
@@ -74,7 +74,7 @@ def scene_show(scene: str, *, plot: Path | None = None, json: bool = False) -> i
     return SOLVED
 
 
-def scene_new(layout: str, *, seed: int = 0, out: Path, json: bool = False) -> int:
+def scene_new(layout: str, /, *, seed: int = 0, out: Path, json: bool = False) -> int:
     """Make a new kitchen from a layout and a seed.
 
     Args:
@@ -98,6 +98,7 @@ def scene_new(layout: str, *, seed: int = 0, out: Path, json: bool = False) -> i
 def scene_convert(
     source: str,
     out: Path,
+    /,
     *,
     copy: bool = False,
     root: Path | None = None,
@@ -269,7 +270,8 @@ def draw_scene(scene: Scene, path: Path) -> None:
                     Polygon(outline, facecolor=colour, alpha=0.35, edgecolor=colour, zorder=height)
                 )
         low, high = item.bounds
-        axes.text(*(low + high)[:2] / 2, item.name, ha="center", va="center", size=7, zorder=99)
+        x, y = (low + high)[:2] / 2
+        axes.text(x, y, item.name, ha="center", va="center", size=7, zorder=99)
     if scene.start is not None:
         x, y, yaw = scene.start
         axes.plot(x, y, "ko")

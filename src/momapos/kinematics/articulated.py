@@ -66,11 +66,12 @@ class Articulated:
 
     def links_below(self, link: str) -> tuple[str, ...]:
         """The link and everything that hangs from it."""
-        below, queue = [], [link]
+        below, queue = {link}, [link]
         while queue:
-            below.append(queue.pop())
-            queue += [joint.child for joint in self._children.get(below[-1], [])]
-        return tuple(name for name in self.links if name in set(below))
+            children = [joint.child for joint in self._children.get(queue.pop(), [])]
+            below.update(children)
+            queue += children
+        return tuple(name for name in self.links if name in below)
 
     def moved_by(self, joint: str) -> tuple[str, ...]:
         """Names of the links that move when the joint does."""

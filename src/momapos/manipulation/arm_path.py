@@ -30,6 +30,8 @@ class ArmPath:
     """UNREACHABLE, HIT, BROKEN (no continuous branch) or FOUND."""
     waypoint: int
     """The waypoint at which it failed; the number of waypoints when it did not."""
+    passed: int
+    """How many waypoints had a free configuration before that."""
     obstacle: int
     """What was hit, a code of the world; FREE where nothing was."""
     q: Float[np.ndarray, "d n"] | None = None
@@ -45,27 +47,35 @@ def find_paths(
 ) -> list[ArmPath]:
     """Look for an arm path for each pair of base pose and grasp.
 
-    Waypoints are taken one after the other for all pairs at once; a pair that fails at one
-    is not carried on.
+    The ends and the middle of the motion are looked at first, since they fail most; a pair
+    that fails at one waypoint is not carried on.
     """
-    jobs = len(grasps)
-    failed: list[ArmPath | None] = [None] * jobs
-    layers: list[_Layer] = []
-    alive = np.arange(jobs)
-    for w in range(len(motion.coarse)):
+    count = len(motion.coarse)
+    paths: list[ArmPath | None] = [None] * len(grasps)
+    layers: list[_Layer | None] = [None] * count
+    alive = np.arange(len(grasps))
+    for passed, w in enumerate(_ends_first(count)):
         layer = _solve_layer(robot, world, motion, bases, grasps, alive, w)
-        for j, counts, code in zip(layer.jobs, layer.counts, layer.codes, strict=True):
-            if counts == 0:
-                status = UNREACHABLE if code == FREE else HIT
-                failed[j] = ArmPath(status, w, int(code))
+        for j, code in zip(layer.jobs[layer.counts == 0], layer.codes[layer.counts == 0], strict=True):
+            status = UNREACHABLE if code == FREE else HIT
+            paths[j] = ArmPath(status, w, passed, int(code))
         alive = layer.jobs[layer.counts > 0]
-        layers.append(layer)
+        layers[w] = layer
         if not len(alive):
             break
-    found = [_connect(robot, world, motion, bases, grasps, layers, int(j)) for j in alive]
-    for j, path in zip(alive, found, strict=True):
-        failed[int(j)] = path
-    return [path for path in failed if path is not None]
+    for j in alive:
+        nodes = [layer.nodes(int(j)) for layer in layers if layer is not None]
+        paths[j] = _connect(robot, world, motion, bases[j], int(grasps[j]), nodes)
+    return [path for path in paths if path is not None]
+
+
+def _ends_first(count: int) -> list[int]:
+    """All of range(count): last, first, then ever finer between them."""
+    order, stride = [count - 1, 0], count - 1
+    while stride > 1:
+        stride = (stride + 1) // 2
+        order += [i for i in range(0, count, stride) if i not in order]
+    return order
 
 
 @dataclass(frozen=True)
@@ -118,24 +128,23 @@ def _solve_layer(
 
 
 def _connect(
-    robot: Robot, world: World, motion: TaskMotion, bases: np.ndarray, grasps: np.ndarray,
-    layers: list[_Layer], job: int,
+    robot: Robot, world: World, motion: TaskMotion, base: np.ndarray, grasp: int,
+    nodes: list[Float[np.ndarray, "k n"]],
 ) -> ArmPath:
-    """Shortest path through the layers, then every state between, checked."""
-    nodes = [layer.nodes(job) for layer in layers]
+    """Shortest path through the layers of one job, then every state between, checked."""
     start = np.cumsum([0, *(len(k) for k in nodes)])
     stacked = np.concatenate(nodes)
     chain = robot.chain
     full_turn = ~chain.prismatic & (chain.upper - chain.lower > 2 * np.pi + 0.1)
     banned = np.zeros(len(stacked), bool)
-    T_base_world = invert(pose_planar(bases[job]))
-    targets = T_base_world @ motion.Ts_world_tool[grasps[job]]
-    worst = ArmPath(BROKEN, 0, FREE)
+    targets = invert(pose_planar(base)) @ motion.Ts_world_tool[grasp]
+    count = len(nodes)
+    worst = ArmPath(BROKEN, 0, count, FREE)
     for _ in range(4):
-        chosen = np.full(len(nodes), -1)
+        chosen = np.full(count, -1)
         reached = _shortest(stacked, start, banned, full_turn, chosen)
-        if reached < len(nodes):
-            return worst if worst.obstacle != FREE else ArmPath(BROKEN, reached, FREE)
+        if reached < count:
+            return worst if worst.obstacle != FREE else ArmPath(BROKEN, reached, count, FREE)
         q = _unwrap(stacked[chosen], full_turn, chain.lower, chain.upper)
         dense = np.empty((len(motion.object_q), chain.size))
         bad = _track(
@@ -144,16 +153,17 @@ def _connect(
         )
         if bad < 0:
             codes = check(
-                world, chain, robot.spheres, dense, np.tile(bases[job], (len(dense), 1)),
+                world, chain, robot.spheres, dense, np.tile(base, (len(dense), 1)),
                 motion.value, motion.holding,
             )
             hit = np.flatnonzero(codes != FREE)
             if not len(hit):
-                return ArmPath(FOUND, len(nodes), FREE, dense)
+                return ArmPath(FOUND, count, count, FREE, dense)
             bad = int(hit[0])
-            worst = ArmPath(HIT, int(np.searchsorted(motion.coarse, bad)), int(codes[bad]))
+            step = int(np.searchsorted(motion.coarse, bad))
+            worst = ArmPath(HIT, step, count, int(codes[bad]))
         # Without the node after the failure the next path must take another way.
-        banned[chosen[min(int(np.searchsorted(motion.coarse, bad)), len(nodes) - 1)]] = True
+        banned[chosen[min(int(np.searchsorted(motion.coarse, bad)), count - 1)]] = True
     return worst
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +24,9 @@ Refusal = Callable[[Float[np.ndarray, "3"], Motion], str | None]
 """The exact check: None where a motion holds, else what is wrong with it."""
 _FIRST = 4
 """Grasps that are tried together before the rest [-]."""
+_BATCH = 256
+"""Pairs of base pose and grasp that are screened together [-]."""
+_THREADS = 2
 
 
 @dataclass(frozen=True)
@@ -54,13 +58,52 @@ class Feasibility:
             paths = find_paths(self.robot, self.world, self.motion, bases, chunk)
             for grasp, path in zip(chunk, paths, strict=True):
                 if path.status != FOUND:
-                    if furthest is None or path.waypoint > furthest.waypoint:
+                    if furthest is None or path.passed > furthest.passed:
                         furthest = path
                     continue
                 motion, last = self._complete(base, path, int(grasp))
                 if motion is not None:
                     return Attempt(motion, "")
         return Attempt(None, last or self._reason(furthest))
+
+    def screen(
+        self, bases: Float[np.ndarray, "n 3"], scores: Float[np.ndarray, "n g"]
+    ) -> Bool[np.ndarray, " n"]:
+        """Tell at which base poses some grasp has an arm path, many poses at a time.
+
+        Args:
+            bases: Base poses that stand clear.
+            scores: Reachability of each grasp from each; only those above 0 are tried.
+        """
+        order = np.argsort(-scores, axis=1, kind="stable")
+        reached = (scores > 0).sum(1)
+        found = np.zeros(len(bases), bool)
+        home = check(
+            self.world, self.robot.chain, self.robot.spheres,
+            np.tile(self.robot.home, (len(bases), 1)), bases,
+            np.full(len(bases), self.motion.value[0]),
+            np.full(len(bases), self.motion.task.verb == "place"),
+        )  # fmt: skip
+        first, width = 0, 2
+        while first < scores.shape[1]:
+            left = np.flatnonzero(~found & (reached > first) & (home == FREE))
+            ranks = np.arange(first, min(first + width, scores.shape[1]))
+            jobs = np.stack(np.broadcast_arrays(left[:, None], ranks[None]), -1).reshape(-1, 2)
+            jobs = jobs[jobs[:, 1] < reached[jobs[:, 0]]]
+            chunks = np.array_split(jobs, max(1, len(jobs) // _BATCH))
+            with ThreadPoolExecutor(_THREADS) as pool:
+                for chunk, good in zip(chunks, pool.map(
+                    lambda c: self._found(bases[c[:, 0]], order[c[:, 0], c[:, 1]]), chunks
+                ), strict=True):  # fmt: skip
+                    found[chunk[good, 0]] = True
+            first, width = first + width, 3 * width
+        return found
+
+    def _found(
+        self, bases: Float[np.ndarray, "j 3"], grasps: Int[np.ndarray, " j"]
+    ) -> Bool[np.ndarray, " j"]:
+        paths = find_paths(self.robot, self.world, self.motion, bases, grasps)
+        return np.array([path.status == FOUND for path in paths], bool)
 
     def _check(
         self, q: Float[np.ndarray, "m n"], base: np.ndarray, spheres: Spheres

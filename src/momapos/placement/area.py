@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from momapos.geometry.polygons import all_inside
+from momapos.geometry.transforms import wrap_angle
 from momapos.kinematics.base_collision import base_hits
 from momapos.kinematics.collision import FREE
 from momapos.kinematics.hulls import Boxes
@@ -61,13 +62,38 @@ def arm_radius(site: Site) -> Float[np.ndarray, " w"]:
         return np.sqrt(reach**2 - dz**2)
 
 
+def task_frame(site: Site) -> Float[np.ndarray, "3"]:
+    """A frame on the floor at the first waypoint, x along the approach: x [m], y [m], yaw [rad].
+
+    Samples and grids are laid out in it, so that an answer moves with the room.
+    """
+    T = site.Ts_world_tool[0, 1]
+    along = T[:2, :3] @ site.robot.approach_axis
+    if np.hypot(*along) < 0.1:  # from straight above: take how the fingers close
+        along = T[:2, :3] @ site.robot.closing_axis
+    return np.array([T[0, 3], T[1, 3], np.arctan2(along[1], along[0])])
+
+
+def in_world(
+    frame: Float[np.ndarray, "3"], poses: Float[np.ndarray, "n 3"]
+) -> Float[np.ndarray, "n 3"]:
+    """Map base poses from a frame on the floor to the world."""
+    c, s = np.cos(frame[2]), np.sin(frame[2])
+    x, y, yaw = poses.T
+    return np.stack(
+        [frame[0] + c * x - s * y, frame[1] + s * x + c * y, wrap_angle(frame[2] + yaw)], -1
+    )
+
+
 def sampling_box(site: Site) -> Float[np.ndarray, "2 2"] | None:
-    """Corners of the floor rectangle that holds A, or None where A is empty [m]."""
+    """Corners of the rectangle in the task's frame that holds A; None where A is empty [m]."""
     radius = arm_radius(site)
     if np.isnan(radius).any():
         return None
     reach = radius + np.linalg.norm(site.shoulder[:2])
-    plain = site.Ts_world_tool[0, :, :2, 3]
+    x0, y0, yaw = task_frame(site)
+    c, s = np.cos(yaw), np.sin(yaw)
+    plain = (site.Ts_world_tool[0, :, :2, 3] - [x0, y0]) @ np.array([[c, -s], [s, c]])
     low = (plain - reach[:, None]).max(0)
     high = (plain + reach[:, None]).min(0)
     return None if (low >= high).any() else np.stack([low, high])

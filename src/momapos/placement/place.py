@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.stats import qmc
 
-from momapos.placement.area import BLOCKED, CLEAR, OFF_FLOOR, Site, sampling_box, standing
+from momapos.placement.area import BLOCKED, CLEAR, OFF_FLOOR, Site, in_world, sampling_box, standing, task_frame
 from momapos.placement.order import by_expected_cost, open_tours
 from momapos.placement.potential import attraction
 from momapos.protocols import ReachScorer, TravelCost
@@ -21,6 +21,7 @@ Method = Literal["ours", "paper", "exhaustive"]
 FEASIBLE = "feasible"
 REASONS = {BLOCKED: "base blocked", OFF_FLOOR: "base off the floor", 3: "farther than the arm"}
 NO_REACH, NO_WAY, NOT_TRIED = "out of reach", "no way to drive there", "not tried"
+NO_PATH = "no free arm path over the waypoints"
 
 
 @dataclass(frozen=True)
@@ -57,6 +58,12 @@ AttemptPose = Callable[[Float[np.ndarray, "3"], Int[np.ndarray, " k"]], Attempt]
 """Check one base pose with some grasps, best first."""
 
 
+ScreenPoses = Callable[
+    [Float[np.ndarray, "n 3"], Float[np.ndarray, "n g"]], Bool[np.ndarray, " n"]
+]
+"""Tell at which base poses some grasp has an arm path, from the scores of all grasps."""
+
+
 @dataclass
 class Search:
     """What has been looked at so far, and the best of it."""
@@ -81,6 +88,7 @@ def search(
     reach: ReachScorer,
     travel_cost: TravelCost,
     attempt: AttemptPose,
+    screen: ScreenPoses,
     config: PlaceConfig,
     rng: np.random.Generator,
     *,
@@ -94,6 +102,7 @@ def search(
         reach: The robot's reachability map.
         travel_cost: Driving lengths.
         attempt: Checks one base pose completely.
+        screen: Checks many base poses for an arm path alone; the grid needs it.
         config: How to search.
         rng: Source of the samples.
         start: Where the robot is: x [m], y [m], yaw [rad].
@@ -108,8 +117,12 @@ def search(
         found.poses.append(np.zeros((1, 3)))
         found.reasons.append(np.array([f"{NO_REACH} at any distance"], object))
         return found
-    for poses in _rounds(corners, config, rng):
-        _try(site, poses, reach, travel_cost, attempt, config, start, out_of_time, found)
+    frame = task_frame(site)
+    for local, on_grid in _rounds(corners, config, rng):
+        _try(
+            site, in_world(frame, local), on_grid, reach, travel_cost, attempt, screen, config, start,
+            out_of_time, found,
+        )  # fmt: skip
         if found.motion is not None or found.timed_out:
             break
     return found
@@ -117,27 +130,27 @@ def search(
 
 def _rounds(
     corners: Float[np.ndarray, "2 2"], config: PlaceConfig, rng: np.random.Generator
-) -> Iterator[Float[np.ndarray, "n 3"]]:
-    """Samples of every round; the grid last, so that a "no" is the grid's."""
+) -> Iterator[tuple[Float[np.ndarray, "n 3"], bool]]:
+    """Samples of every round, in the task's frame; the grid last (True), for its "no"."""
     if config.method != "exhaustive":
         for r in range(config.rounds):
             unit = qmc.LatinHypercube(3, rng=rng).random(config.count * 2**r)
             low, high = np.append(corners[0], -np.pi), np.append(corners[1], np.pi)
-            yield low + unit * (high - low)
+            yield low + unit * (high - low), False
     x, y = (
         np.arange(np.floor(lo / config.grid_cell), np.ceil(hi / config.grid_cell) + 1)
         * config.grid_cell
         for lo, hi in corners.T
     )
     yaw = np.radians(np.arange(-180.0, 180.0, config.grid_turn))
-    yield np.stack(np.meshgrid(x, y, yaw, indexing="ij"), -1).reshape(-1, 3)
+    yield np.stack(np.meshgrid(x, y, yaw, indexing="ij"), -1).reshape(-1, 3), True
 
 
 def _try(
-    site: Site, poses: np.ndarray, reach: ReachScorer, travel_cost: TravelCost,
-    attempt: AttemptPose, config: PlaceConfig, start: np.ndarray,
+    site: Site, poses: np.ndarray, on_grid: bool, reach: ReachScorer, travel_cost: TravelCost,
+    attempt: AttemptPose, screen: ScreenPoses, config: PlaceConfig, start: np.ndarray,
     out_of_time: Callable[[], bool], found: Search,
-) -> None:
+) -> None:  # fmt: skip
     """Cull one round's poses, order what is left, and check it."""
     outcome, _ = standing(site, poses)
     reasons = np.full(len(poses), NOT_TRIED, object)
@@ -151,13 +164,21 @@ def _try(
     best = scores.max(1, initial=0.0)
     reasons[clear[best <= 0]] = NO_REACH
     clear, travel, scores = clear[best > 0], travel[best > 0], scores[best > 0]
-    order = _order(site, poses[clear], travel, scores, config, start)
+    if on_grid:
+        passed = screen(poses[clear], scores)
+        found.checked += len(clear)
+        reasons[clear[~passed]] = NO_PATH
+        reasons[clear[passed]] = FEASIBLE
+        clear, travel, scores = clear[passed], travel[passed], scores[passed]
+        order = np.argsort(travel, kind="stable")
+    else:
+        order = _order(site, poses[clear], travel, scores, config, start)
     left = config.improve
     for i in order:
         if travel[i] >= found.cost - 1e-9:
             continue
-        if found.motion is not None and config.method != "exhaustive":
-            if config.method == "paper" or left == 0:
+        if found.motion is not None:
+            if on_grid or config.method == "paper" or left == 0:
                 break
             left -= 1
         if out_of_time():
@@ -165,10 +186,8 @@ def _try(
             break
         grasps = np.argsort(-scores[i], kind="stable")
         grasps = grasps[scores[i, grasps] > 0]
-        if config.method != "exhaustive":
-            grasps = grasps[: config.grasps]
-        result = attempt(poses[clear[i]], grasps)
-        found.checked += 1
+        result = attempt(poses[clear[i]], grasps if on_grid else grasps[: config.grasps])
+        found.checked += not on_grid
         reasons[clear[i]] = result.reason or FEASIBLE
         if result.motion is not None:
             found.base, found.motion, found.cost = poses[clear[i]], result.motion, travel[i]
@@ -180,8 +199,8 @@ def _order(
     site: Site, poses: np.ndarray, travel: np.ndarray, scores: np.ndarray, config: PlaceConfig,
     start: np.ndarray,
 ) -> Int[np.ndarray, " n"]:
-    if config.method == "exhaustive" or not len(poses):
-        return np.argsort(travel, kind="stable")
+    if not len(poses):
+        return np.zeros(0, int)
     field_value = attraction(site, poses[:, :2], np.array([site.shoulder[2]]))
     potential = scores.max(1) + field_value
     if config.method == "paper":

@@ -56,7 +56,7 @@ def line_pose(r, z, u, v, roll, tool, R, p):
 
 
 @njit(cache=True, nogil=True)
-def _arc(q, turn, lower, upper):
+def arc_mask(q, turn, lower, upper):
     """Mask of the bearings that the first joint can serve, from its value at bearing 0."""
     if upper - lower >= 2.0 * math.pi - 1e-6:
         return EVERY
@@ -151,15 +151,17 @@ def _clear_bearings(wanted, R, p, heights, first, axis, fixed):
 
 
 @njit(cache=True, nogil=True)
-def _line_mask(R_tool, p_tool, mask, arm, chain, limits, ik, work):
+def _line_mask(R_tool, p_tool, mask, arm, chain, limits, ik, arcs, work):
     """Add the bearings at which a tool pose is reachable to a mask."""
     first, turn, lower, upper, axis, turning, fixed, rings = arm
     out, scratch, R, p, heights = work
     samples = ik[2]
     for s in range(len(samples)):
+        if arcs[s] & ~mask == np.uint64(0):
+            continue
         count = solve_sample(s, R_tool, p_tool, chain, limits, ik, out, scratch)
         for k in range(count):
-            gain = _arc(out[k, first], turn, lower, upper) & ~mask
+            gain = arc_mask(out[k, first], turn, lower, upper) & ~mask
             if gain == np.uint64(0):
                 continue
             R[0], p[0] = np.eye(3), 0.0
@@ -175,7 +177,7 @@ def _line_mask(R_tool, p_tool, mask, arm, chain, limits, ik, work):
 
 
 @njit(cache=True, nogil=True)
-def line_masks(lines, rolls, tool, arm, chain, limits, ik, masks):
+def line_masks(lines, rolls, tool, arm, chain, limits, ik, arcs, masks):
     """Bearings at which lines (m, 4: z, r, u, v) can be reached, into masks (m,).
 
     A line counts where every roll of the tool can be reached.
@@ -194,7 +196,7 @@ def line_masks(lines, rolls, tool, arm, chain, limits, ik, masks):
             line_pose(r, z, lines[i, 2], lines[i, 3], rolls[k], tool, R, p)
             p[0] += axis[0]
             p[1] += axis[1]
-            mask &= _line_mask(R, p, ~mask, arm, chain, limits, ik, work)
+            mask &= _line_mask(R, p, ~mask, arm, chain, limits, ik, arcs, work)
             if mask == np.uint64(0):
                 break
         masks[i] = mask

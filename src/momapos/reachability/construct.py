@@ -15,8 +15,8 @@ from jaxtyping import Float
 from momapos.errors import RobotError
 from momapos.geometry.transforms import orthonormal
 from momapos.kinematics.chain import Chain
-from momapos.kinematics.ik import build_ik, chain_arrays, ik_arrays
-from momapos.reachability.build import BEARINGS, line_masks
+from momapos.kinematics.ik import NUMERIC, IkModel, build_ik, chain_arrays, ik_arrays
+from momapos.reachability.build import BEARINGS, EVERY, arc_mask, line_masks
 from momapos.reachability.grid import grid_points, pack_shape
 from momapos.reachability.map import ReachConfig, ReachMap
 from momapos.reachability.margin import (
@@ -162,6 +162,7 @@ class _Evaluator:
             upper=np.where(np.arange(chain.size) == first, np.inf, chain.upper),
         )
         ik = build_ik(free, samples_per_joint=config.samples)
+        ik, arcs = _ordered(ik, chain, frame)
         rolls = max(config.rolls, 1 if frame.full_roll else 8)
         turning, fixed, rings = _split(robot, frame)
         self.progress = progress
@@ -172,7 +173,7 @@ class _Evaluator:
         )
         self.arguments = (
             np.ascontiguousarray(frame.tool), arm, chain_arrays(free), (free.lower, free.upper),
-            ik_arrays(ik),
+            ik_arrays(ik), arcs,
         )
 
     def __call__(self, lines: np.ndarray, begin: float, end: float) -> np.ndarray:
@@ -186,6 +187,25 @@ class _Evaluator:
             block, len(lines), BLOCK, lambda share: self.progress(begin + share * (end - begin))
         )
         return masks
+
+
+def _ordered(ik: IkModel, chain: Chain, frame: Frame) -> tuple[IkModel, np.ndarray]:
+    """Sort the samples of a longer arm so that few must be solved, and tell what each can give.
+
+    Where the first joint is one that is locked, its value says which bearings a sample can serve.
+    Straight ahead comes first, then the values farthest to the sides: what lies between them
+    adds nothing, and is then skipped.
+    """
+    first = frame.first
+    if ik.kind == NUMERIC or first in ik.active:
+        return ik, np.full(len(ik.samples), EVERY)
+    pan = ik.samples[:, first]
+    rest = np.delete(ik.samples, first, axis=1)
+    order = np.lexsort((*rest.T, pan, np.where(np.abs(pan) < 1e-9, -np.inf, -np.abs(pan))))
+    lower, upper = float(chain.lower[first]), float(chain.upper[first])
+    arcs = np.array([arc_mask(q, frame.turn, lower, upper) for q in pan[order]], np.uint64)
+    names = ("samples", "h", "o", "wrist", "R_tool", "p_tool")
+    return replace(ik, **{name: getattr(ik, name)[order] for name in names}), arcs
 
 
 def _split(robot: Robot, frame: Frame) -> tuple[tuple, tuple, np.ndarray]:  # type: ignore[type-arg]

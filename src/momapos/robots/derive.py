@@ -142,7 +142,8 @@ def _named(pattern: re.Pattern[str], joint: Joint) -> bool:
 
 def _anchor(model: Articulated, notes: list[str]) -> str:
     """The link that carries the base: below the joints that stand for driving, as in Fetch's."""
-    anchor, link, virtual = model.urdf.root, model.urdf.root, []
+    anchor, link = model.urdf.root, model.urdf.root
+    virtual: list[str] = []
     while not model.urdf.links[link].collisions and len(joints_below(model, link)) == 1:
         joint = joints_below(model, link)[0]
         upright = abs(joint.axis[2]) > 0.99
@@ -227,12 +228,11 @@ def _base_links(model: Articulated, joints: Sequence[str]) -> list[str]:
     return [name for name in model.links if name not in arm]
 
 
-def _base_link(
-    model: Articulated, anchor: str, joints: Sequence[str], notes: list[str]
-) -> str:
+def _base_link(model: Articulated, anchor: str, joints: Sequence[str], notes: list[str]) -> str:
     """A link fixed to the base whose z = 0 is the floor."""
     rigid = fixed_to(model, anchor)
-    preferred = [name for name in ("base_footprint", "base_link") if name in rigid]
+    usual: tuple[str, ...] = ("base_footprint", "base_link")
+    preferred = [name for name in usual if name in rigid]
     body = _base_links(model, joints)
     offsets = {}
     for name in dict.fromkeys([*preferred, anchor, *rigid]):

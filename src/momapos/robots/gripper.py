@@ -53,9 +53,7 @@ def points_of(model: Articulated, frame: str, links: Iterable[str]) -> Float[np.
     return np.concatenate(points) if points else np.zeros((0, 3))
 
 
-def find_tool(
-    model: Articulated, last: str, notes: list[str]
-) -> tuple[str, list[str], list[str]]:
+def find_tool(model: Articulated, last: str, notes: list[str]) -> tuple[str, list[str], list[str]]:
     """Find the tool link, the links of the gripper, and the links that its fingers begin with.
 
     Args:
@@ -107,8 +105,8 @@ def find_grip(
     opening = _opening(model, tool, fingers, np.stack([closing, approach]), middle)
     words = "measured at the finger tips" if opening else "a guess: the gap is not clear"
     notes.append(
-        f"approach_axis {listed(approach)} points along the fingers, closing_axis {listed(closing)} "
-        f"across them; opening {opening or GUESS:g} m, {words}"
+        f"approach_axis {listed(approach)} points along the fingers, closing_axis "
+        f"{listed(closing)} across them; opening {opening or GUESS:g} m, {words}"
     )
     tip = max(float((points @ approach).max()) for points in hands)
     if not -0.02 <= tip <= 0.1:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import os
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -117,7 +118,7 @@ def load_robot(source: str | Path) -> Robot:
         path = Path(str(resources.files("momapos.robots") / "library" / text / f"{text}.toml"))
     else:
         path = Path(source)
-        if not path.exists() and path.suffix not in (".toml", ".urdf", ".xml"):
+        if path.suffix not in (".toml", ".urdf", ".xml") and not os.path.exists(path):
             raise unknown_name("robot", text, library_names(), "the library (or give a file)")
     if path.suffix in (".urdf", ".xml"):
         raise RobotError(
@@ -192,13 +193,13 @@ def read_srdf(path: Path) -> frozenset[frozenset[str]]:
 
 
 def _read_toml(path: Path) -> dict[str, Any]:
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise FileFormatError(f"{path}: no such robot file")
     if path.stat().st_size > MAX_TOML_BYTES:
         raise FileFormatError(f"{path}: larger than a robot file can be (1 MB)")
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise FileFormatError(f"{path}: not a robot file in TOML ({error})") from error
 
 

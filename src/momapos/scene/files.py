@@ -167,7 +167,7 @@ def _read_bestman(data: Sequence[Any], path: Path, root: Path | None) -> Scene:
 def _read_momapos(data: Mapping[str, Any], path: Path, root: Path | None) -> Scene:
     if data.get("format") != FORMAT:
         raise FileFormatError(
-            f"{path}: not a scene; a momapos scene has \"format\": {FORMAT!r}, "
+            f'{path}: not a scene; a momapos scene has "format": {FORMAT!r}, '
             f"this file has {data.get('format')!r:.60}"
         )
     if data.get("version") != VERSION:

@@ -1,0 +1,147 @@
+"""Every door and drawer with a handle in five real kitchens, for four robots.
+
+    python benchmarks/placement.py [--robots fetch ...] [--exhaustive] [--out docs/data]
+
+Prints, and writes as JSON, for each task: the answer, its time, and with --exhaustive whether
+a grid of 5 cm and 10 degrees can solve it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from momapos.cache import default_cache_dir
+from momapos.config import PipelineConfig
+from momapos.errors import MomaposError
+from momapos.manipulation.tasks import make_task, openable
+from momapos.pipeline import place
+from momapos.placement.place import PlaceConfig
+from momapos.reachability.store import load_or_build
+from momapos.robots.robot import load_robot
+from momapos.scene.files import load_scene
+
+SCENES = (
+    "Asset/Scene/Scene/Kitchen.json",
+    "Asset/Scene/Scene/Kitchen_1.json",
+    "Asset/Scene/Scene/b512.json",
+    "derived/kitchen_v2.json",
+    "derived/MoMa_Kitchen.json",
+)
+ROBOTS = ("fetch", "segway_ur5e", "husky_ur5e", "ranger_rm63")
+
+
+def shared() -> Path:
+    """Folder of the shared data."""
+    default = Path(__file__).resolve().parents[2] / "shared" / "data"
+    return Path(os.environ.get("MOMAPOS_SHARED", default))
+
+
+def machine() -> str:
+    """The processor and the number of cores this runs on."""
+    model = platform.processor() or platform.machine()
+    for line in Path("/proc/cpuinfo").read_text().splitlines():
+        if line.startswith("model name"):
+            model = line.split(":", 1)[1].strip()
+            break
+    return f"{model}, {len(os.sched_getaffinity(0))} cores"
+
+
+def run(robots: tuple[str, ...], scenes: tuple[str, ...], *, exhaustive: bool) -> list[dict]:
+    """Answer every task once to warm up and once for the clock."""
+    rows = []
+    for robot_name in robots:
+        robot = load_robot(robot_name)
+        reach = load_or_build(robot, default_cache_dir(), lambda share: None)
+        for scene_name in scenes:
+            scene = load_scene(shared() / "bestman" / scene_name)
+            for item, joint in openable(scene):
+                row = {"robot": robot_name, "scene": Path(scene_name).stem, "task": f"{item}/{joint}"}
+                try:
+                    task = make_task(scene, "open", item, joint)
+                    place(scene, robot, task, reach, config=PipelineConfig(timeout=120.0))
+                    began = time.perf_counter()
+                    answer = place(scene, robot, task, reach, config=PipelineConfig(timeout=120.0))
+                    row |= {
+                        "status": answer.plan.status,
+                        "seconds": time.perf_counter() - began,
+                        "cost": answer.plan.navigation_cost,
+                        "checked": answer.plan.candidates.checked,
+                        "sampled": answer.plan.candidates.sampled,
+                    }
+                    if exhaustive:
+                        row |= _ground_truth(scene, robot, task, reach)
+                except MomaposError as error:
+                    row |= {"status": "refused", "reason": str(error)}
+                rows.append(row)
+                print(json.dumps(row), flush=True)
+    return rows
+
+
+def _ground_truth(scene, robot, task, reach) -> dict:  # type: ignore[no-untyped-def]
+    config = PipelineConfig(place=PlaceConfig(method="exhaustive"), timeout=600.0)
+    began = time.perf_counter()
+    answer = place(scene, robot, task, reach, config=replace(config))
+    reasons = np.concatenate(answer.search.reasons)
+    return {
+        "grid": answer.plan.status,
+        "grid_seconds": time.perf_counter() - began,
+        "grid_cost": answer.plan.navigation_cost,
+        "grid_feasible": int((reasons == "feasible").sum()),
+        "grid_poses": len(reasons),
+    }
+
+
+def report(rows: list[dict]) -> str:
+    """Summarise as Markdown."""
+    done = [r for r in rows if "seconds" in r]
+    lines = [f"machine: {machine()}", ""]
+    for name in dict.fromkeys(r["robot"] for r in done):
+        mine = [r for r in done if r["robot"] == name]
+        seconds = np.array([r["seconds"] for r in mine])
+        solved = np.array([r["status"] == "solved" for r in mine])
+        lines.append(
+            f"{name}: {solved.sum()} of {len(mine)} solved; median "
+            f"{1000 * np.median(seconds):.0f} ms, 95th percentile "
+            f"{1000 * np.percentile(seconds, 95):.0f} ms"
+            + (
+                f" (solved alone: {1000 * np.median(seconds[solved]):.0f} and "
+                f"{1000 * np.percentile(seconds[solved], 95):.0f} ms)"
+                if solved.any()
+                else ""
+            )
+        )
+        truth = [r for r in mine if "grid" in r]
+        if truth:
+            can = [r for r in truth if r["grid"] == "solved"]
+            kept = sum(r["status"] == "solved" for r in can)
+            slow = max(r["grid_seconds"] for r in truth)
+            lines.append(f"  grid: {kept} of {len(can)} solvable are solved; slowest {slow:.1f} s")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Run and report."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--robots", nargs="+", default=ROBOTS)
+    parser.add_argument("--scenes", nargs="+", default=SCENES)
+    parser.add_argument("--exhaustive", action="store_true")
+    parser.add_argument("--out", type=Path)
+    args = parser.parse_args()
+    rows = run(tuple(args.robots), tuple(args.scenes), exhaustive=args.exhaustive)
+    print(report(rows))
+    if args.out:
+        args.out.mkdir(parents=True, exist_ok=True)
+        text = json.dumps({"machine": machine(), "rows": rows}, indent=1)
+        (args.out / "placement.json").write_text(text + "\n")
+
+
+if __name__ == "__main__":
+    main()

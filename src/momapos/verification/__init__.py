@@ -1,0 +1,1 @@
+"""Exact checks of a finished plan, independent of how it was found."""

@@ -1,0 +1,105 @@
+"""Forward kinematics straight from a URDF, in plain numpy; the planner's own is not used."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from momapos.geometry.transforms import rotation_about
+from momapos.kinematics.articulated import Articulated
+from momapos.kinematics.urdf import Joint
+
+Values = Mapping[str, float | Float[np.ndarray, " s"]]
+
+
+@dataclass(frozen=True)
+class Bodies:
+    """The links of a model, those that are rigidly joined as one body; body 0 has the root link.
+
+    The frame of a body is that of the joint that moves it, the root link's for body 0.
+    """
+
+    joints: tuple[Joint | None, ...]
+    """The joint that moves each body; None for body 0."""
+    parent: tuple[int, ...]
+    """The body it hangs from, -1 for body 0; parents come before children."""
+    Ts_parent_joint: Float[np.ndarray, "b 4 4"]
+    of_link: Mapping[str, int]
+    T_body_link: Mapping[str, Float[np.ndarray, "4 4"]]
+    of_joint: Mapping[str, int]
+    """The body that a movable joint moves."""
+    rest: Mapping[str, float]
+
+    def __len__(self) -> int:
+        return len(self.parent)
+
+    def moved_by(self, joint: str) -> frozenset[int]:
+        """The bodies that move when a joint does."""
+        moved = {self.of_joint[joint]}
+        for body, parent in enumerate(self.parent):
+            if parent in moved:
+                moved.add(body)
+        return frozenset(moved)
+
+    def depth(self, joint: str) -> int:
+        """How many movable joints lead to the body that a joint moves."""
+        body, depth = self.of_joint[joint], 0
+        while body > 0:
+            body, depth = self.parent[body], depth + 1
+        return depth
+
+
+def bodies_of(model: Articulated) -> Bodies:
+    """Group a model's links into bodies."""
+    joints: list[Joint | None] = [None]
+    parent, offsets = [-1], [np.eye(4)]
+    of_link, T_body_link = {model.urdf.root: 0}, {model.urdf.root: np.eye(4)}
+    for joint in model.urdf.joints:
+        body = of_link[joint.parent]
+        T = T_body_link[joint.parent] @ joint.T_parent_joint
+        if joint.movable:
+            joints.append(joint)
+            parent.append(body)
+            offsets.append(T)
+            body, T = len(parent) - 1, np.eye(4)
+        of_link[joint.child], T_body_link[joint.child] = body, T
+    of_joint = {joint.name: body for body, joint in enumerate(joints) if joint is not None}
+    return Bodies(
+        tuple(joints), tuple(parent), np.array(offsets), of_link, T_body_link, of_joint, model.rest
+    )
+
+
+def body_poses(
+    bodies: Bodies, values: Values, T_world_root: Float[np.ndarray, "4 4"]
+) -> Float[np.ndarray, "s b 4 4"]:
+    """World poses of all bodies for a batch of states.
+
+    Args:
+        bodies: The model.
+        values: Joint values [rad] or [m], one each or one a state; joints not named are at rest.
+        T_world_root: Pose of the root link.
+    """
+    count = max((np.size(value) for value in values.values()), default=1)
+    Ts = np.empty((count, len(bodies), 4, 4))
+    Ts[:, 0] = T_world_root
+    for body in range(1, len(bodies)):
+        joint = bodies.joints[body]
+        assert joint is not None
+        value = np.atleast_1d(np.asarray(values.get(joint.name, bodies.rest[joint.name]), float))
+        motion = bodies.Ts_parent_joint[body] @ joint_motions(joint, value)
+        Ts[:, body] = Ts[:, bodies.parent[body]] @ motion
+    return Ts
+
+
+def joint_motions(joint: Joint, values: Float[np.ndarray, " s"]) -> Float[np.ndarray, "s 4 4"]:
+    """Transforms of a joint's child in the joint's frame at values [rad] or [m]."""
+    T = np.zeros((len(values), 4, 4))
+    T[:] = np.eye(4)
+    if joint.kind == "prismatic":
+        T[:, :3, 3] = values[:, None] * joint.axis
+    else:
+        T[:, :3, :3] = rotation_about(joint.axis, values)
+    return T

@@ -1,0 +1,163 @@
+"""Collision elements as the exact kernels want them: primitives as they are, a mesh as its hull."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from momapos.geometry.transforms import apply, invert
+from momapos.kinematics.articulated import Articulated
+from momapos.kinematics.hulls import Hull
+from momapos.kinematics.urdf import Geometry
+from momapos.verification.bodies import Bodies
+
+_RIM = 64
+"""Corners of the polygon that stands for a cylinder's rim where its outline is wanted."""
+
+
+@dataclass(frozen=True)
+class Shapes:
+    """Convex shapes: hulls of points, widened by a disc in xy and by a ball.
+
+    The frame of a shape is the middle of a box around it, with the box's axes.
+    """
+
+    names: tuple[str, ...]
+    """Name of the link."""
+    body: Int[np.ndarray, " k"]
+    Ts_body_shape: Float[np.ndarray, "k 4 4"]
+    half: Float[np.ndarray, "k 3"]
+    """Half edges of the box [m]."""
+    points: Float[np.ndarray, "n 3"]
+    """Points of all shapes, one shape after the other [m]."""
+    first: Int[np.ndarray, " k_1"]
+    """Where the points of each shape begin; one more at the end."""
+    disc: Float[np.ndarray, " k"]
+    ball: Float[np.ndarray, " k"]
+    """Radii [m]."""
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    @property
+    def arrays(self) -> tuple[np.ndarray, ...]:
+        """What the compiled kernels take."""
+        return self.points, self.first, self.disc, self.ball, self.half
+
+    def core(self, index: int) -> tuple[Float[np.ndarray, "n 3"], float, float]:
+        """One shape as `convex.overlap` takes it."""
+        points = self.points[self.first[index] : self.first[index + 1]]
+        return points, float(self.disc[index]), float(self.ball[index])
+
+    def outline(self, index: int) -> Float[np.ndarray, "n 3"]:
+        """Points whose hull, widened by the ball, is the shape (a rim as a fine polygon)."""
+        points, disc, _ = self.core(index)
+        if disc == 0.0:
+            return points
+        angle = np.linspace(0.0, 2.0 * np.pi, _RIM, endpoint=False)
+        rim = disc * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(_RIM)])
+        return (points[:, None] + rim).reshape(-1, 3)
+
+    def placed(self, Ts_world_body: Float[np.ndarray, "s b 4 4"]) -> Float[np.ndarray, "s k 4 4"]:
+        """World poses of the shapes from those of the bodies."""
+        return Ts_world_body[:, self.body] @ self.Ts_body_shape
+
+    def take(self, index: Int[np.ndarray, " m"]) -> Shapes:
+        """Some of the shapes."""
+        points = [self.core(i)[0] for i in index]
+        return replace(
+            self,
+            names=tuple(self.names[i] for i in index),
+            body=self.body[index],
+            Ts_body_shape=self.Ts_body_shape[index],
+            half=self.half[index],
+            points=np.concatenate([np.empty((0, 3)), *points]),
+            first=np.cumsum([0, *map(len, points)]),
+            disc=self.disc[index],
+            ball=self.ball[index],
+        )
+
+
+def shapes_of(model: Articulated, bodies: Bodies) -> Shapes:
+    """All collision elements of a model."""
+    names, numbers, made = [], [], []
+    for name, link in model.urdf.links.items():
+        for geometry, hull in zip(link.collisions, model.hulls[name], strict=True):
+            names.append(name)
+            numbers.append(bodies.of_link[name])
+            made.append(_shape(geometry, hull, bodies.T_body_link[name]))
+    return _pack(names, numbers, made)
+
+
+def join(parts: Sequence[Shapes], prefixes: Sequence[str]) -> Shapes:
+    """Put sets of shapes into one, their names after a prefix; body numbers mean nothing then."""
+    names = [
+        f"{prefix}{name}"
+        for part, prefix in zip(parts, prefixes, strict=True)
+        for name in part.names
+    ]
+    counts = np.concatenate([[0], *(np.diff(part.first) for part in parts)]).astype(np.int64)
+    return Shapes(
+        names=tuple(names),
+        body=np.zeros(len(names), np.int64),
+        Ts_body_shape=np.concatenate([np.empty((0, 4, 4)), *(p.Ts_body_shape for p in parts)]),
+        half=np.concatenate([np.empty((0, 3)), *(p.half for p in parts)]),
+        points=np.concatenate([np.empty((0, 3)), *(p.points for p in parts)]),
+        first=np.cumsum(counts),
+        disc=np.concatenate([np.empty(0), *(p.disc for p in parts)]),
+        ball=np.concatenate([np.empty(0), *(p.ball for p in parts)]),
+    )
+
+
+def of_bodies(shapes: Shapes, bodies: Collection[int]) -> Int[np.ndarray, " m"]:
+    """Indices of the shapes that are fixed to some of the bodies."""
+    return np.flatnonzero(np.isin(shapes.body, list(bodies)))
+
+
+_Made = tuple[np.ndarray, np.ndarray, np.ndarray, float, float]
+
+
+def _shape(geometry: Geometry, hull: Hull, T_body_link: np.ndarray) -> _Made:
+    """Pose in the body, half edges, points, disc, ball."""
+    T = T_body_link @ geometry.T_link_geometry
+    size = geometry.size
+    if geometry.kind == "sphere":
+        return T, np.full(3, size[0]), np.zeros((1, 3)), 0.0, size[0]
+    if geometry.kind == "cylinder":
+        radius, length = size
+        ends = np.array([[0.0, 0.0, -length / 2], [0.0, 0.0, length / 2]])
+        return T, np.array([radius, radius, length / 2]), ends, radius, 0.0
+    if geometry.kind == "box":
+        half = np.array(size) / 2
+        signs = np.array(np.meshgrid([-1.0, 1.0], [-1.0, 1.0], [-1.0, 1.0])).reshape(3, -1).T
+        return T, half, signs * half, 0.0, 0.0
+    T_link_box, half = _box_around(hull.vertices)
+    points = np.asarray(apply(invert(T_link_box), hull.vertices))
+    return T_body_link @ T_link_box, half, points, 0.0, 0.0
+
+
+def _box_around(vertices: Float[np.ndarray, "n 3"]) -> tuple[np.ndarray, np.ndarray]:
+    """Pose and half edges of a box: along the axes or the principal axes, the smaller."""
+    spread = np.linalg.svd(vertices - vertices.mean(0), full_matrices=False)[2].T
+    frames = [np.eye(3), spread * np.linalg.det(spread)]
+    local = [vertices @ R for R in frames]
+    R, x = min(zip(frames, local, strict=True), key=lambda item: float(np.prod(np.ptp(item[1], 0))))
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = R, R @ (x.min(0) + x.max(0)) / 2
+    return T, np.ptp(x, 0) / 2
+
+
+def _pack(names: list[str], bodies: list[int], made: list[_Made]) -> Shapes:
+    return Shapes(
+        names=tuple(names),
+        body=np.array(bodies, np.int64),
+        Ts_body_shape=np.array([m[0] for m in made]).reshape(-1, 4, 4),
+        half=np.array([m[1] for m in made]).reshape(-1, 3),
+        points=np.concatenate([np.empty((0, 3)), *(m[2] for m in made)]),
+        first=np.cumsum([0, *(len(m[2]) for m in made)]),
+        disc=np.array([m[3] for m in made], float),
+        ball=np.array([m[4] for m in made], float),
+    )

@@ -1,0 +1,161 @@
+"""The deepest overlap of pairs of shapes over a motion.
+
+A state is skipped when it cannot be the deepest: no point of a shape moves farther between two
+states than its box's corners can, and a depth changes by no more than the points move. So the
+answer is that of checking every state, found with a few exact queries a pair.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float, Int
+from numba import njit
+
+from momapos.verification.convex import TOLERANCE, overlap
+from momapos.verification.shapes import Shapes
+
+
+def deepest(
+    a: Shapes,
+    Ts_a: Float[np.ndarray, "s a 4 4"],
+    b: Shapes,
+    Ts_b: Float[np.ndarray, "s b 4 4"],
+    pairs: Int[np.ndarray, "p 2"],
+    floor: float,
+) -> tuple[Float[np.ndarray, " p"], Int[np.ndarray, " p"]]:
+    """Find how deep pairs of shapes overlap at worst, and where.
+
+    Args:
+        a, b: The shapes.
+        Ts_a, Ts_b: Their world poses; `Ts_b` may hold one state, for what stands still.
+        pairs: Indices into `a` and `b`.
+        floor: Depths up to here do not matter [m]; below zero, distances count up to there.
+
+    Returns:
+        Depth of each pair [m] (the floor where it is not exceeded), and its state (-1 there).
+    """
+    near = _may_meet(a, Ts_a, b, Ts_b, pairs, floor)
+    depth, state = np.full(len(pairs), floor), np.full(len(pairs), -1)
+    depth[near], state[near] = _deepest(
+        np.ascontiguousarray(pairs[near], np.int64),
+        np.ascontiguousarray(Ts_a), np.ascontiguousarray(Ts_b), a.arrays, b.arrays, floor,
+    )  # fmt: skip
+    return depth, state
+
+
+def all_pairs(count_a: int, count_b: int) -> Int[np.ndarray, "p 2"]:
+    """Every shape of one set with every shape of another."""
+    return np.stack(np.meshgrid(np.arange(count_a), np.arange(count_b)), -1).reshape(-1, 2)
+
+
+def boxes_around(
+    shapes: Shapes, Ts: Float[np.ndarray, "s k 4 4"]
+) -> tuple[Float[np.ndarray, "s k 3"], Float[np.ndarray, "s k 3"]]:
+    """Lower and upper corners of axis-aligned boxes around placed shapes [m]."""
+    extent = np.einsum("skij,kj->ski", np.abs(Ts[..., :3, :3]), shapes.half)
+    return Ts[..., :3, 3] - extent, Ts[..., :3, 3] + extent
+
+
+def _may_meet(
+    a: Shapes, Ts_a: np.ndarray, b: Shapes, Ts_b: np.ndarray, pairs: np.ndarray, floor: float
+) -> Int[np.ndarray, " m"]:
+    """Indices of the pairs whose boxes around the whole motion meet."""
+    if not len(pairs):
+        return np.empty(0, np.int64)
+    (low_a, high_a), (low_b, high_b) = boxes_around(a, Ts_a), boxes_around(b, Ts_b)
+    i, j = pairs[:, 0], pairs[:, 1]
+    meets = (low_a.min(0)[i] <= high_b.max(0)[j] - floor) & (
+        low_b.min(0)[j] <= high_a.max(0)[i] - floor
+    )
+    return np.flatnonzero(meets.all(1))
+
+
+@njit(cache=True, nogil=True)
+def _deepest(pairs, Ts_a, Ts_b, a, b, floor):  # type: ignore[no-untyped-def]
+    depths, states = np.full(len(pairs), floor), np.full(len(pairs), -1)
+    bounds, Ts = np.empty(len(Ts_a)), np.empty((len(Ts_a), 4, 4))
+    index = np.empty(len(Ts_a), np.int64)
+    for p in range(len(pairs)):
+        i, j = pairs[p]
+        count = 0
+        for s in range(len(Ts_a)):
+            T_b = Ts_b[min(s, len(Ts_b) - 1), j]
+            bound = _bound(Ts_a[s, i], T_b, a[4][i], b[4][j], floor, Ts[count])
+            if bound > floor:
+                bounds[count], index[count] = bound, s
+                count += 1
+        if count:
+            found = _search(_core(a, i), _core(b, j), Ts[:count], bounds[:count], a[4][i], floor)
+            depths[p] = found[0]
+            if found[1] >= 0:
+                states[p] = index[found[1]]
+    return depths, states
+
+
+@njit(cache=True, nogil=True)
+def _core(shapes, i):  # type: ignore[no-untyped-def]
+    points, first, disc, ball, _ = shapes
+    return points[first[i] : first[i + 1]], disc[i], ball[i]
+
+
+@njit(cache=True, nogil=True)
+def _bound(T_a, T_b, half_a, half_b, floor, T):  # type: ignore[no-untyped-def]
+    """Upper bound on the depth of two boxes; writes the pose of A in the frame of B to `T`.
+
+    The overlap along any direction bounds the depth; the directions here are the box axes.
+    """
+    gap = reach = 0.0
+    for k in range(3):
+        gap += (T_a[k, 3] - T_b[k, 3]) ** 2
+        reach += half_a[k] ** 2
+    other = half_b[0] ** 2 + half_b[1] ** 2 + half_b[2] ** 2
+    bound = np.sqrt(reach) + np.sqrt(other) - np.sqrt(gap)
+    if bound <= floor:
+        return bound
+    for r in range(3):
+        for c in range(3):
+            T[r, c] = T_b[0, r] * T_a[0, c] + T_b[1, r] * T_a[1, c] + T_b[2, r] * T_a[2, c]
+        T[r, 3] = 0.0
+        for k in range(3):
+            T[r, 3] += T_b[k, r] * (T_a[k, 3] - T_b[k, 3])
+    T[3, :3] = 0.0
+    T[3, 3] = 1.0
+    for r in range(3):
+        extent_b = extent_a = along_a = 0.0
+        for c in range(3):
+            extent_b += abs(T[r, c]) * half_a[c]
+            extent_a += abs(T[c, r]) * half_b[c]
+            along_a += T[c, r] * T[c, 3]
+        bound = min(bound, half_b[r] + extent_b - abs(T[r, 3]))
+        bound = min(bound, half_a[r] + extent_a - abs(along_a))
+    return bound
+
+
+@njit(cache=True, nogil=True)
+def _search(a, b, Ts, bounds, half, floor):  # type: ignore[no-untyped-def]
+    """Branch and bound over the states of one pair."""
+    radius = np.sqrt(half[0] ** 2 + half[1] ** 2 + half[2] ** 2)
+    best, where = floor, -1
+    while True:
+        s = np.argmax(bounds)
+        if bounds[s] <= best + TOLERANCE:
+            return best, where
+        depth = overlap(a, b, Ts[s])
+        if depth > best:
+            best, where = depth, s
+        bounds[s] = -np.inf
+        for other in range(len(bounds)):
+            if bounds[other] > best:
+                limit = depth + _farthest_move(Ts[s], Ts[other], radius)
+                bounds[other] = min(bounds[other], limit)
+
+
+@njit(cache=True, nogil=True)
+def _farthest_move(T, U, radius):  # type: ignore[no-untyped-def]
+    """Upper bound on how far any point within `radius` of the origin moves from T to U."""
+    shift = turn = 0.0
+    for r in range(3):
+        shift += (U[r, 3] - T[r, 3]) ** 2
+        for c in range(3):
+            turn += (U[r, c] - T[r, c]) ** 2
+    return np.sqrt(shift) + radius * np.sqrt(0.5 * turn)  # |U - T| = sqrt(8) sin(angle / 2)

@@ -1,0 +1,334 @@
+"""A robot derived from its URDF alone, held to robots whose answer is known."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from momapos.cli.robot import robot_check, robot_export, robot_list, robot_show
+from momapos.errors import MomaposError, RobotError, UnknownNameError
+from momapos.robots.derive import derive_robot, examine, write_robot
+from momapos.robots.gripper import points_of
+from momapos.robots.robot import library_names, load_robot, read_robot
+from momapos.robots.states import touches
+
+SHARED = Path(os.environ.get("MOMAPOS_SHARED", Path(__file__).parents[3] / "shared"))
+FETCH = SHARED / "data" / "robots" / "fetch"
+LIMIT = '<limit lower="{}" upper="{}" effort="1" velocity="1"/>'
+
+
+def link(name: str, shape: str = "", xyz: str = "0 0 0", rpy: str = "0 0 0") -> str:
+    if not shape:
+        return f'<link name="{name}"/>'
+    return (
+        f'<link name="{name}"><collision><origin xyz="{xyz}" rpy="{rpy}"/>'
+        f"<geometry>{shape}</geometry></collision></link>"
+    )
+
+
+def joint(
+    name: str, kind: str, parent: str, child: str, xyz: str, axis: str = "", limit: str = ""
+) -> str:
+    return (
+        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+        f'<origin xyz="{xyz}"/>{f"<axis xyz={chr(34)}{axis}{chr(34)}/>" if axis else ""}'
+        f"{limit}</joint>"
+    )
+
+
+def box(x: float, y: float, z: float) -> str:
+    return f'<box size="{x} {y} {z}"/>'
+
+
+def mobile_manipulator(
+    *, base_z: float = 0.0, tool: bool = True, fingers: bool = True, floating: bool = False
+) -> str:
+    """A wheeled base, a torso lift, a head, six turning joints and a gripper.
+
+    Args:
+        base_z: Height of base_link above the floor [m].
+        tool: Whether there is a tool frame between the finger tips.
+        fingers: Whether the gripper has fingers.
+        floating: Whether virtual joints drive the base, as in simulators.
+    """
+    parts = [
+        link("base_link", box(0.6, 0.4, 0.3), f"0 0 {0.17 - base_z}"),
+        link("wheel_left", '<cylinder radius="0.08" length="0.04"/>', rpy="1.5708 0 0"),
+        joint("a", "continuous", "base_link", "wheel_left", f"0 0.21 {0.08 - base_z}", "0 1 0"),
+        link("torso", box(0.15, 0.2, 0.6), "0 0 0.35"),
+        joint(
+            "lift", "prismatic", "base_link", "torso", f"-0.15 0 {0.33 - base_z}", "0 0 1",
+            LIMIT.format(0, 0.3),
+        ),
+        link("head_pan", box(0.1, 0.1, 0.1), "0 0 0.1"),
+        joint(
+            "head_joint", "revolute", "torso", "head_pan", "0 0 0.7", "0 0 1", LIMIT.format(-1, 1)
+        ),
+    ]  # fmt: skip
+    previous, axes = "torso", ["0 0 1", "0 1 0", "0 1 0", "1 0 0", "0 1 0", "1 0 0"]
+    for index, axis in enumerate(axes):
+        name = f"arm_{index}"
+        length = 0.3 if index in (1, 2) else 0.1
+        xyz = "0.15 0 0.5" if index == 0 else f"{0.3 if index in (2, 3) else 0.1} 0 0"
+        parts += [
+            link(name, box(length - 0.04, 0.06, 0.06), f"{length / 2} 0 0"),
+            joint(f"j{index}", "revolute", previous, name, xyz, axis, LIMIT.format(-2.5, 2.5)),
+        ]
+        previous = name
+    parts += [
+        link("palm", box(0.06, 0.12, 0.05), "0.03 0 0"),
+        joint("mount", "fixed", previous, "palm", "0.1 0 0"),
+    ]
+    if fingers:
+        for side, sign in (("left", 1), ("right", -1)):
+            parts += [
+                link(f"{side}_finger", box(0.06, 0.01, 0.02), f"0.03 {sign * 0.005} 0"),
+                joint(
+                    f"{side}_finger_joint", "prismatic", "palm", f"{side}_finger", "0.06 0 0",
+                    f"0 {sign} 0", LIMIT.format(0, 0.045),
+                ),
+            ]  # fmt: skip
+    if tool:
+        parts += [link("tcp"), joint("tcp_joint", "fixed", "palm", "tcp", "0.1 0 0")]
+    if floating:
+        parts += [
+            link("world"), link("w1"), link("w2"),
+            joint("drive_x", "prismatic", "world", "w1", "0 0 0", "1 0 0", LIMIT.format(-9, 9)),
+            joint("drive_y", "prismatic", "w1", "w2", "0 0 0", "0 1 0", LIMIT.format(-9, 9)),
+            joint("drive_yaw", "continuous", "w2", "base_link", "0 0 0", "0 0 1"),
+        ]  # fmt: skip
+    return f'<robot name="test robot">{"".join(parts)}</robot>'
+
+
+@pytest.fixture
+def urdf(tmp_path: Path) -> Path:
+    path = tmp_path / "robot.urdf"
+    path.write_text(mobile_manipulator())
+    return path
+
+
+def snippet(text: str) -> str:
+    """The piece of URDF that a message says to add."""
+    found = re.search(r"add to the URDF: (<.*</joint>)", text)
+    assert found, text
+    return found[1]
+
+
+def test_the_arm_starts_with_the_lift_and_leaves_out_wheels_head_and_fingers(urdf: Path) -> None:
+    path, _ = write_robot(urdf)
+    robot = load_robot(path)
+    assert robot.arm_joints == ("lift", "j0", "j1", "j2", "j3", "j4", "j5")
+    assert (robot.name, robot.base_link, robot.tool_link) == ("test_robot", "base_link", "tcp")
+    assert robot.gripper_links == ("palm", "left_finger", "right_finger")
+    assert robot.drive == "differential"
+    assert_allclose(robot.approach_axis, [1, 0, 0])
+    assert_allclose(robot.closing_axis, [0, 1, 0])
+    assert robot.opening == pytest.approx(0.09)
+    assert examine(robot) == []
+
+
+def test_every_guess_is_put_into_words(urdf: Path) -> None:
+    words = " ".join(derive_robot(urdf).assumptions)
+    for key in ("arm_joints", "base_link", "tool_link", "gripper_links", "approach_axis", "home",
+                "footprint", "drive: differential", "opening"):  # fmt: skip
+        assert key in words
+
+
+def test_home_is_free_and_compact(urdf: Path) -> None:
+    robot = load_robot(write_robot(urdf)[0])
+    assert not touches(robot.chain, robot.spheres, robot.home[None], floor=True).any()
+    tool = robot.chain.tool_poses(robot.home[None])[0, :3, 3]
+    assert np.hypot(*tool[:2]) < 0.6, "the arm reaches 1.1 m"
+
+
+def test_the_footprint_holds_the_whole_base(urdf: Path) -> None:
+    robot = load_robot(write_robot(urdf)[0])
+    points = points_of(robot.model, "base_link", ["base_link", "wheel_left"])[:, :2]
+    edge = np.roll(robot.footprint, -1, 0) - robot.footprint
+    normal = np.stack([edge[:, 1], -edge[:, 0]], -1)
+    inside = (points[:, None] - robot.footprint[None]) * normal[None]
+    assert inside.sum(-1).max() < 1e-6
+
+
+def test_virtual_driving_joints_are_not_part_of_the_arm(tmp_path: Path) -> None:
+    path = tmp_path / "robot.urdf"
+    path.write_text(mobile_manipulator(floating=True))
+    derived = derive_robot(path)
+    assert 'base_link = "base_link"' in derived.toml
+    assert '["lift", "j0"' in derived.toml
+    assert "drive_x, drive_y, drive_yaw stand for driving" in derived.assumptions[0]
+
+
+def test_a_base_above_the_floor_is_refused_with_the_link_to_add(tmp_path: Path) -> None:
+    path = tmp_path / "robot.urdf"
+    text = mobile_manipulator(base_z=0.2)
+    path.write_text(text)
+    with pytest.raises(RobotError, match=r"z = -0\.20\d m in 'base_link'") as caught:
+        write_robot(path)
+    assert list(tmp_path.iterdir()) == [path]
+    path.write_text(text.replace("</robot>", f"{snippet(str(caught.value))}</robot>"))
+    robot = load_robot(write_robot(path)[0])
+    assert robot.base_link == "base_footprint"
+    assert examine(robot) == []
+
+
+def test_a_tool_frame_behind_the_fingers_is_noticed_with_the_link_to_add(tmp_path: Path) -> None:
+    path = tmp_path / "robot.urdf"
+    text = mobile_manipulator(tool=False)
+    path.write_text(text)
+    (note,) = (text for text in derive_robot(path).assumptions if "IMPORTANT" in text)
+    assert "behind the finger tips" in note
+    path.write_text(text.replace("</robot>", f"{snippet(note)}</robot>"))
+    derived = derive_robot(path)
+    assert not any("IMPORTANT" in text for text in derived.assumptions)
+    assert 'tool_link = "grasp_link"' in derived.toml
+
+
+def test_a_gripper_without_fingers_points_where_the_arm_does(tmp_path: Path) -> None:
+    path = tmp_path / "robot.urdf"
+    path.write_text(mobile_manipulator(fingers=False))
+    derived = derive_robot(path)
+    assert "approach_axis = [1, 0, 0]" in derived.toml
+    assert any("no fingers" in text for text in derived.assumptions)
+    read_robot(write_robot(path)[0])
+
+
+def test_links_that_always_touch_are_put_into_an_srdf(tmp_path: Path) -> None:
+    path = tmp_path / "robot.urdf"
+    thick = mobile_manipulator().replace(
+        link("arm_1", box(0.26, 0.06, 0.06), "0.15 0 0"),
+        link("arm_1", '<sphere radius="0.25"/>'),
+    )
+    path.write_text(thick)
+    robot = load_robot(write_robot(path)[0])
+    assert frozenset(("torso", "arm_1")) in robot.disabled
+    assert 'reason="Always"' in path.with_suffix(".srdf").read_text()
+    assert examine(robot) == []
+
+
+def test_an_srdf_that_exists_is_believed_and_kept(urdf: Path) -> None:
+    srdf = urdf.with_suffix(".srdf")
+    srdf.write_text('<robot name="r"><disable_collisions link1="torso" link2="arm_1"/></robot>')
+    before = srdf.read_bytes()
+    _, derived = write_robot(urdf)
+    assert srdf.read_bytes() == before
+    assert derived.pairs == {}
+
+
+def test_nothing_is_overwritten(urdf: Path, tmp_path: Path) -> None:
+    (tmp_path / "robot.toml").write_text("mine")
+    with pytest.raises(RobotError, match="exists already"):
+        write_robot(urdf)
+    assert (tmp_path / "robot.toml").read_text() == "mine"
+    path, _ = write_robot(urdf, tmp_path / "sub" / "other.toml")
+    assert load_robot(path).model.urdf.path == urdf.resolve()
+    assert not [p for p in tmp_path.rglob("*") if p.name.startswith(".")]
+
+
+def test_the_same_urdf_gives_the_same_robot(urdf: Path) -> None:
+    assert derive_robot(urdf) == derive_robot(urdf)
+
+
+@pytest.mark.parametrize(
+    ("text", "word"),
+    [
+        ('<robot name="r"><link name="a"/></robot>', "no chain of movable joints"),
+        (mobile_manipulator().replace("collision>", "visual>"), "no link below the arm"),
+        (f'<robot name="r">{"".join(link(str(i)) for i in range(600))}'
+         + "".join(joint(f"j{i}", "fixed", "0", str(i), "0 0 0") for i in range(1, 600))
+         + "</robot>", "600 links"),
+        ("<robot", "not well-formed"),
+    ],
+)  # fmt: skip
+def test_what_is_no_robot_is_refused_in_one_line(tmp_path: Path, text: str, word: str) -> None:
+    path = tmp_path / "robot.urdf"
+    path.write_text(text)
+    with pytest.raises(MomaposError, match=word) as caught:
+        write_robot(path)
+    assert "\n" not in str(caught.value)
+    assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("name", library_names())
+def test_the_library_robots_are_what_their_urdf_alone_says(name: str) -> None:
+    robot = load_robot(name)
+    assert robot.model.urdf.path is not None
+    derived = derive_robot(robot.model.urdf.path)
+    assert f"arm_joints = {json.dumps(list(robot.arm_joints))}" in derived.toml
+    assert f'base_link = "{robot.base_link}"' in derived.toml
+    assert f'tool_link = "{robot.tool_link}"' in derived.toml
+    assert f'drive = "{robot.drive}"' in derived.toml or robot.drive == "omni"
+    assert examine(robot) == []
+
+
+@pytest.mark.skipif(not FETCH.is_dir(), reason=f"the Fetch is not at {FETCH}")
+def test_the_fetch_of_its_maker_is_understood(tmp_path: Path) -> None:
+    shutil.copytree(FETCH, tmp_path / "fetch", copy_function=shutil.copyfile)
+    (tmp_path / "fetch").chmod(0o755)
+    (tmp_path / "fetch" / "fetch.srdf").unlink()
+    robot = load_robot(write_robot(tmp_path / "fetch" / "fetch.urdf")[0])
+    assert robot.arm_joints[:2] == ("torso_lift_joint", "shoulder_pan_joint")
+    assert len(robot.arm_joints) == 8
+    assert (robot.base_link, robot.tool_link) == ("base_link", "gripper_link")
+    assert robot.opening == pytest.approx(0.1, abs=0.01)
+    # What its maker disables, and what FACTS found to touch in a fifth of all states.
+    assert frozenset(("torso_lift_link", "shoulder_lift_link")) in robot.disabled
+    assert examine(robot) == []
+
+
+def test_checking_a_urdf_prints_what_was_assumed(
+    urdf: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    picture = tmp_path / "pictures" / "robot.png"
+    assert robot_check(urdf, plot=picture) == 0
+    text = capsys.readouterr().out
+    assert "written to" in text
+    assert "arm_joints: the longest chain" in text
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert robot_check(urdf.with_suffix(".toml"), json=True) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["written"] is False
+    assert facts["doubts"] == []
+    assert [joint["name"] for joint in facts["joints"]][:2] == ["lift", "j0"]
+    assert "closed form" in facts["ik"] or "numerical" in facts["ik"]
+
+
+def test_checking_a_robot_file_says_what_looks_wrong(
+    urdf: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, _ = write_robot(urdf)
+    text = path.read_text()
+    home = load_robot(path).home
+    text = re.sub(r"home = .*", f"home = {[0.0, 0.0, 2.4, *[0.0] * (len(home) - 3)]}", text)
+    path.write_text(re.sub(r"footprint = .*", "footprint = [[0, 0], [0.1, 0], [0, 0.1]]", text))
+    assert robot_check(path) == 0
+    out = capsys.readouterr().out
+    assert "sticks" in out
+    assert "at home" in out
+    with pytest.raises(RobotError, match="--out"):
+        robot_check(path, out=path.with_name("b.toml"))
+
+
+def test_the_library_is_listed_shown_and_exported(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    robot_list(json=True)
+    names = [robot["name"] for robot in json.loads(capsys.readouterr().out)["robots"]]
+    assert tuple(names) == library_names()
+    for name in names[:1]:
+        robot_show(name)
+        assert name in capsys.readouterr().out
+        robot_export(name, tmp_path / "mine")
+        assert load_robot(tmp_path / "mine" / f"{name}.toml").name == name
+        with pytest.raises(RobotError, match="exists already"):
+            robot_export(name, tmp_path / "mine")
+    with pytest.raises(UnknownNameError):
+        robot_export("nobody", tmp_path / "other")
+    assert not (tmp_path / "other").exists()
