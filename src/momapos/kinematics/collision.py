@@ -14,6 +14,8 @@ from momapos.kinematics.chain import forward
 FREE = -1
 SELF = -2
 FLOOR = -3
+OTHER, PALM, FINGER = 0, 1, 2
+"""What a link is to a grasp."""
 
 
 @njit(cache=True, nogil=True)
@@ -50,7 +52,8 @@ def hit_boxes(R, p, spheres, boxes, skip_gripper, margin):
         R, p: Segment poses (n + 1, 3, 3), (n + 1, 3) as `forward` leaves them.
         spheres: `Spheres.arrays()`.
         boxes: (center (b, 3), rotation (b, 3, 3), half (b, 3), grasped (b,)).
-        skip_gripper: Whether the gripper may touch the boxes marked as grasped.
+        skip_gripper: Whether the gripper holds: then its fingers may touch all these boxes (they
+            close about the handle), its palm only those marked as grasped.
         margin: Clearance that is asked for [m].
     """
     center, radius, start, segment, bound_center, bound_radius, gripper = spheres[:7]
@@ -59,7 +62,7 @@ def hit_boxes(R, p, spheres, boxes, skip_gripper, margin):
         c = _moved(R, p, segment[g], bound_center[g])
         far = bound_radius[g] + margin
         for b in range(len(box_center)):
-            if skip_gripper and gripper[g] and grasped[b]:
+            if skip_gripper and (gripper[g] == FINGER or (gripper[g] == PALM and grasped[b])):
                 continue
             if box_gap(c, far, box_center, box_rotation, box_half, b) > 0.0:
                 continue

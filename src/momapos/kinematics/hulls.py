@@ -229,8 +229,9 @@ def _fit_box(
 ) -> _Box:
     """Fit a small oriented box around a convex body given by its surface.
 
-    Of the frame's own axes, and frames built on the largest faces with their longest edge, the
-    one whose box is smallest; the frame's own axes win ties, so that boxes stay recognisable.
+    Of the frame's own axes, and frames built on the largest faces with each of their edges (the
+    longest of a triangle may be the diagonal of a rectangle), the one whose box is smallest; the
+    frame's own axes win ties, so that boxes stay recognisable.
 
     Returns:
         Centre (3,), rotation (3, 3) with the axes as columns, half edges (3,) [m], and the
@@ -243,9 +244,8 @@ def _fit_box(
     volume = float(np.abs(np.einsum("fi,fi->f", normals, corners[:, 0] - vertices.mean(0))).sum())
     top = np.argsort(-area, kind="stable")[:MAX_FRAMES]
     top = top[area[top] > 1e-12]
-    z = normals[top] / area[top, None]
-    length = np.einsum("fki,fki->fk", edges[top], edges[top])
-    x = edges[top, np.argmax(length, axis=1)]
+    z = np.repeat(normals[top] / area[top, None], 3, axis=0)
+    x = edges[top].reshape(-1, 3)
     x = x / np.linalg.norm(x, axis=1, keepdims=True)
     frames = np.concatenate([np.eye(3)[None], np.stack([x, _cross(z, x), z], axis=-1)])
     local = vertices @ frames

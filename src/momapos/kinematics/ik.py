@@ -380,11 +380,14 @@ def _rotation_error(R_last, tool_rotation, R_target, e):
 
 
 @njit(cache=True, nogil=True)
-def into_limits(q, lower, upper):
+def into_limits(q, lower, upper, prismatic):
     """Shift revolute joints by full turns into their limits; False where that cannot be."""
     turn = 2.0 * np.pi
     for i in range(len(q)):
-        if np.isinf(upper[i]):
+        if prismatic[i]:
+            if not (lower[i] - 1e-9 <= q[i] <= upper[i] + 1e-9):
+                return False
+        elif np.isinf(upper[i]):
             q[i] -= turn * np.round(q[i] / turn)
         elif q[i] < lower[i] - 1e-9 or q[i] > upper[i] + 1e-9 or abs(q[i]) > np.pi:
             v = q[i] - turn * np.round(q[i] / turn)
@@ -445,7 +448,7 @@ def solve_sample(s, R_target, p_target, chain, limits, ik, out, scratch):
         residual = newton(
             out[count], active, chain, R_target, p_target, steps, damping, (R, p)
         )
-        if residual < _TIGHT and into_limits(out[count], lower, upper):
+        if residual < _TIGHT and into_limits(out[count], lower, upper, chain[2]):
             count += 1
     return count
 

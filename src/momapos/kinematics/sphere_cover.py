@@ -1,8 +1,8 @@
 """Few spheres that cover the shapes of a link.
 
-A cylinder gets spheres along its axis where these reach its rims without sticking out too far;
-everything else is cut into cells of boxes, one sphere a cell. Spheres whose part others cover
-as well are dropped in the end.
+A cylinder gets spheres on its axis, or rings of them; everything else is cut into cells of
+boxes, one sphere a cell. Of these and of larger spheres farther inside, the ones that cover most
+are taken until nothing is left.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.spatial.distance import cdist
 
 from momapos.geometry.transforms import apply
@@ -20,16 +20,19 @@ from momapos.kinematics.urdf import Geometry
 
 MARGIN = 0.006
 """Parts of a shape may stay uncovered by this much [m]."""
-STICK_OUT = 0.02
-"""How far spheres may stick out of slender shapes [m]."""
-FINE_STICK_OUT = 0.01
-"""The same for a gripper, which works next to handles [m]."""
-BULKY_STICK_OUT = 0.035
-"""The same for bulky shapes: up to this, as long as it is `SHARE` of their half thickness [m]."""
-SHARE = 0.35
+GRIPPER, ARM, BODY = 0.01, 0.02, 0.035
+"""How far spheres may stick out of a gripper, which works next to handles, of an arm, and of what
+carries the arm, such as a torso [m]."""
+BULKY = 0.06
+"""Shapes whose half thickness is more than this are treated as bodies [m]."""
 MAX_CELLS = 200
 """Cells of one box; beyond, they grow [-]."""
-_GRID = np.stack(np.meshgrid(*[np.linspace(-1, 1, 7)] * 3, indexing="ij"), -1).reshape(-1, 3)
+_LAYERS = ((0, 1), (3, 0), (4, 0), (5, 0), (6, 0), *((k, 1) for k in range(5, 17)))
+"""How many spheres form a ring, and how many stand in its middle."""
+_SIDE = 7
+_GRID = np.stack(np.meshgrid(*[np.linspace(-1, 1, _SIDE)] * 3, indexing="ij"), -1).reshape(-1, 3)
+_OUTER = _GRID[np.abs(_GRID).max(1) == 1]
+_DIRECTIONS = _OUTER / np.linalg.norm(_OUTER, axis=1, keepdims=True)
 
 
 class _Cover(NamedTuple):
@@ -41,37 +44,35 @@ class _Cover(NamedTuple):
 
 
 def cover_shapes(
-    shapes: Sequence[Geometry], *, fine: bool = False
+    shapes: Sequence[Geometry], stick_out: float
 ) -> tuple[Float[np.ndarray, "s 3"], Float[np.ndarray, " s"]]:
     """Cover the shapes of one link up to `MARGIN`.
 
     Args:
         shapes: At least one.
-        fine: Whether spheres must stick out little, as those of a gripper.
+        stick_out: How far spheres may stick out of a shape that is not bulky [m].
 
     Returns:
         Centres in the link frame and radii [m].
     """
-    cover = _join([_cover_shape(shape, fine) for shape in shapes])
-    keep = _needed(cover)
-    return cover.center[keep], cover.radius[keep]
+    base = _join([_cover_shape(shape, stick_out) for shape in shapes])
+    keep = _needed(base)
+    return base.center[keep], base.radius[keep]
 
 
-def cover_boxes(
-    boxes: Boxes, *, stick_out: float = FINE_STICK_OUT
-) -> tuple[Float[np.ndarray, "s 3"], Float[np.ndarray, " s"]]:
+def box_spheres(boxes: Boxes) -> tuple[Float[np.ndarray, "s 3"], Float[np.ndarray, " s"]]:
     """Cover boxes up to `MARGIN`: centres in the frame of the boxes, and radii [m]."""
     rows = zip(boxes.center, boxes.rotation, boxes.half, strict=True)
-    return _join([_cells(*row, stick_out) for row in rows])[:2]
+    return _join([_cells(*row, GRIPPER) for row in rows])[:2]
 
 
-def _cover_shape(shape: Geometry, fine: bool) -> _Cover:
+def _cover_shape(shape: Geometry, stick_out: float) -> _Cover:
     if shape.kind == "sphere":
-        center = shape.T_link_geometry[None, :3, 3]
-        return _Cover(center, np.array([shape.size[0]]), center)
+        center, size = shape.T_link_geometry[None, :3, 3], shape.size[0]
+        return _Cover(center, np.array([size]), center + size * _DIRECTIONS)
     if shape.kind == "cylinder":
         radius, length = shape.size
-        found = _along_axis(radius, length, _allowed(min(radius, length / 2), fine))
+        found = _rings(radius, length, _allowed(min(radius, length / 2), stick_out))
         if found is not None:
             T = shape.T_link_geometry
             return _Cover(apply(T, found.center), found.radius, apply(T, found.points))
@@ -79,99 +80,122 @@ def _cover_shape(shape: Geometry, fine: bool) -> _Cover:
     # Cells adapt to a cylinder, so that one box is enough; meshes have any form.
     boxes = cover(hull, depth=0 if shape.kind == "cylinder" else 3)
     rows = zip(boxes.center, boxes.rotation, boxes.half, strict=True)
-    return _join([_cells(c, R, h, _allowed(float(h.min()), fine), hull) for c, R, h in rows])
+    return _join([_cells(c, R, h, _allowed(float(h.min()), stick_out), hull) for c, R, h in rows])
 
 
-def _allowed(thin: float, fine: bool) -> float:
-    """How far spheres may stick out of a shape of this half thickness."""
-    return FINE_STICK_OUT if fine else float(np.clip(SHARE * thin, STICK_OUT, BULKY_STICK_OUT))
+def _allowed(thin: float, stick_out: float) -> float:
+    return max(stick_out, BODY) if thin > BULKY else stick_out
 
 
 def _join(covers: Sequence[_Cover]) -> _Cover:
     return _Cover(*(np.concatenate(column) for column in zip(*covers, strict=True)))
 
 
-def _along_axis(radius: float, length: float, stick_out: float) -> _Cover | None:
-    """Spheres along z that cover a cylinder, or None where they would stick out of its ends."""
+def _rings(radius: float, length: float, stick_out: float) -> _Cover | None:
+    """Layers of spheres that cover a cylinder along z, or None where they would stick out.
+
+    A layer is a sphere on the axis, a ring of them, or both. Farthest from a ring are points
+    halfway between two neighbours: on the rim, and on the axis or where the middle one ends.
+    """
     best, cost = None, np.inf
-    for wide in np.linspace(0.0, stick_out, 21)[1:]:
-        # Half the length of cylinder that one sphere covers.
-        reach = np.sqrt((radius + wide + MARGIN) ** 2 - radius**2)
-        count = max(1, int(np.ceil(length / (2 * reach) - 1e-9)))
-        end = max(0.0, length / 2 - reach)
-        fits = radius + wide - (length / 2 - end) <= stick_out
-        if fits and count * (wide + STICK_OUT) < cost:
-            best, cost = (wide, end, count), count * (wide + STICK_OUT)
+    for k, hub in _LAYERS:
+        turn = np.cos(np.pi / k) if k else 0.0
+        for r in np.linspace(0.2 * radius, radius + stick_out, 41):
+            d = float(np.clip(radius * turn, 0.0, max(0.0, radius + stick_out - r)))
+            rim = radius**2 + d**2 - 2 * radius * d * turn
+            across = max(rim, (d / (2 * turn)) ** 2 if k and hub else d**2)
+            if (r + MARGIN) ** 2 <= across:
+                continue
+            reach = np.sqrt((r + MARGIN) ** 2 - across)
+            count = max(1, int(np.ceil(length / (2 * reach) - 1e-9)))
+            end = max(0.0, length / 2 - reach) if count > 1 else 0.0
+            out = max(d + r - radius, end + r - length / 2)
+            price = (k + hub) * count * (out + ARM)
+            if out <= stick_out + 1e-9 and price < cost:
+                best, cost = (k, hub, r, d, np.linspace(-end, end, count)), price
     if best is None:
         return None
-    wide, end, count = best
-    center = np.zeros((count, 3))
-    center[:, 2] = np.linspace(-end, end, count) if count > 1 else 0.0
-    angle = np.arange(16) * np.pi / 8
-    ring = radius * np.stack([np.cos(angle), np.sin(angle)], -1)
-    rings = np.concatenate([0.0 * ring[:1], 0.5 * ring, ring])
-    z = np.linspace(-length / 2, length / 2, 4 * count + 1)
-    points = np.column_stack([np.tile(rings, (len(z), 1)), np.repeat(z, len(rings))])
-    return _Cover(center, np.full(count, radius + wide), points)
+    k, hub, r, d, z = best
+    ring = _rods(np.arange(k) * 2 * np.pi / max(k, 1), [d], z)
+    center = np.vstack([ring, _rods(np.zeros(hub), [0.0], z)])
+    angle, height = np.arange(24) * np.pi / 12, np.linspace(-length / 2, length / 2, 4 * len(z) + 1)
+    points = _rods(angle, [0.0, radius / 2, radius], height)
+    return _Cover(center, np.full(len(center), r), points)
+
+
+def _rods(angle: np.ndarray, radius: Sequence[float], z: np.ndarray) -> np.ndarray:
+    """Points at all combinations of cylinder coordinates."""
+    a, r, h = (x.ravel() for x in np.meshgrid(angle, radius, z, indexing="ij"))
+    return np.stack([r * np.cos(a), r * np.sin(a), h], -1)
 
 
 def _cells(
     center: np.ndarray, rotation: np.ndarray, half: np.ndarray, stick_out: float,
     hull: Hull | None = None,
 ) -> _Cover:  # fmt: skip
-    """One sphere for each cell of a box, or for what of the hull lies in the cell."""
+    """One sphere for each cell of a box, around what of the hull is in it."""
     count = _count(half, stick_out)
     cell = half / count
+    # Each grid point speaks for its surroundings, halfway to the next.
+    step = float(np.linalg.norm(cell)) / (_SIDE - 1)
     index = np.stack(np.meshgrid(*map(np.arange, count), indexing="ij"), -1).reshape(-1, 3)
-    local = ((2 * index + 1) * cell - half)[:, None] + _GRID * cell
-    points = center + local @ rotation.T
+    points = center + (((2 * index + 1) * cell - half)[:, None] + _GRID * cell) @ rotation.T
     inside = np.ones(points.shape[:2], bool)
     if hull is not None:
-        # A point speaks for its surroundings, up to halfway to the next.
-        inside = _depth(points, hull) > -np.linalg.norm(cell) / 6
-    used = inside.any(1)
-    points, inside = points[used], inside[used]
-    low = np.where(inside[..., None], local[used], np.inf).min(1)
-    high = np.where(inside[..., None], local[used], -np.inf).max(1)
-    middle = center + (low + high) / 2 @ rotation.T
-    far = np.where(inside, np.linalg.norm(points - middle[:, None], axis=-1), 0.0).max(1)
+        moved = _into(points, hull)
+        inside = np.linalg.norm(moved - points, axis=-1) <= step + 1e-9
+        points = moved
+    points, inside = points[inside.any(1)], inside[inside.any(1)]
+    local = (points - center) @ rotation
+    low = np.where(inside[..., None], local, np.inf).min(1)
+    high = np.where(inside[..., None], local, -np.inf).max(1)
+    middle = (low + high) / 2
+    far = np.where(inside, np.linalg.norm(local - middle[:, None], axis=-1), 0.0).max(1)
     radius = np.maximum(far - MARGIN, cell.min() / 2)
-    return _Cover(middle, radius, points[inside])
+    return _Cover(center + middle @ rotation.T, radius, points[inside])
 
 
 def _count(half: np.ndarray, stick_out: float) -> np.ndarray:
-    """Cells along each axis, so that spheres around them stick out no further than allowed."""
-    size = (stick_out + MARGIN) / (np.sqrt(3) - 1)
-    while True:
-        count = np.maximum(1, np.ceil(half / size - 1e-9)).astype(int)
-        cell = half / count
-        if np.prod(count) > MAX_CELLS:
-            return np.maximum(1, count * (MAX_CELLS / np.prod(count)) ** (1 / 3)).astype(int)
-        if np.linalg.norm(cell) - MARGIN - cell.min() <= stick_out:
-            return count
-        size *= 0.95
+    """Fewest cells along each axis whose spheres stick out no further than allowed."""
+    most = np.ceil(half / ((stick_out + MARGIN) / (np.sqrt(3) - 1))).astype(int) + 2
+    ranges = (np.arange(1, min(n, MAX_CELLS) + 1) for n in most)
+    counts = np.stack(np.meshgrid(*ranges, indexing="ij"), -1).reshape(-1, 3)
+    counts = counts[counts.prod(1) <= MAX_CELLS]
+    cell = half / counts
+    out = np.linalg.norm(cell, axis=1) - MARGIN - cell.min(1)
+    fits = out <= stick_out
+    return counts[np.where(fits, counts.prod(1), np.inf).argmin() if fits.any() else out.argmin()]
 
 
-def _depth(points: Float[np.ndarray, "*n 3"], hull: Hull) -> Float[np.ndarray, "*n"]:
-    """Distance of points to the nearest face of a hull, negative outside [m]."""
+def _planes(hull: Hull) -> tuple[Float[np.ndarray, "f 3"], Float[np.ndarray, " f"]]:
+    """Outward unit normals of a hull's faces and their offsets."""
     a, b, c = (hull.vertices[hull.faces[:, k]] for k in range(3))
     normal = np.cross(b - a, c - a)
     length = np.linalg.norm(normal, axis=1)
-    normal, a = (normal[length > 0] / length[length > 0, None], a[length > 0])
+    normal, a = normal[length > 1e-12] / length[length > 1e-12, None], a[length > 1e-12]
     offset = np.einsum("fk,fk->f", normal, a)
-    planes = np.unique(np.round(np.column_stack([normal, offset]), 6), axis=0)
-    return (planes[:, 3] - points @ planes[:, :3].T).min(-1)
+    planes = np.unique(np.round(np.column_stack([normal, offset]), 5), axis=0)
+    return planes[:, :3], planes[:, 3]
 
 
-def _needed(cover: _Cover) -> Float[np.ndarray, " s"]:
-    """Indices of spheres without which some point would stay uncovered; small ones go first."""
+def _into(points: np.ndarray, hull: Hull) -> np.ndarray:
+    """Move points outside of a hull to its surface, along the normals of faces."""
+    normal, offset = _planes(hull)
+    for _ in range(3):
+        out = points @ normal.T - offset
+        points = points - np.maximum(0.0, out.max(-1))[..., None] * normal[out.argmax(-1)]
+    return points
+
+
+def _needed(cover: _Cover) -> Bool[np.ndarray, " s"]:
+    """Which spheres have a point of their own; those that cover few points are dropped first."""
+    far = cdist(cover.center, cover.points) - cover.radius[:, None]
+    covers = far <= MARGIN + 1e-9
     # A millimetre less, for what lies between the points.
-    slack = MARGIN - 1e-3
-    covers = cdist(cover.center, cover.points) <= cover.radius[:, None] + slack
-    times = covers.sum(0)
-    keep = np.ones(len(covers), bool)
-    for s in np.argsort(cover.radius):
-        if (times[covers[s]] > 1).all():
+    well = far <= MARGIN - 1e-3
+    times, keep = well.sum(0), np.ones(len(well), bool)
+    for s in np.argsort(covers.sum(1)):
+        if (times - well[s])[covers[s]].all():
             keep[s] = False
-            times -= covers[s]
-    return np.flatnonzero(keep)
+            times -= well[s]
+    return keep

@@ -1,7 +1,7 @@
 """The robot as spheres: what the batched collision kernels move around.
 
-Spheres may stick out of a shape a little, or leave a corner uncovered by at most `MARGIN`; the
-exact check at the end of planning is what decides, see `momapos.verification`.
+Spheres stick out of a shape a little, or leave a part uncovered by at most `MARGIN`; the exact
+check at the end of planning is what decides, see `momapos.verification`.
 """
 
 from __future__ import annotations
@@ -15,14 +15,11 @@ from jaxtyping import Bool, Float, Int
 from momapos.geometry.transforms import apply
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.chain import Segments
-from momapos.kinematics.hulls import Boxes, cover, hull_of
-from momapos.kinematics.urdf import Geometry
+from momapos.kinematics.collision import FINGER, OTHER, PALM
+from momapos.kinematics.hulls import Boxes
+from momapos.kinematics.sphere_cover import ARM, BODY, GRIPPER, MARGIN, box_spheres, cover_shapes
 
-MARGIN = 0.006
-"""Corners may stay uncovered by this much [m]."""
-STICK_OUT = 0.008
-"""How far spheres should stick out of thin shapes at most [m]."""
-MAX_CELLS = 400
+__all__ = ["MARGIN", "Spheres", "box_spheres", "build_spheres", "carry"]
 
 
 @dataclass(frozen=True)
@@ -40,7 +37,8 @@ class Spheres:
     """A sphere around each group, for culling."""
     links: tuple[str, ...]
     """Link of each group."""
-    gripper: Bool[np.ndarray, " groups"]
+    gripper: Int[np.ndarray, " groups"]
+    """OTHER, PALM or FINGER: what each group may touch while it holds."""
     pairs: Int[np.ndarray, "pairs 2"]
     """Groups to be checked against each other."""
     base: Boxes
@@ -72,7 +70,14 @@ def build_spheres(
         gripper_links: Links that may touch what is grasped.
     """
     moving = [link for link in model.links if segments.of_link[link] > 0 and model.hulls[link]]
-    groups = [_link_spheres(model, link, segments.T_segment_link[link]) for link in moving]
+    bodies = _bodies(model, segments)
+    groups = []
+    for link in moving:
+        stick_out = (
+            GRIPPER if link in gripper_links else BODY if segments.of_link[link] in bodies else ARM
+        )
+        center, radius = cover_shapes(model.urdf.links[link].collisions, stick_out)
+        groups.append((apply(segments.T_segment_link[link], center), radius))
     if not groups:
         groups, moving = [(np.zeros((1, 3)), np.zeros(1))], [model.links[-1]]
     bounds = [_bound(center, radius) for center, radius in groups]
@@ -98,11 +103,21 @@ def build_spheres(
         bound_center=np.array([center for center, _ in bounds]),
         bound_radius=np.array([radius for _, radius in bounds]),
         links=tuple(moving),
-        gripper=np.array([link in set(gripper_links) for link in moving]),
+        gripper=np.array([_role(model, link, set(gripper_links)) for link in moving], np.int64),
         pairs=np.array(pairs, np.int64).reshape(-1, 2),
         base=base,
         base_pairs=against.reshape(len(moving), len(base)),
     )
+
+
+def _role(model: Articulated, link: str, gripper_links: set[str]) -> int:
+    """Fingers hang from a joint inside the gripper; what else belongs to it is its palm."""
+    if link not in gripper_links:
+        return OTHER
+    for joint in model.joints.values():
+        if joint.child in gripper_links and link in model.links_below(joint.child):
+            return FINGER
+    return PALM
 
 
 def carry(
@@ -126,15 +141,19 @@ def carry(
         bound_center=np.vstack([spheres.bound_center, middle]),
         bound_radius=np.append(spheres.bound_radius, bound),
         links=(*spheres.links, "carried object"),
-        gripper=np.append(spheres.gripper, True),
+        gripper=np.append(spheres.gripper, FINGER),
         base_pairs=np.vstack([spheres.base_pairs, np.zeros((1, len(spheres.base)), bool)]),
     )
 
 
-def box_spheres(boxes: Boxes) -> tuple[Float[np.ndarray, "s 3"], Float[np.ndarray, " s"]]:
-    """Spheres that cover boxes up to `MARGIN`, in the boxes' frame."""
-    parts = [_box(boxes.center[i], boxes.rotation[i], boxes.half[i]) for i in range(len(boxes))]
-    return np.concatenate([c for c, _ in parts]), np.concatenate([r for _, r in parts])
+def _bodies(model: Articulated, segments: Segments) -> set[int]:
+    """Segments that only slide: the base and what a lift carries."""
+    found = {0}
+    for joint in model.urdf.joints:
+        before, after = segments.of_link[joint.parent], segments.of_link[joint.child]
+        if after != before and before in found and joint.kind == "prismatic":
+            found.add(after)
+    return found
 
 
 def _neighbours(model: Articulated):  # type: ignore[no-untyped-def]
@@ -176,62 +195,3 @@ def _bound(center: np.ndarray, radius: np.ndarray) -> tuple[np.ndarray, float]:
         (center - radius[:, None]).min(0) + (center + radius[:, None]).max(0)
     ) / 2
     return middle, float((np.linalg.norm(center - middle, axis=1) + radius).max())
-
-
-def _link_spheres(
-    model: Articulated, link: str, T_segment_link: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    parts = [shape_spheres(shape) for shape in model.urdf.links[link].collisions]
-    center = np.concatenate([c for c, _ in parts])
-    radius = np.concatenate([r for _, r in parts])
-    keep = _not_inside_another(center, radius)
-    return apply(T_segment_link, center[keep]), radius[keep]
-
-
-def _not_inside_another(center: np.ndarray, radius: np.ndarray) -> np.ndarray:
-    distance = np.linalg.norm(center[:, None] - center[None], axis=-1)
-    inside = distance + radius[:, None] <= radius[None] + 1e-9
-    np.fill_diagonal(inside, False)
-    # Of two equal spheres the first stays.
-    twins = inside & inside.T & (np.arange(len(radius))[:, None] < np.arange(len(radius)))
-    return ~(inside & ~twins).any(1)
-
-
-def shape_spheres(shape: Geometry) -> tuple[Float[np.ndarray, "s 3"], Float[np.ndarray, " s"]]:
-    """Spheres that cover a shape up to `MARGIN`, in the link frame."""
-    if shape.kind == "sphere":
-        return apply(shape.T_link_geometry, np.zeros((1, 3))), np.array([shape.size[0]])
-    if shape.kind == "cylinder" and shape.size[1] > 1.2 * shape.size[0]:
-        center, radius = _cylinder(*shape.size)
-        return apply(shape.T_link_geometry, center), radius
-    return box_spheres(cover(hull_of(shape), depth=4))
-
-
-def _cylinder(radius: float, length: float) -> tuple[np.ndarray, np.ndarray]:
-    """Spheres along the axis; the rims stay uncovered by at most `MARGIN`."""
-    wide = radius + min(STICK_OUT / 2, 0.06 * radius)
-    inset = min(np.sqrt((wide + MARGIN) ** 2 - radius**2), length / 2)
-    step = 2 * np.sqrt(wide**2 - radius**2)
-    span = length - 2 * inset
-    count = max(1, int(np.ceil(span / step)) + 1)
-    z = np.linspace(-span / 2, span / 2, count) if count > 1 else np.zeros(1)
-    center = np.zeros((count, 3))
-    center[:, 2] = z
-    return center, np.full(count, wide)
-
-
-def _box(center: np.ndarray, rotation: np.ndarray, half: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A lattice of spheres; cells inside the box that no surface needs are left out."""
-    tolerance = max(STICK_OUT, 0.12 * float(half.min())) + MARGIN
-    size = tolerance / (np.sqrt(3) / 2 - 0.5)
-    count = np.maximum(1, np.ceil(2 * half / size)).astype(int)
-    while np.prod(count) > MAX_CELLS:
-        size *= 1.15
-        count = np.maximum(1, np.ceil(2 * half / size)).astype(int)
-    cell = half / count
-    radius = max(float(np.linalg.norm(cell)) - MARGIN, float(cell.min()))
-    grid = np.stack(np.meshgrid(*(np.arange(n) for n in count), indexing="ij"), -1).reshape(-1, 3)
-    depth = np.minimum(grid, count - 1 - grid).min(1)
-    grid = grid[depth <= max(1, int(radius / cell.min()) - 1)]
-    local = (2 * grid + 1) * cell - half
-    return center + local @ rotation.T, np.full(len(grid), radius)

@@ -22,8 +22,8 @@ class GraspConfig:
     """Tilts along the handle [deg]."""
     points: tuple[float, ...] = (0.0, 0.6, -0.6)
     """Points along the handle, as shares of its half length [-]."""
-    standoffs: tuple[float, ...] = (0.0, 0.02)
-    """How far the tool's origin stays before the handle's centre [m]."""
+    standoffs: tuple[float, ...] = (0.0, 0.7)
+    """How far the tool's origin stays before the handle, as shares of the fingers' depth [-]."""
     rolls: int = 8
     """Rolls about the approach for knobs and rigid objects [-]."""
     pregrasp: float = 0.08
@@ -62,15 +62,18 @@ def handle_grasps(
     arm's wrist makes them different.
     """
     side = np.cross(handle.long, handle.out)
+    # An edge that cannot be reached behind is touched with the fingertips.
+    standoffs = [1.0] if handle.edge else config.standoffs
     points = _points(handle, config)
     rolls = (
         np.arange(config.rolls) * 2 * np.pi / config.rolls if handle.knob else np.array([0, np.pi])
     )
     turns, tilts = np.radians(config.turns), np.radians(config.tilts)
     grid = np.stack(
-        np.meshgrid(rolls, points, config.standoffs, tilts, turns, indexing="ij"), -1
+        np.meshgrid(rolls, points, standoffs, tilts, turns, indexing="ij"), -1
     ).reshape(-1, 5)
     roll, point, standoff, tilt, turn = grid.T
+    standoff = standoff * robot.finger_depth
     R_turn = rotation_about(handle.long, turn)
     approach = R_turn @ -handle.out
     closing = R_turn @ side

@@ -175,7 +175,9 @@ def _moving_boxes(
             rotation.append(axes)
             half.append(boxes.half)
             labels += [f"{target.name}/{link}"] * len(boxes)
-            near.append(_near_handle(local, axes, boxes.half, handle))
+            # A hull that the handle lies in is touched, whichever of its boxes it is.
+            touched = _near_handle(local, axes, boxes.half, handle).any()
+            near.append(np.full(len(boxes), touched))
     c, R, h = _stack(center, rotation, half)
     world = Boxes(
         np.einsum("vij,mj->vmi", Ts_world_part[:, :3, :3], c) + Ts_world_part[:, None, :3, 3],

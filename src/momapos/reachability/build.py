@@ -14,12 +14,11 @@ import numpy as np
 from numba import njit
 
 from momapos.kinematics.chain import forward
-from momapos.kinematics.collision import FREE, box_gap, hit_floor, hit_self
-from momapos.kinematics.ik import ik_scratch, solve_sample
+from momapos.kinematics.collision import FREE, hit_floor, hit_self
+from momapos.kinematics.ik import MAX_BRANCHES, ik_scratch, solve_sample
 from momapos.reachability.grid import oct_decode
+from momapos.reachability.standing import BEARINGS, touched
 
-BEARINGS = 64
-"""Bearings of a mask."""
 EVERY = np.uint64(0xFFFFFFFFFFFFFFFF)
 
 
@@ -70,114 +69,49 @@ def arc_mask(q, turn, lower, upper):
 
 
 @njit(cache=True, nogil=True)
-def _near_base(R, p, spheres, first, axis, rings):
-    """Whether the arm can touch a part that does not turn with the first joint, at any bearing."""
-    (
-        center, radius, start, segment, bound_center, bound_radius, gripper, pairs,
-        base_center, base_rotation, base_half, base_pairs,
-    ) = spheres
-    if len(pairs) > 0:
-        for k in range(len(pairs)):
-            i, j = pairs[k, 0], pairs[k, 1]
-            ri, zi = _polar(R, p, segment[i], bound_center[i], axis)
-            rj, zj = _polar(R, p, segment[j], bound_center[j], axis)
-            far = bound_radius[i] + bound_radius[j]
-            if (ri - rj) ** 2 + (zi - zj) ** 2 < far * far:
-                return True
-    for g in range(len(segment)):
-        if segment[g] <= first:
-            continue
-        r, z = _polar(R, p, segment[g], bound_center[g], axis)
-        for b in range(len(base_center)):
-            if base_pairs[g, b]:
-                dr = max(0.0, rings[b, 0] - r, r - rings[b, 1])
-                dz = max(0.0, rings[b, 2] - z, z - rings[b, 3])
-                if dr * dr + dz * dz < bound_radius[g] ** 2:
-                    return True
-    return False
+def _line_mask(R_tool, p_tool, mask, arm, chain, limits, ik, pans, work):
+    """Add the bearings at which a tool pose is reachable to a mask.
 
-
-@njit(cache=True, nogil=True)
-def _polar(R, p, s, local, axis):
-    """Distance from the first axis and height of a point of segment s."""
-    x = p[s, 0] + R[s, 0, 0] * local[0] + R[s, 0, 1] * local[1] + R[s, 0, 2] * local[2] - axis[0]
-    y = p[s, 1] + R[s, 1, 0] * local[0] + R[s, 1, 1] * local[1] + R[s, 1, 2] * local[2] - axis[1]
-    z = p[s, 2] + R[s, 2, 0] * local[0] + R[s, 2, 1] * local[1] + R[s, 2, 2] * local[2]
-    return math.sqrt(x * x + y * y), z
-
-
-@njit(cache=True, nogil=True)
-def _base_clear(b, R, p, heights, first, axis, fixed):
-    """Whether the arm clears the parts that do not turn, when the line is at bearing b.
-
-    The base is turned backwards about the first axis, which is the same and cheaper.
+    Args:
+        pans: For each sample, by the value at which it locks the first joint: (arcs: what it can
+            serve, 0 where it does not lock it; value: its index; step: the values this far to
+            both sides are known before it, 0 for the first ones). A value between two that agree
+            is not tried, nor one that can add nothing.
     """
-    angle = -(2.0 * math.pi / BEARINGS) * b
-    c, s = math.cos(angle), math.sin(angle)
-    for i in range(first + 1):
-        R[i, 0, 0], R[i, 0, 1], R[i, 0, 2] = c, -s, 0.0
-        R[i, 1, 0], R[i, 1, 1], R[i, 1, 2] = s, c, 0.0
-        R[i, 2, 0], R[i, 2, 1], R[i, 2, 2] = 0.0, 0.0, 1.0
-        x, y = heights[i, 0] - axis[0], heights[i, 1] - axis[1]
-        p[i, 0], p[i, 1], p[i, 2] = axis[0] + c * x - s * y, axis[1] + s * x + c * y, heights[i, 2]
-    return hit_self(R, p, fixed) == FREE
-
-
-@njit(cache=True, nogil=True)
-def _clear_bearings(wanted, R, p, heights, first, axis, fixed):
-    """The wanted bearings at which the arm clears the parts that do not turn.
-
-    Every second bearing is checked, and those between where their neighbours disagree.
-    """
-    heights[: first + 1] = p[: first + 1]
-    one = np.uint64(1)
-    mask = np.uint64(0)
-    for b in range(0, BEARINGS, 2):
-        near = (wanted >> np.uint64(b)) & one
-        near |= (wanted >> np.uint64((b + 1) % BEARINGS)) & one
-        near |= (wanted >> np.uint64((b + BEARINGS - 1) % BEARINGS)) & one
-        if near and _base_clear(b, R, p, heights, first, axis, fixed):
-            mask |= one << np.uint64(b)
-    for b in range(1, BEARINGS, 2):
-        if not (wanted >> np.uint64(b)) & one:
-            continue
-        left = (mask >> np.uint64(b - 1)) & one
-        right = (mask >> np.uint64((b + 1) % BEARINGS)) & one
-        if left == right:
-            mask |= left << np.uint64(b)
-        elif _base_clear(b, R, p, heights, first, axis, fixed):
-            mask |= one << np.uint64(b)
-    return mask & wanted
-
-
-@njit(cache=True, nogil=True)
-def _line_mask(R_tool, p_tool, mask, arm, chain, limits, ik, arcs, work):
-    """Add the bearings at which a tool pose is reachable to a mask."""
-    first, turn, lower, upper, axis, turning, fixed, rings = arm
-    out, scratch, R, p, heights = work
-    samples = ik[2]
-    for s in range(len(samples)):
-        if arcs[s] & ~mask == np.uint64(0):
-            continue
+    first, turn, lower, upper, axis, turning, table = arm
+    arcs, value, step = pans
+    out, scratch, R, p, works = work
+    works[:] = False
+    for s in range(len(arcs)):
+        arc, v = arcs[s], value[s]
+        if arc:
+            if arc & ~mask == np.uint64(0):
+                works[v] = True
+                continue
+            if step[s] > 0:
+                left = works[(v - step[s]) % len(works)]
+                if left == works[(v + step[s]) % len(works)]:
+                    works[v] = left
+                    continue
         count = solve_sample(s, R_tool, p_tool, chain, limits, ik, out, scratch)
         for k in range(count):
-            gain = arc_mask(out[k, first], turn, lower, upper) & ~mask
+            gain = arc if arc else arc_mask(out[k, first], turn, lower, upper)
+            gain &= ~mask
             if gain == np.uint64(0):
                 continue
             R[0], p[0] = np.eye(3), 0.0
             forward(out[k], chain[0], chain[1], chain[2], R, p)
             if hit_floor(R, p, turning) != FREE or hit_self(R, p, turning) != FREE:
                 continue
-            if _near_base(R, p, fixed, first, axis, rings):
-                gain = _clear_bearings(gain, R, p, heights, first, axis, fixed)
-            mask |= gain
+            works[v] = True
+            mask |= gain & ~touched(gain, R, p, turning, first, axis, table)
             if mask == EVERY:
                 return mask
     return mask
 
 
 @njit(cache=True, nogil=True)
-def line_masks(lines, rolls, tool, arm, chain, limits, ik, arcs, masks):
+def line_masks(lines, rolls, tool, arm, chain, limits, ik, pans, masks):
     """Bearings at which lines (m, 4: z, r, u, v) can be reached, into masks (m,).
 
     A line counts where every roll of the tool can be reached.
@@ -185,8 +119,8 @@ def line_masks(lines, rolls, tool, arm, chain, limits, ik, arcs, masks):
     n = ik[2].shape[1]
     axis = arm[4]
     work = (
-        np.empty((8, n)), ik_scratch(n), np.empty((n + 1, 3, 3)), np.empty((n + 1, 3)),
-        np.empty((n + 1, 3)),
+        np.empty((MAX_BRANCHES, n)), ik_scratch(n), np.empty((n + 1, 3, 3)), np.empty((n + 1, 3)),
+        np.zeros(max(1, np.max(pans[1]) + 1), np.bool_),
     )
     R, p = np.empty((3, 3)), np.empty(3)
     for i in range(len(lines)):
@@ -196,7 +130,7 @@ def line_masks(lines, rolls, tool, arm, chain, limits, ik, arcs, masks):
             line_pose(r, z, lines[i, 2], lines[i, 3], rolls[k], tool, R, p)
             p[0] += axis[0]
             p[1] += axis[1]
-            mask &= _line_mask(R, p, ~mask, arm, chain, limits, ik, arcs, work)
+            mask &= _line_mask(R, p, ~mask, arm, chain, limits, ik, pans, work)
             if mask == np.uint64(0):
                 break
         masks[i] = mask

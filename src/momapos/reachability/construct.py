@@ -16,12 +16,14 @@ from momapos.errors import RobotError
 from momapos.geometry.transforms import orthonormal
 from momapos.kinematics.chain import Chain
 from momapos.kinematics.ik import NUMERIC, IkModel, build_ik, chain_arrays, ik_arrays
-from momapos.reachability.build import BEARINGS, EVERY, arc_mask, line_masks
+from momapos.kinematics.spheres import Spheres
+from momapos.reachability.build import arc_mask, line_masks
 from momapos.reachability.grid import grid_points, pack_shape
 from momapos.reachability.map import ReachConfig, ReachMap
 from momapos.reachability.margin import (
     INTERIOR, close_seam, deepen, near_margins, uneven_edges,
 )
+from momapos.reachability.standing import BEARINGS, standing_table
 from momapos.robots.robot import Robot
 
 log = logging.getLogger(__name__)
@@ -40,6 +42,8 @@ class Frame:
     """Index of the first revolute joint; only vertical prismatic joints come before it."""
     turn: float
     """1 where the first joint turns anticlockwise seen from above, else -1."""
+    limits: tuple[float, float]
+    """Of the first joint [rad]."""
     axis: Float[np.ndarray, "3"]
     """Foot of the first axis in the base frame [m]."""
     tool: Float[np.ndarray, "4 3"]
@@ -73,7 +77,8 @@ def arm_frame(chain: Chain, approach_axis: Float[np.ndarray, "3"]) -> Frame:
     rows = np.stack([axis, across, np.cross(axis, across), point - p_tool])
     foot = np.array([origin[first, 0], origin[first, 1], 0.0])
     turn = float(np.sign(chain.h[first, 2]))
-    return Frame(first, turn, foot, rows @ chain.tool_rotation, full)
+    limits = float(chain.lower[first]), float(chain.upper[first])
+    return Frame(first, turn, limits, foot, rows @ chain.tool_rotation, full)
 
 
 def _nearest(o: np.ndarray, h: np.ndarray, other: np.ndarray, k: np.ndarray) -> np.ndarray:
@@ -161,19 +166,17 @@ class _Evaluator:
             lower=np.where(np.arange(chain.size) == first, -np.inf, chain.lower),
             upper=np.where(np.arange(chain.size) == first, np.inf, chain.upper),
         )
-        ik = build_ik(free, samples_per_joint=config.samples)
-        ik, arcs = _ordered(ik, chain, frame)
+        ik, pans = _samples(free, frame, config)
         rolls = max(config.rolls, 1 if frame.full_roll else 8)
-        turning, fixed, rings = _split(robot, frame)
         self.progress = progress
         self.rolls = np.pi * 2 / rolls * np.arange(rolls)
         arm = (
-            first, frame.turn, float(chain.lower[first]), float(chain.upper[first]), frame.axis,
-            turning, fixed, rings,
+            first, frame.turn, *frame.limits, frame.axis,
+            _turning(robot.spheres, first), standing_table(robot.spheres, chain.d, first),
         )
         self.arguments = (
             np.ascontiguousarray(frame.tool), arm, chain_arrays(free), (free.lower, free.upper),
-            ik_arrays(ik), arcs,
+            ik_arrays(ik), pans,
         )
 
     def __call__(self, lines: np.ndarray, begin: float, end: float) -> np.ndarray:
@@ -189,55 +192,57 @@ class _Evaluator:
         return masks
 
 
-def _ordered(ik: IkModel, chain: Chain, frame: Frame) -> tuple[IkModel, np.ndarray]:
-    """Sort the samples of a longer arm so that few must be solved, and tell what each can give.
+def _samples(
+    chain: Chain, frame: Frame, config: ReachConfig
+) -> tuple[IkModel, tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """How the freed arm is inverted, and its samples in the order in which they are tried.
 
-    Where the first joint is one that is locked, its value says which bearings a sample can serve.
-    Straight ahead comes first, then the values farthest to the sides: what lies between them
-    adds nothing, and is then skipped.
-    """
-    first = frame.first
-    if ik.kind == NUMERIC or first in ik.active:
-        return ik, np.full(len(ik.samples), EVERY)
-    pan = ik.samples[:, first]
-    rest = np.delete(ik.samples, first, axis=1)
-    order = np.lexsort((*rest.T, pan, np.where(np.abs(pan) < 1e-9, -np.inf, -np.abs(pan))))
-    lower, upper = float(chain.lower[first]), float(chain.upper[first])
-    arcs = np.array([arc_mask(q, frame.turn, lower, upper) for q in pan[order]], np.uint64)
-    names = ("samples", "h", "o", "wrist", "R_tool", "p_tool")
-    return replace(ik, **{name: getattr(ik, name)[order] for name in names}), arcs
-
-
-def _split(robot: Robot, frame: Frame) -> tuple[tuple, tuple, np.ndarray]:  # type: ignore[type-arg]
-    """Self-collision in two parts: what turns with the first joint, and what does not.
+    Where a longer arm is inverted with its first joint locked, the values of that joint tell which
+    bearings a sample can serve. Straight ahead comes first, then the values farthest to the sides:
+    what lies between them adds nothing. Then the values between are tried where it changes.
 
     Returns:
-        Spheres with the pairs that turn together and no base; spheres with the other pairs and
-        the base; and for each box of the base the ring it sweeps about the first axis: least and
-        greatest distance, lowest and highest point [m].
+        The model, and for each sample what `line_masks` calls pans.
     """
-    spheres = robot.spheres
-    stays = spheres.segment <= frame.first
-    mixed = stays[spheres.pairs].any(1) if len(spheres.pairs) else np.zeros(0, bool)
-    arrays = spheres.arrays()
+    first = frame.first
+    ik = build_ik(chain, samples_per_joint=config.samples)
+    if ik.kind == NUMERIC or first in ik.active:
+        zero = np.zeros(len(ik.samples), np.int64)
+        return ik, (zero.astype(np.uint64), zero, zero)
+    values = 2 * config.samples
+    ik = build_ik(chain, samples_per_joint=values)
+    keep = np.ones(len(ik.samples), bool)
+    for joint in set(range(chain.size)) - {first, *ik.active.tolist()}:
+        held = np.unique(ik.samples[:, joint])
+        count = min(len(held), config.heights)
+        chosen = held[np.round(np.linspace(0, len(held) - 1, count)).astype(int)]
+        keep &= np.isin(ik.samples[:, joint], chosen)
+    pan = ik.samples[:, first]
+    value = np.round((pan + np.pi) / (2 * np.pi) * values).astype(np.int64) % values
+    step = np.where(value % 2 == values // 2 % 2, 0, 1)
+    ahead = np.where(np.abs(pan) < 1e-9, -np.inf, -np.abs(pan))
+    rest = np.delete(ik.samples, first, axis=1)
+    order = np.lexsort((*rest.T, pan, ahead, -step, step > 0))
+    order = order[keep[order]]
+    names = ("samples", "h", "o", "wrist", "R_tool", "p_tool")
+    return replace(ik, **{name: getattr(ik, name)[order] for name in names}), (
+        _arcs(pan[order], frame, np.pi / values), value[order], step[order]
+    )
+
+
+def _arcs(pan: np.ndarray, frame: Frame, slack: float) -> np.ndarray:
+    """Bearings that values of the first joint can serve; half a step more at both ends, since
+    the last value that works lies half a step, on average, before the last that would."""
+    lower, upper = frame.limits[0] - slack, frame.limits[1] + slack
+    return np.array([arc_mask(q, frame.turn, lower, upper) for q in pan], np.uint64)
+
+
+def _turning(spheres: Spheres, first: int) -> tuple:  # type: ignore[type-arg]
+    """The spheres with only those pairs that both turn with the first joint, and no base."""
+    stays = spheres.segment <= first
+    pairs = spheres.pairs[~stays[spheres.pairs].any(1)]
     none = (np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3)))
-    turning = (*arrays[:7], spheres.pairs[~mixed], *none, np.zeros((len(stays), 0), bool))
-    fixed = (*arrays[:7], spheres.pairs[mixed], *arrays[8:])
-    base = spheres.base
-    signs = np.array([[i, j, k] for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)], float)
-    corners = base.center[:, None] + np.einsum(
-        "bij,bcj->bci", base.rotation, signs * base.half[:, None]
-    )
-    if len(base) == 0:
-        return turning, fixed, np.zeros((0, 4))
-    xy = np.linalg.norm(corners[..., :2] - frame.axis[:2], axis=-1)
-    middle = np.linalg.norm(base.center[:, :2] - frame.axis[:2], axis=-1)
-    span = np.linalg.norm((corners - base.center[:, None])[..., :2], axis=-1).max(1)
-    rings = np.stack(
-        [np.maximum(middle - span, 0), xy.max(1), corners[..., 2].min(1), corners[..., 2].max(1)],
-        axis=1,
-    )
-    return turning, fixed, rings
+    return (*spheres.arrays()[:7], pairs, *none, np.zeros((len(stays), 0), bool))
 
 
 def _threaded(work: Callable[[int, int], None], count: int, block: int, done: Progress) -> None:

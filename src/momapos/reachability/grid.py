@@ -41,7 +41,7 @@ def oct_decode(u: float, v: float) -> tuple[float, float, float]:
 
 
 @njit(cache=True, nogil=True)
-def _turns(y: float, x: float) -> float:
+def turns_of(y: float, x: float) -> float:
     """atan2(y, x) / 2 pi in [0, 1], within 1e-5 (polynomial after Abramowitz and Stegun)."""
     ax, ay = abs(x), abs(y)
     low, high = min(ax, ay), max(ax, ay)
@@ -106,7 +106,7 @@ def lookup(x, y, z, ax, ay, az, yaw_turns, values, shape, frame):
     at = iz * sz + ir * sr + iu * su + iv * sv
     fb, sb = 0.0, 0
     if nb > 1:
-        turns = _turns(y, x) - yaw_turns
+        turns = turns_of(y, x) - yaw_turns
         fb = (turns - math.floor(turns)) * nb
         ib = int(fb)
         fb -= ib

@@ -23,8 +23,10 @@ class ReachConfig:
     """Grid points along each side of the octahedral square of directions, odd [-]."""
     bearings: int = 32
     """Grid points along the bearing where it matters, a divisor of 64 [-]; 1 leaves it out."""
-    samples: int = 9
-    """Values at which each redundant joint of a longer arm is locked [-]."""
+    samples: int = 16
+    """Values at which a redundant turning joint of a longer arm is locked [-]."""
+    heights: int = 5
+    """Values at which a torso is locked [-]."""
     rolls: int = 1
     """Turns of the tool about its last axis that must all be reachable [-]; more where the last
     joint does not turn fully."""

@@ -12,10 +12,10 @@ import math
 import numpy as np
 from numba import njit
 
-from momapos.reachability.build import BEARINGS
 from momapos.reachability.grid import DEPTH, OUTSIDE, STEPS
+from momapos.reachability.standing import BEARINGS
 
-INTERIOR = 3
+INTERIOR = 1
 """Answers that are taken on an edge whose ends disagree."""
 
 

@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Float
 
 from momapos.errors import FileFormatError, RobotError, unknown_name
+from momapos.geometry.transforms import apply, invert
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.chain import Chain, Segments, build_chain
 from momapos.kinematics.hulls import Boxes
@@ -88,6 +89,18 @@ class Robot:
     def base(self) -> Boxes:
         """The base as boxes in its own frame."""
         return self.spheres.base
+
+    @cached_property
+    def finger_depth(self) -> float:
+        """How far the fingertips stick out beyond the tool's origin [m]."""
+        poses = self.model.link_poses({})
+        T_tool_root = invert(poses[self.tool_link])
+        tips = [
+            float((apply(T_tool_root @ poses[link], hull.vertices) @ self.approach_axis).max())
+            for link in self.gripper_links
+            for hull in self.model.hulls[link]
+        ]
+        return max(0.0, *tips) if tips else 0.0
 
     @cached_property
     def reach(self) -> float:

@@ -83,15 +83,14 @@ def body_poses(
         T_world_root: Pose of the root link.
     """
     count = max((np.size(value) for value in values.values()), default=1)
-    Ts = np.empty((count, len(bodies), 4, 4))
-    Ts[:, 0] = T_world_root
+    poses = [T_world_root[None]]
     for body in range(1, len(bodies)):
         joint = bodies.joints[body]
         assert joint is not None
         value = np.atleast_1d(np.asarray(values.get(joint.name, bodies.rest[joint.name]), float))
-        motion = bodies.Ts_parent_joint[body] @ joint_motions(joint, value)
-        Ts[:, body] = Ts[:, bodies.parent[body]] @ motion
-    return Ts
+        T = poses[bodies.parent[body]]
+        poses.append(T @ bodies.Ts_parent_joint[body] @ joint_motions(joint, value))
+    return np.stack([np.broadcast_to(T, (count, 4, 4)) for T in poses], axis=1)
 
 
 def joint_motions(joint: Joint, values: Float[np.ndarray, " s"]) -> Float[np.ndarray, "s 4 4"]:

@@ -40,6 +40,9 @@ class Limits:
     """Most states that are checked [-]."""
 
 
+DEFAULT = Limits()
+
+
 @dataclass(frozen=True)
 class Check:
     """One number that must not exceed its limit."""

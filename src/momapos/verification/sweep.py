@@ -34,10 +34,8 @@ def deepest(
     Returns:
         Depth of each pair [m] (the floor where it is not exceeded), and its state (-1 there).
     """
-    near = _may_meet(a, Ts_a, b, Ts_b, pairs, floor)
-    depth, state = np.full(len(pairs), floor), np.full(len(pairs), -1)
-    depth[near], state[near] = _deepest(
-        np.ascontiguousarray(pairs[near], np.int64),
+    depth, state = _deepest(
+        np.ascontiguousarray(pairs, np.int64),
         np.ascontiguousarray(Ts_a), np.ascontiguousarray(Ts_b), a.arrays, b.arrays, floor,
     )  # fmt: skip
     return depth, state
@@ -48,26 +46,27 @@ def all_pairs(count_a: int, count_b: int) -> Int[np.ndarray, "p 2"]:
     return np.stack(np.meshgrid(np.arange(count_a), np.arange(count_b)), -1).reshape(-1, 2)
 
 
-def boxes_around(
-    shapes: Shapes, Ts: Float[np.ndarray, "s k 4 4"]
-) -> tuple[Float[np.ndarray, "s k 3"], Float[np.ndarray, "s k 3"]]:
-    """Lower and upper corners of axis-aligned boxes around placed shapes [m]."""
-    extent = np.einsum("skij,kj->ski", np.abs(Ts[..., :3, :3]), shapes.half)
-    return Ts[..., :3, 3] - extent, Ts[..., :3, 3] + extent
+@njit(cache=True, nogil=True)
+def _swept(Ts, half):  # type: ignore[no-untyped-def]
+    """Axis-aligned boxes around shapes over the whole motion: corners (2, k, 3) [m]."""
+    box = np.empty((2, Ts.shape[1], 3))
+    box[0], box[1] = np.inf, -np.inf
+    for s in range(len(Ts)):
+        for k in range(Ts.shape[1]):
+            T, h = Ts[s, k], half[k]
+            for r in range(3):
+                extent = abs(T[r, 0]) * h[0] + abs(T[r, 1]) * h[1] + abs(T[r, 2]) * h[2]
+                box[0, k, r] = min(box[0, k, r], T[r, 3] - extent)
+                box[1, k, r] = max(box[1, k, r], T[r, 3] + extent)
+    return box
 
 
-def _may_meet(
-    a: Shapes, Ts_a: np.ndarray, b: Shapes, Ts_b: np.ndarray, pairs: np.ndarray, floor: float
-) -> Int[np.ndarray, " m"]:
-    """Indices of the pairs whose boxes around the whole motion meet."""
-    if not len(pairs):
-        return np.empty(0, np.int64)
-    (low_a, high_a), (low_b, high_b) = boxes_around(a, Ts_a), boxes_around(b, Ts_b)
-    i, j = pairs[:, 0], pairs[:, 1]
-    meets = (low_a.min(0)[i] <= high_b.max(0)[j] - floor) & (
-        low_b.min(0)[j] <= high_a.max(0)[i] - floor
-    )
-    return np.flatnonzero(meets.all(1))
+@njit(cache=True, nogil=True)
+def _meet(a, b, i, j, floor):  # type: ignore[no-untyped-def]
+    for r in range(3):
+        if a[0, i, r] > b[1, j, r] - floor or b[0, j, r] > a[1, i, r] - floor:
+            return False
+    return True
 
 
 @njit(cache=True, nogil=True)
@@ -75,8 +74,11 @@ def _deepest(pairs, Ts_a, Ts_b, a, b, floor):  # type: ignore[no-untyped-def]
     depths, states = np.full(len(pairs), floor), np.full(len(pairs), -1)
     bounds, Ts = np.empty(len(Ts_a)), np.empty((len(Ts_a), 4, 4))
     index = np.empty(len(Ts_a), np.int64)
+    swept_a, swept_b = _swept(Ts_a, a[4]), _swept(Ts_b, b[4])
     for p in range(len(pairs)):
         i, j = pairs[p]
+        if not _meet(swept_a, swept_b, i, j, floor):
+            continue
         count = 0
         for s in range(len(Ts_a)):
             T_b = Ts_b[min(s, len(Ts_b) - 1), j]
@@ -135,7 +137,7 @@ def _bound(T_a, T_b, half_a, half_b, floor, T):  # type: ignore[no-untyped-def]
 def _search(a, b, Ts, bounds, half, floor):  # type: ignore[no-untyped-def]
     """Branch and bound over the states of one pair."""
     radius = np.sqrt(half[0] ** 2 + half[1] ** 2 + half[2] ** 2)
-    best, where = floor, -1
+    best, where = floor, np.int64(-1)
     while True:
         s = np.argmax(bounds)
         if bounds[s] <= best + TOLERANCE:

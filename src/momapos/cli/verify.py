@@ -1,0 +1,36 @@
+"""momapos verify: check a plan again, from the files alone."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from tyro.conf import Positional
+
+
+def verify(
+    plan: Positional[Path],
+    /,
+    *,
+    scene_root: Path | None = None,
+    json: bool = False,
+) -> int:
+    """Check a plan again, from the plan file, the scene and the URDF that it names.
+
+    Exit status: 0 the plan holds, 1 it does not, 2 a file cannot be used.
+
+    Args:
+        plan: The plan file.
+        scene_root: Folder for names not found beside the plan, and for a BestMan scene's models.
+        json: Print the report as one JSON object and nothing else.
+    """
+    from json import dumps
+
+    from momapos.verification.files import verify_files
+    from momapos.verification.report import report_lines, report_to_dict
+
+    report = verify_files(plan, scene_root)
+    if json:
+        print(dumps(report_to_dict(report)))
+    else:
+        print("\n".join(report_lines(report)))
+    return 0 if report.valid else 1

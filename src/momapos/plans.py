@@ -1,0 +1,317 @@
+"""Plan files: momapos-plan, version 1. See ARCHITECTURE for the format."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import tempfile
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+from jaxtyping import Float
+
+from momapos.errors import FileFormatError, InputError
+from momapos.types import Candidates, Motion, PlacementPlan, Status, Task, Verb
+
+FORMAT, VERSION = "momapos-plan", 1
+MAX_BYTES = 200_000_000
+MAX_PARENTS = 3
+"""Files are named relative to the plan up to this many folders above it."""
+
+# ------------------------------------------------------------------------------------------ writing
+
+
+def plan_to_dict(plan: PlacementPlan) -> dict[str, Any]:
+    """Turn a plan into what its file holds; paths as the plan has them."""
+    pose = plan.base_pose
+    motion = plan.motion
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        "scene": plan.scene,
+        "robot": {
+            "name": plan.robot_name,
+            "urdf": plan.robot_urdf,
+            "base_link": plan.base_link,
+            "tool_link": plan.tool_link,
+        },
+        "task": asdict(plan.task),
+        "status": plan.status,
+        "base_pose": None if pose is None else dict(zip(("x", "y", "yaw"), pose, strict=True)),
+        "joints": list(plan.joints),
+        "approach": [] if motion is None else motion.approach.tolist(),
+        "manipulation": None
+        if motion is None
+        else {
+            "q": motion.q.tolist(),
+            "object_q": motion.object_q.tolist(),
+            "T_world_tool": motion.Ts_world_tool.tolist(),
+        },
+        "navigation_cost": plan.navigation_cost,
+        "candidates": {
+            "sampled": plan.candidates.sampled,
+            "checked": plan.candidates.checked,
+            "rejections": dict(plan.candidates.rejections),
+        },
+        "timing": dict(plan.timing),
+        "method": plan.method,
+        "seed": plan.seed,
+        "versions": dict(plan.versions),
+    }
+
+
+def write_plan(plan: PlacementPlan, path: Path) -> None:
+    """Write a plan, the whole file or nothing.
+
+    The scene and the URDF are named relative to the plan's folder where they are near, so that
+    the folders can be moved together, and by absolute paths elsewhere.
+
+    Raises:
+        InputError: The plan holds NaN, or names a file that does not exist, so that nobody could
+            verify it; or the file cannot be written.
+    """
+    data = plan_to_dict(plan)
+    data["scene"] = _portable(plan.scene, path, "the scene")
+    data["robot"]["urdf"] = _portable(plan.robot_urdf, path, "the robot's URDF")
+    try:
+        text = json.dumps(data, allow_nan=False)
+    except ValueError as error:
+        raise InputError(f"{path}: the plan holds NaN or infinity and was not written") from error
+    _replace(path, text + "\n")
+
+
+def _portable(name: str, plan: Path, what: str) -> str:
+    target, folder = Path(os.path.abspath(name)), plan.resolve().parent
+    if not target.is_file():
+        raise InputError(
+            f"{plan}: the plan names {what} as {name!r}, which does not exist; "
+            "load it from a file, so that the plan can be verified"
+        )
+    near = [folder, *list(folder.parents)[:MAX_PARENTS]]
+    shared = [parent for parent in near if parent.parent != parent]
+    if any(target.is_relative_to(parent) for parent in shared):
+        relative = Path(os.path.relpath(target, folder))
+        if (folder / relative).exists() and (folder / relative).samefile(target):
+            return relative.as_posix()
+    return str(target)
+
+
+def _replace(path: Path, text: str) -> None:
+    """Write to a file beside it, then swap: a reader sees the old file or the new one."""
+    name = None
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+        with os.fdopen(handle, "w", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        os.chmod(name, 0o644)
+        os.replace(name, path)
+    except OSError as error:
+        if name is not None:
+            Path(name).unlink(missing_ok=True)
+        raise InputError(f"{path}: cannot be written ({error.strerror})") from error
+
+
+# ------------------------------------------------------------------------------------------ reading
+
+
+class _Robot(msgspec.Struct):
+    name: str
+    urdf: str
+    base_link: str
+    tool_link: str
+
+
+class _Task(msgspec.Struct):
+    verb: Verb
+    object: str
+    joint: str | None = None
+    to: float | None = None
+
+
+class _Pose(msgspec.Struct):
+    x: float
+    y: float
+    yaw: float
+
+
+class _Manipulation(msgspec.Struct):
+    q: list[list[float]]
+    object_q: list[float]
+    T_world_tool: list[list[list[float]]]
+
+
+class _Candidates(msgspec.Struct):
+    sampled: int = 0
+    checked: int = 0
+    rejections: dict[str, int] = {}
+
+
+class _Plan(msgspec.Struct):
+    scene: str
+    robot: _Robot
+    task: _Task
+    status: Status
+    joints: list[str]
+    base_pose: _Pose | None = None
+    approach: list[list[float]] = []
+    manipulation: _Manipulation | None = None
+    navigation_cost: float | None = None
+    candidates: _Candidates = msgspec.field(default_factory=_Candidates)
+    timing: dict[str, float] = {}
+    method: str = ""
+    seed: int = 0
+    versions: dict[str, str] = {}
+
+
+class _Head(msgspec.Struct):
+    format: Any = None
+    version: Any = None
+
+
+def read_plan(path: Path) -> PlacementPlan:
+    """Read a plan file.
+
+    Paths in it that exist relative to its folder come back absolute, all others as they are.
+
+    Raises:
+        FileFormatError: It is no plan that can be used; one line says what is wrong and where.
+    """
+    content = _content(path)
+    head = _decode(content, _Head, path)
+    if head.format != FORMAT:
+        raise FileFormatError(
+            f"{path}: not a plan; a plan has \"format\": {FORMAT!r}, this file has "
+            f"{head.format!r:.60}"
+        )
+    if head.version != VERSION or isinstance(head.version, bool):
+        raise FileFormatError(
+            f"{path}: version {head.version!r:.60} of the plan format; this momapos reads version "
+            f"{VERSION}"
+        )
+    data = _decode(content, _Plan, path)
+    _check(data, path)
+    return _record(data, path)
+
+
+def _content(path: Path) -> bytes:
+    if not path.is_file():
+        raise FileFormatError(f"{path}: no such plan file")
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise FileFormatError(
+                f"{path}: larger than a plan can be ({MAX_BYTES // 1_000_000} MB)"
+            )
+        content = path.read_bytes().removeprefix(b"\xef\xbb\xbf")
+    except OSError as error:
+        raise FileFormatError(f"{path}: cannot be read ({error.strerror})") from error
+    if not content.strip():
+        raise FileFormatError(f"{path}: is empty; a plan is a JSON object")
+    return content
+
+
+def _decode(content: bytes, kind: type[Any], path: Path) -> Any:
+    try:
+        return msgspec.json.decode(content, type=kind)
+    except msgspec.ValidationError as error:
+        raise FileFormatError(f"{path}: not a usable plan: {error}") from error
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise FileFormatError(
+            f"{path}: damaged JSON ({error}); a plan is a JSON object without NaN"
+        ) from error
+
+
+def _check(data: _Plan, path: Path) -> None:
+    """What the types do not say."""
+
+    def need(met: bool, message: str) -> None:
+        if not met:
+            raise FileFormatError(f"{path}: {message}")
+
+    names = {
+        "scene": data.scene, "robot.urdf": data.robot.urdf, "robot.base_link": data.robot.base_link,
+        "robot.tool_link": data.robot.tool_link, "task.object": data.task.object,
+    }  # fmt: skip
+    for key, name in names.items():
+        need(0 < len(name) <= 4000 and "\0" not in name, f"{key} must be a name")
+    need(len(set(data.joints)) == len(data.joints), "joints names a joint twice")
+    need(data.task.to is None or math.isfinite(data.task.to), "task.to must be finite")
+    moves = data.task.verb in ("open", "close")
+    need(
+        (data.task.joint is not None or not moves)
+        and (data.task.to is not None or data.task.joint is None),
+        "task must name the joint that moves, and in 'to' the value it reaches",
+    )
+    if data.status == "solved":
+        need(bool(data.joints), "joints is empty; a solved plan names the arm's joints")
+        need(data.base_pose is not None, "base_pose is missing; a solved plan has one")
+        need(data.manipulation is not None, "manipulation is missing; a solved plan has one")
+
+
+def _record(data: _Plan, path: Path) -> PlacementPlan:
+    pose, robot = data.base_pose, data.robot
+    folder = path.resolve().parent
+    return PlacementPlan(
+        scene=_located(data.scene, folder),
+        robot_name=robot.name,
+        robot_urdf=_located(robot.urdf, folder),
+        base_link=robot.base_link,
+        tool_link=robot.tool_link,
+        task=Task(data.task.verb, data.task.object, data.task.joint, data.task.to),
+        status=data.status,
+        joints=tuple(data.joints),
+        base_pose=None if pose is None else (pose.x, pose.y, pose.yaw),
+        motion=_motion(data, path),
+        navigation_cost=data.navigation_cost,
+        candidates=Candidates(**msgspec.structs.asdict(data.candidates)),
+        timing=data.timing,
+        method=data.method,
+        seed=data.seed,
+        versions=data.versions,
+    )
+
+
+def _located(name: str, folder: Path) -> str:
+    try:
+        exists = (folder / name).is_file()
+    except OSError:  # a name that no file can have
+        exists = False
+    return os.path.normpath(folder / name) if exists else name
+
+
+def _motion(data: _Plan, path: Path) -> Motion | None:
+    motion, n = data.manipulation, len(data.joints)
+    if motion is None:
+        return None
+    return Motion(
+        approach=_array(data.approach, (n,), path, "approach"),
+        q=_array(motion.q, (n,), path, "manipulation.q"),
+        object_q=_array(motion.object_q, (), path, "manipulation.object_q"),
+        Ts_world_tool=_array(motion.T_world_tool, (4, 4), path, "manipulation.T_world_tool"),
+    )
+
+
+def _array(
+    rows: Sequence[Any], shape: tuple[int, ...], path: Path, key: str
+) -> Float[np.ndarray, "..."]:
+    if not rows:
+        return np.empty((0, *shape))
+    size = " x ".join(map(str, shape))
+    try:
+        array = np.array(rows, float)
+    except ValueError as error:
+        raise FileFormatError(f"{path}: {key} has rows of different length; need {size}") from error
+    if array.shape[1:] != shape:
+        found = " x ".join(map(str, array.shape[1:]))
+        raise FileFormatError(
+            f"{path}: {key} has rows of {found} numbers; need {size}"
+            + (", one a joint" if len(shape) == 1 else "")
+        )
+    return array

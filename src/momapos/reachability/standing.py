@@ -1,0 +1,193 @@
+"""Contact between the arm and the parts that do not turn with its first joint, for every bearing.
+
+The base (and a torso, which only rises) stands still while the arm turns about a vertical axis.
+So a table over height and distance from that axis tells, in one word of bits, at which azimuths
+a sphere of a given radius touches; where the sphere is at bearing 0 says by how much to rotate
+the word. One look-up per sphere replaces a collision check per bearing.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from momapos.kinematics.spheres import Spheres
+from momapos.reachability.grid import turns_of
+
+BEARINGS = 64
+"""Bits of a word."""
+PHASES = 4
+"""Words per turn and cell: azimuths are told apart to 1/256 of a turn."""
+CELL = 0.02
+"""Edge of a cell of the table [m]."""
+RADIUS_STEP = 0.002
+"""Radii are rounded to this, so that spheres share tables [m]."""
+
+
+@njit(cache=True, nogil=True)
+def fill_words(center, rotation, half, radius, reach, low, words):
+    """Set the bits where a sphere touches rounded boxes.
+
+    Args:
+        center, rotation, half, radius: Boxes (b, 3), (b, 3, 3), (b, 3) grown by (b,), relative to
+            the first axis; a sphere is a box of no size.
+        reach: Radius of the moving sphere [m].
+        low: Height of the first row [m].
+        words: (heights, distances, PHASES) to be filled.
+    """
+    for r in range(words.shape[1]):
+        for a in range(BEARINGS * PHASES):
+            angle = 2.0 * math.pi * a / (BEARINGS * PHASES)
+            px, py = r * CELL * math.cos(angle), r * CELL * math.sin(angle)
+            bit = np.uint64(1) << np.uint64(a // PHASES)
+            for b in range(len(center)):
+                x, y = px - center[b, 0], py - center[b, 1]
+                far = reach + radius[b]
+                extent = far + half[b, 0] + half[b, 1] + half[b, 2]
+                if x * x + y * y > extent * extent:
+                    continue
+                first = int(math.floor((center[b, 2] - extent - low) / CELL))
+                last = int(math.ceil((center[b, 2] + extent - low) / CELL))
+                for z in range(max(0, first), min(words.shape[0], last + 1)):
+                    dz = low + z * CELL - center[b, 2]
+                    s = 0.0
+                    for k in range(3):
+                        local = (
+                            x * rotation[b, 0, k] + y * rotation[b, 1, k] + dz * rotation[b, 2, k]
+                        )
+                        excess = abs(local) - half[b, k]
+                        if excess > 0.0:
+                            s += excess * excess
+                    if s < far * far:
+                        words[z, r, a % PHASES] |= bit
+
+
+@njit(cache=True, nogil=True)
+def touched(wanted, R, p, spheres, first, axis, table):
+    """Those of the wanted bearings at which the arm touches a part that does not turn.
+
+    Args:
+        wanted: Mask of bearings.
+        R, p: Segment poses at bearing 0, base at the origin.
+        spheres: `Spheres.arrays()`.
+        first: Index of the first turning joint.
+        axis: Foot of its axis (3,) [m].
+        table: (words (classes, heights, distances, PHASES), low [m], kind (bodies, spheres)).
+    """
+    center, start, segment = spheres[0], spheres[2], spheres[3]
+    bound_center, bound_radius = spheres[4], spheres[5]
+    words, low, kind = table
+    heights, distances = words.shape[1], words.shape[2]
+    hit = np.uint64(0)
+    for g in range(len(segment)):
+        m = segment[g]
+        if m <= first:
+            continue
+        x, y, z = _point(R, p, m, bound_center[g], axis)
+        far = distances * CELL + bound_radius[g]
+        if x * x + y * y > far * far or z - bound_radius[g] > low + p[first, 2] + heights * CELL:
+            continue
+        for s in range(start[g], start[g + 1]):
+            x, y, z = 0.0, 0.0, np.nan
+            for body in range(first + 1):
+                c = kind[body, s]
+                if c < 0:
+                    continue
+                if np.isnan(z):
+                    x, y, z = _point(R, p, m, center[s], axis)
+                rise = p[body, 2] if body > 0 else 0.0
+                iz = int(math.floor((z - rise - low) / CELL + 0.5))
+                ir = int(math.sqrt(x * x + y * y) / CELL + 0.5)
+                if iz < 0 or iz >= heights or ir >= distances:
+                    continue
+                a = int(turns_of(y, x) * (BEARINGS * PHASES) + 0.5) % (BEARINGS * PHASES)
+                word = words[c, iz, ir, a % PHASES]
+                shift = np.uint64(a // PHASES)
+                if shift > np.uint64(0):
+                    word = (word >> shift) | (word << (np.uint64(BEARINGS) - shift))
+                hit |= word
+                if wanted & ~hit == np.uint64(0):
+                    return wanted
+    return hit & wanted
+
+
+@njit(cache=True, nogil=True)
+def _point(R, p, m, local, axis):
+    """A point of segment m relative to the foot of the first axis."""
+    return (
+        p[m, 0] + R[m, 0, 0] * local[0] + R[m, 0, 1] * local[1] + R[m, 0, 2] * local[2] - axis[0],
+        p[m, 1] + R[m, 1, 0] * local[0] + R[m, 1, 1] * local[1] + R[m, 1, 2] * local[2] - axis[1],
+        p[m, 2] + R[m, 2, 0] * local[0] + R[m, 2, 1] * local[1] + R[m, 2, 2] * local[2] - axis[2],
+    )
+
+
+def standing_table(
+    spheres: Spheres, d: np.ndarray, first: int
+) -> tuple[np.ndarray, float, np.ndarray]:
+    """Build the table that `touched` reads.
+
+    Body 0 is the base; body i moves with joint i, all of which rise only, up to the first that
+    turns. A class is a body, the parts of it that count for a link, and a radius.
+
+    Args:
+        spheres: The robot's spheres.
+        d: Offsets of the joints (n, 3), see `Chain`.
+        first: Index of the first joint that turns.
+
+    Returns:
+        Words (classes, heights, distances, PHASES), height of the first row [m], and the class of
+        each sphere against each body (bodies, spheres), -1 where nothing counts.
+    """
+    group = np.repeat(np.arange(len(spheres.segment)), np.diff(spheres.start))
+    radii = RADIUS_STEP * np.round(spheres.radius / RADIUS_STEP)
+    axis = np.append(d[: first + 1, :2].sum(0), 0.0)
+    kind = np.full((first + 1, len(radii)), -1, np.int64)
+    classes: dict[tuple[int, bytes, float], int] = {}
+    shapes = []
+    for body in range(first + 1):
+        parts, matters = _body(spheres, body, d[:body, :2].sum(0))
+        for s in np.flatnonzero(spheres.segment[group] > first):
+            if matters[group[s]].any():
+                name = (body, matters[group[s]].tobytes(), float(radii[s]))
+                if name not in classes:
+                    classes[name] = len(shapes)
+                    keep = np.flatnonzero(matters[group[s]])
+                    shapes.append((tuple(part[keep] for part in parts), float(radii[s])))
+                kind[body, s] = classes[name]
+    if not shapes:
+        return np.zeros((1, 1, 1, PHASES), np.uint64), 0.0, kind
+    low, high, far = np.inf, -np.inf, 0.0
+    for (center, _, half, grown), reach in shapes:
+        extent = np.linalg.norm(half, axis=1) + grown + reach
+        low = min(low, float((center[:, 2] - extent).min()))
+        high = max(high, float((center[:, 2] + extent).max()))
+        far = max(far, float((np.linalg.norm((center - axis)[:, :2], axis=1) + extent).max()))
+    size = (int((high - low) / CELL) + 2, int(far / CELL) + 2, PHASES)
+    words = np.zeros((len(shapes), *size), np.uint64)
+    for i, ((center, rotation, half, grown), reach) in enumerate(shapes):
+        fill_words(center - axis, rotation, half, grown, reach, low, words[i])
+    return words, low, kind
+
+
+def _body(
+    spheres: Spheres, body: int, xy: np.ndarray
+) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
+    """A body as rounded boxes, and which of them count for each group (groups, boxes).
+
+    For the base its boxes; for others their spheres, with the joint at height 0.
+    """
+    if body == 0:
+        base = spheres.base
+        return (base.center, base.rotation, base.half, np.zeros(len(base))), spheres.base_pairs
+    group = np.repeat(np.arange(len(spheres.segment)), np.diff(spheres.start))
+    own = np.flatnonzero(spheres.segment[group] == body)
+    paired = np.zeros((len(spheres.segment),) * 2, bool)
+    paired[spheres.pairs[:, 0], spheres.pairs[:, 1]] = True
+    matters = (paired | paired.T)[:, group[own]]
+    boxes = (
+        spheres.center[own] + np.append(xy, 0.0), np.broadcast_to(np.eye(3), (len(own), 3, 3)).copy(),
+        np.zeros((len(own), 3)), spheres.radius[own],
+    )
+    return boxes, matters

@@ -1,0 +1,221 @@
+"""The exact check of a motion: one world a task, many motions.
+
+Nothing of the planner's is used here: neither its spheres and boxes nor its kinematics. Shapes are
+the collision elements themselves, states are no farther apart than the execution's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from momapos.scene.scene import Scene
+from momapos.types import Motion, Task
+from momapos.verification import path as paths
+from momapos.verification.machine import Arm, machine_of
+from momapos.verification.part import split
+from momapos.verification.polygon import outside
+from momapos.verification.report import DEFAULT, Check, Limits, Report, at_most
+from momapos.verification.shapes import Shapes
+from momapos.verification.sweep import all_pairs, deepest
+
+SWEEP_STATES = 50
+"""Extra values of the object's joint at which the base is checked [-]."""
+MOST_PAIRS = 6
+"""Overlapping pairs that are named one by one [-]."""
+
+
+class ExactWorld:
+    """A scene, a robot and a task, prepared for the check of motions.
+
+    Raises:
+        UnknownNameError, TaskError, RobotError: They do not fit together.
+    """
+
+    def __init__(self, scene: Scene, robot: Arm, task: Task, limits: Limits = DEFAULT) -> None:
+        self.limits = limits
+        self.task = task
+        self.machine = machine_of(robot)
+        self.part, self.fixed = split(scene, task)
+        self.floor = scene.floor
+        self._base, self._arm = self.machine.base, self.machine.arm
+        self._arm_fixed = all_pairs(len(self._arm), len(self.fixed))
+        on_part = all_pairs(len(self._arm), len(self.part.shapes))
+        holds = self.machine.gripper[on_part[:, 0]]
+        self._arm_part, self._gripper_part = on_part[~holds], on_part[holds]
+
+    def refusal(self, base_pose: tuple[float, float, float], motion: Motion) -> str | None:
+        """Why a motion is refused, in words that are the same for similar motions; None if not."""
+        violations = self.check(base_pose, motion).violations
+        if not violations:
+            return None
+        first = violations[0]
+        return f"{first.name}: {first.culprit}" if first.culprit else first.name
+
+    def check(self, base_pose: tuple[float, float, float], motion: Motion) -> Report:
+        """Check a motion at a base pose.
+
+        Args:
+            base_pose: x [m], y [m], yaw [rad] of the base link on the floor.
+            motion: The motion of the arm and the object.
+        """
+        checks = list(paths.number_checks(motion, base_pose))
+        if all(check.ok for check in checks):
+            count = paths.count_states(motion, self.limits.step)
+            if count <= self.limits.states:
+                return self._check(checks, base_pose, motion)
+            checks.append(at_most("states to check", count, self.limits.states))
+        return Report(tuple(checks))
+
+    def _check(
+        self, checks: list[Check], base_pose: tuple[float, float, float], motion: Motion
+    ) -> Report:
+        machine, part, limits = self.machine, self.part, self.limits
+        path = paths.dense_path(motion, limits.step)
+        Ts_tool, Ts_base, Ts_arm = machine.poses(base_pose, path.q)
+        Ts_planned = Ts_tool[path.planned]
+        Ts_part = part.placed(path.object_q)
+        checks += paths.object_checks(part, motion, limits)
+        checks += paths.joint_checks(machine, motion, limits)
+        checks += paths.tool_checks(Ts_planned, motion, limits)
+        checks += paths.grasp_checks(part, path, Ts_tool, limits)
+        checks.append(paths.reach_check(part, self.task.verb, motion, Ts_planned, limits))
+        checks.append(self._base_check(Ts_base, path))
+        checks.append(self._arm_check(Ts_arm, Ts_part, path))
+        checks.append(self._self_check(Ts_base, Ts_arm, path))
+        checks.append(_above_floor(self._arm, Ts_arm, path, limits))
+        checks += self._on_floor(Ts_base)
+        return Report(tuple(checks), self._notes(path), self._gripper_depth(Ts_arm, Ts_part))
+
+    def _base_check(self, Ts_base: Float[np.ndarray, "1 b 4 4"], path: paths.DensePath) -> Check:
+        """The base against the scene, and against the part at every value of its joint."""
+        fixed, part = self.fixed, self.part
+        found = _Overlaps(self.limits.penetration)
+        found.add(
+            self._base, Ts_base, fixed, fixed.Ts_body_shape[None],
+            all_pairs(len(self._base), len(fixed)), lambda _: "any state",
+        )  # fmt: skip
+        values = path.object_q[path.approach :]
+        if part.joint is None:
+            values = values[:1]
+        sweep = np.linspace(values[0], values[-1], SWEEP_STATES)
+        values = np.unique(np.concatenate([values, sweep]))
+        found.add(
+            part.shapes, part.placed(values), self._base, Ts_base,
+            all_pairs(len(part.shapes), len(self._base)),
+            lambda state: f"object_q {values[state]:.3f}", swapped=True,
+        )  # fmt: skip
+        return found.check("base in the scene")
+
+    def _arm_check(
+        self,
+        Ts_arm: Float[np.ndarray, "s a 4 4"],
+        Ts_part: Float[np.ndarray, "s p 4 4"],
+        path: paths.DensePath,
+    ) -> Check:
+        """The arm against the scene, and without the gripper against the part."""
+        found = _Overlaps(self.limits.penetration)
+        fixed, part = self.fixed, self.part.shapes
+        found.add(
+            self._arm, Ts_arm, fixed, fixed.Ts_body_shape[None], self._arm_fixed, path.where
+        )
+        found.add(self._arm, Ts_arm, part, Ts_part, self._arm_part, path.where)
+        return found.check("arm in the scene")
+
+    def _self_check(
+        self,
+        Ts_base: Float[np.ndarray, "1 b 4 4"],
+        Ts_arm: Float[np.ndarray, "s a 4 4"],
+        path: paths.DensePath,
+    ) -> Check:
+        found = _Overlaps(self.limits.penetration)
+        arm, base, machine = self._arm, self._base, self.machine
+        found.add(arm, Ts_arm, base, Ts_base, machine.arm_base_pairs, path.where)
+        found.add(arm, Ts_arm, arm, Ts_arm, machine.arm_arm_pairs, path.where)
+        return found.check("robot in itself")
+
+    def _gripper_depth(
+        self, Ts_arm: Float[np.ndarray, "s a 4 4"], Ts_part: Float[np.ndarray, "s p 4 4"]
+    ) -> float:
+        depth, _ = deepest(
+            self._arm, Ts_arm, self.part.shapes, Ts_part, self._gripper_part, 0.0
+        )
+        return float(depth.max(initial=0.0))
+
+    def _on_floor(self, Ts_base: Float[np.ndarray, "1 b 4 4"]) -> Iterator[Check]:
+        if self.floor is None:
+            return
+        outlines = [self._base.outline(index) for index in range(len(self._base))]
+        points = [x @ T[:2, :3].T + T[:2, 3] for x, T in zip(outlines, Ts_base[0], strict=True)]
+        balls = np.repeat(self._base.ball, [len(x) for x in outlines])
+        gaps = outside(self.floor, np.concatenate([np.empty((0, 2)), *points])) + balls
+        worst = float(gaps.max(initial=0.0))
+        limit = self.limits.floor_edge
+        yield at_most("base outside the floor polygon", 1000 * worst, 1000 * limit, "mm")
+
+    def _notes(self, path: paths.DensePath) -> tuple[str, ...]:
+        states = (
+            f"{len(path.q) - path.approach} states of the manipulation and {path.approach} of the "
+            "approach were checked"
+        )
+        if self.part.joint is None:
+            return (states, "no joint moves: neither the goal nor the grasp's slip is checked")
+        return (states,)
+
+
+class _Overlaps:
+    """Gathers overlapping pairs, the deepest overlap of each pair of links."""
+
+    def __init__(self, limit: float) -> None:
+        self.limit = limit
+        self.worst: dict[tuple[str, str], tuple[float, str]] = {}
+
+    def add(
+        self,
+        a: Shapes,
+        Ts_a: Float[np.ndarray, "s a 4 4"],
+        b: Shapes,
+        Ts_b: Float[np.ndarray, "s b 4 4"],
+        pairs: Int[np.ndarray, "p 2"],
+        where: Callable[[int], str],
+        *,
+        swapped: bool = False,
+    ) -> None:
+        depth, state = deepest(a, Ts_a, b, Ts_b, pairs, min(0.0, self.limit))
+        for p in np.flatnonzero(state >= 0):
+            names = (a.names[pairs[p, 0]], b.names[pairs[p, 1]])
+            names = names[::-1] if swapped else names
+            if depth[p] > self.worst.get(names, (-np.inf, ""))[0]:
+                self.worst[names] = (float(depth[p]), where(int(state[p])))
+
+    def check(self, name: str) -> Check:
+        ranked = sorted(self.worst.items(), key=lambda item: -item[1][0])
+        deep = ranked[0][1][0] if ranked else min(0.0, self.limit)
+        bad = [(names, d, at) for names, (d, at) in ranked if d > self.limit]
+        words = [f"{a} in {b} by {1000 * d:.0f} mm at {at}" for (a, b), d, at in bad[:MOST_PAIRS]]
+        more = [f"and {len(bad) - MOST_PAIRS} more pairs"] if len(bad) > MOST_PAIRS else []
+        culprit = " in ".join(bad[0][0]) if bad else ""
+        return at_most(
+            name, 1000 * deep, 1000 * self.limit, "mm deep", "; ".join(words + more), culprit
+        )
+
+
+def _above_floor(
+    arm: Shapes, Ts_arm: Float[np.ndarray, "s a 4 4"], path: paths.DensePath, limits: Limits
+) -> Check:
+    """How far the arm dips below z = 0."""
+    extent = np.einsum("skj,kj->sk", np.abs(Ts_arm[..., 2, :3]), arm.half)
+    low = Ts_arm[..., 2, 3] - extent
+    worst, where, culprit = 0.0, "", ""
+    for state, index in np.argwhere(low < 0.0):
+        if -low[state, index] <= worst:
+            continue
+        T = Ts_arm[state, index]
+        bottom = float((arm.outline(index) @ T[2, :3]).min() + T[2, 3] - arm.ball[index])
+        if -bottom > worst:
+            worst, where, culprit = -bottom, path.where(state), arm.names[index]
+    return at_most(
+        "arm below the floor", 1000 * worst, 1000 * limits.penetration, "mm deep", where, culprit
+    )

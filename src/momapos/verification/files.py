@@ -1,0 +1,82 @@
+"""Verify a plan from its files alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from momapos.errors import FileFormatError
+from momapos.kinematics.articulated import Articulated
+from momapos.kinematics.urdf import read_urdf
+from momapos.plans import read_plan
+from momapos.robots.robot import read_srdf
+from momapos.scene.files import load_scene
+from momapos.scene.scene import Scene
+from momapos.types import PlacementPlan
+from momapos.verification.exact import ExactWorld
+from momapos.verification.report import DEFAULT, Limits, Report, verdict
+
+
+@dataclass(frozen=True)
+class UrdfArm:
+    """A robot as a plan names it: a URDF, two links and the joints."""
+
+    model: Articulated
+    base_link: str
+    tool_link: str
+    arm_joints: tuple[str, ...]
+    disabled: frozenset[frozenset[str]]
+
+
+def verify_files(
+    plan_path: Path, scene_root: Path | None = None, limits: Limits = DEFAULT
+) -> Report:
+    """Check a plan with nothing but the plan file, and the scene and the URDF that it names.
+
+    Args:
+        plan_path: The plan.
+        scene_root: Folder for names that are not found beside the plan, and for the models of a
+            BestMan scene.
+        limits: What to hold the plan to.
+
+    Raises:
+        FileFormatError, SceneError, UrdfError, UnknownNameError, TaskError, RobotError: The plan
+            or a file that it names cannot be used.
+    """
+    plan = read_plan(plan_path)
+    if plan.status != "solved" or plan.motion is None or plan.base_pose is None:
+        detail = f"status {plan.status!r}: there is nothing to verify"
+        return Report((verdict("status is solved", False, detail),))
+    folders = [plan_path.resolve().parent, *([scene_root] if scene_root else []), Path()]
+    scene = _scene(_find("scene", plan.scene, folders, plan_path), scene_root)
+    urdf = _find("robot.urdf", plan.robot_urdf, folders, plan_path)
+    world = ExactWorld(scene, _arm(plan, urdf), plan.task, limits)
+    report = world.check(plan.base_pose, plan.motion)
+    return Report(report.checks, (*scene.warnings, *report.notes), report.gripper_depth)
+
+
+def _find(key: str, name: str, folders: list[Path], plan_path: Path) -> Path:
+    for folder in folders:
+        if (folder / name).is_file():
+            return folder / name
+    looked = ", ".join(dict.fromkeys(str(folder.resolve()) for folder in folders))
+    raise FileFormatError(
+        f"{plan_path}: {key} {name!r} does not exist (looked in {looked}); give --scene-root"
+    )
+
+
+def _scene(path: Path, scene_root: Path | None) -> Scene:
+    """Load a scene; the root bounds it where the scene lies in it or knows no other."""
+    if scene_root is not None and path.resolve().is_relative_to(scene_root.resolve()):
+        return load_scene(path, root=scene_root)
+    if scene_root is None:
+        return load_scene(path)
+    with path.open("rb") as file:
+        is_list = file.read(64).lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"[")
+    return load_scene(path, root=scene_root if is_list else None)
+
+
+def _arm(plan: PlacementPlan, urdf: Path) -> UrdfArm:
+    disabled = read_srdf(urdf.with_suffix(".srdf"))
+    model = Articulated(read_urdf(urdf))
+    return UrdfArm(model, plan.base_link, plan.tool_link, plan.joints, disabled)

@@ -1,0 +1,145 @@
+"""The robot as the exact check sees it: bodies, shapes, limits and the pairs that may not touch."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from momapos.errors import RobotError, unknown_name
+from momapos.geometry.transforms import invert, pose_planar
+from momapos.kinematics.articulated import Articulated
+from momapos.verification.bodies import Bodies, bodies_of, body_poses
+from momapos.verification.shapes import Shapes, of_bodies, shapes_of
+from momapos.verification.sweep import all_pairs, deepest
+
+TOUCHING = -1e-7
+"""Depth from which a pair counts as touching at the neutral pose [m]."""
+
+
+class Arm(Protocol):
+    """What the check takes from a robot; `Robot` has it all."""
+
+    @property
+    def model(self) -> Articulated: ...
+    @property
+    def base_link(self) -> str: ...
+    @property
+    def tool_link(self) -> str: ...
+    @property
+    def arm_joints(self) -> tuple[str, ...]: ...
+    @property
+    def disabled(self) -> frozenset[frozenset[str]]: ...
+
+
+@dataclass(frozen=True)
+class Machine:
+    """A robot, ready to be put into many states."""
+
+    bodies: Bodies
+    joints: tuple[str, ...]
+    lower: Float[np.ndarray, " n"]
+    upper: Float[np.ndarray, " n"]
+    T_base_root: Float[np.ndarray, "4 4"]
+    """Of the root link in the frame of the base link."""
+    tool_body: int
+    T_body_tool: Float[np.ndarray, "4 4"]
+    base: Shapes
+    """What does not move with the arm."""
+    arm: Shapes
+    gripper: Bool[np.ndarray, " a"]
+    """Which of the arm's shapes move with its last joint."""
+    arm_base_pairs: Int[np.ndarray, "p 2"]
+    """Indices into `arm` and into `base` of what may not touch."""
+    arm_arm_pairs: Int[np.ndarray, "r 2"]
+
+    def poses(
+        self, base_pose: Sequence[float], q: Float[np.ndarray, "s n"]
+    ) -> tuple[
+        Float[np.ndarray, "s 4 4"], Float[np.ndarray, "1 b 4 4"], Float[np.ndarray, "s a 4 4"]
+    ]:
+        """World poses of the tool, of the base's shapes and of the arm's."""
+        values = {name: q[:, i] for i, name in enumerate(self.joints)}
+        T_world_root = pose_planar(np.array(base_pose)) @ self.T_base_root
+        Ts = body_poses(self.bodies, values, T_world_root)
+        T_tool = Ts[:, self.tool_body] @ self.T_body_tool
+        return T_tool, self.base.placed(Ts[:1]), self.arm.placed(Ts)
+
+
+def machine_of(arm: Arm) -> Machine:
+    """Prepare a robot.
+
+    Raises:
+        UnknownNameError, RobotError: The robot has no such link or joint, or a joint twice.
+    """
+    bodies = bodies_of(arm.model)
+    name = arm.model.urdf.name
+    for link in (arm.base_link, arm.tool_link):
+        if link not in bodies.of_link:
+            raise unknown_name("link", link, bodies.of_link, f"robot {name}")
+    if len(set(arm.arm_joints)) != len(arm.arm_joints) or not arm.arm_joints:
+        raise RobotError(f"robot {name}: the joints must be named, each once")
+    joints = [arm.model.joint(joint) for joint in arm.arm_joints]
+    shapes = shapes_of(arm.model, bodies)
+    moving = set().union(*(bodies.moved_by(joint) for joint in arm.arm_joints))
+    last = bodies.moved_by(max(arm.arm_joints, key=bodies.depth))
+    T_root_base = _link_pose(bodies, arm.base_link)
+    moved = of_bodies(shapes, moving)
+    base = np.setdiff1d(np.arange(len(shapes)), moved)
+    pairs = _self_pairs(bodies, shapes, moved, arm.disabled)
+    return Machine(
+        bodies=bodies,
+        joints=arm.arm_joints,
+        lower=np.array([joint.lower for joint in joints]),
+        upper=np.array([joint.upper for joint in joints]),
+        T_base_root=invert(T_root_base),
+        tool_body=bodies.of_link[arm.tool_link],
+        T_body_tool=bodies.T_body_link[arm.tool_link],
+        base=shapes.take(base),
+        arm=shapes.take(moved),
+        gripper=np.isin(shapes.body[moved], list(last)),
+        arm_base_pairs=_among(pairs, moved, base),
+        arm_arm_pairs=_among(pairs, moved, moved),
+    )
+
+
+def _link_pose(bodies: Bodies, link: str) -> Float[np.ndarray, "4 4"]:
+    """Pose of a link at rest in the root's frame."""
+    T = body_poses(bodies, {}, np.eye(4))[0, bodies.of_link[link]]
+    return np.asarray(T @ bodies.T_body_link[link])
+
+
+def _among(
+    pairs: Int[np.ndarray, "p 2"], first: Int[np.ndarray, " a"], second: Int[np.ndarray, " b"]
+) -> Int[np.ndarray, "m 2"]:
+    """The pairs of one shape from each set, as indices into the sets."""
+    flipped = np.isin(pairs[:, 1], first) & ~np.isin(pairs[:, 0], first)
+    pairs = np.where(flipped[:, None], pairs[:, ::-1], pairs)
+    pairs = pairs[np.isin(pairs[:, 0], first) & np.isin(pairs[:, 1], second)]
+    return np.stack([np.searchsorted(first, pairs[:, 0]), np.searchsorted(second, pairs[:, 1])], 1)
+
+
+def _self_pairs(
+    bodies: Bodies,
+    shapes: Shapes,
+    moved: Int[np.ndarray, " a"],
+    disabled: frozenset[frozenset[str]],
+) -> Int[np.ndarray, "p 2"]:
+    """Pairs of the robot's shapes that may not overlap.
+
+    Not those of one body or of two bodies joined by a joint, not those that the robot's maker
+    disables, and not those that touch where all joints are at rest.
+    """
+    pairs = all_pairs(len(shapes), len(shapes))
+    pairs = pairs[pairs[:, 0] < pairs[:, 1]]
+    of, parent = shapes.body[pairs], np.array(bodies.parent)[shapes.body[pairs]]
+    joined = (of[:, 0] == of[:, 1]) | (parent[:, 0] == of[:, 1]) | (parent[:, 1] == of[:, 0])
+    pairs = pairs[~joined & np.isin(pairs, moved).any(1)]
+    named = [frozenset((shapes.names[i], shapes.names[j])) in disabled for i, j in pairs]
+    pairs = pairs[~np.array(named, bool)]
+    Ts = shapes.placed(body_poses(bodies, {}, np.eye(4)))
+    _, state = deepest(shapes, Ts, shapes, Ts, pairs, TOUCHING)
+    return np.asarray(pairs[state < 0])

@@ -1,0 +1,210 @@
+"""Checks of a motion that need no collision geometry."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from momapos.geometry.transforms import invert, rotation_angle
+from momapos.types import Motion
+from momapos.verification.machine import Machine
+from momapos.verification.part import Part
+from momapos.verification.report import Check, Limits, at_most, verdict
+
+STEP_BACK = 1e-6
+LARGEST = 1e6
+"""Numbers from here on cannot be meant."""
+RIGID = 1e-3
+"""How far a tool pose may be from a rigid transform, entry by entry."""
+
+
+@dataclass(frozen=True)
+class DensePath:
+    """A motion with no step above the limit, the approach first."""
+
+    q: Float[np.ndarray, "s n"]
+    object_q: Float[np.ndarray, " s"]
+    at: Float[np.ndarray, " s"]
+    """Index of each state in the plan, with its fraction."""
+    approach: int
+    """How many of the states belong to the approach."""
+
+    @property
+    def planned(self) -> Int[np.ndarray, " m"]:
+        """Indices of the states of the manipulation that the plan itself has."""
+        held = np.arange(self.approach, len(self.at))
+        return np.asarray(held[self.at[held] == np.floor(self.at[held])])
+
+    def where(self, state: int) -> str:
+        """Name a state in the plan's own numbers."""
+        part = "approach" if state < self.approach else "manipulation"
+        return f"{part} {self.at[state]:.2f}"
+
+
+def count_states(motion: Motion, step: float) -> float:
+    """How many states a dense path would have, before it is made."""
+    return float(sum(_pieces(q, step).sum() + 1 for q in (motion.approach, motion.q) if len(q)))
+
+
+def dense_path(motion: Motion, step: float) -> DensePath:
+    """Fill in states so that no joint moves more than a step [rad] or [m]."""
+    q, at = _densify(motion.q, step)
+    object_q = np.interp(at, np.arange(len(motion.object_q)), motion.object_q)
+    if not len(motion.approach):
+        return DensePath(q, object_q, at, 0)
+    before, at_before = _densify(motion.approach, step)
+    return DensePath(
+        q=np.concatenate([before, q]),
+        object_q=np.concatenate([np.full(len(before), motion.object_q[0]), object_q]),
+        at=np.concatenate([at_before, at]),
+        approach=len(before),
+    )
+
+
+def _pieces(q: Float[np.ndarray, "s n"], step: float) -> Float[np.ndarray, " t"]:
+    """Into how many pieces each step is cut."""
+    largest = np.abs(np.diff(q, axis=0)).max(1, initial=0.0)
+    return np.asarray(np.maximum(1.0, np.ceil(largest / step - 1e-9)))
+
+
+def _densify(
+    q: Float[np.ndarray, "s n"], step: float
+) -> tuple[Float[np.ndarray, "t n"], Float[np.ndarray, " t"]]:
+    pieces = _pieces(q, step).astype(np.int64)
+    segment = np.repeat(np.arange(len(pieces)), pieces)
+    within = np.arange(len(segment)) - np.repeat(np.cumsum(pieces) - pieces, pieces)
+    share = within / pieces[segment]
+    states = q[segment] + (q[segment + 1] - q[segment]) * share[:, None]
+    return np.vstack([states, q[-1:]]), np.append(segment + share, len(q) - 1.0)
+
+
+def number_checks(motion: Motion, base_pose: tuple[float, float, float]) -> Iterator[Check]:
+    """Whether the arrays fit together and are finite; nothing else makes sense before."""
+    lengths = [len(motion.q), len(motion.Ts_world_tool), len(motion.object_q)]
+    yield verdict(
+        "same number (1 or more) of q, object_q, T_world_tool",
+        min(lengths) == max(lengths) >= 1,
+        str(lengths),
+    )
+    arrays = (motion.q, motion.approach, motion.object_q, motion.Ts_world_tool)
+    largest = max(float(np.abs(a).max(initial=0.0)) for a in (*arrays, np.array(base_pose)))
+    finite = all(np.isfinite(array).all() for array in (*arrays, np.array(base_pose)))
+    yield verdict("numbers are finite", finite and largest < LARGEST, f"largest {largest:g}")
+
+
+def object_checks(part: Part, motion: Motion, limits: Limits) -> Iterator[Check]:
+    """Whether the object's joint goes where the task asks, without turning back."""
+    if part.joint is None:
+        return
+    values, span = motion.object_q, part.goal - part.start
+    yield verdict("the object's motion has 2 or more states", len(values) >= 2, str(len(values)))
+    slack = limits.goal * max(abs(span), 1e-9)
+    yield at_most(
+        "object starts at the scene's value", abs(values[0] - part.start), slack, "rad|m",
+        f"{values[0]:.4f}, scene {part.start:.4f}",
+    )  # fmt: skip
+    yield at_most(
+        "object ends at task.to", abs(values[-1] - part.goal), slack, "rad|m",
+        f"{values[-1]:.4f}, task {part.goal:g}",
+    )  # fmt: skip
+    back = float((-np.sign(span) * np.diff(values)).max(initial=0.0))
+    yield at_most("object moves monotonically (largest step back)", back, STEP_BACK, "rad|m")
+    excess = max(part.joint.lower - values.min(), values.max() - part.joint.upper, 0.0)
+    yield at_most("object within its joint limits (excess)", excess, limits.joint, "rad|m")
+
+
+def joint_checks(machine: Machine, motion: Motion, limits: Limits) -> Iterator[Check]:
+    """Whether the arm's states are within limits and connected."""
+    both = np.vstack([motion.approach, motion.q])
+    excess = np.maximum(machine.lower - both, both - machine.upper).max(0)
+    worst = machine.joints[int(excess.argmax())]
+    yield at_most(
+        "joint limits (excess)", max(0.0, excess.max()), limits.joint, "rad|m", worst, worst
+    )
+    if len(motion.q) > 1:
+        steps = np.abs(np.diff(motion.q, axis=0))
+        state, joint = np.unravel_index(int(steps.argmax()), steps.shape)
+        yield at_most(
+            "largest step of the manipulation", steps.max(), limits.jump, "rad|m",
+            f"state {state}, {machine.joints[joint]}", machine.joints[joint],
+        )  # fmt: skip
+    yield verdict("approach present", len(motion.approach) > 0)
+    if len(motion.approach):
+        gap = np.abs(motion.approach[-1] - motion.q[0]).max()
+        yield at_most(
+            "approach ends where the manipulation starts", gap, limits.join, "rad|m"
+        )
+
+
+def tool_checks(
+    Ts_world_tool: Float[np.ndarray, "m 4 4"], motion: Motion, limits: Limits
+) -> Iterator[Check]:
+    """Whether the plan's tool poses are those of its joints."""
+    planned = motion.Ts_world_tool
+    apart = np.linalg.norm(Ts_world_tool[:, :3, 3] - planned[:, :3, 3], axis=1)
+    angle = rotation_angle(Ts_world_tool[:, :3, :3], planned[:, :3, :3])
+    yield at_most(
+        "FK position against T_world_tool", 1000 * apart.max(), 1000 * limits.fk_position, "mm",
+        f"state {int(apart.argmax())}",
+    )  # fmt: skip
+    yield at_most(
+        "FK rotation against T_world_tool", math.degrees(angle.max()),
+        math.degrees(limits.fk_rotation), "deg", f"state {int(angle.argmax())}",
+    )  # fmt: skip
+    R = planned[:, :3, :3]
+    off = max(
+        np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)).max(),
+        np.abs(np.linalg.det(R) - 1.0).max(),
+        np.abs(planned[:, 3] - [0.0, 0.0, 0.0, 1.0]).max(),
+    )
+    yield at_most("T_world_tool is a rigid transform", off, RIGID)
+
+
+def grasp_checks(
+    part: Part, path: DensePath, Ts_world_tool: Float[np.ndarray, "s 4 4"], limits: Limits
+) -> Iterator[Check]:
+    """Whether the tool keeps its place in the part it moves; tool poses are of the dense path."""
+    if part.joint is None:
+        return
+    held = slice(path.approach, None)
+    T = invert(part.poses(path.object_q[held])) @ Ts_world_tool[held]
+    slip = np.linalg.norm(T[:, :3, 3] - T[0, :3, 3], axis=1)
+    turn = rotation_angle(T[:1, :3, :3], T[:, :3, :3])
+    yield at_most(
+        "grasp slips: translation in the moved part", 1000 * slip.max(),
+        1000 * limits.slip_position, "mm", path.where(path.approach + int(slip.argmax())),
+    )  # fmt: skip
+    yield at_most(
+        "grasp slips: rotation in the moved part", math.degrees(turn.max()),
+        math.degrees(limits.slip_rotation), "deg", path.where(path.approach + int(turn.argmax())),
+    )  # fmt: skip
+
+
+def reach_check(
+    part: Part, verb: str, motion: Motion, Ts_world_tool: Float[np.ndarray, "m 4 4"], limits: Limits
+) -> Check:
+    """Whether the tool is at the part where it holds it: all along, or at its end for a pick.
+
+    A distance changes by no more than the point moves, so that few points are computed.
+    """
+    states = np.arange(len(motion.q))
+    if part.joint is None:
+        states = states[:1] if verb == "place" else states[-1:]
+    T = invert(part.poses(motion.object_q[states]))
+    points = (T @ Ts_world_tool[states])[:, :3, 3]
+    bounds, worst, where = np.full(len(points), np.inf), -np.inf, 0
+    while bounds.max() > worst + 1e-6:
+        i = int(bounds.argmax())
+        distance = part.distance(points[i])
+        if distance > worst:
+            worst, where = distance, i
+        moved = np.linalg.norm(points - points[i], axis=1)
+        bounds = np.minimum(bounds, distance + moved)
+    detail = f"state {states[where]}"
+    return at_most(
+        "grasp point to the moved part", 1000 * worst, 1000 * limits.reach, "mm", detail
+    )

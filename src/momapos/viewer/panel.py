@@ -1,0 +1,210 @@
+"""The column of words beside the picture: question, answer, what became of the candidates."""
+
+from __future__ import annotations
+
+import textwrap
+from typing import Any
+
+import numpy as np
+
+from momapos.pipeline import Answer
+from momapos.scene.scene import Scene
+from momapos.viewer.outcomes import KINDS, Outcomes, kind_of
+from momapos.viewer.palette import (
+    BAD,
+    FAINT,
+    GOOD,
+    INK,
+    PART,
+    PART_EDGE,
+    POTENTIAL,
+    SOFT_INK,
+    WAYPOINT,
+)
+
+ROWS = 11
+"""Reasons that are listed; the rarest are added up [-]."""
+
+
+class Panel:
+    """Writes from the top of the column downwards; coordinates are inches."""
+
+    def __init__(self, axes: Any, width: float, height: float) -> None:
+        self.axes, self.width, self.y = axes, width, height
+        axes.set(xlim=(0, width), ylim=(0, height))
+        axes.axis("off")
+
+    def text(self, words: str, *, x: float = 0.0, size: float = 7.5, down: float = 0.0,
+             **look: Any) -> None:
+        """Write one line, then go down."""
+        look = {"color": INK, "va": "baseline", **look}
+        self.axes.text(x, self.y, words, size=size, **look)
+        self.y -= down
+
+    def heading(self, words: str) -> None:
+        """Start a section."""
+        self.y -= 0.04
+        self.axes.plot([0, self.width], [self.y + 0.17] * 2, color=FAINT, linewidth=0.8)
+        self.text(words, size=7.5, weight="bold", down=0.19)
+
+
+def draw_panel(
+    axes: Any, width: float, height: float, scene: Scene, answer: Answer, seen: Outcomes,
+    highest: float,
+) -> None:
+    """Write the question, the answer and the reasons.
+
+    Args:
+        axes: An empty column.
+        width, height: Its size [in].
+        scene: The room.
+        answer: What the pipeline said.
+        seen: The candidates.
+        highest: The highest potential in the picture; 0 for no legend of it.
+    """
+    panel = Panel(axes, width, height - 0.14)
+    _question(panel, scene, answer)
+    _facts(panel, answer)
+    _reasons(panel, seen.counts, floor=1.22 + (0.2 if highest > 0 else 0.0))
+    _legend(panel, answer, highest)
+
+
+def question(scene: Scene, answer: Answer) -> str:
+    """The task in words, such as 'open fridge/door to 90° with fetch'."""
+    task = answer.plan.task
+    words = f"{task.verb} {task.object}"
+    if task.joint is not None and task.to is not None:
+        sliding = scene.object(task.object).model.joint(task.joint).kind == "prismatic"
+        value = f"{task.to:.2f} m" if sliding else f"{np.degrees(task.to):.0f}°"
+        words += f"/{task.joint} to {value}"
+    return f"{words} with {answer.plan.robot_name}"
+
+
+def _question(panel: Panel, scene: Scene, answer: Answer) -> None:
+    words = question(scene, answer)
+    task, robot = words.rsplit(" with ", 1)
+    for line in textwrap.wrap(task, 27):
+        panel.text(line, size=10.5, weight="bold", down=0.185)
+    panel.text(f"with {robot} in {scene.name}", size=8, color=SOFT_INK, down=0.25)
+
+
+def _facts(panel: Panel, answer: Answer) -> None:
+    plan = answer.plan
+    word, colour = {
+        "solved": ("solved", GOOD),
+        "infeasible": ("infeasible: no base pose works", BAD),
+        "timeout": ("out of time", BAD),
+    }[plan.status]
+    panel.axes.plot(0.05, panel.y + 0.045, "o" if plan.status == "solved" else "X", color=colour,
+                    markersize=6, markeredgewidth=0)
+    panel.text(word, x=0.16, size=9, weight="bold", color=colour, down=0.21)
+    rows = []
+    if plan.base_pose is not None:
+        x, y, yaw = plan.base_pose
+        rows.append(("base pose", f"({x:.2f}, {y:.2f}) m, {np.degrees(yaw):.0f}°"))
+    if plan.navigation_cost is not None:
+        rows.append(("driving length", f"{plan.navigation_cost:.2f} m"))
+    if "total" in plan.timing:
+        rows.append(("time", _seconds(plan.timing["total"])))
+    counts = plan.candidates
+    rows.append(("candidates", f"{_many(counts.sampled)} sampled, {_many(counts.checked)} checked"))
+    for name, value in rows:
+        panel.text(name, color=SOFT_INK)
+        panel.text(value, x=panel.width, ha="right", down=0.165)
+    panel.y -= 0.11
+
+
+def _seconds(t: float) -> str:
+    return f"{1000 * t:.0f} ms" if t < 1 else f"{t:.1f} s"
+
+
+def _many(count: int) -> str:
+    return f"{count:,}".replace(",", "\u2009")
+
+
+def _reasons(panel: Panel, counts: dict[str, int], *, floor: float) -> None:
+    """A thin bar for each reason, in the order in which candidates are sifted."""
+    panel.heading("what became of them")
+    rows = _rows(counts)
+    if not rows:
+        panel.text("no candidate was looked at", color=SOFT_INK, down=0.2)
+        return
+    most = max(count for _, _, count in rows)
+    step = min(0.265, (panel.y - floor) / len(rows))
+    for kind, reason, count in rows:
+        look, y = KINDS[kind], panel.y
+        bold = "bold" if look.filled else "normal"
+        panel.axes.plot(
+            0.05, y + 0.035, look.marker, color=look.colour, markersize=1.3 * look.size,
+            markerfacecolor=look.colour if look.filled else "none", markeredgewidth=0.9,
+        )
+        panel.text(_short(reason, 33), x=0.15, size=7, weight=bold)
+        panel.text(_many(count), x=panel.width, size=7, ha="right", weight=bold)
+        left, full = 0.15, panel.width - 0.15
+        bar = y - min(0.075, 0.3 * step)
+        panel.axes.barh(bar, full, left=left, height=0.032, color="#eef0f1")
+        panel.axes.barh(bar, full * count / most, left=left, height=0.032, color=look.colour)
+        panel.y -= step
+
+
+def _rows(counts: dict[str, int]) -> list[tuple[int, str, int]]:
+    """(kind, reason, count), sifted first to last; the rarest reasons of a long list as one."""
+    rows = sorted(((kind_of(r), r, n) for r, n in counts.items()), key=lambda row: -row[2])
+    if len(rows) > ROWS:
+        keep = [r for r in rows if KINDS[r[0]].filled or r[1] == "not tried"]
+        rare = [r for r in rows if r not in keep]
+        keep += rare[: ROWS - 1 - len(keep)]
+        rest = [r for r in rows if r not in keep]
+        kinds = {kind for kind, _, _ in rest}
+        kind = kinds.pop() if len(kinds) == 1 else kind_of("other")
+        name = "arm hits other things" if KINDS[kind].name == "arm hits" else "other reasons"
+        rows = [*keep, (kind, name, sum(n for _, _, n in rest))]
+    return sorted(rows, key=lambda row: (row[0], -row[2]))
+
+
+def _short(words: str, most: int) -> str:
+    return words if len(words) <= most else words[: most - 1].rstrip() + "…"
+
+
+def _legend(panel: Panel, answer: Answer, highest: float) -> None:
+    """What the shapes in the picture mean, at the foot of the column."""
+    from matplotlib.patches import Rectangle
+
+    panel.y = 0.98 + (0.2 if highest > 0 else 0.0)
+    panel.heading("in the picture")
+
+    def box(x: float, words: str, **look: Any) -> None:
+        panel.axes.add_patch(Rectangle((x, panel.y - 0.01), 0.17, 0.09, **look))
+        panel.text(words, x=x + 0.24, size=7)
+
+    right, solved = panel.width / 2 + 0.04, answer.plan.base_pose is not None
+    box(0.0, "start", facecolor="white", edgecolor=INK, linewidth=1.0, linestyle=(0, (2.5, 1.5)))
+    if solved:
+        box(right, "base, arm", facecolor="white", edgecolor=INK, linewidth=1.5)
+    panel.y -= 0.175
+    box(0.0, "moving part", facecolor=PART, edgecolor=PART_EDGE, linewidth=1.0)
+    box(right, "its sweep", facecolor=PART, alpha=0.25, linewidth=0)
+    panel.y -= 0.175
+    panel.axes.plot([0, 0.17], [panel.y + 0.035] * 2, color=WAYPOINT, linewidth=0.8, marker="D",
+                    markersize=3.2)
+    panel.text("waypoints", x=0.24, size=7)
+    box(right, f"above {1.2:g} m", fill=False, edgecolor=SOFT_INK, linewidth=0.7,
+        linestyle=(0, (4, 2.5)))
+    panel.y -= 0.2
+    if highest > 0:
+        _gradient(panel, highest)
+
+
+def _gradient(panel: Panel, highest: float) -> None:
+    from matplotlib.colors import LinearSegmentedColormap
+
+    panel.text("potential", x=0.0, size=7)
+    left, right = 0.62, panel.width - 0.3
+    panel.text("0", x=left - 0.05, size=7, ha="right")
+    panel.text(f"{highest:.2f}", x=right + 0.05, size=7)
+    colours = LinearSegmentedColormap.from_list("potential", ["#ffffff", *POTENTIAL])
+    panel.axes.imshow(
+        np.linspace(0, 1, 128)[None], cmap=colours, aspect="auto", interpolation="bilinear",
+        extent=(left, right, panel.y - 0.01, panel.y + 0.08),
+    )
+    panel.axes.set(xlim=(0, panel.width))

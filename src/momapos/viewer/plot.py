@@ -1,0 +1,248 @@
+"""One picture of an answer: the room from above, what was tried, and what came of it."""
+
+from __future__ import annotations
+
+import io
+import os
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from momapos.errors import InputError
+from momapos.kinematics.hulls import Boxes
+from momapos.pipeline import Answer
+from momapos.placement.area import footprints
+from momapos.protocols import ReachScorer
+from momapos.scene.scene import Scene
+from momapos.viewer.heat import Heat, potential_map
+from momapos.viewer.outcomes import KINDS, Outcomes, outcomes, thin
+from momapos.viewer.outlines import box_outlines, draw_union, outline
+from momapos.viewer.palette import INK, PART, PART_EDGE, POTENTIAL, SOFT_INK, WAYPOINT
+from momapos.viewer.panel import draw_panel
+from momapos.viewer.robot import draw_arm, draw_footprint
+from momapos.viewer.room import name_objects, room, room_bounds
+
+SIZE, DPI = (8.0, 6.0), 200
+"""Size of the picture [in] and its resolution: 1600 x 1200 pixels."""
+POINTS = 1500
+"""Candidates that are drawn at most [-]."""
+SMALL_ROOM = 6.0
+"""A room up to this wide is drawn whole [m]."""
+_MAP = (0.058, 0.07, 0.625, 0.91)
+_COLUMN = (0.715, 0.03, 0.27, 0.95)
+_HEAT_LAYER, _SWEEP_LAYER, _CANDIDATE_LAYER, _PART_LAYER, _WAYPOINT_LAYER = 1.0, 4.0, 5.0, 7.0, 15.0
+
+
+def draw_answer(
+    scene: Scene, answer: Answer, reach: ReachScorer, path: Path, *, cell: float = 0.08
+) -> None:
+    """Draw an answer into a PNG file, the whole file or nothing.
+
+    Args:
+        scene: The room that was asked about.
+        answer: What the pipeline said.
+        reach: The robot's reachability map, for the potential.
+        path: The file.
+        cell: Cell of the potential map [m].
+
+    Raises:
+        InputError: The file cannot be written.
+    """
+    write_bytes(path, _picture(scene, answer, reach, cell))
+
+
+def write_bytes(path: Path, data: bytes) -> None:
+    """Write a file so that a reader sees the old one or the new one, never half of it."""
+    name = ""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+        with os.fdopen(handle, "wb") as file:
+            file.write(data)
+        os.chmod(name, 0o644)
+        os.replace(name, path)
+    except OSError as error:
+        if name:
+            Path(name).unlink(missing_ok=True)
+        raise InputError(f"{path}: cannot be written ({error.strerror})") from error
+
+
+def _picture(scene: Scene, answer: Answer, reach: ReachScorer, cell: float) -> bytes:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=SIZE, dpi=DPI, facecolor="white")
+    canvas = FigureCanvasAgg(figure)
+    axes = figure.add_axes(_MAP)
+    seen = outcomes(answer.search)
+    heat = potential_map(answer.site, reach, cell=cell)
+    view = _view(scene, answer, seen, heat)
+    _frame(axes, view)
+    room(axes, scene, target=answer.plan.task.object, moving=_moving_links(scene, answer))
+    highest = _draw_heat(axes, heat)
+    _draw_part(axes, answer)
+    _draw_candidates(axes, seen, view)
+    _draw_robot(axes, answer)
+    name_objects(
+        axes, scene, target=answer.plan.task.object, keep_clear=_keep_clear(answer)
+    )
+    column = figure.add_axes(_COLUMN)
+    width, height = _COLUMN[2] * SIZE[0], _COLUMN[3] * SIZE[1]
+    draw_panel(column, width, height, scene, answer, seen, highest)
+    buffer = io.BytesIO()
+    canvas.print_png(buffer)
+    return buffer.getvalue()
+
+
+# ----------------------------------------------------------------------------------------- the view
+
+
+def _view(
+    scene: Scene, answer: Answer, seen: Outcomes, heat: Heat | None
+) -> Float[np.ndarray, "2 2"]:
+    """What must be seen: lower and upper corner [m]."""
+    robot, motion = answer.site.robot, answer.motion
+    target = scene.object(answer.plan.task.object)
+    points = [target.bounds[:, :2], motion.waypoints[:, :2]]
+    points += box_outlines(motion.sweep())
+    bases = [answer.start] + ([] if answer.plan.base_pose is None else [answer.plan.base_pose])
+    points += list(footprints(robot, np.array(bases, float)))
+    promising = [i for i, kind in enumerate(KINDS) if kind.name not in ("base", "farther than the arm")]
+    points.append(seen.poses[np.isin(seen.kind, promising), :2])
+    if heat is not None:
+        i, j = np.nonzero(heat.value)
+        points.append(heat.low + heat.cell * np.stack([j, i], -1))
+    every = np.concatenate(points)
+    low, high = every.min(0) - 0.25, every.max(0) + 0.25
+    bounds = room_bounds(scene) + np.array([[-0.1], [0.1]])
+    if (bounds[1] - bounds[0]).max() <= SMALL_ROOM:
+        low, high = np.minimum(low, bounds[0]), np.maximum(high, bounds[1])
+    return _widen(np.stack([low, high]), _MAP[2] * SIZE[0] / (_MAP[3] * SIZE[1]))
+
+
+def _widen(view: Float[np.ndarray, "2 2"], ratio: float) -> Float[np.ndarray, "2 2"]:
+    """Add on two sides, so that width over height is as given."""
+    middle, size = view.mean(0), view[1] - view[0]
+    size = np.array([max(size[0], size[1] * ratio), max(size[1], size[0] / ratio)])
+    return np.stack([middle - size / 2, middle + size / 2])
+
+
+def _frame(axes: Any, view: Float[np.ndarray, "2 2"]) -> None:
+    axes.set(xlim=view[:, 0], ylim=view[:, 1], aspect="equal")
+    axes.set_xlabel("x [m]", size=7.5, color=SOFT_INK, labelpad=2)
+    axes.set_ylabel("y [m]", size=7.5, color=SOFT_INK, labelpad=2)
+    axes.tick_params(labelsize=7, color=SOFT_INK, labelcolor=SOFT_INK, length=2.5, pad=2)
+    axes.locator_params(nbins=7, steps=[1, 2, 5, 10])
+    for spine in axes.spines.values():
+        spine.set(color=SOFT_INK, linewidth=0.6)
+
+
+def _moving_links(scene: Scene, answer: Answer) -> tuple[str, ...]:
+    task = answer.plan.task
+    model = scene.object(task.object).model
+    return model.links if task.joint is None else model.moved_by(task.joint)
+
+
+def _keep_clear(answer: Answer) -> list[Float[np.ndarray, "2 2"]]:
+    """Rectangles around what names must not cover [m]."""
+    motion, plan = answer.motion, answer.plan
+    shapes = [answer.start[None, :2]]
+    robot = answer.site.robot
+    if plan.base_pose is not None:
+        shapes = list(footprints(robot, np.array([answer.start, plan.base_pose])))
+    path = _waypoints(answer)[:, :2]
+    shapes += [path[k : k + 2] for k in range(len(path))]
+    for k in (0, -1):
+        m = motion.moving
+        shapes += box_outlines(Boxes(m.center[k], m.rotation[k], m.half[k]))
+    return [np.stack([xy.min(0), xy.max(0)]) for xy in shapes]
+
+
+# --------------------------------------------------------------------------------------- the layers
+
+
+def _draw_heat(axes: Any, heat: Heat | None) -> float:
+    """Draw the potential as a soft layer on the floor; return its highest value."""
+    from matplotlib.colors import LinearSegmentedColormap
+
+    highest = 0.0 if heat is None else float(heat.value.max(initial=0.0))
+    if heat is None or highest <= 0:
+        return 0.0
+    steps = [(c, a) for c, a in zip((POTENTIAL[0], *POTENTIAL), (0.0, 0.7, 0.8, 0.85), strict=True)]
+    colours = LinearSegmentedColormap.from_list("potential", steps)
+    axes.imshow(
+        heat.value, cmap=colours, vmin=0.0, vmax=highest, extent=heat.extent, origin="lower",
+        interpolation="bilinear", interpolation_stage="data", zorder=_HEAT_LAYER, aspect="equal",
+    )
+    return highest
+
+
+def _draw_part(axes: Any, answer: Answer) -> None:
+    """Draw the part that moves: before, after, and where it passes."""
+    m = answer.motion.moving
+    draw_union(axes, box_outlines(answer.motion.sweep()), fill=PART, alpha=0.2, zorder=_SWEEP_LAYER)
+    for k in (0, -1):
+        polygons = box_outlines(Boxes(m.center[k], m.rotation[k], m.half[k]))
+        draw_union(axes, polygons, fill=PART, edge=PART_EDGE, width=0.7, zorder=_PART_LAYER)
+
+
+def _draw_candidates(axes: Any, seen: Outcomes, view: Float[np.ndarray, "2 2"]) -> None:
+    """Draw where the base was tried, and what came of it."""
+    xy = seen.poses[:, :2]
+    inside = np.flatnonzero(((xy > view[0]) & (xy < view[1])).all(1))
+    inside = inside[thin(xy[inside], seen.kind[inside], POINTS)]
+    crowd = 1.0 if len(inside) < 700 else 0.75
+    for index, kind in enumerate(KINDS):
+        chosen = inside[seen.kind[inside] == index]
+        axes.plot(
+            *xy[chosen].T, linestyle="none", marker=kind.marker, markersize=crowd * kind.size,
+            color=kind.colour, markerfacecolor=kind.colour if kind.filled else "none",
+            markeredgecolor="white" if kind.filled else kind.colour,
+            markeredgewidth=0.5, zorder=_CANDIDATE_LAYER + index / 100,
+        )
+
+
+def _draw_robot(axes: Any, answer: Answer) -> None:
+    """Draw the start, the way, the base and the arm; and the waypoints of the tool."""
+    robot, plan = answer.site.robot, answer.plan
+    draw_footprint(axes, robot, answer.start, dashed=True)
+    if plan.base_pose is not None and plan.motion is not None:
+        base = np.array(plan.base_pose)
+        _draw_way(axes, answer.start, base, plan.navigation_cost)
+        draw_footprint(axes, robot, base)
+        draw_arm(axes, robot, base, plan.motion.q[0], faint=True)
+        draw_arm(axes, robot, base, plan.motion.q[-1])
+    axes.plot(
+        *_waypoints(answer)[:, :2].T, color=WAYPOINT, linewidth=0.8, marker="D", markersize=3.4,
+        markeredgecolor="white", markeredgewidth=0.4, zorder=_WAYPOINT_LAYER,
+    )
+
+
+def _waypoints(answer: Answer) -> Float[np.ndarray, "w 3"]:
+    """Where the tool goes: as planned, or as the plainest grasp would have it [m]."""
+    motion, planned = answer.motion, answer.plan.motion
+    if planned is None:
+        return motion.waypoints
+    return planned.Ts_world_tool[motion.coarse[1:] - motion.hold, :3, 3]
+
+
+def _draw_way(
+    axes: Any, start: Float[np.ndarray, "3"], base: Float[np.ndarray, "3"], length: float | None
+) -> None:
+    """Draw the way from the start to the base, labelled with its driving length."""
+    from matplotlib.patheffects import withStroke
+
+    way = np.stack([start[:2], base[:2]])
+    axes.plot(*way.T, color=INK, linewidth=1.0, linestyle=(0, (4, 3)), zorder=9.5)
+    if length is None:
+        return
+    angle = np.degrees(np.arctan2(*(way[1] - way[0])[::-1]))
+    angle = (angle + 90) % 180 - 90
+    axes.text(
+        *way.mean(0), f"{length:.2f} m", size=7, color=INK, ha="center", va="bottom",
+        rotation=angle, rotation_mode="anchor", zorder=16,
+        path_effects=[withStroke(linewidth=2, foreground="white")],
+    )

@@ -1,0 +1,82 @@
+"""A robot from above: its footprint with a heading, and its arm."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from momapos.geometry.transforms import apply, pose, pose_planar
+from momapos.kinematics.chain import forward, stand_at_origin
+from momapos.placement.area import footprints
+from momapos.robots.robot import Robot
+from momapos.viewer.outlines import draw_union, outline
+from momapos.viewer.palette import ARM, INK
+
+FOOTPRINT_LAYER, ARM_LAYER = 10.0, 13.0
+
+
+def draw_footprint(
+    axes: Any, robot: Robot, base: Float[np.ndarray, "3"], *, dashed: bool = False
+) -> None:
+    """Draw where the base stands, and which way it looks."""
+    from matplotlib.patches import Polygon
+
+    xy = footprints(robot, np.asarray(base, float)[None])[0]
+    colour = INK
+    look = (
+        dict(facecolor=(1, 1, 1, 0.55), linewidth=1.0, linestyle=(0, (3.5, 2)))
+        if dashed
+        else dict(facecolor=(1, 1, 1, 0.88), linewidth=1.6)
+    )
+    axes.add_patch(Polygon(xy, edgecolor=colour, zorder=FOOTPRINT_LAYER, **look))
+    front = robot.footprint[:, 0].max()
+    heading = np.array([np.cos(base[2]), np.sin(base[2])])
+    tail, tip = base[:2] - 0.3 * front * heading, base[:2] + 0.85 * front * heading
+    style = dict(arrowstyle="-|>", mutation_scale=9, color=colour, shrinkA=0, shrinkB=0)
+    style |= dict(linewidth=1.0 if dashed else 1.5)
+    axes.annotate("", tip, tail, arrowprops=style, zorder=FOOTPRINT_LAYER + 0.5)
+
+
+def draw_arm(
+    axes: Any,
+    robot: Robot,
+    base: Float[np.ndarray, "3"],
+    q: Float[np.ndarray, " n"],
+    *,
+    faint: bool = False,
+) -> None:
+    """Draw the arm: the silhouette of its links, and the line through its joints."""
+    poses, line = arm_frames(robot, base, q)
+    bodies = [
+        outline(apply(T, hull.vertices))
+        for link, T in poses.items()
+        for hull in robot.model.hulls[link]
+    ]
+    silhouette = [xy for xy in bodies if xy is not None]
+    layer = ARM_LAYER - (1.0 if faint else 0.0)
+    draw_union(axes, silhouette, fill=ARM, alpha=0.13 if faint else 0.32, zorder=layer)
+    if not faint:
+        axes.plot(
+            *line.T, color=ARM, linewidth=1.6, marker="o", markersize=2.6, markerfacecolor="white",
+            markeredgewidth=0.8, solid_capstyle="round", zorder=layer + 0.5,
+        )
+
+
+def arm_frames(
+    robot: Robot, base: Float[np.ndarray, "3"], q: Float[np.ndarray, " n"]
+) -> tuple[dict[str, Float[np.ndarray, "4 4"]], Float[np.ndarray, "k 2"]]:
+    """World poses of the links that the arm moves, and the line from joint to joint to tool [m]."""
+    chain, segments = robot.chain, robot.segments
+    R, p = np.empty((chain.size + 1, 3, 3)), np.empty((chain.size + 1, 3))
+    stand_at_origin(R, p)
+    forward(np.ascontiguousarray(q, float), chain.h, chain.d, chain.prismatic, R, p)
+    T_world_base = pose_planar(np.asarray(base, float))
+    poses = {
+        link: T_world_base @ pose(p[s], R[s]) @ segments.T_segment_link[link]
+        for link, s in segments.of_link.items()
+        if s > 0
+    }
+    tool = p[-1] + R[-1] @ chain.tool_offset
+    return poses, apply(T_world_base, np.vstack([p[1:], tool]))[:, :2]

@@ -1,0 +1,83 @@
+"""Shapes as formulas: a second opinion on hulls, spheres and kernels."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+
+from momapos.kinematics.chain import Chain
+from momapos.kinematics.hulls import Boxes
+from momapos.kinematics.urdf import Geometry
+from momapos.robots.robot import Robot
+
+
+def signed_distance(shape: Geometry, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
+    """Distance to a box, cylinder or sphere in the link frame, negative inside [m]."""
+    T = shape.T_link_geometry
+    x = (points - T[:3, 3]) @ T[:3, :3]
+    if shape.kind == "sphere":
+        return np.linalg.norm(x, axis=1) - shape.size[0]
+    if shape.kind == "box":
+        d = np.abs(x) - np.array(shape.size) / 2
+    else:
+        radius, length = shape.size
+        across = np.hypot(x[:, 0], x[:, 1]) - radius
+        d = np.stack([across, np.abs(x[:, 2]) - length / 2], -1)
+    return np.linalg.norm(np.maximum(d, 0), axis=1) + np.minimum(d.max(1), 0)
+
+
+def surface_points(
+    shape: Geometry, count: int, rng: np.random.Generator
+) -> Float[np.ndarray, "n 3"]:
+    """Random points on a box, cylinder or sphere, edges and corners among them."""
+    if shape.kind == "sphere":
+        x = directions(count, rng) * shape.size[0]
+    elif shape.kind == "box":
+        x = rng.uniform(-1, 1, (count, 3))
+        # One, two or three coordinates at their end: faces, edges and corners.
+        ends = rng.random((count, 3)).argsort(1) <= rng.integers(0, 3, (count, 1))
+        x = np.where(ends, np.sign(x), x) * np.array(shape.size) / 2
+    else:
+        radius, length = shape.size
+        angle, kind = rng.uniform(-np.pi, np.pi, count), rng.integers(0, 3, count)
+        r = np.where(kind == 0, radius * np.sqrt(rng.random(count)), radius)
+        z = np.where(kind == 1, rng.uniform(-1, 1, count), rng.choice([-1, 1], count)) * length / 2
+        x = np.stack([r * np.cos(angle), r * np.sin(angle), z], -1)
+    T = shape.T_link_geometry
+    return x @ T[:3, :3].T + T[:3, 3]
+
+
+def directions(count: int, rng: np.random.Generator) -> Float[np.ndarray, "n 3"]:
+    """Random unit vectors."""
+    v = rng.normal(size=(count, 3))
+    return v / np.linalg.norm(v, axis=1, keepdims=True)
+
+
+def rotations(count: int, rng: np.random.Generator) -> Float[np.ndarray, "n 3 3"]:
+    """Random rotation matrices."""
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.random(count, rng=rng).as_matrix()
+
+
+def random_boxes(
+    count: int, rng: np.random.Generator, low: tuple[float, ...], high: tuple[float, ...]
+) -> Boxes:
+    """Boxes of 2 to 60 cm with centres in a range."""
+    half = rng.uniform(0.01, 0.3, (count, 3))
+    return Boxes(rng.uniform(low, high, (count, 3)), rotations(count, rng), half)
+
+
+def random_states(chain: Chain, count: int, rng: np.random.Generator) -> Float[np.ndarray, "m n"]:
+    """Configurations within limits; continuous joints anywhere in a turn."""
+    lower = np.where(np.isfinite(chain.lower), chain.lower, -np.pi)
+    upper = np.where(np.isfinite(chain.upper), chain.upper, np.pi)
+    return rng.uniform(lower, upper, (count, chain.size))
+
+
+def link_spheres(robot: Robot, link: str) -> tuple[np.ndarray, np.ndarray]:
+    """Centres in the link's frame and radii of its spheres."""
+    spheres, group = robot.spheres, robot.spheres.links.index(link)
+    of_link = slice(*spheres.start[group : group + 2])
+    T = robot.segments.T_segment_link[link]
+    return (spheres.center[of_link] - T[:3, 3]) @ T[:3, :3], spheres.radius[of_link]
