@@ -16,7 +16,7 @@ $(VENV)/.dev: $(VENV)/.core
 	touch $@
 
 demo: $(VENV)/.core
-	$(BIN)/momapos place open kitchen_small fridge --robot segway_ur5e --out demo_plan.json --plot demo_plan.png
+	$(BIN)/momapos place open kitchen_small fridge/door_hinge --robot segway_ur5e --out demo_plan.json --plot demo_plan.png
 
 check: $(VENV)/.dev
 	$(BIN)/ruff check src tests benchmarks examples

@@ -37,7 +37,7 @@ COMMANDS: dict[str, tuple[str, dict[str, str] | str, str]] = {
     ),
 }  # fmt: skip
 EXAMPLES = """examples:
-  momapos place open kitchen_small fridge --robot segway_ur5e --plot plan.png
+  momapos place open kitchen_small fridge/door_hinge --robot segway_ur5e --plot plan.png
   momapos place open kitchen.json cabinet/door_left --robot fetch --to 90deg --out plan.json
   momapos verify plan.json
   momapos robot check my_robot.urdf --plot robot.png"""

@@ -96,7 +96,7 @@ def build_chain(
         upper=np.array([j.upper for j in records]),
         velocity=np.array([j.velocity for j in records]),
         tool_offset=zero[tool_link][:3, 3] - origin[-1],
-        tool_rotation=zero[tool_link][:3, :3],
+        tool_rotation=zero[tool_link][:3, :3].copy(),
     )
     return chain, _segments(model, zero, joints, origin)
 

@@ -19,7 +19,7 @@ from numba import njit
 from momapos.errors import RobotError
 from momapos.kinematics.chain import Chain, forward, stand_at_origin
 from momapos.kinematics.subproblems import (
-    add, dot, mul, mul_t, neg, rot, row, sp1, sp3, sp4, sub,
+    add, cross, dot, mul, mul_t, neg, rot, row, sp1, sp3, sp4, sub,
 )
 
 NUMERIC, WRIST_PARALLEL, WRIST_MEETING, THREE_PARALLEL = 0, 1, 2, 3
@@ -31,7 +31,7 @@ NAMES = {
 }
 _LOOSE = 5e-3
 """How far [m or rad] from the ideal geometry Newton may be asked to bridge."""
-_TIGHT = 1e-9
+_TIGHT = 1e-12
 """Squared residual at which a solution counts as exact [m^2 + rad^2]."""
 MAX_BRANCHES = 8
 
@@ -170,12 +170,11 @@ def _numeric(chain: Chain, seeds: int) -> IkModel:
     lower = np.where(np.isfinite(chain.lower), chain.lower, -np.pi)
     upper = np.where(np.isfinite(chain.upper), chain.upper, np.pi)
     unit = qmc.Halton(chain.size, scramble=False).random(seeds + 1)[1:]
-    samples = lower + unit * (upper - lower)
+    samples = np.ascontiguousarray(lower + unit * (upper - lower))
     every = np.arange(chain.size)
-    empty = np.zeros((len(samples), chain.size, 3))
+    empty, point = np.zeros((len(samples), chain.size, 3)), np.zeros((len(samples), 3))
     return IkModel(
-        NUMERIC, every, samples, empty, empty, empty[:, 0], np.zeros((len(samples), 3, 3)),
-        empty[:, 0],
+        NUMERIC, every, samples, empty, empty, point, np.zeros((len(samples), 3, 3)), point
     )
 
 
@@ -222,7 +221,7 @@ def _spherical(kind, h, o, c0, R06, c, out):
     for i in range(count):
         q1, q2, q3 = out[i, 0], out[i, 1], out[i, 2]
         x6 = rot(h3, -q3, rot(h2, -q2, rot(h1, -q1, mul(R06, h6))))
-        y4 = mul_t(R06, rot(h1, q1, rot(h2, q2, rot(h3, q3, h4))))
+        x5 = rot(h3, -q3, rot(h2, -q2, rot(h1, -q1, mul(R06, h5))))
         n5, a5, b5 = sp4(h4, h6, h5, dot(h4, x6))
         if n5 == 0:
             out[i, 4] = np.nan
@@ -232,9 +231,40 @@ def _spherical(kind, h, o, c0, R06, c, out):
             k = i if j == 0 else total
             out[k, 0], out[k, 1], out[k, 2], out[k, 4] = q1, q2, q3, q5
             out[k, 3] = sp1(rot(h5, q5, h6), x6, h4)
-            out[k, 5] = sp1(rot(h5, -q5, h4), y4, neg(h6))
+            # After q4, not beside it: when axes 4 and 6 align only their sum is told.
+            out[k, 5] = sp1(h5, rot(h5, -q5, rot(h4, -out[k, 3], x5)), h6)
         total += 1
     return total
+
+
+@njit(cache=True, nogil=True)
+def _free_turn(h1, h2, upper, lower, tip, foot, j, turned, sign):
+    """A value of joint 6 that puts joint 4 in the middle of where the arm can have it.
+
+    Args:
+        h1, h2: Axes 1 and 2.
+        upper, lower, tip: Offsets from joint 2 to 3, 3 to 4, and 4 to the wrist, at zero.
+        foot: The wrist as seen from joint 2.
+        j: Which of the two values, 0 or 1.
+        turned: Where h1 has been turned to about h2 when joint 6 is at zero.
+        sign: Positive where axis 6 points along axis 2.
+    """
+    a, b = _across(upper, h2), _across(lower, h2)
+    c, d = _across(tip, h2), _across(foot, h2)
+    reach = 0.5 * (max(abs(a - b), abs(c - d)) + min(a + b, c + d))
+    along = dot(h2, sub(tip, foot))
+    n, one, other = sp3(tip, foot, h2, np.sqrt(reach * reach + along * along))
+    if n == 0:
+        return 0.0
+    turn = sp1(h1, turned, h2) - (one if j == 0 else other)
+    return turn if sign > 0 else -turn
+
+
+@njit(cache=True, nogil=True)
+def _across(v, axis):
+    """Length of the part of v that is perpendicular to a unit axis."""
+    part = dot(v, axis)
+    return np.sqrt(max(0.0, dot(v, v) - part * part))
 
 
 @njit(cache=True, nogil=True)
@@ -255,10 +285,17 @@ def _three_parallel(h, o, c0, R06, c, out):
         n5, a5, b5 = sp4(h2, h6, h5, dot(h2, rot(h1, -q1, z6)))
         for j in range(n5):
             q5 = a5 if j == 0 else b5
-            q6 = sp1(rot(h5, -q5, h2), mul_t(R06, rot(h1, q1, h2)), neg(h6))
+            x2 = rot(h5, -q5, h2)
+            across, foot = cross(x2, h6), sub(rot(h1, -q1, w), sub(o2, o1))
+            if dot(across, across) < 1e-13:
+                # Axis 6 is parallel to the three, and any q6 will do that keeps joint 4 in reach.
+                turned = rot(h1, -q1, mul(R06, rot(h5, -q5, h1)))
+                q6 = _free_turn(h1, h2, upper, lower, tip, foot, j, turned, dot(x2, h6))
+            else:
+                q6 = sp1(x2, mul_t(R06, rot(h1, q1, h2)), neg(h6))
             turned = rot(h1, -q1, mul(R06, rot(h6, -q6, rot(h5, -q5, h1))))
             theta = sp1(h1, turned, h2)
-            t = sub(sub(rot(h1, -q1, w), sub(o2, o1)), rot(h2, theta, tip))
+            t = sub(foot, rot(h2, theta, tip))
             along = dot(h2, t)
             flat = add(upper, lower)
             # Components along the axes are carried unchanged; the planar 2R problem is the rest.
@@ -435,7 +472,7 @@ def solve_sample(s, R_target, p_target, chain, limits, ik, out, scratch):
         else:
             found = _spherical(kind, h[s], o[s], c0, R06, c, branches)
     # From a seed Newton has far to go; after a closed form it only removes rounding.
-    steps, damping = (30, 1.0) if kind == NUMERIC else (3, 1e-6)
+    steps, damping = (30, 1.0) if kind == NUMERIC else (8, 1e-6)
     count = 0
     for b in range(found):
         for i in range(samples.shape[1]):
@@ -469,6 +506,8 @@ def _solve_all(poses, chain, limits, ik, limit):
         R, p = poses[i, :3, :3], poses[i, :3, 3]
         for s in range(len(ik[2])):
             counts[i] += solve_sample(s, R, p, chain, limits, ik, out[i, counts[i] :], scratch)
+        # What was tried there and refused.
+        out[i, counts[i] :] = np.nan
     return out, counts
 
 

@@ -12,7 +12,8 @@ import math
 from numba import njit
 
 Vec = tuple[float, float, float]
-_EDGE = 1e-9
+_EDGE = 1e-4
+"""How far beyond the end of its range a cosine is taken for the end; Newton tells them apart."""
 
 
 @njit(cache=True, nogil=True)
@@ -101,7 +102,10 @@ def sp4(h, p, k, d):
     a, b = dot(h, p) - hk * kp, dot(h, cross(k, p))
     r = math.hypot(a, b)
     ratio = d - hk * kp
-    if r < 1e-12 or abs(ratio) > r * (1.0 + _EDGE):
+    if r < 1e-9:
+        # The angle changes nothing: all of them solve it, or none.
+        return (2, 0.0, math.pi) if abs(ratio) < _EDGE else (0, 0.0, 0.0)
+    if abs(ratio) > r * (1.0 + _EDGE):
         return 0, 0.0, 0.0
     phi = math.atan2(b, a)
     delta = math.acos(max(-1.0, min(1.0, ratio / r)))

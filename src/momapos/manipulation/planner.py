@@ -94,12 +94,19 @@ def _ompl(
     space.setBounds(bounds)
     setup = og.SimpleSetup(space)
 
-    def valid(state: object) -> bool:
-        q = np.array([state[k] for k in range(n)])  # type: ignore[index]
-        return bool(free(q[None])[0])
+    def read(state: object) -> Float[np.ndarray, " n"]:
+        return np.array([state[k] for k in range(n)])  # type: ignore[index]
 
-    setup.setStateValidityChecker(valid)
+    class Edges(ob.MotionValidator):  # type: ignore[misc]
+        """Checks the states of a whole edge in one call of the kernel."""
+
+        def checkMotion(self, a: object, b: object, *_: object) -> bool:  # noqa: N802
+            return bool(free(interpolate(np.stack([read(a), read(b)]))).all())
+
+    setup.setStateValidityChecker(lambda state: bool(free(read(state)[None])[0]))
     info = setup.getSpaceInformation()
+    edges = Edges(info)
+    info.setMotionValidator(edges)
     info.setStateValidityCheckingResolution(RESOLUTION / space.getMaximumExtent())
     ends = [space.allocState(), space.allocState()]
     for state, q in zip(ends, (start, goal), strict=True):

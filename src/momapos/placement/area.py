@@ -38,15 +38,15 @@ class Site:
         chain = self.robot.chain
         first = int(np.argmin(chain.prismatic))
         point = chain.d[: first + 1].sum(0)
-        lift = chain.h[:first] * ((chain.lower + chain.upper) / 2)[:first, None]
-        return point + lift.sum(0)
+        middle = (chain.lower[:first] + chain.upper[:first]) / 2
+        return point + middle @ chain.h[:first]
 
     @property
     def lift(self) -> float:
         """Half the travel of a torso before that axis [m]."""
         chain = self.robot.chain
         first = int(np.argmin(chain.prismatic))
-        return float(((chain.upper - chain.lower) / 2)[:first].sum())
+        return float((chain.upper[:first] - chain.lower[:first]).sum() / 2)
 
 
 def arm_radius(site: Site) -> Float[np.ndarray, " w"]:

@@ -69,23 +69,45 @@ def arc_mask(q, turn, lower, upper):
 
 
 @njit(cache=True, nogil=True)
-def _line_mask(R_tool, p_tool, mask, arm, chain, limits, ik, pans, work):
-    """Add the bearings at which a tool pose is reachable to a mask.
+def _majority(votes):
+    """The bits that at least half of the words have."""
+    mask = np.uint64(0)
+    for b in range(BEARINGS):
+        count = 0
+        for k in range(len(votes)):
+            count += np.int64((votes[k] >> np.uint64(b)) & np.uint64(1))
+        if 2 * count >= len(votes):
+            mask |= np.uint64(1) << np.uint64(b)
+    return mask
+
+
+@njit(cache=True, nogil=True)
+def _line_mask(R_tool, p_tool, closed, spins, arm, chain, limits, ik, pans, work):
+    """Bearings at which a tool pose is reachable, for at least half of the spins.
 
     Args:
+        R_tool, p_tool: Tool pose at bearing 0, in the base frame.
+        closed: Bearings that are of no interest.
+        spins: What is added to the last joint after the arm is solved [rad].
+        arm: (first, turn, lower, upper, axis, turning, table), see `construct`.
+        chain, limits, ik: The arm with its first joint freed.
         pans: For each sample, by the value at which it locks the first joint: (arcs: what it can
             serve, 0 where it does not lock it; value: its index; step: the values this far to
             both sides are known before it, 0 for the first ones). A value between two that agree
             is not tried, nor one that can add nothing.
+        work: Scratch.
     """
     first, turn, lower, upper, axis, turning, table = arm
     arcs, value, step = pans
-    out, scratch, R, p, works = work
+    out, scratch, R, p, works, votes = work
     works[:] = False
+    votes[:] = closed
+    done = closed
+    last = out.shape[1] - 1
     for s in range(len(arcs)):
         arc, v = arcs[s], value[s]
         if arc:
-            if arc & ~mask == np.uint64(0):
+            if arc & ~done == np.uint64(0):
                 works[v] = True
                 continue
             if step[s] > 0:
@@ -95,32 +117,38 @@ def _line_mask(R_tool, p_tool, mask, arm, chain, limits, ik, pans, work):
                     continue
         count = solve_sample(s, R_tool, p_tool, chain, limits, ik, out, scratch)
         for k in range(count):
-            gain = arc if arc else arc_mask(out[k, first], turn, lower, upper)
-            gain &= ~mask
-            if gain == np.uint64(0):
+            serves = arc if arc else arc_mask(out[k, first], turn, lower, upper)
+            if serves & ~done == np.uint64(0):
                 continue
-            R[0], p[0] = np.eye(3), 0.0
-            forward(out[k], chain[0], chain[1], chain[2], R, p)
-            if hit_floor(R, p, turning) != FREE or hit_self(R, p, turning) != FREE:
-                continue
-            works[v] = True
-            mask |= gain & ~touched(gain, R, p, turning, first, axis, table)
-            if mask == EVERY:
-                return mask
-    return mask
+            done = EVERY
+            for i in range(len(spins)):
+                gain = serves & ~votes[i]
+                if gain:
+                    out[k, last] += spins[i]
+                    R[0], p[0] = np.eye(3), 0.0
+                    forward(out[k], chain[0], chain[1], chain[2], R, p)
+                    out[k, last] -= spins[i]
+                    if hit_floor(R, p, turning) == FREE and hit_self(R, p, turning) == FREE:
+                        works[v] = True
+                        votes[i] |= gain & ~touched(gain, R, p, turning, first, axis, table)
+                done &= votes[i]
+            if done == EVERY:
+                return ~closed
+    return _majority(votes) & ~closed
 
 
 @njit(cache=True, nogil=True)
-def line_masks(lines, rolls, tool, arm, chain, limits, ik, pans, masks):
+def line_masks(lines, rolls, spins, tool, arm, chain, limits, ik, pans, masks):
     """Bearings at which lines (m, 4: z, r, u, v) can be reached, into masks (m,).
 
-    A line counts where every roll of the tool can be reached.
+    A line counts where every roll of the tool can be reached, each solved anew, with at least half
+    of the spins.
     """
     n = ik[2].shape[1]
     axis = arm[4]
     work = (
         np.empty((MAX_BRANCHES, n)), ik_scratch(n), np.empty((n + 1, 3, 3)), np.empty((n + 1, 3)),
-        np.zeros(max(1, np.max(pans[1]) + 1), np.bool_),
+        np.zeros(np.max(pans[1]) + 1, np.bool_), np.empty(len(spins), np.uint64),
     )
     R, p = np.empty((3, 3)), np.empty(3)
     for i in range(len(lines)):
@@ -130,7 +158,7 @@ def line_masks(lines, rolls, tool, arm, chain, limits, ik, pans, masks):
             line_pose(r, z, lines[i, 2], lines[i, 3], rolls[k], tool, R, p)
             p[0] += axis[0]
             p[1] += axis[1]
-            mask &= _line_mask(R, p, ~mask, arm, chain, limits, ik, pans, work)
+            mask = _line_mask(R, p, ~mask, spins, arm, chain, limits, ik, pans, work)
             if mask == np.uint64(0):
                 break
         masks[i] = mask

@@ -17,12 +17,10 @@ from momapos.geometry.transforms import orthonormal
 from momapos.kinematics.chain import Chain
 from momapos.kinematics.ik import NUMERIC, IkModel, build_ik, chain_arrays, ik_arrays
 from momapos.kinematics.spheres import Spheres
-from momapos.reachability.build import arc_mask, line_masks
+from momapos.reachability.build import EVERY, arc_mask, line_masks
 from momapos.reachability.grid import grid_points, pack_shape
 from momapos.reachability.map import ReachConfig, ReachMap
-from momapos.reachability.margin import (
-    INTERIOR, close_seam, deepen, near_margins, uneven_edges,
-)
+from momapos.reachability.margin import close_seam, deepen, near_margins, uneven_edges
 from momapos.reachability.standing import BEARINGS, standing_table
 from momapos.robots.robot import Robot
 
@@ -30,6 +28,12 @@ log = logging.getLogger(__name__)
 Progress = Callable[[float], None]
 BLOCK = 1024
 """Lines a thread takes at once."""
+UNEVEN = 6
+"""Bearings of 64 in which the ends of an edge must differ for the edge to be looked at."""
+FEW = 0.005
+"""Share of lines that may depend on the bearing while it counts as making no difference [-]."""
+ROLLS = 8
+"""Rolls of the tool that must all be reachable where the last joint does not turn fully."""
 FULL_TURN = 0.95 * 2 * np.pi
 """A last joint with this range counts as turning fully [rad]."""
 
@@ -89,6 +93,15 @@ def _nearest(o: np.ndarray, h: np.ndarray, other: np.ndarray, k: np.ndarray) -> 
     return o + h * (c * float(k @ w) - float(h @ w)) / (1 - c * c)
 
 
+def default_config(robot: Robot) -> ReachConfig:
+    """Resolution at which a map is true enough and quickly built.
+
+    Longer arms cost ten times more per point, and direction matters less to them.
+    """
+    longer = robot.chain.size > 6
+    return ReachConfig(cell=0.055, directions=15) if longer else ReachConfig()
+
+
 def build_map(
     robot: Robot,
     config: ReachConfig | None = None,
@@ -104,7 +117,7 @@ def build_map(
         progress: Called with the share that is done, in [0, 1].
         key: Content key to be kept in the map.
     """
-    config = config or ReachConfig()
+    config = config or default_config(robot)
     began = time.perf_counter()
     if config.bearings < 1 or BEARINGS % config.bearings or config.directions % 2 == 0:
         raise RobotError("reach: bearings must divide 64 and directions must be odd")
@@ -115,9 +128,12 @@ def build_map(
     zs, rs, us, vs = grid_points(shape, low, config.cell)
     points = np.stack(np.meshgrid(zs, rs, us, vs, indexing="ij"), -1).reshape(-1, 4)
     masks = evaluate(points, 0.0, 0.5)
+    if shape[4] > 1 and _bearing_free(masks):
+        shape = (*shape[:4], 1)
+    if shape[4] == 1:
+        masks = np.where(np.bitwise_count(masks) * 2 > BEARINGS, EVERY, np.uint64(0))
     t1 = time.perf_counter()
-    edges = uneven_edges(masks.reshape(shape[:4]), 1 if config.bearings == 1 else 6)
-    rows, interior = _look_between(edges, points, shape, low, config, evaluate)
+    rows, interior = _look_between(masks, points, shape, config, evaluate)
     t2 = time.perf_counter()
     values = np.empty((len(points), shape[4]), np.int8)
     _threaded(
@@ -128,7 +144,7 @@ def build_map(
     close_seam(values)
     deepen(values.reshape(-1), pack_shape(shape))
     seconds = time.perf_counter() - began
-    log.info(
+    log.debug(
         "%s: %d lines in %.1f s, %d answers between in %.1f s, all in %.1f s", robot.name,
         len(points), t1 - began, interior.size, t2 - t1, seconds,
     )
@@ -167,9 +183,13 @@ class _Evaluator:
             upper=np.where(np.arange(chain.size) == first, np.inf, chain.upper),
         )
         ik, pans = _samples(free, frame, config)
-        rolls = max(config.rolls, 1 if frame.full_roll else 8)
         self.progress = progress
-        self.rolls = np.pi * 2 / rolls * np.arange(rolls)
+        # A tool whose last joint turns fully reaches all rolls or none, but for what it touches.
+        self.rolls = np.zeros(1) if frame.full_roll else 2 * np.pi / ROLLS * np.arange(ROLLS)
+        # Every second one is turned by half a turn more: spread evenly for any tool, and for one
+        # that looks the same after half a turn, as grippers do.
+        k = np.arange(config.spins if frame.full_roll else 1)
+        self.spins = np.pi * (k / len(k) + k % 2)
         arm = (
             first, frame.turn, *frame.limits, frame.axis,
             _turning(robot.spheres, first), standing_table(robot.spheres, chain.d, first),
@@ -184,7 +204,7 @@ class _Evaluator:
         masks = np.empty(len(lines), np.uint64)
 
         def block(lo: int, hi: int) -> None:
-            line_masks(lines[lo:hi], self.rolls, *self.arguments, masks[lo:hi])
+            line_masks(lines[lo:hi], self.rolls, self.spins, *self.arguments, masks[lo:hi])
 
         _threaded(
             block, len(lines), BLOCK, lambda share: self.progress(begin + share * (end - begin))
@@ -253,23 +273,36 @@ def _threaded(work: Callable[[int, int], None], count: int, block: int, done: Pr
             done((i + 1) / len(ranges))
 
 
+def _bearing_free(masks: np.ndarray) -> bool:
+    """Whether the bearing makes no difference: the first joint and the base are never in the way."""
+    count = np.bitwise_count(masks)
+    return bool(((count > 0) & (count < BEARINGS)).sum() <= FEW * max(1, (count > 0).sum()))
+
+
 def _look_between(
-    edges: list[np.ndarray],
+    masks: np.ndarray,
     points: np.ndarray,
     shape: tuple[int, ...],
-    low: float,
     config: ReachConfig,
     evaluate: _Evaluator,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Answers on the edges whose ends disagree, and for each edge its row among them."""
+    """Answers on the edges whose ends disagree, and for each edge its row among them.
+
+    The middle first, then the quarters on the side where the answer changes.
+    """
+    least = 1 if shape[4] == 1 else UNEVEN
+    edges = uneven_edges(masks.reshape(shape[:4]), least)
     step = np.diag([config.cell, config.cell, 2 / (shape[2] - 1), 2 / (shape[3] - 1)])
-    between = np.arange(1, INTERIOR + 1) / (INTERIOR + 1)
+    strides = np.array([np.prod(shape[a + 1 : 4], dtype=int) for a in range(4)])
     rows = np.full((4, len(points)), -1, np.int32)
-    begin = 0
-    lines = []
-    for axis, starts in enumerate(edges):
-        rows[axis, starts] = begin + np.arange(len(starts), dtype=np.int32)
-        begin += len(starts)
-        lines.append(points[starts, None] + between[:, None] * step[axis])
-    flat = np.concatenate(lines).reshape(-1, 4)
-    return rows, evaluate(flat, 0.5, 0.95).reshape(-1, INTERIOR)
+    start = np.concatenate(edges)
+    axis = np.repeat(np.arange(4), [len(e) for e in edges])
+    rows[axis, start] = np.arange(len(start), dtype=np.int32)
+    origin, along = points[start], step[axis]
+    near, far = masks[start], masks[start + strides[axis]]
+    middle = evaluate(origin + 0.5 * along, 0.5, 0.7)
+    interior = np.stack([near, middle, middle], axis=1)
+    for column, end, share, begin in ((0, near, 0.25, 0.7), (2, far, 0.75, 0.83)):
+        odd = np.flatnonzero(np.bitwise_count(end ^ middle) >= least)
+        interior[odd, column] = evaluate(origin[odd] + share * along[odd], begin, begin + 0.13)
+    return rows, interior

@@ -24,6 +24,9 @@ STEPS = 8
 """Stored steps per cell of margin [-]."""
 DEPTH = 32
 """Stored value from which on the score is 1: four cells from the boundary."""
+THRESHOLD = -0.5
+"""Value from which on a line counts as reachable: interpolation rounds the convex boundary of the
+reachable set inwards, by about 1/16 of a cell."""
 OUTSIDE = -12
 """Stored value of points that are far from anything reachable."""
 
@@ -76,14 +79,14 @@ def lookup(x, y, z, ax, ay, az, yaw_turns, values, shape, frame):
         frame: (lowest height [m], 1 / cell [1/m]).
 
     Returns:
-        Value in stored steps; above zero where the line can be reached.
+        Value in stored steps; above `THRESHOLD` where the line can be reached.
     """
     nz, nr, nu, nv, nb = shape
     z0, per_metre = frame
     r = math.sqrt(x * x + y * y)
     fr, fz = r * per_metre, (z - z0) * per_metre
     if fr >= nr - 1 or fz < 0.0 or fz >= nz - 1:
-        return -1.0
+        return float(OUTSIDE)
     if r > 1e-9:
         cx, cy = x / r, y / r
     else:
@@ -138,6 +141,12 @@ def lookup(x, y, z, ax, ay, az, yaw_turns, values, shape, frame):
 
 
 @njit(cache=True, nogil=True)
+def _scored(value):
+    """Stored value as a score in [0, 1]."""
+    return min(max((value - THRESHOLD) / DEPTH, 0.0), 1.0)
+
+
+@njit(cache=True, nogil=True)
 def score_lines(lines, values, shape, frame, out):
     """Scores of lines (m, 6) given as x, y, z, direction, relative to the first axis."""
     for i in range(len(lines)):
@@ -145,7 +154,7 @@ def score_lines(lines, values, shape, frame, out):
             lines[i, 0], lines[i, 1], lines[i, 2], lines[i, 3], lines[i, 4], lines[i, 5],
             0.0, values, shape, frame,
         )
-        out[i] = min(max(v / DEPTH, 0.0), 1.0)
+        out[i] = _scored(v)
 
 
 @njit(cache=True, nogil=True)
@@ -164,9 +173,9 @@ def weakest_lines(bases, lines, axis_x, axis_y, values, shape, frame, out):
                     turns, values, shape, frame,
                 )
                 least = min(least, v)
-                if least <= 0.0:
+                if least <= THRESHOLD:
                     break
-            out[i, g] = max(least, 0.0) / DEPTH
+            out[i, g] = _scored(least)
 
 
 @njit(cache=True, nogil=True)
@@ -178,7 +187,7 @@ def floor_scores(line, xs, ys, yaws, axis_x, axis_y, values, shape, frame, out):
     for i in range(len(ys)):
         for j in range(len(xs)):
             dx, dy = line[0] - xs[j], line[1] - ys[i]
-            best = 0.0
+            best = float(OUTSIDE)
             if dx * dx + dy * dy < far:
                 for k in range(len(yaws)):
                     c, s = yaws[k, 0], yaws[k, 1]
@@ -187,7 +196,7 @@ def floor_scores(line, xs, ys, yaws, axis_x, axis_y, values, shape, frame, out):
                         line[3], line[4], line[5], yaws[k, 2], values, shape, frame,
                     )
                     best = max(best, v)
-            out[i, j] = best / DEPTH
+            out[i, j] = _scored(best)
 
 
 def pack_shape(shape: tuple[int, ...]) -> tuple[int, int, int, int, int]:

@@ -19,17 +19,18 @@ class ReachConfig:
 
     cell: float = 0.05
     """Spacing of the grid in height and distance [m]."""
-    directions: int = 25
+    directions: int = 21
     """Grid points along each side of the octahedral square of directions, odd [-]."""
     bearings: int = 32
-    """Grid points along the bearing where it matters, a divisor of 64 [-]; 1 leaves it out."""
+    """Grid points along the bearing, a divisor of 64 [-]; 1 leaves the bearing out. It is also
+    left out where it makes no difference."""
     samples: int = 16
     """Values at which a redundant turning joint of a longer arm is locked [-]."""
     heights: int = 5
     """Values at which a torso is locked [-]."""
-    rolls: int = 1
-    """Turns of the tool about its last axis that must all be reachable [-]; more where the last
-    joint does not turn fully."""
+    spins: int = 4
+    """Turns of the tool about its last axis that vote on a line: tools are not round, and half of
+    them must be free of collision [-]."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +38,7 @@ class ReachMap:
     """Signed margins over the lines of the last axis; see `momapos.reachability.grid`."""
 
     values: Int8[np.ndarray, "z r u v bearing"]
-    """Cells to the boundary in steps of 1/8; above zero where reachable."""
+    """Cells to the boundary in steps of 1/8; positive inside."""
     low: float
     """Height of the lowest grid point over the floor [m]."""
     cell: float

@@ -15,9 +15,6 @@ from numba import njit
 from momapos.reachability.grid import DEPTH, OUTSIDE, STEPS
 from momapos.reachability.standing import BEARINGS
 
-INTERIOR = 1
-"""Answers that are taken on an edge whose ends disagree."""
-
 
 def uneven_edges(masks: np.ndarray, least: int) -> list[np.ndarray]:
     """Indices of the points whose neighbour one step up disagrees, for each axis.
@@ -59,7 +56,7 @@ def near_margins(lo, hi, masks, shape, rows, interior, out):
         masks: Answers (points,).
         shape: Number of points along z, r, u, v, bearing.
         rows: (4, points): row of `interior` for the edge one step up each axis, or -1.
-        interior: (edges, INTERIOR) answers on the uneven edges.
+        interior: (edges, k) answers on the uneven edges.
         out: (points, bearings) int8.
     """
     nz, nr, nu, nv, nb = shape

@@ -79,10 +79,15 @@ def _deepest(pairs, Ts_a, Ts_b, a, b, floor):  # type: ignore[no-untyped-def]
         i, j = pairs[p]
         if not _meet(swept_a, swept_b, i, j, floor):
             continue
-        count = 0
+        count, stride = 0, 1 if len(Ts_b) == len(Ts_a) else 0
+        near = max(0.0, _radius(a[4][i]) + _radius(b[4][j]) - floor) ** 2
         for s in range(len(Ts_a)):
-            T_b = Ts_b[min(s, len(Ts_b) - 1), j]
-            bound = _bound(Ts_a[s, i], T_b, a[4][i], b[4][j], floor, Ts[count])
+            x = Ts_a[s, i, 0, 3] - Ts_b[s * stride, j, 0, 3]
+            y = Ts_a[s, i, 1, 3] - Ts_b[s * stride, j, 1, 3]
+            z = Ts_a[s, i, 2, 3] - Ts_b[s * stride, j, 2, 3]
+            if x * x + y * y + z * z > near:
+                continue
+            bound = _bound(Ts_a[s, i], Ts_b[s * stride, j], a[4][i], b[4][j], Ts[count])
             if bound > floor:
                 bounds[count], index[count] = bound, s
                 count += 1
@@ -101,19 +106,18 @@ def _core(shapes, i):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _bound(T_a, T_b, half_a, half_b, floor, T):  # type: ignore[no-untyped-def]
+def _radius(half):  # type: ignore[no-untyped-def]
+    """Radius of the sphere around a box."""
+    return np.sqrt(half[0] ** 2 + half[1] ** 2 + half[2] ** 2)
+
+
+@njit(cache=True, nogil=True)
+def _bound(T_a, T_b, half_a, half_b, T):  # type: ignore[no-untyped-def]
     """Upper bound on the depth of two boxes; writes the pose of A in the frame of B to `T`.
 
     The overlap along any direction bounds the depth; the directions here are the box axes.
     """
-    gap = reach = 0.0
-    for k in range(3):
-        gap += (T_a[k, 3] - T_b[k, 3]) ** 2
-        reach += half_a[k] ** 2
-    other = half_b[0] ** 2 + half_b[1] ** 2 + half_b[2] ** 2
-    bound = np.sqrt(reach) + np.sqrt(other) - np.sqrt(gap)
-    if bound <= floor:
-        return bound
+    bound = np.inf
     for r in range(3):
         for c in range(3):
             T[r, c] = T_b[0, r] * T_a[0, c] + T_b[1, r] * T_a[1, c] + T_b[2, r] * T_a[2, c]
@@ -136,7 +140,7 @@ def _bound(T_a, T_b, half_a, half_b, floor, T):  # type: ignore[no-untyped-def]
 @njit(cache=True, nogil=True)
 def _search(a, b, Ts, bounds, half, floor):  # type: ignore[no-untyped-def]
     """Branch and bound over the states of one pair."""
-    radius = np.sqrt(half[0] ** 2 + half[1] ** 2 + half[2] ** 2)
+    radius = _radius(half)
     best, where = floor, np.int64(-1)
     while True:
         s = np.argmax(bounds)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from momapos.placement.area import CLEAR, Site, sampling_box, standing
+from momapos.placement.area import CLEAR, Site, arm_radius, standing, within_reach
 from momapos.placement.potential import attraction
 from momapos.protocols import ReachScorer
 
@@ -45,7 +45,7 @@ def potential_map(site: Site, reach: ReachScorer, *, cell: float) -> Heat | None
     Returns:
         None where no position is within the arm's length of all waypoints.
     """
-    corners = sampling_box(site)
+    corners = _reachable(site)
     if corners is None:
         return None
     low = np.floor(corners[0] / cell) * cell
@@ -55,12 +55,24 @@ def potential_map(site: Site, reach: ReachScorer, *, cell: float) -> Heat | None
     xy = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
     yaw = 2 * np.pi / YAWS * np.arange(YAWS)
     poses = np.column_stack([np.repeat(xy, YAWS, axis=0), np.tile(yaw, len(xy))])
-    clear = np.flatnonzero(standing(site, poses)[0] == CLEAR)
+    # What the arm reaches is asked first, as it is the cheaper question.
     score = np.zeros(len(poses))
-    score[clear] = reach.weakest(poses[clear], site.Ts_world_tool).max(1, initial=0.0)
+    near = np.flatnonzero(within_reach(site, poses))
+    score[near] = reach.weakest(poses[near], site.Ts_world_tool).max(1, initial=0.0)
+    near = near[score[near] > 0]
+    score[near[standing(site, poses[near])[0] != CLEAR]] = 0.0
     best = score.reshape(-1, YAWS).max(1)
     seen = np.flatnonzero(best > 0)
     value = np.zeros(len(xy))
     field = attraction(site, xy[seen], np.array([site.shoulder[2]]))
     value[seen] = (best[seen] + field) / 2
     return Heat(value.reshape(rows, columns), low, cell)
+
+
+def _reachable(site: Site) -> Float[np.ndarray, "2 2"] | None:
+    """The floor rectangle that holds every base within the arm's length of all waypoints [m]."""
+    reach = (arm_radius(site) + np.linalg.norm(site.shoulder[:2]))[:, None]
+    targets = site.Ts_world_tool[0, :, :2, 3]
+    low, high = (targets - reach).max(0), (targets + reach).min(0)
+    # NaN where a waypoint is out of reach at any distance: the comparison is then False.
+    return np.stack([low, high]) if (low < high).all() else None

@@ -24,6 +24,8 @@ class Kind:
     filled: bool = False
     size: float = 2.6
     """Size of the marker [pt]."""
+    obvious: bool = False
+    """Whether the room explains it at a glance; drawn on the open floor only."""
 
 
 def _starts(*words: str) -> Callable[[str], bool]:
@@ -31,8 +33,8 @@ def _starts(*words: str) -> Callable[[str], bool]:
 
 
 KINDS = (
-    Kind("farther than the arm", _starts("farther"), "#c9ced3", ".", size=2.2),
-    Kind("base", _starts("base", "no way to drive"), "#9aa2a9", "x", size=2.4),
+    Kind("farther than the arm", _starts("farther"), "#c9ced3", ".", size=2.2, obvious=True),
+    Kind("base", _starts("base", "no way to drive"), "#a3aab1", "x", size=2.2, obvious=True),
     Kind("out of reach", _starts("out of reach", "no grasp"), "#4f6d8f", "o"),
     Kind("not tried", _starts(NOT_TRIED), "#6f7a83", ".", size=2.8),
     Kind("other", lambda _: True, "#555555", "*", size=3.4),
@@ -94,14 +96,13 @@ def thin(
         rank: What is more worth showing.
         most: How many may be chosen; the cells grow until it holds.
     """
-    if len(points) <= most:
-        return np.arange(len(points))
-    cell = 0.05
-    while True:
-        cells = np.floor(points / cell + 0.5).astype(np.int64)
-        order = np.lexsort((-rank, cells[:, 1], cells[:, 0]))
+    cell = 0.0
+    chosen = np.arange(len(points))
+    while len(chosen) > most:
+        cell += 0.05
+        cells = np.floor(points / cell).astype(np.int64)
+        off_centre = np.abs(points / cell - cells - 0.5).max(1).round(2)
+        order = np.lexsort((off_centre, -rank, cells[:, 1], cells[:, 0]))
         step = np.diff(cells[order], axis=0, prepend=cells[order[:1]] - 1)
         chosen = order[(step != 0).any(1)]
-        if len(chosen) <= most:
-            return np.sort(chosen)
-        cell *= 1.25
+    return np.sort(chosen)

@@ -28,7 +28,31 @@ def box_outlines(boxes: Boxes) -> list[Float[np.ndarray, "k 2"]]:
     """The outline of each box [m]."""
     scaled = _CORNERS[None] * boxes.half[:, None]
     corners = np.einsum("bij,bcj->bci", boxes.rotation, scaled) + boxes.center[:, None]
-    return [xy for xy in map(outline, corners) if xy is not None]
+    upright = _upright_outlines(boxes)
+    found = [
+        upright[b] if upright[b] is not None else outline(corners[b]) for b in range(len(boxes))
+    ]
+    return [xy for xy in found if xy is not None]
+
+
+def _upright_outlines(boxes: Boxes) -> list[Float[np.ndarray, "4 2"] | None]:
+    """The rectangles of the boxes that stand on a side; None for the others."""
+    each = np.arange(len(boxes))
+    up = np.abs(boxes.rotation[:, 2]).argmax(1) if len(boxes) else each
+    a, b = (
+        boxes.rotation[each, :2, (up + k) % 3] * boxes.half[each, (up + k) % 3, None]
+        for k in (1, 2)
+    )
+    b *= np.where(a[:, 0] * b[:, 1] < a[:, 1] * b[:, 0], -1.0, 1.0)[:, None]
+    corners = boxes.center[:, None, :2] + np.stack([-a - b, a - b, a + b, b - a], axis=1)
+    stands = np.abs(boxes.rotation[each, 2, up]) > 1 - 1e-9
+    return [xy if ok else None for xy, ok in zip(corners, stands, strict=True)]
+
+
+def box_bounds(boxes: Boxes) -> Float[np.ndarray, "n 2"]:
+    """Lower and upper corners of the boxes from above [m]."""
+    extent = np.einsum("bij,bj->bi", np.abs(boxes.rotation[:, :2]), boxes.half)
+    return np.concatenate([boxes.center[:, :2] - extent, boxes.center[:, :2] + extent])
 
 
 def union_path(polygons: Iterable[Float[np.ndarray, "k 2"]]) -> Any:
@@ -48,7 +72,10 @@ def draw_union(
     alpha: float = 1.0,
     zorder: float,
 ) -> None:
-    """Fill the union of polygons; only its own outline is drawn, nothing within (opaque fills)."""
+    """Fill the union of polygons; only its own outline is drawn, nothing within (opaque fills).
+
+    The limits of the axes stay as they are.
+    """
     from matplotlib.patches import PathPatch
 
     if not len(polygons):
@@ -57,5 +84,5 @@ def draw_union(
     if edge is not None:
         # Half of the line lies within the union, where the fill covers it.
         rim = dict(facecolor="none", edgecolor=edge, linewidth=2 * width, joinstyle="round")
-        axes.add_patch(PathPatch(path, zorder=zorder, **rim))
-    axes.add_patch(PathPatch(path, facecolor=fill, linewidth=0, alpha=alpha, zorder=zorder))
+        axes.add_artist(PathPatch(path, zorder=zorder, **rim))
+    axes.add_artist(PathPatch(path, facecolor=fill, linewidth=0, alpha=alpha, zorder=zorder))

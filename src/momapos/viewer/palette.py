@@ -8,12 +8,12 @@ FAINT = "#dfe3e6"
 
 FLOOR, FLOOR_EDGE = "#fbfaf8", "#b9b4ab"
 FURNITURE, FURNITURE_EDGE = "#e8e5df", "#8f8a81"
-TARGET, TARGET_EDGE = "#f3e3bd", "#8a6a1f"
+TARGET, TARGET_EDGE = "#f5ead1", "#8a6a1f"
 WALL = "#b5b0a7"
 
-POTENTIAL = ("#d6e9f8", "#7fb8e0", "#1f6fb0")
+POTENTIAL = ("#cfe6f7", "#7ab6e0", "#2a7ab8")
 """Low, middle, high."""
-PART, PART_EDGE = "#e69f00", "#a36a00"
+PART_BEFORE, PART, PART_EDGE = "#fbe0a6", "#e69f00", "#946000"
 WAYPOINT = "#cc3311"
 ARM = "#2b3a48"
 GOOD, BAD = "#008060", "#a5371e"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import textwrap
 from typing import Any
 
 import numpy as np
@@ -13,14 +12,17 @@ from momapos.viewer.outcomes import KINDS, Outcomes, kind_of
 from momapos.viewer.palette import (
     BAD,
     FAINT,
+    FURNITURE_EDGE,
     GOOD,
     INK,
     PART,
+    PART_BEFORE,
     PART_EDGE,
     POTENTIAL,
     SOFT_INK,
     WAYPOINT,
 )
+from momapos.viewer.room import OVERHEAD
 
 ROWS = 11
 """Reasons that are listed; the rarest are added up [-]."""
@@ -30,15 +32,20 @@ class Panel:
     """Writes from the top of the column downwards; coordinates are inches."""
 
     def __init__(self, axes: Any, width: float, height: float) -> None:
-        self.axes, self.width, self.y = axes, width, height
+        self.axes, self.width, self.y = axes, width, height - 0.15
         axes.set(xlim=(0, width), ylim=(0, height))
         axes.axis("off")
 
-    def text(self, words: str, *, x: float = 0.0, size: float = 7.5, down: float = 0.0,
-             **look: Any) -> None:
-        """Write one line, then go down."""
+    def text(
+        self, words: str, *, x: float = 0.0, size: float = 7.5, down: float = 0.0,
+        fit: float | None = None, **look: Any,
+    ) -> None:  # fmt: skip
+        """Write one line, smaller where it must fit into so many inches, then go down."""
         look = {"color": INK, "va": "baseline", **look}
-        self.axes.text(x, self.y, words, size=size, **look)
+        line = self.axes.text(x, self.y, words, size=size, **look)
+        if fit is not None:
+            box = line.get_window_extent(self.axes.figure.canvas.get_renderer())
+            line.set_size(size * min(1.0, fit * self.axes.figure.dpi / max(box.width, 1.0)))
         self.y -= down
 
     def heading(self, words: str) -> None:
@@ -62,30 +69,28 @@ def draw_panel(
         seen: The candidates.
         highest: The highest potential in the picture; 0 for no legend of it.
     """
-    panel = Panel(axes, width, height - 0.14)
+    panel = Panel(axes, width, height)
     _question(panel, scene, answer)
     _facts(panel, answer)
-    _reasons(panel, seen.counts, floor=1.22 + (0.2 if highest > 0 else 0.0))
+    _reasons(panel, seen.counts, floor=1.23 + (0.2 if highest > 0 else 0.0))
     _legend(panel, answer, highest)
 
 
-def question(scene: Scene, answer: Answer) -> str:
-    """The task in words, such as 'open fridge/door to 90° with fetch'."""
-    task = answer.plan.task
-    words = f"{task.verb} {task.object}"
-    if task.joint is not None and task.to is not None:
-        sliding = scene.object(task.object).model.joint(task.joint).kind == "prismatic"
-        value = f"{task.to:.2f} m" if sliding else f"{np.degrees(task.to):.0f}°"
-        words += f"/{task.joint} to {value}"
-    return f"{words} with {answer.plan.robot_name}"
+def question(answer: Answer) -> tuple[str, str]:
+    """The task in words, such as ('open fridge/door', 'to 90° with fetch')."""
+    plan = answer.plan
+    task, robot = plan.task, f"with {plan.robot_name}"
+    if task.joint is None or task.to is None:
+        return f"{task.verb} {task.object}", robot
+    value = f"{task.to:.2f} m" if answer.slides else f"{np.degrees(task.to):.0f}°"
+    return f"{task.verb} {task.object}/{task.joint}", f"to {value} {robot}"
 
 
 def _question(panel: Panel, scene: Scene, answer: Answer) -> None:
-    words = question(scene, answer)
-    task, robot = words.rsplit(" with ", 1)
-    for line in textwrap.wrap(task, 27):
-        panel.text(line, size=10.5, weight="bold", down=0.185)
-    panel.text(f"with {robot} in {scene.name}", size=8, color=SOFT_INK, down=0.25)
+    what, how = question(answer)
+    panel.text(what, size=11, weight="bold", fit=panel.width, down=0.2)
+    panel.text(how, size=9, fit=panel.width, down=0.18)
+    panel.text(f"in {scene.name}", size=7.5, color=SOFT_INK, fit=panel.width, down=0.27)
 
 
 def _facts(panel: Panel, answer: Answer) -> None:
@@ -97,7 +102,7 @@ def _facts(panel: Panel, answer: Answer) -> None:
     }[plan.status]
     panel.axes.plot(0.05, panel.y + 0.045, "o" if plan.status == "solved" else "X", color=colour,
                     markersize=6, markeredgewidth=0)
-    panel.text(word, x=0.16, size=9, weight="bold", color=colour, down=0.21)
+    panel.text(word, x=0.16, size=9, weight="bold", color=colour, fit=panel.width - 0.16, down=0.21)
     rows = []
     if plan.base_pose is not None:
         x, y, yaw = plan.base_pose
@@ -107,7 +112,8 @@ def _facts(panel: Panel, answer: Answer) -> None:
     if "total" in plan.timing:
         rows.append(("time", _seconds(plan.timing["total"])))
     counts = plan.candidates
-    rows.append(("candidates", f"{_many(counts.sampled)} sampled, {_many(counts.checked)} checked"))
+    rows.append(("candidates sampled", _many(counts.sampled)))
+    rows.append(("checked in full", _many(counts.checked)))
     for name, value in rows:
         panel.text(name, color=SOFT_INK)
         panel.text(value, x=panel.width, ha="right", down=0.165)
@@ -124,7 +130,7 @@ def _many(count: int) -> str:
 
 def _reasons(panel: Panel, counts: dict[str, int], *, floor: float) -> None:
     """A thin bar for each reason, in the order in which candidates are sifted."""
-    panel.heading("what became of them")
+    panel.heading("What became of the candidates")
     rows = _rows(counts)
     if not rows:
         panel.text("no candidate was looked at", color=SOFT_INK, down=0.2)
@@ -138,8 +144,10 @@ def _reasons(panel: Panel, counts: dict[str, int], *, floor: float) -> None:
             0.05, y + 0.035, look.marker, color=look.colour, markersize=1.3 * look.size,
             markerfacecolor=look.colour if look.filled else "none", markeredgewidth=0.9,
         )
-        panel.text(_short(reason, 33), x=0.15, size=7, weight=bold)
-        panel.text(_many(count), x=panel.width, size=7, ha="right", weight=bold)
+        words, number = _short(reason, 38), _many(count)
+        room = panel.width - 0.2 - 0.062 * len(number)
+        panel.text(words, x=0.15, size=7, weight=bold, fit=room)
+        panel.text(number, x=panel.width, size=7, ha="right", weight=bold)
         left, full = 0.15, panel.width - 0.15
         bar = y - min(0.075, 0.3 * step)
         panel.axes.barh(bar, full, left=left, height=0.032, color="#eef0f1")
@@ -170,25 +178,29 @@ def _legend(panel: Panel, answer: Answer, highest: float) -> None:
     """What the shapes in the picture mean, at the foot of the column."""
     from matplotlib.patches import Rectangle
 
-    panel.y = 0.98 + (0.2 if highest > 0 else 0.0)
-    panel.heading("in the picture")
+    panel.y = 0.82 + (0.2 if highest > 0 else 0.0)
+    panel.heading("In the picture")
 
     def box(x: float, words: str, **look: Any) -> None:
         panel.axes.add_patch(Rectangle((x, panel.y - 0.01), 0.17, 0.09, **look))
         panel.text(words, x=x + 0.24, size=7)
 
-    right, solved = panel.width / 2 + 0.04, answer.plan.base_pose is not None
+    right = panel.width / 2 + 0.04
     box(0.0, "start", facecolor="white", edgecolor=INK, linewidth=1.0, linestyle=(0, (2.5, 1.5)))
-    if solved:
-        box(right, "base, arm", facecolor="white", edgecolor=INK, linewidth=1.5)
+    if answer.plan.base_pose is not None:
+        box(right, "base and arm", facecolor="white", edgecolor=INK, linewidth=1.5)
     panel.y -= 0.175
-    box(0.0, "moving part", facecolor=PART, edgecolor=PART_EDGE, linewidth=1.0)
-    box(right, "its sweep", facecolor=PART, alpha=0.25, linewidth=0)
+    box(0.0, "part before", facecolor=PART_BEFORE, edgecolor=PART_EDGE, linewidth=0.8)
+    box(right, "part after", facecolor=PART, edgecolor=PART_EDGE, linewidth=0.8)
     panel.y -= 0.175
-    panel.axes.plot([0, 0.17], [panel.y + 0.035] * 2, color=WAYPOINT, linewidth=0.8, marker="D",
-                    markersize=3.2)
-    panel.text("waypoints", x=0.24, size=7)
-    box(right, f"above {1.2:g} m", fill=False, edgecolor=SOFT_INK, linewidth=0.7,
+    box(0.0, "its sweep", facecolor=PART, alpha=0.2, linewidth=0)
+    panel.axes.plot(
+        [right, right + 0.085, right + 0.17], [panel.y + 0.035] * 3, color=WAYPOINT,
+        linewidth=0.8, marker="D", markersize=2.8, markeredgecolor="white", markeredgewidth=0.3,
+    )
+    panel.text("waypoints", x=right + 0.24, size=7)
+    panel.y -= 0.175
+    box(0.0, f"above {OVERHEAD:g} m", fill=False, edgecolor=FURNITURE_EDGE, linewidth=0.7,
         linestyle=(0, (4, 2.5)))
     panel.y -= 0.2
     if highest > 0:

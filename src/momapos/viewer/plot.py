@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from momapos.errors import InputError
+from momapos.geometry.polygons import contains
 from momapos.kinematics.hulls import Boxes
 from momapos.pipeline import Answer
 from momapos.placement.area import footprints
@@ -19,8 +20,8 @@ from momapos.protocols import ReachScorer
 from momapos.scene.scene import Scene
 from momapos.viewer.heat import Heat, potential_map
 from momapos.viewer.outcomes import KINDS, Outcomes, outcomes, thin
-from momapos.viewer.outlines import box_outlines, draw_union, outline
-from momapos.viewer.palette import INK, PART, PART_EDGE, POTENTIAL, SOFT_INK, WAYPOINT
+from momapos.viewer.outlines import box_bounds, box_outlines, draw_union
+from momapos.viewer.palette import INK, PART, PART_BEFORE, PART_EDGE, POTENTIAL, SOFT_INK, WAYPOINT
 from momapos.viewer.panel import draw_panel
 from momapos.viewer.robot import draw_arm, draw_footprint
 from momapos.viewer.room import name_objects, room, room_bounds
@@ -33,7 +34,8 @@ SMALL_ROOM = 6.0
 """A room up to this wide is drawn whole [m]."""
 _MAP = (0.058, 0.07, 0.625, 0.91)
 _COLUMN = (0.715, 0.03, 0.27, 0.95)
-_HEAT_LAYER, _SWEEP_LAYER, _CANDIDATE_LAYER, _PART_LAYER, _WAYPOINT_LAYER = 1.0, 4.0, 5.0, 7.0, 15.0
+_HEAT_LAYER, _OBVIOUS_LAYER, _SWEEP_LAYER, _CANDIDATE_LAYER = 1.0, 1.5, 4.0, 5.0
+_PART_LAYER, _WAY_LAYER, _FEASIBLE_LAYER, _WAYPOINT_LAYER = 7.0, 10.0, 11.0, 15.0
 
 
 def draw_answer(
@@ -84,7 +86,7 @@ def _picture(scene: Scene, answer: Answer, reach: ReachScorer, cell: float) -> b
     room(axes, scene, target=answer.plan.task.object, moving=_moving_links(scene, answer))
     highest = _draw_heat(axes, heat)
     _draw_part(axes, answer)
-    _draw_candidates(axes, seen, view)
+    _draw_candidates(axes, scene, seen, view)
     _draw_robot(axes, answer)
     name_objects(
         axes, scene, target=answer.plan.task.object, keep_clear=_keep_clear(answer)
@@ -107,10 +109,10 @@ def _view(
     robot, motion = answer.site.robot, answer.motion
     target = scene.object(answer.plan.task.object)
     points = [target.bounds[:, :2], motion.waypoints[:, :2]]
-    points += box_outlines(motion.sweep())
+    points.append(box_bounds(motion.sweep()))
     bases = [answer.start] + ([] if answer.plan.base_pose is None else [answer.plan.base_pose])
     points += list(footprints(robot, np.array(bases, float)))
-    promising = [i for i, kind in enumerate(KINDS) if kind.name not in ("base", "farther than the arm")]
+    promising = [index for index, kind in enumerate(KINDS) if not kind.obvious]
     points.append(seen.poses[np.isin(seen.kind, promising), :2])
     if heat is not None:
         i, j = np.nonzero(heat.value)
@@ -148,16 +150,14 @@ def _moving_links(scene: Scene, answer: Answer) -> tuple[str, ...]:
 
 def _keep_clear(answer: Answer) -> list[Float[np.ndarray, "2 2"]]:
     """Rectangles around what names must not cover [m]."""
-    motion, plan = answer.motion, answer.plan
+    plan = answer.plan
     shapes = [answer.start[None, :2]]
     robot = answer.site.robot
     if plan.base_pose is not None:
         shapes = list(footprints(robot, np.array([answer.start, plan.base_pose])))
     path = _waypoints(answer)[:, :2]
     shapes += [path[k : k + 2] for k in range(len(path))]
-    for k in (0, -1):
-        m = motion.moving
-        shapes += box_outlines(Boxes(m.center[k], m.rotation[k], m.half[k]))
+    shapes += _part(answer, 0) + _part(answer, -1)
     return [np.stack([xy.min(0), xy.max(0)]) for xy in shapes]
 
 
@@ -171,7 +171,7 @@ def _draw_heat(axes: Any, heat: Heat | None) -> float:
     highest = 0.0 if heat is None else float(heat.value.max(initial=0.0))
     if heat is None or highest <= 0:
         return 0.0
-    steps = [(c, a) for c, a in zip((POTENTIAL[0], *POTENTIAL), (0.0, 0.7, 0.8, 0.85), strict=True)]
+    steps = [(c, a) for c, a in zip((POTENTIAL[0], *POTENTIAL), (0.0, 0.8, 0.9, 0.95), strict=True)]
     colours = LinearSegmentedColormap.from_list("potential", steps)
     axes.imshow(
         heat.value, cmap=colours, vmin=0.0, vmax=highest, extent=heat.extent, origin="lower",
@@ -182,27 +182,39 @@ def _draw_heat(axes: Any, heat: Heat | None) -> float:
 
 def _draw_part(axes: Any, answer: Answer) -> None:
     """Draw the part that moves: before, after, and where it passes."""
+    sweep = box_outlines(answer.motion.sweep())
+    draw_union(axes, sweep, fill=PART, alpha=0.2, zorder=_SWEEP_LAYER)
+    for k, fill in enumerate((PART_BEFORE, PART)):
+        polygons = _part(answer, -k)
+        draw_union(axes, polygons, fill=fill, edge=PART_EDGE, width=0.6, zorder=_PART_LAYER + k)
+
+
+def _part(answer: Answer, k: int) -> list[Float[np.ndarray, "c 2"]]:
+    """Outlines of the part at the k-th value of its joint."""
     m = answer.motion.moving
-    draw_union(axes, box_outlines(answer.motion.sweep()), fill=PART, alpha=0.2, zorder=_SWEEP_LAYER)
-    for k in (0, -1):
-        polygons = box_outlines(Boxes(m.center[k], m.rotation[k], m.half[k]))
-        draw_union(axes, polygons, fill=PART, edge=PART_EDGE, width=0.7, zorder=_PART_LAYER)
+    return box_outlines(Boxes(m.center[k], m.rotation[k], m.half[k]))
 
 
-def _draw_candidates(axes: Any, seen: Outcomes, view: Float[np.ndarray, "2 2"]) -> None:
+def _draw_candidates(
+    axes: Any, scene: Scene, seen: Outcomes, view: Float[np.ndarray, "2 2"]
+) -> None:
     """Draw where the base was tried, and what came of it."""
     xy = seen.poses[:, :2]
-    inside = np.flatnonzero(((xy > view[0]) & (xy < view[1])).all(1))
-    inside = inside[thin(xy[inside], seen.kind[inside], POINTS)]
-    crowd = 1.0 if len(inside) < 700 else 0.75
+    shown = ((xy > view[0]) & (xy < view[1])).all(1)
+    if scene.floor is not None:
+        shown &= contains(scene.floor, xy)
+    chosen = np.flatnonzero(shown)
+    chosen = chosen[thin(xy[chosen], seen.kind[chosen], POINTS)]
+    crowd = 1.0 if len(chosen) < 700 else 0.8
     for index, kind in enumerate(KINDS):
-        chosen = inside[seen.kind[inside] == index]
+        layer = _FEASIBLE_LAYER if kind.filled else _CANDIDATE_LAYER + index / 100
         axes.plot(
-            *xy[chosen].T, linestyle="none", marker=kind.marker, markersize=crowd * kind.size,
-            color=kind.colour, markerfacecolor=kind.colour if kind.filled else "none",
-            markeredgecolor="white" if kind.filled else kind.colour,
-            markeredgewidth=0.5, zorder=_CANDIDATE_LAYER + index / 100,
-        )
+            *xy[chosen[seen.kind[chosen] == index]].T, linestyle="none", marker=kind.marker,
+            markersize=crowd * kind.size, color=kind.colour,
+            markerfacecolor=kind.colour if kind.filled else "none",
+            markeredgecolor="white" if kind.filled else kind.colour, markeredgewidth=0.5,
+            zorder=_OBVIOUS_LAYER if kind.obvious else layer,
+        )  # fmt: skip
 
 
 def _draw_robot(axes: Any, answer: Answer) -> None:
@@ -236,13 +248,16 @@ def _draw_way(
     from matplotlib.patheffects import withStroke
 
     way = np.stack([start[:2], base[:2]])
-    axes.plot(*way.T, color=INK, linewidth=1.0, linestyle=(0, (4, 3)), zorder=9.5)
+    axes.plot(*way.T, color=INK, linewidth=1.0, linestyle=(0, (4, 3)), zorder=_WAY_LAYER)
     if length is None:
         return
     angle = np.degrees(np.arctan2(*(way[1] - way[0])[::-1]))
-    angle = (angle + 90) % 180 - 90
-    axes.text(
+    label = axes.text(
         *way.mean(0), f"{length:.2f} m", size=7, color=INK, ha="center", va="bottom",
-        rotation=angle, rotation_mode="anchor", zorder=16,
+        rotation=(angle + 90) % 180 - 90, rotation_mode="anchor", zorder=16,
         path_effects=[withStroke(linewidth=2, foreground="white")],
-    )
+    )  # fmt: skip
+    box = label.get_window_extent(axes.figure.canvas.get_renderer())
+    on_paper = np.ptp(axes.transData.transform(way), axis=0)
+    if np.hypot(*on_paper) < 3 * max(box.width, box.height):
+        label.remove()  # a way as short as this lies under the robot

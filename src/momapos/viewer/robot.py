@@ -14,7 +14,7 @@ from momapos.robots.robot import Robot
 from momapos.viewer.outlines import draw_union, outline
 from momapos.viewer.palette import ARM, INK
 
-FOOTPRINT_LAYER, ARM_LAYER = 10.0, 13.0
+FOOTPRINT_LAYER, ARM_LAYER = 9.0, 13.0
 
 
 def draw_footprint(
@@ -28,7 +28,7 @@ def draw_footprint(
     look = (
         dict(facecolor=(1, 1, 1, 0.55), linewidth=1.0, linestyle=(0, (3.5, 2)))
         if dashed
-        else dict(facecolor=(1, 1, 1, 0.88), linewidth=1.6)
+        else dict(facecolor=(1, 1, 1, 0.72), linewidth=1.6)
     )
     axes.add_patch(Polygon(xy, edgecolor=colour, zorder=FOOTPRINT_LAYER, **look))
     front = robot.footprint[:, 0].max()

@@ -164,15 +164,11 @@ def _spot(
     steps = np.linspace(-1, 1, 13)
     inside = np.stack(np.meshgrid(steps, steps), -1).reshape(-1, 2)
     room_left = np.maximum((high - low - extent) / 2, 0.0)
-    beside = np.array([[0, -1], [0, 1], [1, 0], [-1, 0], [1, -1], [-1, -1], [1, 1], [-1, 1]])
-    spots = np.concatenate(
-        [
-            middle + inside * room_left,
-            middle + beside * ((high - low + extent) / 2 + 0.01),
-        ]
-    )
+    spots = middle + inside * room_left
+    if room_left[0] == 0:  # narrower than its name, which may then stand beside it
+        beside = np.array([[0, -1], [0, 1], [1, 0], [-1, 0], [1, -1], [-1, -1], [1, 1], [-1, 1]])
+        spots = np.vstack([middle + beside * ((high - low + extent) / 2 + 0.01), spots])
     distance = np.linalg.norm((spots - middle) / extent, axis=1)
-    distance[len(inside) :] += 0.0 if (room_left > 0).all() else -0.5
     for spot in spots[np.argsort(distance, kind="stable")]:
         corners = np.stack([spot - extent / 2, spot + extent / 2])
         outside = (corners[0] < view[0]).any() or (corners[1] > view[1]).any()

@@ -1,0 +1,150 @@
+"""What may be asked, and where things can be held."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from momapos.errors import MomaposError, TaskError, UnknownNameError
+from momapos.manipulation.grasps import GraspConfig, handle_grasps
+from momapos.manipulation.handles import find_handle, opening_sign
+from momapos.manipulation.motion import MotionConfig, task_motion
+from momapos.manipulation.tasks import make_task, openable
+from momapos.robots.robot import Robot
+from momapos.scene.files import load_scene
+from tests.rooms import cabinet_room
+
+KITCHENS = ("kitchen_small", "kitchen_island")
+
+
+def test_a_door_is_opened_a_quarter_turn_and_a_drawer_all_the_way() -> None:
+    scene = load_scene("kitchen_small")
+    assert make_task(scene, "open", "microwave").to == pytest.approx(np.pi / 2)
+    drawer = scene.object("cabinet_left").model.joint("drawer_slide")
+    assert make_task(scene, "open", "cabinet_left", "drawer_slide").to == drawer.upper
+
+
+def test_closing_leads_back_to_where_opening_began() -> None:
+    scene = load_scene("kitchen_small")
+    opened = make_task(scene, "open", "microwave")
+    assert opened.joint is not None
+    assert opened.to is not None
+    ajar = scene.with_joint("microwave", opened.joint, opened.to)
+    assert make_task(ajar, "close", "microwave").to == 0.0
+
+
+@pytest.mark.parametrize(
+    ("verb", "target", "joint", "to", "words"),
+    [
+        ("open", "fridge", None, None, "several moving parts"),
+        ("open", "cup", None, None, "no movable joint"),
+        ("open", "microwave", "door_hinge", 9.0, "outside its limits"),
+        ("open", "microwave", "door_hinge", 0.0, "already at"),
+        ("open", "microwave", "door_hinge", float("nan"), "finite"),
+        ("close", "microwave", "door_hinge", 1.0, "means to open"),
+        ("close", "microwave", "door_hinge", None, "already at"),
+        ("pick", "fridge", None, None, "rigid objects"),
+        ("pick", "cup", "door", None, "leave out"),
+        ("turn", "microwave", None, None, "one of open, close, pick, place"),
+    ],
+)
+def test_a_senseless_request_is_refused_in_one_line(
+    verb: str, target: str, joint: str | None, to: float | None, words: str
+) -> None:
+    with pytest.raises(TaskError, match=words) as caught:
+        make_task(load_scene("kitchen_small"), verb, target, joint, to)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_wrong_name_is_answered_with_the_nearest() -> None:
+    scene = load_scene("kitchen_small")
+    with pytest.raises(UnknownNameError, match="did you mean microwave"):
+        make_task(scene, "open", "micowave")
+    with pytest.raises(UnknownNameError, match="door_hinge"):
+        make_task(scene, "open", "fridge", "dor_hinge")
+
+
+@pytest.mark.parametrize("name", KITCHENS)
+def test_handles_face_the_way_the_part_moves_off(name: str) -> None:
+    scene = load_scene(name)
+    found = openable(scene)
+    assert len(found) > 10
+    for item, joint in found:
+        target = scene.object(item)
+        record = target.model.joint(joint)
+        handle = find_handle(target.model, joint, opening_sign(record))
+        velocity = (
+            record.axis if record.kind == "prismatic" else np.cross(record.axis, handle.center)
+        )
+        velocity = opening_sign(record) * velocity / np.linalg.norm(velocity)
+        assert handle.out @ velocity > 0.8, (item, joint)
+        assert abs(handle.out @ handle.long) < 1e-6
+        assert not handle.edge
+        assert 0.005 < handle.thickness < 0.05
+
+
+def test_a_part_without_handle_is_held_at_the_edge_far_from_its_hinge(tmp_path: Path) -> None:
+    cabinet_room(tmp_path)
+    text = (tmp_path / "cabinet.urdf").read_text().replace("door_handle", "trim")
+    bare = text.replace('size="0.016 0.016 0.2"', 'size="0.001 0.001 0.001"')
+    (tmp_path / "cabinet.urdf").write_text(bare)
+    model = load_scene(tmp_path / "room.json").object("cabinet").model
+    handle = find_handle(model, "hinge", 1.0)
+    assert handle.edge
+    assert abs(handle.long[2]) > 0.99
+    assert handle.center[0] < -0.45
+
+
+def test_every_grasp_points_at_the_handle_and_closes_across_it(robot: Robot) -> None:
+    scene = load_scene("kitchen_small")
+    model = scene.object("microwave").model
+    handle = find_handle(model, "door_hinge", 1.0)
+    config = GraspConfig()
+    T = handle_grasps(robot, handle, config)
+    assert len(T) >= 120
+    approach, closing = T[:, :3, :3] @ robot.approach_axis, T[:, :3, :3] @ robot.closing_axis
+    np.testing.assert_allclose(np.linalg.det(T[:, :3, :3]), 1.0, atol=1e-9)
+    assert (approach @ handle.out < -0.4).all()
+    assert (np.abs(closing @ handle.long) < np.sin(np.radians(max(config.tilts)) + 0.01)).all()
+    along = (T[:, :3, 3] - handle.center) @ handle.long
+    assert (np.abs(along) <= handle.half_length + 0.02).all()
+
+
+def test_the_grasp_is_carried_along_rigidly_by_the_joint(robot: Robot, tmp_path: Path) -> None:
+    scene = cabinet_room(tmp_path)
+    task = make_task(scene, "open", "cabinet")
+    motion = task_motion(scene, robot, task, MotionConfig())
+    target = scene.object("cabinet")
+    hold = motion.hold
+    poses = [target.link_poses({"hinge": v})["door"] for v in motion.object_q[hold:]]
+    grasps = np.linalg.inv(poses)[:, None] @ np.swapaxes(motion.Ts_world_tool[:, hold:], 0, 1)
+    np.testing.assert_allclose(grasps, np.broadcast_to(grasps[:1], grasps.shape), atol=1e-9)
+    assert motion.object_q[hold] == 0.0
+    assert motion.object_q[-1] == task.to
+
+
+def test_the_straight_approach_moves_along_the_approach_axis(robot: Robot, tmp_path: Path) -> None:
+    scene = cabinet_room(tmp_path)
+    motion = task_motion(scene, robot, make_task(scene, "open", "cabinet"), MotionConfig())
+    before, grasp = motion.Ts_world_tool[:, 0], motion.Ts_world_tool[:, motion.hold]
+    travel = grasp[:, :3, 3] - before[:, :3, 3]
+    wanted = MotionConfig().grasps.pregrasp * (grasp[:, :3, :3] @ robot.approach_axis)
+    np.testing.assert_allclose(travel, wanted, atol=1e-9)
+
+
+def test_a_handle_wider_than_the_gripper_is_refused(robot: Robot, tmp_path: Path) -> None:
+    cabinet_room(tmp_path)
+    text = (tmp_path / "cabinet.urdf").read_text()
+    (tmp_path / "cabinet.urdf").write_text(text.replace("0.016 0.016 0.2", "0.15 0.15 0.4"))
+    scene = load_scene(tmp_path / "room.json")
+    with pytest.raises(TaskError, match="opens"):
+        task_motion(scene, robot, make_task(scene, "open", "cabinet"), MotionConfig())
+
+
+def test_a_thing_too_big_to_pick_is_refused(robot: Robot) -> None:
+    scene = load_scene("kitchen_small")
+    task = make_task(scene, "pick", "table")
+    with pytest.raises(MomaposError, match="opens"):
+        task_motion(scene, robot, task, MotionConfig())

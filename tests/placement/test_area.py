@@ -1,0 +1,171 @@
+"""Where a base can stand."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from momapos.config import PipelineConfig
+from momapos.geometry.transforms import wrap_angle
+from momapos.manipulation.motion import MotionConfig, task_motion
+from momapos.manipulation.tasks import make_task
+from momapos.placement.area import (
+    BLOCKED, CLEAR, OFF_FLOOR, Site, arm_radius, in_world, sampling_box, standing, task_frame,
+    within_reach,
+)  # fmt: skip
+from momapos.placement.order import by_expected_cost, open_tours
+from momapos.placement.potential import attraction
+from momapos.robots.robot import Robot
+from momapos.scene.files import load_scene
+from momapos.scene.scene import Scene
+from tests.rooms import cabinet_room, move_scene
+
+
+def make_site(scene: Scene, robot: Robot, to: float = 1.5) -> Site:
+    motion = task_motion(scene, robot, make_task(scene, "open", "cabinet", to=to), MotionConfig())
+    return Site(
+        robot, np.ascontiguousarray(motion.Ts_world_tool[:, motion.coarse]), motion.static,
+        motion.sweep(), scene.floor, PipelineConfig().place.clearance,
+    )  # fmt: skip
+
+
+def grid(site: Site, count: int = 17) -> np.ndarray:
+    corners = sampling_box(site)
+    assert corners is not None
+    x, y = (np.linspace(lo, hi, count) for lo, hi in corners.T)
+    yaw = np.linspace(-3, 3, 5)
+    return in_world(task_frame(site), np.stack(np.meshgrid(x, y, yaw), -1).reshape(-1, 3))
+
+
+def test_a_low_door_that_swings_over_the_floor_excludes_its_sweep(
+    robot: Robot, tmp_path: Path
+) -> None:
+    scene = cabinet_room(tmp_path)
+    low = scene.object("cabinet").model.urdf.path
+    assert low is not None
+    low.write_text(low.read_text().replace(" 0.8", " 0.31").replace(" 1.09", " 0.6").replace(" 0.51", " 0.02"))
+    scene = load_scene(tmp_path / "room.json")
+    site = make_site(scene, robot)
+    in_swing = np.array([[0.0, -0.65, 0.0]])
+    outcome, _ = standing(site, in_swing)
+    assert outcome[0] == BLOCKED
+    still = Site(site.robot, site.Ts_world_tool, site.static, site.sweep, None, 0.0)
+    shut = Site(
+        still.robot, still.Ts_world_tool, still.static,
+        type(still.sweep)(np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3))), None, 0.0,
+    )  # fmt: skip
+    poses = grid(site)
+    with_sweep, _ = standing(still, poses)
+    without, _ = standing(shut, poses)
+    assert (without[with_sweep == CLEAR] == CLEAR).all()
+    assert (with_sweep == BLOCKED).sum() > (without == BLOCKED).sum()
+
+
+def test_standing_moves_with_the_room(robot: Robot, tmp_path: Path) -> None:
+    scene = cabinet_room(tmp_path)
+    moved = move_scene(scene, 3.0, -1.0, 0.7)
+    site, other = make_site(scene, robot), make_site(moved, robot)
+    poses = grid(site)
+    carried = in_world(np.array([3.0, -1.0, 0.7]), poses)
+    np.testing.assert_array_equal(standing(site, poses)[0], standing(other, carried)[0])
+    np.testing.assert_allclose(
+        attraction(site, poses[:, :2], np.array([1.0])),
+        attraction(other, carried[:, :2], np.array([1.0])), atol=1e-9,
+    )  # fmt: skip
+
+
+def test_the_sampling_frame_moves_with_the_room(robot: Robot, tmp_path: Path) -> None:
+    scene = cabinet_room(tmp_path)
+    site, other = make_site(scene, robot), make_site(move_scene(scene, 3.0, -1.0, 0.7), robot)
+    a, b = sampling_box(site), sampling_box(other)
+    assert a is not None
+    assert b is not None
+    np.testing.assert_allclose(a, b, atol=1e-9)
+    shift = np.array([3.0, -1.0, 0.7])
+    expected = in_world(shift, task_frame(site)[None])[0]
+    difference = task_frame(other) - expected
+    assert np.abs(difference[:2]).max() < 1e-9
+    assert abs(wrap_angle(difference[2])) < 1e-9
+
+
+def test_a_mirrored_room_mirrors_where_a_symmetric_base_can_stand(
+    robots: object, tmp_path: Path
+) -> None:
+    robot: Robot = robots("fetch")  # type: ignore[operator]
+    right = make_site(cabinet_room(tmp_path / "r"), robot)
+    left = make_site(cabinet_room(tmp_path / "l", left=True), robot)
+    poses = grid(right)
+    mirrored = poses * [-1.0, 1.0, 1.0]
+    mirrored[:, 2] = np.pi - poses[:, 2]
+    a, b = standing(right, poses)[0], standing(left, mirrored)[0]
+    # The base's covering boxes are not symmetric to the last millimetre.
+    assert (a == b).mean() > 0.98
+    plain_r, plain_l = right.Ts_world_tool[0, :, :3, 3], left.Ts_world_tool[0, :, :3, 3]
+    np.testing.assert_allclose(plain_r * [-1, 1, 1], plain_l, atol=1e-9)
+
+
+def test_no_pose_outside_the_sampling_box_is_within_reach(robot: Robot, tmp_path: Path) -> None:
+    site = make_site(cabinet_room(tmp_path), robot)
+    corners = sampling_box(site)
+    assert corners is not None
+    rng = np.random.default_rng(0)
+    local = rng.uniform(-4, 4, (4000, 3))
+    inside = ((local[:, :2] >= corners[0]) & (local[:, :2] <= corners[1])).all(1)
+    reached = within_reach(site, in_world(task_frame(site), local))
+    assert not (reached & ~inside).any()
+    assert (arm_radius(site) > 0.2).all()
+
+
+def test_a_base_off_the_floor_is_refused(robot: Robot, tmp_path: Path) -> None:
+    scene = cabinet_room(tmp_path)
+    floor = np.array([[-2.0, -3.0], [2.0, -3.0], [2.0, 0.5], [-2.0, 0.5]])
+    site = make_site(scene, robot)
+    bounded = Site(robot, site.Ts_world_tool, site.static, site.sweep, floor - [0, 20], 0.0)
+    poses = grid(site)
+    assert CLEAR in standing(site, poses)[0]
+    outcome = standing(bounded, poses)[0]
+    assert CLEAR not in outcome
+    assert OFF_FLOOR in outcome
+
+
+def test_candidates_come_in_the_order_of_expected_cost() -> None:
+    travel = np.array([3.0, 1.0, np.inf, 2.0])
+    odds = np.array([1.0, 0.0, 1.0, 1.0])
+    assert by_expected_cost(travel, odds, miss=5.0).tolist() == [3, 0, 1]
+    assert by_expected_cost(travel, np.ones(4), miss=5.0).tolist() == [1, 3, 0]
+
+
+@pytest.mark.parametrize("group", [4, 10, 13])
+def test_an_open_tour_visits_every_candidate_once(group: int) -> None:
+    rng = np.random.default_rng(2)
+    positions, potential = rng.uniform(0, 5, (23, 2)), rng.uniform(0, 1, 23)
+    order = open_tours(
+        np.zeros(2), positions, potential, group=group, k_distance=5 / 6, k_potential=1 / 6
+    )
+    assert sorted(order.tolist()) == list(range(23))
+    again = open_tours(
+        np.zeros(2), positions, potential, group=group, k_distance=5 / 6, k_potential=1 / 6
+    )
+    np.testing.assert_array_equal(order, again)
+
+
+def test_the_exact_open_tour_is_no_longer_than_any_other() -> None:
+    from itertools import permutations
+
+    rng = np.random.default_rng(3)
+    positions, potential = rng.uniform(0, 5, (6, 2)), rng.uniform(0, 1, 6)
+    k_d, k_p = 0.8, 0.2
+    order = open_tours(
+        np.zeros(2), positions, potential, group=6, k_distance=k_d, k_potential=k_p
+    )
+
+    def cost(tour: tuple[int, ...]) -> float:
+        points = np.vstack([np.zeros(2), positions[list(tour)]])
+        field = np.concatenate([[0.0], potential[list(tour)]])
+        length = np.linalg.norm(np.diff(points, axis=0), axis=1).sum()
+        return float(k_d * length + k_p * (field[-1] - field[0]))
+
+    best = min(cost(p) for p in permutations(range(6)))
+    assert cost(tuple(order.tolist())) == pytest.approx(best)
