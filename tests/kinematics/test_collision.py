@@ -281,11 +281,11 @@ def test_spheres_are_never_free_in_a_wall_and_never_blocked_in_the_open(robot: R
     """
     rng = np.random.default_rng(5)
     world = world_of(robot, rng, static=8, moving=0, clearance=0.0)
-    q, bases, value, holding = situations(robot, 300, rng, 2.0)
+    q, bases, value, holding = situations(robot, 250, rng, 1.2)
     codes = check(world, robot.chain, robot.spheres, q, bases, value, holding)
     distance = exact_gaps(robot, world.static, q, bases)
     clear = (codes == FREE) | (codes == SELF)
-    assert 0.1 < clear.mean() < 0.9
+    assert 0.1 < clear.mean() < 0.95
     assert distance[clear].min() > -(MARGIN + 2e-3)
     assert distance[codes >= 0].max() < BODY + 1e-3
 

@@ -30,7 +30,7 @@ SIZE, DPI = (8.0, 6.0), 200
 """Size of the picture [in] and its resolution: 1600 x 1200 pixels."""
 POINTS = 1500
 """Candidates that are drawn at most [-]."""
-SMALL_ROOM = 6.0
+SMALL_ROOM = 5.0
 """A room up to this wide is drawn whole [m]."""
 _MAP = (0.058, 0.07, 0.625, 0.91)
 _COLUMN = (0.715, 0.03, 0.27, 0.95)
@@ -259,5 +259,5 @@ def _draw_way(
     )  # fmt: skip
     box = label.get_window_extent(axes.figure.canvas.get_renderer())
     on_paper = np.ptp(axes.transData.transform(way), axis=0)
-    if np.hypot(*on_paper) < 3 * max(box.width, box.height):
+    if np.hypot(*on_paper) < 2.2 * max(box.width, box.height):
         label.remove()  # a way as short as this lies under the robot

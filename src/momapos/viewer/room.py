@@ -27,7 +27,10 @@ OVERHEAD = 1.2
 """What hangs higher than this is drawn as a dashed outline only [m]."""
 FLOOR_LAYER, FURNITURE_LAYER, OVERHEAD_LAYER, NAME_LAYER = 0.0, 2.0, 6.0, 20.0
 """Where things are drawn; what lies on the floor goes in between."""
+SMALL = 0.3
+"""The name of a thing smaller than this stands beside it [m]."""
 _LABELS = 60
+"""Objects whose names are tried [-]."""
 
 
 def room(axes: Any, scene: Scene, *, target: str = "", moving: Collection[str] = ()) -> None:
@@ -165,7 +168,7 @@ def _spot(
     inside = np.stack(np.meshgrid(steps, steps), -1).reshape(-1, 2)
     room_left = np.maximum((high - low - extent) / 2, 0.0)
     spots = middle + inside * room_left
-    if room_left[0] == 0:  # narrower than its name, which may then stand beside it
+    if (high - low).max() < SMALL:  # the name would hide it, and may stand beside it
         beside = np.array([[0, -1], [0, 1], [1, 0], [-1, 0], [1, -1], [-1, -1], [1, 1], [-1, 1]])
         spots = np.vstack([middle + beside * ((high - low + extent) / 2 + 0.01), spots])
     distance = np.linalg.norm((spots - middle) / extent, axis=1)
