@@ -59,11 +59,15 @@ def run(robots: tuple[str, ...], scenes: tuple[str, ...], *, exhaustive: bool) -
     rows = []
     for robot_name in robots:
         robot = load_robot(robot_name)
-        reach = load_or_build(robot, default_cache_dir(), lambda share: None)
+        reach = load_or_build(robot, default_cache_dir(), None)
         for scene_name in scenes:
             scene = load_scene(shared() / "bestman" / scene_name)
             for item, joint in openable(scene):
-                row = {"robot": robot_name, "scene": Path(scene_name).stem, "task": f"{item}/{joint}"}
+                row = {
+                    "robot": robot_name,
+                    "scene": Path(scene_name).stem,
+                    "task": f"{item}/{joint}",
+                }
                 try:
                     task = make_task(scene, "open", item, joint)
                     place(scene, robot, task, reach, config=PipelineConfig(timeout=120.0))

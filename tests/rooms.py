@@ -28,7 +28,10 @@ CABINET = """<robot name="cabinet">
 <joint name="grip" type="fixed"><parent link="door"/><child link="door_handle"/>
  <origin xyz="{grip} -0.065 0"/></joint>
 </robot>"""
-WALL = '<collision><origin xyz="{0} {1} {2}"/><geometry><box size="{3} {4} {5}"/></geometry></collision>'
+WALL = (
+    '<collision><origin xyz="{0} {1} {2}"/>'
+    '<geometry><box size="{3} {4} {5}"/></geometry></collision>'
+)
 WALLS = (
     (0, -0.01, 0.8, 0.6, 0.02, 0.6),
     (-0.29, -0.13, 0.8, 0.02, 0.24, 0.6),
@@ -54,9 +57,7 @@ def cabinet_room(folder: Path, *, left: bool = False, extra: str = "") -> Scene:
     walls = "\n ".join(WALL.format(*wall) for wall in WALLS)
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "cabinet.urdf").write_text(
-        CABINET.format(
-            walls=walls, x=-0.28 * side, hinge=0.28 * side, sign=side, grip=-0.5 * side
-        )
+        CABINET.format(walls=walls, x=-0.28 * side, hinge=0.28 * side, sign=side, grip=-0.5 * side)
     )
     (folder / "room.json").write_text(
         '{"format": "momapos-scene", "version": 1, "name": "room",'

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.rooms import Everywhere, cabinet_room, move_scene
 
 from momapos.config import PipelineConfig
 from momapos.errors import SceneError
@@ -20,7 +21,6 @@ from momapos.scene.files import save_scene
 from momapos.scene.scene import Scene
 from momapos.verification.exact import ExactWorld
 from momapos.verification.files import verify_files
-from tests.rooms import Everywhere, cabinet_room, move_scene
 
 QUICK = PlaceConfig(count=256, improve=1)
 
@@ -44,9 +44,7 @@ def test_every_robot_opens_the_cabinet_and_the_plan_holds_from_its_files(
     assert report.valid, report.violations
 
 
-def test_the_same_seed_gives_the_same_plan(
-    robots: Callable[[str], Robot], tmp_path: Path
-) -> None:
+def test_the_same_seed_gives_the_same_plan(robots: Callable[[str], Robot], tmp_path: Path) -> None:
     scene, robot = cabinet_room(tmp_path), robots("segway_ur5e")
     plans = [plan_to_dict(ask(scene, robot, seed=3).plan) for _ in range(2)]
     for plan in plans:
@@ -66,18 +64,14 @@ def test_an_answer_moves_with_its_room(robots: Callable[[str], Robot], tmp_path:
         carried = (shift[0] + c * x - s * y, shift[1] + s * x + c * y, yaw + shift[2])
         T = np.eye(4)
         T[:2, :2], T[:2, 3] = [[c, -s], [s, c]], shift[:2]
-        motion = replace(
-            here.plan.motion, Ts_world_tool=T @ here.plan.motion.Ts_world_tool
-        )
+        motion = replace(here.plan.motion, Ts_world_tool=T @ here.plan.motion.Ts_world_tool)
         assert ExactWorld(moved, robot, here.plan.task).check(carried, motion).valid
         there = ask(moved, robot)
         assert there.plan.base_pose is not None
         np.testing.assert_allclose(there.plan.base_pose[:2], carried[:2], atol=1e-6)
 
 
-def test_an_opened_plan_closes_backwards(
-    robots: Callable[[str], Robot], tmp_path: Path
-) -> None:
+def test_an_opened_plan_closes_backwards(robots: Callable[[str], Robot], tmp_path: Path) -> None:
     scene, robot = cabinet_room(tmp_path), robots("segway_ur5e")
     opened = ask(scene, robot).plan
     assert opened.motion is not None
@@ -142,9 +136,7 @@ def test_a_room_with_no_place_to_stand_is_infeasible_because_the_base_is_blocked
     assert "base blocked" in plan.candidates.rejections
 
 
-def test_no_time_is_no_answer_and_says_so(
-    robots: Callable[[str], Robot], tmp_path: Path
-) -> None:
+def test_no_time_is_no_answer_and_says_so(robots: Callable[[str], Robot], tmp_path: Path) -> None:
     scene = cabinet_room(tmp_path)
     task = make_task(scene, "open", "cabinet")
     ticks = iter(np.arange(0.0, 1e6, 10.0))
@@ -166,9 +158,7 @@ def test_a_start_inside_furniture_is_refused(
     scene = cabinet_room(tmp_path, extra=box)
     task = make_task(scene, "open", "cabinet")
     with pytest.raises(SceneError, match="would hit table"):
-        place(
-            scene, robots("fetch"), task, Everywhere(), start=np.array([2.0, -2.0, 0.0])
-        )
+        place(scene, robots("fetch"), task, Everywhere(), start=np.array([2.0, -2.0, 0.0]))
 
 
 def test_a_saved_scene_gives_the_same_answer(

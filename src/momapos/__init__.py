@@ -28,7 +28,7 @@ _PUBLIC = {
     "verify_files": "momapos.verification.files",
     "write_plan": "momapos.plans",
 }
-__all__ = sorted(_PUBLIC)  # noqa: PLE0605 - names of the table above
+__all__ = sorted(_PUBLIC)
 __version__ = "0.1.0"
 
 

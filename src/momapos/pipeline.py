@@ -28,13 +28,14 @@ from momapos.manipulation.tasks import openable
 from momapos.navigation.cost_map import FloorPlan, build_cost_map, floor_plan
 from momapos.navigation.start import find_start
 from momapos.placement.area import Site, footprints
-from momapos.placement.place import Search, search
+from momapos.placement.place import Problem, Search, search
 from momapos.protocols import Clock, ReachScorer
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene
 from momapos.types import Motion, PlacementPlan, Task
 from momapos.verification.exact import ExactWorld
 
+DEFAULT = PipelineConfig()
 ROOM_MARGIN = 2.0
 """Free border that is mapped around a room without a known floor [m]."""
 
@@ -71,7 +72,7 @@ def place(
     reach: ReachScorer,
     *,
     start: Float[np.ndarray, "3"] | None = None,
-    config: PipelineConfig = PipelineConfig(),
+    config: PipelineConfig = DEFAULT,
     seed: int = 0,
     clock: Clock = time.perf_counter,
 ) -> Answer:
@@ -115,18 +116,17 @@ def place(
             return exact.refusal((float(base[0]), float(base[1]), float(base[2])), found)
 
     feasible = Feasibility(robot, world, motion, config.planner, refuse, seed)
+    problem = Problem(
+        site=site,
+        reach=reach,
+        travel_cost=cost.lengths,
+        attempt=feasible,
+        screen=feasible.screen,
+        start=start,
+        out_of_time=lambda: clock() - began > config.timeout,
+    )
     with watch.stage("search"):
-        result = search(
-            site,
-            reach,
-            cost.lengths,
-            feasible,
-            feasible.screen,
-            config.place,
-            np.random.default_rng(seed),
-            start=start,
-            out_of_time=lambda: clock() - began > config.timeout,
-        )
+        result = search(problem, config.place, np.random.default_rng(seed))
     timing = {**watch.seconds, "total": clock() - began}
     return Answer(
         plan=_plan(scene, robot, task, result, config, seed, timing),
@@ -148,7 +148,11 @@ def slides(scene: Scene, task: Task) -> bool:
 def arm_world(robot: Robot, motion: TaskMotion, config: PipelineConfig) -> World:
     """The room as the arm's collision kernel wants it."""
     return build_world(
-        motion.static, motion.moving, motion.grasped, motion.labels, robot.spheres,
+        motion.static,
+        motion.moving,
+        motion.grasped,
+        motion.labels,
+        robot.spheres,
         clearance=config.arm_clearance,
     )
 
@@ -200,7 +204,13 @@ def _in_front(scene: Scene) -> Float[np.ndarray, "2"]:
 
 
 def _plan(
-    scene: Scene, robot: Robot, task: Task, result: Search, config: PipelineConfig, seed: int, timing: dict[str, float],
+    scene: Scene,
+    robot: Robot,
+    task: Task,
+    result: Search,
+    config: PipelineConfig,
+    seed: int,
+    timing: dict[str, float],
 ) -> PlacementPlan:
     solved = result.motion is not None and result.base is not None
     base = result.base

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.rooms import cabinet_room
 
 from momapos.errors import MomaposError, TaskError, UnknownNameError
 from momapos.manipulation.grasps import GraspConfig, handle_grasps
@@ -14,7 +15,6 @@ from momapos.manipulation.motion import MotionConfig, task_motion
 from momapos.manipulation.tasks import make_task, openable
 from momapos.robots.robot import Robot
 from momapos.scene.files import load_scene
-from tests.rooms import cabinet_room
 
 KITCHENS = ("kitchen_small", "kitchen_island")
 

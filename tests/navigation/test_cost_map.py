@@ -28,9 +28,7 @@ def test_a_wall_makes_the_way_longer_and_a_closed_room_cuts_it_off() -> None:
     around = build_cost_map(plan, np.array([0.0, 0.0]), radius=0.3)
     assert around.lengths(np.array([[2.0, 0.0]]))[0] > 4.0
     floor = np.array([[-1.0, -1.9], [3.0, -1.9], [3.0, 1.9], [-1.0, 1.9]])
-    closed = floor_plan(
-        wall((1, 0, 0.5), (0.05, 2.0, 0.5)), height=0.5, margin=0.5, floor=floor
-    )
+    closed = floor_plan(wall((1, 0, 0.5), (0.05, 2.0, 0.5)), height=0.5, margin=0.5, floor=floor)
     assert np.isinf(
         build_cost_map(closed, np.array([0.0, 0.0]), radius=0.3).lengths(np.array([[2.0, 0.0]]))[0]
     )

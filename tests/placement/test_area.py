@@ -6,13 +6,22 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.rooms import cabinet_room, move_scene
 
 from momapos.config import PipelineConfig
 from momapos.geometry.transforms import wrap_angle
 from momapos.manipulation.motion import MotionConfig, task_motion
 from momapos.manipulation.tasks import make_task
 from momapos.placement.area import (
-    BLOCKED, CLEAR, OFF_FLOOR, Site, arm_radius, in_world, sampling_box, standing, task_frame,
+    BLOCKED,
+    CLEAR,
+    OFF_FLOOR,
+    Site,
+    arm_radius,
+    in_world,
+    sampling_box,
+    standing,
+    task_frame,
     within_reach,
 )  # fmt: skip
 from momapos.placement.order import by_expected_cost, open_tours
@@ -20,7 +29,6 @@ from momapos.placement.potential import attraction
 from momapos.robots.robot import Robot
 from momapos.scene.files import load_scene
 from momapos.scene.scene import Scene
-from tests.rooms import cabinet_room, move_scene
 
 
 def make_site(scene: Scene, robot: Robot, to: float = 1.5) -> Site:
@@ -45,7 +53,9 @@ def test_a_low_door_that_swings_over_the_floor_excludes_its_sweep(
     scene = cabinet_room(tmp_path)
     low = scene.object("cabinet").model.urdf.path
     assert low is not None
-    low.write_text(low.read_text().replace(" 0.8", " 0.31").replace(" 1.09", " 0.6").replace(" 0.51", " 0.02"))
+    low.write_text(
+        low.read_text().replace(" 0.8", " 0.31").replace(" 1.09", " 0.6").replace(" 0.51", " 0.02")
+    )
     scene = load_scene(tmp_path / "room.json")
     site = make_site(scene, robot)
     in_swing = np.array([[0.0, -0.65, 0.0]])
@@ -157,9 +167,7 @@ def test_the_exact_open_tour_is_no_longer_than_any_other() -> None:
     rng = np.random.default_rng(3)
     positions, potential = rng.uniform(0, 5, (6, 2)), rng.uniform(0, 1, 6)
     k_d, k_p = 0.8, 0.2
-    order = open_tours(
-        np.zeros(2), positions, potential, group=6, k_distance=k_d, k_potential=k_p
-    )
+    order = open_tours(np.zeros(2), positions, potential, group=6, k_distance=k_d, k_potential=k_p)
 
     def cost(tour: tuple[int, ...]) -> float:
         points = np.vstack([np.zeros(2), positions[list(tour)]])

@@ -13,13 +13,19 @@ from collections.abc import Sequence
 COMMANDS: dict[str, tuple[str, dict[str, str] | str, str]] = {
     "place": (
         "momapos.cli.place",
-        {"open": "place_open", "close": "place_close", "pick": "place_pick", "place": "place_place"},
+        {
+            "open": "place_open", "close": "place_close", "pick": "place_pick",
+            "place": "place_place",
+        },
         "where to stand and how to move, to open, close, pick or place something",
     ),
     "verify": ("momapos.cli.verify", "verify", "check a plan again, from the files alone"),
     "scene": (
         "momapos.cli.scene",
-        {"list": "scene_list", "show": "scene_show", "new": "scene_new", "convert": "scene_convert"},
+        {
+            "list": "scene_list", "show": "scene_show", "new": "scene_new",
+            "convert": "scene_convert",
+        },
         "rooms: list, show, generate, convert",
     ),
     "robot": (

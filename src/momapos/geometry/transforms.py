@@ -11,7 +11,8 @@ from scipy.spatial.transform import Rotation
 
 
 def pose(
-    xyz: Float[np.ndarray, "3"] | tuple[float, ...], rotation: Float[np.ndarray, "3 3"] | None = None
+    xyz: Float[np.ndarray, "3"] | tuple[float, ...],
+    rotation: Float[np.ndarray, "3 3"] | None = None,
 ) -> Float[np.ndarray, "4 4"]:
     """Build a transform from a translation [m] and a rotation matrix (identity if None)."""
     T = np.eye(4)
@@ -81,7 +82,9 @@ def rotation_angle(
 
 def wrap_angle(angle: float | Float[np.ndarray, " *batch"]) -> Float[np.ndarray, " *batch"]:
     """Wrap angles [rad] into (-pi, pi]."""
-    return -(np.mod(-np.asarray(angle) + np.pi, 2 * np.pi) - np.pi)
+    wrapped = -(np.mod(-np.asarray(angle) + np.pi, 2 * np.pi) - np.pi)
+    # Just above pi, the remainder rounds up to a full turn.
+    return np.maximum(wrapped, np.nextafter(-np.pi, 0.0))
 
 
 def orthonormal(axis: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:

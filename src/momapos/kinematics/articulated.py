@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from momapos.errors import unknown_name
 from momapos.geometry.transforms import rotation_about
-from momapos.kinematics.hulls import Boxes, Hull, cover, hull_of
+from momapos.kinematics.hulls import Boxes, Hull, cover_shape, hull_of
 from momapos.kinematics.urdf import Geometry, Joint, Urdf
 
 
@@ -88,7 +88,13 @@ class Articulated:
     @cached_property
     def boxes(self) -> dict[str, tuple[Boxes, ...]]:
         """Boxes that cover each hull, by link, in the link's frame."""
-        return {name: tuple(cover(hull) for hull in hulls) for name, hulls in self.hulls.items()}
+        return {
+            name: tuple(
+                cover_shape(shape, hull)
+                for shape, hull in zip(link.collisions, self.hulls[name], strict=True)
+            )
+            for name, link in self.urdf.links.items()
+        }
 
     def shapes_named(self, word: str, links: tuple[str, ...]) -> list[tuple[str, Geometry]]:
         """Shapes whose link, collision or visual is named so, without regard to case."""

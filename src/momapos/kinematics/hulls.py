@@ -31,6 +31,10 @@ SMALL = 1e-5
 """Boxes of less than this are never cut [m^3]."""
 WORTH = 0.1
 """Share of a box's volume that a cut must save [-]."""
+STRIPS_FROM = 0.08
+"""Cylinders with a larger radius are covered by strips [m]."""
+STRIPS = 10
+"""Strips across a wide cylinder; they stick out by 5 % of the radius [-]."""
 _CIRCLE = 24
 _Box = tuple[np.ndarray, np.ndarray, np.ndarray, float]
 """Centre, rotation, half edges, and the volume of the body inside."""
@@ -165,6 +169,26 @@ def _thicken(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "m 3"]:
     return np.vstack([points + s * a + t * b for s in (-1, 1) for t in (-1, 1)])
 
 
+def cover_shape(geometry: Geometry, hull: Hull) -> Boxes:
+    """Cover a shape by boxes: a box by itself, a wide cylinder by strips, all else as a hull."""
+    T = geometry.T_link_geometry
+    if geometry.kind == "box":
+        return Boxes(T[None, :3, 3], T[None, :3, :3], np.array([geometry.size]) / 2)
+    if geometry.kind == "cylinder" and geometry.size[0] > STRIPS_FROM:
+        radius, length = geometry.size
+        edge = radius * np.cos(np.linspace(np.pi, 0, STRIPS + 1))
+        nearest = np.where(
+            edge[:-1] * edge[1:] < 0, 0.0, np.minimum(*np.abs([edge[:-1], edge[1:]]))
+        )
+        center = np.zeros((STRIPS, 3))
+        center[:, 0] = (edge[:-1] + edge[1:]) / 2
+        half = np.stack(
+            [np.diff(edge) / 2, np.sqrt(radius**2 - nearest**2), np.full(STRIPS, length / 2)], -1
+        )
+        return Boxes(apply(T, center), np.repeat(T[None, :3, :3], STRIPS, axis=0), half)
+    return cover(hull)
+
+
 def cover(hull: Hull, *, depth: int = 3) -> Boxes:
     """Cover a hull by oriented boxes, few and tight.
 
@@ -213,7 +237,8 @@ def _clip(
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """The part of a convex body with normal . x <= offset; None where it has no volume."""
     side = vertices @ normal - offset
-    edges = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    # Both ways, as qhull does not orient the faces of a piece.
+    edges = faces[:, [0, 1, 1, 2, 2, 0, 1, 0, 2, 1, 0, 2]].reshape(-1, 2)
     a, b = edges[(side[edges[:, 0]] < 0) & (side[edges[:, 1]] > 0)].T
     t = side[a] / (side[a] - side[b])
     crossing = vertices[a] + t[:, None] * (vertices[b] - vertices[a])
@@ -224,9 +249,7 @@ def _clip(
     return hull.points, hull.simplices
 
 
-def _fit_box(
-    vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]
-) -> _Box:
+def _fit_box(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> _Box:
     """Fit a small oriented box around a convex body given by its surface.
 
     Of the frame's own axes, and frames built on the largest faces with each of their edges (the

@@ -16,7 +16,15 @@ from numba import njit
 
 from momapos.kinematics.chain import Chain
 from momapos.kinematics.collision import (
-    FLOOR, FREE, SELF, _moved, box_gap, hit_boxes, hit_floor, hit_self, place_segments,
+    FLOOR,
+    FREE,
+    SELF,
+    _moved,
+    box_gap,
+    hit_boxes,
+    hit_floor,
+    hit_self,
+    place_segments,
 )
 from momapos.kinematics.hulls import Boxes
 from momapos.kinematics.ik import chain_arrays
@@ -55,9 +63,17 @@ class World:
     def arrays(self) -> tuple[np.ndarray, ...]:
         """The world as the kernel takes it."""
         return (
-            self.static.center, self.static.rotation, self.static.half, self.moving.center,
-            self.moving.rotation, self.moving.half, self.grasped, self.grid_origin,
-            self.grid_shape, self.grid_start, self.grid_index,
+            self.static.center,
+            self.static.rotation,
+            self.static.half,
+            self.moving.center,
+            self.moving.rotation,
+            self.moving.half,
+            self.grasped,
+            self.grid_origin,
+            self.grid_shape,
+            self.grid_start,
+            self.grid_index,
         )
 
 
@@ -90,9 +106,7 @@ def build_world(
         low, high = np.zeros(3), np.full(3, CELL)
     shape = np.maximum(1, np.ceil((high - low) / CELL)).astype(np.int64)
     start, index = _fill_buckets(static.center, static.rotation, static.half, low, shape, reach)
-    return World(
-        static, tuple(labels), moving, grasped, clearance, low, shape, start, index
-    )
+    return World(static, tuple(labels), moving, grasped, clearance, low, shape, start, index)
 
 
 @njit(cache=True, nogil=True)
@@ -199,6 +213,12 @@ def check(
         holding: Whether the gripper may touch what is grasped.
     """
     return _check(
-        q, bases, value, holding, chain_arrays(chain), spheres.arrays(), world.arrays(),
+        q,
+        bases,
+        value,
+        holding,
+        chain_arrays(chain),
+        spheres.arrays(),
+        world.arrays(),
         world.clearance,
     )

@@ -56,7 +56,9 @@ def find_paths(
     alive = np.arange(len(grasps))
     for passed, w in enumerate(_ends_first(count)):
         layer = _solve_layer(robot, world, motion, bases, grasps, alive, w)
-        for j, code in zip(layer.jobs[layer.counts == 0], layer.codes[layer.counts == 0], strict=True):
+        for j, code in zip(
+            layer.jobs[layer.counts == 0], layer.codes[layer.counts == 0], strict=True
+        ):
             status = UNREACHABLE if code == FREE else HIT
             paths[j] = ArmPath(status, w, passed, int(code))
         alive = layer.jobs[layer.counts > 0]
@@ -112,8 +114,13 @@ def _solve_layer(
     flat = q[given]
     owner = np.repeat(np.arange(len(alive)), counts)
     codes = check(
-        world, robot.chain, robot.spheres, flat, bases[alive][owner],
-        np.full(len(flat), motion.value[step]), np.full(len(flat), motion.holding[step]),
+        world,
+        robot.chain,
+        robot.spheres,
+        flat,
+        bases[alive][owner],
+        np.full(len(flat), motion.value[step]),
+        np.full(len(flat), motion.holding[step]),
     )
     free = codes == FREE
     kept = np.bincount(owner[free], minlength=len(alive))
@@ -128,7 +135,11 @@ def _solve_layer(
 
 
 def _connect(
-    robot: Robot, world: World, motion: TaskMotion, base: np.ndarray, grasp: int,
+    robot: Robot,
+    world: World,
+    motion: TaskMotion,
+    base: np.ndarray,
+    grasp: int,
     nodes: list[Float[np.ndarray, "k n"]],
 ) -> ArmPath:
     """Shortest path through the layers of one job, then every state between, checked."""
@@ -148,13 +159,23 @@ def _connect(
         q = _unwrap(stacked[chosen], full_turn, chain.lower, chain.upper)
         dense = np.empty((len(motion.object_q), chain.size))
         bad = _track(
-            q, motion.coarse, targets, robot.ik.active, chain_arrays(chain),
-            (chain.lower, chain.upper), dense,
+            q,
+            motion.coarse,
+            targets,
+            robot.ik.active,
+            chain_arrays(chain),
+            (chain.lower, chain.upper),
+            dense,
         )
         if bad < 0:
             codes = check(
-                world, chain, robot.spheres, dense, np.tile(base, (len(dense), 1)),
-                motion.value, motion.holding,
+                world,
+                chain,
+                robot.spheres,
+                dense,
+                np.tile(base, (len(dense), 1)),
+                motion.value,
+                motion.holding,
             )
             hit = np.flatnonzero(codes != FREE)
             if not len(hit):

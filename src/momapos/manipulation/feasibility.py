@@ -129,9 +129,7 @@ class Feasibility:
             chain.tool_offset + in_tool @ chain.tool_rotation.T, radius,
         )  # fmt: skip
 
-    def _complete(
-        self, base: np.ndarray, path: ArmPath, grasp: int
-    ) -> tuple[Motion | None, str]:
+    def _complete(self, base: np.ndarray, path: ArmPath, grasp: int) -> tuple[Motion | None, str]:
         """Add the approach from home, and let the exact check decide."""
         assert path.q is not None
         chain, hold = self.robot.chain, self.motion.hold
@@ -142,13 +140,20 @@ class Feasibility:
             return self._check(states, base, spheres) == FREE
 
         way = plan_motion(
-            self.robot.home, q[0], chain.lower, chain.upper, free,
-            config=self.planner, seed=self.seed + grasp,
+            self.robot.home,
+            q[0],
+            chain.lower,
+            chain.upper,
+            free,
+            config=self.planner,
+            seed=self.seed + grasp,
         )
         if way is None:
             return None, "no approach from home"
         approach = np.concatenate([interpolate(way), q[1 : hold + 1]])
-        motion = Motion(approach, q[hold:], self.motion.object_q[hold:], self._tools(q[hold:], base))
+        motion = Motion(
+            approach, q[hold:], self.motion.object_q[hold:], self._tools(q[hold:], base)
+        )
         refusal = self.refuse(base, motion)
         return (motion, "") if refusal is None else (None, f"exact check: {refusal}")
 

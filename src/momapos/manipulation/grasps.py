@@ -53,9 +53,7 @@ def grasp_frames(
     return T
 
 
-def handle_grasps(
-    robot: Robot, handle: Handle, config: GraspConfig
-) -> Float[np.ndarray, "g 4 4"]:
+def handle_grasps(robot: Robot, handle: Handle, config: GraspConfig) -> Float[np.ndarray, "g 4 4"]:
     """The family of grasps of a handle, the plainest first, in the moving link's frame.
 
     The fingers close across the long axis; both rolls by half a turn are kept, because the
@@ -69,9 +67,9 @@ def handle_grasps(
         np.arange(config.rolls) * 2 * np.pi / config.rolls if handle.knob else np.array([0, np.pi])
     )
     turns, tilts = np.radians(config.turns), np.radians(config.tilts)
-    grid = np.stack(
-        np.meshgrid(rolls, points, standoffs, tilts, turns, indexing="ij"), -1
-    ).reshape(-1, 5)
+    grid = np.stack(np.meshgrid(rolls, points, standoffs, tilts, turns, indexing="ij"), -1).reshape(
+        -1, 5
+    )
     roll, point, standoff, tilt, turn = grid.T
     standoff = standoff * robot.finger_depth
     R_turn = rotation_about(handle.long, turn)
@@ -81,9 +79,7 @@ def handle_grasps(
     approach = np.einsum("gij,gj->gi", R_tilt, approach)
     closing = np.einsum("gij,gj->gi", _rotations(approach, roll), closing)
     center = handle.center + point[:, None] * handle.long - standoff[:, None] * approach
-    order = np.argsort(
-        np.abs(turn) + np.abs(tilt) + 5 * np.abs(point) + standoff, kind="stable"
-    )
+    order = np.argsort(np.abs(turn) + np.abs(tilt) + 5 * np.abs(point) + standoff, kind="stable")
     return grasp_frames(robot, center, approach, closing)[order]
 
 

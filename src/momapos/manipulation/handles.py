@@ -121,14 +121,14 @@ def _largest_cluster(points: list[np.ndarray]) -> np.ndarray:
     from scipy.sparse.csgraph import connected_components
 
     _, label = connected_components(csr_matrix(touch), directed=False)
-    groups = [np.concatenate([p for p, k in zip(points, label, strict=True) if k == g])
-              for g in range(label.max() + 1)]
+    groups = [
+        np.concatenate([p for p, k in zip(points, label, strict=True) if k == g])
+        for g in range(label.max() + 1)
+    ]
     return max(groups, key=lambda g: float(np.linalg.norm(np.ptp(g, axis=0))))
 
 
-def _motion_direction(
-    model: Articulated, joint: str, sign: float, point: np.ndarray
-) -> np.ndarray:
+def _motion_direction(model: Articulated, joint: str, sign: float, point: np.ndarray) -> np.ndarray:
     """Direction in which a point of the part moves when the joint opens, in the part's frame."""
     record = model.joint(joint)
     if record.kind == "prismatic":

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -33,7 +33,7 @@ class MotionConfig:
     """Number of waypoints, whatever the motion [-]; None to follow the two above."""
     substeps: int = 4
     """States between waypoints, all of which are checked [-]."""
-    grasps: GraspConfig = GraspConfig()
+    grasps: GraspConfig = field(default_factory=GraspConfig)
 
 
 @dataclass(frozen=True)
@@ -70,9 +70,7 @@ class TaskMotion:
     def sweep(self) -> Boxes:
         """The moving boxes at all values, as one set."""
         m = self.moving
-        return Boxes(
-            m.center.reshape(-1, 3), m.rotation.reshape(-1, 3, 3), m.half.reshape(-1, 3)
-        )
+        return Boxes(m.center.reshape(-1, 3), m.rotation.reshape(-1, 3, 3), m.half.reshape(-1, 3))
 
     def standing_boxes(self) -> Boxes:
         """All boxes as they are before the task begins; `labels` names them in this order."""
@@ -99,7 +97,8 @@ def task_motion(scene: Scene, robot: Robot, task: Task, config: MotionConfig) ->
 def _joint_motion(
     scene: Scene, robot: Robot, task: Task, target: SceneObject, config: MotionConfig
 ) -> TaskMotion:
-    assert task.joint is not None and task.to is not None
+    assert task.joint is not None
+    assert task.to is not None
     joint = target.model.joint(task.joint)
     start = target.values()[joint.name]
     count = config.waypoints or _count(joint.kind, abs(task.to - start), config)
@@ -116,9 +115,7 @@ def _joint_motion(
     static, labels = _static_boxes(scene, target, set(moved))
     approach = _straight_approach(robot, Ts_world_part[0] @ Ts_part_tool, config.grasps)
     steps = approach.shape[1]
-    Ts_world_tool = np.concatenate(
-        [approach, Ts_world_part[None] @ Ts_part_tool[:, None]], axis=1
-    )
+    Ts_world_tool = np.concatenate([approach, Ts_world_part[None] @ Ts_part_tool[:, None]], axis=1)
     return TaskMotion(
         task=task,
         Ts_world_tool=np.ascontiguousarray(Ts_world_tool),
@@ -200,9 +197,7 @@ def _near_handle(
     return gap.min(0) < 0.01
 
 
-def _static_boxes(
-    scene: Scene, target: SceneObject, moved: set[str]
-) -> tuple[Boxes, list[str]]:
+def _static_boxes(scene: Scene, target: SceneObject, moved: set[str]) -> tuple[Boxes, list[str]]:
     center, rotation, half, labels = [], [], [], []
     for item in scene.objects:
         for link, T in item.link_poses().items():
@@ -257,9 +252,17 @@ def _rigid_motion(
         coarse = np.array([0, len(lifts) - 1, len(lifts) - 1 + steps])
         first = len(lifts) - 1
     return TaskMotion(
-        task=task, Ts_world_tool=np.ascontiguousarray(Ts), object_q=np.zeros(Ts.shape[1]),
-        coarse=coarse, hold=first, holding=np.ones(Ts.shape[1], bool), static=static,
-        moving=moving, value=value, grasped=grasped, labels=(*labels, *moving_labels),
+        task=task,
+        Ts_world_tool=np.ascontiguousarray(Ts),
+        object_q=np.zeros(Ts.shape[1]),
+        coarse=coarse,
+        hold=first,
+        holding=np.ones(Ts.shape[1], bool),
+        static=static,
+        moving=moving,
+        value=value,
+        grasped=grasped,
+        labels=(*labels, *moving_labels),
     )
 
 

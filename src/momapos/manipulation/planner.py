@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -32,7 +33,7 @@ def interpolate(
 ) -> Float[np.ndarray, "m n"]:
     """Fill a path so that no joint moves more than `step` between states."""
     pieces = [path[:1]]
-    for a, b in zip(path, path[1:], strict=False):
+    for a, b in pairwise(path):
         count = max(1, int(np.ceil(np.abs(b - a).max() / step - 1e-9)))
         pieces.append(a + (b - a) * (np.arange(1, count + 1) / count)[:, None])
     return np.concatenate(pieces)
@@ -76,8 +77,13 @@ def plan_motion(
 
 
 def _ompl(
-    start: np.ndarray, goal: np.ndarray, low: np.ndarray, high: np.ndarray, free: CheckStates,
-    config: PlannerConfig, seed: int,
+    start: np.ndarray,
+    goal: np.ndarray,
+    low: np.ndarray,
+    high: np.ndarray,
+    free: CheckStates,
+    config: PlannerConfig,
+    seed: int,
 ) -> Float[np.ndarray, "k n"] | None:
     from ompl import base as ob
     from ompl import geometric as og
@@ -100,7 +106,7 @@ def _ompl(
     class Edges(ob.MotionValidator):  # type: ignore[misc]
         """Checks the states of a whole edge in one call of the kernel."""
 
-        def checkMotion(self, a: object, b: object, *_: object) -> bool:  # noqa: N802
+        def checkMotion(self, a: object, b: object, *_: object) -> bool:
             return bool(free(interpolate(np.stack([read(a), read(b)]))).all())
 
     setup.setStateValidityChecker(lambda state: bool(free(read(state)[None])[0]))
@@ -120,6 +126,4 @@ def _ompl(
     if config.algorithm == "RRTConnect":
         setup.simplifySolution(config.budget)
     path = setup.getSolutionPath()
-    return np.array(
-        [[path.getState(i)[k] for k in range(n)] for i in range(path.getStateCount())]
-    )
+    return np.array([[path.getState(i)[k] for k in range(n)] for i in range(path.getStateCount())])

@@ -43,7 +43,7 @@ def make_task(
         return Task(verb, object_name)  # type: ignore[arg-type]
     record = target.model.joint(joint) if joint else _only_joint(target)
     start = target.values()[record.name]
-    goal = _goal(record, verb, start) if to is None else float(to)
+    goal = _goal(record, verb) if to is None else float(to)
     _check_goal(target, record, verb, start, goal)
     return Task(verb, object_name, record.name, goal)  # type: ignore[arg-type]
 
@@ -72,7 +72,7 @@ def _only_joint(target: SceneObject) -> Joint:
     return target.model.joints[choice[0]]
 
 
-def _goal(joint: Joint, verb: str, start: float) -> float:
+def _goal(joint: Joint, verb: str) -> float:
     closed, sign = closed_value(joint), opening_sign(joint)
     if verb == "close":
         return closed
@@ -81,9 +81,7 @@ def _goal(joint: Joint, verb: str, start: float) -> float:
     return max(limit, wide) if sign < 0 else min(limit, wide)
 
 
-def _check_goal(
-    target: SceneObject, joint: Joint, verb: str, start: float, goal: float
-) -> None:
+def _check_goal(target: SceneObject, joint: Joint, verb: str, start: float, goal: float) -> None:
     where = f"{target.name}/{joint.name}"
     unit = "m" if joint.kind == "prismatic" else "rad"
     if not math.isfinite(goal):

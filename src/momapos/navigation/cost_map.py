@@ -17,9 +17,7 @@ from momapos.kinematics.hulls import Boxes
 CELL = 0.05
 """Edge of a cell [m]."""
 _QUADRANT = ((1, 0), (1, 1), (2, 1), (1, 2))
-_MOVES = tuple(
-    move for a, b in _QUADRANT for move in ((a, b), (-b, a), (-a, -b), (b, -a))
-)
+_MOVES = tuple(move for a, b in _QUADRANT for move in ((a, b), (-b, a), (-a, -b), (b, -a)))
 """Steps to the sixteen cells around a cell: path lengths are at most 2.7 % too long."""
 
 
@@ -111,9 +109,7 @@ def _outlines(boxes: Boxes, which: Int[np.ndarray, " k"]) -> list[Float[np.ndarr
     return found
 
 
-def build_cost_map(
-    plan: FloorPlan, start: Float[np.ndarray, "2"], *, radius: float
-) -> CostMap:
+def build_cost_map(plan: FloorPlan, start: Float[np.ndarray, "2"], *, radius: float) -> CostMap:
     """Measure driving lengths from a start.
 
     Args:

@@ -13,9 +13,7 @@ ROOM = 0.8
 """Clearance around the start [m]."""
 
 
-def find_start(
-    plan: FloorPlan, wish: Float[np.ndarray, "2"]
-) -> Float[np.ndarray, "3"]:
+def find_start(plan: FloorPlan, wish: Float[np.ndarray, "2"]) -> Float[np.ndarray, "3"]:
     """The floor position nearest to a wish that has room around it.
 
     Args:
@@ -25,8 +23,10 @@ def find_start(
     Raises:
         SceneError: Nowhere is there room.
     """
-    clear = distance_transform_edt(np.pad(~plan.blocked, 1, constant_values=True))[1:-1, 1:-1] * CELL
-    i, j = np.nonzero(clear > min(ROOM, float(clear.max()) * 0.9))
+    clear = (
+        distance_transform_edt(np.pad(~plan.blocked, 1, constant_values=True))[1:-1, 1:-1] * CELL
+    )
+    i, j = np.nonzero(clear > min(ROOM, 0.9 * float(clear.max())))
     if not len(i):
         raise SceneError("the room is full: nowhere can a robot start; give --start X,Y,YAW")
     centers = plan.origin + (np.stack([j, i], -1) + 0.5) * CELL

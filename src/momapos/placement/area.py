@@ -135,9 +135,7 @@ def standing(
     return outcome, code
 
 
-def footprints(
-    robot: Robot, poses: Float[np.ndarray, "n 3"]
-) -> Float[np.ndarray, "n k 2"]:
+def footprints(robot: Robot, poses: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n k 2"]:
     """Outline of the base at each pose [m]."""
     c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
     R = np.stack([np.stack([c, -s], -1), np.stack([s, c], -1)], -2)

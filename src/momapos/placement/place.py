@@ -11,7 +11,16 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.stats import qmc
 
-from momapos.placement.area import BLOCKED, CLEAR, OFF_FLOOR, Site, in_world, sampling_box, standing, task_frame
+from momapos.placement.area import (
+    BLOCKED,
+    CLEAR,
+    OFF_FLOOR,
+    Site,
+    in_world,
+    sampling_box,
+    standing,
+    task_frame,
+)
 from momapos.placement.order import by_expected_cost, open_tours
 from momapos.placement.potential import attraction
 from momapos.protocols import ReachScorer, TravelCost
@@ -58,9 +67,7 @@ AttemptPose = Callable[[Float[np.ndarray, "3"], Int[np.ndarray, " k"]], Attempt]
 """Check one base pose with some grasps, best first."""
 
 
-ScreenPoses = Callable[
-    [Float[np.ndarray, "n 3"], Float[np.ndarray, "n g"]], Bool[np.ndarray, " n"]
-]
+ScreenPoses = Callable[[Float[np.ndarray, "n 3"], Float[np.ndarray, "n g"]], Bool[np.ndarray, " n"]]
 """Tell at which base poses some grasp has an arm path, from the scores of all grasps."""
 
 
@@ -76,6 +83,11 @@ class Search:
     cost: float = np.inf
     timed_out: bool = False
 
+    def note(self, poses: Float[np.ndarray, "n 3"], reasons: np.ndarray) -> None:
+        """Remember a round; what becomes of its poses is written into `reasons` later."""
+        self.poses.append(poses)
+        self.reasons.append(reasons)
+
     def candidates(self) -> Candidates:
         """Counts for the plan."""
         every = np.concatenate(self.reasons) if self.reasons else np.zeros(0, object)
@@ -83,46 +95,48 @@ class Search:
         return Candidates(len(every), self.checked, dict(counts.most_common()))
 
 
-def search(
-    site: Site,
-    reach: ReachScorer,
-    travel_cost: TravelCost,
-    attempt: AttemptPose,
-    screen: ScreenPoses,
-    config: PlaceConfig,
-    rng: np.random.Generator,
-    *,
-    start: Float[np.ndarray, "3"],
-    out_of_time: Callable[[], bool],
-) -> Search:
+@dataclass(frozen=True)
+class Problem:
+    """What the search is given; the stages behind the functions are not its business."""
+
+    site: Site
+    reach: ReachScorer
+    """The robot's reachability map."""
+    travel_cost: TravelCost
+    attempt: AttemptPose
+    """Checks one base pose completely."""
+    screen: ScreenPoses
+    """Checks many base poses for an arm path alone; the grid needs it."""
+    start: Float[np.ndarray, "3"]
+    """Where the robot is: x [m], y [m], yaw [rad]."""
+    out_of_time: Callable[[], bool]
+    """Asked between candidates."""
+
+
+def search(problem: Problem, config: PlaceConfig, rng: np.random.Generator) -> Search:
     """Find the cheapest base pose that works.
 
     Args:
-        site: Room and task.
-        reach: The robot's reachability map.
-        travel_cost: Driving lengths.
-        attempt: Checks one base pose completely.
-        screen: Checks many base poses for an arm path alone; the grid needs it.
+        problem: Room, task, and the checks.
         config: How to search.
         rng: Source of the samples.
-        start: Where the robot is: x [m], y [m], yaw [rad].
-        out_of_time: Asked between candidates.
 
     Returns:
         The best pose found, if any, and what became of all others.
     """
     found = Search()
-    corners = sampling_box(site)
+    corners = sampling_box(problem.site)
     if corners is None:
-        found.poses.append(np.zeros((1, 3)))
-        found.reasons.append(np.array([f"{NO_REACH} at any distance"], object))
+        found.note(np.zeros((1, 3)), np.array([f"{NO_REACH} at any distance"], object))
         return found
-    frame = task_frame(site)
+    frame = task_frame(problem.site)
     for local, on_grid in _rounds(corners, config, rng):
-        _try(
-            site, in_world(frame, local), on_grid, reach, travel_cost, attempt, screen, config, start,
-            out_of_time, found,
-        )  # fmt: skip
+        shortlist = _cull(problem, in_world(frame, local), found)
+        if on_grid:
+            _screen(problem, shortlist, found)
+            _check_grid(problem, shortlist, found)
+        else:
+            _check_samples(problem, shortlist, config, found)
         if found.motion is not None or found.timed_out:
             break
     return found
@@ -146,71 +160,105 @@ def _rounds(
     yield np.stack(np.meshgrid(x, y, yaw, indexing="ij"), -1).reshape(-1, 3), True
 
 
-def _try(
-    site: Site, poses: np.ndarray, on_grid: bool, reach: ReachScorer, travel_cost: TravelCost,
-    attempt: AttemptPose, screen: ScreenPoses, config: PlaceConfig, start: np.ndarray,
-    out_of_time: Callable[[], bool], found: Search,
-) -> None:  # fmt: skip
-    """Cull one round's poses, order what is left, and check it."""
-    outcome, _ = standing(site, poses)
+@dataclass
+class _Shortlist:
+    """The poses of one round that are left after culling; `reasons` covers the whole round."""
+
+    poses: Float[np.ndarray, "n 3"]
+    row: Int[np.ndarray, " n"]
+    """Index of each into the round."""
+    travel: Float[np.ndarray, " n"]
+    scores: Float[np.ndarray, "n g"]
+    reasons: np.ndarray
+
+    def keep(self, which: Bool[np.ndarray, " n"], reason: str) -> None:
+        """Drop the others, for a reason."""
+        self.reasons[self.row[~which]] = reason
+        self.poses, self.row = self.poses[which], self.row[which]
+        self.travel, self.scores = self.travel[which], self.scores[which]
+
+    def grasps(self, i: int) -> Int[np.ndarray, " k"]:
+        """Grasps within reach of pose i, the best reached first."""
+        order = np.argsort(-self.scores[i], kind="stable")
+        return order[self.scores[i, order] > 0]
+
+
+def _cull(problem: Problem, poses: Float[np.ndarray, "n 3"], found: Search) -> _Shortlist:
+    """Footprint first, then the way there, then the reach map."""
+    outcome, _ = standing(problem.site, poses)
     reasons = np.full(len(poses), NOT_TRIED, object)
     for value, word in REASONS.items():
         reasons[outcome == value] = word
-    clear = np.flatnonzero(outcome == CLEAR)
-    travel = travel_cost(poses[clear, :2])
-    reasons[clear[np.isinf(travel)]] = NO_WAY
-    clear, travel = clear[np.isfinite(travel)], travel[np.isfinite(travel)]
-    scores = reach.weakest(poses[clear], site.Ts_world_tool)
-    best = scores.max(1, initial=0.0)
-    reasons[clear[best <= 0]] = NO_REACH
-    clear, travel, scores = clear[best > 0], travel[best > 0], scores[best > 0]
-    if on_grid:
-        passed = screen(poses[clear], scores)
-        found.checked += len(clear)
-        reasons[clear[~passed]] = NO_PATH
-        reasons[clear[passed]] = FEASIBLE
-        clear, travel, scores = clear[passed], travel[passed], scores[passed]
-        order = np.argsort(travel, kind="stable")
-    else:
-        order = _order(site, poses[clear], travel, scores, config, start)
-    left = config.improve
-    for i in order:
-        if travel[i] >= found.cost - 1e-9:
+    row = np.flatnonzero(outcome == CLEAR)
+    travel = problem.travel_cost(poses[row, :2])
+    empty = np.zeros((len(row), len(problem.site.Ts_world_tool)), np.float32)
+    left = _Shortlist(poses[row], row, travel, empty, reasons)
+    left.keep(np.isfinite(travel), NO_WAY)
+    left.scores = problem.reach.weakest(left.poses, problem.site.Ts_world_tool)
+    left.keep(left.scores.max(1, initial=0.0) > 0, NO_REACH)
+    found.note(poses, reasons)
+    return left
+
+
+def _check(problem: Problem, left: _Shortlist, i: int, most: int | None, found: Search) -> None:
+    """Check pose i of a shortlist in full; keep it if it is the best so far."""
+    result = problem.attempt(left.poses[i], left.grasps(i)[:most])
+    left.reasons[left.row[i]] = result.reason or FEASIBLE
+    if result.motion is not None:
+        found.base, found.motion, found.cost = left.poses[i], result.motion, left.travel[i]
+
+
+def _check_samples(problem: Problem, left: _Shortlist, config: PlaceConfig, found: Search) -> None:
+    """Check a round's samples in order, until enough cheaper ones have been tried."""
+    improve = config.improve if config.method == "ours" else 0
+    for i in _order(problem, left, config):
+        if left.travel[i] >= found.cost - 1e-9:
             continue
         if found.motion is not None:
-            if on_grid or config.method == "paper" or left == 0:
-                break
-            left -= 1
-        if out_of_time():
+            if improve == 0:
+                return
+            improve -= 1
+        if problem.out_of_time():
             found.timed_out = found.motion is None
-            break
-        grasps = np.argsort(-scores[i], kind="stable")
-        grasps = grasps[scores[i, grasps] > 0]
-        result = attempt(poses[clear[i]], grasps if on_grid else grasps[: config.grasps])
-        found.checked += not on_grid
-        reasons[clear[i]] = result.reason or FEASIBLE
-        if result.motion is not None:
-            found.base, found.motion, found.cost = poses[clear[i]], result.motion, travel[i]
-    found.poses.append(poses)
-    found.reasons.append(reasons)
+            return
+        found.checked += 1
+        _check(problem, left, i, config.grasps, found)
 
 
-def _order(
-    site: Site, poses: np.ndarray, travel: np.ndarray, scores: np.ndarray, config: PlaceConfig,
-    start: np.ndarray,
-) -> Int[np.ndarray, " n"]:
-    if not len(poses):
+def _screen(problem: Problem, left: _Shortlist, found: Search) -> None:
+    """Look for an arm path at every pose of the grid."""
+    passed = problem.screen(left.poses, left.scores)
+    found.checked += len(passed)
+    left.keep(passed, NO_PATH)
+    left.reasons[left.row] = FEASIBLE
+
+
+def _check_grid(problem: Problem, left: _Shortlist, found: Search) -> None:
+    """Complete the cheapest pose of the grid that can be completed."""
+    for i in np.argsort(left.travel, kind="stable"):
+        if problem.out_of_time():
+            found.timed_out = True
+            return
+        _check(problem, left, i, None, found)
+        if found.motion is not None:
+            return
+
+
+def _order(problem: Problem, left: _Shortlist, config: PlaceConfig) -> Int[np.ndarray, " n"]:
+    if not len(left.poses):
         return np.zeros(0, int)
-    field_value = attraction(site, poses[:, :2], np.array([site.shoulder[2]]))
-    potential = scores.max(1) + field_value
+    site, xy = problem.site, left.poses[:, :2]
+    best, field_value = left.scores.max(1), attraction(site, xy, np.array([site.shoulder[2]]))
     if config.method == "paper":
         return open_tours(
-            start[:2], poses[:, :2], potential, group=config.group,
-            k_distance=config.k_distance, k_potential=config.k_potential,
+            problem.start[:2],
+            xy,
+            best + field_value,
+            group=config.group,
+            k_distance=config.k_distance,
+            k_potential=config.k_potential,
         )
     # A pose that many grasps reach is worth more than one that a single grasp reaches well.
-    share = np.clip((scores > 0).mean(1) * 4, 0.0, 1.0)
-    odds = np.clip(0.4 * scores.max(1) + 0.4 * share + 0.2 * np.sqrt(field_value), 0.0, 1.0)
-    return by_expected_cost(travel, odds, miss=config.miss)
-
-
+    share = np.clip((left.scores > 0).mean(1) * 4, 0.0, 1.0)
+    odds = np.clip(0.4 * best + 0.4 * share + 0.2 * np.sqrt(field_value), 0.0, 1.0)
+    return by_expected_cost(left.travel, odds, miss=config.miss)

@@ -74,7 +74,9 @@ def attraction(
         waypoints: How many waypoints, evenly chosen, must be seen [-]; the weakest counts.
     """
     plain = site.Ts_world_tool[0, :, :3, 3]
-    targets = np.ascontiguousarray(plain[np.linspace(0, len(plain) - 1, waypoints).round().astype(int)])
+    targets = np.ascontiguousarray(
+        plain[np.linspace(0, len(plain) - 1, waypoints).round().astype(int)]
+    )
     distance = np.linalg.norm(positions[:, None] - targets[None, :, :2], axis=-1)
     field = np.minimum(1.0, NEAREST / np.maximum(distance, 1e-9))
     seen = np.zeros(distance.shape, bool)

@@ -96,10 +96,10 @@ def _nearest(o: np.ndarray, h: np.ndarray, other: np.ndarray, k: np.ndarray) -> 
 def default_config(robot: Robot) -> ReachConfig:
     """Resolution at which a map is true enough and quickly built.
 
-    Longer arms cost ten times more per point, and direction matters less to them.
+    Longer arms cost ten times more per line, and direction matters less to them.
     """
     longer = robot.chain.size > 6
-    return ReachConfig(cell=0.055, directions=15) if longer else ReachConfig()
+    return ReachConfig(directions=13, spins=1) if longer else ReachConfig()
 
 
 def build_map(

@@ -31,6 +31,13 @@ OUTSIDE = -12
 """Stored value of points that are far from anything reachable."""
 
 
+ONE = 1 << 24
+"""Fractions of a cell are kept as integers, this for 1."""
+_LOW = (1 << 32) - 1
+_SHIFT = 1 << 20
+"""Added to strides, which may be negative, where they are packed."""
+
+
 @njit(cache=True, nogil=True)
 def oct_decode(u: float, v: float) -> tuple[float, float, float]:
     """Unit vector of a point on the octahedral square."""
@@ -57,15 +64,7 @@ def turns_of(y: float, x: float) -> float:
     return 1.0 - t if y < 0.0 else t
 
 
-@njit(cache=True, nogil=True, inline="always")
-def _order(f, i, g, j):
-    """The two (fraction, stride) pairs, the larger fraction first."""
-    if g > f:
-        return g, j, f, i
-    return f, i, g, j
-
-
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp", "nsz"})
 def lookup(x, y, z, ax, ay, az, yaw_turns, values, shape, frame):
     """Interpolated value of a line.
 
@@ -83,14 +82,14 @@ def lookup(x, y, z, ax, ay, az, yaw_turns, values, shape, frame):
     """
     nz, nr, nu, nv, nb = shape
     z0, per_metre = frame
-    r = math.sqrt(x * x + y * y)
-    fr, fz = r * per_metre, (z - z0) * per_metre
-    if fr >= nr - 1 or fz < 0.0 or fz >= nz - 1:
+    square = x * x + y * y
+    fz = (z - z0) * per_metre
+    if square * (per_metre * per_metre) >= (nr - 1) * (nr - 1) or fz < 0.0 or fz >= nz - 1:
         return float(OUTSIDE)
+    r = math.sqrt(square)
+    cx, cy = 1.0, 0.0
     if r > 1e-9:
         cx, cy = x / r, y / r
-    else:
-        cx, cy = 1.0, 0.0
     radial, tangential = ax * cx + ay * cy, ay * cx - ax * cy
     n = 1.0 / (abs(radial) + abs(tangential) + abs(az))
     u, v = radial * n, tangential * n
@@ -98,10 +97,8 @@ def lookup(x, y, z, ax, ay, az, yaw_turns, values, shape, frame):
         fold_u = math.copysign(1.0 - abs(v), u)
         v = math.copysign(1.0 - abs(u), v)
         u = fold_u
-    fu, fv = (u + 1.0) * (0.5 * (nu - 1)), (v + 1.0) * (0.5 * (nv - 1))
-    iz, ir = int(fz), int(fr)
-    iu, iv = min(int(fu), nu - 2), min(int(fv), nv - 2)
-    fz, fr, fu, fv = fz - iz, fr - ir, fu - iu, fv - iv
+    fr, fu, fv = r * per_metre, (u + 1.0) * (0.5 * (nu - 1)), (v + 1.0) * (0.5 * (nv - 1))
+    iz, ir, iu, iv = int(fz), min(int(fr), nr - 2), min(int(fu), nu - 2), min(int(fv), nv - 2)
     sv = nb
     su = sv * nv
     sr = su * nu
@@ -111,33 +108,38 @@ def lookup(x, y, z, ax, ay, az, yaw_turns, values, shape, frame):
     if nb > 1:
         turns = turns_of(y, x) - yaw_turns
         fb = (turns - math.floor(turns)) * nb
-        ib = int(fb)
+        ib = min(int(fb), nb - 1)
         fb -= ib
-        if ib >= nb:
-            ib = 0
         at += ib
         sb = 1 if ib < nb - 1 else 1 - nb
-    # Sorting network for five pairs.
-    fz, sz, fr, sr = _order(fz, sz, fr, sr)
-    fu, su, fv, sv = _order(fu, su, fv, sv)
-    fr, sr, fb, sb = _order(fr, sr, fb, sb)
-    fz, sz, fr, sr = _order(fz, sz, fr, sr)
-    fz, sz, fu, su = _order(fz, sz, fu, su)
-    fr, sr, fv, sv = _order(fr, sr, fv, sv)
-    fr, sr, fu, su = _order(fr, sr, fu, su)
-    fv, sv, fb, sb = _order(fv, sv, fb, sb)
-    fu, su, fv, sv = _order(fu, su, fv, sv)
-    total = values[at] * (1.0 - fz)
-    at += sz
-    total += values[at] * (fz - fr)
-    at += sr
-    total += values[at] * (fr - fu)
-    at += su
-    total += values[at] * (fu - fv)
-    at += sv
-    total += values[at] * (fv - fb)
-    at += sb
-    return total + values[at] * fb
+    # Fraction and stride packed into one integer: sorting is then min and max, without branches.
+    a = (int((fz - iz) * ONE) << 32) + sz + _SHIFT
+    b = (int((fr - ir) * ONE) << 32) + sr + _SHIFT
+    c = (int((fu - iu) * ONE) << 32) + su + _SHIFT
+    d = (int((fv - iv) * ONE) << 32) + sv + _SHIFT
+    e = (int(fb * ONE) << 32) + sb + _SHIFT
+    # Sorting network for five (Knuth, The Art of Computer Programming, section 5.3.4).
+    a, d = max(a, d), min(a, d)
+    b, e = max(b, e), min(b, e)
+    a, c = max(a, c), min(a, c)
+    b, d = max(b, d), min(b, d)
+    a, b = max(a, b), min(a, b)
+    c, e = max(c, e), min(c, e)
+    b, c = max(b, c), min(b, c)
+    d, e = max(d, e), min(d, e)
+    c, d = max(c, d), min(c, d)
+    i = at + (a & _LOW) - _SHIFT
+    j = i + (b & _LOW) - _SHIFT
+    k = j + (c & _LOW) - _SHIFT
+    m = k + (d & _LOW) - _SHIFT
+    last = m + (e & _LOW) - _SHIFT
+    fa, fs, fc, fd, fe = a >> 32, b >> 32, c >> 32, d >> 32, e >> 32
+    total = (
+        values[np.uint64(at)] * (ONE - fa) + values[np.uint64(i)] * (fa - fs)
+        + values[np.uint64(j)] * (fs - fc) + values[np.uint64(k)] * (fc - fd)
+        + values[np.uint64(m)] * (fd - fe) + values[np.uint64(last)] * fe
+    )
+    return total / ONE
 
 
 @njit(cache=True, nogil=True)

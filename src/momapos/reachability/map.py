@@ -19,7 +19,7 @@ class ReachConfig:
 
     cell: float = 0.05
     """Spacing of the grid in height and distance [m]."""
-    directions: int = 21
+    directions: int = 25
     """Grid points along each side of the octahedral square of directions, odd [-]."""
     bearings: int = 32
     """Grid points along the bearing, a divisor of 64 [-]; 1 leaves the bearing out. It is also

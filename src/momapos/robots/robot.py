@@ -223,7 +223,9 @@ def _footprint(base: _Table, path: Path) -> Float[np.ndarray, "k 2"]:
     try:
         return points[ConvexHull(points).vertices]
     except (QhullError, ValueError) as error:
-        raise RobotError(f"{path}: base.footprint must enclose an area, as [[x, y], ...]") from error
+        raise RobotError(
+            f"{path}: base.footprint must enclose an area, as [[x, y], ...]"
+        ) from error
 
 
 class _Table:
@@ -267,8 +269,10 @@ class _Table:
 
     def positive(self, key: str, default: float) -> float:
         value = self.data.get(key, default)
-        if isinstance(value, bool) or not isinstance(value, int | float) or not (
-            math.isfinite(value) and value > 0
+        if (
+            isinstance(value, bool)
+            or not isinstance(value, int | float)
+            or not (math.isfinite(value) and value > 0)
         ):
             raise RobotError(f"{self.path}: {self.prefix}{key} must be a number > 0")
         return float(value)

@@ -29,7 +29,7 @@ _FLAT = 1e-10
 # A body in the kernels is a tuple (points (n, 3), disc radius, ball radius).
 
 
-@njit(cache=True, nogil=True, inline="never")
+@njit(cache=True, nogil=True)
 def _extreme(points, disc, x, y, z, out):  # type: ignore[no-untyped-def]
     """Write the point of a core (without ball) that lies farthest along (x, y, z)."""
     best, value = 0, -np.inf
@@ -44,7 +44,7 @@ def _extreme(points, disc, x, y, z, out):  # type: ignore[no-untyped-def]
         out[1] += disc * y / length
 
 
-@njit(cache=True, nogil=True, inline="never")
+@njit(cache=True, nogil=True)
 def _support(a, b, T, n, w, work):  # type: ignore[no-untyped-def]
     """Write the point of the difference A - B farthest along `n`; all in the frame of B."""
     pa, pb = work[0], work[1]
@@ -61,6 +61,11 @@ def _support(a, b, T, n, w, work):  # type: ignore[no-untyped-def]
 @njit(cache=True, nogil=True)
 def _dot(a, b):  # type: ignore[no-untyped-def]
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@njit(cache=True, nogil=True)
+def _set(a, x, y, z):  # type: ignore[no-untyped-def]
+    a[0], a[1], a[2] = x, y, z
 
 
 @njit(cache=True, nogil=True)
@@ -158,7 +163,7 @@ def _gjk(a, b, T, work):  # type: ignore[no-untyped-def]
     y, v, n, w = work[2:6], work[6], work[7], work[8]
     weights = np.zeros(4)
     count, best, length = 0, -np.inf, np.inf
-    v[0], v[1], v[2] = T[0, 3], T[1, 3], T[2, 3]
+    _set(v, T[0, 3], T[1, 3], T[2, 3])
     for _ in range(_MAX_STEPS):
         size = np.sqrt(_dot(v, v))
         if size < _FLAT:
@@ -170,12 +175,12 @@ def _gjk(a, b, T, work):  # type: ignore[no-untyped-def]
         best = max(best, -_support(a, b, T, n, w, work))
         if length - best <= TOLERANCE:
             return best
-        y[count] = w
+        _set(y[count], w[0], w[1], w[2])
         count += 1
         if not _nearest(y, count, weights, n):
             return 0.0
         kept = 0
-        v[:] = 0.0
+        _set(v, 0.0, 0.0, 0.0)
         for i in range(count):
             if weights[i] > 0.0:
                 for k in range(3):
@@ -196,54 +201,41 @@ def _gjk(a, b, T, work):  # type: ignore[no-untyped-def]
 @njit(cache=True, nogil=True)
 def _first_points(a, b, T, p, work):  # type: ignore[no-untyped-def]
     """Span a tetrahedron inside A - B; return the least extent met, or -1 if A - B is flat."""
-    n, w = work[7], work[8]
+    n, w, u = work[7], work[8], work[2]
     best, widest = np.inf, _FLAT
     for axis in range(3):
-        n[:] = 0.0
-        n[axis] = 1.0
-        best = min(best, _support(a, b, T, n, w, work))
-        work[2] = w
+        _set(n, 1.0 * (axis == 0), 1.0 * (axis == 1), 1.0 * (axis == 2))
+        best = min(best, _support(a, b, T, n, u, work))
         n[axis] = -1.0
         best = min(best, _support(a, b, T, n, w, work))
-        span = work[2, axis] - w[axis]
-        if span > widest:
-            widest = span
-            p[0], p[1] = work[2], w
+        if u[axis] - w[axis] > widest:
+            widest = u[axis] - w[axis]
+            _set(p[0], u[0], u[1], u[2])
+            _set(p[1], w[0], w[1], w[2])
     if widest == _FLAT:
         return -1.0
-    # Farthest from the line, then farthest from the plane.
-    e = p[1] - p[0]
-    e /= np.sqrt(_dot(e, e))
-    helper = np.zeros(3)
-    helper[np.argmin(np.abs(e))] = 1.0
-    first = np.cross(e, helper)
-    first /= np.sqrt(_dot(first, first))
-    second = np.cross(e, first)
-    far = _FLAT
-    for turn in range(4):
-        direction = first if turn % 2 == 0 else second
-        for k in range(3):
-            n[k] = direction[k] if turn < 2 else -direction[k]
-        best = min(best, _support(a, b, T, n, w, work))
-        away = w - p[0]
-        away -= _dot(away, e) * e
-        if np.sqrt(_dot(away, away)) > far:
-            far = np.sqrt(_dot(away, away))
-            p[2] = w
-    if far == _FLAT:
-        return -1.0
-    m = np.cross(p[1] - p[0], p[2] - p[0])
-    m /= np.sqrt(_dot(m, m))
-    high = _FLAT
-    for sign in (1.0, -1.0):
-        for k in range(3):
-            n[k] = sign * m[k]
-        best = min(best, _support(a, b, T, n, w, work))
-        height = abs(_dot(m, w - p[0]))
-        if height > high:
-            high = height
-            p[3] = w
-    return best if high > _FLAT else -1.0
+    # A direction perpendicular to the line, then those perpendicular to the triangle.
+    x, y, z = p[1, 0] - p[0, 0], p[1, 1] - p[0, 1], p[1, 2] - p[0, 2]
+    if abs(x) < abs(z):
+        _set(u, 0.0, -z, y)
+    else:
+        _set(u, -y, x, 0.0)
+    for corner in range(2, 4):
+        far = _FLAT
+        for turn in range(4):
+            if turn == 2 and corner == 2:  # A - B may be flat along the first direction
+                _set(u, y * u[2] - z * u[1], z * u[0] - x * u[2], x * u[1] - y * u[0])
+            size = np.sqrt(_dot(u, u)) * (1.0 if turn % 2 == 0 else -1.0)
+            _set(n, u[0] / size, u[1] / size, u[2] / size)
+            best = min(best, _support(a, b, T, n, w, work))
+            away = abs(n[0] * (w[0] - p[0, 0]) + n[1] * (w[1] - p[0, 1]) + n[2] * (w[2] - p[0, 2]))
+            if away > far:
+                far = away
+                _set(p[corner], w[0], w[1], w[2])
+        if far == _FLAT:
+            return -1.0
+        _normal(p[0], p[1], p[2], u)
+    return best
 
 
 @njit(cache=True, nogil=True)
@@ -253,7 +245,7 @@ def _set_face(f, p, corners, normals, offsets, inside):  # type: ignore[no-untyp
     n = normals[f]
     area = _normal(p[i], p[j], p[k], n)
     if area < 1e-18:
-        n[:] = 0.0
+        _set(n, 0.0, 0.0, 0.0)
         offsets[f] = np.inf
         return
     for c in range(3):
@@ -279,9 +271,11 @@ def _depth(a, b, T, work):  # type: ignore[no-untyped-def]
     corners = np.empty((_MAX_FACES, 3), np.int64)
     normals, offsets = np.empty((_MAX_FACES, 3)), np.empty(_MAX_FACES)
     edges = np.empty((_MAX_FACES, 2), np.int64)
-    inside = (p[0] + p[1] + p[2] + p[3]) / 4.0
+    inside = np.empty(3)
+    for k in range(3):
+        inside[k] = (p[0, k] + p[1, k] + p[2, k] + p[3, k]) / 4.0
     for f in range(4):
-        corners[f, 0], corners[f, 1], corners[f, 2] = f, (f + 1) % 4, (f + 2) % 4
+        _set(corners[f], f, (f + 1) % 4, (f + 2) % 4)
         _set_face(f, p, corners, normals, offsets, inside)
     faces, w = 4, work[8]
     for count in range(4, _MAX_POINTS):
@@ -289,7 +283,7 @@ def _depth(a, b, T, work):  # type: ignore[no-untyped-def]
         best = min(best, _support(a, b, T, normals[nearest], w, work))
         if best - offsets[nearest] <= TOLERANCE:
             return best
-        p[count] = w
+        _set(p[count], w[0], w[1], w[2])
         faces = _expand(count, p, corners, normals, offsets, faces, edges, inside)
         if faces < 0:
             return best
@@ -311,12 +305,14 @@ def _expand(new, p, corners, normals, offsets, faces, edges, inside):  # type: i
                 if open_edges < 0:
                     return -1
         else:
-            corners[kept], normals[kept], offsets[kept] = corners[f], normals[f], offsets[f]
+            _set(corners[kept], corners[f, 0], corners[f, 1], corners[f, 2])
+            _set(normals[kept], normals[f, 0], normals[f, 1], normals[f, 2])
+            offsets[kept] = offsets[f]
             kept += 1
     if kept + open_edges > _MAX_FACES:
         return -1
     for e in range(open_edges):
-        corners[kept, 0], corners[kept, 1], corners[kept, 2] = edges[e, 0], edges[e, 1], new
+        _set(corners[kept], edges[e, 0], edges[e, 1], new)
         _set_face(kept, p, corners, normals, offsets, inside)
         kept += 1
     return kept
@@ -327,7 +323,7 @@ def _toggle(edges, count, i, j):  # type: ignore[no-untyped-def]
     """Add an edge, or remove it if it is there: what is left in the end is the rim."""
     for e in range(count):
         if edges[e, 0] == i and edges[e, 1] == j:
-            edges[e] = edges[count - 1]
+            edges[e, 0], edges[e, 1] = edges[count - 1, 0], edges[count - 1, 1]
             return count - 1
     if count == len(edges):
         return -1

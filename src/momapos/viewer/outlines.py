@@ -83,6 +83,6 @@ def draw_union(
     path = union_path(polygons)
     if edge is not None:
         # Half of the line lies within the union, where the fill covers it.
-        rim = dict(facecolor="none", edgecolor=edge, linewidth=2 * width, joinstyle="round")
-        axes.add_artist(PathPatch(path, zorder=zorder, **rim))
+        rim = {"edgecolor": edge, "linewidth": 2 * width, "joinstyle": "round"}
+        axes.add_artist(PathPatch(path, facecolor="none", zorder=zorder, **rim))
     axes.add_artist(PathPatch(path, facecolor=fill, linewidth=0, alpha=alpha, zorder=zorder))

@@ -22,7 +22,7 @@ from momapos.viewer.palette import (
     SOFT_INK,
     WAYPOINT,
 )
-from momapos.viewer.room import OVERHEAD
+from momapos.viewer.room import OVERHEAD, OVERHEAD_DASHES
 
 ROWS = 11
 """Reasons that are listed; the rarest are added up [-]."""
@@ -58,7 +58,7 @@ class Panel:
 def draw_panel(
     axes: Any, width: float, height: float, scene: Scene, answer: Answer, seen: Outcomes,
     highest: float,
-) -> None:
+) -> None:  # fmt: skip
     """Write the question, the answer and the reasons.
 
     Args:
@@ -100,8 +100,8 @@ def _facts(panel: Panel, answer: Answer) -> None:
         "infeasible": ("infeasible: no base pose works", BAD),
         "timeout": ("out of time", BAD),
     }[plan.status]
-    panel.axes.plot(0.05, panel.y + 0.045, "o" if plan.status == "solved" else "X", color=colour,
-                    markersize=6, markeredgewidth=0)
+    mark = "o" if plan.status == "solved" else "X"
+    panel.axes.plot(0.05, panel.y + 0.045, mark, color=colour, markersize=6, markeredgewidth=0)
     panel.text(word, x=0.16, size=9, weight="bold", color=colour, fit=panel.width - 0.16, down=0.21)
     rows = []
     if plan.base_pose is not None:
@@ -113,7 +113,7 @@ def _facts(panel: Panel, answer: Answer) -> None:
         rows.append(("time", _seconds(plan.timing["total"])))
     counts = plan.candidates
     rows.append(("candidates sampled", _many(counts.sampled)))
-    rows.append(("checked in full", _many(counts.checked)))
+    rows.append(("candidates checked", _many(counts.checked)))
     for name, value in rows:
         panel.text(name, color=SOFT_INK)
         panel.text(value, x=panel.width, ha="right", down=0.165)
@@ -143,7 +143,7 @@ def _reasons(panel: Panel, counts: dict[str, int], *, floor: float) -> None:
         panel.axes.plot(
             0.05, y + 0.035, look.marker, color=look.colour, markersize=1.3 * look.size,
             markerfacecolor=look.colour if look.filled else "none", markeredgewidth=0.9,
-        )
+        )  # fmt: skip
         words, number = _short(reason, 38), _many(count)
         room = panel.width - 0.2 - 0.062 * len(number)
         panel.text(words, x=0.15, size=7, weight=bold, fit=room)
@@ -197,11 +197,11 @@ def _legend(panel: Panel, answer: Answer, highest: float) -> None:
     panel.axes.plot(
         [right, right + 0.085, right + 0.17], [panel.y + 0.035] * 3, color=WAYPOINT,
         linewidth=0.8, marker="D", markersize=2.8, markeredgecolor="white", markeredgewidth=0.3,
-    )
+    )  # fmt: skip
     panel.text("waypoints", x=right + 0.24, size=7)
     panel.y -= 0.175
-    box(0.0, f"above {OVERHEAD:g} m", fill=False, edgecolor=FURNITURE_EDGE, linewidth=0.7,
-        linestyle=(0, (4, 2.5)))
+    dashed = {"linestyle": OVERHEAD_DASHES, "edgecolor": FURNITURE_EDGE, "linewidth": 0.7}
+    box(0.0, f"above {OVERHEAD:g} m", fill=False, **dashed)
     panel.y -= 0.2
     if highest > 0:
         _gradient(panel, highest)
@@ -218,5 +218,5 @@ def _gradient(panel: Panel, highest: float) -> None:
     panel.axes.imshow(
         np.linspace(0, 1, 128)[None], cmap=colours, aspect="auto", interpolation="bilinear",
         extent=(left, right, panel.y - 0.01, panel.y + 0.08),
-    )
+    )  # fmt: skip
     panel.axes.set(xlim=(0, panel.width))

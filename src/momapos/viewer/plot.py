@@ -88,9 +88,7 @@ def _picture(scene: Scene, answer: Answer, reach: ReachScorer, cell: float) -> b
     _draw_part(axes, answer)
     _draw_candidates(axes, scene, seen, view)
     _draw_robot(axes, answer)
-    name_objects(
-        axes, scene, target=answer.plan.task.object, keep_clear=_keep_clear(answer)
-    )
+    name_objects(axes, scene, target=answer.plan.task.object, keep_clear=_keep_clear(answer))
     column = figure.add_axes(_COLUMN)
     width, height = _COLUMN[2] * SIZE[0], _COLUMN[3] * SIZE[1]
     draw_panel(column, width, height, scene, answer, seen, highest)
@@ -122,14 +120,21 @@ def _view(
     bounds = room_bounds(scene) + np.array([[-0.1], [0.1]])
     if (bounds[1] - bounds[0]).max() <= SMALL_ROOM:
         low, high = np.minimum(low, bounds[0]), np.maximum(high, bounds[1])
-    return _widen(np.stack([low, high]), _MAP[2] * SIZE[0] / (_MAP[3] * SIZE[1]))
+    ratio = _MAP[2] * SIZE[0] / (_MAP[3] * SIZE[1])
+    return _widen(np.stack([low, high]), ratio, bounds)
 
 
-def _widen(view: Float[np.ndarray, "2 2"], ratio: float) -> Float[np.ndarray, "2 2"]:
-    """Add on two sides, so that width over height is as given."""
-    middle, size = view.mean(0), view[1] - view[0]
-    size = np.array([max(size[0], size[1] * ratio), max(size[1], size[0] / ratio)])
-    return np.stack([middle - size / 2, middle + size / 2])
+def _widen(
+    view: Float[np.ndarray, "2 2"], ratio: float, bounds: Float[np.ndarray, "2 2"]
+) -> Float[np.ndarray, "2 2"]:
+    """Grow a view to a ratio of width to height, into the room rather than out of it."""
+    size = view[1] - view[0]
+    grown = np.maximum(size, [size[1] * ratio, size[0] / ratio])
+    low = view.mean(0) - grown / 2
+    inside = np.clip(low, bounds[0], np.maximum(bounds[0], bounds[1] - grown))
+    low = np.clip(inside, view[1] - grown, view[0])  # what must be seen comes first
+    low = np.where(grown < bounds[1] - bounds[0], low, view.mean(0) - grown / 2)
+    return np.stack([low, low + grown])
 
 
 def _frame(axes: Any, view: Float[np.ndarray, "2 2"]) -> None:
@@ -174,8 +179,16 @@ def _draw_heat(axes: Any, heat: Heat | None) -> float:
     steps = [(c, a) for c, a in zip((POTENTIAL[0], *POTENTIAL), (0.0, 0.8, 0.9, 0.95), strict=True)]
     colours = LinearSegmentedColormap.from_list("potential", steps)
     axes.imshow(
-        heat.value, cmap=colours, vmin=0.0, vmax=highest, extent=heat.extent, origin="lower",
-        interpolation="bilinear", interpolation_stage="data", zorder=_HEAT_LAYER, aspect="equal",
+        heat.value,
+        cmap=colours,
+        vmin=0.0,
+        vmax=highest,
+        extent=heat.extent,
+        origin="lower",
+        interpolation="bilinear",
+        interpolation_stage="data",
+        zorder=_HEAT_LAYER,
+        aspect="equal",
     )
     return highest
 
@@ -228,8 +241,14 @@ def _draw_robot(axes: Any, answer: Answer) -> None:
         draw_arm(axes, robot, base, plan.motion.q[0], faint=True)
         draw_arm(axes, robot, base, plan.motion.q[-1])
     axes.plot(
-        *_waypoints(answer)[:, :2].T, color=WAYPOINT, linewidth=0.8, marker="D", markersize=3.4,
-        markeredgecolor="white", markeredgewidth=0.4, zorder=_WAYPOINT_LAYER,
+        *_waypoints(answer)[:, :2].T,
+        color=WAYPOINT,
+        linewidth=0.8,
+        marker="D",
+        markersize=3.4,
+        markeredgecolor="white",
+        markeredgewidth=0.4,
+        zorder=_WAYPOINT_LAYER,
     )
 
 

@@ -24,19 +24,18 @@ def draw_footprint(
     from matplotlib.patches import Polygon
 
     xy = footprints(robot, np.asarray(base, float)[None])[0]
-    colour = INK
-    look = (
-        dict(facecolor=(1, 1, 1, 0.55), linewidth=1.0, linestyle=(0, (3.5, 2)))
-        if dashed
-        else dict(facecolor=(1, 1, 1, 0.72), linewidth=1.6)
-    )
-    axes.add_patch(Polygon(xy, edgecolor=colour, zorder=FOOTPRINT_LAYER, **look))
+    opacity, width, dashes = (0.55, 1.0, (0, (3.5, 2))) if dashed else (0.72, 1.6, "solid")
+    shape = Polygon(
+        xy, facecolor=(1, 1, 1, opacity), edgecolor=INK, linewidth=width, linestyle=dashes,
+        zorder=FOOTPRINT_LAYER,
+    )  # fmt: skip
+    axes.add_patch(shape)
     front = robot.footprint[:, 0].max()
     heading = np.array([np.cos(base[2]), np.sin(base[2])])
     tail, tip = base[:2] - 0.3 * front * heading, base[:2] + 0.85 * front * heading
-    style = dict(arrowstyle="-|>", mutation_scale=9, color=colour, shrinkA=0, shrinkB=0)
-    style |= dict(linewidth=1.0 if dashed else 1.5)
-    axes.annotate("", tip, tail, arrowprops=style, zorder=FOOTPRINT_LAYER + 0.5)
+    arrow = {"arrowstyle": "-|>", "mutation_scale": 9, "shrinkA": 0, "shrinkB": 0}
+    arrow |= {"color": INK, "linewidth": 0.95 * width}
+    axes.annotate("", tip, tail, arrowprops=arrow, zorder=FOOTPRINT_LAYER + 0.5)
 
 
 def draw_arm(
@@ -61,7 +60,7 @@ def draw_arm(
         axes.plot(
             *line.T, color=ARM, linewidth=1.6, marker="o", markersize=2.6, markerfacecolor="white",
             markeredgewidth=0.8, solid_capstyle="round", zorder=layer + 0.5,
-        )
+        )  # fmt: skip
 
 
 def arm_frames(

@@ -25,6 +25,7 @@ from momapos.viewer.palette import (
 
 OVERHEAD = 1.2
 """What hangs higher than this is drawn as a dashed outline only [m]."""
+OVERHEAD_DASHES = (0, (4, 2.5))
 FLOOR_LAYER, FURNITURE_LAYER, OVERHEAD_LAYER, NAME_LAYER = 0.0, 2.0, 6.0, 20.0
 """Where things are drawn; what lies on the floor goes in between."""
 SMALL = 0.3
@@ -45,8 +46,9 @@ def room(axes: Any, scene: Scene, *, target: str = "", moving: Collection[str] =
     from matplotlib.patches import Polygon
 
     if scene.floor is not None:
-        look = dict(facecolor=FLOOR, edgecolor=FLOOR_EDGE, linewidth=0.8)
-        axes.add_patch(Polygon(scene.floor, zorder=FLOOR_LAYER, **look))
+        axes.add_patch(
+            Polygon(scene.floor, facecolor=FLOOR, edgecolor=FLOOR_EDGE, lw=0.8, zorder=FLOOR_LAYER)
+        )
     tallest = max((float(o.bounds[1, 2]) for o in scene.objects), default=1.0) or 1.0
     for item in scene.objects:
         # What stands on something is drawn over it: higher bottoms later, then higher tops.
@@ -73,8 +75,11 @@ def _object(
     draw_union(axes, [p for p in standing if p is not None], fill=fill, edge=edge, zorder=layer)
     for polygon in hanging:
         if polygon is not None:
-            dashed = dict(fill=False, edgecolor=edge, linewidth=0.7, linestyle=(0, (4, 2.5)))
-            axes.add_patch(Polygon(polygon, zorder=OVERHEAD_LAYER, **dashed))
+            shape = Polygon(
+                polygon, fill=False, edgecolor=edge, linewidth=0.7, linestyle=OVERHEAD_DASHES,
+                zorder=OVERHEAD_LAYER,
+            )  # fmt: skip
+            axes.add_patch(shape)
 
 
 def _look(item: SceneObject, is_target: bool) -> tuple[str, str]:
@@ -147,7 +152,7 @@ def _text(axes: Any, words: str, size: float, bold: bool) -> Any:
         0, 0, words, ha="center", va="center", size=size, zorder=NAME_LAYER,
         color=INK if bold else SOFT_INK, weight="bold" if bold else "normal", clip_on=True,
         path_effects=[withStroke(linewidth=1.6, foreground="white", alpha=0.75)],
-    )
+    )  # fmt: skip
 
 
 def _extent(axes: Any, text: Any) -> Float[np.ndarray, "2"]:
@@ -168,9 +173,9 @@ def _spot(
     inside = np.stack(np.meshgrid(steps, steps), -1).reshape(-1, 2)
     room_left = np.maximum((high - low - extent) / 2, 0.0)
     spots = middle + inside * room_left
-    if (high - low).max() < SMALL:  # the name would hide it, and may stand beside it
+    if (high - low).max() < SMALL:  # the name would hide it
         beside = np.array([[0, -1], [0, 1], [1, 0], [-1, 0], [1, -1], [-1, -1], [1, 1], [-1, 1]])
-        spots = np.vstack([middle + beside * ((high - low + extent) / 2 + 0.01), spots])
+        spots = middle + beside * ((high - low + extent) / 2 + 0.01)
     distance = np.linalg.norm((spots - middle) / extent, axis=1)
     for spot in spots[np.argsort(distance, kind="stable")]:
         corners = np.stack([spot - extent / 2, spot + extent / 2])

@@ -1,0 +1,195 @@
+"""A toy arm opens the door of a cupboard: a case small enough to know what is right.
+
+The plan comes from closed-form inverse kinematics along the arc of the handle, without a planner.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+from momapos.geometry.transforms import invert, pose, pose_planar
+from momapos.kinematics.articulated import Articulated
+from momapos.kinematics.chain import build_chain
+from momapos.kinematics.ik import build_ik, solve_ik
+from momapos.kinematics.urdf import read_urdf
+
+JOINTS = ("pan", "lift", "elbow", "roll", "pitch", "twist")
+BASE = (-0.7, 0.15, 0.3)
+OPEN = 1.0
+HINGE, HANDLE = (0.185, -0.29, 0.8), (-0.09, 0.54, 0.0)
+
+
+def robot_urdf() -> str:
+    """Six axes with a spherical wrist on a box; a palm behind the tool frame."""
+    links = {
+        "base": '<origin xyz="0 0 0.3"/><geometry><box size="0.4 0.4 0.5"/></geometry>',
+        "shoulder": '<origin xyz="0 0 0.03"/><geometry><sphere radius="0.06"/></geometry>',
+        "upper": '<origin xyz="0 0 0.2"/><geometry><cylinder radius="0.04" length="0.3"/></geometry>',
+        "fore": '<origin xyz="0 0 0.18"/><geometry><cylinder radius="0.035" length="0.26"/></geometry>',
+        "wrist": "",
+        "knuckle": '<geometry><sphere radius="0.03"/></geometry>',
+        "palm": '<origin xyz="0 0 0.09"/><geometry><box size="0.08 0.06 0.06"/></geometry>',
+    }
+    joints = {
+        "pan": ("base", "shoulder", "0 0 0.65", "0 0 1", 3.1),
+        "lift": ("shoulder", "upper", "0 0 0.1", "0 1 0", 2.8),
+        "elbow": ("upper", "fore", "0 0 0.4", "0 1 0", 2.8),
+        "roll": ("fore", "wrist", "0 0 0.4", "0 0 1", 3.1),
+        "pitch": ("wrist", "knuckle", "0 0 0", "0 1 0", 2.4),
+        "twist": ("knuckle", "palm", "0 0 0", "0 0 1", 3.1),
+    }
+    text = ['<robot name="toy">', '<link name="tool"/>']
+    for name, shape in links.items():
+        collision = f"<collision>{shape}</collision>" if shape else ""
+        text.append(f'<link name="{name}">{collision}</link>')
+    for name, (parent, child, origin, axis, limit) in joints.items():
+        text.append(
+            f'<joint name="{name}" type="revolute"><parent link="{parent}"/>'
+            f'<child link="{child}"/><origin xyz="{origin}"/><axis xyz="{axis}"/>'
+            f'<limit lower="-{limit}" upper="{limit}" effort="1" velocity="1"/></joint>'
+        )
+    text.append(
+        '<joint name="mount" type="fixed"><parent link="palm"/><child link="tool"/>'
+        '<origin xyz="0 0 0.16"/></joint></robot>'
+    )
+    return "\n".join(text)
+
+
+def cupboard_urdf(*, handle: bool = True) -> str:
+    """A closed box with a door that turns out of its front, towards -x."""
+    bar = '<collision><geometry><box size="0.02 0.02 0.12"/></geometry></collision>'
+    return f"""<robot name="cupboard">
+<link name="body"><collision><geometry><box size="0.4 0.6 0.8"/></geometry></collision></link>
+<link name="door"><collision><origin xyz="0 0.29 0"/>
+  <geometry><box size="0.02 0.58 0.78"/></geometry></collision></link>
+<link name="handle">{bar if handle else ""}</link>
+<joint name="hinge" type="revolute"><parent link="body"/><child link="door"/>
+  <origin xyz="-0.215 -0.29 0"/><axis xyz="0 0 1"/>
+  <limit lower="0" upper="1.2" effort="1" velocity="1"/></joint>
+<joint name="bar" type="fixed"><parent link="door"/><child link="handle"/>
+  <origin xyz="{HANDLE[0]} {HANDLE[1]} {HANDLE[2]}"/></joint>
+</robot>"""
+
+
+def scene_dict() -> dict[str, Any]:
+    """The cupboard in the world's frame, and a box that is in nobody's way."""
+    upright = [1.0, 0.0, 0.0, 0.0]
+    return {
+        "format": "momapos-scene",
+        "version": 1,
+        "name": "toy room",
+        "floor": [[-3.0, -3.0], [3.0, -3.0], [3.0, 3.0], [-3.0, 3.0]],
+        "objects": [
+            {
+                "name": "cupboard", "category": "cabinet", "urdf": "cupboard.urdf",
+                "pose": {"xyz": [0.4, 0.0, 0.8], "wxyz": upright}, "joints": {"hinge": 0.0},
+            },
+            {
+                "name": "bin", "category": "bin", "box": [0.2, 0.2, 0.3],
+                "pose": {"xyz": [-0.7, -1.5, 0.15], "wxyz": upright},
+            },
+        ],
+    }  # fmt: skip
+
+
+def tool_poses(values: np.ndarray) -> np.ndarray:
+    """Tool poses that hold the handle at angles of the door."""
+    grip = np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])  # approach along +x
+    poses = []
+    for value in values:
+        c, s = np.cos(value), np.sin(value)
+        T_world_door = pose(HINGE, np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]))
+        poses.append(T_world_door @ pose(HANDLE, grip))
+    return np.array(poses)
+
+
+@cache
+def arm_path() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Arm states on the way to the handle, along its arc, and the door's values there."""
+    with TemporaryDirectory() as folder:
+        (Path(folder) / "robot.urdf").write_text(robot_urdf())
+        model = Articulated(read_urdf(Path(folder) / "robot.urdf"))
+    chain, _ = build_chain(model, "base", "tool", JOINTS)
+    values = np.linspace(0.0, OPEN, 41)
+    held = tool_poses(values)
+    before = held[:1] @ np.array([pose((0.0, 0.0, z)) for z in np.linspace(-0.1, 0.0, 11)])
+    Ts = invert(pose_planar(np.array(BASE))) @ np.concatenate([before, held])
+    solutions, counts = solve_ik(chain, build_ik(chain), Ts)
+    for first in range(counts[0]):
+        path = [solutions[0, first]]
+        for states, count in zip(solutions[1:], counts[1:], strict=True):
+            if not count:
+                break
+            apart = np.abs(states[:count] - path[-1]).max(1)
+            path.append(states[int(apart.argmin())])
+        if len(path) == len(Ts) and np.abs(np.diff(path, axis=0)).max() < 0.2:
+            return np.array(path[:11]), np.array(path[11:]), values
+    raise AssertionError("the toy arm does not reach along the arc")
+
+
+@dataclass
+class Case:
+    """All files of the case, to be changed before they are written."""
+
+    plan: dict[str, Any]
+    scene: dict[str, Any]
+    robot: str
+    cupboard: str
+
+    def write(self, folder: Path) -> Path:
+        """Write the files into a folder; return the plan's path."""
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "robot.urdf").write_text(self.robot)
+        (folder / "cupboard.urdf").write_text(self.cupboard)
+        (folder / "scene.json").write_text(json.dumps(self.scene))
+        (folder / "plan.json").write_text(json.dumps(self.plan))
+        return folder / "plan.json"
+
+    def q(self) -> list[list[float]]:
+        """All states of the arm, approach first; changes go into the plan."""
+        return [*self.plan["approach"], *self.plan["manipulation"]["q"]]
+
+    def obstacle(self, size: list[float], xyz: list[float]) -> None:
+        """Put a box into the scene."""
+        upright = [1.0, 0.0, 0.0, 0.0]
+        box = {"name": "post", "box": size, "pose": {"xyz": xyz, "wxyz": upright}}
+        self.scene["objects"].append(box)
+
+    def regrasp(self, values: np.ndarray) -> None:
+        """Let the door lag behind the arm: the same arm states, other values of the door."""
+        self.plan["manipulation"]["object_q"] = values.tolist()
+
+
+def make_case() -> Case:
+    """A valid plan and its files."""
+    approach, q, values = arm_path()
+    plan = {
+        "format": "momapos-plan",
+        "version": 1,
+        "scene": "scene.json",
+        "robot": {"name": "toy", "urdf": "robot.urdf", "base_link": "base", "tool_link": "tool"},
+        "task": {"verb": "open", "object": "cupboard", "joint": "hinge", "to": OPEN},
+        "status": "solved",
+        "base_pose": dict(zip(("x", "y", "yaw"), BASE, strict=True)),
+        "joints": list(JOINTS),
+        "approach": approach.tolist(),
+        "manipulation": {
+            "q": q.tolist(),
+            "object_q": values.tolist(),
+            "T_world_tool": tool_poses(values).tolist(),
+        },
+        "navigation_cost": 1.5,
+        "candidates": {"sampled": 8, "checked": 2, "rejections": {"no path": 1}},
+        "timing": {"search": 0.25, "total": 0.5},
+        "method": "by hand",
+        "seed": 7,
+        "versions": {"numpy": "2"},
+    }
+    return Case(plan, scene_dict(), robot_urdf(), cupboard_urdf())

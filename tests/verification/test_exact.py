@@ -1,0 +1,202 @@
+"""The exact check accepts a plan that is right, and every way to spoil it is refused."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from door_case import BASE, JOINTS, OPEN, arm_path, make_case, tool_poses
+from mutations import MUTATIONS
+
+from momapos.errors import TaskError, UnknownNameError
+from momapos.geometry.transforms import pose_planar
+from momapos.kinematics.articulated import Articulated
+from momapos.kinematics.urdf import read_urdf
+from momapos.scene.files import load_scene
+from momapos.types import Motion, Task
+from momapos.verification.bodies import bodies_of, body_poses
+from momapos.verification.exact import ExactWorld
+from momapos.verification.files import UrdfArm, verify_files
+from momapos.verification.report import Limits
+
+RENAMED = {
+    "same number (1 or more) of q, object_q, T_world_tool":
+        "same number (2 or more) of q, object_q, T_world_tool",
+    "the object's motion has 2 or more states":
+        "same number (2 or more) of q, object_q, T_world_tool",
+}  # fmt: skip
+RUN_THE_OTHER = """
+import json, sys, types
+from pathlib import Path
+import verify_plan
+options = types.SimpleNamespace(skip_approach=False, allow_hinge_grasp=False)
+for path in map(Path, sys.argv[1:]):
+    report, _ = verify_plan.verify(json.loads(path.read_text()), path.parent, None, options)
+    print(json.dumps({check["check"]: (check["ok"], check["value"]) for check in report.checks}))
+"""
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory: pytest.TempPathFactory) -> ExactWorld:
+    folder = tmp_path_factory.mktemp("toy")
+    make_case().write(folder)
+    task = Task("open", "cupboard", "hinge", OPEN)
+    return ExactWorld(load_scene(folder / "scene.json"), toy_arm(folder), task)
+
+
+@pytest.fixture
+def motion() -> Motion:
+    approach, q, values = arm_path()
+    return Motion(approach, q, values, tool_poses(values))
+
+
+def toy_arm(folder: Path) -> UrdfArm:
+    model = Articulated(read_urdf(folder / "robot.urdf"))
+    return UrdfArm(model, "base", "tool", JOINTS, frozenset())
+
+
+def test_a_plan_along_the_arc_of_the_handle_is_valid(tmp_path: Path) -> None:
+    report = verify_files(make_case().write(tmp_path))
+    assert report.valid, report.violations
+    assert report.gripper_depth == 0.0
+
+
+@pytest.mark.parametrize("name", MUTATIONS)
+def test_a_spoilt_plan_is_refused_for_its_reason(name: str, tmp_path: Path) -> None:
+    spoil, reason = MUTATIONS[name]
+    case = make_case()
+    spoil(case)
+    report = verify_files(case.write(tmp_path))
+    assert reason in [check.name for check in report.violations]
+
+
+def test_the_independent_checker_finds_the_same(tmp_path: Path) -> None:
+    tools = tools_folder()
+    plans = {"valid": make_case().write(tmp_path / "valid")}
+    for name, (spoil, _) in MUTATIONS.items():
+        case = make_case()
+        spoil(case)
+        plans[name] = case.write(tmp_path / name)
+    command = [sys.executable, "-c", RUN_THE_OTHER, *map(str, plans.values())]
+    other = subprocess.run(
+        command, capture_output=True, text=True, cwd=tools, env={**os.environ, "PYTHONPATH": "."}
+    )
+    assert other.returncode == 0, other.stderr
+    for (name, path), line in zip(plans.items(), other.stdout.splitlines(), strict=True):
+        theirs = json.loads(line)
+        report = verify_files(path)
+        ours = {RENAMED.get(check.name, check.name) for check in report.violations}
+        assert ours == {key for key, (ok, _) in theirs.items() if not ok}, name
+        for check in report.checks:
+            if check.name in theirs and check.unit:
+                assert check.value == pytest.approx(theirs[check.name][1], abs=0.02), name
+
+
+def tools_folder() -> Path:
+    given = Path(os.environ.get("MOMAPOS_SHARED", Path(__file__).parents[3] / "shared" / "data"))
+    for folder in (given.parent / "tools", given / "tools"):
+        if (folder / "verify_plan.py").is_file():
+            pytest.importorskip("coal")
+            pytest.importorskip("pinocchio")
+            return folder
+    pytest.skip(f"no independent checker beside {given}; set MOMAPOS_SHARED to the shared data")
+
+
+def test_numbers_that_are_not_finite_are_refused(world: ExactWorld, motion: Motion) -> None:
+    for key in ("approach", "q", "object_q", "Ts_world_tool"):
+        for number in (math.nan, math.inf, 1e300):
+            spoilt = getattr(motion, key).copy()
+            spoilt.reshape(-1)[3] = number
+            report = world.check(BASE, replace(motion, **{key: spoilt}))
+            assert [check.name for check in report.violations] == ["numbers are finite"]
+    assert not world.check((math.nan, 0.0, 0.0), motion).valid
+
+
+def test_a_motion_too_long_to_check_is_refused(world: ExactWorld, motion: Motion) -> None:
+    there_and_back = np.tile([[0.0] * 6, [9e5] * 6], (50, 1))
+    report = world.check(BASE, replace(motion, approach=there_and_back))
+    assert [check.name for check in report.violations] == ["states to check"]
+
+
+def test_one_world_serves_many_motions(world: ExactWorld, motion: Motion) -> None:
+    assert world.check(BASE, motion).valid
+    assert world.refusal((BASE[0], BASE[1], BASE[2] + 3.0), motion) is not None
+    assert world.refusal(BASE, motion) is None
+
+
+def test_a_refusal_names_the_pair_without_numbers(tmp_path: Path, motion: Motion) -> None:
+    case = make_case()
+    MUTATIONS["an_obstacle_in_the_way_of_the_forearm"][0](case)
+    case.write(tmp_path)
+    task = Task("open", "cupboard", "hinge", OPEN)
+    world = ExactWorld(load_scene(tmp_path / "scene.json"), toy_arm(tmp_path), task)
+    assert world.refusal(BASE, motion) == "arm in the scene: fore in post/box"
+
+
+def test_a_clearance_is_asked_for_with_a_penetration_below_zero(
+    tmp_path: Path, motion: Motion
+) -> None:
+    make_case().write(tmp_path)
+    scene, arm = load_scene(tmp_path / "scene.json"), toy_arm(tmp_path)
+    task = Task("open", "cupboard", "hinge", OPEN)
+
+    def clear(distance: float) -> bool:
+        limits = Limits(penetration=-distance)
+        return ExactWorld(scene, arm, task, limits).check(BASE, motion).valid
+
+    assert clear(0.0)
+    assert not clear(0.3)
+
+
+def test_unknown_names_are_errors_that_offer_the_right_one(tmp_path: Path) -> None:
+    case = make_case()
+    case.plan["task"]["object"] = "cupbord"
+    with pytest.raises(UnknownNameError, match="cupboard"):
+        verify_files(case.write(tmp_path))
+    case = make_case()
+    case.plan["task"]["joint"] = "hinges"
+    with pytest.raises(UnknownNameError, match="hinge"):
+        verify_files(case.write(tmp_path))
+    case = make_case()
+    case.plan["robot"]["tool_link"] = "toool"
+    with pytest.raises(UnknownNameError, match="tool"):
+        verify_files(case.write(tmp_path))
+
+
+def test_a_task_without_a_value_is_an_error(tmp_path: Path) -> None:
+    make_case().write(tmp_path)
+    scene = load_scene(tmp_path / "scene.json")
+    with pytest.raises(TaskError, match="value"):
+        ExactWorld(scene, toy_arm(tmp_path), Task("open", "cupboard", "hinge"))
+    with pytest.raises(TaskError, match="joint"):
+        ExactWorld(scene, toy_arm(tmp_path), Task("open", "cupboard"))
+
+
+def test_a_gripper_inside_the_part_is_told_and_not_refused(tmp_path: Path) -> None:
+    case = make_case()
+    case.robot = case.robot.replace('size="0.08 0.06 0.06"', 'size="0.08 0.06 0.16"')
+    report = verify_files(case.write(tmp_path))
+    assert report.valid, report.violations
+    assert report.gripper_depth == pytest.approx(0.02, abs=1e-5)  # the handle's width
+
+
+def test_kinematics_agree_with_the_scenes_own(tmp_path: Path) -> None:
+    make_case().write(tmp_path)
+    model = Articulated(read_urdf(tmp_path / "robot.urdf"))
+    bodies = bodies_of(model)
+    rng = np.random.default_rng(0)
+    values = {name: rng.uniform(-2.0, 2.0, 5) for name in model.joints}
+    root = pose_planar(np.array([0.3, -0.2, 1.0]))
+    Ts = body_poses(bodies, values, root)
+    for state in range(5):
+        poses = model.link_poses({name: v[state] for name, v in values.items()})
+        for link, T in poses.items():
+            mine = Ts[state, bodies.of_link[link]] @ bodies.T_body_link[link]
+            np.testing.assert_allclose(mine, root @ T, atol=1e-12)

@@ -1,0 +1,176 @@
+"""Pictures of answers."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from jaxtyping import Float
+
+from momapos.errors import InputError
+from momapos.manipulation.motion import MotionConfig, task_motion
+from momapos.manipulation.tasks import make_task
+from momapos.pipeline import Answer
+from momapos.placement.area import Site
+from momapos.placement.place import FEASIBLE, NOT_TRIED, Search
+from momapos.robots.robot import Robot, load_robot
+from momapos.scene.files import load_scene
+from momapos.scene.scene import Scene
+from momapos.types import Motion, PlacementPlan
+from momapos.viewer.plot import draw_answer
+
+BASE = np.array([0.55, -1.6, 1.2])
+REASONS = (
+    "base blocked", "out of reach", "arm hits fridge/door at waypoint 3", "no continuous branch",
+    NOT_TRIED, FEASIBLE, "something nobody has thought of",
+)  # fmt: skip
+
+
+class Near:
+    """A map on which the arm reaches whatever is near."""
+
+    def weakest(
+        self, bases: Float[np.ndarray, "n 3"], Ts_world_tool: Float[np.ndarray, "g w 4 4"]
+    ) -> Float[np.ndarray, "n g"]:
+        away = bases[:, None, :2] - Ts_world_tool[None, 0, :, :2, 3]
+        score = np.clip(1.2 - np.linalg.norm(away, axis=-1), 0.0, 1.0).min(1)
+        return np.tile(score[:, None], len(Ts_world_tool))
+
+
+class Broken:
+    """A map that cannot be asked."""
+
+    def weakest(self, bases: np.ndarray, Ts_world_tool: np.ndarray) -> np.ndarray:
+        raise RuntimeError(f"no map for {len(bases)} bases, {len(Ts_world_tool)} grasps")
+
+
+@pytest.fixture(scope="module")
+def kitchen() -> Scene:
+    return load_scene("kitchen_small")
+
+
+@pytest.fixture(scope="module")
+def fetch() -> Robot:
+    return load_robot("fetch")
+
+
+def answer_of(scene: Scene, robot: Robot, verb: str, name: str, joint: str | None) -> Answer:
+    """An answer that is only good for being drawn: the arm stays at home."""
+    task = make_task(scene, verb, name, joint)
+    motion = task_motion(scene, robot, task, MotionConfig())
+    tools = motion.Ts_world_tool[0, motion.hold :]
+    poses = np.random.default_rng(0).uniform([0, -2.5, -3], [2, 0, 3], (70, 3))
+    plan = PlacementPlan(
+        scene=scene.name, robot_name=robot.name, robot_urdf="", base_link=robot.base_link,
+        tool_link=robot.tool_link, task=task, status="solved", joints=robot.arm_joints,
+        base_pose=(0.55, -1.6, 1.2), navigation_cost=1.5, timing={"total": 1.25},
+        motion=Motion(
+            robot.home[None], np.tile(robot.home, (len(tools), 1)),
+            motion.object_q[motion.hold :], tools,
+        ),
+    )  # fmt: skip
+    return Answer(
+        plan=plan,
+        site=Site(
+            robot=robot, Ts_world_tool=np.ascontiguousarray(motion.Ts_world_tool[:, motion.coarse]),
+            static=motion.static, sweep=motion.sweep(), floor=scene.floor, clearance=0.01,
+        ),
+        motion=motion,
+        search=Search(poses=[poses], reasons=[np.array(REASONS * 10, object)], base=BASE),
+        start=np.array([1.9, -1.6, 1.57]),
+        slides=joint is not None and joint.endswith("slide"),
+    )  # fmt: skip
+
+
+def unsolved(answer: Answer, search: Search) -> Answer:
+    plan = replace(
+        answer.plan, status="infeasible", base_pose=None, motion=None, navigation_cost=None
+    )
+    return replace(answer, plan=plan, search=search)
+
+
+def size_of(path: Path) -> tuple[int, int]:
+    """Width and height of a PNG file, as its header has them."""
+    head = path.read_bytes()[:24]
+    assert head[:8] == b"\x89PNG\r\n\x1a\n"
+    return struct.unpack(">II", head[16:24])
+
+
+@pytest.mark.parametrize(
+    ("verb", "name", "joint"),
+    [
+        ("open", "fridge", "door_hinge"),
+        ("open", "cabinet_right", "drawer_top_slide"),
+        ("pick", "cup", None),
+    ],
+)
+def test_an_answer_becomes_a_png_of_1600_by_1200(
+    kitchen: Scene, fetch: Robot, tmp_path: Path, verb: str, name: str, joint: str | None
+) -> None:
+    path = tmp_path / "new" / "plan.png"
+    draw_answer(kitchen, answer_of(kitchen, fetch, verb, name, joint), Near(), path)
+    assert size_of(path) == (1600, 1200)
+    assert list(path.parent.iterdir()) == [path]
+
+
+def test_the_same_answer_gives_the_same_picture(
+    kitchen: Scene, fetch: Robot, tmp_path: Path
+) -> None:
+    answer = answer_of(kitchen, fetch, "open", "fridge", "door_hinge")
+    for name in ("a.png", "b.png"):
+        draw_answer(kitchen, answer, Near(), tmp_path / name)
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+
+
+@pytest.mark.parametrize(
+    "search",
+    [
+        Search(),
+        Search(poses=[np.zeros((0, 3))], reasons=[np.zeros(0, object)]),
+        Search(
+            poses=[np.zeros((1, 3))], reasons=[np.array(["out of reach at any distance"], object)]
+        ),
+        Search(poses=[np.ones((2, 3))], reasons=[np.array(["base blocked"] * 2, object)]),
+    ],
+    ids=["nothing", "no candidates", "out of reach at any distance", "all blocked"],
+)
+def test_an_infeasible_answer_is_drawn_too(
+    kitchen: Scene, fetch: Robot, tmp_path: Path, search: Search
+) -> None:
+    answer = unsolved(answer_of(kitchen, fetch, "open", "fridge", "door_hinge"), search)
+    draw_answer(kitchen, answer, Near(), tmp_path / "plan.png")
+    assert size_of(tmp_path / "plan.png") == (1600, 1200)
+
+
+def test_a_room_without_a_floor_is_drawn_too(kitchen: Scene, fetch: Robot, tmp_path: Path) -> None:
+    bare = replace(kitchen, floor=None, objects=kitchen.objects[:3])
+    answer = answer_of(bare, fetch, "open", "fridge", "door_hinge")
+    draw_answer(bare, answer, Near(), tmp_path / "plan.png")
+    assert size_of(tmp_path / "plan.png") == (1600, 1200)
+
+
+def test_a_failed_picture_leaves_the_old_file_alone(
+    kitchen: Scene, fetch: Robot, tmp_path: Path
+) -> None:
+    path = tmp_path / "plan.png"
+    path.write_bytes(b"old")
+    answer = answer_of(kitchen, fetch, "open", "fridge", "door_hinge")
+    with pytest.raises(RuntimeError, match="no map"):
+        draw_answer(kitchen, answer, Broken(), path)
+    assert path.read_bytes() == b"old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_place_that_cannot_be_written_is_named_and_left_as_it_is(
+    kitchen: Scene, fetch: Robot, tmp_path: Path
+) -> None:
+    answer = unsolved(answer_of(kitchen, fetch, "pick", "cup", None), Search())
+    folder = tmp_path / "plan.png"
+    folder.mkdir()
+    with pytest.raises(InputError, match=r"plan\.png: cannot be written"):
+        draw_answer(kitchen, answer, Near(), folder)
+    assert list(tmp_path.iterdir()) == [folder]
+    assert list(folder.iterdir()) == []
