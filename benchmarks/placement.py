@@ -23,7 +23,7 @@ from momapos.config import PipelineConfig
 from momapos.errors import MomaposError
 from momapos.manipulation.tasks import make_task, openable
 from momapos.pipeline import place
-from momapos.placement.place import PlaceConfig
+from momapos.placement.place import FEASIBLE, PASSED, PlaceConfig
 from momapos.reachability.store import load_or_build
 from momapos.robots.robot import load_robot
 from momapos.scene.files import load_scene
@@ -98,7 +98,7 @@ def _ground_truth(scene, robot, task, reach) -> dict:  # type: ignore[no-untyped
         "grid": answer.plan.status,
         "grid_seconds": time.perf_counter() - began,
         "grid_cost": answer.plan.navigation_cost,
-        "grid_feasible": int((reasons == "feasible").sum()),
+        "grid_feasible": int(np.isin(reasons, (FEASIBLE, PASSED)).sum()),
         "grid_poses": len(reasons),
     }
 

@@ -134,8 +134,10 @@ def an_obstacle_in_the_way_of_the_forearm(case: Case) -> None:
 
 @mutation("arm in the scene")
 def an_obstacle_on_the_approach(case: Case) -> None:
-    case.plan["approach"].insert(0, [value + 0.5 for value in case.plan["approach"][0]])
-    case.obstacle([0.02, 0.3, 0.6], [-0.45, 0.75, 1.0])
+    row = list(case.plan["approach"][0])
+    row[0] += 1.0
+    case.plan["approach"].insert(0, row)
+    case.obstacle([0.08, 0.08, 0.08], [-0.14, 0.57, 0.8])
 
 
 @mutation("robot in itself")
@@ -148,7 +150,7 @@ def the_arm_folds_into_the_base(case: Case) -> None:
 @mutation("arm below the floor")
 def the_arm_reaches_through_the_floor(case: Case) -> None:
     row = list(case.plan["approach"][0])
-    row[1:] = [2.1, 0.8, 0.0, 0.0, 0.0]
+    row[1:] = [2.3, 0.8, 0.0, 0.0, 0.0]
     case.plan["approach"].insert(0, row)
 
 
@@ -162,12 +164,12 @@ def the_tool_is_far_from_the_part(case: Case) -> None:
     case.cupboard = cupboard_urdf(handle=False)
 
 
-@mutation("same number (1 or more) of q, object_q, T_world_tool")
+@mutation("same number (2 or more) of q, object_q, T_world_tool")
 def a_value_of_the_door_is_missing(case: Case) -> None:
     held(case)["object_q"].pop()
 
 
-@mutation("the object's motion has 2 or more states")
+@mutation("same number (2 or more) of q, object_q, T_world_tool")
 def a_single_state(case: Case) -> None:
     for key in ("q", "object_q", "T_world_tool"):
         held(case)[key] = held(case)[key][:1]

@@ -26,12 +26,6 @@ from momapos.verification.exact import ExactWorld
 from momapos.verification.files import UrdfArm, verify_files
 from momapos.verification.report import Limits
 
-RENAMED = {
-    "same number (1 or more) of q, object_q, T_world_tool":
-        "same number (2 or more) of q, object_q, T_world_tool",
-    "the object's motion has 2 or more states":
-        "same number (2 or more) of q, object_q, T_world_tool",
-}  # fmt: skip
 RUN_THE_OTHER = """
 import json, sys, types
 from pathlib import Path
@@ -92,7 +86,7 @@ def test_the_independent_checker_finds_the_same(tmp_path: Path) -> None:
     for (name, path), line in zip(plans.items(), other.stdout.splitlines(), strict=True):
         theirs = json.loads(line)
         report = verify_files(path)
-        ours = {RENAMED.get(check.name, check.name) for check in report.violations}
+        ours = {check.name for check in report.violations}
         assert ours == {key for key, (ok, _) in theirs.items() if not ok}, name
         for check in report.checks:
             if check.name in theirs and check.unit:
@@ -184,7 +178,7 @@ def test_a_gripper_inside_the_part_is_told_and_not_refused(tmp_path: Path) -> No
     case.robot = case.robot.replace('size="0.08 0.06 0.06"', 'size="0.08 0.06 0.16"')
     report = verify_files(case.write(tmp_path))
     assert report.valid, report.violations
-    assert report.gripper_depth == pytest.approx(0.02, abs=1e-5)  # the handle's width
+    assert report.gripper_depth == pytest.approx(0.02, abs=5e-4)  # the handle's width
 
 
 def test_kinematics_agree_with_the_scenes_own(tmp_path: Path) -> None:

@@ -31,6 +31,7 @@ FEASIBLE = "feasible"
 REASONS = {BLOCKED: "base blocked", OFF_FLOOR: "base off the floor", 3: "farther than the arm"}
 NO_REACH, NO_WAY, NOT_TRIED = "out of reach", "no way to drive there", "not tried"
 NO_PATH = "no free arm path over the waypoints"
+PASSED = "path found, approach not checked"
 
 
 @dataclass(frozen=True)
@@ -91,7 +92,7 @@ class Search:
     def candidates(self) -> Candidates:
         """Counts for the plan."""
         every = np.concatenate(self.reasons) if self.reasons else np.zeros(0, object)
-        counts = Counter(r for r in every.tolist() if r not in (FEASIBLE, NOT_TRIED))
+        counts = Counter(r for r in every.tolist() if r not in (FEASIBLE, PASSED, NOT_TRIED))
         return Candidates(len(every), self.checked, dict(counts.most_common()))
 
 
@@ -230,7 +231,7 @@ def _screen(problem: Problem, left: _Shortlist, found: Search) -> None:
     passed = problem.screen(left.poses, left.scores)
     found.checked += len(passed)
     left.keep(passed, NO_PATH)
-    left.reasons[left.row] = FEASIBLE
+    left.reasons[left.row] = PASSED
 
 
 def _check_grid(problem: Problem, left: _Shortlist, found: Search) -> None:

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float, Int8
 
 from momapos.reachability.grid import floor_scores, pack_shape, score_lines, weakest_lines
 
-YAWS = 16
-"""Yaws that `base_scores` tries where the yaw matters."""
+YAWS = 12
+"""Yaws that `base_scores` tries where the arm does not stand over the base's origin."""
+CENTRAL = 0.75
+"""The arm counts as standing there when its first axis is no farther off than this [cells]."""
 
 
 @dataclass(frozen=True)
@@ -105,16 +108,26 @@ class ReachMap:
     ) -> Float[np.ndarray, "rows columns"]:
         """Score of bases on a grid of the floor for one tool pose, each at its best yaw.
 
+        An arm that stands within 0.75 cells of the base's origin is taken to stand on it.
+
         Args:
             T_world_tool: Tool pose in the world frame.
             xs, ys: Coordinates of the bases [m].
         """
         x, y = float(self.axis_xy[0]), float(self.axis_xy[1])
-        turns = self.values.shape[-1] > 1 or np.hypot(x, y) > 0.25 * self.cell
-        angle = 2 * np.pi / YAWS * np.arange(YAWS if turns else 1)
+        best = self
+        angle = 2 * np.pi / YAWS * np.arange(YAWS)
+        if np.hypot(x, y) <= CENTRAL * self.cell:
+            # Turning the base only turns the bearing: one look at the best of all bearings.
+            best, angle, x, y = self._best, np.zeros(1), 0.0, 0.0
         yaws = np.stack([np.cos(angle), np.sin(angle), angle / (2 * np.pi)], -1)
         out = np.empty((len(ys), len(xs)), np.float32)
         line = np.ascontiguousarray(self.lines(T_world_tool))
         xs, ys = np.ascontiguousarray(xs, float), np.ascontiguousarray(ys, float)
-        floor_scores(line, xs, ys, yaws, x, y, *self._arrays(), out)
+        floor_scores(line, xs, ys, yaws, x, y, *best._arrays(), out)
         return out
+
+    @cached_property
+    def _best(self) -> ReachMap:
+        """The map without the bearing: the best of all."""
+        return replace(self, values=self.values.max(-1, keepdims=True))

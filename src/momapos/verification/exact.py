@@ -61,7 +61,7 @@ class ExactWorld:
             base_pose: x [m], y [m], yaw [rad] of the base link on the floor.
             motion: The motion of the arm and the object.
         """
-        checks = list(paths.number_checks(motion, base_pose))
+        checks = list(paths.number_checks(self.part, motion, base_pose))
         if all(check.ok for check in checks):
             count = paths.count_states(motion, self.limits.step)
             if count <= self.limits.states:

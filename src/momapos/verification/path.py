@@ -82,12 +82,15 @@ def _densify(
     return np.vstack([states, q[-1:]]), np.append(segment + share, len(q) - 1.0)
 
 
-def number_checks(motion: Motion, base_pose: tuple[float, float, float]) -> Iterator[Check]:
+def number_checks(
+    part: Part, motion: Motion, base_pose: tuple[float, float, float]
+) -> Iterator[Check]:
     """Whether the arrays fit together and are finite; nothing else makes sense before."""
     lengths = [len(motion.q), len(motion.Ts_world_tool), len(motion.object_q)]
+    least = 1 if part.joint is None else 2
     yield verdict(
-        "same number (1 or more) of q, object_q, T_world_tool",
-        min(lengths) == max(lengths) >= 1,
+        f"same number ({least} or more) of q, object_q, T_world_tool",
+        min(lengths) == max(lengths) >= least,
         str(lengths),
     )
     arrays = (motion.q, motion.approach, motion.object_q, motion.Ts_world_tool)
@@ -101,7 +104,6 @@ def object_checks(part: Part, motion: Motion, limits: Limits) -> Iterator[Check]
     if part.joint is None:
         return
     values, span = motion.object_q, part.goal - part.start
-    yield verdict("the object's motion has 2 or more states", len(values) >= 2, str(len(values)))
     slack = limits.goal * max(abs(span), 1e-9)
     yield at_most(
         "object starts at the scene's value", abs(values[0] - part.start), slack, "rad|m",

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from momapos.placement.place import FEASIBLE, NOT_TRIED, Search
+from momapos.placement.place import FEASIBLE, NOT_TRIED, PASSED, Search
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ KINDS = (
     Kind("farther than the arm", _starts("farther"), "#c9ced3", ".", size=2.2, obvious=True),
     Kind("base", _starts("base", "no way to drive"), "#a3aab1", "x", size=2.2, obvious=True),
     Kind("out of reach", _starts("out of reach", "no grasp"), "#4f6d8f", "o"),
-    Kind("not tried", _starts(NOT_TRIED), "#6f7a83", ".", size=2.8),
+    Kind("not tried", _starts(NOT_TRIED, PASSED), "#6f7a83", ".", size=2.8),
     Kind("other", lambda _: True, "#555555", "*", size=3.4),
     Kind("arm hits", _starts("arm"), "#aa4499", "^", size=3.2),
     Kind("no continuous path", _starts("no continuous", "no free arm path"), "#7a4a1e", "s"),
