@@ -76,6 +76,7 @@ def write_plan(plan: PlacementPlan, path: Path) -> None:
             verify it; or the file cannot be written.
     """
     data = plan_to_dict(plan)
+    path.parent.mkdir(parents=True, exist_ok=True)
     data["scene"] = _portable(plan.scene, path, "the scene")
     data["robot"]["urdf"] = _portable(plan.robot_urdf, path, "the robot's URDF")
     try:
@@ -105,7 +106,6 @@ def _replace(path: Path, text: str) -> None:
     """Write to a file beside it, then swap: a reader sees the old file or the new one."""
     name = None
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
         with os.fdopen(handle, "w", encoding="utf-8") as file:
             file.write(text)
@@ -188,7 +188,7 @@ def read_plan(path: Path) -> PlacementPlan:
     head = _decode(content, _Head, path)
     if head.format != FORMAT:
         raise FileFormatError(
-            f"{path}: not a plan; a plan has \"format\": {FORMAT!r}, this file has "
+            f'{path}: not a plan; a plan has "format": {FORMAT!r}, this file has '
             f"{head.format!r:.60}"
         )
     if head.version != VERSION or isinstance(head.version, bool):

@@ -11,9 +11,7 @@ from numpy.testing import assert_allclose
 from momapos.geometry.polygons import all_inside, contains, inscribed_radius, signed_area
 
 # A room with a niche: walking straight across the gap means walking through the wall.
-U_SHAPE = np.array(
-    [[0.0, 0], [3, 0], [3, 3], [2, 3], [2, 1], [1, 1], [1, 3], [0, 3]]
-)
+U_SHAPE = np.array([[0.0, 0], [3, 0], [3, 3], [2, 3], [2, 1], [1, 1], [1, 3], [0, 3]])
 
 
 def star(corners: int, rng: np.random.Generator) -> Float[np.ndarray, "k 2"]:

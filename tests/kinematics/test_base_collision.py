@@ -69,9 +69,7 @@ def test_boxes_side_by_side_are_apart_and_edge_on_edge_too() -> None:
         (on_edge, 0.5 + 0.5 * np.sqrt(2)),
     ):
         for gap, hit in ((1e-4, False), (-1e-4, True)):
-            other = Boxes(
-                np.array([[0.0, reach + gap, 0.0]]), rotation[None], np.full((1, 3), 0.5)
-            )
+            other = Boxes(np.array([[0.0, reach + gap, 0.0]]), rotation[None], np.full((1, 3), 0.5))
             assert bool(base_hits(np.zeros((1, 3)), cube, other, clearance=0.0)[0] == 0) is hit
     # Two beams crossed like an X, edge above edge: only the product of two edges parts them.
     beam = Boxes(np.zeros((1, 3)), on_edge[None], np.array([[2.0, 0.5, 0.5]]))
@@ -89,9 +87,7 @@ def test_a_base_and_its_room_can_be_moved_together(robot: Robot) -> None:
     bases = rng.uniform((-1.5, -1.5, -np.pi), (1.5, 1.5, np.pi), (300, 3))
     turn = np.array([0.7, -1.9, 2.2])
     T = pose_planar(turn)
-    moved_room = Boxes(
-        room.center @ T[:3, :3].T + T[:3, 3], T[:3, :3] @ room.rotation, room.half
-    )
+    moved_room = Boxes(room.center @ T[:3, :3].T + T[:3, 3], T[:3, :3] @ room.rotation, room.half)
     moved = bases.copy()
     moved[:, :2] = bases[:, :2] @ T[:2, :2].T + T[:2, 3]
     moved[:, 2] += turn[2]

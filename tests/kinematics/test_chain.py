@@ -74,9 +74,7 @@ def test_link_poses_of_a_robot_are_those_of_pinocchio(robot: Robot) -> None:
 
 @pytest.mark.parametrize("name", ["OvenCounter/101773", "Microwave/7128"])
 @pytest.mark.parametrize("scale", [1.0, 0.7])
-def test_link_poses_of_furniture_grow_with_its_scale(
-    shared: Path, name: str, scale: float
-) -> None:
+def test_link_poses_of_furniture_grow_with_its_scale(shared: Path, name: str, scale: float) -> None:
     path, rng = shared / KITCHEN / name / "mobility.urdf", np.random.default_rng(2)
     model, twin = Articulated(read_urdf(path, scale=scale)), Twin(path)
     for _ in range(10):
@@ -95,9 +93,7 @@ def test_segments_carry_their_links(robot: Robot) -> None:
     rng, chain = np.random.default_rng(3), robot.chain
     q = random_states(chain, 1, rng)[0]
     still = robot.model.link_poses(robot.model.rest | dict.fromkeys(robot.arm_joints, 0.0))
-    moved = robot.model.link_poses(
-        robot.model.rest | dict(zip(robot.arm_joints, q, strict=True))
-    )
+    moved = robot.model.link_poses(robot.model.rest | dict(zip(robot.arm_joints, q, strict=True)))
     T_base_root = invert(moved[robot.base_link])
     for link, segment in robot.segments.of_link.items():
         T_base_link = T_base_root @ moved[link]

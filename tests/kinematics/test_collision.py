@@ -28,9 +28,7 @@ def moved_by_joint(boxes: Boxes, values: int, rng: np.random.Generator) -> Boxes
     """The boxes at several values of some joint, with a leading axis of values."""
     shift = rng.uniform(-0.3, 0.3, (values, 1, 3))
     turn = rotations(values, rng)[:, None]
-    return Boxes(
-        boxes.center + shift, turn @ boxes.rotation, np.tile(boxes.half, (values, 1, 1))
-    )
+    return Boxes(boxes.center + shift, turn @ boxes.rotation, np.tile(boxes.half, (values, 1, 1)))
 
 
 def world_of(
@@ -137,7 +135,7 @@ def test_kernels_agree_with_brute_force(
     """Inside, astride of and far beyond the grid; with nothing standing or nothing moving."""
     rng = np.random.default_rng(static + 10 * moving)
     world = world_of(robot, rng, static=static, moving=moving, clearance=clearance)
-    case = situations(robot, 400, rng, spread)
+    case = situations(robot, 150, rng, spread)
     expected = Twin(world, robot.chain, robot.spheres).codes(*case)
     got = check(world, robot.chain, robot.spheres, *case)
     np.testing.assert_array_equal(got, expected)
@@ -152,8 +150,8 @@ def test_no_sphere_in_the_grid_s_last_cells_is_overlooked(robots: Callable[[str]
         one, moved_by_joint(NONE, 3, rng), np.zeros(0, bool), ["box"], robot.spheres,
         clearance=0.02,
     )  # fmt: skip
-    angle, far = rng.uniform(-np.pi, np.pi, 2000), rng.uniform(0.2, 1.5, 2000)
-    q, bases, value, holding = situations(robot, 2000, rng, 1.0)
+    angle, far = rng.uniform(-np.pi, np.pi, 1000), rng.uniform(0.2, 1.5, 1000)
+    q, bases, value, holding = situations(robot, 1000, rng, 1.0)
     bases[:, 0], bases[:, 1] = far * np.cos(angle), far * np.sin(angle)
     case = (q, bases, value, holding)
     expected = Twin(world, robot.chain, robot.spheres).codes(*case)
@@ -187,9 +185,7 @@ def test_both_kernels_give_one_verdict(robot: Robot) -> None:
     world = world_of(robot, rng, static=8, moving=0, clearance=0.01)
     q, _, value, holding = situations(robot, 400, rng, 1.0)
     base = np.array([0.2, -0.1, 0.7])
-    many = check(
-        world, robot.chain, robot.spheres, q, np.tile(base, (400, 1)), value, holding
-    )
+    many = check(world, robot.chain, robot.spheres, q, np.tile(base, (400, 1)), value, holding)
     boxes = (world.static.center, world.static.rotation, world.static.half, np.zeros(8, bool))
     one = check_states(
         q, base, chain_arrays(robot.chain), robot.spheres.arrays(), boxes, False, 0.01
@@ -208,7 +204,7 @@ def test_what_is_carried_is_checked_like_the_hand(robots: Callable[[str], Robot]
         random_boxes(8, rng, (-1.0, -1.0, 0.2), (1.0, 1.0, 1.8)), moved_by_joint(NONE, 3, rng),
         np.zeros(0, bool), [""] * 8, loaded, clearance=0.0,
     )  # fmt: skip
-    case = situations(robot, 1000, rng, 0.5)
+    case = situations(robot, 500, rng, 0.5)
     with_it = check(world, robot.chain, loaded, *case)
     np.testing.assert_array_equal(with_it, Twin(world, robot.chain, loaded).codes(*case))
     alone = check(world, robot.chain, robot.spheres, *case)
@@ -324,8 +320,6 @@ def test_the_arm_meets_itself_where_coal_says_so(robot: Robot) -> None:
 
 
 def test_a_code_is_told_in_words(robots: Callable[[str], Robot]) -> None:
-    world = world_of(
-        robots("fetch"), np.random.default_rng(7), static=2, moving=1, clearance=0.0
-    )
+    world = world_of(robots("fetch"), np.random.default_rng(7), static=2, moving=1, clearance=0.0)
     words = [world.reason(code) for code in (FREE, SELF, FLOOR, 0, 2)]
     assert words == ["free", "the robot itself", "the floor", "box 0", "box 2"]

@@ -166,9 +166,7 @@ def check_cover(hull: Hull, rng: np.random.Generator) -> None:
     assert_allclose(np.linalg.det(boxes.rotation), 1.0)
 
 
-def test_boxes_cover_a_hull_and_take_no_more_room_than_one(
-    tmp_path: Path, robot: Robot
-) -> None:
+def test_boxes_cover_a_hull_and_take_no_more_room_than_one(tmp_path: Path, robot: Robot) -> None:
     rng = np.random.default_rng(4)
     hulls = clouds(tmp_path, 30, rng)
     hulls += [hull for hulls in robot.model.hulls.values() for hull in hulls]

@@ -171,9 +171,7 @@ def test_what_is_reachable_is_what_eaik_finds_reachable(
     eaik = pytest.importorskip("eaik.IK_HP", reason="eaik is not installed")
     rng, robot = np.random.default_rng(4), robots(name)
     chain = ideal(robot.chain)
-    free = replace(
-        chain, lower=np.full(chain.size, -np.inf), upper=np.full(chain.size, np.inf)
-    )
+    free = replace(chain, lower=np.full(chain.size, -np.inf), upper=np.full(chain.size, np.inf))
     whole = build_ik(chain)
     parts, one = ("samples", "h", "o", "wrist", "R_tool", "p_tool"), len(whole.samples) // 2
     ik = replace(whole, **{k: getattr(whole, k)[one : one + 1] for k in parts})
@@ -260,9 +258,7 @@ def test_a_long_rail_is_not_taken_for_an_angle(robots: Callable[[str], Robot]) -
 
 
 @settings(max_examples=500, deadline=None)
-@given(
-    q=st.floats(-20, 20), lower=st.floats(-TURN, TURN), width=st.floats(0.0, 2 * TURN)
-)
+@given(q=st.floats(-20, 20), lower=st.floats(-TURN, TURN), width=st.floats(0.0, 2 * TURN))
 def test_an_angle_comes_into_its_limits_by_full_turns_or_not_at_all(
     q: float, lower: float, width: float
 ) -> None:

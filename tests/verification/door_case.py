@@ -29,13 +29,13 @@ HINGE, HANDLE = (0.185, -0.29, 0.8), (-0.09, 0.54, 0.0)
 def robot_urdf() -> str:
     """Six axes with a spherical wrist on a box; a palm behind the tool frame."""
     links = {
-        "base": '<origin xyz="0 0 0.3"/><geometry><box size="0.4 0.4 0.5"/></geometry>',
-        "shoulder": '<origin xyz="0 0 0.03"/><geometry><sphere radius="0.06"/></geometry>',
-        "upper": '<origin xyz="0 0 0.2"/><geometry><cylinder radius="0.04" length="0.3"/></geometry>',
-        "fore": '<origin xyz="0 0 0.18"/><geometry><cylinder radius="0.035" length="0.26"/></geometry>',
-        "wrist": "",
-        "knuckle": '<geometry><sphere radius="0.03"/></geometry>',
-        "palm": '<origin xyz="0 0 0.09"/><geometry><box size="0.08 0.06 0.06"/></geometry>',
+        "base": ("0 0 0.3", '<box size="0.4 0.4 0.5"/>'),
+        "shoulder": ("0 0 0.03", '<sphere radius="0.06"/>'),
+        "upper": ("0 0 0.2", '<cylinder radius="0.04" length="0.3"/>'),
+        "fore": ("0 0 0.18", '<cylinder radius="0.035" length="0.26"/>'),
+        "wrist": None,
+        "knuckle": ("0 0 0", '<sphere radius="0.03"/>'),
+        "palm": ("0 0 0.09", '<box size="0.08 0.06 0.06"/>'),
     }
     joints = {
         "pan": ("base", "shoulder", "0 0 0.65", "0 0 1", 3.1),
@@ -47,8 +47,11 @@ def robot_urdf() -> str:
     }
     text = ['<robot name="toy">', '<link name="tool"/>']
     for name, shape in links.items():
-        collision = f"<collision>{shape}</collision>" if shape else ""
-        text.append(f'<link name="{name}">{collision}</link>')
+        body = ""
+        if shape is not None:
+            origin = f'<origin xyz="{shape[0]}"/>'
+            body = f"<collision>{origin}<geometry>{shape[1]}</geometry></collision>"
+        text.append(f'<link name="{name}">{body}</link>')
     for name, (parent, child, origin, axis, limit) in joints.items():
         text.append(
             f'<joint name="{name}" type="revolute"><parent link="{parent}"/>'

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-
 from door_case import OPEN, Case, cupboard_urdf
 
 MUTATIONS: dict[str, tuple[Callable[[Case], None], str]] = {}

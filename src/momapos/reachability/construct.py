@@ -124,7 +124,7 @@ def build_map(
     chain = robot.chain
     frame = arm_frame(chain, robot.approach_axis)
     low, shape = _extent(chain, frame, config)
-    evaluate = _Evaluator(robot, frame, config, progress or (lambda share: None))
+    evaluate = _Evaluator(robot, frame, config, progress or _silent)
     zs, rs, us, vs = grid_points(shape, low, config.cell)
     points = np.stack(np.meshgrid(zs, rs, us, vs, indexing="ij"), -1).reshape(-1, 4)
     masks = evaluate(points, 0.0, 0.5)
@@ -138,7 +138,7 @@ def build_map(
     values = np.empty((len(points), shape[4]), np.int8)
     _threaded(
         lambda lo, hi: near_margins(lo, hi, masks, pack_shape(shape), rows, interior, values),
-        len(points), 8 * BLOCK, lambda share: None,
+        len(points), 8 * BLOCK, _silent,
     )
     values = values.reshape(shape)
     close_seam(values)
@@ -265,6 +265,10 @@ def _turning(spheres: Spheres, first: int) -> tuple:  # type: ignore[type-arg]
     return (*spheres.arrays()[:7], pairs, *none, np.zeros((len(stays), 0), bool))
 
 
+def _silent(_share: float) -> None:
+    """Nobody wants to know."""
+
+
 def _threaded(work: Callable[[int, int], None], count: int, block: int, done: Progress) -> None:
     """Run work(lo, hi) over blocks on two threads; the kernels hold no lock."""
     ranges = [(lo, min(lo + block, count)) for lo in range(0, count, block)]
@@ -274,7 +278,7 @@ def _threaded(work: Callable[[int, int], None], count: int, block: int, done: Pr
 
 
 def _bearing_free(masks: np.ndarray) -> bool:
-    """Whether the bearing makes no difference: the first joint and the base are never in the way."""
+    """Whether the bearing makes no difference: neither first joint nor base are in the way."""
     count = np.bitwise_count(masks)
     return bool(((count > 0) & (count < BEARINGS)).sum() <= FEW * max(1, (count > 0).sum()))
 

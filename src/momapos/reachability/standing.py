@@ -48,8 +48,8 @@ def fill_words(center, rotation, half, radius, reach, low, words):
                 extent = far + half[b, 0] + half[b, 1] + half[b, 2]
                 if x * x + y * y > extent * extent:
                     continue
-                first = int(math.floor((center[b, 2] - extent - low) / CELL))
-                last = int(math.ceil((center[b, 2] + extent - low) / CELL))
+                first = math.floor((center[b, 2] - extent - low) / CELL)
+                last = math.ceil((center[b, 2] + extent - low) / CELL)
                 for z in range(max(0, first), min(words.shape[0], last + 1)):
                     dz = low + z * CELL - center[b, 2]
                     s = 0.0
@@ -98,7 +98,7 @@ def touched(wanted, R, p, spheres, first, axis, table):
                 if np.isnan(z):
                     x, y, z = _point(R, p, m, center[s], axis)
                 rise = p[body, 2] if body > 0 else 0.0
-                iz = int(math.floor((z - rise - low) / CELL + 0.5))
+                iz = math.floor((z - rise - low) / CELL + 0.5)
                 ir = int(math.sqrt(x * x + y * y) / CELL + 0.5)
                 if iz < 0 or iz >= heights or ir >= distances:
                     continue
@@ -186,8 +186,7 @@ def _body(
     paired = np.zeros((len(spheres.segment),) * 2, bool)
     paired[spheres.pairs[:, 0], spheres.pairs[:, 1]] = True
     matters = (paired | paired.T)[:, group[own]]
-    boxes = (
-        spheres.center[own] + np.append(xy, 0.0), np.broadcast_to(np.eye(3), (len(own), 3, 3)).copy(),
-        np.zeros((len(own), 3)), spheres.radius[own],
-    )
+    center = spheres.center[own] + np.append(xy, 0.0)
+    rotation = np.tile(np.eye(3), (len(own), 1, 1))
+    boxes = (center, rotation, np.zeros((len(own), 3)), spheres.radius[own])
     return boxes, matters

@@ -6,9 +6,9 @@ from GJK, depths from an expanding polytope. Neither result is taken from the la
 is returned is the best separating direction that was evaluated on the bodies themselves, so that
 where the iteration ends early a depth is too large and a distance too small, never the reverse.
 
-A library would do, but python-fcl errs on axis-aligned boxes (0.5 % of the pairs; 0.58 m between
-boxes that are nearer than that), does not return for concentric spheres, and aborts the process
-where its polytope degenerates; coal is 380 MB. `docs/verification.md` has the measurements.
+A library would do, but python-fcl errs on axis-aligned boxes (0.5 % of the pairs, calling some
+0.58 m farther apart than they are), does not return for concentric spheres, and its wrapper lets
+a C++ exception end the process; coal is 380 MB. `docs/verification.md` has the measurements.
 
 Sources: van den Bergen, Collision Detection in Interactive 3D Environments (2003), chapter 4.
 """
@@ -128,9 +128,7 @@ def _corner(n, q, r, px, py, pz):  # type: ignore[no-untyped-def]
     """Triple product n . ((q - p) x (r - p))."""
     ux, uy, uz = q[0] - px, q[1] - py, q[2] - pz
     vx, vy, vz = r[0] - px, r[1] - py, r[2] - pz
-    return (
-        n[0] * (uy * vz - uz * vy) + n[1] * (uz * vx - ux * vz) + n[2] * (ux * vy - uy * vx)
-    )
+    return n[0] * (uy * vz - uz * vy) + n[1] * (uz * vx - ux * vz) + n[2] * (ux * vy - uy * vx)
 
 
 @njit(cache=True, nogil=True)

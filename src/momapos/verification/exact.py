@@ -87,7 +87,8 @@ class ExactWorld:
         checks.append(self._self_check(Ts_base, Ts_arm, path))
         checks.append(_above_floor(self._arm, Ts_arm, path, limits))
         checks += self._on_floor(Ts_base)
-        return Report(tuple(checks), self._notes(path), self._gripper_depth(Ts_arm, Ts_part))
+        depth = self._gripper_depth(Ts_arm, Ts_part)
+        return Report(tuple(checks), self._notes(path, depth), depth)
 
     def _base_check(self, Ts_base: Float[np.ndarray, "1 b 4 4"], path: paths.DensePath) -> Check:
         """The base against the scene, and against the part at every value of its joint."""
@@ -118,9 +119,7 @@ class ExactWorld:
         """The arm against the scene, and without the gripper against the part."""
         found = _Overlaps(self.limits.penetration)
         fixed, part = self.fixed, self.part.shapes
-        found.add(
-            self._arm, Ts_arm, fixed, fixed.Ts_body_shape[None], self._arm_fixed, path.where
-        )
+        found.add(self._arm, Ts_arm, fixed, fixed.Ts_body_shape[None], self._arm_fixed, path.where)
         found.add(self._arm, Ts_arm, part, Ts_part, self._arm_part, path.where)
         return found.check("arm in the scene")
 
@@ -139,9 +138,7 @@ class ExactWorld:
     def _gripper_depth(
         self, Ts_arm: Float[np.ndarray, "s a 4 4"], Ts_part: Float[np.ndarray, "s p 4 4"]
     ) -> float:
-        depth, _ = deepest(
-            self._arm, Ts_arm, self.part.shapes, Ts_part, self._gripper_part, 0.0
-        )
+        depth, _ = deepest(self._arm, Ts_arm, self.part.shapes, Ts_part, self._gripper_part, 0.0)
         return float(depth.max(initial=0.0))
 
     def _on_floor(self, Ts_base: Float[np.ndarray, "1 b 4 4"]) -> Iterator[Check]:
@@ -155,14 +152,15 @@ class ExactWorld:
         limit = self.limits.floor_edge
         yield at_most("base outside the floor polygon", 1000 * worst, 1000 * limit, "mm")
 
-    def _notes(self, path: paths.DensePath) -> tuple[str, ...]:
-        states = (
-            f"{len(path.q) - path.approach} states of the manipulation and {path.approach} of the "
-            "approach were checked"
-        )
+    def _notes(self, path: paths.DensePath, gripper_depth: float) -> tuple[str, ...]:
+        held = len(path.q) - path.approach
+        notes = [f"{held} states of the manipulation and {path.approach} of the approach checked"]
+        if gripper_depth > 0.0:
+            deep = f"{1000 * gripper_depth:.1f} mm"
+            notes.append(f"the gripper overlaps the part it holds by up to {deep}, as it may")
         if self.part.joint is None:
-            return (states, "no joint moves: neither the goal nor the grasp's slip is checked")
-        return (states,)
+            notes.append("no joint moves: neither the goal nor the grasp's slip is checked")
+        return tuple(notes)
 
 
 class _Overlaps:

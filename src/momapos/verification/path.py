@@ -137,9 +137,7 @@ def joint_checks(machine: Machine, motion: Motion, limits: Limits) -> Iterator[C
     yield verdict("approach present", len(motion.approach) > 0)
     if len(motion.approach):
         gap = np.abs(motion.approach[-1] - motion.q[0]).max()
-        yield at_most(
-            "approach ends where the manipulation starts", gap, limits.join, "rad|m"
-        )
+        yield at_most("approach ends where the manipulation starts", gap, limits.join, "rad|m")
 
 
 def tool_checks(
@@ -207,6 +205,4 @@ def reach_check(
         moved = np.linalg.norm(points - points[i], axis=1)
         bounds = np.minimum(bounds, distance + moved)
     detail = f"state {states[where]}"
-    return at_most(
-        "grasp point to the moved part", 1000 * worst, 1000 * limits.reach, "mm", detail
-    )
+    return at_most("grasp point to the moved part", 1000 * worst, 1000 * limits.reach, "mm", detail)

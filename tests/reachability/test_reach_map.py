@@ -1,0 +1,196 @@
+"""Laws of the reachability map, on a coarse map of a library robot."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from momapos.geometry.transforms import invert, pose_planar
+from momapos.kinematics.collision import FREE, check_states
+from momapos.kinematics.ik import chain_arrays
+from momapos.reachability import ReachConfig, ReachMap, build_map, evaluate, load_or_build, store
+from momapos.reachability.evaluation import random_poses
+from momapos.reachability.grid import oct_decode, turns_of
+from momapos.reachability.store import decode, encode, map_key
+from momapos.robots.robot import Robot, load_robot
+
+COARSE = ReachConfig(cell=0.08, directions=13, bearings=32, spins=4)
+TINY = ReachConfig(cell=0.25, directions=5, bearings=8, spins=1)
+
+
+@pytest.fixture(scope="module")
+def robot() -> Robot:
+    return load_robot("husky_ur5e")
+
+
+@pytest.fixture(scope="module")
+def reach(robot: Robot) -> ReachMap:
+    return build_map(robot, COARSE)
+
+
+def _free_states(robot: Robot, rng: np.random.Generator, count: int) -> np.ndarray:
+    chain = robot.chain
+    q = rng.uniform(np.maximum(chain.lower, -np.pi), np.minimum(chain.upper, np.pi), (count, 6))
+    boxes = (np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3)), np.zeros(0, bool))
+    codes = check_states(
+        q, np.zeros(3), chain_arrays(chain), robot.spheres.arrays(), boxes, False, 0.0
+    )
+    return q[codes == FREE]
+
+
+def test_every_sampled_tool_pose_is_marked_reachable(robot: Robot, reach: ReachMap) -> None:
+    q = _free_states(robot, np.random.default_rng(0), 12_000)[:4_000]
+    marked = reach.score(robot.chain.tool_poses(q)) > 0
+    # 0.99 at the default resolution, see docs/reachability.md.
+    assert marked.mean() >= 0.97
+
+
+def test_the_map_agrees_with_exact_inverse_kinematics(robot: Robot, reach: ReachMap) -> None:
+    found = evaluate(reach, robot, np.random.default_rng(1), 4_000)
+    assert found.accuracy > 0.97
+    assert found.false_positives < 0.05
+    assert found.misses < 0.04
+
+
+def test_poses_beyond_reach_score_zero(robot: Robot, reach: ReachMap) -> None:
+    rng = np.random.default_rng(2)
+    Ts = random_poses(robot, rng, 500)
+    Ts[:, :2, 3] += 4.0 * np.sign(Ts[:, :2, 3])
+    assert (reach.score(Ts) == 0).all()
+    Ts = random_poses(robot, rng, 500)
+    Ts[:, 2, 3] += 3.0
+    assert (reach.score(Ts) == 0).all()
+
+
+def test_scores_lie_between_zero_and_one_and_grow_inwards(robot: Robot, reach: ReachMap) -> None:
+    Ts = random_poses(robot, np.random.default_rng(3), 3_000)
+    score = reach.score(Ts)
+    assert score.min() == 0.0
+    assert 0.2 < score.max() <= 1.0
+    nudged = Ts.copy()
+    nudged[:, :3, 3] += 0.01
+    # A step of 1 cm is at most a quarter of a cell along the axes, which is 1/16 of the range.
+    assert np.abs(reach.score(nudged) - score).max() < 0.2
+
+
+def test_turning_the_tool_about_the_last_axis_changes_nothing(
+    robot: Robot, reach: ReachMap
+) -> None:
+    chain = robot.chain
+    q = _free_states(robot, np.random.default_rng(4), 500)
+    turned = q.copy()
+    turned[:, -1] += 1.0
+    np.testing.assert_allclose(
+        reach.score(chain.tool_poses(q)), reach.score(chain.tool_poses(turned)), atol=1e-4
+    )
+
+
+def test_without_the_bearing_a_turn_of_the_base_changes_nothing(robot: Robot) -> None:
+    flat = build_map(robot, replace(TINY, bearings=1))
+    Ts = random_poses(robot, np.random.default_rng(5), 300)
+    x, y = flat.axis_xy
+    for yaw in (0.3, 2.0, -1.2):
+        turned = _turned(Ts, x, y, yaw)
+        np.testing.assert_allclose(flat.score(turned), flat.score(Ts), atol=1e-4)
+
+
+def test_weakest_is_the_minimum_of_the_scores(robot: Robot, reach: ReachMap) -> None:
+    rng = np.random.default_rng(6)
+    Ts = random_poses(robot, rng, 5)[:, None].repeat(4, 1)
+    Ts[..., :3, 3] += rng.uniform(-0.05, 0.05, (5, 4, 3))
+    bases = np.column_stack([rng.uniform(-0.5, 0.5, (40, 2)), rng.uniform(-np.pi, np.pi, 40)])
+    Ts_base = np.array([invert(pose_planar(base)) for base in bases])
+    expected = reach.score(Ts_base[:, None, None] @ Ts).min(-1)
+    np.testing.assert_allclose(reach.weakest(bases, Ts), expected, atol=1e-3)
+    assert (expected > 0).any()
+
+
+def test_base_scores_are_the_best_over_yaws(robot: Robot, reach: ReachMap) -> None:
+    T = random_poses(robot, np.random.default_rng(7), 1)[0]
+    T[2, 3] = 0.7
+    xs, ys = np.linspace(-1, 1, 9), np.linspace(-0.8, 1, 7)
+    found = reach.base_scores(T, xs, ys)
+    assert found.shape == (7, 9)
+    yaws = np.linspace(-np.pi, np.pi, 73)
+    grid = np.array([[x, y, yaw] for y in ys for x in xs for yaw in yaws])
+    best = reach.weakest(grid, T[None, None]).reshape(7, 9, -1).max(-1)
+    assert (found <= best + 0.05).all()
+    assert np.abs(found - best).mean() < 0.05
+
+
+def test_a_second_load_does_not_build(
+    robot: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shares: list[float] = []
+    first = load_or_build(robot, tmp_path, shares.append, config=TINY)
+    assert 0.0 < min(shares) <= max(shares) <= 1.0
+    monkeypatch.setattr(store, "build_map", lambda *_, **__: pytest.fail("built again"))
+    second = load_or_build(robot, tmp_path, config=TINY)
+    np.testing.assert_array_equal(first.values, second.values)
+    np.testing.assert_array_equal(first.line_tool, second.line_tool)
+    assert (first.low, first.cell, first.key) == (second.low, second.cell, second.key)
+
+
+@pytest.mark.parametrize("damage", ["flip", "cut", "foreign", "empty"])
+def test_a_damaged_file_is_rebuilt(robot: Robot, tmp_path: Path, damage: str) -> None:
+    first = load_or_build(robot, tmp_path, config=TINY)
+    (path,) = tmp_path.iterdir()
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 0xFF
+    spoilt = {
+        "flip": bytes(data), "cut": path.read_bytes()[:-20], "foreign": b"PK\x03\x04", "empty": b"",
+    }
+    path.write_bytes(spoilt[damage])
+    np.testing.assert_array_equal(load_or_build(robot, tmp_path, config=TINY).values, first.values)
+    assert decode(encode(first)).key == first.key
+    assert path.read_bytes() not in spoilt.values()
+
+
+def test_what_a_map_is_built_from_makes_its_key(robot: Robot) -> None:
+    keys = {
+        map_key(robot, TINY), map_key(robot, COARSE), map_key(load_robot("segway_ur5e"), TINY),
+        map_key(replace(robot, tool_link="wrist_3_link"), TINY),
+        map_key(replace(robot, disabled=frozenset()), TINY),
+    }
+    assert len(keys) == 5
+    assert map_key(load_robot("husky_ur5e"), TINY) in keys
+
+
+def test_a_limited_first_joint_leaves_bearings_out() -> None:
+    robot = load_robot("husky_ur5e")
+    limited = _with_first_joint_between(robot, -0.5, 0.5)
+    reach = build_map(limited, replace(COARSE, cell=0.12, spins=1))
+    ahead = robot.chain.tool_poses(np.array([[0.0, -1.0, 1.2, 0.0, 1.0, 0.0]]))[0]
+    x, y = reach.axis_xy
+    yaws = np.array([0.0, 0.3, -0.3, np.pi, 2.5, -2.5])
+    turned = np.array([_turned(ahead, x, y, yaw) for yaw in yaws])
+    np.testing.assert_array_equal(
+        reach.score(turned) > 0, [True, True, True, False, False, False]
+    )
+
+
+def _turned(Ts: np.ndarray, x: float, y: float, yaw: float) -> np.ndarray:
+    """Poses turned about the vertical axis through (x, y)."""
+    return pose_planar((x, y, 0)) @ pose_planar((0, 0, yaw)) @ pose_planar((-x, -y, 0)) @ Ts
+
+
+def _with_first_joint_between(robot: Robot, lower: float, upper: float) -> Robot:
+    chain, segments = robot._parts
+    low, high = chain.lower.copy(), chain.upper.copy()
+    low[0], high[0] = lower, upper
+    # The shoulder's other side would reach behind: keep the elbow on one side.
+    low[1], high[1] = -np.pi / 2, 0.0
+    changed = replace(robot)
+    changed.__dict__["_parts"] = (replace(chain, lower=low, upper=high), segments)
+    return changed
+
+
+def test_octahedral_points_are_unit_vectors_and_turns_are_right() -> None:
+    rng = np.random.default_rng(8)
+    for u, v in rng.uniform(-1, 1, (200, 2)):
+        x, y, z = oct_decode(u, v)
+        assert abs(x * x + y * y + z * z - 1) < 1e-12
+        assert abs((turns_of(y, x) - np.arctan2(y, x) / (2 * np.pi) + 0.5) % 1 - 0.5) < 5e-5
