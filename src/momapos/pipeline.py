@@ -115,7 +115,10 @@ def place(
         with watch.stage("exact check"):
             return exact.refusal((float(base[0]), float(base[1]), float(base[2])), found)
 
-    feasible = Feasibility(robot, world, motion, config.planner, refuse, seed)
+    def out_of_time() -> bool:
+        return clock() - began > config.timeout
+
+    feasible = Feasibility(robot, world, motion, config.planner, refuse, seed, out_of_time)
     problem = Problem(
         site=site,
         reach=reach,
@@ -123,7 +126,7 @@ def place(
         attempt=feasible,
         screen=feasible.screen,
         start=start,
-        out_of_time=lambda: clock() - began > config.timeout,
+        out_of_time=out_of_time,
     )
     with watch.stage("search"):
         result = search(problem, config.place, np.random.default_rng(seed))

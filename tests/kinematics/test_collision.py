@@ -288,8 +288,8 @@ def test_spheres_are_never_free_in_a_wall_and_never_blocked_in_the_open(robot: R
 
 def test_the_arm_meets_itself_where_coal_says_so(robot: Robot) -> None:
     exact, rng, s = Exact(), np.random.default_rng(6), robot.spheres
-    q = random_states(robot.chain, 120, rng)
-    still = (np.zeros((120, 3)), np.zeros(120, int), np.zeros(120, bool))
+    q = random_states(robot.chain, 80, rng)
+    still = (np.zeros((80, 3)), np.zeros(80, int), np.zeros(80, bool))
     world = world_of(robot, rng, static=0, moving=0, clearance=0.0)
     codes = check(world, robot.chain, s, q, *still)
     Ts = segment_poses(robot.chain, q, still[0])

@@ -13,7 +13,7 @@ from numpy.testing import assert_allclose
 from momapos.errors import UrdfError
 from momapos.geometry.transforms import pose
 from momapos.kinematics.articulated import Articulated
-from momapos.kinematics.hulls import FLAT, Boxes, Hull, cover, fit_box, hull_of
+from momapos.kinematics.hulls import FLAT, Boxes, Hull, cover, cover_shape, fit_box, hull_of
 from momapos.kinematics.urdf import Geometry, read_urdf
 from momapos.robots.robot import Robot
 
@@ -179,6 +179,27 @@ def test_boxes_cover_furniture(shared: Path, name: str) -> None:
     rng = np.random.default_rng(5)
     for hull in hulls_of(shared, name):
         check_cover(hull, rng)
+
+
+@pytest.mark.parametrize("upright", [True, False])
+@pytest.mark.parametrize(
+    ("kind", "size"),
+    [
+        ("box", (0.5, 0.2, 0.03)), ("cylinder", (0.03, 0.6)), ("cylinder", (0.25, 0.4)),
+        ("cylinder", (0.6, 0.02)), ("sphere", (0.2,)),
+    ],
+)  # fmt: skip
+def test_a_primitive_lies_in_its_boxes(
+    kind: str, size: tuple[float, ...], *, upright: bool
+) -> None:
+    rng = np.random.default_rng(9)
+    T = pose(rng.normal(size=3), None if upright else rotations(1, rng)[0])
+    shape = Geometry(kind, size, T)  # type: ignore[arg-type]
+    boxes, hull = cover_shape(shape, hull_of(shape)), hull_of(shape)
+    assert in_boxes(boxes, surface_points(shape, 2000, rng)).all()
+    assert volume(boxes) <= volume(cover(hull, depth=0)) * (1 + 1e-6)
+    if kind == "box":
+        assert len(boxes) == 1
 
 
 def test_a_wedge_is_covered_by_several_boxes() -> None:

@@ -11,12 +11,12 @@ from momapos.kinematics.hulls import Boxes
 
 
 @njit(cache=True, nogil=True)
-def _separated(ca, Ra, ha, cb, Rb, hb):
-    """Whether two oriented boxes are apart (Gottschalk 1996: 15 axes)."""
-    t = np.empty(3)
-    C, A = np.empty((3, 3)), np.empty((3, 3))
+def _separated(ca, Ra, ha, cb, Rb, hb, t, C, A):
+    """Whether two oriented boxes are apart (Gottschalk 1996: 15 axes); t, C, A are scratch."""
     for i in range(3):
-        t[i] = (cb[0] - ca[0]) * Ra[0, i] + (cb[1] - ca[1]) * Ra[1, i] + (cb[2] - ca[2]) * Ra[2, i]
+        t[i] = (
+            (cb[0] - ca[0]) * Ra[0, i] + (cb[1] - ca[1]) * Ra[1, i] + (cb[2] - ca[2]) * Ra[2, i]
+        )
         for j in range(3):
             C[i, j] = Ra[0, i] * Rb[0, j] + Ra[1, i] * Rb[1, j] + Ra[2, i] * Rb[2, j]
             A[i, j] = abs(C[i, j]) + 1e-9
@@ -38,37 +38,57 @@ def _separated(ca, Ra, ha, cb, Rb, hb):
 
 
 @njit(cache=True, nogil=True)
+def _spread(rotation, half):
+    """Half edges of the upright boxes around oriented boxes (b, 3)."""
+    out = np.zeros((len(half), 3))
+    for b in range(len(half)):
+        for k in range(3):
+            for a in range(3):
+                out[b, k] += abs(rotation[b, k, a]) * half[b, a]
+    return out
+
+
+@njit(cache=True, nogil=True)
 def _hit(bases, base, boxes, clearance):
     base_center, base_rotation, base_half = base
     center, rotation, half = boxes
     out = np.full(len(bases), FREE, np.int64)
+    spread, tall = _spread(rotation, half), _spread(base_rotation, base_half)
+    radius = np.empty(len(base_center))
     reach = 0.0
     for a in range(len(base_center)):
-        r = np.hypot(base_center[a, 0], base_center[a, 1]) + np.sqrt((base_half[a] ** 2).sum())
-        reach = max(reach, r)
-    spread = np.empty((len(center), 2))
-    for b in range(len(center)):
-        for k in range(2):
-            spread[b, k] = reach + clearance
-            for a in range(3):
-                spread[b, k] += abs(rotation[b, k, a]) * half[b, a]
+        # A turn about z leaves heights and this horizontal radius as they are.
+        radius[a] = np.hypot(tall[a, 0], tall[a, 1]) + clearance
+        reach = max(reach, np.hypot(base_center[a, 0], base_center[a, 1]) + radius[a])
     c0, R0, h0 = np.empty(3), np.empty((3, 3)), np.empty(3)
+    t, C, A = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
     for n in range(len(bases)):
         x, y = bases[n, 0], bases[n, 1]
         cos, sin = np.cos(bases[n, 2]), np.sin(bases[n, 2])
         for b in range(len(center)):
-            if abs(center[b, 0] - x) > spread[b, 0] or abs(center[b, 1] - y) > spread[b, 1]:
+            dx, dy = center[b, 0] - x, center[b, 1] - y
+            if abs(dx) > spread[b, 0] + reach or abs(dy) > spread[b, 1] + reach:
                 continue
             for a in range(len(base_center)):
-                c0[0] = x + cos * base_center[a, 0] - sin * base_center[a, 1]
-                c0[1] = y + sin * base_center[a, 0] + cos * base_center[a, 1]
+                gap = abs(base_center[a, 2] - center[b, 2])
+                if gap > tall[a, 2] + spread[b, 2] + clearance:
+                    continue
+                c0[0] = cos * base_center[a, 0] - sin * base_center[a, 1]
+                c0[1] = sin * base_center[a, 0] + cos * base_center[a, 1]
+                if (
+                    abs(c0[0] - dx) > radius[a] + spread[b, 0]
+                    or abs(c0[1] - dy) > radius[a] + spread[b, 1]
+                ):
+                    continue
+                c0[0] += x
+                c0[1] += y
                 c0[2] = base_center[a, 2]
                 for k in range(3):
                     R0[0, k] = cos * base_rotation[a, 0, k] - sin * base_rotation[a, 1, k]
                     R0[1, k] = sin * base_rotation[a, 0, k] + cos * base_rotation[a, 1, k]
                     R0[2, k] = base_rotation[a, 2, k]
                     h0[k] = base_half[a, k] + clearance
-                if not _separated(c0, R0, h0, center[b], rotation[b], half[b]):
+                if not _separated(c0, R0, h0, center[b], rotation[b], half[b], t, C, A):
                     out[n] = b
                     break
             if out[n] != FREE:

@@ -32,7 +32,7 @@ SMALL = 1e-5
 WORTH = 0.1
 """Share of a box's volume that a cut must save [-]."""
 STRIPS_FROM = 0.08
-"""Cylinders with a larger radius are covered by strips [m]."""
+"""Upright cylinders with a larger radius are covered by strips [m]."""
 STRIPS = 10
 """Strips across a wide cylinder; they stick out by 5 % of the radius [-]."""
 _CIRCLE = 24
@@ -170,11 +170,11 @@ def _thicken(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "m 3"]:
 
 
 def cover_shape(geometry: Geometry, hull: Hull) -> Boxes:
-    """Cover a shape by boxes: a box by itself, a wide cylinder by strips, all else as a hull."""
+    """Cover a shape by boxes: a box by itself, a wide upright cylinder by strips, all else as a hull."""
     T = geometry.T_link_geometry
     if geometry.kind == "box":
         return Boxes(T[None, :3, 3], T[None, :3, :3], np.array([geometry.size]) / 2)
-    if geometry.kind == "cylinder" and geometry.size[0] > STRIPS_FROM:
+    if geometry.kind == "cylinder" and geometry.size[0] > STRIPS_FROM and T[2, 2] > 0.99:
         radius, length = geometry.size
         edge = radius * np.cos(np.linspace(np.pi, 0, STRIPS + 1))
         nearest = np.where(

@@ -39,6 +39,8 @@ class Feasibility:
     planner: PlannerConfig
     refuse: Refusal
     seed: int
+    out_of_time: Callable[[], bool]
+    """Asked between steps of the screening."""
 
     def __call__(self, base: Float[np.ndarray, "3"], grasps: Int[np.ndarray, " k"]) -> Attempt:
         """Check one base pose with some grasps, best first.
@@ -68,12 +70,15 @@ class Feasibility:
 
     def screen(
         self, bases: Float[np.ndarray, "n 3"], scores: Float[np.ndarray, "n g"]
-    ) -> Bool[np.ndarray, " n"]:
+    ) -> Bool[np.ndarray, " n"] | None:
         """Tell at which base poses some grasp has an arm path, many poses at a time.
 
         Args:
             bases: Base poses that stand clear.
             scores: Reachability of each grasp from each; only those above 0 are tried.
+
+        Returns:
+            Whether there is a path, or None when the time was up before all had been tried.
         """
         order = np.argsort(-scores, axis=1, kind="stable")
         reached = (scores > 0).sum(1)
@@ -96,12 +101,16 @@ class Feasibility:
                     lambda c: self._found(bases[c[:, 0]], order[c[:, 0], c[:, 1]]), chunks
                 ), strict=True):  # fmt: skip
                     found[chunk[good, 0]] = True
+            if self.out_of_time():
+                return None
             first, width = first + width, 3 * width
         return found
 
     def _found(
         self, bases: Float[np.ndarray, "j 3"], grasps: Int[np.ndarray, " j"]
     ) -> Bool[np.ndarray, " j"]:
+        if self.out_of_time():
+            return np.zeros(len(grasps), bool)
         paths = find_paths(self.robot, self.world, self.motion, bases, grasps)
         return np.array([path.status == FOUND for path in paths], bool)
 

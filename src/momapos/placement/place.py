@@ -68,8 +68,10 @@ AttemptPose = Callable[[Float[np.ndarray, "3"], Int[np.ndarray, " k"]], Attempt]
 """Check one base pose with some grasps, best first."""
 
 
-ScreenPoses = Callable[[Float[np.ndarray, "n 3"], Float[np.ndarray, "n g"]], Bool[np.ndarray, " n"]]
-"""Tell at which base poses some grasp has an arm path, from the scores of all grasps."""
+ScreenPoses = Callable[
+    [Float[np.ndarray, "n 3"], Float[np.ndarray, "n g"]], Bool[np.ndarray, " n"] | None
+]
+"""Tell at which base poses some grasp has an arm path, from all scores; None: out of time."""
 
 
 @dataclass
@@ -229,6 +231,10 @@ def _check_samples(problem: Problem, left: _Shortlist, config: PlaceConfig, foun
 def _screen(problem: Problem, left: _Shortlist, found: Search) -> None:
     """Look for an arm path at every pose of the grid."""
     passed = problem.screen(left.poses, left.scores)
+    if passed is None:
+        found.timed_out = True
+        left.keep(np.zeros(len(left.poses), bool), NOT_TRIED)
+        return
     found.checked += len(passed)
     left.keep(passed, NO_PATH)
     left.reasons[left.row] = PASSED

@@ -73,15 +73,15 @@ def _majority(votes):
     """The bits that at least half of the words have."""
     mask = np.uint64(0)
     for b in range(BEARINGS):
-        count = 0
+        bit, count = np.uint64(1) << np.uint64(b), 0
         for k in range(len(votes)):
-            count += np.int64((votes[k] >> np.uint64(b)) & np.uint64(1))
-        if 2 * count >= len(votes):
-            mask |= np.uint64(1) << np.uint64(b)
+            count += 2 if votes[k] & bit else 0
+        if count >= len(votes):
+            mask |= bit
     return mask
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, inline="always")  # compiled once instead of twice: 3 s
 def _line_mask(R_tool, p_tool, closed, spins, arm, chain, limits, ik, pans, work):
     """Bearings at which a tool pose is reachable, for at least half of the spins.
 

@@ -24,9 +24,9 @@ STEPS = 8
 """Stored steps per cell of margin [-]."""
 DEPTH = 32
 """Stored value from which on the score is 1: four cells from the boundary."""
-THRESHOLD = -0.5
+THRESHOLD = -0.3
 """Value from which on a line counts as reachable: interpolation rounds the convex boundary of the
-reachable set inwards, by about 1/16 of a cell."""
+reachable set inwards, by about 1/25 of a cell."""
 OUTSIDE = -12
 """Stored value of points that are far from anything reachable."""
 

@@ -145,7 +145,7 @@ def standing_table(
     axis = np.append(d[: first + 1, :2].sum(0), 0.0)
     kind = np.full((first + 1, len(radii)), -1, np.int64)
     classes: dict[tuple[int, bytes, float], int] = {}
-    shapes = []
+    shapes: list[tuple[tuple[np.ndarray, ...], float]] = []
     for body in range(first + 1):
         parts, matters = _body(spheres, body, d[:body, :2].sum(0))
         for s in np.flatnonzero(spheres.segment[group] > first):

@@ -45,7 +45,7 @@ def encode(reach_map: ReachMap) -> bytes:
     header = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in header.items()}
     header |= {"version": VERSION, "shape": reach_map.values.shape}
     text = json.dumps(header).encode()
-    values = zlib.compress(np.ascontiguousarray(reach_map.values), 6)
+    values = zlib.compress(reach_map.values.tobytes(), 6)
     return _MAGIC + struct.pack("<I", len(text)) + text + values
 
 

@@ -115,7 +115,7 @@ def report_lines(report: Report) -> list[str]:
     """Write a report for people, one line a check and the verdict last."""
     lines = []
     for check in report.checks:
-        number = f"{check.value:10.4g} {check.unit:<6} (limit {check.limit:g})"
+        number = f"{check.value:10.4g} {check.unit:<8} (limit {check.limit:g})"
         detail = f"  {check.detail}" if check.detail else ""
         lines.append(f"{'ok  ' if check.ok else 'FAIL'} {check.name:<50} {number}{detail}")
     lines += [f"note: {note}" for note in report.notes]
