@@ -213,10 +213,10 @@ def check(
         holding: Whether the gripper may touch what is grasped.
     """
     return _check(
-        q,
-        bases,
-        value,
-        holding,
+        np.ascontiguousarray(q),
+        np.ascontiguousarray(bases),
+        np.ascontiguousarray(value),
+        np.ascontiguousarray(holding),
         chain_arrays(chain),
         spheres.arrays(),
         world.arrays(),

@@ -121,7 +121,7 @@ class Feasibility:
         carrying = self.motion.task.verb == "place"
         return check(
             self.world, self.robot.chain, spheres, np.ascontiguousarray(q),
-            np.broadcast_to(base, (len(q), 3)), np.full(len(q), self.motion.value[0]),
+            np.tile(base, (len(q), 1)), np.full(len(q), self.motion.value[0]),
             np.full(len(q), carrying),
         )  # fmt: skip
 

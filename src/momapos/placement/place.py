@@ -27,6 +27,8 @@ from momapos.protocols import ReachScorer, TravelCost
 from momapos.types import Attempt, Candidates, Motion
 
 Method = Literal["ours", "paper", "exhaustive"]
+_BLOCK = 512
+"""Poses of the grid that are screened together [-]."""
 FEASIBLE = "feasible"
 REASONS = {BLOCKED: "base blocked", OFF_FLOOR: "base off the floor", 3: "farther than the arm"}
 NO_REACH, NO_WAY, NOT_TRIED = "out of reach", "no way to drive there", "not tried"
@@ -60,6 +62,8 @@ class PlaceConfig:
     """Cell of the exhaustive grid [m]."""
     grid_turn: float = 10.0
     """Turn between yaws of the exhaustive grid [deg]."""
+    whole_grid: bool = False
+    """Whether the grid is screened to its end, even after the cheapest pose is found."""
     clearance: float = 0.01
     """Distance that the base keeps from everything [m]."""
 
@@ -136,8 +140,7 @@ def search(problem: Problem, config: PlaceConfig, rng: np.random.Generator) -> S
     for local, on_grid in _rounds(corners, config, rng):
         shortlist = _cull(problem, in_world(frame, local), found)
         if on_grid:
-            _screen(problem, shortlist, found)
-            _check_grid(problem, shortlist, found)
+            _check_grid(problem, shortlist, config, found)
         else:
             _check_samples(problem, shortlist, config, found)
         if found.motion is not None or found.timed_out:
@@ -228,27 +231,25 @@ def _check_samples(problem: Problem, left: _Shortlist, config: PlaceConfig, foun
         _check(problem, left, i, config.grasps, found)
 
 
-def _screen(problem: Problem, left: _Shortlist, found: Search) -> None:
-    """Look for an arm path at every pose of the grid."""
-    passed = problem.screen(left.poses, left.scores)
-    if passed is None:
-        found.timed_out = True
-        left.keep(np.zeros(len(left.poses), bool), NOT_TRIED)
-        return
-    found.checked += len(passed)
-    left.keep(passed, NO_PATH)
-    left.reasons[left.row] = PASSED
+def _check_grid(problem: Problem, left: _Shortlist, config: PlaceConfig, found: Search) -> None:
+    """Complete the cheapest pose of the grid that can be completed.
 
-
-def _check_grid(problem: Problem, left: _Shortlist, found: Search) -> None:
-    """Complete the cheapest pose of the grid that can be completed."""
-    for i in np.argsort(left.travel, kind="stable"):
-        if problem.out_of_time():
-            found.timed_out = True
+    Poses are screened for an arm path in blocks, cheapest first; with `whole_grid` all are.
+    """
+    order = np.argsort(left.travel, kind="stable")
+    for first in range(0, len(order), _BLOCK):
+        if found.motion is not None and not config.whole_grid:
             return
-        _check(problem, left, i, None, found)
-        if found.motion is not None:
+        block = order[first : first + _BLOCK]
+        passed = problem.screen(left.poses[block], left.scores[block])
+        if passed is None or problem.out_of_time():
+            found.timed_out = found.motion is None
             return
+        found.checked += len(block)
+        left.reasons[left.row[block]] = np.where(passed, PASSED, NO_PATH)
+        for i in block[passed]:
+            if found.motion is None and not problem.out_of_time():
+                _check(problem, left, int(i), None, found)
 
 
 def _order(problem: Problem, left: _Shortlist, config: PlaceConfig) -> Int[np.ndarray, " n"]:

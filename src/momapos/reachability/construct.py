@@ -143,6 +143,7 @@ def build_map(
     values = values.reshape(shape)
     close_seam(values)
     deepen(values.reshape(-1), pack_shape(shape))
+    evaluate.progress(1.0)
     seconds = time.perf_counter() - began
     log.debug(
         "%s: %d lines in %.1f s, %d answers between in %.1f s, all in %.1f s", robot.name,

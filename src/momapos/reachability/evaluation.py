@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float
 from momapos.kinematics.collision import FREE, check_states
 from momapos.kinematics.ik import IkModel, chain_arrays, solve_ik
 from momapos.reachability.map import ReachMap
+from momapos.reachability.store import encode
 from momapos.robots.robot import Robot
 
 
@@ -26,6 +27,10 @@ class ReachEvaluation:
     """Share of what is reachable that the map denies [-]."""
     reachable: float
     """Share of the poses that are reachable [-]."""
+    bytes: int
+    """Size of the map's file."""
+    build_seconds: float
+    """What building it took."""
 
 
 def reachable(
@@ -73,7 +78,10 @@ def random_poses(
 
 
 def evaluate(
-    reach_map: ReachMap, robot: Robot, rng: np.random.Generator, count: int = 20_000,
+    reach_map: ReachMap,
+    robot: Robot,
+    rng: np.random.Generator,
+    count: int = 20_000,
     ik: IkModel | None = None,
 ) -> ReachEvaluation:
     """Compare a map with exact inverse kinematics, self-collision and floor included.
@@ -94,4 +102,6 @@ def evaluate(
         1 - both / max(float(told.sum()), 1.0),
         1 - both / max(float(truth.sum()), 1.0),
         float(truth.mean()),
+        len(encode(reach_map)),
+        reach_map.build_seconds,
     )
