@@ -50,10 +50,14 @@ def main(robots: tyro.conf.Positional[tuple[str, ...]] = (), count: int = 20_000
     began = time.perf_counter()
     build_map(load_robot("husky_ur5e"), tiny)
     print(machine())
-    print(f"compiling or loading the kernels, and a map of hardly any points: "
-          f"{time.perf_counter() - began:.1f} s\n")
-    print("| robot | grid | built, wall (CPU) | file | loaded | reachable | accuracy "
-          "| false positives | misses | sampled states marked | `weakest` | `base_scores` |")
+    print(
+        f"compiling or loading the kernels, and a map of hardly any points: "
+        f"{time.perf_counter() - began:.1f} s\n"
+    )
+    print(
+        "| robot | grid | built, wall (CPU) | file | loaded | reachable | accuracy "
+        "| false positives | misses | sampled states marked | `weakest` | `base_scores` |"
+    )
     print("|" + "---|" * 12)
     for name in robots or library_names():
         print(row(load_robot(name), count), flush=True)
@@ -73,11 +77,18 @@ def row(robot: Robot, count: int) -> str:
     found = evaluate(reach, robot, np.random.default_rng(0), count, exact)
     weakest, floor = speeds(reach, robot)
     cells = [
-        robot.name, " x ".join(map(str, reach.values.shape)), f"{built:.0f} s ({cpu:.0f})",
-        f"{size / 1e6:.2f} MB", f"{1e3 * loaded:.0f} ms", f"{100 * found.reachable:.1f} %",
-        f"{100 * found.accuracy:.2f} %", f"{100 * found.false_positives:.2f} %",
-        f"{100 * found.misses:.2f} %", f"{100 * marked(reach, robot):.2f} %",
-        f"{weakest:.1f} ns", f"{floor:.2f} ms",
+        robot.name,
+        " x ".join(map(str, reach.values.shape)),
+        f"{built:.0f} s ({cpu:.0f})",
+        f"{size / 1e6:.2f} MB",
+        f"{1e3 * loaded:.0f} ms",
+        f"{100 * found.reachable:.1f} %",
+        f"{100 * found.accuracy:.2f} %",
+        f"{100 * found.false_positives:.2f} %",
+        f"{100 * found.misses:.2f} %",
+        f"{100 * marked(reach, robot):.2f} %",
+        f"{weakest:.1f} ns",
+        f"{floor:.2f} ms",
     ]
     return f"| {' | '.join(cells)} |"
 

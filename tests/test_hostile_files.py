@@ -331,8 +331,6 @@ def test_names_that_do_not_exist_offer_the_nearest(room: Path) -> None:
 
 # ------------------------------------------------------------------------------------------- robots
 
-NOT_YET = pytest.mark.xfail(strict=False, reason="robots/robot.py lets another error through")
-
 
 @pytest.mark.parametrize(
     ("change", "words"),
@@ -381,7 +379,7 @@ def test_a_robot_file_that_contradicts_itself_is_refused(
         b"x" * 2_000_000,
         b"<robot/>",
         b"{}",
-        pytest.param(b"a = " + b"[" * 50_000, marks=NOT_YET),
+        b"a = " + b"[" * 50_000,
     ],
 )
 def test_a_damaged_robot_file_is_refused(room: Path, content: bytes) -> None:
@@ -390,8 +388,6 @@ def test_a_damaged_robot_file_is_refused(room: Path, content: bytes) -> None:
     refused(room, lambda: load_robot(path), str(path))
 
 
-@pytest.mark.parametrize(
-    "name", ["fetsh", "gone.toml", "r.urdf", pytest.param("x" * 5000, marks=NOT_YET)]
-)
+@pytest.mark.parametrize("name", ["fetsh", "gone.toml", "r.urdf", "x" * 5000])
 def test_a_robot_that_does_not_exist_is_refused(room: Path, name: str) -> None:
     refused(room, lambda: load_robot(name), "")

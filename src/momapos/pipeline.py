@@ -9,7 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib import metadata
 
 import numpy as np
@@ -21,7 +21,7 @@ from momapos.geometry.polygons import all_inside, inscribed_radius
 from momapos.kinematics.base_collision import base_hits
 from momapos.kinematics.collision import FREE
 from momapos.kinematics.world import World, build_world
-from momapos.manipulation.feasibility import Feasibility
+from momapos.manipulation.feasibility import Feasibility, hand_clears
 from momapos.manipulation.handles import opening_direction
 from momapos.manipulation.motion import TaskMotion, task_motion
 from momapos.manipulation.tasks import openable
@@ -96,6 +96,9 @@ def place(
     with watch.stage("model"):
         motion = task_motion(scene, robot, task, config.motion)
         world = arm_world(robot, motion, config)
+        roomy, obstacle = hand_clears(robot, world, motion)
+        if roomy.any():
+            motion = replace(motion, Ts_world_tool=motion.Ts_world_tool[roomy])
     with watch.stage("drive"):
         plan = room_plan(scene, robot, motion)
         start = start_pose(scene, robot, plan, motion, start)
@@ -125,6 +128,7 @@ def place(
         travel_cost=cost.lengths,
         attempt=feasible,
         screen=feasible.screen,
+        hopeless="" if roomy.any() else f"the hand hits {obstacle} in every grasp",
         start=start,
         out_of_time=out_of_time,
     )

@@ -43,8 +43,16 @@ def test_keys_cannot_leave_the_folder(tmp_path: Path, key: str) -> None:
 
 def test_content_keys_tell_contents_apart() -> None:
     parts = [
-        ("ab", "c"), ("a", "bc"), (b"ab", "c"), (1, 2.0), (1.0, 2), (np.zeros(3),),
-        (np.zeros((3, 1)),), (np.zeros(3, np.float32),), (None,), (),
+        ("ab", "c"),
+        ("a", "bc"),
+        (b"ab", "c"),
+        (1, 2.0),
+        (1.0, 2),
+        (np.zeros(3),),
+        (np.zeros((3, 1)),),
+        (np.zeros(3, np.float32),),
+        (None,),
+        (),
     ]
     assert len({content_key(*p) for p in parts}) == len(parts)
     assert content_key("a", np.arange(3)) == content_key("a", np.arange(6)[:3])
@@ -72,9 +80,7 @@ def test_a_failed_write_leaves_nothing(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["folder"]
 
 
-def test_the_environment_names_the_folder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_environment_names_the_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MOMAPOS_CACHE", str(tmp_path))
     assert default_cache_dir() == tmp_path
     monkeypatch.delenv("MOMAPOS_CACHE")

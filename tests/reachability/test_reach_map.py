@@ -141,7 +141,10 @@ def test_a_damaged_file_is_rebuilt(robot: Robot, tmp_path: Path, damage: str) ->
     data = bytearray(path.read_bytes())
     data[len(data) // 2] ^= 0xFF
     spoilt = {
-        "flip": bytes(data), "cut": path.read_bytes()[:-20], "foreign": b"PK\x03\x04", "empty": b"",
+        "flip": bytes(data),
+        "cut": path.read_bytes()[:-20],
+        "foreign": b"PK\x03\x04",
+        "empty": b"",
     }
     path.write_bytes(spoilt[damage])
     np.testing.assert_array_equal(load_or_build(robot, tmp_path, config=TINY).values, first.values)
@@ -151,7 +154,9 @@ def test_a_damaged_file_is_rebuilt(robot: Robot, tmp_path: Path, damage: str) ->
 
 def test_what_a_map_is_built_from_makes_its_key(robot: Robot) -> None:
     keys = {
-        map_key(robot, TINY), map_key(robot, COARSE), map_key(load_robot("segway_ur5e"), TINY),
+        map_key(robot, TINY),
+        map_key(robot, COARSE),
+        map_key(load_robot("segway_ur5e"), TINY),
         map_key(replace(robot, tool_link="wrist_3_link"), TINY),
         map_key(replace(robot, disabled=frozenset()), TINY),
     }
@@ -167,9 +172,7 @@ def test_a_limited_first_joint_leaves_bearings_out() -> None:
     x, y = reach.axis_xy
     yaws = np.array([0.0, 0.3, -0.3, np.pi, 2.5, -2.5])
     turned = np.array([_turned(ahead, x, y, yaw) for yaw in yaws])
-    np.testing.assert_array_equal(
-        reach.score(turned) > 0, [True, True, True, False, False, False]
-    )
+    np.testing.assert_array_equal(reach.score(turned) > 0, [True, True, True, False, False, False])
 
 
 def _turned(Ts: np.ndarray, x: float, y: float, yaw: float) -> np.ndarray:

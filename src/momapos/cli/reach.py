@@ -7,31 +7,45 @@ from pathlib import Path
 from tyro.conf import Positional
 
 
-def reach_build(robot: Positional[str], /, *, cache: Path | None = None, json: bool = False) -> int:
-    """Build a robot's reachability map, or find it in the cache.
+def reach_build(
+    robot: Positional[str],
+    /,
+    *,
+    cache: Path | None = None,
+    out: Path | None = None,
+    json: bool = False,
+) -> int:
+    """Build a robot's reachability map, or find it ready.
 
     Args:
         robot: A library robot or a robot file.
         cache: Folder of the cache.
+        out: Build it afresh into this file; NAME.reach beside NAME.toml is found by itself.
         json: Print one JSON object.
     """
     import json as encoder
     import time
 
-    from momapos.cache import default_cache_dir
+    from momapos.cache import default_cache_dir, write_atomic
     from momapos.cli.console import progress
-    from momapos.reachability.store import load_or_build
+    from momapos.reachability.construct import build_map, default_config
+    from momapos.reachability.store import encode, load_or_build, map_key
     from momapos.robots.robot import load_robot
 
-    machine, folder = load_robot(robot), cache or default_cache_dir()
+    machine, where = load_robot(robot), out or cache or default_cache_dir()
     began = time.perf_counter()
     with progress(f"reachability map of {machine.name}") as report:
-        load_or_build(machine, folder, report)
+        if out is None:
+            load_or_build(machine, where, report)
+        else:
+            config = default_config(machine)
+            key = map_key(machine, config)
+            write_atomic(out, encode(build_map(machine, config, progress=report, key=key)))
     seconds = time.perf_counter() - began
     if json:
-        print(encoder.dumps({"robot": machine.name, "cache": str(folder), "seconds": seconds}))
+        print(encoder.dumps({"robot": machine.name, "path": str(where), "seconds": seconds}))
     else:
-        print(f"reachability map of {machine.name}: ready after {seconds:.1f} s in {folder}")
+        print(f"reachability map of {machine.name}: ready after {seconds:.1f} s in {where}")
     return 0
 
 

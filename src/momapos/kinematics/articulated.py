@@ -15,7 +15,7 @@ from momapos.kinematics.hulls import Boxes, Hull, cover_shape, hull_of
 from momapos.kinematics.urdf import Geometry, Joint, Urdf
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Articulated:
     """A tree of links with named joints; geometry is made when it is first asked for."""
 
@@ -56,6 +56,11 @@ class Articulated:
                 T = T @ joint_motion(joint, value)
             poses[joint.child] = T
         return poses
+
+    @cached_property
+    def rest_poses(self) -> dict[str, Float[np.ndarray, "4 4"]]:
+        """Poses of all links in the root's frame, all joints at rest."""
+        return self.link_poses({})
 
     @cached_property
     def _children(self) -> dict[str, list[Joint]]:

@@ -14,9 +14,7 @@ from momapos.kinematics.hulls import Boxes
 def _separated(ca, Ra, ha, cb, Rb, hb, t, C, A):
     """Whether two oriented boxes are apart (Gottschalk 1996: 15 axes); t, C, A are scratch."""
     for i in range(3):
-        t[i] = (
-            (cb[0] - ca[0]) * Ra[0, i] + (cb[1] - ca[1]) * Ra[1, i] + (cb[2] - ca[2]) * Ra[2, i]
-        )
+        t[i] = (cb[0] - ca[0]) * Ra[0, i] + (cb[1] - ca[1]) * Ra[1, i] + (cb[2] - ca[2]) * Ra[2, i]
         for j in range(3):
             C[i, j] = Ra[0, i] * Rb[0, j] + Ra[1, i] * Rb[1, j] + Ra[2, i] * Rb[2, j]
             A[i, j] = abs(C[i, j]) + 1e-9

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -43,13 +44,15 @@ class Chain:
         """Number of joints."""
         return len(self.names)
 
-    def tool_poses(
-        self, q: Float[np.ndarray, "*batch n"]
-    ) -> Float[np.ndarray, "*batch 4 4"]:
+    def tool_poses(self, q: Float[np.ndarray, "*batch n"]) -> Float[np.ndarray, "*batch 4 4"]:
         """Tool poses in the base frame."""
         q = np.asarray(q, float)
         flat = tool_poses(
-            q.reshape(-1, self.size), self.h, self.d, self.prismatic, self.tool_offset,
+            q.reshape(-1, self.size),
+            self.h,
+            self.d,
+            self.prismatic,
+            self.tool_offset,
             self.tool_rotation,
         )
         return flat.reshape(*q.shape[:-1], 4, 4)
@@ -109,9 +112,7 @@ def _poses_at_zero(
     return {name: T_base_root @ T for name, T in poses.items()}
 
 
-def _check_order(
-    model: Articulated, base_link: str, tool_link: str, joints: Sequence[str]
-) -> None:
+def _check_order(model: Articulated, base_link: str, tool_link: str, joints: Sequence[str]) -> None:
     if not joints:
         raise RobotError(f"{model.urdf.name}: arm_joints is empty; name the joints base to tool")
     if len(set(joints)) != len(joints):
@@ -121,7 +122,7 @@ def _check_order(
             f"{model.urdf.name}: tool link {tool_link!r} does not move with {joints[-1]!r}; "
             "arm_joints must be the chain from base to tool"
         )
-    for before, after in zip(joints, joints[1:], strict=False):
+    for before, after in pairwise(joints):
         if model.joint(after).child not in model.moved_by(before) or before == after:
             raise RobotError(
                 f"{model.urdf.name}: joint {after!r} does not follow {before!r}; "
@@ -190,7 +191,9 @@ def forward(
     """Fill rotations R (n + 1, 3, 3) and origins p (n + 1, 3); entry 0 is the base's pose."""
     for i in range(len(q)):
         for k in range(3):
-            p[i + 1, k] = p[i, k] + R[i, k, 0] * d[i, 0] + R[i, k, 1] * d[i, 1] + R[i, k, 2] * d[i, 2]
+            p[i + 1, k] = (
+                p[i, k] + R[i, k, 0] * d[i, 0] + R[i, k, 1] * d[i, 1] + R[i, k, 2] * d[i, 2]
+            )
         if prismatic[i]:
             for k in range(3):
                 p[i + 1, k] += q[i] * (
@@ -226,5 +229,3 @@ def tool_poses(
                     out[m, i, j] += R[n, i, k] * tool_rotation[k, j]
         out[m, 3, 3] = 1.0
     return out
-
-

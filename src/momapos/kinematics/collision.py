@@ -35,11 +35,17 @@ def box_gap(c, r, center, rotation, half, b):
 def _moved(R, p, segment, local):
     """A point of a segment in the frame of the chain's base pose."""
     return (
-        p[segment, 0] + R[segment, 0, 0] * local[0] + R[segment, 0, 1] * local[1]
+        p[segment, 0]
+        + R[segment, 0, 0] * local[0]
+        + R[segment, 0, 1] * local[1]
         + R[segment, 0, 2] * local[2],
-        p[segment, 1] + R[segment, 1, 0] * local[0] + R[segment, 1, 1] * local[1]
+        p[segment, 1]
+        + R[segment, 1, 0] * local[0]
+        + R[segment, 1, 1] * local[1]
         + R[segment, 1, 2] * local[2],
-        p[segment, 2] + R[segment, 2, 0] * local[0] + R[segment, 2, 1] * local[1]
+        p[segment, 2]
+        + R[segment, 2, 0] * local[0]
+        + R[segment, 2, 1] * local[1]
         + R[segment, 2, 2] * local[2],
     )
 
@@ -80,8 +86,18 @@ def hit_self(R, p, spheres):
     R, p are relative to any base pose; entry 0 is that pose.
     """
     (
-        center, radius, start, segment, bound_center, bound_radius, gripper, pairs,
-        base_center, base_rotation, base_half, base_pairs,
+        center,
+        radius,
+        start,
+        segment,
+        bound_center,
+        bound_radius,
+        _,
+        pairs,
+        base_center,
+        base_rotation,
+        base_half,
+        base_pairs,
     ) = spheres
     for k in range(len(pairs)):
         i, j = pairs[k, 0], pairs[k, 1]

@@ -170,7 +170,7 @@ def _thicken(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "m 3"]:
 
 
 def cover_shape(geometry: Geometry, hull: Hull) -> Boxes:
-    """Cover a shape by boxes: a box by itself, a wide upright cylinder by strips, all else as a hull."""
+    """Cover a shape by boxes: a box by itself, a wide upright cylinder by strips, else its hull."""
     T = geometry.T_link_geometry
     if geometry.kind == "box":
         return Boxes(T[None, :3, 3], T[None, :3, :3], np.array([geometry.size]) / 2)

@@ -19,7 +19,18 @@ from numba import njit
 from momapos.errors import RobotError
 from momapos.kinematics.chain import Chain, forward, stand_at_origin
 from momapos.kinematics.subproblems import (
-    add, cross, dot, mul, mul_t, neg, rot, row, sp1, sp3, sp4, sub,
+    add,
+    cross,
+    dot,
+    mul,
+    mul_t,
+    neg,
+    rot,
+    row,
+    sp1,
+    sp3,
+    sp4,
+    sub,
 )
 
 NUMERIC, WRIST_PARALLEL, WRIST_MEETING, THREE_PARALLEL = 0, 1, 2, 3
@@ -77,14 +88,14 @@ def build_ik(chain: Chain, *, samples_per_joint: int = 9, seeds: int = 48) -> Ik
     """
     revolute = np.flatnonzero(~chain.prismatic)
     if len(revolute) >= 6:
-        for active in _active_sets(chain, revolute):
+        for active in _active_sets(revolute):
             model = _closed_form(chain, np.array(active), samples_per_joint)
             if model is not None:
                 return model
     return _numeric(chain, seeds)
 
 
-def _active_sets(chain: Chain, revolute: np.ndarray) -> list[tuple[int, ...]]:
+def _active_sets(revolute: np.ndarray) -> list[tuple[int, ...]]:
     """Sets of six revolute joints to solve for; the joints nearest the base are locked first."""
     sets = itertools.combinations(revolute.tolist(), 6)
     return sorted(sets, key=lambda active: -sum(active))
@@ -271,7 +282,12 @@ def _across(v, axis):
 def _three_parallel(h, o, c0, R06, c, out):
     """All branches of an arm whose axes 2, 3 and 4 are parallel; returns the count."""
     h1, h2, h3, h4, h5, h6 = (
-        row(h, 0), row(h, 1), row(h, 2), row(h, 3), row(h, 4), row(h, 5),
+        row(h, 0),
+        row(h, 1),
+        row(h, 2),
+        row(h, 3),
+        row(h, 4),
+        row(h, 5),
     )
     o1, o2, o3, o4 = row(o, 0), row(o, 1), row(o, 2), row(o, 3)
     s3 = 1.0 if dot(h2, h3) > 0 else -1.0
@@ -299,8 +315,14 @@ def _three_parallel(h, o, c0, R06, c, out):
             along = dot(h2, t)
             flat = add(upper, lower)
             # Components along the axes are carried unchanged; the planar 2R problem is the rest.
-            t = add(t, (h2[0] * (dot(h2, flat) - along), h2[1] * (dot(h2, flat) - along),
-                        h2[2] * (dot(h2, flat) - along)))
+            t = add(
+                t,
+                (
+                    h2[0] * (dot(h2, flat) - along),
+                    h2[1] * (dot(h2, flat) - along),
+                    h2[2] * (dot(h2, flat) - along),
+                ),
+            )
             n3, a3, b3 = sp3(lower, neg(upper), h3, np.sqrt(dot(t, t)))
             for m in range(n3):
                 q3 = a3 if m == 0 else b3
@@ -482,9 +504,7 @@ def solve_sample(s, R_target, p_target, chain, limits, ik, out, scratch):
                 continue
             for a in range(6):
                 out[count, active[a]] = branches[b, a]
-        residual = newton(
-            out[count], active, chain, R_target, p_target, steps, damping, (R, p)
-        )
+        residual = newton(out[count], active, chain, R_target, p_target, steps, damping, (R, p))
         if residual < _TIGHT and into_limits(out[count], lower, upper, chain[2]):
             count += 1
     return count
@@ -493,7 +513,12 @@ def solve_sample(s, R_target, p_target, chain, limits, ik, out, scratch):
 @njit(cache=True, nogil=True)
 def ik_scratch(n):
     """Scratch arrays for `solve_sample`."""
-    return np.empty((MAX_BRANCHES, 6)), np.empty((3, 3)), np.empty((n + 1, 3, 3)), np.empty((n + 1, 3))
+    return (
+        np.empty((MAX_BRANCHES, 6)),
+        np.empty((3, 3)),
+        np.empty((n + 1, 3, 3)),
+        np.empty((n + 1, 3)),
+    )
 
 
 @njit(cache=True, nogil=True)

@@ -6,7 +6,7 @@ check at the end of planning is what decides, see `momapos.verification`.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -49,9 +49,18 @@ class Spheres:
     def arrays(self) -> tuple[np.ndarray, ...]:
         """The spheres as the kernels take them."""
         return (
-            self.center, self.radius, self.start, self.segment, self.bound_center,
-            self.bound_radius, self.gripper, self.pairs, self.base.center, self.base.rotation,
-            self.base.half, self.base_pairs,
+            self.center,
+            self.radius,
+            self.start,
+            self.segment,
+            self.bound_center,
+            self.bound_radius,
+            self.gripper,
+            self.pairs,
+            self.base.center,
+            self.base.rotation,
+            self.base.half,
+            self.base_pairs,
         )
 
 
@@ -85,7 +94,7 @@ def build_spheres(
     joined = _neighbours(model)
 
     def checked(a: str, b: str) -> bool:
-        return frozenset((a, b)) not in disabled and not joined(a, b, segments)
+        return frozenset((a, b)) not in disabled and not joined(a, b)
 
     pairs = [
         (i, j)
@@ -121,7 +130,10 @@ def _role(model: Articulated, link: str, gripper_links: set[str]) -> int:
 
 
 def carry(
-    spheres: Spheres, segment: int, center: Float[np.ndarray, "k 3"], radius: Float[np.ndarray, " k"]
+    spheres: Spheres,
+    segment: int,
+    center: Float[np.ndarray, "k 3"],
+    radius: Float[np.ndarray, " k"],
 ) -> Spheres:
     """The same robot with something in its hand, which is not checked against the robot itself.
 
@@ -156,7 +168,7 @@ def _bodies(model: Articulated, segments: Segments) -> set[int]:
     return found
 
 
-def _neighbours(model: Articulated):  # type: ignore[no-untyped-def]
+def _neighbours(model: Articulated) -> Callable[[str, str], bool]:
     """Tell whether two links are joined by one moving joint, fixed joints being no joints."""
     body: dict[str, str] = {model.urdf.root: model.urdf.root}
     parent: dict[str, str] = {}
@@ -167,7 +179,7 @@ def _neighbours(model: Articulated):  # type: ignore[no-untyped-def]
         else:
             body[joint.child] = body[joint.parent]
 
-    def joined(a: str, b: str, segments: Segments) -> bool:
+    def joined(a: str, b: str) -> bool:
         x, y = body[a], body[b]
         return x == y or parent.get(x) == y or parent.get(y) == x
 
@@ -191,7 +203,5 @@ def _base_boxes(model: Articulated, segments: Segments) -> tuple[Boxes, list[str
 
 
 def _bound(center: np.ndarray, radius: np.ndarray) -> tuple[np.ndarray, float]:
-    middle = (
-        (center - radius[:, None]).min(0) + (center + radius[:, None]).max(0)
-    ) / 2
+    middle = ((center - radius[:, None]).min(0) + (center + radius[:, None]).max(0)) / 2
     return middle, float((np.linalg.norm(center - middle, axis=1) + radius).max())

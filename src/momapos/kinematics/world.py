@@ -134,12 +134,12 @@ def _fill_buckets(center, rotation, half, low, shape, reach):
             for i in range(lo[0], hi[0] + 1):
                 for j in range(lo[1], hi[1] + 1):
                     for k in range(lo[2], hi[2] + 1):
-                        c = (
+                        point = (
                             low[0] + (i + 0.5) * CELL,
                             low[1] + (j + 0.5) * CELL,
                             low[2] + (k + 0.5) * CELL,
                         )
-                        if box_gap(c, inflated, center, rotation, half, b) > 0.0:
+                        if box_gap(point, inflated, center, rotation, half, b) > 0.0:
                             continue
                         cell = (i * shape[1] + j) * shape[2] + k
                         if fill == 0:
@@ -219,6 +219,63 @@ def check(
         np.ascontiguousarray(holding),
         chain_arrays(chain),
         spheres.arrays(),
+        world.arrays(),
+        world.clearance,
+    )
+
+
+@njit(cache=True, nogil=True)
+def _check_hand(R, p, value, holding, hand, world, margin):
+    out = np.full(len(R), FREE, np.int64)
+    moving_center, moving_rotation, moving_half, grasped = world[3:7]
+    for i in range(len(R)):
+        v = value[i]
+        boxes = (moving_center[v], moving_rotation[v], moving_half[v], grasped)
+        code = hit_boxes(R[i : i + 1], p[i : i + 1], hand, boxes, holding[i], margin)
+        if code != FREE:
+            out[i] = code + len(world[0])
+            continue
+        out[i] = _hit_static(R[i : i + 1], p[i : i + 1], hand, world, margin)
+    return out
+
+
+def check_hand(
+    world: World,
+    chain: Chain,
+    spheres: Spheres,
+    Ts_world_tool: Float[np.ndarray, "m 4 4"],
+    value: Int[np.ndarray, " m"],
+    holding: Bool[np.ndarray, " m"],
+) -> Int[np.ndarray, " m"]:
+    """What the hand alone hits at tool poses, whatever arm and base are behind it.
+
+    Returns:
+        FREE or an index into the labels.
+    """
+    groups = np.flatnonzero(spheres.segment == chain.size)
+    if not len(groups):
+        return np.full(len(Ts_world_tool), FREE)
+    rows = [np.arange(spheres.start[g], spheres.start[g + 1]) for g in groups]
+    index = np.concatenate(rows)
+    arrays = spheres.arrays()
+    hand = (
+        spheres.center[index],
+        spheres.radius[index],
+        np.cumsum([0, *map(len, rows)]),
+        np.zeros(len(groups), np.int64),
+        spheres.bound_center[groups],
+        spheres.bound_radius[groups],
+        spheres.gripper[groups],
+        *arrays[7:],
+    )
+    R = Ts_world_tool[:, :3, :3] @ chain.tool_rotation.T
+    p = Ts_world_tool[:, :3, 3] - R @ chain.tool_offset
+    return _check_hand(
+        np.ascontiguousarray(R),
+        np.ascontiguousarray(p),
+        np.ascontiguousarray(value),
+        np.ascontiguousarray(holding),
+        hand,
         world.arrays(),
         world.clearance,
     )

@@ -72,8 +72,9 @@ def find_paths(
 
 
 def _ends_first(count: int) -> list[int]:
-    """All of range(count): last, first, then ever finer between them."""
-    order, stride = [count - 1, 0], count - 1
+    """All of range(count): the grasp, last, first, then ever finer between them."""
+    order, stride = [1, count - 1, 0], count - 1
+    order = list(dict.fromkeys(order))
     while stride > 1:
         stride = (stride + 1) // 2
         order += [i for i in range(0, count, stride) if i not in order]

@@ -13,7 +13,7 @@ from momapos.geometry.transforms import apply, invert, pose_planar
 from momapos.kinematics.collision import FREE
 from momapos.kinematics.hulls import Boxes
 from momapos.kinematics.spheres import Spheres, box_spheres, carry
-from momapos.kinematics.world import World, check
+from momapos.kinematics.world import World, check, check_hand
 from momapos.manipulation.arm_path import FOUND, HIT, UNREACHABLE, ArmPath, find_paths
 from momapos.manipulation.motion import TaskMotion
 from momapos.manipulation.planner import PlannerConfig, interpolate, plan_motion
@@ -178,6 +178,27 @@ class Feasibility:
         if path.status == HIT:
             return f"arm hits {self.world.reason(path.obstacle)} at {where}"
         return "no continuous branch"
+
+
+def hand_clears(
+    robot: Robot, world: World, motion: TaskMotion
+) -> tuple[Bool[np.ndarray, " g"], str]:
+    """Which grasps the hand itself has room for at every waypoint, wherever the base stands.
+
+    Returns:
+        A mask over the grasps, and what stops most of the others.
+    """
+    Ts = motion.Ts_world_tool[:, motion.coarse]
+    grasps, count = Ts.shape[:2]
+    value = np.tile(motion.value[motion.coarse], grasps)
+    holding = np.tile(motion.holding[motion.coarse], grasps)
+    codes = check_hand(
+        world, robot.chain, robot.spheres, Ts.reshape(-1, 4, 4), value, holding
+    ).reshape(grasps, count)
+    free = (codes == FREE).all(1)
+    hits = codes[codes != FREE]
+    worst = world.reason(int(np.bincount(hits).argmax())) if len(hits) else ""
+    return free, worst
 
 
 def near_home(

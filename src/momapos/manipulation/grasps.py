@@ -24,6 +24,9 @@ class GraspConfig:
     """Points along the handle, as shares of its half length [-]."""
     standoffs: tuple[float, ...] = (0.0, 0.7)
     """How far the tool's origin stays before the handle, as shares of the fingers' depth [-]."""
+    tip_gap: float = 0.005
+    """A last stand-off: the fingertips this far before the handle's centre, for handles that lie
+    flat on what they open [m]."""
     rolls: int = 8
     """Rolls about the approach for knobs and rigid objects [-]."""
     pregrasp: float = 0.08
@@ -61,7 +64,8 @@ def handle_grasps(robot: Robot, handle: Handle, config: GraspConfig) -> Float[np
     """
     side = np.cross(handle.long, handle.out)
     # An edge that cannot be reached behind is touched with the fingertips.
-    standoffs = [1.0] if handle.edge else config.standoffs
+    deep = [] if handle.edge else [share * robot.finger_depth for share in config.standoffs]
+    standoffs = [*deep, robot.finger_depth + config.tip_gap]
     points = _points(handle, config)
     rolls = (
         np.arange(config.rolls) * 2 * np.pi / config.rolls if handle.knob else np.array([0, np.pi])
@@ -71,7 +75,6 @@ def handle_grasps(robot: Robot, handle: Handle, config: GraspConfig) -> Float[np
         -1, 5
     )
     roll, point, standoff, tilt, turn = grid.T
-    standoff = standoff * robot.finger_depth
     R_turn = rotation_about(handle.long, turn)
     approach = R_turn @ -handle.out
     closing = R_turn @ side
@@ -79,7 +82,9 @@ def handle_grasps(robot: Robot, handle: Handle, config: GraspConfig) -> Float[np
     approach = np.einsum("gij,gj->gi", R_tilt, approach)
     closing = np.einsum("gij,gj->gi", _rotations(approach, roll), closing)
     center = handle.center + point[:, None] * handle.long - standoff[:, None] * approach
-    order = np.argsort(np.abs(turn) + np.abs(tilt) + 5 * np.abs(point) + standoff, kind="stable")
+    order = np.argsort(
+        np.abs(turn) + np.abs(tilt) + 5 * np.abs(point) + 5 * standoff, kind="stable"
+    )
     return grasp_frames(robot, center, approach, closing)[order]
 
 

@@ -107,7 +107,7 @@ def find_handle(model: Articulated, joint: str, sign: float) -> Handle:
 def _poses_in_part(
     model: Articulated, joint: str, links: tuple[str, ...]
 ) -> dict[str, Float[np.ndarray, "4 4"]]:
-    poses = model.link_poses({})
+    poses = model.rest_poses
     T_part_root = invert(poses[model.joint(joint).child])
     return {name: T_part_root @ poses[name] for name in links}
 

@@ -118,6 +118,8 @@ class Problem:
     """Where the robot is: x [m], y [m], yaw [rad]."""
     out_of_time: Callable[[], bool]
     """Asked between candidates."""
+    hopeless: str = ""
+    """Why no base pose can help, where that is known beforehand."""
 
 
 def search(problem: Problem, config: PlaceConfig, rng: np.random.Generator) -> Search:
@@ -133,8 +135,9 @@ def search(problem: Problem, config: PlaceConfig, rng: np.random.Generator) -> S
     """
     found = Search()
     corners = sampling_box(problem.site)
-    if corners is None:
-        found.note(np.zeros((1, 3)), np.array([f"{NO_REACH} at any distance"], object))
+    if corners is None or problem.hopeless:
+        reason = problem.hopeless or f"{NO_REACH} at any distance"
+        found.note(np.zeros((1, 3)), np.array([reason], object))
         return found
     frame = task_frame(problem.site)
     for local, on_grid in _rounds(corners, config, rng):

@@ -6,6 +6,11 @@ from momapos.reachability.map import ReachConfig, ReachMap
 from momapos.reachability.store import load_or_build
 
 __all__ = [
-    "ReachConfig", "ReachEvaluation", "ReachMap", "build_map", "default_config", "evaluate",
+    "ReachConfig",
+    "ReachEvaluation",
+    "ReachMap",
+    "build_map",
+    "default_config",
+    "evaluate",
     "load_or_build",
 ]

@@ -147,8 +147,12 @@ def line_masks(lines, rolls, spins, tool, arm, chain, limits, ik, pans, masks):
     n = ik[2].shape[1]
     axis = arm[4]
     work = (
-        np.empty((MAX_BRANCHES, n)), ik_scratch(n), np.empty((n + 1, 3, 3)), np.empty((n + 1, 3)),
-        np.zeros(np.max(pans[1]) + 1, np.bool_), np.empty(len(spins), np.uint64),
+        np.empty((MAX_BRANCHES, n)),
+        ik_scratch(n),
+        np.empty((n + 1, 3, 3)),
+        np.empty((n + 1, 3)),
+        np.zeros(np.max(pans[1]) + 1, np.bool_),
+        np.empty(len(spins), np.uint64),
     )
     R, p = np.empty((3, 3)), np.empty(3)
     for i in range(len(lines)):

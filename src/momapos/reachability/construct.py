@@ -138,7 +138,9 @@ def build_map(
     values = np.empty((len(points), shape[4]), np.int8)
     _threaded(
         lambda lo, hi: near_margins(lo, hi, masks, pack_shape(shape), rows, interior, values),
-        len(points), 8 * BLOCK, _silent,
+        len(points),
+        8 * BLOCK,
+        _silent,
     )
     values = values.reshape(shape)
     close_seam(values)
@@ -146,8 +148,13 @@ def build_map(
     evaluate.progress(1.0)
     seconds = time.perf_counter() - began
     log.debug(
-        "%s: %d lines in %.1f s, %d answers between in %.1f s, all in %.1f s", robot.name,
-        len(points), t1 - began, interior.size, t2 - t1, seconds,
+        "%s: %d lines in %.1f s, %d answers between in %.1f s, all in %.1f s",
+        robot.name,
+        len(points),
+        t1 - began,
+        interior.size,
+        t2 - t1,
+        seconds,
     )
     line = np.stack([frame.tool[0], frame.tool[3]])
     return ReachMap(values, low, config.cell, frame.axis[:2], line, key, seconds)
@@ -174,9 +181,7 @@ def _extent(
 class _Evaluator:
     """Answers for lines, on two threads."""
 
-    def __init__(
-        self, robot: Robot, frame: Frame, config: ReachConfig, progress: Progress
-    ) -> None:
+    def __init__(self, robot: Robot, frame: Frame, config: ReachConfig, progress: Progress) -> None:
         chain, first = robot.chain, frame.first
         free = replace(
             chain,
@@ -192,12 +197,20 @@ class _Evaluator:
         k = np.arange(config.spins if frame.full_roll else 1)
         self.spins = np.pi * (k / len(k) + k % 2)
         arm = (
-            first, frame.turn, *frame.limits, frame.axis,
-            _turning(robot.spheres, first), standing_table(robot.spheres, chain.d, first),
+            first,
+            frame.turn,
+            *frame.limits,
+            frame.axis,
+            _turning(robot.spheres, first),
+            standing_table(robot.spheres, chain.d, first),
         )
         self.arguments = (
-            np.ascontiguousarray(frame.tool), arm, chain_arrays(free), (free.lower, free.upper),
-            ik_arrays(ik), pans,
+            np.ascontiguousarray(frame.tool),
+            arm,
+            chain_arrays(free),
+            (free.lower, free.upper),
+            ik_arrays(ik),
+            pans,
         )
 
     def __call__(self, lines: np.ndarray, begin: float, end: float) -> np.ndarray:
@@ -247,7 +260,9 @@ def _samples(
     order = order[keep[order]]
     names = ("samples", "h", "o", "wrist", "R_tool", "p_tool")
     return replace(ik, **{name: getattr(ik, name)[order] for name in names}), (
-        _arcs(pan[order], frame, np.pi / values), value[order], step[order]
+        _arcs(pan[order], frame, np.pi / values),
+        value[order],
+        step[order],
     )
 
 

@@ -45,8 +45,13 @@ def reachable(
         q, count = solve_ik(robot.chain, ik, Ts_base_tool[lo : lo + block])
         valid = np.arange(q.shape[1]) < count[:, None]
         codes = check_states(
-            np.ascontiguousarray(q[valid]), np.zeros(3), chain_arrays(robot.chain),
-            robot.spheres.arrays(), boxes, False, 0.0,
+            np.ascontiguousarray(q[valid]),
+            np.zeros(3),
+            chain_arrays(robot.chain),
+            robot.spheres.arrays(),
+            boxes,
+            False,
+            0.0,
         )
         free = np.zeros(valid.shape, bool)
         free[valid] = codes == FREE

@@ -135,9 +135,12 @@ def lookup(x, y, z, ax, ay, az, yaw_turns, values, shape, frame):
     last = m + (e & _LOW) - _SHIFT
     fa, fs, fc, fd, fe = a >> 32, b >> 32, c >> 32, d >> 32, e >> 32
     total = (
-        values[np.uint64(at)] * (ONE - fa) + values[np.uint64(i)] * (fa - fs)
-        + values[np.uint64(j)] * (fs - fc) + values[np.uint64(k)] * (fc - fd)
-        + values[np.uint64(m)] * (fd - fe) + values[np.uint64(last)] * fe
+        values[np.uint64(at)] * (ONE - fa)
+        + values[np.uint64(i)] * (fa - fs)
+        + values[np.uint64(j)] * (fs - fc)
+        + values[np.uint64(k)] * (fc - fd)
+        + values[np.uint64(m)] * (fd - fe)
+        + values[np.uint64(last)] * fe
     )
     return total / ONE
 
@@ -153,8 +156,16 @@ def score_lines(lines, values, shape, frame, out):
     """Scores of lines (m, 6) given as x, y, z, direction, relative to the first axis."""
     for i in range(len(lines)):
         v = lookup(
-            lines[i, 0], lines[i, 1], lines[i, 2], lines[i, 3], lines[i, 4], lines[i, 5],
-            0.0, values, shape, frame,
+            lines[i, 0],
+            lines[i, 1],
+            lines[i, 2],
+            lines[i, 3],
+            lines[i, 4],
+            lines[i, 5],
+            0.0,
+            values,
+            shape,
+            frame,
         )
         out[i] = _scored(v)
 
@@ -170,9 +181,16 @@ def weakest_lines(bases, lines, axis_x, axis_y, values, shape, frame, out):
             least = float(DEPTH)
             for w in range(lines.shape[1]):
                 v = lookup(
-                    lines[g, w, 0] - x, lines[g, w, 1] - y, lines[g, w, 2],
-                    lines[g, w, 3], lines[g, w, 4], lines[g, w, 5],
-                    turns, values, shape, frame,
+                    lines[g, w, 0] - x,
+                    lines[g, w, 1] - y,
+                    lines[g, w, 2],
+                    lines[g, w, 3],
+                    lines[g, w, 4],
+                    lines[g, w, 5],
+                    turns,
+                    values,
+                    shape,
+                    frame,
                 )
                 least = min(least, v)
                 if least <= THRESHOLD:
@@ -194,8 +212,16 @@ def floor_scores(line, xs, ys, yaws, axis_x, axis_y, values, shape, frame, out):
                 for k in range(len(yaws)):
                     c, s = yaws[k, 0], yaws[k, 1]
                     v = lookup(
-                        dx - c * axis_x + s * axis_y, dy - s * axis_x - c * axis_y, line[2],
-                        line[3], line[4], line[5], yaws[k, 2], values, shape, frame,
+                        dx - c * axis_x + s * axis_y,
+                        dy - s * axis_x - c * axis_y,
+                        line[2],
+                        line[3],
+                        line[4],
+                        line[5],
+                        yaws[k, 2],
+                        values,
+                        shape,
+                        frame,
                     )
                     best = max(best, v)
             out[i, j] = _scored(best)
@@ -213,6 +239,8 @@ def grid_points(
     """Coordinates of the grid along z [m], r [m], u [-] and v [-]."""
     nz, nr, nu, nv = shape[:4]
     return (
-        low + cell * np.arange(nz), cell * np.arange(nr),
-        np.linspace(-1.0, 1.0, nu), np.linspace(-1.0, 1.0, nv),
+        low + cell * np.arange(nz),
+        cell * np.arange(nr),
+        np.linspace(-1.0, 1.0, nu),
+        np.linspace(-1.0, 1.0, nv),
     )

@@ -171,9 +171,7 @@ def standing_table(
     return words, low, kind
 
 
-def _body(
-    spheres: Spheres, body: int, xy: np.ndarray
-) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
+def _body(spheres: Spheres, body: int, xy: np.ndarray) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
     """A body as rounded boxes, and which of them count for each group (groups, boxes).
 
     For the base its boxes; for others their spheres, with the joint at height 0.

@@ -32,11 +32,13 @@ def map_key(robot: Robot, config: ReachConfig) -> str:
     so that a comment in a file changes nothing and a mesh on the disk does.
     """
     chain = robot.chain
-    return content_key(
-        "reach", VERSION, sorted(asdict(config).items()), chain.h, chain.d, chain.prismatic,
-        chain.lower, chain.upper, chain.tool_offset, chain.tool_rotation, robot.approach_axis,
-        *robot.spheres.arrays(),
-    )
+    arrays = (
+        chain.h, chain.d, chain.prismatic, chain.lower, chain.upper, chain.tool_offset,
+        chain.tool_rotation, robot.approach_axis, *robot.spheres.arrays(),
+    )  # fmt: skip
+    # A micrometre more or less is another machine's rounding, not another robot.
+    rounded = (np.round(a, 6) + 0.0 if a.dtype.kind == "f" else a for a in arrays)
+    return content_key("reach", VERSION, sorted(asdict(config).items()), *rounded)
 
 
 def encode(reach_map: ReachMap) -> bytes:
@@ -79,9 +81,27 @@ def decode(data: bytes) -> ReachMap:
     except (ValueError, KeyError, TypeError, OverflowError, struct.error, zlib.error) as error:
         raise FileFormatError(f"not a usable reachability map ({error})") from error
     return ReachMap(
-        np.frombuffer(raw, np.int8).reshape(shape), float(numbers[0]), float(numbers[1]), axis,
-        line, str(header["key"]), float(numbers[2]),
+        np.frombuffer(raw, np.int8).reshape(shape),
+        float(numbers[0]),
+        float(numbers[1]),
+        axis,
+        line,
+        str(header["key"]),
+        float(numbers[2]),
     )
+
+
+def shipped(robot: Robot, key: str) -> ReachMap | None:
+    """The map that lies beside a robot's file, where there is one and it is of this robot."""
+    path = robot.path.with_suffix(".reach")
+    try:
+        found = decode(path.read_bytes())
+    except FileNotFoundError:
+        return None
+    except (FileFormatError, OSError) as error:
+        log.warning("%s: %s; it is not used", path, error)
+        return None
+    return found if found.key == key else None
 
 
 def load_or_build(
@@ -91,7 +111,7 @@ def load_or_build(
     *,
     config: ReachConfig | None = None,
 ) -> ReachMap:
-    """The map of a robot: from the cache, or built and kept there.
+    """The map of a robot: shipped with it, from the cache, or built and kept there.
 
     Args:
         robot: The robot.
@@ -101,6 +121,9 @@ def load_or_build(
     """
     config = config or default_config(robot)
     key = map_key(robot, config)
+    ready = shipped(robot, key)
+    if ready is not None:
+        return ready
     cache = Cache(cache_dir)
     entry = f"reach-{key}"
     data = cache.get(entry)

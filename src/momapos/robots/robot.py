@@ -132,7 +132,7 @@ def load_robot(source: str | Path) -> Robot:
     else:
         path = Path(source)
         if path.suffix not in (".toml", ".urdf", ".xml") and not os.path.exists(path):
-            raise unknown_name("robot", text, library_names(), "the library (or give a file)")
+            raise unknown_name("robot", text[:80], library_names(), "the library (or give a file)")
     if path.suffix in (".urdf", ".xml"):
         raise RobotError(
             f"{path}: is a URDF; run 'momapos robot check {path}' once, it writes the robot file"

@@ -33,7 +33,14 @@ class SceneObject:
         self, change: Mapping[str, float] | None = None
     ) -> dict[str, Float[np.ndarray, "4 4"]]:
         """World poses of the links, with some joints changed."""
+        if not change:
+            return self._poses
         poses = self.model.link_poses(self.values(change))
+        return {name: self.T_world_object @ T for name, T in poses.items()}
+
+    @cached_property
+    def _poses(self) -> dict[str, Float[np.ndarray, "4 4"]]:
+        poses = self.model.link_poses(self.values())
         return {name: self.T_world_object @ T for name, T in poses.items()}
 
     @cached_property

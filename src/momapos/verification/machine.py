@@ -12,8 +12,8 @@ from jaxtyping import Bool, Float, Int
 from momapos.errors import RobotError, unknown_name
 from momapos.geometry.transforms import invert, pose_planar
 from momapos.kinematics.articulated import Articulated
-from momapos.verification.bodies import Bodies, bodies_of, body_poses
-from momapos.verification.shapes import Shapes, of_bodies, shapes_of
+from momapos.verification.bodies import Bodies, body_poses
+from momapos.verification.shapes import Shapes, of_bodies, prepared
 from momapos.verification.sweep import all_pairs, deepest
 
 TOUCHING = -1e-7
@@ -75,7 +75,7 @@ def machine_of(arm: Arm) -> Machine:
     Raises:
         UnknownNameError, RobotError: The robot has no such link or joint, or a joint twice.
     """
-    bodies = bodies_of(arm.model)
+    bodies, shapes = prepared(arm.model)
     name = arm.model.urdf.name
     for link in (arm.base_link, arm.tool_link):
         if link not in bodies.of_link:
@@ -83,7 +83,6 @@ def machine_of(arm: Arm) -> Machine:
     if len(set(arm.arm_joints)) != len(arm.arm_joints) or not arm.arm_joints:
         raise RobotError(f"robot {name}: the joints must be named, each once")
     joints = [arm.model.joint(joint) for joint in arm.arm_joints]
-    shapes = shapes_of(arm.model, bodies)
     moving = set().union(*(bodies.moved_by(joint) for joint in arm.arm_joints))
     last = bodies.moved_by(max(arm.arm_joints, key=bodies.depth))
     T_root_base = _link_pose(bodies, arm.base_link)

@@ -12,9 +12,9 @@ from momapos.geometry.transforms import invert
 from momapos.kinematics.urdf import Joint
 from momapos.scene.scene import Scene, SceneObject
 from momapos.types import Task
-from momapos.verification.bodies import Bodies, bodies_of, body_poses, joint_motions
+from momapos.verification.bodies import Bodies, body_poses, joint_motions
 from momapos.verification.convex import overlap
-from momapos.verification.shapes import Shapes, join, of_bodies, shapes_of
+from momapos.verification.shapes import Shapes, join, of_bodies, prepared
 
 
 @dataclass(frozen=True)
@@ -91,8 +91,7 @@ def split(scene: Scene, task: Task) -> tuple[Part, Shapes]:
 
 def _world_shapes(item: SceneObject) -> tuple[Bodies, Shapes]:
     """Bodies, and the shapes as the scene has them, in world coordinates."""
-    bodies = bodies_of(item.model)
-    shapes = shapes_of(item.model, bodies)
+    bodies, shapes = prepared(item.model)
     Ts = shapes.placed(body_poses(bodies, item.values(), item.T_world_object))[0]
     return bodies, shapes.moved_to(Ts)
 

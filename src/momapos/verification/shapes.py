@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -13,7 +14,7 @@ from momapos.geometry.transforms import apply, invert
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.hulls import Hull
 from momapos.kinematics.urdf import Geometry
-from momapos.verification.bodies import Bodies
+from momapos.verification.bodies import Bodies, bodies_of
 
 _RIM = 64
 """Corners of the polygon that stands for a cylinder's rim where its outline is wanted."""
@@ -84,6 +85,13 @@ class Shapes:
             disc=self.disc[index],
             ball=self.ball[index],
         )
+
+
+@lru_cache(maxsize=512)
+def prepared(model: Articulated) -> tuple[Bodies, Shapes]:
+    """Bodies and shapes of a model, made once for all tasks."""
+    bodies = bodies_of(model)
+    return bodies, shapes_of(model, bodies)
 
 
 def shapes_of(model: Articulated, bodies: Bodies) -> Shapes:

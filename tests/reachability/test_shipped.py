@@ -1,0 +1,22 @@
+"""The maps that come with the library robots."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from momapos.reachability.construct import default_config
+from momapos.reachability.store import load_or_build, map_key, shipped
+from momapos.robots.robot import Robot
+
+
+def test_each_library_robot_comes_with_the_map_of_itself(robot: Robot, tmp_path: Path) -> None:
+    key = map_key(robot, default_config(robot))
+    found = shipped(robot, key)
+    assert found is not None, "build it again: momapos reach build NAME --out NAME.reach"
+    assert found.key == key
+    assert load_or_build(robot, tmp_path / "cache").key == key
+    assert not (tmp_path / "cache").exists(), "nothing had to be built"
+
+
+def test_a_map_of_another_robot_is_not_used(robot: Robot) -> None:
+    assert shipped(robot, "0" * 32) is None
