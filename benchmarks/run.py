@@ -1,0 +1,20 @@
+"""All measurements, one after the other: make bench."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+HERE = Path(__file__).parent
+RUNS = (
+    ["reach.py"],
+    ["placement.py", "--out", "bench_out"],
+    ["placement.py", "--exhaustive", "--out", "bench_out/grid"],
+    ["scaling.py"],
+)
+
+if __name__ == "__main__":
+    for script, *args in RUNS:
+        print(f"== {script} {' '.join(args)}", flush=True)
+        subprocess.run([sys.executable, str(HERE / script), *args], check=True)

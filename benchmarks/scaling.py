@@ -1,0 +1,101 @@
+"""How the time of an answer grows with objects, waypoints and samples.
+
+    python benchmarks/scaling.py [--out docs/images/scaling.png]
+
+The question is always the same: segway_ur5e opens the microwave of kitchen_small. Added objects
+are boxes on the floor of a hall around the kitchen.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from momapos.cache import default_cache_dir
+from momapos.config import PipelineConfig
+from momapos.geometry.transforms import pose
+from momapos.kinematics.articulated import Articulated
+from momapos.kinematics.urdf import box_urdf
+from momapos.manipulation.motion import MotionConfig
+from momapos.manipulation.tasks import make_task
+from momapos.pipeline import place
+from momapos.placement.place import PlaceConfig
+from momapos.reachability.store import load_or_build
+from momapos.robots.robot import load_robot
+from momapos.scene.files import load_scene
+from momapos.scene.scene import Scene, SceneObject
+
+REPEATS = 5
+
+
+def crowd(scene: Scene, count: int) -> Scene:
+    """The scene with boxes added, up to a number of objects, all outside the kitchen."""
+    rng = np.random.default_rng(0)
+    more = []
+    for i in range(count - len(scene.objects)):
+        angle = rng.uniform(0, 2 * np.pi)
+        x, y = np.array([2.0, -2.0]) + rng.uniform(4.0, 6.0) * np.array(
+            [np.cos(angle), np.sin(angle)]
+        )
+        size = tuple(rng.uniform(0.1, 0.5, 3))
+        model = Articulated(box_urdf(f"box_{i}", size))
+        more.append(SceneObject(f"box_{i}", "box", pose((x, y, size[2] / 2)), model))
+    return replace(scene, objects=(*scene.objects[: max(count, 1)], *more), floor=None)
+
+
+def main() -> None:
+    """Measure the three curves, print them, and draw them."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path)
+    args = parser.parse_args()
+    robot = load_robot("segway_ur5e")
+    reach = load_or_build(robot, default_cache_dir())
+    kitchen = load_scene("kitchen_small")
+
+    def seconds(scene: Scene, config: PipelineConfig) -> float:
+        task = make_task(scene, "open", "microwave")
+        times = []
+        for _ in range(REPEATS + 1):
+            began = time.perf_counter()
+            place(scene, robot, task, reach, config=config)
+            times.append(time.perf_counter() - began)
+        return float(np.median(times[1:]))
+
+    plain = PipelineConfig()
+    curves = {
+        "objects": {n: seconds(crowd(kitchen, n), plain) for n in (10, 30, 100, 300, 1000)},
+        "waypoints": {
+            n: seconds(kitchen, PipelineConfig(motion=MotionConfig(waypoints=n)))
+            for n in (5, 10, 20, 50, 100)
+        },
+        "samples": {
+            n: seconds(kitchen, PipelineConfig(place=PlaceConfig(count=n)))
+            for n in (64, 256, 1024, 4096)
+        },
+    }
+    for name, curve in curves.items():
+        print(f"{name:<10}" + "  ".join(f"{n}: {1000 * t:.0f} ms" for n, t in curve.items()))
+    if args.out:
+        draw(curves, args.out)
+
+
+def draw(curves: dict[str, dict[int, float]], path: Path) -> None:
+    """Three panels, time over size."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(9, 3), layout="constrained")
+    for ax, (name, curve) in zip(figure.subplots(1, 3, sharey=True), curves.items(), strict=True):
+        ax.loglog(list(curve), [1000 * t for t in curve.values()], "o-", color="#0072b2")
+        ax.set_xlabel(name)
+        ax.grid(alpha=0.3, which="both")
+    figure.axes[0].set_ylabel("time of an answer [ms]")
+    FigureCanvasAgg(figure).print_png(str(path))
+
+
+if __name__ == "__main__":
+    main()
