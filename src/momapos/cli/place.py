@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import re
 import sys
@@ -14,6 +15,10 @@ from momapos.errors import TaskError
 
 if TYPE_CHECKING:
     from momapos.pipeline import Answer
+    from momapos.protocols import ReachScorer
+    from momapos.robots.robot import Robot
+    from momapos.scene.scene import Scene
+    from momapos.types import Task
 
 Method = Literal["ours", "paper", "exhaustive"]
 Planner = Literal["RRTConnect", "RRTstar", "BITstar"]
@@ -214,6 +219,7 @@ def _answer(
     task = make_task(scene, verb, name, joint or None, value)
     with progress(f"reachability map of {robot.name}") as report:
         reach = load_or_build(robot, default_cache_dir(), report)
+    compile_once(scene, robot, task, reach, default_cache_dir())
     config = PipelineConfig(
         place=PlaceConfig(method=method), planner=PlannerConfig(algorithm=planner), timeout=timeout
     )
@@ -227,6 +233,34 @@ def _answer(
 
         draw_answer(scene, answer, reach, plot)
     return _STATUS[answer.plan.status]
+
+
+def compile_once(
+    scene: Scene, robot: Robot, task: Task, reach: ReachScorer, cache_dir: Path
+) -> None:
+    """Compile the kernels where that has not been done yet, so that no timeout pays for it.
+
+    A stamp in the cache folder says that it has; it names the versions and the package's place.
+    """
+    from dataclasses import replace
+    from importlib import metadata
+
+    import momapos
+    from momapos.cache import Cache, content_key
+    from momapos.config import PipelineConfig
+    from momapos.pipeline import place
+
+    parts = [metadata.version(name) for name in ("momapos", "numba", "numpy")]
+    key = f"compiled-{content_key(*parts, sys.version, momapos.__file__)}"
+    cache = Cache(cache_dir)
+    if cache.get(key) is not None:
+        return
+    print("momapos: compiling, once after installation (about half a minute)", file=sys.stderr)
+    plain = PipelineConfig()
+    small = replace(plain.place, count=128, rounds=1, improve=0, grid_cell=0.5, grid_turn=90.0)
+    place(scene, robot, task, reach, config=replace(plain, place=small, timeout=3600.0))
+    with contextlib.suppress(OSError):
+        cache.put(key, b"done")
 
 
 def _deliver(answer: Answer, out: Path | None, as_json: bool) -> None:
