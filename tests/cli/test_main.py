@@ -1,0 +1,92 @@
+"""The command line: exit statuses, one line for what cannot be used, one object for --json."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import pytest
+
+from momapos.cli.main import COMMANDS, main
+from momapos.cli.place import parse_start, parse_value
+from momapos.errors import TaskError
+
+
+@pytest.fixture(autouse=True)
+def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MOMAPOS_CACHE", str(tmp_path / "cache"))
+
+
+def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--help"]) == 0
+    shown = capsys.readouterr().out
+    assert all(name in shown for name in COMMANDS)
+
+
+@pytest.mark.parametrize("name", [n for n, c in COMMANDS.items() if isinstance(c[1], dict)])
+def test_every_subcommand_has_help(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    functions = COMMANDS[name][1]
+    assert isinstance(functions, dict)
+    for sub in functions:
+        assert main([name, sub, "--help"]) == 0
+        assert f"momapos {name} {sub}" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "hint"),
+    [
+        (["plaec"], "did you mean place"),
+        (["place", "opne"], "did you mean open"),
+        (["place", "open", "kitchen_smal", "fridge"], "kitchen_small"),
+        (["place", "open", "kitchen_small", "fridg"], "did you mean fridge"),
+        (["place", "open", "kitchen_small", "fridge"], "several moving parts"),
+        (["place", "open", "kitchen_small", "microwave", "--robot", "fetsh"], "fetch"),
+        (["place", "open", "kitchen_small", "microwave", "--to", "500deg"], "outside its limits"),
+        (["place", "open", "kitchen_small", "microwave", "--to", "wide"], "no value"),
+        (["place", "open", "kitchen_small", "microwave", "--start", "1,2"], "X,Y,YAW"),
+        (["place", "open", "kitchen_small", "microwave", "--timeout", "0"], "timeout"),
+        (["verify", "no_such_plan.json"], "no_such_plan.json"),
+    ],
+)
+def test_what_cannot_be_used_is_one_line_and_status_2(
+    words: list[str], hint: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(words) == 2
+    shown = capsys.readouterr()
+    assert hint in shown.err
+    assert shown.err.count("\n") == 1
+    assert "Traceback" not in shown.err
+
+
+def test_a_solved_question_is_status_0_and_verifies(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plan = tmp_path / "plan.json"
+    words = ["place", "open", "kitchen_small", "microwave", "--robot", "segway_ur5e"]
+    assert main([*words, "--out", str(plan), "--json"]) == 0
+    shown = json.loads(capsys.readouterr().out)
+    assert shown["status"] == "solved"
+    assert shown == json.loads(plan.read_text()) | {key: shown[key] for key in ("scene", "robot")}
+    assert main(["verify", str(plan)]) == 0
+    assert "VALID" in capsys.readouterr().out
+
+
+def test_an_infeasible_question_is_status_3_with_reasons(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    words = ["place", "open", "kitchen_small", "cabinet_right/drawer_bottom_slide"]
+    assert main([*words, "--robot", "segway_ur5e"]) == 3
+    shown = capsys.readouterr().out
+    assert "infeasible" in shown
+    assert "out of reach" in shown
+
+
+def test_values_and_starts_take_units() -> None:
+    assert parse_value("90deg") == pytest.approx(math.pi / 2)
+    assert parse_value("30cm") == pytest.approx(0.3)
+    assert parse_value("-1.2") == -1.2
+    assert parse_start("1, 2.5, 180deg") == pytest.approx([1.0, 2.5, math.pi])
+    for wrong in ("", "90 degrees", "nan", "1..2", "9m9"):
+        with pytest.raises(TaskError):
+            parse_value(wrong)
