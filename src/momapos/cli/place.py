@@ -6,10 +6,11 @@ import contextlib
 import math
 import re
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from tyro.conf import Positional, arg
+from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from momapos.errors import TaskError
 
@@ -26,7 +27,36 @@ _UNITS = {"": 1.0, "rad": 1.0, "deg": math.pi / 180, "m": 1.0, "cm": 0.01, "mm":
 _STATUS = {"solved": 0, "infeasible": 3, "timeout": 4}
 Target = Annotated[str, arg(metavar="OBJECT[/JOINT]")]
 StartArg = Annotated[str | None, arg(metavar="X,Y,YAW")]
+Thing = Annotated[str, arg(metavar="OBJECT")]
 ToArg = Annotated[str | None, arg(metavar="VALUE")]
+
+
+@dataclass(frozen=True)
+class Options:
+    """What all questions share."""
+
+    robot: str = "fetch"
+    """A library robot or a robot file."""
+    start: StartArg = None
+    """Where the robot is now [m, m, rad or deg]; the scene's start by default."""
+    method: Method = "ours"
+    """ours: cheapest pose first; paper: MoMa-Pos as printed; exhaustive: a grid."""
+    planner: Planner = "RRTConnect"
+    """OMPL's planner for the way from home to the object."""
+    seed: int = 0
+    """Same seed, same answer."""
+    timeout: float = 30.0
+    """Time for the answer [s]."""
+    out: Path | None = None
+    """Write the plan here (JSON)."""
+    plot: Path | None = None
+    """Draw the answer here (PNG)."""
+    json: bool = False
+    """Print the plan as one JSON object and nothing else."""
+
+
+Shared = Annotated[Options, OmitArgPrefixes]
+DEFAULT = Options()
 
 
 def place_open(
@@ -34,35 +64,17 @@ def place_open(
     target: Positional[Target],
     /,
     *,
-    robot: str = "fetch",
     to: ToArg = None,
-    start: StartArg = None,
-    method: Method = "ours",
-    planner: Planner = "RRTConnect",
-    seed: int = 0,
-    timeout: float = 30.0,
-    out: Path | None = None,
-    plot: Path | None = None,
-    json: bool = False,
+    options: Shared = DEFAULT,
 ) -> int:
     """Open a door, a drawer or a lid.
 
     Args:
         scene: A scene file or the name of a built-in kitchen.
         target: The object, and the joint where it has several.
-        robot: A library robot or a robot file.
         to: How far, as 90deg, 1.2rad, 0.3m or 30cm; a quarter turn or the whole slide by default.
-        start: Where the robot is now [m, m, rad or deg]; the scene's start by default.
-        method: ours: cheapest pose first; paper: MoMa-Pos as printed; exhaustive: a grid.
-        planner: OMPL's planner for the way from home to the handle.
-        seed: Same seed, same answer.
-        timeout: Time for the answer [s].
-        out: Write the plan here (JSON).
-        plot: Draw the answer here (PNG).
-        json: Print the plan as one JSON object and nothing else.
     """
-    return _answer("open", scene, target, robot, to, start, method, planner, seed, timeout, out,
-                   plot, json)  # fmt: skip
+    return _answer("open", scene, target, to, options)
 
 
 def place_close(
@@ -70,103 +82,41 @@ def place_close(
     target: Positional[Target],
     /,
     *,
-    robot: str = "fetch",
     to: ToArg = None,
-    start: StartArg = None,
-    method: Method = "ours",
-    planner: Planner = "RRTConnect",
-    seed: int = 0,
-    timeout: float = 30.0,
-    out: Path | None = None,
-    plot: Path | None = None,
-    json: bool = False,
+    options: Shared = DEFAULT,
 ) -> int:
     """Close a door, a drawer or a lid that stands open in the scene.
 
     Args:
         scene: A scene file or the name of a built-in kitchen.
         target: The object, and the joint where it has several.
-        robot: A library robot or a robot file.
         to: How far, as 0deg or 0m; shut by default.
-        start: Where the robot is now [m, m, rad or deg]; the scene's start by default.
-        method: ours: cheapest pose first; paper: MoMa-Pos as printed; exhaustive: a grid.
-        planner: OMPL's planner for the way from home to the handle.
-        seed: Same seed, same answer.
-        timeout: Time for the answer [s].
-        out: Write the plan here (JSON).
-        plot: Draw the answer here (PNG).
-        json: Print the plan as one JSON object and nothing else.
     """
-    return _answer("close", scene, target, robot, to, start, method, planner, seed, timeout, out,
-                   plot, json)  # fmt: skip
+    return _answer("close", scene, target, to, options)
 
 
 def place_pick(
-    scene: Positional[str],
-    target: Positional[Annotated[str, arg(metavar="OBJECT")]],
-    /,
-    *,
-    robot: str = "fetch",
-    start: StartArg = None,
-    method: Method = "ours",
-    planner: Planner = "RRTConnect",
-    seed: int = 0,
-    timeout: float = 30.0,
-    out: Path | None = None,
-    plot: Path | None = None,
-    json: bool = False,
+    scene: Positional[str], target: Positional[Thing], /, *, options: Shared = DEFAULT
 ) -> int:
     """Pick up a rigid object.
 
     Args:
         scene: A scene file or the name of a built-in kitchen.
         target: The object.
-        robot: A library robot or a robot file.
-        start: Where the robot is now [m, m, rad or deg]; the scene's start by default.
-        method: ours: cheapest pose first; paper: MoMa-Pos as printed; exhaustive: a grid.
-        planner: OMPL's planner for the way from home to the object.
-        seed: Same seed, same answer.
-        timeout: Time for the answer [s].
-        out: Write the plan here (JSON).
-        plot: Draw the answer here (PNG).
-        json: Print the plan as one JSON object and nothing else.
     """
-    return _answer("pick", scene, target, robot, None, start, method, planner, seed, timeout, out,
-                   plot, json)  # fmt: skip
+    return _answer("pick", scene, target, None, options)
 
 
 def place_place(
-    scene: Positional[str],
-    target: Positional[Annotated[str, arg(metavar="OBJECT")]],
-    /,
-    *,
-    robot: str = "fetch",
-    start: StartArg = None,
-    method: Method = "ours",
-    planner: Planner = "RRTConnect",
-    seed: int = 0,
-    timeout: float = 30.0,
-    out: Path | None = None,
-    plot: Path | None = None,
-    json: bool = False,
+    scene: Positional[str], target: Positional[Thing], /, *, options: Shared = DEFAULT
 ) -> int:
     """Put a rigid object, which the robot holds, where it stands in the scene.
 
     Args:
         scene: A scene file or the name of a built-in kitchen, with the object where it shall be.
         target: The object.
-        robot: A library robot or a robot file.
-        start: Where the robot is now [m, m, rad or deg]; the scene's start by default.
-        method: ours: cheapest pose first; paper: MoMa-Pos as printed; exhaustive: a grid.
-        planner: OMPL's planner for the way from home to the place.
-        seed: Same seed, same answer.
-        timeout: Time for the answer [s].
-        out: Write the plan here (JSON).
-        plot: Draw the answer here (PNG).
-        json: Print the plan as one JSON object and nothing else.
     """
-    return _answer("place", scene, target, robot, None, start, method, planner, seed, timeout, out,
-                   plot, json)  # fmt: skip
+    return _answer("place", scene, target, None, options)
 
 
 def parse_value(text: str) -> float:
@@ -188,14 +138,10 @@ def parse_start(text: str) -> list[float]:
     return [parse_value(part) for part in parts]
 
 
-def _answer(
-    verb: str, scene_name: str, target: str, robot_name: str, to: str | None, start: str | None,
-    method: Method, planner: Planner, seed: int, timeout: float, out: Path | None,
-    plot: Path | None, as_json: bool,
-) -> int:  # fmt: skip
+def _answer(verb: str, scene_name: str, target: str, to: str | None, options: Options) -> int:
     value = None if to is None else parse_value(to)
-    begin = None if start is None else parse_start(start)
-    if not timeout > 0:
+    begin = None if options.start is None else parse_start(options.start)
+    if not options.timeout > 0:
         raise TaskError("--timeout must be > 0 seconds")
 
     import numpy as np
@@ -211,7 +157,7 @@ def _answer(
     from momapos.robots.robot import load_robot
     from momapos.scene.files import load_scene
 
-    robot = load_robot(robot_name)
+    robot = load_robot(options.robot)
     scene = load_scene(scene_name)
     for warning in scene.warnings:
         print(f"momapos: {warning}", file=sys.stderr)
@@ -221,17 +167,19 @@ def _answer(
         reach = load_or_build(robot, default_cache_dir(), report)
     compile_once(scene, robot, task, reach, default_cache_dir())
     config = PipelineConfig(
-        place=PlaceConfig(method=method), planner=PlannerConfig(algorithm=planner), timeout=timeout
+        place=PlaceConfig(method=options.method),
+        planner=PlannerConfig(algorithm=options.planner),
+        timeout=options.timeout,
     )
     answer = place(
         scene, robot, task, reach, start=None if begin is None else np.array(begin),
-        config=config, seed=seed,
+        config=config, seed=options.seed,
     )  # fmt: skip
-    _deliver(answer, out, as_json)
-    if plot is not None:
+    _deliver(answer, options)
+    if options.plot is not None:
         from momapos.viewer.plot import draw_answer
 
-        draw_answer(scene, answer, reach, plot)
+        draw_answer(scene, answer, reach, options.plot)
     return _STATUS[answer.plan.status]
 
 
@@ -263,15 +211,15 @@ def compile_once(
         cache.put(key, b"done")
 
 
-def _deliver(answer: Answer, out: Path | None, as_json: bool) -> None:
+def _deliver(answer: Answer, options: Options) -> None:
     import json
 
     from momapos.cli.console import summary
     from momapos.plans import plan_to_dict, write_plan
 
-    if out is not None:
-        write_plan(answer.plan, out)
-    if as_json:
+    if options.out is not None:
+        write_plan(answer.plan, options.out)
+    if options.json:
         print(json.dumps(plan_to_dict(answer.plan)))
     else:
-        print(summary(answer, out))
+        print(summary(answer, options.out))
