@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float
 
 Verb = Literal["open", "close", "pick", "place"]
 Status = Literal["solved", "infeasible", "timeout"]
@@ -82,23 +82,3 @@ class PlacementPlan:
     method: str = "ours"
     seed: int = 0
     versions: Mapping[str, str] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class Trace:
-    """What the search saw; for pictures and benchmarks, not part of the plan file."""
-
-    potential: Float[np.ndarray, "rows columns"]
-    """Value of each floor cell, 0 where the base cannot stand."""
-    origin: Float[np.ndarray, "2"]
-    """World position of the corner of cell (0, 0) [m]."""
-    cell: float
-    """Edge of a cell [m]."""
-    poses: Float[np.ndarray, "c 3"]
-    """Base poses that were looked at."""
-    outcome: Int[np.ndarray, " c"]
-    """Index into `reasons`."""
-    reasons: tuple[str, ...]
-    feasible: Bool[np.ndarray, " c"]
-    waypoints: Float[np.ndarray, "w 3"]
-    """Tool positions along the motion [m]."""

@@ -15,6 +15,8 @@ from tyro.conf import OmitArgPrefixes, Positional, arg
 from momapos.errors import TaskError
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from momapos.pipeline import Answer
     from momapos.protocols import ReachScorer
     from momapos.robots.robot import Robot
@@ -165,14 +167,15 @@ def _answer(verb: str, scene_name: str, target: str, to: str | None, options: Op
     task = make_task(scene, verb, name, joint or None, value)
     with progress(f"reachability map of {robot.name}") as report:
         reach = load_or_build(robot, default_cache_dir(), report)
-    compile_once(scene, robot, task, reach, default_cache_dir())
+    at = None if begin is None else np.array(begin)
+    compile_once(scene, robot, task, reach, at, default_cache_dir())
     config = PipelineConfig(
         place=PlaceConfig(method=options.method),
         planner=PlannerConfig(algorithm=options.planner),
         timeout=options.timeout,
     )
     answer = place(
-        scene, robot, task, reach, start=None if begin is None else np.array(begin),
+        scene, robot, task, reach, start=at,
         config=config, seed=options.seed,
     )  # fmt: skip
     _deliver(answer, options)
@@ -184,7 +187,12 @@ def _answer(verb: str, scene_name: str, target: str, to: str | None, options: Op
 
 
 def compile_once(
-    scene: Scene, robot: Robot, task: Task, reach: ReachScorer, cache_dir: Path
+    scene: Scene,
+    robot: Robot,
+    task: Task,
+    reach: ReachScorer,
+    start: np.ndarray | None,
+    cache_dir: Path,
 ) -> None:
     """Compile the kernels where that has not been done yet, so that no timeout pays for it.
 
@@ -206,7 +214,9 @@ def compile_once(
     print("momapos: compiling, once after installation (about half a minute)", file=sys.stderr)
     plain = PipelineConfig()
     small = replace(plain.place, count=128, rounds=1, improve=0, grid_cell=0.5, grid_turn=90.0)
-    place(scene, robot, task, reach, config=replace(plain, place=small, timeout=3600.0))
+    place(
+        scene, robot, task, reach, start=start, config=replace(plain, place=small, timeout=3600.0)
+    )
     with contextlib.suppress(OSError):
         cache.put(key, b"done")
 

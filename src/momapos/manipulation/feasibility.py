@@ -83,12 +83,7 @@ class Feasibility:
         order = np.argsort(-scores, axis=1, kind="stable")
         reached = (scores > 0).sum(1)
         found = np.zeros(len(bases), bool)
-        home = check(
-            self.world, self.robot.chain, self.robot.spheres,
-            np.tile(self.robot.home, (len(bases), 1)), bases,
-            np.full(len(bases), self.motion.value[0]),
-            np.full(len(bases), self.motion.task.verb == "place"),
-        )  # fmt: skip
+        home = self._check(np.tile(self.robot.home, (len(bases), 1)), bases, self.robot.spheres)
         first, width = 0, 2
         while first < scores.shape[1]:
             left = np.flatnonzero(~found & (reached > first) & (home == FREE))
@@ -115,13 +110,17 @@ class Feasibility:
         return np.array([path.status == FOUND for path in paths], bool)
 
     def _check(
-        self, q: Float[np.ndarray, "m n"], base: np.ndarray, spheres: Spheres
+        self, q: Float[np.ndarray, "m n"], base: Float[np.ndarray, "*m 3"], spheres: Spheres
     ) -> Int[np.ndarray, " m"]:
-        """What states on the way from home hit; a carried object is already in the hand."""
+        """What states on the way from home hit; a carried object is already in the hand.
+
+        The base pose is one for all states, or one for each.
+        """
         carrying = self.motion.task.verb == "place"
         return check(
             self.world, self.robot.chain, spheres, np.ascontiguousarray(q),
-            np.tile(base, (len(q), 1)), np.full(len(q), self.motion.value[0]),
+            np.array(np.broadcast_to(base, (len(q), 3))),
+            np.full(len(q), self.motion.value[0]),
             np.full(len(q), carrying),
         )  # fmt: skip
 
