@@ -39,8 +39,20 @@ class Motion:
 
 
 @dataclass(frozen=True)
+class Screened:
+    """What came of looking for an arm path over the waypoints at one base pose."""
+
+    grasp: int
+    """The grasp that has one, or that came farthest; -1 where none is within reach."""
+    q: Float[np.ndarray, "d n"] | None
+    """Arm states at every step of the motion; None where no grasp has a path."""
+    reason: str
+    """Why there is no path; "" where there is one."""
+
+
+@dataclass(frozen=True)
 class Attempt:
-    """What came of checking one base pose."""
+    """What came of checking one base pose in full."""
 
     motion: Motion | None
     reason: str

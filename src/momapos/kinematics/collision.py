@@ -85,48 +85,64 @@ def hit_self(R, p, spheres):
 
     R, p are relative to any base pose; entry 0 is that pose.
     """
-    (
-        center,
-        radius,
-        start,
-        segment,
-        bound_center,
-        bound_radius,
-        _,
-        pairs,
-        base_center,
-        base_rotation,
-        base_half,
-        base_pairs,
-    ) = spheres
+    segment, bound_center = spheres[3], spheres[4]
+    bounds = np.empty((len(segment), 3))
+    for g in range(len(segment)):
+        bounds[g, 0], bounds[g, 1], bounds[g, 2] = _moved(R, p, segment[g], bound_center[g])
+    if _links_touch(R, p, spheres, bounds) or _base_touched(R, p, spheres, bounds):
+        return SELF
+    return FREE
+
+
+@njit(cache=True, nogil=True)
+def _links_touch(R, p, spheres, bounds):
+    """Whether links of the arm touch each other; bounds are the centres of their bounds."""
+    center, radius, start, segment, _, bound_radius, _, pairs = spheres[:8]
     for k in range(len(pairs)):
         i, j = pairs[k, 0], pairs[k, 1]
-        a, b = _moved(R, p, segment[i], bound_center[i]), _moved(R, p, segment[j], bound_center[j])
-        r = bound_radius[i] + bound_radius[j]
-        if (a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2 > r * r:
+        b = (bounds[j, 0], bounds[j, 1], bounds[j, 2])
+        if _apart((bounds[i, 0], bounds[i, 1], bounds[i, 2]), b, bound_radius[i] + bound_radius[j]):
             continue
         for s in range(start[i], start[i + 1]):
             a = _moved(R, p, segment[i], center[s])
-            r = radius[s] + bound_radius[j]
-            if (a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2 > r * r:
+            if _apart(a, b, radius[s] + bound_radius[j]):
                 continue
             for t in range(start[j], start[j + 1]):
                 c = _moved(R, p, segment[j], center[t])
-                r = radius[s] + radius[t]
-                if (a[0] - c[0]) ** 2 + (a[1] - c[1]) ** 2 + (a[2] - c[2]) ** 2 < r * r:
-                    return SELF
+                if not _apart(a, c, radius[s] + radius[t]):
+                    return True
+    return False
+
+
+@njit(cache=True, nogil=True)
+def _apart(a, b, distance):
+    """Whether two points are at least so far apart."""
+    x, y, z = a[0] - b[0], a[1] - b[1], a[2] - b[2]
+    return x * x + y * y + z * z >= distance * distance
+
+
+@njit(cache=True, nogil=True)
+def _base_touched(R, p, spheres, bounds):
+    """Whether a link of the arm touches the base; bounds are the centres of their bounds."""
+    center, radius, start, segment, _, bound_radius = spheres[:6]
+    base_center, base_rotation, base_half, base_pairs, base_bounds = spheres[8:]
     for g in range(len(segment)):
-        c = _into_base(R, p, _moved(R, p, segment[g], bound_center[g]))
+        c = _into_base(R, p, (bounds[g, 0], bounds[g, 1], bounds[g, 2]))
+        r, far = bound_radius[g], False
+        for k in range(3):
+            far |= c[k] + r < base_bounds[0, k] or c[k] - r > base_bounds[1, k]
+        if far:
+            continue
         for b in range(len(base_center)):
             if not base_pairs[g, b]:
                 continue
-            if box_gap(c, bound_radius[g], base_center, base_rotation, base_half, b) > 0.0:
+            if box_gap(c, r, base_center, base_rotation, base_half, b) > 0.0:
                 continue
             for s in range(start[g], start[g + 1]):
                 m = _into_base(R, p, _moved(R, p, segment[g], center[s]))
                 if box_gap(m, radius[s], base_center, base_rotation, base_half, b) < 0.0:
-                    return SELF
-    return FREE
+                    return True
+    return False
 
 
 @njit(cache=True, nogil=True)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -61,7 +62,15 @@ class Spheres:
             self.base.rotation,
             self.base.half,
             self.base_pairs,
+            self.base_bounds,
         )
+
+    @cached_property
+    def base_bounds(self) -> Float[np.ndarray, "2 3"]:
+        """Lower and upper corner of all boxes of the base, in its frame [m]."""
+        extent = np.einsum("bij,bj->bi", np.abs(self.base.rotation), self.base.half)
+        low, high = self.base.center - extent, self.base.center + extent
+        return np.stack([low.min(0, initial=np.inf), high.max(0, initial=-np.inf)])
 
 
 def build_spheres(

@@ -7,7 +7,7 @@ object's joint that the motion passes.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,6 +32,8 @@ from momapos.kinematics.spheres import Spheres
 
 CELL = 0.1
 """Edge of a bucket [m]."""
+CheckMotion = Callable[[Float[np.ndarray, " n"], Float[np.ndarray, " n"]], bool]
+"""Tell whether the straight motion between two configurations is free, ends included."""
 
 
 @dataclass(frozen=True)
@@ -173,26 +175,57 @@ def _hit_static(R, p, spheres, world, margin):
 
 
 @njit(cache=True, nogil=True)
+def check_one(q, base, value, holding, chain, spheres, world, margin, R, p):
+    """What one configuration hits first; R, p are scratch."""
+    place_segments(q, base, chain, R, p)
+    if hit_floor(R, p, spheres) != FREE:
+        return FLOOR
+    boxes = (world[3][value], world[4][value], world[5][value], world[6])
+    code = hit_boxes(R, p, spheres, boxes, holding, margin)
+    if code != FREE:
+        return code + len(world[0])
+    code = _hit_static(R, p, spheres, world, margin)
+    return code if code != FREE else hit_self(R, p, spheres)
+
+
+@njit(cache=True, nogil=True)
 def _check(q, bases, value, holding, chain, spheres, world, margin):
     n = q.shape[1]
     R, p = np.empty((n + 1, 3, 3)), np.empty((n + 1, 3))
     out = np.empty(len(q), np.int64)
-    moving_center, moving_rotation, moving_half, grasped = world[3:7]
     for i in range(len(q)):
-        place_segments(q[i], bases[i], chain, R, p)
-        out[i] = hit_floor(R, p, spheres)
-        if out[i] != FREE:
-            continue
-        v = value[i]
-        boxes = (moving_center[v], moving_rotation[v], moving_half[v], grasped)
-        code = hit_boxes(R, p, spheres, boxes, holding[i], margin)
-        if code != FREE:
-            out[i] = code + len(world[0])
-            continue
-        out[i] = _hit_static(R, p, spheres, world, margin)
-        if out[i] == FREE:
-            out[i] = hit_self(R, p, spheres)
+        out[i] = check_one(
+            q[i], bases[i], value[i], holding[i], chain, spheres, world, margin, R, p
+        )
     return out
+
+
+@njit(cache=True, nogil=True)
+def _motion_free(a, b, step, base, value, holding, chain, spheres, world, margin):
+    n = len(a)
+    R, p = np.empty((n + 1, 3, 3)), np.empty((n + 1, 3))
+    q, longest = np.empty(n), 0.0
+    for k in range(n):
+        longest = max(longest, abs(b[k] - a[k]))
+    count = max(1, int(np.ceil(longest / step - 1e-9)))
+    # The end, the start, the middle, then ever finer: what hits is found early.
+    stride = count
+    for i in (count, 0):
+        for k in range(n):
+            q[k] = a[k] + (b[k] - a[k]) * (i / count)
+        if check_one(q, base, value, holding, chain, spheres, world, margin, R, p) != FREE:
+            return False
+    while stride > 1:
+        half = (stride + 1) // 2
+        for i in range(half, count, half):
+            if i % stride == 0:
+                continue
+            for k in range(n):
+                q[k] = a[k] + (b[k] - a[k]) * (i / count)
+            if check_one(q, base, value, holding, chain, spheres, world, margin, R, p) != FREE:
+                return False
+        stride = half
+    return True
 
 
 def check(
@@ -222,6 +255,35 @@ def check(
         world.arrays(),
         world.clearance,
     )
+
+
+def motion_checker(
+    world: World,
+    chain: Chain,
+    spheres: Spheres,
+    base: Float[np.ndarray, "3"],
+    *,
+    value: int,
+    holding: bool,
+    step: float,
+) -> CheckMotion:
+    """Prepare to ask whether straight motions of the arm are free, ends included.
+
+    Args:
+        base: Base pose (x, y, yaw).
+        value: Index of the object's joint value.
+        holding: Whether the gripper may touch what is grasped.
+        step: Largest joint step between the states that are checked [rad] or [m].
+    """
+    fixed = (
+        step, np.array(base, float), value, holding,
+        chain_arrays(chain), spheres.arrays(), world.arrays(), world.clearance,
+    )  # fmt: skip
+
+    def free(a: Float[np.ndarray, " n"], b: Float[np.ndarray, " n"]) -> bool:
+        return bool(_motion_free(a, b, *fixed))
+
+    return free
 
 
 @njit(cache=True, nogil=True)

@@ -10,16 +10,24 @@ from numba import njit
 
 from momapos.geometry.transforms import invert, pose_planar
 from momapos.kinematics.collision import FREE
-from momapos.kinematics.ik import chain_arrays, newton, solve_ik
+from momapos.kinematics.ik import chain_arrays, newton
 from momapos.kinematics.world import World, check
+from momapos.manipulation.layers import (
+    CUT_OFF,
+    MAX_STEP,
+    NOWHERE,
+    Layer,
+    full_turns,
+    joint_scale,
+    joint_step,
+    solve_layer,
+)
 from momapos.manipulation.motion import TaskMotion
 from momapos.robots.robot import Robot
 
 UNREACHABLE, HIT, BROKEN, FOUND = 0, 1, 2, 3
-MAX_STEP = 0.8
-"""Largest joint step between waypoints [rad] or [m]."""
 MAX_DENSE_STEP = 0.25
-"""Largest joint step between states [rad] or [m]."""
+"""Largest joint step between states [rad]; see `SLIDE` for sliding joints."""
 
 
 @dataclass(frozen=True)
@@ -52,23 +60,29 @@ def find_paths(
     """
     count = len(motion.coarse)
     paths: list[ArmPath | None] = [None] * len(grasps)
-    layers: list[_Layer | None] = [None] * count
+    layers: list[Layer] = []
     alive = np.arange(len(grasps))
     for passed, w in enumerate(_ends_first(count)):
-        layer = _solve_layer(robot, world, motion, bases, grasps, alive, w)
-        for j, code in zip(
-            layer.jobs[layer.counts == 0], layer.codes[layer.counts == 0], strict=True
-        ):
-            status = UNREACHABLE if code == FREE else HIT
-            paths[j] = ArmPath(status, w, passed, int(code))
-        alive = layer.jobs[layer.counts > 0]
-        layers[w] = layer
+        layer = solve_layer(robot, world, motion, bases, grasps, alive, w, layers)
+        failed = layer.counts == 0
+        for j, code in zip(alive[failed].tolist(), layer.codes[failed].tolist(), strict=True):
+            paths[j] = _failure(code, w, passed)
+        alive = alive[~failed]
+        layers.append(layer)
         if not len(alive):
             break
+    layers.sort(key=lambda layer: layer.waypoint)
     for j in alive:
-        nodes = [layer.nodes(int(j)) for layer in layers if layer is not None]
+        nodes = [layer.nodes(int(j)) for layer in layers]
         paths[j] = _connect(robot, world, motion, bases[j], int(grasps[j]), nodes)
     return [path for path in paths if path is not None]
+
+
+def _failure(code: int, waypoint: int, passed: int) -> ArmPath:
+    """What a layer without configurations means for a job."""
+    if code == CUT_OFF:
+        return ArmPath(BROKEN, waypoint, passed, FREE)
+    return ArmPath(UNREACHABLE if code == NOWHERE else HIT, waypoint, passed, code)
 
 
 def _ends_first(count: int) -> list[int]:
@@ -79,60 +93,6 @@ def _ends_first(count: int) -> list[int]:
         stride = (stride + 1) // 2
         order += [i for i in range(0, count, stride) if i not in order]
     return order
-
-
-@dataclass(frozen=True)
-class _Layer:
-    """The free configurations of all living jobs at one waypoint."""
-
-    jobs: Int[np.ndarray, " a"]
-    q: Float[np.ndarray, "a b n"]
-    """Free configurations first, NaN beyond the count."""
-    counts: Int[np.ndarray, " a"]
-    codes: Int[np.ndarray, " a"]
-    """What the first configuration hit, FREE where there was none at all."""
-
-    def nodes(self, job: int) -> Float[np.ndarray, "k n"]:
-        row = int(np.searchsorted(self.jobs, job))
-        return self.q[row, : self.counts[row]]
-
-
-def _solve_layer(
-    robot: Robot,
-    world: World,
-    motion: TaskMotion,
-    bases: np.ndarray,
-    grasps: np.ndarray,
-    alive: np.ndarray,
-    w: int,
-) -> _Layer:
-    step = motion.coarse[w]
-    T_base_world = invert(pose_planar(bases[alive]))
-    poses = T_base_world @ motion.Ts_world_tool[grasps[alive], step]
-    q, counts = solve_ik(robot.chain, robot.ik, poses)
-    n, width = robot.chain.size, q.shape[1]
-    given = np.arange(width) < counts[:, None]
-    flat = q[given]
-    owner = np.repeat(np.arange(len(alive)), counts)
-    codes = check(
-        world,
-        robot.chain,
-        robot.spheres,
-        flat,
-        bases[alive][owner],
-        np.full(len(flat), motion.value[step]),
-        np.full(len(flat), motion.holding[step]),
-    )
-    free = codes == FREE
-    kept = np.bincount(owner[free], minlength=len(alive))
-    out = np.full((len(alive), int(kept.max(initial=1)), n), np.nan)
-    slot = np.concatenate([np.arange(k) for k in kept]) if len(kept) else np.zeros(0, int)
-    out[owner[free], slot.astype(int)] = flat[free]
-    first = np.full(len(alive), FREE, np.int64)
-    if len(owner):
-        heads, at = np.unique(owner, return_index=True)
-        first[heads] = codes[at]
-    return _Layer(alive, out, kept, first)
 
 
 def _connect(
@@ -147,14 +107,14 @@ def _connect(
     start = np.cumsum([0, *(len(k) for k in nodes)])
     stacked = np.concatenate(nodes)
     chain = robot.chain
-    full_turn = ~chain.prismatic & (chain.upper - chain.lower > 2 * np.pi + 0.1)
+    full_turn, scale = full_turns(chain), joint_scale(chain)
     banned = np.zeros(len(stacked), bool)
     targets = invert(pose_planar(base)) @ motion.Ts_world_tool[grasp]
     count = len(nodes)
     worst = ArmPath(BROKEN, 0, count, FREE)
     for _ in range(4):
         chosen = np.full(count, -1)
-        reached = _shortest(stacked, start, banned, full_turn, chosen)
+        reached = _shortest(stacked, start, banned, full_turn, scale, chosen)
         if reached < count:
             return worst if worst.obstacle != FREE else ArmPath(BROKEN, reached, count, FREE)
         q = _unwrap(stacked[chosen], full_turn, chain.lower, chain.upper)
@@ -166,6 +126,7 @@ def _connect(
             robot.ik.active,
             chain_arrays(chain),
             (chain.lower, chain.upper),
+            scale,
             dense,
         )
         if bad < 0:
@@ -190,19 +151,7 @@ def _connect(
 
 
 @njit(cache=True, nogil=True)
-def _step(a, b, full_turn):
-    """Largest joint difference, the short way round where a joint turns fully."""
-    worst = 0.0
-    for k in range(len(a)):
-        d = b[k] - a[k]
-        if full_turn[k]:
-            d -= 2.0 * np.pi * np.round(d / (2.0 * np.pi))
-        worst = max(worst, abs(d))
-    return worst
-
-
-@njit(cache=True, nogil=True)
-def _shortest(q, start, banned, full_turn, chosen):
+def _shortest(q, start, banned, full_turn, scale, chosen):
     """Path with the smallest sum of steps through the layers; returns the layers reached."""
     count, layers = len(q), len(start) - 1
     cost, parent = np.full(count, np.inf), np.full(count, -1)
@@ -217,7 +166,7 @@ def _shortest(q, start, banned, full_turn, chosen):
             for j in range(start[w - 1], start[w]):
                 if cost[j] >= cost[i]:
                     continue
-                d = _step(q[j], q[i], full_turn)
+                d = joint_step(q[j], q[i], full_turn, scale, MAX_STEP)
                 if d < MAX_STEP and cost[j] + d < cost[i]:
                     cost[i], parent[i] = cost[j] + d, j
                     any_reached = True
@@ -250,7 +199,7 @@ def _unwrap(
 
 
 @njit(cache=True, nogil=True)
-def _track(q, coarse, targets, active, chain, limits, dense):
+def _track(q, coarse, targets, active, chain, limits, scale, dense):
     """Fill the states between waypoints by Newton steps; returns the step that fails, or -1."""
     n = q.shape[1]
     lower, upper = limits
@@ -269,6 +218,6 @@ def _track(q, coarse, targets, active, chain, limits, dense):
             for k in range(n):
                 if dense[s, k] < lower[k] - 1e-6 or dense[s, k] > upper[k] + 1e-6:
                     return s
-                if s > 0 and abs(dense[s, k] - dense[s - 1, k]) > MAX_DENSE_STEP:
+                if s > 0 and abs(dense[s, k] - dense[s - 1, k]) * scale[k] > MAX_DENSE_STEP:
                     return s
     return -1

@@ -13,19 +13,19 @@ from momapos.geometry.transforms import apply, invert, pose_planar
 from momapos.kinematics.collision import FREE
 from momapos.kinematics.hulls import Boxes
 from momapos.kinematics.spheres import Spheres, box_spheres, carry
-from momapos.kinematics.world import World, check, check_hand
+from momapos.kinematics.world import World, check, check_hand, motion_checker
 from momapos.manipulation.arm_path import FOUND, HIT, UNREACHABLE, ArmPath, find_paths
 from momapos.manipulation.motion import TaskMotion
-from momapos.manipulation.planner import PlannerConfig, interpolate, plan_motion
+from momapos.manipulation.planner import RESOLUTION, PlannerConfig, interpolate, plan_motion
 from momapos.robots.robot import Robot
-from momapos.types import Attempt, Motion
+from momapos.types import Attempt, Motion, Screened
 
 Refusal = Callable[[Float[np.ndarray, "3"], Motion], str | None]
 """The exact check: None where a motion holds, else what is wrong with it."""
-_FIRST = 4
-"""Grasps that are tried together before the rest [-]."""
 _BATCH = 256
-"""Pairs of base pose and grasp that are screened together [-]."""
+"""Pairs of base pose and grasp that a thread looks at together [-]."""
+_WIDER = 4
+"""How many times more grasps are tried in each round than in the one before [-]."""
 _THREADS = 2
 
 
@@ -40,74 +40,84 @@ class Feasibility:
     refuse: Refusal
     seed: int
     out_of_time: Callable[[], bool]
-    """Asked between steps of the screening."""
+    """Asked between steps of the work."""
 
-    def __call__(self, base: Float[np.ndarray, "3"], grasps: Int[np.ndarray, " k"]) -> Attempt:
-        """Check one base pose with some grasps, best first.
+    def __call__(
+        self, base: Float[np.ndarray, "3"], screened: Screened, grasps: Int[np.ndarray, " k"]
+    ) -> Attempt:
+        """Complete a motion at a base pose: the way from home, then the exact check.
 
         Args:
             base: Base pose x [m], y [m], yaw [rad].
-            grasps: Indices into the family of grasps.
+            screened: An arm path there.
+            grasps: Grasps to be tried, best first, when that one cannot be completed.
         """
-        at_home = self._check(self.robot.home[None], base, self.robot.spheres)[0]
-        if at_home != FREE:
-            return Attempt(None, f"arm at home hits {self.world.reason(int(at_home))}")
-        furthest: ArmPath | None = None
-        last = ""
-        chunks = np.split(grasps, range(_FIRST, len(grasps), 4 * _FIRST))
-        for chunk in chunks:
-            bases = np.tile(base, (len(chunk), 1))
-            paths = find_paths(self.robot, self.world, self.motion, bases, chunk)
-            for grasp, path in zip(chunk, paths, strict=True):
-                if path.status != FOUND:
-                    if furthest is None or path.passed > furthest.passed:
-                        furthest = path
-                    continue
-                motion, last = self._complete(base, path, int(grasp))
-                if motion is not None:
-                    return Attempt(motion, "")
-        return Attempt(None, last or self._reason(furthest))
+        assert screened.q is not None
+        motion, reason = self._complete(base, screened.q, screened.grasp)
+        others = grasps[grasps != screened.grasp]
+        for chunk in np.split(others, range(_WIDER, len(others), _WIDER)):
+            if motion is not None or not len(chunk):
+                break
+            for grasp, path in zip(
+                chunk.tolist(), self._paths(np.tile(base, (len(chunk), 1)), chunk) or [],
+                strict=False,
+            ):  # fmt: skip
+                if path.q is not None and motion is None:
+                    motion, reason = self._complete(base, path.q, grasp)
+        return Attempt(motion, reason)
 
     def screen(
-        self, bases: Float[np.ndarray, "n 3"], scores: Float[np.ndarray, "n g"]
-    ) -> Bool[np.ndarray, " n"] | None:
-        """Tell at which base poses some grasp has an arm path, many poses at a time.
+        self, bases: Float[np.ndarray, "n 3"], scores: Float[np.ndarray, "n g"], most: int | None
+    ) -> list[Screened] | None:
+        """Look for an arm path at each of many base poses, the best reached grasps first.
 
         Args:
             bases: Base poses that stand clear.
             scores: Reachability of each grasp from each; only those above 0 are tried.
+            most: How many grasps are tried at one pose; None for all.
 
         Returns:
-            Whether there is a path, or None when the time was up before all had been tried.
+            What came of each, or None when the time was up before all had been tried.
         """
-        order = np.argsort(-scores, axis=1, kind="stable")
-        reached = (scores > 0).sum(1)
-        found = np.zeros(len(bases), bool)
+        order = np.argsort(-scores, axis=1, kind="stable")[:, :most]
+        reached = np.minimum((scores > 0).sum(1), order.shape[1])
         home = self._check(np.tile(self.robot.home, (len(bases), 1)), bases, self.robot.spheres)
-        first, width = 0, 2
-        while first < scores.shape[1]:
-            left = np.flatnonzero(~found & (reached > first) & (home == FREE))
-            ranks = np.arange(first, min(first + width, scores.shape[1]))
-            jobs = np.stack(np.broadcast_arrays(left[:, None], ranks[None]), -1).reshape(-1, 2)
-            jobs = jobs[jobs[:, 1] < reached[jobs[:, 0]]]
-            chunks = np.array_split(jobs, max(1, len(jobs) // _BATCH))
-            with ThreadPoolExecutor(_THREADS) as pool:
-                for chunk, good in zip(chunks, pool.map(
-                    lambda c: self._found(bases[c[:, 0]], order[c[:, 0], c[:, 1]]), chunks
-                ), strict=True):  # fmt: skip
-                    found[chunk[good, 0]] = True
+        best: list[tuple[int, ArmPath | None]] = [(-1, None)] * len(bases)
+        undecided = home == FREE
+        first, width = 0, 1
+        while first < order.shape[1]:
+            ranks = np.arange(first, min(first + width, order.shape[1]))
+            base, rank = np.nonzero(undecided[:, None] & (ranks < reached[:, None]))
+            grasps = order[base, ranks[rank]]
+            paths = self._paths(bases[base], grasps)
+            if paths is None:
+                return None
+            for i, grasp, path in zip(base.tolist(), grasps.tolist(), paths, strict=True):
+                held = best[i][1]
+                if held is None or (held.status != FOUND and _farther(path, held)):
+                    best[i] = (grasp, path)
+                undecided[i] &= path.status != FOUND
+            first, width = first + width, _WIDER * width
+        return [
+            Screened(grasp, None if path is None else path.q, self._reason(path, int(code)))
+            for (grasp, path), code in zip(best, home, strict=True)
+        ]
+
+    def _paths(
+        self, bases: Float[np.ndarray, "j 3"], grasps: Int[np.ndarray, " j"]
+    ) -> list[ArmPath] | None:
+        """Arm paths of pairs of base pose and grasp, on two threads; None when out of time."""
+        pieces = np.array_split(np.arange(len(grasps)), max(_THREADS, len(grasps) // _BATCH))
+
+        def work(part: Int[np.ndarray, " p"]) -> list[ArmPath] | None:
             if self.out_of_time():
                 return None
-            first, width = first + width, 3 * width
-        return found
+            return find_paths(self.robot, self.world, self.motion, bases[part], grasps[part])
 
-    def _found(
-        self, bases: Float[np.ndarray, "j 3"], grasps: Int[np.ndarray, " j"]
-    ) -> Bool[np.ndarray, " j"]:
-        if self.out_of_time():
-            return np.zeros(len(grasps), bool)
-        paths = find_paths(self.robot, self.world, self.motion, bases, grasps)
-        return np.array([path.status == FOUND for path in paths], bool)
+        with ThreadPoolExecutor(_THREADS) as pool:
+            found = list(pool.map(work, pieces))
+        done = [paths for paths in found if paths is not None]
+        return [path for paths in done for path in paths] if len(done) == len(found) else None
 
     def _check(
         self, q: Float[np.ndarray, "m n"], base: Float[np.ndarray, "*m 3"], spheres: Spheres
@@ -116,17 +126,21 @@ class Feasibility:
 
         The base pose is one for all states, or one for each.
         """
-        carrying = self.motion.task.verb == "place"
         return check(
             self.world, self.robot.chain, spheres, np.ascontiguousarray(q),
             np.array(np.broadcast_to(base, (len(q), 3))),
             np.full(len(q), self.motion.value[0]),
-            np.full(len(q), carrying),
+            np.full(len(q), self._carrying),
         )  # fmt: skip
+
+    @property
+    def _carrying(self) -> bool:
+        """Whether the object is in the hand from the beginning."""
+        return self.motion.task.verb == "place"
 
     def _with_load(self, grasp: int) -> Spheres:
         """The robot's spheres, with the object in its hand where the task is to place it."""
-        if self.motion.task.verb != "place":
+        if not self._carrying:
             return self.robot.spheres
         chain, m = self.robot.chain, self.motion.moving
         center, radius = box_spheres(Boxes(m.center[-1], m.rotation[-1], m.half[-1]))
@@ -137,16 +151,17 @@ class Feasibility:
             chain.tool_offset + in_tool @ chain.tool_rotation.T, radius,
         )  # fmt: skip
 
-    def _complete(self, base: np.ndarray, path: ArmPath, grasp: int) -> tuple[Motion | None, str]:
+    def _complete(
+        self, base: Float[np.ndarray, "3"], q: Float[np.ndarray, "d n"], grasp: int
+    ) -> tuple[Motion | None, str]:
         """Add the approach from home, and let the exact check decide."""
-        assert path.q is not None
         chain, hold = self.robot.chain, self.motion.hold
         spheres = self._with_load(grasp)
-        q = near_home(path.q, self.robot.home, chain.lower, chain.upper)
-
-        def free(states: Float[np.ndarray, "m n"]) -> Bool[np.ndarray, " m"]:
-            return self._check(states, base, spheres) == FREE
-
+        q = near_home(q, self.robot.home, chain.lower, chain.upper)
+        free = motion_checker(
+            self.world, chain, spheres, base, value=int(self.motion.value[0]),
+            holding=self._carrying, step=RESOLUTION,
+        )  # fmt: skip
         way = plan_motion(
             self.robot.home,
             q[0],
@@ -168,15 +183,25 @@ class Feasibility:
     def _tools(self, q: np.ndarray, base: np.ndarray) -> Float[np.ndarray, "m 4 4"]:
         return pose_planar(base) @ self.robot.chain.tool_poses(q)
 
-    def _reason(self, path: ArmPath | None) -> str:
+    def _reason(self, path: ArmPath | None, at_home: int) -> str:
+        """Why a base pose has no arm path, "" where it has one."""
+        if at_home != FREE:
+            return f"arm at home hits {self.world.reason(at_home)}"
         if path is None:
             return "no grasp within reach"
         where = "the pre-grasp" if path.waypoint == 0 else f"waypoint {path.waypoint}"
+        if path.status == FOUND:
+            return ""
         if path.status == UNREACHABLE:
             return f"out of reach at {where}"
         if path.status == HIT:
             return f"arm hits {self.world.reason(path.obstacle)} at {where}"
         return "no continuous branch"
+
+
+def _farther(path: ArmPath, other: ArmPath) -> bool:
+    """Whether a path came farther than another."""
+    return path.status == FOUND or path.passed > other.passed
 
 
 def hand_clears(

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
-CheckStates = Callable[[Float[np.ndarray, "m n"]], Bool[np.ndarray, " m"]]
-"""Tell which of a batch of configurations are free."""
+from momapos.kinematics.world import CheckMotion
+
 RESOLUTION = 0.04
 """Largest joint step at which a motion is checked [rad] or [m]."""
 _UNBOUNDED = np.pi
@@ -44,7 +43,7 @@ def plan_motion(
     goal: Float[np.ndarray, " n"],
     lower: Float[np.ndarray, " n"],
     upper: Float[np.ndarray, " n"],
-    free: CheckStates,
+    free: CheckMotion,
     *,
     config: PlannerConfig,
     seed: int,
@@ -54,26 +53,24 @@ def plan_motion(
     Args:
         start, goal: Configurations; a joint without limits is not wrapped.
         lower, upper: Joint limits, infinite where there are none.
-        free: Checks configurations; the path is free at `RESOLUTION`.
+        free: Checks straight motions, at `RESOLUTION` or finer.
         config: Which planner, for how long.
         seed: Same seed, same path, as long as the budget is not exhausted.
 
     Returns:
         Corner states, start and goal included, or None.
     """
-    line = np.stack([start, goal])
-    ends = free(line)
-    if not ends.all():
+    if not (free(start, start) and free(goal, goal)):
         return None
-    if free(interpolate(line)).all():
-        return line
+    if free(start, goal):
+        return np.stack([start, goal])
     low = np.where(np.isfinite(lower), lower, np.minimum(start, goal) - _UNBOUNDED)
     high = np.where(np.isfinite(upper), upper, np.maximum(start, goal) + _UNBOUNDED)
     path = _ompl(np.clip(start, low, high), np.clip(goal, low, high), low, high, free, config, seed)
     if path is None:
         return None
     path = np.concatenate([start[None], path[1:-1], goal[None]])
-    return path if free(interpolate(path)).all() else None
+    return path if all(free(a, b) for a, b in pairwise(path)) else None
 
 
 def _ompl(
@@ -81,7 +78,7 @@ def _ompl(
     goal: np.ndarray,
     low: np.ndarray,
     high: np.ndarray,
-    free: CheckStates,
+    free: CheckMotion,
     config: PlannerConfig,
     seed: int,
 ) -> Float[np.ndarray, "k n"] | None:
@@ -107,9 +104,13 @@ def _ompl(
         """Checks the states of a whole edge in one call of the kernel."""
 
         def checkMotion(self, a: object, b: object, *_: object) -> bool:
-            return bool(free(interpolate(np.stack([read(a), read(b)]))).all())
+            return free(read(a), read(b))
 
-    setup.setStateValidityChecker(lambda state: bool(free(read(state)[None])[0]))
+    def valid(state: object) -> bool:
+        q = read(state)
+        return free(q, q)
+
+    setup.setStateValidityChecker(valid)
     info = setup.getSpaceInformation()
     edges = Edges(info)
     info.setMotionValidator(edges)

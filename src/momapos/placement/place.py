@@ -24,7 +24,7 @@ from momapos.placement.area import (
 from momapos.placement.order import by_expected_cost, open_tours
 from momapos.placement.potential import attraction
 from momapos.protocols import ReachScorer, TravelCost
-from momapos.types import Attempt, Candidates, Motion
+from momapos.types import Attempt, Candidates, Motion, Screened
 
 Method = Literal["ours", "paper", "exhaustive"]
 _BLOCK = 512
@@ -32,7 +32,6 @@ _BLOCK = 512
 FEASIBLE = "feasible"
 REASONS = {BLOCKED: "base blocked", OFF_FLOOR: "base off the floor", 3: "farther than the arm"}
 NO_REACH, NO_WAY, NOT_TRIED = "out of reach", "no way to drive there", "not tried"
-NO_PATH = "no free arm path over the waypoints"
 PASSED = "path found, approach not checked"
 
 
@@ -48,8 +47,10 @@ class PlaceConfig:
     """Rounds before the grid decides [-]."""
     grasps: int = 24
     """Grasps tried at one base pose, best reached first [-]."""
-    improve: int = 4
-    """Cheaper candidates that are still tried after the first success [-]."""
+    together: int = 2
+    """Candidates whose arm paths are looked for together (ours); the cheapest wins [-]."""
+    improve: int = 6
+    """Cheaper candidates that are looked at besides, once some have a path (ours) [-]."""
     miss: float = 2.0
     """Driving length that a certain miss is worth [m]."""
     group: int = 10
@@ -68,14 +69,13 @@ class PlaceConfig:
     """Distance that the base keeps from everything [m]."""
 
 
-AttemptPose = Callable[[Float[np.ndarray, "3"], Int[np.ndarray, " k"]], Attempt]
-"""Check one base pose with some grasps, best first."""
-
-
 ScreenPoses = Callable[
-    [Float[np.ndarray, "n 3"], Float[np.ndarray, "n g"]], Bool[np.ndarray, " n"] | None
+    [Float[np.ndarray, "n 3"], Float[np.ndarray, "n g"], int | None], list[Screened] | None
 ]
-"""Tell at which base poses some grasp has an arm path, from all scores; None: out of time."""
+"""Look for an arm path at each of many base poses, from the scores of all grasps and the number
+of grasps to be tried; None: out of time."""
+AttemptPose = Callable[[Float[np.ndarray, "3"], Screened, Int[np.ndarray, " k"]], Attempt]
+"""Complete the arm path found at a base pose, or else one with the other grasps, best first."""
 
 
 @dataclass
@@ -209,50 +209,67 @@ def _cull(problem: Problem, poses: Float[np.ndarray, "n 3"], found: Search) -> _
     return left
 
 
-def _check(problem: Problem, left: _Shortlist, i: int, most: int | None, found: Search) -> None:
-    """Check pose i of a shortlist in full; keep it if it is the best so far."""
-    result = problem.attempt(left.poses[i], left.grasps(i)[:most])
-    left.reasons[left.row[i]] = result.reason or FEASIBLE
-    if result.motion is not None:
-        found.base, found.motion, found.cost = left.poses[i], result.motion, left.travel[i]
+def _screen(
+    problem: Problem,
+    left: _Shortlist,
+    block: Int[np.ndarray, " b"],
+    most: int | None,
+    found: Search,
+) -> dict[int, Screened]:
+    """Arm paths at some poses of a shortlist, by index; those without one get their reasons."""
+    screened = problem.screen(left.poses[block], left.scores[block], most)
+    if screened is None:
+        found.timed_out = found.motion is None
+        return {}
+    found.checked += len(block)
+    left.reasons[left.row[block]] = [one.reason or PASSED for one in screened]
+    return {i: one for i, one in zip(block.tolist(), screened, strict=True) if one.q is not None}
+
+
+def _complete(
+    problem: Problem, left: _Shortlist, passed: dict[int, Screened], most: int | None, found: Search
+) -> None:
+    """Complete the cheapest of some arm paths that can be completed."""
+    for i in sorted(passed, key=lambda i: float(left.travel[i])):
+        if problem.out_of_time():
+            found.timed_out = True
+            return
+        result = problem.attempt(left.poses[i], passed[i], left.grasps(i)[:most])
+        left.reasons[left.row[i]] = result.reason or FEASIBLE
+        if result.motion is not None:
+            found.base, found.motion, found.cost = left.poses[i], result.motion, left.travel[i]
+            return
 
 
 def _check_samples(problem: Problem, left: _Shortlist, config: PlaceConfig, found: Search) -> None:
-    """Check a round's samples in order, until enough cheaper ones have been tried."""
-    improve = config.improve if config.method == "ours" else 0
-    for i in _order(problem, left, config):
-        if left.travel[i] >= found.cost - 1e-9:
-            continue
-        if found.motion is not None:
-            if improve == 0:
-                return
-            improve -= 1
-        if problem.out_of_time():
-            found.timed_out = found.motion is None
-            return
-        found.checked += 1
-        _check(problem, left, i, config.grasps, found)
+    """Check a round's samples in order; where some pass, a few cheaper ones have their chance."""
+    ours = config.method == "ours"
+    together, improve = (config.together, config.improve) if ours else (1, 0)
+    rest = _order(problem, left, config)
+    while len(rest) and found.motion is None and not found.timed_out:
+        block, rest = rest[:together], rest[together:]
+        passed = _screen(problem, left, block, config.grasps, found)
+        if passed and improve:
+            best = left.travel[list(passed)].min()
+            cheaper = rest[left.travel[rest] < best - 1e-9][:improve]
+            passed |= _screen(problem, left, cheaper, config.grasps, found)
+            rest = rest[~np.isin(rest, cheaper)]
+        _complete(problem, left, passed, config.grasps, found)
 
 
 def _check_grid(problem: Problem, left: _Shortlist, config: PlaceConfig, found: Search) -> None:
     """Complete the cheapest pose of the grid that can be completed.
 
-    Poses are screened for an arm path in blocks, cheapest first; with `whole_grid` all are.
+    Poses are checked in blocks, cheapest first; with `whole_grid` all are looked at.
     """
     order = np.argsort(left.travel, kind="stable")
     for first in range(0, len(order), _BLOCK):
-        if found.motion is not None and not config.whole_grid:
-            return
         block = order[first : first + _BLOCK]
-        passed = problem.screen(left.poses[block], left.scores[block])
-        if passed is None or problem.out_of_time():
-            found.timed_out = found.motion is None
+        passed = _screen(problem, left, block, None, found)
+        if found.motion is None:
+            _complete(problem, left, passed, None, found)
+        if found.timed_out or (found.motion is not None and not config.whole_grid):
             return
-        found.checked += len(block)
-        left.reasons[left.row[block]] = np.where(passed, PASSED, NO_PATH)
-        for i in block[passed]:
-            if found.motion is None and not problem.out_of_time():
-                _check(problem, left, int(i), None, found)
 
 
 def _order(problem: Problem, left: _Shortlist, config: PlaceConfig) -> Int[np.ndarray, " n"]:

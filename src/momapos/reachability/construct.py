@@ -15,6 +15,7 @@ from jaxtyping import Float
 from momapos.errors import RobotError
 from momapos.geometry.transforms import orthonormal
 from momapos.kinematics.chain import Chain
+from momapos.kinematics.hulls import Boxes
 from momapos.kinematics.ik import NUMERIC, IkModel, build_ik, chain_arrays, ik_arrays
 from momapos.kinematics.spheres import Spheres
 from momapos.reachability.build import EVERY, arc_mask, line_masks
@@ -277,8 +278,9 @@ def _turning(spheres: Spheres, first: int) -> tuple:  # type: ignore[type-arg]
     """The spheres with only those pairs that both turn with the first joint, and no base."""
     stays = spheres.segment <= first
     pairs = spheres.pairs[~stays[spheres.pairs].any(1)]
-    none = (np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3)))
-    return (*spheres.arrays()[:7], pairs, *none, np.zeros((len(stays), 0), bool))
+    nothing = Boxes(np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3)))
+    no_pairs = np.zeros((len(stays), 0), bool)
+    return replace(spheres, pairs=pairs, base=nothing, base_pairs=no_pairs).arrays()
 
 
 def _silent(_share: float) -> None:

@@ -32,9 +32,10 @@ def map_key(robot: Robot, config: ReachConfig) -> str:
     so that a comment in a file changes nothing and a mesh on the disk does.
     """
     chain = robot.chain
+    *shapes, _ = robot.spheres.arrays()  # the last, the base's bounds, follows from its boxes
     arrays = (
         chain.h, chain.d, chain.prismatic, chain.lower, chain.upper, chain.tool_offset,
-        chain.tool_rotation, robot.approach_axis, *robot.spheres.arrays(),
+        chain.tool_rotation, robot.approach_axis, *shapes,
     )  # fmt: skip
     # A micrometre more or less is another machine's rounding, not another robot.
     rounded = (np.round(a, 6) + 0.0 if a.dtype.kind == "f" else a for a in arrays)

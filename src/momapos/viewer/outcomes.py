@@ -39,7 +39,7 @@ KINDS = (
     Kind("not tried", _starts(NOT_TRIED, PASSED), "#6f7a83", ".", size=2.8),
     Kind("other", lambda _: True, "#555555", "*", size=3.4),
     Kind("arm hits", _starts("arm"), "#aa4499", "^", size=3.2),
-    Kind("no continuous path", _starts("no continuous", "no free arm path"), "#7a4a1e", "s"),
+    Kind("no continuous path", _starts("no continuous"), "#7a4a1e", "s"),
     Kind("no approach", _starts("no approach"), "#7d7a1f", "D"),
     Kind("exact check", _starts("exact check"), "#661100", "P", size=3.6),
     Kind("feasible", lambda reason: reason == FEASIBLE, "#009e73", "o", filled=True, size=5.0),

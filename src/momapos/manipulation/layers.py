@@ -1,0 +1,174 @@
+"""Free arm configurations at one waypoint, for many pairs of base pose and grasp at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numba import njit
+
+from momapos.geometry.transforms import invert, pose_planar
+from momapos.kinematics.chain import Chain
+from momapos.kinematics.collision import FREE
+from momapos.kinematics.ik import chain_arrays, ik_arrays, ik_scratch, solve_sample
+from momapos.kinematics.world import World, check_one
+from momapos.manipulation.motion import TaskMotion
+from momapos.robots.robot import Robot
+
+MAX_STEP = 0.8
+"""Largest joint step between waypoints [rad]."""
+SLIDE = 4.0
+"""Radians that a metre of a sliding joint counts as [rad/m]."""
+NOWHERE, CUT_OFF = FREE, FREE - 10
+"""Why a layer is empty where nothing is hit: out of reach, or too far from its neighbours."""
+
+
+@dataclass(frozen=True)
+class Layer:
+    """The free configurations of all living jobs at one waypoint."""
+
+    waypoint: int
+    jobs: Int[np.ndarray, " a"]
+    q: Float[np.ndarray, "a b n"]
+    """Free configurations first; beyond the count there is nothing of meaning."""
+    counts: Int[np.ndarray, " a"]
+    codes: Int[np.ndarray, " a"]
+    """What the first configuration hit, else NOWHERE or CUT_OFF; of use where the count is 0."""
+
+    def nodes(self, job: int) -> Float[np.ndarray, "k n"]:
+        """The configurations of one job."""
+        row = int(np.searchsorted(self.jobs, job))
+        return self.q[row, : self.counts[row]]
+
+
+def joint_scale(chain: Chain) -> Float[np.ndarray, " n"]:
+    """What a step of each joint counts as [rad/rad] or [rad/m]."""
+    return np.where(chain.prismatic, SLIDE, 1.0)
+
+
+def full_turns(chain: Chain) -> Bool[np.ndarray, " n"]:
+    """Which joints turn fully, so that a step is taken the short way round."""
+    return ~chain.prismatic & (chain.upper - chain.lower > 2 * np.pi + 0.1)
+
+
+def solve_layer(
+    robot: Robot,
+    world: World,
+    motion: TaskMotion,
+    bases: Float[np.ndarray, "j 3"],
+    grasps: Int[np.ndarray, " j"],
+    alive: Int[np.ndarray, " a"],
+    waypoint: int,
+    known: Sequence[Layer],
+) -> Layer:
+    """Find the free configurations at a waypoint that known layers can be joined to.
+
+    A configuration that is farther from all those of the nearest layer on either side than
+    `MAX_STEP` a waypoint is on no path, and is dropped before it is checked.
+
+    Args:
+        robot, world, motion: Whose arm, in which room, for what.
+        bases, grasps: The jobs.
+        alive: Indices of the jobs to be solved.
+        waypoint: Index into the coarse waypoints.
+        known: Layers that have been solved, for these jobs at least.
+    """
+    step, chain, ik = motion.coarse[waypoint], robot.chain, robot.ik
+    poses = invert(pose_planar(bases[alive])) @ motion.Ts_world_tool[grasps[alive], step]
+    before = max((k for k in known if k.waypoint < waypoint), key=_waypoint, default=None)
+    after = min((k for k in known if k.waypoint > waypoint), key=_waypoint, default=None)
+    locked = joint_scale(chain)
+    locked[ik.active] = 0.0
+    q, counts, codes = _solve_layer(
+        np.ascontiguousarray(poses), bases[alive], int(motion.value[step]),
+        bool(motion.holding[step]), (chain.lower, chain.upper), chain_arrays(chain),
+        ik_arrays(ik), ik.max_solutions, robot.spheres.arrays(), world.arrays(), world.clearance,
+        full_turns(chain), joint_scale(chain), locked,
+        _neighbour(before, alive, waypoint, chain.size),
+        _neighbour(after, alive, waypoint, chain.size),
+    )  # fmt: skip
+    return Layer(waypoint, alive, q, counts, codes)
+
+
+def _waypoint(layer: Layer) -> int:
+    return layer.waypoint
+
+
+def _neighbour(
+    layer: Layer | None, alive: np.ndarray, waypoint: int, n: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+    """A known layer as the kernel takes it; the limit is infinite where there is none."""
+    if layer is None:
+        return np.empty((0, 0, n)), np.empty(0, np.int64), np.empty(0, np.int64), np.inf
+    limit = MAX_STEP * abs(waypoint - layer.waypoint)
+    return layer.q, layer.counts, np.searchsorted(layer.jobs, alive), limit
+
+
+@njit(cache=True, nogil=True)
+def joint_step(a, b, full_turn, scale, limit):
+    """Largest joint difference, the short way round; it stops at the first beyond the limit."""
+    worst = 0.0
+    for k in range(len(a)):
+        d = b[k] - a[k]
+        if full_turn[k]:
+            d -= 2.0 * np.pi * np.round(d / (2.0 * np.pi))
+        worst = max(worst, abs(d) * scale[k])
+        if worst > limit:
+            break
+    return worst
+
+
+@njit(cache=True, nogil=True)
+def _joined(q, job, neighbour, full_turn, scale):
+    """Whether some configuration of a neighbouring layer is near enough."""
+    states, counts, rows, limit = neighbour
+    if limit == np.inf:
+        return True
+    row = rows[job]
+    for i in range(counts[row]):
+        if joint_step(q, states[row, i], full_turn, scale, limit) <= limit:
+            return True
+    return False
+
+
+@njit(cache=True, nogil=True)
+def _solve_layer(
+    poses, bases, value, holding, limits, chain, ik, most, spheres, world, margin,
+    full_turn, scale, locked, before, after,
+):  # fmt: skip
+    n = len(full_turn)
+    scratch = ik_scratch(n)
+    R, p = np.empty((n + 1, 3, 3)), np.empty((n + 1, 3))
+    solutions = np.empty((8, n))
+    out = np.empty((len(poses), most, n))
+    counts, codes = np.zeros(len(poses), np.int64), np.full(len(poses), NOWHERE)
+    for j in range(len(poses)):
+        for s in range(len(ik[2])):
+            # Locked joints are known beforehand, so most samples need no inverse kinematics.
+            if not (
+                _joined(ik[2][s], j, before, full_turn, locked)
+                and _joined(ik[2][s], j, after, full_turn, locked)
+            ):
+                continue
+            found = solve_sample(
+                s, poses[j, :3, :3], poses[j, :3, 3], chain, limits, ik, solutions, scratch
+            )
+            for b in range(found):
+                q = solutions[b]
+                if not (
+                    _joined(q, j, before, full_turn, scale)
+                    and _joined(q, j, after, full_turn, scale)
+                ):
+                    if codes[j] == NOWHERE:
+                        codes[j] = CUT_OFF
+                    continue
+                code = check_one(q, bases[j], value, holding, chain, spheres, world, margin, R, p)
+                if code == FREE:
+                    for k in range(n):
+                        out[j, counts[j], k] = q[k]
+                    counts[j] += 1
+                elif codes[j] == NOWHERE or codes[j] == CUT_OFF:
+                    codes[j] = code
+    return out, counts, codes

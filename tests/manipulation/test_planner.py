@@ -1,0 +1,70 @@
+"""Arm motions between two configurations, in a plane with an obstacle."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from momapos.kinematics.world import CheckMotion
+from momapos.manipulation.planner import RESOLUTION, PlannerConfig, interpolate, plan_motion
+
+LOW, HIGH = np.full(2, -3.0), np.full(2, 3.0)
+A, B = np.array([-2.0, 0.0]), np.array([2.0, 0.0])
+
+
+def disc(radius: float, center: tuple[float, float] = (0.0, 0.0)) -> CheckMotion:
+    """Motions that stay out of a disc."""
+
+    def free(a: np.ndarray, b: np.ndarray) -> bool:
+        states = interpolate(np.stack([a, b]))
+        return bool((np.linalg.norm(states - np.array(center), axis=1) > radius).all())
+
+    return free
+
+
+def test_a_free_straight_line_is_the_answer() -> None:
+    path = plan_motion(A, B, LOW, HIGH, disc(0.5, (0.0, 2.0)), config=PlannerConfig(), seed=0)
+    np.testing.assert_array_equal(path, [A, B])
+
+
+@pytest.mark.parametrize("algorithm", ["RRTConnect", "RRTstar"])
+def test_a_way_round_starts_and_ends_where_it_must_and_is_free(algorithm: str) -> None:
+    free = disc(1.0)
+    config = PlannerConfig(algorithm=algorithm, budget=0.2)  # type: ignore[arg-type]
+    path = plan_motion(A, B, LOW, HIGH, free, config=config, seed=3)
+    assert path is not None
+    assert len(path) > 2
+    np.testing.assert_array_equal(path[[0, -1]], [A, B])
+    assert all(free(a, b) for a, b in pairwise(path))
+    assert (np.abs(path) <= 3.0 + 1e-9).all()
+
+
+def test_the_same_seed_gives_the_same_way() -> None:
+    paths = [
+        plan_motion(A, B, LOW, HIGH, disc(1.0), config=PlannerConfig(), seed=5) for _ in range(2)
+    ]
+    np.testing.assert_array_equal(*paths)
+
+
+def test_there_is_no_way_from_or_to_a_state_that_is_not_free() -> None:
+    for start, goal in ((A, np.zeros(2)), (np.zeros(2), B)):
+        assert (
+            plan_motion(start, goal, LOW, HIGH, disc(1.0), config=PlannerConfig(), seed=0) is None
+        )
+
+
+def test_there_is_no_way_through_a_closed_wall() -> None:
+    def free(a: np.ndarray, b: np.ndarray) -> bool:
+        return bool(a[0] * b[0] > 0 and min(abs(a[0]), abs(b[0])) > 0.1)
+
+    assert plan_motion(A, B, LOW, HIGH, free, config=PlannerConfig(budget=0.05), seed=0) is None
+
+
+def test_no_step_of_a_filled_path_is_longer_than_the_resolution() -> None:
+    path = np.array([[0.0, 0.0], [1.0, -0.5], [1.0, 0.013]])
+    filled = interpolate(path)
+    assert np.abs(np.diff(filled, axis=0)).max() <= RESOLUTION + 1e-12
+    for corner in path:
+        assert np.isclose(filled, corner).all(1).any()
