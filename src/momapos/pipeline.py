@@ -10,6 +10,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import cache
 from importlib import metadata
 
 import numpy as np
@@ -145,6 +146,12 @@ def place(
     )
 
 
+@cache
+def _versions() -> dict[str, str]:
+    """What the answer depends on, beside its inputs."""
+    return {name: metadata.version(name) for name in ("momapos", "numpy", "ompl")}
+
+
 def slides(scene: Scene, task: Task) -> bool:
     """Whether a task moves a part along a line, and does not turn it."""
     if task.joint is None:
@@ -237,5 +244,5 @@ def _plan(
         timing=timing,
         method=config.place.method,
         seed=seed,
-        versions={name: metadata.version(name) for name in ("momapos", "numpy", "ompl")},
+        versions=_versions(),
     )

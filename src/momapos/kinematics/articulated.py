@@ -113,11 +113,14 @@ class Articulated:
         return found
 
 
-def joint_motion(joint: Joint, value: float) -> Float[np.ndarray, "4 4"]:
-    """Transform of a joint's child at a value [rad] or [m], in the joint's frame."""
-    T = np.eye(4)
+def joint_motion(
+    joint: Joint, value: float | Float[np.ndarray, " *batch"]
+) -> Float[np.ndarray, "*batch 4 4"]:
+    """Transform of a joint's child at values [rad] or [m], in the joint's frame."""
+    values = np.asarray(value)
+    T = np.tile(np.eye(4), (*values.shape, 1, 1))
     if joint.kind == "prismatic":
-        T[:3, 3] = value * joint.axis
+        T[..., :3, 3] = values[..., None] * joint.axis
     else:
-        T[:3, :3] = rotation_about(joint.axis, value)
+        T[..., :3, :3] = rotation_about(joint.axis, values)
     return T

@@ -212,17 +212,17 @@ def hand_clears(
     Returns:
         A mask over the grasps, and what stops most of the others.
     """
-    Ts = motion.Ts_world_tool[:, motion.coarse]
-    grasps, count = Ts.shape[:2]
-    value = np.tile(motion.value[motion.coarse], grasps)
-    holding = np.tile(motion.holding[motion.coarse], grasps)
-    codes = check_hand(
-        world, robot.chain, robot.spheres, Ts.reshape(-1, 4, 4), value, holding
-    ).reshape(grasps, count)
-    free = (codes == FREE).all(1)
-    hits = codes[codes != FREE]
-    worst = world.reason(int(np.bincount(hits).argmax())) if len(hits) else ""
-    return free, worst
+    alive, hits = np.arange(len(motion.Ts_world_tool)), []
+    # Most that fail do so at the grasp itself; only the others are looked at farther on.
+    for steps in (motion.coarse[1:2], np.delete(motion.coarse, 1)):
+        Ts = motion.Ts_world_tool[alive[:, None], steps].reshape(-1, 4, 4)
+        value, holding = (np.tile(v[steps], len(alive)) for v in (motion.value, motion.holding))
+        codes = check_hand(world, robot.chain, robot.spheres, Ts, value, holding)
+        hits.append(codes[codes != FREE])
+        alive = alive[(codes.reshape(len(alive), -1) == FREE).all(1)]
+    free = np.isin(np.arange(len(motion.Ts_world_tool)), alive)
+    counts = np.bincount(np.concatenate(hits))
+    return free, world.reason(int(counts.argmax())) if len(counts) else ""
 
 
 def near_home(

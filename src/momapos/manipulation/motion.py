@@ -108,7 +108,7 @@ def _joint_motion(
     Ts_part_tool = handle_grasps(robot, handle, config.grasps)
     poses = target.link_poses()
     T_world_joint = poses[joint.parent] @ joint.T_parent_joint
-    Ts_world_part = np.array([T_world_joint @ joint_motion(joint, v) for v in values])
+    Ts_world_part = T_world_joint @ joint_motion(joint, values)
     moved = target.model.moved_by(joint.name)
     Ts_part_link = {n: invert(poses[joint.child]) @ poses[n] for n in moved}
     moving, moving_labels, grasped = _moving_boxes(target, Ts_world_part, Ts_part_link, handle)

@@ -19,6 +19,7 @@ CELL = 0.05
 _QUADRANT = ((1, 0), (1, 1), (2, 1), (1, 2))
 _MOVES = tuple(move for a, b in _QUADRANT for move in ((a, b), (-b, a), (-a, -b), (b, -a)))
 """Steps to the sixteen cells around a cell: path lengths are at most 2.7 % too long."""
+_FARTHEST = max(max(map(abs, move)) for move in _MOVES)
 
 
 @dataclass(frozen=True)
@@ -132,18 +133,19 @@ def build_cost_map(plan: FloorPlan, start: Float[np.ndarray, "2"], *, radius: fl
 
 def _graph(free: Bool[np.ndarray, "rows columns"]) -> csr_matrix:
     """Sixteen-neighbour graph of the free cells, as compressed rows without a detour."""
-    rows, columns = free.shape
-    cells = np.flatnonzero(free)
-    i, j = np.divmod(cells, columns)
-    di, dj = (np.array(v) for v in zip(*_MOVES, strict=True))
-    to_i, to_j = i[:, None] + di, j[:, None] + dj
-    inside = (to_i >= 0) & (to_i < rows) & (to_j >= 0) & (to_j < columns)
-    target = np.where(inside, to_i * columns + to_j, 0)
-    open_edge = inside & free.ravel()[target]
+    columns = free.shape[1]
+    di, dj = np.array(_MOVES).T
+    # In a padded copy a move is one offset, and none leaves the array.
+    wide = columns + 2 * _FARTHEST
+    padded = np.pad(free, _FARTHEST)
+    cells = np.flatnonzero(free).astype(np.int32)
+    at = np.flatnonzero(padded).astype(np.int32)
+    open_edge = padded.ravel()[at[:, None] + (di * wide + dj).astype(np.int32)]
+    target = cells[:, None] + (di * columns + dj).astype(np.int32)
     start = np.zeros(free.size + 1, np.int32)
     start[cells + 1] = open_edge.sum(1)
     length = np.broadcast_to(CELL * np.hypot(di, dj), target.shape)
     return csr_matrix(
-        (length[open_edge], target[open_edge].astype(np.int32), np.cumsum(start, dtype=np.int32)),
+        (length[open_edge], target[open_edge], np.cumsum(start, dtype=np.int32)),
         shape=(free.size, free.size),
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
@@ -75,28 +76,39 @@ def machine_of(arm: Arm) -> Machine:
     Raises:
         UnknownNameError, RobotError: The robot has no such link or joint, or a joint twice.
     """
-    bodies, shapes = prepared(arm.model)
-    name = arm.model.urdf.name
-    for link in (arm.base_link, arm.tool_link):
+    return _machine(arm.model, arm.base_link, arm.tool_link, tuple(arm.arm_joints), arm.disabled)
+
+
+@lru_cache(maxsize=8)
+def _machine(
+    model: Articulated,
+    base_link: str,
+    tool_link: str,
+    arm_joints: tuple[str, ...],
+    disabled: frozenset[frozenset[str]],
+) -> Machine:
+    bodies, shapes = prepared(model)
+    name = model.urdf.name
+    for link in (base_link, tool_link):
         if link not in bodies.of_link:
             raise unknown_name("link", link, bodies.of_link, f"robot {name}")
-    if len(set(arm.arm_joints)) != len(arm.arm_joints) or not arm.arm_joints:
+    if len(set(arm_joints)) != len(arm_joints) or not arm_joints:
         raise RobotError(f"robot {name}: the joints must be named, each once")
-    joints = [arm.model.joint(joint) for joint in arm.arm_joints]
-    moving = set().union(*(bodies.moved_by(joint) for joint in arm.arm_joints))
-    last = bodies.moved_by(max(arm.arm_joints, key=bodies.depth))
-    T_root_base = _link_pose(bodies, arm.base_link)
+    joints = [model.joint(joint) for joint in arm_joints]
+    moving = set().union(*(bodies.moved_by(joint) for joint in arm_joints))
+    last = bodies.moved_by(max(arm_joints, key=bodies.depth))
+    T_root_base = _link_pose(bodies, base_link)
     moved = of_bodies(shapes, moving)
     base = np.setdiff1d(np.arange(len(shapes)), moved)
-    pairs = _self_pairs(bodies, shapes, moved, arm.disabled)
+    pairs = _self_pairs(bodies, shapes, moved, disabled)
     return Machine(
         bodies=bodies,
-        joints=arm.arm_joints,
+        joints=arm_joints,
         lower=np.array([joint.lower for joint in joints]),
         upper=np.array([joint.upper for joint in joints]),
         T_base_root=invert(T_root_base),
-        tool_body=bodies.of_link[arm.tool_link],
-        T_body_tool=bodies.T_body_link[arm.tool_link],
+        tool_body=bodies.of_link[tool_link],
+        T_body_tool=bodies.T_body_link[tool_link],
         base=shapes.take(base),
         arm=shapes.take(moved),
         gripper=np.isin(shapes.body[moved], list(last)),
