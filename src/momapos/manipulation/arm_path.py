@@ -9,8 +9,10 @@ from jaxtyping import Float, Int
 from numba import njit
 
 from momapos.geometry.transforms import invert, pose_planar
+from momapos.kinematics.chain import chain_arrays
 from momapos.kinematics.collision import FREE
-from momapos.kinematics.ik import chain_arrays, newton, solve_ik
+from momapos.kinematics.ik import solve_ik
+from momapos.kinematics.newton import newton
 from momapos.kinematics.world import World, check
 from momapos.manipulation.motion import TaskMotion
 from momapos.robots.robot import Robot
