@@ -20,8 +20,9 @@ import numpy as np
 import tyro
 
 from momapos.geometry.transforms import pose
+from momapos.kinematics.chain import chain_arrays
 from momapos.kinematics.collision import FREE, check_states
-from momapos.kinematics.ik import build_ik, chain_arrays
+from momapos.kinematics.ik import build_ik
 from momapos.reachability import ReachConfig, ReachMap, build_map, evaluate, load_or_build
 from momapos.reachability.evaluation import random_poses
 from momapos.robots.robot import Robot, library_names, load_robot

@@ -11,10 +11,9 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
 from momapos.geometry.transforms import invert, pose, pose_planar
-from momapos.kinematics.chain import Chain
+from momapos.kinematics.chain import Chain, chain_arrays
 from momapos.kinematics.collision import FINGER, FLOOR, FREE, PALM, SELF, check_states
 from momapos.kinematics.hulls import Boxes
-from momapos.kinematics.ik import chain_arrays
 from momapos.kinematics.sphere_cover import BODY
 from momapos.kinematics.spheres import MARGIN, Spheres, box_spheres, carry
 from momapos.kinematics.urdf import Geometry

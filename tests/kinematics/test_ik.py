@@ -18,17 +18,14 @@ from momapos.errors import RobotError
 from momapos.geometry.transforms import rotation_angle, wrap_angle
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.chain import Chain, build_chain
-from momapos.kinematics.ik import (
+from momapos.kinematics.closed_forms import (
     MAX_BRANCHES,
     NUMERIC,
     THREE_PARALLEL,
     WRIST_MEETING,
     WRIST_PARALLEL,
-    IkModel,
-    build_ik,
-    into_limits,
-    solve_ik,
 )
+from momapos.kinematics.ik import IkModel, build_ik, into_limits, solve_ik
 from momapos.kinematics.urdf import read_urdf
 from momapos.robots.robot import Robot
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from momapos.geometry.transforms import invert, pose_planar
+from momapos.kinematics.chain import chain_arrays
 from momapos.kinematics.collision import FREE, check_states
-from momapos.kinematics.ik import chain_arrays
 from momapos.reachability import ReachConfig, ReachMap, build_map, evaluate, load_or_build, store
 from momapos.reachability.evaluation import random_poses
 from momapos.reachability.grid import oct_decode, turns_of

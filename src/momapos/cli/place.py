@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 import re
 import sys
@@ -15,13 +14,7 @@ from tyro.conf import OmitArgPrefixes, Positional, arg
 from momapos.errors import TaskError
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from momapos.pipeline import Answer
-    from momapos.protocols import ReachScorer
-    from momapos.robots.robot import Robot
-    from momapos.scene.scene import Scene
-    from momapos.types import Task
 
 Method = Literal["ours", "paper", "exhaustive"]
 Planner = Literal["RRTConnect", "RRTstar", "BITstar"]
@@ -149,6 +142,7 @@ def _answer(verb: str, scene_name: str, target: str, to: str | None, options: Op
     import numpy as np
 
     from momapos.cache import default_cache_dir
+    from momapos.cli.compile import compile_once
     from momapos.cli.console import progress
     from momapos.config import PipelineConfig
     from momapos.manipulation.planner import PlannerConfig
@@ -184,41 +178,6 @@ def _answer(verb: str, scene_name: str, target: str, to: str | None, options: Op
 
         draw_answer(scene, answer, reach, options.plot)
     return _STATUS[answer.plan.status]
-
-
-def compile_once(
-    scene: Scene,
-    robot: Robot,
-    task: Task,
-    reach: ReachScorer,
-    start: np.ndarray | None,
-    cache_dir: Path,
-) -> None:
-    """Compile the kernels where that has not been done yet, so that no timeout pays for it.
-
-    A stamp in the cache folder says that it has; it names the versions and the package's place.
-    """
-    from dataclasses import replace
-    from importlib import metadata
-
-    import momapos
-    from momapos.cache import Cache, content_key
-    from momapos.config import PipelineConfig
-    from momapos.pipeline import place
-
-    parts = [metadata.version(name) for name in ("momapos", "numba", "numpy")]
-    key = f"compiled-{content_key(*parts, sys.version, momapos.__file__)}"
-    cache = Cache(cache_dir)
-    if cache.get(key) is not None:
-        return
-    print("momapos: compiling, once after installation (about half a minute)", file=sys.stderr)
-    plain = PipelineConfig()
-    small = replace(plain.place, count=128, rounds=1, improve=0, grid_cell=0.5, grid_turn=90.0)
-    place(
-        scene, robot, task, reach, start=start, config=replace(plain, place=small, timeout=3600.0)
-    )
-    with contextlib.suppress(OSError):
-        cache.put(key, b"done")
 
 
 def _deliver(answer: Answer, options: Options) -> None:

@@ -67,6 +67,11 @@ class Segments:
     """Pose of the link relative to its segment's joint origin, base-aligned at zero."""
 
 
+def chain_arrays(chain: Chain) -> tuple[np.ndarray, ...]:
+    """The chain as the kernels take it."""
+    return chain.h, chain.d, chain.prismatic, chain.tool_offset, chain.tool_rotation
+
+
 def build_chain(
     model: Articulated, base_link: str, tool_link: str, joints: Sequence[str]
 ) -> tuple[Chain, Segments]:

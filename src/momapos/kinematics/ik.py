@@ -17,34 +17,26 @@ from jaxtyping import Float, Int
 from numba import njit
 
 from momapos.errors import RobotError
-from momapos.kinematics.chain import Chain, forward, stand_at_origin
-from momapos.kinematics.subproblems import (
-    add,
-    cross,
-    dot,
-    mul,
-    mul_t,
-    neg,
-    rot,
-    row,
-    sp1,
-    sp3,
-    sp4,
-    sub,
+from momapos.kinematics.chain import Chain, chain_arrays, forward, stand_at_origin
+from momapos.kinematics.closed_forms import (
+    MAX_BRANCHES,
+    NAMES,
+    NUMERIC,
+    THREE_PARALLEL,
+    WRIST_MEETING,
+    WRIST_PARALLEL,
+    spherical,
+    three_parallel,
 )
+from momapos.kinematics.newton import newton
+from momapos.kinematics.subproblems import mul, row, sub
 
-NUMERIC, WRIST_PARALLEL, WRIST_MEETING, THREE_PARALLEL = 0, 1, 2, 3
-NAMES = {
-    NUMERIC: "numerical, seeded",
-    WRIST_PARALLEL: "closed form: spherical wrist, axes 2 and 3 parallel",
-    WRIST_MEETING: "closed form: spherical wrist, axes 1 and 2 meet",
-    THREE_PARALLEL: "closed form: axes 2, 3 and 4 parallel",
-}
 _LOOSE = 5e-3
 """How far [m or rad] from the ideal geometry Newton may be asked to bridge."""
+_SLACK = 0.05
+"""How far outside its limits a joint may be before Newton has removed rounding [rad]."""
 _TIGHT = 1e-12
 """Squared residual at which a solution counts as exact [m^2 + rad^2]."""
-MAX_BRANCHES = 8
 
 
 @dataclass(frozen=True)
@@ -190,255 +182,6 @@ def _numeric(chain: Chain, seeds: int) -> IkModel:
 
 
 @njit(cache=True, nogil=True)
-def _first_three_wrist(kind, h, o, c0, c, out):
-    """Joints 1 to 3 that bring the wrist centre c0 to c; out (8, 6), returns the count."""
-    h1, h2, h3 = row(h, 0), row(h, 1), row(h, 2)
-    o1, o2, o3 = row(o, 0), row(o, 1), row(o, 2)
-    link, reach = sub(o3, o2), sub(c0, o3)
-    w = sub(c, o1)
-    count = 0
-    if kind == WRIST_PARALLEL:
-        n1, a1, b1 = sp4(h2, w, neg(h1), dot(h2, sub(c0, o1)))
-        for i in range(n1):
-            q1 = a1 if i == 0 else b1
-            v = sub(rot(h1, -q1, w), sub(o2, o1))
-            n3, a3, b3 = sp3(reach, neg(link), h3, np.sqrt(dot(v, v)))
-            for j in range(n3):
-                q3 = a3 if j == 0 else b3
-                out[count, 0], out[count, 2] = q1, q3
-                out[count, 1] = sp1(add(link, rot(h3, q3, reach)), v, h2)
-                count += 1
-        return count
-    n3, a3, b3 = sp3(reach, neg(link), h3, np.sqrt(dot(w, w)))
-    for j in range(n3):
-        q3 = a3 if j == 0 else b3
-        u = add(link, rot(h3, q3, reach))
-        n1, a1, b1 = sp4(h2, w, neg(h1), dot(h2, u))
-        for i in range(n1):
-            q1 = a1 if i == 0 else b1
-            out[count, 0], out[count, 2] = q1, q3
-            out[count, 1] = sp1(u, rot(h1, -q1, w), h2)
-            count += 1
-    return count
-
-
-@njit(cache=True, nogil=True)
-def _spherical(kind, h, o, c0, R06, c, out):
-    """All branches of an arm with a spherical wrist; returns the count."""
-    count = _first_three_wrist(kind, h, o, c0, c, out)
-    h1, h2, h3 = row(h, 0), row(h, 1), row(h, 2)
-    h4, h5, h6 = row(h, 3), row(h, 4), row(h, 5)
-    total = count
-    for i in range(count):
-        q1, q2, q3 = out[i, 0], out[i, 1], out[i, 2]
-        x6 = rot(h3, -q3, rot(h2, -q2, rot(h1, -q1, mul(R06, h6))))
-        x5 = rot(h3, -q3, rot(h2, -q2, rot(h1, -q1, mul(R06, h5))))
-        n5, a5, b5 = sp4(h4, h6, h5, dot(h4, x6))
-        if n5 == 0:
-            out[i, 4] = np.nan
-            continue
-        for j in range(2):
-            q5 = a5 if j == 0 else b5
-            k = i if j == 0 else total
-            out[k, 0], out[k, 1], out[k, 2], out[k, 4] = q1, q2, q3, q5
-            out[k, 3] = sp1(rot(h5, q5, h6), x6, h4)
-            # After q4, not beside it: when axes 4 and 6 align only their sum is told.
-            out[k, 5] = sp1(h5, rot(h5, -q5, rot(h4, -out[k, 3], x5)), h6)
-        total += 1
-    return total
-
-
-@njit(cache=True, nogil=True)
-def _free_turn(h1, h2, upper, lower, tip, foot, j, turned, sign):
-    """A value of joint 6 that puts joint 4 in the middle of where the arm can have it.
-
-    Args:
-        h1, h2: Axes 1 and 2.
-        upper, lower, tip: Offsets from joint 2 to 3, 3 to 4, and 4 to the wrist, at zero.
-        foot: The wrist as seen from joint 2.
-        j: Which of the two values, 0 or 1.
-        turned: Where h1 has been turned to about h2 when joint 6 is at zero.
-        sign: Positive where axis 6 points along axis 2.
-    """
-    a, b = _across(upper, h2), _across(lower, h2)
-    c, d = _across(tip, h2), _across(foot, h2)
-    reach = 0.5 * (max(abs(a - b), abs(c - d)) + min(a + b, c + d))
-    along = dot(h2, sub(tip, foot))
-    n, one, other = sp3(tip, foot, h2, np.sqrt(reach * reach + along * along))
-    if n == 0:
-        return 0.0
-    turn = sp1(h1, turned, h2) - (one if j == 0 else other)
-    return turn if sign > 0 else -turn
-
-
-@njit(cache=True, nogil=True)
-def _across(v, axis):
-    """Length of the part of v that is perpendicular to a unit axis."""
-    part = dot(v, axis)
-    return np.sqrt(max(0.0, dot(v, v) - part * part))
-
-
-@njit(cache=True, nogil=True)
-def _three_parallel(h, o, c0, R06, c, out):
-    """All branches of an arm whose axes 2, 3 and 4 are parallel; returns the count."""
-    h1, h2, h3, h4, h5, h6 = (
-        row(h, 0),
-        row(h, 1),
-        row(h, 2),
-        row(h, 3),
-        row(h, 4),
-        row(h, 5),
-    )
-    o1, o2, o3, o4 = row(o, 0), row(o, 1), row(o, 2), row(o, 3)
-    s3 = 1.0 if dot(h2, h3) > 0 else -1.0
-    s4 = 1.0 if dot(h2, h4) > 0 else -1.0
-    upper, lower, tip = sub(o3, o2), sub(o4, o3), sub(c0, o4)
-    w, z6 = sub(c, o1), mul(R06, h6)
-    total = 0
-    n1, a1, b1 = sp4(h2, w, neg(h1), dot(h2, sub(c0, o1)))
-    for i in range(n1):
-        q1 = a1 if i == 0 else b1
-        n5, a5, b5 = sp4(h2, h6, h5, dot(h2, rot(h1, -q1, z6)))
-        for j in range(n5):
-            q5 = a5 if j == 0 else b5
-            x2 = rot(h5, -q5, h2)
-            across, foot = cross(x2, h6), sub(rot(h1, -q1, w), sub(o2, o1))
-            if dot(across, across) < 1e-13:
-                # Axis 6 is parallel to the three, and any q6 will do that keeps joint 4 in reach.
-                turned = rot(h1, -q1, mul(R06, rot(h5, -q5, h1)))
-                q6 = _free_turn(h1, h2, upper, lower, tip, foot, j, turned, dot(x2, h6))
-            else:
-                q6 = sp1(x2, mul_t(R06, rot(h1, q1, h2)), neg(h6))
-            turned = rot(h1, -q1, mul(R06, rot(h6, -q6, rot(h5, -q5, h1))))
-            theta = sp1(h1, turned, h2)
-            t = sub(foot, rot(h2, theta, tip))
-            along = dot(h2, t)
-            flat = add(upper, lower)
-            # Components along the axes are carried unchanged; the planar 2R problem is the rest.
-            t = add(
-                t,
-                (
-                    h2[0] * (dot(h2, flat) - along),
-                    h2[1] * (dot(h2, flat) - along),
-                    h2[2] * (dot(h2, flat) - along),
-                ),
-            )
-            n3, a3, b3 = sp3(lower, neg(upper), h3, np.sqrt(dot(t, t)))
-            for m in range(n3):
-                q3 = a3 if m == 0 else b3
-                q2 = sp1(add(upper, rot(h3, q3, lower)), t, h2)
-                out[total, 0], out[total, 1], out[total, 2] = q1, q2, q3
-                out[total, 3] = s4 * (theta - q2 - s3 * q3)
-                out[total, 4], out[total, 5] = q5, q6
-                total += 1
-    return total
-
-
-@njit(cache=True, nogil=True)
-def _solve_spd(A, b):
-    """Solve A x = b in place for a small positive definite A (Cholesky)."""
-    n = len(b)
-    for i in range(n):
-        for j in range(i + 1):
-            s = A[i, j]
-            for k in range(j):
-                s -= A[i, k] * A[j, k]
-            A[i, j] = np.sqrt(max(s, 1e-18)) if i == j else s / A[j, j]
-    for i in range(n):
-        for k in range(i):
-            b[i] -= A[i, k] * b[k]
-        b[i] /= A[i, i]
-    for i in range(n - 1, -1, -1):
-        for k in range(i + 1, n):
-            b[i] -= A[k, i] * b[k]
-        b[i] /= A[i, i]
-
-
-@njit(cache=True, nogil=True)
-def newton(q, active, chain, R_target, p_target, steps, damping, work):
-    """Move the active joints of q until the tool stands at the target.
-
-    Args:
-        q: Configuration (n,), changed in place.
-        active: Indices of the joints that may move.
-        chain: (h, d, prismatic, tool_offset, tool_rotation).
-        R_target, p_target: Target pose in the base frame.
-        steps: Maximum number of steps [-].
-        damping: Levenberg damping [-]; tiny near a solution, larger from far away.
-        work: (R (n + 1, 3, 3), p (n + 1, 3)) scratch.
-
-    Returns:
-        Squared residual, position [m] and rotation [rad] together.
-    """
-    h, d, prismatic, tool_offset, tool_rotation = chain
-    R, p = work
-    n, m = len(q), len(active)
-    J, A, e = np.empty((6, m)), np.empty((6, 6)), np.empty(6)
-    residual = np.inf
-    for step in range(steps + 1):
-        stand_at_origin(R, p)
-        forward(q, h, d, prismatic, R, p)
-        tip = mul(R[n], (tool_offset[0], tool_offset[1], tool_offset[2]))
-        tool = (p[n, 0] + tip[0], p[n, 1] + tip[1], p[n, 2] + tip[2])
-        for k in range(3):
-            e[k] = p_target[k] - tool[k]
-        _rotation_error(R[n], tool_rotation, R_target, e)
-        residual = 0.0
-        for k in range(6):
-            residual += e[k] * e[k]
-        if residual < 1e-16 or step == steps:
-            break
-        for a in range(m):
-            j = active[a]
-            axis = mul(R[j], (h[j, 0], h[j, 1], h[j, 2]))
-            if prismatic[j]:
-                for k in range(3):
-                    J[k, a] = axis[k]
-                    J[k + 3, a] = 0.0
-            else:
-                rx, ry, rz = tool[0] - p[j + 1, 0], tool[1] - p[j + 1, 1], tool[2] - p[j + 1, 2]
-                J[0, a] = axis[1] * rz - axis[2] * ry
-                J[1, a] = axis[2] * rx - axis[0] * rz
-                J[2, a] = axis[0] * ry - axis[1] * rx
-                for k in range(3):
-                    J[k + 3, a] = axis[k]
-        for i in range(6):
-            for k in range(i + 1):
-                s = 0.0
-                for a in range(m):
-                    s += J[i, a] * J[k, a]
-                A[i, k] = s
-            A[i, i] += damping * (1e-6 + residual)
-        _solve_spd(A, e)
-        for a in range(m):
-            s = 0.0
-            for k in range(6):
-                s += J[k, a] * e[k]
-            q[active[a]] += min(0.5, max(-0.5, s))
-    return residual
-
-
-@njit(cache=True, nogil=True)
-def _rotation_error(R_last, tool_rotation, R_target, e):
-    """Rotation vector from the tool's orientation to the target's, into e[3:]."""
-    x, y, z, trace = 0.0, 0.0, 0.0, 0.0
-    for i in range(3):
-        current = mul(R_last, (tool_rotation[0, i], tool_rotation[1, i], tool_rotation[2, i]))
-        target = (R_target[0, i], R_target[1, i], R_target[2, i])
-        x += current[1] * target[2] - current[2] * target[1]
-        y += current[2] * target[0] - current[0] * target[2]
-        z += current[0] * target[1] - current[1] * target[0]
-        trace += dot(current, target)
-    length = np.sqrt(x * x + y * y + z * z)
-    angle = np.arctan2(0.5 * length, 0.5 * (trace - 1.0))
-    if length < 1e-12:
-        # Aligned, or half a turn off: then any axis is as good.
-        e[3], e[4], e[5] = (angle, 0.0, 0.0) if angle > 1.0 else (0.0, 0.0, 0.0)
-        return
-    e[3], e[4], e[5] = angle * x / length, angle * y / length, angle * z / length
-
-
-@njit(cache=True, nogil=True)
 def into_limits(q, lower, upper, prismatic):
     """Shift revolute joints by full turns into their limits; False where that cannot be."""
     turn = 2.0 * np.pi
@@ -458,6 +201,20 @@ def into_limits(q, lower, upper, prismatic):
                 return False
             q[i] = min(max(v, lower[i]), upper[i])
     return True
+
+
+@njit(cache=True, nogil=True)
+def _hopeless(branch, active, lower, upper):
+    """Whether a joint of a closed form is farther outside its limits than Newton will move it."""
+    turn = 2.0 * np.pi
+    for a in range(len(active)):
+        low, high = lower[active[a]], upper[active[a]]
+        if high - low < turn:
+            off = branch[a] - 0.5 * (low + high)
+            off -= turn * np.round(off / turn)
+            if abs(off) > 0.5 * (high - low) + _SLACK:
+                return True
+    return False
 
 
 @njit(cache=True, nogil=True)
@@ -490,9 +247,9 @@ def solve_sample(s, R_target, p_target, chain, limits, ik, out, scratch):
         shift = mul(R06, sub(c0, row(p_tool, s)))
         c = (p_target[0] + shift[0], p_target[1] + shift[1], p_target[2] + shift[2])
         if kind == THREE_PARALLEL:
-            found = _three_parallel(h[s], o[s], c0, R06, c, branches)
+            found = three_parallel(h[s], o[s], c0, R06, c, branches)
         else:
-            found = _spherical(kind, h[s], o[s], c0, R06, c, branches)
+            found = spherical(kind, h[s], o[s], c0, R06, c, branches)
     # From a seed Newton has far to go; after a closed form it only removes rounding.
     steps, damping = (30, 1.0) if kind == NUMERIC else (8, 1e-6)
     count = 0
@@ -504,6 +261,8 @@ def solve_sample(s, R_target, p_target, chain, limits, ik, out, scratch):
                 continue
             for a in range(6):
                 out[count, active[a]] = branches[b, a]
+            if _hopeless(branches[b], active, lower, upper):
+                continue
         residual = newton(out[count], active, chain, R_target, p_target, steps, damping, (R, p))
         if residual < _TIGHT and into_limits(out[count], lower, upper, chain[2]):
             count += 1
@@ -534,11 +293,6 @@ def _solve_all(poses, chain, limits, ik, limit):
         # What was tried there and refused.
         out[i, counts[i] :] = np.nan
     return out, counts
-
-
-def chain_arrays(chain: Chain) -> tuple[np.ndarray, ...]:
-    """The chain as the kernels take it."""
-    return chain.h, chain.d, chain.prismatic, chain.tool_offset, chain.tool_rotation
 
 
 def ik_arrays(ik: IkModel) -> tuple[int | np.ndarray, ...]:

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numba import njit
 
-from momapos.kinematics.chain import Chain
+from momapos.kinematics.chain import Chain, chain_arrays
 from momapos.kinematics.collision import (
     FLOOR,
     FREE,
@@ -27,7 +27,6 @@ from momapos.kinematics.collision import (
     place_segments,
 )
 from momapos.kinematics.hulls import Boxes
-from momapos.kinematics.ik import chain_arrays
 from momapos.kinematics.spheres import Spheres
 
 CELL = 0.1

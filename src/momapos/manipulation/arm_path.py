@@ -9,8 +9,9 @@ from jaxtyping import Float, Int
 from numba import njit
 
 from momapos.geometry.transforms import invert, pose_planar
+from momapos.kinematics.chain import chain_arrays
 from momapos.kinematics.collision import FREE
-from momapos.kinematics.ik import chain_arrays, newton
+from momapos.kinematics.newton import newton
 from momapos.kinematics.world import World, check
 from momapos.manipulation.layers import (
     CUT_OFF,
@@ -202,6 +203,7 @@ def _unwrap(
 def _track(q, coarse, targets, active, chain, limits, scale, dense):
     """Fill the states between waypoints by Newton steps; returns the step that fails, or -1."""
     n = q.shape[1]
+    most = np.int64(8)  # a literal would have Newton compiled once more
     lower, upper = limits
     R, p = np.empty((n + 1, 3, 3)), np.empty((n + 1, 3))
     for w in range(len(coarse)):
@@ -211,7 +213,7 @@ def _track(q, coarse, targets, active, chain, limits, scale, dense):
             for k in range(n):
                 dense[s, k] = (1.0 - t) * q[max(w - 1, 0), k] + t * q[w, k]
             residual = newton(
-                dense[s], active, chain, targets[s, :3, :3], targets[s, :3, 3], 8, 1e-6, (R, p)
+                dense[s], active, chain, targets[s, :3, :3], targets[s, :3, 3], most, 1e-6, (R, p)
             )
             if residual > 1e-9:
                 return s

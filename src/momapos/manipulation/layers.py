@@ -10,9 +10,9 @@ from jaxtyping import Bool, Float, Int
 from numba import njit
 
 from momapos.geometry.transforms import invert, pose_planar
-from momapos.kinematics.chain import Chain
+from momapos.kinematics.chain import Chain, chain_arrays
 from momapos.kinematics.collision import FREE
-from momapos.kinematics.ik import chain_arrays, ik_arrays, ik_scratch, solve_sample
+from momapos.kinematics.ik import ik_arrays, ik_scratch, solve_sample
 from momapos.kinematics.world import World, check_one
 from momapos.manipulation.motion import TaskMotion
 from momapos.robots.robot import Robot

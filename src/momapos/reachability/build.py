@@ -14,8 +14,9 @@ import numpy as np
 from numba import njit
 
 from momapos.kinematics.chain import forward
+from momapos.kinematics.closed_forms import MAX_BRANCHES
 from momapos.kinematics.collision import FREE, hit_floor, hit_self
-from momapos.kinematics.ik import MAX_BRANCHES, ik_scratch, solve_sample
+from momapos.kinematics.ik import ik_scratch, solve_sample
 from momapos.reachability.grid import oct_decode
 from momapos.reachability.standing import BEARINGS, touched
 

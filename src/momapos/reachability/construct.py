@@ -14,9 +14,10 @@ from jaxtyping import Float
 
 from momapos.errors import RobotError
 from momapos.geometry.transforms import orthonormal
-from momapos.kinematics.chain import Chain
+from momapos.kinematics.chain import Chain, chain_arrays
+from momapos.kinematics.closed_forms import NUMERIC
 from momapos.kinematics.hulls import Boxes
-from momapos.kinematics.ik import NUMERIC, IkModel, build_ik, chain_arrays, ik_arrays
+from momapos.kinematics.ik import IkModel, build_ik, ik_arrays
 from momapos.kinematics.spheres import Spheres
 from momapos.reachability.build import EVERY, arc_mask, line_masks
 from momapos.reachability.grid import grid_points, pack_shape

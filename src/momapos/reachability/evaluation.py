@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
+from momapos.kinematics.chain import chain_arrays
 from momapos.kinematics.collision import FREE, check_states
-from momapos.kinematics.ik import IkModel, chain_arrays, solve_ik
+from momapos.kinematics.ik import IkModel, solve_ik
 from momapos.reachability.map import ReachMap
 from momapos.reachability.store import encode
 from momapos.robots.robot import Robot

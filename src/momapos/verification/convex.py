@@ -26,7 +26,8 @@ _MAX_FACES = 2 * _MAX_POINTS
 _FLAT = 1e-10
 """Lengths below this are zero [m]."""
 
-# A body in the kernels is a tuple (points (n, 3), disc radius, ball radius).
+# A body in the kernels is a tuple (points (n, 3), disc radius, ball radius). Numbers that go on
+# to another kernel are no literals, since numba compiles that kernel once more for each literal.
 
 
 @njit(cache=True, nogil=True)
@@ -139,10 +140,10 @@ def _nearest(y, count, weights, n):  # type: ignore[no-untyped-def]
         weights[0] = 1.0
         return True
     if count == 2:
-        _try_segment(y, 0, 1, weights, np.inf)
+        _try_segment(y, count - 2, count - 1, weights, np.inf)
         return True
     if count == 3:
-        _try_triangle(y, 0, 1, 2, weights, np.inf, n)
+        _try_triangle(y, count - 3, count - 2, count - 1, weights, np.inf, n)
         return True
     best, outside = np.inf, False
     for apex in range(4):
@@ -275,7 +276,7 @@ def _depth(a, b, T, work):  # type: ignore[no-untyped-def]
     for f in range(4):
         _set(corners[f], f, (f + 1) % 4, (f + 2) % 4)
         _set_face(f, p, corners, normals, offsets, inside)
-    faces, w = 4, work[8]
+    faces, w = np.int64(4), work[8]
     for count in range(4, _MAX_POINTS):
         nearest = np.argmin(offsets[:faces])
         best = min(best, _support(a, b, T, normals[nearest], w, work))
@@ -294,7 +295,7 @@ def _expand(new, p, corners, normals, offsets, faces, edges, inside):  # type: i
 
     -1 when there is no room.
     """
-    open_edges, kept = 0, 0
+    open_edges, kept = np.int64(0), np.int64(0)
     for f in range(faces):
         if _dot(normals[f], p[new]) - offsets[f] > _FLAT:
             for side in range(3):

@@ -1,0 +1,86 @@
+"""Compiling the kernels, once after installation.
+
+Compiling keeps one core busy, so two processes share the work: this one answers a small question
+from its beginning, a helper compiles what the end of an answer needs. They meet in numba's cache
+on disk, where each finds what the other has finished; without the helper, this process compiles
+it all.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from importlib import metadata
+from pathlib import Path
+
+import numpy as np
+
+import momapos
+from momapos.cache import Cache, content_key
+from momapos.config import PipelineConfig
+from momapos.pipeline import place
+from momapos.protocols import ReachScorer
+from momapos.robots.robot import Robot
+from momapos.scene.scene import Scene
+from momapos.types import Task
+
+
+def compile_once(
+    scene: Scene,
+    robot: Robot,
+    task: Task,
+    reach: ReachScorer,
+    start: np.ndarray | None,
+    cache_dir: Path,
+) -> None:
+    """Compile the kernels where that has not been done yet, so that no timeout pays for it.
+
+    A stamp in the cache folder says that it has; it names the versions and the package's place.
+    """
+    parts = [metadata.version(name) for name in ("momapos", "numba", "numpy")]
+    key = f"compiled-{content_key(*parts, sys.version, momapos.__file__)}"
+    cache = Cache(cache_dir)
+    if cache.get(key) is not None:
+        return
+    print("momapos: compiling, once after installation (about half a minute)", file=sys.stderr)
+    plain = PipelineConfig()
+    small = replace(plain.place, count=128, rounds=1, improve=0, grid_cell=0.5, grid_turn=90.0)
+    config = replace(plain, place=small, timeout=3600.0)
+    with _helper(), _no_collector():
+        place(scene, robot, task, reach, start=start, config=config)
+    with contextlib.suppress(OSError):
+        cache.put(key, b"done")
+
+
+@contextlib.contextmanager
+def _helper() -> Iterator[None]:
+    """Have a second, silent process compile meanwhile, if one can be started."""
+    # -P: no module of that name in the current folder is taken for ours.
+    command = [sys.executable, "-P", "-m", "momapos.cli.compile_arm"]
+    none = subprocess.DEVNULL
+    process = None
+    if sys.executable:
+        with contextlib.suppress(OSError):
+            process = subprocess.Popen(command, stdin=none, stdout=none, stderr=none)
+    try:
+        yield
+    finally:
+        if process is not None:
+            process.kill()
+            process.wait()
+
+
+@contextlib.contextmanager
+def _no_collector() -> Iterator[None]:
+    """Keep Python from looking for dead cycles among numba's many objects: a tenth of the time."""
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()

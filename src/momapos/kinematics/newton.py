@@ -1,0 +1,113 @@
+"""Damped Newton steps: the last digits of a closed form, or the whole way from a seed."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from momapos.kinematics.chain import forward, stand_at_origin
+from momapos.kinematics.subproblems import dot, mul
+
+
+@njit(cache=True, nogil=True)
+def _solve_spd(A, b):
+    """Solve A x = b in place for a small positive definite A (Cholesky)."""
+    n = len(b)
+    for i in range(n):
+        for j in range(i + 1):
+            s = A[i, j]
+            for k in range(j):
+                s -= A[i, k] * A[j, k]
+            A[i, j] = np.sqrt(max(s, 1e-18)) if i == j else s / A[j, j]
+    for i in range(n):
+        for k in range(i):
+            b[i] -= A[i, k] * b[k]
+        b[i] /= A[i, i]
+    for i in range(n - 1, -1, -1):
+        for k in range(i + 1, n):
+            b[i] -= A[k, i] * b[k]
+        b[i] /= A[i, i]
+
+
+@njit(cache=True, nogil=True)
+def newton(q, active, chain, R_target, p_target, steps, damping, work):
+    """Move the active joints of q until the tool stands at the target.
+
+    Args:
+        q: Configuration (n,), changed in place.
+        active: Indices of the joints that may move.
+        chain: (h, d, prismatic, tool_offset, tool_rotation).
+        R_target, p_target: Target pose in the base frame.
+        steps: Maximum number of steps [-].
+        damping: Levenberg damping [-]; tiny near a solution, larger from far away.
+        work: (R (n + 1, 3, 3), p (n + 1, 3)) scratch.
+
+    Returns:
+        Squared residual, position [m] and rotation [rad] together.
+    """
+    h, d, prismatic, tool_offset, tool_rotation = chain
+    R, p = work
+    n, m = len(q), len(active)
+    J, A, e = np.empty((6, m)), np.empty((6, 6)), np.empty(6)
+    residual = np.inf
+    for step in range(steps + 1):
+        stand_at_origin(R, p)
+        forward(q, h, d, prismatic, R, p)
+        tip = mul(R[n], (tool_offset[0], tool_offset[1], tool_offset[2]))
+        tool = (p[n, 0] + tip[0], p[n, 1] + tip[1], p[n, 2] + tip[2])
+        for k in range(3):
+            e[k] = p_target[k] - tool[k]
+        _rotation_error(R[n], tool_rotation, R_target, e)
+        residual = 0.0
+        for k in range(6):
+            residual += e[k] * e[k]
+        if residual < 1e-16 or step == steps:
+            break
+        for a in range(m):
+            j = active[a]
+            axis = mul(R[j], (h[j, 0], h[j, 1], h[j, 2]))
+            if prismatic[j]:
+                for k in range(3):
+                    J[k, a] = axis[k]
+                    J[k + 3, a] = 0.0
+            else:
+                rx, ry, rz = tool[0] - p[j + 1, 0], tool[1] - p[j + 1, 1], tool[2] - p[j + 1, 2]
+                J[0, a] = axis[1] * rz - axis[2] * ry
+                J[1, a] = axis[2] * rx - axis[0] * rz
+                J[2, a] = axis[0] * ry - axis[1] * rx
+                for k in range(3):
+                    J[k + 3, a] = axis[k]
+        for i in range(6):
+            for k in range(i + 1):
+                s = 0.0
+                for a in range(m):
+                    s += J[i, a] * J[k, a]
+                A[i, k] = s
+            A[i, i] += damping * (1e-6 + residual)
+        _solve_spd(A, e)
+        for a in range(m):
+            s = 0.0
+            for k in range(6):
+                s += J[k, a] * e[k]
+            q[active[a]] += min(0.5, max(-0.5, s))
+    return residual
+
+
+@njit(cache=True, nogil=True)
+def _rotation_error(R_last, tool_rotation, R_target, e):
+    """Rotation vector from the tool's orientation to the target's, into e[3:]."""
+    x, y, z, trace = 0.0, 0.0, 0.0, 0.0
+    for i in range(3):
+        current = mul(R_last, (tool_rotation[0, i], tool_rotation[1, i], tool_rotation[2, i]))
+        target = (R_target[0, i], R_target[1, i], R_target[2, i])
+        x += current[1] * target[2] - current[2] * target[1]
+        y += current[2] * target[0] - current[0] * target[2]
+        z += current[0] * target[1] - current[1] * target[0]
+        trace += dot(current, target)
+    length = np.sqrt(x * x + y * y + z * z)
+    angle = np.arctan2(0.5 * length, 0.5 * (trace - 1.0))
+    if length < 1e-12:
+        # Aligned, or half a turn off: then any axis is as good.
+        e[3], e[4], e[5] = (angle, 0.0, 0.0) if angle > 1.0 else (0.0, 0.0, 0.0)
+        return
+    e[3], e[4], e[5] = angle * x / length, angle * y / length, angle * z / length
