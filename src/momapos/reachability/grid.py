@@ -33,7 +33,7 @@ OUTSIDE = -12
 
 ONE = 1 << 24
 """Fractions of a cell are kept as integers, this for 1."""
-_LOW = (1 << 32) - 1
+LOW = (1 << 32) - 1
 _SHIFT = 1 << 20
 """Added to strides, which may be negative, where they are packed."""
 
@@ -65,6 +65,27 @@ def turns_of(y: float, x: float) -> float:
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp", "nsz"})
+def relative_line(x, y, ax, ay, az):
+    """Distance of a line's point (x, y) from the first axis, and its direction relative to it.
+
+    Returns:
+        r in the unit of x and y, and u, v on the octahedral square.
+    """
+    r = math.sqrt(x * x + y * y)
+    cx, cy = 1.0, 0.0
+    if r > 1e-9:
+        cx, cy = x / r, y / r
+    radial, tangential = ax * cx + ay * cy, ay * cx - ax * cy
+    n = 1.0 / (abs(radial) + abs(tangential) + abs(az))
+    u, v = radial * n, tangential * n
+    if az < 0.0:
+        fold_u = math.copysign(1.0 - abs(v), u)
+        v = math.copysign(1.0 - abs(u), v)
+        u = fold_u
+    return r, u, v
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp", "nsz"})
 def lookup(x, y, z, ax, ay, az, yaw_turns, values, shape, frame):
     """Interpolated value of a line.
 
@@ -86,17 +107,7 @@ def lookup(x, y, z, ax, ay, az, yaw_turns, values, shape, frame):
     fz = (z - z0) * per_metre
     if square * (per_metre * per_metre) >= (nr - 1) * (nr - 1) or fz < 0.0 or fz >= nz - 1:
         return float(OUTSIDE)
-    r = math.sqrt(square)
-    cx, cy = 1.0, 0.0
-    if r > 1e-9:
-        cx, cy = x / r, y / r
-    radial, tangential = ax * cx + ay * cy, ay * cx - ax * cy
-    n = 1.0 / (abs(radial) + abs(tangential) + abs(az))
-    u, v = radial * n, tangential * n
-    if az < 0.0:
-        fold_u = math.copysign(1.0 - abs(v), u)
-        v = math.copysign(1.0 - abs(u), v)
-        u = fold_u
+    r, u, v = relative_line(x, y, ax, ay, az)
     fr, fu, fv = r * per_metre, (u + 1.0) * (0.5 * (nu - 1)), (v + 1.0) * (0.5 * (nv - 1))
     iz, ir, iu, iv = int(fz), min(int(fr), nr - 2), min(int(fu), nu - 2), min(int(fv), nv - 2)
     sv = nb
@@ -128,11 +139,11 @@ def lookup(x, y, z, ax, ay, az, yaw_turns, values, shape, frame):
     b, c = max(b, c), min(b, c)
     d, e = max(d, e), min(d, e)
     c, d = max(c, d), min(c, d)
-    i = at + (a & _LOW) - _SHIFT
-    j = i + (b & _LOW) - _SHIFT
-    k = j + (c & _LOW) - _SHIFT
-    m = k + (d & _LOW) - _SHIFT
-    last = m + (e & _LOW) - _SHIFT
+    i = at + (a & LOW) - _SHIFT
+    j = i + (b & LOW) - _SHIFT
+    k = j + (c & LOW) - _SHIFT
+    m = k + (d & LOW) - _SHIFT
+    last = m + (e & LOW) - _SHIFT
     fa, fs, fc, fd, fe = a >> 32, b >> 32, c >> 32, d >> 32, e >> 32
     total = (
         values[np.uint64(at)] * (ONE - fa)
@@ -146,7 +157,7 @@ def lookup(x, y, z, ax, ay, az, yaw_turns, values, shape, frame):
 
 
 @njit(cache=True, nogil=True)
-def _scored(value):
+def scored(value):
     """Stored value as a score in [0, 1]."""
     return min(max((value - THRESHOLD) / DEPTH, 0.0), 1.0)
 
@@ -167,7 +178,7 @@ def score_lines(lines, values, shape, frame, out):
             shape,
             frame,
         )
-        out[i] = _scored(v)
+        out[i] = scored(v)
 
 
 @njit(cache=True, nogil=True)
@@ -195,36 +206,7 @@ def weakest_lines(bases, lines, axis_x, axis_y, values, shape, frame, out):
                 least = min(least, v)
                 if least <= THRESHOLD:
                     break
-            out[i, g] = _scored(least)
-
-
-@njit(cache=True, nogil=True)
-def floor_scores(line, xs, ys, yaws, axis_x, axis_y, values, shape, frame, out):
-    """Best score over the yaws for bases on a grid of the floor, out (len(ys), len(xs))."""
-    reach = (shape[1] - 1) / frame[1]
-    slack = math.hypot(axis_x, axis_y)
-    far = (reach + slack) ** 2
-    for i in range(len(ys)):
-        for j in range(len(xs)):
-            dx, dy = line[0] - xs[j], line[1] - ys[i]
-            best = float(OUTSIDE)
-            if dx * dx + dy * dy < far:
-                for k in range(len(yaws)):
-                    c, s = yaws[k, 0], yaws[k, 1]
-                    v = lookup(
-                        dx - c * axis_x + s * axis_y,
-                        dy - s * axis_x - c * axis_y,
-                        line[2],
-                        line[3],
-                        line[4],
-                        line[5],
-                        yaws[k, 2],
-                        values,
-                        shape,
-                        frame,
-                    )
-                    best = max(best, v)
-            out[i, j] = _scored(best)
+            out[i, g] = scored(least)
 
 
 def pack_shape(shape: tuple[int, ...]) -> tuple[int, int, int, int, int]:

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float, Int8
+from jaxtyping import Float, Int, Int8
 
-from momapos.reachability.grid import floor_scores, pack_shape, score_lines, weakest_lines
+from momapos.reachability.floor import floor_scores
+from momapos.reachability.grid import OUTSIDE, pack_shape, score_lines, weakest_lines
 
 YAWS = 12
-"""Yaws that `base_scores` tries where the arm does not stand over the base's origin."""
-CENTRAL = 0.75
-"""The arm counts as standing there when its first axis is no farther off than this [cells]."""
+"""Yaws that `base_scores` tries."""
+_TURNS = np.arange(YAWS) / YAWS
+_YAWS = np.stack([np.cos(2 * np.pi * _TURNS), np.sin(2 * np.pi * _TURNS), _TURNS], -1)
 
 
 @dataclass(frozen=True)
@@ -108,26 +109,23 @@ class ReachMap:
     ) -> Float[np.ndarray, "rows columns"]:
         """Score of bases on a grid of the floor for one tool pose, each at its best yaw.
 
-        An arm that stands within 0.75 cells of the base's origin is taken to stand on it.
+        The best of 12 yaws. What is between axes of the arm 5 cm apart is interpolated: scores
+        differ from `score` by 0.01 on average, and by 0.15 at most.
 
         Args:
             T_world_tool: Tool pose in the world frame.
             xs, ys: Coordinates of the bases [m].
         """
-        x, y = float(self.axis_xy[0]), float(self.axis_xy[1])
-        best = self
-        angle = 2 * np.pi / YAWS * np.arange(YAWS)
-        if np.hypot(x, y) <= CENTRAL * self.cell:
-            # Turning the base only turns the bearing: one look at the best of all bearings.
-            best, angle, x, y = self._best, np.zeros(1), 0.0, 0.0
-        yaws = np.stack([np.cos(angle), np.sin(angle), angle / (2 * np.pi)], -1)
-        out = np.empty((len(ys), len(xs)), np.float32)
-        line = np.ascontiguousarray(self.lines(T_world_tool))
+        line = self.lines(T_world_tool)
         xs, ys = np.ascontiguousarray(xs, float), np.ascontiguousarray(ys, float)
-        floor_scores(line, xs, ys, yaws, x, y, *best._arrays(), out)
+        out = np.empty((len(ys), len(xs)), np.float32)
+        x, y = float(self.axis_xy[0]), float(self.axis_xy[1])
+        values, shape, frame = self._arrays()
+        floor_scores(line, xs, ys, _YAWS, x, y, values, self._rims, shape, frame, out)
         return out
 
     @cached_property
-    def _best(self) -> ReachMap:
-        """The map without the bearing: the best of all."""
-        return replace(self, values=self.values.max(-1, keepdims=True))
+    def _rims(self) -> Int[np.ndarray, " z"]:
+        """For each height, the first r from which on nothing is near the reachable [cells]."""
+        near = (self.values > OUTSIDE).any((2, 3, 4))
+        return (near * np.arange(1, near.shape[1] + 1)).max(1)
