@@ -127,7 +127,7 @@ def build_map(
     evaluate = _Evaluator(robot, frame, config, progress or _silent)
     zs, rs, us, vs = grid_points(shape, low, config.cell)
     points = np.stack(np.meshgrid(zs, rs, us, vs, indexing="ij"), -1).reshape(-1, 4)
-    masks = evaluate(points, 0.0, 0.5)
+    masks = evaluate(points, np.full(len(points), EVERY), 0.0, 0.5)
     if shape[4] > 1 and _bearing_free(masks):
         shape = (*shape[:4], 1)
     if shape[4] == 1:
@@ -213,12 +213,16 @@ class _Evaluator:
             pans,
         )
 
-    def __call__(self, lines: np.ndarray, begin: float, end: float) -> np.ndarray:
-        """Masks of lines (m, 4); progress goes from begin to end."""
+    def __call__(
+        self, lines: np.ndarray, wanted: np.ndarray, begin: float, end: float
+    ) -> np.ndarray:
+        """Which of the wanted bearings (m,) lines (m, 4) serve; progress goes from begin to end."""
         masks = np.empty(len(lines), np.uint64)
 
         def block(lo: int, hi: int) -> None:
-            line_masks(lines[lo:hi], self.rolls, self.spins, *self.arguments, masks[lo:hi])
+            line_masks(
+                lines[lo:hi], wanted[lo:hi], self.rolls, self.spins, *self.arguments, masks[lo:hi]
+            )
 
         _threaded(
             block, len(lines), BLOCK, lambda share: self.progress(begin + share * (end - begin))
@@ -308,7 +312,8 @@ def _look_between(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Answers on the edges whose ends disagree, and for each edge its row among them.
 
-    The middle first, then the quarters on the side where the answer changes.
+    The middle first, then the quarters on the side where the answer changes; only for the bearings
+    in which it does.
     """
     least = 1 if shape[4] == 1 else UNEVEN
     edges = uneven_edges(masks.reshape(shape[:4]), least)
@@ -320,9 +325,11 @@ def _look_between(
     rows[axis, start] = np.arange(len(start), dtype=np.int32)
     origin, along = points[start], step[axis]
     near, far = masks[start], masks[start + strides[axis]]
-    middle = evaluate(origin + 0.5 * along, 0.5, 0.7)
+    middle = evaluate(origin + 0.5 * along, near ^ far, 0.5, 0.7) | near & far
     interior = np.stack([near, middle, middle], axis=1)
     for column, end, share, begin in ((0, near, 0.25, 0.7), (2, far, 0.75, 0.83)):
         odd = np.flatnonzero(np.bitwise_count(end ^ middle) >= least)
-        interior[odd, column] = evaluate(origin[odd] + share * along[odd], begin, begin + 0.13)
+        differ, same = (end ^ middle)[odd], (end & middle)[odd]
+        between = origin[odd] + share * along[odd]
+        interior[odd, column] = evaluate(between, differ, begin, begin + 0.13) | same
     return rows, interior
