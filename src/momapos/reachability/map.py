@@ -21,17 +21,18 @@ _YAWS = np.stack([np.cos(2 * np.pi * _TURNS), np.sin(2 * np.pi * _TURNS), _TURNS
 class ReachConfig:
     """How finely a reachability map is built."""
 
-    cell: float = 0.05
+    cell: float = 0.04
     """Spacing of the grid in height and distance [m]."""
     directions: int = 25
     """Grid points along each side of the octahedral square of directions, odd [-]."""
     bearings: int = 32
     """Grid points along the bearing, a divisor of 64 [-]; 1 leaves the bearing out. It is also
     left out where it makes no difference."""
-    samples: int = 16
-    """Values at which a redundant turning joint of a longer arm is locked [-]."""
+    samples: int = 32
+    """Values at which the first joint of a longer arm is locked [-]; where they disagree, up to
+    four times as many. Only half of them are tried far from anything reachable."""
     heights: int = 5
-    """Values at which a torso is locked [-]."""
+    """Values at which a torso is locked [-]; about half of them far from anything reachable."""
     spins: int = 4
     """Turns of the tool about its last axis that vote on a line: tools are not round, and half of
     them must be free of collision [-]."""
