@@ -41,10 +41,12 @@ ROLLS = 8
 def default_config(robot: Robot) -> ReachConfig:
     """Resolution at which a map is true enough and quickly built.
 
-    Longer arms cost thirty times more per line, and direction matters less to them.
+    Longer arms cost thirty times more per line, and direction matters less to them. Their set is
+    rounded outwards as well, where either of two spins and half a step of the first joint count.
     """
-    longer = robot.chain.size > 6
-    return ReachConfig(cell=0.05, directions=13, spins=2) if longer else ReachConfig()
+    if robot.chain.size > 6:
+        return ReachConfig(cell=0.05, directions=13, spins=2, threshold=0.0)
+    return ReachConfig()
 
 
 def build_map(
@@ -107,7 +109,8 @@ def build_map(
         seconds,
     )
     line = np.stack([frame.tool[0], frame.tool[3]])
-    return ReachMap(values, low, config.cell, frame.axis[:2], line, key, seconds)
+    axis = frame.axis[:2]
+    return ReachMap(values, low, config.cell, axis, line, config.threshold, key, seconds)
 
 
 def _extent(

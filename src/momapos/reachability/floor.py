@@ -139,4 +139,4 @@ def floor_scores(line, xs, ys, yaws, axis_x, axis_y, values, rims, shape, frame,
                     out[i, column[m]] = max(out[i, column[m]], v)
     for i in range(len(ys)):
         for j in range(len(xs)):
-            out[i, j] = scored(out[i, j])
+            out[i, j] = scored(out[i, j], frame[2])

@@ -24,9 +24,6 @@ STEPS = 8
 """Stored steps per cell of margin [-]."""
 DEPTH = 32
 """Stored value from which on the score is 1: four cells from the boundary."""
-THRESHOLD = -0.3
-"""Value from which on a line counts as reachable: interpolation rounds the convex boundary of the
-reachable set inwards, by about 1/25 of a cell."""
 OUTSIDE = -12
 """Stored value of points that are far from anything reachable."""
 
@@ -96,13 +93,13 @@ def lookup(x, y, z, ax, ay, az, yaw_turns, values, shape, frame):
         yaw_turns: Yaw of the base in that frame [turns].
         values: Stored values, flat, int8.
         shape: Number of points along z, r, u, v, bearing.
-        frame: (lowest height [m], 1 / cell [1/m]).
+        frame: (lowest height [m], 1 / cell [1/m], threshold [steps]).
 
     Returns:
-        Value in stored steps; above `THRESHOLD` where the line can be reached.
+        Value in stored steps; above the threshold where the line can be reached.
     """
     nz, nr, nu, nv, nb = shape
-    z0, per_metre = frame
+    z0, per_metre, _ = frame
     square = x * x + y * y
     fz = (z - z0) * per_metre
     if square * (per_metre * per_metre) >= (nr - 1) * (nr - 1) or fz < 0.0 or fz >= nz - 1:
@@ -157,9 +154,9 @@ def lookup(x, y, z, ax, ay, az, yaw_turns, values, shape, frame):
 
 
 @njit(cache=True, nogil=True)
-def scored(value):
-    """Stored value as a score in [0, 1]."""
-    return min(max((value - THRESHOLD) / DEPTH, 0.0), 1.0)
+def scored(value, threshold):
+    """Stored value as a score in [0, 1]; 0 up to the threshold."""
+    return min(max((value - threshold) / DEPTH, 0.0), 1.0)
 
 
 @njit(cache=True, nogil=True)
@@ -178,7 +175,7 @@ def score_lines(lines, values, shape, frame, out):
             shape,
             frame,
         )
-        out[i] = scored(v)
+        out[i] = scored(v, frame[2])
 
 
 @njit(cache=True, nogil=True)
@@ -204,9 +201,9 @@ def weakest_lines(bases, lines, axis_x, axis_y, values, shape, frame, out):
                     frame,
                 )
                 least = min(least, v)
-                if least <= THRESHOLD:
+                if least <= frame[2]:
                     break
-            out[i, g] = scored(least)
+            out[i, g] = scored(least, frame[2])
 
 
 def pack_shape(shape: tuple[int, ...]) -> tuple[int, int, int, int, int]:

@@ -33,6 +33,9 @@ class ReachConfig:
     four times as many. Only half of them are tried far from anything reachable."""
     heights: int = 5
     """Values at which a torso is locked [-]; about half of them far from anything reachable."""
+    threshold: float = -0.4
+    """Value from which on a line counts as reachable [1/8 cell]. Interpolation rounds the convex
+    boundary of the reachable set inwards, by about 1/20 of a cell."""
     spins: int = 4
     """Turns of the tool about its last axis that vote on a line: tools are not round, and half of
     them must be free of collision [-]."""
@@ -52,6 +55,8 @@ class ReachMap:
     """Where the vertical first axis stands in the base frame [m]."""
     line_tool: Float[np.ndarray, "2 3"]
     """Direction of the last axis and a point on it [m], in the tool frame."""
+    threshold: float = 0.0
+    """Value from which on a line counts as reachable."""
     key: str = ""
     """Content key of what the map was built from."""
     build_seconds: float = 0.0
@@ -63,7 +68,7 @@ class ReachMap:
 
     def _arrays(self) -> tuple:  # type: ignore[type-arg]
         flat = self.values.reshape(-1)
-        return flat, pack_shape(self.values.shape), (self.low, 1.0 / self.cell)
+        return flat, pack_shape(self.values.shape), (self.low, 1.0 / self.cell, self.threshold)
 
     def lines(self, Ts: Float[np.ndarray, "*batch 4 4"]) -> Float[np.ndarray, "*batch 6"]:
         """The last axis of tool poses: a point [m] and a direction, in the frame of the poses."""
