@@ -31,13 +31,16 @@ def _axis_lattice(line, yaws, values, rims, shape, frame, step, table):
         step: Spacing of the lattice [cells].
         table: (n, k, n) to be filled: at [n // 2 + i, k, n // 2 + j] the axis stands j steps in x
             and i steps in y before the line's point. `OUTSIDE` beyond reach.
+
+    Returns:
+        How many steps from the line's point all is `OUTSIDE`.
     """
     nz, nr, nu, nv, nb = shape
     half = len(table) // 2
     table[:] = OUTSIDE
     fz = (line[2] - frame[0]) * frame[1]
     if fz < 0.0 or fz >= nz - 1:
-        return
+        return 0
     iz = int(fz)
     rim = min(nr - 1, max(rims[iz], rims[iz + 1])) / step
     most = min(half, int(rim))
@@ -57,6 +60,7 @@ def _axis_lattice(line, yaws, values, rims, shape, frame, step, table):
                 ib = np.uint64(fb)
                 fb -= np.float32(ib)
                 table[half + i, k, half + j] = row[ib] + fb * (row[ib + np.uint64(1)] - row[ib])
+    return most + 1
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
@@ -113,7 +117,8 @@ def floor_scores(line, xs, ys, yaws, axis_x, axis_y, values, rims, shape, frame,
     per_metre = frame[1] / step
     size = 2 * math.ceil(shape[1] / step) + 1
     table = np.empty((size, len(yaws), size), np.float32)
-    _axis_lattice(line, yaws, values, rims, shape, frame, step, table)
+    far = _axis_lattice(line, yaws, values, rims, shape, frame, step, table)
+    begin, end = size // 2 - far, size // 2 + far
     out[:] = OUTSIDE
     column, low = np.empty(len(xs), np.int64), np.empty(len(xs), np.int64)
     share, row = np.empty(len(xs), np.float32), np.empty(size, np.float32)
@@ -123,15 +128,15 @@ def floor_scores(line, xs, ys, yaws, axis_x, axis_y, values, rims, shape, frame,
         count = 0
         for j in range(len(xs)):
             f = (x - xs[j]) * per_metre + size // 2
-            if 0.0 <= f < size - 1:
+            if begin <= f < end:
                 column[count], low[count], share[count] = j, int(f), f - int(f)
                 count += 1
         for i in range(len(ys)):
             f = (y - ys[i]) * per_metre + size // 2
-            if 0.0 <= f < size - 1:
+            if begin <= f < end:
                 g = int(f)
                 upper = np.float32(f - g)
-                for m in range(size):
+                for m in range(begin, end + 1):
                     row[m] = table[g, k, m] + upper * (table[g + 1, k, m] - table[g, k, m])
                 for m in range(count):
                     at = low[m]
