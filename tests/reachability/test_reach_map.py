@@ -115,7 +115,7 @@ def test_base_scores_are_the_best_over_yaws(robot: Robot, reach: ReachMap) -> No
     yaws = 2 * np.pi / YAWS * np.arange(YAWS)
     grid = np.stack(np.broadcast_arrays(xs[:, None], ys[:, None, None], yaws), -1).reshape(-1, 3)
     # Finer than the lattice, as coarse, and coarser; with the arm over the base's origin and not.
-    for cell, axis in ((0.08, reach.axis_xy), (0.05, reach.axis_xy), (0.03, np.zeros(2))):
+    for cell, axis in ((0.08, reach.axis_xy), (SPACING, reach.axis_xy), (0.03, np.zeros(2))):
         moved, highest = replace(reach, cell=cell, axis_xy=axis), 0.0
         for T in random_poses(robot, np.random.default_rng(7), 6):
             found = moved.base_scores(T, xs, ys)
@@ -131,9 +131,9 @@ def test_base_scores_are_exact_where_the_axis_stands_on_the_lattice(
     robot: Robot, reach: ReachMap
 ) -> None:
     central = replace(
-        reach, cell=0.05, axis_xy=np.zeros(2), values=reach.values.max(-1, keepdims=True)
+        reach, cell=SPACING, axis_xy=np.zeros(2), values=reach.values.max(-1, keepdims=True)
     )
-    steps = 0.05 * np.arange(-25, 26)
+    steps = SPACING * np.arange(-25, 26)
     for T in random_poses(robot, np.random.default_rng(8), 5):
         point = central.lines(T)
         xs, ys = point[0] + steps, point[1] + steps

@@ -14,7 +14,7 @@ from numba import njit
 
 from momapos.reachability.grid import LOW, ONE, OUTSIDE, relative_line, scored, turns_of
 
-SPACING = 0.05
+SPACING = 0.06
 """Spacing of the lattice [m], or the map's cell where that is wider."""
 
 
