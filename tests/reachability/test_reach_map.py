@@ -13,7 +13,9 @@ from momapos.kinematics.chain import chain_arrays
 from momapos.kinematics.collision import FREE, check_states
 from momapos.reachability import ReachConfig, ReachMap, build_map, evaluate, load_or_build, store
 from momapos.reachability.evaluation import random_poses
+from momapos.reachability.floor import SPACING
 from momapos.reachability.grid import oct_decode, turns_of
+from momapos.reachability.map import YAWS
 from momapos.reachability.store import decode, encode, map_key
 from momapos.robots.robot import Robot, load_robot
 
@@ -109,16 +111,35 @@ def test_weakest_is_the_minimum_of_the_scores(robot: Robot, reach: ReachMap) -> 
 
 
 def test_base_scores_are_the_best_over_yaws(robot: Robot, reach: ReachMap) -> None:
-    T = random_poses(robot, np.random.default_rng(7), 1)[0]
-    T[2, 3] = 0.7
-    xs, ys = np.linspace(-1, 1, 9), np.linspace(-0.8, 1, 7)
-    found = reach.base_scores(T, xs, ys)
-    assert found.shape == (7, 9)
-    yaws = np.linspace(-np.pi, np.pi, 73)
-    grid = np.array([[x, y, yaw] for y in ys for x in xs for yaw in yaws])
-    best = reach.weakest(grid, T[None, None]).reshape(7, 9, -1).max(-1)
-    assert (found <= best + 0.05).all()
-    assert np.abs(found - best).mean() < 0.05
+    xs, ys = np.linspace(-1, 1.3, 33), np.linspace(-0.8, 1, 21)
+    yaws = 2 * np.pi / YAWS * np.arange(YAWS)
+    grid = np.stack(np.broadcast_arrays(xs[:, None], ys[:, None, None], yaws), -1).reshape(-1, 3)
+    # Finer than the lattice, as coarse, and coarser; with the arm over the base's origin and not.
+    for cell, axis in ((0.08, reach.axis_xy), (SPACING, reach.axis_xy), (0.03, np.zeros(2))):
+        moved, highest = replace(reach, cell=cell, axis_xy=axis), 0.0
+        for T in random_poses(robot, np.random.default_rng(7), 6):
+            found = moved.base_scores(T, xs, ys)
+            best = moved.weakest(grid, T[None, None]).reshape(21, 33, YAWS).max(-1)
+            # The score changes by 1/4 per cell: half a cell across is all that can be smoothed.
+            assert np.abs(found - best).max() < 0.25 * max(1.0, SPACING / cell)
+            assert np.abs(found - best).mean() < 0.01
+            highest = max(highest, best.max())
+        assert highest > 0.05
+
+
+def test_base_scores_are_exact_where_the_axis_stands_on_the_lattice(
+    robot: Robot, reach: ReachMap
+) -> None:
+    central = replace(
+        reach, cell=SPACING, axis_xy=np.zeros(2), values=reach.values.max(-1, keepdims=True)
+    )
+    steps = SPACING * np.arange(-25, 26)
+    for T in random_poses(robot, np.random.default_rng(8), 5):
+        point = central.lines(T)
+        xs, ys = point[0] + steps, point[1] + steps
+        bases = np.stack(np.broadcast_arrays(xs, ys[:, None], 0.0), -1).reshape(-1, 3)
+        expected = central.weakest(bases, T[None, None]).reshape(51, 51)
+        np.testing.assert_allclose(central.base_scores(T, xs, ys), expected, atol=1e-3)
 
 
 def test_a_second_load_does_not_build(

@@ -139,8 +139,8 @@ def _line_mask(R_tool, p_tool, closed, spins, arm, chain, limits, ik, pans, work
 
 
 @njit(cache=True, nogil=True)
-def line_masks(lines, rolls, spins, tool, arm, chain, limits, ik, pans, masks):
-    """Bearings at which lines (m, 4: z, r, u, v) can be reached, into masks (m,).
+def line_masks(lines, wanted, rolls, spins, tool, arm, chain, limits, ik, pans, masks):
+    """Those of the wanted bearings (m,) at which lines (m, 4: z, r, u, v) can be reached.
 
     A line counts where every roll of the tool can be reached, each solved anew, with at least half
     of the spins.
@@ -157,7 +157,7 @@ def line_masks(lines, rolls, spins, tool, arm, chain, limits, ik, pans, masks):
     )
     R, p = np.empty((3, 3)), np.empty(3)
     for i in range(len(lines)):
-        mask = EVERY
+        mask = wanted[i]
         for k in range(len(rolls)):
             z, r = lines[i, 0], lines[i, 1]
             line_pose(r, z, lines[i, 2], lines[i, 3], rolls[k], tool, R, p)

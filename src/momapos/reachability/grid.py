@@ -24,16 +24,13 @@ STEPS = 8
 """Stored steps per cell of margin [-]."""
 DEPTH = 32
 """Stored value from which on the score is 1: four cells from the boundary."""
-THRESHOLD = -0.3
-"""Value from which on a line counts as reachable: interpolation rounds the convex boundary of the
-reachable set inwards, by about 1/25 of a cell."""
 OUTSIDE = -12
 """Stored value of points that are far from anything reachable."""
 
 
 ONE = 1 << 24
 """Fractions of a cell are kept as integers, this for 1."""
-_LOW = (1 << 32) - 1
+LOW = (1 << 32) - 1
 _SHIFT = 1 << 20
 """Added to strides, which may be negative, where they are packed."""
 
@@ -65,28 +62,13 @@ def turns_of(y: float, x: float) -> float:
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp", "nsz"})
-def lookup(x, y, z, ax, ay, az, yaw_turns, values, shape, frame):
-    """Interpolated value of a line.
-
-    Args:
-        x, y: Point of the line relative to the first axis, in any frame with z up [m].
-        z: Height of the point over the floor [m].
-        ax, ay, az: Unit direction of the line in the same frame.
-        yaw_turns: Yaw of the base in that frame [turns].
-        values: Stored values, flat, int8.
-        shape: Number of points along z, r, u, v, bearing.
-        frame: (lowest height [m], 1 / cell [1/m]).
+def relative_line(x, y, ax, ay, az):
+    """Distance of a line's point (x, y) from the first axis, and its direction relative to it.
 
     Returns:
-        Value in stored steps; above `THRESHOLD` where the line can be reached.
+        r in the unit of x and y, and u, v on the octahedral square.
     """
-    nz, nr, nu, nv, nb = shape
-    z0, per_metre = frame
-    square = x * x + y * y
-    fz = (z - z0) * per_metre
-    if square * (per_metre * per_metre) >= (nr - 1) * (nr - 1) or fz < 0.0 or fz >= nz - 1:
-        return float(OUTSIDE)
-    r = math.sqrt(square)
+    r = math.sqrt(x * x + y * y)
     cx, cy = 1.0, 0.0
     if r > 1e-9:
         cx, cy = x / r, y / r
@@ -97,6 +79,32 @@ def lookup(x, y, z, ax, ay, az, yaw_turns, values, shape, frame):
         fold_u = math.copysign(1.0 - abs(v), u)
         v = math.copysign(1.0 - abs(u), v)
         u = fold_u
+    return r, u, v
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp", "nsz"})
+def lookup(x, y, z, ax, ay, az, yaw_turns, values, shape, frame):
+    """Interpolated value of a line.
+
+    Args:
+        x, y: Point of the line relative to the first axis, in any frame with z up [m].
+        z: Height of the point over the floor [m].
+        ax, ay, az: Unit direction of the line in the same frame.
+        yaw_turns: Yaw of the base in that frame [turns].
+        values: Stored values, flat, int8.
+        shape: Number of points along z, r, u, v, bearing.
+        frame: (lowest height [m], 1 / cell [1/m], threshold [steps]).
+
+    Returns:
+        Value in stored steps; above the threshold where the line can be reached.
+    """
+    nz, nr, nu, nv, nb = shape
+    z0, per_metre, _ = frame
+    square = x * x + y * y
+    fz = (z - z0) * per_metre
+    if square * (per_metre * per_metre) >= (nr - 1) * (nr - 1) or fz < 0.0 or fz >= nz - 1:
+        return float(OUTSIDE)
+    r, u, v = relative_line(x, y, ax, ay, az)
     fr, fu, fv = r * per_metre, (u + 1.0) * (0.5 * (nu - 1)), (v + 1.0) * (0.5 * (nv - 1))
     iz, ir, iu, iv = int(fz), min(int(fr), nr - 2), min(int(fu), nu - 2), min(int(fv), nv - 2)
     sv = nb
@@ -128,11 +136,11 @@ def lookup(x, y, z, ax, ay, az, yaw_turns, values, shape, frame):
     b, c = max(b, c), min(b, c)
     d, e = max(d, e), min(d, e)
     c, d = max(c, d), min(c, d)
-    i = at + (a & _LOW) - _SHIFT
-    j = i + (b & _LOW) - _SHIFT
-    k = j + (c & _LOW) - _SHIFT
-    m = k + (d & _LOW) - _SHIFT
-    last = m + (e & _LOW) - _SHIFT
+    i = at + (a & LOW) - _SHIFT
+    j = i + (b & LOW) - _SHIFT
+    k = j + (c & LOW) - _SHIFT
+    m = k + (d & LOW) - _SHIFT
+    last = m + (e & LOW) - _SHIFT
     fa, fs, fc, fd, fe = a >> 32, b >> 32, c >> 32, d >> 32, e >> 32
     total = (
         values[np.uint64(at)] * (ONE - fa)
@@ -146,9 +154,9 @@ def lookup(x, y, z, ax, ay, az, yaw_turns, values, shape, frame):
 
 
 @njit(cache=True, nogil=True)
-def _scored(value):
-    """Stored value as a score in [0, 1]."""
-    return min(max((value - THRESHOLD) / DEPTH, 0.0), 1.0)
+def scored(value, threshold):
+    """Stored value as a score in [0, 1]; 0 up to the threshold."""
+    return min(max((value - threshold) / DEPTH, 0.0), 1.0)
 
 
 @njit(cache=True, nogil=True)
@@ -167,7 +175,7 @@ def score_lines(lines, values, shape, frame, out):
             shape,
             frame,
         )
-        out[i] = _scored(v)
+        out[i] = scored(v, frame[2])
 
 
 @njit(cache=True, nogil=True)
@@ -193,38 +201,9 @@ def weakest_lines(bases, lines, axis_x, axis_y, values, shape, frame, out):
                     frame,
                 )
                 least = min(least, v)
-                if least <= THRESHOLD:
+                if least <= frame[2]:
                     break
-            out[i, g] = _scored(least)
-
-
-@njit(cache=True, nogil=True)
-def floor_scores(line, xs, ys, yaws, axis_x, axis_y, values, shape, frame, out):
-    """Best score over the yaws for bases on a grid of the floor, out (len(ys), len(xs))."""
-    reach = (shape[1] - 1) / frame[1]
-    slack = math.hypot(axis_x, axis_y)
-    far = (reach + slack) ** 2
-    for i in range(len(ys)):
-        for j in range(len(xs)):
-            dx, dy = line[0] - xs[j], line[1] - ys[i]
-            best = float(OUTSIDE)
-            if dx * dx + dy * dy < far:
-                for k in range(len(yaws)):
-                    c, s = yaws[k, 0], yaws[k, 1]
-                    v = lookup(
-                        dx - c * axis_x + s * axis_y,
-                        dy - s * axis_x - c * axis_y,
-                        line[2],
-                        line[3],
-                        line[4],
-                        line[5],
-                        yaws[k, 2],
-                        values,
-                        shape,
-                        frame,
-                    )
-                    best = max(best, v)
-            out[i, j] = _scored(best)
+            out[i, g] = scored(least, frame[2])
 
 
 def pack_shape(shape: tuple[int, ...]) -> tuple[int, int, int, int, int]:

@@ -2,35 +2,40 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float, Int8
+from jaxtyping import Float, Int, Int8
 
-from momapos.reachability.grid import floor_scores, pack_shape, score_lines, weakest_lines
+from momapos.reachability.floor import floor_scores
+from momapos.reachability.grid import OUTSIDE, pack_shape, score_lines, weakest_lines
 
 YAWS = 12
-"""Yaws that `base_scores` tries where the arm does not stand over the base's origin."""
-CENTRAL = 0.75
-"""The arm counts as standing there when its first axis is no farther off than this [cells]."""
+"""Yaws that `base_scores` tries."""
+_TURNS = np.arange(YAWS) / YAWS
+_YAWS = np.stack([np.cos(2 * np.pi * _TURNS), np.sin(2 * np.pi * _TURNS), _TURNS], -1)
 
 
 @dataclass(frozen=True)
 class ReachConfig:
     """How finely a reachability map is built."""
 
-    cell: float = 0.05
+    cell: float = 0.04
     """Spacing of the grid in height and distance [m]."""
     directions: int = 25
     """Grid points along each side of the octahedral square of directions, odd [-]."""
     bearings: int = 32
     """Grid points along the bearing, a divisor of 64 [-]; 1 leaves the bearing out. It is also
     left out where it makes no difference."""
-    samples: int = 16
-    """Values at which a redundant turning joint of a longer arm is locked [-]."""
+    samples: int = 32
+    """Values at which the first joint of a longer arm is locked [-]; where they disagree, up to
+    four times as many. Only half of them are tried far from anything reachable."""
     heights: int = 5
-    """Values at which a torso is locked [-]."""
+    """Values at which a torso is locked [-]; about half of them far from anything reachable."""
+    threshold: float = -0.4
+    """Value from which on a line counts as reachable [1/8 cell]. Interpolation rounds the convex
+    boundary of the reachable set inwards, by about 1/20 of a cell."""
     spins: int = 4
     """Turns of the tool about its last axis that vote on a line: tools are not round, and half of
     them must be free of collision [-]."""
@@ -50,6 +55,8 @@ class ReachMap:
     """Where the vertical first axis stands in the base frame [m]."""
     line_tool: Float[np.ndarray, "2 3"]
     """Direction of the last axis and a point on it [m], in the tool frame."""
+    threshold: float = 0.0
+    """Value from which on a line counts as reachable."""
     key: str = ""
     """Content key of what the map was built from."""
     build_seconds: float = 0.0
@@ -61,7 +68,7 @@ class ReachMap:
 
     def _arrays(self) -> tuple:  # type: ignore[type-arg]
         flat = self.values.reshape(-1)
-        return flat, pack_shape(self.values.shape), (self.low, 1.0 / self.cell)
+        return flat, pack_shape(self.values.shape), (self.low, 1.0 / self.cell, self.threshold)
 
     def lines(self, Ts: Float[np.ndarray, "*batch 4 4"]) -> Float[np.ndarray, "*batch 6"]:
         """The last axis of tool poses: a point [m] and a direction, in the frame of the poses."""
@@ -108,26 +115,23 @@ class ReachMap:
     ) -> Float[np.ndarray, "rows columns"]:
         """Score of bases on a grid of the floor for one tool pose, each at its best yaw.
 
-        An arm that stands within 0.75 cells of the base's origin is taken to stand on it.
+        The best of 12 yaws. What is between axes of the arm 6 cm apart is interpolated: scores
+        differ from `score` by 0.01 on average, and by 0.15 at most.
 
         Args:
             T_world_tool: Tool pose in the world frame.
             xs, ys: Coordinates of the bases [m].
         """
-        x, y = float(self.axis_xy[0]), float(self.axis_xy[1])
-        best = self
-        angle = 2 * np.pi / YAWS * np.arange(YAWS)
-        if np.hypot(x, y) <= CENTRAL * self.cell:
-            # Turning the base only turns the bearing: one look at the best of all bearings.
-            best, angle, x, y = self._best, np.zeros(1), 0.0, 0.0
-        yaws = np.stack([np.cos(angle), np.sin(angle), angle / (2 * np.pi)], -1)
-        out = np.empty((len(ys), len(xs)), np.float32)
-        line = np.ascontiguousarray(self.lines(T_world_tool))
+        line = self.lines(T_world_tool)
         xs, ys = np.ascontiguousarray(xs, float), np.ascontiguousarray(ys, float)
-        floor_scores(line, xs, ys, yaws, x, y, *best._arrays(), out)
+        out = np.empty((len(ys), len(xs)), np.float32)
+        x, y = float(self.axis_xy[0]), float(self.axis_xy[1])
+        values, shape, frame = self._arrays()
+        floor_scores(line, xs, ys, _YAWS, x, y, values, self._rims, shape, frame, out)
         return out
 
     @cached_property
-    def _best(self) -> ReachMap:
-        """The map without the bearing: the best of all."""
-        return replace(self, values=self.values.max(-1, keepdims=True))
+    def _rims(self) -> Int[np.ndarray, " z"]:
+        """For each height, the first r from which on nothing is near the reachable [cells]."""
+        near = (self.values > OUTSIDE).any((2, 3, 4))
+        return (near * np.arange(1, near.shape[1] + 1)).max(1)

@@ -32,6 +32,24 @@ def uneven_edges(masks: np.ndarray, least: int) -> list[np.ndarray]:
     return found
 
 
+def nearby(masks: np.ndarray, spread: int) -> np.ndarray:
+    """The bearings that a point or one of its neighbours has, and some to both sides of them.
+
+    Args:
+        masks: Answers (z, r, u, v).
+        spread: How many to both sides [-].
+    """
+    found = masks.copy()
+    for axis in range(masks.ndim):
+        near, here = np.moveaxis(found, axis, 0), np.moveaxis(masks, axis, 0)
+        near[1:] |= here[:-1]
+        near[:-1] |= here[1:]
+    for _ in range(spread):
+        left = (found << np.uint64(1)) | (found >> np.uint64(BEARINGS - 1))
+        found |= left | (found >> np.uint64(1)) | (found << np.uint64(BEARINGS - 1))
+    return found
+
+
 @njit(cache=True, nogil=True)
 def _first_change(bit, here, there, row, interior, backwards):
     """Distance along an edge to the first answer that differs, or 9 where none does."""

@@ -18,11 +18,11 @@ from momapos.reachability.map import ReachConfig, ReachMap
 from momapos.robots.robot import Robot
 
 log = logging.getLogger(__name__)
-VERSION = 1
+VERSION = 2
 """Changes whenever maps are built or stored differently."""
 _MAGIC = b"momapos-reach\n"
 _MAX_VALUES = 500_000_000
-_FIELDS = ("low", "cell", "axis_xy", "line_tool", "key", "build_seconds")
+_FIELDS = ("low", "cell", "axis_xy", "line_tool", "threshold", "key", "build_seconds")
 
 
 def map_key(robot: Robot, config: ReachConfig) -> str:
@@ -75,7 +75,8 @@ def decode(data: bytes) -> ReachMap:
         if len(raw) != size or not inflate.eof:
             raise ValueError("wrong amount of values")
         axis, line = np.array(header["axis_xy"], float), np.array(header["line_tool"], float)
-        numbers = np.array([header["low"], header["cell"], header["build_seconds"]], float)
+        names = ("low", "cell", "threshold", "build_seconds")
+        numbers = np.array([header[name] for name in names], float)
         finite = all(np.isfinite(part).all() for part in (axis, line, numbers))
         if axis.shape != (2,) or line.shape != (2, 3) or not finite or numbers[1] <= 0:
             raise ValueError("frame")
@@ -87,8 +88,9 @@ def decode(data: bytes) -> ReachMap:
         float(numbers[1]),
         axis,
         line,
-        str(header["key"]),
         float(numbers[2]),
+        str(header["key"]),
+        float(numbers[3]),
     )
 
 

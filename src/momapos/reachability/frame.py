@@ -1,0 +1,70 @@
+"""Where the first and the last axis of an arm are: what a reachability map is aligned with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from momapos.errors import RobotError
+from momapos.geometry.transforms import orthonormal
+from momapos.kinematics.chain import Chain
+
+FULL_TURN = 0.95 * 2 * np.pi
+"""A last joint with this range counts as turning fully [rad]."""
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Where the first and the last axis of an arm are."""
+
+    first: int
+    """Index of the first revolute joint; only vertical prismatic joints come before it."""
+    turn: float
+    """1 where the first joint turns anticlockwise seen from above, else -1."""
+    limits: tuple[float, float]
+    """Of the first joint [rad]."""
+    axis: Float[np.ndarray, "3"]
+    """Foot of the first axis in the base frame [m]."""
+    tool: Float[np.ndarray, "4 3"]
+    """Direction of the last axis, two vectors across it and a point on it, in the tool frame."""
+    full_roll: bool
+    """Whether the last joint turns fully."""
+
+
+def arm_frame(chain: Chain, approach_axis: Float[np.ndarray, "3"]) -> Frame:
+    """Find the first and the last axis of an arm.
+
+    Raises:
+        RobotError: The arm's first turning axis is not vertical.
+    """
+    origin = np.cumsum(chain.d, axis=0)
+    first = int(np.argmin(chain.prismatic))
+    if np.abs(chain.h[: first + 1, 2]).min() < 1 - 1e-4:
+        raise RobotError(
+            f"the first axis of the arm, {chain.names[first]!r}, is not vertical; a reachability "
+            "map needs an upright arm"
+        )
+    last = chain.size - 1
+    p_tool = origin[last] + chain.tool_offset
+    axis, point, full = chain.h[last], origin[last], False
+    if chain.prismatic[last]:
+        axis, point = chain.tool_rotation @ approach_axis, p_tool
+    else:
+        full = bool(chain.upper[last] - chain.lower[last] >= FULL_TURN)
+        point = _nearest(origin[last], axis, origin[last - 1], chain.h[last - 1])
+    across = orthonormal(axis)
+    rows = np.stack([axis, across, np.cross(axis, across), point - p_tool])
+    foot = np.array([origin[first, 0], origin[first, 1], 0.0])
+    turn = float(np.sign(chain.h[first, 2]))
+    limits = float(chain.lower[first]), float(chain.upper[first])
+    return Frame(first, turn, limits, foot, rows @ chain.tool_rotation, full)
+
+
+def _nearest(o: np.ndarray, h: np.ndarray, other: np.ndarray, k: np.ndarray) -> np.ndarray:
+    """Point of the line (o, h) that is nearest to the line (other, k)."""
+    w, c = o - other, float(h @ k)
+    if 1 - c * c < 1e-4:
+        return o
+    return o + h * (c * float(k @ w) - float(h @ w)) / (1 - c * c)
