@@ -45,6 +45,7 @@ class SceneGraph:
     """Objects, and how they lie to each other."""
 
     names: tuple[str, ...]
+    categories: tuple[str, ...]
     bodies: Bodies
     child: Int[np.ndarray, " e"]
     """Which is on, in or inside the parent; of neighbours, the first in the scene."""
@@ -128,6 +129,7 @@ def build_graph(scene: Scene, config: GraphConfig | None = None) -> SceneGraph:
     volume = np.prod(2 * bodies.upright.half, axis=1)
     return SceneGraph(
         names=tuple(item.name for item in scene.objects),
+        categories=tuple(item.category for item in scene.objects),
         bodies=bodies,
         child=child,
         parent=parent,
