@@ -73,16 +73,17 @@ def deepwalk(
 ) -> Float[np.ndarray, " n"]:
     """Cosine similarity of skip-gram vectors over biased walks (MoMa-Pos, section III-A).
 
-    An object more than two windows away shares no company with the target: its cosine is chance,
-    and it has the lowest score.
+    Objects more than two windows away share no company with the target: their cosine is chance,
+    and they have the lowest score. So walks begin no farther than three windows away.
     """
+    steps = graph.steps(target)
     rng = np.random.default_rng(seed)
-    first = np.repeat(np.arange(len(graph)), config.walks)
+    close = np.flatnonzero((steps >= 0) & (steps <= 3 * config.window))
+    first = np.repeat(close, config.walks)
     rng.shuffle(first)
     walks = walk(transitions(graph, k0=config.k0), first, config.length, rng)
     vectors = embed_walks(walks, len(graph), _skip_gram(config, seed))
     scores = score_of_cosine(cosine(vectors, target))
-    steps = graph.steps(target)
     return np.where((steps >= 0) & (steps <= 2 * config.window), scores, LEAST)
 
 
