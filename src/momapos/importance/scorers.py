@@ -74,12 +74,11 @@ def deepwalk(
     """Cosine similarity of skip-gram vectors over biased walks (MoMa-Pos, section III-A).
 
     Objects more than two windows away share no company with the target: their cosine is chance,
-    and they have the lowest score. So walks begin no farther than three windows away.
+    and they have the lowest score.
     """
     steps = graph.steps(target)
     rng = np.random.default_rng(seed)
-    close = np.flatnonzero((steps >= 0) & (steps <= 3 * config.window))
-    first = np.repeat(close, config.walks)
+    first = np.repeat(np.arange(len(graph)), config.walks)
     rng.shuffle(first)
     walks = walk(transitions(graph, k0=config.k0), first, config.length, rng)
     vectors = embed_walks(walks, len(graph), _skip_gram(config, seed))

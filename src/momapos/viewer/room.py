@@ -175,7 +175,8 @@ def _spot(
     spots = middle + inside * room_left
     if (high - low).max() < SMALL:  # the name would hide it
         beside = np.array([[0, -1], [0, 1], [1, 0], [-1, 0], [1, -1], [-1, -1], [1, 1], [-1, 1]])
-        spots = middle + beside * ((high - low + extent) / 2 + 0.01)
+        air = np.array([0.01, float(extent[1])])  # farther off where something marks the spot
+        spots = middle + np.concatenate([beside * ((high - low + extent) / 2 + a) for a in air])
     distance = np.linalg.norm((spots - middle) / extent, axis=1)
     for spot in spots[np.argsort(distance, kind="stable")]:
         corners = np.stack([spot - extent / 2, spot + extent / 2])
