@@ -81,8 +81,14 @@ def _skip_gram(
 
 @njit(cache=True, nogil=True)
 def _sigmoid(x):
-    """1 / (1 + exp(-x)) for |x| <= 6, within 1e-5: Lambert's fraction of tanh(x / 2)."""
-    y = min(max(x, -6.0), 6.0) / 2
+    """1 / (1 + exp(-x)) within 1e-5, by Lambert's fraction of tanh(x / 2); 0 or 1 beyond 6.
+
+    As in word2vec, a product beyond 6 is learnt: else those of words that never meet would grow
+    without end.
+    """
+    if abs(x) > 6.0:
+        return 1.0 if x > 0.0 else 0.0
+    y = x / 2
     z = y * y
     above = y * (135135.0 + z * (17325.0 + z * (378.0 + z)))
     return 0.5 + 0.5 * above / (135135.0 + z * (62370.0 + z * (3150.0 + z * 28.0)))
