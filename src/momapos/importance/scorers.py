@@ -37,7 +37,7 @@ class ImportanceConfig:
     """Objects with a score of at least this are in S, in [0, 1] [-]."""
     k0: float = 0.5
     """Weight of distance against size in the walks, in [0, 1] [-]."""
-    walks: int = 10
+    walks: int = 15
     """Walks that begin at each object [-]."""
     length: int = 20
     """Objects in a walk [-]."""
@@ -45,7 +45,7 @@ class ImportanceConfig:
     """Objects before and after in a walk that count as company [-]."""
     dimensions: int = 64
     """Length of an object's vector [-]."""
-    epochs: int = 5
+    epochs: int = 3
     """Passes over the walks [-]."""
     graph: GraphConfig = field(default_factory=GraphConfig)
 
