@@ -1,4 +1,4 @@
-"""Skip-gram: the same company gives similar vectors, as gensim's does; nothing depends on chance."""
+"""Skip-gram: the same company gives similar vectors, as gensim's does, without any chance."""
 
 from __future__ import annotations
 

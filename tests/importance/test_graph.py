@@ -10,14 +10,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
-
-from momapos.errors import InputError, MomaposError, SceneError
-from momapos.geometry.transforms import pose, rotation_about
-from momapos.importance.bodies import stack_bodies
-from momapos.importance.graph import GraphConfig, build_graph
-from momapos.importance.relations import neighbours, outline_gaps
-from momapos.scene.files import load_scene
-from momapos.scene.scene import Scene
 from tests.importance.things import (
     SHELF_TOP,
     UP,
@@ -32,6 +24,14 @@ from tests.importance.things import (
     room,
 )
 from tests.rooms import move_scene
+
+from momapos.errors import InputError, MomaposError, SceneError
+from momapos.geometry.transforms import pose, rotation_about
+from momapos.importance.bodies import stack_bodies
+from momapos.importance.graph import GraphConfig, build_graph
+from momapos.importance.relations import neighbours, outline_gaps
+from momapos.scene.files import load_scene
+from momapos.scene.scene import Scene
 
 TABLE = box("table", (1.0, 0.6, 0.7), (0, 0, 0))
 
@@ -156,9 +156,7 @@ def test_the_nearest_are_near_and_nobody_beyond_the_reach() -> None:
 def test_gaps_between_boxes_agree_with_points_sampled_on_their_outlines(seed: int) -> None:
     rng = np.random.default_rng(seed)
     sizes, places = rng.uniform(0.1, 1.5, (2, 3)), rng.uniform(-1.5, 1.5, (2, 2))
-    items = [
-        box(f"b{k}", tuple(sizes[k]), (*places[k], 0.0), rng.uniform(-3, 3)) for k in range(2)
-    ]
+    items = [box(f"b{k}", tuple(sizes[k]), (*places[k], 0.0), rng.uniform(-3, 3)) for k in range(2)]
     side = np.linspace(-1, 1, 81)
     outlines = [
         (np.stack(np.meshgrid(side, side), -1).reshape(-1, 2) * size[:2] / 2)
@@ -174,9 +172,9 @@ def test_gaps_between_boxes_agree_with_points_sampled_on_their_outlines(seed: in
 def test_the_nearest_found_are_the_nearest_of_all() -> None:
     rng = np.random.default_rng(1)
     items = [
-        box(f"b{k}", tuple(rng.uniform(0.1, 0.6, 3)), tuple(rng.uniform(-2, 2, 3)), rng.uniform(-3, 3))
-        for k in range(40)
-    ]  # fmt: skip
+        box(f"b{k}", tuple(size), tuple(rng.uniform(-2, 2, 3)), rng.uniform(-3, 3))
+        for k, size in enumerate(rng.uniform(0.1, 0.6, (40, 3)))
+    ]
     bodies = stack_bodies(room(*items))
     box_ = bodies.upright
     expected = set()
@@ -241,5 +239,7 @@ def test_an_unknown_object_is_named_with_the_nearest() -> None:
 
 def test_a_thing_that_lies_on_its_side_rests_on_what_is_below() -> None:
     lying = tall("bottle", 0, 0, 0.7)
-    T = pose((0, 0, 0.74), rotation_about(UP, 0.6) @ rotation_about(np.array([0, 1.0, 0]), np.pi / 2))
+    T = pose(
+        (0, 0, 0.74), rotation_about(UP, 0.6) @ rotation_about(np.array([0, 1.0, 0]), np.pi / 2)
+    )
     assert hierarchy(room(TABLE, replace(lying, T_world_object=T))) == {("bottle", "on", "table")}

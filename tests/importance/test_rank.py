@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import subprocess
 import sys
@@ -11,15 +12,22 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tests.importance.things import box, room
+from tests.rooms import move_scene
 
 from momapos.errors import InputError, UnknownNameError
 from momapos.importance.graph import GraphConfig
 from momapos.importance.rank import rank
-from momapos.importance.scorers import KNEE, LEAST, SCORERS, ImportanceConfig, score_of_cosine, words
+from momapos.importance.scorers import (
+    KNEE,
+    LEAST,
+    SCORERS,
+    ImportanceConfig,
+    score_of_cosine,
+    words,
+)
 from momapos.scene.files import load_scene
 from momapos.scene.scene import Scene
-from tests.importance.things import box, room
-from tests.rooms import move_scene
 
 PRINT = (
     "from momapos.scene.files import load_scene; from momapos.importance.rank import rank;"
@@ -57,7 +65,7 @@ def test_scores_are_above_zero_at_most_one_and_the_target_leads_with_one(
 def test_s_grows_as_alpha_falls_and_holds_everything_at_zero() -> None:
     found = rank(load_scene("kitchen_small"), "fridge")
     sets = [set(found.selected(alpha)) for alpha in (1.0, 0.7, 0.45, 0.2, 0.0)]
-    assert all(a <= b for a, b in zip(sets, sets[1:], strict=False))
+    assert all(a <= b for a, b in itertools.pairwise(sets))
     assert "fridge" in sets[0]
     assert sets[-1] == set(found.names)
     assert found.selected() == found.selected(found.alpha)

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tests.importance.things import box, room
 
 from momapos.importance.graph import GraphConfig, SceneGraph, build_graph
 from momapos.importance.walks import transitions, walk
 from momapos.scene.files import load_scene
-from tests.importance.things import box, room
 
 ALL = GraphConfig(neighbours=10, near=100.0)
 

@@ -51,7 +51,8 @@ def assembly(name: str, links: list[Link], joints: list[Joint], **values: float)
 
 
 def joint(
-    name: str, child: str, kind: JointKind, at: Size, axis: np.ndarray, upper: float) -> Joint:
+    name: str, child: str, kind: JointKind, at: Size, axis: np.ndarray, upper: float
+) -> Joint:
     return Joint(name, kind, "body", child, pose(at), np.asarray(axis, float), 0.0, upper, 1.0)
 
 

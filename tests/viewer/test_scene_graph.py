@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.spatial.distance import pdist
+from tests.importance.things import SHELF_TOP, bowl, box, fridge, room
 
 from momapos.errors import InputError
 from momapos.importance.rank import Importance, rank
@@ -16,7 +17,6 @@ from momapos.importance.scorers import ImportanceConfig
 from momapos.scene.files import load_scene
 from momapos.scene.scene import Scene
 from momapos.viewer.graph import draw_importance, spread
-from tests.importance.things import SHELF_TOP, bowl, box, fridge, room
 
 FAST = ImportanceConfig(scorer="distance")
 
@@ -28,7 +28,9 @@ def drawn(scene: Scene, result: Importance, path: Path) -> tuple[int, int]:
     return struct.unpack(">II", head[16:24])
 
 
-@pytest.mark.parametrize(("kitchen", "target"), [("kitchen_small", "cup"), ("kitchen_island", "can")])
+@pytest.mark.parametrize(
+    ("kitchen", "target"), [("kitchen_small", "cup"), ("kitchen_island", "can")]
+)
 def test_a_ranking_becomes_a_png_of_1600_by_1200(kitchen: str, target: str, tmp_path: Path) -> None:
     scene = load_scene(kitchen)
     assert drawn(scene, rank(scene, target, FAST), tmp_path / "new" / "a.png") == (1600, 1200)

@@ -61,10 +61,15 @@ def stack_bodies(scene: Scene) -> Bodies:
     vertex_start = np.r_[0, np.cumsum(counts)].astype(np.int64)
     faces = [faces for _, _, faces, _ in flat]
     objects = np.array([len(group) for group in rows])
-    each = _each_object(scene, points, vertex_start[np.r_[0, np.cumsum(objects)]])
+    upright, low, high, base = _each_object(
+        scene, points, vertex_start[np.r_[0, np.cumsum(objects)]]
+    )
     group_boxes, group_counts = _groups(scene, rows, points, vertex_start)
     return Bodies(
-        **each,
+        upright=upright,
+        low=low,
+        high=high,
+        base=base,
         articulated=np.array([bool(item.model.joints) for item in scene.objects]),
         groups=group_boxes,
         group_start=np.r_[0, np.cumsum(group_counts)].astype(np.int64),
@@ -98,8 +103,8 @@ def _rigid_groups(model: Articulated) -> dict[str, str]:
 
 def _each_object(
     scene: Scene, points: Float[np.ndarray, "v 3"], start: Int[np.ndarray, " n_plus_1"]
-) -> dict[str, np.ndarray | Boxes]:
-    """Boxes and contact rectangle of each object from its vertices."""
+) -> tuple[Boxes, np.ndarray, np.ndarray, np.ndarray]:
+    """Upright box, lower and upper corner, and contact points of each object from its vertices."""
     n = len(scene.objects)
     center, rotation, half = np.zeros((n, 3)), np.zeros((n, 3, 3)), np.zeros((n, 3))
     low, high, base = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, SIDE * SIDE, 2))
@@ -116,9 +121,7 @@ def _each_object(
         feet = local[mine[:, 2] <= low[i, 2] + CONTACT_LAYER, :2]
         a, b = feet.min(0), feet.max(0)
         base[i] = ((a + b) / 2 + grid * (b - a) / 2) @ R[:2, :2].T
-    return {
-        "upright": Boxes(center, rotation, half), "low": low, "high": high, "base": base,
-    }  # fmt: skip
+    return Boxes(center, rotation, half), low, high, base
 
 
 def upright_frame(R: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:

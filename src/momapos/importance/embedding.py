@@ -145,7 +145,8 @@ def _train(tokens, start, table, vectors, outputs, window, epochs, negative, rat
                 # Near words count more often than far ones: the window's width is drawn.
                 state = state * _STEP + _ODD
                 width = 1 + np.int64(state >> _SHIFT) % window
-                for there in range(max(start[s], here - width), min(start[s + 1], here + width + 1)):
+                first, last = max(start[s], here - width), min(start[s + 1] - 1, here + width)
+                for there in range(first, last + 1):
                     if there != here:
                         state = _learn(
                             tokens[there], tokens[here], vectors, outputs, table, negative, now,

@@ -223,9 +223,7 @@ def _outline_gap(a, b, center, rotation, half):
         or _outlines_apart(b, a, center, rotation, half)
     ):
         return 0.0
-    return min(
-        _corner_gap(a, b, center, rotation, half), _corner_gap(b, a, center, rotation, half)
-    )
+    return min(_corner_gap(a, b, center, rotation, half), _corner_gap(b, a, center, rotation, half))
 
 
 @njit(cache=True, nogil=True)
