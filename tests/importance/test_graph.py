@@ -30,6 +30,7 @@ from momapos.geometry.transforms import pose, rotation_about
 from momapos.importance.bodies import stack_bodies
 from momapos.importance.graph import GraphConfig, build_graph
 from momapos.importance.relations import neighbours, outline_gaps
+from momapos.kinematics.urdf import Link
 from momapos.scene.files import load_scene
 from momapos.scene.scene import Scene
 
@@ -215,6 +216,19 @@ def test_real_kitchens_have_the_relations_one_sees(shared: Path) -> None:
     table = {(c, k) for c, k, p in hierarchy(load_scene(derived / "kitchen_v2.json"))}
     fruit = {("Peach", "on"), ("Banana", "on"), ("Lemon", "on"), ("mug", "on"), ("sugar_box", "on")}
     assert table >= fruit
+
+
+def test_a_long_worktop_rests_on_every_narrow_cabinet_below_it() -> None:
+    cabinets = [box(f"c{k}", (0.4, 0.6, 0.86), (0.4 * k, 0, 0)) for k in range(10)]
+    found = hierarchy(room(*cabinets, box("top", (4.0, 0.6, 0.04), (1.8, 0, 0.86))))
+    assert found == {("top", "on", f"c{k}") for k in range(10)}
+
+
+def test_an_object_without_geometry_is_a_point_and_does_no_harm() -> None:
+    bare = assembly("marker", [Link("marker", (), ())], [])
+    graph = build_graph(room(bare, TABLE))
+    assert np.isfinite(graph.dist_xy).all()
+    assert (graph.bodies.upright.half[0] == 0).all()
 
 
 def test_distances_and_sizes_are_never_zero() -> None:

@@ -17,9 +17,10 @@ from momapos.scene.scene import Scene, SceneObject
 
 CONTACT_LAYER = 0.01
 """Corners this little above an object's lowest point are what it stands on [m]."""
-SIDE = 5
-"""Points along each side of what an object stands on [-]."""
-_STEPS = (np.arange(SIDE) + 0.5) / SIDE * 2 - 1
+GRIDS = ((9, 9), (27, 3), (3, 27))
+"""Points along the two sides of what an object stands on: squarish, long, deep [-]."""
+LONG = 3.0
+"""Ratio of the sides from which a rectangle is long [-]."""
 
 
 @dataclass(frozen=True)
@@ -107,8 +108,7 @@ def _each_object(
     """Upright box, lower and upper corner, and contact points of each object from its vertices."""
     n = len(scene.objects)
     center, rotation, half = np.zeros((n, 3)), np.zeros((n, 3, 3)), np.zeros((n, 3))
-    low, high, base = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, SIDE * SIDE, 2))
-    grid = np.stack(np.meshgrid(_STEPS, _STEPS, indexing="ij"), -1).reshape(-1, 2)
+    low, high, base = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, int(np.prod(GRIDS[0])), 2))
     for i, item in enumerate(scene.objects):
         mine = points[start[i] : start[i + 1]]
         if not len(mine):
@@ -120,8 +120,16 @@ def _each_object(
         low[i], high[i] = mine.min(0), mine.max(0)
         feet = local[mine[:, 2] <= low[i, 2] + CONTACT_LAYER, :2]
         a, b = feet.min(0), feet.max(0)
-        base[i] = ((a + b) / 2 + grid * (b - a) / 2) @ R[:2, :2].T
+        base[i] = (a + _grid(b - a)) @ R[:2, :2].T
     return Boxes(center, rotation, half), low, high, base
+
+
+def _grid(size: Float[np.ndarray, "2"]) -> Float[np.ndarray, "s 2"]:
+    """Evenly spread points of a rectangle from its corner, closer along a long side [m]."""
+    x, y = size
+    counts = GRIDS[1] if x > LONG * y else GRIDS[2] if y > LONG * x else GRIDS[0]
+    steps = [(np.arange(count) + 0.5) / count for count in counts]
+    return np.stack(np.meshgrid(*steps, indexing="ij"), -1).reshape(-1, 2) * size
 
 
 def upright_frame(R: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:

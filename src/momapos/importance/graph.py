@@ -143,6 +143,6 @@ def _shortest(edges: Int[np.ndarray, "e 3"], n: int) -> Int[np.ndarray, "f 3"]:
     """Drop each edge to which there is a way of two edges."""
     child, parent = edges[:, 0], edges[:, 1]
     matrix = sparse.csr_array((np.ones(len(edges), np.int32), (child, parent)), shape=(n, n))
-    detour = (matrix @ matrix).tolil()
-    longer = np.array([detour[i, j] > 0 for i, j in edges[:, :2]], bool)
-    return edges[~longer] if len(edges) else edges
+    detour = (matrix @ matrix).multiply(matrix).tocoo()
+    longer = np.isin(edges[:, :2] @ [n, 1], detour.row.astype(np.int64) * n + detour.col)
+    return edges[~longer]

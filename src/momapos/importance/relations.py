@@ -10,9 +10,7 @@ from momapos.importance.bodies import Bodies
 
 ON, IN, INSIDE, NEAR = range(4)
 KINDS = ("on", "in", "inside", "near")
-CONTACT = 0.02
-"""Vertical gap or overlap of two surfaces that touch [m]."""
-SUPPORT = 0.1
+SUPPORT = 0.05
 """Share of what an object stands on that a supporter must carry [-]."""
 BENEATH = 0.5
 """Share of it that must have the container beneath, and above for `inside` [-]."""
