@@ -74,13 +74,12 @@ def _columns(i, j, bodies, contact):
 
 @njit(cache=True, nogil=True)
 def _contained(i, g, upright, groups, low):
-    """Shares of i's box in the box of group g, and of its outline in the box seen from above.
-
-    The second is 0 unless i reaches down into the box.
+    """Shares of i's box in the box of group g, and of its outline in the box seen from above; and
+    how far i's underside is below the box's top [m].
     """
     center, rotation, half = upright
     group_center, group_rotation, group_half = groups
-    inside, outline, sunk = 0, 0, 0
+    inside, outline = 0, 0
     for a in range(_POINTS**3):
         point = np.empty(3)
         k = a
@@ -105,8 +104,7 @@ def _contained(i, g, upright, groups, low):
     rim = group_center[g, 2]
     for axis in range(3):
         rim += abs(group_rotation[g, 2, axis]) * group_half[g, axis]
-    sunk = rim - low[i, 2]
-    return inside / _POINTS**3, outline / _POINTS**3, sunk
+    return inside / _POINTS**3, outline / _POINTS**3, rim - low[i, 2]
 
 
 @njit(cache=True, nogil=True)

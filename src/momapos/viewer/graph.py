@@ -65,7 +65,7 @@ def _picture(scene: Scene, result: Importance) -> bytes:
     room(axes, scene, target=result.target)
     inch = float((view[1] - view[0])[0] / size[0])
     centers = result.graph.bodies.upright.center[:, :2]
-    nodes = spread(centers, 2.3 * NODE * inch)
+    nodes = spread(centers, 3.2 * NODE * inch)
     inside = np.array([view[0] + NODE * inch, view[1] - NODE * inch])
     nodes = np.clip(nodes, *inside)
     _draw_edges(axes, result, nodes)
@@ -133,7 +133,7 @@ def _draw_edges(axes: Any, result: Importance, nodes: Float[np.ndarray, "n 2"]) 
             axes.annotate(
                 "", xy=middle, xytext=middle - 0.02 * (b - a), zorder=_EDGE_LAYER + 1,
                 arrowprops={
-                    "arrowstyle": "-|>", "color": look.colour, "lw": 0, "mutation_scale": 9,
+                    "arrowstyle": "-|>", "color": look.colour, "lw": 0, "mutation_scale": 7,
                     "shrinkA": 0, "shrinkB": 0,
                 },
             )  # fmt: skip
