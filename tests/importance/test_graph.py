@@ -170,6 +170,18 @@ def test_gaps_between_boxes_agree_with_points_sampled_on_their_outlines(seed: in
     assert gap >= sampled - 0.03
 
 
+@settings(max_examples=15, deadline=None)
+@given(st.floats(-5, 5), st.floats(-5, 5), st.floats(-np.pi, np.pi))
+def test_turning_a_row_of_touching_cabinets_changes_no_neighbour(
+    x: float, y: float, yaw: float
+) -> None:
+    row = [box(f"c{k}", (0.6, 0.6, 0.9), (0.6 * k, 0, 0)) for k in range(8)]
+    scene = room(
+        *row, box("top", (4.8, 0.6, 0.04), (2.1, 0, 0.9)), box("wall", (6, 0.1, 2), (2, 0.35, 0))
+    )
+    assert edges(move_scene(scene, x, y, yaw)) == edges(scene)
+
+
 def test_the_nearest_found_are_the_nearest_of_all() -> None:
     rng = np.random.default_rng(1)
     items = [

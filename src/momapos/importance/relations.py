@@ -18,6 +18,8 @@ CONTAINED = 0.8
 """Share of an object's box inside the container's box; of its outline, for `in` [-]."""
 WALLS_INSIDE, WALLS_IN = 3, 4
 """Sides, of four, on which the container must stand around the object [-]."""
+SAME = 1e-4
+"""Gaps are rounded to this, so that touching cabinets tie however the room is turned [m]."""
 _POINTS = 4
 """Points along each edge of the box that is tested for being contained [-]."""
 
@@ -237,6 +239,7 @@ def _nearest(center, rotation, half, count, reach):
             if i == j or rise >= limit or apart - radius[i] - radius[j] >= limit:
                 continue
             d = np.hypot(_outline_gap(i, j, center, rotation, half), rise)
+            d = np.floor(d / SAME + 0.5) * SAME
             if d >= limit:
                 continue
             place = count - 1
