@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
 from momapos.importance.rank import Importance
@@ -59,25 +59,33 @@ def _picture(scene: Scene, result: Importance) -> bytes:
     canvas = FigureCanvasAgg(figure)
     axes = figure.add_axes(MAP)
     size = np.array([MAP[2] * SIZE[0], MAP[3] * SIZE[1]])
-    bounds = room_bounds(scene)
-    view = widen(bounds + np.array([[-0.3], [0.3]]), size[0] / size[1], bounds)
+    view = _view(scene, result, size[0] / size[1])
     frame(axes, view)
     room(axes, scene, target=result.target)
     inch = float((view[1] - view[0])[0] / size[0])
     centers = result.graph.bodies.upright.center[:, :2]
-    nodes = spread(centers, 3.2 * NODE * inch)
-    inside = np.array([view[0] + NODE * inch, view[1] - NODE * inch])
-    nodes = np.clip(nodes, *inside)
+    numbered, nodes = _places(result) < NUMBERED, centers.copy()
+    moved = spread(centers[numbered], 3.2 * NODE * inch)
+    nodes[numbered] = np.clip(moved, view[0] + NODE * inch, view[1] - NODE * inch)
     _draw_edges(axes, result, nodes)
     _draw_nodes(axes, result, centers, nodes)
     reach = 1.1 * NODE * inch
-    clear = [np.stack([xy - reach, xy + reach]) for xy in nodes]
+    clear = [np.stack([xy - reach, xy + reach]) for xy in nodes[numbered]]
     name_objects(axes, scene, target=result.target, keep_clear=clear)
     column = figure.add_axes(COLUMN)
     _draw_panel(column, COLUMN[2] * SIZE[0], COLUMN[3] * SIZE[1], scene, result)
     buffer = io.BytesIO()
     canvas.print_png(buffer)
     return buffer.getvalue()
+
+
+def _view(scene: Scene, result: Importance, ratio: float) -> Float[np.ndarray, "2 2"]:
+    """The whole room, or of a crowd the surroundings of what has a number [m]."""
+    whole = bounds = room_bounds(scene)
+    if len(result.names) > NUMBERED:
+        bodies, numbered = result.graph.bodies, _places(result) < NUMBERED
+        bounds = np.stack([bodies.low[numbered, :2].min(0), bodies.high[numbered, :2].max(0)])
+    return widen(bounds + np.array([[-0.3], [0.3]]), ratio, whole)
 
 
 def spread(points: Float[np.ndarray, "n 2"], apart: float) -> Float[np.ndarray, "n 2"]:
@@ -108,6 +116,12 @@ def _chosen(result: Importance) -> Bool[np.ndarray, " n"]:
     """Whether each object, in the order of the scene, is in S."""
     chosen = set(result.selected())
     return np.array([name in chosen for name in result.graph.names])
+
+
+def _places(result: Importance) -> Int[np.ndarray, " n"]:
+    """Place of each object, in the order of the scene, in the ranking."""
+    place = {name: k for k, name in enumerate(result.names)}
+    return np.array([place[name] for name in result.graph.names])
 
 
 def _draw_edges(axes: Any, result: Importance, nodes: Float[np.ndarray, "n 2"]) -> None:
@@ -143,27 +157,26 @@ def _draw_nodes(
     axes: Any, result: Importance, centers: Float[np.ndarray, "n 2"], nodes: np.ndarray
 ) -> None:
     """Numbered circles, filled for S; a thin line leads to the object where one had to move."""
-    graph, chosen = result.graph, _chosen(result)
-    place = {name: k for k, name in enumerate(result.names)}
-    for i, name in enumerate(graph.names):
+    chosen, place = _chosen(result), _places(result)
+    for mine, colour in ((chosen, SELECTED), (~chosen, SOFT_INK)):
+        dots = nodes[mine & (place >= NUMBERED)]
+        axes.plot(*dots.T, "o", color=colour, markersize=3, mew=0, zorder=_NODE_LAYER)
+    for i in np.flatnonzero(place < NUMBERED):
         if np.linalg.norm(nodes[i] - centers[i]) > 0.02:
-            axes.plot(
-                *np.stack([centers[i], nodes[i]]).T, color=SOFT_INK, lw=0.5, zorder=_LEADER_LAYER
-            )
-        numbered = place[name] < NUMBERED
+            way = np.stack([centers[i], nodes[i]])
+            axes.plot(*way.T, color=SOFT_INK, lw=0.5, zorder=_LEADER_LAYER)
         draw_node(
-            axes, nodes[i], str(place[name] + 1) if numbered else "", chosen=bool(chosen[i]),
-            target=name == result.target, zorder=_NODE_LAYER + (len(place) - place[name]) * 1e-4,
+            axes, nodes[i], str(place[i] + 1), chosen=bool(chosen[i]), target=place[i] == 0,
+            zorder=_NODE_LAYER + (len(place) - place[i]) * 1e-4,
         )  # fmt: skip
 
 
 def draw_node(
     axes: Any, xy: np.ndarray, words: str, *, chosen: bool, target: bool, zorder: float = 1.0
 ) -> None:
-    """One node with its number; a dot where it has none."""
-    inches = NODE if words else 0.35 * NODE
+    """One node with its number."""
     axes.plot(
-        *xy, marker="o", markersize=2 * 72 * inches, color=SELECTED if chosen else UNSELECTED,
+        *xy, marker="o", markersize=2 * 72 * NODE, color=SELECTED if chosen else UNSELECTED,
         markeredgecolor=WAYPOINT if target else SELECTED if chosen else SOFT_INK,
         markeredgewidth=1.8 if target else 0.7, linestyle="none", zorder=zorder, clip_on=False,
     )  # fmt: skip
