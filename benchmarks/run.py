@@ -12,6 +12,7 @@ RUNS = (
     ["placement.py", "--out", "bench_out"],
     ["placement.py", "--exhaustive", "--out", "bench_out/grid"],
     ["scaling.py"],
+    ["importance.py"],
 )
 
 if __name__ == "__main__":

@@ -10,6 +10,8 @@ from typing import Any
 
 _PUBLIC = {
     "Answer": "momapos.pipeline",
+    "Importance": "momapos.importance.rank",
+    "ImportanceConfig": "momapos.importance.scorers",
     "MomaposError": "momapos.errors",
     "Motion": "momapos.types",
     "PipelineConfig": "momapos.config",
@@ -23,6 +25,7 @@ _PUBLIC = {
     "make_task": "momapos.manipulation.tasks",
     "openable": "momapos.manipulation.tasks",
     "place": "momapos.pipeline",
+    "rank": "momapos.importance.rank",
     "read_plan": "momapos.plans",
     "save_scene": "momapos.scene.files",
     "verify_files": "momapos.verification.files",

@@ -20,6 +20,9 @@ COMMANDS: dict[str, tuple[str, dict[str, str] | str, str]] = {
         "where to stand and how to move, to open, close, pick or place something",
     ),
     "verify": ("momapos.cli.verify", "verify", "check a plan again, from the files alone"),
+    "rank": (
+        "momapos.cli.rank", "rank_objects", "which objects matter for a task with one of them",
+    ),
     "scene": (
         "momapos.cli.scene",
         {
@@ -46,6 +49,7 @@ EXAMPLES = """examples:
   momapos place open kitchen_small fridge/door_hinge --robot segway_ur5e --plot plan.png
   momapos place open kitchen.json cabinet/door_left --robot fetch --to 90deg --out plan.json
   momapos verify plan.json
+  momapos rank kitchen_small fridge --plot graph.png
   momapos robot check my_robot.urdf --plot robot.png"""
 HELP = ("-h", "--help")
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 INK = "#1d2731"
 SOFT_INK = "#5c6873"
 FAINT = "#dfe3e6"
@@ -17,3 +19,24 @@ PART_BEFORE, PART, PART_EDGE = "#fbe0a6", "#e69f00", "#946000"
 WAYPOINT = "#cc3311"
 ARM = "#2b3a48"
 GOOD, BAD = "#008060", "#a5371e"
+
+SELECTED, UNSELECTED, SELECTED_BAR = "#2a7ab8", "#ffffff", "#bcd7ec"
+"""Nodes of the scene graph in S and not in S; the score of those in S."""
+
+
+@dataclass(frozen=True)
+class Line:
+    """How a line is drawn."""
+
+    colour: str
+    width: float
+    dashes: tuple[float, tuple[float, ...]] | str = "-"
+    alpha: float = 1.0
+
+
+RELATIONS = {
+    "on": Line("#1d2731", 1.4),
+    "in": Line("#d55e00", 1.6, (0, (4, 1.5))),
+    "inside": Line("#cc3311", 1.8, (0, (1.2, 1.2))),
+    "near": Line("#8a96a0", 0.6, "-", 0.65),
+}

@@ -82,7 +82,7 @@ def _picture(scene: Scene, answer: Answer, reach: ReachScorer, cell: float) -> b
     seen = outcomes(answer.search)
     heat = potential_map(answer.site, reach, cell=cell)
     view = _view(scene, answer, seen, heat)
-    _frame(axes, view)
+    frame(axes, view)
     room(axes, scene, target=answer.plan.task.object, moving=_moving_links(scene, answer))
     highest = _draw_heat(axes, heat)
     _draw_part(axes, answer)
@@ -121,10 +121,10 @@ def _view(
     if (bounds[1] - bounds[0]).max() <= SMALL_ROOM:
         low, high = np.minimum(low, bounds[0]), np.maximum(high, bounds[1])
     ratio = _MAP[2] * SIZE[0] / (_MAP[3] * SIZE[1])
-    return _widen(np.stack([low, high]), ratio, bounds)
+    return widen(np.stack([low, high]), ratio, bounds)
 
 
-def _widen(
+def widen(
     view: Float[np.ndarray, "2 2"], ratio: float, bounds: Float[np.ndarray, "2 2"]
 ) -> Float[np.ndarray, "2 2"]:
     """Grow a view to a ratio of width to height, into the room rather than out of it."""
@@ -137,7 +137,7 @@ def _widen(
     return np.stack([low, low + grown])
 
 
-def _frame(axes: Any, view: Float[np.ndarray, "2 2"]) -> None:
+def frame(axes: Any, view: Float[np.ndarray, "2 2"]) -> None:
     axes.set(xlim=view[:, 0], ylim=view[:, 1], aspect="equal")
     axes.set_xlabel("x [m]", size=7.5, color=SOFT_INK, labelpad=2)
     axes.set_ylabel("y [m]", size=7.5, color=SOFT_INK, labelpad=2)

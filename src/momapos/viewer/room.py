@@ -173,9 +173,12 @@ def _spot(
     inside = np.stack(np.meshgrid(steps, steps), -1).reshape(-1, 2)
     room_left = np.maximum((high - low - extent) / 2, 0.0)
     spots = middle + inside * room_left
-    if (high - low).max() < SMALL:  # the name would hide it
+    small = (high - low).max() < SMALL  # the name would hide it
+    if small or must:
         beside = np.array([[0, -1], [0, 1], [1, 0], [-1, 0], [1, -1], [-1, -1], [1, 1], [-1, 1]])
-        spots = middle + beside * ((high - low + extent) / 2 + 0.01)
+        air = np.array([0.01, float(extent[1])])  # farther off where something marks the spot
+        around = np.concatenate([beside * ((high - low + extent) / 2 + a) for a in air])
+        spots = np.concatenate([np.zeros((0, 2)) if small else spots, middle + around])
     distance = np.linalg.norm((spots - middle) / extent, axis=1)
     for spot in spots[np.argsort(distance, kind="stable")]:
         corners = np.stack([spot - extent / 2, spot + extent / 2])

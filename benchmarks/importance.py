@@ -1,0 +1,109 @@
+"""How long ranking takes, and how much the scores depend on the seed.
+
+    python benchmarks/importance.py [--scenes DIR] [--repeats 5]
+
+Synthetic rooms: boxes of 0.1 to 0.8 m, strewn over a floor that grows with their number, or all
+standing at one place. Real kitchens: the BestMan scenes and what is derived from them, where DIR
+(the folder that holds bestman/, by default $MOMAPOS_SHARED) has them. Times are of the processor,
+with the kernels compiled and the scene's hulls made; the first ranking of a scene makes them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from momapos.geometry.transforms import pose
+from momapos.importance.graph import build_graph
+from momapos.importance.rank import rank
+from momapos.importance.relations import KINDS
+from momapos.importance.scorers import SCORERS, ImportanceConfig
+from momapos.kinematics.articulated import Articulated
+from momapos.kinematics.urdf import box_urdf
+from momapos.scene.files import builtin_names, load_scene
+from momapos.scene.scene import Scene, SceneObject
+
+SEEDS = 8
+REAL = (
+    "Asset/Scene/Scene/Kitchen.json", "Asset/Scene/Scene/Kitchen_1.json",
+    "Asset/Scene/Scene/b512.json", "derived/kitchen_v2.json", "derived/MoMa_Kitchen.json",
+)  # fmt: skip
+
+
+def boxes(count: int, *, strewn: bool) -> Scene:
+    """A room of boxes."""
+    rng = np.random.default_rng(0)
+    items = []
+    for k in range(count):
+        size = tuple(rng.uniform(0.1, 0.8, 3))
+        x, y = rng.uniform(0, 0.8 * np.sqrt(count), 2) * strewn
+        model = Articulated(box_urdf(f"box_{k}", size))
+        items.append(SceneObject(f"box_{k}", "box", pose((x, y, size[2] / 2)), model))
+    return Scene(f"{count} boxes {'strewn' if strewn else 'at one place'}", None, tuple(items))
+
+
+def milliseconds(work: Callable[[], object], repeats: int) -> float:
+    """Median processor time of some work [ms]."""
+    times = []
+    for _ in range(repeats):
+        began = time.process_time()
+        work()
+        times.append(time.process_time() - began)
+    return 1000 * float(np.median(times))
+
+
+def measure(scene: Scene, target: str, repeats: int) -> str:
+    """One row of the table."""
+    first = milliseconds(lambda: build_graph(scene), 1)
+    graph = build_graph(scene)
+    kinds = np.bincount(graph.kind, minlength=len(KINDS))
+    cells = [scene.name, str(len(scene.objects)), " / ".join(map(str, kinds)), f"{first:.0f}"]
+    cells.append(f"{milliseconds(lambda: build_graph(scene), repeats):.0f}")
+    for scorer in SCORERS:
+        config = ImportanceConfig(scorer=scorer)
+        cells.append(f"{milliseconds(lambda c=config: rank(scene, target, c), repeats):.0f}")
+    cells.append(noise(scene, target))
+    return f"| {' | '.join(cells)} |"
+
+
+def noise(scene: Scene, target: str) -> str:
+    """Standard deviation of deepwalk's scores over seeds, and how many change sides at alpha."""
+    if len(scene.objects) > 100:
+        return "-"
+    runs = [rank(scene, target, seed=seed) for seed in range(SEEDS)]
+    scores = np.array([[run.score(name) for name in run.graph.names] for run in runs])
+    mean, alpha = scores.mean(0), runs[0].alpha
+    related = mean > 1e-3
+    changes = ((scores >= alpha) != (mean >= alpha)).mean()
+    return f"{scores[:, related].std(0).mean():.3f}, {100 * changes:.1f} %"
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--scenes", type=Path, default=os.environ.get("MOMAPOS_SHARED"))
+    parser.add_argument("--repeats", type=int, default=5)
+    args = parser.parse_args()
+    scenes = [load_scene(name) for name in builtin_names()]
+    folder = None if args.scenes is None else Path(args.scenes)
+    if folder is not None and (folder / "data").is_dir():
+        folder = folder / "data"
+    if folder is not None:
+        scenes += [load_scene(folder / "bestman" / name) for name in REAL]
+    scenes += [boxes(30, strewn=True), boxes(100, strewn=True), boxes(1000, strewn=True)]
+    scenes.append(boxes(1000, strewn=False))
+    rank(scenes[0], scenes[0].objects[0].name)  # compiles the kernels
+    head = ["room", "objects", " / ".join(KINDS), "first graph", "graph", *SCORERS, "seeds"]
+    print(f"| {' | '.join(head)} |\n|{'---|' * len(head)}")
+    for scene in scenes:
+        fridge = [item.name for item in scene.objects if item.category == "fridge"]
+        print(measure(scene, (fridge or [scene.objects[0].name])[0], args.repeats), flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,119 @@
+"""momapos rank: which objects matter for a task with one of them."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from tyro.conf import OmitArgPrefixes, Positional, arg
+
+from momapos.importance.scorers import ImportanceConfig
+
+if TYPE_CHECKING:
+    from momapos.importance.rank import Importance
+    from momapos.scene.scene import Scene
+
+Target = Annotated[str, arg(metavar="OBJECT")]
+Shared = Annotated[ImportanceConfig, OmitArgPrefixes]
+_WORDS = {
+    "": "", "near": "near it", "on": "on it", "in": "in it", "inside": "inside it",
+    "carries": "carries it", "contains": "contains it",
+}  # fmt: skip
+
+
+def rank_objects(
+    scene: Positional[str],
+    target: Positional[Target],
+    /,
+    *,
+    seed: int = 0,
+    plot: Path | None = None,
+    json: bool = False,
+    config: Shared = ImportanceConfig(),  # noqa: B008 (frozen)
+) -> int:
+    """Score every object of a room by how much it matters for a task with one of them.
+
+    Args:
+        scene: A scene file or the name of a built-in kitchen.
+        target: The object that the task is about.
+        seed: Same seed, same scores.
+        plot: Draw the scene graph over the room (PNG).
+        json: Print one JSON object and nothing else.
+        config: How to score.
+    """
+    import json as encoder
+
+    from momapos.importance.rank import rank
+    from momapos.scene.files import load_scene
+
+    loaded = load_scene(scene)
+    for warning in loaded.warnings:
+        print(f"momapos: {warning}", file=sys.stderr)
+    result = rank(loaded, target, config, seed=seed)
+    if plot is not None:
+        from momapos.viewer.graph import draw_importance
+
+        draw_importance(loaded, result, plot)
+    if json:
+        print(encoder.dumps(importance_to_dict(loaded, result, config), allow_nan=False))
+    else:
+        print(table(loaded, result))
+    return 0
+
+
+def table(scene: Scene, result: Importance) -> str:
+    """All objects in a few columns, most important first."""
+    chosen = result.selected()
+    width = max(len("object"), *map(len, result.names))
+    lines = [
+        f"{scene.name}: importance for {result.target} by {result.scorer}: "
+        f"{len(chosen)} of {len(result.names)} in S (alpha {result.alpha:g})",
+        "",
+        f"  score  S  {'object':<{width}}  relation",
+    ]
+    for k, name in enumerate(result.names):
+        mark = "*" if k < len(chosen) else " "
+        lines.append(
+            f"  {result.scores[k]:5.3f}  {mark}  {name:<{width}}  {relation_words(result, k)}"
+        )
+    return "\n".join(lines)
+
+
+def relation_words(result: Importance, k: int) -> str:
+    """What the k-th object is to the target, in words."""
+    if result.names[k] == result.target:
+        return "the target"
+    direct, steps = _WORDS[result.relations[k]], result.steps[k]
+    return direct or (f"{steps} relations away" if steps > 0 else "not related")
+
+
+def importance_to_dict(
+    scene: Scene, result: Importance, config: ImportanceConfig
+) -> dict[str, Any]:
+    """The answer as plain values; distances in [m]."""
+    from momapos.importance.relations import KINDS
+
+    graph, chosen = result.graph, set(result.selected())
+    objects = [
+        {
+            "name": name, "score": float(result.scores[k]), "selected": name in chosen,
+            "relation": result.relations[k] or None,
+            "steps": result.steps[k] if result.steps[k] >= 0 else None,
+        }
+        for k, name in enumerate(result.names)
+    ]  # fmt: skip
+    edges = [
+        {
+            "child": graph.names[child], "parent": graph.names[parent], "kind": KINDS[kind],
+            "dist_xy": float(length),
+        }
+        for child, parent, kind, length in zip(
+            graph.child, graph.parent, graph.kind, graph.dist_xy, strict=True
+        )
+    ]  # fmt: skip
+    return {
+        "scene": str(scene.path or scene.name), "target": result.target, "seed": result.seed,
+        "config": asdict(config), "objects": objects, "edges": edges,
+    }  # fmt: skip

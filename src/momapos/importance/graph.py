@@ -1,0 +1,148 @@
+"""The scene graph: a node an object, an edge where one is on, in, inside or near another."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy import sparse
+from scipy.sparse import csgraph
+
+from momapos.errors import InputError, SceneError, unknown_name
+from momapos.importance.bodies import Bodies, stack_bodies
+from momapos.importance.relations import KINDS, NEAR, hierarchy, neighbours, outline_gaps
+from momapos.scene.scene import Scene
+
+SMALLEST = 1e-3
+"""Sizes are at least this [m], so that a flat thing has one."""
+_SEEN_FROM_PARENT = {"on": "carries", "in": "contains", "inside": "contains", "near": "near"}
+
+
+@dataclass(frozen=True)
+class GraphConfig:
+    """Which objects of a room are related."""
+
+    contact: float = 0.02
+    """Vertical gap or overlap of two surfaces that touch [m]."""
+    neighbours: int = 4
+    """Nearest objects of each that count as near [-]."""
+    near: float = 1.0
+    """Farthest gap between the boxes of two objects that are near [m]."""
+    floor: float = 0.1
+    """Centres closer than this from above count as this far apart [m]."""
+
+    def __post_init__(self) -> None:
+        if not (0 < self.contact < np.inf and 0 < self.floor < np.inf):
+            raise InputError("contact and floor must be lengths above 0 m")
+        if not (self.neighbours >= 0 and self.near >= 0):
+            raise InputError("neighbours and near must not be negative")
+
+
+@dataclass(frozen=True, eq=False)
+class SceneGraph:
+    """Objects, and how they lie to each other."""
+
+    names: tuple[str, ...]
+    categories: tuple[str, ...]
+    bodies: Bodies
+    child: Int[np.ndarray, " e"]
+    """Which is on, in or inside the parent; of neighbours, the first in the scene."""
+    parent: Int[np.ndarray, " e"]
+    kind: Int[np.ndarray, " e"]
+    """Index into KINDS: on, in, inside, near."""
+    dist_xy: Float[np.ndarray, " e"]
+    """Horizontal distance of the centres of the two boxes, floored [m]."""
+    size: Float[np.ndarray, " n"]
+    """Cube root of the volume of each object's upright box [m]."""
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def index(self, name: str) -> int:
+        """Place of an object in `names`.
+
+        Raises:
+            UnknownNameError: There is none; the message offers the nearest.
+        """
+        if name not in self.names:
+            raise unknown_name("object", name, self.names, "the scene")
+        return self.names.index(name)
+
+    @cached_property
+    def adjacency(self) -> sparse.csr_array:
+        """The undirected graph: entry (i, j) is 1 + the index of the edge between i and j."""
+        order = np.arange(1, len(self.child) + 1)
+        rows, columns = np.r_[self.child, self.parent], np.r_[self.parent, self.child]
+        shape = (len(self), len(self))
+        matrix = sparse.coo_array((np.r_[order, order], (rows, columns)), shape=shape).tocsr()
+        matrix.sort_indices()
+        return matrix
+
+    def steps(self, target: int) -> Int[np.ndarray, " n"]:
+        """Edges on the shortest way from each object to the target; -1 where there is none."""
+        steps = csgraph.shortest_path(self.adjacency, indices=target, unweighted=True)
+        return np.where(np.isfinite(steps), steps, -1).astype(np.int64)
+
+    def relations(self, target: int) -> tuple[str, ...]:
+        """What each object is to the target: on, in, inside, carries, contains, near, or ""."""
+        words = [""] * len(self)
+        for child, parent, kind in zip(self.child, self.parent, self.kind, strict=True):
+            if parent == target:
+                words[child] = KINDS[kind]
+            elif child == target:
+                words[parent] = _SEEN_FROM_PARENT[KINDS[kind]]
+        return tuple(words)
+
+    def gaps(self, target: int) -> Float[np.ndarray, " n"]:
+        """Horizontal gap between each object's box and the target's [m]."""
+        return outline_gaps(self.bodies, target)
+
+
+def build_graph(scene: Scene, config: GraphConfig | None = None) -> SceneGraph:
+    """Read the relations of a scene's objects from their geometry.
+
+    An edge that follows from two others is left out: a cup on a tray on a table is not on the
+    table. Objects that are otherwise related are not near as well.
+
+    Args:
+        scene: The room; its joints stand as it says.
+        config: Tolerances.
+
+    Raises:
+        SceneError: There is no object.
+    """
+    config = config or GraphConfig()
+    if not scene.objects:
+        raise SceneError(f"scene {scene.name} has no object to rank")
+    bodies = stack_bodies(scene)
+    n = len(bodies)
+    above = _shortest(hierarchy(bodies, contact=config.contact), n)
+    beside = neighbours(bodies, count=config.neighbours, reach=config.near)
+    known = np.sort(above[:, :2], axis=1) @ [n, 1]
+    beside = beside[~np.isin(beside @ [n, 1], known)]
+    edges = np.concatenate([above, np.column_stack([beside, np.full(len(beside), NEAR)])])
+    child, parent, kind = edges.T
+    center = bodies.upright.center[:, :2]
+    apart = np.linalg.norm(center[child] - center[parent], axis=1)
+    volume = np.prod(2 * bodies.upright.half, axis=1)
+    return SceneGraph(
+        names=tuple(item.name for item in scene.objects),
+        categories=tuple(item.category for item in scene.objects),
+        bodies=bodies,
+        child=child,
+        parent=parent,
+        kind=kind,
+        dist_xy=np.maximum(apart, config.floor),
+        size=np.maximum(np.cbrt(volume), SMALLEST),
+    )
+
+
+def _shortest(edges: Int[np.ndarray, "e 3"], n: int) -> Int[np.ndarray, "f 3"]:
+    """Drop each edge to which there is a way of two edges."""
+    child, parent = edges[:, 0], edges[:, 1]
+    matrix = sparse.csr_array((np.ones(len(edges), np.int32), (child, parent)), shape=(n, n))
+    detour = (matrix @ matrix).multiply(matrix).tocoo()
+    longer = np.isin(edges[:, :2] @ [n, 1], detour.row.astype(np.int64) * n + detour.col)
+    return edges[~longer]

@@ -1,0 +1,93 @@
+"""Which objects deserve a kinematic model, for a task with one of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from momapos.errors import InputError
+from momapos.importance.graph import SceneGraph, build_graph
+from momapos.importance.scorers import SCORERS, ImportanceConfig
+from momapos.scene.scene import Scene
+
+
+@dataclass(frozen=True, eq=False)
+class Importance:
+    """All objects of a scene, the most important first; the target leads."""
+
+    target: str
+    names: tuple[str, ...]
+    scores: Float[np.ndarray, " n"]
+    """In (0, 1], falling; the target's is 1."""
+    relations: tuple[str, ...]
+    """What each is to the target: on, in, inside, carries, contains, near; else ""."""
+    steps: tuple[int, ...]
+    """Relations on the shortest way to the target; -1 where there is none."""
+    alpha: float
+    scorer: str
+    seed: int
+    graph: SceneGraph
+
+    def selected(self, alpha: float | None = None) -> tuple[str, ...]:
+        """The set S: names with a score of at least alpha, most important first.
+
+        Args:
+            alpha: Threshold in [0, 1]; the configured one by default. At 0 everything is in S.
+
+        Raises:
+            InputError: The threshold is outside.
+        """
+        limit = self.alpha if alpha is None else alpha
+        if not 0 <= limit <= 1:
+            raise InputError(f"alpha must be between 0 and 1, not {limit:g}")
+        return self.names[: int(np.count_nonzero(self.scores >= limit))]
+
+    def score(self, name: str) -> float:
+        """The score of one object.
+
+        Raises:
+            UnknownNameError: There is none; the message offers the nearest.
+        """
+        self.graph.index(name)
+        return float(self.scores[self.names.index(name)])
+
+
+def rank(
+    scene: Scene, target: str, config: ImportanceConfig | None = None, *, seed: int = 0
+) -> Importance:
+    """Score every object of a scene against the target (MoMa-Pos, section III-A).
+
+    Args:
+        scene: The room.
+        target: Name of the object that the task is about.
+        config: How to score.
+        seed: Same seed, same scores.
+
+    Raises:
+        UnknownNameError: There is no such object; the message offers the nearest.
+        InputError: The seed is no integer from 0 to 2**32 - 1.
+    """
+    config = config or ImportanceConfig()
+    if not 0 <= seed < 2**32:
+        raise InputError(f"seed must be between 0 and 4294967295, not {seed}")
+    scene.object(target)
+    graph = build_graph(scene, config.graph)
+    chosen = graph.index(target)
+    scores = np.clip(SCORERS[config.scorer](graph, chosen, config, seed), 0.0, 1.0)
+    scores[chosen] = 1.0
+    others = np.arange(len(graph)) != chosen
+    order = np.lexsort((np.arange(len(graph)), graph.gaps(chosen), -scores, others))
+    relations, steps = graph.relations(chosen), graph.steps(chosen)
+    return Importance(
+        target=target,
+        names=tuple(graph.names[i] for i in order),
+        scores=scores[order],
+        relations=tuple(relations[i] for i in order),
+        steps=tuple(int(steps[i]) for i in order),
+        alpha=config.alpha,
+        scorer=config.scorer,
+        seed=seed,
+        graph=graph,
+    )

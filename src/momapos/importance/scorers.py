@@ -1,0 +1,158 @@
+"""The ways to score objects against a target; all have one signature."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from momapos.errors import InputError
+from momapos.importance.embedding import SkipGram, cosine, embed_walks, embed_words
+from momapos.importance.graph import GraphConfig, SceneGraph
+from momapos.importance.walks import transitions, walk
+from momapos.scene.files import builtin_names, load_scene
+
+LEAST = 1e-6
+"""The lowest score there is: Lemma 1 of MoMa-Pos excludes 0 [-]."""
+KNEE = 0.05
+"""Cosines from here up are scores as they are; lower ones are squeezed in below [-]."""
+MOST = 10_000
+"""Bound of every count, so that a typing error does not run for hours [-]."""
+ScorerName = Literal["deepwalk", "distance", "size", "names"]
+
+
+@dataclass(frozen=True)
+class ImportanceConfig:
+    """How objects are scored against the target."""
+
+    scorer: ScorerName = "deepwalk"
+    """deepwalk: the paper's; distance: near the target; size: large for its distance; names: by
+    words alone."""
+    alpha: float = 0.45
+    """Objects with a score of at least this are in S, in [0, 1] [-]."""
+    k0: float = 0.5
+    """Weight of distance against size in the walks, in [0, 1] [-]."""
+    walks: int = 15
+    """Walks that begin at each object [-]."""
+    length: int = 20
+    """Objects in a walk [-]."""
+    window: int = 4
+    """Objects before and after in a walk that count as company [-]."""
+    dimensions: int = 64
+    """Length of an object's vector [-]."""
+    epochs: int = 3
+    """Passes over the walks [-]."""
+    graph: GraphConfig = field(default_factory=GraphConfig)
+
+    def __post_init__(self) -> None:
+        for name in ("alpha", "k0"):
+            value = getattr(self, name)
+            if not 0 <= value <= 1:
+                raise InputError(f"{name} must be between 0 and 1, not {value:g}")
+        for name, least in (
+            ("walks", 1), ("length", 2), ("window", 1), ("dimensions", 1), ("epochs", 1),
+        ):  # fmt: skip
+            value = getattr(self, name)
+            if not least <= value <= MOST:
+                raise InputError(f"{name} must be between {least} and {MOST}, not {value}")
+        if self.scorer not in SCORERS:
+            raise InputError(f"no scorer {self.scorer!r}; there are {', '.join(SCORERS)}")
+
+
+Scorer = Callable[[SceneGraph, int, ImportanceConfig, int], Float[np.ndarray, " n"]]
+"""Scores of all objects in (0, 1] from the graph, the target's index, the configuration, a seed."""
+
+
+def deepwalk(
+    graph: SceneGraph, target: int, config: ImportanceConfig, seed: int
+) -> Float[np.ndarray, " n"]:
+    """Cosine similarity of skip-gram vectors over biased walks (MoMa-Pos, section III-A).
+
+    Objects more than two windows away share no company with the target: their cosine is chance,
+    and they have the lowest score.
+    """
+    steps = graph.steps(target)
+    rng = np.random.default_rng(seed)
+    first = np.repeat(np.arange(len(graph)), config.walks)
+    rng.shuffle(first)
+    walks = walk(transitions(graph, k0=config.k0), first, config.length, rng)
+    vectors = embed_walks(walks, len(graph), _skip_gram(config, seed))
+    scores = score_of_cosine(cosine(vectors, target))
+    return np.where((steps >= 0) & (steps <= 2 * config.window), scores, LEAST)
+
+
+def distance(
+    graph: SceneGraph, target: int, config: ImportanceConfig, seed: int
+) -> Float[np.ndarray, " n"]:
+    """1 / (1 + d / 1 m), where d is the horizontal gap between the boxes [m]."""
+    del config, seed
+    return np.maximum(1 / (1 + graph.gaps(target)), LEAST)
+
+
+def size(
+    graph: SceneGraph, target: int, config: ImportanceConfig, seed: int
+) -> Float[np.ndarray, " n"]:
+    """s / (s + d): the size s over the gap d of `distance`, r = s / d, mapped to r / (1 + r)."""
+    del config, seed
+    return np.maximum(graph.size / (graph.size + graph.gaps(target)), LEAST)
+
+
+def names(
+    graph: SceneGraph, target: int, config: ImportanceConfig, seed: int
+) -> Float[np.ndarray, " n"]:
+    """Cosine similarity of the mean vectors of the objects' words.
+
+    The paper tried word vectors and found them inadequate. These are learnt from which words occur
+    in one room, over the built-in kitchens and this one; geometry plays no part.
+    """
+    own = [words(name, kind) for name, kind in zip(graph.names, graph.categories, strict=True)]
+    rooms = [*_library_words(), tuple(dict.fromkeys(word for some in own for word in some))]
+    rng = np.random.default_rng(seed)
+    # In random order, for company is the room and not the order in its file.
+    sentences = [
+        [str(word) for word in rng.permutation(room)] for room in rooms for _ in range(config.walks)
+    ]
+    vectors = embed_words(sentences, _skip_gram(config, seed))
+    mean = np.array([np.mean([vectors[word] for word in some], axis=0) for some in own])
+    return score_of_cosine(cosine(mean, target))
+
+
+SCORERS: dict[str, Scorer] = {
+    "deepwalk": deepwalk, "distance": distance, "size": size, "names": names,
+}  # fmt: skip
+
+
+def score_of_cosine(value: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    """Map a cosine in [-1, 1] to a score in (0, 1], in the same order.
+
+    From `KNEE` up the score is the cosine, so that the paper's alpha keeps its meaning; [-1, KNEE]
+    goes to [LEAST, KNEE]. Lemma 1 needs every object to be in S for some alpha above 0.
+    """
+    share = (1 + value) / (1 + KNEE)
+    return np.where(value >= KNEE, value, LEAST + (KNEE - LEAST) * share)
+
+
+def words(name: str, category: str) -> tuple[str, ...]:
+    """The words of an object's name and category in lower case, without digits."""
+    text = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", f"{category} {name}")
+    found = re.findall(r"[^\W\d_]+", text)
+    return tuple(dict.fromkeys(word.lower() for word in found)) or (name,)
+
+
+@lru_cache(maxsize=1)
+def _library_words() -> tuple[tuple[str, ...], ...]:
+    """The words of each built-in kitchen."""
+    rooms = [load_scene(name).objects for name in builtin_names()]
+    return tuple(
+        tuple(dict.fromkeys(word for item in room for word in words(item.name, item.category)))
+        for room in rooms
+    )
+
+
+def _skip_gram(config: ImportanceConfig, seed: int) -> SkipGram:
+    return SkipGram(config.dimensions, config.window, config.epochs, seed)

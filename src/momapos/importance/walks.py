@@ -1,0 +1,86 @@
+"""Biased random walks over the scene graph, all of them in one kernel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+from numba import njit
+
+from momapos.importance.graph import SceneGraph
+
+
+@dataclass(frozen=True)
+class Transitions:
+    """Where a walk goes next: the neighbours of each object in one list, row after row."""
+
+    start: Int[np.ndarray, " n_plus_1"]
+    target: Int[np.ndarray, " m"]
+    probability: Float[np.ndarray, " m"]
+    """Sums to 1 over each row that is not empty."""
+
+    def dense(self) -> Float[np.ndarray, "n n"]:
+        """The whole matrix P(i, j); a row of zeros for an object without neighbours."""
+        n = len(self.start) - 1
+        matrix = np.zeros((n, n))
+        matrix[np.repeat(np.arange(n), np.diff(self.start)), self.target] = self.probability
+        return matrix
+
+
+def transitions(graph: SceneGraph, *, k0: float) -> Transitions:
+    """Chances of the next object: P(i, j) = w(i, j) / sum over the neighbours u of w(i, u).
+
+    MoMa-Pos, section III-A, prints w = k0 / dist_xy(i, j) + (1 - k0) size(j). The terms have
+    different units, so each is scaled to (0, 1] here, or k0 would mean nothing: the first by the
+    closest pair of neighbours, the second by the largest object. Edges are walked both ways, or a
+    cup on a table would be a dead end.
+
+    Args:
+        graph: Relations, distances and sizes.
+        k0: Weight of the distance against the size, in [0, 1].
+    """
+    edges = graph.adjacency
+    edge = edges.data - 1
+    closest = graph.dist_xy.min(initial=np.inf)
+    near = closest / graph.dist_xy[edge]
+    large = graph.size[edges.indices] / graph.size.max()
+    weight = k0 * near + (1 - k0) * large
+    row = np.repeat(np.arange(len(graph)), np.diff(edges.indptr))
+    total = np.bincount(row, weight, minlength=len(graph))
+    return Transitions(
+        edges.indptr.astype(np.int64), edges.indices.astype(np.int64), weight / total[row]
+    )
+
+
+@njit(cache=True, nogil=True)
+def _walk(start, target, cumulative, first, draws):
+    out = np.empty((len(first), draws.shape[1] + 1), np.int64)
+    for w in range(len(first)):
+        here = first[w]
+        out[w, 0] = here
+        for s in range(draws.shape[1]):
+            low, high = start[here], start[here + 1]
+            if high > low:
+                next_edge = low + np.searchsorted(cumulative[low:high], draws[w, s], side="right")
+                here = target[min(next_edge, high - 1)]
+            out[w, s + 1] = here
+    return out
+
+
+def walk(
+    steps: Transitions, first: Int[np.ndarray, " w"], length: int, rng: np.random.Generator
+) -> Int[np.ndarray, "w length"]:
+    """Walk from each given object; one without neighbours stays where it is.
+
+    Args:
+        steps: Chances of the next object.
+        first: Where each walk begins.
+        length: Objects in a walk, the first included.
+        rng: Draws the steps; the same state gives the same walks.
+    """
+    row = np.repeat(np.arange(len(steps.start) - 1), np.diff(steps.start))
+    total = np.r_[0.0, np.cumsum(steps.probability)]
+    cumulative = total[1:] - total[steps.start[row]]
+    draws = rng.random((len(first), length - 1))
+    return _walk(steps.start, steps.target, cumulative, np.asarray(first, np.int64), draws)
