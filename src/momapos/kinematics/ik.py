@@ -35,6 +35,8 @@ _LOOSE = 5e-3
 """How far [m or rad] from the ideal geometry Newton may be asked to bridge."""
 _SLACK = 0.05
 """How far outside its limits a joint may be before Newton has removed rounding [rad]."""
+EXACT, COARSE = 1e-16, 1e-8
+"""Squared residuals at which Newton stops: a solution, or one to 0.1 mm, for a map or a graph."""
 _TIGHT = 1e-12
 """Squared residual at which a solution counts as exact [m^2 + rad^2]."""
 
@@ -218,13 +220,14 @@ def _hopeless(branch, active, lower, upper):
 
 
 @njit(cache=True, nogil=True)
-def solve_sample(s, R_target, p_target, chain, limits, ik, out, scratch):
+def solve_sample(s, R_target, p_target, chain, limits, ik, enough, out, scratch):
     """All configurations within limits at one sample of the locked joints (or from one seed).
 
     Args:
         s: Index of the sample.
         R_target, p_target: Tool pose in the base frame.
         chain, limits, ik: `arrays(...)` of the arm.
+        enough: Squared residual that will do [m^2 + rad^2], `EXACT` or `COARSE`.
         out: (max, n) to be filled.
         scratch: `ik_scratch(n)`.
 
@@ -263,8 +266,10 @@ def solve_sample(s, R_target, p_target, chain, limits, ik, out, scratch):
                 out[count, active[a]] = branches[b, a]
             if _hopeless(branches[b], active, lower, upper):
                 continue
-        residual = newton(out[count], active, chain, R_target, p_target, steps, damping, (R, p))
-        if residual < _TIGHT and into_limits(out[count], lower, upper, chain[2]):
+        residual = newton(
+            out[count], active, chain, R_target, p_target, steps, damping, enough, (R, p)
+        )
+        if residual < max(enough, _TIGHT) and into_limits(out[count], lower, upper, chain[2]):
             count += 1
     return count
 
@@ -289,7 +294,9 @@ def _solve_all(poses, chain, limits, ik, limit):
     for i in range(len(poses)):
         R, p = poses[i, :3, :3], poses[i, :3, 3]
         for s in range(len(ik[2])):
-            counts[i] += solve_sample(s, R, p, chain, limits, ik, out[i, counts[i] :], scratch)
+            counts[i] += solve_sample(
+                s, R, p, chain, limits, ik, EXACT, out[i, counts[i] :], scratch
+            )
         # What was tried there and refused.
         out[i, counts[i] :] = np.nan
     return out, counts

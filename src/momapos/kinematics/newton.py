@@ -30,7 +30,7 @@ def _solve_spd(A, b):
 
 
 @njit(cache=True, nogil=True)
-def newton(q, active, chain, R_target, p_target, steps, damping, work):
+def newton(q, active, chain, R_target, p_target, steps, damping, enough, work):
     """Move the active joints of q until the tool stands at the target.
 
     Args:
@@ -40,6 +40,7 @@ def newton(q, active, chain, R_target, p_target, steps, damping, work):
         R_target, p_target: Target pose in the base frame.
         steps: Maximum number of steps [-].
         damping: Levenberg damping [-]; tiny near a solution, larger from far away.
+        enough: Squared residual at which to stop [m^2 + rad^2].
         work: (R (n + 1, 3, 3), p (n + 1, 3)) scratch.
 
     Returns:
@@ -61,7 +62,7 @@ def newton(q, active, chain, R_target, p_target, steps, damping, work):
         residual = 0.0
         for k in range(6):
             residual += e[k] * e[k]
-        if residual < 1e-16 or step == steps:
+        if residual < enough or step == steps:
             break
         for a in range(m):
             j = active[a]

@@ -11,6 +11,7 @@ from numba import njit
 from momapos.geometry.transforms import invert, pose_planar
 from momapos.kinematics.chain import chain_arrays
 from momapos.kinematics.collision import FREE
+from momapos.kinematics.ik import EXACT
 from momapos.kinematics.newton import newton
 from momapos.kinematics.world import World, check
 from momapos.manipulation.layers import (
@@ -213,7 +214,15 @@ def _track(q, coarse, targets, active, chain, limits, scale, dense):
             for k in range(n):
                 dense[s, k] = (1.0 - t) * q[max(w - 1, 0), k] + t * q[w, k]
             residual = newton(
-                dense[s], active, chain, targets[s, :3, :3], targets[s, :3, 3], most, 1e-6, (R, p)
+                dense[s],
+                active,
+                chain,
+                targets[s, :3, :3],
+                targets[s, :3, 3],
+                most,
+                1e-6,
+                EXACT,
+                (R, p),
             )
             if residual > 1e-9:
                 return s

@@ -12,7 +12,7 @@ from numba import njit
 from momapos.geometry.transforms import invert, pose_planar
 from momapos.kinematics.chain import Chain, chain_arrays
 from momapos.kinematics.collision import FREE
-from momapos.kinematics.ik import ik_arrays, ik_scratch, solve_sample
+from momapos.kinematics.ik import COARSE, ik_arrays, ik_scratch, solve_sample
 from momapos.kinematics.world import World, check_one
 from momapos.manipulation.motion import TaskMotion
 from momapos.robots.robot import Robot
@@ -153,7 +153,7 @@ def _solve_layer(
             ):
                 continue
             found = solve_sample(
-                s, poses[j, :3, :3], poses[j, :3, 3], chain, limits, ik, solutions, scratch
+                s, poses[j, :3, :3], poses[j, :3, 3], chain, limits, ik, COARSE, solutions, scratch
             )
             for b in range(found):
                 q = solutions[b]

@@ -16,7 +16,7 @@ from numba import njit
 from momapos.kinematics.chain import forward
 from momapos.kinematics.closed_forms import MAX_BRANCHES
 from momapos.kinematics.collision import FREE, hit_floor, hit_self
-from momapos.kinematics.ik import ik_scratch, solve_sample
+from momapos.kinematics.ik import COARSE, ik_scratch, solve_sample
 from momapos.reachability.grid import oct_decode
 from momapos.reachability.standing import BEARINGS, touched
 
@@ -116,7 +116,7 @@ def _line_mask(R_tool, p_tool, closed, spins, arm, chain, limits, ik, pans, work
                 if left == works[(v + step[s]) % len(works)]:
                     works[v] = left
                     continue
-        count = solve_sample(s, R_tool, p_tool, chain, limits, ik, out, scratch)
+        count = solve_sample(s, R_tool, p_tool, chain, limits, ik, COARSE, out, scratch)
         for k in range(count):
             serves = arc if arc else arc_mask(out[k, first], turn, lower, upper)
             if serves & ~done == np.uint64(0):
