@@ -51,21 +51,30 @@ def _moved(R, p, segment, local):
 
 
 @njit(cache=True, nogil=True)
-def hit_boxes(R, p, spheres, boxes, skip_gripper, margin):
+def place_bounds(R, p, spheres, bounds):
+    """Put the centres of the links' bounding spheres into bounds (groups, 3)."""
+    segment, bound_center = spheres[3], spheres[4]
+    for g in range(len(segment)):
+        bounds[g, 0], bounds[g, 1], bounds[g, 2] = _moved(R, p, segment[g], bound_center[g])
+
+
+@njit(cache=True, nogil=True)
+def hit_boxes(R, p, bounds, spheres, boxes, skip_gripper, margin):
     """First box that a configuration hits, or FREE.
 
     Args:
         R, p: Segment poses (n + 1, 3, 3), (n + 1, 3) as `forward` leaves them.
+        bounds: As `place_bounds` leaves them (groups, 3).
         spheres: `Spheres.arrays()`.
         boxes: (center (b, 3), rotation (b, 3, 3), half (b, 3), grasped (b,)).
         skip_gripper: Whether the gripper holds: then its fingers may touch all these boxes (they
             close about the handle), its palm only those marked as grasped.
         margin: Clearance that is asked for [m].
     """
-    center, radius, start, segment, bound_center, bound_radius, gripper = spheres[:7]
+    center, radius, start, segment, _, bound_radius, gripper = spheres[:7]
     box_center, box_rotation, box_half, grasped = boxes
     for g in range(len(segment)):
-        c = _moved(R, p, segment[g], bound_center[g])
+        c = (bounds[g, 0], bounds[g, 1], bounds[g, 2])
         far = bound_radius[g] + margin
         for b in range(len(box_center)):
             if skip_gripper and (gripper[g] == FINGER or (gripper[g] == PALM and grasped[b])):
@@ -80,23 +89,19 @@ def hit_boxes(R, p, spheres, boxes, skip_gripper, margin):
 
 
 @njit(cache=True, nogil=True)
-def hit_self(R, p, spheres):
+def hit_self(R, p, bounds, spheres):
     """SELF when the arm touches itself or the base, else FREE.
 
-    R, p are relative to any base pose; entry 0 is that pose.
+    R, p and bounds are relative to any base pose; entry 0 of R, p is that pose.
     """
-    segment, bound_center = spheres[3], spheres[4]
-    bounds = np.empty((len(segment), 3))
-    for g in range(len(segment)):
-        bounds[g, 0], bounds[g, 1], bounds[g, 2] = _moved(R, p, segment[g], bound_center[g])
-    if _links_touch(R, p, spheres, bounds) or _base_touched(R, p, spheres, bounds):
+    if _links_touch(R, p, bounds, spheres) or _base_touched(R, p, bounds, spheres):
         return SELF
     return FREE
 
 
 @njit(cache=True, nogil=True)
-def _links_touch(R, p, spheres, bounds):
-    """Whether links of the arm touch each other; bounds are the centres of their bounds."""
+def _links_touch(R, p, bounds, spheres):
+    """Whether links of the arm touch each other."""
     center, radius, start, segment, _, bound_radius, _, pairs = spheres[:8]
     for k in range(len(pairs)):
         i, j = pairs[k, 0], pairs[k, 1]
@@ -122,10 +127,10 @@ def _apart(a, b, distance):
 
 
 @njit(cache=True, nogil=True)
-def _base_touched(R, p, spheres, bounds):
-    """Whether a link of the arm touches the base; bounds are the centres of their bounds."""
+def _base_touched(R, p, bounds, spheres):
+    """Whether a link of the arm touches the base."""
     center, radius, start, segment, _, bound_radius = spheres[:6]
-    base_center, base_rotation, base_half, base_pairs, base_bounds = spheres[8:]
+    base_center, base_rotation, base_half, base_pairs, base_bounds, base_radius = spheres[8:]
     for g in range(len(segment)):
         c = _into_base(R, p, (bounds[g, 0], bounds[g, 1], bounds[g, 2]))
         r, far = bound_radius[g], False
@@ -135,6 +140,8 @@ def _base_touched(R, p, spheres, bounds):
             continue
         for b in range(len(base_center)):
             if not base_pairs[g, b]:
+                continue
+            if _apart(c, base_center[b], r + base_radius[b]):
                 continue
             if box_gap(c, r, base_center, base_rotation, base_half, b) > 0.0:
                 continue
@@ -157,11 +164,11 @@ def _into_base(R, p, c):
 
 
 @njit(cache=True, nogil=True)
-def hit_floor(R, p, spheres):
+def hit_floor(R, p, bounds, spheres):
     """FLOOR when a sphere of the arm dips below z = 0, else FREE."""
-    center, radius, start, segment, bound_center, bound_radius = spheres[:6]
+    center, radius, start, segment, _, bound_radius = spheres[:6]
     for g in range(len(segment)):
-        if _moved(R, p, segment[g], bound_center[g])[2] > bound_radius[g]:
+        if bounds[g, 2] > bound_radius[g]:
             continue
         for s in range(start[g], start[g + 1]):
             if _moved(R, p, segment[g], center[s])[2] < radius[s]:
@@ -182,23 +189,34 @@ def place_segments(q, base, chain, R, p):
 
 
 @njit(cache=True, nogil=True)
-def check_state(q, base, chain, spheres, boxes, skip_gripper, margin, R, p):
-    """First thing that a configuration hits: FREE, FLOOR, SELF or a box's index."""
+def scratch_of(joints, spheres):
+    """Scratch for the checks: segment poses (n + 1, 3, 3), (n + 1, 3) and bounds (groups, 3)."""
+    return (
+        np.empty((joints + 1, 3, 3)),
+        np.empty((joints + 1, 3)),
+        np.empty((len(spheres[3]), 3)),
+    )
+
+
+@njit(cache=True, nogil=True)
+def place_arm(q, base, chain, spheres, scratch):
+    """Put a configuration, for a base at (x, y, yaw), into `scratch_of(...)`."""
+    R, p, bounds = scratch
     place_segments(q, base, chain, R, p)
-    if hit_floor(R, p, spheres) != FREE:
-        return FLOOR
-    code = hit_boxes(R, p, spheres, boxes, skip_gripper, margin)
-    if code != FREE:
-        return code
-    return hit_self(R, p, spheres)
+    place_bounds(R, p, spheres, bounds)
 
 
 @njit(cache=True, nogil=True)
 def check_states(q, base, chain, spheres, boxes, skip_gripper, margin):
-    """`check_state` for a batch of configurations (m, n): codes (m,)."""
-    n = q.shape[1]
-    R, p = np.empty((n + 1, 3, 3)), np.empty((n + 1, 3))
+    """First thing that each configuration (m, n) hits: FREE, FLOOR, SELF or a box's index (m,)."""
+    scratch = scratch_of(q.shape[1], spheres)
+    R, p, bounds = scratch
     out = np.empty(len(q), np.int64)
     for i in range(len(q)):
-        out[i] = check_state(q[i], base, chain, spheres, boxes, skip_gripper, margin, R, p)
+        place_arm(q[i], base, chain, spheres, scratch)
+        out[i] = hit_floor(R, p, bounds, spheres)
+        if out[i] == FREE:
+            out[i] = hit_boxes(R, p, bounds, spheres, boxes, skip_gripper, margin)
+        if out[i] == FREE:
+            out[i] = hit_self(R, p, bounds, spheres)
     return out

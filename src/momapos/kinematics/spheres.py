@@ -63,6 +63,7 @@ class Spheres:
             self.base.half,
             self.base_pairs,
             self.base_bounds,
+            np.linalg.norm(self.base.half, axis=1),
         )
 
     @cached_property

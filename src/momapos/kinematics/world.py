@@ -24,7 +24,9 @@ from momapos.kinematics.collision import (
     hit_boxes,
     hit_floor,
     hit_self,
-    place_segments,
+    place_arm,
+    place_bounds,
+    scratch_of,
 )
 from momapos.kinematics.hulls import Boxes
 from momapos.kinematics.spheres import Spheres
@@ -52,6 +54,8 @@ class World:
     grid_shape: Int[np.ndarray, "3"]
     grid_start: Int[np.ndarray, " cells_plus_1"]
     grid_index: Int[np.ndarray, " entries"]
+    filled: Int[np.ndarray, "x_plus_1 y_plus_1 z_plus_1"]
+    """How many of the buckets before each corner list a box: sums over any block of buckets."""
 
     def reason(self, code: int) -> str:
         """Say what a code of `check` means."""
@@ -75,6 +79,7 @@ class World:
             self.grid_shape,
             self.grid_start,
             self.grid_index,
+            self.filled,
         )
 
 
@@ -107,7 +112,12 @@ def build_world(
         low, high = np.zeros(3), np.full(3, CELL)
     shape = np.maximum(1, np.ceil((high - low) / CELL)).astype(np.int64)
     start, index = _fill_buckets(static.center, static.rotation, static.half, low, shape, reach)
-    return World(static, tuple(labels), moving, grasped, clearance, low, shape, start, index)
+    filled = np.zeros(shape + 1, np.int32)
+    sums = (np.diff(start) > 0).reshape(shape).astype(np.int32)
+    filled[1:, 1:, 1:] = sums.cumsum(0).cumsum(1).cumsum(2)
+    return World(
+        static, tuple(labels), moving, grasped, clearance, low, shape, start, index, filled
+    )
 
 
 @njit(cache=True, nogil=True)
@@ -152,12 +162,30 @@ def _fill_buckets(center, rotation, half, low, shape, reach):
 
 
 @njit(cache=True, nogil=True)
-def _hit_static(R, p, spheres, world, margin):
+def _any_filled(c, r, low, shape, filled):
+    """Whether a bucket that the centres of a link's spheres can lie in lists a box."""
+    i0 = min(max(int(np.floor((c[0] - r - low[0]) / CELL)), 0), shape[0])
+    i1 = min(max(int(np.floor((c[0] + r - low[0]) / CELL)) + 1, 0), shape[0])
+    j0 = min(max(int(np.floor((c[1] - r - low[1]) / CELL)), 0), shape[1])
+    j1 = min(max(int(np.floor((c[1] + r - low[1]) / CELL)) + 1, 0), shape[1])
+    k0 = min(max(int(np.floor((c[2] - r - low[2]) / CELL)), 0), shape[2])
+    k1 = min(max(int(np.floor((c[2] + r - low[2]) / CELL)) + 1, 0), shape[2])
+    count = (
+        filled[i1, j1, k1] - filled[i0, j1, k1] - filled[i1, j0, k1] - filled[i1, j1, k0]
+        + filled[i0, j0, k1] + filled[i0, j1, k0] + filled[i1, j0, k0] - filled[i0, j0, k0]
+    )  # fmt: skip
+    return count > 0
+
+
+@njit(cache=True, nogil=True)
+def _hit_static(R, p, bounds, spheres, world, margin):
     """First standing box that the arm hits, or FREE."""
-    center, radius, start, segment = spheres[:4]
+    center, radius, start, segment, _, bound_radius = spheres[:6]
     box_center, box_rotation, box_half = world[:3]
-    low, shape, grid_start, grid_index = world[7:]
+    low, shape, grid_start, grid_index, filled = world[7:]
     for g in range(len(segment)):
+        if not _any_filled(bounds[g], bound_radius[g], low, shape, filled):
+            continue
         for s in range(start[g], start[g + 1]):
             m = _moved(R, p, segment[g], center[s])
             i = int(np.floor((m[0] - low[0]) / CELL))
@@ -174,27 +202,27 @@ def _hit_static(R, p, spheres, world, margin):
 
 
 @njit(cache=True, nogil=True)
-def check_one(q, base, value, holding, chain, spheres, world, margin, R, p):
-    """What one configuration hits first; R, p are scratch."""
-    place_segments(q, base, chain, R, p)
-    if hit_floor(R, p, spheres) != FREE:
+def check_one(q, base, value, holding, chain, spheres, world, margin, scratch):
+    """What one configuration hits first; scratch is `scratch_of(...)`."""
+    R, p, bounds = scratch
+    place_arm(q, base, chain, spheres, scratch)
+    if hit_floor(R, p, bounds, spheres) != FREE:
         return FLOOR
     boxes = (world[3][value], world[4][value], world[5][value], world[6])
-    code = hit_boxes(R, p, spheres, boxes, holding, margin)
+    code = hit_boxes(R, p, bounds, spheres, boxes, holding, margin)
     if code != FREE:
         return code + len(world[0])
-    code = _hit_static(R, p, spheres, world, margin)
-    return code if code != FREE else hit_self(R, p, spheres)
+    code = _hit_static(R, p, bounds, spheres, world, margin)
+    return code if code != FREE else hit_self(R, p, bounds, spheres)
 
 
 @njit(cache=True, nogil=True)
 def _check(q, bases, value, holding, chain, spheres, world, margin):
-    n = q.shape[1]
-    R, p = np.empty((n + 1, 3, 3)), np.empty((n + 1, 3))
+    scratch = scratch_of(q.shape[1], spheres)
     out = np.empty(len(q), np.int64)
     for i in range(len(q)):
         out[i] = check_one(
-            q[i], bases[i], value[i], holding[i], chain, spheres, world, margin, R, p
+            q[i], bases[i], value[i], holding[i], chain, spheres, world, margin, scratch
         )
     return out
 
@@ -202,7 +230,7 @@ def _check(q, bases, value, holding, chain, spheres, world, margin):
 @njit(cache=True, nogil=True)
 def _motion_free(a, b, step, base, value, holding, chain, spheres, world, margin):
     n = len(a)
-    R, p = np.empty((n + 1, 3, 3)), np.empty((n + 1, 3))
+    scratch = scratch_of(n, spheres)
     q, longest = np.empty(n), 0.0
     for k in range(n):
         longest = max(longest, abs(b[k] - a[k]))
@@ -212,7 +240,7 @@ def _motion_free(a, b, step, base, value, holding, chain, spheres, world, margin
     for i in (count, 0):
         for k in range(n):
             q[k] = a[k] + (b[k] - a[k]) * (i / count)
-        if check_one(q, base, value, holding, chain, spheres, world, margin, R, p) != FREE:
+        if check_one(q, base, value, holding, chain, spheres, world, margin, scratch) != FREE:
             return False
     while stride > 1:
         half = (stride + 1) // 2
@@ -221,7 +249,7 @@ def _motion_free(a, b, step, base, value, holding, chain, spheres, world, margin
                 continue
             for k in range(n):
                 q[k] = a[k] + (b[k] - a[k]) * (i / count)
-            if check_one(q, base, value, holding, chain, spheres, world, margin, R, p) != FREE:
+            if check_one(q, base, value, holding, chain, spheres, world, margin, scratch) != FREE:
                 return False
         stride = half
     return True
@@ -288,15 +316,17 @@ def motion_checker(
 @njit(cache=True, nogil=True)
 def _check_hand(R, p, value, holding, hand, world, margin):
     out = np.full(len(R), FREE, np.int64)
+    bounds = np.empty((len(hand[3]), 3))
     moving_center, moving_rotation, moving_half, grasped = world[3:7]
     for i in range(len(R)):
         v = value[i]
         boxes = (moving_center[v], moving_rotation[v], moving_half[v], grasped)
-        code = hit_boxes(R[i : i + 1], p[i : i + 1], hand, boxes, holding[i], margin)
+        place_bounds(R[i : i + 1], p[i : i + 1], hand, bounds)
+        code = hit_boxes(R[i : i + 1], p[i : i + 1], bounds, hand, boxes, holding[i], margin)
         if code != FREE:
             out[i] = code + len(world[0])
             continue
-        out[i] = _hit_static(R[i : i + 1], p[i : i + 1], hand, world, margin)
+        out[i] = _hit_static(R[i : i + 1], p[i : i + 1], bounds, hand, world, margin)
     return out
 
 

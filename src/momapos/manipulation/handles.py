@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Float
@@ -15,6 +16,8 @@ from momapos.kinematics.urdf import Geometry, Joint
 from momapos.scene.scene import SceneObject
 
 WORD = "handle"
+_MODELS = 1024
+"""Parts whose geometry is remembered [-]."""
 ROUND = 1.5
 """A handle less elongated than this is a knob: it can be turned about freely [-]."""
 
@@ -71,16 +74,24 @@ def opening_direction(
     item: SceneObject, joint: str
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
     """Middle of the part that a joint moves, and where it moves when it opens, in the world."""
-    model, record = item.model, item.model.joint(joint)
+    middle, direction = _opening(item.model, joint)
+    T_world_part = item.link_poses()[item.model.joint(joint).child]
+    return apply(T_world_part, middle[None])[0], T_world_part[:3, :3] @ direction
+
+
+@lru_cache(maxsize=_MODELS)
+def _opening(
+    model: Articulated, joint: str
+) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+    """Middle of a part and where it moves when it opens, in the part's frame."""
     links = rigid_links(model, joint)
     T_link = _poses_in_part(model, joint, links)
     centers = [apply(T_link[n], h.vertices).mean(0) for n in links for h in model.hulls[n]]
     middle = np.mean(centers, axis=0) if centers else np.zeros(3)
-    T_world_part = item.link_poses()[record.child]
-    direction = _motion_direction(model, joint, opening_sign(record), middle)
-    return apply(T_world_part, middle[None])[0], T_world_part[:3, :3] @ direction
+    return middle, _motion_direction(model, joint, opening_sign(model.joint(joint)), middle)
 
 
+@lru_cache(maxsize=_MODELS)
 def find_handle(model: Articulated, joint: str, sign: float) -> Handle:
     """Find what to hold on the part that a joint moves.
 

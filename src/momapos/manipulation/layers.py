@@ -11,7 +11,7 @@ from numba import njit
 
 from momapos.geometry.transforms import invert, pose_planar
 from momapos.kinematics.chain import Chain, chain_arrays
-from momapos.kinematics.collision import FREE
+from momapos.kinematics.collision import FREE, scratch_of
 from momapos.kinematics.ik import COARSE, ik_arrays, ik_scratch, solve_sample
 from momapos.kinematics.world import World, check_one
 from momapos.manipulation.motion import TaskMotion
@@ -140,7 +140,7 @@ def _solve_layer(
 ):  # fmt: skip
     n = len(full_turn)
     scratch = ik_scratch(n)
-    R, p = np.empty((n + 1, 3, 3)), np.empty((n + 1, 3))
+    arm = scratch_of(n, spheres)
     solutions = np.empty((8, n))
     out = np.empty((len(poses), most, n))
     counts, codes = np.zeros(len(poses), np.int64), np.full(len(poses), NOWHERE)
@@ -164,7 +164,7 @@ def _solve_layer(
                     if codes[j] == NOWHERE:
                         codes[j] = CUT_OFF
                     continue
-                code = check_one(q, bases[j], value, holding, chain, spheres, world, margin, R, p)
+                code = check_one(q, bases[j], value, holding, chain, spheres, world, margin, arm)
                 if code == FREE:
                     for k in range(n):
                         out[j, counts[j], k] = q[k]

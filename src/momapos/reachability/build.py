@@ -15,7 +15,7 @@ from numba import njit
 
 from momapos.kinematics.chain import forward
 from momapos.kinematics.closed_forms import MAX_BRANCHES
-from momapos.kinematics.collision import FREE, hit_floor, hit_self
+from momapos.kinematics.collision import FREE, hit_floor, hit_self, place_bounds, scratch_of
 from momapos.kinematics.ik import COARSE, ik_scratch, solve_sample
 from momapos.reachability.grid import oct_decode
 from momapos.reachability.standing import BEARINGS, touched
@@ -100,7 +100,7 @@ def _line_mask(R_tool, p_tool, closed, spins, arm, chain, limits, ik, pans, work
     """
     first, turn, lower, upper, axis, turning, table = arm
     arcs, value, step = pans
-    out, scratch, R, p, works, votes = work
+    out, scratch, R, p, bounds, works, votes = work
     works[:] = False
     votes[:] = closed
     done = closed
@@ -129,7 +129,11 @@ def _line_mask(R_tool, p_tool, closed, spins, arm, chain, limits, ik, pans, work
                     R[0], p[0] = np.eye(3), 0.0
                     forward(out[k], chain[0], chain[1], chain[2], R, p)
                     out[k, last] -= spins[i]
-                    if hit_floor(R, p, turning) == FREE and hit_self(R, p, turning) == FREE:
+                    place_bounds(R, p, turning, bounds)
+                    if (
+                        hit_floor(R, p, bounds, turning) == FREE
+                        and hit_self(R, p, bounds, turning) == FREE
+                    ):
                         works[v] = True
                         votes[i] |= gain & ~touched(gain, R, p, turning, first, axis, table)
                 done &= votes[i]
@@ -150,8 +154,7 @@ def line_masks(lines, wanted, rolls, spins, tool, arm, chain, limits, ik, pans, 
     work = (
         np.empty((MAX_BRANCHES, n)),
         ik_scratch(n),
-        np.empty((n + 1, 3, 3)),
-        np.empty((n + 1, 3)),
+        *scratch_of(n, arm[5]),
         np.zeros(np.max(pans[1]) + 1, np.bool_),
         np.empty(len(spins), np.uint64),
     )

@@ -32,7 +32,7 @@ def map_key(robot: Robot, config: ReachConfig) -> str:
     so that a comment in a file changes nothing and a mesh on the disk does.
     """
     chain = robot.chain
-    *shapes, _ = robot.spheres.arrays()  # the last, the base's bounds, follows from its boxes
+    *shapes, _, _ = robot.spheres.arrays()  # the last, bounds of the base, follow from its boxes
     arrays = (
         chain.h, chain.d, chain.prismatic, chain.lower, chain.upper, chain.tool_offset,
         chain.tool_rotation, robot.approach_axis, *shapes,

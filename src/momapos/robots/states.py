@@ -10,7 +10,14 @@ from numba import njit
 
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.chain import Chain
-from momapos.kinematics.collision import FREE, hit_floor, hit_self, place_segments
+from momapos.kinematics.collision import (
+    FREE,
+    hit_floor,
+    hit_self,
+    place_arm,
+    place_segments,
+    scratch_of,
+)
 from momapos.kinematics.spheres import Spheres
 
 SAMPLES = 2000
@@ -25,12 +32,14 @@ def _touches(
     q: np.ndarray, chain: tuple[np.ndarray, ...], spheres: tuple[np.ndarray, ...], floor: bool
 ) -> np.ndarray:
     """Which of the states (m, n) touch the robot itself or, where asked, the floor."""
-    n = q.shape[1]
-    R, p = np.empty((n + 1, 3, 3)), np.empty((n + 1, 3))
+    scratch = scratch_of(q.shape[1], spheres)
+    R, p, bounds = scratch
     base, out = np.zeros(3), np.empty(len(q), np.bool_)
     for i in range(len(q)):
-        place_segments(q[i], base, chain, R, p)
-        out[i] = hit_self(R, p, spheres) != FREE or (floor and hit_floor(R, p, spheres) != FREE)
+        place_arm(q[i], base, chain, spheres, scratch)
+        out[i] = hit_self(R, p, bounds, spheres) != FREE or (
+            floor and hit_floor(R, p, bounds, spheres) != FREE
+        )
     return out
 
 
