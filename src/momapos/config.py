@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from momapos.importance.scorers import ImportanceConfig
 from momapos.manipulation.motion import MotionConfig
 from momapos.manipulation.planner import PlannerConfig
 from momapos.placement.place import PlaceConfig
@@ -13,6 +14,9 @@ from momapos.placement.place import PlaceConfig
 class PipelineConfig:
     """How a question is answered."""
 
+    importance: ImportanceConfig = field(default_factory=ImportanceConfig)
+    near: float = 0.05
+    """A plan that comes this near to a box has its object modelled, and is checked again [m]."""
     motion: MotionConfig = field(default_factory=MotionConfig)
     place: PlaceConfig = field(default_factory=PlaceConfig)
     planner: PlannerConfig = field(default_factory=PlannerConfig)

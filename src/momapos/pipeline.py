@@ -1,16 +1,16 @@
 """The method, one call a stage.
 
-Importance, perception, driving and physics are stages of their own; here a scene is already
-modelled, and the answer is where to stand and how to move.
+Perception, driving and physics are stages of their own; here a scene is known, and the answer is
+where to stand and how to move.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, lru_cache
 from importlib import metadata
 
 import numpy as np
@@ -19,12 +19,16 @@ from jaxtyping import Float
 from momapos.config import PipelineConfig
 from momapos.errors import SceneError
 from momapos.geometry.polygons import all_inside, inscribed_radius
+from momapos.importance.key_objects import Selection, everything, start_of
+from momapos.importance.rank import Importance, rank
 from momapos.kinematics.base_collision import base_hits
 from momapos.kinematics.collision import FREE
+from momapos.kinematics.hulls import Boxes
 from momapos.kinematics.world import World, build_world
 from momapos.manipulation.feasibility import Feasibility, hand_clears
 from momapos.manipulation.handles import opening_direction
-from momapos.manipulation.motion import TaskMotion, task_motion
+from momapos.manipulation.motion import TaskMotion, in_room, room_boxes, task_motion
+from momapos.manipulation.nearness import near_boxes, stood_boxes, swept_boxes
 from momapos.manipulation.tasks import openable
 from momapos.navigation.cost_map import FloorPlan, build_cost_map, floor_plan
 from momapos.navigation.start import find_start
@@ -79,6 +83,9 @@ def place(
 ) -> Answer:
     """Answer where the robot must stand, and how it moves, to do a task.
 
+    Objects that matter are modelled, all others are boxes; what turns out to matter later is
+    modelled then. A "no" is given with everything modelled.
+
     Args:
         scene: The room.
         robot: The mobile manipulator.
@@ -93,57 +100,149 @@ def place(
         SceneError: The start is no free pose.
         TaskError: The gripper cannot hold the object.
     """
-    began, watch = clock(), _Stopwatch(clock)
-    with watch.stage("model"):
-        motion = task_motion(scene, robot, task, config.motion)
-        world = arm_world(robot, motion, config)
-        roomy, obstacle = hand_clears(robot, world, motion)
-        if roomy.any():
-            motion = replace(motion, Ts_world_tool=motion.Ts_world_tool[roomy])
-    with watch.stage("drive"):
-        plan = room_plan(scene, robot, motion)
-        start = start_pose(scene, robot, plan, motion, start)
-        cost = build_cost_map(plan, start[:2], radius=inscribed_radius(robot.footprint))
-    with watch.stage("exact model"):
-        exact = ExactWorld(scene, robot, task)
-    site = Site(
-        robot=robot,
-        Ts_world_tool=np.ascontiguousarray(motion.Ts_world_tool[:, motion.coarse]),
-        static=motion.static,
-        sweep=motion.sweep(),
-        floor=scene.floor,
-        clearance=config.place.clearance,
-    )
+    ask = _Question(scene, robot, task, reach, config, seed, _Stopwatch(clock), clock())
+    with ask.watch.stage("importance"):
+        ranked = rank(scene, task.object, config.importance, seed=seed)
+    with ask.watch.stage("model"):
+        motion = task_motion(scene.boxed({task.object}), robot, task, config.motion)
+    selection = ask.first_selection(ranked, motion, start)
+    while True:
+        answer = ask.answer(selection, motion, start)
+        if answer.plan.status == "solved":
+            selection, holds = ask.look_around(selection, answer)
+            if holds:
+                break
+        elif answer.plan.status == "timeout" or not selection.boxes:
+            break
+        else:
+            selection = selection.lowered()
+    timing = {**ask.watch.seconds, "total": clock() - ask.began}
+    plan = replace(answer.plan, key_objects=selection.record(), timing=timing)
+    return replace(answer, plan=plan)
 
-    def refuse(base: Float[np.ndarray, "3"], found: Motion) -> str | None:
-        with watch.stage("exact check"):
-            return exact.refusal((float(base[0]), float(base[1]), float(base[2])), found)
 
-    def out_of_time() -> bool:
-        return clock() - began > config.timeout
+@dataclass(frozen=True)
+class _Question:
+    """One question, and the stages of its answer."""
 
-    feasible = Feasibility(robot, world, motion, config.planner, refuse, seed, out_of_time)
-    problem = Problem(
-        site=site,
-        reach=reach,
-        travel_cost=cost.lengths,
-        attempt=feasible,
-        screen=feasible.screen,
-        hopeless="" if roomy.any() else f"the hand hits {obstacle} in every grasp",
-        start=start,
-        out_of_time=out_of_time,
-    )
-    with watch.stage("search"):
-        result = search(problem, config.place, np.random.default_rng(seed))
-    timing = {**watch.seconds, "total": clock() - began}
-    return Answer(
-        plan=_plan(scene, robot, task, result, config, seed, timing),
-        site=site,
-        motion=motion,
-        search=result,
-        start=start,
-        slides=slides(scene, task),
-    )
+    scene: Scene
+    robot: Robot
+    task: Task
+    reach: ReachScorer
+    config: PipelineConfig
+    seed: int
+    watch: _Stopwatch
+    began: float
+
+    def first_selection(
+        self, ranked: Importance, motion: TaskMotion, start: Float[np.ndarray, "3"] | None
+    ) -> Selection:
+        """S at the configured alpha, with what the door or the robot stands in already."""
+        if self.config.place.method == "exhaustive":
+            return everything(ranked)
+        selection = start_of(ranked)
+        names = selection.boxes
+        boxes = self._boxes(names)
+        hit = swept_boxes(motion, boxes, margin=0.0)
+        begin = self.scene.start if start is None else start
+        if begin is not None and np.isfinite(begin).all() and len(begin) == 3:
+            hit |= stood_boxes(self.robot, np.asarray(begin, float), boxes, margin=0.0)
+        return selection.join(names[i] for i in np.flatnonzero(hit))
+
+    def answer(
+        self, selection: Selection, motion: TaskMotion, start: Float[np.ndarray, "3"] | None
+    ) -> Answer:
+        """Search with the selected objects modelled."""
+        robot, config, clock = self.robot, self.config, self.watch.clock
+        with self.watch.stage("model"):
+            modelled = self.scene.boxed(selection.names)
+            motion = in_room(motion, modelled)
+            world = arm_world(robot, motion, config)
+            roomy, obstacle = hand_clears(robot, world, motion)
+            if roomy.any():
+                motion = replace(motion, Ts_world_tool=motion.Ts_world_tool[roomy])
+        with self.watch.stage("drive"):
+            plan = room_plan(motion.standing_boxes(), self.scene.floor, base_height(robot))
+            start = start_pose(self.scene, robot, motion, start)
+            cost = build_cost_map(plan, start[:2], radius=inscribed_radius(robot.footprint))
+        with self.watch.stage("exact model"):
+            exact = ExactWorld(modelled, robot, self.task)
+        site = Site(
+            robot=robot,
+            Ts_world_tool=np.ascontiguousarray(motion.Ts_world_tool[:, motion.coarse]),
+            static=motion.static,
+            sweep=motion.sweep(),
+            floor=self.scene.floor,
+            clearance=config.place.clearance,
+        )
+
+        def refuse(base: Float[np.ndarray, "3"], found: Motion) -> str | None:
+            with self.watch.stage("exact check"):
+                return exact.refusal((float(base[0]), float(base[1]), float(base[2])), found)
+
+        def out_of_time() -> bool:
+            return clock() - self.began > config.timeout
+
+        feasible = Feasibility(robot, world, motion, config.planner, refuse, self.seed, out_of_time)
+        problem = Problem(
+            site=site,
+            reach=self.reach,
+            travel_cost=cost.lengths,
+            attempt=feasible,
+            screen=feasible.screen,
+            hopeless="" if roomy.any() else f"the hand hits {obstacle} in every grasp",
+            start=start,
+            out_of_time=out_of_time,
+        )
+        # Only a room without stand-ins can tell that there is no base pose at all; in any other one
+        # round of samples has to do.
+        some = replace(config.place, grid=False, rounds=min(1, config.place.rounds))
+        search_config = some if selection.boxes else config.place
+        with self.watch.stage("search"):
+            result = search(problem, search_config, np.random.default_rng(self.seed))
+        return Answer(
+            plan=_plan(self.scene, robot, self.task, result, config, self.seed),
+            site=site,
+            motion=motion,
+            search=result,
+            start=start,
+            slides=slides(self.scene, self.task),
+        )
+
+    def look_around(self, selection: Selection, answer: Answer) -> tuple[Selection, bool]:
+        """Model what a plan comes near, and check it again, until nothing new is near.
+
+        Returns:
+            The selection, and whether the plan holds with it.
+        """
+        found, pose = answer.plan.motion, answer.plan.base_pose
+        assert found is not None
+        assert pose is not None
+        while selection.boxes:
+            with self.watch.stage("look around"):
+                names = selection.boxes
+                near = near_boxes(
+                    self.robot, answer.motion, np.array(pose), found, self._boxes(names),
+                    margin=self.config.near,
+                )  # fmt: skip
+            if not near.any():
+                break
+            joined = selection.join(names[i] for i in np.flatnonzero(near))
+            selection = replace(joined, rounds=selection.rounds + 1)
+            with self.watch.stage("exact check"):
+                modelled = self.scene.boxed(selection.names)
+                refusal = ExactWorld(modelled, self.robot, self.task).refusal(pose, found)
+            if refusal is not None:
+                return selection, False
+        return selection, True
+
+    def _boxes(self, names: Sequence[str]) -> Boxes:
+        """The boxes that stand for objects."""
+        boxed = [self.scene.object(name).boxed for name in names]
+        T = np.array([item.T_world_object for item in boxed]).reshape(-1, 4, 4)
+        size = [item.model.urdf.links["box"].collisions[0].size for item in boxed]
+        half = np.array(size, float).reshape(-1, 3) / 2
+        return Boxes(T[:, :3, 3].copy(), T[:, :3, :3].copy(), half)
 
 
 @cache
@@ -171,19 +270,24 @@ def arm_world(robot: Robot, motion: TaskMotion, config: PipelineConfig) -> World
     )
 
 
-def room_plan(scene: Scene, robot: Robot, motion: TaskMotion) -> FloorPlan:
-    """What stands in the base's way before the task begins."""
-    height = float((robot.base.center + robot.base.half)[:, 2].max(initial=0.3))
-    closed = motion.standing_boxes()
-    return floor_plan(closed, height=height, margin=ROOM_MARGIN, floor=scene.floor)
+def base_height(robot: Robot) -> float:
+    """Height up to which things are in the way of the base [m]."""
+    return float((robot.base.center + robot.base.half)[:, 2].max(initial=0.3))
+
+
+def room_plan(boxes: Boxes, floor: Float[np.ndarray, "k 2"] | None, height: float) -> FloorPlan:
+    """What stands in the way of a base of some height."""
+    return floor_plan(boxes, height=height, margin=ROOM_MARGIN, floor=floor)
+
+
+@lru_cache(maxsize=32)
+def _roomy_start(scene: Scene, height: float) -> Float[np.ndarray, "3"]:
+    """A roomy place in front of the furniture, all of it modelled."""
+    return find_start(room_plan(room_boxes(scene), scene.floor, height), _in_front(scene))
 
 
 def start_pose(
-    scene: Scene,
-    robot: Robot,
-    plan: FloorPlan,
-    motion: TaskMotion,
-    start: Float[np.ndarray, "3"] | None,
+    scene: Scene, robot: Robot, motion: TaskMotion, start: Float[np.ndarray, "3"] | None
 ) -> Float[np.ndarray, "3"]:
     """The start that was given, the scene's, or a roomy place in front of the furniture.
 
@@ -192,7 +296,7 @@ def start_pose(
     """
     given = start if start is not None else scene.start
     if given is None:
-        return find_start(plan, _in_front(scene))
+        return _roomy_start(scene, base_height(robot))
     pose = np.asarray(given, float)
     if pose.shape != (3,) or not np.isfinite(pose).all():
         raise SceneError("the start must be three numbers: x [m], y [m], yaw")
@@ -224,7 +328,6 @@ def _plan(
     result: Search,
     config: PipelineConfig,
     seed: int,
-    timing: dict[str, float],
 ) -> PlacementPlan:
     solved = result.motion is not None and result.base is not None
     base = result.base
@@ -241,7 +344,6 @@ def _plan(
         motion=result.motion,
         navigation_cost=float(result.cost) if solved else None,
         candidates=result.candidates(),
-        timing=timing,
         method=config.place.method,
         seed=seed,
         versions=_versions(),

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from momapos.errors import FileFormatError, InputError
-from momapos.types import Candidates, Motion, PlacementPlan, Status, Task, Verb
+from momapos.types import Candidates, KeyObjects, Motion, PlacementPlan, Status, Task, Verb
 
 FORMAT, VERSION = "momapos-plan", 1
 MAX_BYTES = 200_000_000
@@ -58,6 +58,9 @@ def plan_to_dict(plan: PlacementPlan) -> dict[str, Any]:
             "checked": plan.candidates.checked,
             "rejections": dict(plan.candidates.rejections),
         },
+        "importance": None
+        if plan.key_objects is None
+        else {**asdict(plan.key_objects), "names": list(plan.key_objects.names)},
         "timing": dict(plan.timing),
         "method": plan.method,
         "seed": plan.seed,
@@ -154,6 +157,14 @@ class _Candidates(msgspec.Struct):
     rejections: dict[str, int] = {}
 
 
+class _Importance(msgspec.Struct):
+    scorer: str
+    alpha: float
+    names: list[str]
+    scores: dict[str, float]
+    rounds: int = 0
+
+
 class _Plan(msgspec.Struct):
     scene: str
     robot: _Robot
@@ -165,6 +176,7 @@ class _Plan(msgspec.Struct):
     manipulation: _Manipulation | None = None
     navigation_cost: float | None = None
     candidates: _Candidates = msgspec.field(default_factory=_Candidates)
+    importance: _Importance | None = None
     timing: dict[str, float] = {}
     method: str = ""
     seed: int = 0
@@ -271,11 +283,18 @@ def _record(data: _Plan, path: Path) -> PlacementPlan:
         motion=_motion(data, path),
         navigation_cost=data.navigation_cost,
         candidates=Candidates(**msgspec.structs.asdict(data.candidates)),
+        key_objects=_key_objects(data.importance),
         timing=data.timing,
         method=data.method,
         seed=data.seed,
         versions=data.versions,
     )
+
+
+def _key_objects(data: _Importance | None) -> KeyObjects | None:
+    if data is None:
+        return None
+    return KeyObjects(data.scorer, data.alpha, tuple(data.names), data.scores, data.rounds)
 
 
 def _located(name: str, folder: Path) -> str:

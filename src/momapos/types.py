@@ -70,6 +70,22 @@ class Candidates:
 
 
 @dataclass(frozen=True)
+class KeyObjects:
+    """The set S of objects that got a kinematic model; all others were boxes."""
+
+    scorer: str
+    """What importance was measured by."""
+    alpha: float
+    """Threshold that was reached; it falls when there is no placement [-]."""
+    names: tuple[str, ...]
+    """S, most important first."""
+    scores: Mapping[str, float]
+    """Importance of every object, in (0, 1]."""
+    rounds: int = 0
+    """How often a plan came near boxes, which then joined S, and was checked again [-]."""
+
+
+@dataclass(frozen=True)
 class PlacementPlan:
     """Where the robot stands and how it moves, or why it cannot."""
 
@@ -91,6 +107,8 @@ class PlacementPlan:
     candidates: Candidates = Candidates()
     timing: Mapping[str, float] = field(default_factory=dict)
     """Seconds by stage, and "total"."""
+    key_objects: KeyObjects | None = None
+    """What was modelled; None where nothing says."""
     method: str = "ours"
     seed: int = 0
     versions: Mapping[str, str] = field(default_factory=dict)

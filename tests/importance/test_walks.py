@@ -67,10 +67,17 @@ def test_the_larger_of_two_equally_near_neighbours_gets_the_larger_chance() -> N
         assert P[0, 2] > P[0, 1]
 
 
+def altered(graph: SceneGraph, **values: np.ndarray) -> SceneGraph:
+    """A graph in which something that follows from the scene is otherwise."""
+    copy = replace(graph)
+    copy.__dict__.update(values)
+    return copy
+
+
 def test_k0_of_one_ignores_sizes_and_k0_of_zero_ignores_distances() -> None:
     graph = triple()
-    other_sizes = replace(graph, size=graph.size * np.array([1, 5, 0.2]))
-    other_places = replace(graph, dist_xy=graph.dist_xy * np.array([1, 3, 7])[: len(graph.dist_xy)])
+    other_sizes = altered(graph, size=graph.size * np.array([1, 5, 0.2]))
+    other_places = altered(graph, dist_xy=graph.dist_xy * np.array([1, 3, 7])[: len(graph.dist_xy)])
     assert np.allclose(
         transitions(graph, k0=1.0).probability, transitions(other_sizes, k0=1.0).probability
     )
@@ -81,7 +88,7 @@ def test_k0_of_one_ignores_sizes_and_k0_of_zero_ignores_distances() -> None:
 
 def test_scaling_the_unit_of_length_changes_no_chance() -> None:
     graph = build_graph(load_scene("kitchen_island"))
-    feet = replace(graph, dist_xy=graph.dist_xy / 0.3048, size=graph.size / 0.3048)
+    feet = altered(graph, dist_xy=graph.dist_xy / 0.3048, size=graph.size / 0.3048)
     assert np.allclose(
         transitions(graph, k0=0.5).probability, transitions(feet, k0=0.5).probability
     )

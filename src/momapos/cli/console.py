@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from momapos.pipeline import Answer
+    from momapos.types import KeyObjects
 
 MOST_REASONS = 8
 
@@ -51,11 +52,18 @@ def summary(answer: Answer, out: Path | None) -> str:
     else:
         word = {"infeasible": "there is no base pose", "timeout": "out of time"}[plan.status]
         lines.append(f"  {plan.status:<11} {word}; the reasons are below")
+    if plan.key_objects is not None:
+        lines.append(f"  modelled    {_modelled(plan.key_objects)}")
     lines.append(f"  time        {_times(plan.timing)}")
     lines += _rejections(answer)
     if out is not None:
         lines.append(f"  plan        {out}")
     return "\n".join(lines)
+
+
+def _modelled(key: KeyObjects) -> str:
+    text = f"{len(key.names)} of {len(key.scores)} objects ({key.scorer}, alpha {key.alpha:.2f})"
+    return text + (f", checked again {key.rounds} times" if key.rounds else "")
 
 
 def _question(answer: Answer) -> str:

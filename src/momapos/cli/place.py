@@ -14,9 +14,11 @@ from tyro.conf import OmitArgPrefixes, Positional, arg
 from momapos.errors import TaskError
 
 if TYPE_CHECKING:
+    from momapos.importance.scorers import ImportanceConfig
     from momapos.pipeline import Answer
 
 Method = Literal["ours", "paper", "exhaustive"]
+Scorer = Literal["deepwalk", "distance", "size", "names"]
 Planner = Literal["RRTConnect", "RRTstar", "BITstar"]
 _UNITS = {"": 1.0, "rad": 1.0, "deg": math.pi / 180, "m": 1.0, "cm": 0.01, "mm": 0.001}
 _STATUS = {"solved": 0, "infeasible": 3, "timeout": 4}
@@ -38,6 +40,10 @@ class Options:
     """ours: cheapest pose first; paper: MoMa-Pos as printed; exhaustive: a grid."""
     planner: Planner = "RRTConnect"
     """OMPL's planner for the way from home to the object."""
+    scorer: Scorer | None = None
+    """What objects are modelled for: deepwalk (the paper's), distance, size or names."""
+    alpha: float | None = None
+    """Objects with an importance of at least this are modelled, in [0, 1]; 0: all."""
     seed: int = 0
     """Same seed, same answer."""
     timeout: float = 30.0
@@ -164,6 +170,7 @@ def _answer(verb: str, scene_name: str, target: str, to: str | None, options: Op
     at = None if begin is None else np.array(begin)
     compile_once(scene, robot, task, reach, at, default_cache_dir())
     config = PipelineConfig(
+        importance=_importance(options),
         place=PlaceConfig(method=options.method),
         planner=PlannerConfig(algorithm=options.planner),
         timeout=options.timeout,
@@ -178,6 +185,15 @@ def _answer(verb: str, scene_name: str, target: str, to: str | None, options: Op
 
         draw_answer(scene, answer, reach, options.plot)
     return _STATUS[answer.plan.status]
+
+
+def _importance(options: Options) -> ImportanceConfig:
+    """How objects are scored: as asked, and by walks in the paper's variant."""
+    from momapos.importance.scorers import ImportanceConfig
+
+    paper = "deepwalk" if options.method == "paper" else None
+    asked = {"scorer": options.scorer or paper, "alpha": options.alpha}
+    return ImportanceConfig(**{k: v for k, v in asked.items() if v is not None})  # type: ignore[arg-type]
 
 
 def _deliver(answer: Answer, options: Options) -> None:

@@ -87,6 +87,13 @@ def wrap_angle(angle: float | Float[np.ndarray, " *batch"]) -> Float[np.ndarray,
     return np.maximum(wrapped, np.nextafter(-np.pi, 0.0))
 
 
+def upright_frame(R: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
+    """The rotation about z that follows a frame: its x axis seen from above, or else its y axis."""
+    axis = R[:2, 0] if abs(R[2, 0]) < 0.8 else R[:2, 1]
+    c, s = axis / np.linalg.norm(axis)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
 def orthonormal(axis: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
     """Return some unit vector perpendicular to `axis`, the same one for the same axis."""
     helper = np.eye(3)[int(np.argmin(np.abs(axis)))]

@@ -50,7 +50,15 @@ class Bodies:
         return len(self.low)
 
 
-def stack_bodies(scene: Scene) -> Bodies:
+def upright_boxes(scene: Scene) -> Boxes:
+    """The upright box around each object, turned with the object's frame."""
+    boxed = [item.boxed for item in scene.objects]
+    T = np.array([item.T_world_object for item in boxed])
+    size = [item.model.urdf.links["box"].collisions[0].size for item in boxed]
+    return Boxes(T[:, :3, 3].copy(), T[:, :3, :3].copy(), np.array(size, float) / 2)
+
+
+def stack_bodies(scene: Scene, upright: Boxes) -> Bodies:
     """Stack the geometry of a scene; an object without geometry is a point at its origin."""
     rows = [_hull_rows(item) for item in scene.objects]
     flat = [row for group in rows for row in group]
@@ -62,8 +70,8 @@ def stack_bodies(scene: Scene) -> Bodies:
     vertex_start = np.r_[0, np.cumsum(counts)].astype(np.int64)
     faces = [faces for _, _, faces, _ in flat]
     objects = np.array([len(group) for group in rows])
-    upright, low, high, base = _each_object(
-        scene, points, vertex_start[np.r_[0, np.cumsum(objects)]]
+    low, high, base = _each_object(
+        scene, upright.rotation, points, vertex_start[np.r_[0, np.cumsum(objects)]]
     )
     group_boxes, group_counts = _groups(scene, rows, points, vertex_start)
     return Bodies(
@@ -103,25 +111,24 @@ def _rigid_groups(model: Articulated) -> dict[str, str]:
 
 
 def _each_object(
-    scene: Scene, points: Float[np.ndarray, "v 3"], start: Int[np.ndarray, " n_plus_1"]
-) -> tuple[Boxes, np.ndarray, np.ndarray, np.ndarray]:
-    """Upright box, lower and upper corner, and contact points of each object from its vertices."""
+    scene: Scene,
+    rotation: Float[np.ndarray, "n 3 3"],
+    points: Float[np.ndarray, "v 3"],
+    start: Int[np.ndarray, " n_plus_1"],
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Lower and upper corner, and contact points of each object from its vertices."""
     n = len(scene.objects)
-    center, rotation, half = np.zeros((n, 3)), np.zeros((n, 3, 3)), np.zeros((n, 3))
     low, high, base = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, int(np.prod(GRIDS[0])), 2))
     for i, item in enumerate(scene.objects):
         mine = points[start[i] : start[i + 1]]
         if not len(mine):
             mine = item.T_world_object[None, :3, 3]
-        rotation[i] = R = upright_frame(item.T_world_object[:3, :3])
-        local = mine @ R
-        lower, upper = local.min(0), local.max(0)
-        center[i], half[i] = R @ ((lower + upper) / 2), (upper - lower) / 2
+        local, R = mine @ rotation[i], rotation[i]
         low[i], high[i] = mine.min(0), mine.max(0)
         feet = local[mine[:, 2] <= low[i, 2] + CONTACT_LAYER, :2]
         a, b = feet.min(0), feet.max(0)
         base[i] = (a + _grid(b - a)) @ R[:2, :2].T
-    return Boxes(center, rotation, half), low, high, base
+    return low, high, base
 
 
 def _grid(size: Float[np.ndarray, "2"]) -> Float[np.ndarray, "s 2"]:
@@ -130,13 +137,6 @@ def _grid(size: Float[np.ndarray, "2"]) -> Float[np.ndarray, "s 2"]:
     counts = GRIDS[1] if x > LONG * y else GRIDS[2] if y > LONG * x else GRIDS[0]
     steps = [(np.arange(count) + 0.5) / count for count in counts]
     return np.stack(np.meshgrid(*steps, indexing="ij"), -1).reshape(-1, 2) * size
-
-
-def upright_frame(R: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
-    """The rotation about z that follows a frame: its x axis seen from above, or else its y axis."""
-    axis = R[:2, 0] if abs(R[2, 0]) < 0.8 else R[:2, 1]
-    c, s = axis / np.linalg.norm(axis)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 def _groups(

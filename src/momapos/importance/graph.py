@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -11,8 +11,9 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from momapos.errors import InputError, SceneError, unknown_name
-from momapos.importance.bodies import Bodies, stack_bodies
+from momapos.importance.bodies import stack_bodies, upright_boxes
 from momapos.importance.relations import KINDS, NEAR, hierarchy, neighbours, outline_gaps
+from momapos.kinematics.hulls import Boxes
 from momapos.scene.scene import Scene
 
 SMALLEST = 1e-3
@@ -42,23 +43,70 @@ class GraphConfig:
 
 @dataclass(frozen=True, eq=False)
 class SceneGraph:
-    """Objects, and how they lie to each other."""
+    """Objects, and how they lie to each other; found when it is first asked for."""
 
-    names: tuple[str, ...]
-    categories: tuple[str, ...]
-    bodies: Bodies
-    child: Int[np.ndarray, " e"]
-    """Which is on, in or inside the parent; of neighbours, the first in the scene."""
-    parent: Int[np.ndarray, " e"]
-    kind: Int[np.ndarray, " e"]
-    """Index into KINDS: on, in, inside, near."""
-    dist_xy: Float[np.ndarray, " e"]
-    """Horizontal distance of the centres of the two boxes, floored [m]."""
-    size: Float[np.ndarray, " n"]
-    """Cube root of the volume of each object's upright box [m]."""
+    scene: Scene
+    config: GraphConfig
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of the objects, in the order of the scene."""
+        return tuple(item.name for item in self.scene.objects)
+
+    @cached_property
+    def categories(self) -> tuple[str, ...]:
+        """Their categories."""
+        return tuple(item.category for item in self.scene.objects)
+
+    @cached_property
+    def upright(self) -> Boxes:
+        """The upright box around each object, turned with the object's frame."""
+        return upright_boxes(self.scene)
+
+    @cached_property
+    def size(self) -> Float[np.ndarray, " n"]:
+        """Cube root of the volume of each object's upright box [m]."""
+        return np.maximum(np.cbrt(np.prod(2 * self.upright.half, axis=1)), SMALLEST)
+
+    @cached_property
+    def edges(self) -> Int[np.ndarray, "e 3"]:
+        """Child, parent, index into KINDS; of neighbours, the first in the scene is the child.
+
+        An edge that follows from two others is left out: a cup on a tray on a table is not on the
+        table. Objects that are otherwise related are not near as well.
+        """
+        config, n = self.config, len(self)
+        bodies = stack_bodies(self.scene, self.upright)
+        above = _shortest(hierarchy(bodies, contact=config.contact), n)
+        beside = neighbours(self.upright, count=config.neighbours, reach=config.near)
+        known = np.sort(above[:, :2], axis=1) @ [n, 1]
+        beside = beside[~np.isin(beside @ [n, 1], known)]
+        return np.concatenate([above, np.column_stack([beside, np.full(len(beside), NEAR)])])
+
+    @property
+    def child(self) -> Int[np.ndarray, " e"]:
+        """Which is on, in or inside the parent."""
+        return self.edges[:, 0]
+
+    @property
+    def parent(self) -> Int[np.ndarray, " e"]:
+        """What the child is on, in, inside or near."""
+        return self.edges[:, 1]
+
+    @property
+    def kind(self) -> Int[np.ndarray, " e"]:
+        """Index into KINDS: on, in, inside, near."""
+        return self.edges[:, 2]
+
+    @cached_property
+    def dist_xy(self) -> Float[np.ndarray, " e"]:
+        """Horizontal distance of the centres of the two boxes of each edge, floored [m]."""
+        center = self.upright.center[:, :2]
+        apart = np.linalg.norm(center[self.child] - center[self.parent], axis=1)
+        return np.maximum(apart, self.config.floor)
 
     def __len__(self) -> int:
-        return len(self.names)
+        return len(self.scene.objects)
 
     def index(self, name: str) -> int:
         """Place of an object in `names`.
@@ -97,14 +145,12 @@ class SceneGraph:
 
     def gaps(self, target: int) -> Float[np.ndarray, " n"]:
         """Horizontal gap between each object's box and the target's [m]."""
-        return outline_gaps(self.bodies, target)
+        return outline_gaps(self.upright, target)
 
 
+@lru_cache(maxsize=16)
 def build_graph(scene: Scene, config: GraphConfig | None = None) -> SceneGraph:
     """Read the relations of a scene's objects from their geometry.
-
-    An edge that follows from two others is left out: a cup on a tray on a table is not on the
-    table. Objects that are otherwise related are not near as well.
 
     Args:
         scene: The room; its joints stand as it says.
@@ -113,30 +159,9 @@ def build_graph(scene: Scene, config: GraphConfig | None = None) -> SceneGraph:
     Raises:
         SceneError: There is no object.
     """
-    config = config or GraphConfig()
     if not scene.objects:
         raise SceneError(f"scene {scene.name} has no object to rank")
-    bodies = stack_bodies(scene)
-    n = len(bodies)
-    above = _shortest(hierarchy(bodies, contact=config.contact), n)
-    beside = neighbours(bodies, count=config.neighbours, reach=config.near)
-    known = np.sort(above[:, :2], axis=1) @ [n, 1]
-    beside = beside[~np.isin(beside @ [n, 1], known)]
-    edges = np.concatenate([above, np.column_stack([beside, np.full(len(beside), NEAR)])])
-    child, parent, kind = edges.T
-    center = bodies.upright.center[:, :2]
-    apart = np.linalg.norm(center[child] - center[parent], axis=1)
-    volume = np.prod(2 * bodies.upright.half, axis=1)
-    return SceneGraph(
-        names=tuple(item.name for item in scene.objects),
-        categories=tuple(item.category for item in scene.objects),
-        bodies=bodies,
-        child=child,
-        parent=parent,
-        kind=kind,
-        dist_xy=np.maximum(apart, config.floor),
-        size=np.maximum(np.cbrt(volume), SMALLEST),
-    )
+    return SceneGraph(scene, config or GraphConfig())
 
 
 def _shortest(edges: Int[np.ndarray, "e 3"], n: int) -> Int[np.ndarray, "f 3"]:

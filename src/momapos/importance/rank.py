@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
@@ -21,14 +22,28 @@ class Importance:
     names: tuple[str, ...]
     scores: Float[np.ndarray, " n"]
     """In (0, 1], falling; the target's is 1."""
-    relations: tuple[str, ...]
-    """What each is to the target: on, in, inside, carries, contains, near; else ""."""
-    steps: tuple[int, ...]
-    """Relations on the shortest way to the target; -1 where there is none."""
     alpha: float
     scorer: str
     seed: int
     graph: SceneGraph
+
+    @cached_property
+    def _rows(self) -> list[int]:
+        """Place of each object in the graph."""
+        place = {name: i for i, name in enumerate(self.graph.names)}
+        return [place[name] for name in self.names]
+
+    @cached_property
+    def relations(self) -> tuple[str, ...]:
+        """What each is to the target: on, in, inside, carries, contains, near; else ""."""
+        words = self.graph.relations(self.graph.index(self.target))
+        return tuple(words[i] for i in self._rows)
+
+    @cached_property
+    def steps(self) -> tuple[int, ...]:
+        """Relations on the shortest way to the target; -1 where there is none."""
+        steps = self.graph.steps(self.graph.index(self.target))
+        return tuple(int(steps[i]) for i in self._rows)
 
     def selected(self, alpha: float | None = None) -> tuple[str, ...]:
         """The set S: names with a score of at least alpha, most important first.
@@ -79,13 +94,10 @@ def rank(
     scores[chosen] = 1.0
     others = np.arange(len(graph)) != chosen
     order = np.lexsort((np.arange(len(graph)), graph.gaps(chosen), -scores, others))
-    relations, steps = graph.relations(chosen), graph.steps(chosen)
     return Importance(
         target=target,
         names=tuple(graph.names[i] for i in order),
         scores=scores[order],
-        relations=tuple(relations[i] for i in order),
-        steps=tuple(int(steps[i]) for i in order),
         alpha=config.alpha,
         scorer=config.scorer,
         seed=seed,

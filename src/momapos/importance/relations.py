@@ -7,6 +7,7 @@ from jaxtyping import Float, Int
 from numba import njit
 
 from momapos.importance.bodies import Bodies
+from momapos.kinematics.hulls import Boxes
 
 ON, IN, INSIDE, NEAR = range(4)
 KINDS = ("on", "in", "inside", "near")
@@ -279,24 +280,22 @@ def hierarchy(bodies: Bodies, *, contact: float) -> Int[np.ndarray, "e 3"]:
     )
 
 
-def neighbours(bodies: Bodies, *, count: int, reach: float) -> Int[np.ndarray, "e 2"]:
+def neighbours(box: Boxes, *, count: int, reach: float) -> Int[np.ndarray, "e 2"]:
     """Pairs (smaller index first) of which one is among the other's nearest.
 
     Args:
-        bodies: The scene.
+        box: The upright boxes of the objects.
         count: Nearest boxes of each object [-].
         reach: Farthest gap between two boxes that are neighbours [m].
     """
-    box = bodies.upright
-    if count == 0 or len(bodies) < 2:
+    if count == 0 or len(box) < 2:
         return np.zeros((0, 2), np.int64)
-    index = _nearest(box.center, box.rotation, box.half, min(count, len(bodies) - 1), reach)
+    index = _nearest(box.center, box.rotation, box.half, min(count, len(box) - 1), reach)
     own = np.repeat(np.arange(len(index)), index.shape[1])
     pairs = np.sort(np.stack([own, index.ravel()], -1)[index.ravel() >= 0], axis=1)
     return np.unique(pairs, axis=0)
 
 
-def outline_gaps(bodies: Bodies, target: int) -> Float[np.ndarray, " n"]:
+def outline_gaps(box: Boxes, target: int) -> Float[np.ndarray, " n"]:
     """Horizontal distance of every object's upright box to the target's [m]."""
-    box = bodies.upright
     return _gaps_to(target, box.center, box.rotation, box.half)

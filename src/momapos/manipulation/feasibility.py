@@ -138,25 +138,12 @@ class Feasibility:
         """Whether the object is in the hand from the beginning."""
         return self.motion.task.verb == "place"
 
-    def _with_load(self, grasp: int) -> Spheres:
-        """The robot's spheres, with the object in its hand where the task is to place it."""
-        if not self._carrying:
-            return self.robot.spheres
-        chain, m = self.robot.chain, self.motion.moving
-        center, radius = box_spheres(Boxes(m.center[-1], m.rotation[-1], m.half[-1]))
-        T_tool_world = invert(self.motion.Ts_world_tool[grasp, 0])
-        in_tool = apply(T_tool_world, center)
-        return carry(
-            self.robot.spheres, chain.size,
-            chain.tool_offset + in_tool @ chain.tool_rotation.T, radius,
-        )  # fmt: skip
-
     def _complete(
         self, base: Float[np.ndarray, "3"], q: Float[np.ndarray, "d n"], grasp: int
     ) -> tuple[Motion | None, str]:
         """Add the approach from home, and let the exact check decide."""
         chain, hold = self.robot.chain, self.motion.hold
-        spheres = self._with_load(grasp)
+        spheres = loaded(self.robot, self.motion, self.motion.Ts_world_tool[grasp, 0], 0)
         q = near_home(q, self.robot.home, chain.lower, chain.upper)
         free = motion_checker(
             self.world, chain, spheres, base, value=int(self.motion.value[0]),
@@ -199,6 +186,27 @@ class Feasibility:
         return "no continuous branch"
 
 
+def loaded(
+    robot: Robot, motion: TaskMotion, T_world_tool: Float[np.ndarray, "4 4"], step: int
+) -> Spheres:
+    """The robot's spheres, with the object in its hand where the task is to place it.
+
+    Args:
+        robot: The robot.
+        motion: The task.
+        T_world_tool: Where the tool is when it holds the object.
+        step: The step of the motion at which that is so.
+    """
+    if motion.task.verb != "place":
+        return robot.spheres
+    chain, m, value = robot.chain, motion.moving, motion.value[step]
+    center, radius = box_spheres(Boxes(m.center[value], m.rotation[value], m.half[value]))
+    in_tool = apply(invert(T_world_tool), center)
+    return carry(
+        robot.spheres, chain.size, chain.tool_offset + in_tool @ chain.tool_rotation.T, radius
+    )
+
+
 def _farther(path: ArmPath, other: ArmPath) -> bool:
     """Whether a path came farther than another."""
     return path.status == FOUND or path.passed > other.passed
@@ -219,7 +227,7 @@ def hand_clears(
         value, holding = (np.tile(v[steps], len(alive)) for v in (motion.value, motion.holding))
         codes = check_hand(world, robot.chain, robot.spheres, Ts, value, holding)
         hits.append(codes[codes != FREE])
-        alive = alive[(codes.reshape(len(alive), -1) == FREE).all(1)]
+        alive = alive[(codes.reshape(len(alive), len(steps)) == FREE).all(1)]
     free = np.isin(np.arange(len(motion.Ts_world_tool)), alive)
     counts = np.bincount(np.concatenate(hits))
     return free, world.reason(int(counts.argmax())) if len(counts) else ""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -92,6 +92,20 @@ def task_motion(scene: Scene, robot: Robot, task: Task, config: MotionConfig) ->
     if task.joint is None:
         return _rigid_motion(scene, robot, task, target, config)
     return _joint_motion(scene, robot, task, target, config)
+
+
+def in_room(motion: TaskMotion, scene: Scene) -> TaskMotion:
+    """The same motion of the same object, among what stands in another version of its room."""
+    target = scene.object(motion.task.object)
+    joint = motion.task.joint
+    moved = target.model.links if joint is None else target.model.moved_by(joint)
+    static, labels = _static_boxes(scene, target, set(moved))
+    return replace(motion, static=static, labels=(*labels, *motion.labels[len(motion.static) :]))
+
+
+def room_boxes(scene: Scene) -> Boxes:
+    """All boxes of a room."""
+    return _static_boxes(scene, None, set())[0]
 
 
 def _joint_motion(
@@ -197,7 +211,9 @@ def _near_handle(
     return gap.min(0) < 0.01
 
 
-def _static_boxes(scene: Scene, target: SceneObject, moved: set[str]) -> tuple[Boxes, list[str]]:
+def _static_boxes(
+    scene: Scene, target: SceneObject | None, moved: set[str]
+) -> tuple[Boxes, list[str]]:
     center, rotation, half, labels = [], [], [], []
     for item in scene.objects:
         for link, T in item.link_poses().items():

@@ -63,6 +63,8 @@ class PlaceConfig:
     """Cell of the exhaustive grid [m]."""
     grid_turn: float = 10.0
     """Turn between yaws of the exhaustive grid [deg]."""
+    grid: bool = True
+    """Whether the grid decides where no sample works [-]."""
     whole_grid: bool = False
     """Whether the grid is screened to its end, even after the cheapest pose is found."""
     clearance: float = 0.01
@@ -160,6 +162,8 @@ def _rounds(
             unit = qmc.LatinHypercube(3, rng=rng).random(config.count * 2**r)
             low, high = np.append(corners[0], -np.pi), np.append(corners[1], np.pi)
             yield low + unit * (high - low), False
+        if not config.grid:
+            return
     x, y = (
         np.arange(np.floor(lo / config.grid_cell), np.ceil(hi / config.grid_cell) + 1)
         * config.grid_cell

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -11,7 +11,12 @@ import numpy as np
 from jaxtyping import Float
 
 from momapos.errors import unknown_name
+from momapos.geometry.transforms import apply, pose, upright_frame
 from momapos.kinematics.articulated import Articulated
+from momapos.kinematics.urdf import box_urdf
+
+SMALLEST = 1e-4
+"""Edges of a box are at least this [m]."""
 
 
 @dataclass(frozen=True)
@@ -44,22 +49,34 @@ class SceneObject:
         return {name: self.T_world_object @ T for name, T in poses.items()}
 
     @cached_property
-    def bounds(self) -> Float[np.ndarray, "2 3"]:
-        """Axis-aligned box in the world: lower and upper corner [m]."""
+    def vertices(self) -> Float[np.ndarray, "v 3"]:
+        """Corners of all hulls in the world [m]; the origin where there is no geometry."""
         points = [
-            hull.vertices @ T[:3, :3].T + T[:3, 3]
+            apply(T, hull.vertices)
             for name, T in self.link_poses().items()
             for hull in self.model.hulls[name]
         ]
-        if not points:
-            return np.repeat(self.T_world_object[None, :3, 3], 2, axis=0)
-        stacked = np.concatenate(points)
-        return np.stack([stacked.min(0), stacked.max(0)])
+        return np.concatenate(points) if points else self.T_world_object[None, :3, 3]
+
+    @cached_property
+    def boxed(self) -> SceneObject:
+        """The same thing as one rigid box, upright and turned as the thing is."""
+        R = upright_frame(self.T_world_object[:3, :3])
+        local = self.vertices @ R
+        low, high = local.min(0), local.max(0)
+        x, y, z = np.maximum(high - low, SMALLEST).tolist()
+        model = Articulated(box_urdf(self.name, (x, y, z)))
+        return SceneObject(self.name, self.category, pose(R @ ((low + high) / 2), R), model)
+
+    @cached_property
+    def bounds(self) -> Float[np.ndarray, "2 3"]:
+        """Axis-aligned box in the world: lower and upper corner [m]."""
+        return np.stack([self.vertices.min(0), self.vertices.max(0)])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Scene:
-    """A room."""
+    """A room; one is equal to itself alone."""
 
     name: str
     path: Path | None
@@ -82,6 +99,14 @@ class Scene:
             if item.name == name:
                 return item
         raise unknown_name("object", name, [o.name for o in self.objects], f"scene {self.name}")
+
+    def boxed(self, keep: Collection[str]) -> Scene:
+        """The same room in which only the objects named keep their joints and their shape.
+
+        All others are boxes, so what is free in it is free in the room.
+        """
+        objects = (item if item.name in keep else item.boxed for item in self.objects)
+        return replace(self, objects=tuple(objects))
 
     def with_joint(self, name: str, joint: str, value: float) -> Scene:
         """The same scene with one joint of one object at another value."""

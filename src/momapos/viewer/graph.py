@@ -63,7 +63,7 @@ def _picture(scene: Scene, result: Importance) -> bytes:
     frame(axes, view)
     room(axes, scene, target=result.target)
     inch = float((view[1] - view[0])[0] / size[0])
-    centers = result.graph.bodies.upright.center[:, :2]
+    centers = result.graph.upright.center[:, :2]
     numbered, nodes = _places(result) < NUMBERED, centers.copy()
     moved = spread(centers[numbered], 3.2 * NODE * inch)
     nodes[numbered] = np.clip(moved, view[0] + NODE * inch, view[1] - NODE * inch)
@@ -83,8 +83,9 @@ def _view(scene: Scene, result: Importance, ratio: float) -> Float[np.ndarray, "
     """The whole room, or of a crowd the surroundings of what has a number [m]."""
     whole = bounds = room_bounds(scene)
     if len(result.names) > NUMBERED:
-        bodies, numbered = result.graph.bodies, _places(result) < NUMBERED
-        bounds = np.stack([bodies.low[numbered, :2].min(0), bodies.high[numbered, :2].max(0)])
+        corners = np.array([item.bounds[:, :2] for item in result.graph.scene.objects])
+        numbered = corners[_places(result) < NUMBERED]
+        bounds = np.stack([numbered[:, 0].min(0), numbered[:, 1].max(0)])
     return widen(bounds + np.array([[-0.3], [0.3]]), ratio, whole)
 
 

@@ -1,0 +1,89 @@
+"""Which boxes a motion comes near: base, arm with what it carries, and the moving part."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from momapos.kinematics.base_collision import base_hits
+from momapos.kinematics.hulls import Boxes
+from momapos.kinematics.world import build_world, check
+from momapos.manipulation.feasibility import loaded
+from momapos.manipulation.motion import TaskMotion
+from momapos.robots.robot import Robot
+from momapos.types import Motion
+
+_ORIGIN = np.zeros((1, 3))
+
+
+def swept_boxes(motion: TaskMotion, boxes: Boxes, *, margin: float) -> Bool[np.ndarray, " b"]:
+    """Which boxes the moving part comes near, whoever moves it.
+
+    Args:
+        motion: What moves.
+        boxes: In the world frame.
+        margin: What counts as near [m].
+    """
+    sweep = motion.sweep()
+    return _every(boxes, lambda left: base_hits(_ORIGIN, sweep, left, clearance=margin))
+
+
+def stood_boxes(
+    robot: Robot, base: Float[np.ndarray, "3"], boxes: Boxes, *, margin: float
+) -> Bool[np.ndarray, " b"]:
+    """Which boxes the base comes near where it stands (x, y [m], yaw [rad])."""
+    return _every(boxes, lambda left: base_hits(base[None], robot.base, left, clearance=margin))
+
+
+def near_boxes(
+    robot: Robot,
+    motion: TaskMotion,
+    base: Float[np.ndarray, "3"],
+    found: Motion,
+    boxes: Boxes,
+    *,
+    margin: float,
+) -> Bool[np.ndarray, " b"]:
+    """Which boxes a motion that was found comes near.
+
+    The arm is told at every state by its collision spheres, which lie outside its shape.
+
+    Args:
+        robot: The robot.
+        motion: The task.
+        base: Base pose x [m], y [m], yaw [rad].
+        found: What the arm does there.
+        boxes: In the world frame.
+        margin: What counts as near [m].
+    """
+    q = np.concatenate([found.approach, found.q])
+    bases, none = np.tile(base, (len(q), 1)), np.zeros(len(q), np.int64)
+    spheres = loaded(robot, motion, found.Ts_world_tool[0], motion.hold)
+    nothing = Boxes(np.zeros((1, 0, 3)), np.zeros((1, 0, 3, 3)), np.zeros((1, 0, 3)))
+
+    def arm_hits(left: Boxes) -> Int[np.ndarray, " m"]:
+        labels, free = [""] * len(left), np.zeros(0, bool)
+        world = build_world(left, nothing, free, labels, spheres, clearance=margin)
+        return check(world, robot.chain, spheres, q, bases, none, none > 0)
+
+    return (
+        stood_boxes(robot, base, boxes, margin=margin)
+        | swept_boxes(motion, boxes, margin=margin)
+        | _every(boxes, arm_hits)
+    )
+
+
+def _every(
+    boxes: Boxes, first_hits: Callable[[Boxes], Int[np.ndarray, " m"]]
+) -> Bool[np.ndarray, " b"]:
+    """All boxes that are hit, from checks that stop at the first."""
+    left = np.arange(len(boxes))
+    while len(left):
+        codes = first_hits(Boxes(boxes.center[left], boxes.rotation[left], boxes.half[left]))
+        hit = np.unique(codes[codes >= 0])
+        if not len(hit):
+            break
+        left = np.delete(left, hit)
+    return ~np.isin(np.arange(len(boxes)), left)
