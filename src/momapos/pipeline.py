@@ -29,7 +29,7 @@ from momapos.manipulation.feasibility import Feasibility, hand_clears
 from momapos.manipulation.handles import opening_direction
 from momapos.manipulation.motion import TaskMotion, in_room, room_boxes, task_motion
 from momapos.manipulation.nearness import near_boxes, stood_boxes, swept_boxes
-from momapos.manipulation.tasks import openable
+from momapos.manipulation.tasks import hand_path, openable
 from momapos.navigation.cost_map import FloorPlan, build_cost_map, floor_plan
 from momapos.navigation.start import find_start
 from momapos.placement.area import Site, footprints
@@ -102,7 +102,8 @@ def place(
     """
     ask = _Question(scene, robot, task, reach, config, seed, _Stopwatch(clock), clock())
     with ask.watch.stage("importance"):
-        ranked = rank(scene, task.object, config.importance, seed=seed)
+        path = hand_path(scene, task.object, task.joint, task.to)
+        ranked = rank(scene, task.object, config.importance, path=path, seed=seed)
     with ask.watch.stage("model"):
         motion = task_motion(scene.boxed({task.object}), robot, task, config.motion)
     selection = ask.first_selection(ranked, motion, start)

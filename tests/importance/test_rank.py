@@ -29,9 +29,13 @@ from momapos.importance.scorers import (
 from momapos.scene.files import load_scene
 from momapos.scene.scene import Scene
 
+WALKS = ImportanceConfig(scorer="deepwalk")
 PRINT = (
     "from momapos.scene.files import load_scene; from momapos.importance.rank import rank;"
-    "print(rank(load_scene('kitchen_island'), 'cup', seed=3).scores.tobytes().hex())"
+    "from momapos.importance.scorers import ImportanceConfig as C;"
+    "room = load_scene('kitchen_island');"
+    "print(*(rank(room, 'cup', C(scorer=s), seed=3).scores.tobytes().hex()"
+    " for s in ('deepwalk', 'reach', 'names')))"
 )
 
 
@@ -63,7 +67,7 @@ def test_scores_are_above_zero_at_most_one_and_the_target_leads_with_one(
 
 
 def test_s_grows_as_alpha_falls_and_holds_everything_at_zero() -> None:
-    found = rank(load_scene("kitchen_small"), "fridge")
+    found = rank(load_scene("kitchen_small"), "fridge", WALKS)
     sets = [set(found.selected(alpha)) for alpha in (1.0, 0.7, 0.45, 0.2, 0.0)]
     assert all(a <= b for a, b in itertools.pairwise(sets))
     assert "fridge" in sets[0]
@@ -73,13 +77,13 @@ def test_s_grows_as_alpha_falls_and_holds_everything_at_zero() -> None:
 
 def test_every_object_is_in_s_for_some_alpha_above_zero() -> None:
     """What Lemma 1 of the paper asks of a score."""
-    found = rank(load_scene("kitchen_island"), "cup")
+    found = rank(load_scene("kitchen_island"), "cup", WALKS)
     assert set(found.selected(LEAST)) == set(found.names)
 
 
 def test_the_same_seed_gives_the_same_scores_and_another_seed_others() -> None:
     scene = load_scene("kitchen_small")
-    a, b, c = (rank(scene, "fridge", seed=seed) for seed in (5, 5, 6))
+    a, b, c = (rank(scene, "fridge", WALKS, seed=seed) for seed in (5, 5, 6))
     assert a.names == b.names
     assert np.array_equal(a.scores, b.scores)
     assert not np.array_equal(a.scores, c.scores)
@@ -93,7 +97,12 @@ def test_scores_do_not_depend_on_the_hash_seed_nor_on_the_processor() -> None:
         )  # fmt: skip
         return done.stdout
 
-    here = rank(load_scene("kitchen_island"), "cup", seed=3).scores.tobytes().hex() + "\n"
+    kitchen = load_scene("kitchen_island")
+    raw = [
+        rank(kitchen, "cup", ImportanceConfig(scorer=name), seed=3).scores.tobytes().hex()
+        for name in ("deepwalk", "reach", "names")
+    ]
+    here = " ".join(raw) + "\n"
     assert scores(PYTHONHASHSEED="1") == here
     assert scores(PYTHONHASHSEED="2", OPENBLAS_CORETYPE="Nehalem") == here
 
@@ -108,7 +117,7 @@ def test_moving_and_turning_the_whole_room_leaves_s_as_it_is() -> None:
 
 def test_noise_between_seeds_is_small_against_the_spread_of_scores() -> None:
     scene = load_scene("kitchen_small")
-    runs = [rank(scene, "fridge", seed=seed) for seed in range(5)]
+    runs = [rank(scene, "fridge", WALKS, seed=seed) for seed in range(5)]
     scores = np.array([[run.score(item.name) for item in scene.objects] for run in runs])
     assert scores.std(axis=0).mean() < 0.05 < scores.mean(axis=0).std()
 
@@ -124,7 +133,7 @@ def test_the_neighbour_is_more_important_than_what_stands_far_away() -> None:
 
 def test_what_is_not_related_has_the_lowest_score_and_is_still_there() -> None:
     scene = room(*(box(f"b{k}", (0.5, 0.5, 0.5), (5.0 * k, 0, 0)) for k in range(4)))
-    found = rank(scene, "b1")
+    found = rank(scene, "b1", WALKS)
     assert found.names[0] == "b1"
     assert found.scores.tolist() == [1.0, LEAST, LEAST, LEAST]
     assert found.relations == ("", "", "", "")
@@ -152,13 +161,13 @@ def test_a_thousand_objects_at_one_place_have_finite_scores(scorer: str) -> None
 @settings(max_examples=10, deadline=None)
 @given(st.integers(1, 40), st.integers(0, 1000), st.sampled_from([0.0, 0.5, 1.0]))
 def test_no_random_room_gives_a_nan(count: int, seed: int, k0: float) -> None:
-    found = rank(crowd(count, seed), "b0", ImportanceConfig(k0=k0, walks=2, epochs=1))
+    found = rank(crowd(count, seed), "b0", replace(WALKS, k0=k0, walks=2, epochs=1))
     assert np.isfinite(found.scores).all()
     assert found.scores[0] == 1.0
 
 
 def test_relations_are_told_from_the_side_of_the_object() -> None:
-    found = rank(load_scene("kitchen_small"), "counter")
+    found = rank(load_scene("kitchen_small"), "counter", WALKS)
     told = dict(zip(found.names, found.relations, strict=True))
     assert told["microwave"] == "on"
     assert told["cabinet_left"] == "carries"
@@ -172,7 +181,7 @@ def test_alpha_and_k0_outside_zero_to_one_are_refused_in_one_line(name: str, val
     with pytest.raises(InputError, match=rf"^{name} must be between 0 and 1, not .*$"):
         ImportanceConfig(**{name: value})
     with pytest.raises(InputError):
-        rank(load_scene("kitchen_small"), "fridge").selected(2.0)
+        rank(load_scene("kitchen_small"), "fridge", WALKS).selected(2.0)
 
 
 @pytest.mark.parametrize(
@@ -213,3 +222,22 @@ def test_names_alone_know_nothing_of_places() -> None:
     other = replace(scene, objects=tuple(away if o is cup else o for o in scene.objects))
     config = ImportanceConfig(scorer="names")
     assert rank(other, "fridge", config).score("cup") == rank(scene, "fridge", config).score("cup")
+
+
+def test_what_is_on_the_hand_s_way_matters_more_the_nearer_and_the_larger_it_is() -> None:
+    """A box at the path scores 1 whatever its size; farther off, size and distance decide."""
+    scene = room(
+        box("target", (0.5, 0.5, 0.5), (0.0, 3.0, 0.0)),
+        box("at", (0.1, 0.1, 0.1), (0.0, 0.0, 0.0)),
+        box("near", (0.5, 0.5, 0.5), (1.0, 0.0, 0.0)),
+        box("far", (0.5, 0.5, 0.5), (2.0, 0.0, 0.0)),
+        box("small", (0.1, 0.1, 0.1), (-1.0, 0.0, 0.0)),
+    )
+    path = np.array([[0.0, 0.0, 0.05], [0.0, 0.02, 0.05]])
+    found = rank(scene, "target", ImportanceConfig(scorer="reach"), path=path)
+    assert found.score("at") == 1.0
+    assert found.score("near") > found.score("far") > found.score("small")
+    without = rank(scene, "target", ImportanceConfig(scorer="reach"))
+    as_size = rank(scene, "target", ImportanceConfig(scorer="size"))
+    assert without.names == as_size.names
+    np.testing.assert_array_equal(without.scores, as_size.scores)

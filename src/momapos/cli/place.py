@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from momapos.pipeline import Answer
 
 Method = Literal["ours", "paper", "exhaustive"]
-Scorer = Literal["deepwalk", "distance", "size", "names"]
+Scorer = Literal["reach", "deepwalk", "distance", "size", "names"]
 Planner = Literal["RRTConnect", "RRTstar", "BITstar"]
 _UNITS = {"": 1.0, "rad": 1.0, "deg": math.pi / 180, "m": 1.0, "cm": 0.01, "mm": 0.001}
 _STATUS = {"solved": 0, "infeasible": 3, "timeout": 4}
@@ -41,7 +41,7 @@ class Options:
     planner: Planner = "RRTConnect"
     """OMPL's planner for the way from home to the object."""
     scorer: Scorer | None = None
-    """What objects are modelled for: deepwalk (the paper's), distance, size or names."""
+    """How importance is measured: from where the hand goes (reach), or as the paper (deepwalk)."""
     alpha: float | None = None
     """Objects with an importance of at least this are modelled, in [0, 1]; 0: all."""
     seed: int = 0

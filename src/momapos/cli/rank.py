@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from momapos.importance.rank import Importance
     from momapos.scene.scene import Scene
 
-Target = Annotated[str, arg(metavar="OBJECT")]
+Target = Annotated[str, arg(metavar="OBJECT[/JOINT]")]
 Shared = Annotated[ImportanceConfig, OmitArgPrefixes]
 _WORDS = {
     "": "", "near": "near it", "on": "on it", "in": "in it", "inside": "inside it",
@@ -37,7 +37,7 @@ def rank_objects(
 
     Args:
         scene: A scene file or the name of a built-in kitchen.
-        target: The object that the task is about.
+        target: The object that the task is about, and the joint where it has several.
         seed: Same seed, same scores.
         plot: Draw the scene graph over the room (PNG).
         json: Print one JSON object and nothing else.
@@ -46,12 +46,15 @@ def rank_objects(
     import json as encoder
 
     from momapos.importance.rank import rank
+    from momapos.manipulation.tasks import hand_path
     from momapos.scene.files import load_scene
 
     loaded = load_scene(scene)
     for warning in loaded.warnings:
         print(f"momapos: {warning}", file=sys.stderr)
-    result = rank(loaded, target, config, seed=seed)
+    name, _, joint = target.partition("/")
+    path = hand_path(loaded, name, joint or None)
+    result = rank(loaded, name, config, path=path, seed=seed)
     if plot is not None:
         from momapos.viewer.graph import draw_importance
 

@@ -10,8 +10,11 @@ from jaxtyping import Float
 
 from momapos.errors import InputError
 from momapos.importance.graph import SceneGraph, build_graph
-from momapos.importance.scorers import SCORERS, ImportanceConfig
+from momapos.importance.scorers import LEAST, SCORERS, ImportanceConfig
 from momapos.scene.scene import Scene
+
+DIGITS = 6
+"""Decimals of a score [-]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +73,12 @@ class Importance:
 
 
 def rank(
-    scene: Scene, target: str, config: ImportanceConfig | None = None, *, seed: int = 0
+    scene: Scene,
+    target: str,
+    config: ImportanceConfig | None = None,
+    *,
+    path: Float[np.ndarray, "k 3"] | None = None,
+    seed: int = 0,
 ) -> Importance:
     """Score every object of a scene against the target (MoMa-Pos, section III-A).
 
@@ -78,6 +86,7 @@ def rank(
         scene: The room.
         target: Name of the object that the task is about.
         config: How to score.
+        path: Where the hand goes, in the world [m]; only the scorer `reach` looks at it.
         seed: Same seed, same scores.
 
     Raises:
@@ -90,7 +99,9 @@ def rank(
     scene.object(target)
     graph = build_graph(scene, config.graph)
     chosen = graph.index(target)
-    scores = np.clip(SCORERS[config.scorer](graph, chosen, config, seed), 0.0, 1.0)
+    scores = SCORERS[config.scorer](graph, chosen, config, seed, path)
+    # The last digits are the processor's.
+    scores = np.clip(np.round(scores, DIGITS), LEAST, 1.0)
     scores[chosen] = 1.0
     others = np.arange(len(graph)) != chosen
     order = np.lexsort((np.arange(len(graph)), graph.gaps(chosen), -scores, others))

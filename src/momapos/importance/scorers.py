@@ -23,16 +23,16 @@ KNEE = 0.05
 """Cosines from here up are scores as they are; lower ones are squeezed in below [-]."""
 MOST = 10_000
 """Bound of every count, so that a typing error does not run for hours [-]."""
-ScorerName = Literal["deepwalk", "distance", "size", "names"]
+ScorerName = Literal["reach", "deepwalk", "distance", "size", "names"]
 
 
 @dataclass(frozen=True)
 class ImportanceConfig:
     """How objects are scored against the target."""
 
-    scorer: ScorerName = "deepwalk"
-    """deepwalk: the paper's; distance: near the target; size: large for its distance; names: by
-    words alone."""
+    scorer: ScorerName = "reach"
+    """reach: large for its distance from where the hand goes; deepwalk: the paper's; distance: near
+    the target; size: large for its distance from the target; names: by words alone."""
     alpha: float = 0.45
     """Objects with a score of at least this are in S, in [0, 1] [-]."""
     k0: float = 0.5
@@ -64,18 +64,20 @@ class ImportanceConfig:
             raise InputError(f"no scorer {self.scorer!r}; there are {', '.join(SCORERS)}")
 
 
-Scorer = Callable[[SceneGraph, int, ImportanceConfig, int], Float[np.ndarray, " n"]]
+Path = Float[np.ndarray, "k 3"] | None
+Scorer = Callable[[SceneGraph, int, ImportanceConfig, int, Path], Float[np.ndarray, " n"]]
 """Scores of all objects in (0, 1] from the graph, the target's index, the configuration, a seed."""
 
 
 def deepwalk(
-    graph: SceneGraph, target: int, config: ImportanceConfig, seed: int
+    graph: SceneGraph, target: int, config: ImportanceConfig, seed: int, path: Path = None
 ) -> Float[np.ndarray, " n"]:
     """Cosine similarity of skip-gram vectors over biased walks (MoMa-Pos, section III-A).
 
     Objects more than two windows away share no company with the target: their cosine is chance,
     and they have the lowest score.
     """
+    del path
     steps = graph.steps(target)
     rng = np.random.default_rng(seed)
     first = np.repeat(np.arange(len(graph)), config.walks)
@@ -87,29 +89,46 @@ def deepwalk(
 
 
 def distance(
-    graph: SceneGraph, target: int, config: ImportanceConfig, seed: int
+    graph: SceneGraph, target: int, config: ImportanceConfig, seed: int, path: Path = None
 ) -> Float[np.ndarray, " n"]:
     """1 / (1 + d / 1 m), where d is the horizontal gap between the boxes [m]."""
-    del config, seed
+    del config, seed, path
     return np.maximum(1 / (1 + graph.gaps(target)), LEAST)
 
 
 def size(
-    graph: SceneGraph, target: int, config: ImportanceConfig, seed: int
+    graph: SceneGraph, target: int, config: ImportanceConfig, seed: int, path: Path = None
 ) -> Float[np.ndarray, " n"]:
     """s / (s + d): the size s over the gap d of `distance`, r = s / d, mapped to r / (1 + r)."""
-    del config, seed
+    del config, seed, path
     return np.maximum(graph.size / (graph.size + graph.gaps(target)), LEAST)
 
 
+def reach(
+    graph: SceneGraph, target: int, config: ImportanceConfig, seed: int, path: Path = None
+) -> Float[np.ndarray, " n"]:
+    """s / (s + d) with the distance d, heights included, from a box to where the hand goes [m].
+
+    What is in the way depends on where the handle goes, not on where the target stands. Without a
+    path it is the `size` scorer.
+    """
+    if path is None:
+        return size(graph, target, config, seed)
+    box = graph.upright
+    local = np.einsum("nji,nkj->nki", box.rotation, path[None] - box.center[:, None])
+    gaps = np.linalg.norm(np.maximum(np.abs(local) - box.half[:, None], 0.0), axis=-1).min(1)
+    return np.maximum(graph.size / (graph.size + gaps), LEAST)
+
+
 def names(
-    graph: SceneGraph, target: int, config: ImportanceConfig, seed: int
+    graph: SceneGraph, target: int, config: ImportanceConfig, seed: int, path: Path = None
 ) -> Float[np.ndarray, " n"]:
     """Cosine similarity of the mean vectors of the objects' words.
 
     The paper tried word vectors and found them inadequate. These are learnt from which words occur
     in one room, over the built-in kitchens and this one; geometry plays no part.
     """
+    del path
     own = [words(name, kind) for name, kind in zip(graph.names, graph.categories, strict=True)]
     rooms = [*_library_words(), tuple(dict.fromkeys(word for some in own for word in some))]
     rng = np.random.default_rng(seed)
@@ -123,7 +142,7 @@ def names(
 
 
 SCORERS: dict[str, Scorer] = {
-    "deepwalk": deepwalk, "distance": distance, "size": size, "names": names,
+    "reach": reach, "deepwalk": deepwalk, "distance": distance, "size": size, "names": names,
 }  # fmt: skip
 
 

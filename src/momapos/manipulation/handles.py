@@ -10,12 +10,14 @@ from jaxtyping import Float
 
 from momapos.errors import TaskError
 from momapos.geometry.transforms import apply, invert
-from momapos.kinematics.articulated import Articulated
+from momapos.kinematics.articulated import Articulated, joint_motion
 from momapos.kinematics.hulls import fit_box, hull_of
 from momapos.kinematics.urdf import Geometry, Joint
 from momapos.scene.scene import SceneObject
 
 WORD = "handle"
+_POINTS = 9
+"""Points on the way of a handle [-]."""
 _MODELS = 1024
 """Parts whose geometry is remembered [-]."""
 ROUND = 1.5
@@ -113,6 +115,21 @@ def find_handle(model: Articulated, joint: str, sign: float) -> Handle:
             raise TaskError(f"joint {joint!r} moves nothing that has a shape")
         return _free_edge(np.concatenate(panel), model, joint, sign)
     return _from_box(_largest_cluster(points), model, joint, sign)
+
+
+def handle_path(item: SceneObject, joint: str, to: float) -> Float[np.ndarray, "k 3"]:
+    """Where the handle passes while a joint goes from where it stands to a value, in the world [m].
+
+    Args:
+        item: The object.
+        joint: The joint.
+        to: Value it goes to [rad] or [m].
+    """
+    record = item.model.joint(joint)
+    handle = find_handle(item.model, joint, opening_sign(record))
+    values = np.linspace(item.values()[joint], to, _POINTS)
+    T_world_joint = item.link_poses()[record.parent] @ record.T_parent_joint
+    return apply(T_world_joint @ joint_motion(record, values), handle.center[None])[:, 0]
 
 
 def _poses_in_part(

@@ -5,9 +5,12 @@ from __future__ import annotations
 import math
 from typing import get_args
 
+import numpy as np
+from jaxtyping import Float
+
 from momapos.errors import TaskError
 from momapos.kinematics.urdf import Joint
-from momapos.manipulation.handles import closed_value, has_handle, opening_sign
+from momapos.manipulation.handles import closed_value, handle_path, has_handle, opening_sign
 from momapos.scene.scene import Scene, SceneObject
 from momapos.types import Task, Verb
 
@@ -56,6 +59,30 @@ def openable(scene: Scene) -> list[tuple[str, str]]:
         for joint in item.model.joints
         if has_handle(item.model, joint)
     ]
+
+
+def hand_path(
+    scene: Scene, object_name: str, joint: str | None = None, to: float | None = None
+) -> Float[np.ndarray, "k 3"]:
+    """Where a hand goes that opens or holds an object, in the world [m].
+
+    Args:
+        scene: The room.
+        object_name: Which object.
+        joint: Which of its joints; all that have a handle by default. Without any, the path is the
+            middle of the object.
+        to: Value the joint goes to [rad] or [m]; wide open by default.
+
+    Raises:
+        UnknownNameError: There is no such object or joint.
+    """
+    item = scene.object(object_name)
+    joints = [joint] if joint else [name for o, name in openable(scene) if o == object_name]
+    if not joints:
+        return item.boxed.T_world_object[None, :3, 3]
+    goals = [_goal(item.model.joint(name), "open") if to is None else to for name in joints]
+    paths = [handle_path(item, name, goal) for name, goal in zip(joints, goals, strict=True)]
+    return np.concatenate(paths)
 
 
 def _only_joint(target: SceneObject) -> Joint:
