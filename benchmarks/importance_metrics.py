@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from scipy.stats import rankdata
 
 from momapos.viewer.palette import FAINT, INK, SOFT_INK
@@ -18,12 +18,14 @@ SHARES = (0.0, 0.01, 0.05)
 """An object matters when it adds and changes more than this share of the poses [-]."""
 PAPER = "deepwalk k0=0.5"
 SHOWN: dict[str, tuple] = {
-    PAPER: ("deepwalk", "#2a7ab8", (0.5, 0.1), (0.6, 0.1), (0.25, 0.6)),
-    "distance": ("distance", "#b87800", (0.5, 0.2), (0.7, 0.2), (0.6, 0.95)),
-    "size": ("size / distance", "#008060", (0.5, 0.4), (0.6, 0.4), (0.6, 0.75)),
-    "handle": ("size / distance\nto the handle", "#a5371e", (0.5, 0.4), (0.6, 0.4), (0.6, 0.75)),
-    "names": ("names", "#8a4b9c", (0.2, 0.3), (0.8, 0.1), (0.85, 0.95)),
-}
+    PAPER: ("deepwalk", "#2a7ab8", (0.14, 0.21), (0.6, 0.125), (0.12, 0.58)),
+    "distance": ("distance", "#b87800", (0.74, 0.156), (0.9, 0.15), (0.65, 0.79)),
+    "size": ("size / distance", "#008060", (0.68, 0.242), (0.72, 0.243), (0.72, 0.49)),
+    "handle": (
+        "size / distance\nto the handle", "#a5371e", (0.82, 0.462), (0.78, 0.47), (0.25, 0.22)
+    ),
+    "names": ("names", "#8a4b9c", (0.48, 0.06), (0.85, 0.07), (0.82, 0.96)),
+}  # fmt: skip
 """Scorers in the picture: name, colour, and where the name stands in each of the three parts."""
 FEW = 0.02
 """Curves leave out an S of less than this share of the objects: chance decides there [-]."""
@@ -35,7 +37,7 @@ class Pairs:
 
     score: Float[np.ndarray, " n"]
     matters: Bool[np.ndarray, " n"]
-    task: Float[np.ndarray, " n"]
+    task: Int[np.ndarray, " n"]
     """Index of the task and seed that a pair belongs to."""
 
 
@@ -187,9 +189,9 @@ def _dress(axes: np.ndarray, rate: float) -> None:
         axis.grid(color=FAINT, lw=0.6)
         axis.spines[["top", "right"]].set_visible(False)
     dashes = {"color": SOFT_INK, "lw": 0.8, "ls": (0, (3, 2))}
-    for axis in axes[:2]:
+    for axis, x in zip(axes[:2], (0.68, 0.02), strict=True):
         axis.axhline(rate, **dashes)
-        axis.text(0.02, rate - 0.018, "all objects in S", color=SOFT_INK, fontsize=8)
+        axis.text(x, rate - 0.025, "all objects in S", color=SOFT_INK, fontsize=8)
     for axis in axes[1:]:
         axis.axvline(ALPHA, **dashes)
         axis.text(ALPHA + 0.01, 0.01, "0.45", color=SOFT_INK, fontsize=8)
