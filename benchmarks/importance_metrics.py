@@ -1,0 +1,197 @@
+"""How well scores tell the objects that matter: ROC, precision and recall, and their picture."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.stats import rankdata
+
+from momapos.viewer.palette import FAINT, INK, SOFT_INK
+
+ALPHA = 0.45
+"""The paper's threshold [-]."""
+ALPHAS = np.linspace(0.0, 1.0, 101)
+SHARES = (0.0, 0.01, 0.05)
+"""An object matters when it adds and changes more than this share of the poses [-]."""
+PAPER = "deepwalk k0=0.5"
+SHOWN: dict[str, tuple] = {
+    PAPER: ("deepwalk", "#2a7ab8", (0.14, 0.21), (0.6, 0.125), (0.12, 0.58)),
+    "distance": ("distance", "#b87800", (0.74, 0.156), (0.9, 0.15), (0.65, 0.79)),
+    "size": ("size / distance", "#008060", (0.68, 0.242), (0.72, 0.243), (0.72, 0.49)),
+    "handle": (
+        "size / distance\nto the handle", "#a5371e", (0.82, 0.462), (0.78, 0.47), (0.25, 0.22)
+    ),
+    "names": ("names", "#8a4b9c", (0.48, 0.06), (0.85, 0.07), (0.82, 0.96)),
+}  # fmt: skip
+"""Scorers in the picture: name, colour, and where the name stands in each of the three parts."""
+FEW = 0.02
+"""Curves leave out an S of less than this share of the objects: chance decides there [-]."""
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """All pairs of a task and an object, as one scorer sees them, once for each seed."""
+
+    score: Float[np.ndarray, " n"]
+    matters: Bool[np.ndarray, " n"]
+    task: Int[np.ndarray, " n"]
+    """Index of the task and seed that a pair belongs to."""
+
+
+def pairs(tasks: list[dict], scorer: str, share: float = SHARES[1]) -> Pairs:
+    """Stack the scores and the truth of all tasks."""
+    runs = [(task, one) for task in tasks for one in task["scores"][scorer]]
+    matters = [np.add(task["added"], task["changed"]) > share for task, _ in runs]
+    owner = np.repeat(np.arange(len(runs)), [len(one) for _, one in runs])
+    return Pairs(np.concatenate([one for _, one in runs]), np.concatenate(matters), owner)
+
+
+def roc_area(p: Pairs) -> float:
+    """How often what matters scores above what does not; ties count half."""
+    many, few = p.matters.sum(), (~p.matters).sum()
+    if not many or not few:
+        return float("nan")
+    return float((rankdata(p.score)[p.matters].sum() - many * (many + 1) / 2) / (many * few))
+
+
+def roc_within(p: Pairs) -> float:
+    """The same for each task by itself, then the mean: how good the order is without alpha."""
+    one = [Pairs(p.score[k], p.matters[k], p.task[k]) for t in set(p.task) for k in [p.task == t]]
+    return float(np.nanmean([roc_area(part) for part in one]))
+
+
+def curve(p: Pairs) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Precision, recall and the share in S at every score that occurs, the highest first."""
+    order = np.argsort(-p.score, kind="stable")
+    hits = np.cumsum(p.matters[order])
+    last = np.append(np.diff(p.score[order]) != 0, True)
+    taken = np.arange(1, len(hits) + 1)
+    return (hits / taken)[last], (hits / hits[-1])[last], (taken / len(hits))[last]
+
+
+def average_precision(p: Pairs) -> float:
+    """Area under precision over recall, in steps."""
+    precision, recall, _ = curve(p)
+    return float((np.diff(recall, prepend=0.0) * precision).sum())
+
+
+def at(p: Pairs, alpha: float) -> dict[str, float]:
+    """What a threshold gives: precision, recall, F1, and the share of objects that are in S."""
+    chosen = p.score >= alpha
+    hits = float((chosen & p.matters).sum())
+    precision = hits / chosen.sum() if chosen.any() else 1.0
+    recall = hits / p.matters.sum()
+    f1 = 2 * hits / (chosen.sum() + p.matters.sum())
+    return {"precision": precision, "recall": recall, "f1": f1, "kept": float(chosen.mean())}
+
+
+def measures(tasks: list[dict], scorer: str, share: float) -> dict:
+    """All figures of one scorer."""
+    p = pairs(tasks, scorer, share)
+    count = sum(len(task["objects"]) for task in tasks)
+    everywhere = [at(p, alpha) for alpha in ALPHAS]
+    best = int(np.argmax([row["f1"] for row in everywhere]))
+    # The highest alpha that still finds nine of ten: what S costs when little may be missed.
+    safe = int(np.flatnonzero([row["recall"] >= 0.9 for row in everywhere]).max())
+    return {
+        "pairs": count,
+        "matter": float(p.matters.mean()),
+        "roc": roc_area(p),
+        "roc_within": roc_within(p),
+        "ap": average_precision(p),
+        "at_alpha": at(p, ALPHA),
+        "best": {"alpha": float(ALPHAS[best])} | everywhere[best],
+        "safe": {"alpha": float(ALPHAS[safe])} | everywhere[safe],
+    }
+
+
+def summary(tasks: list[dict]) -> list[dict]:
+    """Figures of all scorers, over all rooms and by their source, for each share."""
+    rows = []
+    for share in SHARES:
+        for source in ("all", "shared", "built-in"):
+            some = [t for t in tasks if source in ("all", t["source"]) and t["objects"]]
+            if not some:
+                continue
+            head = {"share": share, "source": source, "tasks": len(some)}
+            head["rooms"] = len({t["room"] for t in some})
+            rows += [
+                head | {"scorer": name} | measures(some, name, share) for name in some[0]["scores"]
+            ]
+    return rows
+
+
+def table(rows: list[dict]) -> str:
+    """The figures as Markdown: by source for the usual share, over all rooms for the others."""
+    lines: list[str] = []
+    group: tuple = ()
+    for r in rows:
+        if r["share"] != SHARES[1] and r["source"] != "all":
+            continue
+        if group != (group := (r["share"], r["source"])):
+            lines += [
+                f"\n{r['source']}: {r['rooms']} rooms, {r['tasks']} tasks, {r['pairs']} pairs; "
+                f"{100 * r['matter']:.1f} % of the objects matter (> {100 * r['share']:g} %)\n",
+                "| scorer | ROC | in a task | AP | at 0.45: P, R, S | best F1: P, R, S | "
+                "R 90 %: P, S |",
+                "|---|---|---|---|---|---|---|",
+            ]
+        a, b, c = r["at_alpha"], r["best"], r["safe"]
+        lines.append(
+            f"| {r['scorer']} | {r['roc']:.3f} | {r['roc_within']:.3f} | {r['ap']:.3f} | "
+            f"{a['precision']:.2f}, {a['recall']:.2f}, {100 * a['kept']:.0f} % | "
+            f"{b['f1']:.2f} at {b['alpha']:.2f}: "
+            f"{b['precision']:.2f}, {b['recall']:.2f}, {100 * b['kept']:.0f} % | "
+            f"at {c['alpha']:.2f}: {c['precision']:.2f}, {100 * c['kept']:.0f} % |"
+        )
+    return "\n".join(lines)
+
+
+def draw(tasks: list[dict], path: Path) -> None:
+    """Precision over recall, and both over alpha, by scorer."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    plt.rcParams.update({"font.size": 9, "text.color": INK, "axes.edgecolor": SOFT_INK})
+    figure, axes = plt.subplots(1, 3, figsize=(10.5, 3.6), layout="constrained")
+    rate = 0.0
+    for scorer, (name, colour, *spots) in SHOWN.items():
+        p = pairs(tasks, scorer)
+        rows = [at(p, alpha) for alpha in ALPHAS]
+        alphas = (ALPHAS, *([row[k] for row in rows] for k in ("precision", "recall", "kept")))
+        precision, recall, kept = curve(p)
+        lines = [(recall, precision, kept), (*alphas[:2], alphas[3]), (alphas[0], *alphas[2:])]
+        for axis, (x, y, share), spot in zip(axes, lines, spots, strict=True):
+            fair = np.asarray(share) >= FEW
+            axis.plot(np.asarray(x)[fair], np.asarray(y)[fair], color=colour, lw=1.8)
+            axis.text(*spot, name, color=colour, ha="center", va="center")
+        rate = float(p.matters.mean())
+    _dress(axes, rate)
+    figure.savefig(path, dpi=150)
+    plt.close(figure)
+
+
+def _dress(axes: np.ndarray, rate: float) -> None:
+    """Titles, grids, and what chance and the paper's alpha would give."""
+    titles = (
+        ("recall", "precision", "Precision over recall"),
+        ("alpha", "precision", "Precision over alpha"),
+        ("alpha", "recall", "Recall over alpha"),
+    )
+    for axis, (x, y, title) in zip(axes, titles, strict=True):
+        axis.set(xlabel=x, ylabel=y, xlim=(0, 1), ylim=(0, 1.02 if y == "recall" else 0.5))
+        axis.set_title(title, loc="left", fontsize=10)
+        axis.grid(color=FAINT, lw=0.6)
+        axis.spines[["top", "right"]].set_visible(False)
+    dashes = {"color": SOFT_INK, "lw": 0.8, "ls": (0, (3, 2))}
+    for axis, x in zip(axes[:2], (0.68, 0.02), strict=True):
+        axis.axhline(rate, **dashes)
+        axis.text(x, rate - 0.025, "all objects in S", color=SOFT_INK, fontsize=8)
+    for axis in axes[1:]:
+        axis.axvline(ALPHA, **dashes)
+        axis.text(ALPHA + 0.01, 0.01, "0.45", color=SOFT_INK, fontsize=8)

@@ -1,0 +1,292 @@
+"""Which objects really matter, and which score tells them best.
+
+    python benchmarks/importance_truth.py [--rooms 60] [--targets 2] [--cell 0.1] [--turn 30]
+        [--scenes DIR] [--cache FILE] [--out DIR] [--figure FILE]
+
+The truth: an object matters for a task by the share of base poses that its removal adds, and that
+opening its joints takes away. Shares are of the poses that are feasible with the target alone
+between the walls. A pose is feasible where the base stands clear at every value of the joint and
+an arm path is found; the approach from home and the exact check are left out. Results are kept
+room by room in the cache file, so that a run that was cut short goes on where it stopped; delete
+it when the method changes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import chain
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from importance_metrics import draw, summary, table
+from importance_rooms import Room, built_in_rooms, is_wall, shared_rooms
+from momapos.cache import default_cache_dir
+from momapos.config import PipelineConfig
+from momapos.errors import MomaposError, TaskError
+from momapos.importance.graph import build_graph
+from momapos.importance.rank import rank
+from momapos.importance.scorers import ImportanceConfig
+from momapos.manipulation.feasibility import Feasibility, hand_clears
+from momapos.manipulation.motion import TaskMotion, task_motion
+from momapos.manipulation.tasks import make_task, openable
+from momapos.pipeline import arm_world
+from momapos.placement.area import CLEAR, Site, in_world, sampling_box, standing, task_frame
+from momapos.protocols import ReachScorer
+from momapos.reachability.store import load_or_build
+from momapos.robots.robot import Robot, load_robot
+from momapos.scene.scene import Scene, SceneObject
+from momapos.types import Task
+
+CONFIG = PipelineConfig()
+GRASPS = 8
+"""Grasps tried at one pose, best reached first [-]."""
+FEWEST = 10
+"""A task with fewer feasible poses alone says too little and is passed over [-]."""
+SEEDS = 3
+K0 = (0.0, 0.25, 0.5, 0.75, 1.0)
+Rows = Int[np.ndarray, " m"]
+
+
+@dataclass(frozen=True)
+class Question:
+    """A task of one robot, and the base poses that are looked at."""
+
+    scene: Scene
+    robot: Robot
+    reach: ReachScorer
+    task: Task
+    cell: float
+    """Side of a cell of the grid [m]."""
+    turn: float
+    """Turn between yaws of the grid [deg]."""
+
+    @cached_property
+    def others(self) -> tuple[SceneObject, ...]:
+        """What can be removed, the nearest to the target first."""
+        target = self.scene.object(self.task.object).bounds
+        items = [o for o in self.scene.objects if o.name != self.task.object and not is_wall(o)]
+        return tuple(sorted(items, key=lambda item: _gap(item.bounds, target)))
+
+    @cached_property
+    def poses(self) -> Float[np.ndarray, "n 3"]:
+        """The grid over all that the arm's length allows, in the task's frame."""
+        site = self._site(task_motion(self.scene, self.robot, self.task, CONFIG.motion))
+        corners = sampling_box(site)
+        if corners is None:
+            return np.zeros((0, 3))
+        x, y = (np.arange(low, high + self.cell, self.cell) for low, high in corners.T)
+        yaw = np.radians(np.arange(-180.0, 180.0, self.turn))
+        local = np.stack(np.meshgrid(x, y, yaw, indexing="ij"), -1).reshape(-1, 3)
+        return in_world(task_frame(site), local)
+
+    def _site(self, motion: TaskMotion) -> Site:
+        return Site(
+            robot=self.robot,
+            Ts_world_tool=np.ascontiguousarray(motion.Ts_world_tool[:, motion.coarse]),
+            static=motion.static,
+            sweep=motion.sweep(),
+            floor=self.scene.floor,
+            clearance=CONFIG.place.clearance,
+        )
+
+    def feasible(self, scene: Scene, rows: Rows) -> Rows:
+        """Which of some poses of the grid are feasible in a scene."""
+        if not len(rows):
+            return rows
+        motion = task_motion(scene, self.robot, self.task, CONFIG.motion)
+        site = self._site(motion)
+        rows = rows[standing(site, self.poses[rows])[0] == CLEAR]
+        world = arm_world(self.robot, motion, CONFIG)
+        roomy, _ = hand_clears(self.robot, world, motion)
+        scores = self.reach.weakest(self.poses[rows], site.Ts_world_tool) * roomy
+        reached = scores.max(1, initial=0.0) > 0
+        rows, scores = rows[reached], scores[reached]
+        check = Feasibility(
+            self.robot, world, motion, CONFIG.planner, lambda *_: None, 0, lambda: False
+        )
+        found = check.screen(self.poses[rows], scores, GRASPS)
+        assert found is not None
+        return rows[np.array([one.q is not None for one in found], bool)]
+
+    def without(self, group: Iterable[SceneObject]) -> Scene:
+        """The scene without some objects; what stands on them stays in the air."""
+        gone = {item.name for item in group}
+        return replace(
+            self.scene, objects=tuple(o for o in self.scene.objects if o.name not in gone)
+        )
+
+
+def _gap(a: Float[np.ndarray, "2 3"], b: Float[np.ndarray, "2 3"]) -> float:
+    """Horizontal distance of two boxes [m]."""
+    return float(np.linalg.norm(np.maximum(np.maximum(a[0] - b[1], b[0] - a[1]), 0.0)[:2]))
+
+
+def added(asked: Question, group: tuple[SceneObject, ...], rows: Rows) -> dict[str, int]:
+    """How many poses the removal of each object alone makes feasible.
+
+    Halves the group: taking things away only helps, so a pose that is lost even without half of
+    the objects is added by none of these.
+
+    Args:
+        asked: The task.
+        group: Objects.
+        rows: Poses that are feasible without the whole group, and not in the full scene.
+    """
+    if len(group) <= 1 or not len(rows):
+        return {item.name: len(rows) for item in group}
+    middle = len(group) // 2
+    return {
+        name: count
+        for half in (group[:middle], group[middle:])
+        for name, count in added(asked, half, asked.feasible(asked.without(half), rows)).items()
+    }
+
+
+def opened(scene: Scene, name: str) -> Scene:
+    """The scene with all parts of an object that have a handle opened as far as tasks open them."""
+    for item, joint in openable(scene):
+        if item == name:
+            try:
+                to = make_task(scene, "open", name, joint).to
+            except TaskError:  # already open
+                continue
+            scene = scene.with_joint(name, joint, float(to or 0.0))
+    return scene
+
+
+def changed(asked: Question, item: SceneObject, rows: Rows) -> int:
+    """How many of the feasible poses of the full scene are lost when an object is opened."""
+    after = opened(asked.scene, item.name)
+    if after is asked.scene or not len(rows):
+        return 0
+    low, high = after.object(item.name).bounds[:, :2]
+    xy = asked.poses[rows, :2]
+    gap = np.linalg.norm(np.maximum(np.maximum(low - xy, xy - high), 0.0), axis=1)
+    base = np.linalg.norm(asked.robot.footprint, axis=1).max()
+    near = rows[gap < asked.robot.reach + base + CONFIG.place.clearance]
+    return len(near) - len(asked.feasible(after, near))
+
+
+def truth(asked: Question) -> dict | None:
+    """Shares of poses that every object adds and changes; None where the task says too little."""
+    alone = asked.feasible(asked.without(asked.others), np.arange(len(asked.poses)))
+    if len(alone) < FEWEST:
+        return None
+    full = asked.feasible(asked.scene, alone)
+    gains = added(asked, asked.others, np.setdiff1d(alone, full))
+    return {
+        "poses": len(asked.poses),
+        "alone": len(alone),
+        "full": len(full),
+        "objects": [item.name for item in asked.others],
+        "added": [gains[item.name] / len(alone) for item in asked.others],
+        "changed": [changed(asked, item, full) / len(alone) for item in asked.others],
+    }
+
+
+def scores(asked: Question) -> dict[str, list[list[float]]]:
+    """Scores of the objects by each scorer, one list a seed."""
+    configs = {f"deepwalk k0={k0:g}": ImportanceConfig(k0=k0) for k0 in K0}
+    configs |= {name: ImportanceConfig(scorer=name) for name in ("distance", "size", "names")}  # type: ignore[arg-type]
+    found = {
+        name: [
+            [ranked.score(item.name) for item in asked.others]
+            for seed in range(SEEDS if "deepwalk" in name else 1)
+            for ranked in [rank(asked.scene, asked.task.object, config, seed=seed)]
+        ]
+        for name, config in configs.items()
+    }
+    return found | {"handle": [near_handle(asked)]}
+
+
+def near_handle(asked: Question) -> list[float]:
+    """What the scorers could know besides: s / (s + d), where d counts from the handle's path.
+
+    The size s is that of the scorer `size`; d is the distance from an object's box to the nearest
+    point that the handle passes, heights included [m].
+    """
+    path = task_motion(asked.scene, asked.robot, asked.task, CONFIG.motion).waypoints
+    graph = build_graph(asked.scene)
+    size = [graph.size[graph.index(item.name)] for item in asked.others]
+    low, high = np.array([item.bounds for item in asked.others]).swapaxes(0, 1)[:, :, None]
+    apart = np.linalg.norm(np.maximum(np.maximum(low - path, path - high), 0.0), axis=-1).min(1)
+    return [float(s / (s + d)) for s, d in zip(size, apart, strict=True)]
+
+
+def answer(room: Room, robot: Robot, reach: ReachScorer, args: argparse.Namespace) -> list[dict]:
+    """The truth and the scores of each task in a room."""
+    tasks: dict[str, dict] = {}
+    for name, joint in room.targets:
+        if name in tasks or len(tasks) == room.most:
+            continue
+        began = time.perf_counter()
+        try:
+            task = make_task(room.scene, "open", name, joint)
+            asked = Question(room.scene, robot, reach, task, args.cell, args.turn)
+            found = truth(asked)
+        except MomaposError:  # a handle too thick for the gripper
+            continue
+        if found is not None:
+            head = {"room": room.key, "source": room.source, "task": f"{name}/{joint}"}
+            seconds = round(time.perf_counter() - began, 1)
+            tasks[name] = head | found | {"seconds": seconds, "scores": scores(asked)}
+    return list(tasks.values())
+
+
+def measure(args: argparse.Namespace) -> list[dict]:
+    """Read the rooms that the cache file has for these settings, and add those it lacks."""
+    settings = [args.robot, args.cell, args.turn, args.targets]
+    lines = args.cache.read_text().splitlines() if args.cache.exists() else []
+    rows = [row for row in map(json.loads, lines) if row["settings"] == settings]
+    if not args.report_only:
+        known = {row["room"] for row in rows}
+        robot = load_robot(args.robot)
+        reach = load_or_build(robot, default_cache_dir(), None)
+        built_in = built_in_rooms(args.scenes, args.rooms, args.targets, args.workers)
+        for room in chain(shared_rooms() if args.shared else (), built_in):
+            if room.key in known:
+                continue
+            tasks = answer(room, robot, reach, args)
+            rows.append({"room": room.key, "settings": settings, "tasks": tasks})
+            with args.cache.open("a") as file:
+                file.write(json.dumps(rows[-1]) + "\n")
+    return [task for row in rows for task in row["tasks"]]
+
+
+def main() -> None:
+    """Run and report."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--robot", default="segway_ur5e")
+    parser.add_argument("--rooms", type=int, default=60, help="built-in kitchens")
+    parser.add_argument("--targets", type=int, default=2, help="in each of these")
+    parser.add_argument("--shared", action=argparse.BooleanOptionalAction, default=True)
+    parser.add_argument("--scenes", type=Path, default=Path("bench_out/rooms"))
+    parser.add_argument("--cache", type=Path, default=Path("bench_out/importance_truth.jsonl"))
+    parser.add_argument("--cell", type=float, default=0.1, help="[m]")
+    parser.add_argument("--turn", type=float, default=30.0, help="[deg]")
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--report-only", action="store_true", help="from the cache alone")
+    parser.add_argument("--out", type=Path)
+    parser.add_argument("--figure", type=Path)
+    args = parser.parse_args()
+    args.cache.parent.mkdir(parents=True, exist_ok=True)
+    tasks = measure(args)
+    result = summary(tasks)
+    print(table(result))
+    if args.out:
+        args.out.mkdir(parents=True, exist_ok=True)
+        text = json.dumps({"summary": result, "tasks": tasks}, indent=1)
+        (args.out / "importance_truth.json").write_text(text + "\n")
+    if args.figure:
+        draw(tasks, args.figure)
+
+
+if __name__ == "__main__":
+    main()
