@@ -21,8 +21,9 @@ SHOWN: dict[str, tuple] = {
     PAPER: ("deepwalk", "#2a7ab8", (0.14, 0.21), (0.6, 0.125), (0.12, 0.58)),
     "distance": ("distance", "#b87800", (0.74, 0.156), (0.9, 0.15), (0.65, 0.79)),
     "size": ("size / distance", "#008060", (0.68, 0.242), (0.72, 0.243), (0.72, 0.49)),
-    "handle": (
-        "size / distance\nto the handle", "#a5371e", (0.82, 0.462), (0.78, 0.47), (0.25, 0.22)
+    "reach": (
+        "reach: size / distance\nto the handle's way", "#a5371e",
+        (0.74, 0.462), (0.78, 0.47), (0.25, 0.22),
     ),
     "names": ("names", "#8a4b9c", (0.48, 0.06), (0.85, 0.07), (0.82, 0.96)),
 }  # fmt: skip

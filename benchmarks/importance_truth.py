@@ -30,12 +30,11 @@ from importance_rooms import Room, built_in_rooms, is_wall, shared_rooms
 from momapos.cache import default_cache_dir
 from momapos.config import PipelineConfig
 from momapos.errors import MomaposError, TaskError
-from momapos.importance.graph import build_graph
 from momapos.importance.rank import rank
-from momapos.importance.scorers import ImportanceConfig
+from momapos.importance.scorers import ImportanceConfig, ScorerName
 from momapos.manipulation.feasibility import Feasibility, hand_clears
 from momapos.manipulation.motion import TaskMotion, task_motion
-from momapos.manipulation.tasks import make_task, openable
+from momapos.manipulation.tasks import hand_path, make_task, openable
 from momapos.pipeline import arm_world
 from momapos.placement.area import CLEAR, Site, in_world, sampling_box, standing, task_frame
 from momapos.protocols import ReachScorer
@@ -50,6 +49,7 @@ GRASPS = 8
 FEWEST = 10
 """A task with fewer feasible poses alone says too little and is passed over [-]."""
 SEEDS = 3
+PLAIN: tuple[ScorerName, ...] = ("distance", "size", "reach", "names")
 K0 = (0.0, 0.25, 0.5, 0.75, 1.0)
 Rows = Int[np.ndarray, " m"]
 
@@ -193,31 +193,18 @@ def truth(asked: Question) -> dict | None:
 
 def scores(asked: Question) -> dict[str, list[list[float]]]:
     """Scores of the objects by each scorer, one list a seed."""
-    configs = {f"deepwalk k0={k0:g}": ImportanceConfig(k0=k0) for k0 in K0}
-    configs |= {name: ImportanceConfig(scorer=name) for name in ("distance", "size", "names")}  # type: ignore[arg-type]
-    found = {
+    configs = {f"deepwalk k0={k0:g}": ImportanceConfig(scorer="deepwalk", k0=k0) for k0 in K0}
+    configs |= {name: ImportanceConfig(scorer=name) for name in PLAIN}
+    task = asked.task
+    path = hand_path(asked.scene, task.object, task.joint, task.to)
+    return {
         name: [
             [ranked.score(item.name) for item in asked.others]
             for seed in range(SEEDS if "deepwalk" in name else 1)
-            for ranked in [rank(asked.scene, asked.task.object, config, seed=seed)]
+            for ranked in [rank(asked.scene, task.object, config, path=path, seed=seed)]
         ]
         for name, config in configs.items()
     }
-    return found | {"handle": [near_handle(asked)]}
-
-
-def near_handle(asked: Question) -> list[float]:
-    """What the scorers could know besides: s / (s + d), where d counts from the handle's path.
-
-    The size s is that of the scorer `size`; d is the distance from an object's box to the nearest
-    point that the handle passes, heights included [m].
-    """
-    path = task_motion(asked.scene, asked.robot, asked.task, CONFIG.motion).waypoints
-    graph = build_graph(asked.scene)
-    size = [graph.size[graph.index(item.name)] for item in asked.others]
-    low, high = np.array([item.bounds for item in asked.others]).swapaxes(0, 1)[:, :, None]
-    apart = np.linalg.norm(np.maximum(np.maximum(low - path, path - high), 0.0), axis=-1).min(1)
-    return [float(s / (s + d)) for s, d in zip(size, apart, strict=True)]
 
 
 def answer(room: Room, robot: Robot, reach: ReachScorer, args: argparse.Namespace) -> list[dict]:

@@ -2,7 +2,7 @@
 
     python benchmarks/reach.py [ROBOT ...] [--count 20000]
 
-The maps are built anew in a temporary folder. "Exact" is inverse kinematics in closed form with
+The maps are built anew. "Exact" is inverse kinematics in closed form with
 self-collision and floor; the redundant joints of a longer arm are locked at 33 values for it, not
 at the 9 that planning uses.
 """
@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import os
 import platform
-import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -23,8 +22,9 @@ from momapos.geometry.transforms import pose
 from momapos.kinematics.chain import chain_arrays
 from momapos.kinematics.collision import FREE, check_states
 from momapos.kinematics.ik import build_ik
-from momapos.reachability import ReachConfig, ReachMap, build_map, evaluate, load_or_build
+from momapos.reachability import ReachConfig, ReachMap, build_map, evaluate
 from momapos.reachability.evaluation import random_poses
+from momapos.reachability.store import decode, encode
 from momapos.robots.robot import Robot, library_names, load_robot
 
 
@@ -66,14 +66,12 @@ def main(robots: tyro.conf.Positional[tuple[str, ...]] = (), count: int = 20_000
 
 def row(robot: Robot, count: int) -> str:
     """One line of the table."""
-    with tempfile.TemporaryDirectory() as folder:
-        began, cpu = time.perf_counter(), time.process_time()
-        load_or_build(robot, Path(folder))
-        built, cpu = time.perf_counter() - began, time.process_time() - cpu
-        size = next(Path(folder).iterdir()).stat().st_size
-        began = time.perf_counter()
-        reach = load_or_build(robot, Path(folder))
-        loaded = time.perf_counter() - began
+    began, cpu = time.perf_counter(), time.process_time()
+    content = encode(build_map(robot))
+    built, cpu = time.perf_counter() - began, time.process_time() - cpu
+    began = time.perf_counter()
+    reach = decode(content)
+    loaded = time.perf_counter() - began
     exact = build_ik(robot.chain, samples_per_joint=33)
     found = evaluate(reach, robot, np.random.default_rng(0), count, exact)
     weakest, floor = speeds(reach, robot)
@@ -81,7 +79,7 @@ def row(robot: Robot, count: int) -> str:
         robot.name,
         " x ".join(map(str, reach.values.shape)),
         f"{built:.0f} s ({cpu:.0f})",
-        f"{size / 1e6:.2f} MB",
+        f"{len(content) / 1e6:.2f} MB",
         f"{1e3 * loaded:.0f} ms",
         f"{100 * found.reachable:.1f} %",
         f"{100 * found.accuracy:.2f} %",

@@ -13,6 +13,7 @@ RUNS = (
     ["placement.py", "--exhaustive", "--out", "bench_out/grid"],
     ["scaling.py"],
     ["importance.py"],
+    ["importance_answers.py"],
     ["importance_truth.py", "--rooms", "3", "--targets", "1"],  # all: 60 rooms, 2 targets
 )
 

@@ -1,0 +1,116 @@
+"""What importance costs and saves in an answer: misses, rounds, time of modelling.
+
+    python benchmarks/importance_answers.py [--robot segway_ur5e]
+
+Every door and drawer with a handle in the five real kitchens and the built-in ones, by each scorer
+and with everything modelled. A miss is a plan that the exact check with all objects refuses.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from pathlib import Path
+
+import numpy as np
+
+from momapos.cache import default_cache_dir
+from momapos.config import PipelineConfig
+from momapos.errors import MomaposError
+from momapos.importance.scorers import ImportanceConfig, ScorerName
+from momapos.manipulation.tasks import make_task, openable
+from momapos.pipeline import place
+from momapos.reachability.store import load_or_build
+from momapos.robots.robot import Robot, load_robot
+from momapos.scene.files import builtin_names, load_scene
+from momapos.scene.scene import Scene
+from momapos.types import KeyObjects, Task
+from momapos.verification.exact import ExactWorld
+from placement import SCENES, machine, shared
+
+RUNS: tuple[tuple[str, ScorerName, float], ...] = (
+    ("everything", "reach", 0.0),
+    ("reach", "reach", 0.45),
+    ("reach, alpha 0.32", "reach", 0.32),
+    ("deepwalk", "deepwalk", 0.45),
+    ("distance", "distance", 0.45),
+    ("size", "size", 0.45),
+)
+
+
+def questions() -> list[tuple[str, Task]]:
+    """All openings: the scene's name or path, and the task."""
+    names = [str(shared() / "bestman" / name) for name in SCENES] + list(builtin_names())
+    found = []
+    for name in names:
+        scene = load_scene(name)
+        for item, joint in openable(scene):
+            try:
+                found.append((name, make_task(scene, "open", item, joint)))
+            except MomaposError:  # it stands open
+                continue
+    return found
+
+
+def modelling_seconds(name: str, keep: tuple[str, ...]) -> float:
+    """Time to make hulls and boxes of some objects of a scene that was just read [s]."""
+    scene = load_scene(name)
+    began = time.perf_counter()
+    for item in scene.objects:
+        if item.name in keep:
+            _ = item.model.boxes
+    return time.perf_counter() - began
+
+
+def row(label: str, robot: Robot, asked: list[tuple[str, Task]], config: PipelineConfig) -> str:
+    """One line of the table."""
+    reach = load_or_build(robot, default_cache_dir(), None)
+    scenes: dict[str, Scene] = {name: load_scene(name) for name, _ in asked}
+    solved, missed, seconds, keys, cost = 0, 0, [], [], 0.0
+    for name, task in asked:
+        place(scenes[name], robot, task, reach, config=config)
+        began = time.perf_counter()
+        plan = place(scenes[name], robot, task, reach, config=config).plan
+        seconds.append(time.perf_counter() - began)
+        assert plan.key_objects is not None
+        keys.append(plan.key_objects)
+        if plan.base_pose is not None and plan.motion is not None:
+            exact = ExactWorld(scenes[name], robot, task)
+            missed += exact.refusal(plan.base_pose, plan.motion) is not None
+            solved, cost = solved + 1, cost + (plan.navigation_cost or 0.0)
+    cells = [
+        label, f"{solved} of {len(asked)}", str(missed), f"{cost / max(1, solved):.2f} m",
+        f"{100 * np.mean([len(k.names) / len(k.scores) for k in keys]):.0f} %",
+        f"{np.mean([k.rounds for k in keys]):.2f}",
+        str(sum(k.alpha < config.importance.alpha for k in keys)),
+        f"{1e3 * np.median(seconds):.0f} / {1e3 * np.percentile(seconds, 95):.0f} ms",
+        f"{1e3 * np.mean(_modelling(asked, keys)):.0f} ms",
+    ]  # fmt: skip
+    return f"| {' | '.join(cells)} |"
+
+
+def _modelling(asked: list[tuple[str, Task]], keys: list[KeyObjects]) -> list[float]:
+    pairs = zip(asked, keys, strict=True)
+    return [modelling_seconds(name, key.names) for (name, _), key in pairs]
+
+
+def main() -> None:
+    """Run and print Markdown."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--robot", default="segway_ur5e")
+    args = parser.parse_args()
+    robot, asked = load_robot(args.robot), questions()
+    rooms = len({Path(name).stem for name, _ in asked})
+    print(f"machine: {machine()}; {args.robot}, {len(asked)} tasks in {rooms} rooms\n")
+    print(
+        "| modelled | solved | refused by the whole room | drive | S | rounds | alpha lowered "
+        "| median / 95th percentile | modelling |"
+    )
+    print("|" + "---|" * 9)
+    for label, scorer, alpha in RUNS:
+        config = PipelineConfig(importance=ImportanceConfig(scorer=scorer, alpha=alpha))
+        print(row(label, robot, asked, config), flush=True)
+
+
+if __name__ == "__main__":
+    main()
