@@ -63,7 +63,8 @@ def summary(answer: Answer, out: Path | None) -> str:
 
 def _modelled(key: KeyObjects) -> str:
     text = f"{len(key.names)} of {len(key.scores)} objects ({key.scorer}, alpha {key.alpha:.2f})"
-    return text + (f", checked again {key.rounds} times" if key.rounds else "")
+    again = "once" if key.rounds == 1 else f"{key.rounds} times"
+    return text + (f", checked again {again}" if key.rounds else "")
 
 
 def _question(answer: Answer) -> str:
