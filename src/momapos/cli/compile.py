@@ -1,9 +1,9 @@
 """Compiling the kernels, once after installation.
 
-Compiling keeps one core busy, so two processes share the work: this one answers a small question
-from its beginning, a helper compiles what the end of an answer needs. They meet in numba's cache
-on disk, where each finds what the other has finished; without the helper, this process compiles
-it all.
+Compiling keeps one core busy, so two processes share the work: this one compiles the exact check
+and answers a small question, a helper compiles what finds the arm's path. They meet in numba's
+cache on disk, where each finds what the other has finished; without the helper, this process
+compiles it all.
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ from momapos.pipeline import place
 from momapos.protocols import ReachScorer
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene
-from momapos.types import Task
+from momapos.types import Motion, Task
+from momapos.verification.exact import ExactWorld
 
 
 def compile_once(
@@ -51,9 +52,20 @@ def compile_once(
     small = replace(plain.place, count=128, rounds=1, improve=0, grid_cell=0.5, grid_turn=90.0)
     config = replace(plain, place=small, timeout=3600.0)
     with _helper(), _no_collector():
+        _check_at_rest(scene, robot, task)
         place(scene, robot, task, reach, start=start, config=config)
     with contextlib.suppress(OSError):
         cache.put(key, b"done")
+
+
+def _check_at_rest(scene: Scene, robot: Robot, task: Task) -> None:
+    """Check an arm that stands still at the origin: whatever comes of it, the kernels are compiled.
+
+    The helper meanwhile compiles what a search needs next.
+    """
+    q = np.tile(robot.home, (2, 1))
+    still = Motion(q, q, np.zeros(2), robot.chain.tool_poses(q))
+    ExactWorld(scene, robot, task).check((0.0, 0.0, 0.0), still)
 
 
 @contextlib.contextmanager
