@@ -12,7 +12,7 @@ $(VENV)/.core: pyproject.toml
 	touch $@
 
 $(VENV)/.dev: $(VENV)/.core
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev,kitchens]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev,kitchens,scan]'
 	touch $@
 
 demo: $(VENV)/.core

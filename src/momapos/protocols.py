@@ -8,6 +8,8 @@ from typing import Protocol
 import numpy as np
 from jaxtyping import Float
 
+from momapos.types import Cloud, FaceImage, Front, Instance
+
 TravelCost = Callable[[Float[np.ndarray, "n 2"]], Float[np.ndarray, " n"]]
 """Driving length from the start to floor positions [m], infinite where there is no way."""
 Clock = Callable[[], float]
@@ -22,3 +24,15 @@ class ReachScorer(Protocol):
     ) -> Float[np.ndarray, "n g"]:
         """Smallest score over the waypoints, for each base pose and grasp, in [0, 1]."""
         ...
+
+
+class Segmenter(Protocol):
+    """Divides a cloud, z up, into things; what is in none of them is room or noise."""
+
+    def __call__(self, cloud: Cloud) -> list[Instance]: ...
+
+
+class ArticulationPredictor(Protocol):
+    """Finds doors, drawers and their handles on a face of an object."""
+
+    def __call__(self, face: FaceImage, label: str) -> Front: ...

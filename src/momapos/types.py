@@ -7,10 +7,117 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Float32, Int, UInt8
 
 Verb = Literal["open", "close", "pick", "place"]
 Status = Literal["solved", "infeasible", "timeout"]
+PartKind = Literal["door_left", "door_right", "door_down", "door_up", "drawer"]
+"""How a part opens, seen from the front: a `door_left` has its hinge on the left."""
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One picture of a scan and where it was taken from."""
+
+    name: str
+    colour: UInt8[np.ndarray, "h w 3"]
+    depth: Float32[np.ndarray, "h w"] | None
+    """Distance along the optical axis [m], 0 where it was not measured; None without a sensor."""
+    intrinsics: Float[np.ndarray, "3 3"]
+    """Of colour and depth, which are registered [px]."""
+    T_world_camera: Float[np.ndarray, "4 4"]
+    """Camera axes as in OpenCV: x right, y down, z forward."""
+
+
+@dataclass(frozen=True, eq=False)
+class Cloud:
+    """Points of surfaces."""
+
+    points: Float[np.ndarray, "n 3"]
+    normals: Float[np.ndarray, "n 3"]
+    """Unit vectors toward the side that was seen."""
+    colours: UInt8[np.ndarray, "n 3"]
+
+
+@dataclass(frozen=True, eq=False)
+class Scan:
+    """What was recorded of a room: pictures, or a cloud, or both."""
+
+    name: str
+    frames: tuple[Frame, ...]
+    cloud: Cloud | None = None
+    """A cloud that came with the scan; without one it is fused from the frames."""
+    warnings: tuple[str, ...] = ()
+    """What was skipped or assumed, one line each."""
+
+
+@dataclass(frozen=True, eq=False)
+class UprightBox:
+    """A box with vertical edges."""
+
+    center: Float[np.ndarray, "3"]
+    size: Float[np.ndarray, "3"]
+    """Along its own x, y, z [m]."""
+    yaw: float = 0.0
+    """Turn of its x axis about the world's z [rad]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Instance:
+    """One thing that a segmenter found."""
+
+    label: str
+    """Its class, or "" where the segmenter does not know."""
+    score: float
+    """Confidence in [0, 1]."""
+    members: Int[np.ndarray, " k"] | None = None
+    """Indices into the cloud."""
+    box: UprightBox | None = None
+    """For segmenters that give boxes."""
+
+
+@dataclass(frozen=True, eq=False)
+class Detection:
+    """One thing in the room, with its box."""
+
+    name: str
+    label: str
+    score: float
+    box: UprightBox
+    members: Int[np.ndarray, " k"]
+    """Indices into the cloud, outliers removed."""
+
+
+@dataclass(frozen=True, eq=False)
+class FaceImage:
+    """One upright face of a box, seen straight on; row 0 is its top, column 0 its left."""
+
+    colour: UInt8[np.ndarray, "h w 3"]
+    relief: Float32[np.ndarray, "h w"]
+    """How far the surface stands out of the face's plane [m]; NaN where not measured."""
+    width: float
+    """Size of the face [m]."""
+    height: float
+
+
+@dataclass(frozen=True)
+class Part:
+    """A door or drawer on a face; rectangles are (left, top, right, bottom) as fractions of it."""
+
+    kind: PartKind
+    box: tuple[float, float, float, float]
+    score: float
+    """Confidence in [0, 1]."""
+    handle: tuple[float, float, float, float] | None = None
+
+
+@dataclass(frozen=True)
+class Front:
+    """What a predictor sees on a face."""
+
+    score: float
+    """Probability that this face is a front, in [0, 1]."""
+    parts: tuple[Part, ...]
 
 
 @dataclass(frozen=True)

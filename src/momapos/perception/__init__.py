@@ -1,0 +1,1 @@
+"""Stage 2a: what is where, from a scan."""

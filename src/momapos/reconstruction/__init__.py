@@ -1,0 +1,1 @@
+"""Stage 2b: how the important things move."""
