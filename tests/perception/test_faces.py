@@ -42,7 +42,8 @@ def test_a_face_seen_at_an_angle_comes_out_straight(off: float) -> None:
     image = face_image(face, [view_of(2, off)])
     rows, columns = image.relief.shape
     heights = 1.8 * (1 - (np.arange(rows) + 0.5) / rows)
-    assert np.abs(image.colour[:, columns // 2, 0] - 255 * heights / 1.8).max() < 3
+    error = image.colour[:, columns // 2, 0] - 255 * heights / 1.8
+    assert np.abs(error[2:-2]).max() < 3  # the border mixes with what lies behind
     assert np.abs(np.nanmedian(image.relief)) < 1e-3
     assert (image.width, image.height) == (face.width, face.height)
 
