@@ -76,7 +76,7 @@ def find_layout(folder: Path) -> Layout | None:
     Raises:
         FileFormatError: It is one, but lacks intrinsics or holds too many files.
     """
-    names = set(_names(folder))
+    names = set(list_names(folder))
     if any(name.startswith("frame-") and ".color." in name for name in names):
         return _seven_scenes(folder, names)
     if {"color", "pose"} <= names:
@@ -236,7 +236,7 @@ def _seven_scenes(folder: Path, names: set[str]) -> Layout:
 
 
 def _export(folder: Path) -> Layout:
-    colours = {_stem(name): name for name in _names(folder / "color") if _is_picture(name)}
+    colours = {_stem(name): name for name in list_names(folder / "color") if _is_picture(name)}
     has_depth = (folder / "depth").is_dir()
     frames = tuple(
         FrameFiles(
@@ -263,7 +263,7 @@ def _export_intrinsics(
         return _matrix(colour), _matrix(depth)
     only = [
         name
-        for name in _in_order(_names(place))
+        for name in _in_order(list_names(place))
         if name.endswith(".txt") and name.startswith("intrinsic")
     ]
     if len(only) != 1:
@@ -300,7 +300,7 @@ def _numbers(file: Path) -> Float[np.ndarray, "n n"]:
     return values.reshape(side, side)
 
 
-def _names(folder: Path) -> list[str]:
+def list_names(folder: Path) -> list[str]:
     """Names in a folder, counted while they are listed."""
     names = []
     try:
