@@ -27,9 +27,9 @@ COMMANDS: dict[str, tuple[str, dict[str, str] | str, str]] = {
         "momapos.cli.scene",
         {
             "list": "scene_list", "show": "scene_show", "new": "scene_new",
-            "convert": "scene_convert",
+            "convert": "scene_convert", "scan": "momapos.cli.scan_synthetic:scene_scan",
         },
-        "rooms: list, show, generate, convert",
+        "rooms: list, show, generate, convert, scan",
     ),
     "robot": (
         "momapos.cli.robot",
@@ -102,6 +102,8 @@ def _run(args: list[str]) -> int:
         rest = rest[1:]
     import tyro
 
+    if ":" in function:  # a subcommand that has a module of its own
+        module, function = function.split(":")
     run = getattr(importlib.import_module(module), function)
     result = tyro.cli(run, args=rest, prog=prog)
     return int(result)
