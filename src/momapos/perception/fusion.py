@@ -22,7 +22,7 @@ from momapos.types import Cloud, Frame
 
 SIDE = 8  # voxels along a block
 TILE = 16  # pixels along a square of the coarse depth picture that hidden blocks are found with
-BYTES_PER_VOXEL = 20  # distance, weight and three colours, four bytes each
+BYTES_PER_VOXEL = 24  # distance, two weights and three colours, four bytes each
 
 
 @dataclass(frozen=True)
@@ -41,6 +41,9 @@ class FusionConfig:
     """Pixels beside a larger step in depth are left out, as a share of the depth [-]."""
     least_weight: float = 0.08
     """Voxels of less weight give no surface; one look from z metres weighs about 1/z^2 [-]."""
+    least_seen: float = 0.1
+    """Share of a voxel's weight from looks at a surface in it: what bounds the unseen space behind
+    things was never looked at, and is no surface [-]."""
     most_bytes: int = 2_000_000_000
     """A room that would need more memory is refused."""
 
@@ -77,6 +80,7 @@ def fuse(
     origin, index, count = _allocate(frames, voxel, margin, config)
     distance = np.zeros((count, SIDE**3), np.float32)
     weight = np.zeros((count, SIDE**3), np.float32)
+    seen = np.zeros((count, SIDE**3), np.float32)
     colour = np.zeros((count, SIDE**3, 3), np.float32)
     blocks = np.zeros((count, 3), np.int64)
     where = np.argwhere(index >= 0)
@@ -88,9 +92,10 @@ def fuse(
         facing = _facing(depth, K, config.edge, config.grazing)
         deepest = _deepest(depth)
         _integrate(
-            distance, weight, colour, blocks, origin, voxel, margin,
+            distance, weight, seen, colour, blocks, origin, voxel, margin,
             depth, facing, deepest, frame.colour, K, T_camera_world,
         )  # fmt: skip
+    weight[seen < config.least_seen * weight] = 0.0
     points, normals, colours = _extract(
         distance, weight, colour, blocks, index, origin, voxel, np.float32(config.least_weight)
     )
@@ -246,6 +251,7 @@ def _hidden(
 def _integrate(
     distance: Float32[np.ndarray, "b v"],
     weight: Float32[np.ndarray, "b v"],
+    seen: Float32[np.ndarray, "b v"],
     colour: Float32[np.ndarray, "b v 3"],
     blocks: Int[np.ndarray, "b 3"],
     origin: Float[np.ndarray, "3"],
@@ -282,7 +288,9 @@ def _integrate(
                     if u < 0 or v < 0 or u >= w or v >= h or facing[v, u] == 0:
                         continue
                     to_surface = (depth[v, u] - z) * facing[v, u]
-                    if to_surface < -margin:
+                    # along the ray, too: seen at a grazing angle, a plane says nothing about
+                    # what is far behind the edge of a thing
+                    if z - depth[v, u] > margin:
                         continue
                     share = facing[v, u] / (depth[v, u] * depth[v, u])
                     if to_surface < -voxel:
@@ -294,9 +302,11 @@ def _integrate(
                         continue
                     new = share / total
                     distance[b, n] += new * (min(to_surface / margin, 1.0) - distance[b, n])
-                    if abs(to_surface) < margin:
+                    if abs(depth[v, u] - z) < 2 * voxel:
+                        seen[b, n] += share
+                        tint = share / seen[b, n]
                         for c in range(3):
-                            colour[b, n, c] += new * (picture[v, u, c] - colour[b, n, c])
+                            colour[b, n, c] += tint * (picture[v, u, c] - colour[b, n, c])
                     weight[b, n] = total
 
 
