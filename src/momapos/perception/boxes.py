@@ -1,0 +1,433 @@
+"""From instances to boxes: outliers off, faces on surfaces, backs on walls, bottoms on floors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.spatial import ConvexHull, QhullError, cKDTree
+
+from momapos.errors import InputError
+from momapos.perception.labels import Looks, Stand, label_of
+from momapos.perception.planes import Room, area, peaks
+from momapos.types import Cloud, Detection, Instance, UprightBox
+
+
+@dataclass(frozen=True)
+class BoxConfig:
+    """How a box is drawn around points."""
+
+    outlier: float = 0.03
+    """Points whose eight nearest are farther than this on average are outliers [m]."""
+    percentile: float = 1.0
+    """Share of points that may stick out on each side [%]."""
+    search: float = 0.08
+    """A face is looked for this far from where the outermost points put it [m]: handles stand
+    out by 3 to 6 cm."""
+    face: float = 0.2
+    """Share of a face that a surface must cover to be that face [-]."""
+    sharp: float = 0.008
+    """Points of one surface are within this of its plane [m]."""
+    floor: float = 0.12
+    """Bottoms nearer to the floor than this stand on it: the lowest part is rarely seen [m]."""
+    wall: float = 0.1
+    """Backs nearer to a wall than this touch it: they are never seen [m]."""
+    support: float = 0.06
+    """Bottoms nearer to a surface than this stand on it [m]."""
+    turned: float = 7.0
+    """A thing whose faces are turned by more from x and y gets a turned box [degrees]."""
+    oriented: bool = False
+    """Whether every thing gets the box of least area, whatever its yaw."""
+    small: float = 0.35
+    """Things smaller than this are completed where no side of them was seen [m]."""
+    smallest: float = 0.01
+    """Least edge [m]."""
+    wall_thickness: float = 0.1
+    """Of the boxes of walls [m]."""
+
+
+def boxes(
+    cloud: Cloud, instances: Sequence[Instance], room: Room, config: BoxConfig | None = None
+) -> list[Detection]:
+    """Draw boxes around instances and name them.
+
+    Args:
+        cloud: Upright: z up, floor at z = 0.
+        instances: With members, or a box, or both.
+        room: Walls that backs are snapped to.
+        config: Constants.
+
+    Returns:
+        One detection for each instance that has points or a box, named `<label>_<k>`: for every
+        label, k counts from 1 by the distance from the world's origin.
+
+    Raises:
+        InputError: Members are not indices of the cloud.
+    """
+    config = config or BoxConfig()
+    drawn = []
+    for instance in instances:
+        members = _members(cloud, instance, config)
+        if len(members) or instance.box is not None:
+            box = _draw(cloud, members, instance.box, config)
+            drawn.append((instance, members, _snapped(box, room, config)))
+    drawn.sort(key=lambda row: _bottom(row[2]))
+    tops: list[UprightBox] = []
+    standing = []
+    for instance, members, box in drawn:
+        box, stand = _stood(box, tops, config)
+        if stand == "support" and instance.box is None:
+            box = _completed(cloud, members, box, config)
+        tops.append(box)
+        standing.append((instance, members, box, stand))
+    found = []
+    for instance, members, box, stand in standing:
+        label, score = instance.label, instance.score
+        if not label:
+            label, fit = label_of(_looks(cloud, members, box, stand, tops, room))
+            score = min(score, fit)
+        found.append(Detection("", label, score, box, members))
+    return named(found)
+
+
+def named(detections: Sequence[Detection]) -> list[Detection]:
+    """Give detections names, `<label>_<k>`, in the order of labels and of distance."""
+
+    def rank(detection: Detection) -> tuple[str, float, tuple[float, ...]]:
+        center = np.round(detection.box.center, 3)
+        return detection.label, round(float(np.hypot(*center[:2])), 2), tuple(center.tolist())
+
+    counts: dict[str, int] = {}
+    out = []
+    for detection in sorted(detections, key=rank):
+        k = counts[detection.label] = counts.get(detection.label, 0) + 1
+        out.append(replace(detection, name=f"{detection.label.replace(' ', '_')}_{k}"))
+    return out
+
+
+def wall_detections(room: Room, config: BoxConfig | None = None) -> list[Detection]:
+    """The walls as boxes behind what is seen of them; a robot must not drive there."""
+    config = config or BoxConfig()
+    out = []
+    for wall in room.walls:
+        center, size = np.empty(3), np.empty(3)
+        center[wall.axis] = wall.offset - wall.sign * config.wall_thickness / 2
+        center[1 - wall.axis], center[2] = (wall.low + wall.high) / 2, wall.top / 2
+        size[wall.axis], size[1 - wall.axis] = config.wall_thickness, wall.high - wall.low
+        size[2] = wall.top
+        out.append(Detection("", "wall", 0.8, UprightBox(center, size), np.zeros(0, int)))
+    return named(out)
+
+
+def split_row(
+    box: UprightBox, cuts: Sequence[float], least: float = 0.05
+) -> list[UprightBox]:
+    """Divide a row of furniture along its longer side.
+
+    Args:
+        box: Of the whole row.
+        cuts: Where it is divided, from its low end along its own longer side [m]; in any order.
+            Those outside, and those nearer than `least` to an end or to the one before, are
+            left out.
+        least: Least length of a piece [m].
+
+    Returns:
+        The pieces in order; together they are the box.
+    """
+    axis = 0 if box.size[0] >= box.size[1] else 1
+    length = float(box.size[axis])
+    edges = [0.0]
+    for cut in sorted(float(c) for c in cuts):
+        if cut - edges[-1] >= least and length - cut >= least:
+            edges.append(cut)
+    edges.append(length)
+    along = _axes(box.yaw)[axis]
+    out = []
+    for low, high in zip(edges, edges[1:], strict=False):
+        size = np.array(box.size, float)
+        size[axis] = high - low
+        center = np.array(box.center, float)
+        center[:2] += along * ((low + high) / 2 - length / 2)
+        out.append(UprightBox(center, size, box.yaw))
+    return out
+
+
+# ---------------------------------------------------------------- points
+
+
+def _members(cloud: Cloud, instance: Instance, config: BoxConfig) -> Int[np.ndarray, " k"]:
+    """Points of an instance, outliers removed."""
+    if instance.members is not None:
+        members = np.asarray(instance.members)
+        if len(members) and not (0 <= members.min() and members.max() < len(cloud.points)):
+            raise InputError(
+                f"members of an instance must be indices below {len(cloud.points)}, the number "
+                f"of points; they reach from {members.min()} to {members.max()}"
+            )
+    elif instance.box is not None:
+        local = _to_local(cloud.points, instance.box)
+        members = np.flatnonzero((np.abs(local) <= instance.box.size / 2 + 0.01).all(axis=1))
+    else:
+        return np.zeros(0, int)
+    if len(members) < 12:
+        return members
+    distances, _ = cKDTree(cloud.points[members]).query(cloud.points[members], k=9)
+    return members[distances[:, 1:].mean(axis=1) < config.outlier]
+
+
+def _axes(yaw: float) -> Float[np.ndarray, "2 2"]:
+    """Rows: the box's x and y axes in the world."""
+    c, s = np.cos(yaw), np.sin(yaw)
+    return np.array([[c, s], [-s, c]])
+
+
+def _to_local(
+    points: Float[np.ndarray, "n 3"], box: UprightBox
+) -> Float[np.ndarray, "n 3"]:
+    """World points in the frame at a box's centre, along its edges."""
+    local = points - box.center
+    local[:, :2] = local[:, :2] @ _axes(box.yaw).T
+    return local
+
+
+def _world_box(
+    low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"], yaw: float
+) -> UprightBox:
+    """The box between two corners in a frame turned by yaw about the world's origin."""
+    center = (low + high) / 2
+    center[:2] = center[:2] @ _axes(yaw)
+    return UprightBox(center, high - low, yaw)
+
+
+def _corners(
+    box: UprightBox,
+) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+    """Low and high corner in a frame turned as the box is about the world's origin."""
+    center = np.array(box.center, float)
+    center[:2] = _axes(box.yaw) @ center[:2]
+    return center - box.size / 2, center + box.size / 2
+
+
+def _bottom(box: UprightBox) -> float:
+    return float(box.center[2] - box.size[2] / 2)
+
+
+def _top(box: UprightBox) -> float:
+    return float(box.center[2] + box.size[2] / 2)
+
+
+# ---------------------------------------------------------------- faces
+
+
+def _draw(
+    cloud: Cloud, members: Int[np.ndarray, " k"], given: UprightBox | None, config: BoxConfig
+) -> UprightBox:
+    """The box around points, or a given one, with its faces on the surfaces seen."""
+    points, normals = cloud.points[members], cloud.normals[members]
+    if given is not None:
+        yaw = given.yaw
+    else:
+        yaw = _yaw(points, normals, config)
+    turned = points.copy()
+    turned[:, :2] = points[:, :2] @ _axes(yaw).T
+    facing = normals.copy()
+    facing[:, :2] = normals[:, :2] @ _axes(yaw).T
+    if given is not None:
+        low, high = _corners(given)
+    else:
+        low, high = np.percentile(turned, [config.percentile, 100 - config.percentile], axis=0)
+    faces = [low.copy(), high.copy()]
+    for axis in range(3):
+        for side, sign in ((0, -1.0), (1, 1.0)):
+            on = sign * facing[:, axis] > 0.8
+            start = (low, high)[side][axis]
+            reach = min(config.search, 0.4 * (high - low)[axis]) if given is None else config.search
+            near = on & (np.abs(turned[:, axis] - start) < reach)
+            found = _surface(turned[near], axis, low, high, config)
+            if found is not None:
+                faces[side][axis] = found
+    thin = faces[1] - faces[0] < config.smallest
+    middle = (faces[0] + faces[1]) / 2
+    faces[0][thin] = middle[thin] - config.smallest / 2
+    faces[1][thin] = middle[thin] + config.smallest / 2
+    return _world_box(faces[0], faces[1], yaw)
+
+
+def _surface(
+    points: Float[np.ndarray, "n 3"],
+    axis: int,
+    low: Float[np.ndarray, "3"],
+    high: Float[np.ndarray, "3"],
+    config: BoxConfig,
+) -> float | None:
+    """Where the largest plane across an axis is, among points that face along it."""
+    found = peaks(points[:, axis], config.sharp, 8, config.sharp)
+    if not found:
+        return None
+    on = points[np.abs(points[:, axis] - found[0]) < 2 * config.sharp]
+    a, b = (k for k in range(3) if k != axis)
+    whole = (high[a] - low[a]) * (high[b] - low[b])
+    seen = area(on[:, a], on[:, b], 0.025)
+    return found[0] if seen > config.face * whole else None
+
+
+def _yaw(
+    points: Float[np.ndarray, "n 3"], normals: Float[np.ndarray, "n 3"], config: BoxConfig
+) -> float:
+    """Turn of a thing's box: none, unless its faces say so."""
+    least = _least_area(points[:, :2])
+    if config.oriented:
+        return least
+    upright = np.abs(normals[:, 2]) < 0.3
+    if upright.sum() < 30:
+        return 0.0
+    angle = np.arctan2(normals[upright, 1], normals[upright, 0])
+    mean = np.exp(4j * angle).mean()
+    offset = float(np.angle(mean)) / 4
+    # Round things have faces on all sides: their normals cancel.
+    clear = abs(mean) > 0.5 and abs(offset) > np.radians(config.turned)
+    return offset if clear else 0.0
+
+
+def _least_area(points: Float[np.ndarray, "n 2"]) -> float:
+    """Yaw of the smallest rectangle around points, in (-pi/4, pi/4] [rad]."""
+    if len(points) < 3:
+        return 0.0
+    try:
+        hull = points[ConvexHull(points).vertices]
+    except QhullError:
+        return 0.0  # all on one line
+    edges = np.roll(hull, -1, axis=0) - hull
+    angles = np.mod(np.arctan2(edges[:, 1], edges[:, 0]) + np.pi / 4, np.pi / 2) - np.pi / 4
+    areas = [np.prod(np.ptp(hull @ _axes(angle).T, axis=0)) for angle in angles]
+    return float(angles[int(np.argmin(areas))])
+
+
+# ---------------------------------------------------------------- snapping
+
+
+def _snapped(box: UprightBox, room: Room, config: BoxConfig) -> UprightBox:
+    """A box on the floor and at the walls that it nearly touches."""
+    low, high = _corners(box)
+    if low[2] < config.floor:
+        low[2] = 0.0
+    if abs(box.yaw) < 1e-9:
+        for wall in room.walls:
+            if wall.beside(box.center[None], 0.3)[0]:
+                face = low if wall.sign > 0 else high
+                if abs(face[wall.axis] - wall.offset) < config.wall:
+                    face[wall.axis] = wall.offset
+    if (high - low < config.smallest).any():
+        return box
+    return _world_box(low, high, box.yaw)
+
+
+def _stood(
+    box: UprightBox, tops: Sequence[UprightBox], config: BoxConfig
+) -> tuple[UprightBox, Stand]:
+    """A box on what is below it, and what it stands on."""
+    bottom = _bottom(box)
+    if bottom <= 0.0:
+        return box, "floor"
+    below = [
+        _top(other)
+        for other in tops
+        if (np.abs(_to_local(box.center[None], other)[0, :2]) < other.size[:2] / 2).all()
+        and _top(other) < _top(box) - config.smallest
+        and -config.support < bottom - _top(other) < config.support
+    ]
+    if not below:
+        return box, "hung"
+    low, high = _corners(box)
+    low[2] = min(below, key=lambda top: abs(top - bottom))
+    return _world_box(low, high, box.yaw), "support"
+
+
+def _completed(
+    cloud: Cloud, members: Int[np.ndarray, " k"], box: UprightBox, config: BoxConfig
+) -> UprightBox:
+    """Make a small thing as deep as it is wide, where its far side was never seen.
+
+    Of a cup on a counter the half that faces the wall stays hidden. A flat top that was seen
+    from above shows the whole outline: then nothing is added.
+    """
+    if max(box.size) > config.small or len(members) < 10:
+        return box
+    local = _to_local(cloud.points[members], box)
+    facing = cloud.normals[members].copy()
+    facing[:, :2] = facing[:, :2] @ _axes(box.yaw).T
+    flat = (facing[:, 2] > 0.9) & (local[:, 2] > box.size[2] / 2 - 0.02)
+    if area(local[flat, 0], local[flat, 1], 0.02) > 0.5 * box.size[0] * box.size[1]:
+        return box
+    low, high = _corners(box)
+    axis = 0 if box.size[0] < box.size[1] else 1
+    missing = box.size[1 - axis] - box.size[axis]
+    sides = [(sign * facing[:, axis] > 0.5).mean() for sign in (-1.0, 1.0)]
+    if min(sides) < 0.1 * max(sides):
+        if sides[0] < sides[1]:
+            low[axis] -= missing
+        else:
+            high[axis] += missing
+    return _world_box(low, high, box.yaw)
+
+
+# ---------------------------------------------------------------- labels
+
+
+def _looks(
+    cloud: Cloud,
+    members: Int[np.ndarray, " k"],
+    box: UprightBox,
+    stand: Stand,
+    others: Sequence[UprightBox],
+    room: Room,
+) -> Looks:
+    """What the rules for labels look at."""
+    flat = np.sort(box.size[:2])
+    walls = [
+        float(wall.distance(box.center[None])[0]) - box.size[wall.axis] / 2
+        for wall in room.walls
+        if wall.beside(box.center[None], 0.5)[0]
+    ]
+    colours = cloud.colours[members]
+    return Looks(
+        stand=stand,
+        height=float(box.size[2]),
+        width=float(flat[1]),
+        depth=float(flat[0]),
+        bottom=_bottom(box),
+        closed=_closed(cloud, members, box),
+        step=_step(box, others),
+        free=min(walls, default=10.0),
+        bright=float(np.median(colours)) / 255 if len(colours) else 0.5,
+    )
+
+
+def _closed(cloud: Cloud, members: Int[np.ndarray, " k"], box: UprightBox) -> float:
+    """Share of the fullest upright side on which surfaces were seen [-]."""
+    local = _to_local(cloud.points[members], box)
+    facing = cloud.normals[members, :2] @ _axes(box.yaw).T
+    inner: Bool[np.ndarray, " k"] = np.abs(local[:, 2]) < box.size[2] / 2 - 0.05
+    if box.size[2] < 0.2:
+        return 0.0
+    shares = []
+    for axis in (0, 1):
+        for sign in (-1.0, 1.0):
+            at = np.abs(sign * local[:, axis] - box.size[axis] / 2) < 0.08
+            on = local[at & inner & (np.abs(facing[:, axis]) > 0.8)]
+            whole = box.size[1 - axis] * (box.size[2] - 0.1)
+            shares.append(area(on[:, 1 - axis], on[:, 2]) / whole)
+    return float(max(shares))
+
+
+def _step(box: UprightBox, others: Sequence[UprightBox]) -> float:
+    """How much higher a box is than the highest similar one that touches its side [m]."""
+    steps = []
+    for other in others:
+        apart = np.abs(box.center - other.center)[:2] - (box.size + other.size)[:2] / 2
+        similar = abs(_top(box) - _top(other)) < 0.15
+        if similar and apart.max() < 0.06 and apart.max() > -0.06:
+            steps.append(_top(box) - _top(other))
+    return min(steps, default=0.0)

@@ -1,0 +1,199 @@
+"""Flat fronts of furniture, and how far it reaches back behind them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from momapos.perception.planes import Room, Wall, area
+from momapos.perception.supports import components
+from momapos.types import Cloud, UprightBox
+
+
+@dataclass(frozen=True)
+class FrontConfig:
+    """What makes a surface the front of a piece of furniture."""
+
+    area: float = 0.06
+    """Least area [m2]."""
+    side: float = 0.2
+    """Least width and height [m]."""
+    step: float = 0.02
+    """Surfaces with a step of more than twice this are two fronts [m]."""
+    gap: float = 0.04
+    """Gaps of up to twice this, as between doors, are bridged [m]."""
+    depth: float = 0.9
+    """Furniture is at most this deep [m]."""
+    shallow: float = 0.05
+    """And at least this [m]."""
+    stack: float = 0.15
+    """Fronts of one width, one above the other, belong together when no farther apart [m]."""
+    profile: float = 0.03
+    """A step in the upper or lower edge of a front by more than this divides it [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Front:
+    """A flat upright surface and the box behind it."""
+
+    axis: int
+    """0 where it looks along x, 1 along y."""
+    sign: float
+    """+1 where it looks toward larger coordinates, else -1."""
+    box: UprightBox
+    members: Int[np.ndarray, " k"]
+    rank: float
+    """How good a front it is: the seen area, more where a wall is behind."""
+
+
+def find_fronts(
+    cloud: Cloud, room: Room, among: Int[np.ndarray, " m"], config: FrontConfig
+) -> list[Front]:
+    """Find fronts among some points of an upright cloud.
+
+    Returns:
+        Those that look away from a wall near behind them first, then by area.
+    """
+    found = []
+    for axis in (0, 1):
+        for sign in (1.0, -1.0):
+            facing = among[sign * cloud.normals[among, axis] > 0.85]
+            for members in _flat(cloud.points[facing], facing, axis, config):
+                for piece in _divided(cloud.points[members], members, axis, config):
+                    found.append(_front(cloud, room, among, piece, axis, sign, config))
+    return _stacked(sorted((f for f in found if f is not None), key=lambda f: -f.rank), config)
+
+
+def _stacked(fronts: list[Front], config: FrontConfig) -> list[Front]:
+    """Join fronts one above the other in one plane: the doors of a fridge, with a gap for hands."""
+    out: list[Front] = []
+    for front in fronts:
+        for k, other in enumerate(out):
+            if _one_above_other(front, other, config):
+                low = np.minimum(*(f.box.center - f.box.size / 2 for f in (front, other)))
+                high = np.maximum(*(f.box.center + f.box.size / 2 for f in (front, other)))
+                members = np.concatenate([other.members, front.members])
+                box = UprightBox((low + high) / 2, high - low)
+                out[k] = replace(other, box=box, members=members)
+                break
+        else:
+            out.append(front)
+    return out
+
+
+def _one_above_other(a: Front, b: Front, config: FrontConfig) -> bool:
+    if (a.axis, a.sign) != (b.axis, b.sign):
+        return False
+    apart = np.abs(a.box.center - b.box.center) - (a.box.size + b.box.size) / 2
+    faces = [f.box.center[f.axis] + f.sign * f.box.size[f.axis] / 2 for f in (a, b)]
+    across = 1 - a.axis
+    return bool(
+        abs(faces[0] - faces[1]) < config.step
+        and abs(a.box.center[across] - b.box.center[across]) < config.profile
+        and abs(a.box.size[across] - b.box.size[across]) < 2 * config.profile
+        and apart[2] < config.stack
+    )
+
+
+def _flat(
+    points: Float[np.ndarray, "n 3"], members: Int[np.ndarray, " n"], axis: int, config: FrontConfig
+) -> Iterator[Int[np.ndarray, " k"]]:
+    """Groups of points that lie in one plane and touch."""
+    cell = [config.gap] * 3
+    cell[axis] = config.step
+    label = components(points, (cell[0], cell[1], cell[2]))
+    for k in range(label.max(initial=-1) + 1):
+        group = label == k
+        if group.sum() < config.area / config.gap**2:
+            return
+        yield members[group]
+
+
+def _divided(
+    points: Float[np.ndarray, "n 3"], members: Int[np.ndarray, " n"], axis: int, config: FrontConfig
+) -> Iterator[Int[np.ndarray, " k"]]:
+    """Divide a flat surface where its upper or lower edge has a step."""
+    along, z = points[:, 1 - axis], points[:, 2]
+    strip = 0.03
+    low = float(along.min())
+    bins = np.floor((along - low) / strip).astype(int)
+    order = np.lexsort((z, bins))
+    counts = np.bincount(bins)
+    starts = np.concatenate([[0], np.cumsum(counts)])
+    seen = np.flatnonzero(counts > 3)
+    # One row below the top: a single stray point is no edge.
+    top = np.array([z[order[starts[k + 1] - 2]] for k in seen])
+    bottom = np.array([z[order[starts[k] + 1]] for k in seen])
+    cuts = _steps(top, config.profile) | _steps(bottom, config.profile)
+    edges = low + strip * np.array([float(seen[k]) for k in sorted(cuts)])
+    part = np.searchsorted(edges, along)
+    for k in range(len(edges) + 1):
+        yield members[part == k]
+
+
+def _steps(profile: Float[np.ndarray, " n"], least: float, side: int = 4) -> set[int]:
+    """Where a profile changes for good: the medians on both sides differ."""
+    n = len(profile)
+    jumps = np.zeros(n)
+    for k in range(side, n - side + 1):
+        before, after = profile[k - side : k], profile[k : k + side]
+        if max(np.ptp(before), np.ptp(after)) < least:
+            jumps[k] = abs(np.median(after) - np.median(before))
+    cuts: set[int] = set()
+    while jumps.max(initial=0.0) > least:
+        k = int(np.argmax(jumps))
+        cuts.add(k)
+        jumps[max(0, k - side) : k + side] = 0
+    return cuts
+
+
+def _front(
+    cloud: Cloud,
+    room: Room,
+    among: Int[np.ndarray, " m"],
+    members: Int[np.ndarray, " k"],
+    axis: int,
+    sign: float,
+    config: FrontConfig,
+) -> Front | None:
+    """The box behind a flat surface; None for one that is too small."""
+    points = cloud.points[members]
+    other = 1 - axis
+    if len(points) < 20:
+        return None
+    low, high = np.percentile(points, [1, 99], axis=0)
+    if high[other] - low[other] < config.side or high[2] - low[2] < config.side:
+        return None
+    size = area(points[:, other], points[:, 2])
+    if size < config.area:
+        return None
+    face = float(np.median(points[:, axis]))
+    wall = _wall_behind(room, points.mean(axis=0), axis, sign, config)
+    if wall is not None:
+        back = wall.offset
+    else:
+        around = cloud.points[among]
+        column = (around[:, other] > low[other]) & (around[:, other] < high[other])
+        column &= (around[:, 2] > low[2]) & (around[:, 2] < high[2] + 0.03)
+        away = sign * (face - around[column, axis])
+        away = away[(away > -0.02) & (away < config.depth)]
+        back = face - sign * max(config.shallow, float(np.percentile(away, 98, method="higher")))
+    low[axis], high[axis] = min(face, back), max(face, back)
+    box = UprightBox((low + high) / 2, high - low)
+    return Front(axis, sign, box, members, size * (1.0 if wall is None else 3.0))
+
+
+def _wall_behind(
+    room: Room, middle: Float[np.ndarray, "3"], axis: int, sign: float, config: FrontConfig
+) -> Wall | None:
+    """The nearest wall behind a front, within the depth of furniture."""
+    behind = [
+        wall
+        for wall in room.walls
+        if wall.axis == axis and wall.sign == sign and wall.beside(middle[None], 0.2)[0]
+    ]
+    near = [w for w in behind if config.shallow < w.distance(middle[None])[0] < config.depth]
+    return min(near, key=lambda wall: wall.distance(middle[None])[0]) if near else None

@@ -1,0 +1,315 @@
+"""Dividing a room into things without a trained network.
+
+Furniture has flat tops and flat fronts. What stands on a top is a thing of its own; what is
+under a top, down to the floor, is a piece of furniture; where no top can be seen, as with tall
+and with hanging furniture, a front reaches back to the wall behind it. What is left over falls
+into groups of points that touch.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy import ndimage
+
+from momapos.errors import InputError
+from momapos.perception.fronts import FrontConfig, Front, find_fronts
+from momapos.perception.planes import Room, RoomConfig, area, find_room, in_room
+from momapos.perception.supports import (
+    Outlines,
+    Rectangle,
+    Support,
+    SupportConfig,
+    components,
+    find_supports,
+    outlines_of,
+    rectangles,
+)
+from momapos.types import Cloud, Instance, UprightBox
+
+
+@dataclass(frozen=True)
+class SegmentConfig:
+    """How a room is divided."""
+
+    room: RoomConfig = field(default_factory=RoomConfig)
+    support: SupportConfig = field(default_factory=SupportConfig)
+    front: FrontConfig = field(default_factory=FrontConfig)
+    touching: float = 0.05
+    """Pieces of furniture nearer than this to each other are one, unless planes divide them [m]."""
+    touching_small: float = 0.025
+    """The same for things on a surface [m]."""
+    least_points: int = 25
+    """Groups of fewer points are noise [-]."""
+    least_small: int = 14
+    """The same for things on a surface [-]."""
+    reach: float = 0.5
+    """Things on a surface are this high at most [m]; cabinets hang above it."""
+    lift: float = 0.015
+    """Points this far above a surface do not belong to it [m]."""
+    overhang: float = 0.07
+    """Fronts and handles stand out from under a top, or in front of a front, by this [m]."""
+    lip: float = 0.07
+    """Fronts end this far below the top that they belong to, at most [m]."""
+    slab: float = 0.04
+    """Thickness of a counter's top [m]; it is a thing of its own, above cabinets and machines."""
+    slab_length: float = 1.2
+    """Tops at least this long are a slab across several pieces of furniture [m]."""
+    closed: float = 0.45
+    """Share of its fullest side that is seen to be closed, below which furniture is open: a table
+    stands on legs [-]."""
+    tall: float = 1.2
+    """Tops above this are seen in part, if at all: fronts say more about the furniture [m]."""
+    seat: tuple[float, float] = (0.6, 0.35)
+    """Tops lower [m] and smaller [m2] than this are seats: what rises from them is a back."""
+    shelf: float = 0.4
+    """Open furniture at a wall that is less deep than this is a shelf, not a table [m]."""
+
+
+class ClassicalSegmenter:
+    """Divides an upright cloud by planes and by which points touch; a `Segmenter`.
+
+    A counter's top and what is below it are two instances. What is below is one instance from
+    end to end, or to the corner of the room: `boxes.split_row` divides it where its fronts are
+    known to end. Tops at another height, as an oven's between counters, divide it here.
+    """
+
+    def __init__(self, config: SegmentConfig | None = None) -> None:
+        self.config = config or SegmentConfig()
+
+    def __call__(self, cloud: Cloud) -> list[Instance]:
+        """Divide a cloud.
+
+        Args:
+            cloud: z up, floor at z = 0, furniture along x and y; with normals.
+
+        Returns:
+            Instances: furniture first, with boxes; then what stands on it; then the rest.
+
+        Raises:
+            InputError: The cloud is empty or holds numbers that are not finite.
+        """
+        if not len(cloud.points):
+            raise InputError("the cloud is empty: there is nothing to divide")
+        if not (np.isfinite(cloud.points).all() and np.isfinite(cloud.normals).all()):
+            raise InputError("the cloud holds points or normals that are not finite numbers")
+        return _Division(cloud, self.config).run()
+
+
+class _Division:
+    """One cloud while it is divided: which of its points are still free."""
+
+    def __init__(self, cloud: Cloud, config: SegmentConfig) -> None:
+        self.cloud, self.config = cloud, config
+        self.room = find_room(cloud, config.room)
+        self.free = ~in_room(self.room, cloud, config.room)
+        self.raster = outlines_of(cloud.points, config.support.cell)
+
+    def run(self) -> list[Instance]:
+        among = np.flatnonzero(self.free)
+        if not len(among):
+            return []
+        supports = find_supports(self.cloud, self.room, among, self.raster, self.config.support)
+        things = [thing for support in supports for thing in self._things_on(support, supports)]
+        tops = [support for support in supports if self.free[support.members].mean() > 0.5]
+        fronts = find_fronts(self.cloud, self.room, np.flatnonzero(self.free), self.config.front)
+        tops = self._lengthened(tops, fronts)
+        furniture = [body for top in tops for body in self._below(top)]
+        furniture += self._behind_fronts(fronts)
+        rest = self._rest([body.box for body in furniture if body.box is not None])
+        return furniture + things + rest
+
+    # ------------------------------------------------------------ what stands on a surface
+
+    def _things_on(self, support: Support, supports: Sequence[Support]) -> list[Instance]:
+        """Groups of points that stand on a surface and do not reach beyond it."""
+        config, points = self.config, self.cloud.points
+        size = support.outline.sum() * config.support.cell**2
+        if support.height < config.seat[0] and size < config.seat[1]:
+            return []
+        above = points[:, 2] - support.height
+        possible = self.free & (above > config.lift) & (above < config.reach)
+        for other in supports:
+            if 0 < other.height - support.height < 0.08:
+                possible[other.members] = False  # a neighbour's top, one step higher
+        # At the edge of the surface, sides of taller furniture begin.
+        inner = ndimage.binary_erosion(support.outline)
+        inside = np.flatnonzero(possible & self.raster.within(inner, points))
+        label = components(points[inside], config.touching_small)
+        found = []
+        for k in range(label.max(initial=-1) + 1):
+            members = inside[label == k]
+            if len(members) < config.least_small:
+                break
+            if above[members].min() < 2 * config.touching_small:
+                members = self._with_edges(members, possible)
+                self.free[members] = False
+                found.append(Instance("", 0.5, members))
+        return found
+
+    def _with_edges(
+        self, members: Int[np.ndarray, " k"], possible: Bool[np.ndarray, " n"]
+    ) -> Int[np.ndarray, " m"]:
+        """Add what the erosion of the surface cut off a thing."""
+        points, margin = self.cloud.points, 1.5 * self.config.support.cell
+        low, high = points[members].min(axis=0) - margin, points[members].max(axis=0) + margin
+        low[2], high[2] = low[2] + margin, high[2]
+        near = np.flatnonzero(possible & ((points > low) & (points < high)).all(axis=1))
+        label = components(points[near], self.config.touching_small)
+        own = np.isin(near, members)
+        return near[np.isin(label, np.unique(label[own]))]
+
+    # ------------------------------------------------------------ furniture with a visible top
+
+    def _lengthened(self, tops: Sequence[Support], fronts: Sequence[Front]) -> list[Support]:
+        """Tops that reach as far as the fronts that end just below them.
+
+        A camera held low sees a counter's front, but little of its top.
+        """
+        outlines = [top.outline for top in tops]
+        taken = np.any(outlines, axis=0) if outlines else None
+        for front in fronts:
+            low, high = front.box.center - front.box.size / 2, front.box.center + front.box.size / 2
+            mask = self.raster.filled((low[0], low[1], high[0], high[1]))
+            near = [
+                (abs(top.height - high[2]), k)
+                for k, top in enumerate(tops)
+                if (top.outline & mask).any() and abs(top.height - high[2]) < self.config.lip
+            ]
+            if near and low[2] < self.config.support.lowest:
+                _, k = min(near)
+                outlines[k] = outlines[k] | (mask & ~taken)
+        return [replace(top, outline=line) for top, line in zip(tops, outlines, strict=True)]
+
+    def _below(self, top: Support) -> list[Instance]:
+        """The furniture below a surface, divided into boxes."""
+        if top.height > self.config.tall:
+            return []
+        out = []
+        for rectangle in rectangles(top.outline, self.raster):
+            out += self._body(rectangle, top.height)
+        return out
+
+    def _body(self, rectangle: Rectangle, height: float) -> list[Instance]:
+        config, points = self.config, self.cloud.points
+        low, high = np.array(rectangle[:2]), np.array(rectangle[2:])
+        near = (points[:, 2] < height + config.lift) & self.free
+        xy = points[:, :2]
+        near &= ((xy > low - config.overhang) & (xy < high + config.overhang)).all(axis=1)
+        members = np.flatnonzero(near)
+        if len(members) < config.least_points:
+            return []
+        if self._closed_share(members, rectangle, height) < config.closed:
+            return self._open(members, rectangle, height)
+        self.free[members] = False
+        bottom = 0.0
+        if max(high - low) < config.slab_length:
+            return [Instance("", 0.7, members, _upright(rectangle, bottom, height))]
+        split = height - config.slab
+        is_slab = points[members, 2] > split
+        return [
+            Instance("", 0.7, members[~is_slab], _upright(rectangle, bottom, split)),
+            Instance("counter", 0.7, members[is_slab], _upright(rectangle, split, height)),
+        ]
+
+    def _closed_share(
+        self, members: Int[np.ndarray, " k"], rectangle: Rectangle, height: float
+    ) -> float:
+        """Share of the fullest side of a box that surfaces are seen on [-]."""
+        config = self.config
+        points, normals = self.cloud.points[members], self.cloud.normals[members]
+        low_z, high_z = 0.12, height - 0.1
+        if high_z - low_z < 0.1:
+            return 0.0
+        shares = []
+        for side in range(4):
+            axis = side % 2
+            facing = np.abs(normals[:, axis]) > 0.8
+            at = np.abs(points[:, axis] - rectangle[side]) < config.overhang + 0.02
+            on = points[facing & at & (points[:, 2] > low_z) & (points[:, 2] < high_z)]
+            whole = (rectangle[3 - axis] - rectangle[1 - axis]) * (high_z - low_z)
+            shares.append(area(on[:, 1 - axis], on[:, 2]) / whole)
+        return max(shares)
+
+    def _open(
+        self, members: Int[np.ndarray, " k"], rectangle: Rectangle, height: float
+    ) -> list[Instance]:
+        """A table with what of its legs is seen, or a shelf; chairs below a table stay free."""
+        config, points = self.config, self.cloud.points
+        upper = points[members, 2] > height - 0.12
+        below = members[~upper]
+        label = components(points[below], config.touching)
+        low, high = np.array(rectangle[:2]) - 0.05, np.array(rectangle[2:]) + 0.05
+        inside = ((points[below, :2] > low) & (points[below, :2] < high)).all(axis=1)
+        legs = []
+        for k in range(label.max(initial=-1) + 1):
+            group = label == k
+            if inside[group].mean() > 0.95 and not self._goes_on(below[group], members):
+                legs.append(below[group])
+        own = np.concatenate([members[upper], *legs])
+        self.free[own] = False
+        corner, far = np.array(rectangle[:2]), np.array(rectangle[2:])
+        middle = np.array([[*(corner + far) / 2, height]])
+        at_wall = any(
+            wall.beside(middle)[0]
+            and wall.distance(middle)[0] < (far - corner)[wall.axis] / 2 + 0.12
+            for wall in self.room.walls
+        )
+        if at_wall and min(far - corner) < config.shelf:
+            thick = min(float(np.ptp(points[members[upper], 2])), 0.12)
+            return [Instance("shelf", 0.5, own, _upright(rectangle, height - thick, height))]
+        return [Instance("", 0.7, own, _upright(rectangle, 0.0, height))]
+
+    def _goes_on(self, group: Int[np.ndarray, " k"], column: Int[np.ndarray, " m"]) -> bool:
+        """Whether a group of points is part of something that reaches out of a column."""
+        points = self.cloud.points
+        margin = self.config.touching
+        low, high = points[group].min(axis=0) - margin, points[group].max(axis=0) + margin
+        near = self.free & ((points > low) & (points < high)).all(axis=1)
+        near[column] = False
+        return int(near.sum()) > 20
+
+    # ------------------------------------------------------------ furniture without a visible top
+
+    def _behind_fronts(self, fronts: Sequence[Front]) -> list[Instance]:
+        """Boxes behind flat fronts, back to the wall."""
+        out = []
+        for front in fronts:
+            if self.free[front.members].mean() < 0.6:
+                continue
+            box = front.box
+            members = self._inside(box, self.config.overhang)
+            self.free[members] = False
+            out.append(Instance("", 0.6, members, box))
+        return out
+
+    def _inside(self, box: UprightBox, margin: float) -> Int[np.ndarray, " k"]:
+        """Free points in a box that is made larger all around."""
+        near = np.abs(self.cloud.points - box.center) < box.size / 2 + margin
+        return np.flatnonzero(near.all(axis=1) & self.free)
+
+    # ------------------------------------------------------------ the rest
+
+    def _rest(self, boxes: Sequence[UprightBox]) -> list[Instance]:
+        """Groups of points that touch and are not just the edges of what was found."""
+        points, config = self.cloud.points, self.config
+        for box in boxes:
+            self.free[self._inside(box, config.overhang)] = False
+        among = np.flatnonzero(self.free)
+        label = components(points[among], config.touching)
+        out = []
+        for k in range(label.max(initial=-1) + 1):
+            members = among[label == k]
+            if len(members) < config.least_points:
+                break
+            out.append(Instance("", 0.4, members))
+        return out
+
+
+def _upright(rectangle: Rectangle, bottom: float, top: float) -> UprightBox:
+    x0, y0, x1, y1 = rectangle
+    center = np.array([(x0 + x1) / 2, (y0 + y1) / 2, (bottom + top) / 2])
+    return UprightBox(center, np.array([x1 - x0, y1 - y0, top - bottom]))
