@@ -57,6 +57,9 @@ class ModelConfig:
     """Of a door in the face's plane, and of one that stands proud of it at most [m]."""
     gap: float = 0.002
     """Between a moving part and what is beside and behind it [m]."""
+    hinge_depth: float = 0.0
+    """How far behind its front a door's hinge lies, but not beyond its thickness [m]. That holds
+    for hinges at the rim of the face; elsewhere such a door would turn into what is beside it."""
     turn: float = 1.57
     """How far doors open [rad]."""
     travel: float = 0.4
@@ -90,7 +93,8 @@ def furniture_model(
 ) -> Piece:
     """Make the model of one object: its box, hollow, with doors and drawers that open.
 
-    A door turns about the edge of its front, so it stays within its own width as it opens. Every
+    A door turns about the edge of its front, so it stays within its own width as it opens; real
+    hinges lie deeper, mostly by 1 to 2 cm, in fridges by 2 to 8 (`ModelConfig.hinge_depth`). Every
     joint ends before its part would hit the rest of the piece.
 
     Args:
@@ -273,7 +277,7 @@ def _moving(
         travel = min(config.travel, config.tray * room)
         motion = Motion("prismatic", (0.0, 0.0, 0.0), (0.0, -1.0, 0.0), travel)
     else:
-        motion = _turning(part, boxes[0], config)
+        motion = _turning(part, boxes[0], face, config)
     handle = () if part.handle is None else _handle(name, part.handle, front, face)
     return Part(name, tuple(boxes), motion, handle)
 
@@ -298,14 +302,21 @@ def _leaf(part: AlignedPart, thickness: float, config: ModelConfig) -> Area:
     return replace(area, bottom=area.bottom + swing) if part.kind == "door_up" else area
 
 
-def _turning(part: AlignedPart, panel: Box, config: ModelConfig) -> Motion:
+def _turning(part: AlignedPart, panel: Box, face: FaceImage, config: ModelConfig) -> Motion:
     """The hinge of a door, at the edge of its front; all doors open with a positive angle."""
-    (left, front, bottom), (right, _, top) = panel.low, panel.high
+    (left, front, bottom), (right, rear, top) = panel.low, panel.high
+    at_rim = {
+        "door_left": part.area.left <= 0.0,
+        "door_right": part.area.right >= face.width,
+        "door_down": part.area.bottom <= 0.0,
+        "door_up": part.area.top >= face.height,
+    }
+    y = min(front + config.hinge_depth, rear) if at_rim[part.kind] else front
     pivots: dict[str, tuple[Vec, Vec]] = {
-        "door_left": ((left, front, 0.0), (0.0, 0.0, -1.0)),
-        "door_right": ((right, front, 0.0), (0.0, 0.0, 1.0)),
-        "door_down": ((0.0, front, bottom), (1.0, 0.0, 0.0)),
-        "door_up": ((0.0, front, top), (-1.0, 0.0, 0.0)),
+        "door_left": ((left, y, 0.0), (0.0, 0.0, -1.0)),
+        "door_right": ((right, y, 0.0), (0.0, 0.0, 1.0)),
+        "door_down": ((0.0, y, bottom), (1.0, 0.0, 0.0)),
+        "door_up": ((0.0, y, top), (-1.0, 0.0, 0.0)),
     }
     return Motion("revolute", *pivots[part.kind], config.turn)
 
