@@ -60,7 +60,7 @@ class ModelConfig:
     hinge_depth: float = 0.0
     """How far behind its front a door's hinge lies, but not beyond its thickness [m]. That holds
     for hinges at the rim of the face; elsewhere such a door would turn into what is beside it."""
-    turn: float = 1.57
+    turn: float = np.pi / 2
     """How far doors open [rad]."""
     travel: float = 0.4
     """How far drawers open at most [m]."""
