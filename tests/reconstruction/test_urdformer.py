@@ -5,6 +5,8 @@ from __future__ import annotations
 import itertools
 import json
 import math
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -16,7 +18,7 @@ from hypothesis import strategies as st
 from jaxtyping import Float
 from tests.reconstruction import urdformer_twin
 
-from momapos.errors import FileFormatError, InputError, UrdfError
+from momapos.errors import FileFormatError, InputError, MissingExtraError, UrdfError
 from momapos.reconstruction.checkpoint import read_checkpoint
 from momapos.reconstruction.urdformer import (
     BASES,
@@ -378,6 +380,22 @@ def test_a_checkpoint_of_another_network_is_refused(tmp_path: Path) -> None:
     assert message.startswith(f"{path}: does not fit the network's 393 tensors: 393 missing (")
     assert message.endswith("1 unexpected (head.weight)")
     assert "\n" not in message
+
+
+def test_torch_is_loaded_only_with_a_checkpoint() -> None:
+    modules = ("urdformer", "urdformer_files", "checkpoint", "templates")
+    loading = "; ".join(f"import momapos.reconstruction.{name}" for name in modules)
+    code = f"import sys; {loading}; sys.exit('torch' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_what_is_not_installed_names_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "torch", None)
+    with pytest.raises(MissingExtraError, match=r"momapos\[train\]"):
+        load_urdformer(Path("part.pth"))
+    monkeypatch.setitem(sys.modules, "PIL", None)
+    with pytest.raises(MissingExtraError, match=r"momapos\[scan\]"):
+        prepare_picture(face().colour)
 
 
 def pooled_by_hand(

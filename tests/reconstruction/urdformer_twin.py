@@ -1,4 +1,4 @@
-"""URDFormer's network a second time: numpy alone, written from the layers' description."""
+"""URDFormer's network a second time, in numpy alone."""
 
 from __future__ import annotations
 
