@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from jaxtyping import Float
 from tests.reconstruction import urdformer_twin
@@ -195,6 +195,7 @@ def test_parts_keep_to_the_grid_and_handles_to_their_parts(shown: Any, seed: int
 @settings(max_examples=100, deadline=None)
 def test_a_mirrored_front_has_mirrored_parts(shown: Any) -> None:
     """Marks of handles count from the hinge, so on doors they are their own mirror image."""
+    assume(all(row[0] != "washer_door" for row in shown))  # it knows no other hinge side
     swap = {"doorL": "doorR", "doorR": "doorL"}
     mirrored = []
     for name, start, end, parent in shown:
@@ -202,10 +203,6 @@ def test_a_mirrored_front_has_mirrored_parts(shown: Any) -> None:
         hinged = name in ("handle", "knob") and owner in swap
         flip = (lambda m: m) if hinged else (lambda m: (STEPS - 1 - m[0], m[1]))
         mirrored.append((swap.get(name, name), flip(start), flip(end), parent))
-    shown = [row for row in shown if row[0] != "washer_door"]  # it knows no other hinge side
-    mirrored = [row for row in mirrored if row[0] != "washer_door"]
-    if len(shown) < 6:
-        return
     boxes = np.tile([0.4, 0.45, 0.2, 0.1], (6, 1))
     one, other = to_parts(prediction(*shown), boxes), to_parts(prediction(*mirrored), boxes)
     turned = {"door_left": "door_right", "door_right": "door_left"}
