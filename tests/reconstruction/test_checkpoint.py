@@ -93,6 +93,7 @@ def test_an_archive_that_grows_when_it_is_unpacked_is_refused(tmp_path: Path) ->
     assert "compressed" in refusal(packed)
 
 
+@pytest.mark.filterwarnings("ignore:Detected pickle protocol")
 def test_a_damaged_pickle_never_gets_past_the_error_tree(tmp_path: Path) -> None:
     """Whatever the reader trips over, what comes out is our error or a dictionary."""
     plain = saved(tmp_path / "w.pth", {"model_state_dict": {"a": torch.ones(3)}})

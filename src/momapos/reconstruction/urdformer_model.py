@@ -1,11 +1,11 @@
 """The network of URDFormer, in plain torch, for the weights that its authors published.
 
-Written anew from the paper (Chen et al., 2024) and the authors' description of the layers, so that
-their `part.pth` fits name by name and gives their numbers. Three of their habits are kept, because
-the weights were trained with them:
+The layers and their names are those of the authors' network (Chen et al., 2024), so that their
+`part.pth` fits; the code is our own. Three habits of theirs are kept, because the weights were
+trained with them:
 
 - Regions of interest are scaled twice. A box is already in cells of the 14 x 14 map when the
-  pooling divides it by 16 again, so every region lies in the first cell or two of the map.
+  pooling divides it by 16 again, so only the first three rows and columns of the map are seen.
 - Boxes hold (top, left, ...) where the pooling expects (left, top, ...), so the map is pooled with
   its axes exchanged.
 - Empty slots are not masked: attention sees the padding up to 32 boxes.
@@ -115,7 +115,7 @@ class Urdformer(nn.Module):
     def __init__(self) -> None:
         super().__init__()
         self.img_backbone = PictureEncoder()
-        # In the checkpoint but never asked: a sine embedding that the authors gave up.
+        # The checkpoint has it, but no answer depends on it.
         self.pe_layer = _by_names(**{f"fc{axis}": nn.Linear(16, WIDTH) for axis in "xywh"})
         self.fc1 = _mlp(WIDTH_MAP, 512, 256, 64)
         self.fc2 = nn.Linear(CELLS**2 * 64, WIDTH)
