@@ -140,9 +140,7 @@ def _crevice(
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
-def _lamp_light(
-    p: tuple[float, float, float], n: tuple[float, float, float], lamps: Any
-) -> float:
+def _lamp_light(p: tuple[float, float, float], n: tuple[float, float, float], lamps: Any) -> float:
     """Light of all lamps that reach a point with this normal."""
     Ts_lamp_world, strength, scale, maps = lamps
     size = maps.shape[1]

@@ -6,6 +6,7 @@ import json
 import os
 import shutil
 import tempfile
+import zlib
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -88,7 +89,8 @@ def synthetic_scan(
         raise InputError(f"a scan has between 1 and {MAX_FRAMES} frames, not {frames}")
     if seed < 0:
         raise InputError(f"the seed of a scan must be 0 or more, not {seed}")
-    rng = np.random.default_rng((seed, 1))
+    # two rooms with one seed shall not look alike
+    rng = np.random.default_rng((seed, 1, zlib.crc32(scene.name.encode())))
     world = render_world(scene, rng)
     focal = round(float(rng.uniform(*FOCALS)), 1)
     Ts = scan_route(scene, world, frames, rng, focal=focal, size=SIZE)

@@ -36,7 +36,9 @@ FRONT_WORTH = 200.0
 FADING = 0.45
 """What a point is worth that was seen once already [-]."""
 POINTS = 3000
-RANDOM, AIMED = 500, 24
+CROUCHED = 0.15
+"""Share of the random poses that are low [-]."""
+RANDOM, AIMED = 500, 36
 """Poses that are tried: at random, and in front of each face [-]."""
 REDUCED = 8
 """Visibility is looked up in pictures that are smaller by this factor [-]."""
@@ -65,6 +67,8 @@ class _Faces:
 
     center: Float[np.ndarray, "f 3"]
     normal: Float[np.ndarray, "f 3"]
+    size: Float[np.ndarray, "f 2"]
+    """Width and height [m]."""
     points: Float[np.ndarray, "f p 3"]
 
 
@@ -101,9 +105,10 @@ def scan_route(
         raise SceneError(
             f"{scene.path}: there is no free floor to scan from, {CLEARANCE:g} m from all things"
         )
-    faces = _faces(scene, world)
+    faces = _faces(scene)
     points = _surface_points(world, scene, rng)
-    tried = _candidates(room, faces, points, rng)
+    needed = 1.1 * focal / np.array(size)
+    tried = _candidates(room, faces, points, needed, rng)
     K = pinhole((size[0] // REDUCED, size[1] // REDUCED), focal / REDUCED)
     seen, straight = _views(world, tried, K, points, faces)
     return _as_walk(tried[_choose(seen, straight, count)])
@@ -137,9 +142,9 @@ def free_floor(scene: Scene, world: RenderWorld) -> _Room:
     return _Room(corner, distance_transform_edt(free) * CELL > CLEARANCE)
 
 
-def _faces(scene: Scene, world: RenderWorld) -> _Faces:
+def _faces(scene: Scene) -> _Faces:
     """Upright sides of everything but walls."""
-    centers, normals, points = [], [], []
+    centers, normals, sizes, points = [], [], [], []
     along = (np.arange(GRID) + 0.5) / GRID - 0.5
     across, up = (grid.ravel() for grid in np.meshgrid(along, along))
     for item in scene.objects:
@@ -155,10 +160,13 @@ def _faces(scene: Scene, world: RenderWorld) -> _Faces:
             local[:, 1 - axis], local[:, 2] = 2 * half[1 - axis] * across, 2 * half[2] * up
             centers.append(apply(T, (half * unit)[None])[0])
             normals.append(T[:3, :3] @ unit)
+            sizes.append((2 * half[1 - axis], 2 * half[2]))
             points.append(apply(T, local))
-    empty = np.zeros((0, GRID * GRID, 3))
     return _Faces(
-        np.reshape(centers, (-1, 3)), np.reshape(normals, (-1, 3)), np.array(points) if points else empty
+        np.reshape(centers, (-1, 3)),
+        np.reshape(normals, (-1, 3)),
+        np.reshape(sizes, (-1, 2)),
+        np.reshape(points, (-1, GRID * GRID, 3)),
     )
 
 
@@ -177,21 +185,29 @@ def _surface_points(
 
 
 def _candidates(
-    room: _Room, faces: _Faces, points: Float[np.ndarray, "n 3"], rng: np.random.Generator
+    room: _Room,
+    faces: _Faces,
+    points: Float[np.ndarray, "n 3"],
+    needed: Float[np.ndarray, "2"],
+    rng: np.random.Generator,
 ) -> Float[np.ndarray, "c 4 4"]:
-    """Poses on free floor: some look at a random point, some straight at a face."""
+    """Poses on free floor: some look at a random point, some straight at a face.
+
+    `needed` is the distance from which a face fits into the picture, over its width and height.
+    """
     places = room.places()
     xy = places[rng.integers(len(places), size=4 * RANDOM)]
     target = points[rng.integers(len(points), size=len(xy))]
     distance = np.linalg.norm(target[:, :2] - xy, axis=1)
-    fits = np.flatnonzero((distance > NEAR) & (distance < FAR))
-    fits = fits[:RANDOM] if len(fits) else np.arange(RANDOM)
-    height = np.where(
-        rng.random(len(fits)) < 0.85, rng.uniform(*HIGH, len(fits)), rng.uniform(*LOW, len(fits))
-    )
-    eyes, targets = np.column_stack([xy[fits], height]), target[fits]
+    good = np.flatnonzero((distance > NEAR) & (distance < FAR))
+    good = good[:RANDOM] if len(good) else np.arange(RANDOM)
+    crouched = rng.random(len(good)) < CROUCHED
+    height = np.where(crouched, rng.uniform(*LOW, len(good)), rng.uniform(*HIGH, len(good)))
+    eyes, targets = np.column_stack([xy[good], height]), target[good]
     face = np.repeat(np.arange(len(faces.center)), AIMED)
-    out = rng.uniform(NEAR, FAR, len(face))
+    fits = np.maximum((faces.size * needed).max(1), NEAR)
+    low, high = np.maximum(0.6 * fits, NEAR), np.maximum(1.2 * fits, FAR)
+    out = (low + rng.random((AIMED, 1)) * (high - low)).T.ravel()
     normal, middle = faces.normal[face], faces.center[face]
     side = np.tan(rng.uniform(-0.2, 0.2, len(face))) * out
     across = np.stack([-normal[:, 1], normal[:, 0], 0 * side], axis=1)
@@ -212,25 +228,41 @@ def _views(
     points: Float[np.ndarray, "n 3"],
     faces: _Faces,
 ) -> tuple[Bool[np.ndarray, "c n"], Bool[np.ndarray, "c f"]]:
-    """Which points each camera sees, and which faces it sees whole and straight on."""
+    """Which points each camera sees, and which faces it sees straight on."""
     width, height = np.rint(2 * K[:2, 2] + 1).astype(int)
     xs, ys = (np.arange(width) - K[0, 2]) / K[0, 0], (np.arange(height) - K[1, 2]) / K[1, 1]
     corners = faces.points.reshape(-1, 3)
     both = np.concatenate([points, corners])
     count = len(points)
     seen = np.zeros((len(Ts_world_camera), count), bool)
-    straight = np.zeros((len(Ts_world_camera), len(faces.center)), bool)
+    whole = np.zeros((len(Ts_world_camera), len(faces.center)), bool)
+    share = np.zeros(whole.shape)
     for k, T in enumerate(Ts_world_camera):
         inverse, _ = world.trace(T, xs, ys)
         visible, inside = _visible(inverse, apply(invert(T), both), K)
         seen[k] = visible[:count]
         toward = T[:3, 3] - faces.center
         toward /= np.linalg.norm(toward, axis=1, keepdims=True)
-        shape = faces.points.shape[:2]
-        whole = inside[count:].reshape(shape).all(1)
-        open_share = visible[count:].reshape(shape).mean(1)
-        straight[k] = whole & (open_share > WHOLE) & ((toward * faces.normal).sum(1) > STRAIGHT)
-    return seen, straight
+        straight = (toward * faces.normal).sum(1) > STRAIGHT
+        whole[k] = inside[count:].reshape(faces.points.shape[:2]).all(1)
+        share[k] = straight * visible[count:].reshape(faces.points.shape[:2]).mean(1)
+    return seen, _frontal(whole, share)
+
+
+def _frontal(
+    whole: Bool[np.ndarray, "c f"], share: Float[np.ndarray, "c f"]
+) -> Bool[np.ndarray, "c f"]:
+    """Which views of a face are as good as the room allows.
+
+    Args:
+        whole: Whether the face is in the picture as a whole.
+        share: Part of it that is seen straight on.
+    """
+    good = whole & (share > WHOLE)
+    scarce = good.sum(0) < TIMES
+    best = share[:, scarce].max(0, initial=0.0)
+    good[:, scarce] |= (share[:, scarce] > 0.9 * best) & (best > WHOLE / 2)
+    return good
 
 
 def _visible(
@@ -261,7 +293,7 @@ def _choose(
         gain = views @ worth + FRONT_WORTH * (fronts @ np.minimum(wanted, 1.0))
         best = int(np.argmax(np.where(unused, gain, -1.0)))
         chosen.append(best)
-        unused[best] = not unused.any() or False
+        unused[best] = unused.sum() == 1
         worth[seen[best]] *= FADING
         wanted = np.maximum(wanted - straight[best], 0.0)
     return np.array(chosen)

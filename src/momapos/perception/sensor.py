@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, UInt8
@@ -40,7 +41,9 @@ class DepthSensor:
     blur: float = 0.45
     """Deviation of the blur of colours [px]."""
     exposure: float = 0.06
-    """Deviation of the brightness of a picture, and half of it for each channel [-]."""
+    """Deviation of the brightness of a picture [-]."""
+    balance: float = 0.012
+    """Deviation of each channel's share in it [-]."""
     position: float = 0.003
     """Deviation of the camera's position [m]."""
     angle: float = 0.1
@@ -124,7 +127,7 @@ def _sense_colour(
     colour: UInt8[np.ndarray, "h w 3"], rng: np.random.Generator, sensor: DepthSensor
 ) -> UInt8[np.ndarray, "h w 3"]:
     gain = np.exp(rng.normal(0.0, sensor.exposure))
-    balance = np.exp(rng.normal(0.0, sensor.exposure / 2, 3))
+    balance = np.exp(rng.normal(0.0, sensor.balance, 3))
     image = colour.astype(np.float32)
     if sensor.blur > 0:
         image = gaussian_filter(image, (sensor.blur, sensor.blur, 0))
@@ -149,7 +152,7 @@ def drifting(
     true = np.asarray(Ts_world_camera, float)
     error = rng.standard_normal((len(true), 6))
     fresh = np.sqrt(1 - sensor.drift**2)
-    for before, now in zip(error, error[1:], strict=False):
+    for before, now in pairwise(error):
         now *= fresh
         now += sensor.drift * before
     found = true.copy()

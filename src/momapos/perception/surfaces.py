@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from scipy.spatial import ConvexHull
 
 from momapos.errors import UrdfError
@@ -127,7 +128,7 @@ def _obj(path: Path) -> list[tuple[Float[np.ndarray, "n 3 3"], Paint]]:
             elif head == "f":
                 ring = [int(word.split("/", 1)[0]) for word in rest.split()]
                 ring = [k - 1 if k > 0 else len(points) + k for k in ring]
-                current += [[ring[0], b, c] for b, c in zip(ring[1:], ring[2:], strict=False)]
+                current += [[ring[0], b, c] for b, c in pairwise(ring[1:])]
             elif head == "usemtl":
                 current = faces.setdefault(rest.strip(), [])
             elif head == "mtllib":
@@ -206,8 +207,3 @@ def _material(element: Any, named: dict[str, Paint]) -> Paint:
 def _rgba(material: Any) -> Paint:
     text = material.find("color").get("rgba", "")
     return None if COLOURS.get(material.get("name")) == text else _paint(text)
-
-
-def index_of(lengths: list[int]) -> Int[np.ndarray, " n"]:
-    """For each element of lists laid end to end, the number of its list."""
-    return np.repeat(np.arange(len(lengths)), lengths)
