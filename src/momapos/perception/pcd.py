@@ -126,7 +126,7 @@ def _compressed(file: BinaryIO, path: Path, dtype: np.dtype, count: int) -> np.n
         )
     data = np.frombuffer(_exactly(file, packed, path), np.uint8)
     plain = np.zeros(size, np.uint8)
-    if _unpack_lzf(data, plain) != size:
+    if unpack_lzf(data, plain) != size:
         raise FileFormatError(f"{path}: its compressed points are damaged")
     table = np.empty(count, dtype)
     start = 0
@@ -159,7 +159,7 @@ def _unpacked(packed: np.ndarray) -> Columns:
 
 
 @njit(cache=True)
-def _unpack_lzf(data: UInt8[np.ndarray, " n"], out: UInt8[np.ndarray, " m"]) -> int:
+def unpack_lzf(data: UInt8[np.ndarray, " n"], out: UInt8[np.ndarray, " m"]) -> int:
     """Unpack LZF, LibLZF's format: runs of plain bytes, and copies of what came before.
 
     Returns:
