@@ -39,6 +39,7 @@ COMMANDS: dict[str, tuple[str, dict[str, str] | str, str]] = {
         },
         "robots: list, show, check a URDF or robot file, export",
     ),
+    "scan": ("momapos.cli.scan", "scan_room", "a scene that moves, from a scan of a room"),
     "reach": (
         "momapos.cli.reach",
         {"build": "reach_build", "eval": "reach_eval"},

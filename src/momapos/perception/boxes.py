@@ -107,6 +107,11 @@ def named(detections: Sequence[Detection]) -> list[Detection]:
     return out
 
 
+def inside(points: Float[np.ndarray, "n 3"], box: UprightBox) -> Bool[np.ndarray, " n"]:
+    """Which points lie in a box, or within 1 cm of it."""
+    return (np.abs(_to_local(points, box)) <= box.size / 2 + 0.01).all(axis=1)
+
+
 def wall_detections(room: Room, config: BoxConfig | None = None) -> list[Detection]:
     """The walls as boxes behind what is seen of them; a robot must not drive there."""
     config = config or BoxConfig()
@@ -167,8 +172,7 @@ def _members(cloud: Cloud, instance: Instance, config: BoxConfig) -> Int[np.ndar
                 f"of points; they reach from {members.min()} to {members.max()}"
             )
     elif instance.box is not None:
-        local = _to_local(cloud.points, instance.box)
-        members = np.flatnonzero((np.abs(local) <= instance.box.size / 2 + 0.01).all(axis=1))
+        members = np.flatnonzero(inside(cloud.points, instance.box))
     else:
         return np.zeros(0, int)
     if len(members) < 12:

@@ -16,8 +16,9 @@ FACES = 4
 """Upright faces of a box: outward along its x, y, -x, -y."""
 NEAREST = 0.1
 """Surfaces nearer to a camera are not looked at [m]."""
-HIDDEN = 0.15
-"""A surface that stands farther out of a face is another thing in front of it [m]."""
+APART = 0.15
+"""What lies farther before or behind a face is another thing, which hides it or is seen past it
+[m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,11 +80,11 @@ def face_image(face: Face, frames: Sequence[Frame], *, pixels: int = 384) -> Fac
 
 
 def shown(face: Face, frame: Frame, *, pixels: int = 48) -> float:
-    """Part of a face that a frame shows and nothing hides, in [0, 1]."""
+    """Part of a face that a frame shows, and not something before or behind it, in [0, 1]."""
     scale = pixels / max(face.width, face.height)
     shape = (max(8, round(face.height * scale)), max(8, round(face.width * scale)))
     seen, _, relief = _look(face, frame, shape)
-    return float((seen & ~(relief > HIDDEN)).mean())
+    return float((seen & ~(np.abs(relief) > APART)).mean())
 
 
 def _median(
