@@ -7,7 +7,7 @@ Every fridge of the shared data stands before a wall, is scanned with the noise 
 place and of the differences of the box's three sides (MoMa-Pos, table on modelling).
 
 - vanilla: the parts on a box of one metre, which is all that a single picture's network gives;
-- box from RGB: the box that the chosen picture and the floor give, its depth that of a usual fridge;
+- box from RGB: what the chosen picture and the floor give, its depth that of a usual fridge;
 - box from points: ours.
 """
 
@@ -26,7 +26,7 @@ from momapos.kinematics.urdf import box_urdf, read_urdf
 from momapos.manipulation.handles import has_handle
 from momapos.manipulation.tasks import hand_path
 from momapos.perception.detections import projection
-from momapos.perception.recording import record, synthetic_scan, true_box
+from momapos.perception.recording import synthetic_scan, true_box
 from momapos.perception.sensor import DepthSensor
 from momapos.perception.views import View
 from momapos.reconstruction.build import build_scene
@@ -34,9 +34,8 @@ from momapos.reconstruction.model import furniture_model
 from momapos.scan_pipeline import Decision, scan_to_scene
 from momapos.scene.files import load_scene
 from momapos.scene.scene import Scene, SceneObject
-from momapos.types import Detection, Frame, UprightBox
+from momapos.types import Frame, Scan, UprightBox
 from placement import shared
-from scan_rooms import default_tools
 
 FRIDGES = ("Fridge/10144", "Fridge/11299", "Fridge/12248", "MiniFridge/10797",
            "MiniFridge/11178", "MiniFridge/11709", "MiniFridge/12252")  # fmt: skip
@@ -111,7 +110,7 @@ def measure(name: str, frames: int, folder: Path) -> dict[str, float]:
     """The three errors of one fridge."""
     scene = room(name)
     plan = synthetic_scan(scene, frames=frames, seed=1, sensor=DepthSensor())
-    result = scan_to_scene(record(plan), folder / "scene.json", default_tools())
+    result = scan_to_scene(Scan(name, tuple(plan.frames())), folder / "scene.json")
     box = true_box(plan.world, scene.object("fridge"), 0)
     place = apply(result.T_scene_scan, box.center[None])[0]
     decision = min(

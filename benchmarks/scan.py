@@ -27,12 +27,12 @@ from momapos.pipeline import place
 from momapos.placement.place import PlaceConfig
 from momapos.reachability.store import load_or_build
 from momapos.robots.robot import load_robot
-from momapos.scan_pipeline import Modelled, scan_to_scene
+from momapos.scan_pipeline import Modelled, default_tools, scan_to_scene
 from momapos.scene.files import load_scene
 from momapos.scene.scene import Scene
 from momapos.verification.exact import ExactWorld
 from momapos.verification.report import Limits
-from scan_rooms import Room, default_tools, rooms
+from scan_rooms import Room, rooms
 
 MARGIN = 0.02
 """How far a plan may be off in the true room [m]."""

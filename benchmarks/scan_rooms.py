@@ -8,11 +8,7 @@ from pathlib import Path
 
 from momapos.perception.recording import synthetic_scan, write_scan
 from momapos.perception.scan import read_scan
-from momapos.perception.segment import ClassicalSegmenter
 from momapos.perception.sensor import DepthSensor
-from momapos.reconstruction.network import FrontNetwork
-from momapos.reconstruction.templates import TemplatePredictor
-from momapos.scan_pipeline import Tools
 from momapos.scene.files import load_scene
 from momapos.scene.kitchens import LAYOUTS, generate_kitchen
 from momapos.scene.scene import Scene
@@ -28,14 +24,8 @@ class Room:
     scan: Scan
 
 
-def default_tools() -> Tools:
-    """What `momapos scan` uses."""
-    network = FrontNetwork()
-    return Tools(ClassicalSegmenter(), network, network, TemplatePredictor())
-
-
 def rooms(folder: Path, count: int, frames: int = 60) -> Iterator[Room]:
-    """Generated kitchens of all layouts in turn, each with a scan; made where there are none yet."""
+    """Generated kitchens of all layouts in turn, each with a scan; made where there are none."""
     for k in range(count):
         layout, seed = LAYOUTS[k % len(LAYOUTS)], k // len(LAYOUTS)
         home = folder / f"{layout}_{seed}"

@@ -22,10 +22,13 @@ from momapos.perception.fusion import fuse
 from momapos.perception.gravity import upright
 from momapos.perception.planes import find_room
 from momapos.perception.rows import split_row
+from momapos.perception.segment import ClassicalSegmenter
 from momapos.perception.views import View, choose_view
 from momapos.protocols import ArticulationPredictor, Clock, Segmenter
 from momapos.reconstruction.build import GivenModel, build_scene, place_model
 from momapos.reconstruction.model import furniture_model
+from momapos.reconstruction.network import FrontNetwork
+from momapos.reconstruction.templates import TemplatePredictor
 from momapos.scene.library.furniture import Piece
 from momapos.scene.scene import Scene, SceneObject
 from momapos.types import Cloud, Detection, FaceImage, Frame, Front, Instance, Part, Scan
@@ -34,6 +37,9 @@ Progress = Callable[[str, float], None]
 """Told what is at work, and the share of the whole that is done."""
 Found = Mapping[str, Sequence[PictureBox]]
 """What a 2-D detector found, by the frame's name."""
+
+BUILDING = ("wall", "floor", "ceiling", "window", "door")
+"""Labels of segmenters for what is no furniture."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +53,16 @@ class Tools:
     """Finds the parts of an object; often the same as `look`."""
     guess: ArticulationPredictor | None = None
     """Asked where `predict` sees a front but no parts on it."""
+
+
+def default_tools() -> Tools:
+    """What works without anything from elsewhere: no trained segmenter, our own network.
+
+    Raises:
+        MissingExtraError: onnxruntime is not installed.
+    """
+    network = FrontNetwork()
+    return Tools(ClassicalSegmenter(), network, network, TemplatePredictor())
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +103,7 @@ class Modelled:
 def scan_to_scene(
     scan: Scan,
     out: Path,
-    tools: Tools,
+    tools: Tools | None = None,
     *,
     target: str | None = None,
     found: Found | None = None,
@@ -101,7 +117,7 @@ def scan_to_scene(
     Args:
         scan: Posed pictures, a cloud, or both.
         out: The scene file to write; URDF files go into a folder beside it.
-        tools: Segmenter and predictors.
+        tools: Segmenter and predictors; `default_tools` by default.
         target: Object that the task will be about: only what matters for it is modelled. By
             default everything is that has a front.
         found: What a 2-D detector found in the pictures; projected boxes by default.
@@ -113,6 +129,7 @@ def scan_to_scene(
     Raises:
         InputError: The scan holds nothing, or no object has the target's name.
     """
+    tools = tools or default_tools()
     config, progress = config or ScanConfig(), progress or _silent
     began, marks = clock(), {}
     progress("fusing", 0.0)
@@ -122,7 +139,8 @@ def scan_to_scene(
     T = upright(cloud, scan.frames, config.gravity)
     cloud, frames = _turned(cloud, scan.frames, T)
     room = find_room(cloud, config.room)
-    detections = boxes(cloud, tools.segment(cloud), room, config.boxes)
+    things = [item for item in tools.segment(cloud) if item.label not in BUILDING]
+    detections = boxes(cloud, things, room, config.boxes)
     marks["boxes"] = clock()
     progress("dividing rows", 0.3)
     instances = divide(detections, cloud, frames, tools.look, config)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -140,35 +140,30 @@ def _config(options: ScanOptions) -> Any:
 
 
 def _tools(scan: Scan, options: ScanOptions) -> Tools:
-    from momapos.reconstruction.network import FrontNetwork
-    from momapos.reconstruction.templates import TemplatePredictor
-    from momapos.scan_pipeline import Tools
+    from momapos.scan_pipeline import default_tools
 
-    network, template = FrontNetwork(), TemplatePredictor()
-    predict: ArticulationPredictor = network
+    tools = default_tools()
+    predict: ArticulationPredictor = tools.predict
     if options.predictor == "template":
-        predict = template
+        assert tools.guess is not None
+        predict = tools.guess
     elif options.predictor == "urdformer":
         from momapos.reconstruction.urdformer import UrdformerPredictor, load_urdformer
 
         if options.checkpoint is None:
             raise InputError("--predictor urdformer needs --checkpoint PATH/part.pth")
-        predict = UrdformerPredictor(load_urdformer(options.checkpoint), network)
-    return Tools(_segmenter(scan, options), network, predict, guess=template)
+        predict = UrdformerPredictor(load_urdformer(options.checkpoint), tools.look)
+    segment = tools.segment if options.instances is None else _reader(scan, options.instances)
+    return replace(tools, segment=segment, predict=predict)
 
 
-def _segmenter(scan: Scan, options: ScanOptions) -> Segmenter:
+def _reader(scan: Scan, path: Path) -> Segmenter:
+    """Instances from a file instead of a segmenter."""
     from momapos.perception.masks import read_instances
-    from momapos.perception.segment import ClassicalSegmenter
     from momapos.types import Cloud, Instance
 
-    if options.instances is None:
-        return ClassicalSegmenter()
-    path = options.instances
-    size = None if scan.cloud is None else len(scan.cloud.points)
-
     def read(cloud: Cloud) -> list[Instance]:
-        if size is None and path.suffix != ".json":
+        if scan.cloud is None and path.suffix != ".json":
             raise InputError(
                 f"{path}: masks count the points of a cloud, but {scan.name} came without one"
             )

@@ -1,0 +1,26 @@
+"""A kitchen is scanned, made into a scene, and its fridge is opened there."""
+
+import tempfile
+from pathlib import Path
+
+from momapos import load_robot, load_scene, make_task, openable, place, scan_to_scene
+from momapos.cache import default_cache_dir
+from momapos.perception.recording import synthetic_scan
+from momapos.perception.sensor import DepthSensor
+from momapos.reachability.store import load_or_build
+from momapos.types import Scan
+
+camera = synthetic_scan(load_scene("kitchen_small"), frames=40, seed=1, sensor=DepthSensor())
+scan = Scan("kitchen", tuple(camera.frames()))  # momapos.read_scan reads yours from a folder
+
+with tempfile.TemporaryDirectory() as folder:
+    made = scan_to_scene(scan, Path(folder) / "scene.json")
+    scene, robot = load_scene(str(made.scene)), load_robot("segway_ur5e")
+    door = [joint for item, joint in openable(scene) if item == "fridge_1"][-1]
+    task = make_task(scene, "open", "fridge_1", door)
+    answer = place(scene, robot, task, load_or_build(robot, default_cache_dir(), None))
+
+print(f"{answer.plan.status}: stand at {answer.plan.base_pose} to open fridge_1/{door}")
+for decision in made.decisions:
+    kinds = ", ".join(part.kind for part in decision.parts)
+    print(f"{decision.detection.name:16} {kinds or decision.reason}")
