@@ -18,16 +18,21 @@ MOST_REASONS = 8
 
 
 @contextmanager
-def progress(title: str) -> Iterator[Callable[[float], None]]:
-    """Show the share of long work on stderr when that is a terminal, once it takes a second."""
+def progress(title: str) -> Iterator[Callable[..., None]]:
+    """Show the share of long work on stderr when that is a terminal, once it takes a second.
+
+    Yields:
+        A function of the share in [0, 1], and of what is at work if that is worth telling.
+    """
     began = time.monotonic()
     shown = False
 
-    def report(share: float) -> None:
+    def report(share: float, what: str = "") -> None:
         nonlocal shown
         if sys.stderr.isatty() and time.monotonic() - began > 1.0:
             shown = True
-            print(f"\r{title}: {100 * share:3.0f} %", end="", file=sys.stderr, flush=True)
+            line = f"\r{title}: {100 * share:3.0f} % {what:<24.24}"
+            print(line, end="", file=sys.stderr, flush=True)
 
     yield report
     if shown:

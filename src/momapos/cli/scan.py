@@ -48,6 +48,12 @@ class ScanOptions:
     """Units of integer depth in a metre."""
     voxel: float = 0.015
     """Edge of the voxels that depth is fused in [m]."""
+    depth_topic: str | None = None
+    """Topics of a recording, where their types and names do not tell."""
+    colour_topic: str | None = None
+    info_topic: str | None = None
+    fixed_frame: str | None = None
+    """Frame of a recording that does not move; the root of tf by default."""
 
 
 def scan_room(
@@ -74,19 +80,27 @@ def scan_room(
     import json as encoder
 
     from momapos.cli.console import progress
+    from momapos.perception.bags import BagTopics
     from momapos.perception.scan import read_scan
     from momapos.scan_pipeline import scan_to_scene
     from momapos.scan_report import report_to_dict, write_report
 
-    scan = read_scan(source, max_frames=options.max_frames, depth_scale=options.depth_scale)
+    topics = BagTopics(
+        options.depth_topic, options.colour_topic, options.info_topic, options.fixed_frame
+    )
+    scan = read_scan(
+        source, max_frames=options.max_frames, depth_scale=options.depth_scale, topics=topics
+    )
     for warning in scan.warnings:
         print(f"momapos: {warning}", file=sys.stderr)
     tools, given, found = _tools(scan, options), _given(options.models), _found(scan, options)
     with progress("scan") as report:
         result = scan_to_scene(
             scan, out, tools, target=options.target, found=found, given=given,
-            config=_config(options), progress=lambda _, share: report(share),
+            config=_config(options), progress=lambda what, share: report(share, what),
         )  # fmt: skip
+    for warning in (text for decision in result.decisions for text in decision.warnings):
+        print(f"momapos: {warning}", file=sys.stderr)
     data = report_to_dict(result, scan, options.target)
     folder = write_report(result, data, out, pictures=pictures)
     print(encoder.dumps(data, allow_nan=False) if json else table(result, out, folder))
