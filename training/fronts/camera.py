@@ -156,7 +156,7 @@ def shade(
     else:
         lamp = np.array([rng.normal(0, 0.7), -abs(rng.normal(0.5, 0.5)), rng.uniform(0.6, 1.4)])
     lamp /= np.linalg.norm(lamp)
-    half = lamp + (0, 0, 1)
+    half = lamp + np.array([0, 0, 1])
     half /= np.linalg.norm(half)
     power = rng.uniform(8, 60)
     facing, upright, glint = _light(

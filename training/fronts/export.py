@@ -45,14 +45,21 @@ class _Part(nn.Module):
         return sure, place, held, torch.sigmoid(heat), torch.exp(logs.clamp(-7, 1))
 
 
-def write_face(net: nn.Module, path: Path) -> None:
-    """Write the first network."""
+def write(net: nn.Module, path: Path) -> None:
+    """Write either network."""
+    if isinstance(net, networks.FaceNetwork):
+        _write_face(net, path)
+    else:
+        _write_part(net, path)
+
+
+def _write_face(net: nn.Module, path: Path) -> None:
     given = (torch.zeros(1, networks.PLANES, decode.FACE_PIXELS, decode.FACE_PIXELS),)
     _write(_Face(net), given, ["face"], ["heat", "reach", "front"], path, {})
 
 
-def write_part(net: nn.Module, path: Path) -> None:
-    """Write the second network; it takes any number of crops."""
+def _write_part(net: nn.Module, path: Path) -> None:
+    """The batch is free: a face has any number of proposals."""
     side = decode.PART_PIXELS
     given = (torch.zeros(2, networks.PLANES, side, side), torch.zeros(2, 1))
     out = ["sure", "edges", "held", "heat", "reach"]

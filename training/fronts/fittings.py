@@ -30,6 +30,10 @@ class DoorStyle:
     window: Material
     uniform: bool
     """Drawn plainly, as models made on a computer are."""
+    mono: bool
+    """Everything has the colour of the body, handles too."""
+    corner: float
+    """Radius of the corners of its fronts [m]."""
 
 
 def random_door_style(
@@ -41,8 +45,11 @@ def random_door_style(
     form = str(rng.choice(forms, p=odds))
     if (appliance and rng.random() < 0.93) or (uniform and rng.random() < 0.4):
         form = "slab"
+    mono = rng.random() < (0.4 if uniform else 0.04)
     draw = rng.random()
-    if draw < 0.6:
+    if mono:
+        skin = body
+    elif draw < 0.6:
         skin = body if rng.random() < 0.5 else materials.like(rng, body)
     else:
         skin = materials.carcass(rng, appliance, uniform)
@@ -50,7 +57,7 @@ def random_door_style(
     panel = skin
     if form == "print" or other < 0.08:
         panel = materials.tiles(rng)
-    elif other < 0.25:
+    elif other < 0.25 and not mono:
         panel = materials.carcass(rng, appliance, uniform)
     inset_door = not appliance and rng.random() < 0.35
     out = rng.uniform(-0.006, 0.003) if inset_door else rng.uniform(0.004, 0.03)
@@ -66,15 +73,21 @@ def random_door_style(
         rng.uniform(0.001, 0.006) if rng.random() < 0.7 else rng.uniform(0.006, 0.03),
         materials.glass(rng),
         uniform,
+        mono,
+        rng.uniform(0.01, 0.12) if rng.random() < (0.15 if appliance else 0.02) else 0.0,
     )
 
 
 def door(rng: np.random.Generator, canvas: Canvas, rect: Rect, style: DoorStyle, fill: str) -> None:
     """Paint a door or drawer front."""
     tint = 1.0 if style.uniform else rng.normal(1, 0.025)
-    canvas.fill(
-        rect, _texture(style.skin, tint), style.out, style.skin.gloss, min(style.edge, 0.02)
-    )
+    if style.corner:
+        tone = np.clip(style.skin.base * tint, 0, 1)
+        canvas.capsule(rect, style.corner, tone, style.out - 0.004, 0.004, flat=0.0)
+    else:
+        canvas.fill(
+            rect, _texture(style.skin, tint), style.out, style.skin.gloss, min(style.edge, 0.02)
+        )
     wide, high = rect[2] - rect[0], rect[3] - rect[1]
     frame = min(style.frame, 0.3 * min(wide, high))
     if fill == "window":

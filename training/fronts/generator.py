@@ -80,7 +80,7 @@ def draw(rng: np.random.Generator) -> Drawn:
     face = FaceImage(
         colour, relief, canvas.view[2] - canvas.view[0], canvas.view[3] - canvas.view[1]
     )
-    parts, false_parts = _truth(canvas, pose, fitted, plan)
+    parts, false_parts = _truth(canvas, pose, fitted)
     return Drawn(face, parts, false_parts, plan.family)
 
 
@@ -134,7 +134,7 @@ def _furnish(
         if rng.random() < 0.15:
             fittings.distractors(rng, canvas, cell.rect, plan.family == "fridge")
         if cell.kind == "drawer" and same_free and not plan.appliance:
-            cell = replace(cell, free=str(same_free))  # noqa: PLW2901
+            cell = replace(cell, free=str(same_free))
         style_here = second if cell.kind == "drawer" else grip
         rect = _handle(rng, canvas, cell, style_here, style.out)
         fitted.append(_Fitted(cell, rect, style.out, style_here.out if style_here else 0.0))
@@ -157,7 +157,7 @@ class _Seam:
         return _Seam(rng.uniform(0.001, 0.006), dark, rng.uniform(0.0, 0.03))
 
     def paint(self, canvas: Canvas, cell: layouts.Cell, out: float) -> None:
-        if cell.fill == "open":
+        if cell.fill in ("open", "knees"):
             return
         ring = inset(cell.rect, -self.width)
         canvas.rim(cell.rect, self.width, self.dark)
@@ -173,7 +173,7 @@ def _handle_style(
     weights = (0.3, 0.03, 0.3, 0.06, 0.1, 0.1, 0.06, 0.03, 0.04, 0.04)
     if plan.appliance:
         weights = (0.45, 0.22, 0.01, 0.0, 0.0, 0.06, 0.12, 0.0, 0.04, 0.14)
-    return handles.random_style(rng, style.skin, handles.SHAPES, weights)
+    return handles.random_style(rng, style.skin, weights, style.mono)
 
 
 def _fixed_cell(
@@ -186,6 +186,8 @@ def _fixed_cell(
     """Paint a field that does not move."""
     if cell.fill == "open":
         fittings.opening(rng, canvas, cell.rect, body)
+    elif cell.fill == "knees":
+        canvas.fill(cell.rect, materials.random_colour(rng), -rng.uniform(0.2, 0.6))
     elif cell.fill in ("controls", "knobs"):
         knobs = cell.fill == "knobs"
         fittings.controls(rng, canvas, cell.rect, style.skin, max(style.out, 0.0), knobs)
@@ -238,7 +240,7 @@ def _two_handles(
 
 
 def _truth(
-    canvas: Canvas, pose: camera.Pose, fitted: list[_Fitted], plan: layouts.Plan
+    canvas: Canvas, pose: camera.Pose, fitted: list[_Fitted]
 ) -> tuple[tuple[Part, ...], tuple[tuple[float, float, float, float], ...]]:
     """What is where in the picture, as fractions of it."""
     parts, false_parts = [], []

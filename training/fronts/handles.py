@@ -31,11 +31,18 @@ class HandleStyle:
 
 
 def random_style(
-    rng: np.random.Generator, skin: Material, shapes: tuple[str, ...], weights: tuple[float, ...]
+    rng: np.random.Generator, skin: Material, weights: tuple[float, ...], mono: bool
 ) -> HandleStyle:
-    """Choose one kind of handle for a piece of furniture."""
+    """Choose one kind of handle for a piece of furniture.
+
+    Args:
+        rng: Source of chance.
+        skin: What the doors are made of.
+        weights: How likely each of `SHAPES` is.
+        mono: Handles have the colour of the doors.
+    """
     odds = np.array(weights, dtype=float)
-    shape = str(rng.choice(shapes, p=odds / odds.sum()))
+    shape = str(rng.choice(SHAPES, p=odds / odds.sum()))
     thick = {
         "knob": rng.uniform(0.022, 0.05),
         "square": rng.uniform(0.02, 0.05),
@@ -54,7 +61,7 @@ def random_style(
         "wire": (0.08, 0.14),
         "bow": (0.08, 0.18),
     }.get(shape, (0.08, 0.4))
-    same = rng.random() < 0.22
+    same = mono or rng.random() < 0.18
     body = plain(skin.base * rng.uniform(0.85, 1.1), skin.gloss) if same else metal(rng)
     if shape in ("knob", "block") and rng.random() < 0.25:
         body = plain(np.clip(skin.base * rng.uniform(0.6, 1.3), 0, 1), 0.2)
@@ -63,7 +70,7 @@ def random_style(
         rng.uniform(lowest, highest),
         thick,
         0.002 if shape in ("recess", "profile") else rng.uniform(0.015, 0.06),
-        rng.uniform(0.02, 0.07),
+        rng.uniform(0.0, 0.02) if rng.random() < 0.15 else rng.uniform(0.02, 0.07),
         body,
         rng.uniform(0.35, 0.95),
     )

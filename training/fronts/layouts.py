@@ -22,7 +22,8 @@ class Cell:
     kind: PartKind | None
     """None for what does not move."""
     fill: str = "panel"
-    """How it is painted: panel, open, blank, controls, knobs, drawer, glass, oven, vent."""
+    """How it is painted: panel, glass, window, open, knees, blank, controls, knobs,
+    basin, vent."""
     free: str = ""
     """Side at which the handle is; "" for the one opposite of the hinge."""
     along: float = 0.5
@@ -305,7 +306,7 @@ def oven(rng: np.random.Generator) -> Plan:
     y, bottom = rng.uniform(0, 0.03), height - rng.uniform(0, 0.06)
     cells = []
     if form != "bare":
-        strip = rng.uniform(0.06, 0.16)
+        strip = rng.uniform(0.06, 0.16) if rng.random() < 0.75 else rng.uniform(0.16, 0.3)
         fill = "knobs" if rng.random() < 0.6 else "controls"
         cells.append(Cell((rim, y, width - rim, y + strip), None, fill))
         y += strip + gap
@@ -329,6 +330,8 @@ def dishwasher(rng: np.random.Generator) -> Plan:
     width, height = rng.uniform(0.42, 0.65), rng.uniform(0.45, 0.92)
     rim, gap = rng.uniform(0, 0.02), rng.uniform(0.002, 0.012)
     top, bottom = rim, height - rng.uniform(0, 0.14)
+    if rng.random() < 0.15:
+        bottom = height * rng.uniform(0.5, 0.8)
     cells = []
     if rng.random() < 0.6:
         strip = rng.uniform(0.05, 0.15)
@@ -345,7 +348,8 @@ def dishwasher(rng: np.random.Generator) -> Plan:
     else:
         cells.append(Cell(rect, "drawer", "panel", free="top", handle=handle))
     if rng.random() < 0.6:
-        cells.append(Cell((rim, bottom + gap, width - rim, height), None, "vent"))
+        fill = "vent" if rng.random() < 0.6 else "blank"
+        cells.append(Cell((rim, bottom + gap, width - rim, height), None, fill))
     return Plan("dishwasher", width, height, cells, appliance=True)
 
 
@@ -401,6 +405,27 @@ def range_with_cabinets(rng: np.random.Generator) -> Plan:
     return Plan("row", left + inner.width + right, high, cells)
 
 
+def desk(rng: np.random.Generator) -> Plan:
+    """Columns of drawers or doors beside room for the knees."""
+    width, height = rng.uniform(0.9, 1.9), rng.uniform(0.65, 0.95)
+    habit = _Habit.draw(rng, "dresser", rng.uniform(0.001, 0.02))
+    board, side, column = rng.uniform(0.02, 0.08), rng.uniform(0, 0.05), rng.uniform(0.22, 0.45)
+    foot = rng.uniform(0, 0.15)
+    cells = []
+    low, high = side, side + column
+    if rng.random() < 0.75:
+        cells += _stack(rng, (low, board + 0.01, high, height - foot), habit)
+    if rng.random() < 0.75 or not cells:
+        cells += _stack(rng, (width - high, board + 0.01, width - low, height - foot), habit)
+    middle = (high + 0.01, board + 0.01, width - high - 0.01, height)
+    if rng.random() < 0.5:
+        at = board + rng.uniform(0.06, 0.16)
+        cells.append(_drawer(habit, (middle[0], middle[1], middle[2], at)))
+        middle = (middle[0], at + 0.01, middle[2], height)
+    cells.append(Cell(middle, None, "knees"))
+    return Plan("desk", width, height, cells)
+
+
 def nothing(rng: np.random.Generator) -> Plan:
     """A face without parts: a side, a back, a table, a wall, shelves, clutter."""
     width, height = rng.uniform(0.3, 2.0), rng.uniform(0.3, 2.2)
@@ -418,6 +443,7 @@ FAMILIES = {
     dishwasher: 0.07,
     sink: 0.06,
     range_with_cabinets: 0.04,
+    desk: 0.03,
     nothing: 0.13,
 }
 """What is drawn, and how often."""

@@ -199,7 +199,8 @@ def carcass(rng: np.random.Generator, appliance: bool, uniform: bool) -> Materia
         uniform: One flat colour, as models made on a computer have.
     """
     if uniform:
-        return plain(random_colour(rng), rng.uniform(0, 0.3))
+        grey = np.full(3, rng.uniform(0.45, 1.0), np.float32)
+        return plain(grey if rng.random() < 0.4 else random_colour(rng), rng.uniform(0, 0.3))
     draw = rng.random()
     if appliance:
         if draw < 0.5:

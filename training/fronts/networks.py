@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import torch
 from torch import Tensor, nn
 
@@ -40,7 +42,7 @@ class Pyramid(nn.Module):
         super().__init__()
         self.stem = conv(PLANES, widths[0], 2)
         self.down = nn.ModuleList(
-            nn.Sequential(conv(a, b, 2), Block(b)) for a, b in zip(widths, widths[1:], strict=False)
+            nn.Sequential(conv(a, b, 2), Block(b)) for a, b in itertools.pairwise(widths)
         )
         self.across = nn.ModuleList(nn.Conv2d(w, out, 1) for w in widths[1:])
         self.smooth = nn.ModuleList(conv(out, out) for _ in widths[2:])
@@ -63,11 +65,11 @@ class FaceNetwork(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        self.pyramid = Pyramid((16, 32, 64, 128, 160), 56)
-        self.head = conv(56, 56)
-        self.heat = nn.Conv2d(56, len(KINDS), 1)
-        self.reach = nn.Conv2d(56, 4, 1)
-        self.front = nn.Sequential(nn.Linear(160, 64), nn.ReLU(), nn.Linear(64, 1))
+        self.pyramid = Pyramid((16, 32, 64, 112, 144), 48)
+        self.head = conv(48, 48)
+        self.heat = nn.Conv2d(48, len(KINDS), 1)
+        self.reach = nn.Conv2d(48, 4, 1)
+        self.front = nn.Sequential(nn.Linear(144, 64), nn.ReLU(), nn.Linear(64, 1))
         nn.init.constant_(self.heat.bias, -4.0)
         nn.init.constant_(self.reach.bias, -1.5)
 
@@ -84,18 +86,18 @@ class PartNetwork(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        self.pyramid = Pyramid((16, 32, 64, 112, 128), 48)
+        self.pyramid = Pyramid((16, 32, 64, 96, 128), 40)
         self.squeeze = conv(128, 48, size=1)
         self.kind = nn.Sequential(
             nn.Linear(48 * 16 + 1, 128), nn.ReLU(), nn.Linear(128, len(KINDS) + 2)
         )
-        self.head = conv(48, 48)
-        self.handle = nn.Conv2d(48, 5, 1)
+        self.head = conv(40, 40)
+        self.handle = nn.Conv2d(40, 5, 1)
         self.columns = nn.Sequential(
-            nn.Conv1d(96, 48, 5, padding=2), nn.ReLU(), nn.Conv1d(48, 2, 5, padding=2)
+            nn.Conv1d(80, 48, 5, padding=2), nn.ReLU(), nn.Conv1d(48, 2, 5, padding=2)
         )
         self.rows = nn.Sequential(
-            nn.Conv1d(96, 48, 5, padding=2), nn.ReLU(), nn.Conv1d(48, 2, 5, padding=2)
+            nn.Conv1d(80, 48, 5, padding=2), nn.ReLU(), nn.Conv1d(48, 2, 5, padding=2)
         )
         nn.init.constant_(self.handle.bias, -2.0)
 

@@ -130,9 +130,9 @@ def fit(
     usable: np.ndarray,
     plan: Schedule,
     seed: int,
-    name: str,
-) -> nn.Module:
-    """Train a network; the average of its weights comes back."""
+    out: Path,
+) -> None:
+    """Train a network; the average of its weights is written, now and then and at the end."""
     rng = np.random.default_rng(seed)
     net = net.to(memory_format=torch.channels_last)
     averaged = copy.deepcopy(net).eval()
@@ -156,12 +156,14 @@ def fit(
         _follow(averaged, net, min(plan.keep, (1 + i) / (10 + i)))
         for key, value in losses.items():
             totals[key] = totals.get(key, 0.0) + float(value.detach())
+        if i % 200 == 0:
+            export.write(averaged, out)
         if i % 50 == 0:
             means = ", ".join(f"{key} {value / 50:.3f}" for key, value in totals.items())
             spent = time.perf_counter() - start
-            print(f"{name} {i}/{plan.steps} {spent:.0f} s: {means}", flush=True)
+            print(f"{out.stem} {i}/{plan.steps} {spent:.0f} s: {means}", flush=True)
             totals = {}
-    return averaged
+    export.write(averaged, out)
 
 
 @torch.no_grad()
@@ -174,23 +176,19 @@ def _follow(averaged: nn.Module, net: nn.Module, keep: float) -> None:
 
 
 def train_face(folder: Path, out: Path, plan: Schedule, seed: int) -> None:
-    """Train the first network and write it."""
+    """Train the first network and write it to `out`."""
     _settle(seed)
     data = pool.Pool.read(folder)
     usable = np.arange(len(data.faces))
-    net = fit(networks.FaceNetwork(), face_step, data, usable, plan, seed, "face")
-    torch.save(net.state_dict(), folder / "face.pt")
-    export.write_face(net, out / "front_face.onnx")
+    fit(networks.FaceNetwork(), face_step, data, usable, plan, seed, out)
 
 
 def train_part(folder: Path, out: Path, plan: Schedule, seed: int) -> None:
-    """Train the second network and write it."""
+    """Train the second network and write it to `out`."""
     _settle(seed)
     data = pool.Pool.read(folder)
     usable = np.nonzero(data.crop_kinds[:] >= 0)[0]
-    net = fit(networks.PartNetwork(), part_step, data, usable, plan, seed, "part")
-    torch.save(net.state_dict(), folder / "part.pt")
-    export.write_part(net, out / "front_part.onnx")
+    fit(networks.PartNetwork(), part_step, data, usable, plan, seed, out)
 
 
 def _settle(seed: int) -> None:
@@ -204,7 +202,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--pool", type=Path, default=Path("build/fronts"), help="scratch folder")
     parser.add_argument("--out", type=Path, default=WEIGHTS, help="where the networks go")
-    parser.add_argument("--faces", type=int, default=12000, help="faces to draw")
+    parser.add_argument("--faces", type=int, default=4500, help="faces to draw")
     parser.add_argument("--face-steps", type=int, default=1100)
     parser.add_argument("--part-steps", type=int, default=1500)
     parser.add_argument("--seed", type=int, default=1)
@@ -216,11 +214,21 @@ def main() -> None:
     jobs = [
         context.Process(
             target=train_face,
-            args=(given.pool, given.out, Schedule(given.face_steps, 24), given.seed),
+            args=(
+                given.pool,
+                given.out / "front_face.onnx",
+                Schedule(given.face_steps, 24),
+                given.seed,
+            ),
         ),
         context.Process(
             target=train_part,
-            args=(given.pool, given.out, Schedule(given.part_steps, 48), given.seed),
+            args=(
+                given.pool,
+                given.out / "front_part.onnx",
+                Schedule(given.part_steps, 48),
+                given.seed,
+            ),
         ),
     ]
     for job in jobs:
