@@ -252,7 +252,7 @@ def _truth(
             continue
         rect = _four(box)
         if item.cell.kind is None:
-            if item.cell.fill in ("blank", "open", "controls", "knobs", "basin"):
+            if item.cell.fill in ("blank", "open", "knees", "controls", "knobs", "basin"):
                 false_parts.append(rect)
             continue
         handle = None

@@ -5,6 +5,7 @@ A plan is drawn up in metres with the origin at the face's top left corner, y do
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -435,7 +436,8 @@ def nothing(rng: np.random.Generator) -> Plan:
     return Plan("nothing", width, height, [Cell((0, 0, width, height), None, fill)])
 
 
-FAMILIES = {
+Maker = Callable[[np.random.Generator], Plan]
+FAMILIES: dict[Maker, float] = {
     cabinet: 0.4,
     fridge: 0.14,
     microwave: 0.08,

@@ -202,7 +202,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--pool", type=Path, default=Path("build/fronts"), help="scratch folder")
     parser.add_argument("--out", type=Path, default=WEIGHTS, help="where the networks go")
-    parser.add_argument("--faces", type=int, default=4500, help="faces to draw")
+    parser.add_argument("--faces", type=int, default=8000, help="faces to draw")
     parser.add_argument("--face-steps", type=int, default=1100)
     parser.add_argument("--part-steps", type=int, default=1500)
     parser.add_argument("--seed", type=int, default=1)
