@@ -15,6 +15,10 @@ FACE_PIXELS = 192
 """Side of the square that the first network looks at [px]."""
 PART_PIXELS = 128
 """Side of the square that the second network looks at [px]."""
+MIRRORED_KINDS = (1, 0, 2, 3, 4, 5)
+"""Index of what each kind is in a mirror; the last is no part."""
+MIRRORED_SIDES = (2, 1, 0, 3)
+"""Left, top, right, bottom in a mirror."""
 PART_MARGIN = 0.15
 """How much of its surroundings a crop shows on each side of a part, as a fraction of its side."""
 RELIEF_RANGE = 0.08
@@ -57,6 +61,12 @@ def _taps(
     weights = np.maximum(1.0 - away, 0.0)
     weights /= weights.sum(axis=1, keepdims=True)
     return slice(first, last + 1), weights.astype(np.float32)
+
+
+def mirrored(boxes: Float[np.ndarray, "n 4"]) -> Float[np.ndarray, "n 4"]:
+    """Boxes in a mirror that swaps left and right."""
+    left, top, right, bottom = boxes.T
+    return np.stack((1 - right, top, 1 - left, bottom), axis=1)
 
 
 def widened(boxes: Float[np.ndarray, "n 4"], margin: float) -> Float[np.ndarray, "n 4"]:

@@ -1,0 +1,182 @@
+"""How well the front network finds doors, drawers and handles on faces it never saw.
+
+    python -m benchmarks.parts [--drawn 200] [--variants 3] [--pictures DIR]
+
+Three sets: freshly drawn faces, the real objects of the shared data (rendered), and real photos.
+A part is located where a predicted one covers it with an IoU of 0.5, whatever its kind; a handle,
+where the middle of the predicted one lies within it.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import defaultdict
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import tyro
+from benchmarks.parts_real import TrueFace, TruePart, photo_faces, real_faces
+from PIL import Image, ImageDraw
+from training.fronts import generator
+
+from momapos.reconstruction.decode import overlaps
+from momapos.reconstruction.network import FrontNetwork
+from momapos.types import Front
+
+COLOURS = {
+    "door_left": "red",
+    "door_right": "lime",
+    "door_down": "cyan",
+    "door_up": "magenta",
+    "drawer": "yellow",
+}
+
+
+@dataclass
+class Tally:
+    """Counts over some faces."""
+
+    parts: int = 0
+    located: int = 0
+    found: int = 0
+    kinds: int = 0
+    hinges: int = 0
+    doors: int = 0
+    handles: int = 0
+    held: int = 0
+    faces: int = 0
+    seconds: list[float] = field(default_factory=list)
+
+    def row(self, name: str) -> str:
+        """One line of the table."""
+        return (
+            f"| {name} | {self.faces} | {_share(self.located, self.parts)} "
+            f"| {_share(self.located, self.found)} | {_share(self.kinds, self.located)} "
+            f"| {_share(self.hinges, self.doors)} | {_share(self.held, self.handles)} |"
+        )
+
+
+def _share(part: int, whole: int) -> str:
+    return f"{part / whole:.2f} ({part}/{whole})" if whole else "-"
+
+
+def matches(true: TrueFace, front: Front) -> list[tuple[int, int]]:
+    """Pairs of true and predicted parts that cover each other, the best first."""
+    if not true.parts or not front.parts:
+        return []
+    common = overlaps(
+        np.array([p.box for p in true.parts]), np.array([p.box for p in front.parts])
+    )[0]
+    pairs = []
+    while common.max() >= 0.5:
+        i, j = np.unravel_index(int(common.argmax()), common.shape)
+        pairs.append((int(i), int(j)))
+        common[i], common[:, j] = -1, -1
+    return pairs
+
+
+def count(true: TrueFace, front: Front, tallies: Iterable[Tally]) -> None:
+    """Add one face to tallies."""
+    pairs = matches(true, front)
+    for tally in tallies:
+        tally.faces += 1
+        tally.parts += len(true.parts)
+        tally.found += len(front.parts)
+        tally.located += len(pairs)
+        tally.handles += sum(bool(p.handles) for p in true.parts)
+        for i, j in pairs:
+            part, said = true.parts[i], front.parts[j]
+            tally.kinds += part.kind == said.kind
+            if part.kind in ("door_left", "door_right"):
+                tally.doors += 1
+                tally.hinges += part.kind == said.kind
+            tally.held += said.handle is not None and _within(said.handle, part)
+
+
+def _within(handle: tuple[float, float, float, float], part: TruePart) -> bool:
+    x, y = (handle[0] + handle[2]) / 2, (handle[1] + handle[3]) / 2
+    return any(h[0] <= x <= h[2] and h[1] <= y <= h[3] for h in part.handles)
+
+
+def drawn_faces(number: int, seed: int) -> Iterator[TrueFace]:
+    """Faces that the generator draws, none of them drawn in training."""
+    for i in range(number):
+        drawn = generator.draw(np.random.default_rng([seed, i]))
+        parts = tuple(TruePart(p.kind, p.box, (p.handle,) if p.handle else ()) for p in drawn.parts)
+        yield TrueFace(drawn.family, drawn.face, parts)
+
+
+def picture(true: TrueFace, front: Front, side: int = 320) -> Image.Image:
+    """A face with its true parts (left) and the predicted ones (right)."""
+    sheet = Image.new("RGB", (2 * side + 4, side))
+    image = Image.fromarray(true.face.colour).resize((side, side))
+    right = image.copy()
+    for canvas, parts in ((image, true.parts), (right, front.parts)):
+        pen = ImageDraw.Draw(canvas)
+        for part in parts:
+            pen.rectangle([v * side for v in part.box], outline=COLOURS[part.kind or "drawer"])
+            grips = part.handles if isinstance(part, TruePart) else (part.handle,)
+            for grip in grips:
+                if grip is not None:
+                    pen.rectangle([v * side for v in grip], outline="orange", width=2)
+    sheet.paste(image, (0, 0))
+    sheet.paste(right, (side + 4, 0))
+    ImageDraw.Draw(sheet).text((side + 8, 4), f"{true.name} front {front.score:.2f}", fill="blue")
+    return sheet
+
+
+def evaluate(name: str, faces: Iterable[TrueFace], network: FrontNetwork, out: Path | None) -> None:
+    """Print a table of one set."""
+    tallies: defaultdict[str, Tally] = defaultdict(Tally)
+    whole = Tally()
+    right = [0, 0, 0, 0]
+    for i, true in enumerate(faces):
+        began = time.perf_counter()
+        front = network(true.face, true.name)
+        whole.seconds.append(time.perf_counter() - began)
+        count(true, front, (whole, tallies[true.name.split("/")[0]]))
+        real = bool(true.parts)
+        right[2 * real] += 1
+        right[2 * real + 1] += (front.score > 0.5) == real
+        if out is not None:
+            out.mkdir(parents=True, exist_ok=True)
+            picture(true, front).save(out / f"{name}_{i:03d}.png")
+    print(f"\n| {name} | faces | located | precision | kind | hinge side | handles |")
+    print("|---|---|---|---|---|---|---|")
+    for key in sorted(tallies):
+        print(tallies[key].row(key))
+    print(whole.row("all"))
+    print(
+        f"fronts told: {_share(right[3], right[2])}, others told: {_share(right[1], right[0])}; "
+        f"{1000 * float(np.median(whole.seconds)):.0f} ms a face, "
+        f"slowest {1000 * max(whole.seconds):.0f} ms"
+    )
+
+
+def main(
+    shared: Path = Path("../shared/data"),
+    drawn: int = 200,
+    variants: int = 3,
+    seed: int = 90001,
+    pictures: Path | None = None,
+) -> None:
+    """Print three tables.
+
+    Args:
+        shared: Folder of the real data; its sets are left out where it is missing.
+        drawn: Number of freshly drawn faces.
+        variants: How often each real object is rendered.
+        seed: Of drawn faces, light, view and noise; training used others.
+        pictures: Folder for a picture of each face.
+    """
+    network = FrontNetwork()
+    evaluate("drawn", drawn_faces(drawn, seed), network, pictures)
+    if (shared / "bestman").is_dir():
+        evaluate("real objects", real_faces(shared, variants, seed), network, pictures)
+        evaluate("photos", photo_faces(shared), network, pictures)
+
+
+if __name__ == "__main__":
+    tyro.cli(main)

@@ -1,0 +1,105 @@
+"""The drawn faces and the truth about them belong together."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from training.fronts import generator, layouts, pool, targets
+
+from momapos.reconstruction import decode
+
+SEEDS = range(40)
+
+
+@pytest.fixture(scope="module")
+def faces() -> list[generator.Drawn]:
+    """Some drawn faces."""
+    return [generator.draw(np.random.default_rng([7, i])) for i in SEEDS]
+
+
+def test_the_same_seed_draws_the_same_picture() -> None:
+    one, two = (generator.draw(np.random.default_rng(3)) for _ in range(2))
+    np.testing.assert_array_equal(one.face.colour, two.face.colour)
+    np.testing.assert_array_equal(one.face.relief, two.face.relief)
+    assert one.parts == two.parts
+
+
+def test_every_part_lies_within_its_face(faces: list[generator.Drawn]) -> None:
+    boxes = np.array([part.box for drawn in faces for part in drawn.parts])
+    assert boxes.min() >= 0.0
+    assert boxes.max() <= 1.0
+    assert (boxes[:, 2:] > boxes[:, :2]).all()
+
+
+def test_parts_of_a_face_are_disjoint(faces: list[generator.Drawn]) -> None:
+    for drawn in faces:
+        if len(drawn.parts) > 1:
+            boxes = np.array([part.box for part in drawn.parts])
+            common = decode.overlaps(boxes, boxes)[1]
+            np.fill_diagonal(common, 0.0)
+            assert common.max() < 0.12
+
+
+def test_every_handle_lies_within_its_part(faces: list[generator.Drawn]) -> None:
+    pairs = [(p.box, p.handle) for drawn in faces for p in drawn.parts if p.handle is not None]
+    box, handle = (np.array(side) for side in zip(*pairs, strict=True))
+    assert len(pairs) > 30
+    assert (handle[:, :2] >= box[:, :2] - 1e-9).all()
+    assert (handle[:, 2:] <= box[:, 2:] + 1e-9).all()
+
+
+def test_a_handle_of_a_door_is_mostly_opposite_of_its_hinge(faces: list[generator.Drawn]) -> None:
+    far = [
+        (sum(p.handle[::2]) > sum(p.box[::2])) == (p.kind == "door_left")
+        for drawn in faces
+        for p in drawn.parts
+        if p.handle is not None and p.kind in ("door_left", "door_right")
+    ]
+    assert np.mean(far) > 0.85
+
+
+def test_a_face_is_a_front_where_something_moves(faces: list[generator.Drawn]) -> None:
+    assert {drawn.front for drawn in faces} == {True, False}
+    for drawn in faces:
+        if drawn.family == "nothing":
+            assert not drawn.parts
+
+
+@pytest.mark.parametrize("maker", layouts.FAMILIES)
+def test_plans_keep_their_cells_within_the_face(maker: layouts.Maker) -> None:
+    for seed in range(60):
+        plan = maker(np.random.default_rng(seed))
+        cells = np.array([cell.rect for cell in plan.cells])
+        assert cells.min() >= -1e-9
+        assert (cells[:, 2] <= plan.width + 1e-9).all()
+        assert (cells[:, 3] <= plan.height + 1e-9).all()
+
+
+def test_crops_kept_as_bytes_come_back_nearly_the_same(faces: list[generator.Drawn]) -> None:
+    stack = decode.planes(faces[0].face)
+    small = decode.resample(stack, np.array([0.0, 0.0, 1.0, 1.0]), 64)
+    again = pool.unpacked(pool.packed(small)[None])[0]
+    known = small[4] > 0.5
+    assert np.abs(again[:3] - small[:3]).max() < 0.02
+    assert np.abs(again[3] - small[3] / np.maximum(small[4], 1e-6))[known].max() < 0.02
+    np.testing.assert_array_equal(again[4] > 0, known)
+
+
+def test_a_proposal_means_the_part_that_it_covers(faces: list[generator.Drawn]) -> None:
+    for i, drawn in enumerate(faces):
+        boxes, meant = pool.proposals(np.random.default_rng(i), drawn)
+        parts = np.array([p.box for p in drawn.parts]).reshape(-1, 4)
+        if not len(parts):
+            assert (meant < 0).all()
+            continue
+        best = decode.overlaps(boxes, parts)[0].max(axis=1)
+        assert ((best > 0.5) == (meant >= 0)).all()
+
+
+def test_targets_read_back_as_the_boxes_that_made_them() -> None:
+    boxes = np.array([[0.1, 0.1, 0.45, 0.5], [0.55, 0.1, 0.9, 0.5], [0.1, 0.6, 0.9, 0.9]])
+    kinds = np.array([0, 1, 4])
+    heat, reach, _ = targets.face_targets(boxes, kinds, 48)
+    found, hot = decode.peaks(heat, reach, 0.9, 10)
+    assert decode.overlaps(boxes, found)[0].max(axis=1).min() > 0.97
+    assert sorted(hot.argmax(axis=1)) == [0, 1, 4]

@@ -1,0 +1,106 @@
+"""Writes the networks as ONNX, with half of the bytes for their weights."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import onnx
+import torch
+from onnx import helper, numpy_helper
+from torch import Tensor, nn
+
+from momapos.reconstruction import decode
+
+from . import networks
+
+
+class _Face(nn.Module):
+    """The first network, as probabilities and fractions of the face."""
+
+    def __init__(self, net: nn.Module) -> None:
+        super().__init__()
+        self.net = net
+
+    def forward(self, face: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        heat, logs, front = self.net(face)
+        return torch.sigmoid(heat), torch.exp(logs.clamp(-7, 1)), torch.sigmoid(front)
+
+
+class _Part(nn.Module):
+    """The second network, as probabilities and fractions of the crop."""
+
+    def __init__(self, net: nn.Module) -> None:
+        super().__init__()
+        self.net = net
+
+    def forward(self, crop: Tensor, aspect: Tensor) -> tuple[Tensor, ...]:
+        logits, edges, heat, logs = self.net(crop, aspect)
+        cells = torch.arange(edges.shape[-1], dtype=torch.float32)
+        near = (cells - edges.argmax(dim=-1, keepdim=True)).abs() <= 2
+        share = torch.softmax(edges, dim=-1) * near
+        place = ((cells + 0.5) * share).sum(dim=-1) / share.sum(dim=-1) / edges.shape[-1]
+        sure = torch.softmax(logits[:, :-1], dim=-1)
+        held = torch.sigmoid(logits[:, -1])
+        return sure, place, held, torch.sigmoid(heat), torch.exp(logs.clamp(-7, 1))
+
+
+def write(net: nn.Module, path: Path) -> None:
+    """Write either network."""
+    if isinstance(net, networks.FaceNetwork):
+        _write_face(net, path)
+    else:
+        _write_part(net, path)
+
+
+def _write_face(net: nn.Module, path: Path) -> None:
+    given = (torch.zeros(1, networks.PLANES, decode.FACE_PIXELS, decode.FACE_PIXELS),)
+    _write(_Face(net), given, ["face"], ["heat", "reach", "front"], path, {})
+
+
+def _write_part(net: nn.Module, path: Path) -> None:
+    """The batch is free: a face has any number of proposals."""
+    side = decode.PART_PIXELS
+    given = (torch.zeros(2, networks.PLANES, side, side), torch.zeros(2, 1))
+    out = ["sure", "edges", "held", "heat", "reach"]
+    many = {name: {0: "n"} for name in ["crop", "aspect", *out]}
+    _write(_Part(net), given, ["crop", "aspect"], out, path, many)
+
+
+def _write(
+    net: nn.Module,
+    given: tuple[Tensor, ...],
+    inputs: list[str],
+    outputs: list[str],
+    path: Path,
+    many: dict[str, dict[int, str]],
+) -> None:
+    net.eval()
+    torch.onnx.export(
+        net,
+        given,
+        str(path),
+        input_names=inputs,
+        output_names=outputs,
+        dynamic_axes=many,
+        opset_version=17,
+        dynamo=False,
+    )
+    model = onnx.load(path)
+    _halve(model)
+    onnx.checker.check_model(model)
+    onnx.save(model, path)
+
+
+def _halve(model: onnx.ModelProto) -> None:
+    """Keep large weights as float16 and widen them when the model is loaded."""
+    casts = []
+    for weight in model.graph.initializer:
+        values = numpy_helper.to_array(weight)
+        if values.dtype != np.float32 or values.size < 512:
+            continue
+        name = weight.name
+        weight.CopyFrom(numpy_helper.from_array(values.astype(np.float16), f"{name}_half"))
+        casts.append(helper.make_node("Cast", [f"{name}_half"], [name], to=onnx.TensorProto.FLOAT))
+    for cast in reversed(casts):
+        model.graph.node.insert(0, cast)

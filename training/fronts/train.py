@@ -1,0 +1,243 @@
+"""Draw faces, train both networks, write them to the package; see README.md."""
+
+from __future__ import annotations
+
+import argparse
+import copy
+import multiprocessing as mp
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from momapos.reconstruction import decode
+
+from . import export, networks, pool, targets
+
+WEIGHTS = Path(__file__).parents[2] / "src" / "momapos" / "reconstruction" / "weights"
+MIRROR = np.array([1, 0, 2, 3, 4, 5])
+"""What each kind is in a mirror."""
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """How long one network learns."""
+
+    steps: int
+    batch: int
+    rate: float = 2e-3
+    decay: float = 0.02
+    keep: float = 0.997
+    """How slowly the averaged weights, which are shipped, follow [-]."""
+
+
+def disturbed(rng: np.random.Generator, codes: np.ndarray) -> Tensor:
+    """Pictures for one step: other colours, half of them without relief."""
+    stack = pool.unpacked(codes)
+    n = len(stack)
+    gain = rng.uniform(0.8, 1.2, (n, 1, 1, 1)) * rng.normal(1, 0.04, (n, 3, 1, 1))
+    lift = rng.normal(0, 0.15, (n, 1, 1, 1)) + rng.normal(0, 0.03, (n, 3, 1, 1))
+    stack[:, :3] = stack[:, :3] * gain + lift
+    for i in np.nonzero(rng.random(n) < 0.15)[0]:
+        stack[i, :3] = stack[i, rng.permutation(3)]
+    for i in np.nonzero(rng.random(n) < 0.1)[0]:
+        stack[i, :3] = stack[i, :3].mean(axis=0)
+    without = rng.random(n) < 0.45
+    stack[without, 3:] = 0
+    stack[:, 3] += rng.normal(0, 0.05, (n, 1, 1)) * stack[:, 4]
+    return torch.from_numpy(stack)
+
+
+def flipped(boxes: np.ndarray) -> np.ndarray:
+    """Boxes in a mirror."""
+    return np.stack((1 - boxes[..., 2], boxes[..., 1], 1 - boxes[..., 0], boxes[..., 3]), axis=-1)
+
+
+def face_step(
+    net: nn.Module, data: pool.Pool, rng: np.random.Generator, chosen: np.ndarray
+) -> dict[str, Tensor]:
+    """Errors of the first network on some faces."""
+    codes, boxes, kinds = data.faces[chosen], data.boxes[chosen], data.kinds[chosen].astype(int)
+    mirror = rng.random(len(chosen)) < 0.5
+    codes = np.where(mirror[:, None, None, None], codes[..., ::-1], codes)
+    boxes = np.where(mirror[:, None, None], flipped(boxes), boxes)
+    kinds = np.where(mirror[:, None] & (kinds >= 0), MIRROR[kinds], kinds)
+    side = decode.FACE_PIXELS // 4
+    made = [targets.face_targets(b, k, side) for b, k in zip(boxes, kinds, strict=True)]
+    heat, reach, weight = (torch.from_numpy(np.stack(m)) for m in zip(*made, strict=True))
+    count = torch.tensor(float((kinds >= 0).sum()))
+    said_heat, said_reach, front = net(
+        disturbed(rng, codes).contiguous(memory_format=torch.channels_last)
+    )
+    real = torch.from_numpy((kinds[:, 0] >= 0).astype(np.float32))
+    return {
+        "heat": targets.heat_loss(said_heat, heat, count),
+        "reach": targets.reach_loss(said_reach, reach, weight),
+        "front": 0.3 * nn.functional.binary_cross_entropy_with_logits(front, real),
+    }
+
+
+def part_step(
+    net: nn.Module, data: pool.Pool, rng: np.random.Generator, chosen: np.ndarray
+) -> dict[str, Tensor]:
+    """Errors of the second network on some crops."""
+    codes, kinds = data.crops[chosen], data.crop_kinds[chosen].astype(int)
+    edges, handles = data.edges[chosen], data.handles[chosen]
+    mirror = rng.random(len(chosen)) < 0.5
+    codes = np.where(mirror[:, None, None, None], codes[..., ::-1], codes)
+    edges = np.where(mirror[:, None], flipped(edges), edges)
+    handles = np.where(mirror[:, None], flipped(handles), handles)
+    kinds = np.where(mirror, MIRROR[kinds], kinds)
+    aspects = data.aspects[chosen] + rng.normal(0, 0.15, len(chosen)).astype(np.float32)
+    crop = disturbed(rng, codes).contiguous(memory_format=torch.channels_last)
+    logits, said_edges, heat_logits, logs = net(crop, torch.from_numpy(aspects)[:, None])
+    real = torch.from_numpy((kinds < pool.NO_PART).astype(np.float32))
+    held = np.isfinite(handles[:, 0])
+    side = heat_logits.shape[-1]
+    heat = np.zeros((len(chosen), side, side), np.float32)
+    reach = np.full((len(chosen), 4, side, side), 0.1, np.float32)
+    if held.any():
+        heat[held] = targets.bumps(handles[held], side, 0.15)
+        reach[held] = targets.distances(handles[held], side)
+    weight = np.where((heat > 0.6) & (reach.min(axis=1) > 0.001), heat, 0)
+    reach = np.maximum(reach, 0.002)
+    grip = nn.functional.binary_cross_entropy_with_logits(
+        logits[:, -1], torch.from_numpy(held.astype(np.float32)), reduction="none"
+    )
+    count = torch.tensor(float(held.sum()))
+    return {
+        "kind": nn.functional.cross_entropy(
+            logits[:, :-1], torch.from_numpy(kinds), label_smoothing=0.02
+        ),
+        "edges": 0.5 * targets.edge_loss(said_edges, torch.from_numpy(edges), real),
+        "held": 0.5 * (grip * real).sum() / real.sum().clamp(min=1),
+        "heat": 0.3 * targets.heat_loss(heat_logits, torch.from_numpy(heat), count),
+        "reach": 0.5 * targets.reach_loss(logs, torch.from_numpy(reach), torch.from_numpy(weight)),
+    }
+
+
+Step = Callable[[nn.Module, pool.Pool, np.random.Generator, np.ndarray], dict[str, Tensor]]
+
+
+def fit(
+    net: nn.Module,
+    step: Step,
+    data: pool.Pool,
+    usable: np.ndarray,
+    plan: Schedule,
+    seed: int,
+    out: Path,
+) -> None:
+    """Train a network; the average of its weights is written, now and then and at the end."""
+    rng = np.random.default_rng(seed)
+    net = net.to(memory_format=torch.channels_last)
+    averaged = copy.deepcopy(net).eval()
+    optimiser = torch.optim.AdamW(net.parameters(), lr=plan.rate, weight_decay=plan.decay)
+    pace = torch.optim.lr_scheduler.OneCycleLR(
+        optimiser, plan.rate, total_steps=plan.steps, pct_start=0.15
+    )
+    order = np.empty(0, dtype=int)
+    totals: dict[str, float] = {}
+    start = time.perf_counter()
+    for i in range(1, plan.steps + 1):
+        if len(order) < plan.batch:
+            order = np.concatenate((order, rng.permutation(usable)))
+        chosen, order = np.sort(order[: plan.batch]), order[plan.batch :]
+        losses = step(net, data, rng, chosen)
+        optimiser.zero_grad(set_to_none=True)
+        torch.stack(list(losses.values())).sum().backward()
+        nn.utils.clip_grad_norm_(net.parameters(), 5.0)
+        optimiser.step()
+        pace.step()
+        _follow(averaged, net, min(plan.keep, (1 + i) / (10 + i)))
+        for key, value in losses.items():
+            totals[key] = totals.get(key, 0.0) + float(value.detach())
+        if i % 200 == 0:
+            export.write(averaged, out)
+        if i % 50 == 0:
+            means = ", ".join(f"{key} {value / 50:.3f}" for key, value in totals.items())
+            spent = time.perf_counter() - start
+            print(f"{out.stem} {i}/{plan.steps} {spent:.0f} s: {means}", flush=True)
+            totals = {}
+    export.write(averaged, out)
+
+
+@torch.no_grad()
+def _follow(averaged: nn.Module, net: nn.Module, keep: float) -> None:
+    for old, new in zip(averaged.state_dict().values(), net.state_dict().values(), strict=True):
+        if old.dtype.is_floating_point:
+            old.lerp_(new, 1 - keep)
+        else:
+            old.copy_(new)
+
+
+def train_face(folder: Path, out: Path, plan: Schedule, seed: int) -> None:
+    """Train the first network and write it to `out`."""
+    _settle(seed)
+    data = pool.Pool.read(folder)
+    usable = np.arange(len(data.faces))
+    fit(networks.FaceNetwork(), face_step, data, usable, plan, seed, out)
+
+
+def train_part(folder: Path, out: Path, plan: Schedule, seed: int) -> None:
+    """Train the second network and write it to `out`."""
+    _settle(seed)
+    data = pool.Pool.read(folder)
+    usable = np.nonzero(data.crop_kinds[:] >= 0)[0]
+    fit(networks.PartNetwork(), part_step, data, usable, plan, seed, out)
+
+
+def _settle(seed: int) -> None:
+    """One thread and one seed, so that a run can be repeated."""
+    torch.set_num_threads(1)
+    torch.manual_seed(seed)
+
+
+def main() -> None:
+    """Do everything with one command."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--pool", type=Path, default=Path("build/fronts"), help="scratch folder")
+    parser.add_argument("--out", type=Path, default=WEIGHTS, help="where the networks go")
+    parser.add_argument("--faces", type=int, default=8000, help="faces to draw")
+    parser.add_argument("--face-steps", type=int, default=1100)
+    parser.add_argument("--part-steps", type=int, default=1500)
+    parser.add_argument("--seed", type=int, default=1)
+    given = parser.parse_args()
+    if not (given.pool / "handles.npy").exists():
+        pool.fill(given.pool, given.seed, given.faces, workers=2)
+    given.out.mkdir(parents=True, exist_ok=True)
+    context = mp.get_context("spawn")
+    jobs = [
+        context.Process(
+            target=train_face,
+            args=(
+                given.pool,
+                given.out / "front_face.onnx",
+                Schedule(given.face_steps, 24),
+                given.seed,
+            ),
+        ),
+        context.Process(
+            target=train_part,
+            args=(
+                given.pool,
+                given.out / "front_part.onnx",
+                Schedule(given.part_steps, 48),
+                given.seed,
+            ),
+        ),
+    ]
+    for job in jobs:
+        job.start()
+    for job in jobs:
+        job.join()
+        if job.exitcode:
+            raise SystemExit(job.exitcode)
+
+
+if __name__ == "__main__":
+    main()
