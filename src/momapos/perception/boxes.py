@@ -4,14 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from momapos.errors import InputError
-from momapos.perception.labels import Looks, Stand, label_of
+from momapos.perception.labels import Stand, label_of, looks_of
 from momapos.perception.planes import Room, area, peaks
+from momapos.perception.upright_boxes import (
+    along_edges,
+    bottom,
+    box_axes,
+    corners,
+    from_corners,
+    to_local,
+    top,
+)
 from momapos.types import Cloud, Detection, Instance, UprightBox
 
 
@@ -26,6 +36,8 @@ class BoxConfig:
     search: float = 0.08
     """A face is looked for this far from where the outermost points put it [m]: handles stand
     out by 3 to 6 cm."""
+    search_given: float = 0.035
+    """The same where a segmenter gave the box: it knows better how far a top overhangs [m]."""
     face: float = 0.2
     """Share of a face that a surface must cover to be that face [-]."""
     sharp: float = 0.008
@@ -42,6 +54,8 @@ class BoxConfig:
     """Whether every thing gets the box of least area, whatever its yaw."""
     small: float = 0.35
     """Things smaller than this are completed where no side of them was seen [m]."""
+    least_points: int = 10
+    """Instances without a box and with fewer points are left out [-]."""
     smallest: float = 0.01
     """Least edge [m]."""
     wall_thickness: float = 0.1
@@ -60,8 +74,8 @@ def boxes(
         config: Constants.
 
     Returns:
-        One detection for each instance that has points or a box, named `<label>_<k>`: for every
-        label, k counts from 1 by the distance from the world's origin.
+        One detection for each instance that has a box or enough points, named `<label>_<k>`: for
+        every label, k counts from 1 by the distance from the world's origin.
 
     Raises:
         InputError: Members are not indices of the cloud.
@@ -70,10 +84,10 @@ def boxes(
     drawn = []
     for instance in instances:
         members = _members(cloud, instance, config)
-        if len(members) or instance.box is not None:
+        if len(members) >= config.least_points or instance.box is not None:
             box = _draw(cloud, members, instance.box, config)
             drawn.append((instance, members, _snapped(box, room, config)))
-    drawn.sort(key=lambda row: _bottom(row[2]))
+    drawn.sort(key=lambda row: bottom(row[2]))
     tops: list[UprightBox] = []
     standing = []
     for instance, members, box in drawn:
@@ -86,7 +100,7 @@ def boxes(
     for instance, members, box, stand in standing:
         label, score = instance.label, instance.score
         if not label:
-            label, fit = label_of(_looks(cloud, members, box, stand, tops, room))
+            label, fit = label_of(looks_of(cloud, members, box, stand, tops, room))
             score = min(score, fit)
         found.append(Detection("", label, score, box, members))
     return named(found)
@@ -109,7 +123,7 @@ def named(detections: Sequence[Detection]) -> list[Detection]:
 
 def inside(points: Float[np.ndarray, "n 3"], box: UprightBox) -> Bool[np.ndarray, " n"]:
     """Which points lie in a box, or within 1 cm of it."""
-    return (np.abs(_to_local(points, box)) <= box.size / 2 + 0.01).all(axis=1)
+    return (np.abs(to_local(points, box)) <= box.size / 2 + 0.01).all(axis=1)
 
 
 def wall_detections(room: Room, config: BoxConfig | None = None) -> list[Detection]:
@@ -126,9 +140,7 @@ def wall_detections(room: Room, config: BoxConfig | None = None) -> list[Detecti
     return named(out)
 
 
-def split_row(
-    box: UprightBox, cuts: Sequence[float], least: float = 0.05
-) -> list[UprightBox]:
+def split_row(box: UprightBox, cuts: Sequence[float], least: float = 0.05) -> list[UprightBox]:
     """Divide a row of furniture along its longer side.
 
     Args:
@@ -148,9 +160,9 @@ def split_row(
         if cut - edges[-1] >= least and length - cut >= least:
             edges.append(cut)
     edges.append(length)
-    along = _axes(box.yaw)[axis]
+    along = box_axes(box.yaw)[axis]
     out = []
-    for low, high in zip(edges, edges[1:], strict=False):
+    for low, high in pairwise(edges):
         size = np.array(box.size, float)
         size[axis] = high - low
         center = np.array(box.center, float)
@@ -166,7 +178,7 @@ def _members(cloud: Cloud, instance: Instance, config: BoxConfig) -> Int[np.ndar
     """Points of an instance, outliers removed."""
     if instance.members is not None:
         members = np.asarray(instance.members)
-        if len(members) and not (0 <= members.min() and members.max() < len(cloud.points)):
+        if len(members) and not (members.min() >= 0 and members.max() < len(cloud.points)):
             raise InputError(
                 f"members of an instance must be indices below {len(cloud.points)}, the number "
                 f"of points; they reach from {members.min()} to {members.max()}"
@@ -181,47 +193,6 @@ def _members(cloud: Cloud, instance: Instance, config: BoxConfig) -> Int[np.ndar
     return members[distances[:, 1:].mean(axis=1) < config.outlier]
 
 
-def _axes(yaw: float) -> Float[np.ndarray, "2 2"]:
-    """Rows: the box's x and y axes in the world."""
-    c, s = np.cos(yaw), np.sin(yaw)
-    return np.array([[c, s], [-s, c]])
-
-
-def _to_local(
-    points: Float[np.ndarray, "n 3"], box: UprightBox
-) -> Float[np.ndarray, "n 3"]:
-    """World points in the frame at a box's centre, along its edges."""
-    local = points - box.center
-    local[:, :2] = local[:, :2] @ _axes(box.yaw).T
-    return local
-
-
-def _world_box(
-    low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"], yaw: float
-) -> UprightBox:
-    """The box between two corners in a frame turned by yaw about the world's origin."""
-    center = (low + high) / 2
-    center[:2] = center[:2] @ _axes(yaw)
-    return UprightBox(center, high - low, yaw)
-
-
-def _corners(
-    box: UprightBox,
-) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-    """Low and high corner in a frame turned as the box is about the world's origin."""
-    center = np.array(box.center, float)
-    center[:2] = _axes(box.yaw) @ center[:2]
-    return center - box.size / 2, center + box.size / 2
-
-
-def _bottom(box: UprightBox) -> float:
-    return float(box.center[2] - box.size[2] / 2)
-
-
-def _top(box: UprightBox) -> float:
-    return float(box.center[2] + box.size[2] / 2)
-
-
 # ---------------------------------------------------------------- faces
 
 
@@ -230,16 +201,10 @@ def _draw(
 ) -> UprightBox:
     """The box around points, or a given one, with its faces on the surfaces seen."""
     points, normals = cloud.points[members], cloud.normals[members]
+    yaw = given.yaw if given is not None else _yaw(points, normals, config)
+    turned, facing = along_edges(points, yaw), along_edges(normals, yaw)
     if given is not None:
-        yaw = given.yaw
-    else:
-        yaw = _yaw(points, normals, config)
-    turned = points.copy()
-    turned[:, :2] = points[:, :2] @ _axes(yaw).T
-    facing = normals.copy()
-    facing[:, :2] = normals[:, :2] @ _axes(yaw).T
-    if given is not None:
-        low, high = _corners(given)
+        low, high = corners(given)
     else:
         low, high = np.percentile(turned, [config.percentile, 100 - config.percentile], axis=0)
     faces = [low.copy(), high.copy()]
@@ -247,7 +212,8 @@ def _draw(
         for side, sign in ((0, -1.0), (1, 1.0)):
             on = sign * facing[:, axis] > 0.8
             start = (low, high)[side][axis]
-            reach = min(config.search, 0.4 * (high - low)[axis]) if given is None else config.search
+            reach = config.search if given is None else config.search_given
+            reach = min(reach, 0.4 * (high - low)[axis])
             near = on & (np.abs(turned[:, axis] - start) < reach)
             found = _surface(turned[near], axis, low, high, config)
             if found is not None:
@@ -256,7 +222,7 @@ def _draw(
     middle = (faces[0] + faces[1]) / 2
     faces[0][thin] = middle[thin] - config.smallest / 2
     faces[1][thin] = middle[thin] + config.smallest / 2
-    return _world_box(faces[0], faces[1], yaw)
+    return from_corners(faces[0], faces[1], yaw)
 
 
 def _surface(
@@ -305,7 +271,7 @@ def _least_area(points: Float[np.ndarray, "n 2"]) -> float:
         return 0.0  # all on one line
     edges = np.roll(hull, -1, axis=0) - hull
     angles = np.mod(np.arctan2(edges[:, 1], edges[:, 0]) + np.pi / 4, np.pi / 2) - np.pi / 4
-    areas = [np.prod(np.ptp(hull @ _axes(angle).T, axis=0)) for angle in angles]
+    areas = [np.prod(np.ptp(hull @ box_axes(angle).T, axis=0)) for angle in angles]
     return float(angles[int(np.argmin(areas))])
 
 
@@ -314,7 +280,7 @@ def _least_area(points: Float[np.ndarray, "n 2"]) -> float:
 
 def _snapped(box: UprightBox, room: Room, config: BoxConfig) -> UprightBox:
     """A box on the floor and at the walls that it nearly touches."""
-    low, high = _corners(box)
+    low, high = corners(box)
     if low[2] < config.floor:
         low[2] = 0.0
     if abs(box.yaw) < 1e-9:
@@ -325,28 +291,28 @@ def _snapped(box: UprightBox, room: Room, config: BoxConfig) -> UprightBox:
                     face[wall.axis] = wall.offset
     if (high - low < config.smallest).any():
         return box
-    return _world_box(low, high, box.yaw)
+    return from_corners(low, high, box.yaw)
 
 
 def _stood(
     box: UprightBox, tops: Sequence[UprightBox], config: BoxConfig
 ) -> tuple[UprightBox, Stand]:
     """A box on what is below it, and what it stands on."""
-    bottom = _bottom(box)
-    if bottom <= 0.0:
+    at = bottom(box)
+    if at <= 0.0:
         return box, "floor"
     below = [
-        _top(other)
+        top(other)
         for other in tops
-        if (np.abs(_to_local(box.center[None], other)[0, :2]) < other.size[:2] / 2).all()
-        and _top(other) < _top(box) - config.smallest
-        and -config.support < bottom - _top(other) < config.support
+        if (np.abs(to_local(box.center[None], other)[0, :2]) < other.size[:2] / 2).all()
+        and top(other) < top(box) - config.smallest
+        and -config.support < at - top(other) < config.support
     ]
     if not below:
         return box, "hung"
-    low, high = _corners(box)
-    low[2] = min(below, key=lambda top: abs(top - bottom))
-    return _world_box(low, high, box.yaw), "support"
+    low, high = corners(box)
+    low[2] = min(below, key=lambda height: abs(height - at))
+    return from_corners(low, high, box.yaw), "support"
 
 
 def _completed(
@@ -359,13 +325,12 @@ def _completed(
     """
     if max(box.size) > config.small or len(members) < 10:
         return box
-    local = _to_local(cloud.points[members], box)
-    facing = cloud.normals[members].copy()
-    facing[:, :2] = facing[:, :2] @ _axes(box.yaw).T
+    local = to_local(cloud.points[members], box)
+    facing = along_edges(cloud.normals[members], box.yaw)
     flat = (facing[:, 2] > 0.9) & (local[:, 2] > box.size[2] / 2 - 0.02)
     if area(local[flat, 0], local[flat, 1], 0.02) > 0.5 * box.size[0] * box.size[1]:
         return box
-    low, high = _corners(box)
+    low, high = corners(box)
     axis = 0 if box.size[0] < box.size[1] else 1
     missing = box.size[1 - axis] - box.size[axis]
     sides = [(sign * facing[:, axis] > 0.5).mean() for sign in (-1.0, 1.0)]
@@ -374,64 +339,4 @@ def _completed(
             low[axis] -= missing
         else:
             high[axis] += missing
-    return _world_box(low, high, box.yaw)
-
-
-# ---------------------------------------------------------------- labels
-
-
-def _looks(
-    cloud: Cloud,
-    members: Int[np.ndarray, " k"],
-    box: UprightBox,
-    stand: Stand,
-    others: Sequence[UprightBox],
-    room: Room,
-) -> Looks:
-    """What the rules for labels look at."""
-    flat = np.sort(box.size[:2])
-    walls = [
-        float(wall.distance(box.center[None])[0]) - box.size[wall.axis] / 2
-        for wall in room.walls
-        if wall.beside(box.center[None], 0.5)[0]
-    ]
-    colours = cloud.colours[members]
-    return Looks(
-        stand=stand,
-        height=float(box.size[2]),
-        width=float(flat[1]),
-        depth=float(flat[0]),
-        bottom=_bottom(box),
-        closed=_closed(cloud, members, box),
-        step=_step(box, others),
-        free=min(walls, default=10.0),
-        bright=float(np.median(colours)) / 255 if len(colours) else 0.5,
-    )
-
-
-def _closed(cloud: Cloud, members: Int[np.ndarray, " k"], box: UprightBox) -> float:
-    """Share of the fullest upright side on which surfaces were seen [-]."""
-    local = _to_local(cloud.points[members], box)
-    facing = cloud.normals[members, :2] @ _axes(box.yaw).T
-    inner: Bool[np.ndarray, " k"] = np.abs(local[:, 2]) < box.size[2] / 2 - 0.05
-    if box.size[2] < 0.2:
-        return 0.0
-    shares = []
-    for axis in (0, 1):
-        for sign in (-1.0, 1.0):
-            at = np.abs(sign * local[:, axis] - box.size[axis] / 2) < 0.08
-            on = local[at & inner & (np.abs(facing[:, axis]) > 0.8)]
-            whole = box.size[1 - axis] * (box.size[2] - 0.1)
-            shares.append(area(on[:, 1 - axis], on[:, 2]) / whole)
-    return float(max(shares))
-
-
-def _step(box: UprightBox, others: Sequence[UprightBox]) -> float:
-    """How much higher a box is than the highest similar one that touches its side [m]."""
-    steps = []
-    for other in others:
-        apart = np.abs(box.center - other.center)[:2] - (box.size + other.size)[:2] / 2
-        similar = abs(_top(box) - _top(other)) < 0.15
-        if similar and apart.max() < 0.06 and apart.max() > -0.06:
-            steps.append(_top(box) - _top(other))
-    return min(steps, default=0.0)
+    return from_corners(low, high, box.yaw)

@@ -10,6 +10,7 @@ from jaxtyping import Float, Int
 
 from momapos.perception.planes import Room, Wall, area
 from momapos.perception.supports import components
+from momapos.perception.upright_boxes import corners, from_corners
 from momapos.types import Cloud, UprightBox
 
 
@@ -33,6 +34,8 @@ class FrontConfig:
     """Fronts of one width, one above the other, belong together when no farther apart [m]."""
     profile: float = 0.03
     """A step in the upper or lower edge of a front by more than this divides it [m]."""
+    hung: float = 1.0
+    """Fronts whose lower edge is above this hang on the wall [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,10 +76,9 @@ def _stacked(fronts: list[Front], config: FrontConfig) -> list[Front]:
     for front in fronts:
         for k, other in enumerate(out):
             if _one_above_other(front, other, config):
-                low = np.minimum(*(f.box.center - f.box.size / 2 for f in (front, other)))
-                high = np.maximum(*(f.box.center + f.box.size / 2 for f in (front, other)))
+                (low, high), (low_2, high_2) = corners(front.box), corners(other.box)
                 members = np.concatenate([other.members, front.members])
-                box = UprightBox((low + high) / 2, high - low)
+                box = from_corners(np.minimum(low, low_2), np.maximum(high, high_2))
                 out[k] = replace(other, box=box, members=members)
                 break
         else:
@@ -127,7 +129,10 @@ def _divided(
     # One row below the top: a single stray point is no edge.
     top = np.array([z[order[starts[k + 1] - 2]] for k in seen])
     bottom = np.array([z[order[starts[k] + 1]] for k in seen])
-    cuts = _steps(top, config.profile) | _steps(bottom, config.profile)
+    cuts = _steps(top, config.profile)
+    # Lower edges near the floor are hidden by what stands before them.
+    if float(np.median(bottom)) > config.hung:
+        cuts |= _steps(bottom, config.profile)
     edges = low + strip * np.array([float(seen[k]) for k in sorted(cuts)])
     part = np.searchsorted(edges, along)
     for k in range(len(edges) + 1):
@@ -182,7 +187,7 @@ def _front(
         away = away[(away > -0.02) & (away < config.depth)]
         back = face - sign * max(config.shallow, float(np.percentile(away, 98, method="higher")))
     low[axis], high[axis] = min(face, back), max(face, back)
-    box = UprightBox((low + high) / 2, high - low)
+    box = from_corners(low, high)
     return Front(axis, sign, box, members, size * (1.0 if wall is None else 3.0))
 
 

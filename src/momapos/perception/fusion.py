@@ -71,9 +71,10 @@ def fuse(
     for frame in frames:
         if not (np.isfinite(frame.T_world_camera).all() and np.isfinite(frame.intrinsics).all()):
             raise InputError(f"frame {frame.name}: its pose or intrinsics are not finite numbers")
-        if np.shape(frame.depth) != frame.colour.shape[:2]:
+        size = np.asarray(frame.depth).shape
+        if size != frame.colour.shape[:2]:
             raise InputError(
-                f"frame {frame.name}: depth is {np.shape(frame.depth)} and colour "
+                f"frame {frame.name}: depth is {size} and colour "
                 f"{frame.colour.shape[:2]} pixels; depth must be registered to colour"
             )
     margin = config.truncation * voxel
@@ -148,9 +149,7 @@ def _too_large(extent: Float[np.ndarray, "3"], voxel: float, config: FusionConfi
     )
 
 
-def _samples(
-    frame: Frame, config: FusionConfig, size: float
-) -> Float[np.ndarray, "n 3"]:
+def _samples(frame: Frame, config: FusionConfig, size: float) -> Float[np.ndarray, "n 3"]:
     """Points on the surfaces of a picture, denser than the blocks, in the world [m]."""
     depth, K = _usable(frame, config), frame.intrinsics
     step = max(1, int(0.4 * size * K[0, 0] / config.farthest))
@@ -200,7 +199,12 @@ def _facing(
             d = depth[v, u]
             if d <= 0:
                 continue
-            left, right, up, down = depth[v, u - r], depth[v, u + r], depth[v - r, u], depth[v + r, u]
+            left, right, up, down = (
+                depth[v, u - r],
+                depth[v, u + r],
+                depth[v - r, u],
+                depth[v + r, u],
+            )
             lowest, highest = min(left, right, up, down), max(left, right, up, down)
             if lowest <= 0 or d - lowest > edge * d or highest - d > edge * d:
                 continue

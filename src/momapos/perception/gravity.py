@@ -31,7 +31,7 @@ class GravityConfig:
     """The floor is the lowest plane with this share of the upward points [-]."""
     layer: float = 0.03
     """Half the thickness of a horizontal plane [m]."""
-    steady: float = 0.25
+    steady: float = 0.5
     """A world that is turned by less is left as it is [degrees]: whoever made it knew better
     than planes in a noisy cloud can tell."""
     most_points: int = 40_000
@@ -87,9 +87,9 @@ def _search(
     normals: Float[np.ndarray, "n 3"], guess: Float[np.ndarray, "3"], config: GravityConfig
 ) -> Float[np.ndarray, "3"]:
     """The direction near a guess that most normals are along, or square to."""
-    directions = _cap(guess, np.radians(config.cone), 2500)
+    directions = _cap(guess, np.radians(config.cone), 1200)
     width = np.radians(config.spread)
-    cosines = normals[:: max(1, len(normals) // 8000)] @ directions.T
+    cosines = normals[:: max(1, len(normals) // 5000)] @ directions.T
     # Both counts fall off smoothly, so that the best of a coarse set is near the best of all.
     along = np.exp((np.minimum(cosines, 1.0) - 1) / (1 - np.cos(width))).mean(axis=0)
     square = np.exp(-((cosines / np.sin(width)) ** 2)).mean(axis=0)
@@ -97,9 +97,7 @@ def _search(
     return directions[np.argmax(along + 0.5 * square)]
 
 
-def _cap(
-    axis: Float[np.ndarray, "3"], angle: float, count: int
-) -> Float[np.ndarray, "count 3"]:
+def _cap(axis: Float[np.ndarray, "3"], angle: float, count: int) -> Float[np.ndarray, "count 3"]:
     """Unit vectors within an angle [rad] of an axis, evenly spread (a spiral)."""
     k = np.arange(count) + 0.5
     z = 1 - (1 - np.cos(angle)) * k / count
@@ -162,9 +160,7 @@ def _layers(z: Float[np.ndarray, " n"], config: GravityConfig) -> Int[np.ndarray
     return out
 
 
-def _histogram(
-    z: Float[np.ndarray, " n"], width: float
-) -> tuple[float, Int[np.ndarray, " bins"]]:
+def _histogram(z: Float[np.ndarray, " n"], width: float) -> tuple[float, Int[np.ndarray, " bins"]]:
     """Count heights in layers: the lower end of the first layer, and the counts."""
     low = float(np.percentile(z, 0.1)) - width
     bins = np.floor((z - low) / width).astype(int)

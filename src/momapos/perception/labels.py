@@ -6,10 +6,17 @@ it is wrong where things look alike from outside: a dishwasher behind a cabinet'
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from math import inf
 from typing import Literal
+
+import numpy as np
+from jaxtyping import Int
+
+from momapos.perception.planes import Room, area
+from momapos.perception.upright_boxes import along_edges, bottom, to_local, top
+from momapos.types import Cloud, UprightBox
 
 Stand = Literal["floor", "support", "hung"]
 Range = tuple[float, float, float, float]
@@ -141,3 +148,69 @@ def fit(value: float, spread: Range) -> float:
     if value <= low or value >= high:
         return 0.0
     return (value - low) / (full - low) if value < full else (high - value) / (high - still)
+
+
+def looks_of(
+    cloud: Cloud,
+    members: Int[np.ndarray, " k"],
+    box: UprightBox,
+    stand: Stand,
+    others: Sequence[UprightBox],
+    room: Room,
+) -> Looks:
+    """Measure what the rules look at.
+
+    Args:
+        cloud: Upright.
+        members: Points of the thing.
+        box: Of the thing.
+        stand: What it stands on.
+        others: Boxes of everything else; its own among them does no harm.
+        room: Walls.
+    """
+    flat = np.sort(box.size[:2])
+    walls = [
+        float(wall.distance(box.center[None])[0]) - box.size[wall.axis] / 2
+        for wall in room.walls
+        if wall.beside(box.center[None], 0.5)[0]
+    ]
+    colours = cloud.colours[members]
+    return Looks(
+        stand=stand,
+        height=float(box.size[2]),
+        width=float(flat[1]),
+        depth=float(flat[0]),
+        bottom=bottom(box),
+        closed=_closed(cloud, members, box),
+        step=_step(box, others),
+        free=min(walls, default=10.0),
+        bright=float(np.median(colours)) / 255 if len(colours) else 0.5,
+    )
+
+
+def _closed(cloud: Cloud, members: Int[np.ndarray, " k"], box: UprightBox) -> float:
+    """Share of the fullest upright side on which surfaces were seen [-]."""
+    local = to_local(cloud.points[members], box)
+    facing = along_edges(cloud.normals[members], box.yaw)
+    inner = np.abs(local[:, 2]) < box.size[2] / 2 - 0.05
+    if box.size[2] < 0.2:
+        return 0.0
+    shares = []
+    for axis in (0, 1):
+        for sign in (-1.0, 1.0):
+            at = np.abs(sign * local[:, axis] - box.size[axis] / 2) < 0.08
+            on = local[at & inner & (np.abs(facing[:, axis]) > 0.8)]
+            whole = box.size[1 - axis] * (box.size[2] - 0.1)
+            shares.append(area(on[:, 1 - axis], on[:, 2]) / whole)
+    return float(max(shares))
+
+
+def _step(box: UprightBox, others: Sequence[UprightBox]) -> float:
+    """How much higher a box is than the highest similar one that touches its side [m]."""
+    steps = []
+    for other in others:
+        apart = np.abs(box.center - other.center)[:2] - (box.size + other.size)[:2] / 2
+        similar = abs(top(box) - top(other)) < 0.15
+        if similar and apart.max() < 0.06 and apart.max() > -0.06:
+            steps.append(top(box) - top(other))
+    return min(steps, default=0.0)

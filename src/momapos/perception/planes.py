@@ -85,9 +85,7 @@ def find_room(cloud: Cloud, config: RoomConfig | None = None) -> Room:
     return Room(tuple(walls), _ceiling(cloud, config))
 
 
-def in_room(
-    room: Room, cloud: Cloud, config: RoomConfig | None = None
-) -> Bool[np.ndarray, " n"]:
+def in_room(room: Room, cloud: Cloud, config: RoomConfig | None = None) -> Bool[np.ndarray, " n"]:
     """Whether points belong to floor, ceiling or walls, or lie beyond them."""
     config = config or RoomConfig()
     points, normals = cloud.points, cloud.normals
@@ -102,17 +100,13 @@ def in_room(
     return out
 
 
-def area(
-    a: Float[np.ndarray, " n"], b: Float[np.ndarray, " n"], cell: float = CELL
-) -> float:
+def area(a: Float[np.ndarray, " n"], b: Float[np.ndarray, " n"], cell: float = CELL) -> float:
     """Area that points of a plane cover, as cells of a raster that hold any [m2]."""
     cells = np.stack([np.floor(a / cell), np.floor(b / cell)], axis=1).astype(np.int64)
     return len(np.unique(cells, axis=0)) * cell**2
 
 
-def peaks(
-    values: Float[np.ndarray, " n"], width: float, least: int, apart: float
-) -> list[float]:
+def peaks(values: Float[np.ndarray, " n"], width: float, least: int, apart: float) -> list[float]:
     """Where values are dense: most first, each at least `apart` from those before.
 
     Args:

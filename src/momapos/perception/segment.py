@@ -12,14 +12,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Int
 from scipy import ndimage
 
 from momapos.errors import InputError
-from momapos.perception.fronts import FrontConfig, Front, find_fronts
-from momapos.perception.planes import Room, RoomConfig, area, find_room, in_room
+from momapos.perception.fronts import Front, FrontConfig, find_fronts
+from momapos.perception.planes import RoomConfig, area, find_room, in_room
 from momapos.perception.supports import (
-    Outlines,
     Rectangle,
     Support,
     SupportConfig,
@@ -28,6 +27,7 @@ from momapos.perception.supports import (
     outlines_of,
     rectangles,
 )
+from momapos.perception.upright_boxes import corners, from_corners
 from momapos.types import Cloud, Instance, UprightBox
 
 
@@ -63,6 +63,11 @@ class SegmentConfig:
     stands on legs [-]."""
     tall: float = 1.2
     """Tops above this are seen in part, if at all: fronts say more about the furniture [m]."""
+    flat: float = 0.08
+    """What stands out from a wall by less is left to the wall [m]."""
+    corner: float = 0.35
+    """Furniture is divided where its front ends this far from its own end: the rest is a corner,
+    behind other furniture [m]."""
     seat: tuple[float, float] = (0.6, 0.35)
     """Tops lower [m] and smaller [m2] than this are seats: what rises from them is a back."""
     shelf: float = 0.4
@@ -87,7 +92,7 @@ class ClassicalSegmenter:
             cloud: z up, floor at z = 0, furniture along x and y; with normals.
 
         Returns:
-            Instances: furniture first, with boxes; then what stands on it; then the rest.
+            Instances: furniture first, with boxes; then the rest; then what stands on furniture.
 
         Raises:
             InputError: The cloud is empty or holds numbers that are not finite.
@@ -120,7 +125,7 @@ class _Division:
         furniture = [body for top in tops for body in self._below(top)]
         furniture += self._behind_fronts(fronts)
         rest = self._rest([body.box for body in furniture if body.box is not None])
-        return furniture + things + rest
+        return _hung_together(furniture, rest, self.cloud, self.config.touching) + things
 
     # ------------------------------------------------------------ what stands on a surface
 
@@ -170,9 +175,9 @@ class _Division:
         A camera held low sees a counter's front, but little of its top.
         """
         outlines = [top.outline for top in tops]
-        taken = np.any(outlines, axis=0) if outlines else None
+        taken = np.any([*outlines, np.zeros(self.raster.shape, bool)], axis=0)
         for front in fronts:
-            low, high = front.box.center - front.box.size / 2, front.box.center + front.box.size / 2
+            low, high = corners(front.box)
             mask = self.raster.filled((low[0], low[1], high[0], high[1]))
             near = [
                 (abs(top.height - high[2]), k)
@@ -189,37 +194,91 @@ class _Division:
         if top.height > self.config.tall:
             return []
         out = []
-        for rectangle in rectangles(top.outline, self.raster):
-            out += self._body(rectangle, top.height)
+        pieces = [
+            piece
+            for rectangle in rectangles(top.outline, self.raster)
+            for piece in self._without_corners(rectangle, top.height)
+        ]
+        shares = [self._closed_share(piece, top.height) for piece in pieces]
+        for piece, share in zip(pieces, shares, strict=True):
+            # A corner shows no side: it is closed when the rest is and no floor is seen below it.
+            hidden = max(shares) >= self.config.closed and not self._shows_floor(piece)
+            seen = share >= self.config.closed
+            label = "cabinet" if hidden and not seen else ""
+            out += self._body(piece, top.height, label, closed=seen or hidden)
         return out
 
-    def _body(self, rectangle: Rectangle, height: float) -> list[Instance]:
+    def _shows_floor(self, rectangle: Rectangle) -> bool:
+        """Whether the floor inside a rectangle was seen."""
+        x0, y0, x1, y1 = rectangle
+        points, margin = self.cloud.points, 0.1
+        inside = (points[:, 0] > x0 + margin) & (points[:, 0] < x1 - margin)
+        inside &= (points[:, 1] > y0 + margin) & (points[:, 1] < y1 - margin)
+        floor = points[inside & (points[:, 2] < self.config.room.thickness)]
+        return area(floor[:, 0], floor[:, 1]) > 0.1 * (x1 - x0) * (y1 - y0)
+
+    def _without_corners(self, rectangle: Rectangle, height: float) -> list[Rectangle]:
+        """Cut off ends of a row that have no front, as in the corner of a room."""
+        points, normals, config = self.cloud.points, self.cloud.normals, self.config
+        across = 0 if rectangle[2] - rectangle[0] < rectangle[3] - rectangle[1] else 1
+        along = 1 - across
+        low, high = rectangle[along], rectangle[along + 2]
+        below = self.free & (points[:, 2] > 0.15) & (points[:, 2] < height - 0.1)
+        best = (0.0, low, high)
+        for side, sign in ((across, -1.0), (across + 2, 1.0)):
+            on = below & (sign * normals[:, across] > 0.8)
+            on &= np.abs(points[:, across] - rectangle[side]) < config.overhang
+            at = points[on, along]
+            at = at[(at > low) & (at < high)]
+            if len(at) > 4 * config.least_points:
+                first, last = np.percentile(at, [1, 99])
+                best = max(best, (float(len(at)), float(first), float(last)))
+        count, first, last = best
+        if not count or last - first < config.corner:
+            return [rectangle]
+        edges = [low]
+        edges += [first] if first - low > config.corner else []
+        edges += [last] if high - last > config.corner else []
+        pieces = []
+        for a, b in zip(edges, [*edges[1:], high], strict=True):
+            piece = list(rectangle)
+            piece[along], piece[along + 2] = a, b
+            pieces.append((piece[0], piece[1], piece[2], piece[3]))
+        return pieces
+
+    def _body(
+        self, rectangle: Rectangle, height: float, label: str, *, closed: bool
+    ) -> list[Instance]:
         config, points = self.config, self.cloud.points
         low, high = np.array(rectangle[:2]), np.array(rectangle[2:])
-        near = (points[:, 2] < height + config.lift) & self.free
-        xy = points[:, :2]
-        near &= ((xy > low - config.overhang) & (xy < high + config.overhang)).all(axis=1)
-        members = np.flatnonzero(near)
+        members = self._column(rectangle, height)
         if len(members) < config.least_points:
             return []
-        if self._closed_share(members, rectangle, height) < config.closed:
+        if not closed:
             return self._open(members, rectangle, height)
         self.free[members] = False
         bottom = 0.0
         if max(high - low) < config.slab_length:
-            return [Instance("", 0.7, members, _upright(rectangle, bottom, height))]
+            return [Instance(label, 0.7, members, _box(rectangle, bottom, height))]
         split = height - config.slab
         is_slab = points[members, 2] > split
         return [
-            Instance("", 0.7, members[~is_slab], _upright(rectangle, bottom, split)),
-            Instance("counter", 0.7, members[is_slab], _upright(rectangle, split, height)),
+            Instance(label, 0.7, members[~is_slab], _box(rectangle, bottom, split)),
+            Instance("counter", 0.7, members[is_slab], _box(rectangle, split, height)),
         ]
 
-    def _closed_share(
-        self, members: Int[np.ndarray, " k"], rectangle: Rectangle, height: float
-    ) -> float:
+    def _column(self, rectangle: Rectangle, height: float) -> Int[np.ndarray, " k"]:
+        """Free points below a top, and a little in front of it."""
+        points, margin = self.cloud.points, self.config.overhang
+        low, high = np.array(rectangle[:2]) - margin, np.array(rectangle[2:]) + margin
+        near = self.free & (points[:, 2] < height + self.config.lift)
+        near &= ((points[:, :2] > low) & (points[:, :2] < high)).all(axis=1)
+        return np.flatnonzero(near)
+
+    def _closed_share(self, rectangle: Rectangle, height: float) -> float:
         """Share of the fullest side of a box that surfaces are seen on [-]."""
         config = self.config
+        members = self._column(rectangle, height)
         points, normals = self.cloud.points[members], self.cloud.normals[members]
         low_z, high_z = 0.12, height - 0.1
         if high_z - low_z < 0.1:
@@ -260,8 +319,8 @@ class _Division:
         )
         if at_wall and min(far - corner) < config.shelf:
             thick = min(float(np.ptp(points[members[upper], 2])), 0.12)
-            return [Instance("shelf", 0.5, own, _upright(rectangle, height - thick, height))]
-        return [Instance("", 0.7, own, _upright(rectangle, 0.0, height))]
+            return [Instance("shelf", 0.5, own, _box(rectangle, height - thick, height))]
+        return [Instance("", 0.7, own, _box(rectangle, 0.0, height))]
 
     def _goes_on(self, group: Int[np.ndarray, " k"], column: Int[np.ndarray, " m"]) -> bool:
         """Whether a group of points is part of something that reaches out of a column."""
@@ -305,11 +364,44 @@ class _Division:
             members = among[label == k]
             if len(members) < config.least_points:
                 break
-            out.append(Instance("", 0.4, members))
+            if not self._flat_on_wall(members):
+                out.append(Instance("", 0.4, members))
         return out
 
+    def _flat_on_wall(self, members: Int[np.ndarray, " k"]) -> bool:
+        """Whether points are a picture on a wall, or the wall's own unevenness."""
+        points = self.cloud.points[members]
+        return any(
+            np.percentile(wall.distance(points), 95) < self.config.flat
+            and wall.beside(points, 0.5).all()
+            for wall in self.room.walls
+        )
 
-def _upright(rectangle: Rectangle, bottom: float, top: float) -> UprightBox:
+
+def _box(rectangle: Rectangle, bottom: float, top: float) -> UprightBox:
     x0, y0, x1, y1 = rectangle
-    center = np.array([(x0 + x1) / 2, (y0 + y1) / 2, (bottom + top) / 2])
-    return UprightBox(center, np.array([x1 - x0, y1 - y0, top - bottom]))
+    return from_corners(np.array([x0, y0, bottom]), np.array([x1, y1, top]))
+
+
+def _hung_together(
+    furniture: Sequence[Instance], rest: Sequence[Instance], cloud: Cloud, near: float
+) -> list[Instance]:
+    """Join a hood's rim with its chimney: a thing that hangs right below a narrower one."""
+    out, alone = list(furniture), []
+    for thing in rest:
+        points = cloud.points[thing.members]
+        low, high = points.min(axis=0), points.max(axis=0)
+        for k, body in enumerate(out):
+            if body.box is None:
+                continue
+            start, stop = corners(body.box)
+            middle = body.box.center[:2]
+            inside = np.logical_and(middle > low[:2], middle < high[:2]).all()
+            if start[2] > 1.0 and inside and low[2] - near < start[2] < high[2] + near:
+                box = from_corners(np.minimum(low, start), np.maximum(high, stop))
+                members = np.concatenate([body.members, thing.members])
+                out[k] = replace(body, members=members, box=box)
+                break
+        else:
+            alone.append(thing)
+    return out + alone

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -291,7 +292,7 @@ def _cut_at_corners(
             if cut - edges[-1] >= shortest and (cut == high or high - cut >= shortest):
                 edges.append(cut)
         edges[-1] = high
-        for a, b in zip(edges, edges[1:], strict=False):
+        for a, b in pairwise(edges):
             piece = list(box)
             piece[axis], piece[axis + 2] = a, b
             out.append((piece[0], piece[1], piece[2], piece[3]))
