@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,7 +22,7 @@ from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from tests.perception.recorded import HEIGHT, WIDTH, K, Shot, shots
 
-from momapos.errors import FileFormatError
+from momapos.errors import FileFormatError, MissingExtraError
 from momapos.perception.bags import BagTopics
 from momapos.perception.scan import read_scan
 from momapos.perception.tf import TransformTree
@@ -340,6 +341,15 @@ def test_a_cut_recording_is_refused_by_name(tmp_path: Path, container: str) -> N
         file.write_bytes(data[:end])
         with pytest.raises(FileFormatError, match="drive"):
             read_scan(path)
+
+
+def test_a_recording_without_rosbags_names_the_extra(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = record(tmp_path / "drive", "mcap", shots(1), Setting())
+    monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
+    with pytest.raises(MissingExtraError, match=r"momapos\[scan\]"):
+        read_scan(path)
 
 
 def test_frames_in_a_circle_or_without_a_root_are_told() -> None:

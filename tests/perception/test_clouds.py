@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from tests.perception.recorded import write_ply
 
@@ -173,6 +173,13 @@ def test_without_cameras_the_walls_of_a_room_face_its_middle(tmp_path: Path) -> 
     assert np.mean(inward > 0) > 0.99
 
 
+def test_many_points_in_one_place_get_a_normal_too(tmp_path: Path) -> None:
+    points = np.concatenate([wall(), np.zeros((20_000, 3))])
+    cloud, _ = read_cloud(write_ply(tmp_path / "zeros.ply", points))
+    np.testing.assert_allclose(np.linalg.norm(cloud.normals, axis=1), 1.0)
+    np.testing.assert_allclose(np.abs(cloud.normals[:, 2]), 1.0, atol=1e-3)
+
+
 def test_points_that_are_not_finite_are_left_out_and_counted(tmp_path: Path) -> None:
     points = wall(50)
     points[3, 1], points[7, 0], points[9, 2] = np.nan, np.inf, 1e30
@@ -229,6 +236,7 @@ def test_a_header_that_promises_too_much_takes_no_memory(tmp_path: Path, table: 
 
 
 @settings(deadline=None, max_examples=150)
+@example(kind="pcd binary", at=255, byte=127)
 @given(kind=st.sampled_from(sorted(FILES)), at=st.integers(0, 400), byte=st.integers(0, 255))
 def test_a_damaged_cloud_is_read_or_refused_and_nothing_else(
     tmp_path_factory: pytest.TempPathFactory, kind: str, at: int, byte: int

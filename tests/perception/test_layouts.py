@@ -262,6 +262,13 @@ def test_an_export_without_intrinsics_is_refused(tmp_path: Path) -> None:
         read_scan(folder)
 
 
+def test_an_export_without_poses_is_refused(tmp_path: Path) -> None:
+    folder = write_export(tmp_path / "scan", shots(1), {"intrinsic_color.txt": K})
+    (folder / "pose").rename(tmp_path / "elsewhere")
+    with pytest.raises(FileFormatError, match=r"no poses; expected pose/0\.txt"):
+        read_scan(folder)
+
+
 def test_pictures_too_large_for_memory_are_refused_before_they_are_decoded(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -95,7 +95,8 @@ def _check_metres(points: Float[np.ndarray, "n 3"], path: Path) -> None:
 def _stacked(columns: Columns, names: tuple[str, ...]) -> Float[np.ndarray, "n k"] | None:
     if not set(names) <= set(columns):
         return None
-    return np.stack([columns[name] for name in names], axis=1).astype(float)
+    with np.errstate(invalid="ignore"):  # damaged floats, which are dropped later
+        return np.stack([columns[name] for name in names], axis=1).astype(float)
 
 
 def _colours(columns: Columns, count: int) -> UInt8[np.ndarray, "n 3"] | None:
@@ -126,7 +127,8 @@ def _given_normals(columns: Columns, count: int) -> Float[np.ndarray, "n 3"]:
 
 def _unit(vectors: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
     """Scale to length one; what has no length or is not finite becomes zero."""
-    length = np.linalg.norm(vectors, axis=1)
+    with np.errstate(over="ignore", invalid="ignore"):
+        length = np.linalg.norm(vectors, axis=1)
     good = np.isfinite(length) & (length > 1e-12)
     return np.where(good[:, None], vectors, 0.0) / np.where(good, length, 1.0)[:, None]
 
@@ -136,7 +138,8 @@ def _of_triangles(
 ) -> Float[np.ndarray, "n 3"]:
     """Sum at each point of the normals of its triangles, each as long as its area."""
     a, b, c = (points[triangles[:, i]] for i in range(3))
-    normals = np.nan_to_num(np.cross(b - a, c - a), posinf=0.0, neginf=0.0)
+    with np.errstate(over="ignore", invalid="ignore"):  # corners that are not finite
+        normals = np.nan_to_num(np.cross(b - a, c - a), posinf=0.0, neginf=0.0)
     corners = triangles.ravel()
     return np.stack(
         [np.bincount(corners, np.repeat(axis, 3), len(points)) for axis in normals.T], axis=1
@@ -147,18 +150,20 @@ def _estimated(
     points: Float[np.ndarray, "n 3"], which: Bool[np.ndarray, " n"]
 ) -> Float[np.ndarray, "k 3"]:
     """Normals of planes through the neighbours of some points, either way round."""
-    tree = cKDTree(points)
-    indices = np.flatnonzero(which)
+    # A sensor may put all points it did not see into one place, where a search would not end.
+    places, place = np.unique(points, axis=0, return_inverse=True)
+    tree = cKDTree(places)
+    indices, back = np.unique(place.reshape(-1)[which], return_inverse=True)
     normals = np.empty((len(indices), 3))
-    near = min(NEIGHBOURS, len(points))
+    near = min(NEIGHBOURS, len(places))
     for start in range(0, len(indices), _CHUNK):
         chosen = indices[start : start + _CHUNK]
-        _, found = tree.query(points[chosen], k=[*range(1, near + 1)], workers=-1)
-        offsets = points[found] - points[chosen, None]
+        _, found = tree.query(places[chosen], k=[*range(1, near + 1)], workers=-1)
+        offsets = places[found] - places[chosen, None]
         offsets -= offsets.mean(axis=1, keepdims=True)
-        spread = np.einsum("nki,nkj->nij", offsets, offsets)
+        spread = offsets.transpose(0, 2, 1) @ offsets
         normals[start : start + _CHUNK] = np.linalg.eigh(spread)[1][:, :, 0]
-    return normals
+    return normals[back.reshape(-1)]
 
 
 def _toward(

@@ -115,9 +115,9 @@ def keep_common_size(sizes: Mapping[int, Hashable], skips: Skips, where: str) ->
         raise FileFormatError(
             f"{where}: its frames have different sizes ({listed}); record them with one size"
         )
-    for index, size in sizes.items():
+    for size in sizes.values():
         if size != common:
-            skips.add("size", f"frame {index} has {size} where most have {common}")
+            skips.add("size", f"{size} where most have {common} pixels")
     return [index for index, size in sizes.items() if size == common]
 
 

@@ -74,12 +74,12 @@ def find_layout(folder: Path) -> Layout | None:
         What it holds; None where it is no such folder.
 
     Raises:
-        FileFormatError: It is one, but lacks intrinsics or holds too many files.
+        FileFormatError: It is one, but lacks poses or intrinsics, or holds too many files.
     """
     names = set(list_names(folder))
     if any(name.startswith("frame-") and ".color." in name for name in names):
         return _seven_scenes(folder, names)
-    if {"color", "pose"} <= names:
+    if "color" in names and names & {"depth", "pose", "intrinsic"}:
         return _export(folder)
     return None
 
@@ -236,6 +236,8 @@ def _seven_scenes(folder: Path, names: set[str]) -> Layout:
 
 
 def _export(folder: Path) -> Layout:
+    if not (folder / "pose").is_dir():
+        raise FileFormatError(f"{folder}: has no poses; expected pose/0.txt, camera to world")
     colours = {_stem(name): name for name in list_names(folder / "color") if _is_picture(name)}
     has_depth = (folder / "depth").is_dir()
     frames = tuple(

@@ -92,7 +92,8 @@ def read_depth(
 
 def to_metres(raw: Num[np.ndarray, "h w"], scale: float) -> Float32[np.ndarray, "h w"]:
     """Scale depth to metres; what is no depth (65535 in integers, NaN, negative) becomes 0."""
-    depth = raw.astype(np.float32) / np.float32(scale)
+    with np.errstate(over="ignore", invalid="ignore"):  # damaged floats count as not measured
+        depth = raw.astype(np.float32) / np.float32(scale)
     seen = np.isfinite(depth) & (depth > 0)
     if np.issubdtype(raw.dtype, np.integer):
         seen &= raw != _UNMEASURED

@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Int32
+from jaxtyping import Bool, Float, Float32, Int32, UInt8
 from numba import njit
 
 NEAREST = 0.02
@@ -119,7 +119,7 @@ def _grain(x: float, y: float, z: float) -> float:
     return 2 * total - 1
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
+@njit(inline="always")
 def _crevice(
     i: int, j: int, normal: tuple[float, float, float], xs: Any, ys: Any, inverse: Any
 ) -> float:
@@ -139,7 +139,7 @@ def _crevice(
     return hidden / 8
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
+@njit(inline="always")
 def _lamp_light(p: tuple[float, float, float], n: tuple[float, float, float], lamps: Any) -> float:
     """Light of all lamps that reach a point with this normal."""
     Ts_lamp_world, strength, scale, maps = lamps
@@ -163,7 +163,7 @@ def _lamp_light(p: tuple[float, float, float], n: tuple[float, float, float], la
     return light
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
+@njit(inline="always")
 def _shade(
     i: int, j: int, tri: int, rays: Any, inverse: Any, camera: Any, look: Any, lamps: Any, out: Any
 ) -> None:
@@ -206,7 +206,8 @@ def shade_image(
     look: Any,
     lamps: Any,
     background: Float[np.ndarray, "3"],
-    image: Float32[np.ndarray, "h w 3"],
+    shown: UInt8[np.ndarray, " levels"],
+    image: UInt8[np.ndarray, "h w 3"],
 ) -> None:
     """Colour each pixel from the 3 x 3 rays around its centre, weighted as a tent.
 
@@ -221,13 +222,15 @@ def shade_image(
         lamps: World to lamp (k, 4, 4), strengths (k,), texels per tangent (k,) and shadow maps
             (k, m, m), each 1 / depth.
         background: Linear colour where there is nothing.
-        image: Filled with linear colours.
+        shown: Colours on a screen for evenly spaced linear ones in [0, 1].
+        image: Filled with them.
     """
     inverse, nearest = buffers
     height, width, _ = image.shape
     seen, weight = np.empty(9, np.int64), np.empty(9)
     where = np.empty((9, 2), np.int64)
-    colour = np.empty(3)
+    colour, total = np.empty(3), np.empty(3)
+    last = len(shown) - 1
     for i in range(height):
         for j in range(width):
             seen[0], weight[0] = nearest[2 * i + 1, 2 * j + 1], 0.25
@@ -245,8 +248,7 @@ def shade_image(
                     where[count, 0], where[count, 1] = a, b
                     count += 1
                 weight[found] += share
-            for k in range(3):
-                image[i, j, k] = 0.0
+            total[:] = 0.0
             for q in range(count):
                 if seen[q] < 0:
                     colour[:] = background
@@ -254,4 +256,6 @@ def shade_image(
                     a, b = where[q]
                     _shade(a, b, seen[q], rays, inverse, camera, look, lamps, colour)
                 for k in range(3):
-                    image[i, j, k] += weight[q] * colour[k]
+                    total[k] += weight[q] * colour[k]
+            for k in range(3):
+                image[i, j, k] = shown[int(min(total[k], 1.0) * last + 0.5)]

@@ -248,11 +248,11 @@ def render_frame(
     xs = (np.arange(2 * width + 1) / 2 - 0.5 - K[0, 2]) / K[0, 0]
     ys = (np.arange(2 * height + 1) / 2 - 0.5 - K[1, 2]) / K[1, 1]
     buffers = world.trace(T_world_camera, xs, ys)
-    light = np.empty((height, width, 3), np.float32)
+    colour = np.empty((height, width, 3), np.uint8)
     camera = (np.ascontiguousarray(T_world_camera[:3, :3]), T_world_camera[:3, 3].copy())
     background = linear(np.array(BACKGROUND))
-    shade_image((xs, ys), buffers, camera, world._look, world._lamps, background, light)
-    colour = _TO_SCREEN[np.clip(light * 4096, 0, 4096).astype(np.int16)]
+    look = (world._look, world._lamps, background, _TO_SCREEN)
+    shade_image((xs, ys), buffers, camera, *look, colour)
     inverse = buffers[0][1::2, 1::2]
     depth = np.divide(1.0, inverse, out=np.zeros_like(inverse), where=inverse > 0)
     return Frame(name, colour, depth, np.array(K, float), np.array(T_world_camera, float))
