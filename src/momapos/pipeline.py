@@ -36,7 +36,7 @@ from momapos.placement.area import Site, footprints
 from momapos.placement.place import Problem, Search, search
 from momapos.protocols import Clock, ReachScorer
 from momapos.robots.robot import Robot
-from momapos.scene.scene import Scene
+from momapos.scene.scene import Scene, upright_boxes
 from momapos.types import Motion, PlacementPlan, Task
 from momapos.verification.exact import ExactWorld
 
@@ -239,11 +239,7 @@ class _Question:
 
     def _boxes(self, names: Sequence[str]) -> Boxes:
         """The boxes that stand for objects."""
-        boxed = [self.scene.object(name).boxed for name in names]
-        T = np.array([item.T_world_object for item in boxed]).reshape(-1, 4, 4)
-        size = [item.model.urdf.links["box"].collisions[0].size for item in boxed]
-        half = np.array(size, float).reshape(-1, 3) / 2
-        return Boxes(T[:, :3, 3].copy(), T[:, :3, :3].copy(), half)
+        return upright_boxes([self.scene.object(name) for name in names])
 
 
 @cache

@@ -27,12 +27,11 @@ from tests.rooms import move_scene
 
 from momapos.errors import InputError, MomaposError, SceneError
 from momapos.geometry.transforms import pose, rotation_about
-from momapos.importance.bodies import upright_boxes
 from momapos.importance.graph import GraphConfig, build_graph
 from momapos.importance.relations import neighbours, outline_gaps
 from momapos.kinematics.urdf import Link
 from momapos.scene.files import load_scene
-from momapos.scene.scene import Scene
+from momapos.scene.scene import Scene, upright_boxes
 
 TABLE = box("table", (1.0, 0.6, 0.7), (0, 0, 0))
 
@@ -165,7 +164,7 @@ def test_gaps_between_boxes_agree_with_points_sampled_on_their_outlines(seed: in
         for item, size in zip(items, sizes, strict=True)
     ]  # fmt: skip
     sampled = cKDTree(outlines[0]).query(outlines[1])[0].min()
-    gap = outline_gaps(upright_boxes(room(*items)), 0)[1]
+    gap = outline_gaps(upright_boxes(room(*items).objects), 0)[1]
     assert gap <= sampled + 1e-6
     assert gap >= sampled - 0.03
 
@@ -188,7 +187,7 @@ def test_the_nearest_found_are_the_nearest_of_all() -> None:
         box(f"b{k}", tuple(size), tuple(rng.uniform(-2, 2, 3)), rng.uniform(-3, 3))
         for k, size in enumerate(rng.uniform(0.1, 0.6, (40, 3)))
     ]
-    box_ = upright_boxes(room(*items))
+    box_ = upright_boxes(room(*items).objects)
     expected = set()
     for i in range(40):
         rise = np.abs(box_.center[:, 2] - box_.center[i, 2]) - box_.half[:, 2] - box_.half[i, 2]

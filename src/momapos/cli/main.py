@@ -27,9 +27,9 @@ COMMANDS: dict[str, tuple[str, dict[str, str] | str, str]] = {
         "momapos.cli.scene",
         {
             "list": "scene_list", "show": "scene_show", "new": "scene_new",
-            "convert": "scene_convert",
+            "convert": "scene_convert", "scan": "momapos.cli.scan_synthetic:scene_scan",
         },
-        "rooms: list, show, generate, convert",
+        "rooms: list, show, generate, convert, scan",
     ),
     "robot": (
         "momapos.cli.robot",
@@ -39,6 +39,7 @@ COMMANDS: dict[str, tuple[str, dict[str, str] | str, str]] = {
         },
         "robots: list, show, check a URDF or robot file, export",
     ),
+    "scan": ("momapos.cli.scan", "scan_room", "a scene that moves, from a scan of a room"),
     "reach": (
         "momapos.cli.reach",
         {"build": "reach_build", "eval": "reach_eval"},
@@ -102,6 +103,8 @@ def _run(args: list[str]) -> int:
         rest = rest[1:]
     import tyro
 
+    if ":" in function:  # a subcommand that has a module of its own
+        module, function = function.split(":")
     run = getattr(importlib.import_module(module), function)
     result = tyro.cli(run, args=rest, prog=prog)
     return int(result)

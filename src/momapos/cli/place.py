@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from momapos.errors import TaskError
+from momapos.importance.scorers import ScorerName
 
 if TYPE_CHECKING:
     from momapos.importance.scorers import ImportanceConfig
     from momapos.pipeline import Answer
 
 Method = Literal["ours", "paper", "exhaustive"]
-Scorer = Literal["reach", "deepwalk", "distance", "size", "names"]
 Planner = Literal["RRTConnect", "RRTstar", "BITstar"]
 _UNITS = {"": 1.0, "rad": 1.0, "deg": math.pi / 180, "m": 1.0, "cm": 0.01, "mm": 0.001}
 _STATUS = {"solved": 0, "infeasible": 3, "timeout": 4}
@@ -40,7 +40,7 @@ class Options:
     """ours: cheapest pose first; paper: MoMa-Pos as printed; exhaustive: a grid."""
     planner: Planner = "RRTConnect"
     """OMPL's planner for the way from home to the object."""
-    scorer: Scorer | None = None
+    scorer: ScorerName | None = None
     """How importance is measured: from where the hand goes (reach), or as the paper (deepwalk)."""
     alpha: float | None = None
     """Objects with an importance of at least this are modelled, in [0, 1]; 0: all."""

@@ -6,6 +6,7 @@ import json as json_format
 import os
 import shutil
 import sys
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,8 @@ from momapos.errors import SceneError
 from momapos.geometry.transforms import apply
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.urdf import read_urdf
-from momapos.scene.files import builtin_names, load_scene, model_files, save_scene
+from momapos.scene.copies import copy_files, model_files
+from momapos.scene.files import builtin_names, load_scene, save_scene
 from momapos.scene.scene import Scene, SceneObject
 
 SOLVED = 0
@@ -217,29 +219,25 @@ def copy_models(scene: Scene, out: Path) -> Scene:
     if target.exists():
         raise SceneError(f"{target} exists already; remove it or write to another file")
     models = {id(item.model): item.model for item in scene.objects}
-    files = {file.resolve() for model in models.values() for file in model_files(model)}
+    files = {file: None for model in models.values() for file in model_files(model)}
     if not files:
         return scene
-    root = Path(os.path.commonpath([file.parent for file in files]))
     try:
-        for file in sorted(files):
-            place = target / file.relative_to(root)
-            place.parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(file, place)
-        copies = {key: _moved(model, root, target) for key, model in models.items()}
+        copies = dict(zip(files, copy_files(files, target), strict=True))
+        moved = {key: _moved(model, copies, target) for key, model in models.items()}
     except BaseException as error:
         shutil.rmtree(target, ignore_errors=True)
         if isinstance(error, OSError):
             raise SceneError(f"{target}: cannot be written ({error.strerror})") from error
         raise
-    objects = tuple(replace(item, model=copies[id(item.model)]) for item in scene.objects)
+    objects = tuple(replace(item, model=moved[id(item.model)]) for item in scene.objects)
     return replace(scene, objects=objects)
 
 
-def _moved(model: Articulated, root: Path, target: Path) -> Articulated:
+def _moved(model: Articulated, copies: Mapping[Path, Path], target: Path) -> Articulated:
     if model.urdf.path is None:
         return model
-    path = target / model.urdf.path.resolve().relative_to(root)
+    path = copies[model.urdf.path]
     return Articulated(read_urdf(path, root=target.parent, scale=model.urdf.scale))
 
 

@@ -50,14 +50,6 @@ class Bodies:
         return len(self.low)
 
 
-def upright_boxes(scene: Scene) -> Boxes:
-    """The upright box around each object, turned with the object's frame."""
-    boxed = [item.boxed for item in scene.objects]
-    T = np.array([item.T_world_object for item in boxed])
-    size = [item.model.urdf.links["box"].collisions[0].size for item in boxed]
-    return Boxes(T[:, :3, 3].copy(), T[:, :3, :3].copy(), np.array(size, float) / 2)
-
-
 def stack_bodies(scene: Scene, upright: Boxes) -> Bodies:
     """Stack the geometry of a scene; an object without geometry is a point at its origin."""
     rows = [_hull_rows(item) for item in scene.objects]

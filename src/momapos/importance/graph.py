@@ -11,10 +11,10 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from momapos.errors import InputError, SceneError, unknown_name
-from momapos.importance.bodies import stack_bodies, upright_boxes
+from momapos.importance.bodies import stack_bodies
 from momapos.importance.relations import KINDS, NEAR, hierarchy, neighbours, outline_gaps
 from momapos.kinematics.hulls import Boxes
-from momapos.scene.scene import Scene
+from momapos.scene.scene import Scene, upright_boxes
 
 SMALLEST = 1e-3
 """Sizes are at least this [m], so that a flat thing has one."""
@@ -61,7 +61,7 @@ class SceneGraph:
     @cached_property
     def upright(self) -> Boxes:
         """The upright box around each object, turned with the object's frame."""
-        return upright_boxes(self.scene)
+        return upright_boxes(self.scene.objects)
 
     @cached_property
     def size(self) -> Float[np.ndarray, " n"]:

@@ -11,6 +11,7 @@ from numba import njit
 
 from momapos.geometry.transforms import invert, pose_planar
 from momapos.kinematics.chain import Chain, chain_arrays
+from momapos.kinematics.closed_forms import MAX_BRANCHES
 from momapos.kinematics.collision import FREE, scratch_of
 from momapos.kinematics.ik import COARSE, ik_arrays, ik_scratch, solve_sample
 from momapos.kinematics.world import World, check_one
@@ -79,13 +80,14 @@ def solve_layer(
     poses = invert(pose_planar(bases[alive])) @ motion.Ts_world_tool[grasps[alive], step]
     before = max((k for k in known if k.waypoint < waypoint), key=_waypoint, default=None)
     after = min((k for k in known if k.waypoint > waypoint), key=_waypoint, default=None)
-    locked = joint_scale(chain)
+    scale = joint_scale(chain)
+    locked = scale.copy()
     locked[ik.active] = 0.0
     q, counts, codes = _solve_layer(
         np.ascontiguousarray(poses), bases[alive], int(motion.value[step]),
         bool(motion.holding[step]), (chain.lower, chain.upper), chain_arrays(chain),
         ik_arrays(ik), ik.max_solutions, robot.spheres.arrays(), world.arrays(), world.clearance,
-        full_turns(chain), joint_scale(chain), locked,
+        full_turns(chain), scale, locked,
         _neighbour(before, alive, waypoint, chain.size),
         _neighbour(after, alive, waypoint, chain.size),
     )  # fmt: skip
@@ -141,7 +143,7 @@ def _solve_layer(
     n = len(full_turn)
     scratch = ik_scratch(n)
     arm = scratch_of(n, spheres)
-    solutions = np.empty((8, n))
+    solutions = np.empty((MAX_BRANCHES, n))
     out = np.empty((len(poses), most, n))
     counts, codes = np.zeros(len(poses), np.int64), np.full(len(poses), NOWHERE)
     for j in range(len(poses)):

@@ -78,8 +78,8 @@ class ClassicalSegmenter:
     """Divides an upright cloud by planes and by which points touch; a `Segmenter`.
 
     A counter's top and what is below it are two instances. What is below is one instance from
-    end to end, or to the corner of the room: `boxes.split_row` divides it where its fronts are
-    known to end. Tops at another height, as an oven's between counters, divide it here.
+    end to end, or to the corner of the room: `rows.split_row` divides it where pictures
+    show its fronts to end. Tops at another height, as an oven's between counters, divide it here.
     """
 
     def __init__(self, config: SegmentConfig | None = None) -> None:
@@ -313,7 +313,7 @@ class _Division:
         corner, far = np.array(rectangle[:2]), np.array(rectangle[2:])
         middle = np.array([[*(corner + far) / 2, height]])
         at_wall = any(
-            wall.beside(middle)[0]
+            bool(wall.beside(middle)[0])
             and wall.distance(middle)[0] < (far - corner)[wall.axis] / 2 + 0.12
             for wall in self.room.walls
         )

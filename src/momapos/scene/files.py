@@ -25,6 +25,7 @@ from momapos.geometry.transforms import pose_wxyz
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.urdf import box_urdf, read_urdf
 from momapos.scene import bestman
+from momapos.scene.copies import model_files
 from momapos.scene.scene import Scene, SceneObject
 
 FORMAT, VERSION = "momapos-scene", 1
@@ -386,12 +387,3 @@ def _object(item: SceneObject, folder: Path) -> dict[str, Any]:
             )
     relative = urdf.path.resolve().relative_to(folder).as_posix()
     return {**entry, "urdf": relative, "scale": urdf.scale, "joints": dict(item.joints)}
-
-
-def model_files(model: Articulated) -> tuple[Path, ...]:
-    """The URDF and mesh files that a model was read from; none for a box."""
-    if model.urdf.path is None:
-        return ()
-    shapes = (s for link in model.urdf.links.values() for s in (*link.collisions, *link.visuals))
-    meshes = {shape.mesh: None for shape in shapes if shape.mesh is not None}
-    return (model.urdf.path, *meshes)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -13,6 +13,7 @@ from jaxtyping import Float
 from momapos.errors import unknown_name
 from momapos.geometry.transforms import apply, pose, upright_frame
 from momapos.kinematics.articulated import Articulated
+from momapos.kinematics.hulls import Boxes
 from momapos.kinematics.urdf import box_urdf
 
 SMALLEST = 1e-4
@@ -72,6 +73,15 @@ class SceneObject:
     def bounds(self) -> Float[np.ndarray, "2 3"]:
         """Axis-aligned box in the world: lower and upper corner [m]."""
         return np.stack([self.vertices.min(0), self.vertices.max(0)])
+
+
+def upright_boxes(items: Sequence[SceneObject]) -> Boxes:
+    """The upright box around each object, turned with the object's frame."""
+    boxed = [item.boxed for item in items]
+    T = np.array([item.T_world_object for item in boxed]).reshape(-1, 4, 4)
+    size = [item.model.urdf.links["box"].collisions[0].size for item in boxed]
+    half = np.array(size, float).reshape(-1, 3) / 2
+    return Boxes(T[:, :3, 3].copy(), T[:, :3, :3].copy(), half)
 
 
 @dataclass(frozen=True, eq=False)

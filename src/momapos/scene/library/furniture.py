@@ -90,7 +90,15 @@ def solid(name: str, category: str, size: Vec, centre: Vec, yaw: float = 0.0) ->
 
 
 def bar_handle(
-    part: str, x: float, z: float, length: float, *, upright: bool, front: float
+    part: str,
+    x: float,
+    z: float,
+    length: float,
+    *,
+    upright: bool,
+    front: float,
+    bar: float = BAR,
+    stand_off: float = STAND_OFF,
 ) -> tuple[Box, ...]:
     """A bar on two posts.
 
@@ -101,15 +109,18 @@ def bar_handle(
         length: Of the bar [m].
         upright: Along z; else along x.
         front: The y coordinate of the surface that it stands on [m].
+        bar: Thickness of the bar [m].
+        stand_off: Distance of the bar from the surface [m].
     """
     along = np.array([0.0, 0.0, 1.0] if upright else [1.0, 0.0, 0.0])
     across = np.array([1.0, 0.0, 0.0] if upright else [0.0, 0.0, 1.0])
-    centre = np.array([x, front - STAND_OFF - BAR / 2, z])
-    half = along * length / 2 + across * BAR / 2 + np.array([0.0, BAR / 2, 0.0])
+    centre = np.array([x, front - stand_off - bar / 2, z])
+    half = along * length / 2 + across * bar / 2 + np.array([0.0, bar / 2, 0.0])
+    post = min(0.0075, bar / 2)
     boxes = [Box(f"{part}_handle_bar", vec(centre - half), vec(centre + half))]
     for end, sign in (("a", -1.0), ("b", 1.0)):
-        foot = np.array([x, front - STAND_OFF / 2, z]) + sign * along * (length / 2 - BAR)
-        half = np.array([0.0075, STAND_OFF / 2, 0.0075])
+        foot = np.array([x, front - stand_off / 2, z]) + sign * along * (length / 2 - bar)
+        half = np.array([post, stand_off / 2, post])
         boxes.append(Box(f"{part}_handle_post_{end}", vec(foot - half), vec(foot + half)))
     return tuple(boxes)
 

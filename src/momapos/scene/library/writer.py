@@ -5,15 +5,20 @@ from __future__ import annotations
 import json
 import shutil
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from momapos.errors import InputError
+from momapos.scene.copies import copy_files, model_files
 from momapos.scene.library.furniture import Box, Part, Piece, Vec, centres_and_halves, vec
+from momapos.scene.scene import SceneObject
 
+COPIED = ".model"
+"""Suffix of a folder with the files of an object that has a URDF of its own."""
 DENSITY = 400.0  # [kg/m^3] of everything: light wood
 COLOURS = {
     "body": "0.85 0.83 0.78 1",
@@ -26,8 +31,9 @@ def write_kitchen(
     out: Path,
     name: str,
     pieces: Sequence[Piece],
-    floor: Sequence[tuple[float, float]],
-    start: tuple[float, float, float],
+    floor: Sequence[tuple[float, float]] | None,
+    start: tuple[float, float, float] | None,
+    others: Sequence[SceneObject] = (),
 ) -> Path:
     """Write a scene and its URDF files, all of them or none.
 
@@ -35,8 +41,9 @@ def write_kitchen(
         out: The scene file; the URDF files go into `<stem>_urdf` beside it.
         name: Name of the scene.
         pieces: The furniture; one that is a single box needs no URDF.
-        floor: Corners of the floor in the world, anticlockwise [m].
-        start: Where the robot's base stands at first: x [m], y [m], yaw [rad].
+        floor: Corners of the floor in the world, anticlockwise [m]; None where it has no known end.
+        start: Where the robot's base stands at first: x [m], y [m], yaw [rad]; None if not known.
+        others: Objects with URDF files of their own, which are copied with their meshes.
 
     Returns:
         `out`.
@@ -45,7 +52,7 @@ def write_kitchen(
         InputError: The place cannot be written to, or the URDF folder holds files of another kind.
     """
     folder = out.parent / f"{out.stem}_urdf"
-    foreign = [path.name for path in folder.glob("*") if path.suffix != ".urdf"]
+    foreign = [path.name for path in folder.glob("*") if path.suffix not in (".urdf", COPIED)]
     if foreign:
         raise InputError(f"{folder} is not a folder of URDF files: it holds {foreign[0]}")
     try:
@@ -57,8 +64,13 @@ def write_kitchen(
                 if not is_single_box(piece):
                     text = urdf_text(piece)
                     (new / f"{piece.name}.urdf").write_text(text, encoding="utf-8")
+            entries = [_object(piece, folder.name) for piece in pieces]
+            for item in others:
+                target = new / f"{item.name}{COPIED}"
+                urdf = copy_files(model_files(item.model), target)[0].relative_to(new)
+                entries.append(_copied(item, f"{folder.name}/{urdf.as_posix()}"))
             scene = Path(temporary) / "scene.json"
-            text = scene_text(name, pieces, floor, start, folder.name)
+            text = scene_text(name, entries, floor, start)
             scene.write_text(text, encoding="utf-8")
             _swap_in(new, folder, scene, out)
     except OSError as error:
@@ -89,22 +101,34 @@ def is_single_box(piece: Piece) -> bool:
 
 def scene_text(
     name: str,
-    pieces: Sequence[Piece],
-    floor: Sequence[tuple[float, float]],
-    start: tuple[float, float, float],
-    folder: str,
+    entries: Sequence[Mapping[str, Any]],
+    floor: Sequence[tuple[float, float]] | None,
+    start: tuple[float, float, float] | None,
 ) -> str:
     """Write the text of a scene file, one object a line; the arguments are `write_kitchen`'s."""
-    x, y, yaw = vec(start)
-    head = {"format": "momapos-scene", "version": 1, "name": name}
-    corners = [[round(float(value), 5) + 0.0 for value in corner] for corner in floor]
-    objects = ",\n".join(f"  {json.dumps(_object(piece, folder))}" for piece in pieces)
-    return (
-        json.dumps(head)[:-1]
-        + f',\n "floor": {json.dumps(corners)}'
-        + f',\n "start": {json.dumps({"x": x, "y": y, "yaw": yaw})}'
-        + f',\n "objects": [\n{objects}\n ]}}\n'
-    )
+    text = json.dumps({"format": "momapos-scene", "version": 1, "name": name})[:-1]
+    if floor is not None:
+        corners = [[round(float(value), 5) + 0.0 for value in corner] for corner in floor]
+        text += f',\n "floor": {json.dumps(corners)}'
+    if start is not None:
+        x, y, yaw = vec(start)
+        text += f',\n "start": {json.dumps({"x": x, "y": y, "yaw": yaw})}'
+    objects = ",\n".join(f"  {json.dumps(entry)}" for entry in entries)
+    return f'{text},\n "objects": [\n{objects}\n ]}}\n'
+
+
+def _copied(item: SceneObject, urdf: str) -> dict[str, Any]:
+    """The entry of an object that has a URDF of its own."""
+    wxyz = Rotation.from_matrix(item.T_world_object[:3, :3]).as_quat(scalar_first=True)
+    xyz = vec(item.T_world_object[:3, 3])
+    return {
+        "name": item.name,
+        "category": item.category,
+        "pose": {"xyz": xyz, "wxyz": (np.round(wxyz, 9) + 0.0).tolist()},
+        "urdf": urdf,
+        "scale": item.model.urdf.scale,
+        "joints": dict(item.joints),
+    }
 
 
 def _object(piece: Piece, folder: str) -> dict[str, Any]:

@@ -1,0 +1,223 @@
+"""Scans of kitchens with known truth, made into scenes: fronts, waypoints, answers, times.
+
+    python benchmarks/scan.py [--rooms 20] [--robot segway_ur5e] [--folder bench_out/scans]
+                              [--out bench_out] [--shared]
+
+Renders each kitchen as a walk with an RGB-D camera, makes a scene of it, and holds that against
+the kitchen. A task of the kitchen counts when it can be solved there; it is solved from the scan
+when `place` answers it in the scene made and the answer holds in the kitchen, checked exactly
+with a margin of 2 cm.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections import Counter
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from momapos.cache import default_cache_dir
+from momapos.config import PipelineConfig
+from momapos.manipulation.handles import closed_value, opening_direction, opening_sign
+from momapos.manipulation.tasks import hand_path, make_task, openable
+from momapos.pipeline import place
+from momapos.placement.place import PlaceConfig
+from momapos.reachability.store import load_or_build
+from momapos.robots.robot import load_robot
+from momapos.scan_pipeline import Modelled, scan_to_scene
+from momapos.scene.files import load_scene
+from momapos.scene.scene import Scene
+from momapos.verification.exact import ExactWorld
+from momapos.verification.report import Limits
+from scan_rooms import Room, default_tools, rooms
+
+MARGIN = 0.02
+"""How far a plan may be off in the true room [m]."""
+SAME = 0.15
+"""A door of the scan is the door of the room whose handle is within this [m]."""
+
+
+@dataclass(frozen=True)
+class Door:
+    """One joint of the room, and what became of it."""
+
+    room: str
+    name: str
+    category: str
+    match: str
+    """The joint of the scan; "" where there is none."""
+    frontal: float
+    """Angle of the chosen picture off the true normal [deg]; NaN where none was chosen."""
+    waypoints: tuple[float, ...]
+    """Errors of the handle's position at 0, 45 and 90 degrees, or shut, half and wide open [m]."""
+    solvable: bool = False
+    solved: bool = False
+    reason: str = ""
+
+
+def handle_at(scene: Scene, item: str, joint: str, share: float) -> np.ndarray:
+    """Where the handle is when a part is opened by a share of 90 degrees or of 30 cm [m]."""
+    found = scene.object(item).model.joint(joint)
+    full = 0.3 if found.kind == "prismatic" else np.pi / 2
+    limit = abs((found.upper if opening_sign(found) > 0 else found.lower) - closed_value(found))
+    to = closed_value(found) + opening_sign(found) * max(min(share * full, limit), 1e-3)
+    path = hand_path(scene, item, joint, to)
+    return path[0] if share == 0 else path[-1]
+
+
+def match(truth: Scene, scanned: Scene) -> dict[tuple[str, str], tuple[str, str]]:
+    """The joint of the scan for each of the room: same kind, nearest handle, each used once."""
+    ours, theirs = openable(truth), openable(scanned)
+    pairs = []
+    for a in ours:
+        kind, place_a = truth.object(a[0]).model.joint(a[1]).kind, handle_at(truth, *a, 0.0)
+        for b in theirs:
+            if scanned.object(b[0]).model.joint(b[1]).kind == kind:
+                gap = float(np.linalg.norm(place_a - handle_at(scanned, *b, 0.0)))
+                pairs.append((gap, a, b))
+    found: dict[tuple[str, str], tuple[str, str]] = {}
+    for gap, a, b in sorted(pairs):
+        if gap < SAME and a not in found and b not in found.values():
+            found[a] = b
+    return found
+
+
+def compare(room: Room, result: Modelled, scanned: Scene) -> list[Door]:
+    """Every joint of the room against the scan."""
+    matches, doors = match(room.scene, scanned), []
+    views = {d.detection.name: d.view for d in result.decisions}
+    for item, joint in openable(room.scene):
+        thing = room.scene.object(item)
+        same = matches.get((item, joint))
+        frontal, errors = float("nan"), ()
+        if same is not None:
+            view = views[same[0]]
+            _, outward = opening_direction(thing, joint)
+            outward = _square(outward)
+            if view is not None:
+                eye = result.frames[view.frame].T_world_camera[:3, 3]
+                line = eye - view.face.T_world_face[:3, 3]
+                cosine = line @ outward / np.linalg.norm(line)
+                frontal = float(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
+            errors = tuple(
+                float(np.linalg.norm(
+                    handle_at(room.scene, item, joint, share) - handle_at(scanned, *same, share)
+                ))
+                for share in (0.0, 0.5, 1.0)
+            )  # fmt: skip
+        name = "" if same is None else "/".join(same)
+        doors.append(Door(room.name, f"{item}/{joint}", thing.category, name, frontal, errors))
+    return doors
+
+
+def _square(direction: np.ndarray) -> np.ndarray:
+    """The horizontal axis nearest to a direction: fronts of these rooms are square to the walls."""
+    flat = np.zeros(3)
+    axis = int(np.argmax(np.abs(direction[:2])))
+    flat[axis] = np.sign(direction[axis])
+    return flat
+
+
+def answer(door: Door, room: Room, scanned: Scene, robot_name: str) -> Door:
+    """Whether a task that can be solved in the room is solved from the scan, and holds."""
+    robot = load_robot(robot_name)
+    reach = load_or_build(robot, default_cache_dir(), None)
+    config = PipelineConfig(place=PlaceConfig(grid=True), timeout=60.0)
+    item, joint = door.name.split("/")
+    task = make_task(room.scene, "open", item, joint)
+    there = place(room.scene, robot, task, reach, config=config)
+    if there.plan.status != "solved":
+        return door
+    door = replace(door, solvable=True)
+    if not door.match:
+        return replace(door, reason="not found in the scan")
+    name, _, other = door.match.partition("/")
+    ours, theirs = (
+        room.scene.object(item).model.joint(joint),
+        scanned.object(name).model.joint(other),
+    )
+    assert task.to is not None
+    travel = min(abs(task.to - closed_value(ours)), abs(_wide(theirs) - closed_value(theirs)))
+    to = closed_value(theirs) + opening_sign(theirs) * travel
+    found = place(
+        scanned, robot, make_task(scanned, "open", name, other, to), reach, start=there.start,
+        config=config,
+    )  # fmt: skip
+    if found.plan.status != "solved":
+        return replace(door, reason=f"{found.plan.status} in the scan")
+    assert found.plan.motion is not None
+    assert found.plan.base_pose is not None
+    q = found.plan.motion.object_q - closed_value(theirs)
+    motion = replace(
+        found.plan.motion,
+        object_q=closed_value(ours) + opening_sign(ours) * opening_sign(theirs) * q,
+    )
+    limits = Limits(
+        penetration=MARGIN, slip_position=MARGIN, slip_rotation=np.radians(10.0),
+        reach=Limits().reach + MARGIN, floor_edge=0.1, goal=1.0,
+    )  # fmt: skip
+    refusal = ExactWorld(room.scene, robot, task, limits).refusal(found.plan.base_pose, motion)
+    return replace(door, solved=refusal is None, reason=refusal or "")
+
+
+def _wide(joint: object) -> float:
+    return joint.upper if opening_sign(joint) > 0 else joint.lower  # type: ignore[attr-defined, arg-type]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--rooms", type=int, default=20)
+    parser.add_argument("--robot", default="segway_ur5e")
+    parser.add_argument("--folder", type=Path, default=Path("bench_out/scans"))
+    parser.add_argument("--out", type=Path, default=Path("bench_out"))
+    parser.add_argument("--no-answers", action="store_true")
+    args = parser.parse_args()
+    tools, doors, times = default_tools(), [], []
+    for room in rooms(args.folder, args.rooms):
+        out = args.folder / room.name / "found" / "scene.json"
+        result = scan_to_scene(room.scan, out, tools)
+        scanned = load_scene(str(out))
+        times.append({"frames": len(room.scan.frames), **result.timing})
+        found = compare(room, result, scanned)
+        if not args.no_answers:
+            found = [answer(door, room, scanned, args.robot) for door in found]
+        doors += found
+        print(
+            room.name,
+            summary(found),
+            {k: round(v, 1) for k, v in result.timing.items()},
+            flush=True,
+        )
+        for door in found:
+            if door.reason:
+                print("   ", door.name, door.match, door.reason, flush=True)
+    print("all", summary(doors))
+    for category in sorted({door.category for door in doors}):
+        print(f"  {category:14}", summary([d for d in doors if d.category == category]))
+    args.out.mkdir(parents=True, exist_ok=True)
+    data = {"doors": [asdict(door) for door in doors], "times": times}
+    (args.out / "scan.json").write_text(json.dumps(data, indent=1) + "\n")
+
+
+def summary(doors: list[Door]) -> str:
+    """One line of figures."""
+    matched = [d for d in doors if d.match]
+    angles = np.array([d.frontal for d in matched if np.isfinite(d.frontal)])
+    errors = np.array([d.waypoints for d in matched]).reshape(-1, 3)
+    solvable = [d for d in doors if d.solvable]
+    text = f"{len(matched)} of {len(doors)} joints"
+    if len(matched):
+        median = ", ".join(f"{100 * v:.1f}" for v in np.median(errors, axis=0))
+        text += f"; frontal {np.mean(angles <= 20):.0%}; handle {median} cm"
+    if solvable:
+        text += f"; solved {sum(d.solved for d in solvable)} of {len(solvable)}"
+        reasons = Counter(d.reason for d in solvable if not d.solved)
+        text += f" {dict(reasons.most_common(3))}" if reasons else ""
+    return text
+
+
+if __name__ == "__main__":
+    main()

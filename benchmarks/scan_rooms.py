@@ -1,0 +1,48 @@
+"""Rooms with known truth and scans of them, made once and kept in a folder."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from momapos.perception.recording import synthetic_scan, write_scan
+from momapos.perception.scan import read_scan
+from momapos.perception.segment import ClassicalSegmenter
+from momapos.perception.sensor import DepthSensor
+from momapos.reconstruction.network import FrontNetwork
+from momapos.reconstruction.templates import TemplatePredictor
+from momapos.scan_pipeline import Tools
+from momapos.scene.files import load_scene
+from momapos.scene.kitchens import LAYOUTS, generate_kitchen
+from momapos.scene.scene import Scene
+from momapos.types import Scan
+
+
+@dataclass(frozen=True)
+class Room:
+    """A room, and a scan of it."""
+
+    name: str
+    scene: Scene
+    scan: Scan
+
+
+def default_tools() -> Tools:
+    """What `momapos scan` uses."""
+    network = FrontNetwork()
+    return Tools(ClassicalSegmenter(), network, network, TemplatePredictor())
+
+
+def rooms(folder: Path, count: int, frames: int = 60) -> Iterator[Room]:
+    """Generated kitchens of all layouts in turn, each with a scan; made where there are none yet."""
+    for k in range(count):
+        layout, seed = LAYOUTS[k % len(LAYOUTS)], k // len(LAYOUTS)
+        home = folder / f"{layout}_{seed}"
+        path, scan = home / "scene" / "scene.json", home / "scan"
+        if not path.exists():
+            generate_kitchen(layout, seed=seed, out=path)
+        scene = load_scene(str(path))
+        if not scan.exists():
+            write_scan(synthetic_scan(scene, frames=frames, seed=seed, sensor=DepthSensor()), scan)
+        yield Room(home.name, scene, read_scan(scan))

@@ -1,0 +1,195 @@
+"""momapos scan: a scene that moves, from a scan."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from tyro.conf import OmitArgPrefixes, Positional, arg
+
+from momapos.errors import InputError
+
+if TYPE_CHECKING:
+    from momapos.protocols import ArticulationPredictor, Segmenter
+    from momapos.reconstruction.build import GivenModel
+    from momapos.scan_pipeline import Modelled, Tools
+    from momapos.types import Scan
+
+NOTHING_FOUND = 3
+Predictor = Literal["network", "template", "urdformer"]
+
+
+@dataclass(frozen=True)
+class ScanOptions:
+    """Where knowledge comes from, beside the scan."""
+
+    target: Annotated[str | None, arg(metavar="OBJECT")] = None
+    """Object that the task will be about: only what matters for it is modelled."""
+    instances: Path | None = None
+    """Instances found by another program: Mask3D's ScanNet export, OpenMask3D masks, labels a
+    point, or a JSON of boxes. All but boxes need a scan with a cloud."""
+    detections: Path | None = None
+    """Detectron2's coco_instances_results.json for the pictures of the scan."""
+    predictor: Predictor = "network"
+    """Who finds doors and drawers: our network, a template by label, or URDFormer."""
+    checkpoint: Path | None = None
+    """URDFormer's part.pth."""
+    models: tuple[str, ...] = ()
+    """NAME=FILE.urdf of objects, by name or label, that need no prediction."""
+    views: Literal["voting", "first"] = "voting"
+    """How the front is chosen: by votes of all pictures, or the paper's first that passes."""
+    grid: bool = False
+    """Put parts onto URDFormer's grid of 13 steps."""
+    max_frames: int = 150
+    """Pictures that are read at most, evenly spaced."""
+    depth_scale: float = 1000.0
+    """Units of integer depth in a metre."""
+    voxel: float = 0.015
+    """Edge of the voxels that depth is fused in [m]."""
+
+
+def scan_room(
+    source: Annotated[Positional[Path], arg(metavar="DIR")],
+    /,
+    *,
+    out: Path,
+    pictures: bool = True,
+    json: bool = False,
+    options: Annotated[ScanOptions, OmitArgPrefixes] = ScanOptions(),
+) -> int:
+    """Make a scene from a scan of a room, which place can use.
+
+    Beside the scene it writes scan_report.json, which says what was decided and why, and a
+    picture of every object that was looked at.
+
+    Args:
+        source: Folder of posed colour and depth pictures, a cloud, or a robot's log.
+        out: The scene file.
+        pictures: Draw why every object was modelled as it was.
+        json: Print one JSON object and nothing else.
+        options: Where knowledge comes from.
+    """
+    import json as encoder
+
+    from momapos.cli.console import progress
+    from momapos.perception.scan import read_scan
+    from momapos.scan_pipeline import scan_to_scene
+    from momapos.scan_report import report_to_dict, write_report
+
+    scan = read_scan(source, max_frames=options.max_frames, depth_scale=options.depth_scale)
+    for warning in scan.warnings:
+        print(f"momapos: {warning}", file=sys.stderr)
+    tools, given, found = _tools(scan, options), _given(options.models), _found(scan, options)
+    with progress("scan") as report:
+        result = scan_to_scene(
+            scan, out, tools, target=options.target, found=found, given=given,
+            config=_config(options), progress=lambda _, share: report(share),
+        )  # fmt: skip
+    data = report_to_dict(result, scan, options.target)
+    folder = write_report(result, data, out, pictures=pictures)
+    print(encoder.dumps(data, allow_nan=False) if json else table(result, out, folder))
+    return 0
+
+
+def table(result: Modelled, out: Path, folder: Path | None) -> str:
+    """All objects in a few columns."""
+    width = max(len(d.detection.name) for d in result.decisions)
+    lines = []
+    for decision in result.decisions:
+        item = decision.detection
+        size = " x ".join(f"{v:.2f}" for v in item.box.size)
+        x, y, z = item.box.center
+        what = decision.reason or f"{decision.source}: {_count(decision.parts)}"
+        lines.append(f"  {item.name:<{width}}  {size} m at ({x:.2f}, {y:.2f}, {z:.2f})  {what}")
+    modelled = sum(d.model is not None for d in result.decisions)
+    stages = ", ".join(f"{n} {s:.1f}" for n, s in result.timing.items() if n != "total")
+    lines += [
+        "",
+        f"  {len(result.decisions)} objects, {modelled} of them modelled",
+        f"  time        {result.timing['total']:.1f} s ({stages})",
+        f"  scene       {out}",
+        f"  report      {out.parent / 'scan_report.json'}",
+    ]
+    if folder is not None:
+        lines.append(f"  pictures    {folder}")
+    return "\n".join(lines)
+
+
+def _count(parts: tuple[Any, ...]) -> str:
+    kinds = [part.kind for part in parts]
+    return ", ".join(f"{kinds.count(kind)} {kind}" for kind in dict.fromkeys(kinds)) or "a model"
+
+
+# ---------------------------------------------------------------------------------- from options
+
+
+def _config(options: ScanOptions) -> Any:
+    from momapos.config import ScanConfig
+    from momapos.perception.views import ViewConfig
+    from momapos.reconstruction.alignment import AlignmentConfig
+    from momapos.reconstruction.model import ModelConfig
+
+    alignment = AlignmentConfig(grid=12 if options.grid else None)
+    return ScanConfig(
+        voxel=options.voxel,
+        view=ViewConfig(method=options.views),
+        model=ModelConfig(alignment=alignment),
+    )
+
+
+def _tools(scan: Scan, options: ScanOptions) -> Tools:
+    from momapos.reconstruction.network import FrontNetwork
+    from momapos.reconstruction.templates import TemplatePredictor
+    from momapos.scan_pipeline import Tools
+
+    network, template = FrontNetwork(), TemplatePredictor()
+    predict: ArticulationPredictor = network
+    if options.predictor == "template":
+        predict = template
+    elif options.predictor == "urdformer":
+        from momapos.reconstruction.urdformer import UrdformerPredictor, load_urdformer
+
+        if options.checkpoint is None:
+            raise InputError("--predictor urdformer needs --checkpoint PATH/part.pth")
+        predict = UrdformerPredictor(load_urdformer(options.checkpoint), network)
+    return Tools(_segmenter(scan, options), network, predict, guess=template)
+
+
+def _segmenter(scan: Scan, options: ScanOptions) -> Segmenter:
+    from momapos.perception.masks import read_instances
+    from momapos.perception.segment import ClassicalSegmenter
+    from momapos.types import Cloud, Instance
+
+    if options.instances is None:
+        return ClassicalSegmenter()
+    path = options.instances
+    size = None if scan.cloud is None else len(scan.cloud.points)
+
+    def read(cloud: Cloud) -> list[Instance]:
+        if size is None and path.suffix != ".json":
+            raise InputError(
+                f"{path}: masks count the points of a cloud, but {scan.name} came without one"
+            )
+        return read_instances(path, len(cloud.points))
+
+    return read
+
+
+def _given(models: tuple[str, ...]) -> dict[str, GivenModel]:
+    from momapos.reconstruction.build import GivenModel
+
+    given = {}
+    for text in models:
+        name, equals, file = text.partition("=")
+        if not equals or not name or not Path(file).is_file():
+            raise InputError(f"--models {text!r}: must be NAME=FILE of a URDF that exists")
+        given[name] = GivenModel(Path(file))
+    return given
+
+
+def _found(scan: Scan, options: ScanOptions) -> Any:
+    from momapos.perception.detections import read_coco
+
+    return None if options.detections is None else read_coco(options.detections, scan.frames)

@@ -1,0 +1,61 @@
+"""`momapos scene scan`: render a scan of a scene."""
+
+from __future__ import annotations
+
+import json as json_format
+import sys
+from pathlib import Path
+
+from momapos.cli.console import progress
+from momapos.perception.recording import refuse_used, synthetic_scan, write_scan
+from momapos.perception.sensor import DepthSensor
+from momapos.scene.files import load_scene
+
+SOLVED = 0
+
+
+def scene_scan(
+    scene: str,
+    /,
+    *,
+    out: Path,
+    frames: int = 60,
+    seed: int = 0,
+    noise: bool = True,
+    tilt: bool = False,
+    json: bool = False,
+) -> int:
+    """Render a scan of a scene: posed colour and depth pictures, and the truth beside them.
+
+    Args:
+        scene: Name of a built-in kitchen, or a file (momapos scene, BestMan list, URDF).
+        out: A new folder for the frames (layout of 7-Scenes) and truth.json.
+        frames: Number of pictures.
+        seed: The same scene and seed give the same scan.
+        noise: Make the pictures and poses as imperfect as those of a RealSense D435.
+        tilt: Turn the world of the scan at random, so that its z axis is not up.
+        json: Print one JSON object instead of text.
+    """
+    refuse_used(out)
+    loaded = load_scene(scene)
+    sensor = DepthSensor() if noise else None
+    scan = synthetic_scan(loaded, frames=frames, seed=seed, sensor=sensor, tilt=tilt)
+    with progress("rendering") as report:
+        write_scan(scan, out, report)
+    if json:
+        facts = {
+            "scene": str(loaded.path),
+            "out": str(out),
+            "frames": frames,
+            "seed": seed,
+            "noise": noise,
+            "tilt": tilt,
+            "objects": len(loaded.objects),
+            "warnings": list(loaded.warnings),
+        }
+        print(json_format.dumps(facts, indent=1))
+        return SOLVED
+    for text in loaded.warnings:
+        print(f"note: {text}", file=sys.stderr)
+    print(f"{out}: {frames} frames of {len(loaded.objects)} objects, and truth.json")
+    return SOLVED

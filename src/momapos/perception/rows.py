@@ -1,0 +1,180 @@
+"""A row of cabinets and appliances, divided by its fronts.
+
+Points alone cannot tell where one cabinet ends: fronts lie in one plane and the gaps between them
+are thinner than a depth camera sees. The pictures show the doors, and where no door crosses, a
+row can be cut.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Float
+
+from momapos.geometry.transforms import apply
+from momapos.perception.detections import overlap, projection
+from momapos.perception.faces import Face, box_faces, face_image, shown
+from momapos.perception.views import Look, ViewConfig
+from momapos.types import Frame, Part, UprightBox
+
+
+@dataclass(frozen=True)
+class RowConfig:
+    """How a row is divided."""
+
+    least_width: float = 0.95
+    """Boxes narrower than this are one thing [m]."""
+    window: float = 1.5
+    """Width of what is looked at in one go, in heights of the row [-]."""
+    margin: float = 0.03
+    """Parts that end this near to a window's end may go on beyond it [m]."""
+    same: float = 0.4
+    """Parts in two windows that overlap this much (IoU) are one [-]."""
+    least_piece: float = 0.2
+    """A stretch without parts that is narrower than this belongs to its neighbour [m]."""
+    frames: int = 4
+    """Pictures merged to what is looked at [-]."""
+
+
+def split_row(
+    box: UprightBox,
+    frames: Sequence[Frame],
+    look: Look,
+    config: RowConfig,
+    view: ViewConfig,
+) -> list[UprightBox]:
+    """Divide a box between its fronts, seen on its longer faces.
+
+    Returns:
+        The pieces from left to right as seen from the front; the box itself where no fronts are
+        seen or they are one thing.
+    """
+    best: tuple[float, Face, list[Part]] | None = None
+    for face in box_faces(box):
+        if face.width < config.least_width:
+            continue
+        parts = _parts_on(face, frames, look, config, view)
+        score = sum(part.score for part in parts)
+        if parts and (best is None or score > best[0]):
+            best = score, face, parts
+    if best is None:
+        return [box]
+    _, face, parts = best
+    cuts = _cuts(parts, face.width, config)
+    return _pieces(box, face, cuts) if cuts else [box]
+
+
+def _parts_on(
+    face: Face, frames: Sequence[Frame], look: Look, config: RowConfig, view: ViewConfig
+) -> list[Part]:
+    """Parts of a long face, in fractions of it, found in overlapping windows."""
+    wide = min(face.width, max(config.window * face.height, config.least_width))
+    count = max(1, int(np.ceil(2 * (face.width - wide) / wide)) + 1)
+    found: list[Part] = []
+    for left in np.linspace(0.0, face.width - wide, count):
+        window = _window(face, float(left), wide)
+        chosen = _frames_for(window, frames, config, view)
+        if not chosen:
+            continue
+        front = look(face_image(window, chosen))
+        if front.score >= view.least:
+            found += _inside(front.parts, float(left), wide, face.width, config)
+    return _without_doubles(found, config)
+
+
+def _window(face: Face, left: float, wide: float) -> Face:
+    """A stretch of a face, from `left` [m] on."""
+    T = face.T_world_face.copy()
+    offset = left + wide / 2 - face.width / 2
+    T[:3, 3] = apply(face.T_world_face, np.array([[offset, 0.0, 0.0]]))[0]
+    return replace(face, T_world_face=T, width=wide)
+
+
+def _frames_for(
+    face: Face, frames: Sequence[Frame], config: RowConfig, view: ViewConfig
+) -> list[Frame]:
+    """Pictures that show a window, the best first."""
+    thin = UprightBox(
+        face.T_world_face[:3, 3],
+        np.array([0.02, face.width, face.height]),
+        float(np.arctan2(face.outward[1], face.outward[0])),
+    )
+    candidates = [frame for frame in frames if projection(thin, frame) is not None]
+    eyes = np.array([f.T_world_camera[:3, 3] for f in candidates]).reshape(-1, 3)
+    lines = eyes - face.T_world_face[:3, 3]
+    cosines = lines @ face.outward / np.maximum(np.linalg.norm(lines, axis=1), 1e-9)
+    order = np.argsort(-cosines, kind="stable")
+    order = order[cosines[order] > np.cos(np.radians(view.frontal))][: view.looked_at]
+    parts = np.array([shown(face, candidates[i]) for i in order])
+    best = np.argsort(-parts, kind="stable")[: config.frames]
+    return [candidates[order[i]] for i in best if parts[i] >= view.shown]
+
+
+def _inside(
+    parts: Sequence[Part], left: float, wide: float, width: float, config: RowConfig
+) -> list[Part]:
+    """Parts that end within a window, in fractions of the whole face."""
+    kept = []
+    for part in parts:
+        a, b = left + part.box[0] * wide, left + part.box[2] * wide
+        cut_left = part.box[0] * wide < config.margin and left > config.margin
+        cut_right = (1 - part.box[2]) * wide < config.margin and left + wide < width - config.margin
+        if not (cut_left or cut_right):
+            kept.append(replace(part, box=(a / width, part.box[1], b / width, part.box[3])))
+    return kept
+
+
+def _without_doubles(parts: Sequence[Part], config: RowConfig) -> list[Part]:
+    """The surest of parts that two windows saw."""
+    kept: list[Part] = []
+    for part in sorted(parts, key=lambda p: -p.score):
+        if all(overlap(part.box, other.box) < config.same for other in kept):
+            kept.append(part)
+    return kept
+
+
+def _cuts(parts: Sequence[Part], width: float, config: RowConfig) -> list[float]:
+    """Where to cut, from the left [m]."""
+    spans = sorted((part.box[0] * width, part.box[2] * width) for part in parts)
+    spans += [
+        (a.box[0] * width, b.box[2] * width) for a in parts for b in parts if _pair(a, b, width)
+    ]
+    columns: list[list[float]] = []
+    for left, right in sorted(spans):
+        if columns and left < columns[-1][1] - config.margin:
+            columns[-1][1] = max(columns[-1][1], right)
+        else:
+            columns.append([left, right])
+    edges: list[float] = []
+    ends = [0.0, *(v for column in columns for v in column), width]
+    for right, left in zip(ends[0::2], ends[1::2], strict=True):
+        gap = left - right
+        if gap >= config.least_piece:
+            edges += [right, left]
+        else:
+            edges.append((left + right) / 2 if right > 0.0 and left < width else 0.0)
+    least = config.least_piece / 2
+    return [e for e in sorted(set(edges)) if least < e < width - least]
+
+
+def _pair(a: Part, b: Part, width: float) -> bool:
+    """Whether two doors are the wings of one cupboard: they meet where their handles are."""
+    gap = (b.box[0] - a.box[2]) * width
+    level = abs(a.box[1] - b.box[1]) < 0.05 and abs(a.box[3] - b.box[3]) < 0.05
+    return a.kind == "door_left" and b.kind == "door_right" and abs(gap) < 0.04 and level
+
+
+def _pieces(box: UprightBox, face: Face, cuts: Sequence[float]) -> list[UprightBox]:
+    edges: Float[np.ndarray, " k"] = np.array([0.0, *cuts, face.width])
+    along = face.T_world_face[:3, 0]
+    axis = 1 if face.index % 2 == 0 else 0
+    pieces = []
+    for left, right in pairwise(edges):
+        size = box.size.copy()
+        size[axis] = right - left
+        middle = box.center + along * ((left + right) / 2 - face.width / 2)
+        pieces.append(UprightBox(middle, size, box.yaw))
+    return pieces

@@ -1,0 +1,146 @@
+"""Which face of an object is its front, and which picture shows it best."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from momapos.perception.detections import Sight
+from momapos.perception.faces import FACES, Face, box_faces, face_image, shown
+from momapos.types import FaceImage, Frame, Front, UprightBox
+
+Look = Callable[[FaceImage], Front]
+"""Says what is on a face, and whether it is a front."""
+
+
+@dataclass(frozen=True)
+class ViewConfig:
+    """How the front of an object is chosen."""
+
+    method: Literal["voting", "first"] = "voting"
+    """Votes of all pictures for each face, or the first picture that passes, as in the paper."""
+    frontal: float = 30.0
+    """Pictures taken farther than this from a face's normal say nothing about it [deg]."""
+    least: float = 0.5
+    """A face is a front from this probability on [-]."""
+    shown: float = 0.55
+    """Part of a face that a picture must show [-]."""
+    votes: int = 2
+    """Pictures that vote for a face [-]."""
+    merged: int = 6
+    """Pictures whose depth is merged to the relief of a face [-]."""
+    looked_at: int = 16
+    """Pictures of a face that are looked at, the most promising first [-]."""
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """The front of an object, as the best picture shows it."""
+
+    face: Face
+    frame: int
+    """Index of the picture that was chosen."""
+    angle: float
+    """Between the line of sight and the face's normal [rad]."""
+    image: FaceImage
+    front: Front
+    evidence: tuple[float, ...]
+    """Mean probability of each face; NaN for faces that no picture shows."""
+
+
+def choose_view(
+    box: UprightBox,
+    frames: Sequence[Frame],
+    seen: Sequence[Sight],
+    look: Look,
+    config: ViewConfig,
+) -> View | None:
+    """Find the front of a box (MoMa-Pos, III-B).
+
+    The paper takes the most central picture that a classifier calls frontal. Where poses are
+    known, every picture votes for the face that it shows; one picture's error is outvoted.
+
+    Args:
+        box: The object.
+        frames: All pictures.
+        seen: Those that show it, most central first.
+        look: What is on a face.
+        config: How to choose.
+
+    Returns:
+        None where no picture shows a front.
+    """
+    choose = _first if config.method == "first" else _voting
+    return choose(box, frames, seen, look, config)
+
+
+def _first(
+    box: UprightBox, frames: Sequence[Frame], seen: Sequence[Sight], look: Look, config: ViewConfig
+) -> View | None:
+    faces = box_faces(box)
+    for sight in seen:
+        cosines = np.array([_cosines(face, [frames[sight.frame]])[0] for face in faces])
+        face = faces[int(np.argmax(cosines))]
+        if cosines.max() < np.cos(np.radians(config.frontal)):
+            continue
+        frame = frames[sight.frame]
+        if shown(face, frame) < config.shown:
+            continue
+        image = face_image(face, [frame])
+        front = look(image)
+        if front.score >= config.least:
+            angle = float(np.arccos(min(1.0, cosines.max())))
+            return View(face, sight.frame, angle, image, front, ())
+    return None
+
+
+def _voting(
+    box: UprightBox, frames: Sequence[Frame], seen: Sequence[Sight], look: Look, config: ViewConfig
+) -> View | None:
+    indices = np.array([sight.frame for sight in seen], int)
+    if not len(indices):
+        return None
+    evidence = [float("nan")] * FACES
+    best: tuple[float, Face, list[int]] | None = None
+    for face in box_faces(box):
+        order = _showing(face, frames, indices, config)
+        if not order:
+            continue
+        votes = [look(face_image(face, [frames[i]])).score for i in order[: config.votes]]
+        score = float(np.mean(votes))
+        evidence[face.index] = score
+        if best is None or score > best[0]:
+            best = score, face, order
+    if best is None or best[0] < config.least:
+        return None
+    _, face, order = best
+    image = face_image(face, [frames[i] for i in order[: config.merged]])
+    angle = float(np.arccos(min(1.0, _cosines(face, [frames[order[0]]])[0])))
+    return View(face, order[0], angle, image, look(image), tuple(evidence))
+
+
+def _showing(
+    face: Face, frames: Sequence[Frame], indices: np.ndarray, config: ViewConfig
+) -> list[int]:
+    """Frames that show a face well enough, the best first."""
+    cosines = _cosines(face, [frames[i] for i in indices])
+    good = np.flatnonzero(cosines >= np.cos(np.radians(config.frontal)))
+    good = good[np.argsort(-cosines[good], kind="stable")][: config.looked_at]
+    parts = np.array([shown(face, frames[indices[i]]) for i in good])
+    if not len(good):
+        return []
+    # What is seen matters more than the angle, which rectifying makes good.
+    quality = np.where(parts >= config.shown, parts**2 * cosines[good] ** 2, -1.0)
+    order = np.argsort(-quality, kind="stable")
+    return [int(indices[good[i]]) for i in order if quality[i] > 0]
+
+
+def _cosines(face: Face, frames: Sequence[Frame]) -> Float[np.ndarray, " n"]:
+    """Cosine of the angle between the face's normal and the line to each camera."""
+    eyes = np.array([frame.T_world_camera[:3, 3] for frame in frames])
+    lines = eyes - face.T_world_face[:3, 3]
+    return lines @ face.outward / np.linalg.norm(lines, axis=1)

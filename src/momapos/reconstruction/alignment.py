@@ -1,0 +1,318 @@
+"""From parts seen on a face, as fractions of it, to parts in metres that fit each other.
+
+Frame of a face: its origin is the lower left corner as seen from the front, x right, z up.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from momapos.errors import InputError
+from momapos.types import FaceImage, Part, PartKind
+
+_FEWEST = 12
+"""Measured pixels that a median needs [-]."""
+
+
+@dataclass(frozen=True)
+class AlignmentConfig:
+    """How parts are fitted onto a face."""
+
+    grid: int | None = None
+    """Steps across the face that parts start and end at, 12 as in URDFormer; None: anywhere."""
+    seam: float = 0.015
+    """Edges nearer to each other, or to the rim of the face, become one [m]."""
+    same: float = 0.5
+    """Of two parts that share this much of the smaller one, the less certain is left out [-]."""
+    least_side: float = 0.08
+    """A door of less width or height, or a drawer of less width, is left out [m]."""
+    least_drawer: float = 0.05
+    """A drawer of less height is left out [m]."""
+    most_relief: float = 0.06
+    """The front of a part lies this far before or behind the face at most [m]."""
+    thickness: tuple[float, float] = (0.008, 0.035)
+    """Least and greatest thickness of a handle, so that a gripper can hold it [m]."""
+    handle_out: float = 0.04
+    """How far a handle stands out where that was not measured [m]."""
+    handle_relief: tuple[float, float] = (0.015, 0.09)
+    """What is measured below the first counts as not measured, the second is the most [m]."""
+
+
+@dataclass(frozen=True)
+class Area:
+    """An upright rectangle in the frame of a face [m]."""
+
+    left: float
+    bottom: float
+    right: float
+    top: float
+
+    @property
+    def width(self) -> float:
+        """Size along x [m]."""
+        return self.right - self.left
+
+    @property
+    def height(self) -> float:
+        """Size along z [m]."""
+        return self.top - self.bottom
+
+    def within(self, other: Area, margin: float = 0.0) -> Area | None:
+        """What of it lies inside another and off its edges by a margin [m]; None if nothing."""
+        low_x, low_z = other.left + margin, other.bottom + margin
+        high_x, high_z = other.right - margin, other.top - margin
+        area = Area(
+            max(self.left, low_x),
+            max(self.bottom, low_z),
+            min(self.right, high_x),
+            min(self.top, high_z),
+        )
+        return area if area.width > 0 and area.height > 0 else None
+
+
+@dataclass(frozen=True)
+class AlignedHandle:
+    """A handle on a part."""
+
+    area: Area
+    out: float
+    """How far its front stands out of the part's [m]."""
+
+
+@dataclass(frozen=True)
+class AlignedPart:
+    """A door or drawer with its place on a face."""
+
+    kind: PartKind
+    area: Area
+    out: float
+    """How far its front stands out of the face's plane [m]."""
+    handle: AlignedHandle | None
+
+
+def align(
+    face: FaceImage, parts: Sequence[Part], config: AlignmentConfig | None = None
+) -> tuple[AlignedPart, ...]:
+    """Fit the parts that were seen on a face onto it and to each other.
+
+    No two parts overlap, edges that nearly meet do, and every handle lies on its part.
+
+    Args:
+        face: The face, with its size and relief.
+        parts: What was seen on it.
+        config: How to fit.
+
+    Returns:
+        The parts, top to bottom and left to right; what is too small or seen twice is left out.
+
+    Raises:
+        InputError: A rectangle is not finite.
+    """
+    config = config or AlignmentConfig()
+    for index, part in enumerate(parts):
+        if not np.isfinite([*part.box, *(part.handle or ())]).all():
+            raise InputError(f"part {index} of the front ({part.kind}) has a box of {part.box}")
+    if config.grid is not None:
+        parts = [_snapped(part, config.grid) for part in parts]
+    seen = sorted(parts, key=lambda part: -part.score)
+    areas = _joined(_separated([area_of(part.box, face) for part in seen], config), face, config)
+    aligned = [
+        _aligned(face, part, area, config)
+        for part, area in zip(seen, areas, strict=True)
+        if area is not None and not _too_small(part.kind, area, config)
+    ]
+    return tuple(sorted(aligned, key=lambda part: (-part.area.top, part.area.left)))
+
+
+def area_of(box: tuple[float, float, float, float], face: FaceImage) -> Area:
+    """The part of a face that (left, top, right, bottom) as fractions of it name."""
+    left, top, right, bottom = np.clip(box, 0.0, 1.0).tolist()
+    (left, right), (top, bottom) = sorted((left, right)), sorted((top, bottom))
+    w, h = face.width, face.height
+    return Area(left * w, (1 - bottom) * h, right * w, (1 - top) * h)
+
+
+def relief_in(face: FaceImage, area: Area, without: Area | None = None) -> Float[np.ndarray, " k"]:
+    """The measured relief [m] inside an area, but for what lies in another."""
+    rows, columns = _pixels(face, area)
+    relief = np.array(face.relief[rows, columns], float)
+    if without is not None:
+        inner_rows, inner_columns = _pixels(face, without)
+        r, c = rows.start, columns.start
+        relief[
+            max(inner_rows.start - r, 0) : max(inner_rows.stop - r, 0),
+            max(inner_columns.start - c, 0) : max(inner_columns.stop - c, 0),
+        ] = np.nan
+    return relief[np.isfinite(relief)]
+
+
+def front_of(face: FaceImage, area: Area, most: float, without: Area | None = None) -> float:
+    """How far a surface stands out of the face, at most `most` [m] either way; 0 if not known."""
+    relief = relief_in(face, area, without)
+    return float(np.clip(np.median(relief), -most, most)) if len(relief) >= _FEWEST else 0.0
+
+
+def _pixels(face: FaceImage, area: Area) -> tuple[slice, slice]:
+    """Rows and columns of an area; a pixel belongs to it when its centre does."""
+    h, w = face.relief.shape
+    x = np.array([area.left, area.right]) / face.width * w
+    y = (1 - np.array([area.top, area.bottom]) / face.height) * h
+    (left, right), (top, bottom) = (
+        np.clip(np.round(v), 0, None).astype(int).tolist() for v in (x, y)
+    )
+    return slice(top, bottom), slice(left, right)
+
+
+# ----------------------------------------------------------------------------- parts to each other
+
+
+def _snapped(part: Part, steps: int) -> Part:
+    """Start and end a part on a grid; it is one step long at least and takes its handle along."""
+    old = np.array(part.box).reshape(2, 2)  # (start or end, x or y)
+    new = np.round(old * steps)
+    new[0] = np.minimum(new[0], steps - 1)
+    new[1] = np.maximum(new[1], new[0] + 1)
+    new /= steps
+    handle = None
+    if part.handle is not None:
+        share = (np.array(part.handle).reshape(2, 2) - old[0]) / np.maximum(old[1] - old[0], 1e-9)
+        handle = tuple((new[0] + share * (new[1] - new[0])).ravel().tolist())
+    return replace(part, box=tuple(new.ravel().tolist()), handle=handle)
+
+
+def _separated(areas: Sequence[Area], config: AlignmentConfig) -> list[Area | None]:
+    """Cut overlapping areas at the middle of their overlap; None for one that is seen twice.
+
+    Args:
+        areas: The most certain first.
+        config: When two are the same.
+    """
+    kept: list[Area | None] = []
+    for area in areas:
+        shared = [0.0 if a is None else _overlap(a, area) for a in kept]
+        if max(shared, default=0.0) > config.same:
+            kept.append(None)
+            continue
+        for index, other in enumerate(kept):
+            if other is not None and area.within(other) is not None:
+                kept[index], area = _cut(other, area)
+        kept.append(area)
+    return kept
+
+
+def _overlap(a: Area, b: Area) -> float:
+    """The part of the smaller area that lies in the other [-]."""
+    both = a.within(b)
+    least = min(a.width * a.height, b.width * b.height)
+    return 0.0 if both is None or least <= 0 else both.width * both.height / least
+
+
+def _cut(a: Area, b: Area) -> tuple[Area, Area]:
+    """Divide what two areas share between them, across the way in which they overlap less."""
+    both = a.within(b)
+    assert both is not None
+    if both.width / min(a.width, b.width) < both.height / min(a.height, b.height):
+        middle = (both.left + both.right) / 2
+        if a.left + a.right <= b.left + b.right:
+            return replace(a, right=middle), replace(b, left=middle)
+        return replace(a, left=middle), replace(b, right=middle)
+    middle = (both.bottom + both.top) / 2
+    if a.bottom + a.top <= b.bottom + b.top:
+        return replace(a, top=middle), replace(b, bottom=middle)
+    return replace(a, bottom=middle), replace(b, top=middle)
+
+
+def _joined(
+    areas: Sequence[Area | None], face: FaceImage, config: AlignmentConfig
+) -> list[Area | None]:
+    """Make edges one that are nearly equal; the order of edges stays, so nothing overlaps anew."""
+    there = [area for area in areas if area is not None]
+    x = np.array([[a.left, a.right] for a in there]).ravel()
+    z = np.array([[a.bottom, a.top] for a in there]).ravel()
+    x, z = _seams(x, face.width, config.seam), _seams(z, face.height, config.seam)
+    joined = iter(np.column_stack([x[::2], z[::2], x[1::2], z[1::2]]).tolist())
+    return [None if area is None else Area(*next(joined)) for area in areas]
+
+
+def _seams(edges: Float[np.ndarray, " n"], size: float, near: float) -> Float[np.ndarray, " n"]:
+    """Move edges [m] to the mean of those near them, or to the rim at 0 or `size` [m].
+
+    No group spans more than `near`, so a chain of edges cannot pull a part together.
+    """
+    out = edges.copy()
+    rim = np.where(edges < near, 0.0, np.where(edges > size - near, size, np.nan))
+    out[np.isfinite(rim)] = rim[np.isfinite(rim)]
+    order = np.argsort(edges, kind="stable")
+    order = order[np.isnan(rim[order])]
+    while len(order):
+        group = edges[order] <= edges[order[0]] + near
+        out[order[group]] = edges[order[group]].mean()
+        order = order[~group]
+    return out
+
+
+def _too_small(kind: PartKind, area: Area, config: AlignmentConfig) -> bool:
+    least = config.least_drawer if kind == "drawer" else config.least_side
+    return area.width < config.least_side or area.height < least
+
+
+# ----------------------------------------------------------------------------------- part by part
+
+
+def _aligned(face: FaceImage, part: Part, area: Area, config: AlignmentConfig) -> AlignedPart:
+    """Measure how far a part and its handle stand out."""
+    seen = None if part.handle is None else area_of(part.handle, face)
+    out = front_of(face, area, config.most_relief, without=seen)
+    handle = None if seen is None else _handle(face, area, seen, config)
+    return AlignedPart(part.kind, area, out, handle)
+
+
+def _handle(
+    face: FaceImage, part: Area, seen: Area, config: AlignmentConfig
+) -> AlignedHandle | None:
+    """Give a handle a size that can be held; None where what was seen is not on the part."""
+    thinnest, thickest = config.thickness
+    room = min(part.width, part.height) / 4
+    inside = seen.within(part)
+    if inside is None:
+        return None
+    width, height = inside.width, inside.height
+    if width <= height:
+        width = float(np.clip(width, thinnest, thickest))
+        height = max(height, width)
+    else:
+        height = float(np.clip(height, thinnest, thickest))
+    margin = min(thinnest, room)  # off the edges, or it would scrape along what is beside it
+    x, z = (inside.left + inside.right) / 2, (inside.bottom + inside.top) / 2
+    left, right = _placed(x, width, part.left + margin, part.right - margin)
+    bottom, top = _placed(z, height, part.bottom + margin, part.top - margin)
+    out = _standing_out(face, part, inside, config)
+    return AlignedHandle(Area(left, bottom, right, top), out)
+
+
+def _placed(middle: float, size: float, low: float, high: float) -> tuple[float, float]:
+    """Start and end of a span of some size about a middle, moved and cut to stay within limits."""
+    size = min(size, high - low)
+    start = float(np.clip(middle - size / 2, low, high - size))
+    return start, start + size
+
+
+def _standing_out(face: FaceImage, part: Area, handle: Area, config: AlignmentConfig) -> float:
+    """How far a handle stands out of what is around it [m].
+
+    A handle's rectangle holds some of the part behind it, so its upper quartile is taken.
+    """
+    side = 0.02 + max(min(handle.width, handle.height), 0.0)
+    around = Area(handle.left - side, handle.bottom - side, handle.right + side, handle.top + side)
+    ring = around.within(part)
+    assert ring is not None
+    inside, beside = relief_in(face, handle), relief_in(face, ring, without=handle)
+    least, most = config.handle_relief
+    if min(len(inside), len(beside)) < _FEWEST:
+        return config.handle_out
+    out = float(np.percentile(inside, 75) - np.median(beside))
+    return config.handle_out if out < least else min(out, most)

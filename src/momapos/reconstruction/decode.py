@@ -1,0 +1,165 @@
+"""From a face to what the networks of `network.py` see, and from what they say to parts.
+
+All boxes are (left, top, right, bottom) as fractions of the face, y down.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float, Float32, Int
+
+from momapos.types import FaceImage, Part, PartKind
+
+KINDS: tuple[PartKind, ...] = ("door_left", "door_right", "door_down", "door_up", "drawer")
+FACE_PIXELS = 192
+"""Side of the square that the first network looks at [px]."""
+PART_PIXELS = 128
+"""Side of the square that the second network looks at [px]."""
+PART_MARGIN = 0.15
+"""How much of its surroundings a crop shows on each side of a part, as a fraction of its side."""
+RELIEF_RANGE = 0.08
+"""Relief beyond this is clipped [m]; handles and doors stand out by less."""
+
+
+def planes(face: FaceImage) -> Float32[np.ndarray, "h w 5"]:
+    """Stack colour, relief and whether it was measured, each in about [-2, 2]."""
+    colour = (face.colour.astype(np.float32) - 127.5) / 64.0
+    known = np.isfinite(face.relief)
+    relief = np.where(known, np.clip(face.relief, -RELIEF_RANGE, RELIEF_RANGE), 0.0) / RELIEF_RANGE
+    stack = np.concatenate((colour, relief[..., None], known[..., None]), axis=-1)
+    return stack.astype(np.float32)
+
+
+def resample(
+    stack: Float32[np.ndarray, "h w c"], box: Float[np.ndarray, "4"], side: int
+) -> Float32[np.ndarray, "c side side"]:
+    """Cut a box out of a picture and resize it to a square, averaging where it shrinks.
+
+    What lies outside of the picture repeats its border.
+    """
+    rows, weights_y = _taps(stack.shape[0], box[1], box[3], side)
+    columns, weights_x = _taps(stack.shape[1], box[0], box[2], side)
+    cut = stack[rows, columns].transpose(2, 0, 1)
+    return np.ascontiguousarray(weights_y @ cut @ weights_x.T)
+
+
+def _taps(
+    length: int, low: float, high: float, count: int
+) -> tuple[slice, Float32[np.ndarray, "count taps"]]:
+    """Weights of a triangle filter that samples [low, high] of a line of pixels."""
+    step = max((high - low) * length / count, 1e-6)
+    centres = low * length + (np.arange(count) + 0.5) * step - 0.5
+    centres = np.clip(centres, 0.0, length - 1.0)
+    reach = max(step, 1.0)
+    first = int(np.clip(np.floor(centres[0] - reach), 0, length - 1))
+    last = int(np.clip(np.ceil(centres[-1] + reach), first, length - 1))
+    away = np.abs(np.arange(first, last + 1) - centres[:, None]) / reach
+    weights = np.maximum(1.0 - away, 0.0)
+    weights /= weights.sum(axis=1, keepdims=True)
+    return slice(first, last + 1), weights.astype(np.float32)
+
+
+def widened(boxes: Float[np.ndarray, "n 4"], margin: float) -> Float[np.ndarray, "n 4"]:
+    """Boxes with a margin on each side, as a fraction of their sides."""
+    size = boxes[:, 2:] - boxes[:, :2]
+    return np.concatenate((boxes[:, :2] - margin * size, boxes[:, 2:] + margin * size), axis=1)
+
+
+def peaks(
+    heat: Float[np.ndarray, "k m m"],
+    reach: Float[np.ndarray, "4 m m"],
+    floor: float,
+    most: int,
+) -> tuple[Float[np.ndarray, "n 4"], Float[np.ndarray, "n k"]]:
+    """Proposals of the first network, best first.
+
+    Args:
+        heat: Probability that a cell is the centre of a part, by kind.
+        reach: Distance from a cell's centre to the left, top, right and bottom edge of its part.
+        floor: Cells below this are no centre.
+        most: How many to keep.
+
+    Returns:
+        Boxes, and the heat of each kind at their centre.
+    """
+    best = heat.max(axis=0)
+    padded = np.pad(best, 1)
+    side = best.shape[0]
+    around = np.lib.stride_tricks.sliding_window_view(padded, (3, 3)).max(axis=(2, 3))
+    row, column = np.nonzero((best >= around) & (best > floor))
+    order = np.argsort(-best[row, column], kind="stable")[:most]
+    row, column = row[order], column[order]
+    centre = np.stack((column, row), axis=1) / side + 0.5 / side
+    edges = reach[:, row, column].T
+    boxes = np.concatenate((centre - edges[:, :2], centre + edges[:, 2:]), axis=1)
+    boxes = np.clip(boxes, 0.0, 1.0)
+    sound = (boxes[:, 2:] - boxes[:, :2] > 0.01).all(axis=1)
+    return boxes[sound], heat[:, row, column].T[sound]
+
+
+def overlaps(
+    a: Float[np.ndarray, "n 4"], b: Float[np.ndarray, "m 4"]
+) -> tuple[Float[np.ndarray, "n m"], Float[np.ndarray, "n m"]]:
+    """Intersection of all pairs over their union, and over the smaller of the two."""
+    low = np.maximum(a[:, None, :2], b[None, :, :2])
+    high = np.minimum(a[:, None, 2:], b[None, :, 2:])
+    common = np.clip(high - low, 0.0, None).prod(axis=-1)
+    area_a = (a[:, 2:] - a[:, :2]).prod(axis=-1)[:, None]
+    area_b = (b[:, 2:] - b[:, :2]).prod(axis=-1)[None, :]
+    union = np.maximum(area_a + area_b - common, 1e-12)
+    return common / union, common / np.maximum(np.minimum(area_a, area_b), 1e-12)
+
+
+def distinct(
+    boxes: Float[np.ndarray, "n 4"], scores: Float[np.ndarray, " n"], limit: float, *, nested: bool
+) -> Int[np.ndarray, " m"]:
+    """Keep the best of boxes that overlap.
+
+    Args:
+        boxes: What was found.
+        scores: How sure each is.
+        limit: Share of common area from which on the weaker of two goes.
+        nested: Measure the share by the smaller of the two, not by their union, so that a panel
+            within a door counts as the same.
+
+    Returns:
+        Indices of those to keep, best first.
+    """
+    common = overlaps(boxes, boxes)[1 if nested else 0]
+    kept: list[int] = []
+    for i in np.argsort(-scores, kind="stable"):
+        if not kept or common[i, kept].max() < limit:
+            kept.append(int(i))
+    return np.array(kept, dtype=int)
+
+
+def handle_box(
+    heat: Float[np.ndarray, "m m"], reach: Float[np.ndarray, "4 m m"]
+) -> Float[np.ndarray, "4"]:
+    """The handle in a crop, as fractions of the crop: the hottest cell and its distances."""
+    side = heat.shape[0]
+    row, column = np.unravel_index(int(heat.argmax()), heat.shape)
+    centre = (np.array([column, row]) + 0.5) / side
+    edges = reach[:, row, column]
+    return np.concatenate((centre - edges[:2], centre + edges[2:]))
+
+
+def in_face(inner: Float[np.ndarray, "n 4"], outer: Float[np.ndarray, "n 4"]) -> np.ndarray:
+    """Boxes given as fractions of other boxes, as fractions of the face."""
+    size = np.tile(outer[:, 2:] - outer[:, :2], 2)
+    return np.tile(outer[:, :2], 2) + inner * size
+
+
+def part(
+    kind: int, box: Float[np.ndarray, "4"], score: float, handle: Float[np.ndarray, "4"] | None
+) -> Part:
+    """A part, kept within the face, and its handle, kept within the part."""
+    box = np.clip(box, 0.0, 1.0)
+    held = None
+    if handle is not None:
+        low = np.clip(handle[:2], box[:2], box[2:])
+        high = np.clip(handle[2:], box[:2], box[2:])
+        if (high > low).all():
+            held = (float(low[0]), float(low[1]), float(high[0]), float(high[1]))
+    left, top, right, bottom = (float(v) for v in box)
+    return Part(KINDS[kind], (left, top, right, bottom), float(score), held)

@@ -1,0 +1,373 @@
+"""A hollow body with doors and drawers, made to fit a box and the parts seen on one side of it.
+
+Frame of a piece: origin in the centre of the box, x right, y to the back, z up, as seen from in
+front of the side with the parts.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+
+import numpy as np
+
+from momapos.errors import InputError
+from momapos.geometry.transforms import wrap_angle
+from momapos.reconstruction.alignment import (
+    AlignedHandle,
+    AlignedPart,
+    AlignmentConfig,
+    Area,
+    align,
+    front_of,
+)
+from momapos.scene.library.furniture import (
+    Box,
+    Motion,
+    Part,
+    Piece,
+    Vec,
+    bar_handle,
+    ending_before_hits,
+    solid,
+    vec,
+)
+from momapos.types import Detection, FaceImage, UprightBox
+from momapos.types import Part as SeenPart
+
+KNOB = 2.0
+"""A handle less elongated than this is a knob, without a gap behind it [-]."""
+MISFIT = 0.02
+"""A face may differ in size from the side of the box that it shows by this [m]."""
+FINGER_GAP = 0.01
+"""Between a bar and the front behind it, where the handle stands out enough [m]."""
+
+
+@dataclass(frozen=True)
+class ModelConfig:
+    """What cannot be seen of furniture."""
+
+    alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
+    """How the parts are fitted onto the face."""
+    panel: float = 0.018
+    """Thickness of the body's walls [m]."""
+    thickness: tuple[float, float] = (0.02, 0.06)
+    """Of a door in the face's plane, and of one that stands proud of it at most [m]."""
+    gap: float = 0.002
+    """Between a moving part and what is beside and behind it [m]."""
+    hinge_depth: float = 0.0
+    """How far behind its front a door's hinge lies, but not beyond its thickness [m]. That holds
+    for hinges at the rim of the face; elsewhere such a door would turn into what is beside it."""
+    turn: float = np.pi / 2
+    """How far doors open [rad]."""
+    travel: float = 0.4
+    """How far drawers open at most [m]."""
+    tray: float = 0.85
+    """Depth of a drawer as a share of the room for it [-]."""
+
+
+@dataclass(frozen=True)
+class _Layers:
+    """Where the layers of a piece lie, along y [m]."""
+
+    face: float
+    """The plane that relief counts from."""
+    opening: float
+    """Front of the walls; doors lie before it."""
+    back: float
+    """Rear of the piece."""
+    wall: float
+    """Thickness of the walls."""
+    shallow: float
+    """What relief and doors are scaled by, so that they fit into the front of a thin box [-]."""
+
+
+def furniture_model(
+    detection: Detection,
+    facing: float,
+    face: FaceImage,
+    parts: Sequence[SeenPart],
+    config: ModelConfig | None = None,
+) -> Piece:
+    """Make the model of one object: its box, hollow, with doors and drawers that open.
+
+    A door turns about the edge of its front, so it stays within its own width as it opens; real
+    hinges lie deeper, mostly by 1 to 2 cm, in fridges by 2 to 8 (`ModelConfig.hinge_depth`). Every
+    joint ends before its part would hit the rest of the piece.
+
+    Args:
+        detection: The object with its box.
+        facing: Yaw of the outward normal of the box's front [rad]; the nearest side is taken.
+        face: That side, seen straight on.
+        parts: The doors and drawers on it.
+        config: What cannot be seen.
+
+    Returns:
+        The piece; its moving parts are named by what they are, top to bottom and left to right:
+        `door` and `drawer` where there is one, else `door_1`, `door_2`. One box without parts.
+
+    Raises:
+        InputError: The face does not have the size of that side of the box.
+    """
+    config = config or ModelConfig()
+    yaw, size = seen_from(detection.box, facing)
+    width, _, height = size
+    if max(abs(face.width - width), abs(face.height - height)) > MISFIT:
+        raise InputError(
+            f"{detection.name}: the face is {face.width:.2f} x {face.height:.2f} m, but that side "
+            f"of its box {width:.2f} x {height:.2f} m; is it another side?"
+        )
+    aligned = align(face, parts, config.alignment)
+    centre = vec(detection.box.center)
+    if not aligned:
+        return solid(detection.name, detection.label, vec(size), centre, yaw)
+    layers = _layers(size, aligned, config)
+    body = Part("body", tuple(_body(face, aligned, layers, config)))
+    moving = [
+        _moving(name, part, face, layers, config)
+        for name, part in zip(_names(aligned), aligned, strict=True)
+    ]
+    piece = Piece(detection.name, detection.label, centre, yaw, (body, *moving))
+    return ending_before_hits(piece, [piece], {"revolute": 0.0, "prismatic": 0.0})
+
+
+def seen_from(box: UprightBox, facing: float) -> tuple[float, tuple[float, float, float]]:
+    """Turn a box so that one of its sides is the front.
+
+    Args:
+        box: The box.
+        facing: Yaw of the outward normal of that side [rad]; the nearest side is taken.
+
+    Returns:
+        Yaw of the piece [rad], whose front is toward its -y, and its width, depth, height [m].
+    """
+    quarter = round((facing - box.yaw) / (np.pi / 2))
+    x, y, z = map(float, box.size)
+    width, depth = (y, x) if quarter % 2 == 0 else (x, y)
+    return float(wrap_angle(box.yaw + (quarter + 1) * np.pi / 2)), (width, depth, z)
+
+
+def _names(parts: Sequence[AlignedPart]) -> list[str]:
+    """Name parts by what they are; they are numbered where there are several of one."""
+    kinds = ["drawer" if part.kind == "drawer" else "door" for part in parts]
+    count, seen = Counter(kinds), Counter[str]()
+    names = []
+    for kind in kinds:
+        seen[kind] += 1
+        names.append(f"{kind}_{seen[kind]}" if count[kind] > 1 else kind)
+    return names
+
+
+# ------------------------------------------------------------------------------ along y: the layers
+
+
+def _layers(
+    size: tuple[float, float, float], parts: Sequence[AlignedPart], config: ModelConfig
+) -> _Layers:
+    """Lay the walls behind the rearmost door."""
+    depth = size[1]
+    front = _Layers(-depth / 2, 0.0, depth / 2, min(config.panel, min(size) / 8), 1.0)
+    rear = max(sum(_slab(part, front, config)) for part in parts) - front.face
+    shallow = min(1.0, depth / 3 / max(rear, 1e-3))
+    return replace(front, opening=front.face + shallow * rear + config.gap, shallow=shallow)
+
+
+def _slab(part: AlignedPart, layers: _Layers, config: ModelConfig) -> tuple[float, float]:
+    """Where the front of a part lies along y, and its thickness [m]."""
+    thickness = float(np.clip(part.out, *config.thickness))
+    return layers.face - part.out * layers.shallow, thickness * layers.shallow
+
+
+# -------------------------------------------------------------------------------------- what stands
+
+
+def _body(
+    face: FaceImage, parts: Sequence[AlignedPart], layers: _Layers, config: ModelConfig
+) -> list[Box]:
+    """Walls around an empty room, a board at each seam, and panels where nothing opens."""
+    w, h, wall = face.width, face.height, layers.wall
+    whole, inside = Area(0.0, 0.0, w, h), _inside(face, layers)
+    shell = {
+        "left": Area(0.0, 0.0, wall, h),
+        "right": Area(w - wall, 0.0, w, h),
+        "bottom": Area(wall, 0.0, w - wall, wall),
+        "top": Area(wall, h - wall, w - wall, h),
+    }
+    rear = layers.back - wall
+    boxes = [_box(name, area, layers.opening, layers.back, face) for name, area in shell.items()]
+    boxes.append(_box("back", inside, rear, layers.back, face))
+    areas = [part.area for part in parts]
+    for index, board in enumerate(_boards(areas, inside, wall), start=1):
+        boxes.append(_box(f"divider_{index}", board, layers.opening, rear, face))
+    for index, area in enumerate(_rest(areas, whole), start=1):
+        out = front_of(face, area, config.alignment.most_relief) * layers.shallow
+        front = layers.face - out
+        boxes.append(_box(f"panel_{index}", area, front, max(layers.opening, front + wall), face))
+    return boxes
+
+
+def _inside(face: FaceImage, layers: _Layers) -> Area:
+    """The room between the outer walls, as seen from the front."""
+    wall = layers.wall
+    return Area(wall, wall, face.width - wall, face.height - wall)
+
+
+def _boards(areas: Sequence[Area], inside: Area, wall: float) -> list[Area]:
+    """A board along each edge of an area, one where edges are in line, none in an outer wall."""
+    boards = []
+    upright = [(edge, a.bottom, a.top) for a in areas for edge in (a.left, a.right)]
+    for x, low, high in _in_line(upright):
+        boards.append(Area(x - wall / 2, low, x + wall / 2, high).within(inside))
+    level = [(edge, a.left, a.right) for a in areas for edge in (a.bottom, a.top)]
+    for z, low, high in _in_line(level):
+        boards.append(Area(low, z - wall / 2, high, z + wall / 2).within(inside))
+    return [board for board in boards if board is not None]
+
+
+def _in_line(edges: Sequence[tuple[float, float, float]]) -> list[tuple[float, float, float]]:
+    """Join spans (place, start, end) at one place that overlap or touch [m]."""
+    joined: list[tuple[float, float, float]] = []
+    for place, start, end in sorted(edges):
+        if joined and joined[-1][0] == place and start <= joined[-1][2]:
+            joined[-1] = (place, joined[-1][1], max(end, joined[-1][2]))
+        else:
+            joined.append((place, start, end))
+    return joined
+
+
+def _rest(areas: Sequence[Area], whole: Area) -> list[Area]:
+    """Rectangles that fill what areas leave of the whole; each is as wide as can be."""
+    x = np.unique([whole.left, whole.right, *(v for a in areas for v in (a.left, a.right))])
+    z = np.unique([whole.bottom, whole.top, *(v for a in areas for v in (a.bottom, a.top))])
+    free = np.ones((len(z) - 1, len(x) - 1), bool)
+    for a in areas:
+        rows, columns = np.searchsorted(z, (a.bottom, a.top)), np.searchsorted(x, (a.left, a.right))
+        free[rows[0] : rows[1], columns[0] : columns[1]] = False
+    open_rows: dict[tuple[float, float], Area] = {}
+    done: list[Area] = []
+    for row, (bottom, top) in zip(free, pairwise(z.tolist()), strict=True):
+        ends = np.flatnonzero(np.diff(np.r_[False, row, False].astype(int))).reshape(-1, 2)
+        runs = {(float(x[a]), float(x[b])) for a, b in ends}
+        done += [area for run, area in open_rows.items() if run not in runs]
+        open_rows = {
+            run: replace(open_rows[run], top=top)
+            if run in open_rows
+            else Area(run[0], bottom, run[1], top)
+            for run in sorted(runs)
+        }
+    return [*done, *open_rows.values()]
+
+
+# --------------------------------------------------------------------------------------- what moves
+
+
+def _moving(
+    name: str, part: AlignedPart, face: FaceImage, layers: _Layers, config: ModelConfig
+) -> Part:
+    """A door, or a drawer with its tray."""
+    front, thickness = _slab(part, layers, config)
+    area = _leaf(part, thickness, config)
+    boxes = [_box(f"{name}_panel", area, front, front + thickness, face)]
+    if part.kind == "drawer":
+        room = layers.back - layers.wall - layers.opening
+        rear = layers.opening + config.tray * room
+        boxes += _tray(name, part.area, front + thickness, rear, face, layers, config)
+        travel = min(config.travel, config.tray * room)
+        motion = Motion("prismatic", (0.0, 0.0, 0.0), (0.0, -1.0, 0.0), travel)
+    else:
+        motion = _turning(part, boxes[0], face, config)
+    handle = () if part.handle is None else _handle(name, part.handle, front, face)
+    return Part(name, tuple(boxes), motion, handle)
+
+
+def _leaf(part: AlignedPart, thickness: float, config: ModelConfig) -> Area:
+    """The front of a part, with gaps around it.
+
+    The rear edge of a door swings out beyond its width, so the gap opposite the hinge is wider.
+    """
+    area = part.area.within(part.area, config.gap)
+    assert area is not None
+    if part.kind in ("door_left", "door_right"):
+        swing = thickness**2 / (2 * area.width)
+        return (
+            replace(area, right=area.right - swing)
+            if part.kind == "door_left"
+            else replace(area, left=area.left + swing)
+        )
+    swing = thickness**2 / (2 * area.height)
+    if part.kind == "door_down":
+        return replace(area, top=area.top - swing)
+    return replace(area, bottom=area.bottom + swing) if part.kind == "door_up" else area
+
+
+def _turning(part: AlignedPart, panel: Box, face: FaceImage, config: ModelConfig) -> Motion:
+    """The hinge of a door, at the edge of its front; all doors open with a positive angle."""
+    (left, front, bottom), (right, rear, top) = panel.low, panel.high
+    at_rim = {
+        "door_left": part.area.left <= 0.0,
+        "door_right": part.area.right >= face.width,
+        "door_down": part.area.bottom <= 0.0,
+        "door_up": part.area.top >= face.height,
+    }
+    y = min(front + config.hinge_depth, rear) if at_rim[part.kind] else front
+    pivots: dict[str, tuple[Vec, Vec]] = {
+        "door_left": ((left, y, 0.0), (0.0, 0.0, -1.0)),
+        "door_right": ((right, y, 0.0), (0.0, 0.0, 1.0)),
+        "door_down": ((0.0, y, bottom), (1.0, 0.0, 0.0)),
+        "door_up": ((0.0, y, top), (-1.0, 0.0, 0.0)),
+    }
+    return Motion("revolute", *pivots[part.kind], config.turn)
+
+
+def _tray(
+    name: str,
+    area: Area,
+    front: float,
+    rear: float,
+    face: FaceImage,
+    layers: _Layers,
+    config: ModelConfig,
+) -> list[Box]:
+    """The box of a drawer, open above, in the room between the boards around it."""
+    inside, room = _inside(face, layers), area.within(area, layers.wall / 2 + config.gap)
+    room = None if room is None else room.within(inside, config.gap)
+    if room is None:
+        return []
+    board = min(0.012, room.width / 4, room.height / 4)
+    sides = {
+        "left": replace(room, right=room.left + board),
+        "right": replace(room, left=room.right - board),
+        "bottom": replace(room, top=room.bottom + board),
+    }
+    boxes = [_box(f"{name}_{side}", a, front, rear, face) for side, a in sides.items()]
+    return [*boxes, _box(f"{name}_back", room, rear - board, rear, face)]
+
+
+def _handle(name: str, handle: AlignedHandle, front: float, face: FaceImage) -> tuple[Box, ...]:
+    """A bar on posts, or a knob where it is about as long as thick."""
+    area = handle.area
+    thick, length = sorted((area.width, area.height))
+    if length < KNOB * thick:
+        return (_box(f"{name}_handle_knob", area, front - handle.out, front, face),)
+    bar = min(thick, max(handle.out - FINGER_GAP, handle.out / 2))
+    x = (area.left + area.right - face.width) / 2
+    z = (area.bottom + area.top - face.height) / 2
+    return bar_handle(
+        name,
+        x,
+        z,
+        length,
+        upright=area.height > area.width,
+        front=front,
+        bar=bar,
+        stand_off=handle.out - bar,
+    )
+
+
+def _box(name: str, area: Area, front: float, rear: float, face: FaceImage) -> Box:
+    """A box from an area of the face and a span along y [m], in the frame of the piece."""
+    x, z = face.width / 2, face.height / 2
+    low, high = (area.left - x, front, area.bottom - z), (area.right - x, rear, area.top - z)
+    return Box(name, vec(low), vec(high))

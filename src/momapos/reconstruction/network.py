@@ -1,0 +1,128 @@
+"""Finds doors, drawers and handles on a face with two small networks, trained on our own pictures.
+
+The first looks at the whole face and proposes parts; the second looks at each of them again, in
+full resolution, and says where its edges are, how it opens, where its handle is, or that it is
+none. Both were trained on drawn faces only; `training/fronts` holds everything to repeat it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from momapos.errors import InputError, MissingExtraError
+from momapos.reconstruction import decode
+from momapos.types import FaceImage, Front, Part
+
+
+@dataclass(frozen=True)
+class FrontNetworkConfig:
+    """When the networks are believed."""
+
+    proposal: float = 0.06
+    """Heat from which on a cell is looked at again [-]."""
+    most: int = 20
+    """Largest number of proposals that are looked at again [-]."""
+    part: float = 0.5
+    """Probability from which on a proposal is a part [-]."""
+    handle: float = 0.5
+    """Probability from which on a part has a handle [-]."""
+    overlap: float = 0.4
+    """Common area, as a share of the smaller, from which on the weaker of two parts goes [-]."""
+
+
+class FrontNetwork:
+    """An `ArticulationPredictor` that needs no download and no graphics card."""
+
+    def __init__(self, config: FrontNetworkConfig | None = None) -> None:
+        self.config = config or FrontNetworkConfig()
+
+    def __call__(self, face: FaceImage, label: str) -> Front:  # noqa: ARG002
+        """Find the parts of a face.
+
+        Args:
+            face: The face, seen straight on. Relief helps where there is some.
+            label: Class of the object; what is seen counts, so that a wrong label does no harm.
+
+        Returns:
+            Parts, the surest first, disjoint but for a rim, and whether the face is a front.
+
+        Raises:
+            InputError: The picture is empty, or relief and colour differ in size.
+            MissingExtraError: onnxruntime is not installed.
+        """
+        height, width = face.colour.shape[:2]
+        if min(height, width) < 2 or face.relief.shape != (height, width):
+            raise InputError(
+                f"a face of {width} x {height} px with relief of shape {face.relief.shape} cannot "
+                "be looked at; give colour and relief of one size, at least 2 x 2 px"
+            )
+        stack = decode.planes(face)
+        whole = decode.resample(stack, np.array([0.0, 0.0, 1.0, 1.0]), decode.FACE_PIXELS)
+        heat, reach, front = _session("face").run(None, {"face": whole[None]})
+        boxes, kinds = decode.peaks(heat[0], reach[0], self.config.proposal, self.config.most)
+        if len(boxes):
+            kept = decode.distinct(boxes, kinds.max(axis=1), 0.7, nested=False)
+            boxes, kinds = boxes[kept], kinds[kept]
+        return Front(float(front[0]), self._parts(face, stack, boxes, kinds))
+
+    def _parts(
+        self,
+        face: FaceImage,
+        stack: np.ndarray,
+        boxes: Float[np.ndarray, "n 4"],
+        kinds: Float[np.ndarray, "n k"],
+    ) -> tuple[Part, ...]:
+        """Look at each proposal again."""
+        if not len(boxes):
+            return ()
+        outer = decode.widened(boxes, decode.PART_MARGIN)
+        crops = np.stack([decode.resample(stack, box, decode.PART_PIXELS) for box in outer])
+        size = outer[:, 2:] - outer[:, :2]
+        aspect = np.log(size[:, 0] * face.width / (size[:, 1] * face.height))
+        given = {"crop": crops, "aspect": aspect[:, None].astype(np.float32)}
+        sure, edges, held, heat, reach = _session("part").run(None, given)
+        found = decode.in_face(np.asarray(edges, dtype=float), outer)
+        handles = np.stack([decode.handle_box(*pair) for pair in zip(heat, reach, strict=True)])
+        handles = decode.in_face(handles, outer)
+        # The whole face knows the neighbours, the crop knows the handle: both have a say.
+        share = sure[:, :-1] / np.maximum(sure[:, :-1].sum(axis=1, keepdims=True), 1e-9)
+        vote = np.log(share + 1e-3) + 0.5 * np.log(kinds + 1e-3)
+        score = 1.0 - sure[:, -1]
+        good = np.nonzero(score > self.config.part)[0]
+        ranked = score * np.sqrt(kinds.max(axis=1))
+        if not len(good):
+            return ()
+        good = good[decode.distinct(found[good], ranked[good], self.config.overlap, nested=True)]
+        return tuple(
+            decode.part(
+                int(vote[i].argmax()),
+                found[i],
+                float(score[i]),
+                handles[i] if held[i] > self.config.handle else None,
+            )
+            for i in good
+        )
+
+
+@cache
+def _session(name: str) -> Any:
+    """One of the two networks, read once in a process."""
+    try:
+        import onnxruntime
+    except ImportError as missing:
+        raise MissingExtraError(
+            "the front network needs onnxruntime; install momapos[scan]"
+        ) from missing
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = 1
+    options.inter_op_num_threads = 1
+    weights = resources.files("momapos.reconstruction") / "weights" / f"front_{name}.onnx"
+    return onnxruntime.InferenceSession(
+        weights.read_bytes(), options, providers=["CPUExecutionProvider"]
+    )

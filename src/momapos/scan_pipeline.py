@@ -1,0 +1,273 @@
+"""From a scan to a scene that moves, one call a stage (MoMa-Pos, sections III-B and III-C)."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from momapos.config import ScanConfig
+from momapos.errors import InputError
+from momapos.geometry.transforms import apply, pose, rotation_about
+from momapos.importance.rank import rank
+from momapos.kinematics.articulated import Articulated
+from momapos.kinematics.urdf import box_urdf
+from momapos.perception.boxes import boxes, inside, named, wall_detections
+from momapos.perception.detections import PictureBox, sights, vote_label
+from momapos.perception.fusion import fuse
+from momapos.perception.gravity import upright
+from momapos.perception.planes import find_room
+from momapos.perception.rows import split_row
+from momapos.perception.views import View, choose_view
+from momapos.protocols import ArticulationPredictor, Clock, Segmenter
+from momapos.reconstruction.build import GivenModel, build_scene, place_model
+from momapos.reconstruction.model import furniture_model
+from momapos.scene.library.furniture import Piece
+from momapos.scene.scene import Scene, SceneObject
+from momapos.types import Cloud, Detection, FaceImage, Frame, Front, Instance, Part, Scan
+
+Progress = Callable[[str, float], None]
+"""Told what is at work, and the share of the whole that is done."""
+Found = Mapping[str, Sequence[PictureBox]]
+"""What a 2-D detector found, by the frame's name."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tools:
+    """The parts that can be exchanged."""
+
+    segment: Segmenter
+    look: ArticulationPredictor
+    """Tells fronts from other faces, and where a row is to be cut."""
+    predict: ArticulationPredictor
+    """Finds the parts of an object; often the same as `look`."""
+    guess: ArticulationPredictor | None = None
+    """Asked where `predict` sees a front but no parts on it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Decision:
+    """What was decided about one object, and why."""
+
+    detection: Detection
+    importance: float | None
+    """Score against the target; None where no target was named."""
+    view: View | None
+    """Its front; None where it was not looked for, or none was seen."""
+    parts: tuple[Part, ...]
+    source: str
+    """Where the parts are from: "predicted", "guessed", "given"; "" for a box."""
+    reason: str
+    """Why it stays a box; "" where it is modelled."""
+    seconds: float = 0.0
+    model: Piece | SceneObject | None = None
+    """What stands in the scene; None for a box."""
+    warnings: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Modelled:
+    """A scene made from a scan, with all that was decided on the way."""
+
+    scene: Path
+    cloud: Cloud
+    """The room, upright."""
+    frames: tuple[Frame, ...]
+    """The pictures, with poses in the upright world."""
+    T_scene_scan: Float[np.ndarray, "4 4"]
+    decisions: tuple[Decision, ...]
+    timing: Mapping[str, float] = field(default_factory=dict)
+    """Seconds by stage, and "total"."""
+
+
+def scan_to_scene(
+    scan: Scan,
+    out: Path,
+    tools: Tools,
+    *,
+    target: str | None = None,
+    found: Found | None = None,
+    given: Mapping[str, GivenModel] | None = None,
+    config: ScanConfig | None = None,
+    progress: Progress | None = None,
+    clock: Clock = time.perf_counter,
+) -> Modelled:
+    """Make a scene that `place` can use from a scan of a room.
+
+    Args:
+        scan: Posed pictures, a cloud, or both.
+        out: The scene file to write; URDF files go into a folder beside it.
+        tools: Segmenter and predictors.
+        target: Object that the task will be about: only what matters for it is modelled. By
+            default everything is that has a front.
+        found: What a 2-D detector found in the pictures; projected boxes by default.
+        given: URDF files for objects by name or label, which need no prediction.
+        config: How every stage works.
+        progress: Told what goes on.
+        clock: Measures the stages.
+
+    Raises:
+        InputError: The scan holds nothing, or no object has the target's name.
+    """
+    config, progress = config or ScanConfig(), progress or _silent
+    began, marks = clock(), {}
+    progress("fusing", 0.0)
+    cloud = scan.cloud or fuse(scan.frames, config.voxel, config.fusion)
+    marks["fuse"] = clock()
+    progress("finding objects", 0.2)
+    T = upright(cloud, scan.frames, config.gravity)
+    cloud, frames = _turned(cloud, scan.frames, T)
+    room = find_room(cloud, config.room)
+    detections = boxes(cloud, tools.segment(cloud), room, config.boxes)
+    marks["boxes"] = clock()
+    progress("dividing rows", 0.3)
+    instances = divide(detections, cloud, frames, tools.look, config)
+    if len(instances) > len(detections):
+        detections = boxes(cloud, instances, room, config.boxes)
+    if found is not None:
+        detections = [_relabelled(item, frames, found) for item in detections]
+    detections = named(detections)
+    marks["rows"] = clock()
+    if not detections:
+        raise InputError(f"{scan.name}: nothing was found in the scan but floor and walls")
+    scores = importance(detections, target, config)
+    decisions: list[Decision] = []
+    for k, item in enumerate(detections):
+        progress(item.name, 0.4 + 0.6 * k / len(detections))
+        at = clock()
+        decision = _decide(item, scores.get(item.name), frames, tools, found, given or {}, config)
+        decisions.append(replace(decision, seconds=clock() - at))
+    marks["model"] = clock()
+    models = {d.detection.name: d.model for d in decisions if d.model is not None}
+    walls = wall_detections(room, config.boxes)
+    build_scene([*detections, *walls], models, floor_outline(cloud), out)
+    marks["write"] = clock()
+    timing = dict(zip(marks, np.diff([began, *marks.values()]).tolist(), strict=True))
+    timing["total"] = clock() - began
+    return Modelled(out, cloud, frames, T, tuple(decisions), timing)
+
+
+def _silent(what: str, share: float) -> None:
+    del what, share
+
+
+# ----------------------------------------------------------------------------------- what is where
+
+
+def _turned(
+    cloud: Cloud, frames: Sequence[Frame], T: Float[np.ndarray, "4 4"]
+) -> tuple[Cloud, tuple[Frame, ...]]:
+    """Everything in the upright world."""
+    upright_cloud = Cloud(apply(T, cloud.points), cloud.normals @ T[:3, :3].T, cloud.colours)
+    return upright_cloud, tuple(replace(f, T_world_camera=T @ f.T_world_camera) for f in frames)
+
+
+def divide(
+    detections: Sequence[Detection],
+    cloud: Cloud,
+    frames: Sequence[Frame],
+    look: ArticulationPredictor,
+    config: ScanConfig,
+) -> list[Instance]:
+    """Cut rows of furniture between their fronts; the pieces have no label yet."""
+    instances: list[Instance] = []
+    for item in detections:
+
+        def seen(face: FaceImage, label: str = item.label) -> Front:
+            return look(face, label)
+
+        pieces = split_row(item.box, frames, seen, config.rows, config.view)
+        if len(pieces) == 1:
+            instances.append(Instance(item.label, item.score, item.members, item.box))
+            continue
+        for box in pieces:
+            members = item.members[inside(cloud.points[item.members], box)]
+            instances.append(Instance("", 1.0, members, box))
+    return instances
+
+
+def _relabelled(item: Detection, frames: Sequence[Frame], found: Found) -> Detection:
+    """A 2-D detector that was trained on pictures knows better what a thing is."""
+    return replace(item, label=vote_label(item.box, frames, found) or item.label)
+
+
+def floor_outline(cloud: Cloud) -> list[tuple[float, float]]:
+    """The rectangle that was scanned, seen from above [m]."""
+    (x0, y0), (x1, y1) = np.percentile(cloud.points[:, :2], [0.2, 99.8], axis=0).tolist()
+    return [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
+
+
+# ----------------------------------------------------------------------------------- what matters
+
+
+def importance(
+    detections: Sequence[Detection], target: str | None, config: ScanConfig
+) -> dict[str, float]:
+    """Scores of all objects against the target, from their boxes alone; none without a target.
+
+    Raises:
+        UnknownNameError: No object has that name.
+    """
+    if target is None:
+        return {}
+    room = Scene("scan", None, tuple(_boxed(item) for item in detections))
+    ranked = rank(room, target, config.importance)
+    return dict(zip(ranked.names, map(float, ranked.scores), strict=True))
+
+
+def _boxed(item: Detection) -> SceneObject:
+    x, y, z = map(float, item.box.size)
+    model = Articulated(box_urdf(item.name, (x, y, z)))
+    R = rotation_about(np.array([0.0, 0.0, 1.0]), item.box.yaw)
+    return SceneObject(item.name, item.label, pose(item.box.center, R), model)
+
+
+# ------------------------------------------------------------------------------------ how it moves
+
+
+def _decide(
+    item: Detection,
+    score: float | None,
+    frames: Sequence[Frame],
+    tools: Tools,
+    found: Found | None,
+    given: Mapping[str, GivenModel],
+    config: ScanConfig,
+) -> Decision:
+    """Look at one object, and model it if it matters and has a front."""
+    alpha = config.importance.alpha
+    box = Decision(item, score, None, (), "", "")
+    if score is not None and score < alpha:
+        return replace(box, reason=f"importance {score:.2f} is below alpha {alpha:.2f}")
+    if float(np.sort(item.box.size)[1]) < config.least_side:
+        return replace(box, reason="too small for doors or drawers")
+
+    def look(face: FaceImage) -> Front:
+        return tools.look(face, item.label)
+
+    view = choose_view(item.box, frames, sights(item.box, frames, found), look, config.view)
+    if view is None:
+        return replace(box, reason="no picture shows a front")
+    facing = float(np.arctan2(view.face.outward[1], view.face.outward[0]))
+    own = given.get(item.name, given.get(item.label))
+    if own is not None:
+        model, warnings = place_model(item, facing, own)
+        return replace(box, view=view, source="given", model=model, warnings=warnings)
+    parts, source = _parts(view, item.label, tools)
+    if not parts:
+        return replace(box, view=view, reason="a front without doors or drawers")
+    piece = furniture_model(item, facing, view.image, parts, config.model)
+    return replace(box, view=view, parts=parts, source=source, model=piece)
+
+
+def _parts(view: View, label: str, tools: Tools) -> tuple[tuple[Part, ...], str]:
+    """Doors and drawers of a front, and where they are from."""
+    same = tools.predict is tools.look
+    parts = view.front.parts if same else tools.predict(view.image, label).parts
+    if parts or tools.guess is None:
+        return parts, "predicted"
+    return tools.guess(view.image, label).parts, "guessed"

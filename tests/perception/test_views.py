@@ -1,0 +1,123 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from tests.perception.pictures import FRIDGE, camera, picture
+
+from momapos.geometry.transforms import apply
+from momapos.perception.detections import sights
+from momapos.perception.faces import box_faces
+from momapos.perception.rows import RowConfig, split_row
+from momapos.perception.views import ViewConfig, choose_view
+from momapos.types import FaceImage, Frame, Front, Part, UprightBox
+
+FRONT = 2
+
+
+def paint(world: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """The front is red, the other faces are blue."""
+    del world
+    front = normals @ box_faces(FRIDGE)[FRONT].outward > 0.9
+    return np.where(front[:, None], [200, 0, 0], [0, 0, 200])
+
+
+def around(offsets: list[float], index: int) -> list[Frame]:
+    """Pictures of a face from places beside its normal."""
+    face = box_faces(FRIDGE)[index]
+    eyes = [apply(face.T_world_face, np.array([[off, 0.2, 2.2]]))[0] for off in offsets]
+    return [picture(camera(tuple(eye), tuple(FRIDGE.center)), FRIDGE, paint) for eye in eyes]
+
+
+def red_is_front(face: FaceImage) -> Front:
+    red = float((face.colour[..., 0] > 100).mean())
+    return Front(red, (Part("door_left", (0.0, 0.0, 1.0, 1.0), red),) if red > 0.5 else ())
+
+
+def test_the_front_is_the_face_for_which_the_pictures_vote() -> None:
+    frames = around([0.0, 0.3, 0.9], 3) + around([-0.9, 0.2, 0.6], FRONT)
+    view = choose_view(FRIDGE, frames, sights(FRIDGE, frames), red_is_front, ViewConfig())
+    assert view is not None
+    assert view.face.index == FRONT
+    assert view.frame == 4  # the one nearest to the normal
+    assert np.degrees(view.angle) < 20
+    assert view.evidence[FRONT] > 0.9 > 0.1 > view.evidence[3]
+    assert len(view.front.parts) == 1
+
+
+def test_one_wrong_vote_is_outvoted_while_the_first_picture_that_passes_is_believed() -> None:
+    frames = around([0.0, 0.2, 0.1], 3) + around([0.1, 0.2, 0.3], FRONT)
+    lies = replace(frames[0], colour=np.full_like(frames[0].colour, 0) + np.uint8([200, 0, 0]))
+    frames[0] = lies
+    seen = sights(FRIDGE, frames)
+    config = ViewConfig(votes=3)
+    voted = choose_view(FRIDGE, frames, seen, red_is_front, config)
+    first = choose_view(FRIDGE, frames, seen[:1], red_is_front, replace(config, method="first"))
+    assert seen[0].frame == 0
+    assert voted is not None
+    assert first is not None
+    assert voted.face.index == FRONT
+    assert first.face.index == 3
+
+
+def test_the_first_picture_that_is_frontal_is_taken_in_the_order_of_centrality() -> None:
+    frames = around([1.5, 0.2, 0.0], FRONT)
+    seen = sights(FRIDGE, frames)
+    view = choose_view(FRIDGE, frames, seen, red_is_front, ViewConfig(method="first"))
+    assert view is not None
+    angles = {0: 34, 1: 5, 2: 0}
+    passing = [s.frame for s in seen if angles[s.frame] < 30]
+    assert view.frame == passing[0]
+
+
+def test_there_is_no_front_where_none_is_seen() -> None:
+    frames = around([0.0], 3)
+    seen = sights(FRIDGE, frames)
+    for method in ("voting", "first"):
+        config = ViewConfig(method=method)  # type: ignore[arg-type]
+        assert choose_view(FRIDGE, frames, seen, red_is_front, config) is None
+    assert choose_view(FRIDGE, [], [], red_is_front, ViewConfig()) is None
+
+
+ROW = UprightBox(np.array([2.0, 0.0, 0.45]), np.array([0.6, 2.4, 0.9]))
+DOORS = [(0.02, 0.58, "drawer"), (0.62, 1.0, "door_left"), (1.0, 1.38, "door_right"),
+         (1.42, 1.98, "door_down")]  # fmt: skip
+CODE = {"drawer": 60, "door_left": 110, "door_right": 160, "door_down": 210}
+
+
+def row_paint(world: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Doors of the row, a grey for each kind; what is no door is black."""
+    left = 1.2 - world[:, 1]  # seen from -x, y goes to the left
+    grey = np.zeros(len(world))
+    for a, b, kind in DOORS:
+        grey[(left > a + 0.005) & (left < b - 0.005) & (normals[:, 0] < -0.9)] = CODE[kind]
+    return np.repeat(grey[:, None], 3, axis=1)
+
+
+def doors_in(face: FaceImage) -> Front:
+    line = face.colour[face.colour.shape[0] // 2, :, 0].astype(float)
+    parts = []
+    for kind, code in CODE.items():
+        columns = np.flatnonzero(np.abs(line - code) < 12)
+        if len(columns) > 20:
+            box = (columns[0] / len(line), 0.1, (columns[-1] + 1) / len(line), 0.9)
+            parts.append(Part(kind, box, 0.9))  # type: ignore[arg-type]
+    return Front(0.9 if parts else 0.1, tuple(parts))
+
+
+def test_a_row_is_cut_where_no_door_crosses_and_wings_stay_together() -> None:
+    frames = [
+        picture(camera((-0.3, y, 0.9), (2.0, y, 0.45)), ROW, row_paint)
+        for y in np.linspace(-1, 1, 7)
+    ]
+    pieces = split_row(ROW, frames, doors_in, RowConfig(), ViewConfig())
+    widths = [piece.size[1] for piece in pieces]
+    assert np.allclose(widths, [0.6, 0.8, 0.58, 0.42], atol=0.02)
+    assert sum(widths) == np.float64(2.4)
+    assert np.allclose([p.center[1] for p in pieces], [0.9, 0.2, -0.49, -0.99], atol=0.02)
+    assert all(np.allclose(p.size[[0, 2]], ROW.size[[0, 2]]) for p in pieces)
+
+
+def test_a_row_without_fronts_stays_one_thing() -> None:
+    frames = [picture(camera((-0.3, 0, 0.9), (2.0, 0, 0.45)), ROW, row_paint)]
+    assert split_row(ROW, frames, lambda _: Front(0.1, ()), RowConfig(), ViewConfig()) == [ROW]

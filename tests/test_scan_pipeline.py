@@ -1,0 +1,187 @@
+"""A kitchen is rendered, scanned, made into a scene, and opened."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from momapos.cli.main import main
+from momapos.errors import InputError, UnknownNameError
+from momapos.geometry.transforms import apply
+from momapos.manipulation.tasks import hand_path, openable
+from momapos.perception.recording import synthetic_scan, write_scan
+from momapos.perception.scan import read_scan
+from momapos.perception.segment import ClassicalSegmenter
+from momapos.perception.sensor import DepthSensor
+from momapos.reconstruction.build import GivenModel
+from momapos.reconstruction.network import FrontNetwork
+from momapos.reconstruction.templates import TemplatePredictor
+from momapos.scan_pipeline import Modelled, Tools, scan_to_scene
+from momapos.scan_report import report_to_dict, write_report
+from momapos.scene.files import load_scene
+from momapos.types import Instance, Scan, UprightBox
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A scan of a built-in kitchen in a folder."""
+    path = tmp_path_factory.mktemp("scan") / "kitchen"
+    kitchen = load_scene("kitchen_small")
+    write_scan(synthetic_scan(kitchen, frames=40, seed=3, sensor=DepthSensor()), path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def scan(folder: Path) -> Scan:
+    return read_scan(folder)
+
+
+@pytest.fixture(scope="module")
+def tools() -> Tools:
+    network = FrontNetwork()
+    return Tools(ClassicalSegmenter(), network, network, TemplatePredictor())
+
+
+@pytest.fixture(scope="module")
+def made(scan: Scan, tools: Tools, tmp_path_factory: pytest.TempPathFactory) -> Modelled:
+    return scan_to_scene(scan, tmp_path_factory.mktemp("made") / "scene.json", tools)
+
+
+def true_fridge(folder: Path) -> UprightBox:
+    truth = json.loads((folder / "truth.json").read_text())
+    fridge = next(o for o in truth["objects"] if o["category"] == "fridge")
+    return UprightBox(np.array(fridge["center"]), np.array(fridge["size"]), fridge["yaw"])
+
+
+def nearest(made: Modelled, box: UprightBox) -> str:
+    gaps = {
+        d.detection.name: np.linalg.norm(d.detection.box.center - box.center)
+        for d in made.decisions
+    }
+    return min(gaps, key=lambda name: gaps[name])
+
+
+def test_the_fridge_of_a_scan_opens_where_the_true_one_does(made: Modelled, folder: Path) -> None:
+    truth, scene = load_scene("kitchen_small"), load_scene(str(made.scene))
+    name = nearest(made, true_fridge(folder))
+    doors = [joint for item, joint in openable(scene) if item == name]
+    assert doors
+    ours = apply(made.T_scene_scan, hand_path(truth, "fridge", "door_hinge", np.pi / 2))
+    gaps = [
+        np.linalg.norm(hand_path(scene, name, door, np.pi / 2) - ours, axis=1) for door in doors
+    ]
+    assert min(gap.max() for gap in gaps) < 0.06
+
+
+def test_a_scan_becomes_a_scene_in_which_a_robot_opens_the_fridge(
+    made: Modelled, folder: Path, tmp_path: Path
+) -> None:
+    name = nearest(made, true_fridge(folder))
+    joints = [joint for item, joint in openable(load_scene(str(made.scene))) if item == name]
+    plan = tmp_path / "plan.json"
+    what = f"{name}/{joints[-1]}"
+    words = ["place", "open", str(made.scene), what, "--robot", "segway_ur5e", "--out", str(plan)]
+    assert main(words) == 0
+    assert json.loads(plan.read_text())["status"] == "solved"
+
+
+def test_only_what_matters_for_the_target_is_modelled(
+    made: Modelled, scan: Scan, tools: Tools, folder: Path, tmp_path: Path
+) -> None:
+    target = nearest(made, true_fridge(folder))
+    result = scan_to_scene(scan, tmp_path / "scene.json", tools, target=target)
+    assert result.decisions[[d.detection.name for d in result.decisions].index(target)].model
+    for decision in result.decisions:
+        assert decision.importance is not None
+        assert decision.model is None or decision.importance >= 0.45
+    left_out = [d for d in result.decisions if "importance" in d.reason]
+    assert left_out
+    assert all(d.view is None for d in left_out)
+    with pytest.raises(UnknownNameError, match="object"):
+        scan_to_scene(scan, tmp_path / "other.json", tools, target="frigde")
+    assert not (tmp_path / "other.json").exists()
+
+
+def test_boxes_that_someone_gives_are_taken_and_given_models_too(
+    scan: Scan, tools: Tools, folder: Path, tmp_path: Path
+) -> None:
+    box = true_fridge(folder)
+    given = Tools(lambda _: [Instance("fridge", 1.0, box=box)], tools.look, tools.predict)
+    kitchen = load_scene("kitchen_small").object("fridge")
+    assert kitchen.model.urdf.path is not None
+    models = {"fridge": GivenModel(kitchen.model.urdf.path)}
+    result = scan_to_scene(scan, tmp_path / "scene.json", given, given=models)
+    scene = load_scene(str(result.scene))
+    assert [d.source for d in result.decisions] == ["given"]
+    found = scene.objects[0]
+    assert set(found.model.joints) == set(kitchen.model.joints)
+    assert np.abs(found.bounds - kitchen.bounds).max() < 0.06
+
+
+def test_the_report_says_why_everything_is_what_it_is(
+    made: Modelled, scan: Scan, tmp_path: Path
+) -> None:
+    data = report_to_dict(made, scan, None)
+    out = tmp_path / "scene.json"
+    folder = write_report(replace(made, scene=out), data, made.scene, pictures=True)
+    assert folder is not None
+    report = json.loads((made.scene.parent / "scan_report.json").read_text())
+    assert report["format"] == "momapos-scan-report"
+    looked_at = [item for item in report["objects"] if item["view"] is not None]
+    assert {f"{item['name']}.png" for item in looked_at} == {p.name for p in folder.glob("*.png")}
+    for item in report["objects"]:
+        assert item["modelled"] == (item["reason"] is None)
+        assert len(item["parts"]) > 0 or not item["modelled"]
+
+
+def test_an_empty_room_is_refused(scan: Scan, tools: Tools, tmp_path: Path) -> None:
+    nothing = replace(tools, segment=lambda _: [])
+    with pytest.raises(InputError, match="nothing was found"):
+        scan_to_scene(scan, tmp_path / "scene.json", nothing)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_command_prints_one_object_of_json(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "scene.json"
+    words = [
+        "scan",
+        str(folder),
+        "--out",
+        str(out),
+        "--json",
+        "--no-pictures",
+        "--max-frames",
+        "20",
+    ]
+    assert main(words) == 0
+    data = json.loads(capsys.readouterr().out)
+    assert data["frames"] == 20
+    assert len(load_scene(str(out)).objects) == len(data["objects"])
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["nowhere"], "nowhere"),
+        (["SCAN", "--predictor", "urdformer"], "--checkpoint"),
+        (["SCAN", "--models", "fridge"], "NAME=FILE"),
+        (["SCAN", "--instances", "missing.json"], "missing.json"),
+        (["SCAN", "--target", "frigde"], "frigde"),
+    ],
+)
+def test_wrong_words_end_in_one_line(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], words: list[str], says: str
+) -> None:
+    given = [str(folder) if word == "SCAN" else word for word in words]
+    out = tmp_path / "scene.json"
+    assert main(["scan", *given, "--out", str(out), "--max-frames", "12"]) == 2
+    err = capsys.readouterr().err.strip().splitlines()[-1]
+    assert err.startswith("momapos: ")
+    assert says in err
+    assert not out.exists()
