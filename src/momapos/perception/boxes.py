@@ -45,7 +45,7 @@ class BoxConfig:
     """Bottoms nearer to the floor than this stand on it: the lowest part is rarely seen [m]."""
     wall: float = 0.1
     """Backs nearer to a wall than this touch it: they are never seen [m]."""
-    support: float = 0.06
+    support: float = 0.1
     """Bottoms nearer to a surface than this stand on it [m]."""
     turned: float = 7.0
     """A thing whose faces are turned by more from x and y gets a turned box [degrees]."""

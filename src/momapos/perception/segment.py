@@ -50,7 +50,7 @@ class SegmentConfig:
     """Things on a surface are this high at most [m]; cabinets hang above it."""
     lift: float = 0.015
     """Points this far above a surface do not belong to it [m]."""
-    overhang: float = 0.07
+    overhang: float = 0.09
     """Fronts and handles stand out from under a top, or in front of a front, by this [m]."""
     lip: float = 0.07
     """Fronts end this far below the top that they belong to, at most [m]."""
@@ -302,7 +302,7 @@ class _Division:
         below = members[~upper]
         label = components(points[below], config.touching)
         low, high = np.array(rectangle[:2]) - 0.05, np.array(rectangle[2:]) + 0.05
-        inside = ((points[below, :2] > low) & (points[below, :2] < high)).all(axis=1)
+        inside = np.all((points[below, :2] > low) & (points[below, :2] < high), axis=1)
         legs = []
         for k in range(label.max(initial=-1) + 1):
             group = label == k
@@ -386,7 +386,7 @@ def _box(rectangle: Rectangle, bottom: float, top: float) -> UprightBox:
 def _hung_together(
     furniture: Sequence[Instance], rest: Sequence[Instance], cloud: Cloud, near: float
 ) -> list[Instance]:
-    """Join a hood's rim with its chimney: a thing that hangs right below a narrower one."""
+    """Join a hood's rim with its chimney: a flat thing that hangs right below a narrower one."""
     out, alone = list(furniture), []
     for thing in rest:
         points = cloud.points[thing.members]
@@ -396,8 +396,10 @@ def _hung_together(
                 continue
             start, stop = corners(body.box)
             middle = body.box.center[:2]
-            inside = np.logical_and(middle > low[:2], middle < high[:2]).all()
-            if start[2] > 1.0 and inside and low[2] - near < start[2] < high[2] + near:
+            below = np.any((middle > low[:2]) & (middle < high[:2]))
+            below &= np.all((start - 0.15 < high) & (stop + 0.15 > low))
+            flat = high[2] - low[2] < 0.15 and start[2] > 1.0
+            if flat and below and low[2] - near < start[2] < high[2] + near:
                 box = from_corners(np.minimum(low, start), np.maximum(high, stop))
                 members = np.concatenate([body.members, thing.members])
                 out[k] = replace(body, members=members, box=box)
