@@ -13,6 +13,7 @@ from momapos.perception.planes import Room, Wall
 from momapos.types import Cloud, Detection, Instance, UprightBox
 
 BACK_WALL = Room((Wall(1, -1.0, 1.0, -3.0, 3.0, 2.4),))
+NO_WALLS = Room()
 CRATE: Corners = ((0.2, -0.4, 0.0), (0.8, 0.2, 0.9))
 
 
@@ -21,7 +22,7 @@ def whole(cloud: Cloud, label: str = "crate") -> Instance:
     return Instance(label, 0.9, np.arange(len(cloud.points)))
 
 
-def draw(cloud: Cloud, room: Room = Room(), config: BoxConfig | None = None) -> UprightBox:
+def draw(cloud: Cloud, room: Room = NO_WALLS, config: BoxConfig | None = None) -> UprightBox:
     """The box around all points."""
     (detection,) = boxes(cloud, [whole(cloud)], room, config)
     return detection.box
@@ -49,7 +50,8 @@ def test_handles_do_not_move_the_front(rng: np.random.Generator) -> None:
 
 def test_far_points_do_not_grow_a_box(rng: np.random.Generator) -> None:
     cloud = cloud_of([CRATE], rng)
-    stray = np.concatenate([cloud.points, rng.uniform(-2, 2, (15, 3)) + [0, 0, 2]])
+    far = rng.uniform((-2, -2, 0), (2, 2, 4), (15, 3))
+    stray = np.concatenate([cloud.points, far])
     more = np.tile([[1.0, 0.0, 0.0]], (15, 1))
     stray_cloud = Cloud(
         stray, np.concatenate([cloud.normals, more]), np.zeros((len(stray), 3), np.uint8)
