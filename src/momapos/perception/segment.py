@@ -16,7 +16,7 @@ from jaxtyping import Bool, Int
 from scipy import ndimage
 
 from momapos.errors import InputError
-from momapos.perception.fronts import Front, FrontConfig, find_fronts
+from momapos.perception.fronts import Front, FrontConfig, find_fronts, hung_together
 from momapos.perception.planes import RoomConfig, area, find_room, in_room
 from momapos.perception.supports import (
     Rectangle,
@@ -125,7 +125,7 @@ class _Division:
         furniture = [body for top in tops for body in self._below(top)]
         furniture += self._behind_fronts(fronts)
         rest = self._rest([body.box for body in furniture if body.box is not None])
-        return _hung_together(furniture, rest, self.cloud, self.config.touching) + things
+        return hung_together(furniture, rest, self.cloud, self.config.touching) + things
 
     # ------------------------------------------------------------ what stands on a surface
 
@@ -381,29 +381,3 @@ class _Division:
 def _box(rectangle: Rectangle, bottom: float, top: float) -> UprightBox:
     x0, y0, x1, y1 = rectangle
     return from_corners(np.array([x0, y0, bottom]), np.array([x1, y1, top]))
-
-
-def _hung_together(
-    furniture: Sequence[Instance], rest: Sequence[Instance], cloud: Cloud, near: float
-) -> list[Instance]:
-    """Join a hood's rim with its chimney: a flat thing that hangs right below a narrower one."""
-    out, alone = list(furniture), []
-    for thing in rest:
-        points = cloud.points[thing.members]
-        low, high = points.min(axis=0), points.max(axis=0)
-        for k, body in enumerate(out):
-            if body.box is None:
-                continue
-            start, stop = corners(body.box)
-            middle = body.box.center[:2]
-            below = np.any((middle > low[:2]) & (middle < high[:2]))
-            below &= np.all((start - 0.15 < high) & (stop + 0.15 > low))
-            flat = high[2] - low[2] < 0.15 and start[2] > 1.0
-            if flat and below and low[2] - near < start[2] < high[2] + near:
-                box = from_corners(np.minimum(low, start), np.maximum(high, stop))
-                members = np.concatenate([body.members, thing.members])
-                out[k] = replace(body, members=members, box=box)
-                break
-        else:
-            alone.append(thing)
-    return out + alone
