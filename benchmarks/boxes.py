@@ -19,10 +19,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from importance_rooms import is_wall
 from jaxtyping import Float
-from placement import SCENES, machine, shared
 
+from importance_rooms import is_wall
 from momapos.geometry.transforms import apply, pose
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.urdf import Geometry, Link, Urdf, box_urdf
@@ -38,6 +37,7 @@ from momapos.scene.files import load_scene
 from momapos.scene.kitchens import LAYOUTS, generate_kitchen
 from momapos.scene.scene import Scene, SceneObject
 from momapos.types import Cloud, Detection, UprightBox
+from placement import SCENES, machine, shared
 
 FURNITURE = ("fridge", "oven", "dishwasher", "microwave", "table")
 SMALL = ("cup", "apple", "bottle", "cereal box")

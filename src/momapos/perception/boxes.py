@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from momapos.errors import InputError
@@ -46,7 +45,7 @@ class BoxConfig:
     """Bottoms nearer to the floor than this stand on it: the lowest part is rarely seen [m]."""
     wall: float = 0.1
     """Backs nearer to a wall than this touch it: they are never seen [m]."""
-    support: float = 0.06
+    support: float = 0.1
     """Bottoms nearer to a surface than this stand on it [m]."""
     turned: float = 7.0
     """A thing whose faces are turned by more from x and y gets a turned box [degrees]."""
@@ -138,37 +137,6 @@ def wall_detections(room: Room, config: BoxConfig | None = None) -> list[Detecti
         size[2] = wall.top
         out.append(Detection("", "wall", 0.8, UprightBox(center, size), np.zeros(0, int)))
     return named(out)
-
-
-def split_row(box: UprightBox, cuts: Sequence[float], least: float = 0.05) -> list[UprightBox]:
-    """Divide a row of furniture along its longer side.
-
-    Args:
-        box: Of the whole row.
-        cuts: Where it is divided, from its low end along its own longer side [m]; in any order.
-            Those outside, and those nearer than `least` to an end or to the one before, are
-            left out.
-        least: Least length of a piece [m].
-
-    Returns:
-        The pieces in order; together they are the box.
-    """
-    axis = 0 if box.size[0] >= box.size[1] else 1
-    length = float(box.size[axis])
-    edges = [0.0]
-    for cut in sorted(float(c) for c in cuts):
-        if cut - edges[-1] >= least and length - cut >= least:
-            edges.append(cut)
-    edges.append(length)
-    along = box_axes(box.yaw)[axis]
-    out = []
-    for low, high in pairwise(edges):
-        size = np.array(box.size, float)
-        size[axis] = high - low
-        center = np.array(box.center, float)
-        center[:2] += along * ((low + high) / 2 - length / 2)
-        out.append(UprightBox(center, size, box.yaw))
-    return out
 
 
 # ---------------------------------------------------------------- points

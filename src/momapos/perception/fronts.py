@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 from momapos.perception.planes import Room, Wall, area
 from momapos.perception.supports import components
 from momapos.perception.upright_boxes import corners, from_corners
-from momapos.types import Cloud, UprightBox
+from momapos.types import Cloud, Instance, UprightBox
 
 
 @dataclass(frozen=True)
@@ -202,3 +202,29 @@ def _wall_behind(
     ]
     near = [w for w in behind if config.shallow < w.distance(middle[None])[0] < config.depth]
     return min(near, key=lambda wall: wall.distance(middle[None])[0]) if near else None
+
+
+def hung_together(
+    furniture: Sequence[Instance], rest: Sequence[Instance], cloud: Cloud, near: float
+) -> list[Instance]:
+    """Join a hood's rim with its chimney: a flat thing that hangs right below a narrower one."""
+    out, alone = list(furniture), []
+    for thing in rest:
+        points = cloud.points[thing.members]
+        low, high = points.min(axis=0), points.max(axis=0)
+        for k, body in enumerate(out):
+            if body.box is None:
+                continue
+            start, stop = corners(body.box)
+            middle = body.box.center[:2]
+            below = np.any((middle > low[:2]) & (middle < high[:2]))
+            below &= np.all((start - 0.15 < high) & (stop + 0.15 > low))
+            flat = high[2] - low[2] < 0.15 and start[2] > 1.0
+            if flat and below and low[2] - near < start[2] < high[2] + near:
+                box = from_corners(np.minimum(low, start), np.maximum(high, stop))
+                members = np.concatenate([body.members, thing.members])
+                out[k] = replace(body, members=members, box=box)
+                break
+        else:
+            alone.append(thing)
+    return out + alone

@@ -18,10 +18,10 @@ from numba import njit
 
 from momapos.errors import InputError
 from momapos.geometry.transforms import invert
+from momapos.perception.slopes import TILE, deepest_of, facing_of
 from momapos.types import Cloud, Frame
 
 SIDE = 8  # voxels along a block
-TILE = 16  # pixels along a square of the coarse depth picture that hidden blocks are found with
 BYTES_PER_VOXEL = 24  # distance, two weights and three colours, four bytes each
 
 
@@ -90,8 +90,8 @@ def fuse(
         depth = _usable(frame, config)
         K = np.asarray(frame.intrinsics, float)
         T_camera_world = invert(np.asarray(frame.T_world_camera, float))
-        facing = _facing(depth, K, config.edge, config.grazing)
-        deepest = _deepest(depth)
+        facing = facing_of(depth, K, config.edge, config.grazing)
+        deepest = deepest_of(depth)
         _integrate(
             distance, weight, seen, colour, blocks, origin, voxel, margin,
             depth, facing, deepest, frame.colour, K, T_camera_world,
@@ -180,51 +180,6 @@ def _mark(
                         index[i, j, k] = count
                         count += 1
     return count
-
-
-@njit(cache=True)
-def _facing(
-    depth: Float32[np.ndarray, "h w"], K: Float[np.ndarray, "3 3"], edge: float, grazing: float
-) -> Float32[np.ndarray, "h w"]:
-    """Length of the ray to depth 1 along the normal of the surface at each pixel [-].
-
-    It turns a difference of depth into a distance from the surface's plane. Zero where the
-    pixel is not used: no depth, a step beside it, or a surface seen at a grazing angle.
-    """
-    h, w = depth.shape
-    out = np.zeros((h, w), np.float32)
-    r = 2
-    for v in range(r, h - r):
-        for u in range(r, w - r):
-            d = depth[v, u]
-            if d <= 0:
-                continue
-            left, right, up, down = (
-                depth[v, u - r],
-                depth[v, u + r],
-                depth[v - r, u],
-                depth[v + r, u],
-            )
-            lowest, highest = min(left, right, up, down), max(left, right, up, down)
-            if lowest <= 0 or d - lowest > edge * d or highest - d > edge * d:
-                continue
-            x, y = (u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1]
-            # With depth d(u, v), the surface's normal is along (-fx du, -fy dv, d + ...): its
-            # product with the ray (x, y, 1) is d, for every slope.
-            nx = -K[0, 0] * (right - left) / (2 * r)
-            ny = -K[1, 1] * (down - up) / (2 * r)
-            nz = d - x * nx - y * ny
-            along = d / np.sqrt(nx * nx + ny * ny + nz * nz)
-            if along > grazing * np.sqrt(x * x + y * y + 1):
-                out[v, u] = along
-    return out
-
-
-def _deepest(depth: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "a b"]:
-    """Largest depth in each square of pixels."""
-    h, w = depth.shape
-    padded = np.pad(depth, ((0, -h % TILE), (0, -w % TILE)))
-    return padded.reshape(-(-h // TILE), TILE, -(-w // TILE), TILE).max(axis=(1, 3))
 
 
 @njit(cache=True)

@@ -16,7 +16,7 @@ from jaxtyping import Bool, Int
 from scipy import ndimage
 
 from momapos.errors import InputError
-from momapos.perception.fronts import Front, FrontConfig, find_fronts
+from momapos.perception.fronts import Front, FrontConfig, find_fronts, hung_together
 from momapos.perception.planes import RoomConfig, area, find_room, in_room
 from momapos.perception.supports import (
     Rectangle,
@@ -50,7 +50,7 @@ class SegmentConfig:
     """Things on a surface are this high at most [m]; cabinets hang above it."""
     lift: float = 0.015
     """Points this far above a surface do not belong to it [m]."""
-    overhang: float = 0.07
+    overhang: float = 0.09
     """Fronts and handles stand out from under a top, or in front of a front, by this [m]."""
     lip: float = 0.07
     """Fronts end this far below the top that they belong to, at most [m]."""
@@ -78,8 +78,8 @@ class ClassicalSegmenter:
     """Divides an upright cloud by planes and by which points touch; a `Segmenter`.
 
     A counter's top and what is below it are two instances. What is below is one instance from
-    end to end, or to the corner of the room: `boxes.split_row` divides it where its fronts are
-    known to end. Tops at another height, as an oven's between counters, divide it here.
+    end to end, or to the corner of the room: `rows.split_row` divides it where pictures
+    show its fronts to end. Tops at another height, as an oven's between counters, divide it here.
     """
 
     def __init__(self, config: SegmentConfig | None = None) -> None:
@@ -125,7 +125,7 @@ class _Division:
         furniture = [body for top in tops for body in self._below(top)]
         furniture += self._behind_fronts(fronts)
         rest = self._rest([body.box for body in furniture if body.box is not None])
-        return _hung_together(furniture, rest, self.cloud, self.config.touching) + things
+        return hung_together(furniture, rest, self.cloud, self.config.touching) + things
 
     # ------------------------------------------------------------ what stands on a surface
 
@@ -302,7 +302,7 @@ class _Division:
         below = members[~upper]
         label = components(points[below], config.touching)
         low, high = np.array(rectangle[:2]) - 0.05, np.array(rectangle[2:]) + 0.05
-        inside = ((points[below, :2] > low) & (points[below, :2] < high)).all(axis=1)
+        inside = np.all((points[below, :2] > low) & (points[below, :2] < high), axis=1)
         legs = []
         for k in range(label.max(initial=-1) + 1):
             group = label == k
@@ -313,7 +313,7 @@ class _Division:
         corner, far = np.array(rectangle[:2]), np.array(rectangle[2:])
         middle = np.array([[*(corner + far) / 2, height]])
         at_wall = any(
-            wall.beside(middle)[0]
+            bool(wall.beside(middle)[0])
             and wall.distance(middle)[0] < (far - corner)[wall.axis] / 2 + 0.12
             for wall in self.room.walls
         )
@@ -381,27 +381,3 @@ class _Division:
 def _box(rectangle: Rectangle, bottom: float, top: float) -> UprightBox:
     x0, y0, x1, y1 = rectangle
     return from_corners(np.array([x0, y0, bottom]), np.array([x1, y1, top]))
-
-
-def _hung_together(
-    furniture: Sequence[Instance], rest: Sequence[Instance], cloud: Cloud, near: float
-) -> list[Instance]:
-    """Join a hood's rim with its chimney: a thing that hangs right below a narrower one."""
-    out, alone = list(furniture), []
-    for thing in rest:
-        points = cloud.points[thing.members]
-        low, high = points.min(axis=0), points.max(axis=0)
-        for k, body in enumerate(out):
-            if body.box is None:
-                continue
-            start, stop = corners(body.box)
-            middle = body.box.center[:2]
-            inside = np.logical_and(middle > low[:2], middle < high[:2]).all()
-            if start[2] > 1.0 and inside and low[2] - near < start[2] < high[2] + near:
-                box = from_corners(np.minimum(low, start), np.maximum(high, stop))
-                members = np.concatenate([body.members, thing.members])
-                out[k] = replace(body, members=members, box=box)
-                break
-        else:
-            alone.append(thing)
-    return out + alone
