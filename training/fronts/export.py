@@ -46,25 +46,13 @@ class _Part(nn.Module):
 
 
 def write(net: nn.Module, path: Path) -> None:
-    """Write either network."""
+    """Write either network; the second takes any number of crops."""
     if isinstance(net, networks.FaceNetwork):
-        _write_face(net, path)
-    else:
-        _write_part(net, path)
-
-
-def _write_face(net: nn.Module, path: Path) -> None:
-    given = (torch.zeros(1, networks.PLANES, decode.FACE_PIXELS, decode.FACE_PIXELS),)
-    _write(_Face(net), given, ["face"], ["heat", "reach", "front"], path, {})
-
-
-def _write_part(net: nn.Module, path: Path) -> None:
-    """The batch is free: a face has any number of proposals."""
-    side = decode.PART_PIXELS
-    given = (torch.zeros(2, networks.PLANES, side, side), torch.zeros(2, 1))
+        _write(_Face(net), _example(net), ["face"], ["heat", "reach", "front"], path, {})
+        return
     out = ["sure", "edges", "held", "heat", "reach"]
     many = {name: {0: "n"} for name in ["crop", "aspect", *out]}
-    _write(_Part(net), given, ["crop", "aspect"], out, path, many)
+    _write(_Part(net), _example(net), ["crop", "aspect"], out, path, many)
 
 
 def _write(
@@ -90,6 +78,35 @@ def _write(
     _halve(model)
     onnx.checker.check_model(model)
     onnx.save(model, path)
+
+
+def restore(net: nn.Module, path: Path) -> None:
+    """Give a network without normalisation the weights of a file that `write` wrote.
+
+    The file lists its layers in the order in which they are used, and names only some.
+    """
+    used: list[nn.Module] = []
+    layers = [m for m in net.modules() if isinstance(m, nn.Conv2d | nn.Conv1d | nn.Linear)]
+    hooks = [m.register_forward_hook(lambda m, *_: used.append(m)) for m in layers]
+    with torch.no_grad():
+        net(*_example(net))
+    for hook in hooks:
+        hook.remove()
+    graph = onnx.load(path).graph
+    values = {w.name.removesuffix("_half"): numpy_helper.to_array(w) for w in graph.initializer}
+    nodes = [node for node in graph.node if node.op_type in ("Conv", "Gemm")]
+    for layer, node in zip(used, nodes, strict=True):
+        with torch.no_grad():
+            layer.weight.copy_(torch.tensor(values[node.input[1]]))
+            layer.bias.copy_(torch.tensor(values[node.input[2]]))
+
+
+def _example(net: nn.Module) -> tuple[Tensor, ...]:
+    """Something that a network takes."""
+    if isinstance(net, networks.FaceNetwork):
+        return (torch.zeros(1, networks.PLANES, decode.FACE_PIXELS, decode.FACE_PIXELS),)
+    side = decode.PART_PIXELS
+    return torch.zeros(2, networks.PLANES, side, side), torch.zeros(2, 1)
 
 
 def _halve(model: onnx.ModelProto) -> None:

@@ -6,7 +6,7 @@ a face is a height field that is painted, lit and seen a bit from the side.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -26,6 +26,22 @@ FREE_SIDE = {
     "drawer": "middle",
 }
 """Where the handle is, unless the plan says otherwise."""
+
+
+@dataclass(frozen=True)
+class Mix:
+    """What is drawn how often."""
+
+    families: dict[layouts.Maker, float] = field(default_factory=lambda: layouts.FAMILIES)
+    uniform: float = 0.38
+    """Share that is drawn plainly, as models made on a computer are [-]."""
+    bare: float = 0.07
+    """Share without handles [-]."""
+
+
+ORDINARY = Mix()
+HARD = Mix(layouts.HARD_FAMILIES, uniform=0.5, bare=0.25)
+"""Plain fronts without handles, and much that only looks like parts."""
 
 
 @dataclass(frozen=True)
@@ -54,10 +70,10 @@ class _Fitted:
     handle_level: float
 
 
-def draw(rng: np.random.Generator) -> Drawn:
+def draw(rng: np.random.Generator, mix: Mix = ORDINARY) -> Drawn:
     """Draw one face."""
-    plan = layouts.random_plan(rng)
-    uniform = rng.random() < 0.38
+    plan = layouts.random_plan(rng, mix.families)
+    uniform = rng.random() < mix.uniform
     whole: Rect = (0.0, 0.0, plan.width, plan.height)
     canvas = Canvas(_view(rng, plan), SIDE)
     body = materials.carcass(rng, plan.appliance, uniform)
@@ -67,7 +83,7 @@ def draw(rng: np.random.Generator) -> Drawn:
         fitted: list[_Fitted] = []
         level = 0.0
     else:
-        fitted, level = _furnish(rng, canvas, plan, body, uniform)
+        fitted, level = _furnish(rng, canvas, plan, body, uniform, mix.bare)
     if rng.random() < 0.1:
         fittings.lumps(rng, canvas)
     pose = camera.random_pose(rng, canvas, level)
@@ -106,6 +122,7 @@ def _furnish(
     plan: layouts.Plan,
     body: materials.Material,
     uniform: bool,
+    bare: float,
 ) -> tuple[list[_Fitted], float]:
     """Paint a piece of furniture; the second value is the height of its fronts."""
     whole: Rect = (0.0, 0.0, plan.width, plan.height)
@@ -116,8 +133,8 @@ def _furnish(
     else:
         other = style
     seam = _Seam.draw(rng, uniform)
-    grip = _handle_style(rng, plan, style)
-    second = _handle_style(rng, plan, style) if rng.random() < 0.12 else grip
+    grip = _handle_style(rng, plan, style, bare)
+    second = _handle_style(rng, plan, style, bare) if rng.random() < 0.12 else grip
     fixed = rng.random() < 0.12 and not plan.appliance
     same_free = rng.choice(["", "top", "middle", "bottom"], p=[0.7, 0.14, 0.12, 0.04])
     fitted = []
@@ -165,10 +182,10 @@ class _Seam:
 
 
 def _handle_style(
-    rng: np.random.Generator, plan: layouts.Plan, style: fittings.DoorStyle
+    rng: np.random.Generator, plan: layouts.Plan, style: fittings.DoorStyle, bare: float
 ) -> handles.HandleStyle | None:
     """The kind of handle of a piece of furniture; None where it has none."""
-    if rng.random() < 0.07:
+    if rng.random() < bare:
         return None
     weights = (0.3, 0.03, 0.3, 0.06, 0.1, 0.1, 0.06, 0.03, 0.04, 0.04)
     if plan.appliance:

@@ -427,6 +427,32 @@ def desk(rng: np.random.Generator) -> Plan:
     return Plan("desk", width, height, cells)
 
 
+def niche(rng: np.random.Generator) -> Plan:
+    """Few parts in a broad body: bands of bare wood, openings or slots around them."""
+    width, height = rng.uniform(0.4, 2.0), rng.uniform(0.5, 2.1)
+    habit = _Habit.draw(rng, "base", rng.uniform(0.001, 0.02))
+    rim = rng.uniform(0.0, 0.03)
+    rect = [rim, rim, width - rim, height - rim]
+    cells = []
+    for side in rng.permutation(4)[: int(rng.integers(1, 4))]:
+        wide, high = rect[2] - rect[0], rect[3] - rect[1]
+        band = rng.uniform(0.1, 0.4) * (wide if side % 2 == 0 else high)
+        rest, strip = list(rect), list(rect)
+        rest[side] += band if side < 2 else -band
+        strip[(side + 2) % 4] = rest[side]
+        rect = rest
+        fill = str(rng.choice(["bare", "open", "blank", "vent", "controls", "row"]))
+        field_ = (strip[0] + 0.005, strip[1] + 0.005, strip[2] - 0.005, strip[3] - 0.005)
+        if fill == "row":
+            rows = split(rng, field_, int(rng.integers(2, 6)), 0.02, rows=side % 2 == 0, uneven=0.2)
+            cells += [Cell(r, None, "open") for r in rows]
+        elif fill != "bare":
+            cells.append(Cell(field_, None, fill))
+    inner = (rect[0], rect[1], rect[2], rect[3])
+    cells += _stack(rng, inner, habit) if rng.random() < 0.3 else _leaf(rng, inner, habit)
+    return Plan("niche", width, height, cells)
+
+
 def nothing(rng: np.random.Generator) -> Plan:
     """A face without parts: a side, a back, a table, a wall, shelves, clutter."""
     width, height = rng.uniform(0.3, 2.0), rng.uniform(0.3, 2.2)
@@ -451,8 +477,23 @@ FAMILIES: dict[Maker, float] = {
 """What is drawn, and how often."""
 
 
-def random_plan(rng: np.random.Generator) -> Plan:
-    """Any face."""
-    makers = list(FAMILIES)
-    odds = np.array(list(FAMILIES.values()))
+HARD_FAMILIES: dict[Maker, float] = {
+    cabinet: 0.22,
+    fridge: 0.2,
+    microwave: 0.1,
+    oven: 0.09,
+    dishwasher: 0.08,
+    sink: 0.04,
+    range_with_cabinets: 0.03,
+    desk: 0.04,
+    niche: 0.08,
+    nothing: 0.12,
+}
+"""What is drawn in the second round: more of what the first makes too little of."""
+
+
+def random_plan(rng: np.random.Generator, families: dict[Maker, float]) -> Plan:
+    """Any face of these families."""
+    makers = list(families)
+    odds = np.array(list(families.values()))
     return makers[rng.choice(len(makers), p=odds / odds.sum())](rng)

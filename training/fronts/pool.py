@@ -106,10 +106,11 @@ def _wrong(rng: np.random.Generator, drawn: generator.Drawn, parts: np.ndarray) 
     return np.concatenate((corner, corner + size))
 
 
-def _one(seed: tuple[int, int]) -> dict[str, np.ndarray]:
+def _one(task: tuple[generator.Mix, tuple[int, int]]) -> dict[str, np.ndarray]:
     """Draw a face and cut it up."""
+    mix, seed = task
     rng = np.random.default_rng(seed)
-    drawn = generator.draw(rng)
+    drawn = generator.draw(rng, mix)
     stack = decode.planes(drawn.face)
     whole = decode.resample(stack, np.array([0.0, 0.0, 1.0, 1.0]), decode.FACE_PIXELS)
     boxes = np.zeros((MOST_PARTS, 4), np.float32)
@@ -148,13 +149,13 @@ def _one(seed: tuple[int, int]) -> dict[str, np.ndarray]:
     }
 
 
-def fill(folder: Path, seed: int, count: int, workers: int) -> None:
+def fill(folder: Path, mix: generator.Mix, seed: int, count: int, workers: int) -> None:
     """Draw faces and write them; the same seed gives the same files."""
     folder.mkdir(parents=True, exist_ok=True)
     files: dict[str, np.ndarray] = {}
     with mp.get_context("spawn").Pool(workers) as helpers:
-        seeds = [(seed, i) for i in range(count)]
-        for i, one in enumerate(helpers.imap(_one, seeds, chunksize=16)):
+        tasks = [(mix, (seed, i)) for i in range(count)]
+        for i, one in enumerate(helpers.imap(_one, tasks, chunksize=16)):
             for name, value in one.items():
                 many = name in ("crops", "aspects", "crop_kinds", "edges", "handles")
                 if name not in files:

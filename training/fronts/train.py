@@ -16,11 +16,13 @@ from torch import Tensor, nn
 
 from momapos.reconstruction import decode
 
-from . import export, networks, pool, targets
+from . import export, generator, networks, pool, targets
 
 WEIGHTS = Path(__file__).parents[2] / "src" / "momapos" / "reconstruction" / "weights"
-MIRROR = np.array([1, 0, 2, 3, 4, 5])
+MIRROR = np.array(decode.MIRRORED_KINDS)
 """What each kind is in a mirror."""
+REFINING_RATE = 4e-4
+"""Highest learning rate of the second round, which has no normalisation to steady it."""
 
 
 @dataclass(frozen=True)
@@ -123,31 +125,52 @@ def part_step(
 Step = Callable[[nn.Module, pool.Pool, np.random.Generator, np.ndarray], dict[str, Tensor]]
 
 
+class Deck:
+    """Numbers in random order, each once before any comes again."""
+
+    def __init__(self, cards: np.ndarray, rng: np.random.Generator) -> None:
+        self.cards, self.rng = cards, rng
+        self.left = np.empty(0, dtype=int)
+
+    def take(self, count: int) -> np.ndarray:
+        """The next few, sorted."""
+        if len(self.left) < count:
+            self.left = np.concatenate((self.left, self.rng.permutation(self.cards)))
+        taken, self.left = self.left[:count], self.left[count:]
+        return np.sort(taken)
+
+
 def fit(
     net: nn.Module,
     step: Step,
-    data: pool.Pool,
-    usable: np.ndarray,
+    data: list[tuple[pool.Pool, np.ndarray]],
     plan: Schedule,
     seed: int,
     out: Path,
 ) -> None:
-    """Train a network; the average of its weights is written, now and then and at the end."""
+    """Train a network; the average of its weights is written, now and then and at the end.
+
+    Args:
+        net: The network; it is changed.
+        step: Gives its errors on some samples.
+        data: Pools that take turns, each with the indices of its samples.
+        plan: How long.
+        seed: Of order and disturbances.
+        out: Where it is written.
+    """
     rng = np.random.default_rng(seed)
-    net = net.to(memory_format=torch.channels_last)
+    net = net.to(memory_format=torch.channels_last).train()
     averaged = copy.deepcopy(net).eval()
     optimiser = torch.optim.AdamW(net.parameters(), lr=plan.rate, weight_decay=plan.decay)
     pace = torch.optim.lr_scheduler.OneCycleLR(
         optimiser, plan.rate, total_steps=plan.steps, pct_start=0.15
     )
-    order = np.empty(0, dtype=int)
+    decks = [Deck(usable, rng) for _, usable in data]
     totals: dict[str, float] = {}
     start = time.perf_counter()
     for i in range(1, plan.steps + 1):
-        if len(order) < plan.batch:
-            order = np.concatenate((order, rng.permutation(usable)))
-        chosen, order = np.sort(order[: plan.batch]), order[plan.batch :]
-        losses = step(net, data, rng, chosen)
+        turn = i % len(data)
+        losses = step(net, data[turn][0], rng, decks[turn].take(plan.batch))
         optimiser.zero_grad(set_to_none=True)
         torch.stack(list(losses.values())).sum().backward()
         nn.utils.clip_grad_norm_(net.parameters(), 5.0)
@@ -156,13 +179,13 @@ def fit(
         _follow(averaged, net, min(plan.keep, (1 + i) / (10 + i)))
         for key, value in losses.items():
             totals[key] = totals.get(key, 0.0) + float(value.detach())
-        if i % 200 == 0:
-            export.write(averaged, out)
         if i % 50 == 0:
             means = ", ".join(f"{key} {value / 50:.3f}" for key, value in totals.items())
             spent = time.perf_counter() - start
             print(f"{out.stem} {i}/{plan.steps} {spent:.0f} s: {means}", flush=True)
             totals = {}
+        if i % 200 == 0:
+            export.write(averaged, out)
     export.write(averaged, out)
 
 
@@ -175,20 +198,26 @@ def _follow(averaged: nn.Module, net: nn.Module, keep: float) -> None:
             old.copy_(new)
 
 
-def train_face(folder: Path, out: Path, plan: Schedule, seed: int) -> None:
-    """Train the first network and write it to `out`."""
+def train_face(pools: list[Path], out: Path, plans: tuple[Schedule, Schedule], seed: int) -> None:
+    """Train the first network in two rounds: ordinary faces, then hard ones among them."""
     _settle(seed)
-    data = pool.Pool.read(folder)
-    usable = np.arange(len(data.faces))
-    fit(networks.FaceNetwork(), face_step, data, usable, plan, seed, out)
+    data = [(each, np.arange(len(each.faces))) for each in map(pool.Pool.read, pools)]
+    if plans[0].steps:
+        fit(networks.FaceNetwork(), face_step, data[:1], plans[0], seed, out)
+    refined = networks.fused(networks.FaceNetwork())
+    export.restore(refined, out)
+    fit(refined, face_step, data, plans[1], seed + 1, out)
 
 
-def train_part(folder: Path, out: Path, plan: Schedule, seed: int) -> None:
-    """Train the second network and write it to `out`."""
+def train_part(pools: list[Path], out: Path, plans: tuple[Schedule, Schedule], seed: int) -> None:
+    """Train the second network, likewise."""
     _settle(seed)
-    data = pool.Pool.read(folder)
-    usable = np.nonzero(data.crop_kinds[:] >= 0)[0]
-    fit(networks.PartNetwork(), part_step, data, usable, plan, seed, out)
+    data = [(each, np.nonzero(each.crop_kinds[:] >= 0)[0]) for each in map(pool.Pool.read, pools)]
+    if plans[0].steps:
+        fit(networks.PartNetwork(), part_step, data[:1], plans[0], seed, out)
+    refined = networks.fused(networks.PartNetwork())
+    export.restore(refined, out)
+    fit(refined, part_step, data, plans[1], seed + 1, out)
 
 
 def _settle(seed: int) -> None:
@@ -200,37 +229,30 @@ def _settle(seed: int) -> None:
 def main() -> None:
     """Do everything with one command."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--pool", type=Path, default=Path("build/fronts"), help="scratch folder")
+    parser.add_argument("--pools", type=Path, default=Path("build/fronts"), help="scratch folder")
     parser.add_argument("--out", type=Path, default=WEIGHTS, help="where the networks go")
-    parser.add_argument("--faces", type=int, default=8000, help="faces to draw")
-    parser.add_argument("--face-steps", type=int, default=1100)
-    parser.add_argument("--part-steps", type=int, default=1500)
+    parser.add_argument("--faces", type=int, nargs=2, default=(8000, 5000), help="to draw")
+    parser.add_argument("--face-steps", type=int, nargs=2, default=(1700, 1000))
+    parser.add_argument("--part-steps", type=int, nargs=2, default=(2000, 1100))
     parser.add_argument("--seed", type=int, default=1)
     given = parser.parse_args()
-    if not (given.pool / "handles.npy").exists():
-        pool.fill(given.pool, given.seed, given.faces, workers=2)
+    mixes = {"ordinary": generator.ORDINARY, "hard": generator.HARD}
+    pools = [given.pools / name for name in mixes]
+    for i, (folder, mix) in enumerate(zip(pools, mixes.values(), strict=True)):
+        if not (folder / "handles.npy").exists():
+            pool.fill(folder, mix, given.seed + i, given.faces[i], workers=2)
     given.out.mkdir(parents=True, exist_ok=True)
-    context = mp.get_context("spawn")
-    jobs = [
-        context.Process(
-            target=train_face,
-            args=(
-                given.pool,
-                given.out / "front_face.onnx",
-                Schedule(given.face_steps, 24),
-                given.seed,
-            ),
-        ),
-        context.Process(
-            target=train_part,
-            args=(
-                given.pool,
-                given.out / "front_part.onnx",
-                Schedule(given.part_steps, 48),
-                given.seed,
-            ),
-        ),
+    tasks = [
+        (train_face, "front_face.onnx", 24, given.face_steps),
+        (train_part, "front_part.onnx", 48, given.part_steps),
     ]
+    context = mp.get_context("spawn")
+    jobs = []
+    for target, name, batch, (first, second) in tasks:
+        plans = Schedule(first, batch), Schedule(second, batch, rate=REFINING_RATE)
+        jobs.append(
+            context.Process(target=target, args=(pools, given.out / name, plans, given.seed))
+        )
     for job in jobs:
         job.start()
     for job in jobs:

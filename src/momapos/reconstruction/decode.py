@@ -21,6 +21,8 @@ MIRRORED_SIDES = (2, 1, 0, 3)
 """Left, top, right, bottom in a mirror."""
 PART_MARGIN = 0.15
 """How much of its surroundings a crop shows on each side of a part, as a fraction of its side."""
+LEAST_SIDE = 0.01
+"""A part is broader and higher than this share of its face."""
 RELIEF_RANGE = 0.08
 """Relief beyond this is clipped [m]; handles and doors stand out by less."""
 
@@ -103,7 +105,7 @@ def peaks(
     edges = reach[:, row, column].T
     boxes = np.concatenate((centre - edges[:, :2], centre + edges[:, 2:]), axis=1)
     boxes = np.clip(boxes, 0.0, 1.0)
-    sound = (boxes[:, 2:] - boxes[:, :2] > 0.01).all(axis=1)
+    sound = (boxes[:, 2:] - boxes[:, :2] > LEAST_SIDE).all(axis=1)
     return boxes[sound], heat[:, row, column].T[sound]
 
 
@@ -164,7 +166,6 @@ def part(
     kind: int, box: Float[np.ndarray, "4"], score: float, handle: Float[np.ndarray, "4"] | None
 ) -> Part:
     """A part, kept within the face, and its handle, kept within the part."""
-    box = np.clip(box, 0.0, 1.0)
     held = None
     if handle is not None:
         low = np.clip(handle[:2], box[:2], box[2:])

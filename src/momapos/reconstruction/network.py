@@ -86,14 +86,15 @@ class FrontNetwork:
         size = outer[:, 2:] - outer[:, :2]
         aspect = np.log(size[:, 0] * face.width / (size[:, 1] * face.height))
         sure, edges, held, heat, reach = _look_at_parts(crops, aspect[:, None].astype(np.float32))
-        found = decode.in_face(edges.astype(float), outer)
+        found = np.clip(decode.in_face(edges.astype(float), outer), 0.0, 1.0)
         handles = np.stack([decode.handle_box(*pair) for pair in zip(heat, reach, strict=True)])
         handles = decode.in_face(handles, outer)
         # The whole face knows the neighbours, the crop knows the handle: both have a say.
         share = sure[:, :-1] / np.maximum(sure[:, :-1].sum(axis=1, keepdims=True), 1e-9)
         vote = np.log(share + 1e-3) + 0.5 * np.log(kinds + 1e-3)
         score = 1.0 - sure[:, -1]
-        good = np.nonzero(score > self.config.part)[0]
+        broad = (found[:, 2:] - found[:, :2] > decode.LEAST_SIDE).all(axis=1)
+        good = np.nonzero(broad & (score > self.config.part))[0]
         ranked = score * np.sqrt(kinds.max(axis=1))
         if not len(good):
             return ()
