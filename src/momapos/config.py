@@ -39,8 +39,8 @@ class ScanConfig:
 
     voxel: float = 0.015
     """Edge of the voxels that depth pictures are fused in [m]."""
-    least_side: float = 0.2
-    """Things whose middle edge is shorter have no doors or drawers [m]."""
+    least_sides: tuple[float, float] = (0.1, 0.2)
+    """Things whose shortest or middle edge is shorter than this have no doors or drawers [m]."""
     fusion: FusionConfig = field(default_factory=FusionConfig)
     gravity: GravityConfig = field(default_factory=GravityConfig)
     room: RoomConfig = field(default_factory=RoomConfig)

@@ -261,7 +261,7 @@ def _decide(
     box = Decision(item, score, None, (), "", "")
     if score is not None and score < alpha:
         return replace(box, reason=f"importance {score:.2f} is below alpha {alpha:.2f}")
-    if float(np.sort(item.box.size)[1]) < config.least_side:
+    if (np.sort(item.box.size)[:2] < config.least_sides).any():
         return replace(box, reason="too small for doors or drawers")
 
     def look(face: FaceImage) -> Front:

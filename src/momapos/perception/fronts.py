@@ -216,9 +216,8 @@ def hung_together(
             if body.box is None:
                 continue
             start, stop = corners(body.box)
-            middle = body.box.center[:2]
-            below = np.any((middle > low[:2]) & (middle < high[:2]))
-            below &= np.all((start - 0.15 < high) & (stop + 0.15 > low))
+            both = np.minimum(stop, high)[:2] - np.maximum(start, low)[:2]
+            below = np.prod(both.clip(0.0)) > 0.6 * np.prod((stop - start)[:2])
             flat = high[2] - low[2] < 0.15 and start[2] > 1.0
             if flat and below and low[2] - near < start[2] < high[2] + near:
                 box = from_corners(np.minimum(low, start), np.maximum(high, stop))
