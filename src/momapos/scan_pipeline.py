@@ -160,9 +160,10 @@ def scan_to_scene(
         decision = _decide(item, scores.get(item.name), frames, tools, found, given or {}, config)
         decisions.append(replace(decision, seconds=clock() - at))
     marks["model"] = clock()
-    models = {d.detection.name: d.model for d in decisions if d.model is not None}
     walls = wall_detections(room, config.boxes)
-    build_scene([*detections, *walls], models, floor_outline(cloud), out)
+    decisions += [Decision(wall, None, None, (), "", "a wall") for wall in walls]
+    models = {d.detection.name: d.model for d in decisions if d.model is not None}
+    build_scene([d.detection for d in decisions], models, floor_outline(cloud), out)
     marks["write"] = clock()
     timing = dict(zip(marks, np.diff([began, *marks.values()]).tolist(), strict=True))
     timing["total"] = clock() - began

@@ -8,7 +8,7 @@ from tests.perception.pictures import FRIDGE, camera, picture
 
 from momapos.geometry.transforms import apply, invert
 from momapos.perception.detections import corners
-from momapos.perception.faces import box_faces, face_image, shown
+from momapos.perception.faces import box_faces, face_image, shown, solid
 from momapos.types import Frame
 
 
@@ -74,3 +74,12 @@ def test_a_face_behind_something_is_not_shown() -> None:
     assert frame.depth is not None
     hidden = replace(frame, depth=np.where(np.arange(640) < 320, 0.5, frame.depth).astype("f4"))
     assert shown(box_faces(FRIDGE)[3], hidden) == pytest.approx(0.5, abs=0.1)
+
+
+def test_what_lies_behind_a_face_makes_it_less_solid() -> None:
+    image = face_image(box_faces(FRIDGE)[0], [view_of(0)])
+    rows = image.relief.shape[0]
+    legs = image.relief - 0.3 * (np.arange(rows) > rows / 2)[:, None]
+    assert solid(image) > 0.99
+    assert solid(replace(image, relief=legs.astype("f4"))) == pytest.approx(0.5, abs=0.02)
+    assert solid(replace(image, relief=np.full_like(legs, np.nan))) == 1.0

@@ -20,6 +20,9 @@ APART = 0.15
 """What lies farther before or behind a face is another thing, which hides it or is seen past it
 [m]."""
 
+FLAT = 0.1
+"""Doors, handles and frames stay within this of a front's plane; legs and shelves do not [m]."""
+
 
 @dataclass(frozen=True, eq=False)
 class Face:
@@ -77,6 +80,14 @@ def face_image(face: Face, frames: Sequence[Frame], *, pixels: int = 384) -> Fac
         unseen &= ~seen
         reliefs.append(relief)
     return FaceImage(colour, _median(reliefs, shape), face.width, face.height)
+
+
+def solid(image: FaceImage) -> float:
+    """Part of what was measured of a face that lies in its plane, in [0, 1]; 1 without depth."""
+    measured = np.isfinite(image.relief)
+    if not measured.any():
+        return 1.0
+    return float((np.abs(image.relief[measured]) < FLAT).mean())
 
 
 def shown(face: Face, frame: Frame, *, pixels: int = 48) -> float:

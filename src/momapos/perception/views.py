@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from momapos.perception.detections import Sight
-from momapos.perception.faces import FACES, Face, box_faces, face_image, shown
+from momapos.perception.faces import FACES, Face, box_faces, face_image, shown, solid
 from momapos.types import FaceImage, Frame, Front, UprightBox
 
 Look = Callable[[FaceImage], Front]
@@ -49,7 +49,8 @@ class View:
     image: FaceImage
     front: Front
     evidence: tuple[float, ...]
-    """Mean probability of each face; NaN for faces that no picture shows."""
+    """Mean of what the pictures say for each face: how probable it is a front, times how flat it
+    is; NaN for faces that no picture shows."""
 
 
 def choose_view(
@@ -92,7 +93,7 @@ def _first(
             continue
         image = face_image(face, [frame])
         front = look(image)
-        if front.score >= config.least:
+        if front.score * solid(image) >= config.least:
             angle = float(np.arccos(min(1.0, cosines.max())))
             return View(face, sight.frame, angle, image, front, ())
     return None
@@ -110,8 +111,8 @@ def _voting(
         order = _showing(face, frames, indices, config)
         if not order:
             continue
-        votes = [look(face_image(face, [frames[i]])).score for i in order[: config.votes]]
-        score = float(np.mean(votes))
+        images = [face_image(face, [frames[i]]) for i in order[: config.votes]]
+        score = float(np.mean([look(image).score * solid(image) for image in images]))
         evidence[face.index] = score
         if best is None or score > best[0]:
             best = score, face, order
