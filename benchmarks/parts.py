@@ -1,8 +1,9 @@
 """How well the front network finds doors, drawers and handles on faces it never saw.
 
-    python -m benchmarks.parts [--drawn 200] [--variants 3] [--pictures DIR]
+    python -m benchmarks.parts [--drawn 100] [--variants 3] [--pictures DIR]
 
-Three sets: freshly drawn faces, the real objects of the shared data (rendered), and real photos.
+Four sets: freshly drawn faces, ordinary and hard; the real objects of the shared data, rendered;
+and real photos.
 A part is located where a predicted one covers it with an IoU of 0.5, whatever its kind; a handle,
 where the middle of the predicted one lies within it.
 """
@@ -100,10 +101,10 @@ def _within(handle: tuple[float, float, float, float], part: TruePart) -> bool:
     return any(h[0] <= x <= h[2] and h[1] <= y <= h[3] for h in part.handles)
 
 
-def drawn_faces(number: int, seed: int) -> Iterator[TrueFace]:
+def drawn_faces(number: int, seed: int, mix: generator.Mix) -> Iterator[TrueFace]:
     """Faces that the generator draws, none of them drawn in training."""
     for i in range(number):
-        drawn = generator.draw(np.random.default_rng([seed, i]))
+        drawn = generator.draw(np.random.default_rng([seed, i]), mix)
         parts = tuple(TruePart(p.kind, p.box, (p.handle,) if p.handle else ()) for p in drawn.parts)
         yield TrueFace(drawn.family, drawn.face, parts)
 
@@ -157,22 +158,23 @@ def evaluate(name: str, faces: Iterable[TrueFace], network: FrontNetwork, out: P
 
 def main(
     shared: Path = Path("../shared/data"),
-    drawn: int = 200,
+    drawn: int = 100,
     variants: int = 3,
     seed: int = 90001,
     pictures: Path | None = None,
 ) -> None:
-    """Print three tables.
+    """Print a table of each set.
 
     Args:
         shared: Folder of the real data; its sets are left out where it is missing.
-        drawn: Number of freshly drawn faces.
+        drawn: Number of freshly drawn faces of each of the two mixes.
         variants: How often each real object is rendered.
         seed: Of drawn faces, light, view and noise; training used others.
         pictures: Folder for a picture of each face.
     """
     network = FrontNetwork()
-    evaluate("drawn", drawn_faces(drawn, seed), network, pictures)
+    evaluate("drawn", drawn_faces(drawn, seed, generator.ORDINARY), network, pictures)
+    evaluate("drawn, hard", drawn_faces(drawn, seed + 1, generator.HARD), network, pictures)
     if (shared / "bestman").is_dir():
         evaluate("real objects", real_faces(shared, variants, seed), network, pictures)
         evaluate("photos", photo_faces(shared), network, pictures)

@@ -85,7 +85,7 @@ def test_parts_come_surest_first_within_the_face_and_apart() -> None:
     common = decode.overlaps(boxes, boxes)[1] - np.eye(len(boxes))
     assert common.max() < network.FrontNetworkConfig().overlap
     for part in front.parts:
-        assert 0.5 <= part.score <= 1.0
+        assert network.FrontNetworkConfig().part <= part.score <= 1.0
         if part.handle is not None:
             left, top, right, bottom = part.handle
             assert part.box[0] <= left < right <= part.box[2]

@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from momapos.types import FaceImage, Part, PartKind
 
-from . import camera, fittings, handles, layouts, materials
+from . import camera, fittings, handles, layouts, materials, plans
 from .canvas import Canvas, Rect, inset
 
 SIDE = 320
@@ -64,7 +64,7 @@ class Drawn:
 class _Fitted:
     """A field of the plan after it was painted."""
 
-    cell: layouts.Cell
+    cell: plans.Cell
     handle: Rect | None
     level: float
     handle_level: float
@@ -100,7 +100,7 @@ def draw(rng: np.random.Generator, mix: Mix = ORDINARY) -> Drawn:
     return Drawn(face, parts, false_parts, plan.family)
 
 
-def _view(rng: np.random.Generator, plan: layouts.Plan) -> Rect:
+def _view(rng: np.random.Generator, plan: plans.Plan) -> Rect:
     """What the rectified picture shows: the face, but the box is never quite right."""
     scale = rng.choice([0.01, 0.04, 0.1], p=[0.45, 0.3, 0.25])
     grow = np.clip(np.abs(rng.normal(0, scale, 4)), 0, 0.22)
@@ -119,7 +119,7 @@ def _plane(rng: np.random.Generator) -> float:
 def _furnish(
     rng: np.random.Generator,
     canvas: Canvas,
-    plan: layouts.Plan,
+    plan: plans.Plan,
     body: materials.Material,
     uniform: bool,
     bare: float,
@@ -173,7 +173,7 @@ class _Seam:
             dark = 0.0
         return _Seam(rng.uniform(0.001, 0.006), dark, rng.uniform(0.0, 0.03))
 
-    def paint(self, canvas: Canvas, cell: layouts.Cell, out: float) -> None:
+    def paint(self, canvas: Canvas, cell: plans.Cell, out: float) -> None:
         if cell.fill in ("open", "knees"):
             return
         ring = inset(cell.rect, -self.width)
@@ -182,7 +182,7 @@ class _Seam:
 
 
 def _handle_style(
-    rng: np.random.Generator, plan: layouts.Plan, style: fittings.DoorStyle, bare: float
+    rng: np.random.Generator, plan: plans.Plan, style: fittings.DoorStyle, bare: float
 ) -> handles.HandleStyle | None:
     """The kind of handle of a piece of furniture; None where it has none."""
     if rng.random() < bare:
@@ -196,7 +196,7 @@ def _handle_style(
 def _fixed_cell(
     rng: np.random.Generator,
     canvas: Canvas,
-    cell: layouts.Cell,
+    cell: plans.Cell,
     style: fittings.DoorStyle,
     body: materials.Material,
 ) -> None:
@@ -220,7 +220,7 @@ def _fixed_cell(
 def _handle(
     rng: np.random.Generator,
     canvas: Canvas,
-    cell: layouts.Cell,
+    cell: plans.Cell,
     style: handles.HandleStyle | None,
     level: float,
 ) -> Rect | None:
@@ -244,7 +244,7 @@ def _handle(
 def _two_handles(
     rng: np.random.Generator,
     canvas: Canvas,
-    cell: layouts.Cell,
+    cell: plans.Cell,
     style: handles.HandleStyle,
     level: float,
 ) -> Rect:

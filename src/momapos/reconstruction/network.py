@@ -24,12 +24,10 @@ from momapos.types import FaceImage, Front, Part
 class FrontNetworkConfig:
     """When the networks are believed."""
 
-    proposal: float = 0.06
-    """Heat from which on a cell is looked at again [-]."""
     most: int = 20
     """Largest number of proposals that are looked at again [-]."""
-    part: float = 0.5
-    """Probability from which on a proposal is a part [-]."""
+    part: float = 0.35
+    """Confidence from which on a proposal is a part [-]; chosen on drawn faces."""
     handle: float = 0.5
     """Probability from which on a part has a handle [-]."""
     overlap: float = 0.4
@@ -65,7 +63,9 @@ class FrontNetwork:
         stack = decode.planes(face)
         whole = decode.resample(stack, np.array([0.0, 0.0, 1.0, 1.0]), decode.FACE_PIXELS)
         heat, reach, front = _look_at_face(whole[None])
-        boxes, kinds = decode.peaks(heat[0], reach[0], self.config.proposal, self.config.most)
+        # A cooler cell cannot become a part, however sure the second look is.
+        floor = self.config.part**2
+        boxes, kinds = decode.peaks(heat[0], reach[0], floor, self.config.most)
         if len(boxes):
             kept = decode.distinct(boxes, kinds.max(axis=1), 0.7, nested=False)
             boxes, kinds = boxes[kept], kinds[kept]
@@ -92,13 +92,13 @@ class FrontNetwork:
         # The whole face knows the neighbours, the crop knows the handle: both have a say.
         share = sure[:, :-1] / np.maximum(sure[:, :-1].sum(axis=1, keepdims=True), 1e-9)
         vote = np.log(share + 1e-3) + 0.5 * np.log(kinds + 1e-3)
-        score = 1.0 - sure[:, -1]
+        # Each look alone is often wrongly sure, hardly ever both at once.
+        score = np.sqrt((1.0 - sure[:, -1]) * kinds.max(axis=1))
         broad = (found[:, 2:] - found[:, :2] > decode.LEAST_SIDE).all(axis=1)
         good = np.nonzero(broad & (score > self.config.part))[0]
-        ranked = score * np.sqrt(kinds.max(axis=1))
         if not len(good):
             return ()
-        good = good[decode.distinct(found[good], ranked[good], self.config.overlap, nested=True)]
+        good = good[decode.distinct(found[good], score[good], self.config.overlap, nested=True)]
         return tuple(
             decode.part(
                 int(vote[i].argmax()),

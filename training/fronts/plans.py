@@ -1,0 +1,80 @@
+"""Plans of faces: rectangles that open, and rectangles that do not.
+
+A plan is drawn up in metres with the origin at the face's top left corner, y down.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from momapos.types import PartKind
+
+from .canvas import Rect
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One field of a face."""
+
+    rect: Rect
+    kind: PartKind | None
+    """None for what does not move."""
+    fill: str = "panel"
+    """How it is painted: panel, glass, window, open, knees, blank, controls, knobs,
+    basin, vent."""
+    free: str = ""
+    """Side at which the handle is; "" for the one opposite of the hinge."""
+    along: float = 0.5
+    """Where along that side the handle sits."""
+    handle: bool = True
+    """Whether it may have one."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A face and what is on it."""
+
+    family: str
+    width: float
+    height: float
+    cells: list[Cell] = field(default_factory=list)
+    appliance: bool = False
+
+
+def hinged(rng: np.random.Generator) -> PartKind:
+    """A door with its hinge on either side."""
+    return "door_left" if rng.random() < 0.5 else "door_right"
+
+
+def pair(
+    rng: np.random.Generator, rect: Rect, gap: float, along: float, fill: str = "panel"
+) -> list[Cell]:
+    """Two doors that open from their common edge."""
+    left, top, right, bottom = rect
+    share = 0.5 if rng.random() < 0.8 else rng.uniform(0.35, 0.65)
+    at = left + share * (right - left)
+    return [
+        Cell((left, top, at - gap / 2, bottom), "door_left", fill, along=along),
+        Cell((at + gap / 2, top, right, bottom), "door_right", fill, along=along),
+    ]
+
+
+def shares(rng: np.random.Generator, count: int, uneven: float) -> np.ndarray:
+    """Relative sizes of neighbours."""
+    raw = np.ones(count) if rng.random() > uneven else rng.uniform(0.6, 1.7, count)
+    return raw / raw.sum()
+
+
+def split(
+    rng: np.random.Generator, rect: Rect, count: int, gap: float, *, rows: bool, uneven: float
+) -> list[Rect]:
+    """Divide a rectangle into rows or columns with gaps between."""
+    left, top, right, bottom = rect
+    low, high = (top, bottom) if rows else (left, right)
+    edges = low + (high - low + gap) * np.concatenate(([0], np.cumsum(shares(rng, count, uneven))))
+    spans = [(edges[i], edges[i + 1] - gap) for i in range(count)]
+    if rows:
+        return [(left, a, right, b) for a, b in spans]
+    return [(a, top, b, bottom) for a, b in spans]
