@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from jaxtyping import Float
 
@@ -11,9 +9,9 @@ from momapos.geometry.transforms import wrap_angle
 from momapos.navigation.global_path import Path
 from momapos.robots.robot import Robot
 
-BEGIN = 0.25
+BEGIN = 0.5
 """Way that is left when docking begins [m]."""
-_SPEED = 0.25
+_SPEED = 0.3
 """Fastest [m/s]."""
 _SHARE = 0.5
 """Share of the base's accelerations that is planned with [-]."""
@@ -21,6 +19,10 @@ _LOOK = 0.15
 """A differential base heads for the point of its line this far ahead [m]."""
 _CLOSE, _TURNED = 0.004, float(np.radians(0.4))
 """What is left when a base stops driving [m] and turning [rad]."""
+_ON_LINE = 0.15
+"""Difference from the line that a moving base steers away on its way [rad]."""
+_AHEAD = 0.06
+"""An omni base heads for the pose of its way this far ahead [m]."""
 
 
 def approach(left: float, acceleration: float, fastest: float, dt: float) -> float:
@@ -29,51 +31,59 @@ def approach(left: float, acceleration: float, fastest: float, dt: float) -> flo
     return float(np.copysign(speed, left))
 
 
-@dataclass
 class Docking:
-    """Steers a base from the last straight leg of a way into its last pose.
+    """Follows a way exactly, leg by leg, and stops in its last pose.
 
-    A differential base follows the line of that leg to its end, then turns on the spot: what is
-    left beside the line stays, and is for a new way to mend. An omni base goes straight there.
+    A differential base turns to the line of a leg, follows it to its end, and turns on the spot; an
+    omni base goes from pose to pose of the way.
     """
 
-    robot: Robot
-    path: Path
-    dt: float
-    turning: bool = False
-    """Whether a differential base has come to the end of the line."""
+    def __init__(self, robot: Robot, path: Path, dt: float) -> None:
+        """Prepare to follow a way.
 
-    def begins(self, index: int) -> bool:
-        """Whether an index of the way is on the last leg, and near its end."""
-        path = self.path
-        left = path.poses[-1, :2] - path.poses[index, :2]
-        return index >= path.last and float(np.hypot(*left)) <= BEGIN
+        Args:
+            robot: What is steered.
+            path: The way.
+            dt: Time between commands [s].
+        """
+        self.robot, self.path, self.dt = robot, path, dt
+        self.leg, self.phase, self.index = 0, "aim", 0
 
-    def command(self, pose: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+    def command(
+        self, pose: Float[np.ndarray, "3"], velocity: Float[np.ndarray, "3"]
+    ) -> Float[np.ndarray, "3"]:
         """Velocity for a believed pose: vx [m/s], vy [m/s], yaw rate [rad/s], base frame."""
-        goal, robot = self.path.poses[-1], self.robot
-        turn = float(wrap_angle(goal[2] - pose[2]))
-        if robot.drive == "differential" and not self.turning:
-            return self._along(pose)
-        w = self._turn(turn)
-        if robot.drive == "differential":
-            return np.array([0.0, 0.0, w])
-        c, s = np.cos(pose[2]), np.sin(pose[2])
-        left = np.array([[c, s], [-s, c]]) @ (goal[:2] - pose[:2])
-        distance = float(np.hypot(*left))
-        if distance < _CLOSE:
-            return np.array([0.0, 0.0, w])
-        speed = approach(distance, robot.max_acceleration, self._fastest, self.dt)
-        return np.array([*(left / distance * speed), w])
+        if self.robot.drive == "omni":
+            return self._along_poses(pose)
+        nodes = self.path.nodes
+        if self.phase == "turn":
+            turn = float(wrap_angle(nodes[self.leg + 1, 2] - pose[2]))
+            if abs(turn) > 1.5 * _TURNED or not stands(velocity) or self.leg == len(nodes) - 2:
+                return np.array([0.0, 0.0, self._turn(turn)])
+            self.leg, self.phase = self.leg + 1, "aim"
+        left = nodes[self.leg + 1, :2] - pose[:2]
+        if self.phase == "aim":
+            step = nodes[self.leg + 1, :2] - nodes[self.leg, :2]
+            if np.hypot(*step) < _CLOSE:
+                self.phase = "turn"
+                return np.zeros(3)
+            # From where it stands, not from where the leg begins.
+            toward = left if np.hypot(*left) > 0.1 else step
+            self.line = np.arctan2(toward[1], toward[0]) + np.pi * self.path.backwards[self.leg]
+            turn = float(wrap_angle(self.line - pose[2]))
+            if abs(turn) > (_TURNED * 3 if stands(velocity) else _ON_LINE):
+                return np.array([0.0, 0.0, self._turn(turn)])
+            self.phase = "along"
+        return self._along(pose, left)
 
     def finished(self, pose: Float[np.ndarray, "3"], velocity: Float[np.ndarray, "3"]) -> bool:
-        """Whether the base stands, and docking can do no more."""
-        still = bool(np.hypot(velocity[0], velocity[1]) < 0.01 and abs(velocity[2]) < 0.02)
+        """Whether the base stands where the way ends."""
         goal = self.path.poses[-1]
-        turned = abs(float(wrap_angle(goal[2] - pose[2]))) < 1.5 * _TURNED
+        turned = abs(float(wrap_angle(goal[2] - pose[2]))) < 2 * _TURNED
         if self.robot.drive == "omni":
-            return still and turned and float(np.hypot(*(goal - pose)[:2])) < 1.5 * _CLOSE
-        return still and turned and self.turning
+            return stands(velocity) and turned and float(np.hypot(*(goal - pose)[:2])) < 2 * _CLOSE
+        last = self.phase == "turn" and self.leg == len(self.path.nodes) - 2
+        return stands(velocity) and turned and last
 
     @property
     def _fastest(self) -> float:
@@ -85,17 +95,51 @@ class Docking:
         robot = self.robot
         return approach(left, robot.max_yaw_acceleration, robot.max_yaw_rate, self.dt)
 
-    def _along(self, pose: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
-        """Follow the line to the goal's position, which may be ahead or behind."""
-        goal, line = self.path.poses[-1], float(self.path.poses[self.path.last, 2])
-        c, s = np.cos(line), np.sin(line)
-        left, beside = np.array([[c, s], [-s, c]]) @ (goal[:2] - pose[:2])
+    def _along_poses(self, pose: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+        """Toward the pose of the way a little ahead, turning as evenly as the way does."""
+        path = self.path
+        self.index = path.follow(pose, self.index, _AHEAD)
+        near = int(np.searchsorted(path.s, path.s[self.index] + _AHEAD))
+        goal = path.poses[min(near, len(path.poses) - 1)]
+        c, s = np.cos(pose[2]), np.sin(pose[2])
+        step = np.array([[c, s], [-s, c]]) @ (goal[:2] - pose[:2])
+        distance, turn = float(np.hypot(*step)), float(wrap_angle(goal[2] - pose[2]))
+        rest = path.s[-1] - path.s[min(near, len(path.s) - 1)]
+        robot = self.robot
+        v = approach(distance + rest, robot.max_acceleration, self._fastest, self.dt)
+        w = self._turn(turn)
+        if distance < _CLOSE:
+            return np.array([0.0, 0.0, w])
+        if rest > 0 and abs(turn) > _TURNED:
+            pace = min(v / distance, abs(w) / abs(turn))
+            v, w = pace * distance, pace * turn
+        return np.array([*(step / distance * v), w])
+
+    def _along(
+        self, pose: Float[np.ndarray, "3"], left_world: Float[np.ndarray, "2"]
+    ) -> Float[np.ndarray, "3"]:
+        """Follow the line to the end of the leg, which may be ahead or behind."""
+        c, s = np.cos(self.line), np.sin(self.line)
+        left, beside = np.array([[c, s], [-s, c]]) @ left_world
         if abs(left) < _CLOSE:
-            self.turning = True
+            self.phase = "turn"
             return np.zeros(3)
         v = approach(left, self.robot.max_acceleration, self._fastest, self.dt)
-        wish = line + np.copysign(1.0, v) * np.arctan2(beside, _LOOK)
+        bend = np.copysign(1.0, v) * np.arctan2(beside, _LOOK)
         # Steering is worth its turn only as far as there is way left to gain from it.
-        wish = line + float(wrap_angle(wish - line)) * min(1.0, abs(left) / 0.05)
-        w = self._turn(float(wrap_angle(wish - pose[2])))
-        return np.array([v, 0.0, w])
+        wish = self.line + bend * min(1.0, abs(left) / 0.05)
+        return np.array([v, 0.0, self._turn(float(wrap_angle(wish - pose[2])))])
+
+
+def stands(velocity: Float[np.ndarray, "3"]) -> bool:
+    """Whether a base has all but stopped."""
+    return bool(np.hypot(velocity[0], velocity[1]) < 0.01 and abs(velocity[2]) < 0.02)
+
+
+def aimed(robot: Robot, path: Path) -> bool:
+    """Whether a base can begin to follow a way without a turn on the spot."""
+    if robot.drive == "omni":
+        return True
+    step = path.nodes[1, :2] - path.nodes[0, :2]
+    line = np.arctan2(step[1], step[0]) + np.pi * path.backwards[0]
+    return abs(float(wrap_angle(line - path.nodes[0, 2]))) < _ON_LINE

@@ -16,10 +16,10 @@ from jaxtyping import Float
 from momapos.errors import SceneError
 from momapos.geometry.transforms import wrap_angle
 from momapos.navigation.base import limited, moved
-from momapos.navigation.docking import Docking
+from momapos.navigation.docking import BEGIN, Docking, aimed, stands
 from momapos.navigation.dynamic_window import Steering, WindowConfig, velocity_window
 from momapos.navigation.footprint_map import Ground, ground_of
-from momapos.navigation.global_path import Path, PathConfig, plan_path
+from momapos.navigation.global_path import TURN, Path, PathConfig, direct_path, plan_path
 from momapos.navigation.judge import Judge
 from momapos.navigation.localisation import Localiser, NoiseConfig
 from momapos.navigation.outlines import LOWER, UPPER, pack
@@ -44,6 +44,8 @@ class DriveConfig:
     """Time between choices of a velocity [s]."""
     simulation: float = 0.02
     """Step of the simulated base [s]."""
+    settle: float = 1.0
+    """Time that the base stands at first, to learn where it is [s]."""
     patience: float = 4.0
     """Time without progress after which a new way is planned [s]."""
     replans: int = 6
@@ -185,31 +187,35 @@ class _Run:
 
     def _ways(self) -> str:
         """Plan a way and drive it, again where that has to be; returns why it ended, "" if well."""
-        reason = ""
-        while self.ways <= self.config.replans:
+        if reason := self._wait(self.config.settle):
+            return reason
+        # Where the dynamic window got stuck, and for the last bit, the way is followed exactly.
+        exactly = False
+        for self.ways in range(1, self.config.replans + 2):
             path = self._plan()
             if path is None:
-                if not self.ways:
+                if self.ways == 1:
                     return "there is no way for the footprint"
                 # Odd fixes pass, and so do people.
-                path_reason = self._wait(self.config.patience)
-                if path_reason:
-                    return path_reason
-                self.ways += 1
+                reason = self._wait(self.config.patience)
+                if reason:
+                    return reason
+                reason = "there is no way from where it believes to be"
                 continue
-            if not self.ways:
+            if self.ways == 1:
                 self.planned = path.length
-            self.ways += 1
-            reason = self._follow(path)
-            if not reason:
-                if self._there(self.localiser.pose, 0.7):
-                    break
-                reason = "it believes to stand beside the goal"
-            elif not reason.startswith("stuck"):
+            if not exactly and self._left(self.localiser.pose) > BEGIN:
+                reason, path = self._cruise(path)
+                exactly = bool(reason)
+            if path is not None:
+                reason = self._dock(path)
+                exactly = not reason
+                if not reason and self._there(self.localiser.pose, 0.6):
+                    return "" if self._there(self.pose, 1.0) else self._missed()
+                reason = reason or "it believes to stand beside the goal"
+            if reason and not reason.startswith(("stuck", "it believes")):
                 return reason
-        if reason:
-            return reason
-        return "" if self._there(self.pose, 1.0) else self._missed()
+        return reason
 
     def _there(self, pose: Float[np.ndarray, "3"], share: float) -> bool:
         """Whether a pose is within a share of the tolerance."""
@@ -235,39 +241,65 @@ class _Run:
                 return ended
         return ""
 
-    def _follow(self, path: Path) -> str:
-        """Drive along a way until it ends, or until it must be planned anew."""
-        config = self.config
-        steering = Steering(self.ground, path, config.window, config.control)
-        docking = Docking(self.ground.robot, path, config.control)
-        index, docks, best, since = 0, False, -np.inf, self.now
+    def _cruise(self, path: Path) -> tuple[str, Path | None]:
+        """Drive along a way by the dynamic window, until near the goal.
+
+        Returns:
+            Why it ended, "" where it came near; and a way to follow from there, where there is a
+            simple one that can be followed without a stop.
+        """
+        steering = Steering(self.ground, path, self.config.window, self.config.control)
+        index, best, since = 0, -np.inf, self.now
         while True:
             began = self.clock()
-            pose = self.localiser.pose
-            discs = self.moving(self.now)
-            index = steering.follow(pose, index)
-            docks = docks or docking.begins(index)
-            if docks:
-                if docking.finished(pose, self.velocity):
-                    return ""
-                wish = docking.command(pose)
-                reached = limited(self.ground.robot, self.velocity, wish, config.control)
-                brake = velocity_window(self.ground.robot, self.velocity, config.control)[0]
-                if not np.isfinite(steering.ratings(pose, reached[None], index, discs)[0]):
-                    wish = brake
-            else:
-                wish = steering.choose(pose, self.velocity, index, discs)
+            pose, discs = self.localiser.pose, self.moving(self.now)
+            index = path.follow(pose, index, 0.5)
+            near = self._left(pose) < BEGIN and path.s[-1] - path.s[index] < BEGIN + TURN * np.pi
+            if near:
+                short = direct_path(self.ground, pose, self.goal, self.config.path)
+                if short is not None and aimed(self.ground.robot, short):
+                    return "", short
+                if stands(self.velocity):
+                    return "", None
+            wish = np.zeros(3) if near else steering.choose(pose, self.velocity, index, discs)
+            self.step_times.append(self.clock() - began)
+            if ended := self._step(wish):
+                return ended, None
+            if path.s[index] > best + 0.02:
+                best, since = float(path.s[index]), self.now
+            if self.now - since > self.config.patience:
+                return self._stuck(discs), None
+
+    def _dock(self, path: Path) -> str:
+        """Follow a way exactly."""
+        config, robot = self.config, self.ground.robot
+        steering = Steering(self.ground, path, config.window, config.control)
+        docking = Docking(robot, path, config.control)
+        waited = 0.0
+        while not docking.finished(self.localiser.pose, self.velocity):
+            began = self.clock()
+            pose, discs = self.localiser.pose, self.moving(self.now)
+            wish = docking.command(pose, self.velocity)
+            reached = limited(robot, self.velocity, wish, config.control)
+            if not steering.allows(pose, reached, discs):
+                wish = velocity_window(robot, self.velocity, config.control)[0]
             self.step_times.append(self.clock() - began)
             if ended := self._step(wish):
                 return ended
-            if path.s[index] > best + 0.02:
-                best, since = float(path.s[index]), self.now
-            # Docking moves too little for that measure, so it has twice the time.
-            if self.now - since > config.patience * (2 if docks else 1):
-                near = self.judge.to_discs(self.pose, discs)
-                what = "by a moving obstacle" if (near < 1.0).any() else "on the way"
-                x, y, yaw = self.pose
-                return f"stuck {what} at ({x:.2f}, {y:.2f}, {np.degrees(yaw):.0f} deg)"
+            waited = waited + config.control if stands(self.velocity) else 0.0
+            if waited > config.patience:
+                return self._stuck(discs)
+        return ""
+
+    def _stuck(self, discs: Float[np.ndarray, "d 5"]) -> str:
+        near = self.judge.to_discs(self.pose, discs)
+        what = "by a moving obstacle" if (near < 1.0).any() else "on the way"
+        x, y, yaw = self.pose
+        return f"stuck {what} at ({x:.2f}, {y:.2f}, {np.degrees(yaw):.0f} deg)"
+
+    def _left(self, pose: Float[np.ndarray, "3"]) -> float:
+        """Distance from a pose to the goal [m]."""
+        return float(np.hypot(*(self.goal - pose)[:2]))
 
     def _step(self, wish: Float[np.ndarray, "3"]) -> str:
         """Let one control step pass; returns why the drive ends, "" where it goes on."""

@@ -137,7 +137,8 @@ def rate(pose, samples, dt, limits, body, things, way, s, discs, need, taste):
                 least = min(least, g)
             if t >= end:
                 break
-            t = min(end, t + max(g - need / 2, 0.005) / max(points, 1e-6))
+            finest = 0.005 if t < stop else 0.02  # beyond the stop only the score is at stake
+            t = min(end, t + max(g - need / 2, finest) / max(points, 1e-6))
         if met <= stop:
             out[m] = -np.inf
             continue
@@ -173,7 +174,7 @@ def velocity_window(
         vx = now[0] + step * np.append(np.linspace(-1, 1, 7), np.clip(-now[0] / step, -1, 1))
         linear = np.stack([vx, np.zeros(len(vx))], -1)
     else:
-        angle = np.linspace(0, 2 * np.pi, 12, endpoint=False)
+        angle = np.linspace(0, 2 * np.pi, 8, endpoint=False)
         ring = np.stack([np.cos(angle), np.sin(angle)], -1)
         rest = -now[:2] * min(1.0, step / max(float(np.hypot(now[0], now[1])), 1e-12))
         linear = now[:2] + np.concatenate([np.zeros((1, 2)), step * ring, step / 3 * ring, [rest]])
@@ -200,13 +201,17 @@ class Steering:
         index: int,
         discs: Float[np.ndarray, "d 5"],
     ) -> Float[np.ndarray, " m"]:
-        """Score of velocities at a believed pose that is at some index of the way; see `rate`."""
+        """Score of velocities at a believed pose that is at some index of the way; see `rate`.
+
+        No gap smaller than the margin is allowed, but where the way itself has none; a base that
+        is nearer already may not come nearer still.
+        """
         ground, c, path = self.ground, self.config, self.path
         robot = ground.robot
         ahead = c.horizon * (robot.max_speed + TURN * robot.max_yaw_rate)
         end = max(int(np.searchsorted(path.s, path.s[index] + ahead)), index + 1)
         here = float(gaps(pose[None], ground.body, ground.things, cap=0.2)[0])
-        need = min(c.margin, 0.6 * float(path.gap[index : end + 1].min()), here - 1e-3)
+        need = min(c.margin, 0.6 * float(path.gap[index : end + 1].min()), here)
         return rate(
             pose, samples, self.dt,
             (robot.max_acceleration, robot.max_yaw_acceleration),
@@ -228,11 +233,11 @@ class Steering:
         scores = self.ratings(pose, samples, index, discs)
         return samples[int(np.argmax(scores))]
 
-    def follow(self, pose: Float[np.ndarray, "3"], index: int) -> int:
-        """Index of the pose of the way that a believed pose has come to; never goes back."""
-        end = int(np.searchsorted(self.path.s, self.path.s[index] + 0.5)) + 1
-        ahead = self.path.poses[index:end]
-        turn = np.abs((ahead[:, 2] - pose[2] + np.pi) % (2 * np.pi) - np.pi)
-        beside = np.hypot(*(ahead[:, :2] - pose[:2]).T) + TURN * turn
-        return index + int(np.argmin(beside))
-
+    def allows(
+        self,
+        pose: Float[np.ndarray, "3"],
+        velocity: Float[np.ndarray, "3"],
+        discs: Float[np.ndarray, "d 5"],
+    ) -> bool:
+        """Whether a base that follows the way exactly can have a velocity and still stop."""
+        return bool(np.isfinite(self.ratings(pose, velocity[None], 0, discs)[0]))

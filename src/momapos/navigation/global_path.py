@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.sparse.csgraph import dijkstra
 
 from momapos.geometry.transforms import wrap_angle
@@ -60,8 +60,23 @@ class Path:
     """Room around the robot at each [m], at most 0.3."""
     length: float
     """Metres driven."""
-    last: int
-    """Index at which the last straight leg begins."""
+    nodes: Float[np.ndarray, "m 3"]
+    """Where the legs of the way begin and end."""
+    backwards: Bool[np.ndarray, " m-1"]
+    """Whether a leg is driven backwards."""
+
+    def follow(self, pose: Float[np.ndarray, "3"], index: int, reach: float) -> int:
+        """Index of the pose that a base has come to, at or after an index.
+
+        Args:
+            pose: Where the base is.
+            index: Where it was on the way.
+            reach: How far along the way it may have come since [m].
+        """
+        end = int(np.searchsorted(self.s, self.s[index] + reach)) + 1
+        away = self.poses[index:end] - pose
+        beside = np.hypot(away[:, 0], away[:, 1]) + TURN * np.abs(wrap_angle(away[:, 2]))
+        return index + int(np.argmin(beside))
 
 
 def plan_path(
@@ -91,6 +106,22 @@ def plan_path(
     return plan.sampled(plan.merged(rough[kept]))
 
 
+def direct_path(
+    ground: Ground,
+    start: Float[np.ndarray, "3"],
+    goal: Float[np.ndarray, "3"],
+    config: PathConfig = PathConfig(),
+) -> Path | None:
+    """The way of one leg between two poses, None where it is blocked; see `plan_path`."""
+    nodes = np.stack([start, goal])
+    needs = 0.5 * gaps(nodes, ground.body, ground.things)
+    if (needs <= 0).any():
+        return None
+    plan = _Planner(ground, config, np.minimum(needs, NEEDED))
+    cost, _ = connections(nodes[:1], nodes[1:], *plan.kernel_at(float(plan.needs.min())))
+    return plan.sampled(nodes) if np.isfinite(cost[0]) else None
+
+
 @dataclass(frozen=True)
 class _Planner:
     """One question to the planner."""
@@ -103,9 +134,9 @@ class _Planner:
     @property
     def kernel(self) -> tuple:
         """What every kernel wants: kind of base, its outlines, those of the room, the taste."""
-        return self._kernel(NEEDED)
+        return self.kernel_at(NEEDED)
 
-    def _kernel(self, need: float) -> tuple:
+    def kernel_at(self, need: float) -> tuple:
         c, ground = self.config, self.ground
         taste = (float(need), c.liked, c.weight, c.turning, c.reversing)
         omni = ground.robot.drive == "omni"
@@ -115,7 +146,7 @@ class _Planner:
         self, start: Float[np.ndarray, "3"], goal: Float[np.ndarray, "3"]
     ) -> Float[np.ndarray, "n 3"] | None:
         """Poses of a way over the lattice, straight stretches thinned out."""
-        direct, _ = connections(start[None], goal[None], *self._kernel(self.needs.min()))
+        direct, _ = connections(start[None], goal[None], *self.kernel_at(self.needs.min()))
         if np.isfinite(direct[0]):
             bound = np.hypot(*(goal - start)[:2])
             turn = abs(wrap_angle(goal[2] - start[2])) if self.kernel[0] else 2 * np.pi
@@ -161,7 +192,7 @@ class _Planner:
         A base that stands close to furniture first backs out straight: turning at once, or going
         for the centre of a cell, would touch.
         """
-        kernel = self._kernel(need)
+        kernel = self.kernel_at(need)
         sides = np.arange(4 if kernel[0] else 2) * (np.pi / 2 if kernel[0] else np.pi)
         rays = [
             [pose[0] + d * np.cos(pose[2] + side), pose[1] + d * np.sin(pose[2] + side), pose[2]]
@@ -223,7 +254,7 @@ class _Planner:
             if np.hypot(*step) < 1e-6:
                 continue
             need = self.needs[0] if k == 1 else self.needs[1] if k == len(nodes) - 2 else NEEDED
-            kernel = self._kernel(min(need, NEEDED))
+            kernel = self.kernel_at(min(need, NEEDED))
             around = nodes[k - 1 : k + 2]
             costs, backwards = connections(around[:-1], around[1:], *kernel)
             straight = around.copy()
@@ -235,8 +266,8 @@ class _Planner:
     def sampled(self, nodes: Float[np.ndarray, "n 3"]) -> Path:
         """Every pose of the way over nodes."""
         omni = self.kernel[0]
-        _, backwards = connections(nodes[:-1], nodes[1:], *self._kernel(self.needs.min()))
-        poses, last = [nodes[0]], 0
+        _, backwards = connections(nodes[:-1], nodes[1:], *self.kernel_at(self.needs.min()))
+        poses = [nodes[0]]
         for a, b, back in zip(nodes[:-1], nodes[1:], backwards, strict=True):
             step = b[:2] - a[:2]
             if omni:
@@ -245,7 +276,6 @@ class _Planner:
             heading = np.arctan2(step[1], step[0]) + np.pi * back
             if np.hypot(*step) > 1e-6:
                 poses += _line(poses[-1], np.zeros(2), heading)
-                last = len(poses) - 1
                 poses += _line(poses[-1], step, heading)
             poses += _line(poses[-1], np.zeros(2), b[2])
         way = np.array(poses)
@@ -253,7 +283,7 @@ class _Planner:
         turn = np.abs(wrap_angle(np.diff(way[:, 2])))
         s = np.concatenate([[0.0], np.cumsum(move + TURN * turn)])
         room = gaps(way, self.ground.body, self.ground.things, cap=0.3)
-        return Path(way, s, room, float(move.sum()), last)
+        return Path(way, s, room, float(move.sum()), nodes, backwards)
 
 
 def _line(
