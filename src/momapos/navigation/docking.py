@@ -143,3 +143,9 @@ def aimed(robot: Robot, path: Path) -> bool:
     step = path.nodes[1, :2] - path.nodes[0, :2]
     line = np.arctan2(step[1], step[0]) + np.pi * path.backwards[0]
     return abs(float(wrap_angle(line - path.nodes[0, 2]))) < _ON_LINE
+
+
+def can_stop(robot: Robot, velocity: Float[np.ndarray, "3"], left: float) -> bool:
+    """Whether a base comes to stand within some way [m] at the deceleration planned with."""
+    way = float(velocity[0] ** 2 + velocity[1] ** 2) / (2 * _SHARE * robot.max_acceleration)
+    return way < left

@@ -16,7 +16,7 @@ from jaxtyping import Float
 from momapos.errors import SceneError
 from momapos.geometry.transforms import wrap_angle
 from momapos.navigation.base import limited, moved
-from momapos.navigation.docking import BEGIN, Docking, aimed, stands
+from momapos.navigation.docking import BEGIN, Docking, aimed, can_stop, stands
 from momapos.navigation.dynamic_window import Steering, WindowConfig, velocity_window
 from momapos.navigation.footprint_map import Ground, ground_of
 from momapos.navigation.global_path import TURN, Path, PathConfig, direct_path, plan_path
@@ -248,26 +248,29 @@ class _Run:
             Why it ended, "" where it came near; and a way to follow from there, where there is a
             simple one that can be followed without a stop.
         """
-        steering = Steering(self.ground, path, self.config.window, self.config.control)
+        config, robot = self.config, self.ground.robot
+        steering = Steering(self.ground, path, config.window, config.control)
         index, best, since = 0, -np.inf, self.now
         while True:
             began = self.clock()
             pose, discs = self.localiser.pose, self.moving(self.now)
             index = path.follow(pose, index, 0.5)
             near = self._left(pose) < BEGIN and path.s[-1] - path.s[index] < BEGIN + TURN * np.pi
-            if near:
-                short = direct_path(self.ground, pose, self.goal, self.config.path)
-                if short is not None and aimed(self.ground.robot, short):
+            if near and can_stop(robot, self.velocity, self._left(pose)):
+                short = direct_path(self.ground, pose, self.goal, config.path)
+                if short is not None and aimed(robot, short):
                     return "", short
                 if stands(self.velocity):
                     return "", None
-            wish = np.zeros(3) if near else steering.choose(pose, self.velocity, index, discs)
+                wish = velocity_window(robot, self.velocity, config.control)[0]
+            else:
+                wish = steering.choose(pose, self.velocity, index, discs)
             self.step_times.append(self.clock() - began)
             if ended := self._step(wish):
                 return ended, None
             if path.s[index] > best + 0.02:
                 best, since = float(path.s[index]), self.now
-            if self.now - since > self.config.patience:
+            if self.now - since > config.patience:
                 return self._stuck(discs), None
 
     def _dock(self, path: Path) -> str:

@@ -137,8 +137,9 @@ def rate(pose, samples, dt, limits, body, things, way, s, discs, need, taste):
                 least = min(least, g)
             if t >= end:
                 break
-            finest = 0.005 if t < stop else 0.02  # beyond the stop only the score is at stake
-            t = min(end, t + max(g - need / 2, finest) / max(points, 1e-6))
+            finest = 0.005 if t < stop else 0.03  # beyond the stop only the score is at stake
+            ahead = t + max(g - need / 2, finest) / max(points, 1e-6)
+            t = stop if t < stop < ahead else min(end, ahead)
         if met <= stop:
             out[m] = -np.inf
             continue
@@ -167,14 +168,14 @@ def velocity_window(
     )
     brake = now * max(0.0, 1 - dt / braking) if braking > 0 else np.zeros(3)
     step, turn = robot.max_acceleration * dt, robot.max_yaw_acceleration * dt
-    share = np.linspace(-1, 1, 13 if robot.drive == "differential" else 9)
+    share = np.linspace(-1, 1, 13 if robot.drive == "differential" else 7)
     w = now[2] + turn * np.sign(share) * np.abs(share) ** 1.5  # finest around the present rate
     w = np.append(w, np.clip(0.0, now[2] - turn, now[2] + turn))
     if robot.drive == "differential":
         vx = now[0] + step * np.append(np.linspace(-1, 1, 7), np.clip(-now[0] / step, -1, 1))
         linear = np.stack([vx, np.zeros(len(vx))], -1)
     else:
-        angle = np.linspace(0, 2 * np.pi, 8, endpoint=False)
+        angle = np.linspace(0, 2 * np.pi, 7, endpoint=False)
         ring = np.stack([np.cos(angle), np.sin(angle)], -1)
         rest = -now[:2] * min(1.0, step / max(float(np.hypot(now[0], now[1])), 1e-12))
         linear = now[:2] + np.concatenate([np.zeros((1, 2)), step * ring, step / 3 * ring, [rest]])
