@@ -24,7 +24,7 @@ NEEDED = 0.01
 """Gap that every pose of a way has, but where it begins and ends [m]."""
 TURN = 0.3
 """A radian of turning counts as this much way where progress is measured [m/rad]."""
-_BACK = np.arange(0.0, 0.65, 0.1)
+_BACK = np.array([0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0, 1.2])
 """How far a start or goal is left straight, before the base turns [m]."""
 _AROUND = 0.15, 0.3
 """How far lattice states may be from there, and from the start or goal itself [m]."""
@@ -97,13 +97,11 @@ def plan_path(
     if (needs <= 0).any() or not on_floor(ground.body, ground.floor, np.stack([start, goal])).all():
         return None
     plan = _Planner(ground, config, np.minimum(needs, NEEDED))
-    rough = plan.rough(start, goal)
-    if rough is None:
-        return None
-    kept = shorten(rough, plan.needs, *plan.kernel)
-    if not len(kept):
-        return None
-    return plan.sampled(plan.merged(rough[kept]))
+    for rough in plan.rough(start, goal):
+        kept = shorten(rough, plan.needs, *plan.kernel)
+        if len(kept):
+            return plan.sampled(plan.merged(rough[kept]))
+    return None
 
 
 def direct_path(
@@ -144,40 +142,37 @@ class _Planner:
 
     def rough(
         self, start: Float[np.ndarray, "3"], goal: Float[np.ndarray, "3"]
-    ) -> Float[np.ndarray, "n 3"] | None:
-        """Poses of a way over the lattice, straight stretches thinned out."""
+    ) -> list[Float[np.ndarray, "n 3"]]:
+        """Poses of a way over the lattice, none where there is none.
+
+        First with stretches thinned out, for speed; then all, for a cusp or a long turn is lost
+        with the poses left out of it.
+        """
         direct, _ = connections(start[None], goal[None], *self.kernel_at(self.needs.min()))
+        simple = [np.stack([start, goal])] if np.isfinite(direct[0]) else []
         if np.isfinite(direct[0]):
             bound = np.hypot(*(goal - start)[:2])
             turn = abs(wrap_angle(goal[2] - start[2])) if self.kernel[0] else 2 * np.pi
             if direct[0] <= bound + self.config.turning * turn + 1e-6:
-                return np.stack([start, goal])
+                return simple
         first, out = self._attached(start, self.needs[0], outward=True)
         last, back = self._attached(goal, self.needs[1], outward=False)
         ground = self.ground
         _, rows, columns = ground.gap.shape
         cells = np.unique(np.flatnonzero(np.isfinite(last)) % (rows * columns))
         if not len(cells) or not np.isfinite(first).any():
-            return np.stack([start, goal]) if np.isfinite(direct[0]) else None
+            return simple
         graph = cell_graph((ground.gap >= NEEDED).any(0))
         ahead = _FINER * dijkstra(graph, indices=cells, min_only=True).reshape(rows, columns)
         lattice = (ground.origin, CELL, MOVES, HEADINGS)
         way = search(ground.gap, ahead, first, last, lattice, *self.kernel)
         if not len(way):
-            return np.stack([start, goal]) if np.isfinite(direct[0]) else None
-        return np.concatenate(
-            [start[None], out[way[0]], self._thinned(way), back[way[-1]], goal[None]]
-        )
-
-    def _thinned(self, way: Int[np.ndarray, " k"]) -> Float[np.ndarray, "m 3"]:
-        """Poses of lattice states: all where the base turns, else one every so often."""
-        poses = self._states(way)
-        step = np.hypot(*np.diff(poses[:, :2], axis=0).T)
-        corner = np.ones(len(way), bool)
-        corner[1:-1] = (np.diff(poses[:-1, 2]) != 0) != (np.diff(poses[1:, 2]) != 0)
-        stretch = np.floor(np.concatenate([[0], np.cumsum(step)]) / _SPACING)
-        corner[1:] |= np.diff(stretch) != 0
-        return poses[corner]
+            return simple
+        every = self._states(way)
+        return [
+            np.concatenate([start[None], out[way[0]], poses, back[way[-1]], goal[None]])
+            for poses in (_thinned(every), every)
+        ]
 
     def _states(self, index: Int[np.ndarray, " k"]) -> Float[np.ndarray, "k 3"]:
         h, i, j = np.unravel_index(index, self.ground.gap.shape)
@@ -296,3 +291,13 @@ def _line(
     line = pose + share * np.array([*step, turn])
     line[:, 2] = wrap_angle(line[:, 2])
     return list(line)
+
+
+def _thinned(poses: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "m 3"]:
+    """Poses of a lattice way: those where it turns, else one every so often."""
+    step = np.hypot(*np.diff(poses[:, :2], axis=0).T)
+    kept = np.ones(len(poses), bool)
+    kept[1:-1] = (np.diff(poses[:-1, 2]) != 0) != (np.diff(poses[1:, 2]) != 0)
+    stretch = np.floor(np.concatenate([[0], np.cumsum(step)]) / _SPACING)
+    kept[1:-1] |= np.diff(stretch)[:-1] != 0
+    return poses[kept]
