@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from tests.navigation.boxes import free_pose, room, wall_with_door
 
 from momapos.errors import SceneError
 from momapos.geometry.transforms import wrap_angle
@@ -17,13 +18,16 @@ from momapos.navigation.footprint_map import Ground, survey
 from momapos.navigation.global_path import plan_path
 from momapos.navigation.localisation import NoiseConfig
 from momapos.robots.robot import Robot, load_robot
-from tests.navigation.boxes import free_pose, room, wall_with_door
 
 START, GOAL = np.array([-1.5, -0.8, 0.5]), np.array([1.4, 0.9, -1.0])
 
 
 def go(
-    ground: Ground, start: np.ndarray = START, goal: np.ndarray = GOAL, seed: int = 0, **more: object
+    ground: Ground,
+    start: np.ndarray = START,
+    goal: np.ndarray = GOAL,
+    seed: int = 0,
+    **more: object,
 ) -> DriveRecord:
     return drive(ground, start, goal, rng=np.random.default_rng(seed), **more)  # type: ignore[arg-type]
 

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from tests.navigation.boxes import room, square
 
 from momapos.errors import SceneError
 from momapos.navigation.clearance import gaps
@@ -14,7 +15,6 @@ from momapos.navigation.footprint_map import HEADINGS, ground_of, survey
 from momapos.navigation.judge import Judge
 from momapos.navigation.outlines import body_of, obstacles_of, thinned
 from momapos.robots.robot import Robot
-from tests.navigation.boxes import room, square
 
 CLUTTER = [
     (0.5, 0.3, 0.6, 0.4, 0.3),

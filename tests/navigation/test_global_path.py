@@ -6,16 +6,16 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from tests.navigation.boxes import free_pose, room, wall_with_door
 
 from momapos.geometry.polygons import inscribed_radius
 from momapos.geometry.transforms import wrap_angle
 from momapos.navigation.cost_map import CELL, FloorPlan, build_cost_map
-from momapos.navigation.footprint_map import Ground, survey
+from momapos.navigation.footprint_map import HEADINGS, Ground, survey
 from momapos.navigation.global_path import Path, direct_path, plan_path
 from momapos.navigation.judge import Judge
 from momapos.robots.robot import Robot
 from momapos.scene.files import load_scene
-from tests.navigation.boxes import free_pose, room, wall_with_door
 
 
 def finely(path: Path) -> np.ndarray:
@@ -60,8 +60,6 @@ def test_a_way_touches_nothing_and_is_little_longer_than_a_disc_would_need(
     rng = np.random.default_rng(3)
     plan = FloorPlan(ground.origin, ~(ground.gap > -0.02).any(0))
     cells = np.argwhere(ground.gap > 0.05)
-    from momapos.navigation.footprint_map import HEADINGS
-
     checked = 0
     while checked < 2:
         h, i, j = cells[rng.integers(len(cells), size=2)].T

@@ -118,16 +118,12 @@ def leg(a, b, turn, body, things, taste, near, work):
     length = np.hypot(dx, dy)
     moved = length + body[4] * abs(turn)
     cap = max(liked, 0.2)
-    count = select(
-        a[0] + dx / 2, a[1] + dy / 2, length / 2 + body[4] + cap, things[5], near
-    )
+    count = select(a[0] + dx / 2, a[1] + dy / 2, length / 2 + body[4] + cap, things[5], near)
     rate = (length + turning * abs(turn)) / max(moved, 1e-12)
     cost, done = 0.0, 0.0
     while True:
         t = done / moved if moved > 0 else 0.0
-        g = gap(
-            a[0] + t * dx, a[1] + t * dy, a[2] + t * turn, body, things, near, count, cap, work
-        )
+        g = gap(a[0] + t * dx, a[1] + t * dy, a[2] + t * turn, body, things, near, count, cap, work)
         if g < need:
             return np.inf
         if done >= moved:

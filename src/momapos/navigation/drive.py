@@ -121,7 +121,7 @@ def drive(
     for name, pose in zip(("start", "goal"), poses, strict=True):
         if pose.shape != (3,) or not np.isfinite(pose).all():
             raise SceneError(f"the {name} must be three finite numbers: x [m], y [m], yaw [rad]")
-    return _Run(ground, *poses, rng, moving or _nothing, config, clock).record()
+    return _Run(ground, poses[0], poses[1], rng, moving or _nothing, config, clock).record()
 
 
 def _nothing(_: float) -> Float[np.ndarray, "0 5"]:
@@ -191,18 +191,17 @@ class _Run:
             return reason
         # Where the dynamic window got stuck, and for the last bit, the way is followed exactly.
         exactly = False
-        for self.ways in range(1, self.config.replans + 2):
+        for self.ways in range(1, self.config.replans + 2):  # noqa: B020
             path = self._plan()
             if path is None:
-                if self.ways == 1:
+                if plan_path(self.ground, self.pose, self.goal, self.config.path) is None:
                     return "there is no way for the footprint"
                 # Odd fixes pass, and so do people.
-                reason = self._wait(self.config.patience)
-                if reason:
-                    return reason
                 reason = "there is no way from where it believes to be"
+                if ended := self._wait(self.config.patience):
+                    return ended
                 continue
-            if self.ways == 1:
+            if np.isinf(self.planned):
                 self.planned = path.length
             if not exactly and self._left(self.localiser.pose) > BEGIN:
                 reason, path = self._cruise(path)

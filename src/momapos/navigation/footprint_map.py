@@ -109,7 +109,5 @@ def _fill(centers, inside, headings, inner, body, things):
                 elif count == 0:
                     out[h, i, j] = FARTHEST
                 else:
-                    out[h, i, j] = gap(
-                        x, y, headings[h], body, things, near, count, FARTHEST, work
-                    )
+                    out[h, i, j] = gap(x, y, headings[h], body, things, near, count, FARTHEST, work)
     return out

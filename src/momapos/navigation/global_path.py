@@ -1,8 +1,8 @@
 """The way from a start to a goal pose: A* with headings, then as few straight legs as possible.
 
-Sources: A* (Hart, Nilsson, Raphael 1968) over the cells and headings of the footprint map; any-angle
-shortening after it, for the reason Theta* has (Daniel, Nash, Koenig, Felner 2010): the shortest way
-over a lattice is not the shortest way.
+Sources: A* (Hart, Nilsson, Raphael 1968) over the cells and headings of the footprint map; then
+any-angle shortening, for the reason that Theta* has (Daniel, Nash, Koenig, Felner 2010): the
+shortest way over a lattice is not the shortest way.
 """
 
 from __future__ import annotations
@@ -162,7 +162,7 @@ class _Planner:
         cells = np.unique(np.flatnonzero(np.isfinite(last)) % (rows * columns))
         if not len(cells) or not np.isfinite(first).any():
             return simple
-        graph = cell_graph((ground.gap >= NEEDED).any(0))
+        graph = cell_graph(np.any(ground.gap >= NEEDED, axis=0))
         ahead = _FINER * dijkstra(graph, indices=cells, min_only=True).reshape(rows, columns)
         lattice = (ground.origin, CELL, MOVES, HEADINGS)
         way = search(ground.gap, ahead, first, last, lattice, *self.kernel)

@@ -45,9 +45,7 @@ class Judge:
             The distances, and what is touched at each pose, "" where nothing is.
         """
         if len(poses) > _AT_ONCE:
-            parts = [
-                self.distance(poses[k : k + _AT_ONCE]) for k in range(0, len(poses), _AT_ONCE)
-            ]
+            parts = [self.distance(poses[k : k + _AT_ONCE]) for k in range(0, len(poses), _AT_ONCE)]
             return np.concatenate([d for d, _ in parts]), [name for _, t in parts for name in t]
         best = np.full(len(poses), FAR)
         touched = [""] * len(poses)
@@ -82,7 +80,6 @@ class Judge:
             apart = _corners_to_edges(centers, robot)
             found.append(np.where(contains(robot[0], discs[:, :2]), 0.0, apart))
         return np.min(found, axis=0) - discs[:, 4]
-
 
 
 def overlap(

@@ -16,9 +16,7 @@ def connections(a, b, omni, body, things, taste):
     near, work = np.empty(len(things[4]), np.int64), np.empty((len(body[0]), 5))
     cost, backwards = np.empty(len(a)), np.empty(len(a), np.bool_)
     for k in range(len(a)):
-        cost[k], backwards[k] = connect(
-            a[k], b[k], omni, body, things, taste, np.inf, near, work
-        )
+        cost[k], backwards[k] = connect(a[k], b[k], omni, body, things, taste, np.inf, near, work)
     return cost, backwards
 
 
@@ -49,7 +47,7 @@ def search(gaps, ahead, first, last, lattice, omni, body, things, taste):
         bound = ahead[(state % area) // columns, state % columns]
         if np.isfinite(bound):
             heapq.heappush(queue, (first[state] + bound, state))
-    best, end = np.inf, -1
+    best, end = np.inf, np.int64(-1)
     a, b = np.zeros(3), np.zeros(3)
     need, liked, weight, turning, reversing = taste
     ways = turns if omni else 2
@@ -93,11 +91,10 @@ def search(gaps, ahead, first, last, lattice, omni, body, things, taste):
             if cost[state] + step < cost[after]:
                 cost[after], parent[after] = cost[state] + step, state
                 heapq.heappush(queue, (cost[after] + ahead[ni, nj], after))
-    way = [np.int64(end)]
-    while end >= 0:
-        end = parent[end]
-        way.append(end)
-    return np.array(way[:-1][::-1], np.int64)
+    path = [np.int64(end)]
+    while path[-1] >= 0:
+        path.append(parent[path[-1]])
+    return np.array(path[:-1][::-1], np.int64)
 
 
 @njit(cache=True, nogil=True)
@@ -126,9 +123,7 @@ def shorten(poses, needs, omni, body, things, taste):
                 if j == n - 1:
                     need = min(need, needs[1])
                 local = (need, taste[1], taste[2], taste[3], taste[4])
-                found = connect(
-                    poses[i], poses[j], omni, body, things, local, limit, near, work
-                )[0]
+                found = connect(poses[i], poses[j], omni, body, things, local, limit, near, work)[0]
                 if found < limit:
                     cost[j], parent[j] = cost[i] + found, i
     kept = [n - 1]

@@ -44,7 +44,9 @@ class Localiser:
     def _fix(self, pose: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
         return pose + self.rng.normal(size=3) * np.sqrt(self._of_fix)
 
-    def step(self, pose: Float[np.ndarray, "3"], velocity: Float[np.ndarray, "3"], dt: float) -> None:
+    def step(
+        self, pose: Float[np.ndarray, "3"], velocity: Float[np.ndarray, "3"], dt: float
+    ) -> None:
         """Believe anew after a control step.
 
         Args:

@@ -100,9 +100,7 @@ def pack(
     first = np.concatenate([[0], np.cumsum([len(p) for p in polygons])]).astype(np.int64)
     if not len(polygons):
         none = np.zeros((0, 2))
-        return Outlines(
-            none, none, np.zeros(0), first, np.zeros(0, np.int64), np.zeros((0, 4)), ()
-        )
+        return Outlines(none, none, np.zeros(0), first, np.zeros(0, np.int64), np.zeros((0, 4)), ())
     corner, normal = (np.concatenate(a) for a in zip(*map(edges_of, polygons), strict=True))
     bounds = np.array([[*p.min(0), *p.max(0)] for p in polygons])
     level = np.einsum("pi,pi->p", corner, normal)
@@ -166,12 +164,10 @@ def obstacles_of(scene: Scene, body: Body) -> Outlines:
     return pack(polygons, layers, names)
 
 
-def thinned(
-    outlines: Outlines, floor: Float[np.ndarray, "k 2"] | None
-) -> Outlines:
+def thinned(outlines: Outlines, floor: Float[np.ndarray, "k 2"] | None) -> Outlines:
     """What suffices to plan with: no outline inside another, and the floor's edges as well."""
     kept = np.flatnonzero(~_covered(outlines))
-    polygons = [outlines.polygon(i) for i in kept]
+    polygons = [outlines.polygon(int(i)) for i in kept]
     layers = outlines.layer[kept].tolist()
     names = [outlines.names[i] for i in kept]
     if floor is not None:
