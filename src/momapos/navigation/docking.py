@@ -48,6 +48,7 @@ class Docking:
         """
         self.robot, self.path, self.dt = robot, path, dt
         self.leg, self.phase, self.index = 0, "aim", 0
+        self.line = 0.0
 
     def command(
         self, pose: Float[np.ndarray, "3"], velocity: Float[np.ndarray, "3"]

@@ -198,6 +198,8 @@ class _Run:
                     return "there is no way for the footprint"
                 # Odd fixes pass, and so do people.
                 reason = "there is no way from where it believes to be"
+                if len(self._standing()):
+                    reason = "a moving obstacle stands in the way"
                 if ended := self._wait(self.config.patience):
                     return ended
                 continue
@@ -229,10 +231,14 @@ class _Run:
 
     def _plan(self) -> Path | None:
         """A way from where the base believes to be, around what stands in it."""
-        discs = self.moving(self.now)
-        standing = discs[np.hypot(discs[:, 2], discs[:, 3]) < _STANDING]
-        ground = _with_discs(self.ground, standing) if self.ways and len(standing) else self.ground
+        standing = self._standing()
+        ground = _with_discs(self.ground, standing) if len(standing) else self.ground
         return plan_path(ground, self.localiser.pose, self.goal, self.config.path)
+
+    def _standing(self) -> Float[np.ndarray, "d 5"]:
+        """Moving obstacles that do not move now."""
+        discs = self.moving(self.now)
+        return discs[np.hypot(discs[:, 2], discs[:, 3]) < _STANDING]
 
     def _wait(self, seconds: float) -> str:
         for _ in range(int(seconds / self.config.control)):
