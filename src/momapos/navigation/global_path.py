@@ -241,20 +241,19 @@ class _Planner:
 
     def merged(self, nodes: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
         """Turn at each node from one leg to the next at once, not by way of the node's heading."""
-        nodes = nodes.copy()
-        if self.kernel[0]:
+        nodes, kernel = nodes.copy(), self.kernel_at(self.needs.min())
+        if kernel[0]:
             return nodes
         for k in range(1, len(nodes) - 1):
             step = nodes[k, :2] - nodes[k - 1, :2]
             if np.hypot(*step) < 1e-6:
                 continue
-            need = self.needs[0] if k == 1 else self.needs[1] if k == len(nodes) - 2 else NEEDED
-            kernel = self.kernel_at(min(need, NEEDED))
             around = nodes[k - 1 : k + 2]
             costs, backwards = connections(around[:-1], around[1:], *kernel)
             straight = around.copy()
             straight[1, 2] = np.arctan2(step[1], step[0]) + np.pi * backwards[0]
-            if connections(straight[:-1], straight[1:], *kernel)[0].sum() <= costs.sum() + 1e-9:
+            at_once = connections(straight[:-1], straight[1:], *kernel)[0].sum()
+            if np.isfinite(at_once) and at_once <= costs.sum() + 1e-9:
                 nodes[k, 2] = wrap_angle(straight[1, 2])
         return nodes
 

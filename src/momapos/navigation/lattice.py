@@ -103,7 +103,8 @@ def shorten(poses, needs, omni, body, things, taste):
 
     Args:
         poses: The way (n, 3).
-        needs: Gaps needed at the first and at the last pose, where there may be little room [m].
+        needs: Gaps needed on the way to and from the first and last two poses, where there may be
+            little room [m].
         omni, body, things, taste: See `connect`.
 
     Returns:
@@ -118,9 +119,9 @@ def shorten(poses, needs, omni, body, things, taste):
             limit = cost[j] - cost[i]
             if np.isfinite(cost[i]) and limit > 0:
                 need = taste[0]
-                if i == 0:
+                if i <= 1:
                     need = min(need, needs[0])
-                if j == n - 1:
+                if j >= n - 2:
                     need = min(need, needs[1])
                 local = (need, taste[1], taste[2], taste[3], taste[4])
                 found = connect(poses[i], poses[j], omni, body, things, local, limit, near, work)[0]
