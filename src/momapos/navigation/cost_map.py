@@ -127,11 +127,11 @@ def build_cost_map(plan: FloorPlan, start: Float[np.ndarray, "2"], *, radius: fl
     free = clear > radius
     j, i = np.clip(((start - plan.origin) / CELL).astype(int), 0, [columns - 1, rows - 1])
     free[i, j] = True
-    distance = dijkstra(_graph(free), indices=int(i * columns + j)).reshape(rows, columns)
+    distance = dijkstra(cell_graph(free), indices=int(i * columns + j)).reshape(rows, columns)
     return CostMap(plan.origin, distance, free)
 
 
-def _graph(free: Bool[np.ndarray, "rows columns"]) -> csr_matrix:
+def cell_graph(free: Bool[np.ndarray, "rows columns"]) -> csr_matrix:
     """Sixteen-neighbour graph of the free cells, as compressed rows without a detour."""
     columns = free.shape[1]
     di, dj = np.array(_MOVES).T

@@ -1,0 +1,302 @@
+"""The way from a start to a goal pose: A* with headings, then as few straight legs as possible.
+
+Sources: A* (Hart, Nilsson, Raphael 1968) over the cells and headings of the footprint map; then
+any-angle shortening, for the reason that Theta* has (Daniel, Nash, Koenig, Felner 2010): the
+shortest way over a lattice is not the shortest way.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.sparse.csgraph import dijkstra
+
+from momapos.geometry.transforms import wrap_angle
+from momapos.navigation.clearance import gaps
+from momapos.navigation.cost_map import CELL, cell_graph
+from momapos.navigation.footprint_map import HEADINGS, MOVES, Ground
+from momapos.navigation.lattice import connections, search, shorten
+from momapos.navigation.outlines import on_floor
+
+NEEDED = 0.01
+"""Gap that every pose of a way has, but where it begins and ends [m]."""
+TURN = 0.3
+"""A radian of turning counts as this much way where progress is measured [m/rad]."""
+_BACK = np.array([0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0, 1.2])
+"""How far a start or goal is left straight, before the base turns [m]."""
+_AROUND = 0.15, 0.3
+"""How far lattice states may be from there, and from the start or goal itself [m]."""
+_SPACING = 0.15
+"""Straight stretches of the lattice are offered for shortening at this spacing [m]."""
+_FINER = 0.97
+"""Sixteen directions measure lengths at most 2.7 % too long; more directions need less."""
+
+
+@dataclass(frozen=True)
+class PathConfig:
+    """What makes one way better than another of the same length."""
+
+    liked: float = 0.08
+    """Gap to everything that is kept where there is room [m]."""
+    weight: float = 1.0
+    """By which a metre along obstacles costs more than one with room [-]."""
+    turning: float = 0.1
+    """Cost of turning [m/rad]."""
+    reversing: float = 1.3
+    """Cost of a metre driven backwards, where a base has a front [-]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Path:
+    """A way, pose by pose; turns in place are part of it."""
+
+    poses: Float[np.ndarray, "n 3"]
+    """x [m], y [m], heading [rad]; at most 2.5 cm or 3 degrees apart."""
+    s: Float[np.ndarray, " n"]
+    """Progress at each: metres driven plus TURN times radians turned [m]."""
+    gap: Float[np.ndarray, " n"]
+    """Room around the robot at each [m], at most 0.3."""
+    length: float
+    """Metres driven."""
+    nodes: Float[np.ndarray, "m 3"]
+    """Where the legs of the way begin and end."""
+    backwards: Bool[np.ndarray, " m-1"]
+    """Whether a leg is driven backwards."""
+
+    def follow(self, pose: Float[np.ndarray, "3"], index: int, reach: float) -> int:
+        """Index of the pose that a base has come to, at or after an index.
+
+        Args:
+            pose: Where the base is.
+            index: Where it was on the way.
+            reach: How far along the way it may have come since [m].
+        """
+        end = int(np.searchsorted(self.s, self.s[index] + reach)) + 1
+        away = self.poses[index:end] - pose
+        beside = np.hypot(away[:, 0], away[:, 1]) + TURN * np.abs(wrap_angle(away[:, 2]))
+        return index + int(np.argmin(beside))
+
+
+def plan_path(
+    ground: Ground,
+    start: Float[np.ndarray, "3"],
+    goal: Float[np.ndarray, "3"],
+    config: PathConfig = PathConfig(),
+) -> Path | None:
+    """Find a short way for the whole footprint; None where there is none.
+
+    Args:
+        ground: Where the robot fits.
+        start: x [m], y [m], yaw [rad].
+        goal: Likewise; the way ends in exactly this pose.
+        config: What makes one way better than another.
+    """
+    needs = 0.5 * gaps(np.stack([start, goal]), ground.body, ground.things)
+    if (needs <= 0).any() or not on_floor(ground.body, ground.floor, np.stack([start, goal])).all():
+        return None
+    plan = _Planner(ground, config, np.minimum(needs, NEEDED))
+    for rough in plan.rough(start, goal):
+        kept = shorten(rough, plan.needs, *plan.kernel)
+        if len(kept):
+            return plan.sampled(plan.merged(rough[kept]))
+    return None
+
+
+def direct_path(
+    ground: Ground,
+    start: Float[np.ndarray, "3"],
+    goal: Float[np.ndarray, "3"],
+    config: PathConfig = PathConfig(),
+) -> Path | None:
+    """The way of one leg between two poses, None where it is blocked; see `plan_path`."""
+    nodes = np.stack([start, goal])
+    needs = 0.5 * gaps(nodes, ground.body, ground.things)
+    if (needs <= 0).any():
+        return None
+    plan = _Planner(ground, config, np.minimum(needs, NEEDED))
+    cost, _ = connections(nodes[:1], nodes[1:], *plan.kernel_at(float(plan.needs.min())))
+    return plan.sampled(nodes) if np.isfinite(cost[0]) else None
+
+
+@dataclass(frozen=True)
+class _Planner:
+    """One question to the planner."""
+
+    ground: Ground
+    config: PathConfig
+    needs: Float[np.ndarray, "2"]
+    """Gaps needed at the start and at the goal [m]."""
+
+    @property
+    def kernel(self) -> tuple:
+        """What every kernel wants: kind of base, its outlines, those of the room, the taste."""
+        return self.kernel_at(NEEDED)
+
+    def kernel_at(self, need: float) -> tuple:
+        c, ground = self.config, self.ground
+        taste = (float(need), c.liked, c.weight, c.turning, c.reversing)
+        omni = ground.robot.drive == "omni"
+        return omni, ground.body.arrays, ground.things.arrays, taste
+
+    def rough(
+        self, start: Float[np.ndarray, "3"], goal: Float[np.ndarray, "3"]
+    ) -> list[Float[np.ndarray, "n 3"]]:
+        """Poses of a way over the lattice, none where there is none.
+
+        First with stretches thinned out, for speed; then all, for a cusp or a long turn is lost
+        with the poses left out of it.
+        """
+        direct, _ = connections(start[None], goal[None], *self.kernel_at(self.needs.min()))
+        simple = [np.stack([start, goal])] if np.isfinite(direct[0]) else []
+        if np.isfinite(direct[0]):
+            bound = np.hypot(*(goal - start)[:2])
+            turn = abs(wrap_angle(goal[2] - start[2])) if self.kernel[0] else 2 * np.pi
+            if direct[0] <= bound + self.config.turning * turn + 1e-6:
+                return simple
+        first, out = self._attached(start, self.needs[0], outward=True)
+        last, back = self._attached(goal, self.needs[1], outward=False)
+        ground = self.ground
+        _, rows, columns = ground.gap.shape
+        cells = np.unique(np.flatnonzero(np.isfinite(last)) % (rows * columns))
+        if not len(cells) or not np.isfinite(first).any():
+            return simple
+        graph = cell_graph(np.any(ground.gap >= NEEDED, axis=0))
+        ahead = _FINER * dijkstra(graph, indices=cells, min_only=True).reshape(rows, columns)
+        lattice = (ground.origin, CELL, MOVES, HEADINGS)
+        way = search(ground.gap, ahead, first, last, lattice, *self.kernel)
+        if not len(way):
+            return simple
+        every = self._states(way)
+        return [
+            np.concatenate([start[None], out[way[0]], poses, back[way[-1]], goal[None]])
+            for poses in (_thinned(every), every)
+        ]
+
+    def _states(self, index: Int[np.ndarray, " k"]) -> Float[np.ndarray, "k 3"]:
+        h, i, j = np.unravel_index(index, self.ground.gap.shape)
+        xy = self.ground.origin + (np.stack([j, i], -1) + 0.5) * CELL
+        return np.column_stack([xy, HEADINGS[h]])
+
+    def _attached(
+        self, pose: Float[np.ndarray, "3"], need: float, *, outward: bool
+    ) -> tuple[Float[np.ndarray, " states"], dict[int, Float[np.ndarray, "k 3"]]]:
+        """Costs between a pose and the lattice states around it, and the pose on the way to each.
+
+        A base that stands close to furniture first backs out straight: turning at once, or going
+        for the centre of a cell, would touch.
+        """
+        kernel = self.kernel_at(need)
+        sides = np.arange(4 if kernel[0] else 2) * (np.pi / 2 if kernel[0] else np.pi)
+        rays = [
+            [pose[0] + d * np.cos(pose[2] + side), pose[1] + d * np.sin(pose[2] + side), pose[2]]
+            for side in sides
+            for d in _BACK[1:]
+        ]
+        ends = np.array([pose, *rays])
+        same = np.broadcast_to(pose, ends.shape).copy()
+        so_far, _ = connections(*(same, ends) if outward else (ends, same), *kernel)
+        found = [
+            self._near(end, _AROUND[k == 0], outward)
+            for k, end in enumerate(ends)
+            if np.isfinite(so_far[k])
+        ]
+        which = np.repeat(np.flatnonzero(np.isfinite(so_far)), [len(f) for f in found])
+        cost = np.full(self.ground.gap.size, np.inf)
+        if not len(which):
+            return cost, {}
+        index = np.concatenate(found)
+        states = self._states(index)
+        between, _ = connections(
+            *(ends[which], states) if outward else (states, ends[which]), *kernel
+        )
+        total = so_far[which] + between
+        order = np.argsort(-total)
+        cost[index[order]] = total[order]  # of several ways to one state the last, cheapest stays
+        via = {int(index[k]): ends[which[k]][None] for k in order if np.isfinite(total[k])}
+        return cost, via
+
+    def _near(
+        self, end: Float[np.ndarray, "3"], radius: float, outward: bool
+    ) -> Int[np.ndarray, " k"]:
+        """Free lattice states around a pose, with the headings that suit going there or turning."""
+        ground = self.ground
+        count, rows, columns = ground.gap.shape
+        j0, i0 = np.floor((end[:2] - ground.origin) / CELL).astype(int)
+        span = np.arange(-int(radius / CELL), int(radius / CELL) + 1)
+        i, j = (a.ravel() for a in np.meshgrid(i0 + span, j0 + span, indexing="ij"))
+        inside = (i >= 0) & (j >= 0) & (i < rows) & (j < columns)
+        i, j = i[inside], j[inside]
+        away = ground.origin + (np.stack([j, i], -1) + 0.5) * CELL - end[:2]
+        near = np.hypot(*away.T) <= radius
+        i, j, away = i[near], j[near], away[near] * (1 if outward else -1)
+        toward = np.arctan2(away[:, 1], away[:, 0])
+        headings = np.stack([np.full(len(i), end[2]), toward, toward + np.pi], -1)
+        apart = np.abs(wrap_angle((headings[..., None] - HEADINGS).ravel()))
+        h = apart.reshape(*headings.shape, count).argmin(-1)
+        h = np.column_stack([h, (h[:, 0] + 1) % count, (h[:, 0] - 1) % count])
+        index = np.unique(np.ravel_multi_index((h, i[:, None], j[:, None]), ground.gap.shape))
+        return index[ground.gap.ravel()[index] >= NEEDED]
+
+    def merged(self, nodes: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+        """Turn at each node from one leg to the next at once, not by way of the node's heading."""
+        nodes, kernel = nodes.copy(), self.kernel_at(self.needs.min())
+        if kernel[0]:
+            return nodes
+        for k in range(1, len(nodes) - 1):
+            step = nodes[k, :2] - nodes[k - 1, :2]
+            if np.hypot(*step) < 1e-6:
+                continue
+            around = nodes[k - 1 : k + 2]
+            costs, backwards = connections(around[:-1], around[1:], *kernel)
+            straight = around.copy()
+            straight[1, 2] = np.arctan2(step[1], step[0]) + np.pi * backwards[0]
+            at_once = connections(straight[:-1], straight[1:], *kernel)[0].sum()
+            if np.isfinite(at_once) and at_once <= costs.sum() + 1e-9:
+                nodes[k, 2] = wrap_angle(straight[1, 2])
+        return nodes
+
+    def sampled(self, nodes: Float[np.ndarray, "n 3"]) -> Path:
+        """Every pose of the way over nodes."""
+        omni = self.kernel[0]
+        _, backwards = connections(nodes[:-1], nodes[1:], *self.kernel_at(self.needs.min()))
+        poses = [nodes[0]]
+        for a, b, back in zip(nodes[:-1], nodes[1:], backwards, strict=True):
+            step = b[:2] - a[:2]
+            if omni:
+                poses += _line(poses[-1], step, b[2])
+                continue
+            heading = np.arctan2(step[1], step[0]) + np.pi * back
+            if np.hypot(*step) > 1e-6:
+                poses += _line(poses[-1], np.zeros(2), heading)
+                poses += _line(poses[-1], step, heading)
+            poses += _line(poses[-1], np.zeros(2), b[2])
+        way = np.array(poses)
+        move = np.hypot(*np.diff(way[:, :2], axis=0).T)
+        turn = np.abs(wrap_angle(np.diff(way[:, 2])))
+        s = np.concatenate([[0.0], np.cumsum(move + TURN * turn)])
+        room = gaps(way, self.ground.body, self.ground.things, cap=0.3)
+        return Path(way, s, room, float(move.sum()), nodes, backwards)
+
+
+def _line(
+    pose: Float[np.ndarray, "3"], step: Float[np.ndarray, "2"], heading: float
+) -> list[Float[np.ndarray, "3"]]:
+    """Poses of a straight leg with an even turn, without the first one."""
+    turn = float(wrap_angle(heading - pose[2]))
+    count = int(np.ceil(max(np.hypot(*step) / 0.025, abs(turn) / 0.05)))
+    share = np.arange(1, count + 1)[:, None] / max(count, 1)
+    line = pose + share * np.array([*step, turn])
+    line[:, 2] = wrap_angle(line[:, 2])
+    return list(line)
+
+
+def _thinned(poses: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "m 3"]:
+    """Poses of a lattice way: those where it turns, else one every so often."""
+    step = np.hypot(*np.diff(poses[:, :2], axis=0).T)
+    kept = np.ones(len(poses), bool)
+    kept[1:-1] = (np.diff(poses[:-1, 2]) != 0) != (np.diff(poses[1:, 2]) != 0)
+    stretch = np.floor(np.concatenate([[0], np.cumsum(step)]) / _SPACING)
+    kept[1:-1] |= np.diff(stretch)[:-1] != 0
+    return poses[kept]

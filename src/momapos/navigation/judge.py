@@ -1,0 +1,109 @@
+"""Whether the robot really touches anything: outlines against outlines, in plain numpy.
+
+Nothing of what plans or steers is used here: no map, no thinning, no kernels.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from momapos.geometry.polygons import contains
+from momapos.navigation.outlines import Body, Outlines, on_floor, turned
+
+FAR = 0.5
+"""Distances above this are not told apart [m]."""
+_AT_ONCE = 8
+"""Poses that are looked at together; neighbours share what is near them."""
+
+
+@dataclass(frozen=True, eq=False)
+class Judge:
+    """The robot and everything that it must not touch."""
+
+    body: Body
+    obstacles: Outlines
+    floor: Float[np.ndarray, "k 2"] | None
+
+    @cached_property
+    def _padded(self) -> Float[np.ndarray, "o k 2"]:
+        """Corners of all obstacles; the first one again where one has fewer than others."""
+        count = np.diff(self.obstacles.first)
+        index = np.arange(count.max(initial=1))
+        index = self.obstacles.first[:-1, None] + np.where(index < count[:, None], index, 0)
+        return self.obstacles.corner[index]
+
+    def distance(
+        self, poses: Float[np.ndarray, "n 3"]
+    ) -> tuple[Float[np.ndarray, " n"], list[str]]:
+        """Distance to the nearest obstacle at each pose [m], at most FAR, 0 where they overlap.
+
+        Returns:
+            The distances, and what is touched at each pose, "" where nothing is.
+        """
+        if len(poses) > _AT_ONCE:
+            parts = [self.distance(poses[k : k + _AT_ONCE]) for k in range(0, len(poses), _AT_ONCE)]
+            return np.concatenate([d for d, _ in parts]), [name for _, t in parts for name in t]
+        best = np.full(len(poses), FAR)
+        touched = [""] * len(poses)
+        box = self.obstacles.bounds
+        reach = self.body.radius + FAR
+        low, high = poses[:, :2].min(0) - reach, poses[:, :2].max(0) + reach
+        near = (box[:, :2] < high).all(1) & (box[:, 2:] > low).all(1)
+        for layer, outline in enumerate(self.body.outlines):
+            which = np.flatnonzero(near & (self.obstacles.layer == layer))
+            if not len(which):
+                continue
+            robot, room = turned(outline, poses)[:, None], self._padded[which][None]
+            apart = np.minimum(_corners_to_edges(robot, room), _corners_to_edges(room, robot))
+            apart = np.where(overlap(robot, room), 0.0, apart)
+            best = np.minimum(best, apart.min(1))
+            for n in np.flatnonzero((apart <= 0).any(1)):
+                touched[n] = self.obstacles.names[which[int(apart[n].argmin())]]
+        for n in np.flatnonzero(~on_floor(self.body, self.floor, poses)):
+            touched[n] = touched[n] or "the edge of the floor"
+        return best, touched
+
+    def to_discs(
+        self, pose: Float[np.ndarray, "3"], discs: Float[np.ndarray, "d 5"]
+    ) -> Float[np.ndarray, " d"]:
+        """Distance between the robot and moving discs [m], negative where they overlap."""
+        if not len(discs):
+            return np.zeros(0)
+        centers = discs[:, None, :2]
+        found = []
+        for outline in self.body.outlines:
+            robot = turned(outline, pose[None])
+            apart = _corners_to_edges(centers, robot)
+            found.append(np.where(contains(robot[0], discs[:, :2]), 0.0, apart))
+        return np.min(found, axis=0) - discs[:, 4]
+
+
+def overlap(
+    a: Float[np.ndarray, "*batch k 2"], b: Float[np.ndarray, "*batch m 2"]
+) -> Bool[np.ndarray, " *batch"]:
+    """Whether convex outlines have a point in common: no edge of either separates them."""
+
+    def separated(p: np.ndarray, q: np.ndarray) -> np.ndarray:
+        along = np.roll(p, -1, axis=-2) - p
+        normal = np.stack([along[..., 1], -along[..., 0]], -1)
+        level = np.einsum("...ki,...ki->...k", normal, p)
+        beyond = np.einsum("...ki,...mi->...km", normal, q) - level[..., None]
+        return np.asarray((beyond.min(-1) > 0).any(-1))
+
+    return ~(separated(a, b) | separated(b, a))
+
+
+def _corners_to_edges(
+    a: Float[np.ndarray, "*batch k 2"], b: Float[np.ndarray, "*batch m 2"]
+) -> Float[np.ndarray, " *batch"]:
+    """Smallest distance from a corner of one outline to an edge of the other [m]."""
+    edge = np.roll(b, -1, axis=-2) - b
+    toward = a[..., :, None, :] - b[..., None, :, :]
+    squared = np.maximum((edge**2).sum(-1), 1e-18)
+    share = np.clip(np.einsum("...kmi,...mi->...km", toward, edge) / squared[..., None, :], 0, 1)
+    gap = toward - share[..., None] * edge[..., None, :, :]
+    return np.asarray(np.sqrt((gap**2).sum(-1)).min((-2, -1)))

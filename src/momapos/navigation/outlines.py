@@ -1,0 +1,211 @@
+"""The robot and the room as upright prisms: convex outlines on the floor, with heights.
+
+A robot is two prisms. The lower one is its footprint, up to a cut; the upper one holds all that is
+above the cut while the arm is at home. So a low base may pass under a table that the arm does not
+touch, and nothing between the floor and the top of the robot is left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.spatial import ConvexHull
+
+from momapos.geometry.polygons import all_inside, signed_area
+from momapos.geometry.transforms import apply, invert
+from momapos.robots.robot import Robot
+from momapos.scene.scene import Scene
+
+STEP = 0.005
+"""What is no higher than this is driven over [m]."""
+LOWER, UPPER = 0, 1
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """What drives: the robot with its arm at home."""
+
+    outlines: tuple[Float[np.ndarray, "k 2"], Float[np.ndarray, "m 2"]]
+    """Lower and upper, convex and anticlockwise, in the base frame [m]."""
+    cut: float
+    """Height at which the upper one begins [m]."""
+    top: float
+    """Height of the robot [m]."""
+
+    @cached_property
+    def radius(self) -> float:
+        """Distance from the base's origin to the farthest corner [m]."""
+        return float(max(np.linalg.norm(outline, axis=1).max() for outline in self.outlines))
+
+    @cached_property
+    def upper_inside(self) -> bool:
+        """Whether the upper outline lies within the lower one."""
+        a, n = edges_of(self.outlines[LOWER])
+        return bool((self.outlines[UPPER] @ n.T <= np.einsum("ki,ki->k", a, n) + 1e-9).all())
+
+    @cached_property
+    def arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, float]:
+        """Corners (b, 2), outward normals (b, 2), levels (b,), first corners (3,), radius."""
+        packed = pack(self.outlines, (LOWER, UPPER), ("lower", "upper"))
+        return packed.corner, packed.normal, packed.level, packed.first, self.radius
+
+
+@dataclass(frozen=True, eq=False)
+class Outlines:
+    """Convex polygons on the floor, anticlockwise, one after the other."""
+
+    corner: Float[np.ndarray, "p 2"]
+    normal: Float[np.ndarray, "p 2"]
+    """Outward, of the edge from each corner to the next."""
+    level: Float[np.ndarray, " p"]
+    """The edge lies where normal . x is this [m]."""
+    first: Int[np.ndarray, " o+1"]
+    """Index of each polygon's first corner, and the number of corners."""
+    layer: Int[np.ndarray, " o"]
+    """Which prism of the robot each is in the way of: LOWER or UPPER."""
+    bounds: Float[np.ndarray, "o 4"]
+    """Low x, low y, high x, high y [m]."""
+    names: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.layer)
+
+    @property
+    def arrays(self) -> tuple[np.ndarray, ...]:
+        """All of it but the names, as the kernels take it."""
+        return self.corner, self.normal, self.level, self.first, self.layer, self.bounds
+
+    def polygon(self, index: int) -> Float[np.ndarray, "k 2"]:
+        """Corners of one polygon [m]."""
+        return self.corner[self.first[index] : self.first[index + 1]]
+
+
+def edges_of(
+    polygon: Float[np.ndarray, "k 2"],
+) -> tuple[Float[np.ndarray, "k 2"], Float[np.ndarray, "k 2"]]:
+    """Corners of an anticlockwise polygon, and the outward unit normals of the edges after them."""
+    along = np.roll(polygon, -1, axis=0) - polygon
+    normal = np.stack([along[:, 1], -along[:, 0]], -1)
+    return polygon, normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+
+
+def pack(
+    polygons: Sequence[Float[np.ndarray, "k 2"]], layers: Sequence[int], names: Sequence[str]
+) -> Outlines:
+    """Put polygons one after the other."""
+    first = np.concatenate([[0], np.cumsum([len(p) for p in polygons])]).astype(np.int64)
+    if not len(polygons):
+        none = np.zeros((0, 2))
+        return Outlines(none, none, np.zeros(0), first, np.zeros(0, np.int64), np.zeros((0, 4)), ())
+    corner, normal = (np.concatenate(a) for a in zip(*map(edges_of, polygons), strict=True))
+    bounds = np.array([[*p.min(0), *p.max(0)] for p in polygons])
+    level = np.einsum("pi,pi->p", corner, normal)
+    return Outlines(corner, normal, level, first, np.array(layers, np.int64), bounds, tuple(names))
+
+
+def body_of(robot: Robot) -> Body:
+    """Split a robot at the height where two prisms hold it most tightly.
+
+    The lower prism is never less than the footprint of the robot file.
+    """
+    poses = robot.model.link_poses(dict(zip(robot.arm_joints, robot.home, strict=True)))
+    T_base_root = invert(poses[robot.base_link])
+    shapes = [
+        apply(T_base_root @ poses[link], hull.vertices)
+        for link, hulls in robot.model.hulls.items()
+        for hull in hulls
+    ]
+    low = np.array([points[:, 2].min() for points in shapes])
+    high = np.array([points[:, 2].max() for points in shapes])
+    flat = [points[:, :2] for points in shapes]
+
+    def split(cut: float) -> tuple[np.ndarray, np.ndarray]:
+        below = [flat[i] for i in np.flatnonzero(low < cut)]
+        above = [flat[i] for i in np.flatnonzero(high > cut)] or [robot.footprint]
+        return _hull([robot.footprint, *below]), _hull(above)
+
+    top = float(high.max(initial=0.3))
+    cuts = np.unique(np.round(high, 3))
+    volumes = [
+        signed_area(lower) * cut + signed_area(upper) * (top - cut)
+        for cut in cuts
+        for lower, upper in [split(cut)]
+    ]
+    cut = float(cuts[int(np.argmin(volumes))]) if len(cuts) else top
+    return Body(split(cut), cut, top)
+
+
+def _hull(points: Sequence[Float[np.ndarray, "n 2"]]) -> Float[np.ndarray, "k 2"]:
+    stacked = np.concatenate(points)
+    return stacked[ConvexHull(stacked).vertices]
+
+
+def obstacles_of(scene: Scene, body: Body) -> Outlines:
+    """Everything in a scene between the floor and the robot's top, hull by hull."""
+    polygons, layers, names = [], [], []
+    for item in scene.objects:
+        for link, T in item.link_poses().items():
+            for hull in item.model.hulls[link]:
+                points = apply(T, hull.vertices)
+                low, high = points[:, 2].min(), points[:, 2].max()
+                met = [high > STEP and low < body.cut, high > body.cut and low < body.top]
+                if body.upper_inside and met[LOWER]:
+                    met[UPPER] = False
+                if any(met):
+                    outline = _hull([points[:, :2]])
+                    for layer in np.flatnonzero(met):
+                        polygons.append(outline)
+                        layers.append(int(layer))
+                        names.append(f"{item.name}/{link}")
+    return pack(polygons, layers, names)
+
+
+def thinned(outlines: Outlines, floor: Float[np.ndarray, "k 2"] | None) -> Outlines:
+    """What suffices to plan with: no outline inside another, and the floor's edges as well."""
+    kept = np.flatnonzero(~_covered(outlines))
+    polygons = [outlines.polygon(int(i)) for i in kept]
+    layers = outlines.layer[kept].tolist()
+    names = [outlines.names[i] for i in kept]
+    if floor is not None:
+        polygons += list(np.stack([floor, np.roll(floor, -1, axis=0)], axis=1))
+        layers += [LOWER] * len(floor)
+        names += ["the edge of the floor"] * len(floor)
+    return pack(polygons, layers, names)
+
+
+def _covered(outlines: Outlines) -> Bool[np.ndarray, " o"]:
+    """Which outlines lie inside another one of their layer; of equal ones the first is kept."""
+    covered = np.zeros(len(outlines), bool)
+    for i in range(len(outlines)):
+        box = outlines.bounds
+        inner = (box[:, :2] >= box[i, :2] - 1e-9).all(1) & (box[:, 2:] <= box[i, 2:] + 1e-9).all(1)
+        inner &= (outlines.layer == outlines.layer[i]) & ~covered
+        inner[i] = False
+        if covered[i] or not inner.any():
+            continue
+        edge = slice(outlines.first[i], outlines.first[i + 1])
+        beyond = (outlines.corner @ outlines.normal[edge].T > outlines.level[edge] + 1e-9).any(1)
+        covered |= inner & ~np.logical_or.reduceat(beyond, outlines.first[:-1])
+    return covered
+
+
+def turned(
+    outline: Float[np.ndarray, "k 2"], poses: Float[np.ndarray, "n 3"]
+) -> Float[np.ndarray, "n k 2"]:
+    """An outline of the base frame at base poses, in the world [m]."""
+    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    R = np.stack([np.stack([c, -s], -1), np.stack([s, c], -1)], -2)
+    return np.einsum("nij,kj->nki", R, outline) + poses[:, None, :2]
+
+
+def on_floor(
+    body: Body, floor: Float[np.ndarray, "k 2"] | None, poses: Float[np.ndarray, "n 3"]
+) -> Bool[np.ndarray, " n"]:
+    """Whether the footprint lies on the floor at base poses."""
+    if floor is None:
+        return np.ones(len(poses), bool)
+    return all_inside(floor, turned(body.outlines[LOWER], poses))

@@ -1,0 +1,100 @@
+"""Where the real footprint fits: the map and its kernels against plain outlines."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from tests.navigation.boxes import room, square
+
+from momapos.errors import SceneError
+from momapos.navigation.clearance import gaps
+from momapos.navigation.cost_map import CELL
+from momapos.navigation.footprint_map import HEADINGS, ground_of, survey
+from momapos.navigation.judge import Judge
+from momapos.navigation.outlines import body_of, obstacles_of, thinned
+from momapos.robots.robot import Robot
+
+CLUTTER = [
+    (0.5, 0.3, 0.6, 0.4, 0.3),
+    (0.5, 0.3, 0.2, 0.2, 0.3),
+    (-1.2, 0.9, 0.8, 0.3, -0.7),
+    (0.1, -1.4, 0.05, 1.0, 1.0),
+    (1.9, -1.7, 0.5, 0.5, 0.0),
+]
+
+
+def test_a_gap_is_positive_where_outlines_do_not_overlap_and_never_above_the_distance(
+    robot: Robot,
+) -> None:
+    ground = survey(room(CLUTTER), robot)
+    judge = Judge(ground.body, ground.obstacles, None)
+    rng = np.random.default_rng(0)
+    poses = np.column_stack([rng.uniform(-2.5, 2.5, (400, 2)), rng.uniform(-3.14, 3.14, 400)])
+    found = gaps(poses, ground.body, ground.obstacles, cap=0.5)
+    distance, touched = judge.distance(poses)
+    free = np.array([not name for name in touched])
+    assert 50 < free.sum() < 350
+    assert ((found > 0) == free).all()
+    assert (found[free] <= distance[free] + 1e-9).all()
+
+
+def test_a_cell_of_the_map_is_free_where_the_footprint_stands_clear_and_on_the_floor(
+    robots: Callable[[str], Robot],
+) -> None:
+    ground = survey(room(CLUTTER), robots("husky_ur5e"))
+    judge = Judge(ground.body, ground.obstacles, ground.floor)
+    rng = np.random.default_rng(1)
+    h, i, j = (rng.integers(n, size=500) for n in ground.gap.shape)
+    centers = ground.origin + (np.stack([j, i], -1) + 0.5) * CELL
+    _, touched = judge.distance(np.column_stack([centers, HEADINGS[h]]))
+    free = np.array([not name for name in touched])
+    assert 50 < free.sum() < 450
+    assert (ground.free[h, i, j] == free).all()
+
+
+def test_leaving_out_what_lies_inside_other_things_changes_no_gap(
+    robots: Callable[[str], Robot],
+) -> None:
+    body = body_of(robots("fetch"))
+    everything = obstacles_of(room(CLUTTER), body)
+    fewer = thinned(everything, None)
+    assert len(fewer) < len(everything)
+    rng = np.random.default_rng(2)
+    poses = np.column_stack([rng.uniform(-2, 2, (200, 2)), rng.uniform(-3.14, 3.14, 200)])
+    full = gaps(poses, body, everything)
+    outside = full > 0
+    np.testing.assert_allclose(gaps(poses, body, fewer)[outside], full[outside], atol=1e-12)
+
+
+def test_only_what_is_between_the_floor_and_the_top_of_the_robot_is_in_the_way(
+    robot: Robot,
+) -> None:
+    body = body_of(robot)
+    box = [(0.0, 0.0, 1.0, 1.0, 0.0)]
+    assert len(obstacles_of(room(box), body)) > 0
+    above = room(box, low=body.top + 0.01, high=body.top + 1.0)
+    mat = room(box, low=0.0, high=0.003)
+    assert len(obstacles_of(above, body)) == len(obstacles_of(mat, body)) == 0
+
+
+def test_a_low_base_goes_under_what_its_arm_does_not_touch(
+    robots: Callable[[str], Robot],
+) -> None:
+    husky = robots("husky_ur5e")
+    body = body_of(husky)
+    shelf = room([(0.0, 0.0, 2.0, 0.1, 0.0)], low=body.cut + 0.01, high=body.cut + 0.1)
+    front = float(body.outlines[1][:, 0].max())
+    assert front < body.outlines[0][:, 0].max()
+    pose = np.array([[0.0, -0.05 - front - 0.01, np.pi / 2]])
+    assert gaps(pose, body, obstacles_of(shelf, body))[0] > 0
+    low = room([(0.0, 0.0, 2.0, 0.1, 0.0)], high=body.cut)
+    assert gaps(pose, body, obstacles_of(low, body))[0] < 0
+
+
+def test_a_room_too_large_to_be_mapped_is_refused(robots: Callable[[str], Robot]) -> None:
+    robot = robots("fetch")
+    body = body_of(robot)
+    with pytest.raises(SceneError, match="can be mapped"):
+        ground_of(robot, body, obstacles_of(room([]), body), square(1000.0))
