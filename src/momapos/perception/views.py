@@ -111,7 +111,7 @@ def _voting(
         order = _showing(face, frames, indices, config)
         if not order:
             continue
-        images = [face_image(face, [frames[i]]) for i in order[: config.votes]]
+        images = [_voter(face, frames, i, order[: config.merged]) for i in order[: config.votes]]
         score = float(np.mean([look(image).score * solid(image) for image in images]))
         evidence[face.index] = score
         if best is None or score > best[0]:
@@ -122,6 +122,12 @@ def _voting(
     image = face_image(face, [frames[i] for i in order[: config.merged]])
     angle = float(np.arccos(min(1.0, _cosines(face, [frames[order[0]]])[0])))
     return View(face, order[0], angle, image, look(image), tuple(evidence))
+
+
+def _voter(face: Face, frames: Sequence[Frame], chosen: int, others: Sequence[int]) -> FaceImage:
+    """A face in the colours of one picture, with the relief that all of them measured."""
+    rest = [frames[i] for i in others if i != chosen]
+    return face_image(face, [frames[chosen], *rest])
 
 
 def _showing(
