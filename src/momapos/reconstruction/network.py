@@ -20,7 +20,7 @@ from momapos.reconstruction import decode
 from momapos.types import FaceImage, Front, Part
 
 FIRST_SHARE = 0.75
-"""Weight of the first look in a part's score, a weighted geometric mean; chosen on drawn faces."""
+"""Weight of the first look in a part's score, a weighted geometric mean [-]."""
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,10 @@ class FrontNetwork:
         good = np.nonzero(broad & (score > self.config.part))[0]
         if not len(good):
             return ()
-        good = good[decode.distinct(found[good], score[good], self.config.overlap, nested=True)]
+        # Of two that overlap, both looks decide alike: the second tells a door from its panel.
+        rank = (1.0 - sure[good, -1]) * kinds[good].max(axis=1)
+        good = good[decode.distinct(found[good], rank, self.config.overlap, nested=True)]
+        good = good[np.argsort(-score[good], kind="stable")]
         return tuple(
             decode.part(
                 int(vote[i].argmax()),
