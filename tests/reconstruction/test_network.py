@@ -84,6 +84,8 @@ def test_parts_come_surest_first_within_the_face_and_apart() -> None:
     assert boxes.max() <= 1.0
     common = decode.overlaps(boxes, boxes)[1] - np.eye(len(boxes))
     assert common.max() < network.FrontNetworkConfig().overlap
+    scores = [part.score for part in front.parts]
+    assert scores == sorted(scores, reverse=True)
     for part in front.parts:
         assert network.FrontNetworkConfig().part <= part.score <= 1.0
         if part.handle is not None:

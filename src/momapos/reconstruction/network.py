@@ -19,6 +19,9 @@ from momapos.errors import InputError, MissingExtraError
 from momapos.reconstruction import decode
 from momapos.types import FaceImage, Front, Part
 
+FIRST_SHARE = 0.75
+"""Weight of the first look in a part's score, a weighted geometric mean [-]."""
+
 
 @dataclass(frozen=True)
 class FrontNetworkConfig:
@@ -26,7 +29,7 @@ class FrontNetworkConfig:
 
     most: int = 20
     """Largest number of proposals that are looked at again [-]."""
-    part: float = 0.35
+    part: float = 0.27
     """Confidence from which on a proposal is a part [-]; chosen on drawn faces."""
     handle: float = 0.5
     """Probability from which on a part has a handle [-]."""
@@ -64,7 +67,7 @@ class FrontNetwork:
         whole = decode.resample(stack, np.array([0.0, 0.0, 1.0, 1.0]), decode.FACE_PIXELS)
         heat, reach, front = _look_at_face(whole[None])
         # A cooler cell cannot become a part, however sure the second look is.
-        floor = self.config.part**2
+        floor = self.config.part ** (1 / FIRST_SHARE)
         boxes, kinds = decode.peaks(heat[0], reach[0], floor, self.config.most)
         if len(boxes):
             kept = decode.distinct(boxes, kinds.max(axis=1), 0.7, nested=False)
@@ -91,14 +94,18 @@ class FrontNetwork:
         handles = decode.in_face(handles, outer)
         # The whole face knows the neighbours, the crop knows the handle: both have a say.
         share = sure[:, :-1] / np.maximum(sure[:, :-1].sum(axis=1, keepdims=True), 1e-9)
-        vote = np.log(share + 1e-3) + 0.5 * np.log(kinds + 1e-3)
-        # Each look alone is often wrongly sure, hardly ever both at once.
-        score = np.sqrt((1.0 - sure[:, -1]) * kinds.max(axis=1))
+        vote = np.log(share + 1e-3) + np.log(kinds + 1e-3)
+        # Each look alone is often wrongly sure, hardly ever both at once. The first knows the
+        # neighbours; what the second doubts is mostly a plain door without a handle.
+        score = (1.0 - sure[:, -1]) ** (1 - FIRST_SHARE) * kinds.max(axis=1) ** FIRST_SHARE
         broad = (found[:, 2:] - found[:, :2] > decode.LEAST_SIDE).all(axis=1)
         good = np.nonzero(broad & (score > self.config.part))[0]
         if not len(good):
             return ()
-        good = good[decode.distinct(found[good], score[good], self.config.overlap, nested=True)]
+        # Of two that overlap, both looks decide alike: the second tells a door from its panel.
+        rank = (1.0 - sure[good, -1]) * kinds[good].max(axis=1)
+        good = good[decode.distinct(found[good], rank, self.config.overlap, nested=True)]
+        good = good[np.argsort(-score[good], kind="stable")]
         return tuple(
             decode.part(
                 int(vote[i].argmax()),
