@@ -98,7 +98,8 @@ def doors_in(face: FaceImage) -> Front:
     line = face.colour[face.colour.shape[0] // 2, :, 0].astype(float)
     parts = []
     for kind, code in CODE.items():
-        columns = np.flatnonzero(np.abs(line - code) < 12)
+        flat = np.abs(line - code) < 12
+        columns = np.flatnonzero(flat & np.roll(flat, 1) & np.roll(flat, -1))  # no blended edges
         if len(columns) > 20:
             box = (columns[0] / len(line), 0.1, (columns[-1] + 1) / len(line), 0.9)
             parts.append(Part(kind, box, 0.9))  # type: ignore[arg-type]

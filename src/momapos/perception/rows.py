@@ -16,8 +16,8 @@ from jaxtyping import Float
 
 from momapos.geometry.transforms import apply
 from momapos.perception.detections import overlap, projection
-from momapos.perception.faces import Face, box_faces, face_image, shown
-from momapos.perception.views import Look, ViewConfig
+from momapos.perception.faces import Face, box_faces, shown
+from momapos.perception.views import Look, ViewConfig, evidence_of, look_at
 from momapos.types import Frame, Part, UprightBox
 
 
@@ -79,8 +79,8 @@ def _parts_on(
         chosen = _frames_for(window, frames, config, view)
         if not chosen:
             continue
-        front = look(face_image(window, chosen))
-        if front.score >= view.least:
+        front = look_at(window, chosen, look)
+        if evidence_of(front) >= view.least:
             found += _inside(front.parts, float(left), wide, face.width, config)
     return _without_doubles(found, config)
 

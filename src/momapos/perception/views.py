@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -13,6 +13,12 @@ from momapos.perception.detections import Sight
 from momapos.perception.faces import FACES, Face, box_faces, face_image, shown, solid
 from momapos.types import FaceImage, Frame, Front, UprightBox
 
+AROUND = 0.03
+"""How much of what surrounds a face is looked at with it [m]."""
+STRAIGHT = 6
+"""How much more a picture counts that is taken straight on: power of the cosine [-]."""
+WITHIN = 0.6
+"""Share of a part that must lie on the face [-]."""
 Look = Callable[[FaceImage], Front]
 """Says what is on a face, and whether it is a front."""
 
@@ -92,8 +98,8 @@ def _first(
         if shown(face, frame) < config.shown:
             continue
         image = face_image(face, [frame])
-        front = look(image)
-        if front.score * solid(image) >= config.least:
+        front = look_at(face, [frame], look)
+        if evidence_of(front) * solid(image) >= config.least:
             angle = float(np.arccos(min(1.0, cosines.max())))
             return View(face, sight.frame, angle, image, front, ())
     return None
@@ -111,8 +117,11 @@ def _voting(
         order = _showing(face, frames, indices, config)
         if not order:
             continue
-        images = [_voter(face, frames, i, order[: config.merged]) for i in order[: config.votes]]
-        score = float(np.mean([look(image).score * solid(image) for image in images]))
+        shared = face_image(face, [frames[i] for i in order[: config.merged]])
+        votes = [
+            _vote(face, frames, i, order[: config.merged], look) for i in order[: config.votes]
+        ]
+        score = float(np.mean(votes)) * solid(shared)
         evidence[face.index] = score
         if best is None or score > best[0]:
             best = score, face, order
@@ -121,13 +130,54 @@ def _voting(
     _, face, order = best
     image = face_image(face, [frames[i] for i in order[: config.merged]])
     angle = float(np.arccos(min(1.0, _cosines(face, [frames[order[0]]])[0])))
-    return View(face, order[0], angle, image, look(image), tuple(evidence))
+    front = look_at(face, [frames[i] for i in order[: config.merged]], look)
+    return View(face, order[0], angle, image, front, tuple(evidence))
 
 
-def _voter(face: Face, frames: Sequence[Frame], chosen: int, others: Sequence[int]) -> FaceImage:
-    """A face in the colours of one picture, with the relief that all of them measured."""
+def _vote(
+    face: Face, frames: Sequence[Frame], chosen: int, others: Sequence[int], look: Look
+) -> float:
+    """What one picture's colours say of a face, with the relief that all of them measured."""
     rest = [frames[i] for i in others if i != chosen]
-    return face_image(face, [frames[chosen], *rest])
+    return evidence_of(look_at(face, [frames[chosen], *rest], look))
+
+
+def evidence_of(front: Front) -> float:
+    """How probable it is that a face is a front, in [0, 1].
+
+    A plain front looks like any panel but for its handles: each part that has one is evidence of
+    its own, and the face is no front only where all of it errs.
+    """
+    held = [part.score for part in front.parts if part.handle is not None]
+    return float(1.0 - (1.0 - front.score) * np.prod(1.0 - np.array(held)))
+
+
+def look_at(face: Face, frames: Sequence[Frame], look: Look) -> Front:
+    """What is on a face, seen with some of what surrounds it.
+
+    The edges of a door that fills its face show only against what is beside it. Parts that lie
+    mostly beside the face belong to another thing.
+    """
+    wide = replace(face, width=face.width + 2 * AROUND, height=face.height + 2 * AROUND)
+    front = look(face_image(wide, frames))
+    size = np.array([face.width, face.height] * 2)
+
+    def on_face(box: tuple[float, ...]) -> Float[np.ndarray, "4"]:
+        return (np.array(box) * (size + 2 * AROUND) - AROUND) / size
+
+    parts = []
+    for part in front.parts:
+        box = on_face(part.box)
+        kept = np.clip(box, 0.0, 1.0)
+        if np.prod(kept[2:] - kept[:2]) > WITHIN * np.prod(box[2:] - box[:2]):
+            grip = None if part.handle is None else _rectangle(on_face(part.handle))
+            parts.append(replace(part, box=_rectangle(kept), handle=grip))
+    return replace(front, parts=tuple(parts))
+
+
+def _rectangle(values: Float[np.ndarray, "4"]) -> tuple[float, float, float, float]:
+    left, top, right, bottom = np.clip(values, 0.0, 1.0).tolist()
+    return left, top, right, bottom
 
 
 def _showing(
@@ -140,8 +190,8 @@ def _showing(
     parts = np.array([shown(face, frames[indices[i]]) for i in good])
     if not len(good):
         return []
-    # What is seen matters more than the angle, which rectifying makes good.
-    quality = np.where(parts >= config.shown, parts**2 * cosines[good] ** 2, -1.0)
+
+    quality = np.where(parts >= config.shown, parts**2 * cosines[good] ** STRAIGHT, -1.0)
     order = np.argsort(-quality, kind="stable")
     return [int(indices[good[i]]) for i in order if quality[i] > 0]
 
