@@ -12,7 +12,7 @@ $(VENV)/.core: pyproject.toml
 	touch $@
 
 $(VENV)/.dev: $(VENV)/.core
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev,kitchens,scan]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev,kitchens,physics,scan]'
 	touch $@
 
 demo: $(VENV)/.core

@@ -302,7 +302,10 @@ def _outcome(
     observer, config = run.observer, run.config
     step = config.timestep * config.substeps
     counts = np.bincount(stage[: run.samples], minlength=len(STAGES))
-    notes = [f"{a} touches {b} in the scene and is left out" for a, b in run.world.loose]
+    notes = []
+    if run.world.loose:
+        names = ", ".join(run.world.loose)
+        notes.append(f"touch the moved part in the scene, and are left out against it: {names}")
     unknown = [name for name in robot.arm_joints if name not in dynamics.efforts]
     if unknown:
         notes.append(f"no effort limit is known of {', '.join(unknown)}")

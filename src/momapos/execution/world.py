@@ -47,8 +47,8 @@ class World:
     weld: int
     fingers: tuple[tuple[Finger, int], ...]
     """The fingers that slide, with their motors."""
-    loose: tuple[tuple[str, str], ...]
-    """Pairs of furniture that touch in the scene and are left out."""
+    loose: tuple[str, ...]
+    """What touches the part in the scene, and is left out against it."""
 
     @property
     def T_world_tool(self) -> Float[np.ndarray, "4 4"]:
@@ -142,8 +142,9 @@ def build_world(
     data = _values(model, {PART: value, **at})
     for name, rest in at.items():
         data.ctrl[model.actuator(name).id] = rest
-    loose = tuple((a, b) for a, b in touching if not a.startswith(body_of("")))
-    return _index(model, data, robot, fingers, loose)
+    loose = [one if other == PART else other for one, other in touching if PART in (one, other)]
+    names = tuple(dict.fromkeys("floor" if n == "world" else n.split("#")[0] for n in loose))
+    return _index(model, data, robot, fingers, names)
 
 
 def _spec(config: ExecutionConfig) -> Any:
@@ -191,7 +192,7 @@ def _touching(model: Any, data: Any, config: ExecutionConfig) -> list[tuple[str,
     for one, other in _near_pairs(model, data, config.touch if fixed else 0.0):
         both = {kinds[one], kinds[other]}
         own = both <= set(ROBOT) and _gap(model, data, one, other) < 0.0
-        furniture = fixed and both == {Kind.PART, Kind.ROOM}
+        furniture = fixed and both in ({Kind.PART, Kind.ROOM}, {Kind.PART, Kind.FLOOR})
         if own or furniture:
             bodies = sorted(model.body(model.geom_bodyid[g]).name for g in (one, other))
             pairs.append((bodies[0], bodies[1]))
@@ -221,7 +222,7 @@ def _index(
     data: Any,
     robot: Robot,
     fingers: tuple[Finger, ...],
-    loose: tuple[tuple[str, str], ...],
+    loose: tuple[str, ...],
 ) -> World:
     def addresses(names: tuple[str, ...], key: str) -> Int[np.ndarray, " n"]:
         return np.array([int(getattr(model.joint(name), key)[0]) for name in names])
