@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from importlib import metadata
+from typing import cast
 
 import numpy as np
 from jaxtyping import Float
@@ -19,12 +20,13 @@ from momapos.errors import InputError
 from momapos.execution.config import ExecutionConfig
 from momapos.execution.record import Execution, Pose, RunRecord, Visit
 from momapos.execution.run import Watch, execute
+from momapos.geometry.polygons import all_inside
 from momapos.kinematics.base_collision import base_hits
 from momapos.kinematics.collision import FREE
 from momapos.manipulation.feasibility import Feasibility, hand_clears
 from momapos.manipulation.motion import room_boxes, task_motion
 from momapos.pipeline import arm_world, place
-from momapos.placement.area import CLEAR, Site, standing
+from momapos.placement.area import CLEAR, Site, footprints, standing
 from momapos.placement.place import REASONS
 from momapos.protocols import Clock, ReachScorer
 from momapos.robots.robot import Robot
@@ -98,9 +100,9 @@ def run_plan(
         raise InputError(f"the plan is {plan.status!r}: there is nothing to execute")
     rng, spent = np.random.default_rng(seed), {"drive": 0.0, "plan": 0.0, "execute": 0.0}
     watch_of = _Watch(clock, spent)
-    if drive is None:
-        visits, pose, motion = (_there(plan),), plan.base_pose, plan.motion
-    else:
+    visits: tuple[Visit, ...] = (_there(plan),)
+    pose, motion = plan.base_pose, cast("Motion | None", plan.motion)
+    if drive is not None:
         if reach is None:
             raise InputError("planning anew on arrival needs the robot's reachability map")
         trip = _Trip(scene, robot, plan, reach, drive, config, seed, watch_of)
@@ -264,12 +266,17 @@ def noisy_arrival(scene: Scene, robot: Robot) -> Drive:
     """
     boxes = room_boxes(scene)
 
+    def stands(pose: Float[np.ndarray, "3"]) -> bool:
+        on_floor = scene.floor is None or all_inside(scene.floor, footprints(robot, pose[None]))[0]
+        free = base_hits(pose[None], robot.base, boxes, clearance=0.0)[0] == FREE
+        return bool(on_floor and free)
+
     def drive(_: Pose, goal: Pose, length: float, rng: np.random.Generator) -> Arrival:
         for _draw in range(_DRAWS):
             off = rng.normal(0.0, [POSITION, POSITION, HEADING])
             near = np.hypot(off[0], off[1]) <= WORST_POSITION and abs(off[2]) <= WORST_HEADING
             pose = np.array(goal) + off
-            if near and base_hits(pose[None], robot.base, boxes, clearance=0.0)[0] == FREE:
+            if near and stands(pose):
                 return Arrival(_triple(pose), length)
         return Arrival(goal, length, reason="there is no room around the planned base pose")
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,7 +13,6 @@ from tests.verification.door_case import OPEN, make_case
 from momapos.errors import InputError, RobotError, SceneError
 from momapos.execution.config import ExecutionConfig, FurnitureConfig
 from momapos.execution.world import World
-from momapos.robots.robot import Robot
 
 
 def test_a_door_pulled_by_its_handle_opens(tmp_path: Path) -> None:
@@ -123,9 +121,7 @@ def test_a_hand_without_fingers_cannot_hold_by_contact(tmp_path: Path) -> None:
         toy(tmp_path).run(config=ExecutionConfig(hold="contact"))
 
 
-def test_a_grasp_beside_the_handle_is_noticed(
-    tmp_path: Path, robots: Callable[[str], Robot]
-) -> None:
+def test_a_grasp_beside_the_handle_is_noticed(tmp_path: Path) -> None:
     case = toy(tmp_path)
     Ts = case.motion.Ts_world_tool.copy()
     Ts[:, 2, 3] += 0.1

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +28,7 @@ class Toy:
     scene: Scene
     robot: Robot
     motion: Motion
-    task: Task = Task("open", "cupboard", "hinge", OPEN)
+    task: Task = field(default_factory=lambda: Task("open", "cupboard", "hinge", OPEN))
 
     def run(self, **options: Any) -> Execution:
         """Execute it."""

@@ -21,7 +21,7 @@ COMMANDS: dict[str, tuple[str, dict[str, str] | str, str]] = {
     ),
     "verify": ("momapos.cli.verify", "verify", "check a plan again, from the files alone"),
     "run": (
-        "momapos.cli.run", "run", "drive there and do it, in physics; say whether it is really open",
+        "momapos.cli.run", "run", "carry a plan out in physics: is it really open then?",
     ),
     "rank": (
         "momapos.cli.rank", "rank_objects", "which objects matter for a task with one of them",

@@ -47,6 +47,7 @@ def run(
         json: Print the record as one JSON object and nothing else.
     """
     from json import dumps
+    from os import environ
 
     from momapos.cache import default_cache_dir
     from momapos.cli.console import progress
@@ -60,6 +61,8 @@ def run(
         raise InputError(f"{plan}: the plan is {content.status!r}: there is nothing to execute")
     if record is not None and record.suffix.lower() != ".png":
         raise InputError(f"--record {record}: a filmstrip is a PNG; name it so")
+    if record is not None and "DISPLAY" not in environ:
+        environ.setdefault("MUJOCO_GL", "egl")  # read where the engine is first imported
     try:
         from momapos.execution.config import ExecutionConfig, FurnitureConfig
         from momapos.execution.film import Film
@@ -90,9 +93,9 @@ def run(
     )  # fmt: skip
     if out is not None:
         write_run(result, out)
+    print(dumps(run_to_dict(result)) if json else summary(result))
     if film is not None and record is not None and result.execution is not None:
         film.write(record)
-    print(dumps(run_to_dict(result)) if json else summary(result))
     return 0 if result.success else 1
 
 

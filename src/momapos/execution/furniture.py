@@ -62,7 +62,7 @@ def draw_resistance(
     )
 
 
-def add_room(spec: Any, scene: Scene, task: Task, config: ExecutionConfig) -> None:
+def add_room(spec: Any, scene: Scene, task: Task) -> None:
     """Add all that stands still: a floor, and every element of every object but the part's.
 
     Each element is a body of its own, so that a single one can be left out against the part.

@@ -50,9 +50,7 @@ def find_fingers(robot: Robot) -> tuple[Finger, ...]:
     ]
     if len(joints) < 2 or not all(np.isfinite([j.lower, j.upper]).all() for j in joints):
         return ()
-    return tuple(
-        Finger(j.name, model.rest[j.name], _closed_end(robot, j, joints)) for j in joints
-    )
+    return tuple(Finger(j.name, model.rest[j.name], _closed_end(robot, j, joints)) for j in joints)
 
 
 def _closed_end(robot: Robot, joint: Joint, fingers: list[Joint]) -> float:
@@ -100,14 +98,13 @@ def add_robot(
             f"{robot.name}: --hold contact needs a gripper with sliding fingers; use --hold weld"
         )
     root = place_body(spec.worldbody.add_body(name="base"), pose_planar(np.array(base_pose)))
-    for name, kind, axis in zip(BASE_JOINTS, ("SLIDE", "SLIDE", "HINGE"), np.eye(3), strict=True):
-        turn = kind == "HINGE"
-        kind_id = getattr(mujoco.mjtJoint, f"mjJNT_{kind}")
-        root.add_joint(name=name, type=kind_id, axis=[0, 0, 1] if turn else axis)
+    slide, hinge = mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE
+    for name, motion, axis in zip(BASE_JOINTS, (slide, slide, hinge), np.eye(3), strict=True):
+        root.add_joint(name=name, type=motion, axis=axis)
     model, moving = robot.model, _arm_links(robot)
     T_root_base = model.rest_poses[robot.base_link]
     free = {*robot.arm_joints, *(finger.joint for finger in fingers)}
-    bodies = {}
+    bodies: dict[str, Any] = {}
     for link in model.links:
         parent, T, joint = root, invert(T_root_base), _joint_to(robot, link)
         if joint is not None:

@@ -29,8 +29,8 @@ class Observer:
     config: ExecutionConfig
     collisions: dict[tuple[str, str], Collision] = field(default_factory=dict)
     clearance: float = np.inf
-    slip: Slip = Slip()
-    load: Load = Load()
+    slip: Slip = field(default_factory=Slip)
+    load: Load = field(default_factory=Load)
     base_shift: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
     _T_part_tool: Float[np.ndarray, "4 4"] | None = None
     _worst: float = 0.0

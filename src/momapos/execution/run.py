@@ -141,9 +141,7 @@ class Seal:
         return -self.outward * self.pull * max(0.0, share)
 
 
-def _seal(
-    item: SceneObject, joint: Joint | None, motion: Motion, pull: float, way: float
-) -> Seal:
+def _seal(item: SceneObject, joint: Joint | None, motion: Motion, pull: float, way: float) -> Seal:
     """The seal of a part, its force at the handle turned into one at the joint."""
     if joint is None:
         return Seal(0.0, 0.0, 0.0, 1.0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -13,7 +14,7 @@ from momapos.errors import InputError, MissingExtraError
 CORNER = np.radians(10.0)
 """The arm stops where its path turns by more than this in joint space [rad]."""
 _SAME = 1e-9
-_GRID = 200
+_GRID = 400
 """Points of a piece at which the limits are met, at least [-]."""
 
 
@@ -69,7 +70,7 @@ def time_path(
     length = None if tool is None else _along(tool[keep])
     ends = np.flatnonzero(_corners(q))
     pieces = []
-    for first, last in zip(ends[:-1], ends[1:], strict=True):
+    for first, last in pairwise(ends):
         part = slice(first, last + 1)
         travelled = None if length is None else length[part] - length[first]
         pieces.append(_piece(q[part], travelled, speed, acceleration, tool_speed, step))
@@ -104,7 +105,9 @@ def _piece(
         import toppra
         from toppra import algorithm, constraint
     except ImportError as error:
-        raise MissingExtraError("physics needs the extra: pip install 'momapos[physics]'") from error
+        raise MissingExtraError(
+            "physics needs the extra: pip install 'momapos[physics]'"
+        ) from error
 
     logging.getLogger("toppra").setLevel(logging.ERROR)
     n = q.shape[1]

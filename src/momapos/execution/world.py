@@ -119,7 +119,7 @@ def build_world(
         RobotError: The hold is `contact`, and the gripper has no sliding fingers.
     """
     spec = _spec(config)
-    add_room(spec, scene, task, config)
+    add_room(spec, scene, task)
     add_part(spec, scene, task, resistance, config)
     fingers = add_robot(spec, robot, base_pose, dynamics, config)
     _add_weld(spec, robot, config)
@@ -191,7 +191,7 @@ def _touching(model: Any, data: Any, config: ExecutionConfig) -> list[tuple[str,
     pairs = []
     for one, other in _near_pairs(model, data, config.touch if fixed else 0.0):
         both = {kinds[one], kinds[other]}
-        own = both <= set(ROBOT) and _gap(model, data, one, other) < 0.0
+        own = both <= set(ROBOT) and _gap(data, one, other) < 0.0
         furniture = fixed and both in ({Kind.PART, Kind.ROOM}, {Kind.PART, Kind.FLOOR})
         if own or furniture:
             bodies = sorted(model.body(model.geom_bodyid[g]).name for g in (one, other))
@@ -207,7 +207,7 @@ def _near_pairs(model: Any, data: Any, gap: float) -> list[tuple[int, int]]:
     return [(int(a), int(b)) for a, b in np.unique(data.contact.geom, axis=0)]
 
 
-def _gap(model: Any, data: Any, one: int, other: int) -> float:
+def _gap(data: Any, one: int, other: int) -> float:
     rows = (data.contact.geom == [one, other]).all(1)
     return float(data.contact.dist[rows].min())
 
