@@ -47,7 +47,6 @@ def run(
         json: Print the record as one JSON object and nothing else.
     """
     from json import dumps
-    from os import environ
 
     from momapos.cache import default_cache_dir
     from momapos.cli.console import progress
@@ -61,8 +60,6 @@ def run(
         raise InputError(f"{plan}: the plan is {content.status!r}: there is nothing to execute")
     if record is not None and record.suffix.lower() != ".png":
         raise InputError(f"--record {record}: a filmstrip is a PNG; name it so")
-    if record is not None and "DISPLAY" not in environ:
-        environ.setdefault("MUJOCO_GL", "egl")  # read where the engine is first imported
     try:
         from momapos.execution.config import ExecutionConfig, FurnitureConfig
         from momapos.execution.film import Film

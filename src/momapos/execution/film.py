@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import os
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -16,6 +19,8 @@ from momapos.execution.shapes import Kind
 from momapos.execution.world import World
 
 WIDTH, HEIGHT, COLUMNS = 480, 420, 4
+Draw = Callable[[Any, Any], UInt8[np.ndarray, "h w 3"]]
+"""Draws a state as a camera sees it."""
 INTERVAL = 0.05
 """Time between remembered states [s]."""
 ELEVATION, MARGIN = -25.0, 0.95
@@ -58,19 +63,16 @@ class Film:
                 "--record needs the extra: pip install 'momapos[physics]'"
             ) from error
         chosen = self._chosen(frames)
-        model, data = self.world.model, mujoco.MjData(self.world.model)
-        renderer = _renderer(model)
-        try:
-            camera = self._camera(data, [q for _, _, q in chosen])
-            pictures = []
+        data = mujoco.MjData(self.world.model)
+        camera = self._camera(data, [q for _, _, q in chosen])
+        pictures = []
+        with _canvas(self.world.model) as draw:
             for time, stage, q in chosen:
                 data.qpos[:] = q
-                mujoco.mj_forward(model, data)
-                picture = Image.fromarray(_picture(renderer, data, camera))
+                mujoco.mj_forward(self.world.model, data)
+                picture = Image.fromarray(draw(data, camera))
                 ImageDraw.Draw(picture).text((10, 8), f"{time:.1f} s  {stage}", fill=(20, 20, 20))
                 pictures.append(picture)
-        finally:
-            renderer.close()
         sheet = _sheet([np.asarray(picture) for picture in pictures])
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -136,25 +138,44 @@ def _visible(
     return hit / len(targets)
 
 
-def _renderer(model: Any) -> Any:
-    """An off-screen renderer; a machine without a display draws through EGL.
+@contextmanager
+def _canvas(model: Any) -> Iterator[Draw]:
+    """An off-screen canvas; a machine without a display draws through EGL.
 
     Raises:
         InputError: There is none.
     """
     try:
-        return mujoco.Renderer(model, HEIGHT, WIDTH)
+        if sys.platform == "linux" and "DISPLAY" not in os.environ:
+            from mujoco.egl import GLContext
+        else:
+            GLContext = mujoco.GLContext
+        screen = GLContext(WIDTH, HEIGHT)
+        screen.make_current()
+        context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, context)
     except Exception as error:  # every backend raises its own kind
-        backend = os.environ.get("MUJOCO_GL", "the default")
         raise InputError(
-            f"--record: this machine cannot draw off-screen with {backend} "
-            f"({type(error).__name__}); install EGL and set MUJOCO_GL=egl"
+            f"--record: this machine cannot draw off-screen ({type(error).__name__}); it needs "
+            "EGL, as libegl1 and libgl1-mesa-dri of Debian have it, or a display"
         ) from error
+    scene, option = mujoco.MjvScene(model, maxgeom=2 * model.ngeom + 100), mujoco.MjvOption()
+    for effect in (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION):
+        scene.flags[effect] = 0
+    frame = mujoco.MjrRect(0, 0, WIDTH, HEIGHT)
 
+    def draw(data: Any, camera: Any) -> UInt8[np.ndarray, "h w 3"]:
+        mujoco.mjv_updateScene(model, data, option, None, camera, mujoco.mjtCatBit.mjCAT_ALL, scene)
+        mujoco.mjr_render(frame, scene, context)
+        pixels = np.empty((HEIGHT, WIDTH, 3), np.uint8)
+        mujoco.mjr_readPixels(pixels, None, frame, context)
+        return np.flipud(pixels)
 
-def _picture(renderer: Any, data: Any, camera: Any) -> UInt8[np.ndarray, "h w 3"]:
-    renderer.update_scene(data, camera)
-    return np.asarray(renderer.render())
+    try:
+        yield draw
+    finally:
+        context.free()
+        screen.free()
 
 
 def _sheet(pictures: list[UInt8[np.ndarray, "h w 3"]]) -> Shaped[np.ndarray, "H W 3"]:
