@@ -25,7 +25,7 @@ from momapos.kinematics.base_collision import base_hits
 from momapos.kinematics.collision import FREE
 from momapos.manipulation.feasibility import Feasibility, hand_clears
 from momapos.manipulation.motion import room_boxes, task_motion
-from momapos.pipeline import arm_world, place
+from momapos.pipeline import arm_world, place, start_pose
 from momapos.placement.area import CLEAR, Site, footprints, standing
 from momapos.placement.place import REASONS
 from momapos.protocols import Clock, ReachScorer
@@ -68,6 +68,7 @@ def run_plan(
     *,
     reach: ReachScorer | None = None,
     drive: Drive | None = None,
+    start: Float[np.ndarray, "3"] | None = None,
     attempts: int = 3,
     config: PipelineConfig = DEFAULT,
     physics: ExecutionConfig = PHYSICS,
@@ -84,6 +85,7 @@ def run_plan(
         reach: The robot's reachability map, for planning anew; needed with `drive`.
         drive: How the base drives; without it the base stands where the plan says, and the plan's
             own arm motion is executed.
+        start: Where the base is at first; as for `place` by default.
         attempts: Base poses that are driven to at most [-].
         config: How to plan anew.
         physics: How to model and judge.
@@ -93,7 +95,7 @@ def run_plan(
 
     Raises:
         InputError: The plan is not solved, or `reach` is missing.
-        SceneError: The robot stands in something at the beginning.
+        SceneError: The robot stands in something at the beginning, of the drive or of the motion.
         TaskError, RobotError: They do not fit together.
     """
     if plan.status != "solved" or plan.motion is None or plan.base_pose is None:
@@ -106,7 +108,7 @@ def run_plan(
         if reach is None:
             raise InputError("planning anew on arrival needs the robot's reachability map")
         trip = _Trip(scene, robot, plan, reach, drive, config, seed, watch_of)
-        visits, pose, motion = trip.go(attempts, rng)
+        visits, pose, motion = trip.go(start, attempts, rng)
     outcome: Execution | None = None
     if motion is not None:
         with watch_of("execute"):
@@ -164,7 +166,7 @@ class _Trip:
     watch: _Watch
 
     def go(
-        self, attempts: int, rng: np.random.Generator
+        self, start: Float[np.ndarray, "3"] | None, attempts: int, rng: np.random.Generator
     ) -> tuple[tuple[Visit, ...], Pose, Motion | None]:
         """Drive, plan anew, and ask for another base pose where that fails.
 
@@ -172,10 +174,8 @@ class _Trip:
             All visits, the pose reached last, and the motion found there, if any.
         """
         plan: PlacementPlan | None = self.plan
-        assert plan is not None
-        assert plan.base_pose is not None
-        start = self.scene.start
-        here: Pose = plan.base_pose if start is None else _triple(start)
+        moved = task_motion(self.scene, self.robot, self.plan.task, self.config.motion)
+        here = _triple(start_pose(self.scene, self.robot, moved, start))
         visits: list[Visit] = []
         motion = None
         while len(visits) < attempts and motion is None and plan is not None:

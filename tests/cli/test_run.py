@@ -181,6 +181,8 @@ def test_a_start_in_collision_is_refused(
 ) -> None:
     write_plan(replace(plan, base_pose=(1.0, 0.0, 1.57)), tmp_path / "plan.json")
     refused([str(tmp_path / "plan.json"), "--no-noise"], "start in collision", capsys)
+    write_plan(plan, tmp_path / "plan.json")
+    refused([str(tmp_path / "plan.json"), "--start", "1,0,0"], "would hit", capsys)
 
 
 def test_a_film_must_be_a_png(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.execution.toy import asked, toy
-from tests.verification.door_case import OPEN, make_case
+from tests.verification.door_case import HANDLE, OPEN, make_case
 
 from momapos.errors import InputError, RobotError, SceneError
 from momapos.execution.config import ExecutionConfig, FurnitureConfig
@@ -129,3 +129,13 @@ def test_a_grasp_beside_the_handle_is_noticed(tmp_path: Path) -> None:
     done = case.run()
     assert not done.success
     assert "10.0 cm" in done.reason
+
+
+def test_a_weld_takes_no_hold_of_what_is_out_of_the_hand(tmp_path: Path) -> None:
+    case = make_case()
+    x, y, z = HANDLE
+    case.cupboard = case.cupboard.replace(f'xyz="{x} {y} {z}"', f'xyz="{x} {y} {z + 0.2}"')
+    done = toy(tmp_path, case).run()
+    assert not done.success
+    assert "cm from what it should take hold of" in done.reason
+    assert done.reached == pytest.approx(0.0, abs=1e-3)

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Literal
 
 from tyro.conf import Positional
 
+from momapos.cli.place import StartArg, parse_start
+
 if TYPE_CHECKING:
     from momapos.execution.record import RunRecord
     from momapos.robots.robot import Robot
@@ -23,6 +25,7 @@ def run(
     *,
     scene_root: Path | None = None,
     robot: str | None = None,
+    start: StartArg = None,
     hold: Literal["weld", "contact"] = "weld",
     noise: bool = True,
     seed: int = 0,
@@ -38,6 +41,7 @@ def run(
         plan: The plan file.
         scene_root: Folder for names not found beside the plan, and for a BestMan scene's models.
         robot: A library robot or a robot file; by default the one that the plan names.
+        start: Where the robot is at first [m, m, rad or deg]; as for `place` by default.
         hold: weld: a compliant, breakable weld at the grasp; contact: fingers and friction alone.
         noise: Arrive up to 3 cm and 2 degrees off, plan the arm anew there, and draw how heavily
             the furniture moves; without it, all is as planned.
@@ -48,6 +52,8 @@ def run(
     """
     from json import dumps
 
+    import numpy as np
+
     from momapos.cache import default_cache_dir
     from momapos.cli.console import progress
     from momapos.errors import InputError, MissingExtraError
@@ -55,6 +61,7 @@ def run(
     from momapos.reachability.store import load_or_build
     from momapos.verification.files import find_file, read_scene
 
+    begin = None if start is None else np.array(parse_start(start))
     content = read_plan(plan)
     if content.status != "solved":
         raise InputError(f"{plan}: the plan is {content.status!r}: there is nothing to execute")
@@ -85,7 +92,7 @@ def run(
             reach = load_or_build(machine, default_cache_dir(), report)
         physics = replace(physics, furniture=FurnitureConfig(spread=0.3))
     result = run_plan(
-        content, scene, machine, reach=reach, physics=physics, seed=seed, watch=film,
+        content, scene, machine, reach=reach, start=begin, physics=physics, seed=seed, watch=film,
         drive=noisy_arrival(scene, machine) if noise else None,
     )  # fmt: skip
     if out is not None:

@@ -80,6 +80,8 @@ class GripConfig:
     """Of a finger's position loop, below that force [N/m]."""
     friction: float = 1.0
     """Between a finger's rubber and a handle [-]."""
+    reach: float = 0.02
+    """The weld takes hold of what is this near to the gripper or to the tool's origin [m]."""
     time_constant: float = 0.01
     """Of the compliant weld [s]; smaller is stiffer."""
     weld_force: float = 120.0

@@ -19,6 +19,8 @@ from momapos.kinematics.urdf import Joint
 from momapos.robots.robot import Robot
 
 BASE_JOINTS = ("base x", "base y", "base yaw")
+TOOL_POINT = "tool point"
+"""Name of a geom that nothing meets, at the tool's origin."""
 UNKNOWN_DENSITY = 500.0
 """Of links whose URDF gives no mass [kg/m^3]."""
 
@@ -119,6 +121,10 @@ def add_robot(
         if link in moving:
             kind = Kind.GRIPPER if link in robot.gripper_links else Kind.ARM
         _add_link(spec, body, robot, link, kind, dynamics, config)
+    bodies[robot.tool_link].add_geom(
+        name=TOOL_POINT, type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[1e-3, 0, 0], density=0.0,
+        contype=0, conaffinity=0, rgba=[0, 0, 0, 0],
+    )  # fmt: skip
     _add_motors(spec, robot, fingers, config)
     _add_excludes(spec, robot)
     return fingers

@@ -256,9 +256,12 @@ class _Run:
                 f"the tool is {100 * off:.1f} cm and {np.degrees(angle):.0f} deg off its planned "
                 "place when it takes hold"
             )
-        self.held = True
         if self.config.hold == "weld":
+            gap = self.world.grip_gap(1.0)
+            if gap > self.config.gripper.reach:
+                return f"the gripper is {100 * gap:.1f} cm from what it should take hold of"
             self.world.attach()
+        self.held = True
         self._close(True)
         return ""
 

@@ -13,7 +13,7 @@ from momapos.errors import InputError
 from momapos.execution.config import ExecutionConfig
 from momapos.execution.dynamics import Dynamics
 from momapos.execution.furniture import PART, Resistance, add_part, add_room
-from momapos.execution.machine import BASE_JOINTS, Finger, add_robot, body_of, tune
+from momapos.execution.machine import BASE_JOINTS, TOOL_POINT, Finger, add_robot, body_of, tune
 from momapos.execution.shapes import ROBOT, Kind, matrix_quat
 from momapos.geometry.transforms import invert
 from momapos.robots.robot import Robot
@@ -65,6 +65,16 @@ class World:
         T[:3, :3] = self.data.xmat[body].reshape(3, 3)
         T[:3, 3] = self.data.xpos[body]
         return T
+
+    def grip_gap(self, most: float) -> float:
+        """Distance from the gripper, or the tool's origin, to the part [m]; at most `most`."""
+        hand = self.kinds == Kind.GRIPPER
+        hand[self.model.geom(TOOL_POINT).id] = True
+        return min(
+            float(mujoco.mj_geomDistance(self.model, self.data, one, other, most, None))
+            for one in np.flatnonzero(hand).tolist()
+            for other in np.flatnonzero(self.kinds == Kind.PART).tolist()
+        )
 
     def attach(self) -> None:
         """Weld the part to the tool as they are now."""
