@@ -27,6 +27,8 @@ ELEVATION, MARGIN = -25.0, 0.95
 """The camera looks down by this [deg], from this many times the least distance [-]."""
 _VIEWS = 24
 """Directions from which the camera may look [-]."""
+_SUBJECT = (Kind.BASE, Kind.ARM, Kind.GRIPPER, Kind.PART)
+"""What the pictures are of."""
 
 
 @dataclass
@@ -115,9 +117,6 @@ class Film:
         return camera
 
 
-_SUBJECT = (Kind.BASE, Kind.ARM, Kind.GRIPPER, Kind.PART)
-
-
 def _eye(camera: Any, azimuth: float) -> Float[np.ndarray, "3"]:
     """Where a free camera is when it looks along an azimuth [deg]."""
     a, e = np.radians(azimuth), np.radians(camera.elevation)
@@ -129,13 +128,13 @@ def _visible(
     world: World, data: Any, eye: Float[np.ndarray, "3"], targets: Float[np.ndarray, "n 3"]
 ) -> float:
     """Share of points that no furniture hides."""
-    hit, geom = 0, np.zeros(1, np.int32)
+    seen, geom = 0, np.zeros(1, np.int32)
     for target in targets:
         away = target - eye
         distance = mujoco.mj_ray(world.model, data, eye, away, None, 1, -1, geom)
         hidden = 0 <= distance < 0.99 and world.kinds[geom[0]] == Kind.ROOM
-        hit += not hidden
-    return hit / len(targets)
+        seen += not hidden
+    return seen / len(targets)
 
 
 @contextmanager

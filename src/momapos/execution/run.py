@@ -91,8 +91,8 @@ def execute(
     began = clock()
     stopped = run.go(plan, stage)
     wall = clock() - began
-    return _outcome(run, judge(world, run.observer, task, item, run.first, motion, config, stopped),
-                    resistance, dynamics, robot, stage, wall)  # fmt: skip
+    verdict = judge(world, run.observer, task, item, run.first, motion, config, stopped)
+    return _outcome(run, verdict, resistance, dynamics, robot, stage, wall)
 
 
 def _timed(
