@@ -12,7 +12,7 @@ $(VENV)/.core: pyproject.toml
 	touch $@
 
 $(VENV)/.dev: $(VENV)/.core
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev,kitchens,scan]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev,kitchens,physics,scan]'
 	touch $@
 
 # Torch trains the front network and runs URDFormer; without it the tests of both are skipped.

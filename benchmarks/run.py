@@ -11,6 +11,7 @@ RUNS = (
     ["reach.py"],
     ["placement.py", "--out", "bench_out"],
     ["placement.py", "--exhaustive", "--out", "bench_out/grid"],
+    ["execution.py", "--out", "bench_out"],
     ["scaling.py"],
     ["importance.py"],
     ["importance_answers.py"],

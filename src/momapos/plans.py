@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import os
@@ -82,11 +83,22 @@ def write_plan(plan: PlacementPlan, path: Path) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     data["scene"] = _portable(plan.scene, path, "the scene")
     data["robot"]["urdf"] = _portable(plan.robot_urdf, path, "the robot's URDF")
+    data["hashes"] = {
+        "scene": _sha256(Path(plan.scene)), "robot": _sha256(Path(plan.robot_urdf)),
+    }  # fmt: skip
     try:
         text = json.dumps(data, allow_nan=False)
     except ValueError as error:
         raise InputError(f"{path}: the plan holds NaN or infinity and was not written") from error
     _replace(path, text + "\n")
+
+
+def _sha256(path: Path) -> str:
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
 
 
 def _portable(name: str, plan: Path, what: str) -> str:
@@ -183,6 +195,10 @@ class _Plan(msgspec.Struct):
     versions: dict[str, str] = {}
 
 
+class _Hashes(msgspec.Struct):
+    hashes: dict[str, str] = {}
+
+
 class _Head(msgspec.Struct):
     format: Any = None
     version: Any = None
@@ -211,6 +227,28 @@ def read_plan(path: Path) -> PlacementPlan:
     data = _decode(content, _Plan, path)
     _check(data, path)
     return _record(data, path)
+
+
+def check_unchanged(path: Path, scene: Path, urdf: Path) -> None:
+    """Make sure that a plan is about the files as they are now.
+
+    Plans hold the SHA-256 of the scene file and of the robot's URDF; those written before that
+    hold none, and pass. Files that these two name in turn are not looked at.
+
+    Args:
+        path: The plan file.
+        scene: The scene that it names, where it was found.
+        urdf: The robot's URDF that it names, where it was found.
+
+    Raises:
+        InputError: One of them has changed since the plan was written.
+    """
+    hashes = _decode(_content(path), _Hashes, path).hashes
+    for what, file in (("scene", scene), ("robot", urdf)):
+        if what in hashes and hashes[what] != _sha256(file):
+            raise InputError(
+                f"{path}: the {what} ({file}) has changed since the plan was written; plan again"
+            )
 
 
 def _content(path: Path) -> bytes:

@@ -1,6 +1,6 @@
 """Entry point: find the command, run it, turn errors into one line and an exit status.
 
-Exit status: 0 solved; 1 a plan that does not hold (verify); 2 input that cannot be used;
+Exit status: 0 solved; 1 a plan that does not hold (verify, run); 2 input that cannot be used;
 3 no feasible base pose; 4 out of time.
 """
 
@@ -20,6 +20,9 @@ COMMANDS: dict[str, tuple[str, dict[str, str] | str, str]] = {
         "where to stand and how to move, to open, close, pick or place something",
     ),
     "verify": ("momapos.cli.verify", "verify", "check a plan again, from the files alone"),
+    "run": (
+        "momapos.cli.run", "run", "carry a plan out in physics: is it really open then?",
+    ),
     "rank": (
         "momapos.cli.rank", "rank_objects", "which objects matter for a task with one of them",
     ),
@@ -50,6 +53,7 @@ EXAMPLES = """examples:
   momapos place open kitchen_small fridge/door_hinge --robot segway_ur5e --plot plan.png
   momapos place open kitchen.json cabinet/door_left --robot fetch --to 90deg --out plan.json
   momapos verify plan.json
+  momapos run plan.json --record film.png
   momapos rank kitchen_small fridge --plot graph.png
   momapos robot check my_robot.urdf --plot robot.png"""
 HELP = ("-h", "--help")

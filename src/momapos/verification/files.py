@@ -48,14 +48,19 @@ def verify_files(
         detail = f"status {plan.status!r}: there is nothing to verify"
         return Report((verdict("status is solved", False, detail),))
     folders = [plan_path.resolve().parent, *([scene_root] if scene_root else []), Path()]
-    scene = _scene(_find("scene", plan.scene, folders, plan_path), scene_root)
-    urdf = _find("robot.urdf", plan.robot_urdf, folders, plan_path)
+    scene = read_scene(find_file("scene", plan.scene, folders, plan_path), scene_root)
+    urdf = find_file("robot.urdf", plan.robot_urdf, folders, plan_path)
     world = ExactWorld(scene, _arm(plan, urdf), plan.task, limits)
     report = world.check(plan.base_pose, plan.motion)
     return Report(report.checks, (*scene.warnings, *report.notes), report.gripper_depth)
 
 
-def _find(key: str, name: str, folders: list[Path], plan_path: Path) -> Path:
+def find_file(key: str, name: str, folders: list[Path], plan_path: Path) -> Path:
+    """Find a file that a plan names.
+
+    Raises:
+        FileFormatError: It is in none of the folders.
+    """
     for folder in folders:
         if (folder / name).is_file():
             return folder / name
@@ -65,7 +70,7 @@ def _find(key: str, name: str, folders: list[Path], plan_path: Path) -> Path:
     )
 
 
-def _scene(path: Path, scene_root: Path | None) -> Scene:
+def read_scene(path: Path, scene_root: Path | None) -> Scene:
     """Load a scene; the root bounds it where the scene lies in it or knows no other."""
     if scene_root is not None and path.resolve().is_relative_to(scene_root.resolve()):
         return load_scene(path, root=scene_root)

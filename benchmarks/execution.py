@@ -1,0 +1,169 @@
+"""Plans executed in physics: openings of five real and two built-in kitchens, for four robots.
+
+    python benchmarks/execution.py [--robots fetch ...] [--tasks 20] [--hold weld] [--out bench_out]
+
+Every plan is executed as it is, and once more with noise: the base arrives up to 3 cm and
+2 degrees off, the arm is planned anew, and furniture moves up to 30 % more or less easily. Prints,
+and writes as JSON, what came of each; failures with their reasons.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import time
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+
+from momapos.cache import default_cache_dir
+from momapos.config import PipelineConfig
+from momapos.errors import MomaposError
+from momapos.execution.config import ExecutionConfig, FurnitureConfig
+from momapos.manipulation.tasks import make_task, openable
+from momapos.pipeline import place
+from momapos.reachability.store import load_or_build
+from momapos.robots.robot import Robot, load_robot
+from momapos.run_plan import noisy_arrival, run_plan
+from momapos.scene.files import load_scene
+from momapos.scene.scene import Scene
+
+REAL = (
+    "Asset/Scene/Scene/Kitchen.json",
+    "Asset/Scene/Scene/Kitchen_1.json",
+    "Asset/Scene/Scene/b512.json",
+    "derived/kitchen_v2.json",
+    "derived/MoMa_Kitchen.json",
+)
+BUILT_IN = ("kitchen_small", "kitchen_island")
+ROBOTS = ("fetch", "segway_ur5e", "husky_ur5e", "ranger_rm63")
+SPREAD = 0.3
+
+
+def scenes() -> list[Scene]:
+    """The built-in kitchens, and the real ones where this machine has them."""
+    default = Path(__file__).resolve().parents[2] / "shared" / "data"
+    root = Path(os.environ.get("MOMAPOS_SHARED", default)) / "bestman"
+    real = [load_scene(root / name) for name in REAL] if root.is_dir() else []
+    return [*(load_scene(name) for name in BUILT_IN), *real]
+
+
+def chosen(robots: tuple[str, ...], most: int | None) -> list[tuple[Robot, Scene, str, str]]:
+    """All openings for all robots, or as many, spread evenly over them."""
+    rooms = scenes()
+    every = [
+        (robot, scene, item, joint)
+        for robot in map(load_robot, robots)
+        for scene in rooms
+        for item, joint in openable(scene)
+    ]
+    if most is None or most >= len(every):
+        return every
+    return [every[i] for i in np.linspace(0, len(every) - 1, most).astype(int)]
+
+
+def measure(
+    robot: Robot, scene: Scene, item: str, joint: str, hold: str, seed: int
+) -> list[dict[str, object]]:
+    """Plan once, execute twice."""
+    base = {"robot": robot.name, "scene": scene.name, "task": f"{item}/{joint}", "hold": hold}
+    reach = load_or_build(robot, default_cache_dir(), None)
+    rows: list[dict[str, object]] = []
+    try:
+        task = make_task(scene, "open", item, joint)
+        plan = place(scene, robot, task, reach, config=PipelineConfig(timeout=120.0)).plan
+    except MomaposError as error:
+        return [{**base, "status": "refused", "reason": str(error)}]
+    if plan.status != "solved":
+        return [{**base, "status": plan.status}]
+    for noise in (False, True):
+        furniture = FurnitureConfig(spread=SPREAD if noise else 0.0)
+        row: dict[str, object] = {**base, "status": "solved", "noise": noise}
+        try:
+            record = run_plan(
+                plan, scene, robot, reach=reach,
+                drive=noisy_arrival(scene, robot) if noise else None,
+                physics=ExecutionConfig(hold=hold, furniture=furniture), seed=seed,  # type: ignore[arg-type]
+                clock=time.process_time,
+            )  # fmt: skip
+        except MomaposError as error:
+            rows.append({**row, "success": False, "reason": str(error)})
+            continue
+        row |= {
+            "success": record.success, "reason": record.reason, "visits": len(record.visits),
+            "first": record.visits[0].reason, "seconds": dict(record.time),
+        }  # fmt: skip
+        if record.execution is not None:
+            done = record.execution
+            row |= {
+                "simulated": done.simulated,
+                "cpu": done.wall,
+                "force": done.load.force,
+                "torque": done.load.torque,
+                "slip": done.slip.position,
+                "tracking": done.tracking.worst,
+                "effort": done.tracking.effort,
+                "yield": max(done.base_shift[:2]),
+                "clearance": done.clearance,
+                "collisions": [[c.one, c.other, round(c.force, 1)] for c in done.collisions],
+            }
+        rows.append(row)
+    return rows
+
+
+def report(rows: list[dict]) -> str:
+    """Summarise in words."""
+    lines = [f"machine: {platform.machine()}, {len(os.sched_getaffinity(0))} cores"]
+    lines.append(f"plans: {dict(Counter(r['status'] for r in rows if not r.get('noise')))}")
+    for noise in (False, True):
+        mine = [r for r in rows if r.get("noise") is noise]
+        good = sum(r["success"] for r in mine)
+        touched = sum(bool(r.get("collisions")) for r in mine)
+        lines.append(
+            f"noise {'on' if noise else 'off'}: {good} of {len(mine)} executed with success; "
+            f"{touched} with a collision"
+        )
+        for r in mine:
+            if not r["success"]:
+                lines.append(f"  {r['robot']}, {r['scene']}, {r['task']}: {r['reason']}")
+    done = [r for r in rows if "cpu" in r]
+    if done:
+        factor = np.array([r["simulated"] / r["cpu"] for r in done])
+        lines.append(
+            f"simulated {np.median(factor):.1f} times faster than real time at the median, "
+            f"{factor.min():.1f} times at the slowest (CPU time of one core)"
+        )
+        for key, unit, scale in (
+            ("force", "N", 1), ("torque", "Nm", 1), ("slip", "mm", 1000),
+            ("tracking", "mrad|mm", 1000), ("effort", "% of the limit", 100), ("yield", "mm", 1000),
+        ):  # fmt: skip
+            values = scale * np.array([r[key] for r in done])
+            lines.append(f"{key}: median {np.median(values):.2g}, worst {values.max():.2g} {unit}")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Run it."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--robots", nargs="+", default=list(ROBOTS))
+    parser.add_argument("--tasks", type=int, help="as many openings, spread evenly over all")
+    parser.add_argument("--hold", choices=("weld", "contact"), default="weld")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--out", type=Path, help="folder for execution.json")
+    args = parser.parse_args()
+    rows = []
+    for robot, scene, item, joint in chosen(tuple(args.robots), args.tasks):
+        for row in measure(robot, scene, item, joint, args.hold, args.seed):
+            rows.append(row)
+            print(json.dumps(row), flush=True)
+    print(report(rows))
+    if args.out is not None:
+        args.out.mkdir(parents=True, exist_ok=True)
+        (args.out / "execution.json").write_text(json.dumps(rows, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,172 @@
+"""momapos run: carry a plan out in physics."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from tyro.conf import Positional
+
+from momapos.cli.place import StartArg, parse_start
+
+if TYPE_CHECKING:
+    from momapos.execution.record import RunRecord
+    from momapos.robots.robot import Robot
+    from momapos.types import PlacementPlan
+
+MOST_COLLISIONS = 5
+
+
+def run(
+    plan: Positional[Path],
+    /,
+    *,
+    scene_root: Path | None = None,
+    robot: str | None = None,
+    start: StartArg = None,
+    hold: Literal["weld", "contact"] = "weld",
+    noise: bool = True,
+    seed: int = 0,
+    out: Path | None = None,
+    record: Path | None = None,
+    json: bool = False,
+) -> int:
+    """Drive there and do it: carry a plan out in a physics engine, and say what came of it.
+
+    Exit status: 0 the task was done, 1 it was not, 2 a file cannot be used.
+
+    Args:
+        plan: The plan file.
+        scene_root: Folder for names not found beside the plan, and for a BestMan scene's models.
+        robot: A library robot or a robot file; by default the one that the plan names.
+        start: Where the robot is at first [m, m, rad or deg]; as for `place` by default.
+        hold: weld: a compliant, breakable weld at the grasp; contact: fingers and friction alone.
+        noise: Arrive up to 3 cm and 2 degrees off, plan the arm anew there, and draw how heavily
+            the furniture moves; without it, all is as planned.
+        seed: Same seed, same run.
+        out: Write the record here (JSON).
+        record: Draw a filmstrip here (PNG).
+        json: Print the record as one JSON object and nothing else.
+    """
+    from json import dumps
+
+    import numpy as np
+
+    from momapos.cache import default_cache_dir
+    from momapos.cli.console import progress
+    from momapos.errors import InputError, MissingExtraError
+    from momapos.plans import check_unchanged, read_plan
+    from momapos.reachability.store import load_or_build
+    from momapos.verification.files import find_file, read_scene
+
+    begin = None if start is None else np.array(parse_start(start))
+    content = read_plan(plan)
+    if content.status != "solved":
+        raise InputError(f"{plan}: the plan is {content.status!r}: there is nothing to execute")
+    if record is not None and record.suffix.lower() != ".png":
+        raise InputError(f"--record {record}: a filmstrip is a PNG; name it so")
+    try:
+        from momapos.execution.config import ExecutionConfig, FurnitureConfig
+        from momapos.execution.film import Film
+        from momapos.execution.record import run_to_dict, write_run
+        from momapos.run_plan import noisy_arrival, run_plan
+    except ImportError as error:
+        raise MissingExtraError(
+            "momapos run needs the extra: pip install 'momapos[physics]'"
+        ) from error
+
+    folders = [plan.resolve().parent, *([scene_root] if scene_root else []), Path()]
+    scene_file = find_file("scene", content.scene, folders, plan)
+    urdf = find_file("robot.urdf", content.robot_urdf, folders, plan)
+    check_unchanged(plan, scene_file, urdf)
+    scene = read_scene(scene_file, scene_root)
+    machine = _robot(content, plan, urdf, robot)
+    for warning in scene.warnings:
+        print(f"momapos: {warning}", file=sys.stderr)
+    film = Film() if record is not None else None
+    reach, physics = None, ExecutionConfig(hold=hold)
+    if noise:
+        with progress(f"reachability map of {machine.name}") as report:
+            reach = load_or_build(machine, default_cache_dir(), report)
+        physics = replace(physics, furniture=FurnitureConfig(spread=0.3))
+    result = run_plan(
+        content, scene, machine, reach=reach, start=begin, physics=physics, seed=seed, watch=film,
+        drive=noisy_arrival(scene, machine) if noise else None,
+    )  # fmt: skip
+    if out is not None:
+        write_run(result, out)
+    print(dumps(run_to_dict(result)) if json else summary(result))
+    if film is not None and record is not None and result.execution is not None:
+        film.write(record)
+    return 0 if result.success else 1
+
+
+def _robot(content: PlacementPlan, plan: Path, urdf: Path, given: str | None) -> Robot:
+    """The robot file that goes with the URDF of a plan.
+
+    Raises:
+        RobotError: There is none, or it describes another robot.
+    """
+    from momapos.errors import RobotError
+    from momapos.robots.robot import library_names, load_robot
+
+    beside = urdf.with_suffix(".toml")
+    if given is not None:
+        robot = load_robot(given)
+    elif beside.is_file():
+        robot = load_robot(beside)
+    elif content.robot_name in library_names():
+        robot = load_robot(content.robot_name)
+    else:
+        raise RobotError(f"{plan}: there is no robot file {beside}; give --robot")
+    named = (content.base_link, content.tool_link, content.joints)
+    if named != (robot.base_link, robot.tool_link, robot.arm_joints):
+        raise RobotError(
+            f"{plan}: the plan is for {content.robot_name} with tool {content.tool_link!r} and "
+            f"joints {', '.join(content.joints)}; {robot.path} describes another robot"
+        )
+    return robot
+
+
+def summary(record: RunRecord) -> str:
+    """A run in a few lines."""
+    import math
+
+    task = record.task
+    what = task.object if task.joint is None else f"{task.object}/{task.joint}"
+    lines = [f"{record.robot}: {task.verb} {what}: {'done' if record.success else 'failed'}"]
+    if record.reason:
+        lines.append(f"  because     {record.reason}")
+    for visit in record.visits:
+        off = math.dist(visit.planned[:2], visit.reached[:2])
+        lines.append(
+            f"  drive       {visit.length:.2f} m, {100 * off:.1f} cm off the planned pose"
+            + (f": {visit.reason}" if visit.reason else "")
+        )
+    done = record.execution
+    if done is None:
+        return "\n".join(lines)
+    lines += [
+        f"  reached     {done.reached:.3f} of {done.asked:.3f}, from {done.start:.3f}",
+        f"  hold        {done.hold}, {done.load.force:.0f} N and {done.load.torque:.1f} Nm at most;"
+        f" slipped {1000 * done.slip.position:.1f} mm, {math.degrees(done.slip.angle):.1f} deg",
+        f"  motors      {done.tracking.worst:.4f} rad|m off at most, "
+        f"{100 * done.tracking.effort:.0f} % of the effort",
+        f"  base        yielded {1000 * max(done.base_shift[:2]):.1f} mm, "
+        f"{math.degrees(done.base_shift[2]):.2f} deg",
+    ]
+    if done.clearance is not None:
+        lines.append(f"  clearance   {100 * done.clearance:.1f} cm")
+    for hit in done.collisions[:MOST_COLLISIONS]:
+        lines.append(
+            f"  collision   {hit.one} with {hit.other}: {hit.force:.0f} N, "
+            f"{1000 * hit.depth:.1f} mm, {hit.stage} at {hit.first:.1f} s"
+        )
+    lines += [f"  note        {note}" for note in done.notes]
+    lines.append(
+        f"  time        {done.simulated:.1f} s simulated in {done.wall:.1f} s "
+        f"({done.simulated / max(done.wall, 1e-9):.0f} times real time)"
+    )
+    return "\n".join(lines)

@@ -1,0 +1,136 @@
+"""The room in the physics engine, and the part or object that the task moves."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from momapos.execution.config import ExecutionConfig, FurnitureConfig
+from momapos.execution.dynamics import volume
+from momapos.execution.shapes import Kind, add_shape, dress, place_body
+from momapos.geometry.transforms import invert
+from momapos.kinematics.urdf import Geometry, Joint
+from momapos.scene.scene import Scene, SceneObject
+from momapos.types import Task
+
+PART = "part"
+"""Name of the body that the task moves, and of its joint."""
+WORD = "handle"
+
+
+@dataclass(frozen=True)
+class Resistance:
+    """How a part resists being moved, as drawn for one run."""
+
+    mass: float
+    """[kg]"""
+    friction: float
+    """Dry friction of its joint [Nm] or [N]; 0 for loose objects."""
+    damping: float
+    """Of its joint [Nms/rad] or [Ns/m]; 0 for loose objects."""
+    pull: float
+    """Force at the handle that frees it where it is closed [N]; 0 for loose objects."""
+
+
+def draw_resistance(
+    item: SceneObject, joint: Joint | None, config: FurnitureConfig, rng: np.random.Generator
+) -> Resistance:
+    """Draw how a part resists; the same for the same generator."""
+    factor = 1.0 + config.spread * rng.uniform(-1.0, 1.0, 4)
+    links = item.model.links if joint is None else item.model.moved_by(joint.name)
+    size = sum(volume(s) for link in links for s in item.model.urdf.links[link].collisions)
+    mass = config.density * size * factor[0]
+    if joint is None:
+        return Resistance(float(np.clip(mass, 0.05, config.most_mass)), 0.0, 0.0, 0.0)
+    slides = joint.kind == "prismatic"
+    words = f"{item.category} {item.name}".lower()
+    sealed = not slides and any(word in words for word in config.sealed)
+    values = (
+        (config.slide_friction, config.slide_damping)
+        if slides
+        else (config.hinge_friction, config.hinge_damping)
+    )
+    return Resistance(
+        mass=float(np.clip(mass, config.least_mass, config.most_mass)),
+        friction=float(values[0] * factor[1]),
+        damping=float(values[1] * factor[2]),
+        pull=float((config.seal_force if sealed else config.latch_force) * factor[3]),
+    )
+
+
+def add_room(spec: Any, scene: Scene, task: Task) -> None:
+    """Add all that stands still: a floor, and every element of every object but the part's.
+
+    Each element is a body of its own, so that a single one can be left out against the part.
+    """
+    floor = spec.worldbody.add_geom(
+        name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.05]
+    )
+    dress(floor, Kind.FLOOR, touched=False)
+    for item in scene.objects:
+        moved = moved_links(item, task)
+        for link, T in item.link_poses().items():
+            if link in moved:
+                continue
+            for i, shape in enumerate(item.model.urdf.links[link].collisions):
+                name = f"{item.name}/{link}#{i}"
+                body = spec.worldbody.add_body(name=name)
+                geom = add_shape(spec, body, shape, T, name)
+                dress(geom, Kind.ROOM, touched=False, handle=_is_handle(link, shape))
+
+
+def moved_links(item: SceneObject, task: Task) -> frozenset[str]:
+    """The links of an object that the task moves."""
+    if item.name != task.object:
+        return frozenset()
+    return frozenset(item.model.links if task.joint is None else item.model.moved_by(task.joint))
+
+
+def add_part(
+    spec: Any, scene: Scene, task: Task, resistance: Resistance, config: ExecutionConfig
+) -> None:
+    """Add what the task moves: the links beyond a joint on that joint, or an object, loose.
+
+    Joints beyond the task's own are locked where the scene has them.
+    """
+    item = scene.object(task.object)
+    poses = item.link_poses()
+    body = spec.worldbody.add_body(name=PART)
+    if task.joint is None:
+        T_world_part = item.T_world_object
+        place_body(body, T_world_part).add_freejoint(name=PART)
+        T_world_at = T_world_part
+    else:
+        joint = item.model.joint(task.joint)
+        place_body(body, poses[joint.parent] @ joint.T_parent_joint)
+        T_world_at = poses[joint.child]
+        _add_joint(body, joint, resistance)
+    links = [link for link in item.model.links if link in moved_links(item, task)]
+    shapes = [(link, i, s) for link in links for i, s in _numbered(item, link)]
+    density = resistance.mass / max(sum(volume(shape) for _, _, shape in shapes), 1e-9)
+    for link, i, shape in shapes:
+        T = invert(T_world_at) @ poses[link]
+        geom = add_shape(spec, body, shape, T, f"{item.name}/{link}#{i}")
+        dress(geom, Kind.PART, touched=config.hold == "contact", handle=_is_handle(link, shape))
+        geom.density = density
+
+
+def _numbered(item: SceneObject, link: str) -> list[tuple[int, Geometry]]:
+    return list(enumerate(item.model.urdf.links[link].collisions))
+
+
+def _add_joint(body: Any, joint: Joint, resistance: Resistance) -> None:
+    slides = joint.kind == "prismatic"
+    kind = mujoco.mjtJoint.mjJNT_SLIDE if slides else mujoco.mjtJoint.mjJNT_HINGE
+    added = body.add_joint(name=PART, type=kind, axis=joint.axis)
+    added.frictionloss, added.damping = resistance.friction, [resistance.damping, 0, 0]
+    if math.isfinite(joint.lower) and math.isfinite(joint.upper):
+        added.limited, added.range = 1, [joint.lower, joint.upper]
+
+
+def _is_handle(link: str, shape: Geometry) -> bool:
+    return WORD in link.lower() or WORD in shape.name.lower()

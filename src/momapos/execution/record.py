@@ -1,0 +1,220 @@
+"""What came of a run, and its file: momapos-run, version 1."""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from momapos.errors import FileFormatError, InputError
+from momapos.types import Task
+
+FORMAT, VERSION = "momapos-run", 1
+MAX_BYTES = 10_000_000
+Pose = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Collision:
+    """Two things that touched and should not."""
+
+    one: str
+    """A link of the robot or OBJECT/LINK."""
+    other: str
+    force: float
+    """Largest normal force [N]."""
+    depth: float
+    """Deepest overlap; the engine's contacts are soft [m]."""
+    seconds: float
+    """How long they touched [s]."""
+    first: float
+    """When they first touched, from the beginning of the run [s]."""
+    stage: str
+
+
+@dataclass(frozen=True)
+class Slip:
+    """How far the tool moved in what it held, from the moment it took hold."""
+
+    position: float = 0.0
+    """[m]"""
+    angle: float = 0.0
+    """[rad]"""
+
+
+@dataclass(frozen=True)
+class Load:
+    """The largest load while the tool held something; a weld's alone is known."""
+
+    force: float = 0.0
+    """[N]"""
+    torque: float = 0.0
+    """[Nm]"""
+
+
+@dataclass(frozen=True)
+class Tracking:
+    """How well the motors followed."""
+
+    worst: float = 0.0
+    """Largest error of a joint [rad] or [m]."""
+    rms: float = 0.0
+    """Root of the mean square over joints and time [rad] or [m]."""
+    effort: float = 0.0
+    """Largest share of a joint's effort limit that was used [-]; 0 where no limit is known."""
+
+
+@dataclass(frozen=True)
+class Execution:
+    """One motion, executed in physics."""
+
+    success: bool
+    """Whether the joint reached the value asked for, or the object is where it should be."""
+    reason: str
+    """Why not; "" where it did."""
+    hold: str
+    """weld or contact."""
+    start: float
+    """Value of the joint at first [rad] or [m]; for loose objects the height [m]."""
+    asked: float
+    reached: float
+    collisions: tuple[Collision, ...] = ()
+    """Hardest first."""
+    slip: Slip = Slip()
+    load: Load = Load()
+    tracking: Tracking = Tracking()
+    clearance: float | None = None
+    """Least distance of the robot from everything but floor and part [m]; None: out of sight."""
+    base_shift: Pose = (0.0, 0.0, 0.0)
+    """How far the base yielded at most: forward, left [m], yaw [rad]."""
+    resistance: Mapping[str, float] = field(default_factory=dict)
+    """Of the part in this run: mass, friction, damping, pull."""
+    time: Mapping[str, float] = field(default_factory=dict)
+    """Simulated seconds by stage."""
+    simulated: float = 0.0
+    """Simulated time in all [s]."""
+    wall: float = 0.0
+    """Time that the simulation took, without building the world [s]."""
+    notes: tuple[str, ...] = ()
+    """What was left out or assumed, one line each."""
+
+
+@dataclass(frozen=True)
+class Visit:
+    """One drive to a base pose, and whether the arm found a motion there."""
+
+    planned: Pose
+    """x [m], y [m], yaw [rad]."""
+    reached: Pose
+    length: float
+    """Driven [m]."""
+    seconds: float
+    """[s]"""
+    reason: str
+    """Why nothing was executed there; "" where it was."""
+
+
+@dataclass(frozen=True)
+class RunRecord:
+    """What came of a plan."""
+
+    scene: str
+    robot: str
+    task: Task
+    visits: tuple[Visit, ...]
+    """All drives; the last is the one that led to an execution, if any."""
+    execution: Execution | None
+    """None where no arm motion was found at any pose reached."""
+    seed: int = 0
+    noise: bool = False
+    time: Mapping[str, float] = field(default_factory=dict)
+    """Wall seconds by stage: drive, plan, build, simulate."""
+    versions: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def success(self) -> bool:
+        """Whether the task was done."""
+        return self.execution is not None and self.execution.success
+
+    @property
+    def reason(self) -> str:
+        """Why it was not; "" where it was."""
+        if self.execution is not None:
+            return self.execution.reason
+        return self.visits[-1].reason if self.visits else "nothing was driven"
+
+    @property
+    def driven(self) -> float:
+        """Driven length [m]."""
+        return sum(visit.length for visit in self.visits)
+
+
+def run_to_dict(record: RunRecord) -> dict[str, Any]:
+    """Turn a record into what its file holds."""
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        "success": record.success,
+        "reason": record.reason,
+        "driven": record.driven,
+        **asdict(record),
+    }
+
+
+def write_run(record: RunRecord, path: Path) -> None:
+    """Write a record, the whole file or nothing.
+
+    Raises:
+        InputError: It holds NaN, or the file cannot be written.
+    """
+    try:
+        text = json.dumps(run_to_dict(record), allow_nan=False) + "\n"
+    except ValueError as error:
+        raise InputError(f"{path}: the record holds NaN or infinity and was not written") from error
+    name = None
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+        with os.fdopen(handle, "w", encoding="utf-8") as file:
+            file.write(text)
+        os.chmod(name, 0o644)
+        os.replace(name, path)
+    except OSError as error:
+        if name is not None:
+            Path(name).unlink(missing_ok=True)
+        raise InputError(f"{path}: cannot be written ({error.strerror})") from error
+
+
+class _Head(msgspec.Struct):
+    format: Any = None
+    version: Any = None
+
+
+def read_run(path: Path) -> RunRecord:
+    """Read a record.
+
+    Raises:
+        FileFormatError: It is none that can be used; one line says why.
+    """
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise FileFormatError(f"{path}: larger than a run record can be (10 MB)")
+        content = path.read_bytes()
+    except OSError as error:
+        raise FileFormatError(f"{path}: cannot be read ({error.strerror})") from error
+    try:
+        head = msgspec.json.decode(content, type=_Head)
+        if (head.format, head.version) != (FORMAT, VERSION):
+            raise FileFormatError(
+                f'{path}: not a run record of this version; it has "format": {head.format!r:.60}, '
+                f'"version": {head.version!r:.60}, not {FORMAT!r} and {VERSION}'
+            )
+        return msgspec.json.decode(content, type=RunRecord)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise FileFormatError(f"{path}: not a usable run record: {error}") from error

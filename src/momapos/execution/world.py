@@ -1,0 +1,261 @@
+"""The world of one run: room, part and robot, compiled, with names turned into indices."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+from jaxtyping import Float, Int
+
+from momapos.errors import InputError
+from momapos.execution.config import ExecutionConfig
+from momapos.execution.dynamics import Dynamics
+from momapos.execution.furniture import PART, Resistance, add_part, add_room
+from momapos.execution.machine import BASE_JOINTS, TOOL_POINT, Finger, add_robot, body_of, tune
+from momapos.execution.shapes import ROBOT, Kind, matrix_quat
+from momapos.geometry.transforms import invert
+from momapos.robots.robot import Robot
+from momapos.scene.scene import Scene
+from momapos.types import Task
+
+WELD = "hold"
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """A compiled world; its state is in `data`."""
+
+    model: Any
+    data: Any
+    kinds: Int[np.ndarray, " g"]
+    """Kind of each geom."""
+    names: tuple[str, ...]
+    """What each geom belongs to: OBJECT/LINK, or a link of the robot."""
+    arm_q: Int[np.ndarray, " n"]
+    """Addresses of the arm's joints in the state."""
+    arm_v: Int[np.ndarray, " n"]
+    """Addresses of their speeds."""
+    arm_motor: Int[np.ndarray, " n"]
+    base_q: Int[np.ndarray, "3"]
+    base_motor: Int[np.ndarray, "3"]
+    part_q: int
+    part_v: int
+    part_body: int
+    tool_body: int
+    weld: int
+    fingers: tuple[tuple[Finger, int], ...]
+    """The fingers that slide, with their motors."""
+    loose: tuple[str, ...]
+    """What touches the part in the scene, and is left out against it."""
+
+    @property
+    def T_world_tool(self) -> Float[np.ndarray, "4 4"]:
+        """Pose of the tool link."""
+        return self._pose(self.tool_body)
+
+    @property
+    def T_world_part(self) -> Float[np.ndarray, "4 4"]:
+        """Pose of the part."""
+        return self._pose(self.part_body)
+
+    def _pose(self, body: int) -> Float[np.ndarray, "4 4"]:
+        T = np.eye(4)
+        T[:3, :3] = self.data.xmat[body].reshape(3, 3)
+        T[:3, 3] = self.data.xpos[body]
+        return T
+
+    def grip_gap(self, most: float) -> float:
+        """Distance from the gripper, or the tool's origin, to the part [m]; at most `most`."""
+        hand = self.kinds == Kind.GRIPPER
+        hand[self.model.geom(TOOL_POINT).id] = True
+        return min(
+            float(mujoco.mj_geomDistance(self.model, self.data, one, other, most, None))
+            for one in np.flatnonzero(hand).tolist()
+            for other in np.flatnonzero(self.kinds == Kind.PART).tolist()
+        )
+
+    def attach(self) -> None:
+        """Weld the part to the tool as they are now."""
+        T_tool_part = invert(self.T_world_tool) @ self.T_world_part
+        values = self.model.eq_data[self.weld]
+        values[:3] = invert(T_tool_part)[:3, 3]  # the tool's origin, in the part
+        values[3:6] = 0.0  # and in the tool
+        values[6:10] = matrix_quat(T_tool_part[:3, :3])
+        values[10] = 1.0
+        self.data.eq_active[self.weld] = 1
+
+    def release(self) -> None:
+        """Open the weld."""
+        self.data.eq_active[self.weld] = 0
+
+    def hold_load(self) -> tuple[float, float]:
+        """Force [N] and torque [Nm] in the weld; zero where it is open."""
+        if not self.data.eq_active[self.weld]:
+            return 0.0, 0.0
+        load = self.data.efc_force[:6]  # the only equality, and those come first
+        # The engine measures turns by the vector part of a quaternion: half the angle.
+        return float(np.linalg.norm(load[:3])), float(np.linalg.norm(load[3:])) / 2
+
+
+def build_world(
+    scene: Scene,
+    robot: Robot,
+    base_pose: tuple[float, float, float],
+    states: Float[np.ndarray, "k n"],
+    task: Task,
+    dynamics: Dynamics,
+    resistance: Resistance,
+    config: ExecutionConfig,
+) -> World:
+    """Build the world of a run, with the arm at the first of some states.
+
+    Furniture that touches the part in the scene, and links of the robot that touch where its
+    joints rest, do so by design or for want of exact models: these pairs are left out.
+
+    Args:
+        scene: The room.
+        robot: The robot.
+        base_pose: x [m], y [m], yaw [rad] of its base.
+        states: Of the arm, for which its motors are tuned [rad] or [m].
+        task: Names what moves.
+        dynamics: Masses and efforts of the robot.
+        resistance: Of the part.
+        config: How to model it.
+
+    Raises:
+        InputError: The engine refuses the model.
+        RobotError: The hold is `contact`, and the gripper has no sliding fingers.
+    """
+    spec = _spec(config)
+    add_room(spec, scene, task)
+    add_part(spec, scene, task, resistance, config)
+    fingers = add_robot(spec, robot, base_pose, dynamics, config)
+    _add_weld(spec, robot, config)
+    value = None if task.joint is None else scene.object(task.object).values()[task.joint]
+    try:
+        model = spec.compile()
+        touching = _touching(model, _values(model, {PART: value}), config)
+        for one, other in touching:
+            spec.add_exclude(bodyname1=one, bodyname2=other)
+        model = spec.compile()
+    except ValueError as error:
+        raise InputError(
+            f"the physics engine refuses the model of {robot.name} in {scene.name}: {error}"
+        ) from error
+    at = {
+        **{finger.joint: finger.open for finger in fingers},
+        **dict(zip(robot.arm_joints, states[0].tolist(), strict=True)),
+    }
+    tune(model, _values(model, {PART: value, **at}), robot, states, fingers, config)
+    data = _values(model, {PART: value, **at})
+    for name, rest in at.items():
+        data.ctrl[model.actuator(name).id] = rest
+    loose = [one if other == PART else other for one, other in touching if PART in (one, other)]
+    names = tuple(dict.fromkeys("floor" if n == "world" else n.split("#")[0] for n in loose))
+    return _index(model, data, robot, fingers, names)
+
+
+def _spec(config: ExecutionConfig) -> Any:
+    spec = mujoco.MjSpec()
+    spec.compiler.balanceinertia = True
+    spec.compiler.boundmass, spec.compiler.boundinertia = 1e-4, 1e-7
+    spec.compiler.degree = False
+    option = spec.option
+    option.timestep = config.timestep
+    option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    if config.hold == "contact":
+        option.cone, option.impratio = mujoco.mjtCone.mjCONE_ELLIPTIC, 10.0
+    spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [0.45] * 3, [0.55] * 3
+    spec.visual.global_.offwidth, spec.visual.global_.offheight = 1280, 960
+    return spec
+
+
+def _add_weld(spec: Any, robot: Robot, config: ExecutionConfig) -> None:
+    weld = spec.add_equality(
+        name=WELD, type=mujoco.mjtEq.mjEQ_WELD, objtype=mujoco.mjtObj.mjOBJ_BODY, active=False
+    )
+    weld.name1, weld.name2 = body_of(robot.tool_link), PART
+    weld.solref = [config.gripper.time_constant, 1.0]
+
+
+def _values(model: Any, values: dict[str, float | None]) -> Any:
+    """A state with some joints set; those without a value stay as they are."""
+    data = mujoco.MjData(model)
+    for name, value in values.items():
+        if value is not None:
+            data.qpos[model.joint(name).qposadr[0]] = value
+    mujoco.mj_forward(model, data)
+    return data
+
+
+def _touching(model: Any, data: Any, config: ExecutionConfig) -> list[tuple[str, str]]:
+    """Pairs of bodies that touch at rest: links of the robot, the part on its joint and the room.
+
+    A loose object rests on something, and stays as it is.
+    """
+    kinds = kinds_of(model)
+    fixed = model.joint(PART).type[0] != mujoco.mjtJoint.mjJNT_FREE
+    pairs = []
+    for one, other in _near_pairs(model, data, config.touch if fixed else 0.0):
+        both = {kinds[one], kinds[other]}
+        own = both <= set(ROBOT) and _gap(data, one, other) < 0.0
+        furniture = fixed and both in ({Kind.PART, Kind.ROOM}, {Kind.PART, Kind.FLOOR})
+        if own or furniture:
+            bodies = sorted(model.body(model.geom_bodyid[g]).name for g in (one, other))
+            pairs.append((bodies[0], bodies[1]))
+    return list(dict.fromkeys(pairs))
+
+
+def _near_pairs(model: Any, data: Any, gap: float) -> list[tuple[int, int]]:
+    kept = model.geom_gap.copy()
+    model.geom_gap[:] = gap
+    mujoco.mj_collision(model, data)
+    model.geom_gap[:] = kept
+    return [(int(a), int(b)) for a, b in np.unique(data.contact.geom, axis=0)]
+
+
+def _gap(data: Any, one: int, other: int) -> float:
+    rows = (data.contact.geom == [one, other]).all(1)
+    return float(data.contact.dist[rows].min())
+
+
+def kinds_of(model: Any) -> Int[np.ndarray, " g"]:
+    """Kind of each geom of a model."""
+    return np.array(model.geom_contype, int)
+
+
+def _index(
+    model: Any,
+    data: Any,
+    robot: Robot,
+    fingers: tuple[Finger, ...],
+    loose: tuple[str, ...],
+) -> World:
+    def addresses(names: tuple[str, ...], key: str) -> Int[np.ndarray, " n"]:
+        return np.array([int(getattr(model.joint(name), key)[0]) for name in names])
+
+    def motors(names: tuple[str, ...]) -> Int[np.ndarray, " n"]:
+        return np.array([model.actuator(name).id for name in names])
+
+    names = [model.geom(i).name.split("#")[0] for i in range(model.ngeom)]
+    return World(
+        model=model,
+        data=data,
+        kinds=kinds_of(model),
+        names=tuple(name.removeprefix(body_of("")) for name in names),
+        arm_q=addresses(robot.arm_joints, "qposadr"),
+        arm_v=addresses(robot.arm_joints, "dofadr"),
+        arm_motor=motors(robot.arm_joints),
+        base_q=addresses(BASE_JOINTS, "qposadr"),
+        base_motor=motors(BASE_JOINTS),
+        part_q=int(model.joint(PART).qposadr[0]),
+        part_v=int(model.joint(PART).dofadr[0]),
+        part_body=model.body(PART).id,
+        tool_body=model.body(body_of(robot.tool_link)).id,
+        weld=model.equality(WELD).id,
+        fingers=tuple((finger, model.actuator(finger.joint).id) for finger in fingers),
+        loose=loose,
+    )

@@ -1,0 +1,190 @@
+"""momapos run: from a plan file to a record, and one line for what cannot be used."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.rooms import Everywhere
+from tests.verification.door_case import make_case
+
+from momapos.cli.main import main
+from momapos.cli.run import summary
+from momapos.config import PipelineConfig
+from momapos.execution.record import Pose, read_run
+from momapos.geometry.transforms import pose_planar
+from momapos.manipulation.tasks import make_task
+from momapos.pipeline import place
+from momapos.placement.place import PlaceConfig
+from momapos.plans import write_plan
+from momapos.robots.robot import Robot, load_robot
+from momapos.run_plan import Arrival, motion_at, noisy_arrival, run_plan
+from momapos.scene.files import load_scene
+from momapos.scene.scene import Scene
+from momapos.types import Motion, PlacementPlan, Task
+from momapos.verification.exact import ExactWorld
+
+CONFIG = PipelineConfig(place=PlaceConfig(count=256, improve=1), timeout=300.0)
+
+
+@pytest.fixture(scope="module")
+def kitchen() -> Scene:
+    return load_scene("kitchen_small")
+
+
+@pytest.fixture(scope="module")
+def plan(kitchen: Scene) -> PlacementPlan:
+    """How the Segway opens the fridge of the small kitchen."""
+    task = make_task(kitchen, "open", "fridge", "door_hinge")
+    plan = place(kitchen, load_robot("segway_ur5e"), task, Everywhere(), config=CONFIG).plan
+    assert plan.status == "solved"
+    return plan
+
+
+def refused(words: list[str], hint: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """The command ends with status 2 and one line that holds the hint."""
+    assert main(["run", *words]) == 2
+    shown = capsys.readouterr().err
+    assert hint in shown
+    assert shown.count("\n") == 1
+
+
+def test_a_plan_for_the_small_kitchen_opens_its_fridge_and_the_record_says_so(
+    plan: PlacementPlan, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, out = tmp_path / "plan.json", tmp_path / "run.json"
+    write_plan(plan, path)
+    assert main(["run", str(path), "--no-noise", "--out", str(out), "--json"]) == 0
+    shown = json.loads(capsys.readouterr().out)
+    record = read_run(out)
+    assert shown["success"]
+    assert record.success
+    assert record.execution is not None
+    assert record.execution.reached == pytest.approx(np.pi / 2, rel=0.05)
+    assert record.visits[0].reached == plan.base_pose
+    assert "open fridge/door_hinge: done" in summary(record)
+
+
+def test_with_noise_the_arm_is_planned_anew_where_the_base_really_stands(
+    plan: PlacementPlan, kitchen: Scene
+) -> None:
+    robot = load_robot("segway_ur5e")
+    record = run_plan(
+        plan, kitchen, robot, reach=Everywhere(), drive=noisy_arrival(kitchen, robot),
+        config=CONFIG, seed=3,
+    )  # fmt: skip
+    assert record.success, record.reason
+    last = record.visits[-1]
+    off = np.subtract(last.reached, last.planned)
+    assert 0 < np.hypot(off[0], off[1]) <= 0.03
+    assert abs(off[2]) <= np.radians(2.0)
+
+
+def test_a_motion_for_one_base_pose_holds_the_exact_check(
+    plan: PlacementPlan, kitchen: Scene
+) -> None:
+    robot = load_robot("segway_ur5e")
+    base = np.array(plan.base_pose)
+    found = motion_at(kitchen, robot, plan.task, base, Everywhere()).motion
+    assert found is not None
+    x, y, yaw = base.tolist()
+    assert ExactWorld(kitchen, robot, plan.task).check((x, y, yaw), found).valid
+    tools = pose_planar(base) @ robot.chain.tool_poses(found.q)
+    np.testing.assert_allclose(tools, found.Ts_world_tool, atol=1e-6)
+
+
+def test_where_no_motion_is_found_another_base_pose_is_tried_and_counts(
+    plan: PlacementPlan, kitchen: Scene
+) -> None:
+    robot, goals = load_robot("segway_ur5e"), []
+
+    def astray_at_first(_: Pose, goal: Pose, length: float, rng: np.random.Generator) -> Arrival:
+        goals.append(goal)
+        there = (1.9, -1.6, 1.5) if len(goals) == 1 else goal
+        return Arrival(there, length + rng.uniform())
+
+    record = run_plan(
+        plan, kitchen, robot, reach=Everywhere(), drive=astray_at_first, config=CONFIG
+    )
+    assert record.success
+    assert len(record.visits) == len(goals) >= 2
+    assert record.visits[0].reason
+    assert record.driven == pytest.approx(sum(visit.length for visit in record.visits))
+
+
+def test_a_drive_that_does_not_arrive_is_a_failure_with_its_reason(
+    plan: PlacementPlan, kitchen: Scene, robots: Callable[[str], Robot]
+) -> None:
+    def stuck(start: Pose, _: Pose, __: float, ___: np.random.Generator) -> Arrival:
+        return Arrival(start, 0.0, reason="a wheel is stuck")
+
+    record = run_plan(
+        plan, kitchen, robots("segway_ur5e"), reach=Everywhere(), drive=stuck, attempts=1,
+        config=CONFIG,
+    )  # fmt: skip
+    assert not record.success
+    assert record.reason == "a wheel is stuck"
+    assert record.execution is None
+
+
+def test_a_scene_that_changed_since_is_refused(
+    robots: Callable[[str], Robot], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    robot = robots("fetch")
+    made = PlacementPlan(
+        scene=str(make_case().write(tmp_path).with_name("scene.json")),
+        robot_name="fetch", robot_urdf=str(robot.model.urdf.path), base_link=robot.base_link,
+        tool_link=robot.tool_link, task=Task("open", "cupboard", "hinge", 1.0), status="solved",
+        joints=robot.arm_joints, base_pose=(-1.5, 0.0, 0.0), motion=still(robot),
+    )  # fmt: skip
+    write_plan(made, tmp_path / "plan.json")
+    (tmp_path / "scene.json").write_text((tmp_path / "scene.json").read_text() + " ")
+    refused([str(tmp_path / "plan.json")], "scene.json) has changed since", capsys)
+
+
+def still(robot: Robot) -> Motion:
+    """An arm that stays at home."""
+    return Motion(robot.home[None], robot.home[None], np.zeros(1), np.eye(4)[None])
+
+
+@pytest.mark.parametrize(
+    ("change", "hint"),
+    [
+        ({"version": 7}, "version 7"),
+        ({"status": "infeasible", "manipulation": None}, "'infeasible'"),
+        ({"format": "cake"}, "not a plan"),
+        ({"scene": "nowhere.json"}, "nowhere.json"),
+    ],
+)
+def test_a_plan_that_cannot_be_executed_is_refused(
+    change: dict[str, object], hint: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    case = make_case()
+    case.plan |= change
+    refused([str(case.write(tmp_path))], hint, capsys)
+
+
+def test_a_plan_without_a_robot_file_asks_for_one(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = make_case().write(tmp_path)
+    refused([str(path)], "give --robot", capsys)
+    refused([str(path), "--robot", "fetch"], "another robot", capsys)
+
+
+def test_a_start_in_collision_is_refused(
+    plan: PlacementPlan, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_plan(replace(plan, base_pose=(1.0, 0.0, 1.57)), tmp_path / "plan.json")
+    refused([str(tmp_path / "plan.json"), "--no-noise"], "start in collision", capsys)
+    write_plan(plan, tmp_path / "plan.json")
+    refused([str(tmp_path / "plan.json"), "--start", "1,0,0"], "would hit", capsys)
+
+
+def test_a_film_must_be_a_png(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = make_case().write(tmp_path)
+    refused([str(path), "--record", "film.mp4"], "PNG", capsys)

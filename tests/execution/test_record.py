@@ -1,0 +1,68 @@
+"""Laws of run records: what is written is read, and nothing else is."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from momapos.errors import FileFormatError, InputError
+from momapos.execution.record import (
+    Collision,
+    Execution,
+    RunRecord,
+    Slip,
+    Visit,
+    read_run,
+    write_run,
+)
+from momapos.types import Task
+
+HIT = Collision("arm", "fridge/door", 12.5, 0.001, 0.2, 3.1, "manipulate")
+DONE = Execution(
+    False, "the hold broke", "weld", 0.0, 1.5, 0.7, (HIT,), Slip(0.01, 0.2),
+    clearance=0.02, resistance={"mass": 8.0}, time={"approach": 2.0}, notes=("a note",),
+)  # fmt: skip
+RECORD = RunRecord(
+    scene="kitchen.json",
+    robot="fetch",
+    task=Task("open", "fridge", "door", 1.5),
+    visits=(Visit((1.0, 2.0, 0.5), (1.01, 2.0, 0.5), 3.2, 8.0, ""),),
+    execution=DONE,
+    seed=4,
+    noise=True,
+)
+
+
+def test_a_record_that_is_written_is_read_again(tmp_path: Path) -> None:
+    write_run(RECORD, tmp_path / "run.json")
+    assert read_run(tmp_path / "run.json") == RECORD
+
+
+def test_a_run_that_never_came_to_the_object_is_a_failure_with_its_reason(tmp_path: Path) -> None:
+    visit = Visit((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 1.0, 2.0, "out of reach at waypoint 3")
+    record = replace(RECORD, visits=(visit,), execution=None)
+    write_run(record, tmp_path / "run.json")
+    data = json.loads((tmp_path / "run.json").read_text())
+    assert data["success"] is False
+    assert data["reason"] == "out of reach at waypoint 3"
+    assert read_run(tmp_path / "run.json") == record
+
+
+def test_nan_is_not_written(tmp_path: Path) -> None:
+    bad = replace(RECORD, execution=replace(DONE, reached=float("nan")))
+    with pytest.raises(InputError, match="NaN"):
+        write_run(bad, tmp_path / "run.json")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "content",
+    ["", "[]", "{}", '{"format": "momapos-run", "version": 2}', '{"format": "momapos-run", "vers'],
+)
+def test_other_files_are_refused(content: str, tmp_path: Path) -> None:
+    (tmp_path / "run.json").write_text(content)
+    with pytest.raises(FileFormatError, match=r"run\.json"):
+        read_run(tmp_path / "run.json")
