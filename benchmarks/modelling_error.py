@@ -50,11 +50,9 @@ def room(name: str) -> Scene:
     """A fridge before a wall, its front toward -x."""
     models = shared() / "bestman" / "Asset" / "Scene" / "Kitchen_models" / "models"
     model = Articulated(read_urdf(models / name / "mobility.urdf"))
-    R = np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
-    raw = SceneObject("fridge", "fridge", pose((0.0, 0.0, 0.0), R), model)
+    raw = SceneObject("fridge", "fridge", np.eye(4), model)
     low, high = raw.bounds
-    shift = (-low[0] - (high[0] - low[0]), -(low[1] + high[1]) / 2, -low[2])
-    fridge = replace(raw, T_world_object=pose(shift, R))
+    fridge = replace(raw, T_world_object=pose((-high[0], -(low[1] + high[1]) / 2, -low[2])))
     wall = Articulated(box_urdf("wall", (0.1, 4.0, 2.5)))
     items = (fridge, SceneObject("wall", "wall", pose((0.06, 0.0, 1.25)), wall))
     return Scene(name, None, items, floor=np.array([[-4, -2], [0.0, -2], [0.0, 2], [-4, 2]], float))
@@ -87,7 +85,7 @@ def box_from_picture(frame: Frame, box: UprightBox, rng: np.random.Generator) ->
     return UprightBox(center, np.array([USUAL_DEPTH, width, height]))
 
 
-def on_box(decision: Decision, view: View, box: UprightBox, out: Path) -> tuple[Scene, UprightBox]:
+def on_box(decision: Decision, view: View, box: UprightBox, out: Path) -> Scene:
     """The same parts on another box."""
     facing = float(np.arctan2(view.face.outward[1], view.face.outward[0]))
     turned = abs(np.sin(facing - box.yaw)) > 0.5
@@ -96,14 +94,15 @@ def on_box(decision: Decision, view: View, box: UprightBox, out: Path) -> tuple[
     item = replace(decision.detection, name="fridge", box=box)
     piece = furniture_model(item, facing, image, decision.parts)
     build_scene([item], {"fridge": piece}, None, out)
-    return load_scene(str(out)), box
+    return load_scene(str(out))
 
 
-def error(truth: Scene, box: UprightBox, made: Scene, own: UprightBox) -> float:
-    """Mean of the handle's distance and of the differences of the sides [m]."""
+def error(truth: Scene, made: Scene) -> float:
+    """Mean of the handle's distance and of the differences of the sides, handles and all [m]."""
+    sizes = [np.ptp(scene.object("fridge").bounds, axis=0) for scene in (truth, made)]
     true, ours = handle_of(truth, "fridge"), handle_of(made, "fridge")
     handle = np.mean([min(np.linalg.norm(a - b) for b in ours) for a in true]) if ours else np.nan
-    return float(np.mean([handle, *np.abs(np.sort(box.size) - np.sort(own.size))]))
+    return float(np.mean([handle, *np.abs(sizes[0] - sizes[1])]))
 
 
 def measure(name: str, frames: int, folder: Path) -> dict[str, float]:
@@ -129,8 +128,8 @@ def measure(name: str, frames: int, folder: Path) -> dict[str, float]:
     )
     errors = {}
     for method, own in zip(METHODS, boxes, strict=True):
-        made, own = on_box(decision, view, own, folder / f"{method.replace(' ', '_')}.json")
-        errors[method] = error(scene, box, made, own)
+        made = on_box(decision, view, own, folder / f"{method.replace(' ', '_')}.json")
+        errors[method] = error(scene, made)
     return errors
 
 

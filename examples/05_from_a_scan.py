@@ -16,7 +16,7 @@ scan = Scan("kitchen", tuple(camera.frames()))  # momapos.read_scan reads yours 
 with tempfile.TemporaryDirectory() as folder:
     made = scan_to_scene(scan, Path(folder) / "scene.json")
     scene, robot = load_scene(str(made.scene)), load_robot("segway_ur5e")
-    door = [joint for item, joint in openable(scene) if item == "fridge_1"][-1]
+    door = next(joint for item, joint in openable(scene) if item == "fridge_1")
     task = make_task(scene, "open", "fridge_1", door)
     answer = place(scene, robot, task, load_or_build(robot, default_cache_dir(), None))
 

@@ -65,25 +65,31 @@ def nearest(made: Modelled, box: UprightBox) -> str:
     return min(gaps, key=lambda name: gaps[name])
 
 
-def test_the_fridge_of_a_scan_opens_where_the_true_one_does(made: Modelled, folder: Path) -> None:
+def same_door(made: Modelled, folder: Path) -> tuple[str, str, float]:
+    """The fridge of the scan, its door that is the true one, and how far its handle strays [m]."""
     truth, scene = load_scene("kitchen_small"), load_scene(str(made.scene))
     name = nearest(made, true_fridge(folder))
-    doors = [joint for item, joint in openable(scene) if item == name]
-    assert doors
     ours = apply(made.T_scene_scan, hand_path(truth, "fridge", "door_hinge", np.pi / 2))
-    gaps = [
-        np.linalg.norm(hand_path(scene, name, door, np.pi / 2) - ours, axis=1) for door in doors
-    ]
-    assert min(gap.max() for gap in gaps) < 0.06
+    gaps = {
+        joint: float(np.linalg.norm(hand_path(scene, name, joint, np.pi / 2) - ours, axis=1).max())
+        for item, joint in openable(scene)
+        if item == name
+    }
+    door = min(gaps, key=lambda joint: gaps[joint])
+    return name, door, gaps[door]
+
+
+def test_the_fridge_of_a_scan_opens_where_the_true_one_does(made: Modelled, folder: Path) -> None:
+    _, _, gap = same_door(made, folder)
+    assert gap < 0.06
 
 
 def test_a_scan_becomes_a_scene_in_which_a_robot_opens_the_fridge(
     made: Modelled, folder: Path, tmp_path: Path
 ) -> None:
-    name = nearest(made, true_fridge(folder))
-    joints = [joint for item, joint in openable(load_scene(str(made.scene))) if item == name]
+    name, door, _ = same_door(made, folder)
     plan = tmp_path / "plan.json"
-    what = f"{name}/{joints[-1]}"
+    what = f"{name}/{door}"
     words = ["place", "open", str(made.scene), what, "--robot", "segway_ur5e", "--out", str(plan)]
     assert main(words) == 0
     assert json.loads(plan.read_text())["status"] == "solved"
@@ -116,7 +122,7 @@ def test_boxes_that_someone_gives_are_taken_and_given_models_too(
     result = scan_to_scene(scan, tmp_path / "scene.json", given, given=models)
     scene = load_scene(str(result.scene))
     assert [d.source for d in result.decisions if not d.reason] == ["given"]
-    found = scene.objects[0]
+    found = scene.object("fridge_1")
     assert set(found.model.joints) == set(kitchen.model.joints)
     assert np.abs(found.bounds - kitchen.bounds).max() < 0.06
 

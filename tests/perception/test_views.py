@@ -9,7 +9,7 @@ from momapos.geometry.transforms import apply
 from momapos.perception.detections import sights
 from momapos.perception.faces import box_faces
 from momapos.perception.rows import RowConfig, split_row
-from momapos.perception.views import ViewConfig, choose_view
+from momapos.perception.views import ViewConfig, choose_view, door_evidence
 from momapos.types import FaceImage, Frame, Front, Part, UprightBox
 
 FRONT = 2
@@ -31,7 +31,8 @@ def around(offsets: list[float], index: int) -> list[Frame]:
 
 def red_is_front(face: FaceImage) -> Front:
     red = float((face.colour[..., 0] > 100).mean())
-    return Front(red, (Part("door_left", (0.0, 0.0, 1.0, 1.0), red),) if red > 0.5 else ())
+    door = Part("door_left", (0.0, 0.0, 1.0, 1.0), red, handle=(0.8, 0.4, 0.9, 0.6))
+    return Front(red, (door,) if red > 0.5 else ())
 
 
 def test_the_front_is_the_face_for_which_the_pictures_vote() -> None:
@@ -77,6 +78,15 @@ def test_there_is_no_front_where_none_is_seen() -> None:
         config = ViewConfig(method=method)  # type: ignore[arg-type]
         assert choose_view(FRIDGE, frames, seen, red_is_front, config) is None
     assert choose_view(FRIDGE, [], [], red_is_front, ViewConfig()) is None
+
+
+def test_handles_are_evidence_for_a_front_that_looks_like_a_panel() -> None:
+    bare = Part("door_left", (0.0, 0.0, 1.0, 1.0), 0.8)
+    held = replace(bare, handle=(0.8, 0.4, 0.9, 0.6))
+    assert door_evidence(Front(0.4, (bare,))) == door_evidence(Front(0.4, ())) == 0.4
+    assert door_evidence(Front(0.4, (held,))) > 0.5
+    assert door_evidence(Front(0.4, (held, held))) > door_evidence(Front(0.4, (held,)))
+    assert door_evidence(Front(1.0, ())) == 1.0
 
 
 ROW = UprightBox(np.array([2.0, 0.0, 0.45]), np.array([0.6, 2.4, 0.9]))

@@ -17,7 +17,7 @@ from jaxtyping import Float
 from momapos.geometry.transforms import apply
 from momapos.perception.detections import overlap, projection
 from momapos.perception.faces import Face, box_faces, shown
-from momapos.perception.views import Look, ViewConfig, evidence_of, look_at
+from momapos.perception.views import Look, ViewConfig, door_evidence, look_at
 from momapos.types import Frame, Part, UprightBox
 
 
@@ -80,7 +80,7 @@ def _parts_on(
         if not chosen:
             continue
         front = look_at(window, chosen, look)
-        if evidence_of(front) >= view.least:
+        if door_evidence(front) >= view.least:
             found += _inside(front.parts, float(left), wide, face.width, config)
     return _without_doubles(found, config)
 

@@ -55,8 +55,8 @@ class View:
     image: FaceImage
     front: Front
     evidence: tuple[float, ...]
-    """Mean of what the pictures say for each face: how probable it is a front, times how flat it
-    is; NaN for faces that no picture shows."""
+    """Mean of what the pictures say for each face: by its looks and by the handles on it, half
+    and half, times how flat it is; NaN for faces that no picture shows."""
 
 
 def choose_view(
@@ -99,7 +99,7 @@ def _first(
             continue
         image = face_image(face, [frame])
         front = look_at(face, [frame], look)
-        if evidence_of(front) * solid(image) >= config.least:
+        if door_evidence(front) * solid(image) >= config.least:
             angle = float(np.arccos(min(1.0, cosines.max())))
             return View(face, sight.frame, angle, image, front, ())
     return None
@@ -117,15 +117,18 @@ def _voting(
         order = _showing(face, frames, indices, config)
         if not order:
             continue
-        shared = face_image(face, [frames[i] for i in order[: config.merged]])
         votes = [
             _vote(face, frames, i, order[: config.merged], look) for i in order[: config.votes]
         ]
-        score = float(np.mean(votes)) * solid(shared)
-        evidence[face.index] = score
-        if best is None or score > best[0]:
-            best = score, face, order
-    if best is None or best[0] < config.least:
+        flat = solid(face_image(face, [frames[i] for i in order[: config.merged]]))
+        doors = flat * float(np.mean([door_evidence(front) for front in votes]))
+        # Where faces compete, doors do not make up for looks: both count, or one side of a
+        # fridge with a seam and a shadow on it passes for the front.
+        rank = flat * float(np.mean([(f.score + handle_evidence(f)) / 2 for f in votes]))
+        evidence[face.index] = rank
+        if doors >= config.least and (best is None or rank > best[0]):
+            best = rank, face, order
+    if best is None:
         return None
     _, face, order = best
     image = face_image(face, [frames[i] for i in order[: config.merged]])
@@ -136,20 +139,25 @@ def _voting(
 
 def _vote(
     face: Face, frames: Sequence[Frame], chosen: int, others: Sequence[int], look: Look
-) -> float:
+) -> Front:
     """What one picture's colours say of a face, with the relief that all of them measured."""
     rest = [frames[i] for i in others if i != chosen]
-    return evidence_of(look_at(face, [frames[chosen], *rest], look))
+    return look_at(face, [frames[chosen], *rest], look)
 
 
-def evidence_of(front: Front) -> float:
-    """How probable it is that a face is a front, in [0, 1].
+def door_evidence(front: Front) -> float:
+    """How probable it is that there is a door or a drawer on a face, in [0, 1].
 
     A plain front looks like any panel but for its handles: each part that has one is evidence of
-    its own, and the face is no front only where all of it errs.
+    its own, and there is none only where all of it errs.
     """
+    return 1.0 - (1.0 - front.score) * (1.0 - handle_evidence(front))
+
+
+def handle_evidence(front: Front) -> float:
+    """How probable it is that any of the parts with a handle is one, in [0, 1]."""
     held = [part.score for part in front.parts if part.handle is not None]
-    return float(1.0 - (1.0 - front.score) * np.prod(1.0 - np.array(held)))
+    return 1.0 - float(np.prod(1.0 - np.array(held)))
 
 
 def look_at(face: Face, frames: Sequence[Frame], look: Look) -> Front:
