@@ -6,12 +6,19 @@ import subprocess
 import sys
 from pathlib import Path
 
+from placement import shared
+
 HERE = Path(__file__).parent
 RUNS = (
     ["reach.py"],
     ["placement.py", "--out", "bench_out"],
     ["placement.py", "--exhaustive", "--out", "bench_out/grid"],
     ["execution.py", "--out", "bench_out"],
+    ["drive.py"],
+    ["boxes.py", "bench_out/boxes", "--count", "6", "--shared"],
+    ["-m", "benchmarks.parts", "--shared", str(shared())],
+    ["modelling_error.py", "--out", "bench_out"],
+    ["scan.py", "--rooms", "17", "--out", "bench_out"],
     ["scaling.py"],
     ["importance.py"],
     ["importance_answers.py"],
@@ -21,4 +28,5 @@ RUNS = (
 if __name__ == "__main__":
     for script, *args in RUNS:
         print(f"== {script} {' '.join(args)}", flush=True)
-        subprocess.run([sys.executable, str(HERE / script), *args], check=True)
+        what = script if script == "-m" else str(HERE / script)
+        subprocess.run([sys.executable, what, *args], check=True, cwd=HERE.parent)
