@@ -6,7 +6,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from tests.reconstruction.fronts import any_parts, face_of, fronts, overlap, raised
 
@@ -39,6 +39,7 @@ def test_whatever_was_seen_parts_lie_on_the_face_and_beside_each_other(
 
 
 @given(parts=any_parts())
+@example(parts=[Part("door_left", (0.0, 0.0, 1.0, 1.0), 0.5, handle=(0.34, 0.0, 0.35, 0.002))])
 @settings(max_examples=150, deadline=None)
 def test_every_handle_lies_on_its_part_and_can_be_grasped(parts: list[Part]) -> None:
     for part in align(face_of(*FACE), parts):

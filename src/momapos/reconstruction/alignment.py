@@ -286,6 +286,7 @@ def _handle(
         height = max(height, width)
     else:
         height = float(np.clip(height, thinnest, thickest))
+        width = max(width, height)
     margin = min(thinnest, room)  # off the edges, or it would scrape along what is beside it
     x, z = (inside.left + inside.right) / 2, (inside.bottom + inside.top) / 2
     left, right = _placed(x, width, part.left + margin, part.right - margin)
