@@ -6,7 +6,6 @@ import hashlib
 import json
 import math
 import os
-import tempfile
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -16,6 +15,7 @@ import msgspec
 import numpy as np
 from jaxtyping import Float
 
+from momapos.cache import write_atomic
 from momapos.errors import FileFormatError, InputError
 from momapos.types import Candidates, KeyObjects, Motion, PlacementPlan, Status, Task, Verb
 
@@ -119,18 +119,9 @@ def _portable(name: str, plan: Path, what: str) -> str:
 
 def _replace(path: Path, text: str) -> None:
     """Write to a file beside it, then swap: a reader sees the old file or the new one."""
-    name = None
     try:
-        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        os.chmod(name, 0o644)
-        os.replace(name, path)
+        write_atomic(path, text.encode())
     except OSError as error:
-        if name is not None:
-            Path(name).unlink(missing_ok=True)
         raise InputError(f"{path}: cannot be written ({error.strerror})") from error
 
 

@@ -10,23 +10,23 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from momapos.config import ScanConfig
 from momapos.errors import InputError
 from momapos.geometry.transforms import apply, pose, rotation_about
 from momapos.importance.rank import rank
+from momapos.importance.scorers import ImportanceConfig
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.urdf import box_urdf
-from momapos.perception.boxes import boxes, inside, named, wall_detections
+from momapos.perception.boxes import BoxConfig, boxes, inside, named, wall_detections
 from momapos.perception.detections import PictureBox, sights, vote_label
-from momapos.perception.fusion import fuse
-from momapos.perception.gravity import upright
-from momapos.perception.planes import find_room
-from momapos.perception.rows import split_row
+from momapos.perception.fusion import FusionConfig, fuse
+from momapos.perception.gravity import GravityConfig, upright
+from momapos.perception.planes import RoomConfig, find_room
+from momapos.perception.rows import RowConfig, split_row
 from momapos.perception.segment import ClassicalSegmenter
-from momapos.perception.views import View, choose_view
+from momapos.perception.views import View, ViewConfig, choose_view
 from momapos.protocols import ArticulationPredictor, Clock, Segmenter
 from momapos.reconstruction.build import GivenModel, build_scene, place_model
-from momapos.reconstruction.model import furniture_model
+from momapos.reconstruction.model import ModelConfig, furniture_model
 from momapos.reconstruction.network import FrontNetwork
 from momapos.reconstruction.templates import TemplatePredictor
 from momapos.scene.library.furniture import Piece
@@ -40,6 +40,25 @@ Found = Mapping[str, Sequence[PictureBox]]
 
 BUILDING = ("wall", "floor", "ceiling", "window", "door")
 """Labels of segmenters for what is no furniture."""
+
+
+@dataclass(frozen=True)
+class ScanConfig:
+    """How a scan becomes a scene."""
+
+    voxel: float = 0.015
+    """Edge of the voxels that depth pictures are fused in [m]."""
+    least_sides: tuple[float, float] = (0.1, 0.2)
+    """Things whose shortest or middle edge is shorter than this have no doors or drawers [m]."""
+    fusion: FusionConfig = field(default_factory=FusionConfig)
+    gravity: GravityConfig = field(default_factory=GravityConfig)
+    room: RoomConfig = field(default_factory=RoomConfig)
+    boxes: BoxConfig = field(default_factory=BoxConfig)
+    rows: RowConfig = field(default_factory=RowConfig)
+    view: ViewConfig = field(default_factory=ViewConfig)
+    importance: ImportanceConfig = field(default_factory=ImportanceConfig)
+    """Which objects are modelled when a target is named."""
+    model: ModelConfig = field(default_factory=ModelConfig)
 
 
 @dataclass(frozen=True, eq=False)

@@ -140,10 +140,10 @@ def _count(parts: tuple[Any, ...]) -> str:
 
 
 def _config(options: ScanOptions) -> Any:
-    from momapos.config import ScanConfig
     from momapos.perception.views import ViewConfig
     from momapos.reconstruction.alignment import AlignmentConfig
     from momapos.reconstruction.model import ModelConfig
+    from momapos.scan_pipeline import ScanConfig
 
     alignment = AlignmentConfig(grid=12 if options.grid else None)
     return ScanConfig(

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import tempfile
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -12,6 +10,7 @@ from typing import Any
 
 import msgspec
 
+from momapos.cache import write_atomic
 from momapos.errors import FileFormatError, InputError
 from momapos.types import Task
 
@@ -177,17 +176,9 @@ def write_run(record: RunRecord, path: Path) -> None:
         text = json.dumps(run_to_dict(record), allow_nan=False) + "\n"
     except ValueError as error:
         raise InputError(f"{path}: the record holds NaN or infinity and was not written") from error
-    name = None
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(text)
-        os.chmod(name, 0o644)
-        os.replace(name, path)
+        write_atomic(path, text.encode())
     except OSError as error:
-        if name is not None:
-            Path(name).unlink(missing_ok=True)
         raise InputError(f"{path}: cannot be written ({error.strerror})") from error
 
 

@@ -17,7 +17,7 @@ from jaxtyping import Float
 from momapos.geometry.transforms import apply
 from momapos.perception.detections import overlap, projection
 from momapos.perception.faces import Face, box_faces, shown
-from momapos.perception.views import Look, ViewConfig, door_evidence, look_at
+from momapos.perception.views import Look, ViewConfig, cosines_to, door_evidence, look_at
 from momapos.types import Frame, Part, UprightBox
 
 
@@ -103,9 +103,7 @@ def _frames_for(
         float(np.arctan2(face.outward[1], face.outward[0])),
     )
     candidates = [frame for frame in frames if projection(thin, frame) is not None]
-    eyes = np.array([f.T_world_camera[:3, 3] for f in candidates]).reshape(-1, 3)
-    lines = eyes - face.T_world_face[:3, 3]
-    cosines = lines @ face.outward / np.maximum(np.linalg.norm(lines, axis=1), 1e-9)
+    cosines = cosines_to(face, candidates)
     order = np.argsort(-cosines, kind="stable")
     order = order[cosines[order] > np.cos(np.radians(view.frontal))][: view.looked_at]
     parts = np.array([shown(face, candidates[i]) for i in order])

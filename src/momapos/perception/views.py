@@ -90,7 +90,7 @@ def _first(
 ) -> View | None:
     faces = box_faces(box)
     for sight in seen:
-        cosines = np.array([_cosines(face, [frames[sight.frame]])[0] for face in faces])
+        cosines = np.array([cosines_to(face, [frames[sight.frame]])[0] for face in faces])
         face = faces[int(np.argmax(cosines))]
         if cosines.max() < np.cos(np.radians(config.frontal)):
             continue
@@ -112,7 +112,7 @@ def _voting(
     if not len(indices):
         return None
     evidence = [float("nan")] * FACES
-    best: tuple[float, Face, list[int]] | None = None
+    best: tuple[float, Face, int, FaceImage, Front] | None = None
     for face in box_faces(box):
         order = _showing(face, frames, indices, config)
         if not order:
@@ -120,21 +120,20 @@ def _voting(
         votes = [
             _vote(face, frames, i, order[: config.merged], look) for i in order[: config.votes]
         ]
-        flat = solid(face_image(face, [frames[i] for i in order[: config.merged]]))
+        image = face_image(face, [frames[i] for i in order[: config.merged]])
+        flat = solid(image)
         doors = flat * float(np.mean([door_evidence(front) for front in votes]))
         # Where faces compete, doors do not make up for looks: both count, or one side of a
         # fridge with a seam and a shadow on it passes for the front.
         rank = flat * float(np.mean([(f.score + handle_evidence(f)) / 2 for f in votes]))
         evidence[face.index] = rank
         if doors >= config.least and (best is None or rank > best[0]):
-            best = rank, face, order
+            best = rank, face, order[0], image, votes[0]
     if best is None:
         return None
-    _, face, order = best
-    image = face_image(face, [frames[i] for i in order[: config.merged]])
-    angle = float(np.arccos(min(1.0, _cosines(face, [frames[order[0]]])[0])))
-    front = look_at(face, [frames[i] for i in order[: config.merged]], look)
-    return View(face, order[0], angle, image, front, tuple(evidence))
+    _, face, chosen, image, front = best
+    angle = float(np.arccos(min(1.0, cosines_to(face, [frames[chosen]])[0])))
+    return View(face, chosen, angle, image, front, tuple(evidence))
 
 
 def _vote(
@@ -192,20 +191,19 @@ def _showing(
     face: Face, frames: Sequence[Frame], indices: np.ndarray, config: ViewConfig
 ) -> list[int]:
     """Frames that show a face well enough, the best first."""
-    cosines = _cosines(face, [frames[i] for i in indices])
+    cosines = cosines_to(face, [frames[i] for i in indices])
     good = np.flatnonzero(cosines >= np.cos(np.radians(config.frontal)))
     good = good[np.argsort(-cosines[good], kind="stable")][: config.looked_at]
     parts = np.array([shown(face, frames[indices[i]]) for i in good])
     if not len(good):
         return []
-
     quality = np.where(parts >= config.shown, parts**2 * cosines[good] ** STRAIGHT, -1.0)
     order = np.argsort(-quality, kind="stable")
     return [int(indices[good[i]]) for i in order if quality[i] > 0]
 
 
-def _cosines(face: Face, frames: Sequence[Frame]) -> Float[np.ndarray, " n"]:
+def cosines_to(face: Face, frames: Sequence[Frame]) -> Float[np.ndarray, " n"]:
     """Cosine of the angle between the face's normal and the line to each camera."""
-    eyes = np.array([frame.T_world_camera[:3, 3] for frame in frames])
+    eyes = np.array([frame.T_world_camera[:3, 3] for frame in frames]).reshape(-1, 3)
     lines = eyes - face.T_world_face[:3, 3]
     return lines @ face.outward / np.linalg.norm(lines, axis=1)

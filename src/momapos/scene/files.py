@@ -9,8 +9,6 @@ from __future__ import annotations
 import difflib
 import json
 import math
-import os
-import tempfile
 from collections.abc import Mapping, Sequence
 from importlib import resources
 from pathlib import Path
@@ -20,6 +18,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
+from momapos.cache import write_atomic
 from momapos.errors import FileFormatError, SceneError, unknown_name
 from momapos.geometry.transforms import pose_wxyz
 from momapos.kinematics.articulated import Articulated
@@ -359,12 +358,7 @@ def save_scene(scene: Scene, path: Path) -> None:
 def write_whole(path: Path, text: str) -> None:
     """Write a text file so that a reader sees the old file or the new one, never half of it."""
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(text)
-        os.chmod(name, 0o644)
-        os.replace(name, path)
+        write_atomic(path, text.encode())
     except OSError as error:
         raise SceneError(f"{path}: cannot be written ({error.strerror})") from error
 
