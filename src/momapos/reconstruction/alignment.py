@@ -32,7 +32,7 @@ class AlignmentConfig:
     """A door of less width or height, or a drawer of less width, is left out [m]."""
     least_drawer: float = 0.05
     """A drawer of less height is left out [m]."""
-    most_relief: float = 0.06
+    most_relief: float = 0.12
     """The front of a part lies this far before or behind the face at most [m]."""
     thickness: tuple[float, float] = (0.008, 0.035)
     """Least and greatest thickness of a handle, so that a gripper can hold it [m]."""
