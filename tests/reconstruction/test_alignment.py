@@ -128,7 +128,7 @@ def test_relief_says_where_the_front_of_a_part_and_its_handle_are(front: float) 
     assert part.handle.out == pytest.approx(0.055, abs=4e-3)
 
 
-@pytest.mark.parametrize(("relief", "out"), [(0.008, 0.04), (0.03, 0.03), (0.2, 0.09)])
+@pytest.mark.parametrize(("relief", "out"), [(0.008, 0.04), (0.03, 0.03), (0.2, 0.12)])
 def test_a_handle_stands_out_by_what_was_measured_within_reason(relief: float, out: float) -> None:
     handle = (0.8, 0.4, 0.85, 0.6)
     face = face_of(*FACE, 0.0)

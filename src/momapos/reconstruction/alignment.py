@@ -38,7 +38,7 @@ class AlignmentConfig:
     """Least and greatest thickness of a handle, so that a gripper can hold it [m]."""
     handle_out: float = 0.04
     """How far a handle stands out where that was not measured [m]."""
-    handle_relief: tuple[float, float] = (0.015, 0.09)
+    handle_relief: tuple[float, float] = (0.015, 0.12)
     """What is measured below the first counts as not measured, the second is the most [m]."""
 
 
