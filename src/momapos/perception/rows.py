@@ -16,13 +16,14 @@ from jaxtyping import Float
 
 from momapos.geometry.transforms import apply
 from momapos.perception.detections import projection
-from momapos.perception.faces import Face, box_faces, shown
+from momapos.perception.faces import Face, box_faces, eye_of, shown
 from momapos.perception.views import (
     Look,
     Seen,
     ViewConfig,
     cosines_to,
     door_evidence,
+    handles_seen_from,
     look_at,
     placed,
     surest,
@@ -84,7 +85,9 @@ def _front_of(
         front = look_at(window, chosen, look)
         if door_evidence(front) >= view.least:
             ends = (left > config.margin, left + wide < face.width - config.margin)
-            found += placed(_whole(front.parts, wide, ends, config.margin), window, face)
+            whole = _whole(front.parts, wide, ends, config.margin)
+            whole = handles_seen_from(whole, window, eye_of(window, chosen[0]), undo=True)
+            found += placed(whole, window, face)
             evidence.append(door_evidence(front))
     return Seen(face, max(evidence), surest(found))
 
@@ -117,14 +120,14 @@ def _frames_for(
 
 def _whole(
     parts: Sequence[Part], wide: float, ends: tuple[bool, bool], margin: float
-) -> list[Part]:
+) -> tuple[Part, ...]:
     """Parts that a window [m] does not cut off at either end where the row goes on."""
-    return [
+    return tuple(
         part
         for part in parts
         if not (ends[0] and part.box[0] * wide < margin)
         and not (ends[1] and (1 - part.box[2]) * wide < margin)
-    ]
+    )
 
 
 def _cuts(parts: Sequence[Part], width: float, config: RowConfig) -> list[float]:

@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from momapos.geometry.transforms import invert
 from momapos.perception.detections import Sight
-from momapos.perception.faces import FACES, Face, box_faces, face_image, shown, solid
+from momapos.perception.faces import FACES, Face, box_faces, eye_of, face_image, shown, solid
 from momapos.types import FaceImage, Frame, Front, Part, UprightBox
 
 AROUND = 0.03
@@ -20,6 +20,8 @@ STRAIGHT = 6
 """How much more a picture counts that is taken straight on: power of the cosine [-]."""
 WITHIN = 0.6
 """Share of a part that must lie on the face [-]."""
+STAND_OFF = 0.04
+"""Handles stand out about this far [m]."""
 PARALLEL, COPLANAR = 0.99, 0.12
 """Two faces are in one plane where the cosine between them is more than the first, and the distance
 less than the second [m]."""
@@ -37,7 +39,7 @@ class Seen:
     score: float
     """Probability that the face is a front, where there are parts on it."""
     parts: tuple[Part, ...]
-    """In fractions of that face."""
+    """In fractions of that face; handles are where they would be seen from far away."""
 
 
 @dataclass(frozen=True)
@@ -122,7 +124,7 @@ def _first(
         if shown(face, frame) < config.shown:
             continue
         image = face_image(face, [frame])
-        front = _with(look_at(face, [frame], look), face, before)
+        front = _with(look_at(face, [frame], look), face, frame, before)
         if door_evidence(front) * solid(image) >= config.least:
             angle = float(np.arccos(min(1.0, cosines.max())))
             return View(face, sight.frame, angle, image, front, ())
@@ -147,7 +149,7 @@ def _voting(
         if not order:
             continue
         votes = [
-            _with(_vote(face, frames, i, order[: config.merged], look), face, before)
+            _with(_vote(face, frames, i, order[: config.merged], look), face, frames[i], before)
             for i in order[: config.votes]
         ]
         image = face_image(face, [frames[i] for i in order[: config.merged]])
@@ -174,7 +176,7 @@ def _vote(
     return look_at(face, [frames[chosen], *rest], look)
 
 
-def _with(front: Front, face: Face, before: Sequence[Seen]) -> Front:
+def _with(front: Front, face: Face, frame: Frame, before: Sequence[Seen]) -> Front:
     """A front with what was seen on it before.
 
     A door that fills its face shows no edges, beside its neighbours it does.
@@ -182,6 +184,7 @@ def _with(front: Front, face: Face, before: Sequence[Seen]) -> Front:
     for seen in before:
         known = placed(seen.parts, seen.face, face)
         if known:
+            known = handles_seen_from(known, face, eye_of(face, frame))
             score = max(front.score, seen.score)
             front = replace(front, score=score, parts=surest([*front.parts, *known]))
     return front
@@ -242,6 +245,28 @@ def placed(parts: Sequence[Part], source: Face, target: Face) -> tuple[Part, ...
             grip = None if part.handle is None else _rectangle(moved(part.handle))
             there.append(replace(part, box=_rectangle(kept), handle=grip))
     return tuple(there)
+
+
+def handles_seen_from(
+    parts: Sequence[Part], face: Face, eye: Float[np.ndarray, "3"], *, undo: bool = False
+) -> tuple[Part, ...]:
+    """Move handles from where they are on a face to where they appear on it, or back.
+
+    Args:
+        parts: Rectangles as fractions of the face.
+        face: The face.
+        eye: Where the picture is taken, in the face's frame [m].
+        undo: From where they appear to where they are.
+    """
+    sign = 1.0 if undo else -1.0
+    size, eye_at = np.array([face.width, face.height]), np.array([eye[0], -eye[1]])
+
+    def moved(handle: tuple[float, ...]) -> tuple[float, float, float, float]:
+        box = np.array(handle).reshape(2, 2)
+        middle = (box.mean(axis=0) - 0.5) * size
+        return _rectangle((box + sign * STAND_OFF * (eye_at - middle) / eye[2] / size).ravel())
+
+    return tuple(p if p.handle is None else replace(p, handle=moved(p.handle)) for p in parts)
 
 
 def surest(parts: Sequence[Part]) -> tuple[Part, ...]:
