@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
+from scipy import ndimage
 
 from momapos.errors import InputError
 from momapos.types import FaceImage, Part, PartKind
@@ -40,6 +41,12 @@ class AlignmentConfig:
     """How far a handle stands out where that was not measured [m]."""
     handle_relief: tuple[float, float] = (0.015, 0.12)
     """What is measured below the first counts as not measured, the second is the most [m]."""
+    bar_out: float = 0.03
+    """A bar that stands out by this is the handle, where what was seen as one is flat [m]."""
+    bar_length: float = 0.1
+    """Such a bar is at least this long [m]."""
+    bar_thickness: float = 0.12
+    """And at most this thick [m]."""
 
 
 @dataclass(frozen=True)
@@ -266,6 +273,8 @@ def _too_small(kind: PartKind, area: Area, config: AlignmentConfig) -> bool:
 def _aligned(face: FaceImage, part: Part, area: Area, config: AlignmentConfig) -> AlignedPart:
     """Measure how far a part and its handle stand out."""
     seen = None if part.handle is None else area_of(part.handle, face)
+    if seen is not None and _is_flat(face, area, seen, config):
+        seen = _bar(face, area, config) or seen
     out = front_of(face, area, config.most_relief, without=seen)
     handle = None if seen is None else _handle(face, area, seen, out, config)
     return AlignedPart(part.kind, area, out, handle)
@@ -316,13 +325,48 @@ def _standing_out(face: FaceImage, part: Area, handle: Area, config: AlignmentCo
 
     A handle's rectangle holds some of the part behind it, so its upper quartile is taken.
     """
+    least, most = config.handle_relief
+    out = _measured_out(face, part, handle)
+    return config.handle_out if out is None or out < least else min(out, most)
+
+
+def _measured_out(face: FaceImage, part: Area, handle: Area) -> float | None:
+    """The same as measured [m]; None where it was not."""
     side = 0.02 + max(min(handle.width, handle.height), 0.0)
     around = Area(handle.left - side, handle.bottom - side, handle.right + side, handle.top + side)
     ring = around.within(part)
     assert ring is not None
     inside, beside = relief_in(face, handle), relief_in(face, ring, without=handle)
-    least, most = config.handle_relief
     if min(len(inside), len(beside)) < _FEWEST:
-        return config.handle_out
-    out = float(np.percentile(inside, 75) - np.median(beside))
-    return config.handle_out if out < least else min(out, most)
+        return None
+    return float(np.percentile(inside, 75) - np.median(beside))
+
+
+def _is_flat(face: FaceImage, part: Area, seen: Area, config: AlignmentConfig) -> bool:
+    """Whether what was taken for a handle was measured not to stand out: a sign, a lock."""
+    inside = seen.within(part)
+    out = None if inside is None else _measured_out(face, part, inside)
+    return out is not None and out < config.handle_relief[0]
+
+
+def _bar(face: FaceImage, part: Area, config: AlignmentConfig) -> Area | None:
+    """The longest bar that stands out of a part in the relief; None where there is none."""
+    rows, columns = _pixels(face, part)
+    relief = np.array(face.relief[rows, columns], float)
+    if np.isfinite(relief).sum() < _FEWEST:
+        return None
+    stands = relief > np.nanmedian(relief) + config.bar_out  # NaN compares as false
+    label, count = ndimage.label(stands, np.ones((3, 3)))
+    tall, wide = face.height / face.relief.shape[0], face.width / face.relief.shape[1]
+    bars = []
+    for down, across in ndimage.find_objects(label, count):
+        area = Area(
+            (columns.start + across.start) * wide,
+            face.height - (rows.start + down.stop) * tall,
+            (columns.start + across.stop) * wide,
+            face.height - (rows.start + down.start) * tall,
+        )
+        thick, length = sorted((area.width, area.height))
+        if length >= max(config.bar_length, 2 * thick) and thick <= config.bar_thickness:
+            bars.append((length, area))
+    return max(bars, key=lambda bar: bar[0])[1] if bars else None
