@@ -27,7 +27,7 @@ from momapos.kinematics.hulls import Boxes
 from momapos.kinematics.world import World, build_world
 from momapos.manipulation.feasibility import Feasibility, hand_clears
 from momapos.manipulation.handles import opening_direction
-from momapos.manipulation.motion import TaskMotion, in_room, room_boxes, task_motion
+from momapos.manipulation.motion import LIFT, TaskMotion, in_room, room_boxes, task_motion
 from momapos.manipulation.nearness import near_boxes, stood_boxes, swept_boxes
 from momapos.manipulation.tasks import hand_path, openable
 from momapos.navigation.cost_map import FloorPlan, build_cost_map, floor_plan
@@ -168,6 +168,7 @@ class _Question:
             cost = build_cost_map(plan, start[:2], radius=inscribed_radius(robot.footprint))
         with self.watch.stage("exact model"):
             exact = ExactWorld(modelled, robot, self.task)
+            blocked = exact.blocked(LIFT)
         site = Site(
             robot=robot,
             Ts_world_tool=np.ascontiguousarray(motion.Ts_world_tool[:, motion.coarse]),
@@ -191,7 +192,7 @@ class _Question:
             travel_cost=cost.lengths,
             attempt=feasible,
             screen=feasible.screen,
-            hopeless="" if roomy.any() else f"the hand hits {obstacle} in every grasp",
+            hopeless=blocked or ("" if roomy.any() else f"the hand hits {obstacle} in every grasp"),
             start=start,
             out_of_time=out_of_time,
         )
