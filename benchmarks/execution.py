@@ -49,6 +49,8 @@ def scenes() -> list[Scene]:
     """The built-in kitchens, and the real ones where this machine has them."""
     default = Path(__file__).resolve().parents[2] / "shared" / "data"
     root = Path(os.environ.get("MOMAPOS_SHARED", default)) / "bestman"
+    if not root.is_dir():
+        print(f"{root} is not there (MOMAPOS_SHARED names its parent): built-in kitchens alone")
     real = [load_scene(root / name) for name in REAL] if root.is_dir() else []
     return [*(load_scene(name) for name in BUILT_IN), *real]
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -228,6 +230,21 @@ def test_a_scene_that_changed_since_is_refused(
     refused([str(tmp_path / "plan.json")], "scene.json) has changed since", capsys)
 
 
+def test_a_robot_that_changed_since_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    case = make_case()
+    case.write(tmp_path)
+    digests = {
+        key: hashlib.sha256((tmp_path / name).read_bytes()).hexdigest()
+        for key, name in (("scene", "scene.json"), ("robot", "robot.urdf"))
+    }
+    case.plan["hashes"] = digests
+    path = case.write(tmp_path)
+    (tmp_path / "robot.urdf").write_text((tmp_path / "robot.urdf").read_text() + "<!-- -->")
+    refused([str(path)], "robot.urdf) has changed since", capsys)
+
+
 def still(robot: Robot) -> Motion:
     """An arm that stays at home."""
     return Motion(robot.home[None], robot.home[None], np.zeros(1), np.eye(4)[None])
@@ -271,6 +288,31 @@ def test_a_base_pose_in_furniture_is_driven_to_in_vain_and_the_next_one_does_it(
     write_plan(replace(plan, base_pose=(1.0, 0.0, 1.57)), tmp_path / "plan.json")
     assert main(["run", str(tmp_path / "plan.json"), "--no-noise"]) == 0
     assert "the goal is in collision with" in capsys.readouterr().out
+
+
+def test_a_base_that_is_fenced_in_fails_with_that_reason(
+    plan: PlacementPlan, kitchen: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert kitchen.path is not None
+    room = json.loads(kitchen.path.read_text())
+    models = "kitchen_small_urdf"
+    shutil.copytree(kitchen.path.parent / models, tmp_path / models)
+    for k, (dx, dy) in enumerate([(0.45, 0.0), (-0.45, 0.0), (0.0, 0.6), (0.0, -0.6)]):
+        room["objects"].append({
+            "name": f"fence_{k}", "category": "fence",
+            "box": [0.04 if dx else 0.94, 0.04 if dy else 1.24, 0.5],
+            "pose": {
+                "xyz": [START[0] + dx, START[1] + dy, 0.25], "wxyz": [1.0, 0.0, 0.0, 0.0],
+            },
+        })  # fmt: skip
+    (tmp_path / "room.json").write_text(json.dumps(room))
+    write_plan(replace(plan, scene=str(tmp_path / "room.json")), tmp_path / "plan.json")
+    out = tmp_path / "run.json"
+    assert main(["run", str(tmp_path / "plan.json"), "--out", str(out), "--json"]) == 1
+    record = read_run(out)
+    assert record.execution is None
+    assert record.reason == "there is no way for the footprint"
+    assert json.loads(capsys.readouterr().out)["reason"] == record.reason
 
 
 def test_a_film_must_be_a_png(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

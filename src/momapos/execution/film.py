@@ -78,12 +78,14 @@ class Film:
             raise MissingExtraError(
                 "--record needs the extra: pip install 'momapos[physics]'"
             ) from error
-        driven = self._driven(frames // 4)
+        began = sum(float(times[-1]) for times in self.times)
+        driven = self.driven(frames // 4)
+        done = [(began + t, stage, q) for t, stage, q in self._chosen(frames - len(driven))]
         data, pictures = mujoco.MjData(self.world.model), []
         with _canvas(self.world.model) as draw:
-            for scene in (driven, self._chosen(frames - len(driven))):
-                camera = self._camera(data, [q for _, _, q in scene]) if scene else None
-                for time, stage, q in scene:
+            for strip, seen in ((driven, [*driven, done[0]]), (done, done)):
+                camera = self._camera(data, [q for _, _, q in seen])
+                for time, stage, q in strip:
                     data.qpos[:] = q
                     mujoco.mj_forward(self.world.model, data)
                     picture = Image.fromarray(draw(data, camera))
@@ -97,7 +99,7 @@ class Film:
         except OSError as error:
             raise InputError(f"{path}: cannot be written ({error})") from error
 
-    def _driven(self, frames: int) -> list[tuple[float, str, np.ndarray]]:
+    def driven(self, frames: int) -> list[tuple[float, str, np.ndarray]]:
         """States of all drives together, evenly spread over the way; the end is in what follows."""
         assert self.world is not None
         if not self.poses or not frames:
