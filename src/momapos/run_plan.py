@@ -46,6 +46,7 @@ APART = 0.15
 """A base pose is another one when it is this far from those that failed [m]."""
 TURN = 0.3
 """A radian of turning counts as this distance [m]."""
+NONE_LEFT = "no other base pose is left"
 
 Drive = Callable[
     [Ground, Float[np.ndarray, "3"], Float[np.ndarray, "3"], np.random.Generator], DriveRecord
@@ -93,7 +94,7 @@ def run_plan(
 
     Raises:
         InputError: The plan is not solved.
-        SceneError: The robot stands in something at the beginning, of the drive or of the motion.
+        SceneError: The robot stands in something at the start.
         TaskError, RobotError: They do not fit together.
     """
     if plan.status != "solved" or plan.base_pose is None:
@@ -115,11 +116,14 @@ def run_plan(
     here, motion = trip.go(_begin(ground, scene, plan.task, start, config), attempts, of_drive)
     outcome: Execution | None = None
     if motion is not None:
-        with timing("execute"):
-            outcome = execute(
-                scene, robot, _triple(here), motion, plan.task, physics, of_world,
-                watch=watch, clock=clock,
-            )  # fmt: skip
+        try:
+            with timing("execute"):
+                outcome = execute(
+                    scene, robot, _triple(here), motion, plan.task, physics, of_world,
+                    watch=watch, clock=clock,
+                )  # fmt: skip
+        except SceneError as error:  # by the exact shapes of the physics, which nothing before uses
+            trip.visits[-1] = replace(trip.visits[-1], reason=str(error))
     return RunRecord(
         scene=plan.scene,
         robot=robot.name,
@@ -223,6 +227,9 @@ class _Trip:
             if motion is None and not driven.hit and len(self.visits) < attempts:
                 with self.timing("plan"):
                     plan = self._another(here)
+                if plan is None:
+                    reason = f"{reason}; {NONE_LEFT}"
+                    self.visits[-1] = replace(self.visits[-1], reason=reason)
         return here, motion
 
     def _motion(self, pose: Float[np.ndarray, "3"]) -> Attempt:

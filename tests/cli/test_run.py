@@ -28,10 +28,10 @@ from momapos.pipeline import place
 from momapos.placement.place import PlaceConfig
 from momapos.plans import write_plan
 from momapos.robots.robot import Robot, load_robot
-from momapos.run_plan import APART, TURN, Drive, motion_at, run_plan
+from momapos.run_plan import APART, NONE_LEFT, TURN, Drive, motion_at, run_plan
 from momapos.scene.files import load_scene
 from momapos.scene.scene import Scene
-from momapos.types import Motion, PlacementPlan, Task
+from momapos.types import Attempt, Motion, PlacementPlan, Task
 from momapos.verification.exact import ExactWorld
 
 CONFIG = PipelineConfig(place=PlaceConfig(count=256, improve=1), timeout=300.0)
@@ -215,6 +215,20 @@ def apart(goals: list[np.ndarray]) -> bool:
     )
 
 
+def test_a_pose_in_which_the_physics_find_the_robot_in_something_is_a_failure(
+    plan: PlacementPlan, kitchen: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def go(_: Ground, start: Pose3, goal: Pose3, __: np.random.Generator) -> DriveRecord:
+        return ended(start, goal, np.array([1.0, 0.0, 1.57]))
+
+    motion = plan.motion
+    monkeypatch.setattr("momapos.run_plan.motion_at", lambda *_, **__: Attempt(motion, ""))
+    record = run_plan(plan, kitchen, load_robot("segway_ur5e"), Everywhere(), go=go, config=CONFIG)
+    assert not record.success
+    assert record.execution is None
+    assert "start in collision" in record.reason
+
+
 def test_a_scene_that_changed_since_is_refused(
     robots: Callable[[str], Robot], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -311,7 +325,7 @@ def test_a_base_that_is_fenced_in_fails_with_that_reason(
     assert main(["run", str(tmp_path / "plan.json"), "--out", str(out), "--json"]) == 1
     record = read_run(out)
     assert record.execution is None
-    assert record.reason == "there is no way for the footprint"
+    assert record.reason == f"there is no way for the footprint; {NONE_LEFT}"
     assert json.loads(capsys.readouterr().out)["reason"] == record.reason
 
 
