@@ -55,8 +55,10 @@ def scenes() -> list[Scene]:
     return [*(load_scene(name) for name in BUILT_IN), *real]
 
 
-def chosen(robots: tuple[str, ...], most: int | None) -> list[tuple[Robot, Scene, str, str]]:
-    """All openings for all robots, or as many, spread evenly over them."""
+def chosen(
+    robots: tuple[str, ...], most: int | None, seed: int
+) -> list[tuple[Robot, Scene, str, str]]:
+    """All openings for all robots, or as many; in random order, so that a part is a fair sample."""
     rooms = scenes()
     every = [
         (robot, scene, item, joint)
@@ -64,9 +66,8 @@ def chosen(robots: tuple[str, ...], most: int | None) -> list[tuple[Robot, Scene
         for scene in rooms
         for item, joint in openable(scene)
     ]
-    if most is None or most >= len(every):
-        return every
-    return [every[i] for i in np.linspace(0, len(every) - 1, most).astype(int)]
+    order = np.random.default_rng(seed).permutation(len(every))
+    return [every[i] for i in order[:most]]
 
 
 def measure(
@@ -179,13 +180,13 @@ def main() -> None:
     """Run it."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--robots", nargs="+", default=list(ROBOTS))
-    parser.add_argument("--tasks", type=int, help="as many openings, spread evenly over all")
+    parser.add_argument("--tasks", type=int, help="as many openings, drawn at random")
     parser.add_argument("--hold", choices=("weld", "contact"), default="weld")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, help="folder for execution.json")
     args = parser.parse_args()
     rows = []
-    for robot, scene, item, joint in chosen(tuple(args.robots), args.tasks):
+    for robot, scene, item, joint in chosen(tuple(args.robots), args.tasks, args.seed):
         for row in measure(robot, scene, item, joint, args.hold, args.seed):
             rows.append(row)
             print(json.dumps(row), flush=True)
