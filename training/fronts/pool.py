@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing as mp
+import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -154,6 +155,8 @@ def _one(task: tuple[generator.Mix, tuple[int, int]]) -> dict[str, np.ndarray]:
 def fill(folder: Path, mix: generator.Mix, seed: int, count: int, workers: int) -> None:
     """Draw faces and write them; the same seed gives the same files."""
     folder.mkdir(parents=True, exist_ok=True)
+    # Workers read these when they start; threads within each would wait for one another.
+    os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     files: dict[str, np.ndarray] = {}
     with mp.get_context("spawn").Pool(workers) as helpers:
         tasks = [(mix, (seed, i)) for i in range(count)]

@@ -233,8 +233,8 @@ def main() -> None:
     parser.add_argument("--pools", type=Path, default=Path("build/fronts"), help="scratch folder")
     parser.add_argument("--out", type=Path, default=WEIGHTS, help="where the networks go")
     parser.add_argument("--faces", type=int, nargs=2, default=(8000, 5000), help="to draw")
-    parser.add_argument("--face-steps", type=int, nargs=2, default=(1700, 700), help="by round")
-    parser.add_argument("--part-steps", type=int, nargs=2, default=(2000, 900), help="by round")
+    parser.add_argument("--face-steps", type=int, nargs=2, default=(1700, 1200), help="by round")
+    parser.add_argument("--part-steps", type=int, nargs=2, default=(2000, 1250), help="by round")
     parser.add_argument("--seed", type=int, default=1)
     given = parser.parse_args()
     mixes = {"ordinary": generator.ORDINARY, "hard": generator.HARD}
