@@ -16,7 +16,14 @@ from momapos.importance.rank import rank
 from momapos.importance.scorers import ImportanceConfig
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.urdf import box_urdf
-from momapos.perception.boxes import BoxConfig, boxes, inside, named, wall_detections
+from momapos.perception.boxes import (
+    BoxConfig,
+    boxes,
+    inside,
+    named,
+    wall_detections,
+    without_pieces,
+)
 from momapos.perception.detections import PictureBox, sights, vote_label
 from momapos.perception.fusion import FusionConfig, fuse
 from momapos.perception.gravity import GravityConfig, upright
@@ -165,6 +172,7 @@ def scan_to_scene(
     instances, before = divide(detections, cloud, frames, tools.look, config)
     if len(instances) > len(detections):
         detections = boxes(cloud, instances, room, config.boxes)
+    detections = without_pieces(detections, cloud)
     if found is not None:
         detections = [_relabelled(item, frames, found) for item in detections]
     detections = named(detections)

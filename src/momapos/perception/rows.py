@@ -111,11 +111,14 @@ def _frames_for(
     )
     candidates = [frame for frame in frames if projection(thin, frame) is not None]
     cosines = cosines_to(face, candidates)
-    order = np.argsort(-cosines, kind="stable")
-    order = order[cosines[order] > np.cos(np.radians(view.frontal))][: view.looked_at]
-    parts = np.array([shown(face, candidates[i]) for i in order])
-    best = np.argsort(-parts, kind="stable")[: config.frames]
-    return [candidates[order[i]] for i in best if parts[i] >= view.shown]
+    for most in (view.frontal, view.oblique):
+        order = np.argsort(-cosines, kind="stable")
+        order = order[cosines[order] > np.cos(np.radians(most))][: view.looked_at]
+        parts = np.array([shown(face, candidates[i]) for i in order])
+        best = [i for i in np.argsort(-parts, kind="stable") if parts[i] >= view.shown]
+        if best:
+            return [candidates[order[i]] for i in best[: config.frames]]
+    return []
 
 
 def _whole(

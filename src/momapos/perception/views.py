@@ -50,6 +50,8 @@ class ViewConfig:
     """Votes of all pictures for each face, or the first picture that passes, as in the paper."""
     frontal: float = 30.0
     """Pictures taken farther than this from a face's normal say nothing about it [deg]."""
+    oblique: float = 45.0
+    """Where there is none within `frontal`, pictures up to here are taken [deg]."""
     least: float = 0.5
     """A face is a front from this probability on [-]."""
     shown: float = 0.55
@@ -296,14 +298,15 @@ def _showing(
 ) -> list[int]:
     """Frames that show a face well enough, the best first."""
     cosines = cosines_to(face, [frames[i] for i in indices])
-    good = np.flatnonzero(cosines >= np.cos(np.radians(config.frontal)))
-    good = good[np.argsort(-cosines[good], kind="stable")][: config.looked_at]
-    parts = np.array([shown(face, frames[indices[i]]) for i in good])
-    if not len(good):
-        return []
-    quality = np.where(parts >= config.shown, parts**2 * cosines[good] ** STRAIGHT, -1.0)
-    order = np.argsort(-quality, kind="stable")
-    return [int(indices[good[i]]) for i in order if quality[i] > 0]
+    for most in (config.frontal, config.oblique):
+        good = np.flatnonzero(cosines >= np.cos(np.radians(most)))
+        good = good[np.argsort(-cosines[good], kind="stable")][: config.looked_at]
+        parts = np.array([shown(face, frames[indices[i]]) for i in good])
+        quality = np.where(parts >= config.shown, parts**2 * cosines[good] ** STRAIGHT, -1.0)
+        if (quality > 0).any():
+            order = np.argsort(-quality, kind="stable")
+            return [int(indices[good[i]]) for i in order if quality[i] > 0]
+    return []
 
 
 def cosines_to(face: Face, frames: Sequence[Frame]) -> Float[np.ndarray, " n"]:
