@@ -70,6 +70,8 @@ class RoomConfig:
 
 
 STRIP = 0.1  # [m] of a wall that are judged together
+STRAY = 0.2
+"""Points behind a strip are strays of it up to this share of its own [-]."""
 CELL = 0.05  # [m], of the raster that areas are measured on
 
 
@@ -198,8 +200,9 @@ def _share_hiding(
         bins = np.floor((values - wall.low) / STRIP).astype(int)
         return np.bincount(bins[(bins >= 0) & (bins < count)], minlength=count)
 
-    seen = strips(along) > 3
-    hiding = strips(cloud.points[behind, 1 - wall.axis]) > 10
+    seen = strips(along)
+    hiding = strips(cloud.points[behind, 1 - wall.axis]) > np.maximum(10, STRAY * seen)
+    seen = seen > 3
     return float((seen & hiding).sum() / max(1, seen.sum()))
 
 

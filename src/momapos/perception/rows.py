@@ -82,7 +82,7 @@ def _front_of(
         chosen = _frames_for(window, frames, config, view)
         if not chosen:
             continue
-        front = look_at(window, chosen, look)
+        front = look_at(window, chosen, look, view.least)
         if door_evidence(front) >= view.least:
             ends = (left > config.margin, left + wide < face.width - config.margin)
             whole = _whole(front.parts, wide, ends, config.margin)

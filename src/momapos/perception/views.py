@@ -14,8 +14,9 @@ from momapos.perception.detections import Sight
 from momapos.perception.faces import FACES, Face, box_faces, eye_of, face_image, shown, solid
 from momapos.types import FaceImage, Frame, Front, Part, UprightBox
 
-AROUND = 0.03
-"""How much of what surrounds a face is looked at with it [m]."""
+AROUND = (0.03, 0.1)
+"""How much of what surrounds a face is looked at with it; the second where the first shows no
+front [m]."""
 STRAIGHT = 6
 """How much more a picture counts that is taken straight on: power of the cosine [-]."""
 WITHIN = 0.6
@@ -126,7 +127,7 @@ def _first(
         if shown(face, frame) < config.shown:
             continue
         image = face_image(face, [frame])
-        front = _with(look_at(face, [frame], look), face, frame, before)
+        front = _with(look_at(face, [frame], look, config.least), face, frame, before)
         if door_evidence(front) * solid(image) >= config.least:
             angle = float(np.arccos(min(1.0, cosines.max())))
             return View(face, sight.frame, angle, image, front, ())
@@ -151,7 +152,7 @@ def _voting(
         if not order:
             continue
         votes = [
-            _with(_vote(face, frames, i, order[: config.merged], look), face, frames[i], before)
+            _with(_vote(face, frames, i, order, look, config), face, frames[i], before)
             for i in order[: config.votes]
         ]
         image = face_image(face, [frames[i] for i in order[: config.merged]])
@@ -171,11 +172,16 @@ def _voting(
 
 
 def _vote(
-    face: Face, frames: Sequence[Frame], chosen: int, others: Sequence[int], look: Look
+    face: Face,
+    frames: Sequence[Frame],
+    chosen: int,
+    order: Sequence[int],
+    look: Look,
+    config: ViewConfig,
 ) -> Front:
-    """What one picture's colours say of a face, with the relief that all of them measured."""
-    rest = [frames[i] for i in others if i != chosen]
-    return look_at(face, [frames[chosen], *rest], look)
+    """What one picture's colours say of a face, with the relief that the best ones measured."""
+    rest = [frames[i] for i in order[: config.merged] if i != chosen]
+    return look_at(face, [frames[chosen], *rest], look, config.least)
 
 
 def _with(front: Front, face: Face, frame: Frame, before: Sequence[Seen]) -> Front:
@@ -207,15 +213,20 @@ def handle_evidence(front: Front) -> float:
     return 1.0 - float(np.prod(1.0 - np.array(held)))
 
 
-def look_at(face: Face, frames: Sequence[Frame], look: Look) -> Front:
+def look_at(face: Face, frames: Sequence[Frame], look: Look, least: float) -> Front:
     """What is on a face, seen with some of what surrounds it.
 
     The edges of a door that fills its face show only against what is beside it. Parts that lie
     mostly beside the face belong to another thing.
     """
-    wide = replace(face, width=face.width + 2 * AROUND, height=face.height + 2 * AROUND)
-    front = look(face_image(wide, frames))
-    return replace(front, parts=placed(front.parts, wide, face))
+    fronts = []
+    for around in AROUND:
+        wide = replace(face, width=face.width + 2 * around, height=face.height + 2 * around)
+        front = look(face_image(wide, frames))
+        fronts.append(replace(front, parts=placed(front.parts, wide, face)))
+        if door_evidence(fronts[-1]) >= least:
+            break
+    return max(fronts, key=door_evidence)
 
 
 def placed(parts: Sequence[Part], source: Face, target: Face) -> tuple[Part, ...]:
