@@ -21,6 +21,7 @@ import numpy as np
 
 from momapos.cache import default_cache_dir
 from momapos.config import PipelineConfig
+from momapos.geometry.transforms import apply, invert
 from momapos.manipulation.handles import closed_value, opening_direction, opening_sign
 from momapos.manipulation.tasks import hand_path, make_task, openable
 from momapos.pipeline import place
@@ -68,7 +69,9 @@ def handle_at(scene: Scene, item: str, joint: str, share: float) -> np.ndarray:
     return path[0] if share == 0 else path[-1]
 
 
-def match(truth: Scene, scanned: Scene) -> dict[tuple[str, str], tuple[str, str]]:
+def match(
+    truth: Scene, scanned: Scene, T_truth_scene: np.ndarray
+) -> dict[tuple[str, str], tuple[str, str]]:
     """The joint of the scan for each of the room: same kind, nearest handle, each used once."""
     ours, theirs = openable(truth), openable(scanned)
     pairs = []
@@ -76,7 +79,8 @@ def match(truth: Scene, scanned: Scene) -> dict[tuple[str, str], tuple[str, str]
         kind, place_a = truth.object(a[0]).model.joint(a[1]).kind, handle_at(truth, *a, 0.0)
         for b in theirs:
             if scanned.object(b[0]).model.joint(b[1]).kind == kind:
-                gap = float(np.linalg.norm(place_a - handle_at(scanned, *b, 0.0)))
+                place_b = apply(T_truth_scene, handle_at(scanned, *b, 0.0)[None])[0]
+                gap = float(np.linalg.norm(place_a - place_b))
                 pairs.append((gap, a, b))
     found: dict[tuple[str, str], tuple[str, str]] = {}
     for gap, a, b in sorted(pairs):
@@ -87,7 +91,8 @@ def match(truth: Scene, scanned: Scene) -> dict[tuple[str, str], tuple[str, str]
 
 def compare(room: Room, result: Modelled, scanned: Scene) -> list[Door]:
     """Every joint of the room against the scan."""
-    matches, doors = match(room.scene, scanned), []
+    back = invert(result.T_scene_scan)
+    matches, doors = match(room.scene, scanned, back), []
     views = {d.detection.name: d.view for d in result.decisions}
     for item, joint in openable(room.scene):
         thing = room.scene.object(item)
@@ -99,12 +104,13 @@ def compare(room: Room, result: Modelled, scanned: Scene) -> list[Door]:
             outward = _square(outward)
             if view is not None:
                 eye = result.frames[view.frame].T_world_camera[:3, 3]
-                line = eye - view.face.T_world_face[:3, 3]
+                line = back[:3, :3] @ (eye - view.face.T_world_face[:3, 3])
                 cosine = line @ outward / np.linalg.norm(line)
                 frontal = float(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
             errors = tuple(
                 float(np.linalg.norm(
-                    handle_at(room.scene, item, joint, share) - handle_at(scanned, *same, share)
+                    handle_at(room.scene, item, joint, share)
+                    - apply(back, handle_at(scanned, *same, share)[None])[0]
                 ))
                 for share in (0.0, 0.5, 1.0)
             )  # fmt: skip
@@ -121,7 +127,9 @@ def _square(direction: np.ndarray) -> np.ndarray:
     return flat
 
 
-def answer(door: Door, room: Room, scanned: Scene, robot_name: str) -> Door:
+def answer(
+    door: Door, room: Room, scanned: Scene, T_scene_truth: np.ndarray, robot_name: str
+) -> Door:
     """Whether a task that can be solved in the room is solved from the scan, and holds."""
     robot = load_robot(robot_name)
     reach = load_or_build(robot, default_cache_dir(), None)
@@ -143,8 +151,8 @@ def answer(door: Door, room: Room, scanned: Scene, robot_name: str) -> Door:
     travel = min(abs(task.to - closed_value(ours)), abs(_wide(theirs) - closed_value(theirs)))
     to = closed_value(theirs) + opening_sign(theirs) * travel
     found = place(
-        scanned, robot, make_task(scanned, "open", name, other, to), reach, start=there.start,
-        config=config,
+        scanned, robot, make_task(scanned, "open", name, other, to), reach,
+        start=moved(there.start, T_scene_truth), config=config,
     )  # fmt: skip
     if found.plan.status != "solved":
         return replace(door, reason=f"{found.plan.status} in the scan")
@@ -159,8 +167,19 @@ def answer(door: Door, room: Room, scanned: Scene, robot_name: str) -> Door:
         penetration=MARGIN, slip_position=MARGIN, slip_rotation=np.radians(10.0),
         reach=Limits().reach + MARGIN, floor_edge=0.1, goal=1.0,
     )  # fmt: skip
-    refusal = ExactWorld(room.scene, robot, task, limits).refusal(found.plan.base_pose, motion)
+    base = moved(np.array(found.plan.base_pose), invert(T_scene_truth))
+    refusal = ExactWorld(room.scene, robot, task, limits).refusal(_triple(base), motion)
     return replace(door, solved=refusal is None, reason=refusal or "")
+
+
+def moved(base: np.ndarray, T: np.ndarray) -> np.ndarray:
+    """A base pose (x, y, yaw) in another frame; what that one is tilted by is left out."""
+    x, y, _ = apply(T, np.array([[base[0], base[1], 0.0]]))[0]
+    return np.array([x, y, base[2] + np.arctan2(T[1, 0], T[0, 0])])
+
+
+def _triple(pose: np.ndarray) -> tuple[float, float, float]:
+    return float(pose[0]), float(pose[1]), float(pose[2])
 
 
 def _wide(joint: object) -> float:
@@ -183,7 +202,8 @@ def main() -> None:
         times.append({"frames": len(room.scan.frames), **result.timing})
         found = compare(room, result, scanned)
         if not args.no_answers:
-            found = [answer(door, room, scanned, args.robot) for door in found]
+            T = result.T_scene_scan
+            found = [answer(door, room, scanned, T, args.robot) for door in found]
         doors += found
         print(
             room.name,

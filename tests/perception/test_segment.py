@@ -99,7 +99,31 @@ def test_a_chair_below_a_table_is_not_part_of_it() -> None:
     cloud = cloud_of([*kitchen(), seat, back, *legs], np.random.default_rng(2))
     found = boxes(cloud, ClassicalSegmenter()(cloud), find_room(cloud))
     assert best_overlap(TABLE, found) > 0.75
-    assert best_overlap(((1.1, -2.03, 0.0), (1.5, -1.55, 0.95)), found) > 0.5
+    assert best_overlap(((1.1, -2.03, 0.0), (1.5, -1.55, 0.95)), found) > 0.75
+
+
+def test_deep_furniture_with_a_kick_space_and_a_handle_is_one_thing() -> None:
+    body: Corners = ((1.0, -0.1, 0.12), (1.9, 1.0, 1.7))
+    foot: Corners = ((1.0, 0.1, 0.0), (1.9, 1.0, 0.12))
+    handle: Corners = ((1.8, -0.23, 0.7), (1.83, -0.2, 1.3))
+    cloud = cloud_of([*ROOM, body, foot, handle], np.random.default_rng(4))
+    instances = ClassicalSegmenter()(cloud)
+    found = boxes(cloud, instances, find_room(cloud))
+    assert len(found) == 1
+    (low, high) = (
+        found[0].box.center - found[0].box.size / 2,
+        found[0].box.center + found[0].box.size / 2,
+    )
+    np.testing.assert_allclose(low, (1.0, -0.1, 0.0), atol=0.02)
+    np.testing.assert_allclose(high, (1.9, 1.0, 1.7), atol=0.02)
+    assert (cloud.points[instances[0].members, 1] < -0.15).any()
+
+
+def test_a_front_far_before_a_wall_ends_where_the_floor_is_seen() -> None:
+    body: Corners = ((1.0, -0.1, 0.0), (1.9, 0.3, 1.5))
+    cloud = cloud_of([*ROOM, body], np.random.default_rng(5))
+    found = boxes(cloud, ClassicalSegmenter()(cloud), find_room(cloud))
+    assert best_overlap(body, found) > 0.9
 
 
 def test_a_room_with_nothing_in_it_holds_no_instances() -> None:

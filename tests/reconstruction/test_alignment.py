@@ -128,7 +128,23 @@ def test_relief_says_where_the_front_of_a_part_and_its_handle_are(front: float) 
     assert part.handle.out == pytest.approx(0.055, abs=4e-3)
 
 
-@pytest.mark.parametrize(("relief", "out"), [(0.008, 0.04), (0.03, 0.03), (0.2, 0.09)])
+@pytest.mark.parametrize(
+    ("sign", "bar", "moves"),
+    [(0.0, 0.1, True), (0.0, 0.02, False), (0.05, 0.1, False)],
+    ids=["a flat sign beside a bar", "nothing stands out", "a handle beside a rail"],
+)
+def test_a_sign_is_no_handle_where_a_bar_stands_out(sign: float, bar: float, moves: bool) -> None:
+    seen, true = (0.6, 0.1, 0.9, 0.15), (0.1, 0.3, 0.15, 0.8)
+    face = face_of(*FACE, 0.0)
+    raised(face, seen, sign)
+    raised(face, true, bar)
+    (part,) = align(face, [Part("door_right", (0.0, 0.0, 1.0, 1.0), 0.9, seen)])
+    assert part.handle is not None
+    middle = (part.handle.area.left + part.handle.area.right) / 2
+    assert middle == pytest.approx((0.125 if moves else 0.75) * face.width, abs=0.02)
+
+
+@pytest.mark.parametrize(("relief", "out"), [(0.008, 0.04), (0.03, 0.03), (0.2, 0.12)])
 def test_a_handle_stands_out_by_what_was_measured_within_reason(relief: float, out: float) -> None:
     handle = (0.8, 0.4, 0.85, 0.6)
     face = face_of(*FACE, 0.0)

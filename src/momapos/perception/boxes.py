@@ -23,6 +23,9 @@ from momapos.perception.upright_boxes import (
 )
 from momapos.types import Cloud, Detection, Instance, UprightBox
 
+PIECE = 0.9
+"""A thing is a piece of another whose box holds more than this share of its points [-]."""
+
 
 @dataclass(frozen=True)
 class BoxConfig:
@@ -118,6 +121,21 @@ def named(detections: Sequence[Detection]) -> list[Detection]:
         k = counts[detection.label] = counts.get(detection.label, 0) + 1
         out.append(replace(detection, name=f"{detection.label.replace(' ', '_')}_{k}"))
     return out
+
+
+def without_pieces(detections: Sequence[Detection], cloud: Cloud) -> list[Detection]:
+    """Leave out what no rule names and whose points lie in the box of something larger.
+
+    It is a piece of that: the rim of a door, a shadow's edge. As a thing of its own it would stand
+    in the door's way.
+    """
+
+    def piece(item: Detection) -> bool:
+        points, volume = cloud.points[item.members], np.prod(item.box.size)
+        larger = (other.box for other in detections if np.prod(other.box.size) > volume)
+        return any(inside(points, box).mean() > PIECE for box in larger)
+
+    return [d for d in detections if d.label != "object" or not len(d.members) or not piece(d)]
 
 
 def inside(points: Float[np.ndarray, "n 3"], box: UprightBox) -> Bool[np.ndarray, " n"]:

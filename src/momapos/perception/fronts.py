@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float, Int
 
-from momapos.perception.planes import Room, Wall, area
+from momapos.perception.planes import Room, Wall, area, ends, floor_seen, peaks
 from momapos.perception.supports import components
 from momapos.perception.upright_boxes import corners, from_corners
 from momapos.types import Cloud, Instance, UprightBox
@@ -20,6 +20,8 @@ class FrontConfig:
 
     area: float = 0.06
     """Least area [m2]."""
+    fill: float = 0.35
+    """Least share of its rectangle that is seen: the end of a table is no front [-]."""
     side: float = 0.2
     """Least width and height [m]."""
     step: float = 0.02
@@ -27,7 +29,16 @@ class FrontConfig:
     gap: float = 0.04
     """Gaps of up to twice this, as between doors, are bridged [m]."""
     depth: float = 0.9
-    """Furniture is at most this deep [m]."""
+    """Furniture is at most this deep [m], unless it hides all of the floor back to a wall."""
+    deepest: float = 1.25
+    """That furniture is at most this deep [m]."""
+    open: float = 0.2
+    """Share of a footprint on which the floor is seen, above which nothing fills it: the floor is
+    seen a little way under doors that end above it [-]."""
+    foot: float = 0.25
+    """Fronts whose lower edge is below this stand on the floor, on feet or a plinth [m]."""
+    stands_out: float = 0.15
+    """Handles stand out from fronts by this, at most [m]."""
     shallow: float = 0.05
     """And at least this [m]."""
     stack: float = 0.15
@@ -169,14 +180,17 @@ def _front(
     other = 1 - axis
     if len(points) < 20:
         return None
-    low, high = np.percentile(points, [1, 99], axis=0)
+    low, high = points.min(axis=0), points.max(axis=0)
+    for k in (other, 2):
+        low[k], high[k] = ends(points[:, k], config.profile / 2)
     if high[other] - low[other] < config.side or high[2] - low[2] < config.side:
         return None
     size = area(points[:, other], points[:, 2])
-    if size < config.area:
+    if size < max(config.area, config.fill * (high[other] - low[other]) * (high[2] - low[2])):
         return None
-    face = float(np.median(points[:, axis]))
-    wall = _wall_behind(room, points.mean(axis=0), axis, sign, config)
+    # The densest plane: of a curved front it is the middle, which stands out farthest.
+    face = peaks(points[:, axis], config.step / 2, 1, config.step)[0]
+    wall = _wall_behind(cloud, room, low, high, face, axis, sign, config)
     if wall is not None:
         back = wall.offset
     else:
@@ -187,21 +201,39 @@ def _front(
         away = away[(away > -0.02) & (away < config.depth)]
         back = face - sign * max(config.shallow, float(np.percentile(away, 98, method="higher")))
     low[axis], high[axis] = min(face, back), max(face, back)
+    low[2] = 0.0 if low[2] < config.foot else low[2]
     box = from_corners(low, high)
     return Front(axis, sign, box, members, size * (1.0 if wall is None else 3.0))
 
 
 def _wall_behind(
-    room: Room, middle: Float[np.ndarray, "3"], axis: int, sign: float, config: FrontConfig
+    cloud: Cloud,
+    room: Room,
+    low: Float[np.ndarray, "3"],
+    high: Float[np.ndarray, "3"],
+    face: float,
+    axis: int,
+    sign: float,
+    config: FrontConfig,
 ) -> Wall | None:
     """The nearest wall behind a front, within the depth of furniture."""
+    middle = (low + high) / 2
+    middle[axis] = face
     behind = [
         wall
         for wall in room.walls
         if wall.axis == axis and wall.sign == sign and wall.beside(middle[None], 0.2)[0]
     ]
-    near = [w for w in behind if config.shallow < w.distance(middle[None])[0] < config.depth]
-    return min(near, key=lambda wall: wall.distance(middle[None])[0]) if near else None
+    reach = config.deepest if low[2] < config.foot else config.depth
+    near = [w for w in behind if config.shallow < w.distance(middle[None])[0] < reach]
+    if not near:
+        return None
+    wall = min(near, key=lambda wall: wall.distance(middle[None])[0])
+    if wall.distance(middle[None])[0] < config.depth:
+        return wall
+    start, stop = low[:2].copy(), high[:2].copy()
+    start[axis], stop[axis] = sorted((face, wall.offset))
+    return None if floor_seen(cloud, start, stop) > config.open else wall
 
 
 def hung_together(
@@ -227,3 +259,44 @@ def hung_together(
         else:
             alone.append(thing)
     return out + alone
+
+
+def without_handles(
+    furniture: Sequence[Instance], rest: Sequence[Instance], cloud: Cloud, config: FrontConfig
+) -> tuple[list[Instance], list[Instance]]:
+    """Give handles that touch no other points to the furniture that they stand out from.
+
+    What reaches down to the floor stands before the furniture and is no handle.
+    """
+    out, alone = list(furniture), []
+    for thing in rest:
+        points = cloud.points[thing.members]
+        low, high = points.min(axis=0), points.max(axis=0)
+        for k, body in enumerate(out):
+            if (
+                body.box is not None
+                and low[2] > config.foot
+                and _before(body.box, low, high, config)
+            ):
+                out[k] = replace(body, members=np.concatenate([body.members, thing.members]))
+                break
+        else:
+            alone.append(thing)
+    return out, alone
+
+
+def _before(
+    box: UprightBox, low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"], config: FrontConfig
+) -> bool:
+    """Whether something lies before an upright face of a box, near to it."""
+    start, stop = corners(box)
+    out = np.maximum(start - low, high - stop)[:2]  # how far it stands out along x and y
+    beside = (high < start) | (low > stop)
+    return any(
+        0 < out[axis] < config.stands_out
+        and beside[axis]
+        and (np.delete(out, axis) <= 0).all()
+        and low[2] > start[2]
+        and high[2] < stop[2]
+        for axis in (0, 1)
+    )

@@ -70,6 +70,8 @@ class RoomConfig:
 
 
 STRIP = 0.1  # [m] of a wall that are judged together
+STRAY = 0.2
+"""Points behind a strip are strays of it up to this share of its own [-]."""
 CELL = 0.05  # [m], of the raster that areas are measured on
 
 
@@ -100,10 +102,41 @@ def in_room(room: Room, cloud: Cloud, config: RoomConfig | None = None) -> Bool[
     return out
 
 
+def flat_on_wall(room: Room, points: Float[np.ndarray, "n 3"], flat: float) -> bool:
+    """Whether points are a picture on a wall, or its own unevenness: within `flat` [m] of it."""
+    return any(
+        np.percentile(wall.distance(points), 95) < flat and bool(wall.beside(points, 0.5).all())
+        for wall in room.walls
+    )
+
+
 def area(a: Float[np.ndarray, " n"], b: Float[np.ndarray, " n"], cell: float = CELL) -> float:
     """Area that points of a plane cover, as cells of a raster that hold any [m2]."""
     cells = np.stack([np.floor(a / cell), np.floor(b / cell)], axis=1).astype(np.int64)
     return len(np.unique(cells, axis=0)) * cell**2
+
+
+def floor_seen(
+    cloud: Cloud, low: Float[np.ndarray, "2"], high: Float[np.ndarray, "2"], margin: float = 0.1
+) -> float:
+    """Share of a rectangle on which the floor was seen, `margin` [m] off its edges [-]."""
+    points, thickness = cloud.points, RoomConfig().thickness
+    inside = ((points[:, :2] > low + margin) & (points[:, :2] < high - margin)).all(axis=1)
+    floor = points[inside & (points[:, 2] < thickness)]
+    return area(floor[:, 0], floor[:, 1]) / float(np.prod(high - low))
+
+
+def ends(values: Float[np.ndarray, " n"], step: float) -> tuple[float, float]:
+    """Where values that lie evenly between two ends begin and end.
+
+    Stretches of `step` with less than a third of what is usual hold strays and do not count.
+    """
+    low = float(values.min())
+    bins = np.floor((values - low) / step).astype(int)
+    counts = np.bincount(bins)
+    full = np.flatnonzero(counts > np.median(counts[counts > 0]) / 3)
+    within = values[(bins >= full[0]) & (bins <= full[-1])]
+    return float(within.min()), float(within.max())
 
 
 def peaks(values: Float[np.ndarray, " n"], width: float, least: int, apart: float) -> list[float]:
@@ -167,8 +200,9 @@ def _share_hiding(
         bins = np.floor((values - wall.low) / STRIP).astype(int)
         return np.bincount(bins[(bins >= 0) & (bins < count)], minlength=count)
 
-    seen = strips(along) > 3
-    hiding = strips(cloud.points[behind, 1 - wall.axis]) > 10
+    seen = strips(along)
+    hiding = strips(cloud.points[behind, 1 - wall.axis]) > np.maximum(10, STRAY * seen)
+    seen = seen > 3
     return float((seen & hiding).sum() / max(1, seen.sum()))
 
 

@@ -16,12 +16,19 @@ from jaxtyping import Bool, Int
 from scipy import ndimage
 
 from momapos.errors import InputError
-from momapos.perception.fronts import Front, FrontConfig, find_fronts, hung_together
-from momapos.perception.planes import RoomConfig, area, find_room, in_room
+from momapos.perception.fronts import (
+    Front,
+    FrontConfig,
+    find_fronts,
+    hung_together,
+    without_handles,
+)
+from momapos.perception.planes import RoomConfig, find_room, flat_on_wall, floor_seen, in_room
 from momapos.perception.supports import (
     Rectangle,
     Support,
     SupportConfig,
+    closed_share,
     components,
     find_supports,
     outlines_of,
@@ -61,6 +68,8 @@ class SegmentConfig:
     closed: float = 0.45
     """Share of its fullest side that is seen to be closed, below which furniture is open: a table
     stands on legs [-]."""
+    open: float = 0.1
+    """Share of a corner on which the floor is seen, above which nothing stands in it [-]."""
     tall: float = 1.2
     """Tops above this are seen in part, if at all: fronts say more about the furniture [m]."""
     flat: float = 0.08
@@ -70,6 +79,10 @@ class SegmentConfig:
     behind other furniture [m]."""
     seat: tuple[float, float] = (0.6, 0.35)
     """Tops lower [m] and smaller [m2] than this are seats: what rises from them is a back."""
+    back: float = 0.7
+    """Backs rise from seats by this, at most [m]."""
+    back_thick: float = 0.2
+    """And are this thick, at most, leaning backward included [m]."""
     shelf: float = 0.4
     """Open furniture at a wall that is less deep than this is a shelf, not a table [m]."""
 
@@ -125,6 +138,7 @@ class _Division:
         furniture = [body for top in tops for body in self._below(top)]
         furniture += self._behind_fronts(fronts)
         rest = self._rest([body.box for body in furniture if body.box is not None])
+        furniture, rest = without_handles(furniture, rest, self.cloud, self.config.front)
         return hung_together(furniture, rest, self.cloud, self.config.touching) + things
 
     # ------------------------------------------------------------ what stands on a surface
@@ -132,8 +146,7 @@ class _Division:
     def _things_on(self, support: Support, supports: Sequence[Support]) -> list[Instance]:
         """Groups of points that stand on a surface and do not reach beyond it."""
         config, points = self.config, self.cloud.points
-        size = support.outline.sum() * config.support.cell**2
-        if support.height < config.seat[0] and size < config.seat[1]:
+        if self._is_seat(support):
             return []
         above = points[:, 2] - support.height
         possible = self.free & (above > config.lift) & (above < config.reach)
@@ -154,6 +167,11 @@ class _Division:
                 self.free[members] = False
                 found.append(Instance("", 0.5, members))
         return found
+
+    def _is_seat(self, support: Support) -> bool:
+        height, size = self.config.seat
+        covers = support.outline.sum() * self.config.support.cell**2
+        return bool(support.height < height and covers < size)
 
     def _with_edges(
         self, members: Int[np.ndarray, " k"], possible: Bool[np.ndarray, " n"]
@@ -206,16 +224,33 @@ class _Division:
             seen = share >= self.config.closed
             label = "cabinet" if hidden and not seen else ""
             out += self._body(piece, top.height, label, closed=seen or hidden)
-        return out
+        return [self._with_back(body) for body in out] if self._is_seat(top) else out
+
+    def _with_back(self, seat: Instance) -> Instance:
+        """A chair: its seat and the thin back that rises from an edge of it."""
+        assert seat.box is not None
+        config, points = self.config, self.cloud.points
+        low, high = corners(seat.box)
+        column = self._column((low[0], low[1], high[0], high[1]), high[2] + config.back)
+        rising = column[points[column, 2] > high[2]]
+        if len(rising) < config.least_points or self._goes_on(rising, column):
+            return seat
+        start, stop = points[rising].min(axis=0), points[rising].max(axis=0)
+        thin, wide = np.sort((stop - start)[:2])
+        if (
+            thin > config.back_thick
+            or wide < float(max((high - low)[:2])) / 2
+            or start[2] - high[2] > 0.1
+        ):
+            return seat
+        self.free[rising] = False
+        box = from_corners(np.minimum(low, start), np.maximum(high, stop))
+        return replace(seat, members=np.concatenate([seat.members, rising]), box=box)
 
     def _shows_floor(self, rectangle: Rectangle) -> bool:
         """Whether the floor inside a rectangle was seen."""
-        x0, y0, x1, y1 = rectangle
-        points, margin = self.cloud.points, 0.1
-        inside = (points[:, 0] > x0 + margin) & (points[:, 0] < x1 - margin)
-        inside &= (points[:, 1] > y0 + margin) & (points[:, 1] < y1 - margin)
-        floor = points[inside & (points[:, 2] < self.config.room.thickness)]
-        return area(floor[:, 0], floor[:, 1]) > 0.1 * (x1 - x0) * (y1 - y0)
+        low, high = np.array(rectangle[:2]), np.array(rectangle[2:])
+        return floor_seen(self.cloud, low, high) > self.config.open
 
     def _without_corners(self, rectangle: Rectangle, height: float) -> list[Rectangle]:
         """Cut off ends of a row that have no front, as in the corner of a room."""
@@ -277,21 +312,9 @@ class _Division:
 
     def _closed_share(self, rectangle: Rectangle, height: float) -> float:
         """Share of the fullest side of a box that surfaces are seen on [-]."""
-        config = self.config
         members = self._column(rectangle, height)
         points, normals = self.cloud.points[members], self.cloud.normals[members]
-        low_z, high_z = 0.12, height - 0.1
-        if high_z - low_z < 0.1:
-            return 0.0
-        shares = []
-        for side in range(4):
-            axis = side % 2
-            facing = np.abs(normals[:, axis]) > 0.8
-            at = np.abs(points[:, axis] - rectangle[side]) < config.overhang + 0.02
-            on = points[facing & at & (points[:, 2] > low_z) & (points[:, 2] < high_z)]
-            whole = (rectangle[3 - axis] - rectangle[1 - axis]) * (high_z - low_z)
-            shares.append(area(on[:, 1 - axis], on[:, 2]) / whole)
-        return max(shares)
+        return closed_share(points, normals, rectangle, height, self.config.overhang + 0.02)
 
     def _open(
         self, members: Int[np.ndarray, " k"], rectangle: Rectangle, height: float
@@ -364,18 +387,9 @@ class _Division:
             members = among[label == k]
             if len(members) < config.least_points:
                 break
-            if not self._flat_on_wall(members):
+            if not flat_on_wall(self.room, points[members], config.flat):
                 out.append(Instance("", 0.4, members))
         return out
-
-    def _flat_on_wall(self, members: Int[np.ndarray, " k"]) -> bool:
-        """Whether points are a picture on a wall, or the wall's own unevenness."""
-        points = self.cloud.points[members]
-        return any(
-            np.percentile(wall.distance(points), 95) < self.config.flat
-            and wall.beside(points, 0.5).all()
-            for wall in self.room.walls
-        )
 
 
 def _box(rectangle: Rectangle, bottom: float, top: float) -> UprightBox:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
+from scipy import ndimage
 
 from momapos.errors import InputError
 from momapos.types import FaceImage, Part, PartKind
@@ -32,14 +33,20 @@ class AlignmentConfig:
     """A door of less width or height, or a drawer of less width, is left out [m]."""
     least_drawer: float = 0.05
     """A drawer of less height is left out [m]."""
-    most_relief: float = 0.06
+    most_relief: float = 0.12
     """The front of a part lies this far before or behind the face at most [m]."""
     thickness: tuple[float, float] = (0.008, 0.035)
     """Least and greatest thickness of a handle, so that a gripper can hold it [m]."""
     handle_out: float = 0.04
     """How far a handle stands out where that was not measured [m]."""
-    handle_relief: tuple[float, float] = (0.015, 0.09)
+    handle_relief: tuple[float, float] = (0.015, 0.12)
     """What is measured below the first counts as not measured, the second is the most [m]."""
+    bar_out: float = 0.03
+    """A bar that stands out by this is the handle, where what was seen as one is flat [m]."""
+    bar_length: float = 0.1
+    """Such a bar is at least this long [m]."""
+    bar_thickness: float = 0.12
+    """And at most this thick [m]."""
 
 
 @dataclass(frozen=True)
@@ -266,15 +273,17 @@ def _too_small(kind: PartKind, area: Area, config: AlignmentConfig) -> bool:
 def _aligned(face: FaceImage, part: Part, area: Area, config: AlignmentConfig) -> AlignedPart:
     """Measure how far a part and its handle stand out."""
     seen = None if part.handle is None else area_of(part.handle, face)
+    if seen is not None and _is_flat(face, area, seen, config):
+        seen = _bar(face, area, config) or seen
     out = front_of(face, area, config.most_relief, without=seen)
-    handle = None if seen is None else _handle(face, area, seen, config)
+    handle = None if seen is None else _handle(face, area, seen, out, config)
     return AlignedPart(part.kind, area, out, handle)
 
 
 def _handle(
-    face: FaceImage, part: Area, seen: Area, config: AlignmentConfig
+    face: FaceImage, part: Area, seen: Area, behind: float, config: AlignmentConfig
 ) -> AlignedHandle | None:
-    """Give a handle a size that can be held; None where what was seen is not on the part."""
+    """Give a handle its place and a size that can be held; None where it is not on the part."""
     thinnest, thickest = config.thickness
     room = min(part.width, part.height) / 4
     inside = seen.within(part)
@@ -288,11 +297,20 @@ def _handle(
         height = float(np.clip(height, thinnest, thickest))
         width = max(width, height)
     margin = min(thinnest, room)  # off the edges, or it would scrape along what is beside it
-    x, z = (inside.left + inside.right) / 2, (inside.bottom + inside.top) / 2
+    out = _standing_out(face, part, inside, config)
+    x, z = _straight(face, inside, behind + out)
     left, right = _placed(x, width, part.left + margin, part.right - margin)
     bottom, top = _placed(z, height, part.bottom + margin, part.top - margin)
-    out = _standing_out(face, part, inside, config)
     return AlignedHandle(Area(left, bottom, right, top), out)
+
+
+def _straight(face: FaceImage, area: Area, out: float) -> tuple[float, float]:
+    """The middle of what stands out of a face [m], where it would be seen straight on."""
+    x, z = (area.left + area.right) / 2, (area.bottom + area.top) / 2
+    if face.eye is None:
+        return x, z
+    eye_x, eye_z, away = face.eye[0] + face.width / 2, face.eye[1] + face.height / 2, face.eye[2]
+    return x + (eye_x - x) * out / away, z + (eye_z - z) * out / away
 
 
 def _placed(middle: float, size: float, low: float, high: float) -> tuple[float, float]:
@@ -307,13 +325,48 @@ def _standing_out(face: FaceImage, part: Area, handle: Area, config: AlignmentCo
 
     A handle's rectangle holds some of the part behind it, so its upper quartile is taken.
     """
+    least, most = config.handle_relief
+    out = _measured_out(face, part, handle)
+    return config.handle_out if out is None or out < least else min(out, most)
+
+
+def _measured_out(face: FaceImage, part: Area, handle: Area) -> float | None:
+    """The same as measured [m]; None where it was not."""
     side = 0.02 + max(min(handle.width, handle.height), 0.0)
     around = Area(handle.left - side, handle.bottom - side, handle.right + side, handle.top + side)
     ring = around.within(part)
     assert ring is not None
     inside, beside = relief_in(face, handle), relief_in(face, ring, without=handle)
-    least, most = config.handle_relief
     if min(len(inside), len(beside)) < _FEWEST:
-        return config.handle_out
-    out = float(np.percentile(inside, 75) - np.median(beside))
-    return config.handle_out if out < least else min(out, most)
+        return None
+    return float(np.percentile(inside, 75) - np.median(beside))
+
+
+def _is_flat(face: FaceImage, part: Area, seen: Area, config: AlignmentConfig) -> bool:
+    """Whether what was taken for a handle was measured not to stand out: a sign, a lock."""
+    inside = seen.within(part)
+    out = None if inside is None else _measured_out(face, part, inside)
+    return out is not None and out < config.handle_relief[0]
+
+
+def _bar(face: FaceImage, part: Area, config: AlignmentConfig) -> Area | None:
+    """The longest bar that stands out of a part in the relief; None where there is none."""
+    rows, columns = _pixels(face, part)
+    relief = np.array(face.relief[rows, columns], float)
+    if np.isfinite(relief).sum() < _FEWEST:
+        return None
+    stands = relief > np.nanmedian(relief) + config.bar_out  # NaN compares as false
+    label, count = ndimage.label(stands, np.ones((3, 3)))
+    tall, wide = face.height / face.relief.shape[0], face.width / face.relief.shape[1]
+    bars = []
+    for down, across in ndimage.find_objects(label, count):
+        area = Area(
+            (columns.start + across.start) * wide,
+            face.height - (rows.start + down.stop) * tall,
+            (columns.start + across.stop) * wide,
+            face.height - (rows.start + down.start) * tall,
+        )
+        thick, length = sorted((area.width, area.height))
+        if length >= max(config.bar_length, 2 * thick) and thick <= config.bar_thickness:
+            bars.append((length, area))
+    return max(bars, key=lambda bar: bar[0])[1] if bars else None
