@@ -101,6 +101,9 @@ def _meets(pose, v, held, braking, discs, body, look, keep, at):
 def rate(pose, samples, dt, limits, body, things, way, s, discs, need, taste):
     """Score velocities, minus infinity for those after which the base could not stop in time.
 
+    They are looked at in the order of what they would be worth in an empty room, and no more once
+    that is less than the best found; those left out are minus infinity as well.
+
     Args:
         pose: Where the base believes to be (3,).
         samples: Velocities in the base frame (m, 3) [m/s, m/s, rad/s].
@@ -118,7 +121,16 @@ def rate(pose, samples, dt, limits, body, things, way, s, discs, need, taste):
     cap = max(2 * liked, 0.15)
     for d in range(len(discs)):
         keep[d] = min(distance, _to_disc(pose, discs[d, 0], discs[d, 1], body) - discs[d, 4])
+    worth = np.zeros(len(samples))
     for m in range(len(samples)):
+        out[m] = -np.inf
+        for share in (0.5, 1.0):
+            _carried(pose, samples[m], share * horizon, at)
+            worth[m] += 0.5 * _progress(at, way, s, deviation)
+    best = -np.inf
+    for m in np.argsort(-worth, kind="mergesort"):
+        if worth[m] <= best:
+            break
         v = samples[m]
         speed = np.hypot(v[0], v[1])
         braking = max(speed / limits[0], abs(v[2]) / limits[1])
@@ -141,12 +153,10 @@ def rate(pose, samples, dt, limits, body, things, way, s, discs, need, taste):
             ahead = t + max(g - need / 2, finest) / max(points, 1e-6)
             t = stop if t < stop < ahead else min(end, ahead)
         if met <= stop:
-            out[m] = -np.inf
             continue
         waits = 0.0
         if len(discs):
             if _meets(pose, v, dt, braking, discs, body, look, keep, at) < np.inf:
-                out[m] = -np.inf
                 continue
             hit = _meets(pose, v, look, braking, discs, body, look, keep, at)
             waits = max(0.0, 1 - hit / look)
@@ -154,7 +164,9 @@ def rate(pose, samples, dt, limits, body, things, way, s, discs, need, taste):
         for share in (0.5, 1.0):
             _carried(pose, v, min(share * horizon, met), at)
             score += 0.5 * _progress(at, way, s, deviation)
-        out[m] = score - crowding * max(0.0, 1 - least / liked) - waits
+        # To be stopped by something is never worth more than to go on.
+        out[m] = min(score, worth[m]) - crowding * max(0.0, 1 - least / liked) - waits
+        best = max(best, out[m])
     return out
 
 
