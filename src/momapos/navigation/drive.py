@@ -115,7 +115,7 @@ def drive(
         clock: Measures the control steps.
 
     Raises:
-        SceneError: Start or goal are no poses.
+        SceneError: Start or goal are no poses, or moving obstacles no discs.
     """
     poses = [np.array(pose, float) for pose in (start, goal)]
     for name, pose in zip(("start", "goal"), poses, strict=True):
@@ -179,7 +179,7 @@ class _Run:
             _, touched = self.judge.distance(pose[None])
             if touched[0]:
                 return f"the {name} is in collision with {touched[0]}"
-        discs = self.moving(0.0)
+        discs = self._discs()
         if (self.judge.to_discs(self.pose, discs) <= 0).any():
             return "the start is in collision with a moving obstacle"
         self.clearance = float(self.judge.distance(self.pose[None])[0][0])
@@ -235,9 +235,19 @@ class _Run:
         ground = _with_discs(self.ground, standing) if len(standing) else self.ground
         return plan_path(ground, self.localiser.pose, self.goal, self.config.path)
 
+    def _discs(self) -> Float[np.ndarray, "d 5"]:
+        """Moving obstacles as they are now."""
+        discs = np.asarray(self.moving(self.now), float)
+        if discs.ndim != 2 or discs.shape[1] != 5 or not np.isfinite(discs).all():
+            raise SceneError(
+                "moving obstacles must be rows of five finite numbers: x [m], y [m], vx [m/s], "
+                f"vy [m/s], radius [m]; at {self.now:.2f} s they were {discs.tolist()}"
+            )
+        return discs
+
     def _standing(self) -> Float[np.ndarray, "d 5"]:
         """Moving obstacles that do not move now."""
-        discs = self.moving(self.now)
+        discs = self._discs()
         return discs[np.hypot(discs[:, 2], discs[:, 3]) < _STANDING]
 
     def _wait(self, seconds: float) -> str:
@@ -258,7 +268,7 @@ class _Run:
         index, best, since = 0, -np.inf, self.now
         while True:
             began = self.clock()
-            pose, discs = self.localiser.pose, self.moving(self.now)
+            pose, discs = self.localiser.pose, self._discs()
             index = path.follow(pose, index, 0.5)
             near = self._left(pose) < BEGIN and path.s[-1] - path.s[index] < BEGIN + TURN * np.pi
             if near and can_stop(robot, self.velocity, self._left(pose)):
@@ -286,7 +296,7 @@ class _Run:
         waited = 0.0
         while not docking.finished(self.localiser.pose, self.velocity):
             began = self.clock()
-            pose, discs = self.localiser.pose, self.moving(self.now)
+            pose, discs = self.localiser.pose, self._discs()
             wish = docking.command(pose, self.velocity)
             reached = limited(robot, self.velocity, wish, config.control)
             if not steering.allows(pose, reached, discs):
@@ -334,7 +344,7 @@ class _Run:
             if name:
                 self.hit = name
                 return f"it hit {name}"
-        discs = self.moving(self.now)
+        discs = self._discs()
         if len(discs):
             near = float(self.judge.to_discs(self.pose, discs).min())
             self.clearance_moving = min(self.clearance_moving, near)
