@@ -271,16 +271,16 @@ class _Run:
             pose, discs = self.localiser.pose, self._discs()
             index = path.follow(pose, index, 0.5)
             near = self._left(pose) < BEGIN and path.s[-1] - path.s[index] < BEGIN + TURN * np.pi
-            if near and can_stop(robot, self.velocity, self._left(pose)):
+            short, halts = None, near and can_stop(robot, self.velocity, self._left(pose))
+            if halts:
                 short = direct_path(self.ground, pose, self.goal, config.path)
-                if short is not None and aimed(robot, short):
-                    return "", short
-                if stands(self.velocity):
-                    return "", None
+                short = short if short is not None and aimed(robot, short) else None
                 wish = velocity_window(robot, self.velocity, config.control)[0]
             else:
                 wish = steering.choose(pose, self.velocity, index, discs)
             self.step_times.append(self.clock() - began)
+            if halts and (short is not None or stands(self.velocity)):
+                return "", short
             if ended := self._step(wish):
                 return ended, None
             if path.s[index] > best + 0.02:
