@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Float
 
 from drive_figure import draw_drive
-from drive_rooms import Question, connected, people, questions, rooms
+from drive_rooms import People, Question, connected, questions, rooms
 from momapos.geometry.transforms import wrap_angle
 from momapos.navigation.drive import DriveConfig, DriveRecord, drive
 from momapos.navigation.footprint_map import Ground, survey
@@ -74,8 +74,11 @@ class _Clock:
 def driven(scene: Scene, ground: Ground, question: Question, seed: int, *, crowded: bool) -> Result:
     """Make one drive."""
     clock, rng = _Clock(), np.random.default_rng(seed)
-    moving = people(ground, question.start, rng) if crowded else None
-    record = drive(ground, question.start, question.goal, rng=rng, moving=moving, clock=clock)
+    around = {}
+    if crowded:
+        walking = People(ground, question.start, rng)
+        around = {"moving": walking, "meet": walking.meet}
+    record = drive(ground, question.start, question.goal, rng=rng, clock=clock, **around)
     note = ""
     if record.reason.startswith("there is no way"):
         found = connected(ground, question.start, question.goal)

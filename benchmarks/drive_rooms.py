@@ -17,7 +17,6 @@ from momapos.geometry.transforms import wrap_angle
 from momapos.manipulation.motion import room_boxes
 from momapos.navigation.clearance import gaps
 from momapos.navigation.cost_map import CELL, FloorPlan, build_cost_map
-from momapos.navigation.drive import Moving
 from momapos.navigation.footprint_map import HEADINGS, Ground
 from momapos.pipeline import base_height, room_plan
 from momapos.scene.files import builtin_names, load_scene
@@ -32,6 +31,8 @@ PERSON = 0.25
 """Radius of a person [m]."""
 PACE = 0.3, 0.6
 """How fast people walk [m/s]."""
+AWAY, PATIENCE = 0.4, 3.0
+"""How far from the robot people stop [m], and how long they wait there [s]."""
 _FINE, _TURNS = CELL / 2, 72
 """Cells [m] and headings [-] of the grid that says whether there is a way."""
 
@@ -109,31 +110,57 @@ def connected(ground: Ground, start: Float[np.ndarray, "3"], goal: Float[np.ndar
     return bool(near(start) & near(goal))
 
 
-def people(ground: Ground, start: Float[np.ndarray, "3"], rng: np.random.Generator) -> Moving:
-    """Two people who walk to and fro between free places, and look at nothing.
+class People:
+    """Two people who walk to and fro between free places, and stop before they walk into a robot.
 
-    They begin at least a metre from the robot.
+    They take the robot for a disc and keep a step away from it; one who has to wait for long turns
+    back. They begin at least a metre from it.
     """
-    walks = []
-    fits = (ground.gap > 0.0).any(0)
-    cells = np.argwhere(fits)
-    while len(walks) < 2:
-        i, j = cells[rng.integers(len(cells), size=2)].T
-        ends = ground.origin + (np.stack([j, i], -1) + 0.5) * CELL
-        length = float(np.hypot(*(ends[1] - ends[0])))
-        away = float(np.hypot(*(ends[0] - start[:2]))) - ground.body.radius - PERSON
-        line = ends[0] + np.linspace(0, 1, 100)[:, None] * (ends[1] - ends[0])
-        column, row = np.floor((line - ground.origin) / CELL).astype(int).T
-        if length > 1.0 and away > 1.0 and fits[row, column].all():
-            walks.append((ends[0], (ends[1] - ends[0]) / length, length, rng.uniform(*PACE)))
 
-    def at(time: float) -> Float[np.ndarray, "2 5"]:
-        discs = []
-        for begin, toward, length, pace in walks:
-            gone = pace * time % (2 * length)
-            way = np.sign(length - gone)
-            where = begin + toward * (length - abs(length - gone))
-            discs.append([*where, *(way * pace * toward), PERSON])
-        return np.array(discs)
+    def __init__(
+        self, ground: Ground, start: Float[np.ndarray, "3"], rng: np.random.Generator
+    ) -> None:
+        self.robot, self.radius, self.time = start[:2], ground.body.radius, 0.0
+        self.begin, self.toward, self.length = self._walks(ground, rng)
+        self.pace = rng.uniform(*PACE, size=2)
+        self.gone, self.way, self.waited = np.zeros(2), np.ones(2), np.zeros(2)
 
-    return at
+    def _walks(
+        self, ground: Ground, rng: np.random.Generator
+    ) -> tuple[Float[np.ndarray, "2 2"], Float[np.ndarray, "2 2"], Float[np.ndarray, " 2"]]:
+        fits = (ground.gap > 0.0).any(0)
+        cells, walks = np.argwhere(fits), []
+        while len(walks) < 2:
+            i, j = cells[rng.integers(len(cells), size=2)].T
+            a, b = ground.origin + (np.stack([j, i], -1) + 0.5) * CELL
+            length = float(np.hypot(*(b - a)))
+            away = float(np.hypot(*(a - self.robot))) - self.radius - PERSON
+            line = a + np.linspace(0, 1, 100)[:, None] * (b - a)
+            column, row = np.floor((line - ground.origin) / CELL).astype(int).T
+            if length > 1.0 and away > 1.0 and fits[row, column].all():
+                walks.append((a, (b - a) / length, length))
+        begin, toward, length = (np.array(parts) for parts in zip(*walks, strict=True))
+        return begin, toward, length
+
+    def meet(self, robot: Float[np.ndarray, "3"]) -> None:
+        """Look where the robot is."""
+        self.robot = robot[:2]
+
+    def __call__(self, time: float) -> Float[np.ndarray, "2 5"]:
+        """Walk on until a time [s], and say where they are."""
+        dt, self.time = time - self.time, time
+        where = self.begin + self.toward * self.gone[:, None]
+        to_robot = self.robot - where
+        near = np.hypot(*to_robot.T) < self.radius + PERSON + AWAY
+        ahead = self.way * (to_robot * self.toward).sum(1) > 0
+        stopped = near & ahead
+        self.waited = np.where(stopped, self.waited + dt, 0.0)
+        turned = self.waited > PATIENCE
+        self.gone += np.where(stopped, 0.0, self.way * self.pace * dt)
+        turned |= (self.gone >= self.length) & (self.way > 0) | (self.gone <= 0) & (self.way < 0)
+        self.way = np.where(turned, -self.way, self.way)
+        self.waited[turned] = 0.0
+        self.gone = np.clip(self.gone, 0.0, self.length)
+        velocity = np.where(stopped, 0.0, self.way * self.pace)[:, None] * self.toward
+        where = self.begin + self.toward * self.gone[:, None]
+        return np.column_stack([where, velocity, np.full(2, PERSON)])

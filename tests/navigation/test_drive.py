@@ -149,6 +149,12 @@ def test_what_crosses_the_way_is_waited_for_or_passed_and_never_hit(
     assert record.clearance_moving > 0
 
 
+def test_what_moves_is_told_where_the_base_is(robots: Callable[[str], Robot]) -> None:
+    seen: list[np.ndarray] = []
+    record = go(survey(room([]), robots("fetch")), meet=seen.append)
+    np.testing.assert_array_equal(record.poses[3::3], np.array(seen))
+
+
 def test_what_comes_to_stand_in_the_only_door_is_named_as_the_reason(
     robots: Callable[[str], Robot],
 ) -> None:

@@ -27,6 +27,8 @@ from momapos.protocols import Clock
 
 Moving = Callable[[float], Float[np.ndarray, "d 5"]]
 """Discs at a time [s]: x [m], y [m], vx [m/s], vy [m/s], radius [m]."""
+Meet = Callable[[Float[np.ndarray, "3"]], None]
+"""Is told the true pose of the base."""
 _NO_DISCS = np.zeros((0, 5))
 _STANDING = 0.05
 """Discs slower than this are gone around [m/s]."""
@@ -100,6 +102,7 @@ def drive(
     *,
     rng: np.random.Generator,
     moving: Moving | None = None,
+    meet: Meet | None = None,
     config: DriveConfig = DriveConfig(),
     clock: Clock = time.perf_counter,
 ) -> DriveRecord:
@@ -111,6 +114,7 @@ def drive(
         goal: The pose to reach.
         rng: Source of the noise; the same one gives the same drive.
         moving: What else moves; the controller sees it as it is at each moment.
+        meet: Told where the base is in every control step, for what moves and looks where it goes.
         config: How to drive.
         clock: Measures the control steps.
 
@@ -121,11 +125,16 @@ def drive(
     for name, pose in zip(("start", "goal"), poses, strict=True):
         if pose.shape != (3,) or not np.isfinite(pose).all():
             raise SceneError(f"the {name} must be three finite numbers: x [m], y [m], yaw [rad]")
-    return _Run(ground, poses[0], poses[1], rng, moving or _nothing, config, clock).record()
+    around = moving or _nothing, meet or _nobody
+    return _Run(ground, poses[0], poses[1], rng, *around, config, clock).record()
 
 
 def _nothing(_: float) -> Float[np.ndarray, "0 5"]:
     return _NO_DISCS
+
+
+def _nobody(_: Float[np.ndarray, "3"]) -> None:
+    return None
 
 
 class _Run:
@@ -138,11 +147,12 @@ class _Run:
         goal: Float[np.ndarray, "3"],
         rng: np.random.Generator,
         moving: Moving,
+        meet: Meet,
         config: DriveConfig,
         clock: Clock,
     ) -> None:
-        self.ground, self.goal, self.moving, self.config = ground, goal, moving, config
-        self.clock = clock
+        self.ground, self.goal, self.config, self.clock = ground, goal, config, clock
+        self.moving, self.meet = moving, meet
         self.judge = Judge(ground.body, ground.obstacles, ground.floor)
         self.localiser = Localiser(start, config.noise, rng)
         self.pose, self.velocity, self.now = start, np.zeros(3), 0.0
@@ -333,6 +343,7 @@ class _Run:
             self.times.append(self.now)
             self.poses.append(self.pose)
             self.velocities.append(self.velocity)
+        self.meet(self.pose)
         mean = np.mean(self.velocities[-count:], axis=0)
         self.localiser.step(self.pose, mean, config.control)
         return self._judged(np.array(passed))
