@@ -2,74 +2,126 @@
 
 Starts and goals are free poses of the footprint that a disc of the inscribed radius can drive
 between, at least 1.5 m apart that way. The way's length is compared with that geodesic length, the
-one that placement counts as cost. Prints a line a drive, then totals and every failure.
+one that placement counts as cost, and with the one for the footprint. Prints a line a drive, then
+totals and every failure; of a drive without a way also whether a fine grid of poses finds one.
 """
 
 from __future__ import annotations
 
 import argparse
+import gc
 import tempfile
 import time
-from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float
 
-from momapos.geometry.polygons import inscribed_radius
+from drive_figure import draw_drive
+from drive_rooms import People, Question, connected, questions, rooms
 from momapos.geometry.transforms import wrap_angle
-from momapos.manipulation.motion import room_boxes
-from momapos.navigation.clearance import gaps
-from momapos.navigation.cost_map import CELL, build_cost_map, floor_plan
 from momapos.navigation.drive import DriveConfig, DriveRecord, drive
-from momapos.navigation.footprint_map import HEADINGS, Ground, survey
-from momapos.robots.robot import library_names, load_robot
-from momapos.scene.files import builtin_names, load_scene
-from momapos.scene.kitchens import LAYOUTS, generate_kitchen
+from momapos.navigation.footprint_map import Ground, survey
+from momapos.robots.robot import Robot, library_names, load_robot
 from momapos.scene.scene import Scene
 
-FARTHER_THAN = 1.5
-"""Geodesic length of a drive at least [m]."""
-ROOM = 0.01
-"""Gap around start and goal at least [m]; placement asks for the same."""
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """One drive, and what was asked."""
+
+    room: str
+    robot: Robot
+    question: Question
+    record: DriveRecord
+    waited: Float[np.ndarray, " k"]
+    """Time that each control step took by the wall [s]; the record's is that on the processor."""
+    note: str = ""
+    """What else is to be said of a failure."""
+
+    @property
+    def row(self) -> str:
+        """The drive as a row of the table."""
+        record, asked = self.record, self.question
+        error = record.goal - record.pose
+        return (
+            f"{self.room:<16} {self.robot.name:<12} {asked.disc:5.2f} "
+            f"{record.length / asked.disc:6.3f} {record.length / asked.footprint:6.3f} "
+            f"{record.time:6.1f} {100 * record.clearance:6.1f} {100 * np.hypot(*error[:2]):5.1f} "
+            f"{np.degrees(abs(float(wrap_angle(error[2])))):5.2f} {record.ways:4d} "
+            f"{1000 * record.step_times.max(initial=0.0):6.2f} "
+            f"{1000 * self.waited.max(initial=0.0):6.1f}  {record.reason or 'arrived'}{self.note}"
+        )
 
 
-def rooms(folder: Path, layouts: int) -> Iterator[Scene]:
-    """The built-in kitchens, and one of each of some generated layouts."""
-    for name in builtin_names():
-        yield load_scene(name)
-    for seed, layout in enumerate(LAYOUTS[:layouts]):
-        yield load_scene(generate_kitchen(layout, seed=seed, out=folder / f"{layout}.json"))
+class _Clock:
+    """Time on the processor for the drive: what else runs is not the controller's. Notes both."""
+
+    def __init__(self) -> None:
+        self.wall: list[float] = []
+
+    def __call__(self) -> float:
+        self.wall.append(time.perf_counter())
+        return time.process_time()
+
+    @property
+    def steps(self) -> Float[np.ndarray, " k"]:
+        """Of each step, by the wall [s]."""
+        return np.diff(np.array(self.wall).reshape(-1, 2), axis=1)[:, 0]
 
 
-def questions(
-    ground: Ground, scene: Scene, rng: np.random.Generator
-) -> Iterator[tuple[np.ndarray, np.ndarray, float]]:
-    """Random starts and goals, with the geodesic length between them."""
-    robot = ground.robot
-    plan = floor_plan(room_boxes(scene), height=ground.body.cut, margin=2.0, floor=scene.floor)
-    states = np.argwhere(ground.free)
-    while True:
-        h, i, j = states[rng.integers(len(states), size=2)].T
-        xy = ground.origin + (np.stack([j, i], -1) + rng.uniform(0, 1, (2, 2))) * CELL
-        ends = np.column_stack([xy, wrap_angle(HEADINGS[h] + rng.uniform(-0.1, 0.1, 2))])
-        if (gaps(ends, ground.body, ground.things) < ROOM).any():
-            continue
-        cost = build_cost_map(plan, ends[0, :2], radius=inscribed_radius(robot.footprint))
-        length = float(cost.lengths(ends[1:, :2])[0])
-        if FARTHER_THAN <= length < np.inf:
-            yield ends[0], ends[1], length
+def driven(scene: Scene, ground: Ground, question: Question, seed: int, *, crowded: bool) -> Result:
+    """Make one drive."""
+    clock, rng = _Clock(), np.random.default_rng(seed)
+    around = {}
+    if crowded:
+        walking = People(ground, question.start, rng)
+        around = {"moving": walking, "meet": walking.meet}
+    record = drive(ground, question.start, question.goal, rng=rng, clock=clock, **around)
+    note = ""
+    if record.reason.startswith("there is no way"):
+        found = connected(ground, question.start, question.goal)
+        note = f" (a fine grid finds {'one' if found else 'none either'})"
+    if record.hit == "a moving obstacle":
+        stood = not np.abs(record.velocities[-3:]).max() > 0.02
+        note = " while it " + ("stood" if stood else "moved")
+    return Result(scene.name, ground.robot, question, record, clock.steps, note)
 
 
-def line(room: str, robot: str, geodesic: float, record: DriveRecord) -> str:
-    """One drive as a row of the table."""
-    error = record.goal - record.pose
-    slowest = 1000 * record.step_times.max(initial=0.0)
-    return (
-        f"{room:<16} {robot:<12} {geodesic:5.2f} {record.length / geodesic:6.3f} "
-        f"{record.time:6.1f} {100 * record.clearance:6.1f} {100 * np.hypot(*error[:2]):5.1f} "
-        f"{np.degrees(abs(float(wrap_angle(error[2])))):5.2f} {record.ways:4d} {slowest:6.1f}  "
-        f"{record.reason or 'arrived'}"
+def totals(kind: str, results: list[Result]) -> str:
+    """What came of the drives of one kind of base."""
+    records = [result.record for result in results]
+    good = [r for r in results if r.record.arrived]
+    lines = [
+        f"{kind}: {len(good)} of {len(results)} drives arrived ({len(good) / len(results):.1%}), "
+        f"{sum(bool(r.hit) for r in records)} touched something"
+    ]
+    for name in ("disc", "footprint"):
+        ratio = np.array([r.record.length / getattr(r.question, name) for r in good])
+        lines.append(
+            f"  length over the geodesic of the {name}: mean {ratio.mean():.3f}, "
+            f"95 % {np.quantile(ratio, 0.95):.3f}, most {ratio.max():.3f}, "
+            f"{(ratio > 1.15).sum()} above 1.15"
+        )
+    errors = np.abs([r.goal - r.pose for r in records if r.arrived])
+    off, turned = 100 * np.hypot(*errors.T[:2]), np.degrees(np.abs(wrap_angle(errors[:, 2])))
+    lines.append(
+        f"  true error at the end: median {np.median(off):.1f} cm, most {off.max():.1f} cm, "
+        f"{turned.max():.1f} degrees; smallest distance to furniture "
+        f"{100 * min(r.clearance for r in records):.1f} cm; "
+        f"time median {np.median([r.time for r in records if r.arrived]):.1f} s"
     )
+    for name, steps in (
+        ("on the processor", np.concatenate([r.step_times for r in records])),
+        ("by the wall", np.concatenate([r.waited for r in results])),
+    ):
+        lines.append(
+            f"  control step {name}: median {1000 * np.median(steps):.2f} ms, "
+            f"99.9 % {1000 * np.quantile(steps, 0.999):.2f} ms, most {1000 * steps.max():.2f} ms, "
+            f"{(steps > 0.005).sum()} of {len(steps)} above 5 ms"
+        )
+    return "\n".join(lines)
 
 
 def main() -> None:
@@ -77,52 +129,48 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--drives", type=int, default=200, help="in all [-]")
     parser.add_argument("--layouts", type=int, default=4, help="generated kitchens [-]")
+    parser.add_argument("--people", action="store_true", help="two people walk about in each room")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--figure", type=Path, help="draw the most winding drive of kitchen_small")
     args = parser.parse_args()
     robots = [load_robot(name) for name in library_names()]
     print(
-        f"{'room':<16} {'robot':<12} {'geo m':>5} {'length':>6} {'time s':>6} {'gap cm':>6} "
-        f"{'cm':>5} {'deg':>5} {'ways':>4} {'max ms':>6}"
+        f"{'room':<16} {'robot':<12} {'geo m':>5} {'disc':>6} {'foot':>6} {'time s':>6} "
+        f"{'gap cm':>6} {'cm':>5} {'deg':>5} {'ways':>4} {'cpu ms':>6} {'ms':>6}"
     )
-    records, ratios, kinds, lines = [], [], [], []
+    results: list[Result] = []
+    shown: list[tuple[Result, Scene, Ground]] = []
     with tempfile.TemporaryDirectory() as folder:
         scenes = list(rooms(Path(folder), args.layouts))
-        each = -(-args.drives // (len(scenes) * len(robots)))
-        for scene in scenes:
-            for robot in robots:
-                ground = survey(scene, robot)
-                rng = np.random.default_rng(args.seed)
-                asked = questions(ground, scene, rng)
-                for _ in range(min(each, args.drives - len(records))):
-                    start, goal, length = next(asked)
-                    # Time on the processor: what else runs is not the controller's.
-                    record = drive(ground, start, goal, rng=rng, clock=time.process_time)
-                    records.append(record)
-                    ratios.append(record.length / length)
-                    kinds.append(robot.drive)
-                    lines.append(line(scene.name, robot.name, length, record))
-                    print(lines[-1], flush=True)
-    arrived = np.array([record.arrived for record in records])
+        each, left = divmod(args.drives, len(scenes) * len(robots))
+        warm = set()
+        for n, (scene, robot) in enumerate((s, r) for s in scenes for r in robots):
+            ground = survey(scene, robot)
+            asked = questions(ground, scene, np.random.default_rng(args.seed))
+            for k in range(each + (n < left)):
+                question = next(asked)
+                if robot.drive not in warm:
+                    # The first drive of a process loads the compiled kernels.
+                    driven(scene, ground, question, args.seed, crowded=args.people)
+                    warm.add(robot.drive)
+                gc.collect()
+                gc.freeze()  # the rooms are not looked through again within a control step
+                result = driven(scene, ground, question, args.seed + k, crowded=args.people)
+                results.append(result)
+                if scene.name == "kitchen_small" and result.record.arrived:
+                    shown.append((result, scene, ground))
+                print(result.row, flush=True)
     print()
-    for kind in sorted(set(kinds)):
-        of_kind = np.array([k == kind for k in kinds])
-        ratio = np.array(ratios)[of_kind & arrived]
-        # The first steps of a process load the compiled kernels.
-        steps = np.concatenate(
-            [r.step_times[5:] for r, k in zip(records, of_kind, strict=True) if k]
-        )
-        print(
-            f"{kind}: {of_kind.sum()} drives, {arrived[of_kind].mean():.1%} arrived, "
-            f"{sum(bool(r.hit) for r, k in zip(records, of_kind, strict=True) if k)} collisions; "
-            f"length mean {ratio.mean():.3f}, 95 % {np.quantile(ratio, 0.95):.3f}, "
-            f"most {ratio.max():.3f} of the geodesic; "
-            f"step median {1000 * np.median(steps):.1f} ms, 99 % "
-            f"{1000 * np.quantile(steps, 0.99):.1f} ms, most {1000 * steps.max():.1f} ms"
-        )
+    for kind in sorted({robot.drive for robot in robots}):
+        print(totals(kind, [r for r in results if r.robot.drive == kind]))
     tolerance = DriveConfig().tolerance
     print(f"arrived: within {100 * tolerance:.0f} cm and 2 degrees of the goal, in truth")
-    for row in (row for row, good in zip(lines, arrived, strict=True) if not good):
-        print("FAILED", row)
+    for result in results:
+        if not result.record.arrived:
+            print("FAILED", result.row)
+    if args.figure and shown:
+        best, scene, ground = max(shown, key=lambda s: s[0].question.detour)
+        draw_drive(scene, ground, best.question, best.record, args.figure)
 
 
 if __name__ == "__main__":

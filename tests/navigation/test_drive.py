@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from tests.navigation.boxes import free_pose, room, wall_with_door
+from tests.navigation.boxes import free_pose, room, square, wall_with_door
 
 from momapos.errors import SceneError
 from momapos.geometry.transforms import wrap_angle
@@ -81,8 +81,33 @@ def test_what_cannot_be_driven_is_refused_with_the_reason(
     assert refused.reason == "there is no way for the footprint"
     assert not refused.arrived
     assert refused.length == 0.0
-    with pytest.raises(SceneError, match="the goal must be three finite numbers"):
-        go(ground, goal=np.array([0.0, np.nan, 0.0]))
+    for name in ("start", "goal"):
+        for wrong in (np.array([0.0, np.nan, 0.0]), np.zeros(2)):
+            with pytest.raises(SceneError, match=f"the {name} must be three finite numbers"):
+                go(ground, **{name: wrong})
+
+
+def test_a_floor_smaller_than_the_base_is_named_as_the_reason(
+    robots: Callable[[str], Robot],
+) -> None:
+    ground = survey(room([], floor=0.1 * square(1.0)), robots("fetch"))
+    refused = go(ground, np.zeros(3), np.array([0.01, 0.0, 0.0]))
+    assert refused.reason == "the start is in collision with the edge of the floor"
+
+
+def test_a_room_without_a_known_floor_has_no_edges(robots: Callable[[str], Robot]) -> None:
+    walls = replace(room([(0.0, 0.0, 0.4, 0.4, 0.3)]), floor=None)
+    for scene in (walls, replace(walls, objects=())):
+        record = go(survey(scene, robots("ranger_rm63")))
+        assert record.arrived, record.reason
+
+
+@pytest.mark.parametrize("wrong", [np.zeros(5), np.zeros((1, 4)), np.full((1, 5), np.nan)])
+def test_moving_obstacles_that_are_no_discs_are_refused(
+    robots: Callable[[str], Robot], wrong: np.ndarray
+) -> None:
+    with pytest.raises(SceneError, match="rows of five finite numbers"):
+        go(survey(room([]), robots("fetch")), moving=lambda _: wrong)
 
 
 @settings(max_examples=6, deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -122,6 +147,12 @@ def test_what_crosses_the_way_is_waited_for_or_passed_and_never_hit(
     record = go(ground, start, goal, moving=crossing(speed, 0.3))
     assert record.arrived, record.reason
     assert record.clearance_moving > 0
+
+
+def test_what_moves_is_told_where_the_base_is(robots: Callable[[str], Robot]) -> None:
+    seen: list[np.ndarray] = []
+    record = go(survey(room([]), robots("fetch")), meet=seen.append)
+    np.testing.assert_array_equal(record.poses[3::3], np.array(seen))
 
 
 def test_what_comes_to_stand_in_the_only_door_is_named_as_the_reason(

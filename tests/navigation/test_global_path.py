@@ -117,6 +117,40 @@ def test_a_base_close_to_furniture_can_back_out_and_come_in(
     assert touches_nothing(ground, back)
 
 
+@pytest.mark.parametrize("name", ["husky_ur5e", "segway_ur5e"])
+def test_a_base_beside_a_long_wall_shuffles_away_from_it_and_back(
+    robots: Callable[[str], Robot], name: str
+) -> None:
+    robot = robots(name)
+    side = float(robot.footprint[:, 1].max())
+    wall = 0.3
+    ground = survey(room([(0.0, 2.5, 6.0, wall, 0.0)]), robot)
+    # Along the wall, with too little room to turn at once to any heading of the lattice.
+    beside = np.array([0.2, 2.5 - wall / 2 - side - 0.03, 0.02])
+    away = np.array([-1.2, -1.0, 2.0])
+    assert Judge(ground.body, ground.obstacles, ground.floor).distance(beside[None])[0][0] > 0.01
+    for start, goal in ((beside, away), (away, beside)):
+        path = plan_path(ground, start, goal)
+        assert path is not None
+        assert touches_nothing(ground, path)
+        np.testing.assert_allclose(path.poses[[0, -1]], [start, goal], atol=1e-9)
+
+
+def test_a_room_hardly_larger_than_the_base_has_ways_but_no_turn(
+    robots: Callable[[str], Robot],
+) -> None:
+    robot = robots("husky_ur5e")
+    length, width = np.ptp(robot.footprint, axis=0) + np.array([0.3, 0.1])
+    corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    middle = (robot.footprint.max(0) + robot.footprint.min(0)) / 2
+    floor = middle + corners * [length / 2, width / 2]
+    ground = survey(room([], floor=floor), robot)
+    path = plan_path(ground, np.array([-0.1, 0.0, 0.0]), np.array([0.1, 0.0, 0.0]))
+    assert path is not None
+    assert path.length == pytest.approx(0.2)
+    assert plan_path(ground, np.zeros(3), np.array([0.0, 0.0, np.pi])) is None
+
+
 def test_the_way_keeps_its_distance_where_there_is_room(
     robots: Callable[[str], Robot],
 ) -> None:

@@ -27,6 +27,8 @@ from momapos.protocols import Clock
 
 Moving = Callable[[float], Float[np.ndarray, "d 5"]]
 """Discs at a time [s]: x [m], y [m], vx [m/s], vy [m/s], radius [m]."""
+Meet = Callable[[Float[np.ndarray, "3"]], None]
+"""Is told the true pose of the base."""
 _NO_DISCS = np.zeros((0, 5))
 _STANDING = 0.05
 """Discs slower than this are gone around [m/s]."""
@@ -100,6 +102,7 @@ def drive(
     *,
     rng: np.random.Generator,
     moving: Moving | None = None,
+    meet: Meet | None = None,
     config: DriveConfig = DriveConfig(),
     clock: Clock = time.perf_counter,
 ) -> DriveRecord:
@@ -111,21 +114,27 @@ def drive(
         goal: The pose to reach.
         rng: Source of the noise; the same one gives the same drive.
         moving: What else moves; the controller sees it as it is at each moment.
+        meet: Told where the base is in every control step, for what moves and looks where it goes.
         config: How to drive.
         clock: Measures the control steps.
 
     Raises:
-        SceneError: Start or goal are no poses.
+        SceneError: Start or goal are no poses, or moving obstacles no discs.
     """
     poses = [np.array(pose, float) for pose in (start, goal)]
     for name, pose in zip(("start", "goal"), poses, strict=True):
         if pose.shape != (3,) or not np.isfinite(pose).all():
             raise SceneError(f"the {name} must be three finite numbers: x [m], y [m], yaw [rad]")
-    return _Run(ground, poses[0], poses[1], rng, moving or _nothing, config, clock).record()
+    around = moving or _nothing, meet or _nobody
+    return _Run(ground, poses[0], poses[1], rng, *around, config, clock).record()
 
 
 def _nothing(_: float) -> Float[np.ndarray, "0 5"]:
     return _NO_DISCS
+
+
+def _nobody(_: Float[np.ndarray, "3"]) -> None:
+    return None
 
 
 class _Run:
@@ -138,11 +147,12 @@ class _Run:
         goal: Float[np.ndarray, "3"],
         rng: np.random.Generator,
         moving: Moving,
+        meet: Meet,
         config: DriveConfig,
         clock: Clock,
     ) -> None:
-        self.ground, self.goal, self.moving, self.config = ground, goal, moving, config
-        self.clock = clock
+        self.ground, self.goal, self.config, self.clock = ground, goal, config, clock
+        self.moving, self.meet = moving, meet
         self.judge = Judge(ground.body, ground.obstacles, ground.floor)
         self.localiser = Localiser(start, config.noise, rng)
         self.pose, self.velocity, self.now = start, np.zeros(3), 0.0
@@ -179,7 +189,7 @@ class _Run:
             _, touched = self.judge.distance(pose[None])
             if touched[0]:
                 return f"the {name} is in collision with {touched[0]}"
-        discs = self.moving(0.0)
+        discs = self._discs()
         if (self.judge.to_discs(self.pose, discs) <= 0).any():
             return "the start is in collision with a moving obstacle"
         self.clearance = float(self.judge.distance(self.pose[None])[0][0])
@@ -235,9 +245,19 @@ class _Run:
         ground = _with_discs(self.ground, standing) if len(standing) else self.ground
         return plan_path(ground, self.localiser.pose, self.goal, self.config.path)
 
+    def _discs(self) -> Float[np.ndarray, "d 5"]:
+        """Moving obstacles as they are now."""
+        discs = np.asarray(self.moving(self.now), float)
+        if discs.ndim != 2 or discs.shape[1] != 5 or not np.isfinite(discs).all():
+            raise SceneError(
+                "moving obstacles must be rows of five finite numbers: x [m], y [m], vx [m/s], "
+                f"vy [m/s], radius [m]; at {self.now:.2f} s they were {discs.tolist()}"
+            )
+        return discs
+
     def _standing(self) -> Float[np.ndarray, "d 5"]:
         """Moving obstacles that do not move now."""
-        discs = self.moving(self.now)
+        discs = self._discs()
         return discs[np.hypot(discs[:, 2], discs[:, 3]) < _STANDING]
 
     def _wait(self, seconds: float) -> str:
@@ -258,19 +278,19 @@ class _Run:
         index, best, since = 0, -np.inf, self.now
         while True:
             began = self.clock()
-            pose, discs = self.localiser.pose, self.moving(self.now)
+            pose, discs = self.localiser.pose, self._discs()
             index = path.follow(pose, index, 0.5)
             near = self._left(pose) < BEGIN and path.s[-1] - path.s[index] < BEGIN + TURN * np.pi
-            if near and can_stop(robot, self.velocity, self._left(pose)):
+            short, halts = None, near and can_stop(robot, self.velocity, self._left(pose))
+            if halts:
                 short = direct_path(self.ground, pose, self.goal, config.path)
-                if short is not None and aimed(robot, short):
-                    return "", short
-                if stands(self.velocity):
-                    return "", None
+                short = short if short is not None and aimed(robot, short) else None
                 wish = velocity_window(robot, self.velocity, config.control)[0]
             else:
                 wish = steering.choose(pose, self.velocity, index, discs)
             self.step_times.append(self.clock() - began)
+            if halts and (short is not None or stands(self.velocity)):
+                return "", short
             if ended := self._step(wish):
                 return ended, None
             if path.s[index] > best + 0.02:
@@ -286,7 +306,7 @@ class _Run:
         waited = 0.0
         while not docking.finished(self.localiser.pose, self.velocity):
             began = self.clock()
-            pose, discs = self.localiser.pose, self.moving(self.now)
+            pose, discs = self.localiser.pose, self._discs()
             wish = docking.command(pose, self.velocity)
             reached = limited(robot, self.velocity, wish, config.control)
             if not steering.allows(pose, reached, discs):
@@ -323,6 +343,7 @@ class _Run:
             self.times.append(self.now)
             self.poses.append(self.pose)
             self.velocities.append(self.velocity)
+        self.meet(self.pose)
         mean = np.mean(self.velocities[-count:], axis=0)
         self.localiser.step(self.pose, mean, config.control)
         return self._judged(np.array(passed))
@@ -334,7 +355,7 @@ class _Run:
             if name:
                 self.hit = name
                 return f"it hit {name}"
-        discs = self.moving(self.now)
+        discs = self._discs()
         if len(discs):
             near = float(self.judge.to_discs(self.pose, discs).min())
             self.clearance_moving = min(self.clearance_moving, near)

@@ -98,8 +98,47 @@ def _meets(pose, v, held, braking, discs, body, look, keep, at):
 
 
 @njit(cache=True, nogil=True)
+def _held(pose, v, span, need, dull, body, things, near, count, cap, work, at):
+    """Smallest gap while a velocity is held [m], and when too small a gap is met [s].
+
+    A velocity that is of no interest meets one at once.
+
+    Args:
+        pose, v, need: See `rate`.
+        span: Time after which a braking base would stand, until which gaps count, and until which
+            they are looked at [s]; how fast the robot's fastest point moves [m/s].
+        dull: Gap at which the velocity is of no more interest [m].
+        body, things, near, count, cap, work: See `gap`.
+        at: Scratch (3,).
+    """
+    stop, horizon, end, points = span
+    # Most that cannot be stopped in time would touch where they stop.
+    _carried(pose, v, stop, at)
+    if gap(at[0], at[1], at[2], body, things, near, count, cap, work) < need:
+        return cap, stop
+    t, least = 0.0, cap
+    while True:
+        _carried(pose, v, t, at)
+        g = gap(at[0], at[1], at[2], body, things, near, count, cap, work)
+        if g < need:
+            return least, t
+        if t <= horizon:
+            least = min(least, g)
+        if least <= dull:
+            return least, 0.0
+        if t >= end:
+            return least, np.inf
+        finest = 0.005 if t < stop else 0.03  # beyond the stop only the score is at stake
+        ahead = t + max(g - need / 2, finest) / max(points, 1e-6)
+        t = stop if t < stop < ahead else min(end, ahead)
+
+
+@njit(cache=True, nogil=True)
 def rate(pose, samples, dt, limits, body, things, way, s, discs, need, taste):
     """Score velocities, minus infinity for those after which the base could not stop in time.
+
+    They are looked at in the order of what they would be worth in an empty room, and no further
+    once they cannot become the best; those left out are minus infinity as well.
 
     Args:
         pose: Where the base believes to be (3,).
@@ -118,7 +157,16 @@ def rate(pose, samples, dt, limits, body, things, way, s, discs, need, taste):
     cap = max(2 * liked, 0.15)
     for d in range(len(discs)):
         keep[d] = min(distance, _to_disc(pose, discs[d, 0], discs[d, 1], body) - discs[d, 4])
+    worth = np.zeros(len(samples))
     for m in range(len(samples)):
+        out[m] = -np.inf
+        for share in (0.5, 1.0):
+            _carried(pose, samples[m], share * horizon, at)
+            worth[m] += 0.5 * _progress(at, way, s, deviation)
+    best = -np.inf
+    for m in np.argsort(-worth, kind="mergesort"):
+        if worth[m] <= best:
+            break
         v = samples[m]
         speed = np.hypot(v[0], v[1])
         braking = max(speed / limits[0], abs(v[2]) / limits[1])
@@ -126,27 +174,15 @@ def rate(pose, samples, dt, limits, body, things, way, s, discs, need, taste):
         end = max(horizon, stop)
         points = speed + body[4] * abs(v[2])
         count = select(pose[0], pose[1], points * end + body[4] + cap, things[5], near)
-        t, least, met = 0.0, cap, np.inf
-        while True:
-            _carried(pose, v, t, at)
-            g = gap(at[0], at[1], at[2], body, things, near, count, cap, work)
-            if g < need:
-                met = t
-                break
-            if t <= horizon:
-                least = min(least, g)
-            if t >= end:
-                break
-            finest = 0.005 if t < stop else 0.03  # beyond the stop only the score is at stake
-            ahead = t + max(g - need / 2, finest) / max(points, 1e-6)
-            t = stop if t < stop < ahead else min(end, ahead)
+        dull = -np.inf if crowding <= 0 else liked * (1 - (worth[m] - best) / crowding)
+        span = (stop, horizon, end, points)
+        least, met = _held(pose, v, span, need, dull, body, things, near, count, cap, work, at)
+        most = worth[m] - crowding * max(0.0, 1 - least / liked)
         if met <= stop:
-            out[m] = -np.inf
             continue
         waits = 0.0
         if len(discs):
             if _meets(pose, v, dt, braking, discs, body, look, keep, at) < np.inf:
-                out[m] = -np.inf
                 continue
             hit = _meets(pose, v, look, braking, discs, body, look, keep, at)
             waits = max(0.0, 1 - hit / look)
@@ -154,7 +190,9 @@ def rate(pose, samples, dt, limits, body, things, way, s, discs, need, taste):
         for share in (0.5, 1.0):
             _carried(pose, v, min(share * horizon, met), at)
             score += 0.5 * _progress(at, way, s, deviation)
-        out[m] = score - crowding * max(0.0, 1 - least / liked) - waits
+        # To be stopped by something is never worth more than to go on.
+        out[m] = min(score - worth[m], 0.0) + most - waits
+        best = max(best, out[m])
     return out
 
 

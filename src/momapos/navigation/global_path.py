@@ -7,6 +7,7 @@ shortest way over a lattice is not the shortest way.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,9 +15,10 @@ from jaxtyping import Bool, Float, Int
 from scipy.sparse.csgraph import dijkstra
 
 from momapos.geometry.transforms import wrap_angle
+from momapos.navigation.attachment import Exits, shuffled, straight
 from momapos.navigation.clearance import gaps
 from momapos.navigation.cost_map import CELL, cell_graph
-from momapos.navigation.footprint_map import HEADINGS, MOVES, Ground
+from momapos.navigation.footprint_map import FARTHEST, HEADINGS, MOVES, Ground
 from momapos.navigation.lattice import connections, search, shorten
 from momapos.navigation.outlines import on_floor
 
@@ -24,10 +26,8 @@ NEEDED = 0.01
 """Gap that every pose of a way has, but where it begins and ends [m]."""
 TURN = 0.3
 """A radian of turning counts as this much way where progress is measured [m/rad]."""
-_BACK = np.array([0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0, 1.2])
-"""How far a start or goal is left straight, before the base turns [m]."""
 _AROUND = 0.15, 0.3
-"""How far lattice states may be from there, and from the start or goal itself [m]."""
+"""How far lattice states may be from an exit, and from the start or goal itself [m]."""
 _SPACING = 0.15
 """Straight stretches of the lattice are offered for shortening at this spacing [m]."""
 _FINER = 0.97
@@ -120,6 +120,18 @@ def direct_path(
     return plan.sampled(nodes) if np.isfinite(cost[0]) else None
 
 
+@dataclass(frozen=True, eq=False)
+class _LatticeWay:
+    """A way between two trees of exits."""
+
+    states: Int[np.ndarray, " k"]
+    """Of the lattice, flat."""
+    before: Float[np.ndarray, "n 3"]
+    """Exits on the way from the start."""
+    after: Float[np.ndarray, "m 3"]
+    """Exits on the way from the goal."""
+
+
 @dataclass(frozen=True)
 class _Planner:
     """One question to the planner."""
@@ -130,6 +142,10 @@ class _Planner:
     """Gaps needed at the start and at the goal [m]."""
 
     @property
+    def omni(self) -> bool:
+        return self.ground.robot.drive == "omni"
+
+    @property
     def kernel(self) -> tuple:
         """What every kernel wants: kind of base, its outlines, those of the room, the taste."""
         return self.kernel_at(NEEDED)
@@ -137,42 +153,77 @@ class _Planner:
     def kernel_at(self, need: float) -> tuple:
         c, ground = self.config, self.ground
         taste = (float(need), c.liked, c.weight, c.turning, c.reversing)
-        omni = ground.robot.drive == "omni"
-        return omni, ground.body.arrays, ground.things.arrays, taste
+        return self.omni, ground.body.arrays, ground.things.arrays, taste
 
     def rough(
         self, start: Float[np.ndarray, "3"], goal: Float[np.ndarray, "3"]
-    ) -> list[Float[np.ndarray, "n 3"]]:
-        """Poses of a way over the lattice, none where there is none.
+    ) -> Iterator[Float[np.ndarray, "n 3"]]:
+        """Poses of ways, the likeliest first; each may still touch something where it is joined.
 
-        First with stretches thinned out, for speed; then all, for a cusp or a long turn is lost
-        with the poses left out of it.
+        A way over the lattice comes first with stretches thinned out, for speed, then with all its
+        poses, for a cusp or a long turn is lost with the poses left out of it.
         """
         direct, _ = connections(start[None], goal[None], *self.kernel_at(self.needs.min()))
-        simple = [np.stack([start, goal])] if np.isfinite(direct[0]) else []
+        simple = np.stack([start, goal])
         if np.isfinite(direct[0]):
             bound = np.hypot(*(goal - start)[:2])
-            turn = abs(wrap_angle(goal[2] - start[2])) if self.kernel[0] else 2 * np.pi
+            turn = abs(wrap_angle(goal[2] - start[2])) if self.omni else 2 * np.pi
             if direct[0] <= bound + self.config.turning * turn + 1e-6:
-                return simple
-        first, out = self._attached(start, self.needs[0], outward=True)
-        last, back = self._attached(goal, self.needs[1], outward=False)
+                yield simple
+                return
+        for shuffle in (False, True):
+            ends = (self._exits(start, 0, shuffle), self._exits(goal, 1, shuffle))
+            way = self._over_lattice(*ends)
+            if way is not None:
+                every = self._states(way.states)
+                for states in (_thinned(every), every):
+                    yield np.concatenate(
+                        [start[None], way.before, states, way.after[::-1], goal[None]]
+                    )
+            if np.isfinite(direct[0]):
+                yield simple
+                return
+
+    def _exits(self, pose: Float[np.ndarray, "3"], end: int, shuffle: bool) -> Exits:
+        """Poses from which the lattice can be entered; `end` is 0 at the start, 1 at the goal."""
+
+        def joined(a: np.ndarray, b: np.ndarray, tight: bool) -> np.ndarray:
+            return self._joined(a, b, end, tight)
+
+        def room(poses: np.ndarray) -> np.ndarray:
+            return gaps(poses, self.ground.body, self.ground.things, cap=FARTHEST)
+
+        sides = 4 if self.omni else 2
+        return shuffled(pose, sides, joined, room) if shuffle else straight(pose, sides, joined)
+
+    def _joined(
+        self,
+        inner: Float[np.ndarray, "n 3"],
+        outer: Float[np.ndarray, "n 3"],
+        end: int,
+        tight: bool,
+    ) -> Float[np.ndarray, " n"]:
+        """Cost of the simple way from each inner pose to the outer one; to it at the goal [m]."""
+        kernel = self.kernel_at(float(self.needs[end]) if tight else NEEDED)
+        inner, outer = np.ascontiguousarray(inner), np.ascontiguousarray(outer)
+        return connections(*((outer, inner) if end else (inner, outer)), *kernel)[0]
+
+    def _over_lattice(self, first: Exits, last: Exits) -> _LatticeWay | None:
+        """The cheapest way from one tree of exits to the other."""
+        costs, via = zip(*(self._attached(e, k) for k, e in enumerate((first, last))), strict=True)
         ground = self.ground
         _, rows, columns = ground.gap.shape
-        cells = np.unique(np.flatnonzero(np.isfinite(last)) % (rows * columns))
-        if not len(cells) or not np.isfinite(first).any():
-            return simple
+        cells = np.unique(np.flatnonzero(np.isfinite(costs[1])) % (rows * columns))
+        if not len(cells) or not np.isfinite(costs[0]).any():
+            return None
         graph = cell_graph(np.any(ground.gap >= NEEDED, axis=0))
         ahead = _FINER * dijkstra(graph, indices=cells, min_only=True).reshape(rows, columns)
         lattice = (ground.origin, CELL, MOVES, HEADINGS)
-        way = search(ground.gap, ahead, first, last, lattice, *self.kernel)
-        if not len(way):
-            return simple
-        every = self._states(way)
-        return [
-            np.concatenate([start[None], out[way[0]], poses, back[way[-1]], goal[None]])
-            for poses in (_thinned(every), every)
-        ]
+        states = search(ground.gap, ahead, *costs, lattice, *self.kernel)
+        if not len(states):
+            return None
+        before = first.way(via[0][int(states[0])])
+        return _LatticeWay(states, before, last.way(via[1][int(states[-1])]))
 
     def _states(self, index: Int[np.ndarray, " k"]) -> Float[np.ndarray, "k 3"]:
         h, i, j = np.unravel_index(index, self.ground.gap.shape)
@@ -180,42 +231,24 @@ class _Planner:
         return np.column_stack([xy, HEADINGS[h]])
 
     def _attached(
-        self, pose: Float[np.ndarray, "3"], need: float, *, outward: bool
-    ) -> tuple[Float[np.ndarray, " states"], dict[int, Float[np.ndarray, "k 3"]]]:
-        """Costs between a pose and the lattice states around it, and the pose on the way to each.
-
-        A base that stands close to furniture first backs out straight: turning at once, or going
-        for the centre of a cell, would touch.
-        """
-        kernel = self.kernel_at(need)
-        sides = np.arange(4 if kernel[0] else 2) * (np.pi / 2 if kernel[0] else np.pi)
-        rays = [
-            [pose[0] + d * np.cos(pose[2] + side), pose[1] + d * np.sin(pose[2] + side), pose[2]]
-            for side in sides
-            for d in _BACK[1:]
-        ]
-        ends = np.array([pose, *rays])
-        same = np.broadcast_to(pose, ends.shape).copy()
-        so_far, _ = connections(*(same, ends) if outward else (ends, same), *kernel)
+        self, exits: Exits, end: int
+    ) -> tuple[Float[np.ndarray, " states"], dict[int, int]]:
+        """Costs between the root of a tree and the lattice around it, and by which exit each is."""
         found = [
-            self._near(end, _AROUND[k == 0], outward)
-            for k, end in enumerate(ends)
-            if np.isfinite(so_far[k])
+            self._near(pose, _AROUND[k == 0], outward=not end) for k, pose in enumerate(exits.poses)
         ]
-        which = np.repeat(np.flatnonzero(np.isfinite(so_far)), [len(f) for f in found])
+        which = np.repeat(np.arange(len(found)), [len(f) for f in found])
         cost = np.full(self.ground.gap.size, np.inf)
         if not len(which):
             return cost, {}
         index = np.concatenate(found)
-        states = self._states(index)
-        between, _ = connections(
-            *(ends[which], states) if outward else (states, ends[which]), *kernel
-        )
-        total = so_far[which] + between
+        states, total = self._states(index), exits.cost[which]
+        tight = exits.near_root()[which]
+        for part, same in ((tight, True), (~tight, False)):
+            total[part] += self._joined(exits.poses[which[part]], states[part], end, same)
         order = np.argsort(-total)
         cost[index[order]] = total[order]  # of several ways to one state the last, cheapest stays
-        via = {int(index[k]): ends[which[k]][None] for k in order if np.isfinite(total[k])}
-        return cost, via
+        return cost, {int(index[k]): int(which[k]) for k in order if np.isfinite(total[k])}
 
     def _near(
         self, end: Float[np.ndarray, "3"], radius: float, outward: bool
@@ -242,7 +275,7 @@ class _Planner:
     def merged(self, nodes: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
         """Turn at each node from one leg to the next at once, not by way of the node's heading."""
         nodes, kernel = nodes.copy(), self.kernel_at(self.needs.min())
-        if kernel[0]:
+        if self.omni:
             return nodes
         for k in range(1, len(nodes) - 1):
             step = nodes[k, :2] - nodes[k - 1, :2]
@@ -259,12 +292,11 @@ class _Planner:
 
     def sampled(self, nodes: Float[np.ndarray, "n 3"]) -> Path:
         """Every pose of the way over nodes."""
-        omni = self.kernel[0]
         _, backwards = connections(nodes[:-1], nodes[1:], *self.kernel_at(self.needs.min()))
         poses = [nodes[0]]
         for a, b, back in zip(nodes[:-1], nodes[1:], backwards, strict=True):
             step = b[:2] - a[:2]
-            if omni:
+            if self.omni:
                 poses += _line(poses[-1], step, b[2])
                 continue
             heading = np.arctan2(step[1], step[0]) + np.pi * back

@@ -1,0 +1,166 @@
+"""What drives are asked for: rooms, starts and goals, people; and whether there is a way at all."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+from scipy.ndimage import label
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from momapos.geometry.polygons import inscribed_radius
+from momapos.geometry.transforms import wrap_angle
+from momapos.manipulation.motion import room_boxes
+from momapos.navigation.clearance import gaps
+from momapos.navigation.cost_map import CELL, FloorPlan, build_cost_map
+from momapos.navigation.footprint_map import HEADINGS, Ground
+from momapos.pipeline import base_height, room_plan
+from momapos.scene.files import builtin_names, load_scene
+from momapos.scene.kitchens import LAYOUTS, generate_kitchen
+from momapos.scene.scene import Scene
+
+FARTHER_THAN = 1.5
+"""Geodesic length of a drive at least [m]."""
+ROOM = 0.01
+"""Gap around start and goal at least [m]; placement asks for the same."""
+PERSON = 0.25
+"""Radius of a person [m]."""
+PACE = 0.3, 0.6
+"""How fast people walk [m/s]."""
+AWAY, PATIENCE = 0.4, 3.0
+"""How far from the robot people stop [m], and how long they wait there [s]."""
+_FINE, _TURNS = CELL / 2, 72
+"""Cells [m] and headings [-] of the grid that says whether there is a way."""
+
+
+@dataclass(frozen=True, eq=False)
+class Question:
+    """A drive that is asked for."""
+
+    start: Float[np.ndarray, "3"]
+    goal: Float[np.ndarray, "3"]
+    disc: float
+    """Geodesic length for a disc of the inscribed radius, placement's cost [m]."""
+    footprint: float
+    """Geodesic length over cells in which the footprint fits at some heading [m]."""
+
+    @property
+    def detour(self) -> float:
+        """How much longer than the straight line the way is [m]."""
+        return self.disc - float(np.hypot(*(self.goal - self.start)[:2]))
+
+
+def rooms(folder: Path, layouts: int) -> Iterator[Scene]:
+    """The built-in kitchens, and one of each of some generated layouts."""
+    for name in builtin_names():
+        yield load_scene(name)
+    for seed, layout in enumerate(LAYOUTS[:layouts]):
+        yield load_scene(generate_kitchen(layout, seed=seed, out=folder / f"{layout}.json"))
+
+
+def questions(ground: Ground, scene: Scene, rng: np.random.Generator) -> Iterator[Question]:
+    """Random starts and goals that the disc can drive between."""
+    robot = ground.robot
+    plan = room_plan(room_boxes(scene), scene.floor, base_height(robot))
+    # Half a cell less than nothing: a footprint that fits between two centres counts as well.
+    fits = FloorPlan(ground.origin, ~(ground.gap > -CELL / 2).any(0))
+    states = np.argwhere(ground.free)
+    while True:
+        h, i, j = states[rng.integers(len(states), size=2)].T
+        xy = ground.origin + (np.stack([j, i], -1) + rng.uniform(0, 1, (2, 2))) * CELL
+        ends = np.column_stack([xy, wrap_angle(HEADINGS[h] + rng.uniform(-0.1, 0.1, 2))])
+        if (gaps(ends, ground.body, ground.things) < ROOM).any():
+            continue
+        cost = build_cost_map(plan, ends[0, :2], radius=inscribed_radius(robot.footprint))
+        length = float(cost.lengths(ends[1:, :2])[0])
+        if FARTHER_THAN <= length < np.inf:
+            real = build_cost_map(fits, ends[0, :2], radius=0.0)
+            yield Question(*ends, length, float(real.lengths(ends[1:, :2])[0]))
+
+
+def connected(ground: Ground, start: Float[np.ndarray, "3"], goal: Float[np.ndarray, "3"]) -> bool:
+    """Whether a fine grid of free poses joins a start and a goal, by steps of one cell or turn.
+
+    It asks for no way that the base can drive, so it errs on the side of there being one.
+    """
+    high = ground.origin + np.array(ground.gap.shape[:0:-1]) * CELL
+    x, y = (np.arange(ground.origin[k] + _FINE / 2, high[k], _FINE) for k in (0, 1))
+    X, Y = (a.ravel() for a in np.meshgrid(x, y))
+    turns = np.arange(_TURNS) * 2 * np.pi / _TURNS
+    room = [
+        gaps(np.column_stack([X, Y, np.full(X.size, t)]), ground.body, ground.things, cap=0.05)
+        for t in turns
+    ]
+    parts, count = label((np.array(room) > 0).reshape(_TURNS, len(y), len(x)))
+    around = (parts[0] > 0) & (parts[-1] > 0)  # the last heading is next to the first one
+    pairs = parts[0][around], parts[-1][around]
+    ones = np.ones(len(pairs[0]))
+    _, group = connected_components(coo_matrix((ones, pairs), (count + 1, count + 1)), False)
+
+    def near(pose: np.ndarray) -> set[int]:
+        i, j = np.abs(y - pose[1]).argmin(), np.abs(x - pose[0]).argmin()
+        h = np.abs(wrap_angle(turns - pose[2])).argmin()
+        found = parts[np.arange(h - 1, h + 2) % _TURNS, i - 1 : i + 2, j - 1 : j + 2]
+        return set(group[found[found > 0]].tolist())
+
+    return bool(near(start) & near(goal))
+
+
+class People:
+    """Two people who walk to and fro between free places, and stop before they walk into a robot.
+
+    They take the robot for a disc and keep a step away from it; one who has to wait for long turns
+    back. They begin at least a metre from it.
+    """
+
+    def __init__(
+        self, ground: Ground, start: Float[np.ndarray, "3"], rng: np.random.Generator
+    ) -> None:
+        self.robot, self.radius, self.time = start[:2], ground.body.radius, 0.0
+        self.begin, self.toward, self.length = self._walks(ground, rng)
+        self.pace = rng.uniform(*PACE, size=2)
+        self.gone, self.way, self.waited = np.zeros(2), np.ones(2), np.zeros(2)
+
+    def _walks(
+        self, ground: Ground, rng: np.random.Generator
+    ) -> tuple[Float[np.ndarray, "2 2"], Float[np.ndarray, "2 2"], Float[np.ndarray, " 2"]]:
+        fits = (ground.gap > 0.0).any(0)
+        cells, walks = np.argwhere(fits), []
+        while len(walks) < 2:
+            i, j = cells[rng.integers(len(cells), size=2)].T
+            a, b = ground.origin + (np.stack([j, i], -1) + 0.5) * CELL
+            length = float(np.hypot(*(b - a)))
+            away = float(np.hypot(*(a - self.robot))) - self.radius - PERSON
+            line = a + np.linspace(0, 1, 100)[:, None] * (b - a)
+            column, row = np.floor((line - ground.origin) / CELL).astype(int).T
+            if length > 1.0 and away > 1.0 and fits[row, column].all():
+                walks.append((a, (b - a) / length, length))
+        begin, toward, length = (np.array(parts) for parts in zip(*walks, strict=True))
+        return begin, toward, length
+
+    def meet(self, robot: Float[np.ndarray, "3"]) -> None:
+        """Look where the robot is."""
+        self.robot = robot[:2]
+
+    def __call__(self, time: float) -> Float[np.ndarray, "2 5"]:
+        """Walk on until a time [s], and say where they are."""
+        dt, self.time = time - self.time, time
+        where = self.begin + self.toward * self.gone[:, None]
+        to_robot = self.robot - where
+        near = np.hypot(*to_robot.T) < self.radius + PERSON + AWAY
+        ahead = self.way * (to_robot * self.toward).sum(1) > 0
+        stopped = near & ahead
+        self.waited = np.where(stopped, self.waited + dt, 0.0)
+        turned = self.waited > PATIENCE
+        self.gone += np.where(stopped, 0.0, self.way * self.pace * dt)
+        turned |= (self.gone >= self.length) & (self.way > 0) | (self.gone <= 0) & (self.way < 0)
+        self.way = np.where(turned, -self.way, self.way)
+        self.waited[turned] = 0.0
+        self.gone = np.clip(self.gone, 0.0, self.length)
+        velocity = np.where(stopped, 0.0, self.way * self.pace)[:, None] * self.toward
+        where = self.begin + self.toward * self.gone[:, None]
+        return np.column_stack([where, velocity, np.full(2, PERSON)])

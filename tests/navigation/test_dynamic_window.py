@@ -1,0 +1,74 @@
+"""The choice of a velocity."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from tests.navigation.boxes import free_pose, room
+
+from momapos.navigation.base import moved
+from momapos.navigation.dynamic_window import Steering, WindowConfig, velocity_window
+from momapos.navigation.footprint_map import survey
+from momapos.navigation.global_path import plan_path
+from momapos.navigation.judge import Judge
+from momapos.robots.robot import Robot
+
+DT = 0.06
+BOXES = [(0.0, 0.2, 0.9, 0.5, 0.4), (-1.4, 1.2, 0.5, 0.5, 0.0), (1.3, -1.2, 0.4, 0.8, 1.0)]
+
+
+def samples_on_the_way(
+    robot: Robot, discs: np.ndarray
+) -> list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
+    """Poses, velocities, their scores looked at together, and one by one."""
+    ground = survey(room(BOXES), robot)
+    rng, found = np.random.default_rng(0), []
+    while len(found) < 30:
+        path = plan_path(ground, *(free_pose(ground, rng, gap=0.02) for _ in range(2)))
+        if path is None:
+            continue
+        steering = Steering(ground, path, WindowConfig(), DT)
+        for index in range(0, len(path.poses), 10):
+            pose = path.poses[index] + rng.normal(size=3) * 0.01
+            now = np.array([rng.uniform(0, robot.max_speed), 0.0, rng.uniform(-0.6, 0.6)])
+            window = velocity_window(robot, now, DT)
+            together = steering.ratings(pose, window, index, discs)
+            alone = [steering.ratings(pose, v[None], index, discs)[0] for v in window]
+            found.append((pose, window, together, np.array(alone)))
+    return found
+
+
+@pytest.mark.parametrize("name", ["segway_ur5e", "ranger_rm63"])
+def test_the_velocity_chosen_is_the_best_of_all_looked_at_one_by_one(
+    robots: Callable[[str], Robot], name: str
+) -> None:
+    walker = np.array([[0.5, -0.5, -0.4, 0.2, 0.25]])
+    moving = 0
+    for discs in (np.zeros((0, 5)), walker):
+        for _, _, together, alone in samples_on_the_way(robots(name), discs):
+            assert together.max() == alone.max()
+            seen = np.isfinite(together)
+            np.testing.assert_array_equal(together[seen], alone[seen])
+            moving += int(seen.any())
+    assert moving > 20
+
+
+def test_after_a_velocity_that_is_allowed_the_base_can_brake_without_touching(
+    robots: Callable[[str], Robot],
+) -> None:
+    robot = robots("husky_ur5e")
+    ground = survey(room(BOXES), robot)
+    judge = Judge(ground.body, ground.obstacles, ground.floor)
+    checked = 0
+    for pose, window, _, alone in samples_on_the_way(robot, np.zeros((0, 5))):
+        for v in window[np.isfinite(alone)][::9]:
+            braking = max(
+                float(np.hypot(v[0], v[1])) / robot.max_acceleration,
+                abs(float(v[2])) / robot.max_yaw_acceleration,
+            )
+            arc = np.linspace(0.0, DT + braking / 2, 20)
+            assert not any(judge.distance(np.array([moved(pose, v, t) for t in arc]))[1])
+            checked += 1
+    assert checked > 50
