@@ -136,6 +136,32 @@ def test_a_room_with_no_place_to_stand_is_infeasible_because_the_base_is_blocked
     assert "base blocked" in plan.candidates.rejections
 
 
+@pytest.mark.parametrize("verb", ["open", "pick"])
+def test_a_part_without_room_on_its_way_is_infeasible_with_the_reason(
+    verb: str, robots: Callable[[str], Robot], tmp_path: Path
+) -> None:
+    item = (
+        ', {{"name": "{}", "category": "thing", "pose": {{"xyz": {}, "wxyz": [1, 0, 0, 0]}},'
+        ' "box": {}}}'
+    )
+    extra = {  # a post before the door; a cup 2 cm below a board
+        "open": item.format("post", [-0.1, -0.6, 0.6], [0.04, 0.04, 0.04]),
+        "pick": item.format("cup", [0, -1.5, 0.75], [0.05, 0.05, 0.1])
+        + item.format("board", [0, -1.5, 0.83], [0.3, 0.3, 0.02])
+        + item.format("table", [0, -1.5, 0.35], [0.6, 0.6, 0.7]),
+    }[verb]
+    scene = cabinet_room(tmp_path, extra=extra)
+    task = make_task(scene, verb, "cabinet" if verb == "open" else "cup")
+    plan = place(scene, robots("ranger_rm63"), task, Everywhere()).plan
+    assert plan.status == "infeasible"
+    (reason,) = plan.candidates.rejections
+    if verb == "open":
+        assert reason.startswith("cabinet/door hits post/box at ")
+        assert reason.endswith(" deg on its way from 0 to 90 deg")
+    else:
+        assert reason == "cup/box hits board/box when lifted by 0.03 of 0.05 m"
+
+
 def test_no_time_is_no_answer_and_says_so(robots: Callable[[str], Robot], tmp_path: Path) -> None:
     scene = cabinet_room(tmp_path)
     task = make_task(scene, "open", "cabinet")

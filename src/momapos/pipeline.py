@@ -27,13 +27,13 @@ from momapos.kinematics.hulls import Boxes
 from momapos.kinematics.world import World, build_world
 from momapos.manipulation.feasibility import Feasibility, hand_clears
 from momapos.manipulation.handles import opening_direction
-from momapos.manipulation.motion import TaskMotion, in_room, room_boxes, task_motion
+from momapos.manipulation.motion import LIFT, TaskMotion, in_room, room_boxes, task_motion
 from momapos.manipulation.nearness import near_boxes, stood_boxes, swept_boxes
 from momapos.manipulation.tasks import hand_path, openable
 from momapos.navigation.cost_map import FloorPlan, build_cost_map, floor_plan
 from momapos.navigation.start import find_start
 from momapos.placement.area import Site, footprints
-from momapos.placement.place import Problem, Search, search
+from momapos.placement.place import Barred, Problem, Search, search
 from momapos.protocols import Clock, ReachScorer
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene, upright_boxes
@@ -77,6 +77,7 @@ def place(
     reach: ReachScorer,
     *,
     start: Float[np.ndarray, "3"] | None = None,
+    barred: Barred | None = None,
     config: PipelineConfig = DEFAULT,
     seed: int = 0,
     clock: Clock = time.perf_counter,
@@ -92,6 +93,7 @@ def place(
         task: What is to be done, see `make_task`.
         reach: The robot's reachability map.
         start: Where the base is now: x [m], y [m], yaw [rad]; the scene's start by default.
+        barred: Rules base poses out, such as those that were driven to in vain.
         config: How to search.
         seed: Same seed, same answer.
         clock: Measures the stages and the timeout.
@@ -100,7 +102,9 @@ def place(
         SceneError: The start is no free pose.
         TaskError: The gripper cannot hold the object.
     """
-    ask = _Question(scene, robot, task, reach, config, seed, _Stopwatch(clock), clock())
+    ask = _Question(
+        scene, robot, task, reach, barred, config, seed, _Stopwatch(clock), clock()
+    )  # fmt: skip
     with ask.watch.stage("importance"):
         path = hand_path(scene, task.object, task.joint, task.to)
         ranked = rank(scene, task.object, config.importance, path=path, seed=seed)
@@ -130,6 +134,7 @@ class _Question:
     robot: Robot
     task: Task
     reach: ReachScorer
+    barred: Barred | None
     config: PipelineConfig
     seed: int
     watch: _Stopwatch
@@ -168,6 +173,7 @@ class _Question:
             cost = build_cost_map(plan, start[:2], radius=inscribed_radius(robot.footprint))
         with self.watch.stage("exact model"):
             exact = ExactWorld(modelled, robot, self.task)
+            blocked = exact.blocked(LIFT)
         site = Site(
             robot=robot,
             Ts_world_tool=np.ascontiguousarray(motion.Ts_world_tool[:, motion.coarse]),
@@ -191,9 +197,10 @@ class _Question:
             travel_cost=cost.lengths,
             attempt=feasible,
             screen=feasible.screen,
-            hopeless="" if roomy.any() else f"the hand hits {obstacle} in every grasp",
+            hopeless=blocked or ("" if roomy.any() else f"the hand hits {obstacle} in every grasp"),
             start=start,
             out_of_time=out_of_time,
+            barred=self.barred,
         )
         # Only a room without stand-ins can tell that there is no base pose at all; in any other one
         # round of samples has to do.

@@ -1,32 +1,35 @@
 """Drive there and do it: a plan, carried out in physics.
 
-On arrival the arm motion is planned anew from the pose really reached; where that fails, another
-base pose is asked for, from there.
+The base drives from its start to the base pose. On arrival the arm motion is planned anew from the
+pose really reached; where the drive ends elsewhere, or the arm finds no motion, the next cheapest
+base pose is driven to, from there.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from importlib import metadata
-from typing import cast
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from momapos.config import PipelineConfig
-from momapos.errors import InputError
+from momapos.errors import InputError, SceneError
 from momapos.execution.config import ExecutionConfig
 from momapos.execution.record import Execution, Pose, RunRecord, Visit
 from momapos.execution.run import Watch, execute
-from momapos.geometry.polygons import all_inside
-from momapos.kinematics.base_collision import base_hits
-from momapos.kinematics.collision import FREE
+from momapos.geometry.transforms import wrap_angle
 from momapos.manipulation.feasibility import Feasibility, hand_clears
-from momapos.manipulation.motion import room_boxes, task_motion
+from momapos.manipulation.motion import task_motion
+from momapos.navigation.clearance import gaps
+from momapos.navigation.drive import DriveConfig, DriveRecord, drive
+from momapos.navigation.footprint_map import Ground, survey
+from momapos.navigation.judge import Judge
+from momapos.navigation.localisation import NoiseConfig
 from momapos.pipeline import arm_world, place, start_pose
-from momapos.placement.area import CLEAR, Site, footprints, standing
+from momapos.placement.area import CLEAR, Site, standing
 from momapos.placement.place import REASONS
 from momapos.protocols import Clock, ReachScorer
 from momapos.robots.robot import Robot
@@ -36,43 +39,37 @@ from momapos.verification.exact import ExactWorld
 
 DEFAULT = PipelineConfig()
 PHYSICS = ExecutionConfig()
-POSITION, HEADING = 0.02, np.radians(1.0)
-"""Standard deviation of the pose reached, in each direction [m], and of its yaw [rad]."""
-WORST_POSITION, WORST_HEADING = 0.03, np.radians(2.0)
-"""No arrival is farther off than this [m], [rad]."""
-_DRAWS = 100
+DRIVING = DriveConfig()
+QUIET = NoiseConfig(position=0.0, heading=0.0, odometry=0.0)
+"""Sensors without errors."""
+APART = 0.15
+"""A base pose is another one when it is this far from those that failed [m]."""
+TURN = 0.3
+"""A radian of turning counts as this distance [m]."""
+NONE_LEFT = "no other base pose is left"
 
-
-@dataclass(frozen=True)
-class Arrival:
-    """Where a drive ended."""
-
-    pose: Pose
-    """The true pose: x [m], y [m], yaw [rad]."""
-    length: float
-    """Driven [m]."""
-    seconds: float = 0.0
-    """How long it took [s]."""
-    reason: str = ""
-    """Why it did not arrive; "" where it did."""
-
-
-Drive = Callable[[Pose, Pose, float, np.random.Generator], Arrival]
-"""Drives from a pose to a pose; also given the length that was planned, where it is known [m]."""
+Drive = Callable[
+    [Ground, Float[np.ndarray, "3"], Float[np.ndarray, "3"], np.random.Generator], DriveRecord
+]
+"""Drives from a pose to a pose: x [m], y [m], yaw [rad]."""
+Trace = Callable[[Float[np.ndarray, " t"], Float[np.ndarray, "t 3"]], None]
+"""Called after every drive with its times [s] and true poses."""
 
 
 def run_plan(
     plan: PlacementPlan,
     scene: Scene,
     robot: Robot,
+    reach: ReachScorer,
     *,
-    reach: ReachScorer | None = None,
-    drive: Drive | None = None,
     start: Float[np.ndarray, "3"] | None = None,
     attempts: int = 3,
     config: PipelineConfig = DEFAULT,
+    driving: DriveConfig = DRIVING,
     physics: ExecutionConfig = PHYSICS,
     seed: int = 0,
+    go: Drive | None = None,
+    trace: Trace | None = None,
     watch: Watch | None = None,
     clock: Clock = time.perf_counter,
 ) -> RunRecord:
@@ -82,60 +79,100 @@ def run_plan(
         plan: A solved plan for this scene and robot.
         scene: The room.
         robot: The robot.
-        reach: The robot's reachability map, for planning anew; needed with `drive`.
-        drive: How the base drives; without it the base stands where the plan says, and the plan's
-            own arm motion is executed.
+        reach: The robot's reachability map, for planning anew.
         start: Where the base is at first; as for `place` by default.
         attempts: Base poses that are driven to at most [-].
         config: How to plan anew.
+        driving: How the base drives, and how wrong its sensors are.
         physics: How to model and judge.
-        seed: Same seed, same run.
+        seed: Same seed, same run. The furniture is drawn from a stream of its own, so that it is
+            the same for every plan, however far it has to be driven.
+        go: Drives in the place of `navigation.drive`.
+        trace: Sees the drives.
         watch: Sees the physics, see `execute`.
         clock: Measures the stages.
 
     Raises:
-        InputError: The plan is not solved, or `reach` is missing.
-        SceneError: The robot stands in something at the beginning, of the drive or of the motion.
+        InputError: The plan is not solved.
+        SceneError: The robot stands in something at the start.
         TaskError, RobotError: They do not fit together.
     """
-    if plan.status != "solved" or plan.motion is None or plan.base_pose is None:
+    if plan.status != "solved" or plan.base_pose is None:
         raise InputError(f"the plan is {plan.status!r}: there is nothing to execute")
-    rng, spent = np.random.default_rng(seed), {"drive": 0.0, "plan": 0.0, "execute": 0.0}
-    watch_of = _Watch(clock, spent)
-    visits: tuple[Visit, ...] = (_there(plan),)
-    pose, motion = plan.base_pose, cast("Motion | None", plan.motion)
-    if drive is not None:
-        if reach is None:
-            raise InputError("planning anew on arrival needs the robot's reachability map")
-        trip = _Trip(scene, robot, plan, reach, drive, config, seed, watch_of)
-        visits, pose, motion = trip.go(start, attempts, rng)
+    of_drive, of_world = np.random.default_rng(seed).spawn(2)
+    timing = _Timing(clock)
+
+    def by_window(
+        ground: Ground,
+        here: Float[np.ndarray, "3"],
+        goal: Float[np.ndarray, "3"],
+        rng: np.random.Generator,
+    ) -> DriveRecord:
+        return drive(ground, here, goal, rng=rng, config=driving, clock=clock)
+
+    with timing("drive"):
+        ground = survey(scene, robot)
+    trip = _Trip(ground, scene, plan, reach, go or by_window, config, trace or _unseen, timing)
+    here, motion = trip.go(_begin(ground, scene, plan.task, start, config), attempts, of_drive)
     outcome: Execution | None = None
     if motion is not None:
-        with watch_of("execute"):
-            outcome = execute(
-                scene, robot, pose, motion, plan.task, physics, rng, watch=watch, clock=clock
-            )
+        try:
+            with timing("execute"):
+                outcome = execute(
+                    scene, robot, _triple(here), motion, plan.task, physics, of_world,
+                    watch=watch, clock=clock,
+                )  # fmt: skip
+        except SceneError as error:  # by the exact shapes of the physics, which nothing before uses
+            trip.visits[-1] = replace(trip.visits[-1], reason=str(error))
     return RunRecord(
         scene=plan.scene,
         robot=robot.name,
         task=plan.task,
-        visits=visits,
+        visits=tuple(trip.visits),
         execution=outcome,
         seed=seed,
-        noise=drive is not None,
-        time=spent,
+        noise=driving.noise != QUIET,
+        time=timing.spent,
         versions={name: metadata.version(name) for name in ("momapos", "mujoco", "toppra")},
     )
 
 
-class _Watch:
+def _unseen(_: Float[np.ndarray, " t"], __: Float[np.ndarray, "t 3"]) -> None:
+    """Nobody looks."""
+
+
+def _begin(
+    ground: Ground,
+    scene: Scene,
+    task: Task,
+    start: Float[np.ndarray, "3"] | None,
+    config: PipelineConfig,
+) -> Float[np.ndarray, "3"]:
+    """Where the base is at first.
+
+    Raises:
+        SceneError: The base cannot stand there, or not with its arm at home.
+    """
+    robot = ground.robot
+    pose = start_pose(scene, robot, task_motion(scene, robot, task, config.motion), start)
+    touched = Judge(ground.body, ground.obstacles, ground.floor).distance(pose[None])[1][0]
+    if touched:
+        x, y, yaw = pose
+        raise SceneError(
+            f"start ({x:.2f}, {y:.2f}, {np.degrees(yaw):.0f} deg): {robot.name} with its arm at "
+            f"home would touch {touched}; give another --start"
+        )
+    return pose
+
+
+class _Timing:
     """Adds up seconds by stage."""
 
-    def __init__(self, clock: Clock, spent: dict[str, float]) -> None:
-        self.clock, self.spent = clock, spent
+    def __init__(self, clock: Clock) -> None:
+        self.clock, self.spent = clock, {"drive": 0.0, "plan": 0.0, "execute": 0.0}
         self.stage, self.began = "", 0.0
 
-    def __call__(self, stage: str) -> _Watch:
+    def __call__(self, stage: str) -> _Timing:
         self.stage = stage
         return self
 
@@ -146,67 +183,92 @@ class _Watch:
         self.spent[self.stage] += self.clock() - self.began
 
 
-def _there(plan: PlacementPlan) -> Visit:
-    """The base stands exactly where the plan says."""
-    assert plan.base_pose is not None
-    return Visit(plan.base_pose, plan.base_pose, plan.navigation_cost or 0.0, 0.0, "")
-
-
-@dataclass(frozen=True)
+@dataclass
 class _Trip:
     """Drives to base poses until the arm finds a motion at one."""
 
+    ground: Ground
     scene: Scene
-    robot: Robot
     plan: PlacementPlan
     reach: ReachScorer
     drive: Drive
     config: PipelineConfig
-    seed: int
-    watch: _Watch
+    trace: Trace
+    timing: _Timing
+    visits: list[Visit] = field(default_factory=list)
+    failed: list[Float[np.ndarray, "3"]] = field(default_factory=list)
+    """Base poses that were no good."""
 
     def go(
-        self, start: Float[np.ndarray, "3"] | None, attempts: int, rng: np.random.Generator
-    ) -> tuple[tuple[Visit, ...], Pose, Motion | None]:
-        """Drive, plan anew, and ask for another base pose where that fails.
+        self, here: Float[np.ndarray, "3"], attempts: int, rng: np.random.Generator
+    ) -> tuple[Float[np.ndarray, "3"], Motion | None]:
+        """Drive, plan anew, and ask for the next base pose where that fails.
 
         Returns:
-            All visits, the pose reached last, and the motion found there, if any.
+            The pose reached last, and the motion found there, if any.
         """
         plan: PlacementPlan | None = self.plan
-        moved = task_motion(self.scene, self.robot, self.plan.task, self.config.motion)
-        here = _triple(start_pose(self.scene, self.robot, moved, start))
-        visits: list[Visit] = []
         motion = None
-        while len(visits) < attempts and motion is None and plan is not None:
-            goal, cost = plan.base_pose, plan.navigation_cost or 0.0
-            assert goal is not None
-            with self.watch("drive"):
-                arrival = self.drive(here, goal, cost, rng)
-            here, reason = arrival.pose, arrival.reason
-            if not reason:
-                with self.watch("plan"):
-                    attempt = self._motion(here, len(visits))
+        while plan is not None and len(self.visits) < attempts:
+            assert plan.base_pose is not None
+            goal = np.array(plan.base_pose)
+            with self.timing("drive"):
+                driven = self.drive(self.ground, here, goal, rng)
+            self.trace(driven.times, driven.poses)
+            here, reason, plan = driven.pose, driven.reason, None
+            if driven.arrived:
+                with self.timing("plan"):
+                    attempt = self._motion(here)
                 motion, reason = attempt.motion, attempt.reason
-            visits.append(Visit(goal, here, arrival.length, arrival.seconds, reason))
-            if motion is None and len(visits) < attempts:
-                with self.watch("plan"):
-                    plan = self._another(here, len(visits))
-        return tuple(visits), here, motion
+                self.failed.append(here)
+            self.failed.append(goal)
+            self.visits.append(_visit(goal, driven, reason))
+            # A base that touched something is not driven on: that is an accident, no detour.
+            if motion is None and not driven.hit and len(self.visits) < attempts:
+                with self.timing("plan"):
+                    plan = self._another(here)
+                if plan is None:
+                    reason = f"{reason}; {NONE_LEFT}"
+                    self.visits[-1] = replace(self.visits[-1], reason=reason)
+        return here, motion
 
-    def _motion(self, pose: Pose, attempt: int) -> Attempt:
+    def _motion(self, pose: Float[np.ndarray, "3"]) -> Attempt:
         return motion_at(
-            self.scene, self.robot, self.plan.task, np.array(pose), self.reach,
-            config=self.config, seed=self.seed + attempt,
+            self.scene, self.ground.robot, self.plan.task, pose, self.reach,
+            config=self.config, seed=self.plan.seed,
         )  # fmt: skip
 
-    def _another(self, pose: Pose, attempt: int) -> PlacementPlan | None:
-        """The cheapest base pose seen from where the robot is; other samples, other poses."""
-        answer = place(
-            self.scene, self.robot, self.plan.task, self.reach, start=np.array(pose),
-            config=self.config, seed=self.seed + attempt,
-        )  # fmt: skip
+    def _another(self, pose: Float[np.ndarray, "3"]) -> PlacementPlan | None:
+        """The cheapest base pose seen from where the robot is, those that failed ruled out."""
+        try:
+            answer = place(
+                self.scene, self.ground.robot, self.plan.task, self.reach, start=pose,
+                barred=self._barred, config=self.config, seed=self.plan.seed,
+            )  # fmt: skip
+        except SceneError:  # boxes hold more than the outlines that were driven by
+            return None
         return answer.plan if answer.plan.status == "solved" else None
+
+    def _barred(self, poses: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
+        """Poses near one that failed, and those where the base cannot dock with its arm at home."""
+        away = poses[:, None] - np.array(self.failed)
+        apart = np.hypot(away[..., 0], away[..., 1]) + TURN * np.abs(wrap_angle(away[..., 2]))
+        fits = gaps(poses, self.ground.body, self.ground.things) > 0.0
+        return np.asarray((apart < APART).any(1) | ~fits)
+
+
+def _visit(goal: Float[np.ndarray, "3"], driven: DriveRecord, reason: str) -> Visit:
+    return Visit(
+        planned=_triple(goal),
+        reached=_triple(driven.pose),
+        length=driven.length,
+        seconds=driven.time,
+        reason=reason,
+        arrived=driven.arrived,
+        way=driven.planned if np.isfinite(driven.planned) else None,
+        clearance=driven.clearance if np.isfinite(driven.clearance) else None,
+        hit=driven.hit,
+    )
 
 
 def motion_at(
@@ -257,30 +319,6 @@ def motion_at(
     if screened[0].q is None:
         return Attempt(None, screened[0].reason)
     return feasible(base, screened[0], np.argsort(-scores[0], kind="stable"))
-
-
-def noisy_arrival(scene: Scene, robot: Robot) -> Drive:
-    """A drive that ends near its goal, as far off as a localisation by radio beacons would be.
-
-    It stands in for driving: it never ends in furniture, which a base would notice.
-    """
-    boxes = room_boxes(scene)
-
-    def stands(pose: Float[np.ndarray, "3"]) -> bool:
-        on_floor = scene.floor is None or all_inside(scene.floor, footprints(robot, pose[None]))[0]
-        free = base_hits(pose[None], robot.base, boxes, clearance=0.0)[0] == FREE
-        return bool(on_floor and free)
-
-    def drive(_: Pose, goal: Pose, length: float, rng: np.random.Generator) -> Arrival:
-        for _draw in range(_DRAWS):
-            off = rng.normal(0.0, [POSITION, POSITION, HEADING])
-            near = np.hypot(off[0], off[1]) <= WORST_POSITION and abs(off[2]) <= WORST_HEADING
-            pose = np.array(goal) + off
-            if near and stands(pose):
-                return Arrival(_triple(pose), length)
-        return Arrival(goal, length, reason="there is no room around the planned base pose")
-
-    return drive
 
 
 def _triple(pose: Float[np.ndarray, "3"]) -> Pose:

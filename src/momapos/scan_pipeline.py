@@ -23,7 +23,7 @@ from momapos.perception.gravity import GravityConfig, upright
 from momapos.perception.planes import RoomConfig, find_room
 from momapos.perception.rows import RowConfig, split_row
 from momapos.perception.segment import ClassicalSegmenter
-from momapos.perception.views import View, ViewConfig, choose_view
+from momapos.perception.views import Seen, View, ViewConfig, choose_view
 from momapos.protocols import ArticulationPredictor, Clock, Segmenter
 from momapos.reconstruction.build import GivenModel, build_scene, place_model
 from momapos.reconstruction.model import ModelConfig, furniture_model
@@ -162,7 +162,7 @@ def scan_to_scene(
     detections = boxes(cloud, things, room, config.boxes)
     marks["boxes"] = clock()
     progress("dividing rows", 0.3)
-    instances = divide(detections, cloud, frames, tools.look, config)
+    instances, before = divide(detections, cloud, frames, tools.look, config)
     if len(instances) > len(detections):
         detections = boxes(cloud, instances, room, config.boxes)
     if found is not None:
@@ -176,7 +176,8 @@ def scan_to_scene(
     for k, item in enumerate(detections):
         progress(item.name, 0.4 + 0.6 * k / len(detections))
         at = clock()
-        decision = _decide(item, scores.get(item.name), frames, tools, found, given or {}, config)
+        score = scores.get(item.name)
+        decision = _decide(item, score, frames, before, tools, found, given or {}, config)
         decisions.append(replace(decision, seconds=clock() - at))
     marks["model"] = clock()
     walls = wall_detections(room, config.boxes)
@@ -210,22 +211,28 @@ def divide(
     frames: Sequence[Frame],
     look: ArticulationPredictor,
     config: ScanConfig,
-) -> list[Instance]:
-    """Cut rows of furniture between their fronts; the pieces have no label yet."""
+) -> tuple[list[Instance], list[Seen]]:
+    """Cut rows of furniture between their fronts.
+
+    Returns:
+        All things, the pieces of rows without a label yet; and what was seen on the rows.
+    """
     instances: list[Instance] = []
+    before: list[Seen] = []
     for item in detections:
 
         def seen(face: FaceImage, label: str = item.label) -> Front:
             return look(face, label)
 
-        pieces = split_row(item.box, frames, seen, config.rows, config.view)
+        pieces, front = split_row(item.box, frames, seen, config.rows, config.view)
+        before += [front] if front is not None else []
         if len(pieces) == 1:
             instances.append(Instance(item.label, item.score, item.members, item.box))
             continue
         for box in pieces:
             members = item.members[inside(cloud.points[item.members], box)]
             instances.append(Instance("", 1.0, members, box))
-    return instances
+    return instances, before
 
 
 def _relabelled(item: Detection, frames: Sequence[Frame], found: Found) -> Detection:
@@ -271,6 +278,7 @@ def _decide(
     item: Detection,
     score: float | None,
     frames: Sequence[Frame],
+    before: Sequence[Seen],
     tools: Tools,
     found: Found | None,
     given: Mapping[str, GivenModel],
@@ -287,7 +295,8 @@ def _decide(
     def look(face: FaceImage) -> Front:
         return tools.look(face, item.label)
 
-    view = choose_view(item.box, frames, sights(item.box, frames, found), look, config.view)
+    seen = sights(item.box, frames, found)
+    view = choose_view(item.box, frames, seen, look, config.view, before)
     if view is None:
         return replace(box, reason="no picture shows a front")
     facing = float(np.arctan2(view.face.outward[1], view.face.outward[0]))

@@ -98,6 +98,9 @@ class FaceImage:
     width: float
     """Size of the face [m]."""
     height: float
+    eye: Float[np.ndarray, "3"] | None = None
+    """Where the camera was that took the colours [m]: x right and y up from the middle of the face,
+    z outward. What stands out was seen displaced, away from there. None where it is not known."""
 
 
 @dataclass(frozen=True)

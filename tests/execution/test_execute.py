@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import json
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -75,6 +76,7 @@ def test_a_state_that_is_no_number_ends_the_run_as_a_failure(tmp_path: Path) -> 
     assert not done.success
     assert "diverged" in done.reason
     assert done.simulated < 1.1
+    assert "diverged" in json.dumps(asdict(done), allow_nan=False)
 
 
 def test_a_motion_that_holds_nan_is_refused(tmp_path: Path) -> None:

@@ -9,7 +9,14 @@ from momapos.geometry.transforms import apply
 from momapos.perception.detections import sights
 from momapos.perception.faces import box_faces
 from momapos.perception.rows import RowConfig, split_row
-from momapos.perception.views import ViewConfig, choose_view, door_evidence
+from momapos.perception.views import (
+    Seen,
+    ViewConfig,
+    choose_view,
+    door_evidence,
+    placed,
+    surest,
+)
 from momapos.types import FaceImage, Frame, Front, Part, UprightBox
 
 FRONT = 2
@@ -121,7 +128,9 @@ def test_a_row_is_cut_where_no_door_crosses_and_wings_stay_together() -> None:
         picture(camera((-0.3, y, 0.9), (2.0, y, 0.45)), ROW, row_paint)
         for y in np.linspace(-1, 1, 7)
     ]
-    pieces = split_row(ROW, frames, doors_in, RowConfig(), ViewConfig())
+    pieces, front = split_row(ROW, frames, doors_in, RowConfig(), ViewConfig())
+    assert front is not None
+    assert sorted(part.kind for part in front.parts) == sorted(kind for _, _, kind in DOORS)
     widths = [piece.size[1] for piece in pieces]
     assert np.allclose(widths, [0.6, 0.8, 0.58, 0.42], atol=0.02)
     assert sum(widths) == np.float64(2.4)
@@ -131,4 +140,53 @@ def test_a_row_is_cut_where_no_door_crosses_and_wings_stay_together() -> None:
 
 def test_a_row_without_fronts_stays_one_thing() -> None:
     frames = [picture(camera((-0.3, 0, 0.9), (2.0, 0, 0.45)), ROW, row_paint)]
-    assert split_row(ROW, frames, lambda _: Front(0.1, ()), RowConfig(), ViewConfig()) == [ROW]
+    pieces, front = split_row(ROW, frames, lambda _: Front(0.1, ()), RowConfig(), ViewConfig())
+    assert pieces == [ROW]
+    assert front is None
+
+
+def test_parts_seen_on_a_row_lie_at_the_same_place_on_its_pieces() -> None:
+    whole = box_faces(ROW)[2]
+    part = Part("door_left", (0.55, 0.1, 0.75, 0.9), 0.9, handle=(0.7, 0.4, 0.72, 0.6))
+    right = box_faces(UprightBox(np.array([2.0, -0.6, 0.45]), np.array([0.6, 1.2, 0.9])))[2]
+    (there,) = placed([part], whole, right)
+    assert there.handle is not None
+    assert np.allclose(there.box, (0.1, 0.1, 0.5, 0.9))
+    assert np.allclose(there.handle, (0.4, 0.4, 0.44, 0.6))
+    (again,) = placed([there], right, whole)
+    assert np.allclose(again.box, part.box)
+
+
+def test_parts_seen_elsewhere_are_not_on_a_face() -> None:
+    whole, part = box_faces(ROW)[2], Part("door_left", (0.0, 0.1, 0.3, 0.9), 0.9)
+    right = UprightBox(np.array([2.0, -0.6, 0.45]), np.array([0.6, 1.2, 0.9]))
+    assert not placed([part], whole, box_faces(right)[2])
+    behind = UprightBox(np.array([2.5, 0.0, 0.45]), np.array([0.6, 2.4, 0.9]))
+    assert not placed([part], whole, box_faces(behind)[2])
+    assert all(not placed([part], whole, box_faces(ROW)[index]) for index in (0, 1, 3))
+
+
+def test_of_parts_seen_twice_the_surer_stays_be_they_one_or_two() -> None:
+    wide = Part("drawer", (0.0, 0.0, 1.0, 1.0), 0.5)
+    wings = [Part("door_left", (0.0, 0.0, 0.5, 1.0), 0.9), Part("door_right", (0.5, 0, 1, 1), 0.8)]
+    assert surest([wide, *wings]) == tuple(wings)
+    assert surest([replace(wide, score=0.95), *wings]) == (replace(wide, score=0.95),)
+    assert surest(wings) == tuple(wings)
+
+
+def test_a_door_that_only_the_row_showed_makes_a_piece_of_it_a_front() -> None:
+    frames = around([0.0, 0.2], FRONT)
+    seen, face = sights(FRIDGE, frames), box_faces(FRIDGE)[FRONT]
+    door = Part("door_left", (0.0, 0.0, 1.0, 1.0), 0.9)
+
+    def blind(_: FaceImage) -> Front:
+        return Front(0.2, ())
+
+    assert choose_view(FRIDGE, frames, seen, blind, ViewConfig()) is None
+    before = [Seen(face, 0.8, (door,))]
+    for method in ("voting", "first"):
+        config = ViewConfig(method=method)  # type: ignore[arg-type]
+        view = choose_view(FRIDGE, frames, seen, blind, config, before)
+        assert view is not None
+        assert view.face.index == FRONT
+        assert view.front.parts == (door,)

@@ -126,6 +126,11 @@ def the_door_hits_the_base(case: Case) -> None:
     case.robot = case.robot.replace('size="0.4 0.4 0.5"', 'size="0.9 0.4 0.65"')
 
 
+@mutation("moved part in the scene")
+def an_obstacle_in_the_way_of_the_door(case: Case) -> None:
+    case.obstacle([0.04, 0.04, 0.04], [-0.007, 0.06, 0.45])
+
+
 @mutation("arm in the scene")
 def an_obstacle_in_the_way_of_the_forearm(case: Case) -> None:
     case.obstacle([0.04, 0.04, 0.1], [-0.2, 0.25, 0.85])

@@ -35,6 +35,8 @@ for path in map(Path, sys.argv[1:]):
     report, _ = verify_plan.verify(json.loads(path.read_text()), path.parent, None, options)
     print(json.dumps({check["check"]: (check["ok"], check["value"]) for check in report.checks}))
 """
+OURS_ALONE = {"moved part in the scene"}
+"""Checks that the other does not have."""
 
 
 @pytest.fixture(scope="module")
@@ -87,7 +89,7 @@ def test_the_independent_checker_finds_the_same(tmp_path: Path) -> None:
         theirs = json.loads(line)
         report = verify_files(path)
         ours = {check.name for check in report.violations}
-        assert ours == {key for key, (ok, _) in theirs.items() if not ok}, name
+        assert ours - OURS_ALONE == {key for key, (ok, _) in theirs.items() if not ok}, name
         for check in report.checks:
             if check.name in theirs and check.unit:
                 assert check.value == pytest.approx(theirs[check.name][1], abs=0.02), name

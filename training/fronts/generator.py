@@ -106,9 +106,11 @@ def _view(rng: np.random.Generator, plan: plans.Plan) -> Rect:
     grow = np.clip(np.abs(rng.normal(0, scale, 4)), 0, 0.22)
     cut = rng.random(4) < 0.3
     grow = np.where(cut, -np.minimum(grow, 0.03), grow)
-    size = np.array([plan.width, plan.height, plan.width, plan.height])
-    left, top, right, bottom = grow * size
-    return (-left, -top, plan.width + right, plan.height + bottom)
+    if plan.stretch is not None:
+        grow[[0, 2]] = 0.0
+    begin, end = plan.stretch or (0.0, plan.width)
+    left, top, right, bottom = grow * np.tile((end - begin, plan.height), 2)
+    return (begin - left, -top, end + right, plan.height + bottom)
 
 
 def _plane(rng: np.random.Generator) -> float:

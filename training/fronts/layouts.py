@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
 from .appliances import dishwasher, fridge, microwave, oven
-from .cabinets import Habit, cabinet, columns_first, desk, niche, sink
-from .plans import Cell, Plan
+from .cabinets import Habit, cabinet, columns_first, desk, niche, rows_first, sink
+from .canvas import Rect
+from .plans import Cell, Plan, hinged, split
 
 
 def range_with_cabinets(rng: np.random.Generator) -> Plan:
@@ -23,14 +25,50 @@ def range_with_cabinets(rng: np.random.Generator) -> Plan:
         if end - low > 0.2:
             rect = (low + 0.01, 0.02, end - 0.01, high - rng.uniform(0.0, 0.1))
             cells += columns_first(rng, rect, habit)
-    for cell in inner.cells:
-        a, b, c, d = cell.rect
-        cells.append(
-            Cell(
-                (a + left, b, c + left, d), cell.kind, cell.fill, cell.free, cell.along, cell.handle
-            )
-        )
+    cells += [_moved(cell, left, 1.0) for cell in inner.cells]
     return Plan("row", left + inner.width + right, high, cells)
+
+
+def row(rng: np.random.Generator) -> Plan:
+    """A stretch of a long row, cut off anywhere, as `perception.rows` looks at one."""
+    wall = rng.random() < 0.5
+    high = rng.uniform(0.45, 1.0) if wall else rng.uniform(0.65, 0.95)
+    habit = Habit.draw(rng, "wall" if wall else "base", rng.uniform(0.001, 0.006))
+    if rng.random() < 0.7:
+        habit = replace(habit, open=0.0, lift=0.0, glass=0.0, blank=0.0)
+    foot = 0.0 if wall else rng.uniform(0.0, 0.14)
+    top = rng.uniform(0.0, 0.05)
+    cells, at, wide = [], 0.0, rng.uniform(1.2, 4.0)
+    while at < wide:
+        if not wall and rng.random() < 0.2:
+            inner = oven(rng) if rng.random() < 0.5 else dishwasher(rng)
+            cells += [_moved(cell, at, high / inner.height) for cell in inner.cells]
+            at += inner.width
+            continue
+        unit = rng.uniform(0.3, 1.3)
+        rect = (at + 0.002, top, at + unit - 0.002, high - foot)
+        cells += rows_first(rng, rect, habit) if rng.random() < 0.3 else _unit(rng, rect, habit)
+        at += unit
+    length = min(at, max(0.95, rng.uniform(1.0, 1.6) * high))
+    left = rng.uniform(0.0, at - length)
+    right = left + length
+    seen = [c for c in cells if c.rect[0] < right - 0.02 and c.rect[2] > left + 0.02]
+    return Plan("row", at, high, seen, stretch=(left, right))
+
+
+def _unit(rng: np.random.Generator, rect: Rect, habit: Habit) -> list[Cell]:
+    """One cabinet of a row: doors side by side as often as all else."""
+    if rng.random() < 0.5:
+        return columns_first(rng, rect, habit)
+    count = max(1, round((rect[2] - rect[0]) / rng.uniform(0.3, 0.6)))
+    columns = split(rng, rect, count, habit.gap, rows=False, uneven=0.2)
+    return [Cell(column, hinged(rng), along=habit.along) for column in columns]
+
+
+def _moved(cell: Cell, by: float, scale: float) -> Cell:
+    """A cell of something else, put into a row and made as high as it."""
+    left, top, right, bottom = cell.rect
+    return replace(cell, rect=(left + by, top * scale, right + by, bottom * scale))
 
 
 def nothing(rng: np.random.Generator) -> Plan:
@@ -44,25 +82,27 @@ def nothing(rng: np.random.Generator) -> Plan:
 
 Maker = Callable[[np.random.Generator], Plan]
 FAMILIES: dict[Maker, float] = {
-    cabinet: 0.4,
-    fridge: 0.14,
+    cabinet: 0.3,
+    row: 0.16,
+    fridge: 0.13,
     microwave: 0.08,
     oven: 0.08,
     dishwasher: 0.07,
-    sink: 0.06,
-    range_with_cabinets: 0.04,
+    sink: 0.05,
+    range_with_cabinets: 0.03,
     desk: 0.03,
-    nothing: 0.13,
+    nothing: 0.12,
 }
 """What is drawn, and how often."""
 
 
 HARD_FAMILIES: dict[Maker, float] = {
-    cabinet: 0.22,
-    fridge: 0.2,
-    microwave: 0.1,
-    oven: 0.09,
-    dishwasher: 0.08,
+    cabinet: 0.16,
+    row: 0.16,
+    fridge: 0.18,
+    microwave: 0.08,
+    oven: 0.08,
+    dishwasher: 0.07,
     sink: 0.04,
     range_with_cabinets: 0.03,
     desk: 0.04,

@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 from momapos.reconstruction.decode import KINDS
 
-PLANES = 5
+PLANES = 7
 
 
 def conv(inner: int, outer: int, stride: int = 1, size: int = 3) -> nn.Sequential:

@@ -41,6 +41,8 @@ class Plan:
     height: float
     cells: list[Cell] = field(default_factory=list)
     appliance: bool = False
+    stretch: tuple[float, float] | None = None
+    """From where to where it is looked at; the whole width by default."""
 
 
 def hinged(rng: np.random.Generator) -> PartKind:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing as mp
+import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,13 +22,13 @@ NO_PART = len(decode.KINDS)
 
 @dataclass(frozen=True)
 class Pool:
-    """Pictures and truth; the last of a picture's four planes is relief, 0 where unknown."""
+    """Pictures and truth; a picture's planes are colour, relief (0 where unknown) and lines."""
 
-    faces: UInt8[np.ndarray, "n 4 s s"]
+    faces: UInt8[np.ndarray, "n 6 s s"]
     boxes: Float[np.ndarray, "n p 4"]
     kinds: Int[np.ndarray, "n p"]
     """-1 beyond the last part of a face."""
-    crops: UInt8[np.ndarray, "m 4 t t"]
+    crops: UInt8[np.ndarray, "m 6 t t"]
     aspects: Float[np.ndarray, " m"]
     crop_kinds: Int[np.ndarray, " m"]
     edges: Float[np.ndarray, "m 4"]
@@ -42,21 +43,23 @@ class Pool:
         return Pool(**{n: np.load(folder / f"{n}.npy", mmap_mode="r") for n in names})
 
 
-def packed(stack: np.ndarray) -> UInt8[np.ndarray, "4 s s"]:
-    """Colour and relief of a resampled face as bytes."""
+def packed(stack: np.ndarray) -> UInt8[np.ndarray, "6 s s"]:
+    """What `decode.planes` gives of a face, resampled, as bytes."""
     colour = np.clip(stack[:3] * 64 + 128, 0, 255)
     share = np.maximum(stack[4], 1e-6)
     relief = np.clip(stack[3] / share, -1, 1) * 127 + 128.5
     code = np.where(stack[4] > 0.5, relief, 0)
-    return np.concatenate((colour, code[None])).astype(np.uint8)
+    lines = stack[5:] * (255 / decode.SEAM_MOST) + 0.5
+    return np.concatenate((colour, code[None], lines)).astype(np.uint8)
 
 
-def unpacked(codes: UInt8[np.ndarray, "n 4 s s"]) -> np.ndarray:
-    """What the networks take: colour, relief, whether it was measured."""
+def unpacked(codes: UInt8[np.ndarray, "n 6 s s"]) -> np.ndarray:
+    """What the networks take."""
     colour = (codes[:, :3].astype(np.float32) - 127.5) / 64
-    known = codes[:, 3:] > 0
-    relief = np.where(known, (codes[:, 3:].astype(np.float32) - 128) / 127, 0)
-    return np.concatenate((colour, relief, known), axis=1, dtype=np.float32)
+    known = codes[:, 3:4] > 0
+    relief = np.where(known, (codes[:, 3:4].astype(np.float32) - 128) / 127, 0)
+    lines = codes[:, 4:].astype(np.float32) * (decode.SEAM_MOST / 255)
+    return np.concatenate((colour, relief, known, lines), axis=1, dtype=np.float32)
 
 
 def proposals(
@@ -121,7 +124,7 @@ def _one(task: tuple[generator.Mix, tuple[int, int]]) -> dict[str, np.ndarray]:
     outer = decode.widened(inner, decode.PART_MARGIN)
     size = outer[:, 2:] - outer[:, :2]
     count = len(outer)
-    crops = np.zeros((CROPS, 4, decode.PART_PIXELS, decode.PART_PIXELS), np.uint8)
+    crops = np.zeros((CROPS, 6, decode.PART_PIXELS, decode.PART_PIXELS), np.uint8)
     aspects = np.zeros(CROPS, np.float32)
     crop_kinds = np.full(CROPS, -1, np.int8)
     edges = np.zeros((CROPS, 4), np.float32)
@@ -152,6 +155,8 @@ def _one(task: tuple[generator.Mix, tuple[int, int]]) -> dict[str, np.ndarray]:
 def fill(folder: Path, mix: generator.Mix, seed: int, count: int, workers: int) -> None:
     """Draw faces and write them; the same seed gives the same files."""
     folder.mkdir(parents=True, exist_ok=True)
+    # Workers read these when they start; threads within each would wait for one another.
+    os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     files: dict[str, np.ndarray] = {}
     with mp.get_context("spawn").Pool(workers) as helpers:
         tasks = [(mix, (seed, i)) for i in range(count)]

@@ -21,7 +21,7 @@ from . import export, generator, networks, pool, targets
 WEIGHTS = Path(__file__).parents[2] / "src" / "momapos" / "reconstruction" / "weights"
 MIRROR = np.array(decode.MIRRORED_KINDS)
 """What each kind is in a mirror."""
-REFINING_RATE = 4e-4
+REFINING_RATE = 6e-4
 """Highest learning rate of the second round, which has no normalisation to steady it."""
 
 
@@ -38,7 +38,7 @@ class Schedule:
 
 
 def disturbed(rng: np.random.Generator, codes: np.ndarray) -> Tensor:
-    """Pictures for one step: other colours, half of them without relief."""
+    """Pictures for one step: other colours, half of them without relief, fainter lines."""
     stack = pool.unpacked(codes)
     n = len(stack)
     gain = rng.uniform(0.8, 1.2, (n, 1, 1, 1)) * rng.normal(1, 0.04, (n, 3, 1, 1))
@@ -49,8 +49,9 @@ def disturbed(rng: np.random.Generator, codes: np.ndarray) -> Tensor:
     for i in np.nonzero(rng.random(n) < 0.1)[0]:
         stack[i, :3] = stack[i, :3].mean(axis=0)
     without = rng.random(n) < 0.45
-    stack[without, 3:] = 0
+    stack[without, 3:5] = 0
     stack[:, 3] += rng.normal(0, 0.05, (n, 1, 1)) * stack[:, 4]
+    stack[:, 5:] *= rng.uniform(0.4, 1.2, (n, 1, 1, 1))
     return torch.from_numpy(stack)
 
 
@@ -232,8 +233,8 @@ def main() -> None:
     parser.add_argument("--pools", type=Path, default=Path("build/fronts"), help="scratch folder")
     parser.add_argument("--out", type=Path, default=WEIGHTS, help="where the networks go")
     parser.add_argument("--faces", type=int, nargs=2, default=(8000, 5000), help="to draw")
-    parser.add_argument("--face-steps", type=int, nargs=2, default=(1700, 700), help="by round")
-    parser.add_argument("--part-steps", type=int, nargs=2, default=(2000, 900), help="by round")
+    parser.add_argument("--face-steps", type=int, nargs=2, default=(1700, 1200), help="by round")
+    parser.add_argument("--part-steps", type=int, nargs=2, default=(2000, 1250), help="by round")
     parser.add_argument("--seed", type=int, default=1)
     given = parser.parse_args()
     mixes = {"ordinary": generator.ORDINARY, "hard": generator.HARD}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -35,7 +34,10 @@ def run(
 ) -> int:
     """Drive there and do it: carry a plan out in a physics engine, and say what came of it.
 
-    Exit status: 0 the task was done, 1 it was not, 2 a file cannot be used.
+    The arm is planned anew where the base really arrives; where it cannot, or the base does not
+    arrive, the next base pose is driven to, three at most.
+
+    Exit status: 0 the task was done, 1 it was not, 2 a file or the start cannot be used.
 
     Args:
         plan: The plan file.
@@ -43,8 +45,8 @@ def run(
         robot: A library robot or a robot file; by default the one that the plan names.
         start: Where the robot is at first [m, m, rad or deg]; as for `place` by default.
         hold: weld: a compliant, breakable weld at the grasp; contact: fingers and friction alone.
-        noise: Arrive up to 3 cm and 2 degrees off, plan the arm anew there, and draw how heavily
-            the furniture moves; without it, all is as planned.
+        noise: Let the base believe to be where noisy sensors say, and draw how heavily the
+            furniture moves; without it, both are as modelled.
         seed: Same seed, same run.
         out: Write the record here (JSON).
         record: Draw a filmstrip here (PNG).
@@ -71,7 +73,8 @@ def run(
         from momapos.execution.config import ExecutionConfig, FurnitureConfig
         from momapos.execution.film import Film
         from momapos.execution.record import run_to_dict, write_run
-        from momapos.run_plan import noisy_arrival, run_plan
+        from momapos.navigation.drive import DriveConfig
+        from momapos.run_plan import QUIET, run_plan
     except ImportError as error:
         raise MissingExtraError(
             "momapos run needs the extra: pip install 'momapos[physics]'"
@@ -86,20 +89,22 @@ def run(
     for warning in scene.warnings:
         print(f"momapos: {warning}", file=sys.stderr)
     film = Film() if record is not None else None
-    reach, physics = None, ExecutionConfig(hold=hold)
-    if noise:
-        with progress(f"reachability map of {machine.name}") as report:
-            reach = load_or_build(machine, default_cache_dir(), report)
-        physics = replace(physics, furniture=FurnitureConfig(spread=0.3))
+    with progress(f"reachability map of {machine.name}") as report:
+        reach = load_or_build(machine, default_cache_dir(), report)
     result = run_plan(
-        content, scene, machine, reach=reach, start=begin, physics=physics, seed=seed, watch=film,
-        drive=noisy_arrival(scene, machine) if noise else None,
+        content, scene, machine, reach, start=begin, seed=seed,
+        driving=DriveConfig() if noise else DriveConfig(noise=QUIET),
+        physics=ExecutionConfig(hold=hold, furniture=FurnitureConfig(spread=0.3 if noise else 0.0)),
+        trace=film.drive if film is not None else None, watch=film,
     )  # fmt: skip
     if out is not None:
         write_run(result, out)
     print(dumps(run_to_dict(result)) if json else summary(result))
-    if film is not None and record is not None and result.execution is not None:
-        film.write(record)
+    if film is not None and record is not None:
+        if result.execution is None:
+            print(f"momapos: {record}: not drawn, for nothing was executed", file=sys.stderr)
+        else:
+            film.write(record)
     return 0 if result.success else 1
 
 
@@ -141,8 +146,10 @@ def summary(record: RunRecord) -> str:
         lines.append(f"  because     {record.reason}")
     for visit in record.visits:
         off = math.dist(visit.planned[:2], visit.reached[:2])
+        gap = "" if visit.clearance is None else f", {100 * visit.clearance:.0f} cm clear"
         lines.append(
-            f"  drive       {visit.length:.2f} m, {100 * off:.1f} cm off the planned pose"
+            f"  drive       {visit.length:.2f} m in {visit.seconds:.0f} s{gap}, "
+            f"{100 * off:.1f} cm off the planned pose"
             + (f": {visit.reason}" if visit.reason else "")
         )
     done = record.execution

@@ -33,10 +33,14 @@ _SUBJECT = (Kind.BASE, Kind.ARM, Kind.GRIPPER, Kind.PART)
 
 @dataclass
 class Film:
-    """Remembers the states of a run; give it to `execute` as `watch`."""
+    """Remembers a run; give it to `execute` as `watch`, and `drive` every drive before."""
 
     states: list[tuple[float, str, np.ndarray]] = field(default_factory=list)
     world: World | None = None
+    times: list[Float[np.ndarray, " t"]] = field(default_factory=list)
+    """Of each drive, from its beginning [s]."""
+    poses: list[Float[np.ndarray, "t 3"]] = field(default_factory=list)
+    """Of the base in each drive."""
 
     def __call__(self, world: World, time: float, stage: str) -> None:
         """Remember a state, if the last one is long enough ago."""
@@ -44,12 +48,22 @@ class Film:
         if not self.states or time - self.states[-1][0] >= INTERVAL - 1e-9:
             self.states.append((time, stage, world.data.qpos.copy()))
 
+    def drive(self, times: Float[np.ndarray, " t"], poses: Float[np.ndarray, "t 3"]) -> None:
+        """Remember a drive.
+
+        Args:
+            times: From its beginning [s].
+            poses: True poses of the base: x [m], y [m], yaw [rad].
+        """
+        self.times.append(times)
+        self.poses.append(poses)
+
     def write(self, path: Path, frames: int = 8) -> None:
         """Draw a filmstrip.
 
         Args:
             path: A PNG file.
-            frames: Number of pictures.
+            frames: Number of pictures; a quarter of them of the drives, if there are any.
 
         Raises:
             InputError: Nothing was executed, this machine cannot draw off-screen, or the file
@@ -64,23 +78,47 @@ class Film:
             raise MissingExtraError(
                 "--record needs the extra: pip install 'momapos[physics]'"
             ) from error
-        chosen = self._chosen(frames)
-        data = mujoco.MjData(self.world.model)
-        camera = self._camera(data, [q for _, _, q in chosen])
-        pictures = []
+        began = sum(float(times[-1]) for times in self.times)
+        driven = self.driven(frames // 4)
+        done = [(began + t, stage, q) for t, stage, q in self._chosen(frames - len(driven))]
+        data, pictures = mujoco.MjData(self.world.model), []
         with _canvas(self.world.model) as draw:
-            for time, stage, q in chosen:
-                data.qpos[:] = q
-                mujoco.mj_forward(self.world.model, data)
-                picture = Image.fromarray(draw(data, camera))
-                ImageDraw.Draw(picture).text((10, 8), f"{time:.1f} s  {stage}", fill=(20, 20, 20))
-                pictures.append(picture)
+            for strip, seen in ((driven, [*driven, done[0]]), (done, done)):
+                camera = self._camera(data, [q for _, _, q in seen])
+                for time, stage, q in strip:
+                    data.qpos[:] = q
+                    mujoco.mj_forward(self.world.model, data)
+                    picture = Image.fromarray(draw(data, camera))
+                    label = f"{time:.1f} s  {stage}"
+                    ImageDraw.Draw(picture).text((10, 8), label, fill=(20, 20, 20))
+                    pictures.append(picture)
         sheet = _sheet([np.asarray(picture) for picture in pictures])
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             Image.fromarray(sheet).save(path, format="PNG")
         except OSError as error:
             raise InputError(f"{path}: cannot be written ({error})") from error
+
+    def driven(self, frames: int) -> list[tuple[float, str, np.ndarray]]:
+        """States of all drives together, evenly spread over the way; the end is in what follows."""
+        assert self.world is not None
+        if not self.poses or not frames:
+            return []
+        ends = np.cumsum([0.0, *(times[-1] for times in self.times)])
+        times = np.concatenate([t + end for t, end in zip(self.times, ends[:-1], strict=True)])
+        poses = np.concatenate(self.poses)
+        way = np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0, prepend=poses[:1, :2]).T))
+        picked = np.searchsorted(way, np.linspace(0.0, way[-1], frames + 1)[:-1])
+        # The base's joints count from where it stands in the physics: the end of the last drive.
+        x, y, yaw = poses[-1]
+        c, s = np.cos(yaw), np.sin(yaw)
+        states = []
+        for i in picked:
+            q = self.states[0][2].copy()
+            dx, dy = poses[i, :2] - [x, y]
+            q[self.world.base_q] = [c * dx + s * dy, c * dy - s * dx, poses[i, 2] - yaw]
+            states.append((float(times[i]), "drive", q))
+        return states
 
     def _chosen(self, frames: int) -> list[tuple[float, str, np.ndarray]]:
         """A quarter of the pictures from the way to the object, the others from then on."""

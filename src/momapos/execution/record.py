@@ -117,6 +117,14 @@ class Visit:
     """[s]"""
     reason: str
     """Why nothing was executed there; "" where it was."""
+    arrived: bool = True
+    """Whether the drive ended at the base pose; else the reason is why it did not."""
+    way: float | None = None
+    """Length of the way as first planned [m]; None where there was none."""
+    clearance: float | None = None
+    """Smallest distance of the driving base, its arm at home, to anything [m], at most 0.5."""
+    hit: str = ""
+    """What the base touched, which ended the drive; "" where it touched nothing."""
 
 
 @dataclass(frozen=True)
@@ -133,7 +141,7 @@ class RunRecord:
     seed: int = 0
     noise: bool = False
     time: Mapping[str, float] = field(default_factory=dict)
-    """Wall seconds by stage: drive, plan, build, simulate."""
+    """Seconds of computing by stage: drive, plan, execute."""
     versions: Mapping[str, str] = field(default_factory=dict)
 
     @property

@@ -79,7 +79,13 @@ def face_image(face: Face, frames: Sequence[Frame], *, pixels: int = 384) -> Fac
         colour[new] = picture[new]
         unseen &= ~seen
         reliefs.append(relief)
-    return FaceImage(colour, _median(reliefs, shape), face.width, face.height)
+    eye = eye_of(face, frames[0]) if frames else None
+    return FaceImage(colour, _median(reliefs, shape), face.width, face.height, eye)
+
+
+def eye_of(face: Face, frame: Frame) -> Float[np.ndarray, "3"]:
+    """Where a picture was taken, in the frame of a face [m]."""
+    return (invert(face.T_world_face) @ frame.T_world_camera)[:3, 3]
 
 
 def solid(image: FaceImage) -> float:

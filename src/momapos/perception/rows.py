@@ -15,9 +15,19 @@ import numpy as np
 from jaxtyping import Float
 
 from momapos.geometry.transforms import apply
-from momapos.perception.detections import overlap, projection
-from momapos.perception.faces import Face, box_faces, shown
-from momapos.perception.views import Look, ViewConfig, cosines_to, door_evidence, look_at
+from momapos.perception.detections import projection
+from momapos.perception.faces import Face, box_faces, eye_of, shown
+from momapos.perception.views import (
+    Look,
+    Seen,
+    ViewConfig,
+    cosines_to,
+    door_evidence,
+    handles_seen_from,
+    look_at,
+    placed,
+    surest,
+)
 from momapos.types import Frame, Part, UprightBox
 
 
@@ -31,8 +41,6 @@ class RowConfig:
     """Width of what is looked at in one go, in heights of the row [-]."""
     margin: float = 0.03
     """Parts that end this near to a window's end may go on beyond it [m]."""
-    same: float = 0.4
-    """Parts in two windows that overlap this much (IoU) are one [-]."""
     least_piece: float = 0.2
     """A stretch without parts that is narrower than this belongs to its neighbour [m]."""
     frames: int = 4
@@ -45,35 +53,30 @@ def split_row(
     look: Look,
     config: RowConfig,
     view: ViewConfig,
-) -> list[UprightBox]:
+) -> tuple[list[UprightBox], Seen | None]:
     """Divide a box between its fronts, seen on its longer faces.
 
     Returns:
-        The pieces from left to right as seen from the front; the box itself where no fronts are
-        seen or they are one thing.
+        The pieces from left to right as seen from the front, the box itself where no fronts are
+        seen or they are one thing; and the front with the parts on it, None where there is none.
     """
-    best: tuple[float, Face, list[Part]] | None = None
-    for face in box_faces(box):
-        if face.width < config.least_width:
-            continue
-        parts = _parts_on(face, frames, look, config, view)
-        score = sum(part.score for part in parts)
-        if parts and (best is None or score > best[0]):
-            best = score, face, parts
-    if best is None:
-        return [box]
-    _, face, parts = best
-    cuts = _cuts(parts, face.width, config)
-    return _pieces(box, face, cuts) if cuts else [box]
+    wide = [face for face in box_faces(box) if face.width >= config.least_width]
+    fronts = [_front_of(face, frames, look, config, view) for face in wide]
+    best = max(fronts, key=lambda front: sum(part.score for part in front.parts), default=None)
+    if best is None or not best.parts:
+        return [box], None
+    cuts = _cuts(best.parts, best.face.width, config)
+    return (_pieces(box, best.face, cuts) if cuts else [box]), best
 
 
-def _parts_on(
+def _front_of(
     face: Face, frames: Sequence[Frame], look: Look, config: RowConfig, view: ViewConfig
-) -> list[Part]:
-    """Parts of a long face, in fractions of it, found in overlapping windows."""
+) -> Seen:
+    """What is on a long face, found in overlapping windows."""
     wide = min(face.width, max(config.window * face.height, config.least_width))
     count = max(1, int(np.ceil(2 * (face.width - wide) / wide)) + 1)
     found: list[Part] = []
+    evidence = [0.0]
     for left in np.linspace(0.0, face.width - wide, count):
         window = _window(face, float(left), wide)
         chosen = _frames_for(window, frames, config, view)
@@ -81,8 +84,12 @@ def _parts_on(
             continue
         front = look_at(window, chosen, look)
         if door_evidence(front) >= view.least:
-            found += _inside(front.parts, float(left), wide, face.width, config)
-    return _without_doubles(found, config)
+            ends = (left > config.margin, left + wide < face.width - config.margin)
+            whole = _whole(front.parts, wide, ends, config.margin)
+            whole = handles_seen_from(whole, window, eye_of(window, chosen[0]), undo=True)
+            found += placed(whole, window, face)
+            evidence.append(door_evidence(front))
+    return Seen(face, max(evidence), surest(found))
 
 
 def _window(face: Face, left: float, wide: float) -> Face:
@@ -111,27 +118,16 @@ def _frames_for(
     return [candidates[order[i]] for i in best if parts[i] >= view.shown]
 
 
-def _inside(
-    parts: Sequence[Part], left: float, wide: float, width: float, config: RowConfig
-) -> list[Part]:
-    """Parts that end within a window, in fractions of the whole face."""
-    kept = []
-    for part in parts:
-        a, b = left + part.box[0] * wide, left + part.box[2] * wide
-        cut_left = part.box[0] * wide < config.margin and left > config.margin
-        cut_right = (1 - part.box[2]) * wide < config.margin and left + wide < width - config.margin
-        if not (cut_left or cut_right):
-            kept.append(replace(part, box=(a / width, part.box[1], b / width, part.box[3])))
-    return kept
-
-
-def _without_doubles(parts: Sequence[Part], config: RowConfig) -> list[Part]:
-    """The surest of parts that two windows saw."""
-    kept: list[Part] = []
-    for part in sorted(parts, key=lambda p: -p.score):
-        if all(overlap(part.box, other.box) < config.same for other in kept):
-            kept.append(part)
-    return kept
+def _whole(
+    parts: Sequence[Part], wide: float, ends: tuple[bool, bool], margin: float
+) -> tuple[Part, ...]:
+    """Parts that a window [m] does not cut off at either end where the row goes on."""
+    return tuple(
+        part
+        for part in parts
+        if not (ends[0] and part.box[0] * wide < margin)
+        and not (ends[1] and (1 - part.box[2]) * wide < margin)
+    )
 
 
 def _cuts(parts: Sequence[Part], width: float, config: RowConfig) -> list[float]:

@@ -9,9 +9,10 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
+from momapos.geometry.transforms import invert
 from momapos.perception.detections import Sight
-from momapos.perception.faces import FACES, Face, box_faces, face_image, shown, solid
-from momapos.types import FaceImage, Frame, Front, UprightBox
+from momapos.perception.faces import FACES, Face, box_faces, eye_of, face_image, shown, solid
+from momapos.types import FaceImage, Frame, Front, Part, UprightBox
 
 AROUND = 0.03
 """How much of what surrounds a face is looked at with it [m]."""
@@ -19,8 +20,26 @@ STRAIGHT = 6
 """How much more a picture counts that is taken straight on: power of the cosine [-]."""
 WITHIN = 0.6
 """Share of a part that must lie on the face [-]."""
+STAND_OFF = 0.04
+"""Handles stand out about this far [m]."""
+PARALLEL, COPLANAR = 0.99, 0.12
+"""Two faces are in one plane where the cosine between them is more than the first, and the distance
+less than the second [m]."""
+SAME = 0.5
+"""Of two parts that share this much of the smaller one, one is left out [-]."""
 Look = Callable[[FaceImage], Front]
 """Says what is on a face, and whether it is a front."""
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """Parts that were seen before, on a face of which the object's own may be a piece."""
+
+    face: Face
+    score: float
+    """Probability that the face is a front, where there are parts on it."""
+    parts: tuple[Part, ...]
+    """In fractions of that face; handles are where they would be seen from far away."""
 
 
 @dataclass(frozen=True)
@@ -65,6 +84,7 @@ def choose_view(
     seen: Sequence[Sight],
     look: Look,
     config: ViewConfig,
+    before: Sequence[Seen] = (),
 ) -> View | None:
     """Find the front of a box (MoMa-Pos, III-B).
 
@@ -77,16 +97,22 @@ def choose_view(
         seen: Those that show it, most central first.
         look: What is on a face.
         config: How to choose.
+        before: What was seen on the rows that the box may be a piece of.
 
     Returns:
         None where no picture shows a front.
     """
     choose = _first if config.method == "first" else _voting
-    return choose(box, frames, seen, look, config)
+    return choose(box, frames, seen, look, config, before)
 
 
 def _first(
-    box: UprightBox, frames: Sequence[Frame], seen: Sequence[Sight], look: Look, config: ViewConfig
+    box: UprightBox,
+    frames: Sequence[Frame],
+    seen: Sequence[Sight],
+    look: Look,
+    config: ViewConfig,
+    before: Sequence[Seen],
 ) -> View | None:
     faces = box_faces(box)
     for sight in seen:
@@ -98,7 +124,7 @@ def _first(
         if shown(face, frame) < config.shown:
             continue
         image = face_image(face, [frame])
-        front = look_at(face, [frame], look)
+        front = _with(look_at(face, [frame], look), face, frame, before)
         if door_evidence(front) * solid(image) >= config.least:
             angle = float(np.arccos(min(1.0, cosines.max())))
             return View(face, sight.frame, angle, image, front, ())
@@ -106,7 +132,12 @@ def _first(
 
 
 def _voting(
-    box: UprightBox, frames: Sequence[Frame], seen: Sequence[Sight], look: Look, config: ViewConfig
+    box: UprightBox,
+    frames: Sequence[Frame],
+    seen: Sequence[Sight],
+    look: Look,
+    config: ViewConfig,
+    before: Sequence[Seen],
 ) -> View | None:
     indices = np.array([sight.frame for sight in seen], int)
     if not len(indices):
@@ -118,7 +149,8 @@ def _voting(
         if not order:
             continue
         votes = [
-            _vote(face, frames, i, order[: config.merged], look) for i in order[: config.votes]
+            _with(_vote(face, frames, i, order[: config.merged], look), face, frames[i], before)
+            for i in order[: config.votes]
         ]
         image = face_image(face, [frames[i] for i in order[: config.merged]])
         flat = solid(image)
@@ -144,6 +176,20 @@ def _vote(
     return look_at(face, [frames[chosen], *rest], look)
 
 
+def _with(front: Front, face: Face, frame: Frame, before: Sequence[Seen]) -> Front:
+    """A front with what was seen on it before.
+
+    A door that fills its face shows no edges, beside its neighbours it does.
+    """
+    for seen in before:
+        known = placed(seen.parts, seen.face, face)
+        if known:
+            known = handles_seen_from(known, face, eye_of(face, frame))
+            score = max(front.score, seen.score)
+            front = replace(front, score=score, parts=surest([*front.parts, *known]))
+    return front
+
+
 def door_evidence(front: Front) -> float:
     """How probable it is that there is a door or a drawer on a face, in [0, 1].
 
@@ -167,19 +213,77 @@ def look_at(face: Face, frames: Sequence[Frame], look: Look) -> Front:
     """
     wide = replace(face, width=face.width + 2 * AROUND, height=face.height + 2 * AROUND)
     front = look(face_image(wide, frames))
-    size = np.array([face.width, face.height] * 2)
+    return replace(front, parts=placed(front.parts, wide, face))
 
-    def on_face(box: tuple[float, ...]) -> Float[np.ndarray, "4"]:
-        return (np.array(box) * (size + 2 * AROUND) - AROUND) / size
 
-    parts = []
-    for part in front.parts:
-        box = on_face(part.box)
+def placed(parts: Sequence[Part], source: Face, target: Face) -> tuple[Part, ...]:
+    """Parts of one face as parts of another that lies in its plane.
+
+    Args:
+        parts: Rectangles as fractions of `source`.
+        source: Where they were seen.
+        target: The other face.
+
+    Returns:
+        Rectangles as fractions of `target`, cut off at its rim; without those that lie mostly
+        beside it. None where the faces look different ways or are apart.
+    """
+    T = invert(target.T_world_face) @ source.T_world_face
+    if T[2, 2] < PARALLEL or abs(T[2, 3]) > COPLANAR:
+        return ()
+    scale = np.array([source.width / target.width, source.height / target.height] * 2)
+    at = np.array([T[0, 3] / target.width, -T[1, 3] / target.height] * 2)
+
+    def moved(box: tuple[float, ...]) -> Float[np.ndarray, "4"]:
+        return (np.array(box) - 0.5) * scale + 0.5 + at
+
+    there = []
+    for part in parts:
+        box = moved(part.box)
         kept = np.clip(box, 0.0, 1.0)
         if np.prod(kept[2:] - kept[:2]) > WITHIN * np.prod(box[2:] - box[:2]):
-            grip = None if part.handle is None else _rectangle(on_face(part.handle))
-            parts.append(replace(part, box=_rectangle(kept), handle=grip))
-    return replace(front, parts=tuple(parts))
+            grip = None if part.handle is None else _rectangle(moved(part.handle))
+            there.append(replace(part, box=_rectangle(kept), handle=grip))
+    return tuple(there)
+
+
+def handles_seen_from(
+    parts: Sequence[Part], face: Face, eye: Float[np.ndarray, "3"], *, undo: bool = False
+) -> tuple[Part, ...]:
+    """Move handles from where they are on a face to where they appear on it, or back.
+
+    Args:
+        parts: Rectangles as fractions of the face.
+        face: The face.
+        eye: Where the picture is taken, in the face's frame [m].
+        undo: From where they appear to where they are.
+    """
+    sign = 1.0 if undo else -1.0
+    size, eye_at = np.array([face.width, face.height]), np.array([eye[0], -eye[1]])
+
+    def moved(handle: tuple[float, ...]) -> tuple[float, float, float, float]:
+        box = np.array(handle).reshape(2, 2)
+        middle = (box.mean(axis=0) - 0.5) * size
+        return _rectangle((box + sign * STAND_OFF * (eye_at - middle) / eye[2] / size).ravel())
+
+    return tuple(p if p.handle is None else replace(p, handle=moved(p.handle)) for p in parts)
+
+
+def surest(parts: Sequence[Part]) -> tuple[Part, ...]:
+    """The surest of parts that were seen twice, as one or as two, the surest first."""
+    kept: list[Part] = []
+    for part in sorted(parts, key=lambda p: -p.score):
+        if all(_shared(part, other) < SAME for other in kept):
+            kept.append(part)
+    return tuple(kept)
+
+
+def _shared(a: Part, b: Part) -> float:
+    """Common area of two parts, as a share of the smaller [-]."""
+    p, q = np.array(a.box), np.array(b.box)
+    common = np.clip(np.minimum(p[2:], q[2:]) - np.maximum(p[:2], q[:2]), 0.0, None)
+    least = min(np.prod(p[2:] - p[:2]), np.prod(q[2:] - q[:2]))
+    return float(np.prod(common) / least) if least > 0 else 1.0
 
 
 def _rectangle(values: Float[np.ndarray, "4"]) -> tuple[float, float, float, float]:

@@ -32,6 +32,7 @@ _BLOCK = 512
 FEASIBLE = "feasible"
 REASONS = {BLOCKED: "base blocked", OFF_FLOOR: "base off the floor", 3: "farther than the arm"}
 NO_REACH, NO_WAY, NOT_TRIED = "out of reach", "no way to drive there", "not tried"
+BARRED = "ruled out beforehand"
 PASSED = "path found, approach not checked"
 
 
@@ -76,6 +77,8 @@ ScreenPoses = Callable[
 ]
 """Look for an arm path at each of many base poses, from the scores of all grasps and the number
 of grasps to be tried; None: out of time."""
+Barred = Callable[[Float[np.ndarray, "n 3"]], Bool[np.ndarray, " n"]]
+"""Which of some base poses are no candidates, for reasons that this stage does not know."""
 AttemptPose = Callable[[Float[np.ndarray, "3"], Screened, Int[np.ndarray, " k"]], Attempt]
 """Complete the arm path found at a base pose, or else one with the other grasps, best first."""
 
@@ -122,6 +125,8 @@ class Problem:
     """Asked between candidates."""
     hopeless: str = ""
     """Why no base pose can help, where that is known beforehand."""
+    barred: Barred | None = None
+    """Rules base poses out."""
 
 
 def search(problem: Problem, config: PlaceConfig, rng: np.random.Generator) -> Search:
@@ -207,6 +212,8 @@ def _cull(problem: Problem, poses: Float[np.ndarray, "n 3"], found: Search) -> _
     empty = np.zeros((len(row), len(problem.site.Ts_world_tool)), np.float32)
     left = _Shortlist(poses[row], row, travel, empty, reasons)
     left.keep(np.isfinite(travel), NO_WAY)
+    if problem.barred is not None:
+        left.keep(~problem.barred(left.poses), BARRED)
     left.scores = problem.reach.weakest(left.poses, problem.site.Ts_world_tool)
     left.keep(left.scores.max(1, initial=0.0) > 0, NO_REACH)
     found.note(poses, reasons)

@@ -33,7 +33,7 @@ class AlignmentConfig:
     """A door of less width or height, or a drawer of less width, is left out [m]."""
     least_drawer: float = 0.05
     """A drawer of less height is left out [m]."""
-    most_relief: float = 0.06
+    most_relief: float = 0.12
     """The front of a part lies this far before or behind the face at most [m]."""
     thickness: tuple[float, float] = (0.008, 0.035)
     """Least and greatest thickness of a handle, so that a gripper can hold it [m]."""
@@ -276,14 +276,14 @@ def _aligned(face: FaceImage, part: Part, area: Area, config: AlignmentConfig) -
     if seen is not None and _is_flat(face, area, seen, config):
         seen = _bar(face, area, config) or seen
     out = front_of(face, area, config.most_relief, without=seen)
-    handle = None if seen is None else _handle(face, area, seen, config)
+    handle = None if seen is None else _handle(face, area, seen, out, config)
     return AlignedPart(part.kind, area, out, handle)
 
 
 def _handle(
-    face: FaceImage, part: Area, seen: Area, config: AlignmentConfig
+    face: FaceImage, part: Area, seen: Area, behind: float, config: AlignmentConfig
 ) -> AlignedHandle | None:
-    """Give a handle a size that can be held; None where what was seen is not on the part."""
+    """Give a handle its place and a size that can be held; None where it is not on the part."""
     thinnest, thickest = config.thickness
     room = min(part.width, part.height) / 4
     inside = seen.within(part)
@@ -297,11 +297,20 @@ def _handle(
         height = float(np.clip(height, thinnest, thickest))
         width = max(width, height)
     margin = min(thinnest, room)  # off the edges, or it would scrape along what is beside it
-    x, z = (inside.left + inside.right) / 2, (inside.bottom + inside.top) / 2
+    out = _standing_out(face, part, inside, config)
+    x, z = _straight(face, inside, behind + out)
     left, right = _placed(x, width, part.left + margin, part.right - margin)
     bottom, top = _placed(z, height, part.bottom + margin, part.top - margin)
-    out = _standing_out(face, part, inside, config)
     return AlignedHandle(Area(left, bottom, right, top), out)
+
+
+def _straight(face: FaceImage, area: Area, out: float) -> tuple[float, float]:
+    """The middle of what stands out of a face [m], where it would be seen straight on."""
+    x, z = (area.left + area.right) / 2, (area.bottom + area.top) / 2
+    if face.eye is None:
+        return x, z
+    eye_x, eye_z, away = face.eye[0] + face.width / 2, face.eye[1] + face.height / 2, face.eye[2]
+    return x + (eye_x - x) * out / away, z + (eye_z - z) * out / away
 
 
 def _placed(middle: float, size: float, low: float, high: float) -> tuple[float, float]:

@@ -6,7 +6,8 @@ All boxes are (left, top, right, bottom) as fractions of the face, y down.
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float, Float32, Int
+from jaxtyping import Float, Float32, Int, UInt8
+from scipy import ndimage
 
 from momapos.types import FaceImage, Part, PartKind
 
@@ -24,16 +25,56 @@ PART_MARGIN = 0.15
 LEAST_SIDE = 0.01
 """A part is broader and higher than this share of its face."""
 RELIEF_RANGE = 0.08
-"""Relief beyond this is clipped [m]; handles and doors stand out by less."""
+"""Relief beyond this, before or behind its median, is clipped [m]; handles stand out by less."""
+SEAM_SIDE = 3
+"""Distance from a dark line to what it is compared with on either side [px]."""
+SEAM_RUN = 1 / 12
+"""Length over which a line is averaged, as a share of the picture's side [-]."""
+SEAM_GAIN, SEAM_MOST = 10.0, 2.0
+"""Factor from a line's contrast to a plane's value, and the largest value [-]."""
+DARKEST = 16.0
+"""Added to a brightness, so that noise in the dark is no contrast [0 to 255]."""
 
 
-def planes(face: FaceImage) -> Float32[np.ndarray, "h w 5"]:
-    """Stack colour, relief and whether it was measured, each in about [-2, 2]."""
+def planes(face: FaceImage) -> Float32[np.ndarray, "h w 7"]:
+    """Stack what the networks see, each in about [-2, 2].
+
+    Colour; relief about its median, since the plane of a box is not always that of its fronts;
+    whether relief was measured; upright and level dark lines.
+    """
     colour = (face.colour.astype(np.float32) - 127.5) / 64.0
     known = np.isfinite(face.relief)
-    relief = np.where(known, np.clip(face.relief, -RELIEF_RANGE, RELIEF_RANGE), 0.0) / RELIEF_RANGE
-    stack = np.concatenate((colour, relief[..., None], known[..., None]), axis=-1)
-    return stack.astype(np.float32)
+    middle = float(np.median(face.relief[known])) if known.any() else 0.0
+    off = np.clip(face.relief - middle, -RELIEF_RANGE, RELIEF_RANGE)
+    relief = np.where(known, off, 0.0) / RELIEF_RANGE
+    lines = (dark_lines(face.colour, axis) for axis in (1, 0))
+    return np.stack([*np.moveaxis(colour, -1, 0), relief, known, *lines], axis=-1, dtype=np.float32)
+
+
+def dark_lines(colour: UInt8[np.ndarray, "h w 3"], across: int) -> Float32[np.ndarray, "h w"]:
+    """How much darker each pixel is than both of its sides, averaged along the line it may lie on.
+
+    The seam of two doors is a pixel wide and hardly darker than the grain of their wood, but it
+    runs straight from one end to the other; once the picture is shrunk it is lost.
+
+    Args:
+        colour: The picture, at its full resolution.
+        across: Axis across the line: 1 for upright lines, 0 for level ones.
+
+    Returns:
+        Contrast, 0 to `SEAM_MOST`.
+    """
+    grey = colour.mean(axis=-1, dtype=np.float32)
+    index = np.arange(grey.shape[across])
+    before, after = (
+        grey.take(np.clip(index + step, 0, len(index) - 1), axis=across)
+        for step in (-SEAM_SIDE, SEAM_SIDE)
+    )
+    side = np.minimum(before, after)
+    contrast = (side - grey) / (side + DARKEST)
+    run = max(3, round(SEAM_RUN * grey.shape[1 - across]))
+    mean = ndimage.uniform_filter1d(contrast, run, axis=1 - across, mode="nearest")
+    return np.clip(SEAM_GAIN * mean, 0.0, SEAM_MOST)
 
 
 def resample(

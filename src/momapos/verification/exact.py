@@ -16,13 +16,14 @@ from momapos.types import Motion, Task
 from momapos.verification import path as paths
 from momapos.verification.machine import Arm, machine_of
 from momapos.verification.part import split
+from momapos.verification.passage import passage_of
 from momapos.verification.polygon import outside
 from momapos.verification.report import DEFAULT, Check, Limits, Report, at_most
 from momapos.verification.shapes import Shapes
 from momapos.verification.sweep import all_pairs, deepest
 
 SWEEP_STATES = 50
-"""Extra values of the object's joint at which the base is checked [-]."""
+"""Extra values of the object's joint at which base and room are checked, at least [-]."""
 MOST_PAIRS = 6
 """Overlapping pairs that are named one by one [-]."""
 
@@ -38,7 +39,8 @@ class ExactWorld:
         self.limits = limits
         self.task = task
         self.machine = machine_of(robot)
-        self.part, self.fixed = split(scene, task)
+        self.part, self.fixed, own = split(scene, task)
+        self.passage = passage_of(self.part, self.fixed, own, limits)
         self.floor = scene.floor
         self._base, self._arm = self.machine.base, self.machine.arm
         self._arm_fixed = all_pairs(len(self._arm), len(self.fixed))
@@ -53,6 +55,15 @@ class ExactWorld:
             return None
         first = violations[0]
         return f"{first.name}: {first.culprit}" if first.culprit else first.name
+
+    def blocked(self, lift: float) -> str | None:
+        """What the part runs into on its way, wherever the robot stands; None where it is free.
+
+        Args:
+            lift: How far an object without a joint is lifted straight up [m].
+        """
+        goal = self.part.goal if self.part.joint is not None else lift
+        return self.passage.first_hit(goal)
 
     def check(self, base_pose: tuple[float, float, float], motion: Motion) -> Report:
         """Check a motion at a base pose.
@@ -76,13 +87,15 @@ class ExactWorld:
         path = paths.dense_path(motion, limits.step)
         Ts_tool, Ts_base, Ts_arm = machine.poses(base_pose, path.q)
         Ts_planned = Ts_tool[path.planned]
-        Ts_part = part.placed(path.object_q)
+        Ts_part = part.placed_at(paths.part_poses(part, self.task.verb, path, Ts_tool))
         checks += paths.object_checks(part, motion, limits)
         checks += paths.joint_checks(machine, motion, limits)
         checks += paths.tool_checks(Ts_planned, motion, limits)
         checks += paths.grasp_checks(part, path, Ts_tool, limits)
         checks.append(paths.reach_check(part, self.task.verb, motion, Ts_planned, limits))
-        checks.append(self._base_check(Ts_base, path))
+        Ts_way, where = self._way(Ts_part, path)
+        checks.append(self._part_check(Ts_way, where))
+        checks.append(self._base_check(Ts_base, Ts_way, where))
         checks.append(self._arm_check(Ts_arm, Ts_part, path))
         checks.append(self._self_check(Ts_base, Ts_arm, path))
         checks.append(_above_floor(self._arm, Ts_arm, path, limits))
@@ -90,23 +103,47 @@ class ExactWorld:
         depth = self._gripper_depth(Ts_arm, Ts_part)
         return Report(tuple(checks), self._notes(path, depth), depth)
 
-    def _base_check(self, Ts_base: Float[np.ndarray, "1 b 4 4"], path: paths.DensePath) -> Check:
-        """The base against the scene, and against the part at every value of its joint."""
+    def _way(
+        self, Ts_part: Float[np.ndarray, "s p 4 4"], path: paths.DensePath
+    ) -> tuple[Float[np.ndarray, "w p 4 4"], Callable[[int], str]]:
+        """Every pose of the part's shapes, and how to name it.
+
+        Arm states may be far apart in the joint's value: a joint's way is cut once more.
+        """
+        if self.part.joint is None:
+            return Ts_part, path.where
+        held = path.object_q[path.approach :]
+        count = max(SWEEP_STATES, int(np.ceil(np.ptp(held) / self.limits.step)) + 1)
+        values = np.unique(np.concatenate([held, np.linspace(held[0], held[-1], count)]))
+        return self.part.placed(values), lambda state: f"object_q {values[state]:.3f}"
+
+    def _part_check(
+        self, Ts_way: Float[np.ndarray, "w p 4 4"], where: Callable[[int], str]
+    ) -> Check:
+        """The moved part against the scene: no deeper than there, but for the tolerance."""
+        found, passage, fixed = _Overlaps(self.limits.penetration), self.passage, self.fixed
+        found.add(
+            self.part.shapes, Ts_way, fixed, fixed.Ts_body_shape[None],
+            passage.pairs, where, already=passage.already,
+        )  # fmt: skip
+        return found.check("moved part in the scene")
+
+    def _base_check(
+        self,
+        Ts_base: Float[np.ndarray, "1 b 4 4"],
+        Ts_way: Float[np.ndarray, "w p 4 4"],
+        where: Callable[[int], str],
+    ) -> Check:
+        """The base against the scene, and against the part on all its way."""
         fixed, part = self.fixed, self.part
         found = _Overlaps(self.limits.penetration)
         found.add(
             self._base, Ts_base, fixed, fixed.Ts_body_shape[None],
             all_pairs(len(self._base), len(fixed)), lambda _: "any state",
         )  # fmt: skip
-        values = path.object_q[path.approach :]
-        if part.joint is None:
-            values = values[:1]
-        sweep = np.linspace(values[0], values[-1], SWEEP_STATES)
-        values = np.unique(np.concatenate([values, sweep]))
         found.add(
-            part.shapes, part.placed(values), self._base, Ts_base,
-            all_pairs(len(part.shapes), len(self._base)),
-            lambda state: f"object_q {values[state]:.3f}", swapped=True,
+            part.shapes, Ts_way, self._base, Ts_base,
+            all_pairs(len(part.shapes), len(self._base)), where, swapped=True,
         )  # fmt: skip
         return found.check("base in the scene")
 
@@ -180,8 +217,11 @@ class _Overlaps:
         where: Callable[[int], str],
         *,
         swapped: bool = False,
+        already: Float[np.ndarray, " p"] | float = 0.0,
     ) -> None:
+        """Look at pairs of shapes; only what is deeper than `already` counts [m]."""
         depth, state = deepest(a, Ts_a, b, Ts_b, pairs, min(0.0, self.limit))
+        depth = depth - already
         for p in np.flatnonzero(state >= 0):
             names = (a.names[pairs[p, 0]], b.names[pairs[p, 1]])
             names = names[::-1] if swapped else names

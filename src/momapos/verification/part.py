@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from momapos.errors import TaskError
 from momapos.geometry.transforms import invert
@@ -23,9 +23,11 @@ class Part:
 
     name: str
     joint: Joint | None
-    """None where the object is moved as a whole; it then stands still here."""
+    """None where the object is moved as a whole; its value is then how far it is lifted [m]."""
     start: float
     """Value of the joint in the scene [rad] or [m]."""
+    rest: float
+    """Value of the joint where the object is closed: zero, or the limit nearest to it."""
     goal: float
     """Value that the task asks for."""
     T_world_joint: Float[np.ndarray, "4 4"]
@@ -35,12 +37,18 @@ class Part:
     def poses(self, values: Float[np.ndarray, " s"]) -> Float[np.ndarray, "s 4 4"]:
         """World poses of the part at joint values."""
         if self.joint is None:
-            return np.repeat(self.T_world_joint[None], len(values), axis=0)
+            Ts = np.repeat(self.T_world_joint[None], len(values), axis=0)
+            Ts[:, 2, 3] += values
+            return Ts
         return np.asarray(self.T_world_joint @ joint_motions(self.joint, values))
 
     def placed(self, values: Float[np.ndarray, " s"]) -> Float[np.ndarray, "s k 4 4"]:
         """World poses of the shapes at joint values."""
-        return np.asarray(self.poses(values)[:, None] @ self.shapes.Ts_body_shape)
+        return self.placed_at(self.poses(values))
+
+    def placed_at(self, Ts_world_part: Float[np.ndarray, "s 4 4"]) -> Float[np.ndarray, "s k 4 4"]:
+        """World poses of the shapes from those of the part."""
+        return np.asarray(Ts_world_part[:, None] @ self.shapes.Ts_body_shape)
 
     def distance(self, point: Float[np.ndarray, "3"]) -> float:
         """Distance of a point in the part's frame from its shapes [m]; negative inside."""
@@ -61,8 +69,11 @@ class Part:
 _POINT = (np.zeros((1, 3)), 0.0, 0.0)
 
 
-def split(scene: Scene, task: Task) -> tuple[Part, Shapes]:
+def split(scene: Scene, task: Task) -> tuple[Part, Shapes, Bool[np.ndarray, " k"]]:
     """Split a scene into the part that a task moves, and all else, in world coordinates.
+
+    Returns:
+        The part, all other shapes, and which of these belong to the part's own object.
 
     Raises:
         UnknownNameError: There is no such object or joint.
@@ -75,7 +86,7 @@ def split(scene: Scene, task: Task) -> tuple[Part, Shapes]:
         raise TaskError(f"task: joint {task.joint!r} of {task.object!r} needs a value to reach")
     if task.joint is not None:
         target.model.joint(task.joint)
-    fixed, prefixes = [], []
+    fixed, prefixes, own = [], [], []
     for item in scene.objects:
         bodies, shapes = _world_shapes(item)
         if item is target:
@@ -86,7 +97,8 @@ def split(scene: Scene, task: Task) -> tuple[Part, Shapes]:
             shapes = shapes.take(np.setdiff1d(np.arange(len(shapes)), inside))
         fixed.append(shapes)
         prefixes.append(f"{item.name}/")
-    return part, join(fixed, prefixes)
+        own.append(np.full(len(shapes), item is target))
+    return part, join(fixed, prefixes), np.concatenate(own)
 
 
 def _world_shapes(item: SceneObject) -> tuple[Bodies, Shapes]:
@@ -98,14 +110,15 @@ def _world_shapes(item: SceneObject) -> tuple[Bodies, Shapes]:
 
 def _part(item: SceneObject, task: Task, bodies: Bodies, shapes: Shapes) -> Part:
     """The part, from its shapes in world coordinates."""
-    joint, start, goal = None, 0.0, 0.0
+    joint, start, rest, goal = None, 0.0, 0.0, 0.0
     T = item.T_world_object
     if task.joint is not None and task.to is not None:
         body = bodies.of_joint[task.joint]
         joint, start, goal = bodies.joints[body], item.values()[task.joint], task.to
+        rest = bodies.rest[task.joint]
         Ts = body_poses(bodies, item.values(), item.T_world_object)[0]
         T = Ts[bodies.parent[body]] @ bodies.Ts_parent_joint[body]
     named = join([shapes], [f"{item.name}/"])
-    part = Part(item.name, joint, float(start), float(goal), T, named)
+    part = Part(item.name, joint, float(start), float(rest), float(goal), T, named)
     T_part_world = invert(part.poses(np.array([start]))[0])
     return replace(part, shapes=named.moved_to(T_part_world @ named.Ts_body_shape))

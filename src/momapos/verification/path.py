@@ -82,6 +82,23 @@ def _densify(
     return np.vstack([states, q[-1:]]), np.append(segment + share, len(q) - 1.0)
 
 
+def part_poses(
+    part: Part, verb: str, path: DensePath, Ts_world_tool: Float[np.ndarray, "s 4 4"]
+) -> Float[np.ndarray, "s 4 4"]:
+    """World poses of the part along a path: by its joint's value, or as the tool carries it.
+
+    An object is picked where the manipulation begins, and carried from then on; one that is placed
+    is carried until then, and stays.
+    """
+    if part.joint is not None:
+        return part.poses(path.object_q)
+    Ts = part.poses(np.zeros(len(path.q)))
+    carried = slice(path.approach) if verb == "place" else slice(path.approach, None)
+    T_tool_part = invert(Ts_world_tool[path.approach]) @ part.T_world_joint
+    Ts[carried] = Ts_world_tool[carried] @ T_tool_part
+    return Ts
+
+
 def number_checks(
     part: Part, motion: Motion, base_pose: tuple[float, float, float]
 ) -> Iterator[Check]:

@@ -16,6 +16,8 @@ class Limits:
     """Largest step between the states that are checked [rad] or [m]."""
     penetration: float = 0.003
     """Depth that two bodies may overlap; below zero: the clearance they must keep [m]."""
+    deeper: float = 0.003
+    """How much deeper than in the scene the moved part may come into what it is in there [m]."""
     fk_position: float = 0.005
     """Tool pose of the plan against the one of its joints [m]."""
     fk_rotation: float = math.radians(1.0)

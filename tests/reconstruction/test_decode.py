@@ -1,0 +1,56 @@
+"""What the networks see of a face."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from momapos.reconstruction import decode
+from momapos.types import FaceImage
+
+
+@pytest.fixture
+def wood() -> np.ndarray:
+    """A dark front with noise and an upright grain, without a seam."""
+    rng = np.random.default_rng(0)
+    grain = rng.normal(0.0, 1.5, (1, 300)) + rng.normal(0.0, 4.0, (200, 300))
+    return np.clip(70.0 + grain, 0, 255)[..., None].repeat(3, axis=-1).astype(np.uint8)
+
+
+def test_a_seam_that_is_hardly_darker_than_the_grain_stands_out(wood: np.ndarray) -> None:
+    wood[:, 120] -= np.uint8(14)
+    lines = decode.dark_lines(wood, 1)
+    column = lines.mean(axis=0)
+    assert column.argmax() == 120
+    assert column[120] > 2 * np.delete(column, 120).max()
+    assert decode.dark_lines(wood, 0).max() < column[120]
+
+
+def test_lines_turn_and_mirror_with_the_picture(wood: np.ndarray) -> None:
+    lines = decode.dark_lines(wood, 1)
+    np.testing.assert_allclose(decode.dark_lines(wood.swapaxes(0, 1), 0), lines.T, atol=1e-5)
+    np.testing.assert_allclose(decode.dark_lines(wood[:, ::-1], 1), lines[:, ::-1], atol=1e-5)
+
+
+def test_a_step_in_brightness_is_no_line() -> None:
+    step = np.full((60, 60, 3), 40, np.uint8)
+    step[:, 30:] = 200
+    assert decode.dark_lines(step, 1).max() == 0.0
+    assert decode.dark_lines(step, 0).max() == 0.0
+
+
+def test_relief_counts_from_the_fronts_and_not_from_the_plane_of_the_box(wood: np.ndarray) -> None:
+    relief = np.zeros(wood.shape[:2], np.float32)
+    relief[90:110, 40:60] = 0.04
+    near, far = (
+        decode.planes(FaceImage(wood, relief + np.float32(off), 0.9, 0.6)) for off in (0.0, -0.1)
+    )
+    np.testing.assert_allclose(near, far, atol=1e-5)
+    assert near[100, 50, 3] == pytest.approx(0.5, abs=1e-4)
+
+
+def test_a_face_without_relief_has_none(wood: np.ndarray) -> None:
+    stack = decode.planes(FaceImage(wood, np.full(wood.shape[:2], np.nan, np.float32), 0.9, 0.6))
+    assert stack.shape == (200, 300, 7)
+    assert np.isfinite(stack).all()
+    assert not stack[..., 3:5].any()

@@ -1,0 +1,173 @@
+"""The moved part has room on its way, whoever moves it; what a scene has already is given."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from door_case import BASE, JOINTS, OPEN, Case, arm_path, make_case, tool_poses
+
+from momapos.geometry.transforms import invert
+from momapos.kinematics.articulated import Articulated
+from momapos.kinematics.urdf import read_urdf
+from momapos.scene.files import load_scene
+from momapos.types import Motion, Task
+from momapos.verification.convex import overlap
+from momapos.verification.exact import ExactWorld
+from momapos.verification.files import UrdfArm
+from momapos.verification.report import DEFAULT, Check, Limits
+
+DOOR = Task("open", "cupboard", "hinge", OPEN)
+CHECK = "moved part in the scene"
+FLUSH = [0.02, 0.3, 0.78]
+"""A panel beside the door: its edge is the door's, on the side away from the hinge."""
+
+
+def world_of(folder: Path, case: Case, task: Task = DOOR, limits: Limits = DEFAULT) -> ExactWorld:
+    case.write(folder)
+    arm = UrdfArm(
+        Articulated(read_urdf(folder / "robot.urdf")), "base", "tool", JOINTS, frozenset()
+    )
+    return ExactWorld(load_scene(folder / "scene.json"), arm, task, limits)
+
+
+def opening() -> Motion:
+    approach, q, values = arm_path()
+    return Motion(approach, q, values, tool_poses(values))
+
+
+def verdict(world: ExactWorld, motion: Motion) -> Check:
+    return next(c for c in world.check(BASE, motion).checks if c.name == CHECK)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_the_first_hit_is_that_of_looking_at_every_value(seed: int, tmp_path: Path) -> None:
+    rng = np.random.default_rng(seed)
+    case = make_case()
+    case.obstacle(
+        rng.uniform(0.02, 0.2, 3).tolist(), rng.uniform([-0.5, -0.2, 0.5], [0.1, 0.5, 1.1]).tolist()
+    )
+    world = world_of(tmp_path, case)
+    part, post = world.part, world.fixed.names.index("post/box")
+    values = np.linspace(0.0, OPEN, 51)
+    T_post_world = invert(world.fixed.Ts_body_shape[post])
+    depth = np.array([
+        max(
+            overlap(part.shapes.core(i), world.fixed.core(post), T_post_world @ T)
+            for i, T in enumerate(Ts)
+        )
+        for Ts in part.placed(values)
+    ])  # fmt: skip
+    deep = depth > max(0.003, depth[0] + 0.003)
+    words = world.blocked(0.05)
+    assert (words is None) == (not deep.any())
+    if words is not None:
+        first = round(np.degrees(values[int(np.argmax(deep))]))
+        assert "hits post/box" in words
+        assert f"at {first} deg on its way from 0 to 57 deg" in words
+
+
+@pytest.mark.parametrize("overlap_mm", [0.0, 2.0, 8.0])
+def test_a_door_may_leave_a_neighbour_that_it_stands_in(overlap_mm: float, tmp_path: Path) -> None:
+    case = make_case()
+    case.obstacle(FLUSH, [0.185, 0.44 - overlap_mm / 1000, 0.8])
+    world = world_of(tmp_path, case)
+    assert world.blocked(0.05) is None
+    assert verdict(world, opening()).ok
+
+
+def test_a_door_may_not_turn_deeper_into_what_it_touches(tmp_path: Path) -> None:
+    case = make_case()
+    case.obstacle([0.1, 0.1, 0.78], [0.125, -0.2, 0.8])  # flush before the door, near its hinge
+    world = world_of(tmp_path, case)
+    words = world.blocked(0.05)
+    assert words is not None
+    assert words.startswith("cupboard/door hits post/box at ")
+    check = verdict(world, opening())
+    assert not check.ok
+    assert check.culprit == "cupboard/door in post/box"
+
+
+def test_a_door_may_turn_in_its_own_frame(tmp_path: Path) -> None:
+    case = make_case()
+    case.cupboard = case.cupboard.replace('xyz="0 0.29 0"', 'xyz="0.025 0.29 0"')
+    world = world_of(tmp_path, case)  # its hull stands 2 cm in the body and sweeps through it
+    assert world.blocked(0.05) is None
+    assert verdict(world, opening()).ok
+
+
+def test_a_clearance_asks_nothing_of_what_is_nearer_already(tmp_path: Path) -> None:
+    far, near = make_case(), make_case()
+    far.obstacle([0.04, 0.04, 0.04], [-0.4, 0.0, 0.45])  # 2 cm off the door's way at the nearest
+    near.obstacle(FLUSH, [0.185, 0.445, 0.8])
+    assert world_of(tmp_path / "far", far).blocked(0.05) is None
+    limits = Limits(penetration=-0.1)
+    words = world_of(tmp_path / "far", far, limits=limits).blocked(0.05)
+    assert words is not None
+    assert "hits post/box" in words
+    assert world_of(tmp_path / "near", near, limits=limits).blocked(0.05) is None
+
+
+def stick_room(*obstacles: tuple[list[float], list[float]]) -> Case:
+    """A stick where the handle was, that hangs down below the hand, instead of the cupboard."""
+    case = make_case()
+    case.scene["objects"] = case.scene["objects"][1:]
+    xyz = tool_poses(np.zeros(1))[0, :3, 3] - [0.0, 0.0, 0.13]
+    stick = {
+        "name": "stick", "category": "stick", "box": [0.02, 0.02, 0.3],
+        "pose": {"xyz": xyz.tolist(), "wxyz": [1.0, 0.0, 0.0, 0.0]},
+    }  # fmt: skip
+    case.scene["objects"].append(stick)
+    for size, where in obstacles:
+        case.obstacle(size, where)
+    return case
+
+
+def carried() -> tuple[Motion, Motion]:
+    """The arc of the door as the way of a stick: picked at its begin, or placed there."""
+    approach, q, values = arm_path()
+    zeros, Ts = np.zeros(len(q)), tool_poses(values)
+    back = tool_poses(np.zeros(1))[0]
+    retreat = np.array([back] * len(approach))
+    retreat[:, :3, 3] += np.linspace(0.0, -0.1, len(approach))[:, None] * back[:3, 2]
+    pick = Motion(approach, q, zeros, Ts)
+    place = Motion(q[::-1], np.vstack([q[:1], approach[-2::-1]]), zeros[: len(approach)], retreat)
+    return pick, place
+
+
+@pytest.mark.parametrize("verb", ["pick", "place"])
+@pytest.mark.parametrize(
+    ("drop", "free"), [(0.2, False), (0.4, True)], ids=["at its height", "below it"]
+)
+def test_an_object_in_the_hand_has_room_all_along(
+    verb: str, drop: float, free: bool, tmp_path: Path
+) -> None:
+    middle = tool_poses(np.array([0.5]))[0, :3, 3] - [0.0, 0.0, drop]
+    case = stick_room(([0.03, 0.03, 0.03], middle.tolist()))
+    motion = dict(zip(("pick", "place"), carried(), strict=True))[verb]
+    world = world_of(tmp_path, case, Task(verb, "stick"))  # type: ignore[arg-type]
+    checks = {check.name: check for check in world.check(BASE, motion).checks}
+    assert checks["arm in the scene"].ok
+    assert checks[CHECK].ok == free
+    if not free:
+        assert checks[CHECK].culprit == "stick/box in post/box"
+
+
+@pytest.mark.parametrize(
+    ("gap", "said"),
+    [(0.06, None), (0.02, "stick/box hits post/box when lifted by 0.03 of 0.05 m")],
+)
+def test_a_lift_ends_at_a_board_above(gap: float, said: str | None, tmp_path: Path) -> None:
+    top = tool_poses(np.zeros(1))[0, :3, 3] + [0.0, 0.0, 0.02]
+    board = [top[0], top[1], top[2] + gap + 0.01]
+    case = stick_room(([0.3, 0.3, 0.02], board))
+    assert world_of(tmp_path, case, Task("pick", "stick")).blocked(0.05) == said
+
+
+def test_what_an_object_stands_on_does_not_hold_it(tmp_path: Path) -> None:
+    foot = tool_poses(np.zeros(1))[0, :3, 3] - [0.0, 0.0, 0.28]
+    board = [foot[0], foot[1], foot[2] - 0.01 + 0.004]  # 4 mm deep in it
+    case = stick_room(([0.3, 0.3, 0.02], board))
+    world = world_of(tmp_path, case, Task("pick", "stick"))
+    assert world.blocked(0.05) is None
