@@ -166,7 +166,7 @@ def detect(
     room = find_room(cloud, config.room)
     found = boxes(cloud, instances, room, config.boxes)
     marks["boxes"] = time.perf_counter()
-    pieces = divide(found, cloud, frames, look, config)
+    pieces, _ = divide(found, cloud, frames, look, config)
     if len(pieces) > len(found):
         found = boxes(cloud, pieces, room, config.boxes)
     marks["rows"] = time.perf_counter()

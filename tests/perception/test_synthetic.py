@@ -256,3 +256,20 @@ def test_the_fridge_is_seen_straight_on_and_whole(kitchen: Scene) -> None:
         toward = T[:3, 3] - (box.center + front * box.size[1] / 2)
         good += bool(whole and front @ toward > np.cos(np.radians(15)) * np.linalg.norm(toward))
     assert good >= 3
+
+
+def test_a_table_is_seen_from_above_more_than_once(kitchen: Scene) -> None:
+    scan = synthetic_scan(kitchen, frames=60, seed=0)
+    low, high = kitchen.object("table").bounds
+    steps = (np.arange(12) + 0.5) / 12
+    x, y = (grid.ravel() for grid in np.meshgrid(*(low[:2] + steps[:, None] * (high - low)[:2]).T))
+    top = np.column_stack([x, y, np.full(len(x), high[2])])
+    views = np.zeros(len(top), int)
+    for T in scan.Ts_world_camera:
+        local = apply(invert(T), top)
+        uv = local @ scan.intrinsics.T
+        uv = np.rint(uv[:, :2] / uv[:, 2:]).astype(int)
+        above = T[2, 3] - high[2] > np.sin(np.radians(20)) * np.linalg.norm(T[:3, 3] - top, axis=1)
+        ahead = (local[:, 2] > 0) & (uv >= 0).all(1) & (uv < np.array(SIZE)).all(1)
+        views += above & ahead
+    assert np.mean(views >= 2) > 0.9

@@ -20,8 +20,6 @@ class FrontConfig:
 
     area: float = 0.06
     """Least area [m2]."""
-    fill: float = 0.35
-    """Least share of its rectangle that is seen: the end of a table is no front [-]."""
     side: float = 0.2
     """Least width and height [m]."""
     step: float = 0.02
@@ -186,7 +184,7 @@ def _front(
     if high[other] - low[other] < config.side or high[2] - low[2] < config.side:
         return None
     size = area(points[:, other], points[:, 2])
-    if size < max(config.area, config.fill * (high[other] - low[other]) * (high[2] - low[2])):
+    if size < config.area:
         return None
     # The densest plane: of a curved front it is the middle, which stands out farthest.
     face = peaks(points[:, axis], config.step / 2, 1, config.step)[0]

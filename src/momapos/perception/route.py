@@ -29,13 +29,25 @@ TIMES = 3
 """So often each front is to be seen straight on [-]."""
 GRID = 7
 """Points along each edge of a face that are looked for [-]."""
+FRONT = 0.2
+"""Faces less wide or high than this have no door to be seen straight on [m]."""
+SOLID = 0.2
+"""What is seen farther than this behind a face is not it: a table's side is open [m]."""
 WHOLE = 0.6
 """A face counts as seen when this share of its points is [-]; handles may hide some."""
-FRONT_WORTH = 200.0
+FRONT_WORTH = 400.0
 """What a front seen straight on is worth in single points [-]."""
 FADING = 0.45
 """What a point is worth that was seen once already [-]."""
 POINTS = 3000
+TOPS = (0.3, 1.3)
+"""Heights of the tops that a person looks down on [m]."""
+TOP_POINTS = 100
+"""Points on each square metre of such a top [1/m2]."""
+TOP_WORTH = 2.0
+"""What each of them is worth in single points: a table is worth as much as a front [-]."""
+STEEP = np.sin(np.radians(20.0))
+"""A top is seen where the eye is at least this far above its plane: depth fails at a graze."""
 CROUCHED = 0.15
 """Share of the random poses that are low [-]."""
 RANDOM, AIMED = 500, 36
@@ -70,6 +82,7 @@ class _Faces:
     size: Float[np.ndarray, "f 2"]
     """Width and height [m]."""
     points: Float[np.ndarray, "f p 3"]
+    """A grid on each face, and after it the four corners."""
 
 
 def scan_route(
@@ -81,7 +94,7 @@ def scan_route(
     focal: float = 560.0,
     size: tuple[int, int] = (640, 480),
 ) -> Float[np.ndarray, "n 4 4"]:
-    """Choose camera poses that show every surface, and every front straight on.
+    """Choose camera poses that show every surface, tops from above, and every front straight on.
 
     Of many poses where a person can stand, the one that shows most of what was seen least is taken
     again and again; the order is then that of a walk.
@@ -106,7 +119,7 @@ def scan_route(
             f"{scene.path}: there is no free floor to scan from, {CLEARANCE:g} m from all things"
         )
     faces = _faces(scene)
-    points = _surface_points(world, scene, rng)
+    points = np.concatenate([_surface_points(world, scene, rng), _top_points(world, rng)])
     needed = 1.1 * focal / np.array(size)
     tried = _candidates(room, faces, points, needed, rng)
     K = pinhole((size[0] // REDUCED, size[1] // REDUCED), focal / REDUCED)
@@ -143,19 +156,22 @@ def free_floor(scene: Scene, world: RenderWorld) -> _Room:
 
 
 def _faces(scene: Scene) -> _Faces:
-    """Upright sides of everything but walls."""
+    """Upright sides of everything but walls that are large enough for a door."""
     centers, normals, sizes, points = [], [], [], []
     along = (np.arange(GRID) + 0.5) / GRID - 0.5
-    across, up = (grid.ravel() for grid in np.meshgrid(along, along))
+    corners = np.array([[-0.5, -0.5, 0.5, 0.5], [-0.5, 0.5, -0.5, 0.5]])
+    across, up = np.concatenate([np.reshape(np.meshgrid(along, along), (2, -1)), corners], axis=1)
     for item in scene.objects:
         if item.category == "wall":
             continue
         T = item.boxed.T_world_object
         half = np.array(item.boxed.model.urdf.links["box"].visuals[0].size) / 2
         for axis, side in ((0, 1), (0, -1), (1, 1), (1, -1)):
+            if 2 * min(half[1 - axis], half[2]) < FRONT:
+                continue
             unit = np.zeros(3)
             unit[axis] = side
-            local = np.zeros((GRID * GRID, 3))
+            local = np.zeros((len(across), 3))
             local[:, axis] = side * half[axis]
             local[:, 1 - axis], local[:, 2] = 2 * half[1 - axis] * across, 2 * half[2] * up
             centers.append(apply(T, (half * unit)[None])[0])
@@ -166,7 +182,7 @@ def _faces(scene: Scene) -> _Faces:
         np.reshape(centers, (-1, 3)),
         np.reshape(normals, (-1, 3)),
         np.reshape(sizes, (-1, 2)),
-        np.reshape(points, (-1, GRID * GRID, 3)),
+        np.reshape(points, (-1, len(across), 3)),
     )
 
 
@@ -179,9 +195,31 @@ def _surface_points(
     room = np.array([item.category == "wall" for item in scene.objects] + [True])[world.owner]
     weight = np.where(room, 0.15 * area, area)
     picked = rng.choice(len(area), POINTS, p=weight / weight.sum())
-    u, v = rng.random((2, POINTS, 1))
+    return _spread(world.triangles[picked], rng)
+
+
+def _top_points(world: RenderWorld, rng: np.random.Generator) -> Float[np.ndarray, "n 3"]:
+    """Points on what faces up at the height of tables and counters, evenly spread."""
+    a, b, c = np.moveaxis(world.triangles, 1, 0)
+    height = world.triangles[:, :, 2].mean(axis=1)
+    flat = (world.normals[:, 2] > 0.9) & (height > TOPS[0]) & (height < TOPS[1])
+    flat &= world.owner >= 0
+    if not flat.any():
+        return np.zeros((0, 3))
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)[flat] / 2
+    count = int(np.ceil(TOP_POINTS * area.sum()))
+    picked = rng.choice(np.flatnonzero(flat), count, p=area / area.sum())
+    return _spread(world.triangles[picked], rng)
+
+
+def _spread(
+    triangles: Float[np.ndarray, "n 3 3"], rng: np.random.Generator
+) -> Float[np.ndarray, "n 3"]:
+    """One point in each triangle, evenly."""
+    a, b, c = np.moveaxis(triangles, 1, 0)
+    u, v = rng.random((2, len(triangles), 1))
     u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
-    return a[picked] + u * (b - a)[picked] + v * (c - a)[picked]
+    return a + u * (b - a) + v * (c - a)
 
 
 def _candidates(
@@ -228,24 +266,30 @@ def _views(
     points: Float[np.ndarray, "n 3"],
     faces: _Faces,
 ) -> tuple[Bool[np.ndarray, "c n"], Bool[np.ndarray, "c f"]]:
-    """Which points each camera sees, and which faces it sees straight on."""
+    """Which points each camera sees, and which faces it sees straight on.
+
+    The points after the first `POINTS` are on tops, and are seen from above.
+    """
     width, height = np.rint(2 * K[:2, 2] + 1).astype(int)
     xs, ys = (np.arange(width) - K[0, 2]) / K[0, 0], (np.arange(height) - K[1, 2]) / K[1, 1]
     corners = faces.points.reshape(-1, 3)
     both = np.concatenate([points, corners])
-    count = len(points)
+    count, tops = len(points), points[POINTS:]
     seen = np.zeros((len(Ts_world_camera), count), bool)
     whole = np.zeros((len(Ts_world_camera), len(faces.center)), bool)
     share = np.zeros(whole.shape)
     for k, T in enumerate(Ts_world_camera):
         inverse, _ = world.trace(T, xs, ys)
-        visible, inside = _visible(inverse, apply(invert(T), both), K)
+        visible, inside, solid = _visible(inverse, apply(invert(T), both), K)
         seen[k] = visible[:count]
+        up = T[2, 3] - tops[:, 2]
+        seen[k, POINTS:] &= up > STEEP * np.linalg.norm(T[:3, 3] - tops, axis=1)
         toward = T[:3, 3] - faces.center
         toward /= np.linalg.norm(toward, axis=1, keepdims=True)
         straight = (toward * faces.normal).sum(1) > STRAIGHT
         whole[k] = inside[count:].reshape(faces.points.shape[:2]).all(1)
-        share[k] = straight * visible[count:].reshape(faces.points.shape[:2]).mean(1)
+        surface = (visible & solid)[count:].reshape(faces.points.shape[:2])
+        share[k] = straight * surface[:, :-4].mean(1)
     return seen, _frontal(whole, share)
 
 
@@ -267,8 +311,9 @@ def _frontal(
 
 def _visible(
     inverse: Float[np.ndarray, "h w"], points: Float[np.ndarray, "n 3"], K: Float[np.ndarray, "3 3"]
-) -> tuple[Bool[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
-    """Which points of the camera's frame are seen, and which lie in the picture."""
+) -> tuple[Bool[np.ndarray, " n"], Bool[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
+    """Which points of the camera's frame nothing hides, which lie in the picture, and which have
+    a surface close behind them."""
     height, width = inverse.shape
     ahead = points[:, 2] > 0.05
     z = np.where(ahead, points[:, 2], 1.0)
@@ -277,7 +322,7 @@ def _visible(
     inside = ahead & (u >= 0) & (u < width) & (v >= 0) & (v < height)
     found = inverse[np.clip(v, 0, height - 1), np.clip(u, 0, width - 1)]
     # fronts lie behind their handles' box by some centimetres, and pixels here are large
-    return inside & (found * (z - 0.1) < 1) & (z < 4.0), inside
+    return inside & (found * (z - 0.1) < 1) & (z < 4.0), inside, found * (z + SOLID) > 1
 
 
 def _choose(
@@ -287,6 +332,7 @@ def _choose(
     views = seen.astype(np.float32)
     fronts = straight.astype(np.float32)
     worth, wanted = np.ones(seen.shape[1], np.float32), np.full(straight.shape[1], float(TIMES))
+    worth[POINTS:] = TOP_WORTH
     unused = np.ones(len(seen), bool)
     chosen = []
     for _ in range(count):
