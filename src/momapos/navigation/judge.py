@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from momapos.geometry.polygons import contains
 from momapos.navigation.outlines import Body, Outlines, on_floor, turned
@@ -49,23 +49,36 @@ class Judge:
             return np.concatenate([d for d, _ in parts]), [name for _, t in parts for name in t]
         best = np.full(len(poses), FAR)
         touched = [""] * len(poses)
-        box = self.obstacles.bounds
-        reach = self.body.radius + FAR
-        low, high = poses[:, :2].min(0) - reach, poses[:, :2].max(0) + reach
-        near = (box[:, :2] < high).all(1) & (box[:, 2:] > low).all(1)
+        count = np.diff(self.obstacles.first)
         for layer, outline in enumerate(self.body.outlines):
-            which = np.flatnonzero(near & (self.obstacles.layer == layer))
-            if not len(which):
-                continue
-            robot, room = turned(outline, poses)[:, None], self._padded[which][None]
-            apart = np.minimum(_corners_to_edges(robot, room), _corners_to_edges(room, robot))
-            apart = np.where(overlap(robot, room), 0.0, apart)
-            best = np.minimum(best, apart.min(1))
-            for n in np.flatnonzero((apart <= 0).any(1)):
-                touched[n] = self.obstacles.names[which[int(apart[n].argmin())]]
+            robot = turned(outline, poses)[:, None]
+            which, least = self._nearest_first(robot, layer)
+            for k in range(0, len(which), _AT_ONCE):
+                # The bounds of the rest are farther from all poses than what was found.
+                if least[k] > best.max():
+                    break
+                some = which[k : k + _AT_ONCE]
+                room = self._padded[some, : count[some].max()][None]
+                apart = np.minimum(_corners_to_edges(robot, room), _corners_to_edges(room, robot))
+                apart = np.where(overlap(robot, room), 0.0, apart)
+                best = np.minimum(best, apart.min(1))
+                for n in np.flatnonzero((apart <= 0).any(1)):
+                    touched[n] = touched[n] or self.obstacles.names[some[int(apart[n].argmin())]]
         for n in np.flatnonzero(~on_floor(self.body, self.floor, poses)):
             touched[n] = touched[n] or "the edge of the floor"
         return best, touched
+
+    def _nearest_first(
+        self, robot: Float[np.ndarray, "n 1 k 2"], layer: int
+    ) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, " m"]]:
+        """Obstacles of a layer by how far their bounds are from those of the robot at all poses."""
+        which = np.flatnonzero(self.obstacles.layer == layer)
+        low, high = robot.min((0, 1, 2)), robot.max((0, 1, 2))
+        box = self.obstacles.bounds[which]
+        beside = np.maximum(np.maximum(box[:, :2] - high, low - box[:, 2:]), 0.0)
+        least = np.hypot(beside[:, 0], beside[:, 1])
+        order = np.argsort(least, kind="stable")
+        return which[order], least[order]
 
     def to_discs(
         self, pose: Float[np.ndarray, "3"], discs: Float[np.ndarray, "d 5"]
