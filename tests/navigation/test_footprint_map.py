@@ -9,11 +9,12 @@ import pytest
 from tests.navigation.boxes import room, square
 
 from momapos.errors import SceneError
+from momapos.geometry.transforms import apply, invert
 from momapos.navigation.clearance import gaps
 from momapos.navigation.cost_map import CELL
 from momapos.navigation.footprint_map import HEADINGS, ground_of, survey
 from momapos.navigation.judge import Judge
-from momapos.navigation.outlines import body_of, obstacles_of, thinned
+from momapos.navigation.outlines import body_of, edges_of, obstacles_of, thinned
 from momapos.robots.robot import Robot
 
 CLUTTER = [
@@ -74,7 +75,7 @@ def test_only_what_is_between_the_floor_and_the_top_of_the_robot_is_in_the_way(
     body = body_of(robot)
     box = [(0.0, 0.0, 1.0, 1.0, 0.0)]
     assert len(obstacles_of(room(box), body)) > 0
-    above = room(box, low=body.top + 0.01, high=body.top + 1.0)
+    above = room(box, low=body.heights[-1] + 0.01, high=body.heights[-1] + 1.0)
     mat = room(box, low=0.0, high=0.003)
     assert len(obstacles_of(above, body)) == len(obstacles_of(mat, body)) == 0
 
@@ -84,13 +85,43 @@ def test_a_low_base_goes_under_what_its_arm_does_not_touch(
 ) -> None:
     husky = robots("husky_ur5e")
     body = body_of(husky)
-    shelf = room([(0.0, 0.0, 2.0, 0.1, 0.0)], low=body.cut + 0.01, high=body.cut + 0.1)
-    front = float(body.outlines[1][:, 0].max())
-    assert front < body.outlines[0][:, 0].max()
-    pose = np.array([[0.0, -0.05 - front - 0.01, np.pi / 2]])
+    fronts = [float(outline[:, 0].max()) for outline in body.outlines]
+    thin = int(np.argmin(fronts))
+    assert fronts[thin] < fronts[0] - 0.05
+    slab, (low, high) = [(0.0, 0.0, 2.0, 0.1, 0.0)], body.heights[thin : thin + 2]
+    shelf = room(slab, low=low + 0.01, high=high - 0.01)
+    pose = np.array([[0.0, -0.05 - fronts[thin] - 0.01, np.pi / 2]])
     assert gaps(pose, body, obstacles_of(shelf, body))[0] > 0
-    low = room([(0.0, 0.0, 2.0, 0.1, 0.0)], high=body.cut)
-    assert gaps(pose, body, obstacles_of(low, body))[0] < 0
+    step = room(slab, high=body.heights[1])
+    assert gaps(pose, body, obstacles_of(step, body))[0] < 0
+
+
+def test_the_prisms_of_a_robot_hold_all_of_it(robots: Callable[[str], Robot]) -> None:
+    for name in ("fetch", "husky_ur5e", "ranger_rm63", "segway_ur5e"):
+        robot = robots(name)
+        body = body_of(robot)
+        poses = robot.model.link_poses(dict(zip(robot.arm_joints, robot.home, strict=True)))
+        T_base_root = invert(poses[robot.base_link])
+        assert (np.diff(body.heights) > 0).all()
+        for link, hulls in robot.model.hulls.items():
+            for hull in hulls:
+                points = apply(T_base_root @ poses[link], hull.vertices)
+                for k, outline in enumerate(body.outlines):
+                    low, high = body.heights[k : k + 2]
+                    within = (points[:, 2] > low) & (points[:, 2] < high)
+                    corner, normal = edges_of(outline)
+                    level = np.einsum("ki,ki->k", corner, normal)
+                    assert (points[within, :2] @ normal.T <= level + 1e-9).all()
+
+
+def test_what_a_wider_prism_meets_as_well_is_asked_of_that_alone(robot: Robot) -> None:
+    body = body_of(robot)
+    pillar = room([(0.0, 0.0, 0.1, 0.1, 0.0)], low=0.0, high=body.heights[-1])
+    layers = set(obstacles_of(pillar, body).layer.tolist())
+    for k in range(len(body.outlines)):
+        held = any(body.inside[k, j] for j in layers)
+        assert held or k in layers
+    assert all(not body.inside[a, b] for a in layers for b in layers if a != b)
 
 
 def test_a_room_too_large_to_be_mapped_is_refused(robots: Callable[[str], Robot]) -> None:

@@ -22,7 +22,7 @@ from momapos.navigation.footprint_map import Ground, ground_of
 from momapos.navigation.global_path import TURN, Path, PathConfig, direct_path, plan_path
 from momapos.navigation.judge import Judge
 from momapos.navigation.localisation import Localiser, NoiseConfig
-from momapos.navigation.outlines import LOWER, UPPER, pack
+from momapos.navigation.outlines import pack
 from momapos.protocols import Clock
 
 Moving = Callable[[float], Float[np.ndarray, "d 5"]]
@@ -372,8 +372,9 @@ def _with_discs(ground: Ground, discs: Float[np.ndarray, "d 5"]) -> Ground:
     old = ground.obstacles
     polygons = [old.polygon(k) for k in range(len(old))]
     layers, names = old.layer.tolist(), list(old.names)
+    prisms = len(ground.body.outlines)
     for disc in discs:
-        polygons += [disc[:2] + (disc[4] + 0.05) * ring] * 2
-        layers += [LOWER, UPPER]
-        names += ["a standing obstacle"] * 2
+        polygons += [disc[:2] + (disc[4] + 0.05) * ring] * prisms
+        layers += range(prisms)
+        names += ["a standing obstacle"] * prisms
     return ground_of(ground.robot, ground.body, pack(polygons, layers, names), ground.floor)

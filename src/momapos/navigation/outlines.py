@@ -1,15 +1,16 @@
 """The robot and the room as upright prisms: convex outlines on the floor, with heights.
 
-A robot is two prisms. The lower one is its footprint, up to a cut; the upper one holds all that is
-above the cut while the arm is at home. So a low base may pass under a table that the arm does not
-touch, and nothing between the floor and the top of the robot is left out.
+A robot is a stack of prisms, with its arm at home; the lowest one is its footprint. So a low base
+may pass under a table that the arm does not touch, an arm over a worktop that the base does not,
+and nothing between the floor and the top of the robot is left out.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -22,19 +23,18 @@ from momapos.scene.scene import Scene
 
 STEP = 0.005
 """What is no higher than this is driven over [m]."""
-LOWER, UPPER = 0, 1
+PRISMS = 5
+"""A robot is so many prisms at most [-]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Body:
     """What drives: the robot with its arm at home."""
 
-    outlines: tuple[Float[np.ndarray, "k 2"], Float[np.ndarray, "m 2"]]
-    """Lower and upper, convex and anticlockwise, in the base frame [m]."""
-    cut: float
-    """Height at which the upper one begins [m]."""
-    top: float
-    """Height of the robot [m]."""
+    outlines: tuple[Float[np.ndarray, "_ 2"], ...]
+    """From the floor up, convex and anticlockwise, in the base frame [m]."""
+    heights: Float[np.ndarray, " k+1"]
+    """Where each begins, and the top of the robot [m]."""
 
     @cached_property
     def radius(self) -> float:
@@ -42,15 +42,19 @@ class Body:
         return float(max(np.linalg.norm(outline, axis=1).max() for outline in self.outlines))
 
     @cached_property
-    def upper_inside(self) -> bool:
-        """Whether the upper outline lies within the lower one."""
-        a, n = edges_of(self.outlines[LOWER])
-        return bool((self.outlines[UPPER] @ n.T <= np.einsum("ki,ki->k", a, n) + 1e-9).all())
+    def inside(self) -> Bool[np.ndarray, "k k"]:
+        """Whether the outline of the first index lies within that of the second."""
+        within = [
+            [bool((a @ n.T <= np.einsum("ki,ki->k", b, n) + 1e-9).all()) for a in self.outlines]
+            for b, n in map(edges_of, self.outlines)
+        ]
+        return np.array(within).T
 
     @cached_property
     def arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, float]:
-        """Corners (b, 2), outward normals (b, 2), levels (b,), first corners (3,), radius."""
-        packed = pack(self.outlines, (LOWER, UPPER), ("lower", "upper"))
+        """Corners (b, 2), outward normals (b, 2), levels (b,), first corners (k+1,), radius."""
+        layers = range(len(self.outlines))
+        packed = pack(self.outlines, layers, ["robot"] * len(self.outlines))
         return packed.corner, packed.normal, packed.level, packed.first, self.radius
 
 
@@ -66,7 +70,7 @@ class Outlines:
     first: Int[np.ndarray, " o+1"]
     """Index of each polygon's first corner, and the number of corners."""
     layer: Int[np.ndarray, " o"]
-    """Which prism of the robot each is in the way of: LOWER or UPPER."""
+    """Which prism of the robot each is in the way of, from the floor up."""
     bounds: Float[np.ndarray, "o 4"]
     """Low x, low y, high x, high y [m]."""
     names: tuple[str, ...]
@@ -108,9 +112,10 @@ def pack(
 
 
 def body_of(robot: Robot) -> Body:
-    """Split a robot at the height where two prisms hold it most tightly.
+    """Cut a robot at the heights where prisms hold it most tightly.
 
-    The lower prism is never less than the footprint of the robot file.
+    The lowest prism is never less than the footprint of the robot file. Cuts are added one by one,
+    each where it saves most.
     """
     poses = robot.model.link_poses(dict(zip(robot.arm_joints, robot.home, strict=True)))
     T_base_root = invert(poses[robot.base_link])
@@ -123,20 +128,24 @@ def body_of(robot: Robot) -> Body:
     high = np.array([points[:, 2].max() for points in shapes])
     flat = [points[:, :2] for points in shapes]
 
-    def split(cut: float) -> tuple[np.ndarray, np.ndarray]:
-        below = [flat[i] for i in np.flatnonzero(low < cut)]
-        above = [flat[i] for i in np.flatnonzero(high > cut)] or [robot.footprint]
-        return _hull([robot.footprint, *below]), _hull(above)
+    @cache
+    def outline(begin: float, end: float) -> np.ndarray:
+        met = [flat[i] for i in np.flatnonzero((low < end) & (high > begin))]
+        return _hull([robot.footprint, *met] if begin == 0.0 or not met else met)
+
+    def volume(heights: np.ndarray) -> float:
+        spans = pairwise(heights.tolist())
+        return sum(signed_area(outline(begin, end)) * (end - begin) for begin, end in spans)
 
     top = float(high.max(initial=0.3))
-    cuts = np.unique(np.round(high, 3))
-    volumes = [
-        signed_area(lower) * cut + signed_area(upper) * (top - cut)
-        for cut in cuts
-        for lower, upper in [split(cut)]
-    ]
-    cut = float(cuts[int(np.argmin(volumes))]) if len(cuts) else top
-    return Body(split(cut), cut, top)
+    heights = np.array([0.0, top])
+    cuts = np.unique(np.round(np.concatenate([low, high]), 3))
+    cuts = cuts[(cuts > STEP) & (cuts < top - STEP)]
+    for _ in range(min(PRISMS - 1, len(cuts))):
+        ways = [np.unique(np.append(heights, cut)) for cut in cuts]
+        heights = min(ways, key=volume)
+    outlines = tuple(outline(begin, end) for begin, end in pairwise(heights.tolist()))
+    return Body(outlines, heights)
 
 
 def _hull(points: Sequence[Float[np.ndarray, "n 2"]]) -> Float[np.ndarray, "k 2"]:
@@ -145,22 +154,21 @@ def _hull(points: Sequence[Float[np.ndarray, "n 2"]]) -> Float[np.ndarray, "k 2"
 
 
 def obstacles_of(scene: Scene, body: Body) -> Outlines:
-    """Everything in a scene between the floor and the robot's top, hull by hull."""
+    """Everything between the floor and the robot's top, for each prism that it is in the way of."""
     polygons, layers, names = [], [], []
+    index = np.arange(len(body.outlines))
     for item in scene.objects:
         for link, T in item.link_poses().items():
             for hull in item.model.hulls[link]:
                 points = apply(T, hull.vertices)
                 low, high = points[:, 2].min(), points[:, 2].max()
-                met = [high > STEP and low < body.cut, high > body.cut and low < body.top]
-                if body.upper_inside and met[LOWER]:
-                    met[UPPER] = False
-                if any(met):
-                    outline = _hull([points[:, :2]])
-                    for layer in np.flatnonzero(met):
-                        polygons.append(outline)
-                        layers.append(int(layer))
-                        names.append(f"{item.name}/{link}")
+                met = (low < body.heights[1:]) & (high > np.maximum(body.heights[:-1], STEP))
+                # Within a wider prism that is met as well, a prism asks nothing more.
+                wider = body.inside & met & ~(body.inside.T & (index[:, None] <= index))
+                for layer in np.flatnonzero(met & ~wider.any(axis=1)):
+                    polygons.append(_hull([points[:, :2]]))
+                    layers.append(int(layer))
+                    names.append(f"{item.name}/{link}")
     return pack(polygons, layers, names)
 
 
@@ -172,7 +180,7 @@ def thinned(outlines: Outlines, floor: Float[np.ndarray, "k 2"] | None) -> Outli
     names = [outlines.names[i] for i in kept]
     if floor is not None:
         polygons += list(np.stack([floor, np.roll(floor, -1, axis=0)], axis=1))
-        layers += [LOWER] * len(floor)
+        layers += [0] * len(floor)
         names += ["the edge of the floor"] * len(floor)
     return pack(polygons, layers, names)
 
@@ -208,4 +216,4 @@ def on_floor(
     """Whether the footprint lies on the floor at base poses."""
     if floor is None:
         return np.ones(len(poses), bool)
-    return all_inside(floor, turned(body.outlines[LOWER], poses))
+    return all_inside(floor, turned(body.outlines[0], poses))
