@@ -21,7 +21,7 @@ import numpy as np
 
 from momapos.cache import default_cache_dir
 from momapos.config import PipelineConfig
-from momapos.geometry.transforms import apply, invert
+from momapos.geometry.transforms import apply, invert, pose_planar
 from momapos.manipulation.handles import closed_value, opening_direction, opening_sign
 from momapos.manipulation.tasks import hand_path, make_task, openable
 from momapos.pipeline import place
@@ -159,15 +159,17 @@ def answer(
     assert found.plan.motion is not None
     assert found.plan.base_pose is not None
     q = found.plan.motion.object_q - closed_value(theirs)
+    base = moved(np.array(found.plan.base_pose), invert(T_scene_truth))
+    T_truth_scene = pose_planar(base) @ invert(pose_planar(np.array(found.plan.base_pose)))
     motion = replace(
         found.plan.motion,
+        Ts_world_tool=T_truth_scene @ found.plan.motion.Ts_world_tool,
         object_q=closed_value(ours) + opening_sign(ours) * opening_sign(theirs) * q,
     )
     limits = Limits(
         penetration=MARGIN, slip_position=MARGIN, slip_rotation=np.radians(10.0),
         reach=Limits().reach + MARGIN, floor_edge=0.1, goal=1.0,
     )  # fmt: skip
-    base = moved(np.array(found.plan.base_pose), invert(T_scene_truth))
     refusal = ExactWorld(room.scene, robot, task, limits).refusal(_triple(base), motion)
     return replace(door, solved=refusal is None, reason=refusal or "")
 
