@@ -32,6 +32,7 @@ from momapos.robots.robot import Robot, load_robot
 from momapos.run_plan import QUIET, run_plan
 from momapos.scene.files import load_scene
 from momapos.scene.scene import Scene
+from placement import shared
 
 REAL = (
     "Asset/Scene/Scene/Kitchen.json",
@@ -47,8 +48,7 @@ SPREAD = 0.3
 
 def scenes() -> list[Scene]:
     """The built-in kitchens, and the real ones where this machine has them."""
-    default = Path(__file__).resolve().parents[2] / "shared" / "data"
-    root = Path(os.environ.get("MOMAPOS_SHARED", default)) / "bestman"
+    root = shared() / "bestman"
     if not root.is_dir():
         print(f"{root} is not there (MOMAPOS_SHARED names its parent): built-in kitchens alone")
     real = [load_scene(root / name) for name in REAL] if root.is_dir() else []

@@ -39,9 +39,9 @@ ROBOTS = ("fetch", "segway_ur5e", "husky_ur5e", "ranger_rm63")
 
 
 def shared() -> Path:
-    """Folder of the shared data."""
-    default = Path(__file__).resolve().parents[2] / "shared" / "data"
-    return Path(os.environ.get("MOMAPOS_SHARED", default))
+    """The folder of real data that holds bestman/."""
+    given = Path(os.environ.get("MOMAPOS_SHARED", Path(__file__).resolve().parents[2] / "shared"))
+    return given / "data" if (given / "data").is_dir() else given
 
 
 def machine() -> str:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
 import pytest
+from tests.real import DATA
 
 from momapos.robots.robot import Robot, load_robot
 
@@ -17,11 +17,9 @@ ROBOTS = ("segway_ur5e", "husky_ur5e", "fetch", "ranger_rm63")
 @pytest.fixture(scope="session")
 def shared() -> Path:
     """Folder of the real data, which are not part of the package; see its README."""
-    given = Path(os.environ.get("MOMAPOS_SHARED", Path(__file__).parents[2] / "shared"))
-    path = given / "data" if (given / "data").is_dir() else given
-    if not (path / "bestman").is_dir():
-        pytest.skip(f"no real data at {path}; set MOMAPOS_SHARED to the folder that holds bestman/")
-    return path
+    if not (DATA / "bestman").is_dir():
+        pytest.skip(f"no real data at {DATA}; set MOMAPOS_SHARED to the folder that holds bestman/")
+    return DATA
 
 
 @pytest.fixture(scope="session")

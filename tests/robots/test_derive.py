@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 import shutil
 from pathlib import Path
@@ -11,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from tests.real import DATA
 
 from momapos.cli.robot import robot_check, robot_export, robot_list, robot_show
 from momapos.errors import MomaposError, RobotError, UnknownNameError
@@ -19,8 +19,7 @@ from momapos.robots.gripper import points_of
 from momapos.robots.robot import library_names, load_robot, read_robot
 from momapos.robots.states import touches
 
-SHARED = Path(os.environ.get("MOMAPOS_SHARED", Path(__file__).parents[3] / "shared"))
-FETCH = SHARED / "data" / "robots" / "fetch"
+FETCH = DATA / "robots" / "fetch"
 LIMIT = '<limit lower="{}" upper="{}" effort="1" velocity="1"/>'
 
 

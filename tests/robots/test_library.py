@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import importlib.util
 import itertools
-import os
 import re
 import tomllib
 import xml.etree.ElementTree as ET
@@ -23,10 +22,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import trimesh
+from tests.real import DATA
 
 LIBRARY = Path(__file__).parents[2] / "src" / "momapos" / "robots" / "library"
-SHARED = Path(os.environ.get("MOMAPOS_SHARED", Path(__file__).parents[3] / "shared"))
-DATA = SHARED if (SHARED / "bestman").is_dir() else SHARED / "data"
 SCENE_IO = DATA.parent / "tools" / "scene_io.py"
 ROBOTS = ("fetch", "husky_ur5e", "ranger_rm63", "segway_ur5e")
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from tests.real import DATA
 
 from momapos.errors import FileFormatError, SceneError, UrdfError
 from momapos.scene.arithmetic import number
@@ -17,8 +17,7 @@ from momapos.scene.bestman import category_of
 from momapos.scene.files import load_scene
 from momapos.scene.scene import Scene, SceneObject
 
-SHARED = Path(os.environ.get("MOMAPOS_SHARED", Path(__file__).parents[3] / "shared"))
-BESTMAN = SHARED / "data" / "bestman"
+BESTMAN = DATA / "bestman"
 SCENES = (
     "Asset/Scene/Scene/Kitchen.json",
     "Asset/Scene/Scene/Kitchen_1.json",

@@ -22,6 +22,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
+from tests.real import TOOLS
 
 from momapos.errors import InputError, MissingExtraError, UnknownNameError
 from momapos.scene.kitchens import LAYOUTS, generate_kitchen
@@ -29,8 +30,7 @@ from momapos.scene.library import writer
 from momapos.scene.library.furniture import TOUCH, Box, Motion, Obstacles, Part, Piece, hits
 
 REPOSITORY = Path(__file__).parents[2]
-SHARED = Path(os.environ.get("MOMAPOS_SHARED", REPOSITORY.parent / "shared" / "data"))
-SCENE_IO = SHARED.parent / "tools" / "scene_io.py"
+SCENE_IO = TOOLS / "scene_io.py"
 LIBRARY = REPOSITORY / "src" / "momapos" / "scene" / "library"
 SHIPPED = ("kitchen_small", "kitchen_island")
 CHEAPEST = "single_wall"

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from door_case import BASE, JOINTS, OPEN, arm_path, make_case, tool_poses
 from mutations import MUTATIONS
+from tests.real import TOOLS
 
 from momapos.errors import TaskError, UnknownNameError
 from momapos.geometry.transforms import pose_planar
@@ -96,13 +97,11 @@ def test_the_independent_checker_finds_the_same(tmp_path: Path) -> None:
 
 
 def tools_folder() -> Path:
-    given = Path(os.environ.get("MOMAPOS_SHARED", Path(__file__).parents[3] / "shared" / "data"))
-    for folder in (given.parent / "tools", given / "tools"):
-        if (folder / "verify_plan.py").is_file():
-            pytest.importorskip("coal")
-            pytest.importorskip("pinocchio")
-            return folder
-    pytest.skip(f"no independent checker beside {given}; set MOMAPOS_SHARED to the shared data")
+    if not (TOOLS / "verify_plan.py").is_file():
+        pytest.skip(f"no independent checker in {TOOLS}; set MOMAPOS_SHARED to the shared data")
+    pytest.importorskip("coal")
+    pytest.importorskip("pinocchio")
+    return TOOLS
 
 
 def test_numbers_that_are_not_finite_are_refused(world: ExactWorld, motion: Motion) -> None:
