@@ -43,8 +43,13 @@ class FrontConfig:
     """Fronts of one width, one above the other, belong together when no farther apart [m]."""
     profile: float = 0.03
     """A step in the upper or lower edge of a front by more than this divides it [m]."""
+    ragged: float = 0.12
+    """The same for the upper edge of tall furniture that stands on the floor: what is at the height
+    of the eyes or above is often not seen up to its end [m]. Doors divide such a row later."""
     hung: float = 1.0
     """Fronts whose lower edge is above this hang on the wall [m]."""
+    tall: float = 1.2
+    """Standing fronts that end above this are tall [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,9 +143,11 @@ def _divided(
     # One row below the top: a single stray point is no edge.
     top = np.array([z[order[starts[k + 1] - 2]] for k in seen])
     bottom = np.array([z[order[starts[k] + 1]] for k in seen])
-    cuts = _steps(top, config.profile)
+    hangs = float(np.median(bottom)) > config.hung
+    tall = not hangs and float(np.median(top)) > config.tall
+    cuts = _steps(top, config.ragged if tall else config.profile)
     # Lower edges near the floor are hidden by what stands before them.
-    if float(np.median(bottom)) > config.hung:
+    if hangs:
         cuts |= _steps(bottom, config.profile)
     edges = low + strip * np.array([float(seen[k]) for k in sorted(cuts)])
     part = np.searchsorted(edges, along)

@@ -26,7 +26,7 @@ BLOCKS = (0.1, 1.9)
 STRAIGHT = np.cos(np.radians(15.0))
 """A face is seen straight on where the camera is this close to its normal."""
 TIMES = 3
-"""So often each front is to be seen straight on [-]."""
+"""With fewer good views of a front than this, the next best will do [-]."""
 GRID = 7
 """Points along each edge of a face that are looked for [-]."""
 FRONT = 0.2
@@ -37,15 +37,15 @@ WHOLE = 0.6
 """A face counts as seen when this share of its points is [-]; handles may hide some."""
 FRONT_WORTH = 400.0
 """What a front seen straight on is worth in single points [-]."""
-FADING = 0.45
-"""What a point is worth that was seen once already [-]."""
+FADING, FADING_FRONT = 0.45, 0.75
+"""What points and fronts are worth that were seen once already [-]."""
 POINTS = 3000
 TOPS = (0.3, 1.3)
 """Heights of the tops that a person looks down on [m]."""
 TOP_POINTS = 100
 """Points on each square metre of such a top [1/m2]."""
-TOP_WORTH = 2.0
-"""What each of them is worth in single points: a table is worth as much as a front [-]."""
+TOP_WORTH = 4.0
+"""What each of them is worth in single points: a square metre is worth as much as a front [-]."""
 STEEP = np.sin(np.radians(20.0))
 """A top is seen where the eye is at least this far above its plane: depth fails at a graze."""
 CROUCHED = 0.15
@@ -331,17 +331,17 @@ def _choose(
     """Take what adds most, again and again."""
     views = seen.astype(np.float32)
     fronts = straight.astype(np.float32)
-    worth, wanted = np.ones(seen.shape[1], np.float32), np.full(straight.shape[1], float(TIMES))
+    worth, wanted = np.ones(seen.shape[1]), np.full(straight.shape[1], FRONT_WORTH)
     worth[POINTS:] = TOP_WORTH
     unused = np.ones(len(seen), bool)
     chosen = []
     for _ in range(count):
-        gain = views @ worth + FRONT_WORTH * (fronts @ np.minimum(wanted, 1.0))
+        gain = views @ worth + fronts @ wanted
         best = int(np.argmax(np.where(unused, gain, -1.0)))
         chosen.append(best)
         unused[best] = unused.sum() == 1
         worth[seen[best]] *= FADING
-        wanted = np.maximum(wanted - straight[best], 0.0)
+        wanted[straight[best]] *= FADING_FRONT
     return np.array(chosen)
 
 
