@@ -22,8 +22,8 @@ from momapos.verification.report import DEFAULT, Check, Limits, Report, at_most
 from momapos.verification.shapes import Shapes
 from momapos.verification.sweep import all_pairs, deepest
 
-SWEEP_STATES = 50
-"""Extra values of the object's joint at which base and room are checked, at least [-]."""
+SWEEP_STEPS = 49
+"""The joint's way is cut into so many steps, or a multiple, where base and room are checked [-]."""
 MOST_PAIRS = 6
 """Overlapping pairs that are named one by one [-]."""
 
@@ -113,8 +113,8 @@ class ExactWorld:
         if self.part.joint is None:
             return Ts_part, path.where
         held = path.object_q[path.approach :]
-        count = max(SWEEP_STATES, int(np.ceil(np.ptp(held) / self.limits.step)) + 1)
-        values = np.unique(np.concatenate([held, np.linspace(held[0], held[-1], count)]))
+        cuts = max(1, int(np.ceil(np.ptp(held) / self.limits.step / SWEEP_STEPS))) * SWEEP_STEPS
+        values = np.unique(np.concatenate([held, np.linspace(held[0], held[-1], cuts + 1)]))
         return self.part.placed(values), lambda state: f"object_q {values[state]:.3f}"
 
     def _part_check(
