@@ -10,7 +10,7 @@ from momapos.perception.sensor import DepthSensor
 from momapos.reachability.store import load_or_build
 from momapos.types import Scan
 
-camera = synthetic_scan(load_scene("kitchen_small"), frames=40, seed=1, sensor=DepthSensor())
+camera = synthetic_scan(load_scene("kitchen_small"), frames=60, seed=0, sensor=DepthSensor())
 scan = Scan("kitchen", tuple(camera.frames()))  # momapos.read_scan reads yours from a folder
 
 with tempfile.TemporaryDirectory() as folder:
