@@ -17,6 +17,9 @@ from momapos.geometry.transforms import apply, invert, pose, rotation_about
 from momapos.perception.faces import NEAREST
 from momapos.types import Frame, UprightBox
 
+Rectangle = tuple[float, float, float, float]
+"""Left, top, right, bottom."""
+
 MAX_BYTES = 200_000_000
 """Detector files larger than this are refused [B]."""
 LEAST_OVERLAP = 0.3
@@ -120,14 +123,22 @@ def _match(
     return found[best] if best >= 0 and overlaps[best] >= LEAST_OVERLAP else None
 
 
-def overlap(a: tuple[float, float, float, float], b: tuple[float, float, float, float]) -> float:
-    """Intersection over union of two rectangles (left, top, right, bottom)."""
+def overlap(a: Rectangle, b: Rectangle) -> float:
+    """Intersection over union of two rectangles."""
+    both = common_area(a, b)
+    return both / (area(a) + area(b) - both) if both else 0.0
+
+
+def common_area(a: Rectangle, b: Rectangle) -> float:
+    """Area of what two rectangles share."""
     wide = min(a[2], b[2]) - max(a[0], b[0])
     tall = min(a[3], b[3]) - max(a[1], b[1])
-    if wide <= 0 or tall <= 0:
-        return 0.0
-    both = wide * tall
-    return both / ((a[2] - a[0]) * (a[3] - a[1]) + (b[2] - b[0]) * (b[3] - b[1]) - both)
+    return wide * tall if wide > 0 and tall > 0 else 0.0
+
+
+def area(a: Rectangle) -> float:
+    """Area of a rectangle."""
+    return (a[2] - a[0]) * (a[3] - a[1])
 
 
 def _off_center(rectangle: tuple[float, float, float, float], frame: Frame) -> float:

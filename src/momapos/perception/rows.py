@@ -111,9 +111,10 @@ def _frames_for(
     )
     candidates = [frame for frame in frames if projection(thin, frame) is not None]
     cosines = cosines_to(face, candidates)
+    straightest = np.argsort(-cosines, kind="stable")
     for most in (view.frontal, view.oblique):
-        order = np.argsort(-cosines, kind="stable")
-        order = order[cosines[order] > np.cos(np.radians(most))][: view.looked_at]
+        within = cosines[straightest] > np.cos(np.radians(most))
+        order = straightest[within][: view.looked_at]
         parts = np.array([shown(face, candidates[i]) for i in order])
         best = [i for i in np.argsort(-parts, kind="stable") if parts[i] >= view.shown]
         if best:

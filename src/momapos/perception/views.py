@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from momapos.geometry.transforms import invert
-from momapos.perception.detections import Sight
+from momapos.perception.detections import Sight, area, common_area
 from momapos.perception.faces import FACES, Face, box_faces, eye_of, face_image, shown, solid
 from momapos.types import FaceImage, Frame, Front, Part, UprightBox
 
@@ -293,10 +293,8 @@ def surest(parts: Sequence[Part]) -> tuple[Part, ...]:
 
 def _shared(a: Part, b: Part) -> float:
     """Common area of two parts, as a share of the smaller [-]."""
-    p, q = np.array(a.box), np.array(b.box)
-    common = np.clip(np.minimum(p[2:], q[2:]) - np.maximum(p[:2], q[:2]), 0.0, None)
-    least = min(np.prod(p[2:] - p[:2]), np.prod(q[2:] - q[:2]))
-    return float(np.prod(common) / least) if least > 0 else 1.0
+    least = min(area(a.box), area(b.box))
+    return common_area(a.box, b.box) / least if least > 0 else 1.0
 
 
 def _rectangle(values: Float[np.ndarray, "4"]) -> tuple[float, float, float, float]:
