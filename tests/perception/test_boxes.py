@@ -142,6 +142,29 @@ def test_a_cup_seen_from_one_side_is_as_deep_as_it_is_wide(rng: np.random.Genera
     np.testing.assert_allclose(cup.center[:2], 0.0, atol=0.01)
 
 
+@pytest.mark.parametrize(("gap", "depth"), [(0.6, 0.5), (0.3, 0.3)])
+def test_a_microwave_of_which_only_the_front_was_seen_reaches_back_but_through_no_wall(
+    gap: float, depth: float, rng: np.random.Generator
+) -> None:
+    n = 500
+    front = np.column_stack([rng.uniform(-0.25, 0.25, n), np.zeros(n), rng.uniform(0.9, 1.2, n)])
+    crate = cloud_of([((-0.6, -0.3, 0.0), (0.6, 0.3, 0.9))], rng)
+    cloud = Cloud(
+        np.concatenate([crate.points, front]),
+        np.concatenate([crate.normals, np.tile([0.0, -1.0, 0.0], (n, 1))]),
+        np.zeros((len(crate.points) + n, 3), np.uint8),
+    )
+    members = len(crate.points) + np.arange(n)
+    instances = [
+        Instance("crate", 1.0, np.arange(len(crate.points))),
+        Instance("microwave", 1.0, members),
+    ]
+    room = Room((Wall(1, -1.0, gap, -2.0, 2.0, 2.4),))
+    box = next(d.box for d in boxes(cloud, instances, room) if d.label == "microwave")
+    assert box.size[1] == pytest.approx(depth, abs=0.02)
+    assert box.center[1] - box.size[1] / 2 == pytest.approx(0.0, abs=0.01)
+
+
 def test_an_instance_that_is_only_a_box_keeps_it() -> None:
     given = UprightBox(np.array([1.0, -1.0, 1.5]), np.array([0.4, 0.3, 0.2]), 0.3)
     empty = Cloud(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3), np.uint8))

@@ -126,6 +126,27 @@ def test_a_front_far_before_a_wall_ends_where_the_floor_is_seen() -> None:
     assert best_overlap(body, found) > 0.9
 
 
+def test_a_top_that_hangs_over_is_a_thing_of_its_own() -> None:
+    body: Corners = ((0.0, -1.6, 0.0), (1.0, -1.2, 0.86))
+    top: Corners = ((-0.02, -1.84, 0.86), (1.02, -1.18, 0.9))
+    cloud = cloud_of([*ROOM, body, top], np.random.default_rng(6))
+    found = boxes(cloud, ClassicalSegmenter()(cloud), find_room(cloud))
+    assert len(found) == 2
+    assert best_overlap(body, found) > 0.9
+    assert best_overlap(top, found) > 0.7
+    assert {item.label for item in found} == {"kitchen island", "counter"}
+
+
+def test_furniture_that_is_open_at_a_side_reaches_to_the_end_of_its_front() -> None:
+    body: Corners = ((0.1, -1.6, 0.0), (0.9, -1.2, 0.86))
+    front: Corners = ((0.0, -1.62, 0.0), (1.0, -1.6, 0.86))
+    top: Corners = ((0.0, -1.62, 0.86), (1.0, -1.2, 0.9))
+    cloud = cloud_of([*ROOM, body, front, top], np.random.default_rng(7))
+    found = boxes(cloud, ClassicalSegmenter()(cloud), find_room(cloud))
+    assert len(found) == 1
+    assert best_overlap(((0.0, -1.62, 0.0), (1.0, -1.2, 0.9)), found) > 0.95
+
+
 def test_a_room_with_nothing_in_it_holds_no_instances() -> None:
     assert ClassicalSegmenter()(cloud_of(list(ROOM), np.random.default_rng(3))) == []
 

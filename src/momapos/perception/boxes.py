@@ -56,6 +56,8 @@ class BoxConfig:
     """Whether every thing gets the box of least area, whatever its yaw."""
     small: float = 0.35
     """Things smaller than this are completed where no side of them was seen [m]."""
+    sheet: float = 0.05
+    """Larger ones are completed where all that was seen of them is thinner than this [m]."""
     least_points: int = 10
     """Instances without a box and with fewer points are left out [-]."""
     smallest: float = 0.01
@@ -95,7 +97,7 @@ def boxes(
     for instance, members, box in drawn:
         box, stand = _stood(box, tops, config)
         if stand == "support" and instance.box is None:
-            box = _completed(cloud, members, box, config)
+            box = _completed(cloud, members, box, room, config)
         tops.append(box)
         standing.append((instance, members, box, stand))
     found = []
@@ -302,14 +304,16 @@ def _stood(
 
 
 def _completed(
-    cloud: Cloud, members: Int[np.ndarray, " k"], box: UprightBox, config: BoxConfig
+    cloud: Cloud, members: Int[np.ndarray, " k"], box: UprightBox, room: Room, config: BoxConfig
 ) -> UprightBox:
-    """Make a small thing as deep as it is wide, where its far side was never seen.
+    """Make a thing as deep as it is wide, where its far side was never seen.
 
-    Of a cup on a counter the half that faces the wall stays hidden. A flat top that was seen
-    from above shows the whole outline: then nothing is added.
+    Of a cup on a counter the half that faces the wall stays hidden, of a microwave below a shelf
+    all but its front. A flat top that was seen from above shows the whole outline: then nothing
+    is added.
     """
-    if max(box.size) > config.small or len(members) < 10:
+    sheet = min(box.size[:2]) < config.sheet
+    if (max(box.size) > config.small and not sheet) or len(members) < 10:
         return box
     local = to_local(cloud.points[members], box)
     facing = along_edges(cloud.normals[members], box.yaw)
@@ -325,4 +329,18 @@ def _completed(
             low[axis] -= missing
         else:
             high[axis] += missing
-    return from_corners(low, high, box.yaw)
+    return _before_walls(from_corners(low, high, box.yaw), room)
+
+
+def _before_walls(box: UprightBox, room: Room) -> UprightBox:
+    """A box, cut off at the walls that it would reach through."""
+    if abs(box.yaw) > 1e-9:
+        return box
+    low, high = corners(box)
+    for wall in room.walls:
+        if wall.beside(box.center[None], 0.3)[0]:
+            if wall.sign > 0 and high[wall.axis] > wall.offset:
+                low[wall.axis] = max(low[wall.axis], wall.offset)
+            if wall.sign < 0 and low[wall.axis] < wall.offset:
+                high[wall.axis] = min(high[wall.axis], wall.offset)
+    return from_corners(low, high)

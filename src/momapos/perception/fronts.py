@@ -43,7 +43,7 @@ class FrontConfig:
     """Fronts of one width, one above the other, belong together when no farther apart [m]."""
     profile: float = 0.03
     """A step in the upper or lower edge of a front by more than this divides it [m]."""
-    ragged: float = 0.12
+    ragged: float = 0.2
     """The same for the upper edge of tall furniture that stands on the floor: what is at the height
     of the eyes or above is often not seen up to its end [m]. Doors divide such a row later."""
     hung: float = 1.0

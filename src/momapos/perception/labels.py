@@ -86,7 +86,7 @@ RULES: tuple[Rule, ...] = (
     Rule("dishwasher", FLOOR, {"height": (0.75, 0.8, 0.92, 0.96), "width": (0.5, 0.55, 0.72, 0.8),
          "depth": (0.45, 0.5, 0.72, 0.8), "closed": _from(0.3, 0.5), "bright": _to(0.2, 0.3)}, 0.6),
     Rule("kitchen island", FLOOR, {"height": (0.75, 0.8, 1.0, 1.1), "width": _from(0.6, 0.8),
-         "depth": _from(0.45, 0.55), "closed": _from(0.3, 0.5), "free": _from(0.5, 0.7)}, 0.6),
+         "depth": _from(0.25, 0.32), "closed": _from(0.3, 0.5), "free": _from(0.5, 0.7)}, 0.6),
     Rule("cabinet", FLOOR, {"height": (0.4, 0.6, 1.0, 1.1), "width": _from(0.2, 0.3),
          "closed": _from(0.3, 0.5)}, 0.5),
     Rule("wall cabinet", HUNG, {"bottom": _from(1.0, 1.2), "height": (0.25, 0.3, 1.1, 1.3),

@@ -16,6 +16,7 @@ from jaxtyping import Bool, Int
 from scipy import ndimage
 
 from momapos.errors import InputError
+from momapos.perception.below import BelowConfig, body_below, closed_share
 from momapos.perception.fronts import (
     Front,
     FrontConfig,
@@ -28,7 +29,6 @@ from momapos.perception.supports import (
     Rectangle,
     Support,
     SupportConfig,
-    closed_share,
     components,
     find_supports,
     outlines_of,
@@ -45,6 +45,7 @@ class SegmentConfig:
     room: RoomConfig = field(default_factory=RoomConfig)
     support: SupportConfig = field(default_factory=SupportConfig)
     front: FrontConfig = field(default_factory=FrontConfig)
+    below: BelowConfig = field(default_factory=BelowConfig)
     touching: float = 0.05
     """Pieces of furniture nearer than this to each other are one, unless planes divide them [m]."""
     touching_small: float = 0.025
@@ -292,13 +293,14 @@ class _Division:
         if not closed:
             return self._open(members, rectangle, height)
         self.free[members] = False
-        bottom = 0.0
-        if max(high - low) < config.slab_length:
-            return [Instance(label, 0.7, members, _box(rectangle, bottom, height))]
+        normals = self.cloud.normals
+        body = body_below(points[members], normals[members], rectangle, height, config.below)
+        if max(high - low) < config.slab_length and body == rectangle:
+            return [Instance(label, 0.7, members, _box(rectangle, 0.0, height))]
         split = height - config.slab
         is_slab = points[members, 2] > split
         return [
-            Instance(label, 0.7, members[~is_slab], _box(rectangle, bottom, split)),
+            Instance(label, 0.7, members[~is_slab], _box(body, 0.0, split)),
             Instance("counter", 0.7, members[is_slab], _box(rectangle, split, height)),
         ]
 
@@ -314,7 +316,7 @@ class _Division:
         """Share of the fullest side of a box that surfaces are seen on [-]."""
         members = self._column(rectangle, height)
         points, normals = self.cloud.points[members], self.cloud.normals[members]
-        return closed_share(points, normals, rectangle, height, self.config.overhang + 0.02)
+        return closed_share(points, normals, rectangle, height, self.config.below.near)
 
     def _open(
         self, members: Int[np.ndarray, " k"], rectangle: Rectangle, height: float

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 
 from momapos.errors import InputError
-from momapos.perception.planes import Room, area, peaks
+from momapos.perception.planes import Room, peaks
 from momapos.types import Cloud
 
 MOST_CELLS = 200_000_000
@@ -220,35 +220,6 @@ def _hidden_too(
     filled = (closed | small[holes]) & ~outside
     labels, _ = ndimage.label(filled, np.ones((3, 3)))
     return filled & np.isin(labels, np.unique(labels[seen & filled]))
-
-
-def closed_share(
-    points: Float[np.ndarray, "n 3"],
-    normals: Float[np.ndarray, "n 3"],
-    rectangle: Rectangle,
-    height: float,
-    near: float,
-) -> float:
-    """Share of the fullest side below a surface on which upright surfaces are seen [-].
-
-    Args:
-        points: What is below it and around.
-        normals: Of the points.
-        rectangle: The surface seen from above.
-        height: Of the surface [m].
-        near: Points this near to a side belong to it [m].
-    """
-    low_z, high_z = 0.12, height - 0.1
-    if high_z - low_z < 0.1:
-        return 0.0
-    shares = []
-    for side in range(4):
-        axis = side % 2
-        at = (np.abs(normals[:, axis]) > 0.8) & (np.abs(points[:, axis] - rectangle[side]) < near)
-        on = points[at & (points[:, 2] > low_z) & (points[:, 2] < high_z)]
-        whole = (rectangle[3 - axis] - rectangle[1 - axis]) * (high_z - low_z)
-        shares.append(area(on[:, 1 - axis], on[:, 2]) / whole)
-    return max(shares)
 
 
 def rectangles(
