@@ -24,7 +24,7 @@ class Room:
     scan: Scan
 
 
-def rooms(folder: Path, count: int, frames: int = 60) -> Iterator[Room]:
+def rooms(folder: Path, count: int, frames: int = 100) -> Iterator[Room]:
     """Generated kitchens of all layouts in turn, each with a scan; made where there are none."""
     for k in range(count):
         layout, seed = LAYOUTS[k % len(LAYOUTS)], k // len(LAYOUTS)

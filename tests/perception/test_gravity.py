@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -41,6 +42,23 @@ def test_a_room_in_any_pose_comes_out_upright_on_its_floor(seed: int) -> None:
     assert np.degrees(np.arccos(np.clip(back[2, 2], -1, 1))) < 0.3
     turn = np.degrees(np.arctan2(back[1, 0], back[0, 0]))
     assert abs((turn + 45) % 90 - 45) < 0.4
+    assert back[2, 3] == pytest.approx(0.0, abs=0.012)
+
+
+@pytest.mark.parametrize("turns", [(1, 1, 1, 1), (-1, -1, -1, -1), (0, 1, 0, -1), (0, 0, 1, 1)])
+def test_the_camera_may_be_held_on_its_side(turns: tuple[int, ...]) -> None:
+    T = pose((1.0, 2.0, 0.3), Rotation.from_euler("xyz", [70, 20, -40], degrees=True).as_matrix())
+    cloud, frames = moved(T)
+    rolled = [
+        replace(
+            frame,
+            T_world_camera=frame.T_world_camera
+            @ pose((0, 0, 0), Rotation.from_euler("z", 90.0 * turn, degrees=True).as_matrix()),
+        )
+        for frame, turn in zip(frames, turns, strict=True)
+    ]
+    back = upright(cloud, rolled) @ T
+    assert np.degrees(np.arccos(np.clip(back[2, 2], -1, 1))) < 0.3
     assert back[2, 3] == pytest.approx(0.0, abs=0.012)
 
 

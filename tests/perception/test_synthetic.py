@@ -273,3 +273,31 @@ def test_a_table_is_seen_from_above_more_than_once(kitchen: Scene) -> None:
         ahead = (local[:, 2] > 0) & (uv >= 0).all(1) & (uv < np.array(SIZE)).all(1)
         views += above & ahead
     assert np.mean(views >= 2) > 0.9
+
+
+def straight_views(scan_poses: np.ndarray, middle: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """Poses that look at a place from within 20 degrees of a normal, the place in the picture."""
+    toward = scan_poses[:, :3, 3] - middle
+    cosine = toward @ normal / np.linalg.norm(toward, axis=1)
+    local = np.stack([apply(invert(T), middle[None])[0] for T in scan_poses])
+    uv = local @ K.T
+    uv = uv[:, :2] / uv[:, 2:]
+    inside = (local[:, 2] > 0) & (uv > 0).all(1) & (uv < np.array(SIZE)).all(1)
+    return scan_poses[inside & (cosine > np.cos(np.radians(20)))]
+
+
+def test_a_long_row_is_looked_at_from_end_to_end() -> None:
+    row = a_box("cabinet", (3.6, 0.6, 0.9), (0.0, 0.3, 0.45))
+    scan = synthetic_scan(a_room(row), frames=20, seed=0)
+    for x in (-1.6, 0.0, 1.6):
+        place = np.array([x, 0.0, 0.45])
+        assert len(straight_views(scan.Ts_world_camera, place, np.array([0.0, -1.0, 0.0]))) >= 1
+
+
+def test_the_camera_is_turned_on_its_side_before_a_tall_thing_in_a_narrow_place() -> None:
+    fridge = a_box("fridge", (0.7, 0.7, 1.8), (0.0, 0.35, 0.9))
+    counter = a_box("cabinet", (4.0, 0.6, 0.9), (0.0, -1.9, 0.45))
+    scan = synthetic_scan(a_room(fridge, counter), frames=40, seed=0)
+    views = straight_views(scan.Ts_world_camera, np.array([0.0, 0.0, 0.9]), np.array([0, -1, 0]))
+    on_its_side = np.abs(views[:, 2, 0]) > 0.9  # the picture's long side points up
+    assert on_its_side.sum() >= 2

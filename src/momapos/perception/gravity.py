@@ -1,7 +1,7 @@
 """Turning a scan upright: z up, the floor at z = 0, walls along x and y.
 
-A room is mostly horizontal and vertical surfaces, and cameras are held roughly upright: up is
-the direction, not far from the cameras' own, that most normals are along or square to.
+A room is mostly horizontal and vertical surfaces, and cameras are held roughly upright or on their
+side: up is the direction, not far from the cameras' own, that most normals are along or square to.
 """
 
 from __future__ import annotations
@@ -16,6 +16,13 @@ from scipy.spatial.transform import Rotation
 from momapos.errors import InputError
 from momapos.geometry.transforms import pose
 from momapos.types import Cloud, Frame
+
+EDGES = np.array([1.0, 0.97, 0.97, 0.94])
+"""How much is believed that the top, right, left and lower edge of a picture is up [-]."""
+DOWN = 0.02
+"""And that it was taken looking down [-]."""
+MOST_FRAMES = 100
+"""Pictures that are asked; more add nothing."""
 
 
 @dataclass(frozen=True)
@@ -76,9 +83,23 @@ def upright(
 
 
 def _camera_up(frames: Sequence[Frame]) -> Float[np.ndarray, "3"]:
-    """Mean of the directions that are up in the pictures."""
-    ups = [-np.asarray(frame.T_world_camera, float)[:3, 1] for frame in frames]
-    mean = np.mean(ups, axis=0) if ups else np.array([0.0, 0.0, 1.0])
+    """Where up roughly is, if the pictures were taken upright or with the camera on its side.
+
+    It is the direction that one of the four edges of nearly every picture points in. Edges that
+    are level point anywhere once the camera has turned around; before it has, the top edge is
+    taken, and the one for which the camera looks down.
+    """
+    if not frames:
+        return np.array([0.0, 0.0, 1.0])
+    step = -(-len(frames) // MOST_FRAMES)
+    R = np.array([frame.T_world_camera[:3, :3] for frame in frames[::step]], float)
+    edges = np.stack([-R[:, :, 1], R[:, :, 0], -R[:, :, 0], R[:, :, 1]], axis=1)
+    tried = edges.reshape(-1, 3)
+    near = (np.einsum("fek,tk->tfe", edges, tried) * EDGES).max(axis=2)
+    down = -R[:, :, 2] @ tried.T
+    best = tried[np.argmax(near.mean(axis=1) + DOWN * down.mean(axis=0))]
+    own = np.argmax(edges @ best * EDGES, axis=1)
+    mean = edges[np.arange(len(edges)), own].mean(axis=0)
     length = np.linalg.norm(mean)
     return mean / length if length > 0.1 else np.array([0.0, 0.0, 1.0])
 

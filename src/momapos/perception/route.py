@@ -31,9 +31,11 @@ GRID = 7
 """Points along each edge of a face that are looked for [-]."""
 FRONT = 0.2
 """Faces less wide or high than this have no door to be seen straight on [m]."""
+STRETCH = 1.3
+"""Wider faces are looked at stretch by stretch [m]: a long row does not fit into a picture."""
 SOLID = 0.2
 """What is seen farther than this behind a face is not it: a table's side is open [m]."""
-WHOLE = 0.6
+WHOLE = 0.75
 """A face counts as seen when this share of its points is [-]; handles may hide some."""
 FRONT_WORTH = 400.0
 """What a front seen straight on is worth in single points [-]."""
@@ -51,7 +53,11 @@ STEEP = np.sin(np.radians(20.0))
 CROUCHED = 0.15
 """Share of the random poses that are low [-]."""
 RANDOM, AIMED = 500, 36
-"""Poses that are tried: at random, and in front of each face [-]."""
+"""Poses that are tried: at random, and in front of each face at most [-]."""
+DRAWN = 5
+"""So many times more are drawn before a face: in narrow places few are on free floor [-]."""
+UPRIGHT = 0.5
+"""Share of the poses before what is higher than wide in which the camera is on its side [-]."""
 REDUCED = 8
 """Visibility is looked up in pictures that are smaller by this factor [-]."""
 
@@ -156,7 +162,7 @@ def free_floor(scene: Scene, world: RenderWorld) -> _Room:
 
 
 def _faces(scene: Scene) -> _Faces:
-    """Upright sides of everything but walls that are large enough for a door."""
+    """Upright sides of everything but walls that are large enough for a door, in stretches."""
     centers, normals, sizes, points = [], [], [], []
     along = (np.arange(GRID) + 0.5) / GRID - 0.5
     corners = np.array([[-0.5, -0.5, 0.5, 0.5], [-0.5, 0.5, -0.5, 0.5]])
@@ -169,15 +175,18 @@ def _faces(scene: Scene) -> _Faces:
         for axis, side in ((0, 1), (0, -1), (1, 1), (1, -1)):
             if 2 * min(half[1 - axis], half[2]) < FRONT:
                 continue
-            unit = np.zeros(3)
-            unit[axis] = side
-            local = np.zeros((len(across), 3))
-            local[:, axis] = side * half[axis]
-            local[:, 1 - axis], local[:, 2] = 2 * half[1 - axis] * across, 2 * half[2] * up
-            centers.append(apply(T, (half * unit)[None])[0])
-            normals.append(T[:3, :3] @ unit)
-            sizes.append((2 * half[1 - axis], 2 * half[2]))
-            points.append(apply(T, local))
+            count = int(np.ceil(2 * half[1 - axis] / STRETCH))
+            width = 2 * half[1 - axis] / count
+            for k in range(count):
+                middle = np.zeros(3)
+                middle[axis], middle[1 - axis] = side * half[axis], (k - (count - 1) / 2) * width
+                local = np.tile(middle, (len(across), 1))
+                local[:, 1 - axis] += width * across
+                local[:, 2] += 2 * half[2] * up
+                centers.append(apply(T, middle[None])[0])
+                normals.append(side * T[:3, axis])
+                sizes.append((width, 2 * half[2]))
+                points.append(apply(T, local))
     return _Faces(
         np.reshape(centers, (-1, 3)),
         np.reshape(normals, (-1, 3)),
@@ -242,20 +251,25 @@ def _candidates(
     crouched = rng.random(len(good)) < CROUCHED
     height = np.where(crouched, rng.uniform(*LOW, len(good)), rng.uniform(*HIGH, len(good)))
     eyes, targets = np.column_stack([xy[good], height]), target[good]
-    face = np.repeat(np.arange(len(faces.center)), AIMED)
-    fits = np.maximum((faces.size * needed).max(1), NEAR)
+    face = np.repeat(np.arange(len(faces.center)), DRAWN * AIMED)
+    # What is higher than wide is often taken with the camera turned on its side.
+    tall = (faces.size[:, 1] > faces.size[:, 0])[face] & (rng.random(len(face)) < UPRIGHT)
+    size = np.where(tall[:, None], faces.size[face, ::-1], faces.size[face])
+    fits = np.maximum((size * needed).max(1), NEAR)
     low, high = np.maximum(0.6 * fits, NEAR), np.maximum(1.2 * fits, FAR)
-    out = (low + rng.random((AIMED, 1)) * (high - low)).T.ravel()
+    out = low + rng.random(len(face)) * (high - low)
     normal, middle = faces.normal[face], faces.center[face]
     side = np.tan(rng.uniform(-0.2, 0.2, len(face))) * out
     across = np.stack([-normal[:, 1], normal[:, 0], 0 * side], axis=1)
     front = middle + out[:, None] * normal + side[:, None] * across
     front[:, 2] = np.clip(middle[:, 2] + rng.uniform(-0.15, 0.25, len(face)), LOW[0], HIGH[1])
-    stands = room.stands(front[:, :2])
+    possible = room.stands(front[:, :2]).reshape(-1, DRAWN * AIMED)
+    stands = (possible & (np.cumsum(possible, axis=1) <= AIMED)).ravel()
     eyes = np.concatenate([eyes, front[stands]])
     targets = np.concatenate([targets, middle[stands]])
     targets = targets + rng.normal(0, 0.05, targets.shape)
     roll = np.radians(rng.normal(0, 1.5, len(eyes)))
+    roll[len(good) :] += np.where(tall[stands], np.pi / 2, 0.0)
     return np.stack([look_at(e, t, r) for e, t, r in zip(eyes, targets, roll, strict=True)])
 
 
