@@ -76,6 +76,23 @@ def test_a_face_behind_something_is_not_shown() -> None:
     assert shown(box_faces(FRIDGE)[3], hidden) == pytest.approx(0.5, abs=0.1)
 
 
+def test_what_hides_a_face_in_one_frame_is_looked_past_in_another() -> None:
+    face = box_faces(FRIDGE)[0]
+    free = view_of(0)
+    assert free.depth is not None
+    hidden = replace(free, colour=free.colour.copy(), depth=free.depth.copy())
+    hidden.colour[240:] = 7
+    hidden.depth[240:] = 1.0  # something stands a metre from the camera
+    image = face_image(face, [hidden, free])
+    alone = face_image(face, [free])
+    np.testing.assert_array_equal(image.colour, alone.colour)
+    measured = np.isfinite(alone.relief)
+    np.testing.assert_allclose(image.relief[measured], alone.relief[measured], atol=1e-6)
+    only = face_image(face, [hidden])
+    assert (only.colour[-5:] == 7).all()
+    assert np.nanmin(only.relief[-5:]) > 0.5
+
+
 def test_what_lies_behind_a_face_makes_it_less_solid() -> None:
     image = face_image(box_faces(FRIDGE)[0], [view_of(0)])
     rows = image.relief.shape[0]

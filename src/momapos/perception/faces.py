@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, UInt8
+from jaxtyping import Float, Float32, UInt8
 from numba import njit
 
 from momapos.geometry.transforms import invert, pose
@@ -19,7 +19,11 @@ NEAREST = 0.1
 APART = 0.15
 """What lies farther before or behind a face is another thing, which hides it or is seen past it
 [m]."""
-
+ALIKE = 0.2
+"""Lines of sight are alike when their slopes differ by this, one standard deviation: a handle that
+stands out by 4 cm is displaced by less than 1 cm between them [-]."""
+HIDDEN, CLEAR = 1, 2
+"""What frames showed of a place: another thing, or the face."""
 FLAT = 0.1
 """Doors, handles and frames stay within this of a front's plane; legs and shelves do not [m]."""
 
@@ -60,32 +64,39 @@ def box_faces(box: UprightBox) -> tuple[Face, ...]:
 def face_image(face: Face, frames: Sequence[Frame], *, pixels: int = 384) -> FaceImage:
     """Look straight at a face.
 
-    Colour comes from the first frame that shows a place, the relief is the median of what all
-    frames measured there: one depth picture alone is too noisy to tell a handle from a door.
+    Colour comes from the first frame that shows a place with nothing before it. The relief is the
+    mean of what all such frames measured there, since one depth picture alone is too noisy to tell
+    a handle from a door. Each counts by the inverse variance of a stereo camera at its distance,
+    and the more the nearer its line of sight is to that of the first: what stands out is seen
+    displaced. Only where something else hides a place in all frames is that looked at.
 
     Args:
         face: Where to look.
         frames: Pictures that show the face, the best first.
         pixels: Length of the longer side of the result [px].
     """
-    scale = pixels / max(face.width, face.height)
-    shape = (max(8, round(face.height * scale)), max(8, round(face.width * scale)))
-    colour = np.zeros((*shape, 3), np.uint8)
-    unseen = np.ones(shape, bool)
-    reliefs = []
-    for frame in frames:
-        seen, picture, relief = _look(face, frame, shape)
-        new = unseen & seen
-        colour[new] = picture[new]
-        unseen &= ~seen
-        reliefs.append(relief)
-    eye = eye_of(face, frames[0]) if frames else None
-    return FaceImage(colour, _median(reliefs, shape), face.width, face.height, eye)
+    shape = _shape(face, pixels)
+    view = _View.of(shape)
+    eyes = [eye_of(face, frame) for frame in frames]
+    for frame, eye in zip(frames, eyes, strict=True):
+        _look(face, frame, view, _weight(eye, eyes[0]))
+    relief = _mean(view.far)
+    near = _mean(view.near)
+    known = np.isfinite(near)
+    relief[known] = near[known]
+    return FaceImage(view.colour, relief, face.width, face.height, eyes[0] if eyes else None)
 
 
 def eye_of(face: Face, frame: Frame) -> Float[np.ndarray, "3"]:
     """Where a picture was taken, in the frame of a face [m]."""
     return (invert(face.T_world_face) @ frame.T_world_camera)[:3, 3]
+
+
+def _weight(eye: Float[np.ndarray, "3"], first: Float[np.ndarray, "3"]) -> float:
+    """How much the depth of one camera counts beside that of another, by where they are [m]."""
+    slopes = eye[:2] / max(eye[2], NEAREST) - first[:2] / max(first[2], NEAREST)
+    length = max(float(np.linalg.norm(eye)), NEAREST)
+    return float(np.exp(-(slopes @ slopes) / (2 * ALIKE**2))) / length**4
 
 
 def solid(image: FaceImage) -> float:
@@ -98,40 +109,50 @@ def solid(image: FaceImage) -> float:
 
 def shown(face: Face, frame: Frame, *, pixels: int = 48) -> float:
     """Part of a face that a frame shows, and not something before or behind it, in [0, 1]."""
+    view = _View.of(_shape(face, pixels))
+    _look(face, frame, view, 1.0)
+    return float((view.state == CLEAR).mean())
+
+
+def _shape(face: Face, pixels: int) -> tuple[int, int]:
     scale = pixels / max(face.width, face.height)
-    shape = (max(8, round(face.height * scale)), max(8, round(face.width * scale)))
-    seen, _, relief = _look(face, frame, shape)
-    return float((seen & ~(np.abs(relief) > APART)).mean())
+    return max(8, round(face.height * scale)), max(8, round(face.width * scale))
 
 
-def _median(
-    reliefs: Sequence[Float32[np.ndarray, "h w"]], shape: tuple[int, int]
-) -> Float32[np.ndarray, "h w"]:
-    """Median over the frames that measured; NaN where none did."""
-    if not reliefs:
-        return np.full(shape, np.nan, np.float32)
-    stack = np.sort(np.stack(reliefs), axis=0)  # NaN comes last
-    count = np.isfinite(stack).sum(0)
-    middle = np.maximum(count - 1, 0) // 2
-    return np.take_along_axis(stack, middle[None], axis=0)[0]
+@dataclass(frozen=True, eq=False)
+class _View:
+    """What frames have shown of a face so far."""
+
+    colour: UInt8[np.ndarray, "h w 3"]
+    state: UInt8[np.ndarray, "h w"]
+    """0 where no frame looked, `HIDDEN` where all saw something else, `CLEAR` elsewhere."""
+    near: Float32[np.ndarray, "h w 2"]
+    """Sum of weighted reliefs of the face itself, and of the weights."""
+    far: Float32[np.ndarray, "h w 2"]
+    """The same of what is before or behind it."""
+
+    @staticmethod
+    def of(shape: tuple[int, int]) -> _View:
+        sums = (np.zeros((*shape, 2), np.float32) for _ in range(2))
+        return _View(np.zeros((*shape, 3), np.uint8), np.zeros(shape, np.uint8), *sums)
 
 
-def _look(
-    face: Face, frame: Frame, shape: tuple[int, int]
-) -> tuple[Bool[np.ndarray, "h w"], UInt8[np.ndarray, "h w 3"], Float32[np.ndarray, "h w"]]:
-    """One frame's view of a face: what is in the picture, its colour, its relief."""
-    rows, columns = shape
-    seen = np.zeros(shape, np.bool_)
-    colour = np.zeros((rows, columns, 3), np.uint8)
-    relief = np.full(shape, np.nan, np.float32)
+def _mean(sums: Float32[np.ndarray, "h w 2"]) -> Float32[np.ndarray, "h w"]:
+    """Weighted mean; NaN where nothing was measured."""
+    weight = sums[..., 1]
+    return np.where(weight > 0, sums[..., 0] / np.maximum(weight, 1e-12), np.float32(np.nan))
+
+
+def _look(face: Face, frame: Frame, view: _View, weight: float) -> None:
+    """Add what one frame shows of a face; its depth counts by a weight."""
     depth = np.zeros((1, 1), np.float32) if frame.depth is None else frame.depth
     T_camera_face = invert(frame.T_world_camera) @ face.T_world_face
     if T_camera_face[:3, 2] @ T_camera_face[:3, 3] < 0:  # the camera is on the outer side
         _sample(
             frame.colour, depth, frame.depth is not None, np.ascontiguousarray(frame.intrinsics),
-            np.ascontiguousarray(T_camera_face), face.width, face.height, seen, colour, relief,
+            np.ascontiguousarray(T_camera_face), face.width, face.height, weight, view.colour,
+            view.state, view.near, view.far,
         )  # fmt: skip
-    return seen, colour, relief
 
 
 @njit(cache=True)
@@ -143,12 +164,14 @@ def _sample(
     T_camera_face: np.ndarray,
     width: float,
     height: float,
-    seen: np.ndarray,
+    weight: float,
     colour: np.ndarray,
-    relief: np.ndarray,
+    state: np.ndarray,
+    near: np.ndarray,
+    far: np.ndarray,
 ) -> None:
-    """Fill `seen`, `colour` and `relief` by looking along the ray through every pixel."""
-    rows, columns = seen.shape
+    """Look along the ray through every pixel of a face, and add to what is known of it."""
+    rows, columns = state.shape
     tall, wide = picture.shape[:2]
     T = T_camera_face
     fx, fy, cx, cy = intrinsics[0, 0], intrinsics[1, 1], intrinsics[0, 2], intrinsics[1, 2]
@@ -164,16 +187,24 @@ def _sample(
             u, v = fx * px / pz + cx, fy * py / pz + cy
             if u < 0.0 or v < 0.0 or u > wide - 1.001 or v > tall - 1.001:
                 continue
-            seen[i, j] = True
+            found = CLEAR
+            if has_depth:
+                z = depth[int(v + 0.5), int(u + 0.5)]
+                if z > 0.0:
+                    # The measured point lies on the same ray, at z instead of pz.
+                    out = T[0, 2] * px + T[1, 2] * py + T[2, 2] * pz
+                    relief = (z / pz - 1.0) * out
+                    sums = near
+                    if abs(relief) > APART:
+                        found, sums = HIDDEN, far
+                    sums[i, j, 0] += weight * relief
+                    sums[i, j, 1] += weight
+            if found <= state[i, j]:
+                continue
+            state[i, j] = found
             a, b = int(u), int(v)
             s, t = u - a, v - b
             for k in range(3):
                 top = (1 - s) * picture[b, a, k] + s * picture[b, a + 1, k]
                 low = (1 - s) * picture[b + 1, a, k] + s * picture[b + 1, a + 1, k]
                 colour[i, j, k] = np.uint8((1 - t) * top + t * low + 0.5)
-            if has_depth:
-                z = depth[int(v + 0.5), int(u + 0.5)]
-                if z > 0.0:
-                    # The measured point lies on the same ray, at z instead of pz.
-                    out = T[0, 2] * px + T[1, 2] * py + T[2, 2] * pz
-                    relief[i, j] = (z / pz - 1.0) * out

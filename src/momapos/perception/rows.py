@@ -16,16 +16,16 @@ from jaxtyping import Float
 
 from momapos.geometry.transforms import apply
 from momapos.perception.detections import projection
-from momapos.perception.faces import Face, box_faces, eye_of, shown
+from momapos.perception.faces import Face, box_faces, eye_of
 from momapos.perception.views import (
     Look,
     Seen,
     ViewConfig,
-    cosines_to,
     door_evidence,
     handles_seen_from,
     look_at,
     placed,
+    showing,
     surest,
 )
 from momapos.types import Frame, Part, UprightBox
@@ -43,8 +43,6 @@ class RowConfig:
     """Parts that end this near to a window's end may go on beyond it [m]."""
     least_piece: float = 0.2
     """A stretch without parts that is narrower than this belongs to its neighbour [m]."""
-    frames: int = 4
-    """Pictures merged to what is looked at [-]."""
 
 
 def split_row(
@@ -79,7 +77,7 @@ def _front_of(
     evidence = [0.0]
     for left in np.linspace(0.0, face.width - wide, count):
         window = _window(face, float(left), wide)
-        chosen = _frames_for(window, frames, config, view)
+        chosen = _frames_for(window, frames, view)
         if not chosen:
             continue
         front = look_at(window, chosen, look, view.least)
@@ -100,26 +98,16 @@ def _window(face: Face, left: float, wide: float) -> Face:
     return replace(face, T_world_face=T, width=wide)
 
 
-def _frames_for(
-    face: Face, frames: Sequence[Frame], config: RowConfig, view: ViewConfig
-) -> list[Frame]:
+def _frames_for(face: Face, frames: Sequence[Frame], view: ViewConfig) -> list[Frame]:
     """Pictures that show a window, the best first."""
     thin = UprightBox(
         face.T_world_face[:3, 3],
         np.array([0.02, face.width, face.height]),
         float(np.arctan2(face.outward[1], face.outward[0])),
     )
-    candidates = [frame for frame in frames if projection(thin, frame) is not None]
-    cosines = cosines_to(face, candidates)
-    straightest = np.argsort(-cosines, kind="stable")
-    for most in (view.frontal, view.oblique):
-        within = cosines[straightest] > np.cos(np.radians(most))
-        order = straightest[within][: view.looked_at]
-        parts = np.array([shown(face, candidates[i]) for i in order])
-        best = [i for i in np.argsort(-parts, kind="stable") if parts[i] >= view.shown]
-        if best:
-            return [candidates[order[i]] for i in best[: config.frames]]
-    return []
+    candidates = [i for i, frame in enumerate(frames) if projection(thin, frame) is not None]
+    order, partly = showing(face, frames, np.array(candidates, int), view)
+    return [frames[i] for i in [*order, *partly][: view.merged]] if order else []
 
 
 def _whole(

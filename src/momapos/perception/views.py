@@ -11,14 +11,24 @@ from jaxtyping import Float
 
 from momapos.geometry.transforms import invert
 from momapos.perception.detections import Sight, area, common_area
-from momapos.perception.faces import FACES, Face, box_faces, eye_of, face_image, shown, solid
+from momapos.perception.faces import (
+    FACES,
+    Face,
+    box_faces,
+    eye_of,
+    face_image,
+    shown,
+    solid,
+)
 from momapos.types import FaceImage, Frame, Front, Part, UprightBox
 
 AROUND = (0.03, 0.1)
 """How much of what surrounds a face is looked at with it; the second where the first shows no
 front [m]."""
-STRAIGHT = 6
+STRAIGHT = 10
 """How much more a picture counts that is taken straight on: power of the cosine [-]."""
+NEAREST = 0.5
+"""Pictures taken from nearer than this are no better for it [m]."""
 WITHIN = 0.6
 """Share of a part that must lie on the face [-]."""
 STAND_OFF = 0.04
@@ -59,9 +69,11 @@ class ViewConfig:
     """Part of a face that a picture must show [-]."""
     votes: int = 2
     """Pictures that vote for a face [-]."""
-    merged: int = 6
+    partly: float = 0.15
+    """Pictures that show less of it do not help to measure its relief [-]."""
+    merged: int = 12
     """Pictures whose depth is merged to the relief of a face [-]."""
-    looked_at: int = 16
+    looked_at: int = 32
     """Pictures of a face that are looked at, the most promising first [-]."""
 
 
@@ -148,14 +160,15 @@ def _voting(
     evidence = [float("nan")] * FACES
     best: tuple[float, Face, int, FaceImage, Front] | None = None
     for face in box_faces(box):
-        order = _showing(face, frames, indices, config)
+        order, partly = showing(face, frames, indices, config)
         if not order:
             continue
+        merged = [*order, *partly][: config.merged]
         votes = [
-            _with(_vote(face, frames, i, order, look, config), face, frames[i], before)
+            _with(_vote(face, frames, i, merged, look, config), face, frames[i], before)
             for i in order[: config.votes]
         ]
-        image = face_image(face, [frames[i] for i in order[: config.merged]])
+        image = face_image(face, [frames[i] for i in merged])
         flat = solid(image)
         doors = flat * float(np.mean([door_evidence(front) for front in votes]))
         # Where faces compete, doors do not make up for looks: both count, or one side of a
@@ -175,12 +188,12 @@ def _vote(
     face: Face,
     frames: Sequence[Frame],
     chosen: int,
-    order: Sequence[int],
+    merged: Sequence[int],
     look: Look,
     config: ViewConfig,
 ) -> Front:
     """What one picture's colours say of a face, with the relief that the best ones measured."""
-    rest = [frames[i] for i in order[: config.merged] if i != chosen]
+    rest = [frames[i] for i in merged if i != chosen]
     return look_at(face, [frames[chosen], *rest], look, config.least)
 
 
@@ -302,24 +315,42 @@ def _rectangle(values: Float[np.ndarray, "4"]) -> tuple[float, float, float, flo
     return left, top, right, bottom
 
 
-def _showing(
+def showing(
     face: Face, frames: Sequence[Frame], indices: np.ndarray, config: ViewConfig
-) -> list[int]:
-    """Frames that show a face well enough, the best first."""
-    cosines = cosines_to(face, [frames[i] for i in indices])
+) -> tuple[list[int], list[int]]:
+    """Choose the frames in which a face is looked at.
+
+    Straight ones are better, and near ones: from across a room a handle is a few pixels, and the
+    noise of its depth is larger than what it stands out by.
+
+    Returns:
+        Indices of those, among the given, that show the face well enough, and of those that show
+        a piece of it; each the best first.
+    """
+    lines, cosines = _lines_to(face, [frames[i] for i in indices])
+    clear = np.maximum(cosines, 0.0) ** STRAIGHT / np.maximum(lines, NEAREST) ** 2
     for most in (config.frontal, config.oblique):
         good = np.flatnonzero(cosines >= np.cos(np.radians(most)))
-        good = good[np.argsort(-cosines[good], kind="stable")][: config.looked_at]
+        good = good[np.argsort(-clear[good], kind="stable")][: config.looked_at]
         parts = np.array([shown(face, frames[indices[i]]) for i in good])
-        quality = np.where(parts >= config.shown, parts**2 * cosines[good] ** STRAIGHT, -1.0)
-        if (quality > 0).any():
-            order = np.argsort(-quality, kind="stable")
-            return [int(indices[good[i]]) for i in order if quality[i] > 0]
-    return []
+        order = np.argsort(-(parts**2 * clear[good]), kind="stable")
+        if (parts >= config.shown).any():
+            best, parts = indices[good[order]], parts[order]
+            part_only = (parts >= config.partly) & (parts < config.shown)
+            return best[parts >= config.shown].tolist(), best[part_only].tolist()
+    return [], []
 
 
 def cosines_to(face: Face, frames: Sequence[Frame]) -> Float[np.ndarray, " n"]:
     """Cosine of the angle between the face's normal and the line to each camera."""
+    return _lines_to(face, frames)[1]
+
+
+def _lines_to(
+    face: Face, frames: Sequence[Frame]
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """Length of the line from a face's middle to each camera [m]; cosine to the face's normal."""
     eyes = np.array([frame.T_world_camera[:3, 3] for frame in frames]).reshape(-1, 3)
     lines = eyes - face.T_world_face[:3, 3]
-    return lines @ face.outward / np.linalg.norm(lines, axis=1)
+    length = np.linalg.norm(lines, axis=1)
+    return length, lines @ face.outward / length
