@@ -7,7 +7,8 @@ Every fridge of the shared data stands before a wall, is scanned with the noise 
 place and of the differences of the box's three sides (MoMa-Pos, table on modelling).
 
 - vanilla: the parts on a box of one metre, which is all that a single picture's network gives;
-- box from RGB: what the chosen picture and the floor give, its depth that of a usual fridge;
+- box from RGB: what the straightest whole picture and the floor give, its depth that of a usual
+  fridge;
 - box from points: ours.
 """
 
@@ -15,6 +16,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -26,10 +28,11 @@ from momapos.kinematics.urdf import Urdf, box_urdf, read_urdf
 from momapos.manipulation.handles import WORD, has_handle
 from momapos.manipulation.tasks import hand_path
 from momapos.perception.detections import projection
+from momapos.perception.faces import Face
 from momapos.perception.recording import synthetic_scan, true_box
 from momapos.perception.sensor import DepthSensor
 from momapos.perception.upright_boxes import top
-from momapos.perception.views import View
+from momapos.perception.views import View, cosines_to
 from momapos.reconstruction.build import build_scene
 from momapos.reconstruction.model import furniture_model
 from momapos.scan_pipeline import Decision, scan_to_scene
@@ -84,6 +87,17 @@ def handle_of(scene: Scene, name: str) -> list[np.ndarray]:
     item = scene.object(name)
     doors = [joint for joint in item.model.joints if has_handle(item.model, joint)]
     return [hand_path(scene, name, joint)[0] for joint in doors]
+
+
+def whole_in(frames: Sequence[Frame], face: Face, box: UprightBox) -> Frame:
+    """The straightest picture of a face that was taken upright and shows all of its box."""
+    upright = [frame for frame in frames if frame.T_world_camera[2, 1] < -0.5]
+    whole = []
+    for frame in upright:
+        rectangle, (height, width) = projection(box, frame), frame.colour.shape[:2]
+        if rectangle is not None and min(rectangle) > 0:
+            whole += [frame] if rectangle[2] < width and rectangle[3] < height else []
+    return whole[int(np.argmax(cosines_to(face, whole)))]
 
 
 def box_from_picture(frame: Frame, box: UprightBox, rng: np.random.Generator) -> UprightBox:
@@ -146,12 +160,11 @@ def measure(name: str, frames: int, folder: Path) -> dict[str, float]:
     )
     view = decision.view
     assert view is not None
-    ground = np.array([place[0], place[1], 0.5])
+    ground, there = np.array([place[0], place[1], 0.5]), replace(box, center=place)
+    picture = whole_in(result.frames, view.face, there)
     boxes = (
         UprightBox(ground, np.ones(3)),
-        box_from_picture(
-            result.frames[view.frame], replace(box, center=place), np.random.default_rng(0)
-        ),
+        box_from_picture(picture, there, np.random.default_rng(0)),
         decision.detection.box,
     )
     errors = {}

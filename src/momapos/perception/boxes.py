@@ -56,7 +56,7 @@ class BoxConfig:
     """Whether every thing gets the box of least area, whatever its yaw."""
     small: float = 0.35
     """Things smaller than this are completed where no side of them was seen [m]."""
-    sheet: float = 0.05
+    sheet: float = 0.12
     """Larger ones are completed where all that was seen of them is thinner than this [m]."""
     least_points: int = 10
     """Instances without a box and with fewer points are left out [-]."""
@@ -318,7 +318,8 @@ def _completed(
     local = to_local(cloud.points[members], box)
     facing = along_edges(cloud.normals[members], box.yaw)
     flat = (facing[:, 2] > 0.9) & (local[:, 2] > box.size[2] / 2 - 0.02)
-    if area(local[flat, 0], local[flat, 1], 0.02) > 0.5 * box.size[0] * box.size[1]:
+    top_seen = area(local[flat, 0], local[flat, 1], 0.02) > 0.5 * box.size[0] * box.size[1]
+    if top_seen and max(box.size) < config.small:
         return box
     low, high = corners(box)
     axis = 0 if box.size[0] < box.size[1] else 1

@@ -16,7 +16,7 @@ from jaxtyping import Float
 
 from momapos.geometry.transforms import apply
 from momapos.perception.detections import projection
-from momapos.perception.faces import Face, box_faces, eye_of
+from momapos.perception.faces import Face, box_faces, eye_of, face_image, solid
 from momapos.perception.views import (
     Look,
     Seen,
@@ -29,6 +29,9 @@ from momapos.perception.views import (
     surest,
 )
 from momapos.types import Frame, Part, UprightBox
+
+COARSE = 96
+"""Pixels along a window that tell whether it is flat: a table is open [-]."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +84,8 @@ def _front_of(
         if not chosen:
             continue
         front = look_at(window, chosen, look, view.least)
-        if door_evidence(front) >= view.least:
+        flat = solid(face_image(window, chosen, pixels=COARSE))
+        if flat * door_evidence(front) >= view.least:
             ends = (left > config.margin, left + wide < face.width - config.margin)
             whole = _whole(front.parts, wide, ends, config.margin)
             whole = handles_seen_from(whole, window, eye_of(window, chosen[0]), undo=True)
