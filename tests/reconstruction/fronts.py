@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from hypothesis import strategies as st
 
-from momapos.reconstruction.alignment import Area
+from momapos.reconstruction.reliefs import Area
 from momapos.types import FaceImage, Part, PartKind
 
 KINDS: tuple[PartKind, ...] = ("door_left", "door_right", "door_down", "door_up", "drawer")

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from tests.reconstruction.fronts import any_parts, face_of, fronts, overlap, raised
 
 from momapos.errors import InputError
-from momapos.reconstruction.alignment import AlignmentConfig, Area, align
+from momapos.reconstruction.alignment import AlignmentConfig, align
+from momapos.reconstruction.reliefs import Area
 from momapos.types import Part
 
 FACE = (0.6, 1.8)  # [m]

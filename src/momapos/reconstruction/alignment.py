@@ -10,13 +10,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
-from scipy import ndimage
 
 from momapos.errors import InputError
+from momapos.reconstruction.reliefs import FEWEST, Area, area_of, longest_bar, relief_in
 from momapos.types import FaceImage, Part, PartKind
-
-_FEWEST = 12
-"""Measured pixels that a median needs [-]."""
 
 
 @dataclass(frozen=True)
@@ -47,38 +44,6 @@ class AlignmentConfig:
     """Such a bar is at least this long [m]."""
     bar_thickness: float = 0.12
     """And at most this thick [m]."""
-
-
-@dataclass(frozen=True)
-class Area:
-    """An upright rectangle in the frame of a face [m]."""
-
-    left: float
-    bottom: float
-    right: float
-    top: float
-
-    @property
-    def width(self) -> float:
-        """Size along x [m]."""
-        return self.right - self.left
-
-    @property
-    def height(self) -> float:
-        """Size along z [m]."""
-        return self.top - self.bottom
-
-    def within(self, other: Area, margin: float = 0.0) -> Area | None:
-        """What of it lies inside another and off its edges by a margin [m]; None if nothing."""
-        low_x, low_z = other.left + margin, other.bottom + margin
-        high_x, high_z = other.right - margin, other.top - margin
-        area = Area(
-            max(self.left, low_x),
-            max(self.bottom, low_z),
-            min(self.right, high_x),
-            min(self.top, high_z),
-        )
-        return area if area.width > 0 and area.height > 0 else None
 
 
 @dataclass(frozen=True)
@@ -135,43 +100,10 @@ def align(
     return tuple(sorted(aligned, key=lambda part: (-part.area.top, part.area.left)))
 
 
-def area_of(box: tuple[float, float, float, float], face: FaceImage) -> Area:
-    """The part of a face that (left, top, right, bottom) as fractions of it name."""
-    left, top, right, bottom = np.clip(box, 0.0, 1.0).tolist()
-    (left, right), (top, bottom) = sorted((left, right)), sorted((top, bottom))
-    w, h = face.width, face.height
-    return Area(left * w, (1 - bottom) * h, right * w, (1 - top) * h)
-
-
-def relief_in(face: FaceImage, area: Area, without: Area | None = None) -> Float[np.ndarray, " k"]:
-    """The measured relief [m] inside an area, but for what lies in another."""
-    rows, columns = _pixels(face, area)
-    relief = np.array(face.relief[rows, columns], float)
-    if without is not None:
-        inner_rows, inner_columns = _pixels(face, without)
-        r, c = rows.start, columns.start
-        relief[
-            max(inner_rows.start - r, 0) : max(inner_rows.stop - r, 0),
-            max(inner_columns.start - c, 0) : max(inner_columns.stop - c, 0),
-        ] = np.nan
-    return relief[np.isfinite(relief)]
-
-
 def front_of(face: FaceImage, area: Area, most: float, without: Area | None = None) -> float:
     """How far a surface stands out of the face, at most `most` [m] either way; 0 if not known."""
     relief = relief_in(face, area, without)
-    return float(np.clip(np.median(relief), -most, most)) if len(relief) >= _FEWEST else 0.0
-
-
-def _pixels(face: FaceImage, area: Area) -> tuple[slice, slice]:
-    """Rows and columns of an area; a pixel belongs to it when its centre does."""
-    h, w = face.relief.shape
-    x = np.array([area.left, area.right]) / face.width * w
-    y = (1 - np.array([area.top, area.bottom]) / face.height) * h
-    (left, right), (top, bottom) = (
-        np.clip(np.round(v), 0, None).astype(int).tolist() for v in (x, y)
-    )
-    return slice(top, bottom), slice(left, right)
+    return float(np.clip(np.median(relief), -most, most)) if len(relief) >= FEWEST else 0.0
 
 
 # ----------------------------------------------------------------------------- parts to each other
@@ -274,7 +206,8 @@ def _aligned(face: FaceImage, part: Part, area: Area, config: AlignmentConfig) -
     """Measure how far a part and its handle stand out."""
     seen = None if part.handle is None else area_of(part.handle, face)
     if seen is not None and _is_flat(face, area, seen, config):
-        seen = _bar(face, area, config) or seen
+        bar = longest_bar(face, area, config.bar_out, config.bar_length, config.bar_thickness)
+        seen = bar or seen
     out = front_of(face, area, config.most_relief, without=seen)
     handle = None if seen is None else _handle(face, area, seen, out, config)
     return AlignedPart(part.kind, area, out, handle)
@@ -337,7 +270,7 @@ def _measured_out(face: FaceImage, part: Area, handle: Area) -> float | None:
     ring = around.within(part)
     assert ring is not None
     inside, beside = relief_in(face, handle), relief_in(face, ring, without=handle)
-    if min(len(inside), len(beside)) < _FEWEST:
+    if min(len(inside), len(beside)) < FEWEST:
         return None
     return float(np.percentile(inside, 75) - np.median(beside))
 
@@ -347,26 +280,3 @@ def _is_flat(face: FaceImage, part: Area, seen: Area, config: AlignmentConfig) -
     inside = seen.within(part)
     out = None if inside is None else _measured_out(face, part, inside)
     return out is not None and out < config.handle_relief[0]
-
-
-def _bar(face: FaceImage, part: Area, config: AlignmentConfig) -> Area | None:
-    """The longest bar that stands out of a part in the relief; None where there is none."""
-    rows, columns = _pixels(face, part)
-    relief = np.array(face.relief[rows, columns], float)
-    if np.isfinite(relief).sum() < _FEWEST:
-        return None
-    stands = relief > np.nanmedian(relief) + config.bar_out  # NaN compares as false
-    label, count = ndimage.label(stands, np.ones((3, 3)))
-    tall, wide = face.height / face.relief.shape[0], face.width / face.relief.shape[1]
-    bars = []
-    for down, across in ndimage.find_objects(label, count):
-        area = Area(
-            (columns.start + across.start) * wide,
-            face.height - (rows.start + down.stop) * tall,
-            (columns.start + across.stop) * wide,
-            face.height - (rows.start + down.start) * tall,
-        )
-        thick, length = sorted((area.width, area.height))
-        if length >= max(config.bar_length, 2 * thick) and thick <= config.bar_thickness:
-            bars.append((length, area))
-    return max(bars, key=lambda bar: bar[0])[1] if bars else None

@@ -17,6 +17,7 @@ from jaxtyping import Float
 
 from momapos.errors import InputError, MissingExtraError
 from momapos.reconstruction import decode
+from momapos.reconstruction.bars import with_bar
 from momapos.types import FaceImage, Front, Part
 
 FIRST_SHARE = 0.75
@@ -107,11 +108,14 @@ class FrontNetwork:
         good = good[decode.distinct(found[good], rank, self.config.overlap, nested=True)]
         good = good[np.argsort(-score[good], kind="stable")]
         return tuple(
-            decode.part(
-                int(vote[i].argmax()),
-                found[i],
-                float(score[i]),
-                handles[i] if held[i] > self.config.handle else None,
+            with_bar(
+                face,
+                decode.part(
+                    int(vote[i].argmax()),
+                    found[i],
+                    float(score[i]),
+                    handles[i] if held[i] > self.config.handle else None,
+                ),
             )
             for i in good
         )
