@@ -22,6 +22,8 @@ MIRRORED_SIDES = (2, 1, 0, 3)
 """Left, top, right, bottom in a mirror."""
 PART_MARGIN = 0.15
 """How much of its surroundings a crop shows on each side of a part, as a fraction of its side."""
+LEVEL = 6
+"""Which of the planes holds level dark lines."""
 LEAST_SIDE = 0.01
 """A part is broader and higher than this share of its face."""
 RELIEF_RANGE = 0.08

@@ -18,6 +18,7 @@ from jaxtyping import Float
 from momapos.errors import InputError, MissingExtraError
 from momapos.reconstruction import decode
 from momapos.reconstruction.bars import with_bar
+from momapos.reconstruction.grips import into_drawers
 from momapos.types import FaceImage, Front, Part
 
 FIRST_SHARE = 0.75
@@ -107,18 +108,18 @@ class FrontNetwork:
         rank = (1.0 - sure[good, -1]) * kinds[good].max(axis=1)
         good = good[decode.distinct(found[good], rank, self.config.overlap, nested=True)]
         good = good[np.argsort(-score[good], kind="stable")]
-        return tuple(
-            with_bar(
-                face,
-                decode.part(
-                    int(vote[i].argmax()),
-                    found[i],
-                    float(score[i]),
-                    handles[i] if held[i] > self.config.handle else None,
-                ),
+        parts = (
+            decode.part(
+                int(vote[i].argmax()),
+                found[i],
+                float(score[i]),
+                handles[i] if held[i] > self.config.handle else None,
             )
             for i in good
         )
+        level = stack[..., decode.LEVEL]
+        drawers = (one for part in parts for one in into_drawers(face, part, level))
+        return tuple(with_bar(face, part) for part in drawers)
 
 
 def _look_at_face(face: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -1,0 +1,106 @@
+"""Handles that the networks miss: bars in the relief, and grips that tell a stack of drawers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from tests.reconstruction.fronts import face_of, raised
+
+from momapos.reconstruction import decode
+from momapos.reconstruction.bars import with_bar
+from momapos.reconstruction.grips import into_drawers
+from momapos.types import FaceImage, Part, PartKind
+
+WHOLE = (0.0, 0.0, 1.0, 1.0)
+Box = tuple[float, float, float, float]
+
+
+@pytest.mark.parametrize(
+    ("said", "bar", "kind"),
+    [
+        ("door_right", (0.9, 0.7, 0.93, 0.95), "door_left"),
+        ("door_left", (0.05, 0.7, 0.08, 0.95), "door_right"),
+        ("drawer", (0.9, 0.7, 0.93, 0.95), "door_left"),
+        ("door_left", (0.1, 0.9, 0.8, 0.93), "door_up"),
+        ("door_left", (0.1, 0.05, 0.8, 0.08), "door_down"),
+        ("drawer", (0.1, 0.05, 0.8, 0.08), "drawer"),
+        ("door_left", (0.6, 0.9, 0.8, 0.93), "door_left"),
+        ("door_left", (0.5, 0.4, 0.53, 0.7), "door_left"),
+    ],
+)
+def test_a_bar_in_the_relief_is_the_handle_and_tells_how_a_part_opens(
+    said: PartKind, bar: Box, kind: PartKind
+) -> None:
+    face = face_of(0.6, 0.6, 0.0)
+    raised(face, bar, 0.03)
+    part = with_bar(face, Part(said, WHOLE, 0.5))
+    assert part.kind == kind
+    assert part.handle is not None
+    np.testing.assert_allclose(part.handle, bar, atol=0.01)
+
+
+def test_noise_is_no_bar() -> None:
+    face = face_of(0.6, 0.6, 0.0)
+    face.relief[:] = np.random.default_rng(0).normal(0.0, 0.012, face.relief.shape)
+    raised(face, (0.9, 0.7, 0.93, 0.95), 0.03)
+    part = Part("door_right", WHOLE, 0.5)
+    assert with_bar(face, part) == part
+
+
+def test_a_handle_that_was_seen_stays_and_no_depth_tells_nothing() -> None:
+    face = face_of(0.6, 0.6, 0.0)
+    raised(face, (0.9, 0.7, 0.93, 0.95), 0.03)
+    part = Part("door_right", WHOLE, 0.5, handle=(0.1, 0.1, 0.2, 0.12))
+    assert with_bar(face, part) == part
+    bare = Part("door_right", WHOLE, 0.5)
+    assert with_bar(face_of(0.6, 0.6), bare) == bare
+
+
+def gripped(rows: list[float], *, left: float = 0.4, wide: float = 0.2) -> FaceImage:
+    """A plain front of 0.5 x 0.8 m with faint grips at some heights, as shares from the top."""
+    face = face_of(0.5, 0.8)
+    h, w = face.colour.shape[:2]
+    for row in rows:
+        start = round(left * w)
+        face.colour[round(row * h), start : start + round(wide * w)] = 185
+    return face
+
+
+def drawers_on(face: FaceImage, kind: PartKind = "door_right") -> tuple[Part, ...]:
+    return into_drawers(face, Part(kind, WHOLE, 0.5), decode.dark_lines(face.colour, 0))
+
+
+@pytest.mark.parametrize(
+    ("rows", "edges"),
+    [([0.1, 0.4, 0.7], [0.1, 0.4, 0.7, 1.0]), ([1 / 6, 0.5, 5 / 6], [0.0, 1 / 3, 2 / 3, 1.0])],
+    ids=["grips at the top", "grips in the middle"],
+)
+def test_grips_evenly_above_each_other_are_those_of_drawers(
+    rows: list[float], edges: list[float]
+) -> None:
+    found = drawers_on(gripped(rows))
+    assert [part.kind for part in found] == ["drawer"] * 3
+    np.testing.assert_allclose([part.box[1] for part in found], edges[:-1], atol=0.02)
+    np.testing.assert_allclose([part.box[3] for part in found], edges[1:], atol=0.02)
+    for part, row in zip(found, rows, strict=True):
+        assert part.handle is not None
+        assert part.handle[1] <= row + 0.01 <= part.handle[3] + 0.02
+
+
+@pytest.mark.parametrize(
+    "face",
+    [
+        gripped([0.3, 0.6]),
+        gripped([0.1, 0.3, 0.8]),
+        gripped([0.30, 0.33, 0.36, 0.39]),
+        gripped([0.1, 0.4, 0.7], left=0.1),
+        gripped([0.1, 0.4, 0.7], left=0.02, wide=0.96),
+    ],
+    ids=["two", "uneven", "a vent", "aside", "grooves"],
+)
+def test_other_lines_are_no_stack(face: FaceImage) -> None:
+    assert len(drawers_on(face)) == 1
+
+
+def test_a_flap_is_never_a_stack() -> None:
+    assert len(drawers_on(gripped([0.1, 0.4, 0.7]), "door_down")) == 1
