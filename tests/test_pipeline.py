@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -172,6 +174,21 @@ def test_no_time_is_no_answer_and_says_so(robots: Callable[[str], Robot], tmp_pa
     )  # fmt: skip
     assert answer.plan.status == "timeout"
     assert answer.plan.base_pose is None
+
+
+def test_what_is_read_and_compiled_before_the_search_is_not_its_time(
+    robots: Callable[[str], Robot], tmp_path: Path
+) -> None:
+    scene = cabinet_room(tmp_path)
+    task = make_task(scene, "open", "cabinet")
+    waits = itertools.chain(np.arange(0.0, 8000.0, 1000.0), itertools.repeat(8000.0))
+    config = PipelineConfig(place=QUICK, timeout=120.0)
+    answer = place(
+        scene, robots("segway_ur5e"), task, Everywhere(), config=config,
+        clock=lambda: time.perf_counter() + float(next(waits)),
+    )  # fmt: skip
+    assert answer.plan.status == "solved"
+    assert answer.plan.timing["total"] > 7000.0
 
 
 def test_a_start_inside_furniture_is_refused(

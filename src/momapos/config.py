@@ -23,4 +23,4 @@ class PipelineConfig:
     arm_clearance: float = 0.003
     """Distance that the arm's spheres keep from everything [m]."""
     timeout: float = 30.0
-    """Time for one answer [s]."""
+    """Time to search for one answer [s]; what is read and compiled before does not count."""

@@ -47,7 +47,7 @@ class Options:
     seed: int = 0
     """Same seed, same answer."""
     timeout: float = 30.0
-    """Time for the answer [s]."""
+    """Time to search for the answer [s]; what is read and compiled before does not count."""
     out: Path | None = None
     """Write the plan here (JSON)."""
     plot: Path | None = None
