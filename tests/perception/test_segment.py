@@ -10,6 +10,7 @@ from tests.perception.furnished import BACK, KITCHEN, LEFT, ROOM, TABLE, Corners
 
 from momapos.errors import InputError
 from momapos.perception.boxes import boxes
+from momapos.perception.fronts import FrontConfig, find_fronts
 from momapos.perception.planes import find_room, in_room
 from momapos.perception.segment import ClassicalSegmenter
 from momapos.types import Cloud, Detection, Instance
@@ -145,6 +146,14 @@ def test_furniture_that_is_open_at_a_side_reaches_to_the_end_of_its_front() -> N
     found = boxes(cloud, ClassicalSegmenter()(cloud), find_room(cloud))
     assert len(found) == 1
     assert best_overlap(((0.0, -1.62, 0.0), (1.0, -1.2, 0.9)), found) > 0.95
+
+
+def test_a_front_of_few_points_is_not_divided() -> None:
+    x, z = (grid.ravel() for grid in np.meshgrid(np.arange(0.0, 1.2, 0.04), (0.5, 0.53)))
+    points = np.column_stack([x, np.zeros(len(x)), z])
+    normals = np.tile([0.0, -1.0, 0.0], (len(x), 1))
+    cloud = Cloud(points, normals, np.full((len(x), 3), 128, np.uint8))
+    assert find_fronts(cloud, find_room(cloud), np.arange(len(x)), FrontConfig()) == []
 
 
 def test_a_room_with_nothing_in_it_holds_no_instances() -> None:

@@ -140,6 +140,9 @@ def _divided(
     counts = np.bincount(bins)
     starts = np.concatenate([[0], np.cumsum(counts)])
     seen = np.flatnonzero(counts > 3)
+    if not len(seen):
+        yield members
+        return
     # One row below the top: a single stray point is no edge.
     top = np.array([z[order[starts[k + 1] - 2]] for k in seen])
     bottom = np.array([z[order[starts[k] + 1]] for k in seen])
