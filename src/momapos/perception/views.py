@@ -164,12 +164,15 @@ def _voting(
         if not order:
             continue
         merged = [*order, *partly][: config.merged]
+        image = face_image(face, [frames[i] for i in merged])
+        flat = solid(image)
+        if flat < config.least:  # open, as the side of a table: no vote makes it a front
+            evidence[face.index] = 0.0
+            continue
         votes = [
             _with(_vote(face, frames, i, merged, look, config), face, frames[i], before)
             for i in order[: config.votes]
         ]
-        image = face_image(face, [frames[i] for i in merged])
-        flat = solid(image)
         doors = flat * float(np.mean([door_evidence(front) for front in votes]))
         # Where faces compete, doors do not make up for looks: both count, or one side of a
         # fridge with a seam and a shadow on it passes for the front.
