@@ -22,5 +22,5 @@ class PipelineConfig:
     planner: PlannerConfig = field(default_factory=PlannerConfig)
     arm_clearance: float = 0.003
     """Distance that the arm's spheres keep from everything [m]."""
-    timeout: float = 30.0
+    timeout: float = 120.0
     """Time to search for one answer [s]; what is read and compiled before does not count."""

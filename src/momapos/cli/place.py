@@ -46,7 +46,7 @@ class Options:
     """Objects with an importance of at least this are modelled, in [0, 1]; 0: all."""
     seed: int = 0
     """Same seed, same answer."""
-    timeout: float = 30.0
+    timeout: float = 120.0
     """Time to search for the answer [s]; what is read and compiled before does not count."""
     out: Path | None = None
     """Write the plan here (JSON)."""
