@@ -16,9 +16,8 @@ from momapos.geometry.polygons import inscribed_radius
 from momapos.geometry.transforms import wrap_angle
 from momapos.manipulation.motion import room_boxes
 from momapos.navigation.clearance import gaps
-from momapos.navigation.cost_map import CELL, FloorPlan, build_cost_map
+from momapos.navigation.cost_map import CELL, FloorPlan, base_height, build_cost_map, floor_plan
 from momapos.navigation.footprint_map import HEADINGS, Ground
-from momapos.pipeline import base_height, room_plan
 from momapos.scene.files import builtin_names, load_scene
 from momapos.scene.kitchens import LAYOUTS, generate_kitchen
 from momapos.scene.scene import Scene
@@ -65,7 +64,7 @@ def rooms(folder: Path, layouts: int) -> Iterator[Scene]:
 def questions(ground: Ground, scene: Scene, rng: np.random.Generator) -> Iterator[Question]:
     """Random starts and goals that the disc can drive between."""
     robot = ground.robot
-    plan = room_plan(room_boxes(scene), scene.floor, base_height(robot))
+    plan = floor_plan(room_boxes(scene), height=base_height(robot), floor=scene.floor)
     # Half a cell less than nothing: a footprint that fits between two centres counts as well.
     fits = FloorPlan(ground.origin, ~(ground.gap > -CELL / 2).any(0))
     states = np.argwhere(ground.free)

@@ -26,7 +26,7 @@ from momapos.errors import MomaposError
 from momapos.execution.config import ExecutionConfig, FurnitureConfig
 from momapos.manipulation.tasks import make_task, openable
 from momapos.navigation.drive import DriveConfig
-from momapos.pipeline import place
+from momapos.pipeline import plan_base_placement
 from momapos.reachability.store import load_or_build
 from momapos.robots.robot import Robot, load_robot
 from momapos.run_plan import QUIET, run_plan
@@ -79,7 +79,9 @@ def measure(
     rows: list[dict[str, object]] = []
     try:
         task = make_task(scene, "open", item, joint)
-        plan = place(scene, robot, task, reach, config=PipelineConfig(timeout=120.0)).plan
+        plan = plan_base_placement(
+            scene, robot, task, reach, config=PipelineConfig(timeout=120.0)
+        ).plan
     except MomaposError as error:
         return [{**base, "status": "refused", "reason": str(error)}]
     if plan.status != "solved":

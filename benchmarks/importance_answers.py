@@ -19,7 +19,7 @@ from momapos.config import PipelineConfig
 from momapos.errors import MomaposError
 from momapos.importance.scorers import ImportanceConfig, ScorerName
 from momapos.manipulation.tasks import make_task, openable
-from momapos.pipeline import place
+from momapos.pipeline import plan_base_placement
 from momapos.reachability.store import load_or_build
 from momapos.robots.robot import Robot, load_robot
 from momapos.scene.files import builtin_names, load_scene
@@ -68,9 +68,9 @@ def row(label: str, robot: Robot, asked: list[tuple[str, Task]], config: Pipelin
     scenes: dict[str, Scene] = {name: load_scene(name) for name, _ in asked}
     solved, missed, seconds, keys, cost = 0, 0, [], [], 0.0
     for name, task in asked:
-        place(scenes[name], robot, task, reach, config=config)
+        plan_base_placement(scenes[name], robot, task, reach, config=config)
         began = time.perf_counter()
-        plan = place(scenes[name], robot, task, reach, config=config).plan
+        plan = plan_base_placement(scenes[name], robot, task, reach, config=config).plan
         seconds.append(time.perf_counter() - began)
         assert plan.key_objects is not None
         keys.append(plan.key_objects)

@@ -33,10 +33,10 @@ from momapos.errors import MomaposError, TaskError
 from momapos.importance.rank import rank
 from momapos.importance.scorers import ImportanceConfig, ScorerName
 from momapos.manipulation.feasibility import Feasibility, hand_clears
-from momapos.manipulation.motion import TaskMotion, task_motion
+from momapos.manipulation.motion import task_motion
 from momapos.manipulation.tasks import hand_path, make_task, openable
-from momapos.pipeline import arm_world
-from momapos.placement.area import CLEAR, Site, in_world, sampling_box, standing, task_frame
+from momapos.placement.area import CLEAR, in_world, sampling_box, standing, task_frame
+from momapos.prepare import collision_world, placement_geometry
 from momapos.protocols import ReachScorer
 from momapos.reachability.store import load_or_build
 from momapos.robots.robot import Robot, load_robot
@@ -77,7 +77,8 @@ class Question:
     @cached_property
     def poses(self) -> Float[np.ndarray, "n 3"]:
         """The grid over all that the arm's length allows, in the task's frame."""
-        site = self._site(task_motion(self.scene, self.robot, self.task, CONFIG.motion))
+        motion = task_motion(self.scene, self.robot, self.task, CONFIG.motion)
+        site = placement_geometry(self.scene, self.robot, motion, CONFIG.place.clearance)
         corners = sampling_box(site)
         if corners is None:
             return np.zeros((0, 3))
@@ -86,24 +87,14 @@ class Question:
         local = np.stack(np.meshgrid(x, y, yaw, indexing="ij"), -1).reshape(-1, 3)
         return in_world(task_frame(site), local)
 
-    def _site(self, motion: TaskMotion) -> Site:
-        return Site(
-            robot=self.robot,
-            Ts_world_tool=np.ascontiguousarray(motion.Ts_world_tool[:, motion.coarse]),
-            static=motion.static,
-            sweep=motion.sweep(),
-            floor=self.scene.floor,
-            clearance=CONFIG.place.clearance,
-        )
-
     def feasible(self, scene: Scene, rows: Rows) -> Rows:
         """Which of some poses of the grid are feasible in a scene."""
         if not len(rows):
             return rows
         motion = task_motion(scene, self.robot, self.task, CONFIG.motion)
-        site = self._site(motion)
+        site = placement_geometry(scene, self.robot, motion, CONFIG.place.clearance)
         rows = rows[standing(site, self.poses[rows])[0] == CLEAR]
-        world = arm_world(self.robot, motion, CONFIG)
+        world = collision_world(self.robot, motion, CONFIG)
         roomy, _ = hand_clears(self.robot, world, motion)
         scores = self.reach.weakest(self.poses[rows], site.Ts_world_tool) * roomy
         reached = scores.max(1, initial=0.0) > 0

@@ -31,7 +31,7 @@ from momapos.kinematics.base_collision import base_hits
 from momapos.kinematics.collision import FREE
 from momapos.kinematics.urdf import box_urdf
 from momapos.manipulation.tasks import make_task
-from momapos.pipeline import place
+from momapos.pipeline import plan_base_placement
 from momapos.placement.place import PlaceConfig
 from momapos.protocols import ReachScorer
 from momapos.reachability.store import load_or_build
@@ -162,7 +162,9 @@ def trial(
     )
     clock = time.process_time
     try:
-        plan = place(scene, robot, task, reach, config=config, seed=seed, clock=clock).plan
+        plan = plan_base_placement(
+            scene, robot, task, reach, config=config, seed=seed, clock=clock
+        ).plan
         row: dict[str, object] = {
             "status": plan.status, "place": plan.timing["total"], "cost": plan.navigation_cost
         }  # fmt: skip
@@ -187,7 +189,9 @@ def run(trials: int, methods: list[str], tasks: list[str], seed: int) -> list[di
     robot, room, small = load_robot(ROBOT), load_scene(shared() / "bestman" / ROOM), things()
     reach = load_or_build(robot, default_cache_dir(), None)
     rows = []
-    place(room, robot, make_task(room, *TASKS["open microwave"]), reach)  # loads the kernels
+    plan_base_placement(
+        room, robot, make_task(room, *TASKS["open microwave"]), reach
+    )  # loads the kernels
     for number in range(trials):
         scene = layout(room, robot, small, np.random.default_rng([seed, number]))
         for name in tasks:

@@ -22,7 +22,7 @@ from momapos.cache import default_cache_dir
 from momapos.config import PipelineConfig
 from momapos.errors import MomaposError
 from momapos.manipulation.tasks import make_task, openable
-from momapos.pipeline import place
+from momapos.pipeline import plan_base_placement
 from momapos.placement.place import FEASIBLE, PASSED, PlaceConfig
 from momapos.reachability.store import load_or_build
 from momapos.robots.robot import load_robot
@@ -35,6 +35,7 @@ SCENES = (
     "derived/kitchen_v2.json",
     "derived/MoMa_Kitchen.json",
 )
+CONFIG = PipelineConfig(timeout=120.0)
 ROBOTS = ("fetch", "segway_ur5e", "husky_ur5e", "ranger_rm63")
 
 
@@ -70,9 +71,13 @@ def run(robots: tuple[str, ...], scenes: tuple[str, ...], *, exhaustive: bool) -
                 }
                 try:
                     task = make_task(scene, "open", item, joint)
-                    place(scene, robot, task, reach, config=PipelineConfig(timeout=120.0))
+                    plan_base_placement(
+                        scene, robot, task, reach, config=PipelineConfig(timeout=120.0)
+                    )
                     began = time.perf_counter()
-                    answer = place(scene, robot, task, reach, config=PipelineConfig(timeout=120.0))
+                    answer = plan_base_placement(
+                        scene, robot, task, reach, config=PipelineConfig(timeout=120.0)
+                    )
                     row |= {
                         "status": answer.plan.status,
                         "seconds": time.perf_counter() - began,
@@ -92,7 +97,7 @@ def run(robots: tuple[str, ...], scenes: tuple[str, ...], *, exhaustive: bool) -
 def _ground_truth(scene, robot, task, reach) -> dict:  # type: ignore[no-untyped-def]
     config = PipelineConfig(place=PlaceConfig(method="exhaustive"), timeout=600.0)
     began = time.perf_counter()
-    answer = place(scene, robot, task, reach, config=replace(config))
+    answer = plan_base_placement(scene, robot, task, reach, config=replace(config))
     reasons = np.concatenate(answer.search.reasons)
     return {
         "grid": answer.plan.status,

@@ -22,7 +22,7 @@ from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.urdf import box_urdf
 from momapos.manipulation.motion import MotionConfig
 from momapos.manipulation.tasks import make_task
-from momapos.pipeline import place
+from momapos.pipeline import plan_base_placement
 from momapos.placement.place import PlaceConfig
 from momapos.reachability.store import load_or_build
 from momapos.robots.robot import load_robot
@@ -61,7 +61,7 @@ def main() -> None:
         times = []
         for _ in range(REPEATS + 1):
             began = time.perf_counter()
-            place(scene, robot, task, reach, config=config)
+            plan_base_placement(scene, robot, task, reach, config=config)
             times.append(time.perf_counter() - began)
         return float(np.median(times[1:]))
 

@@ -24,7 +24,7 @@ from momapos.config import PipelineConfig
 from momapos.geometry.transforms import apply, invert, pose_planar
 from momapos.manipulation.handles import closed_value, opening_direction, opening_sign
 from momapos.manipulation.tasks import hand_path, make_task, openable
-from momapos.pipeline import place
+from momapos.pipeline import plan_base_placement
 from momapos.placement.place import PlaceConfig
 from momapos.reachability.store import load_or_build
 from momapos.robots.robot import load_robot
@@ -136,7 +136,7 @@ def answer(
     config = PipelineConfig(place=PlaceConfig(grid=True), timeout=60.0)
     item, joint = door.name.split("/")
     task = make_task(room.scene, "open", item, joint)
-    there = place(room.scene, robot, task, reach, config=config)
+    there = plan_base_placement(room.scene, robot, task, reach, config=config)
     if there.plan.status != "solved":
         return door
     door = replace(door, solvable=True)
@@ -150,7 +150,7 @@ def answer(
     assert task.to is not None
     travel = min(abs(task.to - closed_value(ours)), abs(_wide(theirs) - closed_value(theirs)))
     to = closed_value(theirs) + opening_sign(theirs) * travel
-    found = place(
+    found = plan_base_placement(
         scanned, robot, make_task(scanned, "open", name, other, to), reach,
         start=moved(there.start, T_scene_truth), config=config,
     )  # fmt: skip

@@ -3,11 +3,9 @@
 import tempfile
 from pathlib import Path
 
-from momapos import load_robot, load_scene, make_task, openable, place, scan_to_scene
-from momapos.cache import default_cache_dir
+from momapos import load_robot, load_scene, make_task, openable, plan_base_placement, scan_to_scene
 from momapos.perception.recording import synthetic_scan
 from momapos.perception.sensor import DepthSensor
-from momapos.reachability.store import load_or_build
 from momapos.types import Scan
 
 camera = synthetic_scan(load_scene("kitchen_small"), frames=60, seed=0, sensor=DepthSensor())
@@ -18,7 +16,7 @@ with tempfile.TemporaryDirectory() as folder:
     scene, robot = load_scene(str(made.scene)), load_robot("segway_ur5e")
     door = next(joint for item, joint in openable(scene) if item == "fridge_1")
     task = make_task(scene, "open", "fridge_1", door)
-    answer = place(scene, robot, task, load_or_build(robot, default_cache_dir(), None))
+    answer = plan_base_placement(scene, robot, task)
 
 print(f"{answer.plan.status}: stand at {answer.plan.base_pose} to open fridge_1/{door}")
 for decision in made.decisions:

@@ -14,7 +14,7 @@ from momapos.importance.key_objects import Selection, everything
 from momapos.importance.rank import rank
 from momapos.importance.scorers import ImportanceConfig
 from momapos.manipulation.tasks import make_task
-from momapos.pipeline import Answer, place
+from momapos.pipeline import PlacementResult, plan_base_placement
 from momapos.placement.place import PlaceConfig
 from momapos.plans import read_plan, write_plan
 from momapos.robots.robot import Robot
@@ -43,13 +43,15 @@ def porch_room(folder: Path) -> Scene:
     return cabinet_room(folder, extra=PORCH)
 
 
-def ask(scene: Scene, robot: Robot, target: str, alpha: float, scorer: str = "distance") -> Answer:
+def ask(
+    scene: Scene, robot: Robot, target: str, alpha: float, scorer: str = "distance"
+) -> PlacementResult:
     importance = ImportanceConfig(scorer=scorer, alpha=alpha)  # type: ignore[arg-type]
     config = replace(QUICK, importance=importance)
     start = np.array([0.0, -3.2, np.pi / 2]) if target == "cabinet" else None
     name, _, joint = target.partition("/")
     task = make_task(scene, "open", name, joint or None)
-    return place(scene, robot, task, Everywhere(), start=start, config=config)
+    return plan_base_placement(scene, robot, task, Everywhere(), start=start, config=config)
 
 
 def test_lowering_alpha_ends_with_everything_and_never_loses_an_object() -> None:

@@ -15,7 +15,7 @@ from tests.rooms import Everywhere, cabinet_room, move_scene
 from momapos.config import PipelineConfig
 from momapos.errors import SceneError
 from momapos.manipulation.tasks import make_task
-from momapos.pipeline import Answer, place
+from momapos.pipeline import PlacementResult, plan_base_placement
 from momapos.placement.place import Method, PlaceConfig
 from momapos.plans import plan_to_dict, write_plan
 from momapos.robots.robot import Robot
@@ -30,10 +30,10 @@ QUICK = PlaceConfig(count=256, improve=1)
 def ask(
     scene: Scene, robot: Robot, *, to: float = 1.2, method: Method = "ours", seed: int = 0,
     verb: str = "open",
-) -> Answer:  # fmt: skip
+) -> PlacementResult:  # fmt: skip
     task = make_task(scene, verb, "cabinet", to=to)
     config = PipelineConfig(place=replace(QUICK, method=method), timeout=120.0)
-    return place(scene, robot, task, Everywhere(), config=config, seed=seed)
+    return plan_base_placement(scene, robot, task, Everywhere(), config=config, seed=seed)
 
 
 def test_every_robot_opens_the_cabinet_and_the_plan_holds_from_its_files(
@@ -97,7 +97,7 @@ def test_every_method_answers_with_a_plan_that_holds(
     scene, robot = cabinet_room(tmp_path), robots("segway_ur5e")
     config = replace(QUICK, method=method, grid_cell=0.2, grid_turn=90.0, group=5)
     task = make_task(scene, "open", "cabinet", to=1.2)
-    answer = place(
+    answer = plan_base_placement(
         scene, robot, task, Everywhere(), config=PipelineConfig(place=config, timeout=120.0)
     )
     assert answer.plan.status == "solved"
@@ -154,7 +154,7 @@ def test_a_part_without_room_on_its_way_is_infeasible_with_the_reason(
     }[verb]
     scene = cabinet_room(tmp_path, extra=extra)
     task = make_task(scene, verb, "cabinet" if verb == "open" else "cup")
-    plan = place(scene, robots("ranger_rm63"), task, Everywhere()).plan
+    plan = plan_base_placement(scene, robots("ranger_rm63"), task, Everywhere()).plan
     assert plan.status == "infeasible"
     (reason,) = plan.candidates.rejections
     if verb == "open":
@@ -168,7 +168,7 @@ def test_no_time_is_no_answer_and_says_so(robots: Callable[[str], Robot], tmp_pa
     scene = cabinet_room(tmp_path)
     task = make_task(scene, "open", "cabinet")
     ticks = iter(np.arange(0.0, 1e6, 10.0))
-    answer = place(
+    answer = plan_base_placement(
         scene, robots("segway_ur5e"), task, Everywhere(), config=PipelineConfig(timeout=1.0),
         clock=lambda: float(next(ticks)),
     )  # fmt: skip
@@ -183,7 +183,7 @@ def test_what_is_read_and_compiled_before_the_search_is_not_its_time(
     task = make_task(scene, "open", "cabinet")
     waits = itertools.chain(np.arange(0.0, 8000.0, 1000.0), itertools.repeat(8000.0))
     config = PipelineConfig(place=QUICK, timeout=120.0)
-    answer = place(
+    answer = plan_base_placement(
         scene, robots("segway_ur5e"), task, Everywhere(), config=config,
         clock=lambda: time.perf_counter() + float(next(waits)),
     )  # fmt: skip
@@ -201,7 +201,9 @@ def test_a_start_inside_furniture_is_refused(
     scene = cabinet_room(tmp_path, extra=box)
     task = make_task(scene, "open", "cabinet")
     with pytest.raises(SceneError, match="would hit table"):
-        place(scene, robots("fetch"), task, Everywhere(), start=np.array([2.0, -2.0, 0.0]))
+        plan_base_placement(
+            scene, robots("fetch"), task, Everywhere(), start=np.array([2.0, -2.0, 0.0])
+        )
 
 
 def test_a_saved_scene_gives_the_same_answer(

@@ -9,9 +9,10 @@ import importlib
 from typing import Any
 
 _PUBLIC = {
-    "Answer": "momapos.pipeline",
+    "PlacementResult": "momapos.pipeline",
     "Importance": "momapos.importance.rank",
     "ImportanceConfig": "momapos.importance.scorers",
+    "check_base_pose": "momapos.base_pose",
     "MomaposError": "momapos.errors",
     "Motion": "momapos.types",
     "PipelineConfig": "momapos.config",
@@ -24,7 +25,7 @@ _PUBLIC = {
     "load_scene": "momapos.scene.files",
     "make_task": "momapos.manipulation.tasks",
     "openable": "momapos.manipulation.tasks",
-    "place": "momapos.pipeline",
+    "plan_base_placement": "momapos.pipeline",
     "rank": "momapos.importance.rank",
     "read_plan": "momapos.plans",
     "read_scan": "momapos.perception.scan",

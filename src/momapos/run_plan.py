@@ -15,27 +15,26 @@ from importlib import metadata
 import numpy as np
 from jaxtyping import Bool, Float
 
+from momapos.base_pose import check_base_pose
 from momapos.config import PipelineConfig
 from momapos.errors import InputError, SceneError
 from momapos.execution.config import ExecutionConfig
 from momapos.execution.record import Execution, Pose, RunRecord, Visit
 from momapos.execution.run import Watch, execute
 from momapos.geometry.transforms import wrap_angle
-from momapos.manipulation.feasibility import Feasibility, hand_clears
 from momapos.manipulation.motion import task_motion
 from momapos.navigation.clearance import gaps
 from momapos.navigation.drive import DriveConfig, DriveRecord, drive
 from momapos.navigation.footprint_map import Ground, survey
 from momapos.navigation.judge import Judge
 from momapos.navigation.localisation import NoiseConfig
-from momapos.pipeline import arm_world, place, start_pose
-from momapos.placement.area import CLEAR, Site, standing
-from momapos.placement.place import REASONS
+from momapos.pipeline import plan_base_placement
+from momapos.prepare import start_pose
 from momapos.protocols import Clock, ReachScorer
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene
+from momapos.stopwatch import Stopwatch
 from momapos.types import Attempt, Motion, PlacementPlan, Task
-from momapos.verification.exact import ExactWorld
 
 DEFAULT = PipelineConfig()
 PHYSICS = ExecutionConfig()
@@ -46,6 +45,7 @@ APART = 0.15
 """A base pose is another one when it is this far from those that failed [m]."""
 TURN = 0.3
 """A radian of turning counts as this distance [m]."""
+STAGES = ("drive", "plan", "execute")
 NONE_LEFT = "no other base pose is left"
 
 Drive = Callable[
@@ -100,7 +100,7 @@ def run_plan(
     if plan.status != "solved" or plan.base_pose is None:
         raise InputError(f"the plan is {plan.status!r}: there is nothing to execute")
     of_drive, of_world = np.random.default_rng(seed).spawn(2)
-    timing = _Timing(clock)
+    stopwatch = Stopwatch(clock, dict.fromkeys(STAGES, 0.0))
 
     def by_window(
         ground: Ground,
@@ -110,14 +110,14 @@ def run_plan(
     ) -> DriveRecord:
         return drive(ground, here, goal, rng=rng, config=driving, clock=clock)
 
-    with timing("drive"):
+    with stopwatch.stage("drive"):
         ground = survey(scene, robot)
-    trip = _Trip(ground, scene, plan, reach, go or by_window, config, trace or _unseen, timing)
+    trip = _Trip(ground, scene, plan, reach, go or by_window, config, trace or _unseen, stopwatch)
     here, motion = trip.go(_begin(ground, scene, plan.task, start, config), attempts, of_drive)
     outcome: Execution | None = None
     if motion is not None:
         try:
-            with timing("execute"):
+            with stopwatch.stage("execute"):
                 outcome = execute(
                     scene, robot, _triple(here), motion, plan.task, physics, of_world,
                     watch=watch, clock=clock,
@@ -132,7 +132,7 @@ def run_plan(
         execution=outcome,
         seed=seed,
         noise=driving.noise != QUIET,
-        time=timing.spent,
+        time=stopwatch.seconds,
         versions={name: metadata.version(name) for name in ("momapos", "mujoco", "toppra")},
     )
 
@@ -165,24 +165,6 @@ def _begin(
     return pose
 
 
-class _Timing:
-    """Adds up seconds by stage."""
-
-    def __init__(self, clock: Clock) -> None:
-        self.clock, self.spent = clock, {"drive": 0.0, "plan": 0.0, "execute": 0.0}
-        self.stage, self.began = "", 0.0
-
-    def __call__(self, stage: str) -> _Timing:
-        self.stage = stage
-        return self
-
-    def __enter__(self) -> None:
-        self.began = self.clock()
-
-    def __exit__(self, *_: object) -> None:
-        self.spent[self.stage] += self.clock() - self.began
-
-
 @dataclass
 class _Trip:
     """Drives to base poses until the arm finds a motion at one."""
@@ -194,7 +176,7 @@ class _Trip:
     drive: Drive
     config: PipelineConfig
     trace: Trace
-    timing: _Timing
+    stopwatch: Stopwatch
     visits: list[Visit] = field(default_factory=list)
     failed: list[Float[np.ndarray, "3"]] = field(default_factory=list)
     """Base poses that were no good."""
@@ -212,12 +194,12 @@ class _Trip:
         while plan is not None and len(self.visits) < attempts:
             assert plan.base_pose is not None
             goal = np.array(plan.base_pose)
-            with self.timing("drive"):
+            with self.stopwatch.stage("drive"):
                 driven = self.drive(self.ground, here, goal, rng)
             self.trace(driven.times, driven.poses)
             here, reason, plan = driven.pose, driven.reason, None
             if driven.arrived:
-                with self.timing("plan"):
+                with self.stopwatch.stage("plan"):
                     attempt = self._motion(here)
                 motion, reason = attempt.motion, attempt.reason
                 self.failed.append(here)
@@ -225,7 +207,7 @@ class _Trip:
             self.visits.append(_visit(goal, driven, reason))
             # A base that touched something is not driven on: that is an accident, no detour.
             if motion is None and not driven.hit and len(self.visits) < attempts:
-                with self.timing("plan"):
+                with self.stopwatch.stage("plan"):
                     plan = self._another(here)
                 if plan is None:
                     reason = f"{reason}; {NONE_LEFT}"
@@ -233,7 +215,7 @@ class _Trip:
         return here, motion
 
     def _motion(self, pose: Float[np.ndarray, "3"]) -> Attempt:
-        return motion_at(
+        return check_base_pose(
             self.scene, self.ground.robot, self.plan.task, pose, self.reach,
             config=self.config, seed=self.plan.seed,
         )  # fmt: skip
@@ -241,15 +223,15 @@ class _Trip:
     def _another(self, pose: Float[np.ndarray, "3"]) -> PlacementPlan | None:
         """The cheapest base pose seen from where the robot is, those that failed ruled out."""
         try:
-            answer = place(
+            result = plan_base_placement(
                 self.scene, self.ground.robot, self.plan.task, self.reach, start=pose,
-                barred=self._barred, config=self.config, seed=self.plan.seed,
+                pose_filter=self._ruled_out, config=self.config, seed=self.plan.seed,
             )  # fmt: skip
         except SceneError:  # boxes hold more than the outlines that were driven by
             return None
-        return answer.plan if answer.plan.status == "solved" else None
+        return result.plan if result.plan.status == "solved" else None
 
-    def _barred(self, poses: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
+    def _ruled_out(self, poses: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
         """Poses near one that failed, and those where the base cannot dock with its arm at home."""
         away = poses[:, None] - np.array(self.failed)
         apart = np.hypot(away[..., 0], away[..., 1]) + TURN * np.abs(wrap_angle(away[..., 2]))
@@ -269,56 +251,6 @@ def _visit(goal: Float[np.ndarray, "3"], driven: DriveRecord, reason: str) -> Vi
         clearance=driven.clearance if np.isfinite(driven.clearance) else None,
         hit=driven.hit,
     )
-
-
-def motion_at(
-    scene: Scene,
-    robot: Robot,
-    task: Task,
-    base: Float[np.ndarray, "3"],
-    reach: ReachScorer,
-    *,
-    config: PipelineConfig = DEFAULT,
-    seed: int = 0,
-) -> Attempt:
-    """Plan the arm's motion at one base pose, all grasps tried, the room fully modelled.
-
-    Args:
-        scene: The room.
-        robot: The robot.
-        task: What is to be done.
-        base: Where the base stands: x [m], y [m], yaw [rad].
-        reach: The robot's reachability map; it orders the grasps.
-        config: How to plan.
-        seed: Same seed, same motion.
-
-    Returns:
-        A motion that the exact check accepts, or why there is none.
-    """
-    motion = task_motion(scene, robot, task, config.motion)
-    world = arm_world(robot, motion, config)
-    roomy, obstacle = hand_clears(robot, world, motion)
-    if not roomy.any():
-        return Attempt(None, f"the hand hits {obstacle} in every grasp")
-    motion = replace(motion, Ts_world_tool=motion.Ts_world_tool[roomy])
-    tools = np.ascontiguousarray(motion.Ts_world_tool[:, motion.coarse])
-    site = Site(robot, tools, motion.static, motion.sweep(), scene.floor, clearance=0.0)
-    outcome = int(standing(site, base[None])[0][0])
-    if outcome != CLEAR:
-        return Attempt(None, REASONS[outcome])
-    exact = ExactWorld(scene, robot, task)
-
-    def refuse(pose: Float[np.ndarray, "3"], found: Motion) -> str | None:
-        return exact.refusal(_triple(pose), found)
-
-    feasible = Feasibility(robot, world, motion, config.planner, refuse, seed, lambda: False)
-    # The map is right for most poses, not for all: it orders the grasps and rules none out.
-    scores = np.maximum(reach.weakest(base[None], tools), 1e-6)
-    screened = feasible.screen(base[None], scores, None)
-    assert screened is not None
-    if screened[0].q is None:
-        return Attempt(None, screened[0].reason)
-    return feasible(base, screened[0], np.argsort(-scores[0], kind="stable"))
 
 
 def _triple(pose: Float[np.ndarray, "3"]) -> Pose:

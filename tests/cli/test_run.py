@@ -15,6 +15,7 @@ from jaxtyping import Float
 from tests.rooms import Everywhere
 from tests.verification.door_case import make_case
 
+from momapos.base_pose import check_base_pose
 from momapos.cli.main import main
 from momapos.cli.run import summary
 from momapos.config import PipelineConfig
@@ -24,11 +25,11 @@ from momapos.geometry.transforms import pose_planar, wrap_angle
 from momapos.manipulation.tasks import make_task
 from momapos.navigation.drive import DriveRecord
 from momapos.navigation.footprint_map import Ground
-from momapos.pipeline import place
+from momapos.pipeline import plan_base_placement
 from momapos.placement.place import PlaceConfig
 from momapos.plans import write_plan
 from momapos.robots.robot import Robot, load_robot
-from momapos.run_plan import APART, NONE_LEFT, TURN, Drive, motion_at, run_plan
+from momapos.run_plan import APART, NONE_LEFT, TURN, Drive, run_plan
 from momapos.scene.files import load_scene
 from momapos.scene.scene import Scene
 from momapos.types import Attempt, Motion, PlacementPlan, Task
@@ -49,7 +50,9 @@ def kitchen() -> Scene:
 def plan(kitchen: Scene) -> PlacementPlan:
     """How the Segway opens the fridge of the small kitchen."""
     task = make_task(kitchen, "open", "fridge", "door_hinge")
-    plan = place(kitchen, load_robot("segway_ur5e"), task, Everywhere(), config=CONFIG).plan
+    plan = plan_base_placement(
+        kitchen, load_robot("segway_ur5e"), task, Everywhere(), config=CONFIG
+    ).plan
     assert plan.status == "solved"
     return plan
 
@@ -131,7 +134,7 @@ def test_a_motion_for_one_base_pose_holds_the_exact_check(
 ) -> None:
     robot = load_robot("segway_ur5e")
     base = np.array(plan.base_pose)
-    found = motion_at(kitchen, robot, plan.task, base, Everywhere()).motion
+    found = check_base_pose(kitchen, robot, plan.task, base, Everywhere()).motion
     assert found is not None
     x, y, yaw = base.tolist()
     assert ExactWorld(kitchen, robot, plan.task).check((x, y, yaw), found).valid
@@ -222,7 +225,7 @@ def test_a_pose_in_which_the_physics_find_the_robot_in_something_is_a_failure(
         return ended(start, goal, np.array([1.0, 0.0, 1.57]))
 
     motion = plan.motion
-    monkeypatch.setattr("momapos.run_plan.motion_at", lambda *_, **__: Attempt(motion, ""))
+    monkeypatch.setattr("momapos.run_plan.check_base_pose", lambda *_, **__: Attempt(motion, ""))
     record = run_plan(plan, kitchen, load_robot("segway_ur5e"), Everywhere(), go=go, config=CONFIG)
     assert not record.success
     assert record.execution is None

@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 from jaxtyping import Float
 
+from momapos.config import PipelineConfig
 from momapos.errors import InputError
 from momapos.manipulation.motion import MotionConfig, task_motion
 from momapos.manipulation.tasks import make_task
-from momapos.pipeline import Answer
-from momapos.placement.area import Site
+from momapos.pipeline import PlacementResult
 from momapos.placement.place import FEASIBLE, NOT_TRIED, Search
+from momapos.prepare import prepare
 from momapos.robots.robot import Robot, load_robot
 from momapos.scene.files import load_scene
 from momapos.scene.scene import Scene
@@ -57,7 +58,9 @@ def fetch() -> Robot:
     return load_robot("fetch")
 
 
-def answer_of(scene: Scene, robot: Robot, verb: str, name: str, joint: str | None) -> Answer:
+def answer_of(
+    scene: Scene, robot: Robot, verb: str, name: str, joint: str | None
+) -> PlacementResult:
     """An answer that is only good for being drawn: the arm stays at home."""
     task = make_task(scene, verb, name, joint)
     motion = task_motion(scene, robot, task, MotionConfig())
@@ -72,20 +75,15 @@ def answer_of(scene: Scene, robot: Robot, verb: str, name: str, joint: str | Non
             motion.object_q[motion.hold :], tools,
         ),
     )  # fmt: skip
-    return Answer(
+    return PlacementResult(
         plan=plan,
-        site=Site(
-            robot=robot, Ts_world_tool=np.ascontiguousarray(motion.Ts_world_tool[:, motion.coarse]),
-            static=motion.static, sweep=motion.sweep(), floor=scene.floor, clearance=0.01,
-        ),
-        motion=motion,
+        prepared=prepare(scene, robot, task, PipelineConfig(), clearance=0.01),
         search=Search(poses=[poses], reasons=[np.array(REASONS * 10, object)], base=BASE),
         start=np.array([1.9, -1.6, 1.57]),
-        slides=joint is not None and joint.endswith("slide"),
-    )  # fmt: skip
+    )
 
 
-def unsolved(answer: Answer, search: Search) -> Answer:
+def unsolved(answer: PlacementResult, search: Search) -> PlacementResult:
     plan = replace(
         answer.plan, status="infeasible", base_pose=None, motion=None, navigation_cost=None
     )

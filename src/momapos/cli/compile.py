@@ -22,7 +22,7 @@ import numpy as np
 import momapos
 from momapos.cache import Cache, content_key
 from momapos.config import PipelineConfig
-from momapos.pipeline import place
+from momapos.pipeline import plan_base_placement
 from momapos.protocols import ReachScorer
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene
@@ -53,7 +53,7 @@ def compile_once(
     config = replace(plain, place=small, timeout=3600.0)
     with _helper(), _no_collector():
         _check_at_rest(scene, robot, task)
-        place(scene, robot, task, reach, start=start, config=config)
+        plan_base_placement(scene, robot, task, reach, start=start, config=config)
     with contextlib.suppress(OSError):
         cache.put(key, b"done")
 

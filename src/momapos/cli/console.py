@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from momapos.pipeline import Answer
+    from momapos.pipeline import PlacementResult
     from momapos.types import KeyObjects
 
 MOST_REASONS = 8
@@ -39,7 +39,7 @@ def progress(title: str) -> Iterator[Callable[..., None]]:
         print(file=sys.stderr)
 
 
-def summary(answer: Answer, out: Path | None) -> str:
+def summary(answer: PlacementResult, out: Path | None) -> str:
     """The answer in a few lines: question, pose, motion, time, and why others were refused."""
     plan = answer.plan
     lines = [_question(answer), ""]
@@ -72,19 +72,19 @@ def _modelled(key: KeyObjects) -> str:
     return text + (f", checked again {again}" if key.rounds else "")
 
 
-def _question(answer: Answer) -> str:
+def _question(answer: PlacementResult) -> str:
     task = answer.plan.task
     what = task.object if task.joint is None else f"{task.object}/{task.joint}"
     to = "" if task.to is None else f" to {_value(answer, task.to)}"
     return f"{answer.plan.robot_name}: {task.verb} {what}{to}: {answer.plan.status}"
 
 
-def _value(answer: Answer, value: float) -> str:
+def _value(answer: PlacementResult, value: float) -> str:
     return f"{100 * value:.0f} cm" if answer.slides else f"{math.degrees(value):.0f} deg"
 
 
-def _span(answer: Answer) -> str:
-    q = answer.motion.object_q
+def _span(answer: PlacementResult) -> str:
+    q = answer.prepared.motion.object_q
     return f"{_value(answer, q[0])} to {_value(answer, q[-1])}"
 
 
@@ -95,7 +95,7 @@ def _times(timing: object) -> str:
     return f"{1000 * total:.0f} ms ({', '.join(parts)})"
 
 
-def _rejections(answer: Answer) -> list[str]:
+def _rejections(answer: PlacementResult) -> list[str]:
     candidates = answer.plan.candidates
     lines = [f"  candidates  {candidates.sampled} sampled, {candidates.checked} checked in full"]
     ranked = sorted(candidates.rejections.items(), key=lambda item: -item[1])

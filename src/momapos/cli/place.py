@@ -16,7 +16,7 @@ from momapos.importance.scorers import ScorerName
 
 if TYPE_CHECKING:
     from momapos.importance.scorers import ImportanceConfig
-    from momapos.pipeline import Answer
+    from momapos.pipeline import PlacementResult
 
 Method = Literal["ours", "paper", "exhaustive"]
 Planner = Literal["RRTConnect", "RRTstar", "BITstar"]
@@ -153,7 +153,7 @@ def _answer(verb: str, scene_name: str, target: str, to: str | None, options: Op
     from momapos.config import PipelineConfig
     from momapos.manipulation.planner import PlannerConfig
     from momapos.manipulation.tasks import make_task
-    from momapos.pipeline import place
+    from momapos.pipeline import plan_base_placement
     from momapos.placement.place import PlaceConfig
     from momapos.reachability.store import load_or_build
     from momapos.robots.robot import load_robot
@@ -175,7 +175,7 @@ def _answer(verb: str, scene_name: str, target: str, to: str | None, options: Op
         planner=PlannerConfig(algorithm=options.planner),
         timeout=options.timeout,
     )
-    answer = place(
+    answer = plan_base_placement(
         scene, robot, task, reach, start=at,
         config=config, seed=options.seed,
     )  # fmt: skip
@@ -196,7 +196,7 @@ def _importance(options: Options) -> ImportanceConfig:
     return ImportanceConfig(**{k: v for k, v in asked.items() if v is not None})  # type: ignore[arg-type]
 
 
-def _deliver(answer: Answer, options: Options) -> None:
+def _deliver(answer: PlacementResult, options: Options) -> None:
     import json
 
     from momapos.cli.console import summary

@@ -10,12 +10,20 @@ from jaxtyping import Float
 
 from momapos.errors import TaskError
 from momapos.kinematics.urdf import Joint
-from momapos.manipulation.handles import closed_value, handle_path, has_handle, opening_sign
+from momapos.manipulation.handles import (
+    closed_value,
+    handle_path,
+    has_handle,
+    opening_direction,
+    opening_sign,
+)
 from momapos.scene.scene import Scene, SceneObject
 from momapos.types import Task, Verb
 
 WIDE_OPEN = math.pi / 2
 """How far a hinge is opened when nothing is said, as in the paper [rad]."""
+STAND_OFF = 1.5
+"""A robot that nobody places starts about so far from doors and drawers [m]."""
 _SAME = 1e-6
 
 
@@ -59,6 +67,28 @@ def openable(scene: Scene) -> list[tuple[str, str]]:
         for joint in item.model.joints
         if has_handle(item.model, joint)
     ]
+
+
+def in_front_of_parts(scene: Scene) -> Float[np.ndarray, "2"]:
+    """A point on the floor before the doors and drawers of a room, on the side to which they open.
+
+    Without any, the middle of everything [m].
+    """
+    points = [
+        point[:2] + STAND_OFF * direction[:2]
+        for name, joint in openable(scene)
+        for point, direction in [opening_direction(scene.object(name), joint)]
+    ]
+    if points:
+        return np.mean(points, axis=0)
+    return np.mean([item.bounds[:, :2].mean(0) for item in scene.objects], axis=0)
+
+
+def slides(scene: Scene, task: Task) -> bool:
+    """Whether a task moves a part along a line, and does not turn it."""
+    if task.joint is None:
+        return False
+    return scene.object(task.object).model.joint(task.joint).kind == "prismatic"
 
 
 def hand_path(

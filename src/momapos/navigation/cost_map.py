@@ -13,12 +13,15 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import ConvexHull
 
 from momapos.kinematics.hulls import Boxes
+from momapos.robots.robot import Robot
 
 CELL = 0.05
 """Edge of a cell [m]."""
 _QUADRANT = ((1, 0), (1, 1), (2, 1), (1, 2))
 _MOVES = tuple(move for a, b in _QUADRANT for move in ((a, b), (-b, a), (-a, -b), (b, -a)))
 """Steps to the sixteen cells around a cell: path lengths are at most 2.7 % too long."""
+ROOM_MARGIN = 2.0
+"""Free border that is mapped around a room without a known floor [m]."""
 _FARTHEST = max(max(map(abs, move)) for move in _MOVES)
 
 
@@ -60,16 +63,25 @@ class FloorPlan:
     blocked: Bool[np.ndarray, "rows columns"]
 
 
+def base_height(robot: Robot) -> float:
+    """Height up to which things are in the way of the base [m]."""
+    return float((robot.base.center + robot.base.half)[:, 2].max(initial=0.3))
+
+
 def floor_plan(
-    boxes: Boxes, *, height: float, margin: float, floor: Float[np.ndarray, "k 2"] | None
+    boxes: Boxes,
+    *,
+    height: float,
+    floor: Float[np.ndarray, "k 2"] | None,
+    margin: float = ROOM_MARGIN,
 ) -> FloorPlan:
     """Project what stands in the way of a base onto the floor.
 
     Args:
         boxes: The room, world frame.
         height: Height of the base; what hangs above it is no obstacle [m].
-        margin: Width of the free border around everything that is mapped [m].
         floor: Outline of the floor; None where it has no known end.
+        margin: Width of the free border around everything that is mapped [m].
     """
     low_z = boxes.center[:, 2] - np.einsum("bj,bj->b", np.abs(boxes.rotation[:, 2]), boxes.half)
     outlines = _outlines(boxes, np.flatnonzero(low_z < height))

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from momapos.pipeline import Answer
+from momapos.pipeline import PlacementResult
 from momapos.scene.scene import Scene
 from momapos.viewer.outcomes import KINDS, Outcomes, kind_of
 from momapos.viewer.palette import (
@@ -56,7 +56,7 @@ class Panel:
 
 
 def draw_panel(
-    axes: Any, width: float, height: float, scene: Scene, answer: Answer, seen: Outcomes,
+    axes: Any, width: float, height: float, scene: Scene, answer: PlacementResult, seen: Outcomes,
     highest: float,
 ) -> None:  # fmt: skip
     """Write the question, the answer and the reasons.
@@ -76,7 +76,7 @@ def draw_panel(
     _legend(panel, answer, highest)
 
 
-def question(answer: Answer) -> tuple[str, str]:
+def question(answer: PlacementResult) -> tuple[str, str]:
     """The task in words, such as ('open fridge/door', 'to 90° with fetch')."""
     plan = answer.plan
     task, robot = plan.task, f"with {plan.robot_name}"
@@ -86,14 +86,14 @@ def question(answer: Answer) -> tuple[str, str]:
     return f"{task.verb} {task.object}/{task.joint}", f"to {value} {robot}"
 
 
-def _question(panel: Panel, scene: Scene, answer: Answer) -> None:
+def _question(panel: Panel, scene: Scene, answer: PlacementResult) -> None:
     what, how = question(answer)
     panel.text(what, size=11, weight="bold", fit=panel.width, down=0.2)
     panel.text(how, size=9, fit=panel.width, down=0.18)
     panel.text(f"in {scene.name}", size=7.5, color=SOFT_INK, fit=panel.width, down=0.27)
 
 
-def _facts(panel: Panel, answer: Answer) -> None:
+def _facts(panel: Panel, answer: PlacementResult) -> None:
     plan = answer.plan
     word, colour = {
         "solved": ("solved", GOOD),
@@ -174,7 +174,7 @@ def _short(words: str, most: int) -> str:
     return words if len(words) <= most else words[: most - 1].rstrip() + "…"
 
 
-def _legend(panel: Panel, answer: Answer, highest: float) -> None:
+def _legend(panel: Panel, answer: PlacementResult, highest: float) -> None:
     """What the shapes in the picture mean, at the foot of the column."""
     from matplotlib.patches import Rectangle
 

@@ -14,7 +14,7 @@ from jaxtyping import Float
 from momapos.errors import InputError
 from momapos.geometry.polygons import contains
 from momapos.kinematics.hulls import Boxes
-from momapos.pipeline import Answer
+from momapos.pipeline import PlacementResult
 from momapos.placement.area import footprints
 from momapos.protocols import ReachScorer
 from momapos.scene.scene import Scene
@@ -39,7 +39,7 @@ _PART_LAYER, _WAY_LAYER, _FEASIBLE_LAYER, _WAYPOINT_LAYER = 7.0, 10.0, 11.0, 15.
 
 
 def draw_answer(
-    scene: Scene, answer: Answer, reach: ReachScorer, path: Path, *, cell: float = 0.08
+    scene: Scene, answer: PlacementResult, reach: ReachScorer, path: Path, *, cell: float = 0.08
 ) -> None:
     """Draw an answer into a PNG file, the whole file or nothing.
 
@@ -72,7 +72,7 @@ def write_bytes(path: Path, data: bytes) -> None:
         raise InputError(f"{path}: cannot be written ({error.strerror})") from error
 
 
-def _picture(scene: Scene, answer: Answer, reach: ReachScorer, cell: float) -> bytes:
+def _picture(scene: Scene, answer: PlacementResult, reach: ReachScorer, cell: float) -> bytes:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -80,7 +80,7 @@ def _picture(scene: Scene, answer: Answer, reach: ReachScorer, cell: float) -> b
     canvas = FigureCanvasAgg(figure)
     axes = figure.add_axes(_MAP)
     seen = outcomes(answer.search)
-    heat = potential_map(answer.site, reach, cell=cell)
+    heat = potential_map(answer.prepared.geometry, reach, cell=cell)
     view = _view(scene, answer, seen, heat)
     frame(axes, view)
     room(axes, scene, target=answer.plan.task.object, moving=_moving_links(scene, answer))
@@ -101,10 +101,10 @@ def _picture(scene: Scene, answer: Answer, reach: ReachScorer, cell: float) -> b
 
 
 def _view(
-    scene: Scene, answer: Answer, seen: Outcomes, heat: Heat | None
+    scene: Scene, answer: PlacementResult, seen: Outcomes, heat: Heat | None
 ) -> Float[np.ndarray, "2 2"]:
     """What must be seen: lower and upper corner [m]."""
-    robot, motion = answer.site.robot, answer.motion
+    robot, motion = answer.prepared.robot, answer.prepared.motion
     target = scene.object(answer.plan.task.object)
     points = [target.bounds[:, :2], motion.waypoints[:, :2]]
     points.append(box_bounds(motion.sweep()))
@@ -147,17 +147,17 @@ def frame(axes: Any, view: Float[np.ndarray, "2 2"]) -> None:
         spine.set(color=SOFT_INK, linewidth=0.6)
 
 
-def _moving_links(scene: Scene, answer: Answer) -> tuple[str, ...]:
+def _moving_links(scene: Scene, answer: PlacementResult) -> tuple[str, ...]:
     task = answer.plan.task
     model = scene.object(task.object).model
     return model.links if task.joint is None else model.moved_by(task.joint)
 
 
-def _keep_clear(answer: Answer) -> list[Float[np.ndarray, "2 2"]]:
+def _keep_clear(answer: PlacementResult) -> list[Float[np.ndarray, "2 2"]]:
     """Rectangles around what names must not cover [m]."""
     plan = answer.plan
     shapes = [answer.start[None, :2]]
-    robot = answer.site.robot
+    robot = answer.prepared.robot
     if plan.base_pose is not None:
         shapes = list(footprints(robot, np.array([answer.start, plan.base_pose])))
     path = _waypoints(answer)[:, :2]
@@ -193,18 +193,18 @@ def _draw_heat(axes: Any, heat: Heat | None) -> float:
     return highest
 
 
-def _draw_part(axes: Any, answer: Answer) -> None:
+def _draw_part(axes: Any, answer: PlacementResult) -> None:
     """Draw the part that moves: before, after, and where it passes."""
-    sweep = box_outlines(answer.motion.sweep())
+    sweep = box_outlines(answer.prepared.motion.sweep())
     draw_union(axes, sweep, fill=PART, alpha=0.2, zorder=_SWEEP_LAYER)
     for k, fill in enumerate((PART_BEFORE, PART)):
         polygons = _part(answer, -k)
         draw_union(axes, polygons, fill=fill, edge=PART_EDGE, width=0.6, zorder=_PART_LAYER + k)
 
 
-def _part(answer: Answer, k: int) -> list[Float[np.ndarray, "c 2"]]:
+def _part(answer: PlacementResult, k: int) -> list[Float[np.ndarray, "c 2"]]:
     """Outlines of the part at the k-th value of its joint."""
-    m = answer.motion.moving
+    m = answer.prepared.motion.moving
     return box_outlines(Boxes(m.center[k], m.rotation[k], m.half[k]))
 
 
@@ -230,9 +230,9 @@ def _draw_candidates(
         )  # fmt: skip
 
 
-def _draw_robot(axes: Any, answer: Answer) -> None:
+def _draw_robot(axes: Any, answer: PlacementResult) -> None:
     """Draw the start, the way, the base and the arm; and the waypoints of the tool."""
-    robot, plan = answer.site.robot, answer.plan
+    robot, plan = answer.prepared.robot, answer.plan
     draw_footprint(axes, robot, answer.start, dashed=True)
     if plan.base_pose is not None and plan.motion is not None:
         base = np.array(plan.base_pose)
@@ -252,9 +252,9 @@ def _draw_robot(axes: Any, answer: Answer) -> None:
     )
 
 
-def _waypoints(answer: Answer) -> Float[np.ndarray, "w 3"]:
+def _waypoints(answer: PlacementResult) -> Float[np.ndarray, "w 3"]:
     """Where the tool goes: as planned, or as the plainest grasp would have it [m]."""
-    motion, planned = answer.motion, answer.plan.motion
+    motion, planned = answer.prepared.motion, answer.plan.motion
     if planned is None:
         return motion.waypoints
     return planned.Ts_world_tool[motion.coarse[1:] - motion.hold, :3, 3]

@@ -1,0 +1,76 @@
+"""Is this base pose feasible? One pose, all grasps, the room fully modelled."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from momapos.cache import default_cache_dir
+from momapos.config import PipelineConfig
+from momapos.placement.area import CLEAR, standing
+from momapos.placement.place import REASONS
+from momapos.prepare import prepare
+from momapos.protocols import ReachScorer
+from momapos.reachability.store import load_or_build
+from momapos.robots.robot import Robot
+from momapos.scene.scene import Scene
+from momapos.types import Attempt, Task
+
+DEFAULT = PipelineConfig()
+LEAST_SCORE = 1e-6
+"""Score of grasps that the reachability map calls out of reach: they come last [-]."""
+
+
+def check_base_pose(
+    scene: Scene,
+    robot: Robot,
+    task: Task,
+    base_pose: Float[np.ndarray, "3"] | Sequence[float],
+    reach: ReachScorer | None = None,
+    *,
+    config: PipelineConfig = DEFAULT,
+    cache_dir: Path | None = None,
+    seed: int = 0,
+) -> Attempt:
+    """Plan the arm's motion at one base pose, or say why there is none.
+
+    All grasps are tried, and every object of the room is modelled. Nothing is driven: whether a
+    way leads to the pose does not count.
+
+    Args:
+        scene: The room.
+        robot: The robot.
+        task: What is to be done, see `make_task`.
+        base_pose: x [m], y [m], yaw [rad].
+        reach: The robot's reachability map; None to load it, or to build it at the first use.
+        config: How to plan.
+        cache_dir: Where maps are kept; the user's cache folder by default.
+        seed: Same seed, same motion.
+
+    Returns:
+        A motion that the exact check accepts, or why there is none.
+
+    Raises:
+        TaskError: The gripper cannot hold the object.
+        RobotError: The robot and the task do not fit together.
+    """
+    base = np.asarray(base_pose, float)
+    prepared = prepare(scene, robot, task, config, clearance=0.0)
+    if prepared.infeasible_reason:
+        return Attempt(None, prepared.infeasible_reason)
+    outcome = int(standing(prepared.geometry, base[None])[0][0])
+    if outcome != CLEAR:
+        return Attempt(None, REASONS[outcome])
+    if reach is None:
+        reach = load_or_build(robot, cache_dir or default_cache_dir())
+    feasible = prepared.feasibility(config, seed)
+    # The map is right for most poses, not for all: it orders the grasps and rules none out.
+    scores = reach.weakest(base[None], prepared.geometry.Ts_world_tool)
+    screened = feasible.screen(base[None], np.maximum(scores, LEAST_SCORE), None)
+    assert screened is not None
+    if screened[0].q is None:
+        return Attempt(None, screened[0].reason)
+    return feasible(base, screened[0], np.argsort(-scores[0], kind="stable"))

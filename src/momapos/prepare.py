@@ -1,0 +1,170 @@
+"""Scene, robot and task made ready: what every check of a base pose needs, built once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from jaxtyping import Float
+
+from momapos.config import PipelineConfig
+from momapos.kinematics.world import World, build_world
+from momapos.manipulation.feasibility import Feasibility, hand_clears
+from momapos.manipulation.motion import LIFT, TaskMotion, in_room, room_boxes, task_motion
+from momapos.manipulation.tasks import in_front_of_parts
+from momapos.navigation.cost_map import base_height, floor_plan
+from momapos.navigation.start import check_start, find_start
+from momapos.placement.area import Site
+from momapos.robots.robot import Robot
+from momapos.scene.scene import Scene
+from momapos.stopwatch import Stopwatch
+from momapos.types import Motion, Task
+from momapos.verification.exact import ExactWorld
+
+
+@dataclass(frozen=True)
+class PreparedTask:
+    """A scene, a robot and a task, made ready."""
+
+    scene: Scene
+    """The room as it is modelled."""
+    robot: Robot
+    task: Task
+    motion: TaskMotion
+    """Tool poses of the grasps for which the hand has room; of all where it has none for any."""
+    world: World
+    """The room as the arm's collision kernel wants it."""
+    geometry: Site
+    """The room and the task as placement wants them."""
+    verifier: ExactWorld
+    infeasible_reason: str
+    """Why no base pose can help, where that is known beforehand, else ""."""
+
+    def violation(self, base_pose: Float[np.ndarray, "3"], motion: Motion) -> str | None:
+        """What the exact check finds wrong with a motion; None where it holds.
+
+        Args:
+            base_pose: x [m], y [m], yaw [rad].
+            motion: What the robot does there.
+        """
+        x, y, yaw = map(float, base_pose)
+        return self.verifier.refusal((x, y, yaw), motion)
+
+    def feasibility(
+        self,
+        config: PipelineConfig,
+        seed: int,
+        *,
+        out_of_time: Callable[[], bool] = lambda: False,
+        watch: Stopwatch | None = None,
+    ) -> Feasibility:
+        """The check of base poses, its exact part counted as a stage of its own."""
+
+        def violation(base_pose: Float[np.ndarray, "3"], motion: Motion) -> str | None:
+            if watch is None:
+                return self.violation(base_pose, motion)
+            with watch.stage("exact check"):
+                return self.violation(base_pose, motion)
+
+        return Feasibility(
+            self.robot, self.world, self.motion, config.planner, violation, seed, out_of_time
+        )
+
+
+def prepare(
+    scene: Scene,
+    robot: Robot,
+    task: Task,
+    config: PipelineConfig,
+    *,
+    clearance: float,
+    motion: TaskMotion | None = None,
+    watch: Stopwatch | None = None,
+) -> PreparedTask:
+    """Make a scene, a robot and a task ready.
+
+    Args:
+        scene: The room as it is to be modelled.
+        robot: The mobile manipulator.
+        task: What is to be done.
+        config: How to plan.
+        clearance: Distance that the base keeps from everything [m].
+        motion: The task's motion in another version of the room, where that is known.
+        watch: Counts the stages.
+
+    Raises:
+        TaskError: The gripper cannot hold the object.
+        RobotError: The robot and the task do not fit together.
+    """
+    watch = watch or Stopwatch(lambda: 0.0)
+    with watch.stage("model"):
+        if motion is None:
+            motion = task_motion(scene, robot, task, config.motion)
+        else:
+            motion = in_room(motion, scene)
+        world = collision_world(robot, motion, config)
+        has_room, obstacle = hand_clears(robot, world, motion)
+        if has_room.any():
+            motion = replace(motion, Ts_world_tool=motion.Ts_world_tool[has_room])
+    with watch.stage("exact model"):
+        verifier = ExactWorld(scene, robot, task)
+        blocked = verifier.blocked(LIFT)
+    no_grasp = "" if has_room.any() else f"the hand hits {obstacle} in every grasp"
+    geometry = placement_geometry(scene, robot, motion, clearance)
+    reason = blocked or no_grasp
+    return PreparedTask(scene, robot, task, motion, world, geometry, verifier, reason)
+
+
+def placement_geometry(scene: Scene, robot: Robot, motion: TaskMotion, clearance: float) -> Site:
+    """The room and the task as placement wants them; the base keeps a clearance [m]."""
+    return Site(
+        robot=robot,
+        Ts_world_tool=np.ascontiguousarray(motion.Ts_world_tool[:, motion.coarse]),
+        static=motion.static,
+        sweep=motion.sweep(),
+        floor=scene.floor,
+        clearance=clearance,
+    )
+
+
+def collision_world(robot: Robot, motion: TaskMotion, config: PipelineConfig) -> World:
+    """The room and the moving part as the arm's collision kernel wants them."""
+    return build_world(
+        motion.static,
+        motion.moving,
+        motion.grasped,
+        motion.labels,
+        robot.spheres,
+        clearance=config.arm_clearance,
+    )
+
+
+def start_pose(
+    scene: Scene, robot: Robot, motion: TaskMotion, given: Float[np.ndarray, "3"] | None
+) -> Float[np.ndarray, "3"]:
+    """The start that was given, the scene's, or a roomy place in front of the furniture.
+
+    Args:
+        scene: The whole room; where nobody gives a start, all of it is modelled to find one.
+        robot: The robot.
+        motion: The task, among the boxes that the start is checked against.
+        given: x [m], y [m], yaw [rad], or None.
+
+    Raises:
+        SceneError: The base cannot stand there.
+    """
+    given = scene.start if given is None else given
+    if given is None:
+        return _roomy_start(scene, base_height(robot))
+    pose = np.asarray(given, float)
+    check_start(pose, robot, motion.standing_boxes(), motion.labels, scene.floor)
+    return pose
+
+
+@lru_cache(maxsize=32)
+def _roomy_start(scene: Scene, height: float) -> Float[np.ndarray, "3"]:
+    """A roomy place in front of the furniture, all of it modelled."""
+    plan = floor_plan(room_boxes(scene), height=height, floor=scene.floor)
+    return find_start(plan, in_front_of_parts(scene))
