@@ -146,6 +146,10 @@ class Motion:
     object_q: Float[np.ndarray, " m"]
     """Value of the object's joint at each state; zeros for pick and place."""
     Ts_world_tool: Float[np.ndarray, "m 4 4"]
+    approach_times: Float[np.ndarray, " a"] | None = None
+    """When the arm passes each state of the approach [s]; None where nobody has timed it."""
+    times: Float[np.ndarray, " m"] | None = None
+    """Likewise while it holds the object, from the grasp on [s]."""
 
 
 @dataclass(frozen=True)

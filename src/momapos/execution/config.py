@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
+from momapos.trajectory import SpeedConfig
+
 Hold = Literal["weld", "contact"]
 
 
@@ -47,19 +49,6 @@ class FurnitureConfig:
 class ControlConfig:
     """How the robot's motors follow a motion."""
 
-    approach_speed: float = 0.5
-    """Share of the joints' speed limits used on the way to the object [-]."""
-    manipulation_speed: float = 0.5
-    """Share of the joints' speed limits used while it holds the object [-]."""
-    tool_speed: float = 0.25
-    """Speed limit of the tool while it holds the object, as ISO 10218-1 has for hand-guided work
-    [m/s]."""
-    acceleration: float = 2.0
-    """Limit for joints that turn [rad/s^2]."""
-    slide_acceleration: float = 0.5
-    """Limit for joints that slide [m/s^2]."""
-    default_speed: float = 1.5
-    """Limit of joints whose URDF gives none [rad/s] or [m/s]."""
     bandwidth: float = 60.0
     """Natural frequency of the critically damped position loops [rad/s]."""
     armature: float = 0.1
@@ -115,5 +104,6 @@ class ExecutionConfig:
     near: float = 0.03
     """Up to here the distance from the robot to its surroundings is observed [m]."""
     furniture: FurnitureConfig = field(default_factory=FurnitureConfig)
+    speed: SpeedConfig = field(default_factory=SpeedConfig)
     control: ControlConfig = field(default_factory=ControlConfig)
     gripper: GripConfig = field(default_factory=GripConfig)

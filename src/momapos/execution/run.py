@@ -17,7 +17,6 @@ from momapos.execution.furniture import Resistance, draw_resistance
 from momapos.execution.observer import Observer
 from momapos.execution.record import Execution
 from momapos.execution.shapes import ROBOT
-from momapos.execution.trajectory import Trajectory, joined, still, time_path
 from momapos.execution.verdict import Verdict, judge
 from momapos.execution.world import World, build_world
 from momapos.geometry.transforms import invert, rotation_angle
@@ -25,6 +24,7 @@ from momapos.kinematics.urdf import Joint
 from momapos.protocols import Clock
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene, SceneObject
+from momapos.trajectory import Trajectory, joined, still, time_motion
 from momapos.types import Motion, Task
 
 DEFAULT = ExecutionConfig()
@@ -99,24 +99,14 @@ def _timed(
     robot: Robot, motion: Motion, config: ExecutionConfig
 ) -> tuple[Trajectory, Int[np.ndarray, " t"]]:
     """When the arm is where, and the stage of each sample."""
-    control, step = config.control, config.timestep * config.substeps
-    joints = [robot.model.joint(name) for name in robot.arm_joints]
-    speed = np.array([j.velocity for j in joints])
-    speed = np.where(np.isfinite(speed), speed, control.default_speed)
-    slides = np.array([joint.kind == "prismatic" for joint in joints])
-    acceleration = np.where(slides, control.slide_acceleration, control.acceleration)
-    approach = motion.approach if len(motion.approach) else motion.q[:1]
-    away = time_path(approach, control.approach_speed * speed, acceleration, step)
-    hold = time_path(
-        motion.q, control.manipulation_speed * speed, acceleration, step,
-        tool=motion.Ts_world_tool[:, :3, 3], tool_speed=control.tool_speed,
-    )  # fmt: skip
+    step = config.timestep * config.substeps
+    away, hold = time_motion(robot, motion, config.speed, step)
 
     def rest(q: Float[np.ndarray, " n"], seconds: float) -> Trajectory:
         return still(q, max(1, round(seconds / step)))
 
     parts = [
-        rest(approach[0], config.settle), away, rest(motion.q[0], config.grip), hold,
+        rest(away.q[0], config.settle), away, rest(motion.q[0], config.grip), hold,
         rest(motion.q[-1], config.dwell),
     ]  # fmt: skip
     return joined(parts)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from momapos.errors import InputError
-from momapos.execution.trajectory import joined, still, time_path
+from momapos.trajectory import joined, still, time_path
 
 STEP = 0.004
 SPEED, ACCELERATION = np.array([1.0, 0.5, 2.0]), np.array([2.0, 2.0, 4.0])
@@ -73,3 +73,13 @@ def test_joined_trajectories_keep_their_parts_apart() -> None:
     whole, part = joined([still(np.zeros(2), 3), still(np.ones(2), 2)])
     assert len(whole) == 5
     assert part.tolist() == [0, 0, 0, 1, 1]
+
+
+def test_every_state_is_passed_at_its_time() -> None:
+    bend = np.linspace([1, 0, 0], [1, 1, 0.5], 26)
+    q = np.concatenate([np.linspace([0, 0, 0], [1, 0, 0], 26), bend])
+    timed = time_path(q, SPEED, ACCELERATION, STEP)
+    assert (np.diff(timed.state_times) >= 0).all()
+    samples = np.arange(len(timed)) * STEP
+    there = np.stack([np.interp(timed.state_times, samples, column) for column in timed.q.T], -1)
+    np.testing.assert_allclose(there, q, atol=STEP)
