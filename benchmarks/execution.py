@@ -27,7 +27,7 @@ from momapos.execution.config import ExecutionConfig, FurnitureConfig
 from momapos.manipulation.tasks import make_task, openable
 from momapos.navigation.drive import DriveConfig
 from momapos.pipeline import plan_base_placement
-from momapos.reachability.store import load_or_build
+from momapos.reachability.store import load_reach_map
 from momapos.robots.robot import Robot, load_robot
 from momapos.run_plan import QUIET, run_plan
 from momapos.scene.files import load_scene
@@ -75,7 +75,7 @@ def measure(
 ) -> list[dict[str, object]]:
     """Plan once, execute twice."""
     base = {"robot": robot.name, "scene": scene.name, "task": f"{item}/{joint}", "hold": hold}
-    reach = load_or_build(robot, default_cache_dir(), None)
+    reach = load_reach_map(robot, default_cache_dir(), None)
     rows: list[dict[str, object]] = []
     try:
         task = make_task(scene, "open", item, joint)

@@ -44,7 +44,7 @@ def boxes(count: int, *, strewn: bool) -> Scene:
         x, y = rng.uniform(0, 0.8 * np.sqrt(count), 2) * strewn
         model = Articulated(box_urdf(f"box_{k}", size))
         items.append(SceneObject(f"box_{k}", "box", pose((x, y, size[2] / 2)), model))
-    return Scene(f"{count} boxes {'strewn' if strewn else 'at one place'}", None, tuple(items))
+    return Scene(f"{count} boxes {'strewn' if strewn else 'at one place'}", tuple(items))
 
 
 def milliseconds(work: Callable[[], object], repeats: int) -> float:

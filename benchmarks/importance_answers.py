@@ -20,7 +20,7 @@ from momapos.errors import MomaposError
 from momapos.importance.scorers import ImportanceConfig, ScorerName
 from momapos.manipulation.tasks import make_task, openable
 from momapos.pipeline import plan_base_placement
-from momapos.reachability.store import load_or_build
+from momapos.reachability.store import load_reach_map
 from momapos.robots.robot import Robot, load_robot
 from momapos.scene.files import builtin_names, load_scene
 from momapos.scene.scene import Scene
@@ -64,7 +64,7 @@ def modelling_seconds(name: str, keep: tuple[str, ...]) -> float:
 
 def row(label: str, robot: Robot, asked: list[tuple[str, Task]], config: PipelineConfig) -> str:
     """One line of the table."""
-    reach = load_or_build(robot, default_cache_dir(), None)
+    reach = load_reach_map(robot, default_cache_dir(), None)
     scenes: dict[str, Scene] = {name: load_scene(name) for name, _ in asked}
     solved, missed, seconds, keys, cost = 0, 0, [], [], 0.0
     for name, task in asked:

@@ -38,7 +38,7 @@ from momapos.manipulation.tasks import hand_path, make_task, openable
 from momapos.placement.area import CLEAR, in_world, sampling_box, standing, task_frame
 from momapos.prepare import collision_world, placement_geometry
 from momapos.protocols import ReachScorer
-from momapos.reachability.store import load_or_build
+from momapos.reachability.store import load_reach_map
 from momapos.robots.robot import Robot, load_robot
 from momapos.scene.scene import Scene, SceneObject
 from momapos.types import Task
@@ -226,7 +226,7 @@ def measure(args: argparse.Namespace) -> list[dict]:
     if not args.report_only:
         known = {row["room"] for row in rows}
         robot = load_robot(args.robot)
-        reach = load_or_build(robot, default_cache_dir(), None)
+        reach = load_reach_map(robot, default_cache_dir(), None)
         built_in = built_in_rooms(args.scenes, args.rooms, args.targets, args.workers)
         for room in chain(shared_rooms() if args.shared else (), built_in):
             if room.key in known:

@@ -59,7 +59,7 @@ def room(name: str) -> Scene:
     fridge = replace(raw, T_world_object=pose((-high[0], -(low[1] + high[1]) / 2, -low[2])))
     wall = Articulated(box_urdf("wall", (0.1, 4.0, 2.5)))
     items = (fridge, SceneObject("wall", "wall", pose((0.06, 0.0, 1.25)), wall))
-    return Scene(name, None, items, floor=np.array([[-4, -2], [0.0, -2], [0.0, 2], [-4, 2]], float))
+    return Scene(name, items, floor=np.array([[-4, -2], [0.0, -2], [0.0, 2], [-4, 2]], float))
 
 
 def _as_drawn(urdf: Urdf) -> Urdf:

@@ -34,7 +34,7 @@ from momapos.manipulation.tasks import make_task
 from momapos.pipeline import plan_base_placement
 from momapos.placement.place import PlaceConfig
 from momapos.protocols import ReachScorer
-from momapos.reachability.store import load_or_build
+from momapos.reachability.store import load_reach_map
 from momapos.robots.robot import Robot, load_robot
 from momapos.run_plan import run_plan
 from momapos.scene.files import load_scene
@@ -187,7 +187,7 @@ def trial(
 def run(trials: int, methods: list[str], tasks: list[str], seed: int) -> list[dict]:
     """All trials, the same worlds for every method."""
     robot, room, small = load_robot(ROBOT), load_scene(shared() / "bestman" / ROOM), things()
-    reach = load_or_build(robot, default_cache_dir(), None)
+    reach = load_reach_map(robot, default_cache_dir(), None)
     rows = []
     plan_base_placement(
         room, robot, make_task(room, *TASKS["open microwave"]), reach

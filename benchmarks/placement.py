@@ -24,7 +24,7 @@ from momapos.errors import MomaposError
 from momapos.manipulation.tasks import make_task, openable
 from momapos.pipeline import plan_base_placement
 from momapos.placement.place import FEASIBLE, PASSED, PlaceConfig
-from momapos.reachability.store import load_or_build
+from momapos.reachability.store import load_reach_map
 from momapos.robots.robot import load_robot
 from momapos.scene.files import load_scene
 
@@ -60,7 +60,7 @@ def run(robots: tuple[str, ...], scenes: tuple[str, ...], *, exhaustive: bool) -
     rows = []
     for robot_name in robots:
         robot = load_robot(robot_name)
-        reach = load_or_build(robot, default_cache_dir(), None)
+        reach = load_reach_map(robot, default_cache_dir(), None)
         for scene_name in scenes:
             scene = load_scene(shared() / "bestman" / scene_name)
             for item, joint in openable(scene):

@@ -24,7 +24,7 @@ from momapos.manipulation.motion import MotionConfig
 from momapos.manipulation.tasks import make_task
 from momapos.pipeline import plan_base_placement
 from momapos.placement.place import PlaceConfig
-from momapos.reachability.store import load_or_build
+from momapos.reachability.store import load_reach_map
 from momapos.robots.robot import load_robot
 from momapos.scene.files import load_scene
 from momapos.scene.scene import Scene, SceneObject
@@ -53,7 +53,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path)
     args = parser.parse_args()
     robot = load_robot("segway_ur5e")
-    reach = load_or_build(robot, default_cache_dir())
+    reach = load_reach_map(robot, default_cache_dir())
     kitchen = load_scene("kitchen_small")
 
     def seconds(scene: Scene, config: PipelineConfig) -> float:

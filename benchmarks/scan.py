@@ -26,7 +26,7 @@ from momapos.manipulation.handles import closed_value, opening_direction, openin
 from momapos.manipulation.tasks import hand_path, make_task, openable
 from momapos.pipeline import plan_base_placement
 from momapos.placement.place import PlaceConfig
-from momapos.reachability.store import load_or_build
+from momapos.reachability.store import load_reach_map
 from momapos.robots.robot import load_robot
 from momapos.scan_pipeline import Modelled, default_tools, scan_to_scene
 from momapos.scene.files import load_scene
@@ -132,7 +132,7 @@ def answer(
 ) -> Door:
     """Whether a task that can be solved in the room is solved from the scan, and holds."""
     robot = load_robot(robot_name)
-    reach = load_or_build(robot, default_cache_dir(), None)
+    reach = load_reach_map(robot, default_cache_dir(), None)
     config = PipelineConfig(place=PlaceConfig(grid=True), timeout=60.0)
     item, joint = door.name.split("/")
     task = make_task(room.scene, "open", item, joint)

@@ -1,13 +1,12 @@
-"""Where does the robot stand to open the microwave, and how does it move?"""
+"""Where does the robot stand to open the fridge, and how does it move?"""
 
-from momapos import load_robot, load_scene, make_task, plan_base_placement
+import momapos
 
-scene = load_scene("kitchen_small")
-robot = load_robot("segway_ur5e")
-task = make_task(scene, "open", "microwave")
+scene = momapos.load_scene("kitchen_small")
+robot = momapos.load_robot("segway_ur5e")
+task = momapos.make_task(scene, "open", "fridge", "door_hinge")
+plan = momapos.plan_base_placement(scene, robot, task).plan
 
-plan = plan_base_placement(scene, robot, task).plan
 print(plan.status, plan.base_pose, f"{plan.navigation_cost:.2f} m to drive")
 assert plan.motion is not None
-print(len(plan.motion.q), "arm states while the door turns from", plan.motion.object_q[0],
-      "to", round(plan.motion.object_q[-1], 2), "rad")  # fmt: skip
+print(len(plan.motion.q), "arm states while the door turns to", plan.motion.object_q[-1], "rad")

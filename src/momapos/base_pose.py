@@ -8,13 +8,12 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from momapos.cache import default_cache_dir
 from momapos.config import PipelineConfig
 from momapos.placement.area import CLEAR, standing
 from momapos.placement.place import REASONS
 from momapos.prepare import prepare
 from momapos.protocols import ReachScorer
-from momapos.reachability.store import load_or_build
+from momapos.reachability.store import load_reach_map
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene
 from momapos.types import Attempt, Task
@@ -65,7 +64,7 @@ def check_base_pose(
     if outcome != CLEAR:
         return Attempt(None, REASONS[outcome])
     if reach is None:
-        reach = load_or_build(robot, cache_dir or default_cache_dir())
+        reach = load_reach_map(robot, cache_dir)
     feasible = prepared.feasibility(config, seed)
     # The map is right for most poses, not for all: it orders the grasps and rules none out.
     scores = reach.weakest(base[None], prepared.geometry.Ts_world_tool)

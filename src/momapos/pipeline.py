@@ -15,7 +15,6 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from momapos.cache import default_cache_dir
 from momapos.config import PipelineConfig
 from momapos.geometry.polygons import inscribed_radius
 from momapos.importance.key_objects import Selection, everything, start_of
@@ -27,7 +26,7 @@ from momapos.navigation.cost_map import base_height, build_cost_map, floor_plan
 from momapos.placement.place import Barred, Problem, Search, search
 from momapos.prepare import PreparedTask, prepare, start_pose
 from momapos.protocols import Clock, ReachScorer
-from momapos.reachability.store import load_or_build
+from momapos.reachability.store import load_reach_map
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene, upright_boxes
 from momapos.stopwatch import Stopwatch
@@ -89,7 +88,7 @@ def plan_base_placement(
     """
     watch = Stopwatch(clock)
     if reach is None:
-        reach = load_or_build(robot, cache_dir or default_cache_dir())
+        reach = load_reach_map(robot, cache_dir)
     query = _Query(scene, robot, task, reach, start, pose_filter, config, seed, watch)
     with watch.stage("importance"):
         path = hand_path(scene, task.object, task.joint, task.to)

@@ -138,7 +138,7 @@ def scan_to_scene(
     progress: Progress | None = None,
     clock: Clock = time.perf_counter,
 ) -> Modelled:
-    """Make a scene that `place` can use from a scan of a room.
+    """Make a scene whose doors and drawers open from a scan of a room.
 
     Args:
         scan: Posed pictures, a cloud, or both.
@@ -267,7 +267,7 @@ def importance(
     """
     if target is None:
         return {}
-    room = Scene("scan", None, tuple(_boxed(item) for item in detections))
+    room = Scene("scan", tuple(_boxed(item) for item in detections))
     ranked = rank(room, target, config.importance)
     return dict(zip(ranked.names, map(float, ranked.scores), strict=True))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import os
 import subprocess
 import sys
@@ -10,7 +11,18 @@ from pathlib import Path
 import pytest
 
 EXAMPLES = sorted((Path(__file__).parents[2] / "examples").glob("*.py"))
-SAYS = {"01": "solved", "02": "infeasible", "03": "valid", "04": "fridge", "05": "solved"}
+SAYS = {
+    "01": "solved",
+    "02": "infeasible",
+    "03": "solved and valid",
+    "04": "(1.35, -1.01, 2.98) feasible",
+    "05": "27.3%",
+    "06": "28.9 s",
+    "07": "fridge",
+    "08": "solved",
+}
+LINES = 15
+"""Statements and comments of an example, without its docstring and blank lines."""
 
 
 def test_there_are_examples() -> None:
@@ -25,3 +37,14 @@ def test_an_example_runs_and_says_what_it_should(path: Path) -> None:
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith(SAYS[path.name[:2]]), done.stdout
+
+
+@pytest.mark.parametrize("path", EXAMPLES[:7], ids=lambda path: path.stem)
+def test_an_example_is_short_and_needs_the_public_names_alone(path: Path) -> None:
+    tree = ast.parse(path.read_text())
+    doc, *_ = tree.body
+    assert doc.end_lineno is not None
+    lines = path.read_text().splitlines()[doc.end_lineno :]
+    assert len([line for line in lines if line.strip()]) <= LINES
+    modules = {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
+    assert not [name for name in modules if name and name.startswith("momapos.")]

@@ -250,7 +250,7 @@ def test_distances_and_sizes_are_never_zero() -> None:
 
 def test_a_scene_without_objects_and_useless_tolerances_are_refused() -> None:
     with pytest.raises(SceneError, match="no object"):
-        build_graph(Scene("empty", None, ()))
+        build_graph(Scene("empty", ()))
     for wrong in ({"near": -1.0}, {"neighbours": -1}, {"contact": 0.0}, {"floor": float("nan")}):
         with pytest.raises(InputError):
             GraphConfig(**wrong)

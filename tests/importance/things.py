@@ -37,7 +37,7 @@ def box(name: str, size: Size, xyz: Size, yaw: float = 0.0, category: str = "") 
 
 
 def room(*items: SceneObject) -> Scene:
-    return Scene("room", None, items)
+    return Scene("room", items)
 
 
 def link(name: str, *panels: Panel) -> Link:

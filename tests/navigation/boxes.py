@@ -41,7 +41,7 @@ def room(
         )
         for k, (x, y, w, d, yaw) in enumerate(boxes)
     ]
-    return Scene("boxes", None, tuple(objects), square(6.0) if floor is None else floor)
+    return Scene("boxes", tuple(objects), floor=square(6.0) if floor is None else floor)
 
 
 def wall_with_door(width: float) -> list[Box]:

@@ -34,7 +34,7 @@ def a_box(
 
 
 def a_room(*objects: SceneObject) -> Scene:
-    return Scene("room", None, objects)
+    return Scene("room", objects)
 
 
 @pytest.fixture(scope="module")

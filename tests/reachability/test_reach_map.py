@@ -11,7 +11,7 @@ import pytest
 from momapos.geometry.transforms import invert, pose_planar
 from momapos.kinematics.chain import chain_arrays
 from momapos.kinematics.collision import FREE, check_states
-from momapos.reachability import ReachConfig, ReachMap, build_map, evaluate, load_or_build, store
+from momapos.reachability import ReachConfig, ReachMap, build_map, evaluate, load_reach_map, store
 from momapos.reachability.evaluation import random_poses
 from momapos.reachability.floor import SPACING
 from momapos.reachability.grid import oct_decode, turns_of
@@ -146,10 +146,10 @@ def test_a_second_load_does_not_build(
     robot: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     shares: list[float] = []
-    first = load_or_build(robot, tmp_path, shares.append, config=TINY)
+    first = load_reach_map(robot, tmp_path, shares.append, config=TINY)
     assert 0.0 < min(shares) <= max(shares) <= 1.0
     monkeypatch.setattr(store, "build_map", lambda *_, **__: pytest.fail("built again"))
-    second = load_or_build(robot, tmp_path, config=TINY)
+    second = load_reach_map(robot, tmp_path, config=TINY)
     np.testing.assert_array_equal(first.values, second.values)
     np.testing.assert_array_equal(first.line_tool, second.line_tool)
     assert (first.low, first.cell, first.key) == (second.low, second.cell, second.key)
@@ -157,7 +157,7 @@ def test_a_second_load_does_not_build(
 
 @pytest.mark.parametrize("damage", ["flip", "cut", "foreign", "empty"])
 def test_a_damaged_file_is_rebuilt(robot: Robot, tmp_path: Path, damage: str) -> None:
-    first = load_or_build(robot, tmp_path, config=TINY)
+    first = load_reach_map(robot, tmp_path, config=TINY)
     (path,) = tmp_path.iterdir()
     data = bytearray(path.read_bytes())
     data[len(data) // 2] ^= 0xFF
@@ -168,7 +168,7 @@ def test_a_damaged_file_is_rebuilt(robot: Robot, tmp_path: Path, damage: str) ->
         "empty": b"",
     }
     path.write_bytes(spoilt[damage])
-    np.testing.assert_array_equal(load_or_build(robot, tmp_path, config=TINY).values, first.values)
+    np.testing.assert_array_equal(load_reach_map(robot, tmp_path, config=TINY).values, first.values)
     assert decode(encode(first)).key == first.key
     assert path.read_bytes() not in spoilt.values()
 

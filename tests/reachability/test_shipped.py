@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from momapos.reachability.construct import default_config
-from momapos.reachability.store import load_or_build, map_key, shipped
+from momapos.reachability.store import load_reach_map, map_key, shipped
 from momapos.robots.robot import Robot
 
 
@@ -14,7 +14,7 @@ def test_each_library_robot_comes_with_the_map_of_itself(robot: Robot, tmp_path:
     found = shipped(robot, key)
     assert found is not None, "build it again: momapos reach build NAME --out NAME.reach"
     assert found.key == key
-    assert load_or_build(robot, tmp_path / "cache").key == key
+    assert load_reach_map(robot, tmp_path / "cache").key == key
     assert not (tmp_path / "cache").exists(), "nothing had to be built"
 
 

@@ -101,7 +101,7 @@ def test_any_box_survives_the_round_trip(
 ) -> None:
     path = tmp_path_factory.mktemp("box") / "scene.json"
     item = SceneObject("a", "", pose_rpy(xyz, rpy), Articulated(box_urdf("a", size)))
-    save_scene(Scene("s", None, (item,)), path)
+    save_scene(Scene("s", (item,)), path)
     again = load_scene(path).object("a")
     assert_allclose(again.T_world_object, item.T_world_object, atol=1e-9)
     assert_allclose(again.bounds, item.bounds, atol=1e-9)

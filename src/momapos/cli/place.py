@@ -155,7 +155,7 @@ def _answer(verb: str, scene_name: str, target: str, to: str | None, options: Op
     from momapos.manipulation.tasks import make_task
     from momapos.pipeline import plan_base_placement
     from momapos.placement.place import PlaceConfig
-    from momapos.reachability.store import load_or_build
+    from momapos.reachability.store import load_reach_map
     from momapos.robots.robot import load_robot
     from momapos.scene.files import load_scene
 
@@ -166,7 +166,7 @@ def _answer(verb: str, scene_name: str, target: str, to: str | None, options: Op
     name, _, joint = target.partition("/")
     task = make_task(scene, verb, name, joint or None, value)
     with progress(f"reachability map of {robot.name}") as report:
-        reach = load_or_build(robot, default_cache_dir(), report)
+        reach = load_reach_map(robot, default_cache_dir(), report)
     at = None if begin is None else np.array(begin)
     compile_once(scene, robot, task, reach, at, default_cache_dir())
     config = PipelineConfig(

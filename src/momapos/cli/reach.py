@@ -29,14 +29,14 @@ def reach_build(
     from momapos.cache import default_cache_dir, write_atomic
     from momapos.cli.console import progress
     from momapos.reachability.construct import build_map, default_config
-    from momapos.reachability.store import encode, load_or_build, map_key
+    from momapos.reachability.store import encode, load_reach_map, map_key
     from momapos.robots.robot import load_robot
 
     machine, where = load_robot(robot), out or cache or default_cache_dir()
     began = time.perf_counter()
     with progress(f"reachability map of {machine.name}") as report:
         if out is None:
-            load_or_build(machine, where, report)
+            load_reach_map(machine, where, report)
         else:
             config = default_config(machine)
             key = map_key(machine, config)
@@ -71,14 +71,14 @@ def reach_eval(
     from momapos.cli.console import progress
     from momapos.errors import InputError
     from momapos.reachability.evaluation import evaluate
-    from momapos.reachability.store import load_or_build
+    from momapos.reachability.store import load_reach_map
     from momapos.robots.robot import load_robot
 
     if not 0 < count <= 10_000_000:
         raise InputError("--count must be between 1 and 10000000")
     machine = load_robot(robot)
     with progress(f"reachability map of {machine.name}") as report:
-        reach = load_or_build(machine, cache or default_cache_dir(), report)
+        reach = load_reach_map(machine, cache or default_cache_dir(), report)
     result = asdict(evaluate(reach, machine, np.random.default_rng(seed), count))
     if json:
         print(encoder.dumps({"robot": machine.name, **result}))

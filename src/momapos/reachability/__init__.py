@@ -3,7 +3,7 @@
 from momapos.reachability.construct import build_map, default_config
 from momapos.reachability.evaluation import ReachEvaluation, evaluate
 from momapos.reachability.map import ReachConfig, ReachMap
-from momapos.reachability.store import load_or_build
+from momapos.reachability.store import load_reach_map
 
 __all__ = [
     "ReachConfig",
@@ -12,5 +12,5 @@ __all__ = [
     "build_map",
     "default_config",
     "evaluate",
-    "load_or_build",
+    "load_reach_map",
 ]

@@ -43,7 +43,10 @@ class ReachConfig:
 
 @dataclass(frozen=True)
 class ReachMap:
-    """Signed margins over the lines of the last axis; see `momapos.reachability.grid`."""
+    """The reachability map of a robot: signed distances to the boundary of what its arm reaches.
+
+    They stand over the lines of the last axis; see `momapos.reachability.grid`.
+    """
 
     values: Int8[np.ndarray, "z r u v bearing"]
     """Cells to the boundary in steps of 1/8; positive inside."""
@@ -106,6 +109,17 @@ class ReachMap:
         x, y = float(self.axis_xy[0]), float(self.axis_xy[1])
         weakest_lines(bases, lines, x, y, *self._arrays(), out)
         return out
+
+    def score_base_poses(
+        self, base_poses: Float[np.ndarray, "n 3"], T_world_tool: Float[np.ndarray, "4 4"]
+    ) -> Float[np.ndarray, " n"]:
+        """Score of base poses for one tool pose, see `score`.
+
+        Args:
+            base_poses: x, y [m], yaw [rad] of the base on the floor, in the world frame.
+            T_world_tool: Tool pose in the world frame.
+        """
+        return self.weakest(base_poses, np.asarray(T_world_tool, float)[None, None])[:, 0]
 
     def base_scores(
         self,

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from momapos.cache import Cache, content_key
+from momapos.cache import Cache, content_key, default_cache_dir
 from momapos.errors import FileFormatError
 from momapos.reachability.construct import Progress, build_map, default_config
 from momapos.reachability.map import ReachConfig, ReachMap
@@ -107,9 +107,9 @@ def shipped(robot: Robot, key: str) -> ReachMap | None:
     return found if found.key == key else None
 
 
-def load_or_build(
+def load_reach_map(
     robot: Robot,
-    cache_dir: Path,
+    cache_dir: Path | None = None,
     progress: Progress | None = None,
     *,
     config: ReachConfig | None = None,
@@ -118,7 +118,7 @@ def load_or_build(
 
     Args:
         robot: The robot.
-        cache_dir: Folder of the cache; see `momapos.cache.default_cache_dir`.
+        cache_dir: Folder of the cache; the user's by default.
         progress: Called with the share that is done, in [0, 1], while the map is built.
         config: How finely; `default_config(robot)` where None.
     """
@@ -127,7 +127,7 @@ def load_or_build(
     ready = shipped(robot, key)
     if ready is not None:
         return ready
-    cache = Cache(cache_dir)
+    cache = Cache(cache_dir or default_cache_dir())
     entry = f"reach-{key}"
     data = cache.get(entry)
     if data is not None:

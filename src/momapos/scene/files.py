@@ -10,6 +10,7 @@ import difflib
 import json
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 from typing import Any, NoReturn
@@ -152,7 +153,7 @@ def _read_single(path: Path, root: Path | None) -> Scene:
     item = SceneObject(name, category, np.eye(4), model)
     T = np.eye(4)
     T[2, 3] = -item.bounds[0, 2]
-    return Scene(name, path, (SceneObject(name, category, T, model),))
+    return Scene(name, (SceneObject(name, category, T, model),), path)
 
 
 def _read_bestman(data: Sequence[Any], path: Path, root: Path | None) -> Scene:
@@ -161,7 +162,7 @@ def _read_bestman(data: Sequence[Any], path: Path, root: Path | None) -> Scene:
     entries = bestman.read_entries(data, path)
     root = root or bestman.find_root(path)
     objects, warnings = bestman.read_objects(entries, root, _Models(root))
-    return Scene(path.stem, path, objects, warnings=warnings)
+    return Scene(path.stem, objects, path, warnings=warnings)
 
 
 def _read_momapos(data: Mapping[str, Any], path: Path, root: Path | None) -> Scene:
@@ -336,8 +337,11 @@ def _start(value: object, path: Path) -> Float[np.ndarray, "3"] | None:
 # ------------------------------------------------------------------------------------------ writing
 
 
-def save_scene(scene: Scene, path: Path) -> None:
+def save_scene(scene: Scene, path: Path) -> Scene:
     """Write a scene in momapos' own format, the whole file or nothing.
+
+    Returns:
+        The scene as of that file, so that plans in it can be verified.
 
     Raises:
         SceneError: A URDF or mesh lies outside the file's folder, so that the file could not be
@@ -353,6 +357,7 @@ def save_scene(scene: Scene, path: Path) -> None:
         start = dict(zip(("x", "y", "yaw"), map(float, scene.start), strict=True))
         text += f',\n "start": {json.dumps(start)}'
     write_whole(path, f'{text},\n "objects": [\n{objects}\n ]}}\n')
+    return replace(scene, path=path)
 
 
 def write_whole(path: Path, text: str) -> None:

@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from momapos.errors import unknown_name
-from momapos.geometry.transforms import apply, pose, upright_frame
+from momapos.errors import SceneError, unknown_name
+from momapos.geometry.transforms import apply, pose, pose_planar, upright_frame
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.hulls import Boxes
-from momapos.kinematics.urdf import box_urdf
+from momapos.kinematics.urdf import box_urdf, read_urdf
 
 SMALLEST = 1e-4
 """Edges of a box are at least this [m]."""
@@ -30,6 +30,69 @@ class SceneObject:
     model: Articulated
     joints: Mapping[str, float] = field(default_factory=dict)
     """Joint values [rad] or [m] in this scene; joints not named are at rest."""
+
+    @classmethod
+    def box(
+        cls,
+        name: str,
+        size: Sequence[float],
+        xyz: Sequence[float],
+        *,
+        yaw: float = 0.0,
+        category: str = "",
+    ) -> SceneObject:
+        """A rigid box.
+
+        Args:
+            name: Unique in its scene.
+            size: Edges along its own x, y and z [m].
+            xyz: Its center in the world [m].
+            yaw: Turn about the world's z [rad].
+            category: What it is, such as "table".
+
+        Raises:
+            SceneError: An edge is not positive and finite.
+        """
+        x, y, z = (float(edge) for edge in size)
+        if not (np.isfinite([x, y, z]).all() and min(x, y, z) >= SMALLEST):
+            raise SceneError(f"box {name!r}: edges must be at least {SMALLEST:g} m, not {size}")
+        T = pose_planar(np.array([xyz[0], xyz[1], yaw], float))
+        T[2, 3] = xyz[2]
+        return cls(name, category, T, Articulated(box_urdf(name, (x, y, z))))
+
+    @classmethod
+    def from_urdf(
+        cls,
+        name: str,
+        path: str | Path,
+        xyz: Sequence[float],
+        *,
+        yaw: float = 0.0,
+        scale: float = 1.0,
+        joints: Mapping[str, float] | None = None,
+        category: str = "",
+    ) -> SceneObject:
+        """Furniture, an appliance or any other thing from a URDF.
+
+        Args:
+            name: Unique in its scene.
+            path: The URDF; its meshes lie in its folder or below.
+            xyz: Origin of its root link in the world [m].
+            yaw: Turn about the world's z [rad].
+            scale: Factor on all lengths [-].
+            joints: Values that are not at rest [rad] or [m].
+            category: What it is, such as "fridge".
+
+        Raises:
+            UrdfError: The file is not a usable URDF.
+            UnknownNameError: It has no such joint.
+        """
+        model = Articulated(read_urdf(Path(path), scale=scale))
+        for joint in joints or {}:
+            model.joint(joint)
+        T = pose_planar(np.array([xyz[0], xyz[1], yaw], float))
+        T[2, 3] = xyz[2]
+        return cls(name, category, T, model, dict(joints or {}))
 
     def values(self, change: Mapping[str, float] | None = None) -> dict[str, float]:
         """All joint values, with some of them changed."""
@@ -89,9 +152,9 @@ class Scene:
     """A room; one is equal to itself alone."""
 
     name: str
-    path: Path | None
-    """The file it came from; plans name it."""
     objects: tuple[SceneObject, ...]
+    path: Path | None = None
+    """The file it came from; plans name it. `save_scene` gives a scene made in code its own."""
     floor: Float[np.ndarray, "k 2"] | None = None
     """Outline of the floor [m]; None where the room has no known end."""
     start: Float[np.ndarray, "3"] | None = None

@@ -1,8 +1,8 @@
 """Which objects matter for the fridge? Those near it, and what stands on or in them."""
 
-from momapos import load_scene, rank
+import momapos
 
-found = rank(load_scene("kitchen_small"), "fridge", seed=0)
+found = momapos.rank(momapos.load_scene("kitchen_small"), "fridge", seed=0)
 print(f"{found.target}: {len(found.selected())} of {len(found.names)} objects are important")
 for name, score, relation in zip(found.names, found.scores, found.relations, strict=True):
     print(f"{score:6.3f}  {name:<14} {relation}")

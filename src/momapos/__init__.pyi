@@ -1,0 +1,37 @@
+from .base_pose import check_base_pose as check_base_pose
+from .config import PipelineConfig as PipelineConfig
+from .errors import MomaposError as MomaposError
+from .importance.rank import Importance as Importance
+from .importance.rank import rank as rank
+from .importance.scorers import ImportanceConfig as ImportanceConfig
+from .manipulation.grasps import GraspConfig as GraspConfig
+from .manipulation.motion import MotionConfig as MotionConfig
+from .manipulation.planner import PlannerConfig as PlannerConfig
+from .manipulation.tasks import make_task as make_task
+from .manipulation.tasks import openable as openable
+from .perception.scan import read_scan as read_scan
+from .pipeline import PlacementResult as PlacementResult
+from .pipeline import plan_base_placement as plan_base_placement
+from .placement.place import PlaceConfig as PlaceConfig
+from .plans import read_plan as read_plan
+from .plans import write_plan as write_plan
+from .reachability.map import ReachConfig as ReachConfig
+from .reachability.map import ReachMap as ReachMap
+from .reachability.store import load_reach_map as load_reach_map
+from .robots.robot import Robot as Robot
+from .robots.robot import load_robot as load_robot
+from .scan_pipeline import scan_to_scene as scan_to_scene
+from .scene.files import load_scene as load_scene
+from .scene.files import save_scene as save_scene
+from .scene.scene import Scene as Scene
+from .scene.scene import SceneObject as SceneObject
+from .trajectory import SpeedConfig as SpeedConfig
+from .trajectory import TimedTrajectory as TimedTrajectory
+from .trajectory import time_plan as time_plan
+from .types import Attempt as Attempt
+from .types import Motion as Motion
+from .types import PlacementPlan as PlacementPlan
+from .types import Task as Task
+from .verification.files import verify_files as verify_files
+
+__version__: str
