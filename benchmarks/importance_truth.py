@@ -35,7 +35,7 @@ from momapos.importance.scorers import ImportanceConfig, ScorerName
 from momapos.manipulation.feasibility import Feasibility, hand_clears
 from momapos.manipulation.motion import task_motion
 from momapos.manipulation.tasks import hand_path, make_task, openable
-from momapos.placement.area import CLEAR, in_world, sampling_box, standing, task_frame
+from momapos.placement.area import BaseStatus, in_world, sampling_box, standing, task_frame
 from momapos.prepare import collision_world, placement_geometry
 from momapos.protocols import ReachScorer
 from momapos.reachability.store import load_reach_map
@@ -93,7 +93,7 @@ class Question:
             return rows
         motion = task_motion(scene, self.robot, self.task, CONFIG.motion)
         site = placement_geometry(scene, self.robot, motion, CONFIG.place.clearance)
-        rows = rows[standing(site, self.poses[rows])[0] == CLEAR]
+        rows = rows[standing(site, self.poses[rows])[0] == BaseStatus.CLEAR]
         world = collision_world(self.robot, motion, CONFIG)
         roomy, _ = hand_clears(self.robot, world, motion)
         scores = self.reach.weakest(self.poses[rows], site.Ts_world_tool) * roomy

@@ -22,8 +22,9 @@ from momapos.cache import default_cache_dir
 from momapos.config import PipelineConfig
 from momapos.errors import MomaposError
 from momapos.manipulation.tasks import make_task, openable
+from momapos.outcomes import PoseStatus
 from momapos.pipeline import plan_base_placement
-from momapos.placement.place import FEASIBLE, PASSED, PlaceConfig
+from momapos.placement.place import PlaceConfig
 from momapos.reachability.store import load_reach_map
 from momapos.robots.robot import load_robot
 from momapos.scene.files import load_scene
@@ -98,13 +99,14 @@ def _ground_truth(scene, robot, task, reach) -> dict:  # type: ignore[no-untyped
     config = PipelineConfig(place=PlaceConfig(method="exhaustive"), timeout=600.0)
     began = time.perf_counter()
     answer = plan_base_placement(scene, robot, task, reach, config=replace(config))
-    reasons = np.concatenate(answer.search.reasons)
+    outcomes = np.concatenate(answer.search.outcomes)
+    passed = (PoseStatus.FEASIBLE, PoseStatus.PATH_FOUND)
     return {
         "grid": answer.plan.status,
         "grid_seconds": time.perf_counter() - began,
         "grid_cost": answer.plan.navigation_cost,
-        "grid_feasible": int(np.isin(reasons, (FEASIBLE, PASSED)).sum()),
-        "grid_poses": len(reasons),
+        "grid_feasible": sum(outcome.status in passed for outcome in outcomes),
+        "grid_poses": len(outcomes),
     }
 
 

@@ -9,8 +9,9 @@ import numpy as np
 from jaxtyping import Float
 
 from momapos.config import PipelineConfig
-from momapos.placement.area import CLEAR, standing
-from momapos.placement.place import REASONS
+from momapos.outcomes import PoseOutcome, PoseStatus
+from momapos.placement.area import BaseStatus, standing
+from momapos.placement.place import BASE_OUTCOMES
 from momapos.prepare import prepare
 from momapos.protocols import ReachScorer
 from momapos.reachability.store import load_reach_map
@@ -59,10 +60,10 @@ def check_base_pose(
     base = np.asarray(base_pose, float)
     prepared = prepare(scene, robot, task, config, clearance=0.0)
     if prepared.infeasible_reason:
-        return Attempt(None, prepared.infeasible_reason)
-    outcome = int(standing(prepared.geometry, base[None])[0][0])
-    if outcome != CLEAR:
-        return Attempt(None, REASONS[outcome])
+        return Attempt(None, PoseOutcome(PoseStatus.TASK_INFEASIBLE, prepared.infeasible_reason))
+    status = BaseStatus(standing(prepared.geometry, base[None])[0][0])
+    if status != BaseStatus.CLEAR:
+        return Attempt(None, BASE_OUTCOMES[status])
     if reach is None:
         reach = load_reach_map(robot, cache_dir)
     feasible = prepared.feasibility(config, seed)
@@ -71,5 +72,5 @@ def check_base_pose(
     screened = feasible.screen(base[None], np.maximum(scores, LEAST_SCORE), None)
     assert screened is not None
     if screened[0].q is None:
-        return Attempt(None, screened[0].reason)
+        return Attempt(None, screened[0].outcome)
     return feasible(base, screened[0], np.argsort(-scores[0], kind="stable"))

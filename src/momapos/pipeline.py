@@ -23,7 +23,7 @@ from momapos.manipulation.motion import TaskMotion, task_motion
 from momapos.manipulation.nearness import near_boxes, stood_boxes, swept_boxes
 from momapos.manipulation.tasks import hand_path, slides
 from momapos.navigation.cost_map import base_height, build_cost_map, floor_plan
-from momapos.placement.place import Barred, Problem, Search, search
+from momapos.placement.place import PoseFilter, Problem, Search, search
 from momapos.prepare import PreparedTask, prepare, start_pose
 from momapos.protocols import Clock, ReachScorer
 from momapos.reachability.store import load_reach_map
@@ -59,7 +59,7 @@ def plan_base_placement(
     reach: ReachScorer | None = None,
     *,
     start: Float[np.ndarray, "3"] | None = None,
-    pose_filter: Barred | None = None,
+    pose_filter: PoseFilter | None = None,
     config: PipelineConfig = DEFAULT,
     cache_dir: Path | None = None,
     seed: int = 0,
@@ -120,7 +120,7 @@ class _Query:
     task: Task
     reach: ReachScorer
     start: Float[np.ndarray, "3"] | None
-    pose_filter: Barred | None
+    pose_filter: PoseFilter | None
     config: PipelineConfig
     seed: int
     watch: Stopwatch
@@ -167,10 +167,10 @@ def _search(query: _Query, selection: Selection, motion: TaskMotion) -> Placemen
         travel_cost=cost.lengths,
         attempt=feasible,
         screen=feasible.screen,
-        hopeless=prepared.infeasible_reason,
+        infeasible_reason=prepared.infeasible_reason,
         start=start,
         out_of_time=out_of_time,
-        barred=query.pose_filter,
+        pose_filter=query.pose_filter,
     )
     # Only a room without stand-ins can tell that there is no base pose at all; in any other one
     # round of samples has to do.

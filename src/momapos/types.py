@@ -9,6 +9,8 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float, Float32, Int, UInt8
 
+from momapos.outcomes import PoseOutcome
+
 Verb = Literal["open", "close", "pick", "place"]
 Status = Literal["solved", "infeasible", "timeout"]
 PartKind = Literal["door_left", "door_right", "door_down", "door_up", "drawer"]
@@ -160,8 +162,7 @@ class Screened:
     """The grasp that has one, or that came farthest; -1 where none is within reach."""
     q: Float[np.ndarray, "d n"] | None
     """Arm states at every step of the motion; None where no grasp has a path."""
-    reason: str
-    """Why there is no path; "" where there is one."""
+    outcome: PoseOutcome
 
 
 @dataclass(frozen=True)
@@ -169,8 +170,12 @@ class Attempt:
     """What came of checking one base pose in full."""
 
     motion: Motion | None
-    reason: str
-    """Why there is no motion; "" where there is one."""
+    outcome: PoseOutcome
+
+    @property
+    def reason(self) -> str:
+        """Why there is no motion, in words; "" where there is one."""
+        return "" if self.motion is not None else str(self.outcome)
 
 
 @dataclass(frozen=True)

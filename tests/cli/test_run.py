@@ -25,6 +25,7 @@ from momapos.geometry.transforms import pose_planar, wrap_angle
 from momapos.manipulation.tasks import make_task
 from momapos.navigation.drive import DriveRecord
 from momapos.navigation.footprint_map import Ground
+from momapos.outcomes import PoseOutcome, PoseStatus
 from momapos.pipeline import plan_base_placement
 from momapos.placement.place import PlaceConfig
 from momapos.plans import write_plan
@@ -225,7 +226,10 @@ def test_a_pose_in_which_the_physics_find_the_robot_in_something_is_a_failure(
         return ended(start, goal, np.array([1.0, 0.0, 1.57]))
 
     motion = plan.motion
-    monkeypatch.setattr("momapos.run_plan.check_base_pose", lambda *_, **__: Attempt(motion, ""))
+    monkeypatch.setattr(
+        "momapos.run_plan.check_base_pose",
+        lambda *_, **__: Attempt(motion, PoseOutcome(PoseStatus.FEASIBLE)),
+    )
     record = run_plan(plan, kitchen, load_robot("segway_ur5e"), Everywhere(), go=go, config=CONFIG)
     assert not record.success
     assert record.execution is None

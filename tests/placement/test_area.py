@@ -13,9 +13,7 @@ from momapos.geometry.transforms import wrap_angle
 from momapos.manipulation.motion import MotionConfig, task_motion
 from momapos.manipulation.tasks import make_task
 from momapos.placement.area import (
-    BLOCKED,
-    CLEAR,
-    OFF_FLOOR,
+    BaseStatus,
     Site,
     arm_radius,
     in_world,
@@ -60,7 +58,7 @@ def test_a_low_door_that_swings_over_the_floor_excludes_its_sweep(
     site = make_site(scene, robot)
     in_swing = np.array([[0.0, -0.65, 0.0]])
     outcome, _ = standing(site, in_swing)
-    assert outcome[0] == BLOCKED
+    assert outcome[0] == BaseStatus.BLOCKED
     still = Site(site.robot, site.Ts_world_tool, site.static, site.sweep, None, 0.0)
     shut = Site(
         still.robot, still.Ts_world_tool, still.static,
@@ -69,8 +67,8 @@ def test_a_low_door_that_swings_over_the_floor_excludes_its_sweep(
     poses = grid(site)
     with_sweep, _ = standing(still, poses)
     without, _ = standing(shut, poses)
-    assert (without[with_sweep == CLEAR] == CLEAR).all()
-    assert (with_sweep == BLOCKED).sum() > (without == BLOCKED).sum()
+    assert (without[with_sweep == BaseStatus.CLEAR] == BaseStatus.CLEAR).all()
+    assert (with_sweep == BaseStatus.BLOCKED).sum() > (without == BaseStatus.BLOCKED).sum()
 
 
 def test_standing_moves_with_the_room(robot: Robot, tmp_path: Path) -> None:
@@ -134,10 +132,10 @@ def test_a_base_off_the_floor_is_refused(robot: Robot, tmp_path: Path) -> None:
     site = make_site(scene, robot)
     bounded = Site(robot, site.Ts_world_tool, site.static, site.sweep, floor - [0, 20], 0.0)
     poses = grid(site)
-    assert CLEAR in standing(site, poses)[0]
+    assert BaseStatus.CLEAR in standing(site, poses)[0]
     outcome = standing(bounded, poses)[0]
-    assert CLEAR not in outcome
-    assert OFF_FLOOR in outcome
+    assert BaseStatus.CLEAR not in outcome
+    assert BaseStatus.OFF_FLOOR in outcome
 
 
 def test_candidates_come_in_the_order_of_expected_cost() -> None:

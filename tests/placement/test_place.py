@@ -11,13 +11,17 @@ from jaxtyping import Bool, Float, Int
 from momapos.config import PipelineConfig
 from momapos.manipulation.motion import task_motion
 from momapos.manipulation.tasks import make_task
+from momapos.outcomes import PoseOutcome, PoseStatus
 from momapos.placement.area import Site
-from momapos.placement.place import FEASIBLE, Method, PlaceConfig, Problem, Search, search
+from momapos.placement.place import Method, PlaceConfig, Problem, Search, search
 from momapos.robots.robot import Robot
 from momapos.types import Attempt, Motion, Screened
 from rooms import Everywhere, cabinet_room
 
 MOTION = Motion(np.zeros((1, 6)), np.zeros((1, 6)), np.zeros(1), np.eye(4)[None])
+FEASIBLE, NO_APPROACH = PoseOutcome(PoseStatus.FEASIBLE), PoseOutcome(PoseStatus.NO_APPROACH)
+FOUND = Screened(0, np.zeros((1, 6)), PoseOutcome(PoseStatus.PATH_FOUND))
+MISSED = Screened(-1, None, PoseOutcome(PoseStatus.NO_GRASP_IN_REACH))
 Works = Callable[[Float[np.ndarray, "n 3"]], Bool[np.ndarray, " n"]]
 START = np.array([0.0, -2.5, np.pi / 2])
 
@@ -50,14 +54,14 @@ def find(
     ) -> list[Screened]:
         assert (scores.max(1) > 0).all()
         good = path(bases)
-        return [Screened(0, np.zeros((1, 6)), "") if g else Screened(-1, None, "no") for g in good]
+        return [FOUND if g else MISSED for g in good]
 
     def attempt(
         base: Float[np.ndarray, "3"], screened: Screened, _grasps: Int[np.ndarray, " k"]
     ) -> Attempt:
         assert screened.q is not None
         assert path(base[None])[0]
-        return Attempt(MOTION, "") if whole(base[None])[0] else Attempt(None, "no approach")
+        return Attempt(MOTION, FEASIBLE) if whole(base[None])[0] else Attempt(None, NO_APPROACH)
 
     def length(xy: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
         return np.linalg.norm(xy - START[:2], axis=1)
@@ -77,14 +81,13 @@ def test_a_pose_that_works_is_found_and_its_cost_is_the_way_there(
     assert found.base is not None
     assert which(found.base[None])[0]
     assert found.cost == pytest.approx(np.linalg.norm(found.base[:2] - START[:2]))
-    assert list(np.concatenate(found.reasons)).count(FEASIBLE) == 1
+    assert list(np.concatenate(found.outcomes)).count(FEASIBLE) == 1
 
 
 def test_the_grid_gives_the_cheapest_of_its_poses(site: Site) -> None:
     found = find(site, left, left, method="exhaustive", whole_grid=True)
     poses = np.concatenate(found.poses)
-    reasons = np.concatenate(found.reasons)
-    passed = poses[np.isin(reasons, ("path found, approach not checked", FEASIBLE))]
+    passed = poses[[one in (FOUND.outcome, FEASIBLE) for one in np.concatenate(found.outcomes)]]
     assert len(passed) > 10
     assert found.cost == pytest.approx(np.linalg.norm(passed[:, :2] - START[:2], axis=1).min())
 
@@ -100,14 +103,14 @@ def test_where_a_path_cannot_be_completed_the_next_is_tried(site: Site) -> None:
     found = find(site, always, left)
     assert found.base is not None
     assert found.base[0] < -0.3
-    assert "no approach" in np.concatenate(found.reasons)
+    assert NO_APPROACH in np.concatenate(found.outcomes)
 
 
 def test_nothing_is_found_where_nothing_works_and_every_pose_has_a_reason(site: Site) -> None:
-    for path, whole, reason in ((never, never, "no"), (always, never, "no approach")):
+    for path, whole, reason in ((never, never, MISSED.outcome), (always, never, NO_APPROACH)):
         found = find(site, path, whole, count=32, rounds=1)
         assert found.motion is None
         assert not found.timed_out
         rejections = found.candidates().rejections
         assert sum(rejections.values()) == found.candidates().sampled
-        assert rejections[reason] == found.checked
+        assert rejections[str(reason)] == found.checked

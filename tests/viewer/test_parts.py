@@ -17,12 +17,13 @@ from momapos.geometry.transforms import pose_planar
 from momapos.kinematics.hulls import Boxes
 from momapos.manipulation.motion import MotionConfig, task_motion
 from momapos.manipulation.tasks import make_task
-from momapos.placement.area import CLEAR, Site, standing
-from momapos.placement.place import FEASIBLE, Search
+from momapos.outcomes import PoseOutcome, PoseStatus
+from momapos.placement.area import BaseStatus, Site, standing
+from momapos.placement.place import Search
 from momapos.robots.robot import load_robot
 from momapos.scene.files import load_scene
 from momapos.viewer.heat import YAWS, potential_map
-from momapos.viewer.outcomes import KINDS, kind_of, outcomes, summary, thin
+from momapos.viewer.outcomes import KIND_OF, KINDS, outcomes, thin
 from momapos.viewer.outlines import box_bounds, box_outlines
 from momapos.viewer.robot import arm_frames
 from momapos.viewer.room import name_objects, room, room_bounds
@@ -53,38 +54,23 @@ def test_the_outline_of_a_box_is_the_hull_of_its_corners(upright: bool) -> None:
 
 
 def test_every_candidate_is_counted_once() -> None:
-    reasons = ["base blocked", "arm hits a/b at waypoint 3", "arm hits a/b at the pre-grasp"] * 4
+    blocked, feasible = PoseOutcome(PoseStatus.BASE_BLOCKED), PoseOutcome(PoseStatus.FEASIBLE)
+    hit = [PoseOutcome(PoseStatus.ARM_COLLISION, "a/b", where) for where in ("waypoint 3", "x")]
     search = Search(
         poses=[np.zeros((12, 3)), np.zeros((1, 3))],
-        reasons=[np.array(reasons, object), np.array([FEASIBLE], object)],
+        outcomes=[np.array([blocked, *hit] * 4, object), np.array([feasible], object)],
     )
     seen = outcomes(search)
-    assert seen.counts == {"base blocked": 4, "arm hits a/b": 8, FEASIBLE: 1}
+    assert {words: count for (_, words), count in seen.counts.items()} == {
+        "base blocked": 4, "arm hits a/b": 8, "feasible": 1,
+    }  # fmt: skip
     assert len(seen.poses) == len(seen.kind) == 13
 
 
-@pytest.mark.parametrize(
-    ("reason", "short", "kind"),
-    [
-        ("base off the floor", "base off the floor", "base"),
-        ("no way to drive there", "no way to drive there", "base"),
-        ("farther than the arm", "farther than the arm", "farther than the arm"),
-        ("out of reach", "out of reach", "out of reach"),
-        ("out of reach at waypoint 12", "out of reach at a waypoint", "out of reach"),
-        ("out of reach at any distance", "out of reach at any distance", "out of reach"),
-        ("arm at home hits oven/door", "arm at home hits oven/door", "arm hits"),
-        ("arm hits the robot itself at waypoint 4", "arm hits the robot itself", "arm hits"),
-        ("no continuous branch", "no continuous branch", "no continuous path"),
-        ("no approach from home", "no approach from home", "no approach"),
-        ("exact check: finger in wall at 0.31", "exact check", "exact check"),
-        ("not tried", "not tried", "not tried"),
-        ("feasible", "feasible", "feasible"),
-        ("rain", "rain", "other"),
-    ],
-)
-def test_a_reason_is_shortened_and_has_a_kind(reason: str, short: str, kind: str) -> None:
-    assert summary(reason) == short
-    assert KINDS[kind_of(reason)].name == KINDS[kind_of(short)].name == kind
+@pytest.mark.parametrize("status", PoseStatus)
+def test_every_status_is_drawn_as_one_kind(status: PoseStatus) -> None:
+    assert [status in kind.statuses for kind in KINDS].count(True) == 1
+    assert status in KINDS[KIND_OF[status]].statuses
 
 
 def test_thinning_keeps_the_best_of_every_place() -> None:
@@ -113,7 +99,7 @@ def test_the_potential_is_zero_where_the_base_cannot_stand_and_nowhere_else() ->
     xy = heat.low + 0.2 * (np.stack([j, i], -1) + 0.5)
     yaw = np.tile(2 * np.pi / YAWS * np.arange(YAWS), len(xy))
     poses = np.column_stack([np.repeat(xy, YAWS, axis=0), yaw])
-    stands = (standing(site, poses)[0] == CLEAR).reshape(-1, YAWS).any(1)
+    stands = (standing(site, poses)[0] == BaseStatus.CLEAR).reshape(-1, YAWS).any(1)
     assert stands.any()
     assert ((heat.value.ravel() > 0) == stands).all()
     assert heat.value.max() <= 1.0

@@ -14,8 +14,9 @@ from momapos.config import PipelineConfig
 from momapos.errors import InputError
 from momapos.manipulation.motion import MotionConfig, task_motion
 from momapos.manipulation.tasks import make_task
+from momapos.outcomes import PoseOutcome, PoseStatus
 from momapos.pipeline import PlacementResult
-from momapos.placement.place import FEASIBLE, NOT_TRIED, Search
+from momapos.placement.place import Search
 from momapos.prepare import prepare
 from momapos.robots.robot import Robot, load_robot
 from momapos.scene.files import load_scene
@@ -24,10 +25,13 @@ from momapos.types import Motion, PlacementPlan
 from momapos.viewer.plot import draw_answer
 
 BASE = np.array([0.55, -1.6, 1.2])
-REASONS = (
-    "base blocked", "out of reach", "arm hits fridge/door at waypoint 3", "no continuous branch",
-    NOT_TRIED, FEASIBLE, "something nobody has thought of",
+OUTCOMES = (
+    PoseOutcome(PoseStatus.BASE_BLOCKED), PoseOutcome(PoseStatus.OUT_OF_REACH),
+    PoseOutcome(PoseStatus.ARM_COLLISION, "fridge/door", "waypoint 3"),
+    PoseOutcome(PoseStatus.NO_CONTINUOUS_PATH), PoseOutcome(PoseStatus.NOT_TRIED),
+    PoseOutcome(PoseStatus.FEASIBLE), PoseOutcome(PoseStatus.FILTERED),
 )  # fmt: skip
+NOWHERE = PoseOutcome(PoseStatus.OUT_OF_REACH_ANYWHERE)
 
 
 class Near:
@@ -78,7 +82,7 @@ def answer_of(
     return PlacementResult(
         plan=plan,
         prepared=prepare(scene, robot, task, PipelineConfig(), clearance=0.01),
-        search=Search(poses=[poses], reasons=[np.array(REASONS * 10, object)], base=BASE),
+        search=Search(poses=[poses], outcomes=[np.array(OUTCOMES * 10, object)], base=BASE),
         start=np.array([1.9, -1.6, 1.57]),
     )
 
@@ -127,11 +131,12 @@ def test_the_same_answer_gives_the_same_picture(
     "search",
     [
         Search(),
-        Search(poses=[np.zeros((0, 3))], reasons=[np.zeros(0, object)]),
+        Search(poses=[np.zeros((0, 3))], outcomes=[np.zeros(0, object)]),
         Search(
-            poses=[np.zeros((1, 3))], reasons=[np.array(["out of reach at any distance"], object)]
+            poses=[np.zeros((1, 3))],
+            outcomes=[np.array([NOWHERE], object)],
         ),
-        Search(poses=[np.ones((2, 3))], reasons=[np.array(["base blocked"] * 2, object)]),
+        Search(poses=[np.ones((2, 3))], outcomes=[np.array([OUTCOMES[0]] * 2, object)]),
     ],
     ids=["nothing", "no candidates", "out of reach at any distance", "all blocked"],
 )

@@ -17,6 +17,7 @@ from momapos.kinematics.world import World, check, check_hand, motion_checker
 from momapos.manipulation.arm_path import FOUND, HIT, UNREACHABLE, ArmPath, find_paths
 from momapos.manipulation.motion import TaskMotion
 from momapos.manipulation.planner import RESOLUTION, PlannerConfig, interpolate, plan_motion
+from momapos.outcomes import PoseOutcome, PoseStatus
 from momapos.robots.robot import Robot
 from momapos.types import Attempt, Motion, Screened
 
@@ -53,7 +54,7 @@ class Feasibility:
             grasps: Grasps to be tried, best first, when that one cannot be completed.
         """
         assert screened.q is not None
-        motion, reason = self._complete(base, screened.q, screened.grasp)
+        motion, outcome = self._complete(base, screened.q, screened.grasp)
         others = grasps[grasps != screened.grasp]
         for chunk in np.split(others, range(_WIDER, len(others), _WIDER)):
             if motion is not None or not len(chunk):
@@ -63,8 +64,8 @@ class Feasibility:
                 strict=False,
             ):  # fmt: skip
                 if path.q is not None and motion is None:
-                    motion, reason = self._complete(base, path.q, grasp)
-        return Attempt(motion, reason)
+                    motion, outcome = self._complete(base, path.q, grasp)
+        return Attempt(motion, outcome)
 
     def screen(
         self, bases: Float[np.ndarray, "n 3"], scores: Float[np.ndarray, "n g"], most: int | None
@@ -99,7 +100,7 @@ class Feasibility:
                 undecided[i] &= path.status != FOUND
             first, width = first + width, _WIDER * width
         return [
-            Screened(grasp, None if path is None else path.q, self._reason(path, int(code)))
+            Screened(grasp, None if path is None else path.q, self._outcome(path, int(code)))
             for (grasp, path), code in zip(best, home, strict=True)
         ]
 
@@ -140,7 +141,7 @@ class Feasibility:
 
     def _complete(
         self, base: Float[np.ndarray, "3"], q: Float[np.ndarray, "d n"], grasp: int
-    ) -> tuple[Motion | None, str]:
+    ) -> tuple[Motion | None, PoseOutcome]:
         """Add the approach from home, and let the exact check decide."""
         chain, hold = self.robot.chain, self.motion.hold
         spheres = loaded(self.robot, self.motion, self.motion.Ts_world_tool[grasp, 0], 0)
@@ -159,31 +160,34 @@ class Feasibility:
             seed=self.seed + grasp,
         )
         if way is None:
-            return None, "no approach from home"
+            return None, PoseOutcome(PoseStatus.NO_APPROACH)
         approach = np.concatenate([interpolate(way), q[1 : hold + 1]])
         motion = Motion(
             approach, q[hold:], self.motion.object_q[hold:], self._tools(q[hold:], base)
         )
         refusal = self.refuse(base, motion)
-        return (motion, "") if refusal is None else (None, f"exact check: {refusal}")
+        if refusal is not None:
+            return None, PoseOutcome(PoseStatus.EXACT_CHECK, refusal)
+        return motion, PoseOutcome(PoseStatus.FEASIBLE)
 
     def _tools(self, q: np.ndarray, base: np.ndarray) -> Float[np.ndarray, "m 4 4"]:
         return pose_planar(base) @ self.robot.chain.tool_poses(q)
 
-    def _reason(self, path: ArmPath | None, at_home: int) -> str:
-        """Why a base pose has no arm path, "" where it has one."""
+    def _outcome(self, path: ArmPath | None, at_home: int) -> PoseOutcome:
+        """What became of a base pose whose best path is given."""
         if at_home != FREE:
-            return f"arm at home hits {self.world.reason(at_home)}"
+            return PoseOutcome(PoseStatus.HOME_COLLISION, self.world.reason(at_home))
         if path is None:
-            return "no grasp within reach"
+            return PoseOutcome(PoseStatus.NO_GRASP_IN_REACH)
         where = "the pre-grasp" if path.waypoint == 0 else f"waypoint {path.waypoint}"
         if path.status == FOUND:
-            return ""
+            return PoseOutcome(PoseStatus.PATH_FOUND)
         if path.status == UNREACHABLE:
-            return f"out of reach at {where}"
+            return PoseOutcome(PoseStatus.WAYPOINT_OUT_OF_REACH, where=where)
         if path.status == HIT:
-            return f"arm hits {self.world.reason(path.obstacle)} at {where}"
-        return "no continuous branch"
+            obstacle = self.world.reason(path.obstacle)
+            return PoseOutcome(PoseStatus.ARM_COLLISION, obstacle, where)
+        return PoseOutcome(PoseStatus.NO_CONTINUOUS_PATH)
 
 
 def loaded(

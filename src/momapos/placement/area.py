@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import IntEnum
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -14,7 +15,14 @@ from momapos.kinematics.collision import FREE
 from momapos.kinematics.hulls import Boxes
 from momapos.robots.robot import Robot
 
-CLEAR, BLOCKED, OFF_FLOOR, TOO_FAR = 0, 1, 2, 3
+
+class BaseStatus(IntEnum):
+    """Whether the base can stand at a pose."""
+
+    CLEAR = 0
+    BLOCKED = 1
+    OFF_FLOOR = 2
+    BEYOND_ARM = 3
 
 
 @dataclass(frozen=True)
@@ -115,23 +123,23 @@ def standing(
     """Say whether the base can stand at each pose while the part moves.
 
     Returns:
-        CLEAR, BLOCKED, OFF_FLOOR or TOO_FAR, and the box that blocks (static boxes first, then
-        the sweep), FREE where none does.
+        A `BaseStatus`, and the box that blocks (static boxes first, then the sweep), FREE where
+        none does.
     """
-    outcome = np.where(within_reach(site, poses), CLEAR, TOO_FAR)
+    outcome = np.where(within_reach(site, poses), BaseStatus.CLEAR, BaseStatus.BEYOND_ARM)
     if site.floor is not None:
-        near = np.flatnonzero(outcome == CLEAR)
+        near = np.flatnonzero(outcome == BaseStatus.CLEAR)
         off = ~all_inside(site.floor, footprints(site.robot, poses[near]))
-        outcome[near[off]] = OFF_FLOOR
+        outcome[near[off]] = BaseStatus.OFF_FLOOR
     boxes = Boxes(
         np.concatenate([site.static.center, site.sweep.center]),
         np.concatenate([site.static.rotation, site.sweep.rotation]),
         np.concatenate([site.static.half, site.sweep.half]),
     )
     code = np.full(len(poses), FREE, np.int64)
-    near = np.flatnonzero(outcome == CLEAR)
+    near = np.flatnonzero(outcome == BaseStatus.CLEAR)
     code[near] = base_hits(poses[near], site.robot.base, boxes, clearance=site.clearance)
-    outcome[code != FREE] = BLOCKED
+    outcome[code != FREE] = BaseStatus.BLOCKED
     return outcome, code
 
 

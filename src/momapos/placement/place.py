@@ -11,10 +11,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.stats import qmc
 
+from momapos.outcomes import PoseOutcome, PoseStatus
 from momapos.placement.area import (
-    BLOCKED,
-    CLEAR,
-    OFF_FLOOR,
+    BaseStatus,
     Site,
     in_world,
     sampling_box,
@@ -29,11 +28,13 @@ from momapos.types import Attempt, Candidates, Motion, Screened
 Method = Literal["ours", "paper", "exhaustive"]
 _BLOCK = 512
 """Poses of the grid that are screened together [-]."""
-FEASIBLE = "feasible"
-REASONS = {BLOCKED: "base blocked", OFF_FLOOR: "base off the floor", 3: "farther than the arm"}
-NO_REACH, NO_WAY, NOT_TRIED = "out of reach", "no way to drive there", "not tried"
-BARRED = "ruled out beforehand"
-PASSED = "path found, approach not checked"
+BASE_OUTCOMES = {
+    BaseStatus.BLOCKED: PoseOutcome(PoseStatus.BASE_BLOCKED),
+    BaseStatus.OFF_FLOOR: PoseOutcome(PoseStatus.OFF_FLOOR),
+    BaseStatus.BEYOND_ARM: PoseOutcome(PoseStatus.BEYOND_ARM),
+}
+_NOT_TRIED = PoseOutcome(PoseStatus.NOT_TRIED)
+_UNCOUNTED = (PoseStatus.FEASIBLE, PoseStatus.PATH_FOUND, PoseStatus.NOT_TRIED)
 
 
 @dataclass(frozen=True)
@@ -77,7 +78,7 @@ ScreenPoses = Callable[
 ]
 """Look for an arm path at each of many base poses, from the scores of all grasps and the number
 of grasps to be tried; None: out of time."""
-Barred = Callable[[Float[np.ndarray, "n 3"]], Bool[np.ndarray, " n"]]
+PoseFilter = Callable[[Float[np.ndarray, "n 3"]], Bool[np.ndarray, " n"]]
 """Which of some base poses are no candidates, for reasons that this stage does not know."""
 AttemptPose = Callable[[Float[np.ndarray, "3"], Screened, Int[np.ndarray, " k"]], Attempt]
 """Complete the arm path found at a base pose, or else one with the other grasps, best first."""
@@ -88,23 +89,25 @@ class Search:
     """What has been looked at so far, and the best of it."""
 
     poses: list[Float[np.ndarray, "n 3"]] = field(default_factory=list)
-    reasons: list[np.ndarray] = field(default_factory=list)
+    outcomes: list[np.ndarray] = field(default_factory=list)
+    """A `PoseOutcome` of each."""
     checked: int = 0
     base: Float[np.ndarray, "3"] | None = None
     motion: Motion | None = None
     cost: float = np.inf
     timed_out: bool = False
 
-    def note(self, poses: Float[np.ndarray, "n 3"], reasons: np.ndarray) -> None:
-        """Remember a round; what becomes of its poses is written into `reasons` later."""
+    def note(self, poses: Float[np.ndarray, "n 3"], outcomes: np.ndarray) -> None:
+        """Remember a round; what becomes of its poses is written into `outcomes` later."""
         self.poses.append(poses)
-        self.reasons.append(reasons)
+        self.outcomes.append(outcomes)
 
     def candidates(self) -> Candidates:
         """Counts for the plan."""
-        every = np.concatenate(self.reasons) if self.reasons else np.zeros(0, object)
-        counts = Counter(r for r in every.tolist() if r not in (FEASIBLE, PASSED, NOT_TRIED))
-        return Candidates(len(every), self.checked, dict(counts.most_common()))
+        every = np.concatenate([np.zeros(0, object), *self.outcomes])
+        counts = Counter(o for o in every.tolist() if o.status not in _UNCOUNTED)
+        words = {str(outcome): count for outcome, count in counts.most_common()}
+        return Candidates(len(every), self.checked, words)
 
 
 @dataclass(frozen=True)
@@ -123,9 +126,9 @@ class Problem:
     """Where the robot is: x [m], y [m], yaw [rad]."""
     out_of_time: Callable[[], bool]
     """Asked between candidates."""
-    hopeless: str = ""
+    infeasible_reason: str = ""
     """Why no base pose can help, where that is known beforehand."""
-    barred: Barred | None = None
+    pose_filter: PoseFilter | None = None
     """Rules base poses out."""
 
 
@@ -142,9 +145,11 @@ def search(problem: Problem, config: PlaceConfig, rng: np.random.Generator) -> S
     """
     found = Search()
     corners = sampling_box(problem.site)
-    if corners is None or problem.hopeless:
-        reason = problem.hopeless or f"{NO_REACH} at any distance"
-        found.note(np.zeros((1, 3)), np.array([reason], object))
+    if corners is None or problem.infeasible_reason:
+        outcome = PoseOutcome(PoseStatus.OUT_OF_REACH_ANYWHERE)
+        if problem.infeasible_reason:
+            outcome = PoseOutcome(PoseStatus.TASK_INFEASIBLE, problem.infeasible_reason)
+        found.note(np.zeros((1, 3)), np.array([outcome], object))
         return found
     frame = task_frame(problem.site)
     for local, on_grid in _rounds(corners, config, rng):
@@ -180,18 +185,18 @@ def _rounds(
 
 @dataclass
 class _Shortlist:
-    """The poses of one round that are left after culling; `reasons` covers the whole round."""
+    """The poses of one round that are left after culling; `outcomes` covers the whole round."""
 
     poses: Float[np.ndarray, "n 3"]
     row: Int[np.ndarray, " n"]
     """Index of each into the round."""
     travel: Float[np.ndarray, " n"]
     scores: Float[np.ndarray, "n g"]
-    reasons: np.ndarray
+    outcomes: np.ndarray
 
-    def keep(self, which: Bool[np.ndarray, " n"], reason: str) -> None:
-        """Drop the others, for a reason."""
-        self.reasons[self.row[~which]] = reason
+    def keep(self, which: Bool[np.ndarray, " n"], otherwise: PoseStatus) -> None:
+        """Drop the others, and say what became of them."""
+        self.outcomes[self.row[~which]] = PoseOutcome(otherwise)
         self.poses, self.row = self.poses[which], self.row[which]
         self.travel, self.scores = self.travel[which], self.scores[which]
 
@@ -203,20 +208,20 @@ class _Shortlist:
 
 def _cull(problem: Problem, poses: Float[np.ndarray, "n 3"], found: Search) -> _Shortlist:
     """Footprint first, then the way there, then the reach map."""
-    outcome, _ = standing(problem.site, poses)
-    reasons = np.full(len(poses), NOT_TRIED, object)
-    for value, word in REASONS.items():
-        reasons[outcome == value] = word
-    row = np.flatnonzero(outcome == CLEAR)
+    status, _ = standing(problem.site, poses)
+    outcomes = np.full(len(poses), _NOT_TRIED, object)
+    for code, outcome in BASE_OUTCOMES.items():
+        outcomes[status == code] = outcome
+    row = np.flatnonzero(status == BaseStatus.CLEAR)
     travel = problem.travel_cost(poses[row, :2])
     empty = np.zeros((len(row), len(problem.site.Ts_world_tool)), np.float32)
-    left = _Shortlist(poses[row], row, travel, empty, reasons)
-    left.keep(np.isfinite(travel), NO_WAY)
-    if problem.barred is not None:
-        left.keep(~problem.barred(left.poses), BARRED)
+    left = _Shortlist(poses[row], row, travel, empty, outcomes)
+    left.keep(np.isfinite(travel), PoseStatus.NO_ROUTE)
+    if problem.pose_filter is not None:
+        left.keep(~problem.pose_filter(left.poses), PoseStatus.FILTERED)
     left.scores = problem.reach.weakest(left.poses, problem.site.Ts_world_tool)
-    left.keep(left.scores.max(1, initial=0.0) > 0, NO_REACH)
-    found.note(poses, reasons)
+    left.keep(left.scores.max(1, initial=0.0) > 0, PoseStatus.OUT_OF_REACH)
+    found.note(poses, outcomes)
     return left
 
 
@@ -227,13 +232,13 @@ def _screen(
     most: int | None,
     found: Search,
 ) -> dict[int, Screened]:
-    """Arm paths at some poses of a shortlist, by index; those without one get their reasons."""
+    """Arm paths at some poses of a shortlist, by index; all get their outcomes."""
     screened = problem.screen(left.poses[block], left.scores[block], most)
     if screened is None:
         found.timed_out = found.motion is None
         return {}
     found.checked += len(block)
-    left.reasons[left.row[block]] = [one.reason or PASSED for one in screened]
+    left.outcomes[left.row[block]] = [one.outcome for one in screened]
     return {i: one for i, one in zip(block.tolist(), screened, strict=True) if one.q is not None}
 
 
@@ -246,7 +251,7 @@ def _complete(
             found.timed_out = True
             return
         result = problem.attempt(left.poses[i], passed[i], left.grasps(i)[:most])
-        left.reasons[left.row[i]] = result.reason or FEASIBLE
+        left.outcomes[left.row[i]] = result.outcome
         if result.motion is not None:
             found.base, found.motion, found.cost = left.poses[i], result.motion, left.travel[i]
             return

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from momapos.placement.area import CLEAR, Site, arm_radius, standing, within_reach
+from momapos.placement.area import BaseStatus, Site, arm_radius, standing, within_reach
 from momapos.placement.potential import attraction
 from momapos.protocols import ReachScorer
 
@@ -60,7 +60,7 @@ def potential_map(site: Site, reach: ReachScorer, *, cell: float) -> Heat | None
     near = np.flatnonzero(within_reach(site, poses))
     score[near] = reach.weakest(poses[near], site.Ts_world_tool).max(1, initial=0.0)
     near = near[score[near] > 0]
-    score[near[standing(site, poses[near])[0] != CLEAR]] = 0.0
+    score[near[standing(site, poses[near])[0] != BaseStatus.CLEAR]] = 0.0
     best = score.reshape(-1, YAWS).max(1)
     seen = np.flatnonzero(best > 0)
     value = np.zeros(len(xy))

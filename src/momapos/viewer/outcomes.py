@@ -2,24 +2,23 @@
 
 from __future__ import annotations
 
-import re
 from collections import Counter
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from momapos.placement.place import FEASIBLE, NOT_TRIED, PASSED, Search
+from momapos.outcomes import PoseStatus
+from momapos.placement.place import Search
 
 
 @dataclass(frozen=True)
-class Kind:
-    """A group of reasons with one marker."""
+class MarkerKind:
+    """Outcomes that share a marker."""
 
     name: str
-    matches: Callable[[str], bool]
-    colour: str
+    statuses: tuple[PoseStatus, ...]
+    color: str
     marker: str
     filled: bool = False
     size: float = 2.6
@@ -28,30 +27,29 @@ class Kind:
     """Whether the room explains it at a glance; drawn on the open floor only."""
 
 
-def _starts(*words: str) -> Callable[[str], bool]:
-    return lambda reason: reason.startswith(words)
-
-
+_S = PoseStatus
 KINDS = (
-    Kind("farther than the arm", _starts("farther"), "#c9ced3", ".", size=2.2, obvious=True),
-    Kind("base", _starts("base", "no way to drive"), "#a3aab1", "x", size=2.2, obvious=True),
-    Kind("out of reach", _starts("out of reach", "no grasp"), "#4f6d8f", "o"),
-    Kind("not tried", _starts(NOT_TRIED, PASSED), "#6f7a83", ".", size=2.8),
-    Kind("other", lambda _: True, "#555555", "*", size=3.4),
-    Kind("arm hits", _starts("arm"), "#aa4499", "^", size=3.2),
-    Kind("no continuous path", _starts("no continuous"), "#7a4a1e", "s"),
-    Kind("no approach", _starts("no approach"), "#7d7a1f", "D"),
-    Kind("exact check", _starts("exact check"), "#661100", "P", size=3.6),
-    Kind("feasible", lambda reason: reason == FEASIBLE, "#009e73", "o", filled=True, size=5.0),
-)
+    MarkerKind("farther than the arm", (_S.BEYOND_ARM,), "#c9ced3", ".", size=2.2, obvious=True),
+    MarkerKind(
+        "base", (_S.BASE_BLOCKED, _S.OFF_FLOOR, _S.NO_ROUTE), "#a3aab1", "x", size=2.2, obvious=True
+    ),
+    MarkerKind(
+        "out of reach",
+        (_S.OUT_OF_REACH, _S.OUT_OF_REACH_ANYWHERE, _S.WAYPOINT_OUT_OF_REACH, _S.NO_GRASP_IN_REACH),
+        "#4f6d8f", "o",
+    ),
+    MarkerKind("not tried", (_S.NOT_TRIED, _S.PATH_FOUND), "#6f7a83", ".", size=2.8),
+    MarkerKind("other", (_S.FILTERED, _S.TASK_INFEASIBLE), "#555555", "*", size=3.4),
+    MarkerKind("arm hits", (_S.ARM_COLLISION, _S.HOME_COLLISION), "#aa4499", "^", size=3.2),
+    MarkerKind("no continuous path", (_S.NO_CONTINUOUS_PATH,), "#7a4a1e", "s"),
+    MarkerKind("no approach", (_S.NO_APPROACH,), "#7d7a1f", "D"),
+    MarkerKind("exact check", (_S.EXACT_CHECK,), "#661100", "P", size=3.6),
+    MarkerKind("feasible", (_S.FEASIBLE,), "#009e73", "o", filled=True, size=5.0),
+)  # fmt: skip
 """From what fails first to what succeeds; the order in which they are drawn."""
-_OTHER = next(i for i, kind in enumerate(KINDS) if kind.name == "other")
-
-
-def kind_of(reason: str) -> int:
-    """Index of the kind that a reason belongs to."""
-    named = (i for i, kind in enumerate(KINDS) if i != _OTHER and kind.matches(reason))
-    return next(named, _OTHER)
+KIND_OF = {status: index for index, kind in enumerate(KINDS) for status in kind.statuses}
+"""Index of the kind that a status belongs to."""
+_NOWHERE = (PoseStatus.OUT_OF_REACH_ANYWHERE, PoseStatus.TASK_INFEASIBLE)
 
 
 @dataclass(frozen=True)
@@ -61,29 +59,19 @@ class Outcomes:
     poses: Float[np.ndarray, "n 3"]
     kind: Int[np.ndarray, " n"]
     """Index into `KINDS`."""
-    counts: dict[str, int]
-    """How many, by summarised reason."""
+    counts: dict[tuple[int, str], int]
+    """How many, by kind (as above) and summary."""
 
 
 def outcomes(search: Search) -> Outcomes:
     """Sort the candidates of a search into kinds."""
     poses = np.concatenate([np.zeros((0, 3)), *search.poses])
-    reasons = [str(r) for block in search.reasons for r in block]
-    counts = Counter(map(summary, reasons))
-    known = {reason: kind_of(reason) for reason in set(reasons)}
-    kind = np.array([known[r] for r in reasons], int)
+    seen = [outcome for block in search.outcomes for outcome in block]
+    counts = Counter((KIND_OF[outcome.status], outcome.summary) for outcome in seen)
+    kind = np.array([KIND_OF[outcome.status] for outcome in seen], int)
     # Where nothing can be sampled the search says so in one candidate that has no place.
-    real = np.array([not r.endswith("at any distance") for r in reasons], bool)
+    real = np.array([outcome.status not in _NOWHERE for outcome in seen], bool)
     return Outcomes(poses[real], kind[real], dict(counts))
-
-
-def summary(reason: str) -> str:
-    """A reason without the waypoint at which it struck."""
-    if reason.startswith("exact check"):
-        return "exact check"
-    if reason.startswith("out of reach at ") and not reason.endswith("distance"):
-        return "out of reach at a waypoint"
-    return re.sub(r" at (the pre-grasp|waypoint \d+)$", "", reason)
 
 
 def thin(

@@ -6,9 +6,10 @@ from typing import Any
 
 import numpy as np
 
+from momapos.outcomes import PoseStatus
 from momapos.pipeline import PlacementResult
 from momapos.scene.scene import Scene
-from momapos.viewer.outcomes import KINDS, Outcomes, kind_of
+from momapos.viewer.outcomes import KIND_OF, KINDS, Outcomes
 from momapos.viewer.palette import (
     BAD,
     FAINT,
@@ -128,7 +129,7 @@ def _many(count: int) -> str:
     return f"{count:,}".replace(",", "\u2009")
 
 
-def _reasons(panel: Panel, counts: dict[str, int], *, floor: float) -> None:
+def _reasons(panel: Panel, counts: dict[tuple[int, str], int], *, floor: float) -> None:
     """A thin bar for each reason, in the order in which candidates are sifted."""
     panel.heading("What became of the candidates")
     rows = _rows(counts)
@@ -141,8 +142,8 @@ def _reasons(panel: Panel, counts: dict[str, int], *, floor: float) -> None:
         look, y = KINDS[kind], panel.y
         bold = "bold" if look.filled else "normal"
         panel.axes.plot(
-            0.05, y + 0.035, look.marker, color=look.colour, markersize=1.3 * look.size,
-            markerfacecolor=look.colour if look.filled else "none", markeredgewidth=0.9,
+            0.05, y + 0.035, look.marker, color=look.color, markersize=1.3 * look.size,
+            markerfacecolor=look.color if look.filled else "none", markeredgewidth=0.9,
         )  # fmt: skip
         words, number = _short(reason, 38), _many(count)
         room = panel.width - 0.2 - 0.062 * len(number)
@@ -151,21 +152,22 @@ def _reasons(panel: Panel, counts: dict[str, int], *, floor: float) -> None:
         left, full = 0.15, panel.width - 0.15
         bar = y - min(0.075, 0.3 * step)
         panel.axes.barh(bar, full, left=left, height=0.032, color="#eef0f1")
-        panel.axes.barh(bar, full * count / most, left=left, height=0.032, color=look.colour)
+        panel.axes.barh(bar, full * count / most, left=left, height=0.032, color=look.color)
         panel.y -= step
 
 
-def _rows(counts: dict[str, int]) -> list[tuple[int, str, int]]:
+def _rows(counts: dict[tuple[int, str], int]) -> list[tuple[int, str, int]]:
     """(kind, reason, count), sifted first to last; the rarest reasons of a long list as one."""
-    rows = sorted(((kind_of(r), r, n) for r, n in counts.items()), key=lambda row: -row[2])
+    rows = sorted(((*key, count) for key, count in counts.items()), key=lambda row: -row[2])
     if len(rows) > ROWS:
-        keep = [r for r in rows if KINDS[r[0]].filled or r[1] == "not tried"]
+        keep = [r for r in rows if KINDS[r[0]].filled or r[0] == KIND_OF[PoseStatus.NOT_TRIED]]
         rare = [r for r in rows if r not in keep]
         keep += rare[: ROWS - 1 - len(keep)]
         rest = [r for r in rows if r not in keep]
         kinds = {kind for kind, _, _ in rest}
-        kind = kinds.pop() if len(kinds) == 1 else kind_of("other")
-        name = "arm hits other things" if KINDS[kind].name == "arm hits" else "other reasons"
+        kind = kinds.pop() if len(kinds) == 1 else KIND_OF[PoseStatus.TASK_INFEASIBLE]
+        arm = kind == KIND_OF[PoseStatus.ARM_COLLISION]
+        name = "arm hits other things" if arm else "other reasons"
         rows = [*keep, (kind, name, sum(n for _, _, n in rest))]
     return sorted(rows, key=lambda row: (row[0], -row[2]))
 

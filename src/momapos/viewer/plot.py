@@ -223,9 +223,9 @@ def _draw_candidates(
         layer = _FEASIBLE_LAYER if kind.filled else _CANDIDATE_LAYER + index / 100
         axes.plot(
             *xy[chosen[seen.kind[chosen] == index]].T, linestyle="none", marker=kind.marker,
-            markersize=crowd * kind.size, color=kind.colour,
-            markerfacecolor=kind.colour if kind.filled else "none",
-            markeredgecolor="white" if kind.filled else kind.colour, markeredgewidth=0.5,
+            markersize=crowd * kind.size, color=kind.color,
+            markerfacecolor=kind.color if kind.filled else "none",
+            markeredgecolor="white" if kind.filled else kind.color, markeredgewidth=0.5,
             zorder=_OBVIOUS_LAYER if kind.obvious else layer,
         )  # fmt: skip
 

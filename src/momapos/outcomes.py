@@ -1,0 +1,56 @@
+"""What becomes of a base pose, and how reports say it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+
+class PoseStatus(Enum):
+    """What can become of a base pose; the value is its wording, with what `PoseOutcome` adds."""
+
+    FEASIBLE = "feasible"
+    PATH_FOUND = "path found, approach not checked"
+    NOT_TRIED = "not tried"
+    FILTERED = "ruled out beforehand"
+    BASE_BLOCKED = "base blocked"
+    OFF_FLOOR = "base off the floor"
+    BEYOND_ARM = "farther than the arm"
+    NO_ROUTE = "no way to drive there"
+    OUT_OF_REACH = "out of reach"
+    OUT_OF_REACH_ANYWHERE = "out of reach at any distance"
+    TASK_INFEASIBLE = "{detail}"
+    NO_GRASP_IN_REACH = "no grasp within reach"
+    HOME_COLLISION = "arm at home hits {detail}"
+    WAYPOINT_OUT_OF_REACH = "out of reach at {where}"
+    ARM_COLLISION = "arm hits {detail} at {where}"
+    NO_CONTINUOUS_PATH = "no continuous branch"
+    NO_APPROACH = "no approach from home"
+    EXACT_CHECK = "exact check: {detail}"
+
+
+_SUMMARY = {
+    PoseStatus.WAYPOINT_OUT_OF_REACH: "out of reach at a waypoint",
+    PoseStatus.ARM_COLLISION: "arm hits {detail}",
+    PoseStatus.EXACT_CHECK: "exact check",
+}
+
+
+@dataclass(frozen=True)
+class PoseOutcome:
+    """What became of one base pose."""
+
+    status: PoseStatus
+    detail: str = ""
+    """What is hit, or what the exact check or the task says."""
+    where: str = ""
+    """The waypoint at which it is so."""
+
+    def __str__(self) -> str:
+        return self.status.value.format(detail=self.detail, where=self.where)
+
+    @property
+    def summary(self) -> str:
+        """The same without the waypoint, so that similar outcomes can be counted together."""
+        words = _SUMMARY.get(self.status, self.status.value)
+        return words.format(detail=self.detail)
