@@ -5,9 +5,9 @@ from pathlib import Path
 
 from momapos import load_robot, load_scene, make_task, openable, place, scan_to_scene
 from momapos.cache import default_cache_dir
-from momapos.perception.recording import synthetic_scan
-from momapos.perception.sensor import DepthSensor
 from momapos.reachability.store import load_or_build
+from momapos.synthetic_scans.depth_sensor import DepthSensor
+from momapos.synthetic_scans.recording import synthetic_scan
 from momapos.types import Scan
 
 camera = synthetic_scan(load_scene("kitchen_small"), frames=60, seed=0, sensor=DepthSensor())

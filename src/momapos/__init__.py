@@ -27,7 +27,7 @@ _PUBLIC = {
     "place": "momapos.pipeline",
     "rank": "momapos.importance.rank",
     "read_plan": "momapos.plans",
-    "read_scan": "momapos.perception.scan",
+    "read_scan": "momapos.scan_io.scan",
     "save_scene": "momapos.scene.files",
     "scan_to_scene": "momapos.scan_pipeline",
     "verify_files": "momapos.verification.files",

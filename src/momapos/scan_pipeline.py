@@ -11,26 +11,13 @@ import numpy as np
 from jaxtyping import Float
 
 from momapos.errors import InputError
+from momapos.fusion.gravity import GravityConfig, align_to_gravity
+from momapos.fusion.tsdf import FusionConfig, fuse
 from momapos.geometry.transforms import apply, pose, rotation_about
 from momapos.importance.rank import rank
 from momapos.importance.scorers import ImportanceConfig
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.urdf import box_urdf
-from momapos.perception.boxes import (
-    BoxConfig,
-    boxes,
-    inside,
-    named,
-    wall_detections,
-    without_pieces,
-)
-from momapos.perception.detections import PictureBox, sights, vote_label
-from momapos.perception.fusion import FusionConfig, fuse
-from momapos.perception.gravity import GravityConfig, upright
-from momapos.perception.planes import RoomConfig, find_room
-from momapos.perception.rows import RowConfig, split_row
-from momapos.perception.segment import ClassicalSegmenter
-from momapos.perception.views import Seen, View, ViewConfig, choose_view
 from momapos.protocols import ArticulationPredictor, Clock, Segmenter
 from momapos.reconstruction.build import GivenModel, build_scene, place_model
 from momapos.reconstruction.model import ModelConfig, furniture_model
@@ -38,11 +25,34 @@ from momapos.reconstruction.network import FrontNetwork
 from momapos.reconstruction.templates import TemplatePredictor
 from momapos.scene.library.furniture import Piece
 from momapos.scene.scene import Scene, SceneObject
-from momapos.types import Cloud, Detection, FaceImage, Frame, Front, Instance, Part, Scan
+from momapos.segmentation.boxes import (
+    BoxConfig,
+    boxes,
+    inside,
+    named,
+    wall_detections,
+    without_pieces,
+)
+from momapos.segmentation.room import RoomConfig, find_room
+from momapos.segmentation.segmenter import ClassicalSegmenter
+from momapos.types import (
+    Cloud,
+    Detection,
+    FaceImage,
+    Frame,
+    Front,
+    ImageDetection,
+    Instance,
+    Part,
+    Scan,
+)
+from momapos.views.front_view import Seen, View, ViewConfig, choose_view
+from momapos.views.projection import sights, vote_label
+from momapos.views.rows import RowConfig, split_row
 
 Progress = Callable[[str, float], None]
 """Told what is at work, and the share of the whole that is done."""
-Found = Mapping[str, Sequence[PictureBox]]
+Found = Mapping[str, Sequence[ImageDetection]]
 """What a 2-D detector found, by the frame's name."""
 
 BUILDING = ("wall", "floor", "ceiling", "window", "door")
@@ -54,7 +64,7 @@ class ScanConfig:
     """How a scan becomes a scene."""
 
     voxel: float = 0.015
-    """Edge of the voxels that depth pictures are fused in [m]."""
+    """Edge of the voxels that depth images are fused in [m]."""
     least_sides: tuple[float, float] = (0.1, 0.2)
     """Things whose shortest or middle edge is shorter than this have no doors or drawers [m]."""
     fusion: FusionConfig = field(default_factory=FusionConfig)
@@ -119,7 +129,7 @@ class Modelled:
     cloud: Cloud
     """The room, upright."""
     frames: tuple[Frame, ...]
-    """The pictures, with poses in the upright world."""
+    """The images, with poses in the upright world."""
     T_scene_scan: Float[np.ndarray, "4 4"]
     decisions: tuple[Decision, ...]
     timing: Mapping[str, float] = field(default_factory=dict)
@@ -141,12 +151,12 @@ def scan_to_scene(
     """Make a scene that `place` can use from a scan of a room.
 
     Args:
-        scan: Posed pictures, a cloud, or both.
+        scan: Posed images, a cloud, or both.
         out: The scene file to write; URDF files go into a folder beside it.
         tools: Segmenter and predictors; `default_tools` by default.
         target: Object that the task will be about: only what matters for it is modelled. By
             default everything is that has a front.
-        found: What a 2-D detector found in the pictures; projected boxes by default.
+        found: What a 2-D detector found in the images; projected boxes by default.
         given: URDF files for objects by name or label, which need no prediction.
         config: How every stage works.
         progress: Told what goes on.
@@ -162,7 +172,7 @@ def scan_to_scene(
     cloud = scan.cloud or fuse(scan.frames, config.voxel, config.fusion)
     marks["fuse"] = clock()
     progress("finding objects", 0.2)
-    T = upright(cloud, scan.frames, config.gravity)
+    T = align_to_gravity(cloud, scan.frames, config.gravity)
     cloud, frames = _turned(cloud, scan.frames, T)
     room = find_room(cloud, config.room)
     things = [item for item in tools.segment(cloud) if item.label not in BUILDING]
@@ -244,7 +254,7 @@ def divide(
 
 
 def _relabelled(item: Detection, frames: Sequence[Frame], found: Found) -> Detection:
-    """A 2-D detector that was trained on pictures knows better what a thing is."""
+    """A 2-D detector that was trained on images knows better what a thing is."""
     return replace(item, label=vote_label(item.box, frames, found) or item.label)
 
 
@@ -306,7 +316,7 @@ def _decide(
     seen = sights(item.box, frames, found)
     view = choose_view(item.box, frames, seen, look, config.view, before)
     if view is None:
-        return replace(box, reason="no picture shows a front")
+        return replace(box, reason="no image shows a front")
     facing = float(np.arctan2(view.face.outward[1], view.face.outward[0]))
     own = given.get(item.name, given.get(item.label))
     if own is not None:

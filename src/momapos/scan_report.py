@@ -67,10 +67,10 @@ def _decision(decision: Decision, result: Modelled) -> dict[str, Any]:
 def write_report(
     result: Modelled, data: dict[str, Any], out: Path, *, pictures: bool
 ) -> Path | None:
-    """Write `scan_report.json` beside the scene, and a picture of every object looked at.
+    """Write `scan_report.json` beside the scene, and an image of every object looked at.
 
     Returns:
-        The folder of the pictures; None where none are wanted.
+        The folder of the images; None where none are wanted.
     """
     write_whole(out.parent / NAME, json.dumps(data, indent=1, allow_nan=False) + "\n")
     if not pictures:

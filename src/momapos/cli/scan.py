@@ -31,7 +31,7 @@ class ScanOptions:
     """Instances found by another program: Mask3D's ScanNet export, OpenMask3D masks, labels a
     point, or a JSON of boxes. All but boxes need a scan with a cloud."""
     detections: Path | None = None
-    """Detectron2's coco_instances_results.json for the pictures of the scan."""
+    """Detectron2's coco_instances_results.json for the images of the scan."""
     predictor: Predictor = "network"
     """Who finds doors and drawers: our network, a template by label, or URDFormer."""
     checkpoint: Path | None = None
@@ -39,11 +39,11 @@ class ScanOptions:
     models: tuple[str, ...] = ()
     """NAME=FILE.urdf of objects, by name or label, that need no prediction."""
     views: Literal["voting", "first"] = "voting"
-    """How the front is chosen: by votes of all pictures, or the paper's first that passes."""
+    """How the front is chosen: by votes of all images, or the paper's first that passes."""
     grid: bool = False
     """Put parts onto URDFormer's grid of 13 steps."""
     max_frames: int = 150
-    """Pictures that are read at most, evenly spaced."""
+    """Images that are read at most, evenly spaced."""
     depth_scale: float = 1000.0
     """Units of integer depth in a metre."""
     voxel: float = 0.015
@@ -68,20 +68,20 @@ def scan_room(
     """Make a scene from a scan of a room, which place can use.
 
     Beside the scene it writes scan_report.json, which says what was decided and why, and a
-    picture of every object that was looked at.
+    image of every object that was looked at.
 
     Args:
-        source: Folder of posed colour and depth pictures, a cloud, or a robot's log.
+        source: Folder of posed colour and depth images, a cloud, or a robot's log.
         out: The scene file.
-        pictures: Draw why every object was modelled as it was.
+        images: Draw why every object was modelled as it was.
         json: Print one JSON object and nothing else.
         options: Where knowledge comes from.
     """
     import json as encoder
 
     from momapos.cli.console import progress
-    from momapos.perception.bags import BagTopics
-    from momapos.perception.scan import read_scan
+    from momapos.scan_io.bags import BagTopics
+    from momapos.scan_io.scan import read_scan
     from momapos.scan_pipeline import scan_to_scene
     from momapos.scan_report import report_to_dict, write_report
 
@@ -127,7 +127,7 @@ def table(result: Modelled, out: Path, folder: Path | None) -> str:
         f"  report      {out.parent / 'scan_report.json'}",
     ]
     if folder is not None:
-        lines.append(f"  pictures    {folder}")
+        lines.append(f"  images    {folder}")
     return "\n".join(lines)
 
 
@@ -140,10 +140,10 @@ def _count(parts: tuple[Any, ...]) -> str:
 
 
 def _config(options: ScanOptions) -> Any:
-    from momapos.perception.views import ViewConfig
     from momapos.reconstruction.alignment import AlignmentConfig
     from momapos.reconstruction.model import ModelConfig
     from momapos.scan_pipeline import ScanConfig
+    from momapos.views.front_view import ViewConfig
 
     alignment = AlignmentConfig(grid=12 if options.grid else None)
     return ScanConfig(
@@ -173,7 +173,7 @@ def _tools(scan: Scan, options: ScanOptions) -> Tools:
 
 def _reader(scan: Scan, path: Path) -> Segmenter:
     """Instances from a file instead of a segmenter."""
-    from momapos.perception.masks import read_instances
+    from momapos.scan_io.masks import read_instances
     from momapos.types import Cloud, Instance
 
     def read(cloud: Cloud) -> list[Instance]:
@@ -199,6 +199,6 @@ def _given(models: tuple[str, ...]) -> dict[str, GivenModel]:
 
 
 def _found(scan: Scan, options: ScanOptions) -> Any:
-    from momapos.perception.detections import read_coco
+    from momapos.scan_io.coco import read_coco
 
     return None if options.detections is None else read_coco(options.detections, scan.frames)

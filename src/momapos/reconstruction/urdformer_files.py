@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from momapos.errors import FileFormatError, UrdfError
 from momapos.kinematics.urdf import MAX_LINKS, MAX_URDF_BYTES
-from momapos.reconstruction.urdformer import GRIPS, KINDS, SLOTS, Rectangle, around
+from momapos.reconstruction.urdformer_format import HANDLES, KINDS, SLOTS, Rectangle, around
 from momapos.types import Part
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ GRIP_SIZES = {"handle": (0.035, 0.125), "knob": (0.069, 0.069)}
 
 
 def read_part_boxes(path: Path) -> Float[np.ndarray, "n 4"]:
-    """Read part boxes (top, left, height, width) as fractions of the picture.
+    """Read part boxes (top, left, height, width) as fractions of the image.
 
     The file is JSON: `{"part_boxes_yxhw_normalized": [[0.1, 0.2, 0.3, 0.4], ...]}`.
 
@@ -89,7 +89,7 @@ def read_predicted_urdf(path: Path) -> tuple[Part, ...]:
             parts[child] = Part(KINDS[name], _rectangle(name, origins[child], size), 1.0)
     for parent, child, xyz, roll in joints:
         name, _ = meshes.get(child, ("", None))
-        if name in GRIPS and parent in parts:
+        if name in HANDLES and parent in parts:
             across, up = (origins[parent] + np.array(xyz[1:]) / base).tolist()
             lying = abs(math.sin(roll)) > 0.5
             width, height = (np.array(GRIP_SIZES[name][:: -1 if lying else 1]) / base).tolist()
