@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import struct
 from pathlib import Path
 
@@ -150,6 +151,38 @@ def test_lzf_never_writes_beyond_its_end_whatever_it_is_given(data: bytes, size:
     written = unpack_lzf(np.frombuffer(data, np.uint8), guard[:size])
     assert -1 <= written <= size
     assert np.all(guard[size:] == 7)
+
+
+@pytest.mark.parametrize(
+    ("properties", "row"),
+    [
+        ("", ""),
+        ("property uchar n\n", "3"),
+        ("property list uchar float vertex_indices\n", "3 0 1 inf"),
+        ("property list uchar int vertex_indices\n", "3 0 1 99"),
+        ("property list uchar int vertex_indices\n", "3 0 1 -1"),
+        ("property list uchar int vertex_indices\n", "3 0 1 1e300"),
+        ("property list uchar int vertex_indices\n", "4 0 1 2 3"),
+    ],
+)
+def test_faces_that_are_no_triangles_of_its_points_are_passed_over(
+    tmp_path: Path, properties: str, row: str
+) -> None:
+    path = tmp_path / "mesh.ply"
+    head = "ply\nformat ascii 1.0\nelement vertex 3\n"
+    head += "".join(f"property float {axis}\n" for axis in "xyz")
+    head += f"element face 1\n{properties}end_header\n"
+    path.write_text(f"{head}0 0 0\n1 0 0\n0 1 0\n{row}\n")
+    columns, triangles = ply.read_ply(path)
+    assert triangles is None
+    np.testing.assert_array_equal(columns["x"], [0, 1, 0])
+
+
+def test_a_fifo_or_a_device_is_refused_before_it_is_opened(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "cloud.ply")
+    for path in (tmp_path / "cloud.ply", Path("/dev/zero")):
+        with pytest.raises(FileFormatError, match="fifo, a socket or a device"):
+            read_cloud(path)
 
 
 def wall(count: int = 400) -> np.ndarray:

@@ -25,6 +25,15 @@ def frames() -> list[Frame]:
         ('[{"bbox": [1, 2, 3]}]', "detection 0"),
         ('[{"image_id": 0, "bbox": [1, 2, 3, 4], "score": 1}]', "category_id"),
         ('[{"image_id": 0, "category_id": 1, "bbox": [1, 2, -3, 4], "score": 1}]', "above 0"),
+        ('[{"image_id": 0, "category_id": 1e999, "bbox": [1, 2, 3, 4], "score": 1}]', "infinity"),
+        (
+            f'[{{"image_id": 0, "category_id": 1, "bbox": [1, 2, 3, 1{"0" * 400}], "score": 1}}]',
+            "too large",
+        ),
+        (
+            '[{"image_id": [[]], "category_id": 1, "bbox": [1, 2, 3, 4], "score": 1}]',
+            "whole number",
+        ),
         ('[{"image_id": "x", "category_id": 1, "bbox": [1, 2, 3, 4], "score": 1}]', "image_id"),
     ],
 )

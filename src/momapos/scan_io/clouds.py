@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from scipy.spatial import cKDTree
 
 from momapos.errors import FileFormatError
+from momapos.files import open_regular
 from momapos.scan_io.pcd import read_pcd
 from momapos.scan_io.ply import Columns, read_ply
 from momapos.types import Cloud
@@ -73,9 +74,7 @@ def read_cloud(
 
 
 def _read(path: Path) -> tuple[Columns, Int[np.ndarray, "m 3"] | None]:
-    if not path.is_file():
-        raise FileFormatError(f"{path}: no such file")
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         head = file.read(4)
     if head.startswith(b"ply"):
         return read_ply(path)

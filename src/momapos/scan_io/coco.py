@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from momapos.errors import FileFormatError
+from momapos.files import read_bytes_bounded
 from momapos.types import Frame, ImageDetection
 
 MAX_BYTES = 200_000_000
@@ -32,10 +33,8 @@ def read_coco(path: Path, frames: Sequence[Frame]) -> dict[str, list[ImageDetect
         FileFormatError: The file is no list of COCO results; the message names the entry.
     """
     try:
-        if path.stat().st_size > MAX_BYTES:
-            raise FileFormatError(f"{path}: larger than {MAX_BYTES // 1_000_000} MB")
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
+        data = json.loads(read_bytes_bounded(path, MAX_BYTES))
+    except (ValueError, RecursionError) as error:
         raise FileFormatError(f"{path}: no JSON list of COCO detections ({error})") from error
     if not isinstance(data, list):
         raise FileFormatError(f"{path}: must be a list of COCO detections")
@@ -62,12 +61,14 @@ def _coco_entry(item: Any, where: str) -> tuple[str, ImageDetection]:
     try:
         left, top, width, height = (float(v) for v in values)
         score, category = float(item["score"]), int(item["category_id"])
-        image = str(item["image_id"])
-    except (KeyError, TypeError, ValueError) as error:
+        image = item["image_id"]
+        if type(image) not in (str, int):
+            raise TypeError("image_id must be a text or a whole number")
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise FileFormatError(
             f"{where}: needs image_id, category_id, bbox and score ({error})"
         ) from error
     if not np.isfinite([left, top, width, height, score]).all() or width <= 0 or height <= 0:
         raise FileFormatError(f"{where}: bbox and score must be finite, its size above 0")
     box = (left, top, left + width, top + height)
-    return image, ImageDetection(box, COCO.get(category + 1, ""), score)
+    return str(image), ImageDetection(box, COCO.get(category + 1, ""), score)

@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Float
 
 from momapos.errors import FileFormatError
+from momapos.files import read_bytes_bounded
 from momapos.scan_io.images import (
     Size,
     image_size,
@@ -286,14 +287,9 @@ def _matrix(file: Path) -> Float[np.ndarray, "3 3"]:
 
 def _numbers(file: Path) -> Float[np.ndarray, "n n"]:
     """Read a small square matrix from a text file."""
-    if not file.is_file():
-        raise FileFormatError(f"{file}: no such file")
+    data = read_bytes_bounded(file, MAX_TEXT_BYTES)
     try:
-        if file.stat().st_size > MAX_TEXT_BYTES:
-            raise FileFormatError(f"{file}: is longer than a matrix of 4 x 4 can be")
-        values = np.array(file.read_text(encoding="ascii").split(), float)
-    except OSError as error:
-        raise FileFormatError(f"{file}: cannot be read ({error.strerror})") from error
+        values = np.array(data.decode("ascii").split(), float)
     except ValueError as error:
         raise FileFormatError(f"{file}: holds more than numbers") from error
     if len(values) not in (9, 16):

@@ -10,19 +10,21 @@ import json
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, BinaryIO, NoReturn
 
 import numpy as np
 from jaxtyping import Bool, Int
 
 from momapos.errors import FileFormatError
+from momapos.files import open_regular, read_bytes_bounded
 from momapos.scan_io.scannet import ClassSet, class_name, class_set
-from momapos.scan_io.torch_archive import read_tensor
+from momapos.torch_files import load_tensors
 from momapos.types import Instance, UprightBox
 
 FORMAT, VERSION = "momapos-boxes", 1
 MAX_INSTANCES = 10_000
 MAX_LIST_BYTES = 5_000_000
+MAX_NPY_HEADER = 1_000  # characters; numpy evaluates them
 MAX_EDGE, MAX_DISTANCE = 1e3, 1e4  # [m] of a box, from the world's origin
 _BOX_KEYS = {"label", "center", "size", "yaw", "score"}
 _ACCEPTED = (
@@ -48,11 +50,10 @@ def read_instances(
 
     Raises:
         FileFormatError: It cannot be read, belongs to another cloud, or would run code.
+        MissingExtraError: It is OpenMask3D's, and torch is not installed.
     """
     path = Path(path)
-    if not path.is_file():
-        raise FileFormatError(f"{path}: no such file; {_ACCEPTED}")
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         head = file.read(4096)
     if head.startswith(b"PK\x03\x04"):
         return _open_masks(path, cloud_size)
@@ -95,8 +96,11 @@ def _mask3d_row(row: list[str], number: int, path: Path) -> tuple[Path, int, flo
         raise FileFormatError(
             f"{path}: line {number} is not `pred_mask/name.txt class score`"
         ) from None
-    folder = path.parent.resolve()
-    mask = (folder / name).resolve()
+    try:
+        folder = path.parent.resolve()
+        mask = (folder / name).resolve()
+    except (OSError, RuntimeError, ValueError) as error:  # links in a circle, a NUL
+        raise FileFormatError(f"{path}: line {number} names {name!r:.80}, no file") from error
     if not mask.is_relative_to(folder):
         raise FileFormatError(f"{path}: line {number} names {name:.80}, outside its folder")
     return mask, label, min(max(score, 0.0), 1.0)
@@ -113,27 +117,47 @@ def _mask_file(path: Path, cloud_size: int) -> Bool[np.ndarray, " n"]:
 
 
 def _open_masks(path: Path, cloud_size: int) -> list[Instance]:
-    masks = read_tensor(path)
-    if masks.ndim != 2:
-        raise FileFormatError(f"{path}: its tensor is {masks.shape}, not (vertices, masks)")
-    _fitting(masks, cloud_size, path)
-    if masks.shape[1] > MAX_INSTANCES:
-        raise FileFormatError(f"{path}: holds {masks.shape[1]} masks; at most {MAX_INSTANCES}")
-    members = [np.flatnonzero(masks[:, column] > 0.5) for column in range(masks.shape[1])]
+    masks = load_tensors(path)
+    shape = tuple(getattr(masks, "shape", ()))
+    if len(shape) != 2:
+        raise FileFormatError(f"{path}: must hold one tensor (vertices, masks); it holds {shape}")
+    _check_size(shape[0], cloud_size, path)
+    if shape[1] > MAX_INSTANCES:
+        raise FileFormatError(f"{path}: holds {shape[1]} masks; at most {MAX_INSTANCES} are read")
+    try:
+        # One at a time: a tensor whose elements share memory may be far larger than its file.
+        members = [np.flatnonzero((masks[:, k] > 0.5).numpy()) for k in range(shape[1])]
+    except (RuntimeError, TypeError, NotImplementedError) as error:  # sparse, quantized, complex
+        raise FileFormatError(f"{path}: must hold one dense tensor of numbers") from error
     return [Instance("", 1.0, found) for found in members if len(found)]
 
 
 def _npy_labels(path: Path, cloud_size: int) -> Int[np.ndarray, " n"]:
+    with open_regular(path) as file:
+        shape, dtype = _npy_header(file, path)
+        if len(shape) != 1 or not np.issubdtype(dtype, np.integer):
+            raise FileFormatError(
+                f"{path}: is {dtype} of shape {shape}; expected one integer a point"
+            )
+        _check_size(shape[0], cloud_size, path)
+        labels = np.fromfile(file, dtype, cloud_size)
+    if len(labels) < cloud_size:
+        raise FileFormatError(f"{path}: ends after {len(labels)} of {cloud_size} labels")
+    return labels
+
+
+def _npy_header(file: BinaryIO, path: Path) -> tuple[tuple[int, ...], np.dtype]:
+    """Shape and type that a `.npy` file claims; nothing is allocated for them yet."""
+    read = {
+        (1, 0): np.lib.format.read_array_header_1_0,
+        (2, 0): np.lib.format.read_array_header_2_0,
+    }
     try:
-        # Mapped, so that a header that promises too much allocates nothing.
-        labels = np.load(path, mmap_mode="r", allow_pickle=False)
-    except (ValueError, OSError, EOFError) as error:
+        version = np.lib.format.read_magic(file)
+        shape, _, dtype = read[version](file, max_header_size=MAX_NPY_HEADER)
+    except Exception as error:  # numpy evaluates the header, which raises whatever it trips over
         raise FileFormatError(f"{path}: is no array of numbers ({error})") from error
-    if labels.ndim != 1 or not np.issubdtype(labels.dtype, np.integer):
-        raise FileFormatError(
-            f"{path}: is {labels.dtype} of shape {labels.shape}; expected one integer a point"
-        )
-    return _fitting(labels, cloud_size, path)
+    return shape, dtype
 
 
 def _text_labels(path: Path, cloud_size: int) -> Int[np.ndarray, " n"]:
@@ -203,12 +227,16 @@ def _is_number(value: Any) -> bool:
 
 
 def _fitting(values: np.ndarray, cloud_size: int, path: Path) -> np.ndarray:
-    if len(values) != cloud_size:
+    _check_size(len(values), cloud_size, path)
+    return values
+
+
+def _check_size(count: int, cloud_size: int, path: Path) -> None:
+    if count != cloud_size:
         raise FileFormatError(
-            f"{path}: is for a cloud of {len(values)} points, and this one has {cloud_size}; "
+            f"{path}: is for a cloud of {count} points, and this one has {cloud_size}; "
             "give the cloud that was segmented"
         )
-    return values
 
 
 def _point_lines(path: Path, width: int, cloud_size: int) -> bytes:
@@ -219,21 +247,8 @@ def _point_lines(path: Path, width: int, cloud_size: int) -> bytes:
             f"{path}: is for a larger cloud (more than {limit // width} points), and this one has "
             f"{cloud_size}; give the cloud that was segmented"
         )
-    return _bytes(path, limit)
-
-
-def _bytes(path: Path, limit: int) -> bytes:
-    if not path.is_file():
-        raise FileFormatError(f"{path}: no such mask file")
-    try:
-        with path.open("rb") as file:
-            data = file.read(limit + 1)
-    except OSError as error:
-        raise FileFormatError(f"{path}: cannot be read ({error.strerror})") from error
-    if len(data) > limit:
-        raise FileFormatError(f"{path}: is longer than the {limit} bytes it can have")
-    return data
+    return read_bytes_bounded(path, limit)
 
 
 def _text(path: Path, limit: int) -> str:
-    return _bytes(path, limit).decode("utf-8", errors="replace")
+    return read_bytes_bounded(path, limit).decode("utf-8", errors="replace")

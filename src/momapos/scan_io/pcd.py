@@ -10,6 +10,7 @@ from jaxtyping import UInt8
 from numba import njit
 
 from momapos.errors import FileFormatError
+from momapos.files import open_regular
 from momapos.scan_io.ply import MAX_POINTS, Columns
 
 MAX_HEADER_BYTES = 10_000
@@ -31,7 +32,7 @@ def read_pcd(path: Path) -> Columns:
         FileFormatError: It is damaged, or has more than `MAX_POINTS`.
     """
     try:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             header = _header(file, path)
             dtype, count = _layout(header, path)
             kind = header["DATA"][0].lower()

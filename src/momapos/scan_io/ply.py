@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Int
 
 from momapos.errors import FileFormatError
+from momapos.files import open_regular
 
 MAX_POINTS = 50_000_000
 MAX_HEADER_BYTES = 100_000
@@ -58,7 +59,7 @@ def read_ply(path: Path) -> tuple[Columns, Int[np.ndarray, "m 3"] | None]:
         FileFormatError: It is damaged, has no vertices, or more than `MAX_POINTS`.
     """
     try:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             order, elements = _header(file, path)
             return _body(file, path, order, elements)
     except OSError as error:
@@ -165,21 +166,24 @@ def _triangles(
     file: BinaryIO, order: str, element: _Element, vertices: int
 ) -> Int[np.ndarray, "m 3"] | None:
     """Faces, or None where they are not all triangles or damaged: only normals need them."""
-    (_, kind), *others = element.columns
-    if " " not in kind or any(" " in other for _, other in others):
+    kinds = [kind.split() for _, kind in element.columns]
+    if [len(kind) for kind in kinds] != [2] + [1] * (len(kinds) - 1):
         return None
-    length, item = kind.split()
+    length, item = kinds[0]
+    if "f" in length + item:
+        return None
     if order:
         dtype = np.dtype(
             [("n", order + length), ("v", order + item, 3)]
-            + [(f"f{i}", order + other) for i, (_, other) in enumerate(others)]
+            + [(f"f{i}", order + kind) for i, (kind,) in enumerate(kinds[1:])]
         )
         table = np.fromfile(file, dtype, _available(file, dtype.itemsize, element.count))
         lengths, corners = table["n"], table["v"].astype(np.int64)
     else:
         try:
             rows = np.loadtxt(file, max_rows=element.count, ndmin=2, comments=None)
-            lengths, corners = rows[:, 0], rows[:, 1:4].astype(np.int64)
+            with np.errstate(invalid="ignore"):
+                lengths, corners = rows[:, 0], rows[:, 1:4].astype(np.int64)
         except (ValueError, IndexError):
             return None
     good = len(corners) == element.count and corners.shape[1:] == (3,) and np.all(lengths == 3)

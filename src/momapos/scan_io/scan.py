@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from momapos.errors import FileFormatError, InputError
+from momapos.files import open_regular
 from momapos.scan_io.bags import BagTopics, read_bag
 from momapos.scan_io.clouds import read_cloud
 from momapos.scan_io.layouts import find_layout, list_names, read_frames
@@ -98,7 +99,7 @@ def _read_folder(path: Path, max_frames: int, depth_scale: float, topics: BagTop
 
 
 def _kind(path: Path) -> str | None:
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         head = file.read(64)
     return next((kind for start, kind in _HEADS if head.startswith(start)), None)
 
