@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from enum import StrEnum
 from pathlib import Path
 
 import numpy as np
@@ -101,6 +102,17 @@ def default_tools() -> Tools:
     return Tools(ClassicalSegmenter(), network, network, TemplatePredictor())
 
 
+class PartSource(StrEnum):
+    """Where the parts of an object are from."""
+
+    PREDICTED = "predicted"
+    """Seen on the images."""
+    GUESSED = "guessed"
+    """From a template, for a front on which nothing was seen."""
+    GIVEN = "given"
+    """A URDF file of the user's."""
+
+
 @dataclass(frozen=True, eq=False)
 class Decision:
     """What was decided about one object, and why."""
@@ -111,8 +123,8 @@ class Decision:
     view: View | None
     """Its front; None where it was not looked for, or none was seen."""
     parts: tuple[Part, ...]
-    source: str
-    """Where the parts are from: "predicted", "guessed", "given"; "" for a box."""
+    source: PartSource | None
+    """Where the parts are from; None for a box."""
     reason: str
     """Why it stays a box; "" where it is modelled."""
     seconds: float = 0.0
@@ -199,7 +211,7 @@ def scan_to_scene(
         decisions.append(replace(decision, seconds=clock() - at))
     marks["model"] = clock()
     walls = wall_detections(room, config.boxes)
-    decisions += [Decision(wall, None, None, (), "", "a wall") for wall in walls]
+    decisions += [Decision(wall, None, None, (), None, "a wall") for wall in walls]
     models = {d.detection.name: d.model for d in decisions if d.model is not None}
     build_scene([d.detection for d in decisions], models, floor_outline(cloud), out)
     marks["write"] = clock()
@@ -304,7 +316,7 @@ def _decide(
 ) -> Decision:
     """Look at one object, and model it if it matters and has a front."""
     alpha = config.importance.alpha
-    box = Decision(item, score, None, (), "", "")
+    box = Decision(item, score, None, (), None, "")
     if score is not None and score < alpha:
         return replace(box, reason=f"importance {score:.2f} is below alpha {alpha:.2f}")
     if (np.sort(item.box.size)[:2] < config.least_sides).any():
@@ -321,7 +333,7 @@ def _decide(
     own = given.get(item.name, given.get(item.label))
     if own is not None:
         model, warnings = place_model(item, facing, own)
-        return replace(box, view=view, source="given", model=model, warnings=warnings)
+        return replace(box, view=view, source=PartSource.GIVEN, model=model, warnings=warnings)
     parts, source = _parts(view, item.label, tools)
     if not parts:
         return replace(box, view=view, reason="a front without doors or drawers")
@@ -329,10 +341,10 @@ def _decide(
     return replace(box, view=view, parts=parts, source=source, model=piece)
 
 
-def _parts(view: View, label: str, tools: Tools) -> tuple[tuple[Part, ...], str]:
+def _parts(view: View, label: str, tools: Tools) -> tuple[tuple[Part, ...], PartSource]:
     """Doors and drawers of a front, and where they are from."""
     same = tools.predict is tools.look
     parts = view.front.parts if same else tools.predict(view.image, label).parts
     if parts or tools.guess is None:
-        return parts, "predicted"
-    return tools.guess(view.image, label).parts, "guessed"
+        return parts, PartSource.PREDICTED
+    return tools.guess(view.image, label).parts, PartSource.GUESSED

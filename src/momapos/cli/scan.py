@@ -80,11 +80,18 @@ def scan_room(
     import json as encoder
 
     from momapos.cli.console import progress
+    from momapos.files import check_outputs
+    from momapos.fusion.tsdf import check_voxel
     from momapos.scan_io.bags import BagTopics
     from momapos.scan_io.scan import read_scan
     from momapos.scan_pipeline import scan_to_scene
-    from momapos.scan_report import report_to_dict, write_report
+    from momapos.scan_report import outputs_of, report_to_dict, write_report
 
+    check_voxel(options.voxel)
+    if options.predictor == "urdformer" and options.checkpoint is None:
+        raise InputError("--predictor urdformer needs --checkpoint PATH/part.pth")
+    given = _given(options.models)
+    check_outputs(*outputs_of(out, pictures=pictures))
     topics = BagTopics(
         options.depth_topic, options.colour_topic, options.info_topic, options.fixed_frame
     )
@@ -93,7 +100,7 @@ def scan_room(
     )
     for warning in scan.warnings:
         print(f"momapos: {warning}", file=sys.stderr)
-    tools, given, found = _tools(scan, options), _given(options.models), _found(scan, options)
+    tools, found = _tools(scan, options), _found(scan, options)
     with progress("scan") as report:
         result = scan_to_scene(
             scan, out, tools, target=options.target, found=found, given=given,
@@ -164,8 +171,7 @@ def _tools(scan: Scan, options: ScanOptions) -> Tools:
     elif options.predictor == "urdformer":
         from momapos.reconstruction.urdformer import UrdformerPredictor, load_urdformer
 
-        if options.checkpoint is None:
-            raise InputError("--predictor urdformer needs --checkpoint PATH/part.pth")
+        assert options.checkpoint is not None, "scan_room has looked"
         predict = UrdformerPredictor(load_urdformer(options.checkpoint), tools.look)
     segment = tools.segment if options.instances is None else _reader(scan, options.instances)
     return replace(tools, segment=segment, predict=predict)

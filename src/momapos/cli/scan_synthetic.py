@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 from momapos.cli.console import progress
+from momapos.files import check_outputs
 from momapos.scene.files import load_scene
 from momapos.synthetic_scans.depth_sensor import DepthSensor
 from momapos.synthetic_scans.recording import refuse_used, synthetic_scan, write_scan
@@ -37,6 +38,7 @@ def scene_scan(
         json: Print one JSON object instead of text.
     """
     refuse_used(out)
+    check_outputs(folders=[out])
     loaded = load_scene(scene)
     sensor = DepthSensor() if noise else None
     scan = synthetic_scan(loaded, frames=frames, seed=seed, sensor=sensor, tilt=tilt)

@@ -59,6 +59,8 @@ def read_scan(
     path = Path(path)
     if not 0 < depth_scale < float("inf"):
         raise InputError(f"depth_scale is {depth_scale}; it is the units of depth in a metre")
+    if max_frames < 1:
+        raise InputError(f"max_frames is {max_frames}; at least 1 frame is needed")
     if path.is_dir():
         return _read_folder(path, max_frames, depth_scale, topics)
     if not path.is_file():
