@@ -23,23 +23,23 @@ import numpy as np
 from jaxtyping import Float
 
 from importance_rooms import is_wall
+from momapos.fusion.gravity import align_to_gravity
+from momapos.fusion.tsdf import fuse
 from momapos.geometry.transforms import apply, pose
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.urdf import Geometry, Link, Urdf, box_urdf
-from momapos.perception.boxes import boxes
-from momapos.perception.fusion import fuse
-from momapos.perception.gravity import upright
-from momapos.perception.planes import find_room
-from momapos.perception.recording import synthetic_scan, write_scan
-from momapos.perception.scan import read_scan
-from momapos.perception.segment import ClassicalSegmenter
-from momapos.perception.sensor import DepthSensor
 from momapos.protocols import ArticulationPredictor
 from momapos.reconstruction.network import FrontNetwork
+from momapos.scan_io.scan import read_scan
 from momapos.scan_pipeline import ScanConfig, divide
 from momapos.scene.files import load_scene
 from momapos.scene.kitchens import LAYOUTS, generate_kitchen
 from momapos.scene.scene import Scene, SceneObject
+from momapos.segmentation.boxes import boxes
+from momapos.segmentation.room import find_room
+from momapos.segmentation.segmenter import ClassicalSegmenter
+from momapos.synthetic_scans.depth_sensor import DepthSensor
+from momapos.synthetic_scans.recording import synthetic_scan, write_scan
 from momapos.types import Cloud, Detection, UprightBox
 from placement import SCENES, machine, shared
 
@@ -157,7 +157,7 @@ def detect(
     marks["read"] = time.perf_counter()
     cloud = fuse(scan.frames, config.voxel, config.fusion)
     marks["fuse"] = time.perf_counter()
-    T = upright(cloud, scan.frames, config.gravity)
+    T = align_to_gravity(cloud, scan.frames, config.gravity)
     cloud = Cloud(apply(T, cloud.points), cloud.normals @ T[:3, :3].T, cloud.colours)
     frames = [replace(f, T_world_camera=T @ f.T_world_camera) for f in scan.frames]
     marks["upright"] = time.perf_counter()

@@ -23,22 +23,22 @@ from pathlib import Path
 import numpy as np
 
 from momapos.geometry.transforms import apply, pose
+from momapos.geometry.upright_boxes import top
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.urdf import Urdf, box_urdf, read_urdf
 from momapos.manipulation.handles import WORD, has_handle
 from momapos.manipulation.tasks import hand_path
-from momapos.perception.detections import projection
-from momapos.perception.faces import Face
-from momapos.perception.recording import synthetic_scan, true_box
-from momapos.perception.sensor import DepthSensor
-from momapos.perception.upright_boxes import top
-from momapos.perception.views import View, cosines_to
 from momapos.reconstruction.build import build_scene
 from momapos.reconstruction.model import furniture_model
 from momapos.scan_pipeline import Decision, scan_to_scene
 from momapos.scene.files import load_scene
 from momapos.scene.scene import Scene, SceneObject
+from momapos.synthetic_scans.depth_sensor import DepthSensor
+from momapos.synthetic_scans.recording import synthetic_scan, true_box
 from momapos.types import Frame, Scan, UprightBox
+from momapos.views.faces import Face
+from momapos.views.front_view import View, cosines_to
+from momapos.views.projection import projection
 from placement import shared
 
 FRIDGES = ("Fridge/10144", "Fridge/11299", "Fridge/12248", "MiniFridge/10797",

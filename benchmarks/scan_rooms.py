@@ -6,12 +6,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from momapos.perception.recording import synthetic_scan, write_scan
-from momapos.perception.scan import read_scan
-from momapos.perception.sensor import DepthSensor
+from momapos.scan_io.scan import read_scan
 from momapos.scene.files import load_scene
 from momapos.scene.kitchens import LAYOUTS, generate_kitchen
 from momapos.scene.scene import Scene
+from momapos.synthetic_scans.depth_sensor import DepthSensor
+from momapos.synthetic_scans.recording import synthetic_scan, write_scan
 from momapos.types import Scan
 
 

@@ -4,8 +4,8 @@ import tempfile
 from pathlib import Path
 
 from momapos import load_robot, load_scene, make_task, openable, plan_base_placement, scan_to_scene
-from momapos.perception.recording import synthetic_scan
-from momapos.perception.sensor import DepthSensor
+from momapos.synthetic_scans.depth_sensor import DepthSensor
+from momapos.synthetic_scans.recording import synthetic_scan
 from momapos.types import Scan
 
 camera = synthetic_scan(load_scene("kitchen_small"), frames=60, seed=0, sensor=DepthSensor())

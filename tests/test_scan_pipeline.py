@@ -13,16 +13,16 @@ from momapos.cli.main import main
 from momapos.errors import InputError, UnknownNameError
 from momapos.geometry.transforms import apply
 from momapos.manipulation.tasks import hand_path, openable
-from momapos.perception.recording import synthetic_scan, write_scan
-from momapos.perception.scan import read_scan
-from momapos.perception.segment import ClassicalSegmenter
-from momapos.perception.sensor import DepthSensor
 from momapos.reconstruction.build import GivenModel
 from momapos.reconstruction.network import FrontNetwork
 from momapos.reconstruction.templates import TemplatePredictor
+from momapos.scan_io.scan import read_scan
 from momapos.scan_pipeline import Modelled, Tools, scan_to_scene
 from momapos.scan_report import report_to_dict, write_report
 from momapos.scene.files import load_scene
+from momapos.segmentation.segmenter import ClassicalSegmenter
+from momapos.synthetic_scans.depth_sensor import DepthSensor
+from momapos.synthetic_scans.recording import synthetic_scan, write_scan
 from momapos.types import Instance, Scan, UprightBox
 
 
@@ -160,7 +160,7 @@ def test_the_command_prints_one_object_of_json(
         "--out",
         str(out),
         "--json",
-        "--no-pictures",
+        "--no-images",
         "--max-frames",
         "20",
     ]

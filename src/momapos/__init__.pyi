@@ -9,7 +9,6 @@ from .manipulation.motion import MotionConfig as MotionConfig
 from .manipulation.planner import PlannerConfig as PlannerConfig
 from .manipulation.tasks import make_task as make_task
 from .manipulation.tasks import openable as openable
-from .perception.scan import read_scan as read_scan
 from .pipeline import PlacementResult as PlacementResult
 from .pipeline import plan_base_placement as plan_base_placement
 from .placement.place import PlaceConfig as PlaceConfig
@@ -20,6 +19,7 @@ from .reachability.map import ReachMap as ReachMap
 from .reachability.store import load_reach_map as load_reach_map
 from .robots.robot import Robot as Robot
 from .robots.robot import load_robot as load_robot
+from .scan_io.scan import read_scan as read_scan
 from .scan_pipeline import scan_to_scene as scan_to_scene
 from .scene.files import load_scene as load_scene
 from .scene.files import save_scene as save_scene

@@ -5,32 +5,20 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from enum import StrEnum
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
 from momapos.errors import InputError
+from momapos.fusion.gravity import GravityConfig, align_to_gravity
+from momapos.fusion.tsdf import FusionConfig, fuse
 from momapos.geometry.transforms import apply, pose, rotation_about
 from momapos.importance.rank import rank
 from momapos.importance.scorers import ImportanceConfig
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.urdf import box_urdf
-from momapos.perception.boxes import (
-    BoxConfig,
-    boxes,
-    inside,
-    named,
-    wall_detections,
-    without_pieces,
-)
-from momapos.perception.detections import PictureBox, sights, vote_label
-from momapos.perception.fusion import FusionConfig, fuse
-from momapos.perception.gravity import GravityConfig, upright
-from momapos.perception.planes import RoomConfig, find_room
-from momapos.perception.rows import RowConfig, split_row
-from momapos.perception.segment import ClassicalSegmenter
-from momapos.perception.views import Seen, View, ViewConfig, choose_view
 from momapos.protocols import ArticulationPredictor, Clock, Segmenter
 from momapos.reconstruction.build import GivenModel, build_scene, place_model
 from momapos.reconstruction.model import ModelConfig, furniture_model
@@ -38,11 +26,34 @@ from momapos.reconstruction.network import FrontNetwork
 from momapos.reconstruction.templates import TemplatePredictor
 from momapos.scene.library.furniture import Piece
 from momapos.scene.scene import Scene, SceneObject
-from momapos.types import Cloud, Detection, FaceImage, Frame, Front, Instance, Part, Scan
+from momapos.segmentation.boxes import (
+    BoxConfig,
+    boxes,
+    inside,
+    named,
+    wall_detections,
+    without_pieces,
+)
+from momapos.segmentation.room import RoomConfig, find_room
+from momapos.segmentation.segmenter import ClassicalSegmenter
+from momapos.types import (
+    Cloud,
+    Detection,
+    FaceImage,
+    Frame,
+    Front,
+    ImageDetection,
+    Instance,
+    Part,
+    Scan,
+)
+from momapos.views.front_view import Seen, View, ViewConfig, choose_view
+from momapos.views.projection import sights, vote_label
+from momapos.views.rows import RowConfig, split_row
 
 Progress = Callable[[str, float], None]
 """Told what is at work, and the share of the whole that is done."""
-Found = Mapping[str, Sequence[PictureBox]]
+Found = Mapping[str, Sequence[ImageDetection]]
 """What a 2-D detector found, by the frame's name."""
 
 BUILDING = ("wall", "floor", "ceiling", "window", "door")
@@ -54,7 +65,7 @@ class ScanConfig:
     """How a scan becomes a scene."""
 
     voxel: float = 0.015
-    """Edge of the voxels that depth pictures are fused in [m]."""
+    """Edge of the voxels that depth images are fused in [m]."""
     least_sides: tuple[float, float] = (0.1, 0.2)
     """Things whose shortest or middle edge is shorter than this have no doors or drawers [m]."""
     fusion: FusionConfig = field(default_factory=FusionConfig)
@@ -91,6 +102,17 @@ def default_tools() -> Tools:
     return Tools(ClassicalSegmenter(), network, network, TemplatePredictor())
 
 
+class PartSource(StrEnum):
+    """Where the parts of an object are from."""
+
+    PREDICTED = "predicted"
+    """Seen on the images."""
+    GUESSED = "guessed"
+    """From a template, for a front on which nothing was seen."""
+    GIVEN = "given"
+    """A URDF file of the user's."""
+
+
 @dataclass(frozen=True, eq=False)
 class Decision:
     """What was decided about one object, and why."""
@@ -101,8 +123,8 @@ class Decision:
     view: View | None
     """Its front; None where it was not looked for, or none was seen."""
     parts: tuple[Part, ...]
-    source: str
-    """Where the parts are from: "predicted", "guessed", "given"; "" for a box."""
+    source: PartSource | None
+    """Where the parts are from; None for a box."""
     reason: str
     """Why it stays a box; "" where it is modelled."""
     seconds: float = 0.0
@@ -119,7 +141,7 @@ class Modelled:
     cloud: Cloud
     """The room, upright."""
     frames: tuple[Frame, ...]
-    """The pictures, with poses in the upright world."""
+    """The images, with poses in the upright world."""
     T_scene_scan: Float[np.ndarray, "4 4"]
     decisions: tuple[Decision, ...]
     timing: Mapping[str, float] = field(default_factory=dict)
@@ -141,12 +163,12 @@ def scan_to_scene(
     """Make a scene whose doors and drawers open from a scan of a room.
 
     Args:
-        scan: Posed pictures, a cloud, or both.
+        scan: Posed images, a cloud, or both.
         out: The scene file to write; URDF files go into a folder beside it.
         tools: Segmenter and predictors; `default_tools` by default.
         target: Object that the task will be about: only what matters for it is modelled. By
             default everything is that has a front.
-        found: What a 2-D detector found in the pictures; projected boxes by default.
+        found: What a 2-D detector found in the images; projected boxes by default.
         given: URDF files for objects by name or label, which need no prediction.
         config: How every stage works.
         progress: Told what goes on.
@@ -162,7 +184,7 @@ def scan_to_scene(
     cloud = scan.cloud or fuse(scan.frames, config.voxel, config.fusion)
     marks["fuse"] = clock()
     progress("finding objects", 0.2)
-    T = upright(cloud, scan.frames, config.gravity)
+    T = align_to_gravity(cloud, scan.frames, config.gravity)
     cloud, frames = _turned(cloud, scan.frames, T)
     room = find_room(cloud, config.room)
     things = [item for item in tools.segment(cloud) if item.label not in BUILDING]
@@ -189,7 +211,7 @@ def scan_to_scene(
         decisions.append(replace(decision, seconds=clock() - at))
     marks["model"] = clock()
     walls = wall_detections(room, config.boxes)
-    decisions += [Decision(wall, None, None, (), "", "a wall") for wall in walls]
+    decisions += [Decision(wall, None, None, (), None, "a wall") for wall in walls]
     models = {d.detection.name: d.model for d in decisions if d.model is not None}
     build_scene([d.detection for d in decisions], models, floor_outline(cloud), out)
     marks["write"] = clock()
@@ -244,7 +266,7 @@ def divide(
 
 
 def _relabelled(item: Detection, frames: Sequence[Frame], found: Found) -> Detection:
-    """A 2-D detector that was trained on pictures knows better what a thing is."""
+    """A 2-D detector that was trained on images knows better what a thing is."""
     return replace(item, label=vote_label(item.box, frames, found) or item.label)
 
 
@@ -294,7 +316,7 @@ def _decide(
 ) -> Decision:
     """Look at one object, and model it if it matters and has a front."""
     alpha = config.importance.alpha
-    box = Decision(item, score, None, (), "", "")
+    box = Decision(item, score, None, (), None, "")
     if score is not None and score < alpha:
         return replace(box, reason=f"importance {score:.2f} is below alpha {alpha:.2f}")
     if (np.sort(item.box.size)[:2] < config.least_sides).any():
@@ -306,12 +328,12 @@ def _decide(
     seen = sights(item.box, frames, found)
     view = choose_view(item.box, frames, seen, look, config.view, before)
     if view is None:
-        return replace(box, reason="no picture shows a front")
+        return replace(box, reason="no image shows a front")
     facing = float(np.arctan2(view.face.outward[1], view.face.outward[0]))
     own = given.get(item.name, given.get(item.label))
     if own is not None:
         model, warnings = place_model(item, facing, own)
-        return replace(box, view=view, source="given", model=model, warnings=warnings)
+        return replace(box, view=view, source=PartSource.GIVEN, model=model, warnings=warnings)
     parts, source = _parts(view, item.label, tools)
     if not parts:
         return replace(box, view=view, reason="a front without doors or drawers")
@@ -319,10 +341,10 @@ def _decide(
     return replace(box, view=view, parts=parts, source=source, model=piece)
 
 
-def _parts(view: View, label: str, tools: Tools) -> tuple[tuple[Part, ...], str]:
+def _parts(view: View, label: str, tools: Tools) -> tuple[tuple[Part, ...], PartSource]:
     """Doors and drawers of a front, and where they are from."""
     same = tools.predict is tools.look
     parts = view.front.parts if same else tools.predict(view.image, label).parts
     if parts or tools.guess is None:
-        return parts, "predicted"
-    return tools.guess(view.image, label).parts, "guessed"
+        return parts, PartSource.PREDICTED
+    return tools.guess(view.image, label).parts, PartSource.GUESSED

@@ -46,7 +46,7 @@ def _decision(decision: Decision, result: Modelled) -> dict[str, Any]:
         "yaw": round(float(np.degrees(item.box.yaw)), 2),
         "importance": decision.importance,
         "modelled": decision.model is not None,
-        "source": decision.source or None,
+        "source": decision.source,
         "reason": decision.reason or None,
         "warnings": list(decision.warnings),
         "seconds": round(decision.seconds, 3),
@@ -64,20 +64,30 @@ def _decision(decision: Decision, result: Modelled) -> dict[str, Any]:
     return data
 
 
+def outputs_of(out: Path, *, pictures: bool) -> tuple[list[Path], list[Path]]:
+    """Files and folders that a scan is written to, beside its scene file."""
+    folders = [out.parent / f"{out.stem}_urdf"] + ([_pictures_folder(out)] if pictures else [])
+    return [out, out.parent / NAME], folders
+
+
+def _pictures_folder(out: Path) -> Path:
+    return out.parent / f"{out.stem}_pictures"
+
+
 def write_report(
     result: Modelled, data: dict[str, Any], out: Path, *, pictures: bool
 ) -> Path | None:
-    """Write `scan_report.json` beside the scene, and a picture of every object looked at.
+    """Write `scan_report.json` beside the scene, and an image of every object looked at.
 
     Returns:
-        The folder of the pictures; None where none are wanted.
+        The folder of the images; None where none are wanted.
     """
     write_whole(out.parent / NAME, json.dumps(data, indent=1, allow_nan=False) + "\n")
     if not pictures:
         return None
     from momapos.viewer.modelling import draw_modelled
 
-    folder = out.parent / f"{out.stem}_pictures"
+    folder = _pictures_folder(out)
     folder.mkdir(exist_ok=True)
     scene = load_scene(str(out))
     for decision in result.decisions:

@@ -90,17 +90,27 @@ class Detection:
     """Indices into the cloud, outliers removed."""
 
 
+@dataclass(frozen=True)
+class ImageDetection:
+    """One thing that a 2-D detector found in one image."""
+
+    box: tuple[float, float, float, float]
+    """Left, top, right, bottom [px]."""
+    label: str
+    score: float
+
+
 @dataclass(frozen=True, eq=False)
 class FaceImage:
     """One upright face of a box, seen straight on; row 0 is its top, column 0 its left."""
 
     colour: UInt8[np.ndarray, "h w 3"]
-    relief: Float32[np.ndarray, "h w"]
+    height_map: Float32[np.ndarray, "h w"]
     """How far the surface stands out of the face's plane [m]; NaN where not measured."""
     width: float
     """Size of the face [m]."""
     height: float
-    eye: Float[np.ndarray, "3"] | None = None
+    camera_position: Float[np.ndarray, "3"] | None = None
     """Where the camera was that took the colours [m]: x right and y up from the middle of the face,
     z outward. What stands out was seen displaced, away from there. None where it is not known."""
 

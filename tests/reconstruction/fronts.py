@@ -7,25 +7,25 @@ from typing import Any
 import numpy as np
 from hypothesis import strategies as st
 
-from momapos.reconstruction.reliefs import Area
+from momapos.reconstruction.height_maps import Area
 from momapos.types import FaceImage, Part, PartKind
 
 KINDS: tuple[PartKind, ...] = ("door_left", "door_right", "door_down", "door_up", "drawer")
 SCALE = 400.0  # [1/m] pixels of a face
 
 
-def face_of(width: float, height: float, relief: float = np.nan) -> FaceImage:
-    """A face of one colour and relief [m], not measured without one."""
+def face_of(width: float, height: float, height_map: float = np.nan) -> FaceImage:
+    """A face of one colour and height map [m], not measured without one."""
     shape = (round(height * SCALE), round(width * SCALE))
     colour = np.full((*shape, 3), 200, np.uint8)
-    return FaceImage(colour, np.full(shape, relief, np.float32), width, height)
+    return FaceImage(colour, np.full(shape, height_map, np.float32), width, height)
 
 
-def raised(face: FaceImage, box: tuple[float, float, float, float], relief: float) -> None:
-    """Set the relief [m] of a rectangle (left, top, right, bottom) of a face, in fractions."""
-    h, w = face.relief.shape
+def raised(face: FaceImage, box: tuple[float, float, float, float], height_map: float) -> None:
+    """Set the height map [m] of a rectangle (left, top, right, bottom) of a face, in fractions."""
+    h, w = face.height_map.shape
     left, top, right, bottom = np.round(np.array(box) * [w, h, w, h]).astype(int)
-    face.relief[top:bottom, left:right] = relief
+    face.height_map[top:bottom, left:right] = height_map
 
 
 def overlap(a: Area, b: Area) -> float:

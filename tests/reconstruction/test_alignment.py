@@ -12,7 +12,7 @@ from tests.reconstruction.fronts import any_parts, face_of, fronts, overlap, rai
 
 from momapos.errors import InputError
 from momapos.reconstruction.alignment import AlignmentConfig, align
-from momapos.reconstruction.reliefs import Area
+from momapos.reconstruction.height_maps import Area
 from momapos.types import Part
 
 FACE = (0.6, 1.8)  # [m]
@@ -115,14 +115,14 @@ def test_on_the_grid_edges_are_whole_steps_and_at_most_half_a_step_off(
 
 
 @pytest.mark.parametrize("front", [-0.03, 0.0, 0.025])
-def test_relief_says_where_the_front_of_a_part_and_its_handle_are(front: float) -> None:
+def test_height_map_says_where_the_front_of_a_part_and_its_handle_are(front: float) -> None:
     handle = (0.85, 0.4, 0.89, 0.6)
     face = face_of(*FACE, 0.0)
     raised(face, (0.0, 0.1, 1.0, 1.0), front)
     raised(face, handle, front + 0.055)
-    noise = np.random.default_rng(0).normal(0, 0.003, face.relief.shape)
-    face.relief[...] += noise
-    face.relief[np.random.default_rng(1).random(face.relief.shape) < 0.4] = np.nan
+    noise = np.random.default_rng(0).normal(0, 0.003, face.height_map.shape)
+    face.height_map[...] += noise
+    face.height_map[np.random.default_rng(1).random(face.height_map.shape) < 0.4] = np.nan
     (part,) = align(face, [Part("door_left", (0.0, 0.1, 1.0, 1.0), 0.9, handle)])
     assert part.out == pytest.approx(front, abs=1e-3)
     assert part.handle is not None
@@ -145,11 +145,13 @@ def test_a_sign_is_no_handle_where_a_bar_stands_out(sign: float, bar: float, mov
     assert middle == pytest.approx((0.125 if moves else 0.75) * face.width, abs=0.02)
 
 
-@pytest.mark.parametrize(("relief", "out"), [(0.008, 0.04), (0.03, 0.03), (0.2, 0.12)])
-def test_a_handle_stands_out_by_what_was_measured_within_reason(relief: float, out: float) -> None:
+@pytest.mark.parametrize(("height_map", "out"), [(0.008, 0.04), (0.03, 0.03), (0.2, 0.12)])
+def test_a_handle_stands_out_by_what_was_measured_within_reason(
+    height_map: float, out: float
+) -> None:
     handle = (0.8, 0.4, 0.85, 0.6)
     face = face_of(*FACE, 0.0)
-    raised(face, handle, relief)
+    raised(face, handle, height_map)
     (part,) = align(face, [Part("door_left", (0.0, 0.0, 1.0, 1.0), 0.9, handle)])
     assert part.handle is not None
     assert part.handle.out == pytest.approx(out, abs=1e-6)

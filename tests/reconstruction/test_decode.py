@@ -26,7 +26,7 @@ def test_a_seam_that_is_hardly_darker_than_the_grain_stands_out(wood: np.ndarray
     assert decode.dark_lines(wood, 0).max() < column[120]
 
 
-def test_lines_turn_and_mirror_with_the_picture(wood: np.ndarray) -> None:
+def test_lines_turn_and_mirror_with_the_image(wood: np.ndarray) -> None:
     lines = decode.dark_lines(wood, 1)
     np.testing.assert_allclose(decode.dark_lines(wood.swapaxes(0, 1), 0), lines.T, atol=1e-5)
     np.testing.assert_allclose(decode.dark_lines(wood[:, ::-1], 1), lines[:, ::-1], atol=1e-5)
@@ -39,17 +39,20 @@ def test_a_step_in_brightness_is_no_line() -> None:
     assert decode.dark_lines(step, 0).max() == 0.0
 
 
-def test_relief_counts_from_the_fronts_and_not_from_the_plane_of_the_box(wood: np.ndarray) -> None:
-    relief = np.zeros(wood.shape[:2], np.float32)
-    relief[90:110, 40:60] = 0.04
+def test_height_map_counts_from_the_fronts_and_not_from_the_plane_of_the_box(
+    wood: np.ndarray,
+) -> None:
+    height_map = np.zeros(wood.shape[:2], np.float32)
+    height_map[90:110, 40:60] = 0.04
     near, far = (
-        decode.planes(FaceImage(wood, relief + np.float32(off), 0.9, 0.6)) for off in (0.0, -0.1)
+        decode.planes(FaceImage(wood, height_map + np.float32(off), 0.9, 0.6))
+        for off in (0.0, -0.1)
     )
     np.testing.assert_allclose(near, far, atol=1e-5)
     assert near[100, 50, 3] == pytest.approx(0.5, abs=1e-4)
 
 
-def test_a_face_without_relief_has_none(wood: np.ndarray) -> None:
+def test_a_face_without_height_map_has_none(wood: np.ndarray) -> None:
     stack = decode.planes(FaceImage(wood, np.full(wood.shape[:2], np.nan, np.float32), 0.9, 0.6))
     assert stack.shape == (200, 300, 7)
     assert np.isfinite(stack).all()

@@ -1,4 +1,4 @@
-"""Handles that the networks miss: bars in the relief, and grips that tell a stack of drawers."""
+"""Handles that the networks miss: bars in the height map, and lines that tell drawers."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from tests.reconstruction.fronts import face_of, raised
 
 from momapos.reconstruction import decode
 from momapos.reconstruction.bars import with_bar
-from momapos.reconstruction.grips import into_drawers
+from momapos.reconstruction.drawer_handles import into_drawers
 from momapos.types import FaceImage, Part, PartKind
 
 WHOLE = (0.0, 0.0, 1.0, 1.0)
@@ -28,7 +28,7 @@ Box = tuple[float, float, float, float]
         ("door_left", (0.5, 0.4, 0.53, 0.7), "door_left"),
     ],
 )
-def test_a_bar_in_the_relief_is_the_handle_and_tells_how_a_part_opens(
+def test_a_bar_in_the_height_map_is_the_handle_and_tells_how_a_part_opens(
     said: PartKind, bar: Box, kind: PartKind
 ) -> None:
     face = face_of(0.6, 0.6, 0.0)
@@ -41,7 +41,7 @@ def test_a_bar_in_the_relief_is_the_handle_and_tells_how_a_part_opens(
 
 def test_noise_is_no_bar() -> None:
     face = face_of(0.6, 0.6, 0.0)
-    face.relief[:] = np.random.default_rng(0).normal(0.0, 0.012, face.relief.shape)
+    face.height_map[:] = np.random.default_rng(0).normal(0.0, 0.012, face.height_map.shape)
     raised(face, (0.9, 0.7, 0.93, 0.95), 0.03)
     part = Part("door_right", WHOLE, 0.5)
     assert with_bar(face, part) == part
@@ -57,7 +57,7 @@ def test_a_handle_that_was_seen_stays_and_no_depth_tells_nothing() -> None:
 
 
 def gripped(rows: list[float], *, left: float = 0.4, wide: float = 0.2) -> FaceImage:
-    """A plain front of 0.5 x 0.8 m with faint grips at some heights, as shares from the top."""
+    """A plain front of 0.5 x 0.8 m with faint handles at some heights, as shares from the top."""
     face = face_of(0.5, 0.8)
     h, w = face.colour.shape[:2]
     for row in rows:
@@ -73,7 +73,7 @@ def drawers_on(face: FaceImage, kind: PartKind = "door_right") -> tuple[Part, ..
 @pytest.mark.parametrize(
     ("rows", "edges"),
     [([0.1, 0.4, 0.7], [0.1, 0.4, 0.7, 1.0]), ([1 / 6, 0.5, 5 / 6], [0.0, 1 / 3, 2 / 3, 1.0])],
-    ids=["grips at the top", "grips in the middle"],
+    ids=["handles at the top", "handles in the middle"],
 )
 def test_grips_evenly_above_each_other_are_those_of_drawers(
     rows: list[float], edges: list[float]

@@ -31,12 +31,12 @@ from momapos.scene.scene import SceneObject
 from momapos.types import Detection, FaceImage, Part, PartKind, UprightBox
 
 UP = np.array([0.0, 0.0, 1.0])
-CENTRE = np.array([1.0, -2.0, 0.9])
+CENTER = np.array([1.0, -2.0, 0.9])
 
 
 def detection(width: float, depth: float, height: float, yaw: float = 0.3) -> Detection:
     """A fridge whose front is the -y side of its box."""
-    box = UprightBox(CENTRE, np.array([width, depth, height]), yaw)
+    box = UprightBox(CENTER, np.array([width, depth, height]), yaw)
     return Detection("fridge", "fridge", 0.9, box, np.arange(3))
 
 
@@ -97,7 +97,7 @@ def test_a_random_front_opens_part_by_part_and_hits_nothing_of_its_own(
     face = face_of(size[0], size[2])
     if seed is not None:
         rng = np.random.default_rng(seed)
-        face.relief[...] = rng.uniform(-0.05, 0.05)
+        face.height_map[...] = rng.uniform(-0.05, 0.05)
         for part in parts:
             raised(face, part.box, rng.uniform(-0.08, 0.08))
     _, item = modelled(detection(*size, yaw), parts, face)
@@ -139,7 +139,7 @@ def test_a_closed_model_fills_its_box_but_for_handles(
     found = detection(*size, yaw)
     _, item = modelled(found, parts)
     links = [name for name in item.model.links if "handle" not in name]
-    T_box_world = invert(pose(CENTRE, rotation_about(UP, yaw)))
+    T_box_world = invert(pose(CENTER, rotation_about(UP, yaw)))
     points = np.concatenate(
         [
             apply(T_box_world @ item.link_poses()[n], h.vertices)
@@ -228,10 +228,10 @@ def test_the_true_front_of_a_kitchens_piece_gives_its_true_handle_paths(name: st
     parts, truth = [], {}
     for joint, record in joints.items():
         links = rigid_links(item.model, joint)
-        area, relief = seen([n for n in links if "handle" not in n])
-        handle, handle_relief = seen([n for n in links if "handle" in n])
-        raised(face, area, relief)
-        raised(face, handle, handle_relief)
+        area, height_map = seen([n for n in links if "handle" not in n])
+        handle, handle_height_map = seen([n for n in links if "handle" in n])
+        raised(face, area, height_map)
+        raised(face, handle, handle_height_map)
         kind: PartKind = "drawer"
         if record.kind == "revolute":
             axis = R.T @ (item.link_poses()[record.child][:3, :3] @ record.axis)
@@ -288,25 +288,25 @@ def test_parts_are_named_top_to_bottom_and_left_to_right() -> None:
 
 def test_the_room_behind_a_door_is_empty() -> None:
     _, item = modelled(detection(0.6, 0.6, 1.8), [Part("door_left", (0.0, 0.0, 1.0, 1.0), 0.9)])
-    room = (CENTRE[None], rotation_about(UP, 0.3)[None], np.array([[0.27, 0.25, 0.87]]))
+    room = (CENTER[None], rotation_about(UP, 0.3)[None], np.array([[0.27, 0.25, 0.87]]))
     assert deepest(room, boxes(item, ["body"], {})) < 0
 
 
 def test_what_does_not_open_is_closed_by_panels() -> None:
     _, item = modelled(detection(0.5, 0.35, 0.3), [Part("door_left", (0.0, 0.0, 0.7, 1.0), 0.9)])
-    T = pose(CENTRE, rotation_about(UP, 0.3))
+    T = pose(CENTER, rotation_about(UP, 0.3))
     button = apply(T, np.array([[0.2, -0.17, 0.0]]))
     room = (button, rotation_about(UP, 0.3)[None], np.full((1, 3), 1e-3))
     assert deepest(room, boxes(item, ["body"], {})) > 0
 
 
 @pytest.mark.parametrize(
-    ("relief", "front", "thickness"), [(0.045, 0.045, 0.045), (0.0, 0.0, 0.02)]
+    ("height_map", "front", "thickness"), [(0.045, 0.045, 0.045), (0.0, 0.0, 0.02)]
 )
 def test_a_door_that_stands_proud_is_as_thick_as_it_stands_out(
-    relief: float, front: float, thickness: float
+    height_map: float, front: float, thickness: float
 ) -> None:
-    face = face_of(0.6, 1.8, relief)
+    face = face_of(0.6, 1.8, height_map)
     part = Part("door_right", (0.0, 0.0, 1.0, 1.0), 0.9)
     piece, _ = modelled(detection(0.6, 0.6, 1.8), [part], face)
     (panel,) = piece.parts[1].boxes
@@ -336,4 +336,4 @@ def test_without_parts_the_model_is_the_box() -> None:
     piece = furniture_model(detection(0.6, 0.5, 0.8), 0.3 - np.pi / 2, face_of(0.6, 0.8), [])
     (body,) = piece.parts
     assert body.boxes[0].high == (0.3, 0.25, 0.4)
-    assert (piece.xyz, piece.yaw) == (tuple(CENTRE), pytest.approx(0.3))
+    assert (piece.xyz, piece.yaw) == (tuple(CENTER), pytest.approx(0.3))

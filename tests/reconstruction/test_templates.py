@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from momapos.reconstruction.templates import ALIASES, GRIPS, GUESS, TEMPLATES, TemplatePredictor
+from momapos.reconstruction.templates import ALIASES, GUESS, HANDLES, TEMPLATES, TemplatePredictor
 from momapos.types import FaceImage, Front, Part, PartKind
 
 
@@ -110,4 +110,4 @@ def test_templates_fill_the_height_and_fit_every_face() -> None:
         assert heights[-1] == float("inf")
         for choice in choices:
             assert sum(band.share for band in choice.bands) == pytest.approx(1.0)
-    assert set(GRIPS) == set(typing.get_args(PartKind))
+    assert set(HANDLES) == set(typing.get_args(PartKind))

@@ -21,22 +21,24 @@ from tests.reconstruction import urdformer_twin
 from momapos.errors import FileFormatError, InputError, MissingExtraError, UrdfError
 from momapos.reconstruction.checkpoint import read_checkpoint
 from momapos.reconstruction.urdformer import (
+    Prediction,
+    UrdformerPredictor,
+    boxes_of,
+    decode,
+    load_urdformer,
+    prepare_image,
+    to_parts,
+)
+from momapos.reconstruction.urdformer_files import read_part_boxes, read_predicted_urdf
+from momapos.reconstruction.urdformer_format import (
     BASES,
     PARTS,
     SLOTS,
     STEPS,
     Logits,
     Network,
-    Prediction,
     Rectangle,
-    UrdformerPredictor,
-    boxes_of,
-    decode,
-    load_urdformer,
-    prepare_picture,
-    to_parts,
 )
-from momapos.reconstruction.urdformer_files import read_part_boxes, read_predicted_urdf
 from momapos.types import FaceImage, Front, Part
 
 PHOTOS = ("label3", "label4", "label13", "label29", "label42", "label55")
@@ -224,9 +226,9 @@ def mirror(box: Rectangle) -> Rectangle:
 def test_the_network_gets_the_boxes_that_the_other_predictor_found() -> None:
     asked: list[np.ndarray] = []
 
-    def network(picture: np.ndarray, boxes: np.ndarray) -> Logits[np.ndarray]:
-        assert picture.shape == (3, 224, 224)
-        assert picture.dtype == boxes.dtype == np.float32
+    def network(image: np.ndarray, boxes: np.ndarray) -> Logits[np.ndarray]:
+        assert image.shape == (3, 224, 224)
+        assert image.dtype == boxes.dtype == np.float32
         asked.append(boxes)
         door = ("doorR", (12, 0), (6, 12), -1)
         return logits_of(prediction(door, ("knob", (10, 6), (11, 7), 0)))
@@ -241,7 +243,7 @@ def test_the_network_gets_the_boxes_that_the_other_predictor_found() -> None:
 
 
 def test_without_boxes_the_network_is_not_asked() -> None:
-    def network(_picture: np.ndarray, _boxes: np.ndarray) -> Logits[np.ndarray]:
+    def network(_image: np.ndarray, _boxes: np.ndarray) -> Logits[np.ndarray]:
         raise AssertionError("asked")
 
     assert UrdformerPredictor(network, lambda _f, _l: Front(0.3, ()))(face(), "x") == Front(0.3, ())
@@ -249,7 +251,7 @@ def test_without_boxes_the_network_is_not_asked() -> None:
 
 
 def test_of_too_many_parts_the_best_are_asked_for() -> None:
-    def network(_picture: np.ndarray, boxes: np.ndarray) -> Logits[np.ndarray]:
+    def network(_image: np.ndarray, boxes: np.ndarray) -> Logits[np.ndarray]:
         assert boxes[:, 3].min() > 0.0
         return logits_of(prediction(*[("drawer", (0, 0), (6, 6), -1)] * SLOTS))
 
@@ -261,13 +263,13 @@ def test_of_too_many_parts_the_best_are_asked_for() -> None:
         UrdformerPredictor(network, np.full((33, 4), 0.1))(face(), "cabinet")
 
 
-def test_a_picture_is_squeezed_and_normalised() -> None:
+def test_a_image_is_squeezed_and_normalised() -> None:
     colour = np.zeros((50, 200, 3), np.uint8)
     colour[:, :100] = (255, 0, 0)
     colour[:, 100:] = (0, 0, 255)
-    picture = prepare_picture(colour)
-    assert picture.shape == (3, 224, 224)
-    restored = picture * np.reshape([0.229, 0.224, 0.225], (3, 1, 1))
+    image = prepare_image(colour)
+    assert image.shape == (3, 224, 224)
+    restored = image * np.reshape([0.229, 0.224, 0.225], (3, 1, 1))
     restored += np.reshape([0.485, 0.456, 0.406], (3, 1, 1))
     np.testing.assert_allclose(restored[:, 10, 20], (1, 0, 0), atol=1e-6)
     np.testing.assert_allclose(restored[:, 200, 200], (0, 0, 1), atol=1e-6)
@@ -305,7 +307,7 @@ def expected_names() -> set[str]:
 @pytest.fixture(scope="module")
 def checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """A file like the authors' one, with random weights."""
-    torch = pytest.importorskip("torch")
+    torch = pytest.importorskip("torch", reason="needs torch: make torch")
     from momapos.reconstruction.urdformer_model import Urdformer
 
     torch.manual_seed(0)
@@ -331,26 +333,26 @@ def network(checkpoint: Path) -> Network:
 
 
 def asked() -> tuple[np.ndarray, np.ndarray]:
-    """Return a prepared picture and the boxes of three parts in their slots."""
+    """Return a prepared image and the boxes of three parts in their slots."""
     boxes = np.zeros((SLOTS, 4), np.float32)
     boxes[:3] = [[0, 0, 1, 0.5], [0, 0.5, 1, 0.5], [0.4, 0.4, 0.2, 0.05]]
-    return prepare_picture(face().colour), boxes
+    return prepare_image(face().colour), boxes
 
 
 def test_the_network_agrees_with_one_in_plain_numpy(checkpoint: Path, network: Network) -> None:
-    picture, boxes = asked()
+    image, boxes = asked()
     weights = {
         name: value.numpy().astype(float) for name, value in read_checkpoint(checkpoint).items()
     }
-    expected = urdformer_twin.answers(weights, picture.astype(float), boxes.astype(float))
-    for name, value in network(picture, boxes)._asdict().items():
+    expected = urdformer_twin.answers(weights, image.astype(float), boxes.astype(float))
+    for name, value in network(image, boxes)._asdict().items():
         assert value.shape == expected[name].shape
         np.testing.assert_allclose(value, expected[name], atol=1e-4 * np.std(expected[name]))
 
 
 def test_answers_are_finite_and_the_same_each_time(network: Network) -> None:
-    picture, boxes = asked()
-    first, again = network(picture, boxes), network(picture, boxes)
+    image, boxes = asked()
+    first, again = network(image, boxes), network(image, boxes)
     shapes = [value.shape for value in first]
     assert shapes == [(32, 3, 13), (32, 3, 13), (32, 9), (32, 33, 6), (8,)]
     for one, other in zip(first, again, strict=True):
@@ -359,16 +361,16 @@ def test_answers_are_finite_and_the_same_each_time(network: Network) -> None:
 
 
 def test_the_order_of_the_boxes_does_not_matter(network: Network) -> None:
-    picture, boxes = asked()
+    image, boxes = asked()
     order = np.random.default_rng(1).permutation(SLOTS)
-    first, shuffled = network(picture, boxes), network(picture, boxes[order])
+    first, shuffled = network(image, boxes), network(image, boxes[order])
     np.testing.assert_allclose(shuffled.part, first.part[order], atol=1e-5)
     children = first.parent[order][:, np.concatenate(([0], order + 1))]
     np.testing.assert_allclose(shuffled.parent, children, atol=1e-5)
 
 
 def test_a_checkpoint_of_another_network_is_refused(tmp_path: Path) -> None:
-    torch = pytest.importorskip("torch")
+    torch = pytest.importorskip("torch", reason="needs torch: make torch")
     path = tmp_path / "global.pth"
     torch.save({"model_state_dict": {"head.weight": torch.ones(2)}}, path)
     with pytest.raises(FileFormatError) as caught:
@@ -388,11 +390,11 @@ def test_torch_is_loaded_only_with_a_checkpoint() -> None:
 
 def test_what_is_not_installed_names_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "torch", None)
-    with pytest.raises(MissingExtraError, match=r"momapos\[train\]"):
+    with pytest.raises(MissingExtraError, match=r"momapos\[torch\]"):
         load_urdformer(Path("part.pth"))
     monkeypatch.setitem(sys.modules, "PIL", None)
     with pytest.raises(MissingExtraError, match=r"momapos\[scan\]"):
-        prepare_picture(face().colour)
+        prepare_image(face().colour)
 
 
 def pooled_by_hand(
@@ -423,7 +425,7 @@ def pooled_by_hand(
 
 
 def test_pooling_agrees_with_samples_taken_one_by_one() -> None:
-    torch = pytest.importorskip("torch")
+    torch = pytest.importorskip("torch", reason="needs torch: make torch")
     from momapos.reconstruction.urdformer_model import roi_align
 
     rng = np.random.default_rng(2)
@@ -437,7 +439,7 @@ def test_pooling_agrees_with_samples_taken_one_by_one() -> None:
 
 
 def test_regions_are_scaled_twice_and_have_their_axes_exchanged() -> None:
-    torch = pytest.importorskip("torch")
+    torch = pytest.importorskip("torch", reason="needs torch: make torch")
     from momapos.reconstruction.urdformer_model import regions_of, roi_align
 
     boxes = torch.tensor([[0.0, 0.0, 1.0, 1.0], [0.75, 0.1, 0.2, 0.4]])
@@ -497,11 +499,11 @@ def test_handles_in_the_authors_urdfs_lie_near_labelled_ones(shared: Path) -> No
     for name in PHOTOS:
         labels = labelled(shared / "cabinet_photos" / f"{name}.boxes.json")
         small = labels[np.prod(labels[:, 2:] - labels[:, :2], axis=-1) < 0.02]
-        centres = (small[:, :2] + small[:, 2:]) / 2
+        centers = (small[:, :2] + small[:, 2:]) / 2
         for part in read_predicted_urdf(shared / "cabinet_photos" / f"{name}.urdf"):
             if part.handle is not None:
                 handle = np.array(part.handle)
-                gap = np.linalg.norm(centres - (handle[:2] + handle[2:]) / 2, axis=-1)
+                gap = np.linalg.norm(centers - (handle[:2] + handle[2:]) / 2, axis=-1)
                 near.append(bool(gap.min() < 1 / 12))
     assert len(near) > 25
     assert np.mean(near) > 0.75

@@ -12,10 +12,10 @@ Weights = Mapping[str, np.ndarray]
 
 
 def answers(
-    w: Weights, picture: Float[np.ndarray, "3 224 224"], boxes: Float[np.ndarray, "n 4"]
+    w: Weights, image: Float[np.ndarray, "3 224 224"], boxes: Float[np.ndarray, "n 4"]
 ) -> dict[str, np.ndarray]:
-    """Run the network on one picture, with boxes as (top, left, height, width)."""
-    cells = encode(w, picture)
+    """Run the network on one image, with boxes as (top, left, height, width)."""
+    cells = encode(w, image)
     tokens = stack(w, "fc1", pool(cells, boxes), 3)
     x = norm(w, "norm_layer", linear(w, "fc2", tokens.reshape(len(boxes), -1)), 1e-5)
     x = x + norm(w, "norm_layer", stack(w, "bbox_fc", boxes, 3), 1e-5)
@@ -46,9 +46,9 @@ def answers(
     }
 
 
-def encode(w: Weights, picture: Float[np.ndarray, "3 224 224"]) -> Float[np.ndarray, "14 14 384"]:
-    """Encode the picture in patches of 16 x 16."""
-    patches = picture.reshape(3, 14, 16, 14, 16).transpose(1, 3, 0, 2, 4).reshape(196, -1)
+def encode(w: Weights, image: Float[np.ndarray, "3 224 224"]) -> Float[np.ndarray, "14 14 384"]:
+    """Encode the image in patches of 16 x 16."""
+    patches = image.reshape(3, 14, 16, 14, 16).transpose(1, 3, 0, 2, 4).reshape(196, -1)
     kernel = w["img_backbone.patch_embed.proj.weight"].reshape(384, -1)
     tokens = patches @ kernel.T + w["img_backbone.patch_embed.proj.bias"]
     x = np.vstack((w["img_backbone.cls_token"][0], tokens)) + w["img_backbone.pos_embed"][0]
@@ -95,9 +95,9 @@ def linear(w: Weights, name: str, x: np.ndarray) -> np.ndarray:
 
 
 def norm(w: Weights, name: str, x: np.ndarray, eps: float) -> np.ndarray:
-    centred = x - x.mean(axis=-1, keepdims=True)
-    scale = np.sqrt((centred**2).mean(axis=-1, keepdims=True) + eps)
-    return centred / scale * w[f"{name}.weight"] + w[f"{name}.bias"]
+    centered = x - x.mean(axis=-1, keepdims=True)
+    scale = np.sqrt((centered**2).mean(axis=-1, keepdims=True) + eps)
+    return centered / scale * w[f"{name}.weight"] + w[f"{name}.bias"]
 
 
 def stack(w: Weights, name: str, x: np.ndarray, count: int) -> np.ndarray:

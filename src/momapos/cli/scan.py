@@ -31,7 +31,7 @@ class ScanOptions:
     """Instances found by another program: Mask3D's ScanNet export, OpenMask3D masks, labels a
     point, or a JSON of boxes. All but boxes need a scan with a cloud."""
     detections: Path | None = None
-    """Detectron2's coco_instances_results.json for the pictures of the scan."""
+    """Detectron2's coco_instances_results.json for the images of the scan."""
     predictor: Predictor = "network"
     """Who finds doors and drawers: our network, a template by label, or URDFormer."""
     checkpoint: Path | None = None
@@ -39,11 +39,11 @@ class ScanOptions:
     models: tuple[str, ...] = ()
     """NAME=FILE.urdf of objects, by name or label, that need no prediction."""
     views: Literal["voting", "first"] = "voting"
-    """How the front is chosen: by votes of all pictures, or the paper's first that passes."""
+    """How the front is chosen: by votes of all images, or the paper's first that passes."""
     grid: bool = False
     """Put parts onto URDFormer's grid of 13 steps."""
     max_frames: int = 150
-    """Pictures that are read at most, evenly spaced."""
+    """Images that are read at most, evenly spaced."""
     depth_scale: float = 1000.0
     """Units of integer depth in a metre."""
     voxel: float = 0.015
@@ -68,23 +68,30 @@ def scan_room(
     """Make a scene from a scan of a room, which place can use.
 
     Beside the scene it writes scan_report.json, which says what was decided and why, and a
-    picture of every object that was looked at.
+    image of every object that was looked at.
 
     Args:
-        source: Folder of posed colour and depth pictures, a cloud, or a robot's log.
+        source: Folder of posed colour and depth images, a cloud, or a robot's log.
         out: The scene file.
-        pictures: Draw why every object was modelled as it was.
+        images: Draw why every object was modelled as it was.
         json: Print one JSON object and nothing else.
         options: Where knowledge comes from.
     """
     import json as encoder
 
     from momapos.cli.console import progress
-    from momapos.perception.bags import BagTopics
-    from momapos.perception.scan import read_scan
+    from momapos.files import check_outputs
+    from momapos.fusion.tsdf import check_voxel
+    from momapos.scan_io.bags import BagTopics
+    from momapos.scan_io.scan import read_scan
     from momapos.scan_pipeline import scan_to_scene
-    from momapos.scan_report import report_to_dict, write_report
+    from momapos.scan_report import outputs_of, report_to_dict, write_report
 
+    check_voxel(options.voxel)
+    if options.predictor == "urdformer" and options.checkpoint is None:
+        raise InputError("--predictor urdformer needs --checkpoint PATH/part.pth")
+    given = _given(options.models)
+    check_outputs(*outputs_of(out, pictures=pictures))
     topics = BagTopics(
         options.depth_topic, options.colour_topic, options.info_topic, options.fixed_frame
     )
@@ -93,7 +100,7 @@ def scan_room(
     )
     for warning in scan.warnings:
         print(f"momapos: {warning}", file=sys.stderr)
-    tools, given, found = _tools(scan, options), _given(options.models), _found(scan, options)
+    tools, found = _tools(scan, options), _found(scan, options)
     with progress("scan") as report:
         result = scan_to_scene(
             scan, out, tools, target=options.target, found=found, given=given,
@@ -127,7 +134,7 @@ def table(result: Modelled, out: Path, folder: Path | None) -> str:
         f"  report      {out.parent / 'scan_report.json'}",
     ]
     if folder is not None:
-        lines.append(f"  pictures    {folder}")
+        lines.append(f"  images    {folder}")
     return "\n".join(lines)
 
 
@@ -140,10 +147,10 @@ def _count(parts: tuple[Any, ...]) -> str:
 
 
 def _config(options: ScanOptions) -> Any:
-    from momapos.perception.views import ViewConfig
     from momapos.reconstruction.alignment import AlignmentConfig
     from momapos.reconstruction.model import ModelConfig
     from momapos.scan_pipeline import ScanConfig
+    from momapos.views.front_view import ViewConfig
 
     alignment = AlignmentConfig(grid=12 if options.grid else None)
     return ScanConfig(
@@ -164,8 +171,7 @@ def _tools(scan: Scan, options: ScanOptions) -> Tools:
     elif options.predictor == "urdformer":
         from momapos.reconstruction.urdformer import UrdformerPredictor, load_urdformer
 
-        if options.checkpoint is None:
-            raise InputError("--predictor urdformer needs --checkpoint PATH/part.pth")
+        assert options.checkpoint is not None, "scan_room has looked"
         predict = UrdformerPredictor(load_urdformer(options.checkpoint), tools.look)
     segment = tools.segment if options.instances is None else _reader(scan, options.instances)
     return replace(tools, segment=segment, predict=predict)
@@ -173,7 +179,7 @@ def _tools(scan: Scan, options: ScanOptions) -> Tools:
 
 def _reader(scan: Scan, path: Path) -> Segmenter:
     """Instances from a file instead of a segmenter."""
-    from momapos.perception.masks import read_instances
+    from momapos.scan_io.masks import read_instances
     from momapos.types import Cloud, Instance
 
     def read(cloud: Cloud) -> list[Instance]:
@@ -199,6 +205,6 @@ def _given(models: tuple[str, ...]) -> dict[str, GivenModel]:
 
 
 def _found(scan: Scan, options: ScanOptions) -> Any:
-    from momapos.perception.detections import read_coco
+    from momapos.scan_io.coco import read_coco
 
     return None if options.detections is None else read_coco(options.detections, scan.frames)

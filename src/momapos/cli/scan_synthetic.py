@@ -7,9 +7,10 @@ import sys
 from pathlib import Path
 
 from momapos.cli.console import progress
-from momapos.perception.recording import refuse_used, synthetic_scan, write_scan
-from momapos.perception.sensor import DepthSensor
+from momapos.files import check_outputs
 from momapos.scene.files import load_scene
+from momapos.synthetic_scans.depth_sensor import DepthSensor
+from momapos.synthetic_scans.recording import refuse_used, synthetic_scan, write_scan
 
 SOLVED = 0
 
@@ -25,18 +26,19 @@ def scene_scan(
     tilt: bool = False,
     json: bool = False,
 ) -> int:
-    """Render a scan of a scene: posed colour and depth pictures, and the truth beside them.
+    """Render a scan of a scene: posed colour and depth images, and the truth beside them.
 
     Args:
         scene: Name of a built-in kitchen, or a file (momapos scene, BestMan list, URDF).
         out: A new folder for the frames (layout of 7-Scenes) and truth.json.
-        frames: Number of pictures.
+        frames: Number of images.
         seed: The same scene and seed give the same scan.
-        noise: Make the pictures and poses as imperfect as those of a RealSense D435.
+        noise: Make the images and poses as imperfect as those of a RealSense D435.
         tilt: Turn the world of the scan at random, so that its z axis is not up.
         json: Print one JSON object instead of text.
     """
     refuse_used(out)
+    check_outputs(folders=[out])
     loaded = load_scene(scene)
     sensor = DepthSensor() if noise else None
     scan = synthetic_scan(loaded, frames=frames, seed=seed, sensor=sensor, tilt=tilt)

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from momapos.errors import InputError
-from momapos.reconstruction.reliefs import FEWEST, Area, area_of, longest_bar, relief_in
+from momapos.reconstruction.height_maps import FEWEST, Area, area_of, heights_in, longest_bar
 from momapos.types import FaceImage, Part, PartKind
 
 
@@ -30,13 +30,13 @@ class AlignmentConfig:
     """A door of less width or height, or a drawer of less width, is left out [m]."""
     least_drawer: float = 0.05
     """A drawer of less height is left out [m]."""
-    most_relief: float = 0.12
+    most_height_map: float = 0.12
     """The front of a part lies this far before or behind the face at most [m]."""
     thickness: tuple[float, float] = (0.008, 0.035)
     """Least and greatest thickness of a handle, so that a gripper can hold it [m]."""
     handle_out: float = 0.04
     """How far a handle stands out where that was not measured [m]."""
-    handle_relief: tuple[float, float] = (0.015, 0.12)
+    handle_height_map: tuple[float, float] = (0.015, 0.12)
     """What is measured below the first counts as not measured, the second is the most [m]."""
     bar_out: float = 0.03
     """A bar that stands out by this is the handle, where what was seen as one is flat [m]."""
@@ -74,7 +74,7 @@ def align(
     No two parts overlap, edges that nearly meet do, and every handle lies on its part.
 
     Args:
-        face: The face, with its size and relief.
+        face: The face, with its size and height map.
         parts: What was seen on it.
         config: How to fit.
 
@@ -102,8 +102,8 @@ def align(
 
 def front_of(face: FaceImage, area: Area, most: float, without: Area | None = None) -> float:
     """How far a surface stands out of the face, at most `most` [m] either way; 0 if not known."""
-    relief = relief_in(face, area, without)
-    return float(np.clip(np.median(relief), -most, most)) if len(relief) >= FEWEST else 0.0
+    height_map = heights_in(face, area, without)
+    return float(np.clip(np.median(height_map), -most, most)) if len(height_map) >= FEWEST else 0.0
 
 
 # ----------------------------------------------------------------------------- parts to each other
@@ -208,7 +208,7 @@ def _aligned(face: FaceImage, part: Part, area: Area, config: AlignmentConfig) -
     if seen is not None and _is_flat(face, area, seen, config):
         bar = longest_bar(face, area, config.bar_out, config.bar_length, config.bar_thickness)
         seen = bar or seen
-    out = front_of(face, area, config.most_relief, without=seen)
+    out = front_of(face, area, config.most_height_map, without=seen)
     handle = None if seen is None else _handle(face, area, seen, out, config)
     return AlignedPart(part.kind, area, out, handle)
 
@@ -240,10 +240,14 @@ def _handle(
 def _straight(face: FaceImage, area: Area, out: float) -> tuple[float, float]:
     """The middle of what stands out of a face [m], where it would be seen straight on."""
     x, z = (area.left + area.right) / 2, (area.bottom + area.top) / 2
-    if face.eye is None:
+    if face.camera_position is None:
         return x, z
-    eye_x, eye_z, away = face.eye[0] + face.width / 2, face.eye[1] + face.height / 2, face.eye[2]
-    return x + (eye_x - x) * out / away, z + (eye_z - z) * out / away
+    camera_x, camera_z, away = (
+        face.camera_position[0] + face.width / 2,
+        face.camera_position[1] + face.height / 2,
+        face.camera_position[2],
+    )
+    return x + (camera_x - x) * out / away, z + (camera_z - z) * out / away
 
 
 def _placed(middle: float, size: float, low: float, high: float) -> tuple[float, float]:
@@ -258,7 +262,7 @@ def _standing_out(face: FaceImage, part: Area, handle: Area, config: AlignmentCo
 
     A handle's rectangle holds some of the part behind it, so its upper quartile is taken.
     """
-    least, most = config.handle_relief
+    least, most = config.handle_height_map
     out = _measured_out(face, part, handle)
     return config.handle_out if out is None or out < least else min(out, most)
 
@@ -269,7 +273,7 @@ def _measured_out(face: FaceImage, part: Area, handle: Area) -> float | None:
     around = Area(handle.left - side, handle.bottom - side, handle.right + side, handle.top + side)
     ring = around.within(part)
     assert ring is not None
-    inside, beside = relief_in(face, handle), relief_in(face, ring, without=handle)
+    inside, beside = heights_in(face, handle), heights_in(face, ring, without=handle)
     if min(len(inside), len(beside)) < FEWEST:
         return None
     return float(np.percentile(inside, 75) - np.median(beside))
@@ -279,4 +283,4 @@ def _is_flat(face: FaceImage, part: Area, seen: Area, config: AlignmentConfig) -
     """Whether what was taken for a handle was measured not to stand out: a sign, a lock."""
     inside = seen.within(part)
     out = None if inside is None else _measured_out(face, part, inside)
-    return out is not None and out < config.handle_relief[0]
+    return out is not None and out < config.handle_height_map[0]

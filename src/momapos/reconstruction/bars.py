@@ -1,4 +1,4 @@
-"""Handles that the networks did not see, found as bars that stand out in the relief."""
+"""Handles that the networks did not see, found as bars that stand out in the height map."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from momapos.reconstruction.reliefs import FEWEST, Area, area_of, longest_bar, relief_in
+from momapos.reconstruction.height_maps import FEWEST, Area, area_of, heights_in, longest_bar
 from momapos.types import FaceImage, Part, PartKind
 
 CLEAR, NOISES = 0.02, 4.0
@@ -22,20 +22,20 @@ BROAD = 0.5
 def with_bar(face: FaceImage, part: Part) -> Part:
     """A part that has no handle, with the bar that stands out of it, if one does.
 
-    A thin bar in the colour of its door is a pixel or two of the picture, but it is well before
+    A thin bar in the colour of its door is a pixel or two of the image, but it is well before
     the door. Where it is tells how the door opens.
 
     Args:
-        face: The face; its relief tells.
+        face: The face; its height map tells.
         part: As the networks saw it.
     """
     if part.handle is not None:
         return part
     area = area_of(part.box, face)
-    relief = relief_in(face, area)
-    if len(relief) < FEWEST:
+    height_map = heights_in(face, area)
+    if len(height_map) < FEWEST:
         return part
-    noise = 1.4826 * float(np.median(np.abs(relief - np.median(relief))))
+    noise = 1.4826 * float(np.median(np.abs(height_map - np.median(height_map))))
     bar = longest_bar(face, area, max(CLEAR, NOISES * noise), LEAST, THICKEST)
     if bar is None:
         return part

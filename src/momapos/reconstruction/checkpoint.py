@@ -1,28 +1,19 @@
-"""Read the weights of a network from a file that comes from a stranger.
-
-A checkpoint is a pickle inside a zip archive, and a pickle can run code. torch's reader for weights
-alone refuses every name but those of tensors; this module guards the archive around it, and turns
-all that can go wrong into one line.
-"""
+"""The weights of a network, read from a checkpoint that comes from a stranger."""
 
 from __future__ import annotations
 
-import re
-import zipfile
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from momapos.errors import FileFormatError, MissingExtraError
+from momapos.errors import FileFormatError
+from momapos.torch_files import load_tensors
 
 if TYPE_CHECKING:
     from torch import Tensor, nn
 
-MAX_CHECKPOINT_BYTES = 4_000_000_000
-"""Weights, and an optimizer's two moments of each, fit several times."""
 NAMED = 3
 """How many names an error lists."""
-_GLOBAL = re.compile(r"GLOBAL ([\w.]{1,100})")
 
 
 def read_checkpoint(path: Path, key: str = "model_state_dict") -> dict[str, Tensor]:
@@ -37,24 +28,21 @@ def read_checkpoint(path: Path, key: str = "model_state_dict") -> dict[str, Tens
             tensors and plain values; or it has no such entry.
         MissingExtraError: torch is not installed.
     """
-    try:
-        import torch
-    except ImportError as error:
-        hint = "torch is not installed; pip install 'momapos[train]'"
-        raise MissingExtraError(hint) from error
-    _check_archive(path)
-    try:
-        content = torch.load(path, map_location="cpu", weights_only=True)
-    except Exception as error:  # a forged pickle can make its reader raise anything
-        raise FileFormatError(f"{path}: {_reason(error)}") from error
+    content = load_tensors(path)
+    import torch
+
     if not isinstance(content, dict) or not isinstance(content.get(key), dict):
-        held = _first(map(str, content)) if isinstance(content, dict) else type(content).__name__
+        held = _first(map(_name, content)) if isinstance(content, dict) else _name(content)
         raise FileFormatError(f"{path}: has no {key!r} with the weights; it holds {held}")
     weights = content[key]
-    strange = [name for name, value in weights.items() if not isinstance(value, torch.Tensor)]
+    strange = [
+        _name(name)
+        for name, value in weights.items()
+        if not (isinstance(name, str) and isinstance(value, torch.Tensor))
+    ]
     if strange:
         raise FileFormatError(f"{path}: {key!r} must hold tensors alone, not {_first(strange)}")
-    return {str(name): value for name, value in weights.items()}
+    return dict(weights)
 
 
 def load_weights(module: nn.Module, weights: dict[str, Tensor], path: Path) -> None:
@@ -92,34 +80,9 @@ def load_weights(module: nn.Module, weights: dict[str, Tensor], path: Path) -> N
     module.load_state_dict(weights)
 
 
-def _check_archive(path: Path) -> None:
-    """Refuse what is no archive, or one that unpacks to more than its own size."""
-    if not path.is_file():
-        raise FileFormatError(f"{path}: no such checkpoint file")
-    if path.stat().st_size > MAX_CHECKPOINT_BYTES:
-        limit = MAX_CHECKPOINT_BYTES // 10**9
-        raise FileFormatError(f"{path}: larger than a checkpoint can be ({limit} GB)")
-    try:
-        with zipfile.ZipFile(path) as archive:
-            entries = archive.infolist()
-    except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError) as error:
-        raise FileFormatError(
-            f"{path}: not a checkpoint, or cut off; torch.save writes a zip archive ({error})"
-        ) from error
-    if any(entry.compress_type != zipfile.ZIP_STORED for entry in entries):
-        raise FileFormatError(f"{path}: is compressed; torch.save stores its tensors as they are")
-
-
-def _reason(error: Exception) -> str:
-    """Say in one line why torch refused a file; its own messages fill a screen."""
-    found = _GLOBAL.search(str(error))
-    if found:
-        return (
-            f"would run code when loaded ({found[1]}); save its tensors alone: "
-            "torch.save({'model_state_dict': ...}, path)"
-        )
-    first = next(iter(str(error).strip().splitlines()), type(error).__name__)
-    return f"damaged, or no checkpoint of weights ({first.split('. ')[0]:.120})"
+def _name(value: object) -> str:
+    """A name; only the type of what is none, for a forged tuple may be endless as text."""
+    return value if isinstance(value, str) else type(value).__name__
 
 
 def _first(names: Iterable[str]) -> str:

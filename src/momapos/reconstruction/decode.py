@@ -26,12 +26,12 @@ LEVEL = 6
 """Which of the planes holds level dark lines."""
 LEAST_SIDE = 0.01
 """A part is broader and higher than this share of its face."""
-RELIEF_RANGE = 0.08
-"""Relief beyond this, before or behind its median, is clipped [m]; handles stand out by less."""
+HEIGHT_MAP_RANGE = 0.08
+"""Heights beyond this, before or behind their median, are clipped [m]; handles are lower."""
 SEAM_SIDE = 3
 """Distance from a dark line to what it is compared with on either side [px]."""
 SEAM_RUN = 1 / 12
-"""Length over which a line is averaged, as a share of the picture's side [-]."""
+"""Length over which a line is averaged, as a share of the image's side [-]."""
 SEAM_GAIN, SEAM_MOST = 10.0, 2.0
 """Factor from a line's contrast to a plane's value, and the largest value [-]."""
 DARKEST = 16.0
@@ -41,26 +41,28 @@ DARKEST = 16.0
 def planes(face: FaceImage) -> Float32[np.ndarray, "h w 7"]:
     """Stack what the networks see, each in about [-2, 2].
 
-    Colour; relief about its median, since the plane of a box is not always that of its fronts;
-    whether relief was measured; upright and level dark lines.
+    Colour; height map about its median, since the plane of a box is not always that of its fronts;
+    whether height map was measured; upright and level dark lines.
     """
     colour = (face.colour.astype(np.float32) - 127.5) / 64.0
-    known = np.isfinite(face.relief)
-    middle = float(np.median(face.relief[known])) if known.any() else 0.0
-    off = np.clip(face.relief - middle, -RELIEF_RANGE, RELIEF_RANGE)
-    relief = np.where(known, off, 0.0) / RELIEF_RANGE
+    known = np.isfinite(face.height_map)
+    middle = float(np.median(face.height_map[known])) if known.any() else 0.0
+    off = np.clip(face.height_map - middle, -HEIGHT_MAP_RANGE, HEIGHT_MAP_RANGE)
+    height_map = np.where(known, off, 0.0) / HEIGHT_MAP_RANGE
     lines = (dark_lines(face.colour, axis) for axis in (1, 0))
-    return np.stack([*np.moveaxis(colour, -1, 0), relief, known, *lines], axis=-1, dtype=np.float32)
+    return np.stack(
+        [*np.moveaxis(colour, -1, 0), height_map, known, *lines], axis=-1, dtype=np.float32
+    )
 
 
 def dark_lines(colour: UInt8[np.ndarray, "h w 3"], across: int) -> Float32[np.ndarray, "h w"]:
     """How much darker each pixel is than both of its sides, averaged along the line it may lie on.
 
     The seam of two doors is a pixel wide and hardly darker than the grain of their wood, but it
-    runs straight from one end to the other; once the picture is shrunk it is lost.
+    runs straight from one end to the other; once the image is shrunk it is lost.
 
     Args:
-        colour: The picture, at its full resolution.
+        colour: The image, at its full resolution.
         across: Axis across the line: 1 for upright lines, 0 for level ones.
 
     Returns:
@@ -82,9 +84,9 @@ def dark_lines(colour: UInt8[np.ndarray, "h w 3"], across: int) -> Float32[np.nd
 def resample(
     stack: Float32[np.ndarray, "h w c"], box: Float[np.ndarray, "4"], side: int
 ) -> Float32[np.ndarray, "c side side"]:
-    """Cut a box out of a picture and resize it to a square, averaging where it shrinks.
+    """Cut a box out of an image and resize it to a square, averaging where it shrinks.
 
-    What lies outside of the picture repeats its border.
+    What lies outside of the image repeats its border.
     """
     rows, weights_y = _taps(stack.shape[0], box[1], box[3], side)
     columns, weights_x = _taps(stack.shape[1], box[0], box[2], side)
@@ -97,12 +99,12 @@ def _taps(
 ) -> tuple[slice, Float32[np.ndarray, "count taps"]]:
     """Weights of a triangle filter that samples [low, high] of a line of pixels."""
     step = max((high - low) * length / count, 1e-6)
-    centres = low * length + (np.arange(count) + 0.5) * step - 0.5
-    centres = np.clip(centres, 0.0, length - 1.0)
+    centers = low * length + (np.arange(count) + 0.5) * step - 0.5
+    centers = np.clip(centers, 0.0, length - 1.0)
     reach = max(step, 1.0)
-    first = int(np.clip(np.floor(centres[0] - reach), 0, length - 1))
-    last = int(np.clip(np.ceil(centres[-1] + reach), first, length - 1))
-    away = np.abs(np.arange(first, last + 1) - centres[:, None]) / reach
+    first = int(np.clip(np.floor(centers[0] - reach), 0, length - 1))
+    last = int(np.clip(np.ceil(centers[-1] + reach), first, length - 1))
+    away = np.abs(np.arange(first, last + 1) - centers[:, None]) / reach
     weights = np.maximum(1.0 - away, 0.0)
     weights /= weights.sum(axis=1, keepdims=True)
     return slice(first, last + 1), weights.astype(np.float32)
@@ -129,13 +131,13 @@ def peaks(
     """Proposals of the first network, best first.
 
     Args:
-        heat: Probability that a cell is the centre of a part, by kind.
-        reach: Distance from a cell's centre to the left, top, right and bottom edge of its part.
-        floor: Cells below this are no centre.
+        heat: Probability that a cell is the center of a part, by kind.
+        reach: Distance from a cell's center to the left, top, right and bottom edge of its part.
+        floor: Cells below this are no center.
         most: How many to keep.
 
     Returns:
-        Boxes, and the heat of each kind at their centre.
+        Boxes, and the heat of each kind at their center.
     """
     best = heat.max(axis=0)
     padded = np.pad(best, 1)
@@ -144,9 +146,9 @@ def peaks(
     row, column = np.nonzero((best >= around) & (best > floor))
     order = np.argsort(-best[row, column], kind="stable")[:most]
     row, column = row[order], column[order]
-    centre = np.stack((column, row), axis=1) / side + 0.5 / side
+    center = np.stack((column, row), axis=1) / side + 0.5 / side
     edges = reach[:, row, column].T
-    boxes = np.concatenate((centre - edges[:, :2], centre + edges[:, 2:]), axis=1)
+    boxes = np.concatenate((center - edges[:, :2], center + edges[:, 2:]), axis=1)
     boxes = np.clip(boxes, 0.0, 1.0)
     sound = (boxes[:, 2:] - boxes[:, :2] > LEAST_SIDE).all(axis=1)
     return boxes[sound], heat[:, row, column].T[sound]
@@ -194,9 +196,9 @@ def handle_box(
     """The handle in a crop, as fractions of the crop: the hottest cell and its distances."""
     side = heat.shape[0]
     row, column = np.unravel_index(int(heat.argmax()), heat.shape)
-    centre = (np.array([column, row]) + 0.5) / side
+    center = (np.array([column, row]) + 0.5) / side
     edges = reach[:, row, column]
-    return np.concatenate((centre - edges[:2], centre + edges[2:]))
+    return np.concatenate((center - edges[:2], center + edges[2:]))
 
 
 def in_face(inner: Float[np.ndarray, "n 4"], outer: Float[np.ndarray, "n 4"]) -> np.ndarray:

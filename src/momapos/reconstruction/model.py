@@ -1,6 +1,6 @@
 """A hollow body with doors and drawers, made to fit a box and the parts seen on one side of it.
 
-Frame of a piece: origin in the centre of the box, x right, y to the back, z up, as seen from in
+Frame of a piece: origin in the center of the box, x right, y to the back, z up, as seen from in
 front of the side with the parts.
 """
 
@@ -73,7 +73,7 @@ class _Layers:
     """Where the layers of a piece lie, along y [m]."""
 
     face: float
-    """The plane that relief counts from."""
+    """The plane that height map counts from."""
     opening: float
     """Front of the walls; doors lie before it."""
     back: float
@@ -81,7 +81,7 @@ class _Layers:
     wall: float
     """Thickness of the walls."""
     shallow: float
-    """What relief and doors are scaled by, so that they fit into the front of a thin box [-]."""
+    """What heights and doors are scaled by, so that they fit into the front of a thin box [-]."""
 
 
 def furniture_model(
@@ -120,16 +120,16 @@ def furniture_model(
             f"of its box {width:.2f} x {height:.2f} m; is it another side?"
         )
     aligned = align(face, parts, config.alignment)
-    centre = vec(detection.box.center)
+    center = vec(detection.box.center)
     if not aligned:
-        return solid(detection.name, detection.label, vec(size), centre, yaw)
+        return solid(detection.name, detection.label, vec(size), center, yaw)
     layers = _layers(size, aligned, config)
     body = Part("body", tuple(_body(face, aligned, layers, config)))
     moving = [
         _moving(name, part, face, layers, config)
         for name, part in zip(_names(aligned), aligned, strict=True)
     ]
-    piece = Piece(detection.name, detection.label, centre, yaw, (body, *moving))
+    piece = Piece(detection.name, detection.label, center, yaw, (body, *moving))
     return ending_before_hits(piece, [piece], {"revolute": 0.0, "prismatic": 0.0})
 
 
@@ -202,7 +202,7 @@ def _body(
     for index, board in enumerate(_boards(areas, inside, wall), start=1):
         boxes.append(_box(f"divider_{index}", board, layers.opening, rear, face))
     for index, area in enumerate(_rest(areas, whole), start=1):
-        out = front_of(face, area, config.alignment.most_relief) * layers.shallow
+        out = front_of(face, area, config.alignment.most_height_map) * layers.shallow
         front = layers.face - out
         boxes.append(_box(f"panel_{index}", area, front, max(layers.opening, front + wall), face))
     return boxes

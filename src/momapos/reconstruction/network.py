@@ -1,4 +1,4 @@
-"""Finds doors, drawers and handles on a face with two small networks, trained on our own pictures.
+"""Finds doors, drawers and handles on a face with two small networks, trained on our own images.
 
 The first looks at the whole face and proposes parts; the second looks at each of them again, in
 full resolution, and says where its edges are, how it opens, where its handle is, or that it is
@@ -18,7 +18,7 @@ from jaxtyping import Float
 from momapos.errors import InputError, MissingExtraError
 from momapos.reconstruction import decode
 from momapos.reconstruction.bars import with_bar
-from momapos.reconstruction.grips import into_drawers
+from momapos.reconstruction.drawer_handles import into_drawers
 from momapos.types import FaceImage, Front, Part
 
 FIRST_SHARE = 0.75
@@ -49,21 +49,22 @@ class FrontNetwork:
         """Find the parts of a face.
 
         Args:
-            face: The face, seen straight on. Relief helps where there is some.
+            face: The face, seen straight on. Height map helps where there is some.
             label: Class of the object; what is seen counts, so that a wrong label does no harm.
 
         Returns:
             Parts, the surest first, disjoint but for a rim, and whether the face is a front.
 
         Raises:
-            InputError: The picture is empty, or relief and colour differ in size.
+            InputError: The image is empty, or height map and colour differ in size.
             MissingExtraError: onnxruntime is not installed.
         """
         height, width = face.colour.shape[:2]
-        if min(height, width) < 2 or face.relief.shape != (height, width):
+        if min(height, width) < 2 or face.height_map.shape != (height, width):
             raise InputError(
-                f"a face of {width} x {height} px with relief of shape {face.relief.shape} cannot "
-                "be looked at; give colour and relief of one size, at least 2 x 2 px"
+                f"a face of {width} x {height} px with a height map of "
+                f"{face.height_map.shape} cannot be looked at; "
+                "give colour and height map of one size, at least 2 x 2 px"
             )
         stack = decode.planes(face)
         whole = decode.resample(stack, np.array([0.0, 0.0, 1.0, 1.0]), decode.FACE_PIXELS)

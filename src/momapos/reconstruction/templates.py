@@ -48,7 +48,7 @@ class Grip:
     size: tuple[float, float]
     """Width and height [m]."""
     inset: float = 0.05
-    """Least distance of its centre from the part's edges [m]."""
+    """Least distance of its center from the part's edges [m]."""
 
 
 TEMPLATES: Mapping[str, tuple[Template, ...]] = {
@@ -95,7 +95,7 @@ ALIASES: Mapping[str, str] = {
     "filing cabinet": "drawer",
 }
 """Other labels for the same things."""
-GRIPS: Mapping[PartKind, Grip] = {
+HANDLES: Mapping[PartKind, Grip] = {
     "door_left": Grip(toward=(1.0, 0.5), size=(0.02, 0.3)),
     "door_right": Grip(toward=(0.0, 0.5), size=(0.02, 0.3)),
     "door_down": Grip(toward=(0.5, 0.0), size=(0.4, 0.02)),
@@ -106,7 +106,7 @@ GRIPS: Mapping[PartKind, Grip] = {
 
 
 class TemplatePredictor:
-    """An `ArticulationPredictor` that looks at the label and the size, not at the picture."""
+    """An `ArticulationPredictor` that looks at the label and the size, not at the image."""
 
     def __call__(self, face: FaceImage, label: str) -> Front:
         """Lay the label's template over the face; an unknown label has no parts and score 0."""
@@ -136,7 +136,7 @@ def _fill(band: Band, top: float, width: float, height: float) -> list[Part]:
             left, upper = column * step_x, top + row * step_y
             box = (left, upper, min(left + step_x, 1.0), min(upper + step_y, 1.0))
             kind = band.kinds[column % len(band.kinds)]
-            parts.append(Part(kind, box, GUESS, _handle(GRIPS[kind], box, width, height)))
+            parts.append(Part(kind, box, GUESS, _handle(HANDLES[kind], box, width, height)))
     return parts
 
 
@@ -157,7 +157,7 @@ def _handle(
         side = (high - low) * face
         half = min(length, LONGEST * side) / 2
         inset = min(max(grip.inset, half), side / 2)
-        centre = min(max(toward * side, inset), side - inset)
-        spans.append((low + (centre - half) / face, low + (centre + half) / face))
+        center = min(max(toward * side, inset), side - inset)
+        spans.append((low + (center - half) / face, low + (center + half) / face))
     (left, right), (top, bottom) = spans
     return left, top, right, bottom

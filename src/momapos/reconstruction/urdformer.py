@@ -1,6 +1,6 @@
 """Parts of a front from URDFormer (Chen et al., 2024), given its weights and part boxes.
 
-URDFormer does not find parts. It is told where they are in the picture, and says for each box what
+URDFormer does not find parts. It is told where they are in the image, and says for each box what
 the part is, which part it belongs to, and where it lies on a grid of 13 marks over the front. Its
 frame has x out of the front, y to the right along the width and z up, from the lower left corner.
 """
@@ -8,10 +8,9 @@ frame has x out of the front, y to the right along the width and z up, from the 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 from jaxtyping import Float, Float32, Int, UInt8
@@ -19,63 +18,27 @@ from jaxtyping import Float, Float32, Int, UInt8
 from momapos.errors import InputError, MissingExtraError
 from momapos.protocols import ArticulationPredictor
 from momapos.reconstruction.checkpoint import load_weights, read_checkpoint
-from momapos.types import FaceImage, Front, Part, PartKind
+from momapos.reconstruction.urdformer_format import (
+    BASES,
+    HANDLES,
+    IMAGE,
+    KINDS,
+    PARTS,
+    SLOTS,
+    STEPS,
+    Logits,
+    Network,
+    Rectangle,
+    around,
+)
+from momapos.types import FaceImage, Front, Part
 
 _LOG = logging.getLogger(__name__)
-Rectangle = tuple[float, float, float, float]
-"""Left, top, right, bottom as fractions of the face."""
-Array = TypeVar("Array")
-
-PICTURE = 224
-"""Edge of the picture [px]."""
-SLOTS = 32
-"""Part boxes of one picture; fewer are padded with zeros."""
-STEPS = 13
-"""Marks of the grid over the front, from 0/12 to 12/12 of its side."""
-PARTS = (
-    "none", "drawer", "doorL", "doorR", "handle", "knob", "washer_door", "doorD", "oven_door",
-)  # fmt: skip
-"""URDFormer's classes of parts, in the order of its output."""
-BASES = ("none", "cabinet", "oven", "dishwasher", "washer", "fridge", "oven_fan", "shelf")
-"""Its classes of objects; a microwave is not among them."""
-KINDS: Mapping[str, PartKind] = {
-    "drawer": "drawer",
-    "doorL": "door_left",
-    "doorR": "door_right",
-    "washer_door": "door_left",
-    "doorD": "door_down",
-    "oven_door": "door_down",
-    "doorU": "door_up",
-}
-"""What opens, and how. `doorU` is in the authors' files, but not in the network's output."""
-GRIPS = ("handle", "knob")
-"""What is held; all other classes have no counterpart here."""
-OVEN_GRIP = (6, 10)
+OVEN_HANDLE = (6, 10)
 """Where the authors put the handle of an oven door, whatever the network says."""
 _ON_BASE, _NOWHERE = -1, -2
 _MEAN = np.array([0.485, 0.456, 0.406], np.float32)
 _DEVIATION = np.array([0.229, 0.224, 0.225], np.float32)
-
-
-class Logits(NamedTuple, Generic[Array]):
-    """What the network says of one picture, as tensors or arrays."""
-
-    start: Array
-    """(slots, 3, steps): corner of each part along depth, width and height."""
-    end: Array
-    """(slots, 3, steps): the opposite corner."""
-    part: Array
-    """(slots, classes)"""
-    parent: Array
-    """(slots, 1 + slots, relations): the base first, then every slot."""
-    base: Array
-    """(base classes,)"""
-
-
-Network = Callable[
-    [Float32[np.ndarray, "3 h w"], Float32[np.ndarray, "slots 4"]], Logits[np.ndarray]
-]
-"""From a prepared picture and boxes (top, left, height, width), zeros in unused slots."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +81,7 @@ class UrdformerPredictor:
             return Front(score, ())
         slots = np.zeros((SLOTS, 4), np.float32)
         slots[: len(boxes)] = boxes
-        logits = self.network(prepare_picture(face.colour), slots)
+        logits = self.network(prepare_image(face.colour), slots)
         return Front(score, to_parts(decode(logits, len(boxes)), boxes))
 
     def _find(self, face: FaceImage, label: str) -> tuple[float, Float[np.ndarray, "n 4"]]:
@@ -149,17 +112,17 @@ def load_urdformer(path: Path) -> Network:
     load_weights(net, weights, path)
 
     def network(
-        picture: Float32[np.ndarray, "3 h w"], boxes: Float32[np.ndarray, "slots 4"]
+        image: Float32[np.ndarray, "3 h w"], boxes: Float32[np.ndarray, "slots 4"]
     ) -> Logits[np.ndarray]:
         with torch.inference_mode():
-            said = net(torch.from_numpy(picture), torch.from_numpy(boxes))
+            said = net(torch.from_numpy(image), torch.from_numpy(boxes))
         return Logits(*(tensor.numpy() for tensor in said))
 
     return network
 
 
-def prepare_picture(colour: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "3 224 224"]:
-    """Squeeze a picture into the square that the network saw in training.
+def prepare_image(colour: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "3 224 224"]:
+    """Squeeze an image into the square that the network saw in training.
 
     Sides may change their ratio. Pillow's bicubic filter is the one the authors used.
 
@@ -171,7 +134,7 @@ def prepare_picture(colour: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "
     except ImportError as error:
         hint = "Pillow is not installed; pip install 'momapos[scan]'"
         raise MissingExtraError(hint) from error
-    small = Image.fromarray(colour).resize((PICTURE, PICTURE), Image.Resampling.BICUBIC)
+    small = Image.fromarray(colour).resize((IMAGE, IMAGE), Image.Resampling.BICUBIC)
     normal = (np.asarray(small, np.float32) / 255.0 - _MEAN) / _DEVIATION
     return np.ascontiguousarray(normal.transpose(2, 0, 1))
 
@@ -220,19 +183,19 @@ def to_parts(prediction: Prediction, boxes_yxhw: Float[np.ndarray, "n 4"]) -> tu
             parts[index] = Part(KINDS[name], box, float(prediction.scores[index]))
     held: dict[int, float] = {}
     for index, name in enumerate(prediction.names):
-        if name not in GRIPS:
+        if name not in HANDLES:
             continue
-        centre, size = _centre_and_size(boxes_yxhw[index])
+        center, size = _center_and_size(boxes_yxhw[index])
         owner = int(prediction.parents[index])
         if owner in parts:
-            centre = _grip_centre(prediction, index, parts[owner])
+            center = _handle_center(prediction, index, parts[owner])
         else:
-            owner = _smallest_around(centre, parts)
+            owner = _smallest_around(center, parts)
         score = float(prediction.scores[index])
         if owner in parts and score > held.get(owner, 0.0):
             held[owner] = score
             part = parts[owner]
-            parts[owner] = Part(part.kind, part.box, part.score, around(centre, size, part.box))
+            parts[owner] = Part(part.kind, part.box, part.score, around(center, size, part.box))
     return tuple(parts.values())
 
 
@@ -242,22 +205,11 @@ def grid_rectangle(start: Int[np.ndarray, "2"], end: Int[np.ndarray, "2"]) -> Re
     return float(low[0]), 1.0 - float(high[1]), float(high[0]), 1.0 - float(low[1])
 
 
-def around(centre: tuple[float, float], size: tuple[float, float], within: Rectangle) -> Rectangle:
-    """Rectangle of this centre and size (width, height), cut off at the edges of another."""
-    (x, y), (width, height) = centre, size
-    return (
-        max(x - width / 2, within[0]),
-        max(y - height / 2, within[1]),
-        min(x + width / 2, within[2]),
-        min(y + height / 2, within[3]),
-    )
-
-
-def _grip_centre(prediction: Prediction, index: int, part: Part) -> tuple[float, float]:
-    """Find a handle's centre on its part: marks along the width count from the hinge."""
+def _handle_center(prediction: Prediction, index: int, part: Part) -> tuple[float, float]:
+    """Find a handle's center on its part: marks along the width count from the hinge."""
     marks = prediction.start[index]
     if prediction.names[prediction.parents[index]] == "oven_door":
-        marks = np.array(OVEN_GRIP)
+        marks = np.array(OVEN_HANDLE)
     across, up = (marks / (STEPS - 1)).tolist()
     left, top, right, bottom = part.box
     if part.kind == "door_right":
@@ -265,7 +217,7 @@ def _grip_centre(prediction: Prediction, index: int, part: Part) -> tuple[float,
     return left + across * (right - left), bottom - up * (bottom - top)
 
 
-def _centre_and_size(
+def _center_and_size(
     box_yxhw: Float[np.ndarray, "4"],
 ) -> tuple[tuple[float, float], tuple[float, float]]:
     top, left, height, width = box_yxhw.tolist()

@@ -11,8 +11,9 @@ import numpy as np
 from jaxtyping import Float
 
 from momapos.errors import FileFormatError, UrdfError
+from momapos.files import read_bytes_bounded
 from momapos.kinematics.urdf import MAX_LINKS, MAX_URDF_BYTES
-from momapos.reconstruction.urdformer import GRIPS, KINDS, SLOTS, Rectangle, around
+from momapos.reconstruction.urdformer_format import HANDLES, KINDS, SLOTS, Rectangle, around
 from momapos.types import Part
 
 if TYPE_CHECKING:
@@ -24,12 +25,12 @@ MESH_EDGE = 0.25
 """Edge of the authors' meshes of doors and drawers, so a scale of 4 fills the base."""
 GAP = {"drawer": 0.02, "doorL": 0.01, "doorR": 0.01}
 """What the authors take off the scale of a part, so that neighbours do not touch."""
-GRIP_SIZES = {"handle": (0.035, 0.125), "knob": (0.069, 0.069)}
+HANDLE_SIZES = {"handle": (0.035, 0.125), "knob": (0.069, 0.069)}
 """Width and height of the authors' meshes, as fractions of a base of scale 1."""
 
 
 def read_part_boxes(path: Path) -> Float[np.ndarray, "n 4"]:
-    """Read part boxes (top, left, height, width) as fractions of the picture.
+    """Read part boxes (top, left, height, width) as fractions of the image.
 
     The file is JSON: `{"part_boxes_yxhw_normalized": [[0.1, 0.2, 0.3, 0.4], ...]}`.
 
@@ -37,12 +38,7 @@ def read_part_boxes(path: Path) -> Float[np.ndarray, "n 4"]:
         FileFormatError: The file cannot be used; the message says why.
     """
     try:
-        if path.stat().st_size > MAX_BOXES_BYTES:
-            limit = MAX_BOXES_BYTES // 10**6
-            raise FileFormatError(f"{path}: larger than a list of part boxes can be ({limit} MB)")
-        content = json.loads(path.read_text(encoding="utf-8", errors="replace"))
-    except OSError as error:
-        raise FileFormatError(f"{path}: cannot be read ({error.strerror})") from error
+        content = json.loads(read_bytes_bounded(path, MAX_BOXES_BYTES))
     except (ValueError, RecursionError) as error:
         raise FileFormatError(f"{path}: damaged JSON ({error})") from error
     rows = content.get(BOXES_KEY) if isinstance(content, dict) else None
@@ -89,10 +85,10 @@ def read_predicted_urdf(path: Path) -> tuple[Part, ...]:
             parts[child] = Part(KINDS[name], _rectangle(name, origins[child], size), 1.0)
     for parent, child, xyz, roll in joints:
         name, _ = meshes.get(child, ("", None))
-        if name in GRIPS and parent in parts:
+        if name in HANDLES and parent in parts:
             across, up = (origins[parent] + np.array(xyz[1:]) / base).tolist()
             lying = abs(math.sin(roll)) > 0.5
-            width, height = (np.array(GRIP_SIZES[name][:: -1 if lying else 1]) / base).tolist()
+            width, height = (np.array(HANDLE_SIZES[name][:: -1 if lying else 1]) / base).tolist()
             part = parts[parent]
             handle = around((across, 1.0 - up), (width, height), part.box)
             parts[parent] = Part(part.kind, part.box, part.score, handle)
@@ -128,15 +124,12 @@ def _is_box(row: object) -> bool:
 def _parse(path: Path) -> Element:
     from defusedxml import DefusedXmlException, ElementTree
 
+    data = read_bytes_bounded(path, MAX_URDF_BYTES, error=UrdfError)
     try:
-        if path.stat().st_size > MAX_URDF_BYTES:
-            raise UrdfError(f"{path}: larger than {MAX_URDF_BYTES // 1_000_000} MB")
-        robot = ElementTree.fromstring(path.read_bytes(), forbid_dtd=True)
-    except OSError as error:
-        raise UrdfError(f"{path}: cannot be read ({error.strerror})") from error
+        robot = ElementTree.fromstring(data, forbid_dtd=True)
     except DefusedXmlException as error:
         raise UrdfError(f"{path}: DTDs and entities are not allowed in a URDF") from error
-    except (ElementTree.ParseError, ValueError) as error:
+    except (ElementTree.ParseError, LookupError, ValueError) as error:
         raise UrdfError(f"{path}: not well-formed XML ({error})") from error
     if robot.tag != "robot" or len(robot) > 2 * MAX_LINKS:
         raise UrdfError(f"{path}: not a <robot> of at most {MAX_LINKS} links")

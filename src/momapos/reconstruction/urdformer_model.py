@@ -22,13 +22,13 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 
-from momapos.reconstruction.urdformer import BASES, PARTS, PICTURE, STEPS, Logits
+from momapos.reconstruction.urdformer_format import BASES, IMAGE, PARTS, STEPS, Logits
 
 PATCH = 16
 """Edge of a patch [px]; the map has PICTURE / PATCH cells along an edge."""
-CELLS = PICTURE // PATCH
+CELLS = IMAGE // PATCH
 WIDTH_MAP, WIDTH = 384, 512
-"""Channels of the picture's map, and of the tokens."""
+"""Channels of the image's map, and of the tokens."""
 DEPTH = 12
 RELATIONS = 6
 RELATION_WIDTH = 32
@@ -47,8 +47,8 @@ def _by_names(**parts: nn.Module) -> nn.ModuleDict:
     return nn.ModuleDict(parts)
 
 
-class PictureBlock(nn.Module):
-    """One transformer block of the picture's encoder."""
+class ImageBlock(nn.Module):
+    """One transformer block of the image's encoder."""
 
     def __init__(self, heads: int = 12) -> None:
         super().__init__()
@@ -71,19 +71,19 @@ class PictureBlock(nn.Module):
         return x + self.mlp["fc2"](functional.gelu(self.mlp["fc1"](self.norm2(x))))
 
 
-class PictureEncoder(nn.Module):
-    """ViT-S/16: a picture becomes a map of 14 x 14 cells."""
+class ImageEncoder(nn.Module):
+    """ViT-S/16: an image becomes a map of 14 x 14 cells."""
 
     def __init__(self) -> None:
         super().__init__()
         self.cls_token = nn.Parameter(torch.zeros(1, 1, WIDTH_MAP))
         self.pos_embed = nn.Parameter(torch.zeros(1, CELLS**2 + 1, WIDTH_MAP))
         self.patch_embed = _by_names(proj=nn.Conv2d(3, WIDTH_MAP, PATCH, PATCH))
-        self.blocks = nn.ModuleList(PictureBlock() for _ in range(DEPTH))
+        self.blocks = nn.ModuleList(ImageBlock() for _ in range(DEPTH))
         self.norm = nn.LayerNorm(WIDTH_MAP, eps=1e-6)
 
-    def forward(self, pictures: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n width rows columns"]:
-        patches = self.patch_embed["proj"](pictures).flatten(2).transpose(1, 2)
+    def forward(self, images: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n width rows columns"]:
+        patches = self.patch_embed["proj"](images).flatten(2).transpose(1, 2)
         x = torch.cat((self.cls_token.expand(len(patches), -1, -1), patches), dim=1)
         x = x + self.pos_embed
         for block in self.blocks:
@@ -114,7 +114,7 @@ class Urdformer(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        self.img_backbone = PictureEncoder()
+        self.img_backbone = ImageEncoder()
         # The checkpoint has it, but no answer depends on it.
         self.pe_layer = _by_names(**{f"fc{axis}": nn.Linear(16, WIDTH) for axis in "xywh"})
         self.fc1 = _mlp(WIDTH_MAP, 512, 256, 64)
@@ -135,15 +135,15 @@ class Urdformer(nn.Module):
         self.blocks = nn.ModuleList(PartBlock() for _ in range(DEPTH))
 
     def forward(
-        self, picture: Float[Tensor, "3 h w"], boxes_yxhw: Float[Tensor, "slots 4"]
+        self, image: Float[Tensor, "3 h w"], boxes_yxhw: Float[Tensor, "slots 4"]
     ) -> Logits[Tensor]:
         """Say where and what the boxed parts are.
 
         Args:
-            picture: Square picture of 224 pixels, normalised as for ImageNet.
-            boxes_yxhw: Top, left, height, width as fractions of the picture; unused slots zero.
+            image: Square image of 224 pixels, normalised as for ImageNet.
+            boxes_yxhw: Top, left, height, width as fractions of the image; unused slots zero.
         """
-        cells = self.img_backbone(picture[None])[0]
+        cells = self.img_backbone(image[None])[0]
         regions = roi_align(cells, regions_of(boxes_yxhw), CELLS, 1.0 / PATCH, samples=2)
         tokens = self.fc2(self.fc1(regions.permute(0, 2, 3, 1)).flatten(1))
         x = (self.norm_layer(tokens) + self.norm_layer(self.bbox_fc(boxes_yxhw)))[None]
@@ -179,7 +179,7 @@ def regions_of(boxes_yxhw: Float[Tensor, "n 4"]) -> Float[Tensor, "n 4"]:
     Whole pixels, then whole cells of the map, in the order (top, left, bottom, right). The pooling
     reads them as pixels in the order (left, top, right, bottom): see the module's docstring.
     """
-    start, size = (boxes_yxhw * PICTURE).int().split(2, dim=-1)
+    start, size = (boxes_yxhw * IMAGE).int().split(2, dim=-1)
     return torch.floor(torch.cat((start, start + size), dim=-1) / PATCH)
 
 

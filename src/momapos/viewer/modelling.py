@@ -1,4 +1,4 @@
-"""Why an object was modelled as it was: the picture that was chosen, the parts found, the fit."""
+"""Why an object was modelled as it was: the image that was chosen, the parts found, the fit."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Polygon, Rectangle
 
 from momapos.geometry.transforms import apply, invert
-from momapos.perception.detections import corners
-from momapos.perception.faces import Face
-from momapos.perception.views import View
 from momapos.scene.scene import SceneObject
 from momapos.types import Cloud, Detection, Frame, Part
+from momapos.views.faces import Face
+from momapos.views.front_view import View
+from momapos.views.projection import corners
 
 _EDGES = ((0, 1), (0, 2), (0, 4), (1, 3), (1, 5), (2, 3), (2, 6), (3, 7), (4, 5), (4, 6), (5, 7),
           (6, 7))  # fmt: skip
@@ -43,21 +43,21 @@ def draw_modelled(
     Args:
         detection: The object.
         view: Its front, or None where none was found.
-        frames: All pictures.
+        frames: All images.
         cloud: The room.
         model: The object as it stands in the scene.
         caption: One line on top.
         path: The PNG to write.
     """
     figure = Figure(figsize=(15, 5), layout="constrained")
-    picture, face, front, side = figure.subplots(1, 4)
+    image, face, front, side = figure.subplots(1, 4)
     figure.suptitle(caption)
     if view is not None:
-        _frame(picture, frames[view.frame], detection, np.degrees(view.angle))
+        _frame(image, frames[view.frame], detection, np.degrees(view.angle))
         _face(face, view)
         axis = view.face
     else:
-        for axes, text in ((picture, "no picture shows a front"), (face, "no parts")):
+        for axes, text in ((image, "no image shows a front"), (face, "no parts")):
             axes.set_axis_off()
             axes.set_title(text)
         axis = None
@@ -66,7 +66,7 @@ def draw_modelled(
 
 
 def _frame(axes: Axes, frame: Frame, detection: Detection, angle: float) -> None:
-    """The chosen picture with the object's box."""
+    """The chosen image with the object's box."""
     axes.imshow(frame.colour)
     points = apply(invert(frame.T_world_camera), corners(detection.box))
     visible = points[:, 2] > 0.1

@@ -1,0 +1,1 @@
+"""From posed depth images to one upright cloud."""

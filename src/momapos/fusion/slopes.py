@@ -1,0 +1,54 @@
+"""What a depth image says of the surfaces in it: how they face the camera, how far they are."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float, Float32
+from numba import njit
+
+TILE = 16  # pixels along a square of the coarse depth image that hidden blocks are found with
+
+
+@njit(cache=True)
+def facing_of(
+    depth: Float32[np.ndarray, "h w"], K: Float[np.ndarray, "3 3"], edge: float, grazing: float
+) -> Float32[np.ndarray, "h w"]:
+    """Length of the ray to depth 1 along the normal of the surface at each pixel [-].
+
+    It turns a difference of depth into a distance from the surface's plane. Zero where the
+    pixel is not used: no depth, a step beside it, or a surface seen at a grazing angle.
+    """
+    h, w = depth.shape
+    out = np.zeros((h, w), np.float32)
+    r = 2
+    for v in range(r, h - r):
+        for u in range(r, w - r):
+            d = depth[v, u]
+            if d <= 0:
+                continue
+            left, right, up, down = (
+                depth[v, u - r],
+                depth[v, u + r],
+                depth[v - r, u],
+                depth[v + r, u],
+            )
+            lowest, highest = min(left, right, up, down), max(left, right, up, down)
+            if lowest <= 0 or d - lowest > edge * d or highest - d > edge * d:
+                continue
+            x, y = (u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1]
+            # With depth d(u, v), the surface's normal is along (-fx du, -fy dv, d + ...): its
+            # product with the ray (x, y, 1) is d, for every slope.
+            nx = -K[0, 0] * (right - left) / (2 * r)
+            ny = -K[1, 1] * (down - up) / (2 * r)
+            nz = d - x * nx - y * ny
+            along = d / np.sqrt(nx * nx + ny * ny + nz * nz)
+            if along > grazing * np.sqrt(x * x + y * y + 1):
+                out[v, u] = along
+    return out
+
+
+def deepest_of(depth: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "a b"]:
+    """Largest depth in each square of pixels."""
+    h, w = depth.shape
+    padded = np.pad(depth, ((0, -h % TILE), (0, -w % TILE)))
+    return padded.reshape(-(-h // TILE), TILE, -(-w // TILE), TILE).max(axis=(1, 3))

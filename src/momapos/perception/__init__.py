@@ -1,1 +1,0 @@
-"""Stage 2a: what is where, from a scan."""

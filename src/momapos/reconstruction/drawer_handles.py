@@ -1,0 +1,89 @@
+"""Stacks of drawers whose gaps nobody sees, told by their handles: level lines, evenly spaced."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float, Float32
+from scipy import ndimage
+
+from momapos.types import FaceImage, Part
+
+FLAPS = ("door_down", "door_up")
+"""What is never a stack: the racks behind an oven's window look like one."""
+SEEN = 0.08
+"""Contrast of a handle, as `decode.dark_lines` tells it [-]."""
+PLAIN = 0.9
+"""Share of a front that is without any line, where handles can be told from its grain [-]."""
+FEWEST = 3
+"""Fewer lines are no stack [-]."""
+BROAD = (0.08, 0.6)
+"""Width of a handle as a share of its part [-]."""
+THIN = 0.04
+"""And its height at most [-]."""
+OFF = 0.1
+"""Handles are this near to the middle of their drawer, as a share of its width [-]."""
+EVEN = 0.2
+"""Their distances differ by less, as a share of the usual one [-]."""
+PITCH = (0.08, 0.5)
+"""Height of a drawer [m]."""
+BELOW = 0.75
+"""With more than this share of a drawer below the last handle, they are at the tops [-]."""
+
+
+def into_drawers(
+    face: FaceImage, part: Part, lines: Float32[np.ndarray, "h w"]
+) -> tuple[Part, ...]:
+    """The drawers that a part is, where evenly stacked handles are seen on it; else the part.
+
+    Args:
+        face: The face.
+        part: What was taken for one door or drawer.
+        lines: Level dark lines of the face.
+    """
+    if part.kind in FLAPS:
+        return (part,)
+    box = np.array(part.box)
+    rows = _rows(lines, box)
+    if len(rows) < FEWEST:
+        return (part,)
+    middle = rows[:, [1, 3]].mean(axis=1)
+    pitch = float(np.median(np.diff(middle)))
+    even = np.abs(np.diff(middle) - pitch).max() < EVEN * pitch
+    if not (even and PITCH[0] < pitch * face.height < PITCH[1]):
+        return (part,)
+    at_top = box[3] - middle[-1] > BELOW * pitch
+    edges = middle if at_top else middle - pitch / 2
+    edges = np.clip(np.append(edges, edges[-1] + pitch), box[1], box[3])
+    return tuple(
+        replace(
+            part,
+            kind="drawer",
+            box=(part.box[0], float(top), part.box[2], float(bottom)),
+            handle=(float(x0), float(max(y0, top)), float(x1), float(y1)),
+        )
+        for top, bottom, (x0, y0, x1, y1) in zip(edges[:-1], edges[1:], rows, strict=True)
+    )
+
+
+def _rows(
+    lines: Float32[np.ndarray, "h w"], box: Float[np.ndarray, "4"]
+) -> Float[np.ndarray, "n 4"]:
+    """Handles in the middle of a part, top to bottom, as fractions of the face."""
+    none = np.zeros((0, 4))
+    high, wide = lines.shape
+    left, top, right, bottom = np.rint(box * [wide, high, wide, high]).astype(int)
+    inner = lines[top:bottom, left:right]
+    if min(inner.shape, default=0) < 8 or (inner < SEEN).mean() < PLAIN:
+        return none
+    label, count = ndimage.label(inner > SEEN, np.ones((3, 3)))
+    if not count:
+        return none
+    spans = [(x.start, y.start, x.stop, y.stop) for y, x in ndimage.find_objects(label)]
+    found = np.array(spans, float)
+    broad, thick = ((found[:, 2:] - found[:, :2]) / inner.shape[::-1]).T
+    off = np.abs(found[:, [0, 2]].mean(axis=1) / inner.shape[1] - 0.5)
+    grip = (broad > BROAD[0]) & (broad < BROAD[1]) & (thick < THIN) & (off < OFF)
+    stack = found[grip][np.argsort(found[grip, 1], kind="stable")]
+    return (stack + np.array([left, top, left, top])) / [wide, high, wide, high]

@@ -1,0 +1,115 @@
+"""What the height map of a face shows: surfaces, and bars that stand out of them.
+
+Areas are in metres from the face's lower left corner, x to the right and z up.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy import ndimage
+
+from momapos.types import FaceImage
+
+FEWEST = 12
+"""Measured pixels that a median needs [-]."""
+
+
+@dataclass(frozen=True)
+class Area:
+    """An upright rectangle in the frame of a face [m]."""
+
+    left: float
+    bottom: float
+    right: float
+    top: float
+
+    @property
+    def width(self) -> float:
+        """Size along x [m]."""
+        return self.right - self.left
+
+    @property
+    def height(self) -> float:
+        """Size along z [m]."""
+        return self.top - self.bottom
+
+    def within(self, other: Area, margin: float = 0.0) -> Area | None:
+        """What of it lies inside another and off its edges by a margin [m]; None if nothing."""
+        low_x, low_z = other.left + margin, other.bottom + margin
+        high_x, high_z = other.right - margin, other.top - margin
+        area = Area(
+            max(self.left, low_x),
+            max(self.bottom, low_z),
+            min(self.right, high_x),
+            min(self.top, high_z),
+        )
+        return area if area.width > 0 and area.height > 0 else None
+
+
+def area_of(box: tuple[float, float, float, float], face: FaceImage) -> Area:
+    """The part of a face that (left, top, right, bottom) as fractions of it name."""
+    left, top, right, bottom = np.clip(box, 0.0, 1.0).tolist()
+    (left, right), (top, bottom) = sorted((left, right)), sorted((top, bottom))
+    w, h = face.width, face.height
+    return Area(left * w, (1 - bottom) * h, right * w, (1 - top) * h)
+
+
+def heights_in(face: FaceImage, area: Area, without: Area | None = None) -> Float[np.ndarray, " k"]:
+    """The measured height map [m] inside an area, but for what lies in another."""
+    rows, columns = _pixels(face, area)
+    height_map = np.array(face.height_map[rows, columns], float)
+    if without is not None:
+        inner_rows, inner_columns = _pixels(face, without)
+        r, c = rows.start, columns.start
+        height_map[
+            max(inner_rows.start - r, 0) : max(inner_rows.stop - r, 0),
+            max(inner_columns.start - c, 0) : max(inner_columns.stop - c, 0),
+        ] = np.nan
+    return height_map[np.isfinite(height_map)]
+
+
+def _pixels(face: FaceImage, area: Area) -> tuple[slice, slice]:
+    """Rows and columns of an area; a pixel belongs to it when its center does."""
+    h, w = face.height_map.shape
+    x = np.array([area.left, area.right]) / face.width * w
+    y = (1 - np.array([area.top, area.bottom]) / face.height) * h
+    (left, right), (top, bottom) = (
+        np.clip(np.round(v), 0, None).astype(int).tolist() for v in (x, y)
+    )
+    return slice(top, bottom), slice(left, right)
+
+
+def longest_bar(
+    face: FaceImage, part: Area, out: float, least: float, thickest: float
+) -> Area | None:
+    """The longest bar that stands out of a part in the height map; None where there is none.
+
+    Args:
+        face: The face.
+        part: Where to look.
+        out: Bars stand out of the part by this at least [m].
+        least: And are this long at least, and at least twice as long as thick [m].
+        thickest: And at most this thick [m].
+    """
+    rows, columns = _pixels(face, part)
+    height_map = np.array(face.height_map[rows, columns], float)
+    if np.isfinite(height_map).sum() < FEWEST:
+        return None
+    stands = height_map > np.nanmedian(height_map) + out  # NaN compares as false
+    label, count = ndimage.label(stands, np.ones((3, 3)))
+    tall, wide = face.height / face.height_map.shape[0], face.width / face.height_map.shape[1]
+    bars = []
+    for down, across in ndimage.find_objects(label, count):
+        area = Area(
+            (columns.start + across.start) * wide,
+            face.height - (rows.start + down.stop) * tall,
+            (columns.start + across.stop) * wide,
+            face.height - (rows.start + down.start) * tall,
+        )
+        thick, length = sorted((area.width, area.height))
+        if length >= max(least, 2 * thick) and thick <= thickest:
+            bars.append((length, area))
+    return max(bars, key=lambda bar: bar[0])[1] if bars else None

@@ -1,0 +1,1 @@
+"""Readers: recordings of rooms, and what other programs found in them."""

@@ -1,0 +1,1 @@
+"""From a cloud to things, each with its box and label."""

@@ -1,0 +1,261 @@
+"""Images of triangles: which one each ray meets first, and how bright it is there.
+
+Rays leave one point on a regular grid, so that a triangle is drawn row by row with the edge
+functions of Olano and Greer (Triangle Scan Conversion using 2D Homogeneous Coordinates, 1997).
+They need no clipping, and give the distance that casting every ray by itself would give.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32, Int32, UInt8
+from numba import njit
+
+NEAREST = 0.02
+"""What is nearer to the camera is not drawn [m]."""
+AMBIENT = 0.36
+HEADLIGHT = 0.16
+"""Shares of light that come from all around, and from beside the camera [-]."""
+CREVICE = 0.008
+"""How far around a point is searched for what stands out beside it [m]."""
+RAISED = 0.003
+"""What stands out by this much [m] darkens its neighbourhood."""
+DEEP = 0.035
+"""What lies behind by more than this [m] is no crevice but another thing."""
+_RING = ((0, 0), (0, 1), (0, 2), (1, 2), (2, 2), (2, 1), (2, 0), (1, 0))
+SHADE = 0.75
+"""How much darker a crevice is that is enclosed all around [-]."""
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def rasterise(
+    corners: Float[np.ndarray, "n 3 3"],
+    one_sided: Bool[np.ndarray, " n"],
+    xs: Float[np.ndarray, " w"],
+    ys: Float[np.ndarray, " h"],
+    inverse: Float32[np.ndarray, "h w"],
+    nearest: Int32[np.ndarray, "h w"],
+) -> None:
+    """Find the first triangle along each ray (x, y, 1).
+
+    Args:
+        corners: Triangles in the camera's frame [m].
+        one_sided: Triangles that are seen only from where they run anticlockwise.
+        xs, ys: The rays; both are evenly spaced and grow.
+        inverse: Filled with 1 / depth [1/m]; 0 where a ray meets nothing.
+        nearest: Filled with the triangle's number, -1 where there is none.
+    """
+    inverse[:] = 0.0
+    nearest[:] = -1
+    height, width = inverse.shape
+    x0, dx, y0, dy = xs[0], xs[1] - xs[0], ys[0], ys[1] - ys[0]
+    edges = np.empty((3, 3))
+    for t in range(len(corners)):
+        c = corners[t]
+        depths = (c[0, 2], c[1, 2], c[2, 2])
+        if max(depths) < NEAREST:
+            continue
+        for k in range(3):
+            a, b = c[k], c[(k + 1) % 3]
+            edges[k, 0] = a[1] * b[2] - a[2] * b[1]
+            edges[k, 1] = a[2] * b[0] - a[0] * b[2]
+            edges[k, 2] = a[0] * b[1] - a[1] * b[0]
+        volume = edges[0, 0] * c[2, 0] + edges[0, 1] * c[2, 1] + edges[0, 2] * c[2, 2]
+        if abs(volume) < 1e-14 or (one_sided[t] and volume > 0):
+            continue
+        edges /= volume
+        first, last = 0, height
+        if min(depths) > NEAREST:
+            low = min(c[0, 1] / depths[0], c[1, 1] / depths[1], c[2, 1] / depths[2])
+            high = max(c[0, 1] / depths[0], c[1, 1] / depths[1], c[2, 1] / depths[2])
+            first = int(min(max(np.ceil((low - y0) / dy - 1e-9), 0.0), height))
+            last = int(min(max(np.floor((high - y0) / dy + 1e-9) + 1, 0.0), height))
+        slope = edges[0, 0] + edges[1, 0] + edges[2, 0]
+        for i in range(first, last):
+            y = y0 + i * dy
+            left, right = 0.0, width - 1.0
+            value = 0.0
+            for k in range(3):
+                at, step = edges[k, 1] * y + edges[k, 2], edges[k, 0]
+                value += at
+                if step > 1e-300:
+                    left = max(left, (-at / step - x0) / dx)
+                elif step < -1e-300:
+                    right = min(right, (-at / step - x0) / dx)
+                elif at < 0:
+                    right = -1.0
+            if left > right + 2e-9 or right < 0 or left > width:
+                continue
+            for j in range(int(np.ceil(left - 1e-9)), int(np.floor(right + 1e-9)) + 1):
+                inv = value + slope * (x0 + j * dx)
+                if inv > inverse[i, j] and inv < 1 / NEAREST:
+                    inverse[i, j] = inv
+                    nearest[i, j] = t
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
+def _hash(cell: int) -> float:
+    """A number in [0, 1) for each cell of a lattice."""
+    h = (cell ^ (cell >> 15)) * 0x2C1B3C6D
+    h = (h ^ (h >> 12)) * 0x297A2D39
+    return ((h ^ (h >> 15)) & 0xFFFF) / 65536.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
+def _grain(x: float, y: float, z: float) -> float:
+    """Smooth noise in [-1, 1] that varies over about one unit."""
+    fx, fy, fz = np.floor(x), np.floor(y), np.floor(z)
+    u, v, w = x - fx, y - fy, z - fz
+    u, v, w = u * u * (3 - 2 * u), v * v * (3 - 2 * v), w * w * (3 - 2 * w)
+    cell = int(fx) * 73856093 + int(fy) * 19349669 + int(fz) * 83492791
+    total = 0.0
+    for b in range(2):
+        for c in range(2):
+            at = cell + b * 19349669 + c * 83492791
+            along = _hash(at) * (1 - u) + _hash(at + 73856093) * u
+            total += along * (v if b else 1 - v) * (w if c else 1 - w)
+    return 2 * total - 1
+
+
+@njit(inline="always")
+def _crevice(
+    i: int, j: int, normal: tuple[float, float, float], xs: Any, ys: Any, inverse: Any
+) -> float:
+    """Share of the directions around a point in which something stands out beside it."""
+    height, width = inverse.shape
+    inv = inverse[i, j]
+    step = int(min(max(CREVICE * inv / (xs[1] - xs[0]), 2.0), 8.0))
+    here = (normal[0] * xs[j] + normal[1] * ys[i] + normal[2]) / inv
+    hidden = 0
+    for k in range(8):
+        a = i + step * ((k > 4) - (0 < k < 4))
+        b = j + step * ((k < 2 or k == 7) - (2 < k < 6))
+        if 0 <= a < height and 0 <= b < width and inverse[a, b] > inv:
+            other = inverse[a, b]
+            there = normal[0] * xs[b] + normal[1] * ys[a] + normal[2]
+            hidden += other - inv < DEEP * inv * other and there - here * other > RAISED * other
+    return hidden / 8
+
+
+@njit(inline="always")
+def _lamp_light(p: tuple[float, float, float], n: tuple[float, float, float], lamps: Any) -> float:
+    """Light of all lamps that reach a point with this normal."""
+    Ts_lamp_world, strength, scale, maps = lamps
+    size = maps.shape[1]
+    light = 0.0
+    for k in range(len(strength)):
+        T = Ts_lamp_world[k]
+        steep = -(T[2, 0] * n[0] + T[2, 1] * n[1] + T[2, 2] * n[2])
+        if steep <= 0:
+            continue
+        depth = T[2, 0] * p[0] + T[2, 1] * p[1] + T[2, 2] * p[2] + T[2, 3]
+        factor = scale[k] / depth
+        u = (T[0, 0] * p[0] + T[0, 1] * p[1] + T[0, 2] * p[2] + T[0, 3]) * factor
+        v = (T[1, 0] * p[0] + T[1, 1] * p[1] + T[1, 2] * p[2] + T[1, 3]) * factor
+        a, b = int(v + size / 2), int(u + size / 2)
+        # one step of the map lets a slanted surface fall below itself by this much
+        slack = 0.004 + 1.5 / (factor * max(steep, 0.15))
+        inside = 0 <= a < size and 0 <= b < size
+        if not inside or (depth - slack) * maps[k, a, b] < 1:
+            light += strength[k] * steep
+    return light
+
+
+@njit(inline="always")
+def _shade(
+    i: int, j: int, tri: int, rays: Any, inverse: Any, camera: Any, look: Any, lamps: Any, out: Any
+) -> None:
+    """Linear colour of the surface that one ray meets."""
+    xs, ys = rays
+    R, eye = camera
+    normals, surface, colours, grain = look
+    z = 1 / inverse[i, j]
+    x, y = xs[j] * z, ys[i] * z
+    dx = R[0, 0] * x + R[0, 1] * y + R[0, 2] * z
+    dy = R[1, 0] * x + R[1, 1] * y + R[1, 2] * z
+    dz = R[2, 0] * x + R[2, 1] * y + R[2, 2] * z
+    nx, ny, nz = normals[tri, 0], normals[tri, 1], normals[tri, 2]
+    facing = -(dx * nx + dy * ny + dz * nz)
+    if facing < 0:
+        nx, ny, nz, facing = -nx, -ny, -nz, -facing
+    n_camera = (
+        R[0, 0] * nx + R[1, 0] * ny + R[2, 0] * nz,
+        R[0, 1] * nx + R[1, 1] * ny + R[2, 1] * nz,
+        R[0, 2] * nx + R[1, 2] * ny + R[2, 2] * nz,
+    )
+    p = (eye[0] + dx, eye[1] + dy, eye[2] + dz)
+    light = AMBIENT * (0.85 + 0.15 * nz) + _lamp_light(p, (nx, ny, nz), lamps)
+    light += HEADLIGHT * facing / np.sqrt(x * x + y * y + z * z)
+    light *= 1 - SHADE * _crevice(i, j, n_camera, xs, ys, inverse)
+    s = surface[tri]
+    if grain[s, 0] > 0:
+        gx, gy, gz = p[0] * grain[s, 1], p[1] * grain[s, 2], p[2] * grain[s, 3]
+        noise = 0.65 * _grain(gx, gy, gz) + 0.35 * _grain(2.7 * gx, 2.7 * gy, 2.7 * gz)
+        light *= 1 + grain[s, 0] * noise
+    for k in range(3):
+        out[k] = colours[s, k] * light
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
+def shade_image(
+    rays: tuple[Float[np.ndarray, " w2"], Float[np.ndarray, " h2"]],
+    buffers: tuple[Float32[np.ndarray, "h2 w2"], Int32[np.ndarray, "h2 w2"]],
+    camera: tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]],
+    look: Any,
+    lamps: Any,
+    background: Float[np.ndarray, "3"],
+    shown: UInt8[np.ndarray, " levels"],
+    image: UInt8[np.ndarray, "h w 3"],
+) -> None:
+    """Colour each pixel from the 3 x 3 rays around its center, weighted as a tent.
+
+    Each triangle that these rays meet is shaded once: between edges that is one of nine.
+
+    Args:
+        rays: Twice as dense as the pixels; the pixel (i, j) has its center at (2i + 1, 2j + 1).
+        buffers: What `rasterise` found along them.
+        camera: Rotation and position in the world.
+        look: Unit normals (n, 3) and surface numbers (n,) of the triangles, then linear colours
+            (s, 3) and grain (s, 4): strength [-] and frequency [1/m] of the surfaces.
+        lamps: World to lamp (k, 4, 4), strengths (k,), texels per tangent (k,) and shadow maps
+            (k, m, m), each 1 / depth.
+        background: Linear colour where there is nothing.
+        shown: Colours on a screen for evenly spaced linear ones in [0, 1].
+        image: Filled with them.
+    """
+    inverse, nearest = buffers
+    height, width, _ = image.shape
+    seen, weight = np.empty(9, np.int64), np.empty(9)
+    where = np.empty((9, 2), np.int64)
+    colour, total = np.empty(3), np.empty(3)
+    last = len(shown) - 1
+    for i in range(height):
+        for j in range(width):
+            seen[0], weight[0] = nearest[2 * i + 1, 2 * j + 1], 0.25
+            where[0, 0], where[0, 1] = 2 * i + 1, 2 * j + 1
+            count = 1
+            # the center comes first, so that a triangle seen there is shaded there
+            for k in range(8):
+                a, b = 2 * i + _RING[k][0], 2 * j + _RING[k][1]
+                share = 0.125 if k % 2 else 0.0625
+                found = 0
+                while found < count and seen[found] != nearest[a, b]:
+                    found += 1
+                if found == count:
+                    seen[count], weight[count] = nearest[a, b], 0.0
+                    where[count, 0], where[count, 1] = a, b
+                    count += 1
+                weight[found] += share
+            total[:] = 0.0
+            for q in range(count):
+                if seen[q] < 0:
+                    colour[:] = background
+                else:
+                    a, b = where[q]
+                    _shade(a, b, seen[q], rays, inverse, camera, look, lamps, colour)
+                for k in range(3):
+                    total[k] += weight[q] * colour[k]
+            for k in range(3):
+                image[i, j, k] = shown[int(min(total[k], 1.0) * last + 0.5)]

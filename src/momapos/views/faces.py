@@ -1,0 +1,211 @@
+"""The upright faces of a box, and what images show of them when they are seen straight on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Float32, UInt8
+from numba import njit
+
+from momapos.geometry.transforms import invert, pose
+from momapos.types import FaceImage, Frame, UprightBox
+
+FACES = 4
+"""Upright faces of a box: outward along its x, y, -x, -y."""
+NEAREST = 0.1
+"""Surfaces nearer to a camera are not looked at [m]."""
+APART = 0.15
+"""What lies farther before or behind a face is another thing, which hides it or is seen past it
+[m]."""
+ALIKE = 0.2
+"""Lines of sight are alike when their slopes differ by this, one standard deviation: a handle that
+stands out by 4 cm is displaced by less than 1 cm between them [-]."""
+HIDDEN, CLEAR = 1, 2
+"""What frames showed of a place: another thing, or the face."""
+FLAT = 0.1
+"""Doors, handles and frames stay within this of a front's plane; legs and shelves do not [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Face:
+    """One upright face of a box."""
+
+    index: int
+    """0 to 3: outward along the box's x, y, -x, -y."""
+    T_world_face: Float[np.ndarray, "4 4"]
+    """Origin in the middle; x to the right as seen from outside, y up, z outward."""
+    width: float
+    """Along x [m]."""
+    height: float
+    """Along y [m]."""
+
+    @property
+    def outward(self) -> Float[np.ndarray, "3"]:
+        """Unit normal in the world."""
+        return self.T_world_face[:3, 2]
+
+
+def box_faces(box: UprightBox) -> tuple[Face, ...]:
+    """The four upright faces of a box."""
+    c, s = np.cos(box.yaw), np.sin(box.yaw)
+    along = np.array([[c, s, 0.0], [-s, c, 0.0], [-c, -s, 0.0], [s, -c, 0.0]])
+    up = np.array([0.0, 0.0, 1.0])
+    faces = []
+    for index, outward in enumerate(along):
+        depth, width = (0, 1) if index % 2 == 0 else (1, 0)
+        center = box.center + outward * box.size[depth] / 2
+        R = np.stack([np.cross(up, outward), up, outward], axis=1)
+        faces.append(Face(index, pose(center, R), float(box.size[width]), float(box.size[2])))
+    return tuple(faces)
+
+
+def face_image(face: Face, frames: Sequence[Frame], *, pixels: int = 384) -> FaceImage:
+    """Look straight at a face.
+
+    Colour comes from the first frame that shows a place with nothing before it. The height map is
+    the mean of what all such frames measured there, since one depth image alone is too noisy to
+    tell a handle from a door. Each counts by the inverse variance of a stereo camera at its
+    distance, and the more the nearer its line of sight is to that of the first: what stands out
+    is seen displaced. Only where something else hides a place in all frames is that looked at.
+
+    Args:
+        face: Where to look.
+        frames: Images that show the face, the best first.
+        pixels: Length of the longer side of the result [px].
+    """
+    shape = _shape(face, pixels)
+    view = _View.of(shape)
+    cameras = [camera_position_of(face, frame) for frame in frames]
+    for frame, camera in zip(frames, cameras, strict=True):
+        _look(face, frame, view, _weight(camera, cameras[0]))
+    height_map = _mean(view.far)
+    near = _mean(view.near)
+    known = np.isfinite(near)
+    height_map[known] = near[known]
+    seen_from = cameras[0] if cameras else None
+    return FaceImage(view.colour, height_map, face.width, face.height, seen_from)
+
+
+def camera_position_of(face: Face, frame: Frame) -> Float[np.ndarray, "3"]:
+    """Where an image was taken, in the frame of a face [m]."""
+    return (invert(face.T_world_face) @ frame.T_world_camera)[:3, 3]
+
+
+def _weight(camera: Float[np.ndarray, "3"], first: Float[np.ndarray, "3"]) -> float:
+    """How much the depth of one camera counts beside that of another, by where they are [m]."""
+    slopes = camera[:2] / max(camera[2], NEAREST) - first[:2] / max(first[2], NEAREST)
+    length = max(float(np.linalg.norm(camera)), NEAREST)
+    return float(np.exp(-(slopes @ slopes) / (2 * ALIKE**2))) / length**4
+
+
+def solid(image: FaceImage) -> float:
+    """Part of what was measured of a face that lies in its plane, in [0, 1]; 1 without depth."""
+    measured = np.isfinite(image.height_map)
+    if not measured.any():
+        return 1.0
+    return float((np.abs(image.height_map[measured]) < FLAT).mean())
+
+
+def shown(face: Face, frame: Frame, *, pixels: int = 48) -> float:
+    """Part of a face that a frame shows, and not something before or behind it, in [0, 1]."""
+    view = _View.of(_shape(face, pixels))
+    _look(face, frame, view, 1.0)
+    return float((view.state == CLEAR).mean())
+
+
+def _shape(face: Face, pixels: int) -> tuple[int, int]:
+    scale = pixels / max(face.width, face.height)
+    return max(8, round(face.height * scale)), max(8, round(face.width * scale))
+
+
+@dataclass(frozen=True, eq=False)
+class _View:
+    """What frames have shown of a face so far."""
+
+    colour: UInt8[np.ndarray, "h w 3"]
+    state: UInt8[np.ndarray, "h w"]
+    """0 where no frame looked, `HIDDEN` where all saw something else, `CLEAR` elsewhere."""
+    near: Float32[np.ndarray, "h w 2"]
+    """Sum of weighted height maps of the face itself, and of the weights."""
+    far: Float32[np.ndarray, "h w 2"]
+    """The same of what is before or behind it."""
+
+    @staticmethod
+    def of(shape: tuple[int, int]) -> _View:
+        sums = (np.zeros((*shape, 2), np.float32) for _ in range(2))
+        return _View(np.zeros((*shape, 3), np.uint8), np.zeros(shape, np.uint8), *sums)
+
+
+def _mean(sums: Float32[np.ndarray, "h w 2"]) -> Float32[np.ndarray, "h w"]:
+    """Weighted mean; NaN where nothing was measured."""
+    weight = sums[..., 1]
+    return np.where(weight > 0, sums[..., 0] / np.maximum(weight, 1e-12), np.float32(np.nan))
+
+
+def _look(face: Face, frame: Frame, view: _View, weight: float) -> None:
+    """Add what one frame shows of a face; its depth counts by a weight."""
+    depth = np.zeros((1, 1), np.float32) if frame.depth is None else frame.depth
+    T_camera_face = invert(frame.T_world_camera) @ face.T_world_face
+    if T_camera_face[:3, 2] @ T_camera_face[:3, 3] < 0:  # the camera is on the outer side
+        _sample(
+            frame.colour, depth, frame.depth is not None, np.ascontiguousarray(frame.intrinsics),
+            np.ascontiguousarray(T_camera_face), face.width, face.height, weight, view.colour,
+            view.state, view.near, view.far,
+        )  # fmt: skip
+
+
+@njit(cache=True)
+def _sample(
+    image: np.ndarray,
+    depth: np.ndarray,
+    has_depth: bool,
+    intrinsics: np.ndarray,
+    T_camera_face: np.ndarray,
+    width: float,
+    height: float,
+    weight: float,
+    colour: np.ndarray,
+    state: np.ndarray,
+    near: np.ndarray,
+    far: np.ndarray,
+) -> None:
+    """Look along the ray through every pixel of a face, and add to what is known of it."""
+    rows, columns = state.shape
+    tall, wide = image.shape[:2]
+    T = T_camera_face
+    fx, fy, cx, cy = intrinsics[0, 0], intrinsics[1, 1], intrinsics[0, 2], intrinsics[1, 2]
+    for i in range(rows):
+        y = height * (0.5 - (i + 0.5) / rows)
+        for j in range(columns):
+            x = width * ((j + 0.5) / columns - 0.5)
+            pz = T[2, 0] * x + T[2, 1] * y + T[2, 3]
+            if pz < NEAREST:
+                continue
+            px = T[0, 0] * x + T[0, 1] * y + T[0, 3]
+            py = T[1, 0] * x + T[1, 1] * y + T[1, 3]
+            u, v = fx * px / pz + cx, fy * py / pz + cy
+            if u < 0.0 or v < 0.0 or u > wide - 1.001 or v > tall - 1.001:
+                continue
+            found = CLEAR
+            if has_depth:
+                z = depth[int(v + 0.5), int(u + 0.5)]
+                if z > 0.0:
+                    # The measured point lies on the same ray, at z instead of pz.
+                    out = T[0, 2] * px + T[1, 2] * py + T[2, 2] * pz
+                    height_map = (z / pz - 1.0) * out
+                    sums = near
+                    if abs(height_map) > APART:
+                        found, sums = HIDDEN, far
+                    sums[i, j, 0] += weight * height_map
+                    sums[i, j, 1] += weight
+            if found <= state[i, j]:
+                continue
+            state[i, j] = found
+            a, b = int(u), int(v)
+            s, t = u - a, v - b
+            for k in range(3):
+                top = (1 - s) * image[b, a, k] + s * image[b, a + 1, k]
+                low = (1 - s) * image[b + 1, a, k] + s * image[b + 1, a + 1, k]
+                colour[i, j, k] = np.uint8((1 - t) * top + t * low + 0.5)

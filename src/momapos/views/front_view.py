@@ -1,0 +1,359 @@
+"""Which face of an object is its front, and which image shows it best."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from momapos.geometry.transforms import invert
+from momapos.types import FaceImage, Frame, Front, Part, UprightBox
+from momapos.views.faces import (
+    FACES,
+    Face,
+    box_faces,
+    camera_position_of,
+    face_image,
+    shown,
+    solid,
+)
+from momapos.views.projection import Sight, area, common_area
+
+AROUND = (0.03, 0.1)
+"""How much of what surrounds a face is looked at with it; the second where the first shows no
+front [m]."""
+STRAIGHT = 10
+"""How much more an image counts that is taken straight on: power of the cosine [-]."""
+NEAREST = 0.5
+"""Images taken from nearer than this are no better for it [m]."""
+WITHIN = 0.6
+"""Share of a part that must lie on the face [-]."""
+STAND_OFF = 0.04
+"""Handles stand out about this far [m]."""
+PARALLEL, COPLANAR = 0.99, 0.12
+"""Two faces are in one plane where the cosine between them is more than the first, and the distance
+less than the second [m]."""
+SAME = 0.5
+"""Of two parts that share this much of the smaller one, one is left out [-]."""
+Look = Callable[[FaceImage], Front]
+"""Says what is on a face, and whether it is a front."""
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """Parts that were seen before, on a face of which the object's own may be a piece."""
+
+    face: Face
+    score: float
+    """Probability that the face is a front, where there are parts on it."""
+    parts: tuple[Part, ...]
+    """In fractions of that face; handles are where they would be seen from far away."""
+
+
+@dataclass(frozen=True)
+class ViewConfig:
+    """How the front of an object is chosen."""
+
+    method: Literal["voting", "first"] = "voting"
+    """Votes of all images for each face, or the first image that passes, as in the paper."""
+    frontal: float = 30.0
+    """Images taken farther than this from a face's normal say nothing about it [deg]."""
+    oblique: float = 45.0
+    """Where there is none within `frontal`, images up to here are taken [deg]."""
+    least: float = 0.5
+    """A face is a front from this probability on [-]."""
+    shown: float = 0.55
+    """Part of a face that an image must show [-]."""
+    votes: int = 2
+    """Images that vote for a face [-]."""
+    partly: float = 0.15
+    """Images that show less of it do not help to measure its height map [-]."""
+    merged: int = 12
+    """Images whose depth is merged to the height map of a face [-]."""
+    looked_at: int = 32
+    """Images of a face that are looked at, the most promising first [-]."""
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """The front of an object, as the best image shows it."""
+
+    face: Face
+    frame: int
+    """Index of the image that was chosen."""
+    angle: float
+    """Between the line of sight and the face's normal [rad]."""
+    image: FaceImage
+    front: Front
+    evidence: tuple[float, ...]
+    """Mean of what the images say for each face: by its looks and by the handles on it, half
+    and half, times how flat it is; NaN for faces that no image shows."""
+
+
+def choose_view(
+    box: UprightBox,
+    frames: Sequence[Frame],
+    seen: Sequence[Sight],
+    look: Look,
+    config: ViewConfig,
+    before: Sequence[Seen] = (),
+) -> View | None:
+    """Find the front of a box (MoMa-Pos, III-B).
+
+    The paper takes the most central image that a classifier calls frontal. Where poses are
+    known, every image votes for the face that it shows; one image's error is outvoted.
+
+    Args:
+        box: The object.
+        frames: All images.
+        seen: Those that show it, most central first.
+        look: What is on a face.
+        config: How to choose.
+        before: What was seen on the rows that the box may be a piece of.
+
+    Returns:
+        None where no image shows a front.
+    """
+    choose = _first if config.method == "first" else _voting
+    return choose(box, frames, seen, look, config, before)
+
+
+def _first(
+    box: UprightBox,
+    frames: Sequence[Frame],
+    seen: Sequence[Sight],
+    look: Look,
+    config: ViewConfig,
+    before: Sequence[Seen],
+) -> View | None:
+    faces = box_faces(box)
+    for sight in seen:
+        cosines = np.array([cosines_to(face, [frames[sight.frame]])[0] for face in faces])
+        face = faces[int(np.argmax(cosines))]
+        if cosines.max() < np.cos(np.radians(config.frontal)):
+            continue
+        frame = frames[sight.frame]
+        if shown(face, frame) < config.shown:
+            continue
+        image = face_image(face, [frame])
+        front = _with(look_at(face, [frame], look, config.least), face, frame, before)
+        if door_evidence(front) * solid(image) >= config.least:
+            angle = float(np.arccos(min(1.0, cosines.max())))
+            return View(face, sight.frame, angle, image, front, ())
+    return None
+
+
+def _voting(
+    box: UprightBox,
+    frames: Sequence[Frame],
+    seen: Sequence[Sight],
+    look: Look,
+    config: ViewConfig,
+    before: Sequence[Seen],
+) -> View | None:
+    indices = np.array([sight.frame for sight in seen], int)
+    if not len(indices):
+        return None
+    evidence = [float("nan")] * FACES
+    best: tuple[float, Face, int, FaceImage, Front] | None = None
+    for face in box_faces(box):
+        order, partly = showing(face, frames, indices, config)
+        if not order:
+            continue
+        merged = [*order, *partly][: config.merged]
+        image = face_image(face, [frames[i] for i in merged])
+        flat = solid(image)
+        if flat < config.least:  # open, as the side of a table: no vote makes it a front
+            evidence[face.index] = 0.0
+            continue
+        votes = [
+            _with(_vote(face, frames, i, merged, look, config), face, frames[i], before)
+            for i in order[: config.votes]
+        ]
+        doors = flat * float(np.mean([door_evidence(front) for front in votes]))
+        # Where faces compete, doors do not make up for looks: both count, or one side of a
+        # fridge with a seam and a shadow on it passes for the front.
+        rank = flat * float(np.mean([(f.score + handle_evidence(f)) / 2 for f in votes]))
+        evidence[face.index] = rank
+        if doors >= config.least and (best is None or rank > best[0]):
+            best = rank, face, order[0], image, votes[0]
+    if best is None:
+        return None
+    _, face, chosen, image, front = best
+    angle = float(np.arccos(min(1.0, cosines_to(face, [frames[chosen]])[0])))
+    return View(face, chosen, angle, image, front, tuple(evidence))
+
+
+def _vote(
+    face: Face,
+    frames: Sequence[Frame],
+    chosen: int,
+    merged: Sequence[int],
+    look: Look,
+    config: ViewConfig,
+) -> Front:
+    """What one image's colours say of a face, with the height map that the best ones measured."""
+    rest = [frames[i] for i in merged if i != chosen]
+    return look_at(face, [frames[chosen], *rest], look, config.least)
+
+
+def _with(front: Front, face: Face, frame: Frame, before: Sequence[Seen]) -> Front:
+    """A front with what was seen on it before.
+
+    A door that fills its face shows no edges, beside its neighbours it does.
+    """
+    for seen in before:
+        known = placed(seen.parts, seen.face, face)
+        if known:
+            known = handles_seen_from(known, face, camera_position_of(face, frame))
+            score = max(front.score, seen.score)
+            front = replace(front, score=score, parts=surest([*front.parts, *known]))
+    return front
+
+
+def door_evidence(front: Front) -> float:
+    """How probable it is that there is a door or a drawer on a face, in [0, 1].
+
+    A plain front looks like any panel but for its handles: each part that has one is evidence of
+    its own, and there is none only where all of it errs.
+    """
+    return 1.0 - (1.0 - front.score) * (1.0 - handle_evidence(front))
+
+
+def handle_evidence(front: Front) -> float:
+    """How probable it is that any of the parts with a handle is one, in [0, 1]."""
+    held = [part.score for part in front.parts if part.handle is not None]
+    return 1.0 - float(np.prod(1.0 - np.array(held)))
+
+
+def look_at(face: Face, frames: Sequence[Frame], look: Look, least: float) -> Front:
+    """What is on a face, seen with some of what surrounds it.
+
+    The edges of a door that fills its face show only against what is beside it. Parts that lie
+    mostly beside the face belong to another thing.
+    """
+    fronts = []
+    for around in AROUND:
+        wide = replace(face, width=face.width + 2 * around, height=face.height + 2 * around)
+        front = look(face_image(wide, frames))
+        fronts.append(replace(front, parts=placed(front.parts, wide, face)))
+        if door_evidence(fronts[-1]) >= least:
+            break
+    return max(fronts, key=door_evidence)
+
+
+def placed(parts: Sequence[Part], source: Face, target: Face) -> tuple[Part, ...]:
+    """Parts of one face as parts of another that lies in its plane.
+
+    Args:
+        parts: Rectangles as fractions of `source`.
+        source: Where they were seen.
+        target: The other face.
+
+    Returns:
+        Rectangles as fractions of `target`, cut off at its rim; without those that lie mostly
+        beside it. None where the faces look different ways or are apart.
+    """
+    T = invert(target.T_world_face) @ source.T_world_face
+    if T[2, 2] < PARALLEL or abs(T[2, 3]) > COPLANAR:
+        return ()
+    scale = np.array([source.width / target.width, source.height / target.height] * 2)
+    at = np.array([T[0, 3] / target.width, -T[1, 3] / target.height] * 2)
+
+    def moved(box: tuple[float, ...]) -> Float[np.ndarray, "4"]:
+        return (np.array(box) - 0.5) * scale + 0.5 + at
+
+    there = []
+    for part in parts:
+        box = moved(part.box)
+        kept = np.clip(box, 0.0, 1.0)
+        if np.prod(kept[2:] - kept[:2]) > WITHIN * np.prod(box[2:] - box[:2]):
+            grip = None if part.handle is None else _rectangle(moved(part.handle))
+            there.append(replace(part, box=_rectangle(kept), handle=grip))
+    return tuple(there)
+
+
+def handles_seen_from(
+    parts: Sequence[Part], face: Face, camera: Float[np.ndarray, "3"], *, undo: bool = False
+) -> tuple[Part, ...]:
+    """Move handles from where they are on a face to where they appear on it, or back.
+
+    Args:
+        parts: Rectangles as fractions of the face.
+        face: The face.
+        camera: Where the image is taken, in the face's frame [m].
+        undo: From where they appear to where they are.
+    """
+    sign = 1.0 if undo else -1.0
+    size, origin = np.array([face.width, face.height]), np.array([camera[0], -camera[1]])
+
+    def moved(handle: tuple[float, ...]) -> tuple[float, float, float, float]:
+        box = np.array(handle).reshape(2, 2)
+        middle = (box.mean(axis=0) - 0.5) * size
+        return _rectangle((box + sign * STAND_OFF * (origin - middle) / camera[2] / size).ravel())
+
+    return tuple(p if p.handle is None else replace(p, handle=moved(p.handle)) for p in parts)
+
+
+def surest(parts: Sequence[Part]) -> tuple[Part, ...]:
+    """The surest of parts that were seen twice, as one or as two, the surest first."""
+    kept: list[Part] = []
+    for part in sorted(parts, key=lambda p: -p.score):
+        if all(_shared(part, other) < SAME for other in kept):
+            kept.append(part)
+    return tuple(kept)
+
+
+def _shared(a: Part, b: Part) -> float:
+    """Common area of two parts, as a share of the smaller [-]."""
+    least = min(area(a.box), area(b.box))
+    return common_area(a.box, b.box) / least if least > 0 else 1.0
+
+
+def _rectangle(values: Float[np.ndarray, "4"]) -> tuple[float, float, float, float]:
+    left, top, right, bottom = np.clip(values, 0.0, 1.0).tolist()
+    return left, top, right, bottom
+
+
+def showing(
+    face: Face, frames: Sequence[Frame], indices: np.ndarray, config: ViewConfig
+) -> tuple[list[int], list[int]]:
+    """Choose the frames in which a face is looked at.
+
+    Straight ones are better, and near ones: from across a room a handle is a few pixels, and the
+    noise of its depth is larger than what it stands out by.
+
+    Returns:
+        Indices of those, among the given, that show the face well enough, and of those that show
+        a piece of it; each the best first.
+    """
+    lines, cosines = _lines_to(face, [frames[i] for i in indices])
+    clear = np.maximum(cosines, 0.0) ** STRAIGHT / np.maximum(lines, NEAREST) ** 2
+    for most in (config.frontal, config.oblique):
+        good = np.flatnonzero(cosines >= np.cos(np.radians(most)))
+        good = good[np.argsort(-clear[good], kind="stable")][: config.looked_at]
+        parts = np.array([shown(face, frames[indices[i]]) for i in good])
+        order = np.argsort(-(parts**2 * clear[good]), kind="stable")
+        if (parts >= config.shown).any():
+            best, parts = indices[good[order]], parts[order]
+            part_only = (parts >= config.partly) & (parts < config.shown)
+            return best[parts >= config.shown].tolist(), best[part_only].tolist()
+    return [], []
+
+
+def cosines_to(face: Face, frames: Sequence[Frame]) -> Float[np.ndarray, " n"]:
+    """Cosine of the angle between the face's normal and the line to each camera."""
+    return _lines_to(face, frames)[1]
+
+
+def _lines_to(
+    face: Face, frames: Sequence[Frame]
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """Length of the line from a face's middle to each camera [m]; cosine to the face's normal."""
+    cameras = np.array([frame.T_world_camera[:3, 3] for frame in frames]).reshape(-1, 3)
+    lines = cameras - face.T_world_face[:3, 3]
+    length = np.linalg.norm(lines, axis=1)
+    return length, lines @ face.outward / length

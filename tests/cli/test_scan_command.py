@@ -1,0 +1,88 @@
+"""`momapos scan`: what cannot be used is refused before the work."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from momapos.cli.main import main
+from momapos.scene.files import load_scene
+from momapos.synthetic_scans.recording import synthetic_scan, write_scan
+
+
+@pytest.fixture(scope="module")
+def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("room") / "scan"
+    write_scan(synthetic_scan(load_scene("kitchen_small"), frames=2, seed=0), folder)
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("words", "hint"),
+    [
+        (["--voxel", "nan"], "between 0.001 and 0.2"),
+        (["--voxel", "0"], "between 0.001 and 0.2"),
+        (["--voxel", "-0.01"], "between 0.001 and 0.2"),
+        (["--voxel", "inf"], "between 0.001 and 0.2"),
+        (["--depth-scale", "nan"], "units of depth"),
+        (["--depth-scale", "0"], "units of depth"),
+        (["--max-frames", "0"], "at least 1"),
+        (["--predictor", "urdformer"], "--checkpoint"),
+        (["--models", "fridge=none.urdf"], "NAME=FILE"),
+        (["--detections", "pipe"], "fifo"),
+    ],
+)
+def test_an_option_out_of_its_range_is_one_line_with_the_bounds(
+    words: list[str],
+    hint: str,
+    room: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    os.mkfifo("pipe")
+    assert main(["scan", str(room), "--out", "new/scene.json", *words]) == 2
+    shown = capsys.readouterr()
+    assert hint in shown.err
+    assert shown.err.count("\n") == 1
+    assert not (tmp_path / "new").exists()
+
+
+@pytest.mark.parametrize(
+    ("out", "hint"),
+    [
+        ("taken", "is a folder"),
+        ("file/scene.json", "is no folder"),
+        ("report/scene.json", "is a folder"),
+        ("models/scene.json", "is no folder"),
+    ],
+)
+def test_a_place_where_the_scene_cannot_be_written_is_refused_before_the_scan_is_read(
+    out: str,
+    hint: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("taken").mkdir()
+    Path("file").write_text("mine")
+    Path("report/scan_report.json").mkdir(parents=True)
+    Path("models").mkdir()
+    Path("models/scene_urdf").write_text("mine")
+    # There is no such scan: the line about --out comes first.
+    assert main(["scan", "no_scan", "--out", out]) == 2
+    shown = capsys.readouterr()
+    assert hint in shown.err
+    assert shown.err.count("\n") == 1
+
+
+def test_a_scan_that_is_a_fifo_is_refused_and_not_waited_for(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    os.mkfifo(tmp_path / "scan.ply")
+    assert main(["scan", str(tmp_path / "scan.ply"), "--out", str(tmp_path / "a.json")]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
