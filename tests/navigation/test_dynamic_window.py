@@ -9,10 +9,16 @@ import pytest
 from tests.navigation.boxes import free_pose, room
 
 from momapos.navigation.base import moved
-from momapos.navigation.dynamic_window import Steering, WindowConfig, velocity_window
+from momapos.navigation.dynamic_window import (
+    Steering,
+    WindowConfig,
+    disc_separation,
+    velocity_window,
+)
 from momapos.navigation.footprint_map import survey
 from momapos.navigation.global_path import plan_path
 from momapos.navigation.judge import Judge
+from momapos.navigation.outlines import turned
 from momapos.robots.robot import Robot
 
 DT = 0.06
@@ -72,3 +78,24 @@ def test_after_a_velocity_that_is_allowed_the_base_can_brake_without_touching(
             assert not any(judge.distance(np.array([moved(pose, v, t) for t in arc]))[1])
             checked += 1
     assert checked > 50
+
+
+def test_the_separation_from_a_disc_is_that_of_the_nearest_of_all_prisms(robot: Robot) -> None:
+    ground = survey(room([]), robot)
+    judge = Judge(ground.body, ground.obstacles, ground.floor)
+    rng = np.random.default_rng(0)
+    pose = np.array([0.3, -0.2, 0.7])
+    points = pose[:2] + rng.uniform(-1.2, 1.2, (400, 2))
+    found = np.array([disc_separation(pose, x, y, ground.body.arrays) for x, y in points])
+    twin = np.full(len(points), np.inf)
+    for outline in ground.body.outlines:
+        corners = turned(outline, pose[None])[0]
+        along = np.roll(corners, -1, axis=0) - corners
+        normal = np.stack([along[:, 1], -along[:, 0]], -1) / np.hypot(*along.T)[:, None]
+        beyond = np.einsum("ei,nei->ne", normal, points[:, None] - corners)
+        twin = np.minimum(twin, beyond.max(1))
+    np.testing.assert_allclose(found, twin, atol=1e-9)
+    discs = np.column_stack([points, np.zeros((len(points), 3))])
+    distance = judge.to_discs(pose, discs)
+    assert (found <= distance + 1e-9).all()
+    assert (distance > 0).sum() > 100

@@ -67,16 +67,16 @@ def _progress(pose, way, s, deviation):
 
 
 @njit(cache=True, nogil=True)
-def _to_disc(pose, x, y, body):
-    """Separation of a point from both outlines of the robot [m]; no more than the distance."""
+def disc_separation(pose, x, y, body):
+    """Separation of a point from the nearest prism of the robot [m]; no more than the distance."""
     _, normal, level, start, _ = body
     c, s = np.cos(pose[2]), np.sin(pose[2])
     u = c * (x - pose[0]) + s * (y - pose[1])
     v = c * (y - pose[1]) - s * (x - pose[0])
     least = np.inf
-    for part in range(2):
+    for prism in range(len(start) - 1):
         widest = -np.inf
-        for i in range(start[part], start[part + 1]):
+        for i in range(start[prism], start[prism + 1]):
             widest = max(widest, normal[i, 0] * u + normal[i, 1] * v - level[i])
         least = min(least, widest)
     return least
@@ -92,7 +92,7 @@ def _meets(pose, v, held, braking, discs, body, look, keep, at):
         _carried(pose, v, arc, at)
         for d in range(len(discs)):
             x, y = discs[d, 0] + t * discs[d, 2], discs[d, 1] + t * discs[d, 3]
-            if _to_disc(at, x, y, body) - discs[d, 4] < keep[d]:
+            if disc_separation(at, x, y, body) - discs[d, 4] < keep[d]:
                 return t
     return np.inf
 
@@ -156,7 +156,7 @@ def rate(pose, samples, dt, limits, body, things, way, s, discs, need, taste):
     out, at, keep = np.empty(len(samples)), np.empty(3), np.empty(len(discs))
     cap = max(2 * liked, 0.15)
     for d in range(len(discs)):
-        keep[d] = min(distance, _to_disc(pose, discs[d, 0], discs[d, 1], body) - discs[d, 4])
+        keep[d] = min(distance, disc_separation(pose, discs[d, 0], discs[d, 1], body) - discs[d, 4])
     worth = np.zeros(len(samples))
     for m in range(len(samples)):
         out[m] = -np.inf
