@@ -92,7 +92,7 @@ def execute(
     stopped = run.go(plan, stage)
     wall = clock() - began
     verdict = judge(world, run.observer, task, item, run.first, motion, config, stopped)
-    return _outcome(run, verdict, resistance, dynamics, robot, stage, wall)
+    return _outcome(run, verdict, resistance, dynamics, robot, wall)
 
 
 def _timed(
@@ -171,7 +171,13 @@ class _Run:
         self.seal, self.watch = seal, watch
         self.observer = Observer(world, config)
         self.first = world.T_world_part
-        self.held, self.overloaded, self.samples = False, 0, 0
+        self.held, self.overloaded = False, 0
+        self.spent = dict.fromkeys(STAGES, 0)
+        tool = motion.Ts_world_tool[:, :3, 3]
+        length = float(np.linalg.norm(np.diff(tool, axis=0), axis=1).sum())
+        self.goal, self.last_stretch = tool[-1], config.tolerance * length
+        self.stopped_short: float | None = None
+        """Way that was left to the tool when the part stopped it [m]; None where none did."""
 
     def carry(self, item: SceneObject) -> None:
         """Put the object into the hand, as the plan holds it where it lets go."""
@@ -208,26 +214,56 @@ class _Run:
         w, step = config.control.bandwidth, config.timestep * config.substeps
         # The motors push in proportion to the error; this lead makes them follow without lag.
         lead = plan.q + 2 / w * plan.v + plan.a / w**2
-        for k in range(len(plan)):
-            if k == 0 or stage[k] != stage[k - 1]:
-                refusal = self._enter(STAGES[stage[k]])
+        wanted, k, entered = plan.q, 0, -1
+        while k < len(plan):
+            name = STAGES[stage[k]]
+            if stage[k] != entered:
+                entered = stage[k]
+                refusal = self._enter(name)
                 if refusal:
                     return refusal
             world.data.ctrl[world.arm_motor] = lead[k]
-            if self.seal.outward:
-                value = float(world.data.qpos[world.part_q])
-                world.data.qfrc_applied[world.part_v] = self.seal.force(value)
-            mujoco.mj_step(world.model, world.data, nstep=config.substeps)
-            self.samples = k + 1
-            if self.watch is not None:
-                self.watch(world, (k + 1) * step, STAGES[stage[k]])
+            self._step(name)
+            time = sum(self.spent.values()) * step
             if self.observer.diverged:
-                return f"the simulation diverged after {(k + 1) * step:.2f} s"
-            self.observer.look(plan.q[k], (k + 1) * step, STAGES[stage[k]])
+                return f"the simulation diverged after {time:.2f} s"
+            self.observer.look(wanted[k], time, name)
             broken = self._overload()
             if broken:
                 return broken
+            k += 1
+            if name == "manipulate" and self._at_stop():
+                k = int(np.searchsorted(stage, STAGES.index("dwell")))
+                lead = wanted = np.tile(world.data.qpos[world.arm_q], (len(plan), 1))
         return ""
+
+    def _step(self, stage: str) -> None:
+        """Let one step of the controller pass."""
+        world, config = self.world, self.config
+        if self.seal.outward:
+            value = float(world.data.qpos[world.part_q])
+            world.data.qfrc_applied[world.part_v] = self.seal.force(value)
+        mujoco.mj_step(world.model, world.data, nstep=config.substeps)
+        self.spent[stage] += 1
+        if self.watch is not None:
+            time = sum(self.spent.values()) * config.timestep * config.substeps
+            self.watch(world, time, stage)
+
+    def _at_stop(self) -> bool:
+        """Whether a part on a joint resists the hand's push where its way should end.
+
+        The arm feels it by the force at its hand alone; where the part is, it does not know.
+        """
+        if self.task.joint is None or not self.held:
+            return False
+        left = self.goal - self.world.T_world_tool[:3, 3]
+        distance = float(np.linalg.norm(left))
+        if not 0.0 < distance <= self.last_stretch:
+            return False
+        if float(self.world.push() @ left) / distance < self.config.control.stop_force:
+            return False
+        self.stopped_short = distance
+        return True
 
     def _enter(self, stage: str) -> str:
         """Do what a stage begins with; a reason where it cannot."""
@@ -296,13 +332,11 @@ def _outcome(
     resistance: Resistance,
     dynamics: Dynamics,
     robot: Robot,
-    stage: Int[np.ndarray, " t"],
     wall: float,
 ) -> Execution:
     """Gather what was seen."""
     observer, config = run.observer, run.config
     step = config.timestep * config.substeps
-    counts = np.bincount(stage[: run.samples], minlength=len(STAGES))
     notes = []
     if run.world.loose:
         names = ", ".join(run.world.loose)
@@ -310,6 +344,8 @@ def _outcome(
     unknown = [name for name in robot.arm_joints if name not in dynamics.efforts]
     if unknown:
         notes.append(f"no effort limit is known of {', '.join(unknown)}")
+    if run.stopped_short is not None:
+        notes.append(f"the part stopped the arm {1000 * run.stopped_short:.0f} mm before its end")
     shift = observer.base_shift.tolist()
     return Execution(
         success=verdict.success,
@@ -325,8 +361,8 @@ def _outcome(
         clearance=None if np.isinf(observer.clearance) else observer.clearance,
         base_shift=(shift[0], shift[1], shift[2]),
         resistance=asdict(resistance),
-        time={name: float(n * step) for name, n in zip(STAGES, counts, strict=True)},
-        simulated=float(run.samples * step),
+        time={name: n * step for name, n in run.spent.items()},
+        simulated=sum(run.spent.values()) * step,
         wall=wall,
         notes=tuple(notes),
     )

@@ -17,7 +17,7 @@ from momapos.execution.machine import BASE_JOINTS, TOOL_POINT, Finger, add_robot
 from momapos.execution.shapes import ROBOT, Kind, matrix_quat
 from momapos.geometry.transforms import invert
 from momapos.robots.robot import Robot
-from momapos.scene.scene import Scene
+from momapos.scene.scene import Scene, SceneObject
 from momapos.types import Task
 
 WELD = "hold"
@@ -90,6 +90,18 @@ class World:
         """Open the weld."""
         self.data.eq_active[self.weld] = 0
 
+    def push(self) -> Float[np.ndarray, "3"]:
+        """Force of the hand on the part, world frame [N]: in the weld, or of the fingers."""
+        if self.data.eq_active[self.weld]:
+            return np.array(-self.data.efc_force[:3])
+        total, wrench = np.zeros(3), np.empty(6)
+        kinds = self.kinds[self.data.contact.geom]
+        for i in np.flatnonzero((kinds[:, 0] | kinds[:, 1]) == (Kind.GRIPPER | Kind.PART)).tolist():
+            mujoco.mj_contactForce(self.model, self.data, i, wrench)
+            force = self.data.contact.frame[i].reshape(3, 3).T @ wrench[:3]  # on the second geom
+            total += force if kinds[i, 1] == Kind.PART else -force
+        return total
+
     def hold_load(self) -> tuple[float, float]:
         """Force [N] and torque [Nm] in the weld; zero where it is open."""
         if not self.data.eq_active[self.weld]:
@@ -111,8 +123,9 @@ def build_world(
 ) -> World:
     """Build the world of a run, with the arm at the first of some states.
 
-    Furniture that touches the part in the scene, and links of the robot that touch where its
-    joints rest, do so by design or for want of exact models: these pairs are left out.
+    Furniture that touches the part in the scene, elements of the part's own object that touch it
+    where it is closed, and links of the robot that touch where its joints rest, do so by design or
+    for want of exact models: these pairs are left out.
 
     Args:
         scene: The room.
@@ -133,10 +146,15 @@ def build_world(
     add_part(spec, scene, task, resistance, config)
     fingers = add_robot(spec, robot, base_pose, dynamics, config)
     _add_weld(spec, robot, config)
-    value = None if task.joint is None else scene.object(task.object).values()[task.joint]
+    item = scene.object(task.object)
+    value = None if task.joint is None else item.values()[task.joint]
     try:
         model = spec.compile()
         touching = _touching(model, _values(model, {PART: value}), config)
+        if task.joint is not None:
+            closed = _values(model, {PART: item.model.rest[task.joint]})
+            touching += _bearings(_touching(model, closed, config), item)
+        touching = list(dict.fromkeys(touching))
         for one, other in touching:
             spec.add_exclude(bodyname1=one, bodyname2=other)
         model = spec.compile()
@@ -207,6 +225,14 @@ def _touching(model: Any, data: Any, config: ExecutionConfig) -> list[tuple[str,
             bodies = sorted(model.body(model.geom_bodyid[g]).name for g in (one, other))
             pairs.append((bodies[0], bodies[1]))
     return list(dict.fromkeys(pairs))
+
+
+def _bearings(pairs: list[tuple[str, str]], item: SceneObject) -> list[tuple[str, str]]:
+    """Those pairs that are of the part and an element of its own object."""
+    own = {f"{item.name}/{link}" for link in item.model.links}
+    return [
+        pair for pair in pairs if PART in pair and any(n.rpartition("#")[0] in own for n in pair)
+    ]
 
 
 def _near_pairs(model: Any, data: Any, gap: float) -> list[tuple[int, int]]:
