@@ -10,11 +10,11 @@ from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
 from drive_rooms import Question
+from momapos.geometry.planar import place_points
 from momapos.geometry.transforms import wrap_angle
 from momapos.navigation.drive import DriveRecord
 from momapos.navigation.footprint_map import Ground
 from momapos.navigation.global_path import plan_path
-from momapos.navigation.outlines import turned
 from momapos.scene.scene import Scene
 from momapos.viewer.palette import GOOD, INK, SELECTED, SOFT_INK, WAYPOINT
 from momapos.viewer.robot import draw_footprint
@@ -41,7 +41,7 @@ def draw_drive(
     turn = np.abs(wrap_angle(step[:, 2]))
     gone = np.concatenate([[0], np.cumsum(np.hypot(*step.T[:2]) + 0.5 * turn)])
     some = np.unique(np.searchsorted(gone, np.arange(0, gone[-1], EVERY)))
-    outlines = turned(ground.body.outlines[0], poses[some])
+    outlines = place_points(poses[some], ground.body.outlines[0])
     blue = {"facecolors": (0.16, 0.48, 0.72, 0.05), "edgecolors": (0.16, 0.48, 0.72, 0.35)}
     axes.add_collection(
         PolyCollection(outlines, linewidths=0.7, zorder=8, label="footprint", **blue)

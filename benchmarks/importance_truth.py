@@ -30,13 +30,14 @@ from importance_rooms import Room, built_in_rooms, is_wall, shared_rooms
 from momapos.cache import default_cache_dir
 from momapos.config import PipelineConfig
 from momapos.errors import MomaposError, TaskError
+from momapos.geometry.planar import compose
 from momapos.importance.rank import rank
 from momapos.importance.scorers import ImportanceConfig, ScorerName
 from momapos.manipulation.feasibility import Feasibility, hand_clears
 from momapos.manipulation.motion import TaskMotion, task_motion
 from momapos.manipulation.tasks import hand_path, make_task, openable
 from momapos.pipeline import arm_world
-from momapos.placement.area import CLEAR, Site, in_world, sampling_box, standing, task_frame
+from momapos.placement.area import CLEAR, Site, sampling_box, standing, task_frame
 from momapos.protocols import ReachScorer
 from momapos.reachability.store import load_or_build
 from momapos.robots.robot import Robot, load_robot
@@ -84,7 +85,7 @@ class Question:
         x, y = (np.arange(low, high + self.cell, self.cell) for low, high in corners.T)
         yaw = np.radians(np.arange(-180.0, 180.0, self.turn))
         local = np.stack(np.meshgrid(x, y, yaw, indexing="ij"), -1).reshape(-1, 3)
-        return in_world(task_frame(site), local)
+        return compose(task_frame(site), local)
 
     def _site(self, motion: TaskMotion) -> Site:
         return Site(

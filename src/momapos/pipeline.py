@@ -18,6 +18,7 @@ from jaxtyping import Float
 
 from momapos.config import PipelineConfig
 from momapos.errors import SceneError
+from momapos.geometry.planar import place_points
 from momapos.geometry.polygons import all_inside, inscribed_radius
 from momapos.importance.key_objects import Selection, everything, start_of
 from momapos.importance.rank import Importance, rank
@@ -32,7 +33,7 @@ from momapos.manipulation.nearness import near_boxes, stood_boxes, swept_boxes
 from momapos.manipulation.tasks import hand_path, openable
 from momapos.navigation.cost_map import FloorPlan, build_cost_map, floor_plan
 from momapos.navigation.start import find_start
-from momapos.placement.area import Site, footprints
+from momapos.placement.area import Site
 from momapos.placement.place import Barred, Problem, Search, search
 from momapos.protocols import Clock, ReachScorer
 from momapos.robots.robot import Robot
@@ -311,7 +312,10 @@ def start_pose(
     where = f"start ({pose[0]:.2f}, {pose[1]:.2f}, {np.degrees(pose[2]):.0f} deg)"
     if hit != FREE:
         raise SceneError(f"{where}: the base of {robot.name} would hit {motion.labels[hit]}")
-    if scene.floor is not None and not all_inside(scene.floor, footprints(robot, pose[None]))[0]:
+    if (
+        scene.floor is not None
+        and not all_inside(scene.floor, place_points(pose[None], robot.footprint))[0]
+    ):
         raise SceneError(f"{where}: the base of {robot.name} would stand off the floor")
     return pose
 

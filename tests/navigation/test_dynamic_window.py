@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from tests.navigation.boxes import free_pose, room
 
+from momapos.geometry.planar import place_points
 from momapos.navigation.base import moved
 from momapos.navigation.dynamic_window import (
     Steering,
@@ -18,7 +19,6 @@ from momapos.navigation.dynamic_window import (
 from momapos.navigation.footprint_map import survey
 from momapos.navigation.global_path import plan_path
 from momapos.navigation.judge import Judge
-from momapos.navigation.outlines import turned
 from momapos.robots.robot import Robot
 
 DT = 0.06
@@ -89,7 +89,7 @@ def test_the_separation_from_a_disc_is_that_of_the_nearest_of_all_prisms(robot: 
     found = np.array([disc_separation(pose, x, y, ground.body.arrays) for x, y in points])
     twin = np.full(len(points), np.inf)
     for outline in ground.body.outlines:
-        corners = turned(outline, pose[None])[0]
+        corners = place_points(pose[None], outline)[0]
         along = np.roll(corners, -1, axis=0) - corners
         normal = np.stack([along[:, 1], -along[:, 0]], -1) / np.hypot(*along.T)[:, None]
         beyond = np.einsum("ei,nei->ne", normal, points[:, None] - corners)

@@ -9,12 +9,13 @@ import pytest
 from tests.navigation.boxes import room, square
 
 from momapos.errors import SceneError
+from momapos.geometry.polygons import edge_normals
 from momapos.geometry.transforms import apply, invert
 from momapos.navigation.clearance import gaps
 from momapos.navigation.cost_map import CELL
 from momapos.navigation.footprint_map import HEADINGS, ground_of, survey
 from momapos.navigation.judge import Judge
-from momapos.navigation.outlines import body_of, edges_of, obstacles_of, thinned
+from momapos.navigation.outlines import body_of, obstacles_of, thinned
 from momapos.robots.robot import Robot
 
 CLUTTER = [
@@ -109,7 +110,7 @@ def test_the_prisms_of_a_robot_hold_all_of_it(robots: Callable[[str], Robot]) ->
                 for k, outline in enumerate(body.outlines):
                     low, high = body.heights[k : k + 2]
                     within = (points[:, 2] > low) & (points[:, 2] < high)
-                    corner, normal = edges_of(outline)
+                    corner, normal = outline, edge_normals(outline)
                     level = np.einsum("ki,ki->k", corner, normal)
                     assert (points[within, :2] @ normal.T <= level + 1e-9).all()
 

@@ -17,6 +17,7 @@ from jaxtyping import Float, Shaped, UInt8
 from momapos.errors import InputError, MissingExtraError
 from momapos.execution.shapes import Kind
 from momapos.execution.world import World
+from momapos.geometry.planar import local_points
 
 WIDTH, HEIGHT, COLUMNS = 480, 420, 4
 Draw = Callable[[Any, Any], UInt8[np.ndarray, "h w 3"]]
@@ -110,13 +111,12 @@ class Film:
         way = np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0, prepend=poses[:1, :2]).T))
         picked = np.searchsorted(way, np.linspace(0.0, way[-1], frames + 1)[:-1])
         # The base's joints count from where it stands in the physics: the end of the last drive.
-        x, y, yaw = poses[-1]
-        c, s = np.cos(yaw), np.sin(yaw)
+        stands = poses[-1]
         states = []
         for i in picked:
             q = self.states[0][2].copy()
-            dx, dy = poses[i, :2] - [x, y]
-            q[self.world.base_q] = [c * dx + s * dy, c * dy - s * dx, poses[i, 2] - yaw]
+            xy = local_points(stands, poses[i : i + 1, :2])[0]
+            q[self.world.base_q] = [*xy, poses[i, 2] - stands[2]]
             states.append((float(times[i]), "drive", q))
         return states
 

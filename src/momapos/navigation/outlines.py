@@ -16,7 +16,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import ConvexHull
 
-from momapos.geometry.polygons import all_inside, signed_area
+from momapos.geometry.planar import place_points
+from momapos.geometry.polygons import all_inside, edge_normals, signed_area
 from momapos.geometry.transforms import apply, invert
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene
@@ -46,7 +47,7 @@ class Body:
         """Whether the outline of the first index lies within that of the second."""
         within = [
             [bool((a @ n.T <= np.einsum("ki,ki->k", b, n) + 1e-9).all()) for a in self.outlines]
-            for b, n in map(edges_of, self.outlines)
+            for b, n in ((b, edge_normals(b)) for b in self.outlines)
         ]
         return np.array(within).T
 
@@ -88,15 +89,6 @@ class Outlines:
         return self.corner[self.first[index] : self.first[index + 1]]
 
 
-def edges_of(
-    polygon: Float[np.ndarray, "k 2"],
-) -> tuple[Float[np.ndarray, "k 2"], Float[np.ndarray, "k 2"]]:
-    """Corners of an anticlockwise polygon, and the outward unit normals of the edges after them."""
-    along = np.roll(polygon, -1, axis=0) - polygon
-    normal = np.stack([along[:, 1], -along[:, 0]], -1)
-    return polygon, normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
-
-
 def pack(
     polygons: Sequence[Float[np.ndarray, "k 2"]], layers: Sequence[int], names: Sequence[str]
 ) -> Outlines:
@@ -105,7 +97,7 @@ def pack(
     if not len(polygons):
         none = np.zeros((0, 2))
         return Outlines(none, none, np.zeros(0), first, np.zeros(0, np.int64), np.zeros((0, 4)), ())
-    corner, normal = (np.concatenate(a) for a in zip(*map(edges_of, polygons), strict=True))
+    corner, normal = np.concatenate(polygons), np.concatenate(list(map(edge_normals, polygons)))
     bounds = np.array([[*p.min(0), *p.max(0)] for p in polygons])
     level = np.einsum("pi,pi->p", corner, normal)
     return Outlines(corner, normal, level, first, np.array(layers, np.int64), bounds, tuple(names))
@@ -201,19 +193,10 @@ def _covered(outlines: Outlines) -> Bool[np.ndarray, " o"]:
     return covered
 
 
-def turned(
-    outline: Float[np.ndarray, "k 2"], poses: Float[np.ndarray, "n 3"]
-) -> Float[np.ndarray, "n k 2"]:
-    """An outline of the base frame at base poses, in the world [m]."""
-    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-    R = np.stack([np.stack([c, -s], -1), np.stack([s, c], -1)], -2)
-    return np.einsum("nij,kj->nki", R, outline) + poses[:, None, :2]
-
-
 def on_floor(
     body: Body, floor: Float[np.ndarray, "k 2"] | None, poses: Float[np.ndarray, "n 3"]
 ) -> Bool[np.ndarray, " n"]:
     """Whether the footprint lies on the floor at base poses."""
     if floor is None:
         return np.ones(len(poses), bool)
-    return all_inside(floor, turned(body.outlines[0], poses))
+    return all_inside(floor, place_points(poses, body.outlines[0]))
