@@ -15,12 +15,12 @@ from jaxtyping import Float
 
 from momapos.errors import SceneError
 from momapos.geometry.transforms import wrap_angle
-from momapos.navigation.base import limited, moved
+from momapos.navigation.base import clip_velocity, integrate
 from momapos.navigation.docking import BEGIN, Docking, aimed, can_stop, stands
 from momapos.navigation.dynamic_window import Steering, WindowConfig, velocity_window
-from momapos.navigation.footprint_map import Ground, ground_of
+from momapos.navigation.footprint_map import NavigationMap, navigation_map_of
 from momapos.navigation.global_path import TURN, Path, PathConfig, direct_path, plan_path
-from momapos.navigation.judge import Judge
+from momapos.navigation.judge import FootprintCollisionChecker
 from momapos.navigation.localisation import Localiser, NoiseConfig
 from momapos.navigation.outlines import pack
 from momapos.protocols import Clock
@@ -96,7 +96,7 @@ class DriveRecord:
 
 
 def drive(
-    ground: Ground,
+    nav_map: NavigationMap,
     start: Float[np.ndarray, "3"],
     goal: Float[np.ndarray, "3"],
     *,
@@ -109,7 +109,7 @@ def drive(
     """Drive a base from where it stands to a goal pose, in closed loop.
 
     Args:
-        ground: The robot and the room, see `survey`.
+        nav_map: The robot and the room, see `build_navigation_map`.
         start: True pose at first: x [m], y [m], yaw [rad].
         goal: The pose to reach.
         rng: Source of the noise; the same one gives the same drive.
@@ -126,7 +126,7 @@ def drive(
         if pose.shape != (3,) or not np.isfinite(pose).all():
             raise SceneError(f"the {name} must be three finite numbers: x [m], y [m], yaw [rad]")
     around = moving or _nothing, meet or _nobody
-    return _Run(ground, poses[0], poses[1], rng, *around, config, clock).record()
+    return _Run(nav_map, poses[0], poses[1], rng, *around, config, clock).record()
 
 
 def _nothing(_: float) -> Float[np.ndarray, "0 5"]:
@@ -142,7 +142,7 @@ class _Run:
 
     def __init__(
         self,
-        ground: Ground,
+        nav_map: NavigationMap,
         start: Float[np.ndarray, "3"],
         goal: Float[np.ndarray, "3"],
         rng: np.random.Generator,
@@ -151,9 +151,9 @@ class _Run:
         config: DriveConfig,
         clock: Clock,
     ) -> None:
-        self.ground, self.goal, self.config, self.clock = ground, goal, config, clock
+        self.nav_map, self.goal, self.config, self.clock = nav_map, goal, config, clock
         self.moving, self.meet = moving, meet
-        self.judge = Judge(ground.body, ground.obstacles, ground.floor)
+        self.judge = FootprintCollisionChecker(nav_map.prisms, nav_map.obstacles, nav_map.floor)
         self.localiser = Localiser(start, config.noise, rng)
         self.pose, self.velocity, self.now = start, np.zeros(3), 0.0
         self.times, self.poses, self.velocities = [0.0], [start], [np.zeros(3)]
@@ -204,7 +204,7 @@ class _Run:
         for self.ways in range(1, self.config.replans + 2):  # noqa: B020
             path = self._plan()
             if path is None:
-                if plan_path(self.ground, self.pose, self.goal, self.config.path) is None:
+                if plan_path(self.nav_map, self.pose, self.goal, self.config.path) is None:
                     return "there is no way for the footprint"
                 # Odd fixes pass, and so do people.
                 reason = "there is no way from where it believes to be"
@@ -242,8 +242,8 @@ class _Run:
     def _plan(self) -> Path | None:
         """A way from where the base believes to be, around what stands in it."""
         standing = self._standing()
-        ground = _with_discs(self.ground, standing) if len(standing) else self.ground
-        return plan_path(ground, self.localiser.pose, self.goal, self.config.path)
+        nav_map = _with_discs(self.nav_map, standing) if len(standing) else self.nav_map
+        return plan_path(nav_map, self.localiser.pose, self.goal, self.config.path)
 
     def _discs(self) -> Float[np.ndarray, "d 5"]:
         """Moving obstacles as they are now."""
@@ -273,8 +273,8 @@ class _Run:
             Why it ended, "" where it came near; and a way to follow from there, where there is a
             simple one that can be followed without a stop.
         """
-        config, robot = self.config, self.ground.robot
-        steering = Steering(self.ground, path, config.window, config.control)
+        config, robot = self.config, self.nav_map.robot
+        steering = Steering(self.nav_map, path, config.window, config.control)
         index, best, since = 0, -np.inf, self.now
         while True:
             began = self.clock()
@@ -283,7 +283,7 @@ class _Run:
             near = self._left(pose) < BEGIN and path.s[-1] - path.s[index] < BEGIN + TURN * np.pi
             short, halts = None, near and can_stop(robot, self.velocity, self._left(pose))
             if halts:
-                short = direct_path(self.ground, pose, self.goal, config.path)
+                short = direct_path(self.nav_map, pose, self.goal, config.path)
                 short = short if short is not None and aimed(robot, short) else None
                 wish = velocity_window(robot, self.velocity, config.control)[0]
             else:
@@ -300,15 +300,15 @@ class _Run:
 
     def _dock(self, path: Path) -> str:
         """Follow a way exactly."""
-        config, robot = self.config, self.ground.robot
-        steering = Steering(self.ground, path, config.window, config.control)
+        config, robot = self.config, self.nav_map.robot
+        steering = Steering(self.nav_map, path, config.window, config.control)
         docking = Docking(robot, path, config.control)
         waited = 0.0
         while not docking.finished(self.localiser.pose, self.velocity):
             began = self.clock()
             pose, discs = self.localiser.pose, self._discs()
             wish = docking.command(pose, self.velocity)
-            reached = limited(robot, self.velocity, wish, config.control)
+            reached = clip_velocity(robot, self.velocity, wish, config.control)
             if not steering.allows(pose, reached, discs):
                 wish = velocity_window(robot, self.velocity, config.control)[0]
             self.step_times.append(self.clock() - began)
@@ -331,13 +331,13 @@ class _Run:
 
     def _step(self, wish: Float[np.ndarray, "3"]) -> str:
         """Let one control step pass; returns why the drive ends, "" where it goes on."""
-        config, robot = self.config, self.ground.robot
+        config, robot = self.config, self.nav_map.robot
         count = max(1, round(config.control / config.simulation))
         dt = config.control / count
         passed = []
         for _ in range(count):
-            self.velocity = limited(robot, self.velocity, wish, dt)
-            self.pose = moved(self.pose, self.velocity, dt)
+            self.velocity = clip_velocity(robot, self.velocity, wish, dt)
+            self.pose = integrate(self.pose, self.velocity, dt)
             self.now += dt
             passed.append(self.pose)
             self.times.append(self.now)
@@ -365,16 +365,18 @@ class _Run:
         return "timeout" if self.now > self.config.timeout else ""
 
 
-def _with_discs(ground: Ground, discs: Float[np.ndarray, "d 5"]) -> Ground:
-    """The ground with discs as things that stand."""
+def _with_discs(nav_map: NavigationMap, discs: Float[np.ndarray, "d 5"]) -> NavigationMap:
+    """The map with discs as obstacles that stand."""
     angle = np.linspace(0, 2 * np.pi, 12, endpoint=False)
     ring = np.stack([np.cos(angle), np.sin(angle)], -1) / np.cos(np.pi / 12)
-    old = ground.obstacles
+    old = nav_map.obstacles
     polygons = [old.polygon(k) for k in range(len(old))]
     layers, names = old.layer.tolist(), list(old.names)
-    prisms = len(ground.body.outlines)
+    prisms = len(nav_map.prisms.outlines)
     for disc in discs:
         polygons += [disc[:2] + (disc[4] + 0.05) * ring] * prisms
         layers += range(prisms)
         names += ["a standing obstacle"] * prisms
-    return ground_of(ground.robot, ground.body, pack(polygons, layers, names), ground.floor)
+    return navigation_map_of(
+        nav_map.robot, nav_map.prisms, pack(polygons, layers, names), nav_map.floor
+    )

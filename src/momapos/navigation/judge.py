@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Int
 
 from momapos.geometry.planar import place_points
 from momapos.geometry.polygons import contains, edge_distances
-from momapos.navigation.outlines import Body, Outlines, on_floor
+from momapos.navigation.outlines import ConvexPolygons, RobotPrisms, on_floor
 
 FAR = 0.5
 """Distances above this are not told apart [m]."""
@@ -22,11 +22,11 @@ _AT_ONCE = 8
 
 
 @dataclass(frozen=True, eq=False)
-class Judge:
+class FootprintCollisionChecker:
     """The robot and everything that it must not touch."""
 
-    body: Body
-    obstacles: Outlines
+    prisms: RobotPrisms
+    obstacles: ConvexPolygons
     floor: Float[np.ndarray, "k 2"] | None
 
     @cached_property
@@ -51,7 +51,7 @@ class Judge:
         best = np.full(len(poses), FAR)
         touched = [""] * len(poses)
         count = np.diff(self.obstacles.first)
-        for layer, outline in enumerate(self.body.outlines):
+        for layer, outline in enumerate(self.prisms.outlines):
             robot = place_points(poses, outline)[:, None]
             which, least = self._nearest_first(robot, layer)
             for k in range(0, len(which), _AT_ONCE):
@@ -67,7 +67,7 @@ class Judge:
                 best = np.minimum(best, apart.min(1))
                 for n in np.flatnonzero((apart <= 0).any(1)):
                     touched[n] = touched[n] or self.obstacles.names[some[int(apart[n].argmin())]]
-        for n in np.flatnonzero(~on_floor(self.body, self.floor, poses)):
+        for n in np.flatnonzero(~on_floor(self.prisms, self.floor, poses)):
             touched[n] = touched[n] or "the edge of the floor"
         return best, touched
 
@@ -90,7 +90,7 @@ class Judge:
         if not len(discs):
             return np.zeros(0)
         found = []
-        for outline in self.body.outlines:
+        for outline in self.prisms.outlines:
             robot = place_points(pose[None], outline)
             apart = edge_distances(discs[:, :2], robot[0])
             found.append(np.where(contains(robot[0], discs[:, :2]), 0.0, apart))
