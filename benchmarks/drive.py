@@ -21,7 +21,7 @@ from jaxtyping import Float
 from drive_figure import draw_drive
 from drive_rooms import People, Question, connected, questions, rooms
 from momapos.geometry.transforms import wrap_angle
-from momapos.navigation.drive import DriveConfig, DriveRecord, drive
+from momapos.navigation.drive import DriveConfig, DriveEnding, DriveRecord, drive
 from momapos.navigation.footprint_map import NavigationMap, build_navigation_map
 from momapos.robots.robot import Robot, library_names, load_robot
 from momapos.scene.scene import Scene
@@ -82,7 +82,7 @@ def driven(
         around = {"moving": walking, "meet": walking.meet}
     record = drive(nav_map, question.start, question.goal, rng=rng, clock=clock, **around)
     note = ""
-    if record.reason.startswith("there is no way"):
+    if record.ending in (DriveEnding.NO_PATH, DriveEnding.NO_PATH_AS_BELIEVED):
         found = connected(nav_map, question.start, question.goal)
         note = f" (a fine grid finds {'one' if found else 'none either'})"
     if record.hit == "a moving obstacle":

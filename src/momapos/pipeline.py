@@ -39,7 +39,7 @@ from momapos.protocols import Clock, ReachScorer
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene, upright_boxes
 from momapos.types import Motion, PlacementPlan, Task
-from momapos.verification.exact import ExactWorld
+from momapos.verification.exact import PlanVerifier
 
 DEFAULT = PipelineConfig()
 ROOM_MARGIN = 2.0
@@ -173,7 +173,7 @@ class _Question:
             start = start_pose(self.scene, robot, motion, start)
             cost = build_cost_map(plan, start[:2], radius=inscribed_radius(robot.footprint))
         with self.watch.stage("exact model"):
-            exact = ExactWorld(modelled, robot, self.task)
+            exact = PlanVerifier(modelled, robot, self.task)
             blocked = exact.blocked(LIFT)
         site = Site(
             robot=robot,
@@ -186,7 +186,9 @@ class _Question:
 
         def refuse(base: Float[np.ndarray, "3"], found: Motion) -> str | None:
             with self.watch.stage("exact check"):
-                return exact.refusal((float(base[0]), float(base[1]), float(base[2])), found)
+                return exact.first_violation(
+                    (float(base[0]), float(base[1]), float(base[2])), found
+                )
 
         # What is compiled and read before, once after installation, is not the search's time.
         left, begun = config.timeout - self.watch.seconds.get("search", 0.0), clock()
@@ -243,7 +245,7 @@ class _Question:
             selection = replace(joined, rounds=selection.rounds + 1)
             with self.watch.stage("exact check"):
                 modelled = self.scene.boxed(selection.names)
-                refusal = ExactWorld(modelled, self.robot, self.task).refusal(pose, found)
+                refusal = PlanVerifier(modelled, self.robot, self.task).first_violation(pose, found)
             if refusal is not None:
                 return selection, False
         return selection, True

@@ -35,7 +35,7 @@ from momapos.protocols import Clock, ReachScorer
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene
 from momapos.types import Attempt, Motion, PlacementPlan, Task
-from momapos.verification.exact import ExactWorld
+from momapos.verification.exact import PlanVerifier
 
 DEFAULT = PipelineConfig()
 PHYSICS = ExecutionConfig()
@@ -309,10 +309,10 @@ def motion_at(
     outcome = int(standing(site, base[None])[0][0])
     if outcome != CLEAR:
         return Attempt(None, REASONS[outcome])
-    exact = ExactWorld(scene, robot, task)
+    exact = PlanVerifier(scene, robot, task)
 
     def refuse(pose: Float[np.ndarray, "3"], found: Motion) -> str | None:
-        return exact.refusal(_triple(pose), found)
+        return exact.first_violation(_triple(pose), found)
 
     feasible = Feasibility(robot, world, motion, config.planner, refuse, seed, lambda: False)
     # The map is right for most poses, not for all: it orders the grasps and rules none out.

@@ -32,7 +32,7 @@ from momapos.run_plan import APART, NONE_LEFT, TURN, Drive, motion_at, run_plan
 from momapos.scene.files import load_scene
 from momapos.scene.scene import Scene
 from momapos.types import Attempt, Motion, PlacementPlan, Task
-from momapos.verification.exact import ExactWorld
+from momapos.verification.exact import PlanVerifier
 
 CONFIG = PipelineConfig(place=PlaceConfig(count=256, improve=1), timeout=300.0)
 Pose3 = Float[np.ndarray, "3"]
@@ -134,7 +134,7 @@ def test_a_motion_for_one_base_pose_holds_the_exact_check(
     found = motion_at(kitchen, robot, plan.task, base, Everywhere()).motion
     assert found is not None
     x, y, yaw = base.tolist()
-    assert ExactWorld(kitchen, robot, plan.task).check((x, y, yaw), found).valid
+    assert PlanVerifier(kitchen, robot, plan.task).check((x, y, yaw), found).valid
     tools = pose_planar(base) @ robot.chain.tool_poses(found.q)
     np.testing.assert_allclose(tools, found.Ts_world_tool, atol=1e-6)
 

@@ -11,7 +11,7 @@ from tests.execution.toy import Toy, toy
 from tests.verification.door_case import OPEN, Case, make_case
 
 from momapos.execution.config import ExecutionConfig
-from momapos.execution.world import World
+from momapos.execution.simulation import Simulation
 from momapos.types import Motion, Task
 
 FLUSH = (
@@ -80,7 +80,7 @@ def test_nothing_is_pressed_once_the_arm_has_stopped(tmp_path: Path) -> None:
     case.cupboard = case.cupboard.replace('lower="0"', 'lower="0.03"')
     forces: list[float] = []
 
-    def watch(world: World, _: float, stage: str) -> None:
+    def watch(world: Simulation, _: float, stage: str) -> None:
         if stage == "dwell":
             forces.append(world.hold_load()[0])
 

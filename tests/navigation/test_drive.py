@@ -13,7 +13,7 @@ from tests.navigation.boxes import free_pose, room, square, wall_with_door
 
 from momapos.errors import SceneError
 from momapos.geometry.transforms import wrap_angle
-from momapos.navigation.drive import DriveConfig, DriveRecord, drive
+from momapos.navigation.drive import DriveConfig, DriveEnding, DriveRecord, drive
 from momapos.navigation.footprint_map import NavigationMap, build_navigation_map
 from momapos.navigation.global_path import plan_path
 from momapos.navigation.localisation import NoiseConfig
@@ -49,6 +49,7 @@ def test_a_base_arrives_within_the_tolerance_and_its_limits_hold(robot: Robot) -
     if robot.drive == "differential":
         assert (v[:, 1] == 0).all()
     assert record.length == pytest.approx(record.planned, rel=0.1)
+    assert record.ending is None
 
 
 def test_the_same_seed_gives_the_same_drive(robots: Callable[[str], Robot]) -> None:
@@ -79,6 +80,7 @@ def test_what_cannot_be_driven_is_refused_with_the_reason(
     shut = build_navigation_map(room(wall_with_door(0.3)), robots("segway_ur5e"))
     refused = go(shut)
     assert refused.reason == "there is no way for the footprint"
+    assert refused.ending is DriveEnding.NO_PATH
     assert not refused.arrived
     assert refused.length == 0.0
     for name in ("start", "goal"):
@@ -168,3 +170,5 @@ def test_what_comes_to_stand_in_the_only_door_is_named_as_the_reason(
     assert not record.arrived
     assert not record.hit
     assert "moving obstacle" in record.reason
+    assert record.ending is not None
+    assert record.reason.startswith(record.ending.value)

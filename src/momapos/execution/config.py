@@ -3,9 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from enum import StrEnum
 from typing import Literal
 
 Hold = Literal["weld", "contact"]
+
+
+class Stage(StrEnum):
+    """What the robot is doing; the words stand in records."""
+
+    SETTLE = "settle"
+    APPROACH = "approach"
+    GRIP = "grip"
+    MANIPULATE = "manipulate"
+    DWELL = "dwell"
 
 
 @dataclass(frozen=True)

@@ -11,15 +11,15 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from momapos.errors import SceneError
-from momapos.execution.config import ExecutionConfig
+from momapos.execution.config import ExecutionConfig, Stage
 from momapos.execution.dynamics import Dynamics, read_dynamics
 from momapos.execution.furniture import Resistance, draw_resistance
 from momapos.execution.observer import Observer
 from momapos.execution.record import Execution
 from momapos.execution.shapes import ROBOT
+from momapos.execution.simulation import Simulation, build_simulation
 from momapos.execution.trajectory import Trajectory, joined, still, time_path
-from momapos.execution.verdict import Verdict, judge
-from momapos.execution.world import World, build_world
+from momapos.execution.verdict import TaskOutcome, judge
 from momapos.geometry.transforms import invert, rotation_angle
 from momapos.kinematics.urdf import Joint
 from momapos.protocols import Clock
@@ -28,9 +28,9 @@ from momapos.scene.scene import Scene, SceneObject
 from momapos.types import Motion, Task
 
 DEFAULT = ExecutionConfig()
-Watch = Callable[[World, float, str], None]
+Watch = Callable[[Simulation, float, Stage], None]
 """Called after every step of the controller with the time [s] and the stage."""
-STAGES = ("settle", "approach", "grip", "manipulate", "dwell")
+STAGES = tuple(Stage)
 OVERLAP = 3e-3
 """The robot may overlap things at the beginning by what a plan may [m]."""
 GRASP_POSITION, GRASP_ANGLE = 0.03, np.radians(15.0)
@@ -82,7 +82,7 @@ def execute(
     states = np.concatenate([motion.approach, motion.q])
     tuned = states[np.linspace(0, len(states) - 1, _STATES).astype(int)]
     plan, stage = _timed(robot, motion, config)
-    world = build_world(scene, robot, base_pose, tuned, task, dynamics, resistance, config)
+    world = build_simulation(scene, robot, base_pose, tuned, task, dynamics, resistance, config)
     seal = _seal(item, joint, motion, resistance.pull, config.furniture.seal_range)
     run = _Run(world, motion, task, config, seal, watch)
     if task.verb == "place":
@@ -160,7 +160,7 @@ class _Run:
 
     def __init__(
         self,
-        world: World,
+        world: Simulation,
         motion: Motion,
         task: Task,
         config: ExecutionConfig,
@@ -227,17 +227,17 @@ class _Run:
             time = sum(self.spent.values()) * step
             if self.observer.diverged:
                 return f"the simulation diverged after {time:.2f} s"
-            self.observer.look(wanted[k], time, name)
+            self.observer.record_step(wanted[k], time, name)
             broken = self._overload()
             if broken:
                 return broken
             k += 1
-            if name == "manipulate" and self._at_stop():
-                k = int(np.searchsorted(stage, STAGES.index("dwell")))
+            if name is Stage.MANIPULATE and self._at_stop():
+                k = int(np.searchsorted(stage, STAGES.index(Stage.DWELL)))
                 lead = wanted = np.tile(world.data.qpos[world.arm_q], (len(plan), 1))
         return ""
 
-    def _step(self, stage: str) -> None:
+    def _step(self, stage: Stage) -> None:
         """Let one step of the controller pass."""
         world, config = self.world, self.config
         if self.seal.outward:
@@ -265,19 +265,19 @@ class _Run:
         self.stopped_short = distance
         return True
 
-    def _enter(self, stage: str) -> str:
+    def _enter(self, stage: Stage) -> str:
         """Do what a stage begins with; a reason where it cannot."""
         place = self.task.verb == "place"
-        if stage == "settle" and place:
+        if stage is Stage.SETTLE and place:
             self.observer.hold()
-        if stage == "approach" and place and self.config.hold == "contact":
+        if stage is Stage.APPROACH and place and self.config.hold == "contact":
             self.world.release()
-        if stage == "grip":
+        if stage is Stage.GRIP:
             if place:
                 self._let_go()
                 return ""
             return self._take_hold()
-        if stage == "manipulate" and not place:
+        if stage is Stage.MANIPULATE and not place:
             self.observer.hold()
         return ""
 
@@ -328,7 +328,7 @@ class _Run:
 
 def _outcome(
     run: _Run,
-    verdict: Verdict,
+    verdict: TaskOutcome,
     resistance: Resistance,
     dynamics: Dynamics,
     robot: Robot,
@@ -361,7 +361,7 @@ def _outcome(
         clearance=None if np.isinf(observer.clearance) else observer.clearance,
         base_shift=(shift[0], shift[1], shift[2]),
         resistance=asdict(resistance),
-        time={name: n * step for name, n in run.spent.items()},
+        time={name.value: n * step for name, n in run.spent.items()},
         simulated=sum(run.spent.values()) * step,
         wall=wall,
         notes=tuple(notes),

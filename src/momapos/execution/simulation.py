@@ -13,8 +13,15 @@ from momapos.errors import InputError
 from momapos.execution.config import ExecutionConfig
 from momapos.execution.dynamics import Dynamics
 from momapos.execution.furniture import PART, Resistance, add_part, add_room
-from momapos.execution.machine import BASE_JOINTS, TOOL_POINT, Finger, add_robot, body_of, tune
 from momapos.execution.shapes import ROBOT, Kind, matrix_quat
+from momapos.execution.simulated_robot import (
+    BASE_JOINTS,
+    TOOL_POINT,
+    Finger,
+    add_robot,
+    body_of,
+    tune,
+)
 from momapos.geometry.transforms import invert
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene, SceneObject
@@ -24,7 +31,7 @@ WELD = "hold"
 
 
 @dataclass(frozen=True, eq=False)
-class World:
+class Simulation:
     """A compiled world; its state is in `data`."""
 
     model: Any
@@ -111,7 +118,7 @@ class World:
         return float(np.linalg.norm(load[:3])), float(np.linalg.norm(load[3:])) / 2
 
 
-def build_world(
+def build_simulation(
     scene: Scene,
     robot: Robot,
     base_pose: tuple[float, float, float],
@@ -120,7 +127,7 @@ def build_world(
     dynamics: Dynamics,
     resistance: Resistance,
     config: ExecutionConfig,
-) -> World:
+) -> Simulation:
     """Build the world of a run, with the arm at the first of some states.
 
     Furniture that touches the part in the scene, elements of the part's own object that touch it
@@ -259,7 +266,7 @@ def _index(
     robot: Robot,
     fingers: tuple[Finger, ...],
     loose: tuple[str, ...],
-) -> World:
+) -> Simulation:
     def addresses(names: tuple[str, ...], key: str) -> Int[np.ndarray, " n"]:
         return np.array([int(getattr(model.joint(name), key)[0]) for name in names])
 
@@ -267,7 +274,7 @@ def _index(
         return np.array([model.actuator(name).id for name in names])
 
     names = [model.geom(i).name.split("#")[0] for i in range(model.ngeom)]
-    return World(
+    return Simulation(
         model=model,
         data=data,
         kinds=kinds_of(model),
