@@ -21,8 +21,8 @@ from jaxtyping import Float
 from drive_figure import draw_drive
 from drive_rooms import People, Question, connected, questions, rooms
 from momapos.geometry.transforms import wrap_angle
-from momapos.navigation.drive import DriveConfig, DriveRecord, drive
-from momapos.navigation.footprint_map import Ground, survey
+from momapos.navigation.drive import DriveConfig, DriveEnding, DriveRecord, drive
+from momapos.navigation.footprint_map import NavigationMap, build_navigation_map
 from momapos.robots.robot import Robot, library_names, load_robot
 from momapos.scene.scene import Scene
 
@@ -71,22 +71,24 @@ class _Clock:
         return np.diff(np.array(self.wall).reshape(-1, 2), axis=1)[:, 0]
 
 
-def driven(scene: Scene, ground: Ground, question: Question, seed: int, *, crowded: bool) -> Result:
+def driven(
+    scene: Scene, nav_map: NavigationMap, question: Question, seed: int, *, crowded: bool
+) -> Result:
     """Make one drive."""
     clock, rng = _Clock(), np.random.default_rng(seed)
     around = {}
     if crowded:
-        walking = People(ground, question.start, rng)
+        walking = People(nav_map, question.start, rng)
         around = {"moving": walking, "meet": walking.meet}
-    record = drive(ground, question.start, question.goal, rng=rng, clock=clock, **around)
+    record = drive(nav_map, question.start, question.goal, rng=rng, clock=clock, **around)
     note = ""
-    if record.reason.startswith("there is no way"):
-        found = connected(ground, question.start, question.goal)
+    if record.ending in (DriveEnding.NO_PATH, DriveEnding.NO_PATH_AS_BELIEVED):
+        found = connected(nav_map, question.start, question.goal)
         note = f" (a fine grid finds {'one' if found else 'none either'})"
     if record.hit == "a moving obstacle":
         stood = not np.abs(record.velocities[-3:]).max() > 0.02
         note = " while it " + ("stood" if stood else "moved")
-    return Result(scene.name, ground.robot, question, record, clock.steps, note)
+    return Result(scene.name, nav_map.robot, question, record, clock.steps, note)
 
 
 def totals(kind: str, results: list[Result]) -> str:
@@ -139,26 +141,26 @@ def main() -> None:
         f"{'gap cm':>6} {'cm':>5} {'deg':>5} {'ways':>4} {'cpu ms':>6} {'ms':>6}"
     )
     results: list[Result] = []
-    shown: list[tuple[Result, Scene, Ground]] = []
+    shown: list[tuple[Result, Scene, NavigationMap]] = []
     with tempfile.TemporaryDirectory() as folder:
         scenes = list(rooms(Path(folder), args.layouts))
         each, left = divmod(args.drives, len(scenes) * len(robots))
         warm = set()
         for n, (scene, robot) in enumerate((s, r) for s in scenes for r in robots):
-            ground = survey(scene, robot)
-            asked = questions(ground, scene, np.random.default_rng(args.seed))
+            nav_map = build_navigation_map(scene, robot)
+            asked = questions(nav_map, scene, np.random.default_rng(args.seed))
             for k in range(each + (n < left)):
                 question = next(asked)
                 if robot.drive not in warm:
                     # The first drive of a process loads the compiled kernels.
-                    driven(scene, ground, question, args.seed, crowded=args.people)
+                    driven(scene, nav_map, question, args.seed, crowded=args.people)
                     warm.add(robot.drive)
                 gc.collect()
                 gc.freeze()  # the rooms are not looked through again within a control step
-                result = driven(scene, ground, question, args.seed + k, crowded=args.people)
+                result = driven(scene, nav_map, question, args.seed + k, crowded=args.people)
                 results.append(result)
                 if scene.name == "kitchen_small" and result.record.arrived:
-                    shown.append((result, scene, ground))
+                    shown.append((result, scene, nav_map))
                 print(result.row, flush=True)
     print()
     for kind in sorted({robot.drive for robot in robots}):
@@ -169,8 +171,8 @@ def main() -> None:
         if not result.record.arrived:
             print("FAILED", result.row)
     if args.figure and shown:
-        best, scene, ground = max(shown, key=lambda s: s[0].question.detour)
-        draw_drive(scene, ground, best.question, best.record, args.figure)
+        best, scene, nav_map = max(shown, key=lambda s: s[0].question.detour)
+        draw_drive(scene, nav_map, best.question, best.record, args.figure)
 
 
 if __name__ == "__main__":

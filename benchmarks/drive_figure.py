@@ -10,11 +10,11 @@ from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
 from drive_rooms import Question
+from momapos.geometry.planar import place_points
 from momapos.geometry.transforms import wrap_angle
 from momapos.navigation.drive import DriveRecord
-from momapos.navigation.footprint_map import Ground
+from momapos.navigation.footprint_map import NavigationMap
 from momapos.navigation.global_path import plan_path
-from momapos.navigation.outlines import turned
 from momapos.scene.scene import Scene
 from momapos.viewer.palette import GOOD, INK, SELECTED, SOFT_INK, WAYPOINT
 from momapos.viewer.robot import draw_footprint
@@ -25,7 +25,7 @@ EVERY = 0.25
 
 
 def draw_drive(
-    scene: Scene, ground: Ground, question: Question, record: DriveRecord, path: Path
+    scene: Scene, nav_map: NavigationMap, question: Question, record: DriveRecord, path: Path
 ) -> None:
     """Draw a drive into a PNG file."""
     figure = Figure(figsize=(7.2, 5.4), dpi=130, facecolor="white")
@@ -41,19 +41,19 @@ def draw_drive(
     turn = np.abs(wrap_angle(step[:, 2]))
     gone = np.concatenate([[0], np.cumsum(np.hypot(*step.T[:2]) + 0.5 * turn)])
     some = np.unique(np.searchsorted(gone, np.arange(0, gone[-1], EVERY)))
-    outlines = turned(ground.body.outlines[0], poses[some])
+    outlines = place_points(poses[some], nav_map.prisms.outlines[0])
     blue = {"facecolors": (0.16, 0.48, 0.72, 0.05), "edgecolors": (0.16, 0.48, 0.72, 0.35)}
     axes.add_collection(
         PolyCollection(outlines, linewidths=0.7, zorder=8, label="footprint", **blue)
     )
-    planned = plan_path(ground, question.start, question.goal)
+    planned = plan_path(nav_map, question.start, question.goal)
     if planned is not None:
         way = {"color": WAYPOINT, "lw": 1.3, "ls": (0, (4, 2)), "zorder": 14}
         axes.plot(*planned.poses.T[:2], label=f"planned, {planned.length:.2f} m", **way)
     driven = f"driven, {record.length:.2f} m"
     axes.plot(*poses.T[:2], color=SELECTED, lw=1.8, zorder=13, label=driven)
-    draw_footprint(axes, ground.robot, question.start, dashed=True)
-    draw_footprint(axes, ground.robot, question.goal)
+    draw_footprint(axes, nav_map.robot, question.start, dashed=True)
+    draw_footprint(axes, nav_map.robot, question.goal)
     for name, pose, colour in (("start", question.start, INK), ("goal", question.goal, GOOD)):
         axes.plot(*pose[:2], "o", ms=5, color=colour, zorder=16, label=name)
     name_objects(axes, scene)
@@ -62,7 +62,7 @@ def draw_drive(
     axes.set_ylabel("y [m]", fontsize=8, color=SOFT_INK)
     axes.tick_params(labelsize=7, colors=SOFT_INK)
     axes.set_title(
-        f"{ground.robot.name} in {scene.name}: {record.time:.0f} s, nearest to furniture "
+        f"{nav_map.robot.name} in {scene.name}: {record.time:.0f} s, nearest to furniture "
         f"{100 * record.clearance:.0f} cm", fontsize=9, color=INK, loc="left",
     )  # fmt: skip
     path.parent.mkdir(parents=True, exist_ok=True)

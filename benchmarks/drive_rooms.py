@@ -17,7 +17,7 @@ from momapos.geometry.transforms import wrap_angle
 from momapos.manipulation.motion import room_boxes
 from momapos.navigation.clearance import gaps
 from momapos.navigation.cost_map import CELL, FloorPlan, base_height, build_cost_map, floor_plan
-from momapos.navigation.footprint_map import HEADINGS, Ground
+from momapos.navigation.footprint_map import HEADINGS, NavigationMap
 from momapos.scene.files import builtin_names, load_scene
 from momapos.scene.kitchens import LAYOUTS, generate_kitchen
 from momapos.scene.scene import Scene
@@ -61,18 +61,18 @@ def rooms(folder: Path, layouts: int) -> Iterator[Scene]:
         yield load_scene(generate_kitchen(layout, seed=seed, out=folder / f"{layout}.json"))
 
 
-def questions(ground: Ground, scene: Scene, rng: np.random.Generator) -> Iterator[Question]:
+def questions(nav_map: NavigationMap, scene: Scene, rng: np.random.Generator) -> Iterator[Question]:
     """Random starts and goals that the disc can drive between."""
-    robot = ground.robot
+    robot = nav_map.robot
     plan = floor_plan(room_boxes(scene), height=base_height(robot), floor=scene.floor)
     # Half a cell less than nothing: a footprint that fits between two centres counts as well.
-    fits = FloorPlan(ground.origin, ~(ground.gap > -CELL / 2).any(0))
-    states = np.argwhere(ground.free)
+    fits = FloorPlan(nav_map.origin, ~(nav_map.gap > -CELL / 2).any(0))
+    states = np.argwhere(nav_map.free)
     while True:
         h, i, j = states[rng.integers(len(states), size=2)].T
-        xy = ground.origin + (np.stack([j, i], -1) + rng.uniform(0, 1, (2, 2))) * CELL
+        xy = nav_map.origin + (np.stack([j, i], -1) + rng.uniform(0, 1, (2, 2))) * CELL
         ends = np.column_stack([xy, wrap_angle(HEADINGS[h] + rng.uniform(-0.1, 0.1, 2))])
-        if (gaps(ends, ground.body, ground.things) < ROOM).any():
+        if (gaps(ends, nav_map.prisms, nav_map.planning_obstacles) < ROOM).any():
             continue
         cost = build_cost_map(plan, ends[0, :2], radius=inscribed_radius(robot.footprint))
         length = float(cost.lengths(ends[1:, :2])[0])
@@ -81,17 +81,24 @@ def questions(ground: Ground, scene: Scene, rng: np.random.Generator) -> Iterato
             yield Question(*ends, length, float(real.lengths(ends[1:, :2])[0]))
 
 
-def connected(ground: Ground, start: Float[np.ndarray, "3"], goal: Float[np.ndarray, "3"]) -> bool:
+def connected(
+    nav_map: NavigationMap, start: Float[np.ndarray, "3"], goal: Float[np.ndarray, "3"]
+) -> bool:
     """Whether a fine grid of free poses joins a start and a goal, by steps of one cell or turn.
 
     It asks for no way that the base can drive, so it errs on the side of there being one.
     """
-    high = ground.origin + np.array(ground.gap.shape[:0:-1]) * CELL
-    x, y = (np.arange(ground.origin[k] + _FINE / 2, high[k], _FINE) for k in (0, 1))
+    high = nav_map.origin + np.array(nav_map.gap.shape[:0:-1]) * CELL
+    x, y = (np.arange(nav_map.origin[k] + _FINE / 2, high[k], _FINE) for k in (0, 1))
     X, Y = (a.ravel() for a in np.meshgrid(x, y))
     turns = np.arange(_TURNS) * 2 * np.pi / _TURNS
     room = [
-        gaps(np.column_stack([X, Y, np.full(X.size, t)]), ground.body, ground.things, cap=0.05)
+        gaps(
+            np.column_stack([X, Y, np.full(X.size, t)]),
+            nav_map.prisms,
+            nav_map.planning_obstacles,
+            cap=0.05,
+        )
         for t in turns
     ]
     parts, count = label((np.array(room) > 0).reshape(_TURNS, len(y), len(x)))
@@ -117,25 +124,25 @@ class People:
     """
 
     def __init__(
-        self, ground: Ground, start: Float[np.ndarray, "3"], rng: np.random.Generator
+        self, nav_map: NavigationMap, start: Float[np.ndarray, "3"], rng: np.random.Generator
     ) -> None:
-        self.robot, self.radius, self.time = start[:2], ground.body.radius, 0.0
-        self.begin, self.toward, self.length = self._walks(ground, rng)
+        self.robot, self.radius, self.time = start[:2], nav_map.prisms.radius, 0.0
+        self.begin, self.toward, self.length = self._walks(nav_map, rng)
         self.pace = rng.uniform(*PACE, size=2)
         self.gone, self.way, self.waited = np.zeros(2), np.ones(2), np.zeros(2)
 
     def _walks(
-        self, ground: Ground, rng: np.random.Generator
+        self, nav_map: NavigationMap, rng: np.random.Generator
     ) -> tuple[Float[np.ndarray, "2 2"], Float[np.ndarray, "2 2"], Float[np.ndarray, " 2"]]:
-        fits = (ground.gap > 0.0).any(0)
+        fits = (nav_map.gap > 0.0).any(0)
         cells, walks = np.argwhere(fits), []
         while len(walks) < 2:
             i, j = cells[rng.integers(len(cells), size=2)].T
-            a, b = ground.origin + (np.stack([j, i], -1) + 0.5) * CELL
+            a, b = nav_map.origin + (np.stack([j, i], -1) + 0.5) * CELL
             length = float(np.hypot(*(b - a)))
             away = float(np.hypot(*(a - self.robot))) - self.radius - PERSON
             line = a + np.linspace(0, 1, 100)[:, None] * (b - a)
-            column, row = np.floor((line - ground.origin) / CELL).astype(int).T
+            column, row = np.floor((line - nav_map.origin) / CELL).astype(int).T
             if length > 1.0 and away > 1.0 and fits[row, column].all():
                 walks.append((a, (b - a) / length, length))
         begin, toward, length = (np.array(parts) for parts in zip(*walks, strict=True))

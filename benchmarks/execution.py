@@ -1,10 +1,12 @@
 """Plans executed in physics: openings of five real and two built-in kitchens, for four robots.
 
-    python benchmarks/execution.py [--robots fetch ...] [--tasks 20] [--hold weld] [--out bench_out]
+    python benchmarks/execution.py [--robots fetch ...] [--tasks 20] [--verb close] [--hold weld]
+                                   [--rooms built-in] [--out bench_out]
 
 The base drives from its start to the base pose of every plan, and the arm is planned anew there:
 once with exact sensors, once with noisy ones and furniture that moves up to 30 % more or less
-easily. Prints, and writes as JSON, what came of each; failures with their reasons.
+easily. Closing begins where opening ends. Prints, and writes as JSON, what came of each; failures
+with their reasons.
 """
 
 from __future__ import annotations
@@ -46,8 +48,10 @@ ROBOTS = ("fetch", "segway_ur5e", "husky_ur5e", "ranger_rm63")
 SPREAD = 0.3
 
 
-def scenes() -> list[Scene]:
-    """The built-in kitchens, and the real ones where this machine has them."""
+def scenes(rooms: str) -> list[Scene]:
+    """The built-in kitchens, and with `all` the real ones where this machine has them."""
+    if rooms == "built-in":
+        return [load_scene(name) for name in BUILT_IN]
     root = shared() / "bestman"
     if not root.is_dir():
         print(f"{root} is not there (MOMAPOS_SHARED names its parent): built-in kitchens alone")
@@ -56,10 +60,10 @@ def scenes() -> list[Scene]:
 
 
 def chosen(
-    robots: tuple[str, ...], most: int | None, seed: int
+    robots: tuple[str, ...], most: int | None, seed: int, where: str
 ) -> list[tuple[Robot, Scene, str, str]]:
     """All openings for all robots, or as many; in random order, so that a part is a fair sample."""
-    rooms = scenes()
+    rooms = scenes(where)
     every = [
         (robot, scene, item, joint)
         for robot in map(load_robot, robots)
@@ -71,7 +75,7 @@ def chosen(
 
 
 def measure(
-    robot: Robot, scene: Scene, item: str, joint: str, hold: str, seed: int
+    robot: Robot, scene: Scene, item: str, joint: str, verb: str, hold: str, seed: int
 ) -> list[dict[str, object]]:
     """Plan once, execute twice."""
     base = {"robot": robot.name, "scene": scene.name, "task": f"{item}/{joint}", "hold": hold}
@@ -79,9 +83,12 @@ def measure(
     rows: list[dict[str, object]] = []
     try:
         task = make_task(scene, "open", item, joint)
-        plan = plan_base_placement(
-            scene, robot, task, reach, config=PipelineConfig(timeout=120.0)
-        ).plan
+        if verb == "close":
+            assert task.to is not None
+            scene = scene.with_joint(item, joint, task.to)
+            task = make_task(scene, verb, item, joint)
+        config = PipelineConfig(timeout=120.0)
+        plan = plan_base_placement(scene, robot, task, reach, config=config).plan
     except MomaposError as error:
         return [{**base, "status": "refused", "reason": str(error)}]
     if plan.status != "solved":
@@ -115,6 +122,8 @@ def measure(
                 "effort": done.tracking.effort,
                 "yield": max(done.base_shift[:2]),
                 "clearance": done.clearance,
+                "reached": [done.start, done.asked, done.reached],
+                "hardest": done.collisions[0].force if done.collisions else 0.0,
                 "collisions": [[c.one, c.other, round(c.force, 1)] for c in done.collisions],
             }
         rows.append(row)
@@ -147,6 +156,7 @@ def report(rows: list[dict]) -> str:
         for key, unit, scale in (
             ("force", "N", 1), ("torque", "Nm", 1), ("slip", "mm", 1000),
             ("tracking", "mrad|mm", 1000), ("effort", "% of the limit", 100), ("yield", "mm", 1000),
+            ("hardest", "N in contact", 1),
         ):  # fmt: skip
             values = scale * np.array([r[key] for r in done])
             lines.append(f"{key}: median {np.median(values):.2g}, worst {values.max():.2g} {unit}")
@@ -183,13 +193,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--robots", nargs="+", default=list(ROBOTS))
     parser.add_argument("--tasks", type=int, help="as many openings, drawn at random")
+    parser.add_argument("--verb", choices=("open", "close"), default="open")
+    parser.add_argument("--rooms", choices=("all", "built-in"), default="all")
     parser.add_argument("--hold", choices=("weld", "contact"), default="weld")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, help="folder for execution.json")
     args = parser.parse_args()
     rows = []
-    for robot, scene, item, joint in chosen(tuple(args.robots), args.tasks, args.seed):
-        for row in measure(robot, scene, item, joint, args.hold, args.seed):
+    for robot, scene, item, joint in chosen(tuple(args.robots), args.tasks, args.seed, args.rooms):
+        for row in measure(robot, scene, item, joint, args.verb, args.hold, args.seed):
             rows.append(row)
             print(json.dumps(row), flush=True)
     print(report(rows))

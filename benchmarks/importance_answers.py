@@ -25,7 +25,7 @@ from momapos.robots.robot import Robot, load_robot
 from momapos.scene.files import builtin_names, load_scene
 from momapos.scene.scene import Scene
 from momapos.types import KeyObjects, Task
-from momapos.verification.exact import ExactWorld
+from momapos.verification.exact import PlanVerifier
 from placement import SCENES, machine, shared
 
 RUNS: tuple[tuple[str, ScorerName, float], ...] = (
@@ -75,8 +75,8 @@ def row(label: str, robot: Robot, asked: list[tuple[str, Task]], config: Pipelin
         assert plan.key_objects is not None
         keys.append(plan.key_objects)
         if plan.base_pose is not None and plan.motion is not None:
-            exact = ExactWorld(scenes[name], robot, task)
-            missed += exact.refusal(plan.base_pose, plan.motion) is not None
+            exact = PlanVerifier(scenes[name], robot, task)
+            missed += exact.first_violation(plan.base_pose, plan.motion) is not None
             solved, cost = solved + 1, cost + (plan.navigation_cost or 0.0)
     cells = [
         label, f"{solved} of {len(asked)}", str(missed), f"{cost / max(1, solved):.2f} m",

@@ -30,12 +30,13 @@ from importance_rooms import Room, built_in_rooms, is_wall, shared_rooms
 from momapos.cache import default_cache_dir
 from momapos.config import PipelineConfig
 from momapos.errors import MomaposError, TaskError
+from momapos.geometry.planar import compose
 from momapos.importance.rank import rank
 from momapos.importance.scorers import ImportanceConfig, ScorerName
 from momapos.manipulation.feasibility import Feasibility, hand_clears
 from momapos.manipulation.motion import task_motion
 from momapos.manipulation.tasks import hand_path, make_task, openable
-from momapos.placement.area import BaseStatus, in_world, sampling_box, standing, task_frame
+from momapos.placement.area import BaseStatus, sampling_box, standing, task_frame
 from momapos.prepare import collision_world, placement_geometry
 from momapos.protocols import ReachScorer
 from momapos.reachability.store import load_reach_map
@@ -85,7 +86,7 @@ class Question:
         x, y = (np.arange(low, high + self.cell, self.cell) for low, high in corners.T)
         yaw = np.radians(np.arange(-180.0, 180.0, self.turn))
         local = np.stack(np.meshgrid(x, y, yaw, indexing="ij"), -1).reshape(-1, 3)
-        return in_world(task_frame(site), local)
+        return compose(task_frame(site), local)
 
     def feasible(self, scene: Scene, rows: Rows) -> Rows:
         """Which of some poses of the grid are feasible in a scene."""

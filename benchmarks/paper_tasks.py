@@ -40,7 +40,7 @@ from momapos.run_plan import run_plan
 from momapos.scene.files import load_scene
 from momapos.scene.scene import Scene, SceneObject, upright_boxes
 from momapos.types import Task
-from momapos.verification.exact import ExactWorld
+from momapos.verification.exact import PlanVerifier
 from placement import machine, shared
 
 ROOM = "Asset/Scene/Scene/b512.json"
@@ -135,7 +135,9 @@ def layout(room: Scene, robot: Robot, small: list[SceneObject], rng: np.random.G
         )
         scene = replace(room, objects=(*fixed, *group), start=np.array(START))
         doors = [make_task(scene, *TASKS[name]) for name in ("open fridge", "open microwave")]
-        if hits[0] == FREE and all(ExactWorld(scene, robot, d).blocked(0.0) is None for d in doors):
+        if hits[0] == FREE and all(
+            PlanVerifier(scene, robot, d).blocked(0.0) is None for d in doors
+        ):
             return scene
     raise SystemExit(f"no layout without overlaps in {DRAWS} draws")
 

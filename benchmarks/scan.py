@@ -31,7 +31,7 @@ from momapos.robots.robot import load_robot
 from momapos.scan_pipeline import Modelled, default_tools, scan_to_scene
 from momapos.scene.files import load_scene
 from momapos.scene.scene import Scene
-from momapos.verification.exact import ExactWorld
+from momapos.verification.exact import PlanVerifier
 from momapos.verification.report import Limits
 from scan_rooms import Room, rooms
 
@@ -170,7 +170,7 @@ def answer(
         penetration=MARGIN, slip_position=MARGIN, slip_rotation=np.radians(10.0),
         reach=Limits().reach + MARGIN, floor_edge=0.1, goal=1.0,
     )  # fmt: skip
-    refusal = ExactWorld(room.scene, robot, task, limits).refusal(_triple(base), motion)
+    refusal = PlanVerifier(room.scene, robot, task, limits).first_violation(_triple(base), motion)
     return replace(door, solved=refusal is None, reason=refusal or "")
 
 

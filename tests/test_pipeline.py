@@ -21,7 +21,7 @@ from momapos.plans import plan_to_dict, write_plan
 from momapos.robots.robot import Robot
 from momapos.scene.files import save_scene
 from momapos.scene.scene import Scene
-from momapos.verification.exact import ExactWorld
+from momapos.verification.exact import PlanVerifier
 from momapos.verification.files import verify_files
 
 QUICK = PlaceConfig(count=256, improve=1)
@@ -67,7 +67,7 @@ def test_an_answer_moves_with_its_room(robots: Callable[[str], Robot], tmp_path:
         T = np.eye(4)
         T[:2, :2], T[:2, 3] = [[c, -s], [s, c]], shift[:2]
         motion = replace(here.plan.motion, Ts_world_tool=T @ here.plan.motion.Ts_world_tool)
-        assert ExactWorld(moved, robot, here.plan.task).check(carried, motion).valid
+        assert PlanVerifier(moved, robot, here.plan.task).check(carried, motion).valid
         there = ask(moved, robot)
         assert there.plan.base_pose is not None
         np.testing.assert_allclose(there.plan.base_pose[:2], carried[:2], atol=1e-6)
@@ -85,7 +85,7 @@ def test_an_opened_plan_closes_backwards(robots: Callable[[str], Robot], tmp_pat
         m, approach=m.q[-1:], q=m.q[::-1], object_q=m.object_q[::-1],
         Ts_world_tool=m.Ts_world_tool[::-1],
     )  # fmt: skip
-    assert ExactWorld(ajar, robot, task).check(opened.base_pose, back).valid
+    assert PlanVerifier(ajar, robot, task).check(opened.base_pose, back).valid
     closing = ask(ajar, robot, to=0.0, verb="close").plan
     assert closing.status == "solved"
 
@@ -104,7 +104,7 @@ def test_every_method_answers_with_a_plan_that_holds(
     assert answer.plan.method == method
     assert answer.plan.motion is not None
     assert answer.plan.base_pose is not None
-    assert ExactWorld(scene, robot, task).check(answer.plan.base_pose, answer.plan.motion).valid
+    assert PlanVerifier(scene, robot, task).check(answer.plan.base_pose, answer.plan.motion).valid
 
 
 def test_a_handle_above_all_arms_is_infeasible_with_the_reason(

@@ -31,7 +31,7 @@ from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene, upright_boxes
 from momapos.stopwatch import Stopwatch
 from momapos.types import PlacementPlan, Task
-from momapos.verification.exact import ExactWorld
+from momapos.verification.exact import PlanVerifier
 
 DEFAULT = PipelineConfig()
 
@@ -205,8 +205,8 @@ def _expand_model(
         joined = selection.join(names[i] for i in np.flatnonzero(near))
         selection = replace(joined, rounds=selection.rounds + 1)
         with query.watch.stage("exact check"):
-            verifier = ExactWorld(query.scene.boxed(selection.names), robot, query.task)
-            violation = verifier.refusal(pose, found)
+            verifier = PlanVerifier(query.scene.boxed(selection.names), robot, query.task)
+            violation = verifier.first_violation(pose, found)
         if violation is not None:
             return selection, False
     return selection, True

@@ -21,7 +21,7 @@ from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene
 from momapos.stopwatch import Stopwatch
 from momapos.types import Motion, Task
-from momapos.verification.exact import ExactWorld
+from momapos.verification.exact import PlanVerifier
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class PreparedTask:
     """The room as the arm's collision kernel wants it."""
     geometry: Site
     """The room and the task as placement wants them."""
-    verifier: ExactWorld
+    verifier: PlanVerifier
     infeasible_reason: str
     """Why no base pose can help, where that is known beforehand, else ""."""
 
@@ -50,7 +50,7 @@ class PreparedTask:
             motion: What the robot does there.
         """
         x, y, yaw = map(float, base_pose)
-        return self.verifier.refusal((x, y, yaw), motion)
+        return self.verifier.first_violation((x, y, yaw), motion)
 
     def feasibility(
         self,
@@ -109,7 +109,7 @@ def prepare(
         if has_room.any():
             motion = replace(motion, Ts_world_tool=motion.Ts_world_tool[has_room])
     with watch.stage("exact model"):
-        verifier = ExactWorld(scene, robot, task)
+        verifier = PlanVerifier(scene, robot, task)
         blocked = verifier.blocked(LIFT)
     no_grasp = "" if has_room.any() else f"the hand hits {obstacle} in every grasp"
     geometry = placement_geometry(scene, robot, motion, clearance)

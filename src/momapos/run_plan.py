@@ -25,8 +25,8 @@ from momapos.geometry.transforms import wrap_angle
 from momapos.manipulation.motion import task_motion
 from momapos.navigation.clearance import gaps
 from momapos.navigation.drive import DriveConfig, DriveRecord, drive
-from momapos.navigation.footprint_map import Ground, survey
-from momapos.navigation.judge import Judge
+from momapos.navigation.footprint_map import NavigationMap, build_navigation_map
+from momapos.navigation.judge import FootprintCollisionChecker
 from momapos.navigation.localisation import NoiseConfig
 from momapos.pipeline import plan_base_placement
 from momapos.prepare import start_pose
@@ -49,7 +49,8 @@ STAGES = ("drive", "plan", "execute")
 NONE_LEFT = "no other base pose is left"
 
 Drive = Callable[
-    [Ground, Float[np.ndarray, "3"], Float[np.ndarray, "3"], np.random.Generator], DriveRecord
+    [NavigationMap, Float[np.ndarray, "3"], Float[np.ndarray, "3"], np.random.Generator],
+    DriveRecord,
 ]
 """Drives from a pose to a pose: x [m], y [m], yaw [rad]."""
 Trace = Callable[[Float[np.ndarray, " t"], Float[np.ndarray, "t 3"]], None]
@@ -103,7 +104,7 @@ def run_plan(
     stopwatch = Stopwatch(clock, dict.fromkeys(STAGES, 0.0))
 
     def by_window(
-        ground: Ground,
+        ground: NavigationMap,
         here: Float[np.ndarray, "3"],
         goal: Float[np.ndarray, "3"],
         rng: np.random.Generator,
@@ -111,7 +112,7 @@ def run_plan(
         return drive(ground, here, goal, rng=rng, config=driving, clock=clock)
 
     with stopwatch.stage("drive"):
-        ground = survey(scene, robot)
+        ground = build_navigation_map(scene, robot)
     trip = _Trip(ground, scene, plan, reach, go or by_window, config, trace or _unseen, stopwatch)
     here, motion = trip.go(_begin(ground, scene, plan.task, start, config), attempts, of_drive)
     outcome: Execution | None = None
@@ -142,7 +143,7 @@ def _unseen(_: Float[np.ndarray, " t"], __: Float[np.ndarray, "t 3"]) -> None:
 
 
 def _begin(
-    ground: Ground,
+    ground: NavigationMap,
     scene: Scene,
     task: Task,
     start: Float[np.ndarray, "3"] | None,
@@ -155,7 +156,9 @@ def _begin(
     """
     robot = ground.robot
     pose = start_pose(scene, robot, task_motion(scene, robot, task, config.motion), start)
-    touched = Judge(ground.body, ground.obstacles, ground.floor).distance(pose[None])[1][0]
+    touched = FootprintCollisionChecker(ground.prisms, ground.obstacles, ground.floor).distance(
+        pose[None]
+    )[1][0]
     if touched:
         x, y, yaw = pose
         raise SceneError(
@@ -169,7 +172,7 @@ def _begin(
 class _Trip:
     """Drives to base poses until the arm finds a motion at one."""
 
-    ground: Ground
+    ground: NavigationMap
     scene: Scene
     plan: PlacementPlan
     reach: ReachScorer
@@ -235,7 +238,7 @@ class _Trip:
         """Poses near one that failed, and those where the base cannot dock with its arm at home."""
         away = poses[:, None] - np.array(self.failed)
         apart = np.hypot(away[..., 0], away[..., 1]) + TURN * np.abs(wrap_angle(away[..., 2]))
-        fits = gaps(poses, self.ground.body, self.ground.things) > 0.0
+        fits = gaps(poses, self.ground.prisms, self.ground.planning_obstacles) > 0.0
         return np.asarray((apart < APART).any(1) | ~fits)
 
 

@@ -24,7 +24,7 @@ from momapos.execution.record import RunRecord, read_run
 from momapos.geometry.transforms import pose_planar, wrap_angle
 from momapos.manipulation.tasks import make_task
 from momapos.navigation.drive import DriveRecord
-from momapos.navigation.footprint_map import Ground
+from momapos.navigation.footprint_map import NavigationMap
 from momapos.outcomes import PoseOutcome, PoseStatus
 from momapos.pipeline import plan_base_placement
 from momapos.placement.place import PlaceConfig
@@ -34,7 +34,7 @@ from momapos.run_plan import APART, NONE_LEFT, TURN, Drive, run_plan
 from momapos.scene.files import load_scene
 from momapos.scene.scene import Scene
 from momapos.types import Attempt, Motion, PlacementPlan, Task
-from momapos.verification.exact import ExactWorld
+from momapos.verification.exact import PlanVerifier
 
 CONFIG = PipelineConfig(place=PlaceConfig(count=256, improve=1), timeout=300.0)
 Pose3 = Float[np.ndarray, "3"]
@@ -117,10 +117,10 @@ def test_the_furniture_is_the_same_however_far_a_plan_drives(
             physics=ExecutionConfig(furniture=furniture),
         )  # fmt: skip
 
-    def near(_: Ground, start: Pose3, goal: Pose3, __: np.random.Generator) -> DriveRecord:
+    def near(_: NavigationMap, start: Pose3, goal: Pose3, __: np.random.Generator) -> DriveRecord:
         return ended(start, goal, goal)
 
-    def far(_: Ground, start: Pose3, goal: Pose3, rng: np.random.Generator) -> DriveRecord:
+    def far(_: NavigationMap, start: Pose3, goal: Pose3, rng: np.random.Generator) -> DriveRecord:
         rng.normal(size=1000)
         return ended(start, goal, goal)
 
@@ -138,7 +138,7 @@ def test_a_motion_for_one_base_pose_holds_the_exact_check(
     found = check_base_pose(kitchen, robot, plan.task, base, Everywhere()).motion
     assert found is not None
     x, y, yaw = base.tolist()
-    assert ExactWorld(kitchen, robot, plan.task).check((x, y, yaw), found).valid
+    assert PlanVerifier(kitchen, robot, plan.task).check((x, y, yaw), found).valid
     tools = pose_planar(base) @ robot.chain.tool_poses(found.q)
     np.testing.assert_allclose(tools, found.Ts_world_tool, atol=1e-6)
 
@@ -149,7 +149,7 @@ def test_where_the_arm_finds_no_motion_the_next_cheapest_base_pose_is_driven_to(
     goals: list[np.ndarray] = []
 
     def astray_at_first(
-        _: Ground, start: Pose3, goal: Pose3, __: np.random.Generator
+        _: NavigationMap, start: Pose3, goal: Pose3, __: np.random.Generator
     ) -> DriveRecord:
         goals.append(goal)
         return ended(start, goal, goal if len(goals) > 1 else np.array([1.9, -1.6, 1.5]))
@@ -170,7 +170,7 @@ def test_a_drive_that_does_not_arrive_leads_to_other_base_poses_and_then_to_a_fa
 ) -> None:
     goals: list[np.ndarray] = []
 
-    def stuck(_: Ground, start: Pose3, goal: Pose3, __: np.random.Generator) -> DriveRecord:
+    def stuck(_: NavigationMap, start: Pose3, goal: Pose3, __: np.random.Generator) -> DriveRecord:
         goals.append(goal)
         return ended(start, goal, start, "a wheel is stuck")
 
@@ -188,7 +188,7 @@ def test_a_drive_that_does_not_arrive_leads_to_other_base_poses_and_then_to_a_fa
 def test_a_base_that_touched_something_is_driven_no_further(
     plan: PlacementPlan, kitchen: Scene
 ) -> None:
-    def bump(_: Ground, start: Pose3, goal: Pose3, __: np.random.Generator) -> DriveRecord:
+    def bump(_: NavigationMap, start: Pose3, goal: Pose3, __: np.random.Generator) -> DriveRecord:
         return replace(ended(start, goal, start, "it hit a chair"), hit="a chair")
 
     record = run_plan(
@@ -222,7 +222,7 @@ def apart(goals: list[np.ndarray]) -> bool:
 def test_a_pose_in_which_the_physics_find_the_robot_in_something_is_a_failure(
     plan: PlacementPlan, kitchen: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def go(_: Ground, start: Pose3, goal: Pose3, __: np.random.Generator) -> DriveRecord:
+    def go(_: NavigationMap, start: Pose3, goal: Pose3, __: np.random.Generator) -> DriveRecord:
         return ended(start, goal, np.array([1.0, 0.0, 1.57]))
 
     motion = plan.motion

@@ -13,7 +13,7 @@ from tests.verification.door_case import HANDLE, OPEN, make_case
 
 from momapos.errors import InputError, RobotError, SceneError
 from momapos.execution.config import ExecutionConfig, FurnitureConfig
-from momapos.execution.world import World
+from momapos.execution.simulation import Simulation
 
 
 def test_a_door_pulled_by_its_handle_opens(tmp_path: Path) -> None:
@@ -68,7 +68,7 @@ def test_an_arm_in_a_box_is_a_collision_with_its_force(tmp_path: Path) -> None:
 
 
 def test_a_state_that_is_no_number_ends_the_run_as_a_failure(tmp_path: Path) -> None:
-    def spoil(world: World, time: float, _: str) -> None:
+    def spoil(world: Simulation, time: float, _: str) -> None:
         if time > 1.0:
             world.data.qpos[world.arm_q[0]] = np.nan
 

@@ -8,7 +8,13 @@ from jaxtyping import Float
 from matplotlib.path import Path
 from numpy.testing import assert_allclose
 
-from momapos.geometry.polygons import all_inside, contains, inscribed_radius, signed_area
+from momapos.geometry.polygons import (
+    all_inside,
+    contains,
+    edge_distances,
+    inscribed_radius,
+    signed_area,
+)
 
 # A room with a niche: walking straight across the gap means walking through the wall.
 U_SHAPE = np.array([[0.0, 0], [3, 0], [3, 3], [2, 3], [2, 1], [1, 1], [1, 3], [0, 3]])
@@ -118,3 +124,11 @@ def test_the_inscribed_circle_fits_and_no_larger_one(seed: int) -> None:
 
 def test_no_circle_fits_about_a_point_outside() -> None:
     assert inscribed_radius(np.array([[1.0, 0], [2, 0], [2, 1], [1, 1]])) == 0.0
+
+
+def test_distances_to_edges_are_those_of_a_plain_twin_for_every_batch() -> None:
+    rng = np.random.default_rng(3)
+    polygons = np.stack([star(7, rng) for _ in range(5)])
+    points = rng.uniform(-3, 3, (5, 40, 2))
+    expected = [to_edges(polygon, some) for polygon, some in zip(polygons, points, strict=True)]
+    assert_allclose(edge_distances(points, polygons), expected, atol=1e-12)

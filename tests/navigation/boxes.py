@@ -11,7 +11,7 @@ from momapos.geometry.transforms import pose, rotation_about
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.urdf import box_urdf
 from momapos.navigation.clearance import gaps
-from momapos.navigation.footprint_map import Ground
+from momapos.navigation.footprint_map import NavigationMap
 from momapos.scene.scene import Scene, SceneObject
 
 Box = tuple[float, float, float, float, float]
@@ -50,11 +50,15 @@ def wall_with_door(width: float) -> list[Box]:
     return [(0.0, s * (width / 2 + half), 0.1, 2 * half, 0.0) for s in (-1.0, 1.0)]
 
 
-def free_pose(ground: Ground, rng: np.random.Generator, *, gap: float) -> Float[np.ndarray, "3"]:
+def free_pose(
+    nav_map: NavigationMap, rng: np.random.Generator, *, gap: float
+) -> Float[np.ndarray, "3"]:
     """A random pose with some room around the robot."""
     while True:
         poses = np.column_stack([rng.uniform(-2.9, 2.9, (64, 2)), rng.uniform(-3.14, 3.14, 64)])
         inside = (np.abs(poses[:, :2]) < 2.4).all(1)
-        good = np.flatnonzero(inside & (gaps(poses, ground.body, ground.things) > gap))
+        good = np.flatnonzero(
+            inside & (gaps(poses, nav_map.prisms, nav_map.planning_obstacles) > gap)
+        )
         if len(good):
             return poses[good[0]]

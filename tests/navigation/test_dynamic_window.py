@@ -8,11 +8,17 @@ import numpy as np
 import pytest
 from tests.navigation.boxes import free_pose, room
 
-from momapos.navigation.base import moved
-from momapos.navigation.dynamic_window import Steering, WindowConfig, velocity_window
-from momapos.navigation.footprint_map import survey
+from momapos.geometry.planar import place_points
+from momapos.navigation.base import integrate
+from momapos.navigation.dynamic_window import (
+    Steering,
+    WindowConfig,
+    disc_separation,
+    velocity_window,
+)
+from momapos.navigation.footprint_map import build_navigation_map
 from momapos.navigation.global_path import plan_path
-from momapos.navigation.judge import Judge
+from momapos.navigation.judge import FootprintCollisionChecker
 from momapos.robots.robot import Robot
 
 DT = 0.06
@@ -23,13 +29,13 @@ def samples_on_the_way(
     robot: Robot, discs: np.ndarray
 ) -> list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
     """Poses, velocities, their scores looked at together, and one by one."""
-    ground = survey(room(BOXES), robot)
+    nav_map = build_navigation_map(room(BOXES), robot)
     rng, found = np.random.default_rng(0), []
     while len(found) < 30:
-        path = plan_path(ground, *(free_pose(ground, rng, gap=0.02) for _ in range(2)))
+        path = plan_path(nav_map, *(free_pose(nav_map, rng, gap=0.02) for _ in range(2)))
         if path is None:
             continue
-        steering = Steering(ground, path, WindowConfig(), DT)
+        steering = Steering(nav_map, path, WindowConfig(), DT)
         for index in range(0, len(path.poses), 10):
             pose = path.poses[index] + rng.normal(size=3) * 0.01
             now = np.array([rng.uniform(0, robot.max_speed), 0.0, rng.uniform(-0.6, 0.6)])
@@ -59,8 +65,8 @@ def test_after_a_velocity_that_is_allowed_the_base_can_brake_without_touching(
     robots: Callable[[str], Robot],
 ) -> None:
     robot = robots("husky_ur5e")
-    ground = survey(room(BOXES), robot)
-    judge = Judge(ground.body, ground.obstacles, ground.floor)
+    nav_map = build_navigation_map(room(BOXES), robot)
+    judge = FootprintCollisionChecker(nav_map.prisms, nav_map.obstacles, nav_map.floor)
     checked = 0
     for pose, window, _, alone in samples_on_the_way(robot, np.zeros((0, 5))):
         for v in window[np.isfinite(alone)][::9]:
@@ -69,6 +75,27 @@ def test_after_a_velocity_that_is_allowed_the_base_can_brake_without_touching(
                 abs(float(v[2])) / robot.max_yaw_acceleration,
             )
             arc = np.linspace(0.0, DT + braking / 2, 20)
-            assert not any(judge.distance(np.array([moved(pose, v, t) for t in arc]))[1])
+            assert not any(judge.distance(np.array([integrate(pose, v, t) for t in arc]))[1])
             checked += 1
     assert checked > 50
+
+
+def test_the_separation_from_a_disc_is_that_of_the_nearest_of_all_prisms(robot: Robot) -> None:
+    nav_map = build_navigation_map(room([]), robot)
+    judge = FootprintCollisionChecker(nav_map.prisms, nav_map.obstacles, nav_map.floor)
+    rng = np.random.default_rng(0)
+    pose = np.array([0.3, -0.2, 0.7])
+    points = pose[:2] + rng.uniform(-1.2, 1.2, (400, 2))
+    found = np.array([disc_separation(pose, x, y, nav_map.prisms.arrays) for x, y in points])
+    twin = np.full(len(points), np.inf)
+    for outline in nav_map.prisms.outlines:
+        corners = place_points(pose[None], outline)[0]
+        along = np.roll(corners, -1, axis=0) - corners
+        normal = np.stack([along[:, 1], -along[:, 0]], -1) / np.hypot(*along.T)[:, None]
+        beyond = np.einsum("ei,nei->ne", normal, points[:, None] - corners)
+        twin = np.minimum(twin, beyond.max(1))
+    np.testing.assert_allclose(found, twin, atol=1e-9)
+    discs = np.column_stack([points, np.zeros((len(points), 3))])
+    distance = judge.to_discs(pose, discs)
+    assert (found <= distance + 1e-9).all()
+    assert (distance > 0).sum() > 100

@@ -9,12 +9,13 @@ import pytest
 from tests.navigation.boxes import room, square
 
 from momapos.errors import SceneError
+from momapos.geometry.polygons import edge_normals
 from momapos.geometry.transforms import apply, invert
 from momapos.navigation.clearance import gaps
 from momapos.navigation.cost_map import CELL
-from momapos.navigation.footprint_map import HEADINGS, ground_of, survey
-from momapos.navigation.judge import Judge
-from momapos.navigation.outlines import body_of, edges_of, obstacles_of, thinned
+from momapos.navigation.footprint_map import HEADINGS, build_navigation_map, navigation_map_of
+from momapos.navigation.judge import FootprintCollisionChecker
+from momapos.navigation.outlines import obstacles_of, prisms_of, thinned
 from momapos.robots.robot import Robot
 
 CLUTTER = [
@@ -29,11 +30,11 @@ CLUTTER = [
 def test_a_gap_is_positive_where_outlines_do_not_overlap_and_never_above_the_distance(
     robot: Robot,
 ) -> None:
-    ground = survey(room(CLUTTER), robot)
-    judge = Judge(ground.body, ground.obstacles, None)
+    nav_map = build_navigation_map(room(CLUTTER), robot)
+    judge = FootprintCollisionChecker(nav_map.prisms, nav_map.obstacles, None)
     rng = np.random.default_rng(0)
     poses = np.column_stack([rng.uniform(-2.5, 2.5, (400, 2)), rng.uniform(-3.14, 3.14, 400)])
-    found = gaps(poses, ground.body, ground.obstacles, cap=0.5)
+    found = gaps(poses, nav_map.prisms, nav_map.obstacles, cap=0.5)
     distance, touched = judge.distance(poses)
     free = np.array([not name for name in touched])
     assert 50 < free.sum() < 350
@@ -44,21 +45,21 @@ def test_a_gap_is_positive_where_outlines_do_not_overlap_and_never_above_the_dis
 def test_a_cell_of_the_map_is_free_where_the_footprint_stands_clear_and_on_the_floor(
     robots: Callable[[str], Robot],
 ) -> None:
-    ground = survey(room(CLUTTER), robots("husky_ur5e"))
-    judge = Judge(ground.body, ground.obstacles, ground.floor)
+    nav_map = build_navigation_map(room(CLUTTER), robots("husky_ur5e"))
+    judge = FootprintCollisionChecker(nav_map.prisms, nav_map.obstacles, nav_map.floor)
     rng = np.random.default_rng(1)
-    h, i, j = (rng.integers(n, size=500) for n in ground.gap.shape)
-    centers = ground.origin + (np.stack([j, i], -1) + 0.5) * CELL
+    h, i, j = (rng.integers(n, size=500) for n in nav_map.gap.shape)
+    centers = nav_map.origin + (np.stack([j, i], -1) + 0.5) * CELL
     _, touched = judge.distance(np.column_stack([centers, HEADINGS[h]]))
     free = np.array([not name for name in touched])
     assert 50 < free.sum() < 450
-    assert (ground.free[h, i, j] == free).all()
+    assert (nav_map.free[h, i, j] == free).all()
 
 
 def test_leaving_out_what_lies_inside_other_things_changes_no_gap(
     robots: Callable[[str], Robot],
 ) -> None:
-    body = body_of(robots("fetch"))
+    body = prisms_of(robots("fetch"))
     everything = obstacles_of(room(CLUTTER), body)
     fewer = thinned(everything, None)
     assert len(fewer) < len(everything)
@@ -72,7 +73,7 @@ def test_leaving_out_what_lies_inside_other_things_changes_no_gap(
 def test_only_what_is_between_the_floor_and_the_top_of_the_robot_is_in_the_way(
     robot: Robot,
 ) -> None:
-    body = body_of(robot)
+    body = prisms_of(robot)
     box = [(0.0, 0.0, 1.0, 1.0, 0.0)]
     assert len(obstacles_of(room(box), body)) > 0
     above = room(box, low=body.heights[-1] + 0.01, high=body.heights[-1] + 1.0)
@@ -84,7 +85,7 @@ def test_a_low_base_goes_under_what_its_arm_does_not_touch(
     robots: Callable[[str], Robot],
 ) -> None:
     husky = robots("husky_ur5e")
-    body = body_of(husky)
+    body = prisms_of(husky)
     fronts = [float(outline[:, 0].max()) for outline in body.outlines]
     thin = int(np.argmin(fronts))
     assert fronts[thin] < fronts[0] - 0.05
@@ -99,7 +100,7 @@ def test_a_low_base_goes_under_what_its_arm_does_not_touch(
 def test_the_prisms_of_a_robot_hold_all_of_it(robots: Callable[[str], Robot]) -> None:
     for name in ("fetch", "husky_ur5e", "ranger_rm63", "segway_ur5e"):
         robot = robots(name)
-        body = body_of(robot)
+        body = prisms_of(robot)
         poses = robot.model.link_poses(dict(zip(robot.arm_joints, robot.home, strict=True)))
         T_base_root = invert(poses[robot.base_link])
         assert (np.diff(body.heights) > 0).all()
@@ -109,13 +110,13 @@ def test_the_prisms_of_a_robot_hold_all_of_it(robots: Callable[[str], Robot]) ->
                 for k, outline in enumerate(body.outlines):
                     low, high = body.heights[k : k + 2]
                     within = (points[:, 2] > low) & (points[:, 2] < high)
-                    corner, normal = edges_of(outline)
+                    corner, normal = outline, edge_normals(outline)
                     level = np.einsum("ki,ki->k", corner, normal)
                     assert (points[within, :2] @ normal.T <= level + 1e-9).all()
 
 
 def test_what_a_wider_prism_meets_as_well_is_asked_of_that_alone(robot: Robot) -> None:
-    body = body_of(robot)
+    body = prisms_of(robot)
     pillar = room([(0.0, 0.0, 0.1, 0.1, 0.0)], low=0.0, high=body.heights[-1])
     layers = set(obstacles_of(pillar, body).layer.tolist())
     for k in range(len(body.outlines)):
@@ -126,6 +127,6 @@ def test_what_a_wider_prism_meets_as_well_is_asked_of_that_alone(robot: Robot) -
 
 def test_a_room_too_large_to_be_mapped_is_refused(robots: Callable[[str], Robot]) -> None:
     robot = robots("fetch")
-    body = body_of(robot)
+    body = prisms_of(robot)
     with pytest.raises(SceneError, match="can be mapped"):
-        ground_of(robot, body, obstacles_of(room([]), body), square(1000.0))
+        navigation_map_of(robot, body, obstacles_of(room([]), body), square(1000.0))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from momapos.geometry.transforms import wrap_angle
-from momapos.navigation.base import moved
+from momapos.navigation.base import integrate
 from momapos.navigation.localisation import Localiser, NoiseConfig
 
 
@@ -20,7 +20,7 @@ def test_a_motion_is_that_of_many_small_steps() -> None:
             x += dt * (c * velocity[0] - s * velocity[1])
             y += dt * (s * velocity[0] + c * velocity[1])
             yaw += dt * velocity[2]
-        end = moved(pose, velocity, 1.0)
+        end = integrate(pose, velocity, 1.0)
         np.testing.assert_allclose(end[:2], [x, y], atol=1e-6)
         assert abs(wrap_angle(end[2] - yaw)) < 1e-9
 
@@ -34,7 +34,7 @@ def test_fixes_fused_with_odometry_are_better_than_fixes() -> None:
         localiser = Localiser(pose, NoiseConfig(fused=fused), rng)
         squared = []
         for _ in range(1000):
-            pose = moved(pose, velocity, dt)
+            pose = integrate(pose, velocity, dt)
             localiser.step(pose, velocity, dt)
             error = localiser.pose - pose
             squared.append([error[0], error[1], float(wrap_angle(error[2]))])

@@ -9,6 +9,7 @@ import pytest
 from tests.rooms import cabinet_room, move_scene
 
 from momapos.config import PipelineConfig
+from momapos.geometry.planar import compose
 from momapos.geometry.transforms import wrap_angle
 from momapos.manipulation.motion import MotionConfig, task_motion
 from momapos.manipulation.tasks import make_task
@@ -16,7 +17,6 @@ from momapos.placement.area import (
     BaseStatus,
     Site,
     arm_radius,
-    in_world,
     sampling_box,
     standing,
     task_frame,
@@ -42,7 +42,7 @@ def grid(site: Site, count: int = 17) -> np.ndarray:
     assert corners is not None
     x, y = (np.linspace(lo, hi, count) for lo, hi in corners.T)
     yaw = np.linspace(-3, 3, 5)
-    return in_world(task_frame(site), np.stack(np.meshgrid(x, y, yaw), -1).reshape(-1, 3))
+    return compose(task_frame(site), np.stack(np.meshgrid(x, y, yaw), -1).reshape(-1, 3))
 
 
 def test_a_low_door_that_swings_over_the_floor_excludes_its_sweep(
@@ -76,7 +76,7 @@ def test_standing_moves_with_the_room(robot: Robot, tmp_path: Path) -> None:
     moved = move_scene(scene, 3.0, -1.0, 0.7)
     site, other = make_site(scene, robot), make_site(moved, robot)
     poses = grid(site)
-    carried = in_world(np.array([3.0, -1.0, 0.7]), poses)
+    carried = compose(np.array([3.0, -1.0, 0.7]), poses)
     np.testing.assert_array_equal(standing(site, poses)[0], standing(other, carried)[0])
     np.testing.assert_allclose(
         attraction(site, poses[:, :2], np.array([1.0])),
@@ -92,7 +92,7 @@ def test_the_sampling_frame_moves_with_the_room(robot: Robot, tmp_path: Path) ->
     assert b is not None
     np.testing.assert_allclose(a, b, atol=1e-9)
     shift = np.array([3.0, -1.0, 0.7])
-    expected = in_world(shift, task_frame(site)[None])[0]
+    expected = compose(shift, task_frame(site)[None])[0]
     difference = task_frame(other) - expected
     assert np.abs(difference[:2]).max() < 1e-9
     assert abs(wrap_angle(difference[2])) < 1e-9
@@ -121,7 +121,7 @@ def test_no_pose_outside_the_sampling_box_is_within_reach(robot: Robot, tmp_path
     rng = np.random.default_rng(0)
     local = rng.uniform(-4, 4, (4000, 3))
     inside = ((local[:, :2] >= corners[0]) & (local[:, :2] <= corners[1])).all(1)
-    reached = within_reach(site, in_world(task_frame(site), local))
+    reached = within_reach(site, compose(task_frame(site), local))
     assert not (reached & ~inside).any()
     assert (arm_radius(site) > 0.2).all()
 

@@ -23,7 +23,7 @@ from momapos.kinematics.urdf import read_urdf
 from momapos.scene.files import load_scene
 from momapos.types import Motion, Task
 from momapos.verification.bodies import bodies_of, body_poses
-from momapos.verification.exact import ExactWorld
+from momapos.verification.exact import PlanVerifier
 from momapos.verification.files import UrdfArm, verify_files
 from momapos.verification.report import Limits
 
@@ -41,11 +41,11 @@ OURS_ALONE = {"moved part in the scene"}
 
 
 @pytest.fixture(scope="module")
-def world(tmp_path_factory: pytest.TempPathFactory) -> ExactWorld:
+def world(tmp_path_factory: pytest.TempPathFactory) -> PlanVerifier:
     folder = tmp_path_factory.mktemp("toy")
     make_case().write(folder)
     task = Task("open", "cupboard", "hinge", OPEN)
-    return ExactWorld(load_scene(folder / "scene.json"), toy_arm(folder), task)
+    return PlanVerifier(load_scene(folder / "scene.json"), toy_arm(folder), task)
 
 
 @pytest.fixture
@@ -104,7 +104,7 @@ def tools_folder() -> Path:
     return TOOLS
 
 
-def test_numbers_that_are_not_finite_are_refused(world: ExactWorld, motion: Motion) -> None:
+def test_numbers_that_are_not_finite_are_refused(world: PlanVerifier, motion: Motion) -> None:
     for key in ("approach", "q", "object_q", "Ts_world_tool"):
         for number in (math.nan, math.inf, 1e300):
             spoilt = getattr(motion, key).copy()
@@ -114,16 +114,16 @@ def test_numbers_that_are_not_finite_are_refused(world: ExactWorld, motion: Moti
     assert not world.check((math.nan, 0.0, 0.0), motion).valid
 
 
-def test_a_motion_too_long_to_check_is_refused(world: ExactWorld, motion: Motion) -> None:
+def test_a_motion_too_long_to_check_is_refused(world: PlanVerifier, motion: Motion) -> None:
     there_and_back = np.tile([[0.0] * 6, [9e5] * 6], (50, 1))
     report = world.check(BASE, replace(motion, approach=there_and_back))
     assert [check.name for check in report.violations] == ["states to check"]
 
 
-def test_one_world_serves_many_motions(world: ExactWorld, motion: Motion) -> None:
+def test_one_world_serves_many_motions(world: PlanVerifier, motion: Motion) -> None:
     assert world.check(BASE, motion).valid
-    assert world.refusal((BASE[0], BASE[1], BASE[2] + 3.0), motion) is not None
-    assert world.refusal(BASE, motion) is None
+    assert world.first_violation((BASE[0], BASE[1], BASE[2] + 3.0), motion) is not None
+    assert world.first_violation(BASE, motion) is None
 
 
 def test_a_refusal_names_the_pair_without_numbers(tmp_path: Path, motion: Motion) -> None:
@@ -131,8 +131,8 @@ def test_a_refusal_names_the_pair_without_numbers(tmp_path: Path, motion: Motion
     MUTATIONS["an_obstacle_in_the_way_of_the_forearm"][0](case)
     case.write(tmp_path)
     task = Task("open", "cupboard", "hinge", OPEN)
-    world = ExactWorld(load_scene(tmp_path / "scene.json"), toy_arm(tmp_path), task)
-    assert world.refusal(BASE, motion) == "arm in the scene: fore in post/box"
+    world = PlanVerifier(load_scene(tmp_path / "scene.json"), toy_arm(tmp_path), task)
+    assert world.first_violation(BASE, motion) == "arm in the scene: fore in post/box"
 
 
 def test_a_clearance_is_asked_for_with_a_penetration_below_zero(
@@ -144,7 +144,7 @@ def test_a_clearance_is_asked_for_with_a_penetration_below_zero(
 
     def clear(distance: float) -> bool:
         limits = Limits(penetration=-distance)
-        return ExactWorld(scene, arm, task, limits).check(BASE, motion).valid
+        return PlanVerifier(scene, arm, task, limits).check(BASE, motion).valid
 
     assert clear(0.0)
     assert not clear(0.3)
@@ -169,9 +169,9 @@ def test_a_task_without_a_value_is_an_error(tmp_path: Path) -> None:
     make_case().write(tmp_path)
     scene = load_scene(tmp_path / "scene.json")
     with pytest.raises(TaskError, match="value"):
-        ExactWorld(scene, toy_arm(tmp_path), Task("open", "cupboard", "hinge"))
+        PlanVerifier(scene, toy_arm(tmp_path), Task("open", "cupboard", "hinge"))
     with pytest.raises(TaskError, match="joint"):
-        ExactWorld(scene, toy_arm(tmp_path), Task("open", "cupboard"))
+        PlanVerifier(scene, toy_arm(tmp_path), Task("open", "cupboard"))
 
 
 def test_a_gripper_inside_the_part_is_told_and_not_refused(tmp_path: Path) -> None:

@@ -27,7 +27,7 @@ from momapos.protocols import ReachScorer
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene
 from momapos.types import Motion, Task
-from momapos.verification.exact import ExactWorld
+from momapos.verification.exact import PlanVerifier
 
 
 def compile_once(
@@ -65,7 +65,7 @@ def _check_at_rest(scene: Scene, robot: Robot, task: Task) -> None:
     """
     q = np.tile(robot.home, (2, 1))
     still = Motion(q, q, np.zeros(2), robot.chain.tool_poses(q))
-    ExactWorld(scene, robot, task).check((0.0, 0.0, 0.0), still)
+    PlanVerifier(scene, robot, task).check((0.0, 0.0, 0.0), still)
 
 
 @contextlib.contextmanager

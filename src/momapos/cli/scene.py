@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 
 from momapos.errors import SceneError
+from momapos.geometry.polygons import signed_area
 from momapos.geometry.transforms import apply
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.urdf import read_urdf
@@ -139,7 +139,7 @@ def describe(scene: Scene) -> dict[str, Any]:
         "name": scene.name,
         "path": None if scene.path is None else str(scene.path),
         "objects": [_describe_object(item) for item in scene.objects],
-        "floor_area": None if scene.floor is None else _area(scene.floor),
+        "floor_area": None if scene.floor is None else abs(signed_area(scene.floor)),
         "start": None if scene.start is None else scene.start.tolist(),
         "warnings": list(scene.warnings),
     }
@@ -172,11 +172,6 @@ def _joint_line(joint: dict[str, Any]) -> str:
     else:
         span = f"{joint['lower']:.2f} to {joint['upper']:.2f} {unit}"
     return f"{joint['name']:24} {joint['kind']}, {span}, at {joint['value']:.2f}"
-
-
-def _area(outline: Float[np.ndarray, "k 2"]) -> float:
-    ahead = np.roll(outline, -1, axis=0)
-    return abs(float(outline[:, 0] @ ahead[:, 1] - outline[:, 1] @ ahead[:, 0])) / 2
 
 
 def _print_json(data: dict[str, Any]) -> None:

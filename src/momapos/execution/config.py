@@ -3,11 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from enum import StrEnum
 from typing import Literal
 
 from momapos.trajectory import SpeedConfig
 
 Hold = Literal["weld", "contact"]
+
+
+class Stage(StrEnum):
+    """What the robot is doing; the words stand in records."""
+
+    SETTLE = "settle"
+    APPROACH = "approach"
+    GRIP = "grip"
+    MANIPULATE = "manipulate"
+    DWELL = "dwell"
 
 
 @dataclass(frozen=True)
@@ -51,6 +62,8 @@ class ControlConfig:
 
     bandwidth: float = 60.0
     """Natural frequency of the critically damped position loops [rad/s]."""
+    stop_force: float = 30.0
+    """The arm stops where the part resists its push with this, at the end of the way [N]."""
     armature: float = 0.1
     """Inertia of a motor seen through its gear [kg m^2]; ten times as many kg for slides."""
     base_bandwidth: float = 60.0

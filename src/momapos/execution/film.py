@@ -15,8 +15,10 @@ import numpy as np
 from jaxtyping import Float, Shaped, UInt8
 
 from momapos.errors import InputError, MissingExtraError
+from momapos.execution.config import Stage
 from momapos.execution.shapes import Kind
-from momapos.execution.world import World
+from momapos.execution.simulation import Simulation
+from momapos.geometry.planar import local_points
 
 WIDTH, HEIGHT, COLUMNS = 480, 420, 4
 Draw = Callable[[Any, Any], UInt8[np.ndarray, "h w 3"]]
@@ -27,6 +29,8 @@ ELEVATION, MARGIN = -25.0, 0.95
 """The camera looks down by this [deg], from this many times the least distance [-]."""
 _VIEWS = 24
 """Directions from which the camera may look [-]."""
+_BEFORE = (Stage.SETTLE, Stage.APPROACH)
+"""Stages before the robot takes hold."""
 _SUBJECT = (Kind.BASE, Kind.ARM, Kind.GRIPPER, Kind.PART)
 """What the pictures are of."""
 
@@ -36,13 +40,13 @@ class Film:
     """Remembers a run; give it to `execute` as `watch`, and `drive` every drive before."""
 
     states: list[tuple[float, str, np.ndarray]] = field(default_factory=list)
-    world: World | None = None
+    world: Simulation | None = None
     times: list[Float[np.ndarray, " t"]] = field(default_factory=list)
     """Of each drive, from its beginning [s]."""
     poses: list[Float[np.ndarray, "t 3"]] = field(default_factory=list)
     """Of the base in each drive."""
 
-    def __call__(self, world: World, time: float, stage: str) -> None:
+    def __call__(self, world: Simulation, time: float, stage: str) -> None:
         """Remember a state, if the last one is long enough ago."""
         self.world = world
         if not self.states or time - self.states[-1][0] >= INTERVAL - 1e-9:
@@ -110,20 +114,19 @@ class Film:
         way = np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0, prepend=poses[:1, :2]).T))
         picked = np.searchsorted(way, np.linspace(0.0, way[-1], frames + 1)[:-1])
         # The base's joints count from where it stands in the physics: the end of the last drive.
-        x, y, yaw = poses[-1]
-        c, s = np.cos(yaw), np.sin(yaw)
+        stands = poses[-1]
         states = []
         for i in picked:
             q = self.states[0][2].copy()
-            dx, dy = poses[i, :2] - [x, y]
-            q[self.world.base_q] = [c * dx + s * dy, c * dy - s * dx, poses[i, 2] - yaw]
+            xy = local_points(stands, poses[i : i + 1, :2])[0]
+            q[self.world.base_q] = [*xy, poses[i, 2] - stands[2]]
             states.append((float(times[i]), "drive", q))
         return states
 
     def _chosen(self, frames: int) -> list[tuple[float, str, np.ndarray]]:
         """A quarter of the pictures from the way to the object, the others from then on."""
-        before = [s for s in self.states if s[1] in ("settle", "approach")]
-        after = [s for s in self.states if s[1] not in ("settle", "approach")]
+        before = [s for s in self.states if s[1] in _BEFORE]
+        after = [s for s in self.states if s[1] not in _BEFORE]
         early = min(len(before), max(1, frames // 4) if after else frames)
         picked = [before[i] for i in np.linspace(0, len(before) - 1, early + 1).astype(int)[:early]]
         late = min(len(after), frames - len(picked))
@@ -163,7 +166,7 @@ def _eye(camera: Any, azimuth: float) -> Float[np.ndarray, "3"]:
 
 
 def _visible(
-    world: World, data: Any, eye: Float[np.ndarray, "3"], targets: Float[np.ndarray, "n 3"]
+    world: Simulation, data: Any, eye: Float[np.ndarray, "3"], targets: Float[np.ndarray, "n 3"]
 ) -> float:
     """Share of points that no furniture hides."""
     seen, geom = 0, np.zeros(1, np.int32)

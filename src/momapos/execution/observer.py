@@ -11,7 +11,7 @@ from jaxtyping import Float
 from momapos.execution.config import ExecutionConfig
 from momapos.execution.record import Collision, Load, Slip, Tracking
 from momapos.execution.shapes import ROBOT, Kind
-from momapos.execution.world import World
+from momapos.execution.simulation import Simulation
 from momapos.geometry.transforms import invert, rotation_angle
 
 _FASTEST = 1e4
@@ -25,7 +25,7 @@ _ROBOT_ROOM = [kind | Kind.ROOM for kind in ROBOT]
 class Observer:
     """What has been seen so far."""
 
-    world: World
+    world: Simulation
     config: ExecutionConfig
     collisions: dict[tuple[str, str], Collision] = field(default_factory=dict)
     clearance: float = np.inf
@@ -65,7 +65,7 @@ class Observer:
         """Slip counts no more."""
         self._T_part_tool = None
 
-    def look(self, wanted: Float[np.ndarray, " n"], time: float, stage: str) -> None:
+    def record_step(self, wanted: Float[np.ndarray, " n"], time: float, stage: str) -> None:
         """Note the present state.
 
         Args:

@@ -11,14 +11,14 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from momapos.errors import SceneError
-from momapos.execution.config import ExecutionConfig
+from momapos.execution.config import ExecutionConfig, Stage
 from momapos.execution.dynamics import Dynamics, read_dynamics
 from momapos.execution.furniture import Resistance, draw_resistance
 from momapos.execution.observer import Observer
 from momapos.execution.record import Execution
 from momapos.execution.shapes import ROBOT
-from momapos.execution.verdict import Verdict, judge
-from momapos.execution.world import World, build_world
+from momapos.execution.simulation import Simulation, build_simulation
+from momapos.execution.verdict import TaskOutcome, judge
 from momapos.geometry.transforms import invert, rotation_angle
 from momapos.kinematics.urdf import Joint
 from momapos.protocols import Clock
@@ -28,9 +28,9 @@ from momapos.trajectory import Trajectory, joined, still, time_motion
 from momapos.types import Motion, Task
 
 DEFAULT = ExecutionConfig()
-Watch = Callable[[World, float, str], None]
+Watch = Callable[[Simulation, float, Stage], None]
 """Called after every step of the controller with the time [s] and the stage."""
-STAGES = ("settle", "approach", "grip", "manipulate", "dwell")
+STAGES = tuple(Stage)
 OVERLAP = 3e-3
 """The robot may overlap things at the beginning by what a plan may [m]."""
 GRASP_POSITION, GRASP_ANGLE = 0.03, np.radians(15.0)
@@ -82,7 +82,7 @@ def execute(
     states = np.concatenate([motion.approach, motion.q])
     tuned = states[np.linspace(0, len(states) - 1, _STATES).astype(int)]
     plan, stage = _timed(robot, motion, config)
-    world = build_world(scene, robot, base_pose, tuned, task, dynamics, resistance, config)
+    world = build_simulation(scene, robot, base_pose, tuned, task, dynamics, resistance, config)
     seal = _seal(item, joint, motion, resistance.pull, config.furniture.seal_range)
     run = _Run(world, motion, task, config, seal, watch)
     if task.verb == "place":
@@ -92,7 +92,7 @@ def execute(
     stopped = run.go(plan, stage)
     wall = clock() - began
     verdict = judge(world, run.observer, task, item, run.first, motion, config, stopped)
-    return _outcome(run, verdict, resistance, dynamics, robot, stage, wall)
+    return _outcome(run, verdict, resistance, dynamics, robot, wall)
 
 
 def _timed(
@@ -150,7 +150,7 @@ class _Run:
 
     def __init__(
         self,
-        world: World,
+        world: Simulation,
         motion: Motion,
         task: Task,
         config: ExecutionConfig,
@@ -161,7 +161,13 @@ class _Run:
         self.seal, self.watch = seal, watch
         self.observer = Observer(world, config)
         self.first = world.T_world_part
-        self.held, self.overloaded, self.samples = False, 0, 0
+        self.held, self.overloaded = False, 0
+        self.spent = dict.fromkeys(STAGES, 0)
+        tool = motion.Ts_world_tool[:, :3, 3]
+        length = float(np.linalg.norm(np.diff(tool, axis=0), axis=1).sum())
+        self.goal, self.last_stretch = tool[-1], config.tolerance * length
+        self.stopped_short: float | None = None
+        """Way that was left to the tool when the part stopped it [m]; None where none did."""
 
     def carry(self, item: SceneObject) -> None:
         """Put the object into the hand, as the plan holds it where it lets go."""
@@ -198,40 +204,70 @@ class _Run:
         w, step = config.control.bandwidth, config.timestep * config.substeps
         # The motors push in proportion to the error; this lead makes them follow without lag.
         lead = plan.q + 2 / w * plan.v + plan.a / w**2
-        for k in range(len(plan)):
-            if k == 0 or stage[k] != stage[k - 1]:
-                refusal = self._enter(STAGES[stage[k]])
+        wanted, k, entered = plan.q, 0, -1
+        while k < len(plan):
+            name = STAGES[stage[k]]
+            if stage[k] != entered:
+                entered = stage[k]
+                refusal = self._enter(name)
                 if refusal:
                     return refusal
             world.data.ctrl[world.arm_motor] = lead[k]
-            if self.seal.outward:
-                value = float(world.data.qpos[world.part_q])
-                world.data.qfrc_applied[world.part_v] = self.seal.force(value)
-            mujoco.mj_step(world.model, world.data, nstep=config.substeps)
-            self.samples = k + 1
-            if self.watch is not None:
-                self.watch(world, (k + 1) * step, STAGES[stage[k]])
+            self._step(name)
+            time = sum(self.spent.values()) * step
             if self.observer.diverged:
-                return f"the simulation diverged after {(k + 1) * step:.2f} s"
-            self.observer.look(plan.q[k], (k + 1) * step, STAGES[stage[k]])
+                return f"the simulation diverged after {time:.2f} s"
+            self.observer.record_step(wanted[k], time, name)
             broken = self._overload()
             if broken:
                 return broken
+            k += 1
+            if name is Stage.MANIPULATE and self._at_stop():
+                k = int(np.searchsorted(stage, STAGES.index(Stage.DWELL)))
+                lead = wanted = np.tile(world.data.qpos[world.arm_q], (len(plan), 1))
         return ""
 
-    def _enter(self, stage: str) -> str:
+    def _step(self, stage: Stage) -> None:
+        """Let one step of the controller pass."""
+        world, config = self.world, self.config
+        if self.seal.outward:
+            value = float(world.data.qpos[world.part_q])
+            world.data.qfrc_applied[world.part_v] = self.seal.force(value)
+        mujoco.mj_step(world.model, world.data, nstep=config.substeps)
+        self.spent[stage] += 1
+        if self.watch is not None:
+            time = sum(self.spent.values()) * config.timestep * config.substeps
+            self.watch(world, time, stage)
+
+    def _at_stop(self) -> bool:
+        """Whether a part on a joint resists the hand's push where its way should end.
+
+        The arm feels it by the force at its hand alone; where the part is, it does not know.
+        """
+        if self.task.joint is None or not self.held:
+            return False
+        left = self.goal - self.world.T_world_tool[:3, 3]
+        distance = float(np.linalg.norm(left))
+        if not 0.0 < distance <= self.last_stretch:
+            return False
+        if float(self.world.push() @ left) / distance < self.config.control.stop_force:
+            return False
+        self.stopped_short = distance
+        return True
+
+    def _enter(self, stage: Stage) -> str:
         """Do what a stage begins with; a reason where it cannot."""
         place = self.task.verb == "place"
-        if stage == "settle" and place:
+        if stage is Stage.SETTLE and place:
             self.observer.hold()
-        if stage == "approach" and place and self.config.hold == "contact":
+        if stage is Stage.APPROACH and place and self.config.hold == "contact":
             self.world.release()
-        if stage == "grip":
+        if stage is Stage.GRIP:
             if place:
                 self._let_go()
                 return ""
             return self._take_hold()
-        if stage == "manipulate" and not place:
+        if stage is Stage.MANIPULATE and not place:
             self.observer.hold()
         return ""
 
@@ -282,17 +318,15 @@ class _Run:
 
 def _outcome(
     run: _Run,
-    verdict: Verdict,
+    verdict: TaskOutcome,
     resistance: Resistance,
     dynamics: Dynamics,
     robot: Robot,
-    stage: Int[np.ndarray, " t"],
     wall: float,
 ) -> Execution:
     """Gather what was seen."""
     observer, config = run.observer, run.config
     step = config.timestep * config.substeps
-    counts = np.bincount(stage[: run.samples], minlength=len(STAGES))
     notes = []
     if run.world.loose:
         names = ", ".join(run.world.loose)
@@ -300,6 +334,8 @@ def _outcome(
     unknown = [name for name in robot.arm_joints if name not in dynamics.efforts]
     if unknown:
         notes.append(f"no effort limit is known of {', '.join(unknown)}")
+    if run.stopped_short is not None:
+        notes.append(f"the part stopped the arm {1000 * run.stopped_short:.0f} mm before its end")
     shift = observer.base_shift.tolist()
     return Execution(
         success=verdict.success,
@@ -315,8 +351,8 @@ def _outcome(
         clearance=None if np.isinf(observer.clearance) else observer.clearance,
         base_shift=(shift[0], shift[1], shift[2]),
         resistance=asdict(resistance),
-        time={name: float(n * step) for name, n in zip(STAGES, counts, strict=True)},
-        simulated=float(run.samples * step),
+        time={name.value: n * step for name, n in run.spent.items()},
+        simulated=sum(run.spent.values()) * step,
         wall=wall,
         notes=tuple(notes),
     )

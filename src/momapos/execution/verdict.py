@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from momapos.execution.config import ExecutionConfig
 from momapos.execution.observer import Observer
-from momapos.execution.world import World
+from momapos.execution.simulation import Simulation
 from momapos.geometry.transforms import rotation_angle
 from momapos.scene.scene import SceneObject
 from momapos.types import Motion, Task
@@ -19,7 +19,7 @@ PLACED_POSITION, PLACED_ANGLE = 0.02, np.radians(15.0)
 
 
 @dataclass(frozen=True)
-class Verdict:
+class TaskOutcome:
     """Whether a task was done, by which number."""
 
     success: bool
@@ -32,7 +32,7 @@ class Verdict:
 
 
 def judge(
-    world: World,
+    world: Simulation,
     observer: Observer,
     task: Task,
     item: SceneObject,
@@ -40,7 +40,7 @@ def judge(
     motion: Motion,
     config: ExecutionConfig,
     stopped: str,
-) -> Verdict:
+) -> TaskOutcome:
     """Judge a run by the state it ended in.
 
     Args:
@@ -54,7 +54,7 @@ def judge(
         stopped: Why the run ended early; "" where it did not.
     """
     if observer.diverged:
-        return Verdict(False, stopped, 0.0, 0.0, 0.0)
+        return TaskOutcome(False, stopped, 0.0, 0.0, 0.0)
     if task.joint is None:
         return _loose(world, observer, task, item, T_first, motion, config, stopped)
     assert task.to is not None
@@ -68,7 +68,7 @@ def judge(
 
 
 def _loose(
-    world: World,
+    world: Simulation,
     observer: Observer,
     task: Task,
     item: SceneObject,
@@ -76,7 +76,7 @@ def _loose(
     motion: Motion,
     config: ExecutionConfig,
     stopped: str,
-) -> Verdict:
+) -> TaskOutcome:
     """An object must be lifted and still in the hand, or rest where it belongs."""
     T, goal = world.T_world_part, item.T_world_object
     start, reached, reason = float(T_first[2, 3]), float(T[2, 3]), ""
@@ -99,10 +99,10 @@ def _loose(
 
 def _verdict(
     reason: str, stopped: str, observer: Observer, start: float, asked: float, reached: float
-) -> Verdict:
+) -> TaskOutcome:
     """Put the reasons together, and name what was hit hardest where that may be the cause."""
     reasons = [text for text in (stopped, reason) if text]
     hit = observer.hardest()[:1]
     if reasons and hit:
         reasons.append(f"{hit[0].one} pushed {hit[0].other} with {hit[0].force:.0f} N")
-    return Verdict(not reasons, "; ".join(reasons), start, asked, reached)
+    return TaskOutcome(not reasons, "; ".join(reasons), start, asked, reached)

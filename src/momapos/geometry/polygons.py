@@ -48,8 +48,25 @@ def signed_area(polygon: Float[np.ndarray, "k 2"]) -> float:
     return float(0.5 * np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
 
 
+def edge_normals(polygon: Float[np.ndarray, "*batch k 2"]) -> Float[np.ndarray, "*batch k 2"]:
+    """Outward unit normals of the edges of an anticlockwise polygon, each after its corner."""
+    edge = np.roll(polygon, -1, axis=-2) - polygon
+    normal = np.stack([edge[..., 1], -edge[..., 0]], -1)
+    return normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-12)
+
+
+def edge_distances(
+    points: Float[np.ndarray, "*batch n 2"], polygon: Float[np.ndarray, "*batch k 2"]
+) -> Float[np.ndarray, "*batch n"]:
+    """Distance of points from the nearest edge of a polygon, on either side of it [m]."""
+    edge = np.roll(polygon, -1, axis=-2) - polygon
+    toward = points[..., :, None, :] - polygon[..., None, :, :]
+    squared = np.maximum((edge**2).sum(-1), 1e-18)
+    share = np.clip(np.einsum("...nki,...ki->...nk", toward, edge) / squared[..., None, :], 0, 1)
+    gap = toward - share[..., None] * edge[..., None, :, :]
+    return np.asarray(np.sqrt((gap**2).sum(-1)).min(-1))
+
+
 def inscribed_radius(polygon: Float[np.ndarray, "k 2"]) -> float:
     """Radius of the largest circle about the origin inside a convex anticlockwise polygon [m]."""
-    edge = np.roll(polygon, -1, axis=0) - polygon
-    normal = np.stack([edge[:, 1], -edge[:, 0]], -1) / np.linalg.norm(edge, axis=1)[:, None]
-    return float(max(0.0, np.einsum("ij,ij->i", normal, polygon).min()))
+    return float(max(0.0, np.einsum("ij,ij->i", edge_normals(polygon), polygon).min()))

@@ -9,7 +9,7 @@ from momapos.geometry.transforms import wrap_angle
 from momapos.robots.robot import Robot
 
 
-def limited(
+def clip_velocity(
     robot: Robot, now: Float[np.ndarray, "3"], wish: Float[np.ndarray, "3"], dt: float
 ) -> Float[np.ndarray, "3"]:
     """The velocity that a base has after some time of heading for another one.
@@ -33,7 +33,7 @@ def limited(
     return now + change
 
 
-def moved(
+def integrate(
     pose: Float[np.ndarray, "3"], velocity: Float[np.ndarray, "3"], dt: float
 ) -> Float[np.ndarray, "3"]:
     """The pose after some time at a constant velocity in the base frame, exactly."""

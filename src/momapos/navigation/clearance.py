@@ -9,43 +9,86 @@ through.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from numba import njit
 
-from momapos.navigation.outlines import Body, Outlines
+from momapos.navigation.outlines import ConvexPolygons, PolygonArrays, PrismArrays, RobotPrisms
 
 DEEP = -0.1
 """Where the robot overlaps something by this much, no more is looked at [m]."""
 
 
+class Surroundings(NamedTuple):
+    """What moves, and in what."""
+
+    prisms: PrismArrays
+    obstacles: PolygonArrays
+
+
+class Scratch(NamedTuple):
+    """Memory of the kernels."""
+
+    near: Int[np.ndarray, " o"]
+    """Indices of the obstacles that `select` lists."""
+    edges: Float[np.ndarray, "b 5"]
+    """Of the robot's prisms at a pose: corner x, y, normal x, y, level."""
+
+
+class CostWeights(NamedTuple):
+    """What makes one path better than another of the same length."""
+
+    needed_clearance: float
+    """Gap that is kept all along [m]."""
+    preferred_clearance: float
+    """Gap that is kept where there is room [m]."""
+    proximity: float
+    """By which a metre along obstacles costs more than one with room [-]."""
+    turning: float
+    """Cost of turning [m/rad]."""
+    reversing: float
+    """Cost of a metre driven backwards [-]."""
+
+
 @njit(cache=True, nogil=True)
-def gap(x, y, yaw, body, things, near, count, cap, work):
-    """Smallest gap to the first `count` outlines listed in `near` [m], at most `cap`."""
-    point, normal, level, start, radius = body
-    corner, side, at, first, layer, box = things
+def scratch_for(surroundings):
+    """Memory for the kernels below."""
+    near = np.empty(len(surroundings.obstacles.layer), np.int64)
+    return Scratch(near, np.empty((len(surroundings.prisms.corner), 5)))
+
+
+@njit(cache=True, nogil=True)
+def gap(x, y, yaw, surroundings, count, cap, scratch):
+    """Smallest gap to the first `count` obstacles listed in the scratch [m], at most `cap`."""
+    prisms, obstacles = surroundings.prisms, surroundings.obstacles
+    corner, first, box = obstacles.corner, obstacles.first, obstacles.bounds
+    side, edges = obstacles.normal, scratch.edges
     c, s = np.cos(yaw), np.sin(yaw)
-    for i in range(len(point)):
-        work[i, 0] = x + c * point[i, 0] - s * point[i, 1]
-        work[i, 1] = y + s * point[i, 0] + c * point[i, 1]
-        work[i, 2] = c * normal[i, 0] - s * normal[i, 1]
-        work[i, 3] = s * normal[i, 0] + c * normal[i, 1]
-        work[i, 4] = level[i] + work[i, 2] * x + work[i, 3] * y
+    for i in range(len(prisms.corner)):
+        px, py = prisms.corner[i, 0], prisms.corner[i, 1]
+        nx, ny = prisms.normal[i, 0], prisms.normal[i, 1]
+        edges[i, 0] = x + c * px - s * py
+        edges[i, 1] = y + s * px + c * py
+        edges[i, 2] = c * nx - s * ny
+        edges[i, 3] = s * nx + c * ny
+        edges[i, 4] = prisms.level[i] + edges[i, 2] * x + edges[i, 3] * y
     best = cap
     for k in range(count):
-        o = near[k]
+        o = scratch.near[k]
         dx = max(box[o, 0] - x, x - box[o, 2], 0.0)
         dy = max(box[o, 1] - y, y - box[o, 3], 0.0)
-        reach = max(best + radius, 0.0)
+        reach = max(best + prisms.radius, 0.0)
         if dx * dx + dy * dy >= reach * reach:
             continue
-        low, high = start[layer[o]], start[layer[o] + 1]
+        low, high = prisms.first[obstacles.layer[o]], prisms.first[obstacles.layer[o] + 1]
         widest = -np.inf
         for e in range(first[o], first[o + 1]):
             nearest = np.inf
             for i in range(low, high):
-                nearest = min(nearest, side[e, 0] * work[i, 0] + side[e, 1] * work[i, 1])
-            widest = max(widest, nearest - at[e])
+                nearest = min(nearest, side[e, 0] * edges[i, 0] + side[e, 1] * edges[i, 1])
+            widest = max(widest, nearest - obstacles.level[e])
             if widest >= best:
                 break
         if widest >= best:
@@ -53,8 +96,8 @@ def gap(x, y, yaw, body, things, near, count, cap, work):
         for i in range(low, high):
             nearest = np.inf
             for e in range(first[o], first[o + 1]):
-                nearest = min(nearest, work[i, 2] * corner[e, 0] + work[i, 3] * corner[e, 1])
-            widest = max(widest, nearest - work[i, 4])
+                nearest = min(nearest, edges[i, 2] * corner[e, 0] + edges[i, 3] * corner[e, 1])
+            widest = max(widest, nearest - edges[i, 4])
             if widest >= best:
                 break
         best = min(best, widest)
@@ -77,22 +120,27 @@ def select(x, y, reach, box, near):
 
 
 @njit(cache=True, nogil=True)
-def _gaps(poses, body, things, cap):
-    near = np.empty(len(things[4]), np.int64)
-    work = np.empty((len(body[0]), 5))
+def _gaps(poses, surroundings, cap):
+    scratch = scratch_for(surroundings)
+    reach, bounds = surroundings.prisms.radius + cap, surroundings.obstacles.bounds
     out = np.empty(len(poses))
     for n in range(len(poses)):
         x, y = poses[n, 0], poses[n, 1]
-        count = select(x, y, body[4] + cap, things[5], near)
-        out[n] = gap(x, y, poses[n, 2], body, things, near, count, cap, work)
+        count = select(x, y, reach, bounds, scratch.near)
+        out[n] = gap(x, y, poses[n, 2], surroundings, count, cap, scratch)
     return out
 
 
 def gaps(
-    poses: Float[np.ndarray, "n 3"], body: Body, things: Outlines, *, cap: float = 1.0
+    poses: Float[np.ndarray, "n 3"],
+    prisms: RobotPrisms,
+    obstacles: ConvexPolygons,
+    *,
+    cap: float = 1.0,
 ) -> Float[np.ndarray, " n"]:
     """Gap between the robot and the room at base poses [m], at most `cap`; negative: overlap."""
-    return _gaps(np.ascontiguousarray(poses, float), body.arrays, things.arrays, cap)
+    surroundings = Surroundings(prisms.arrays, obstacles.arrays)
+    return _gaps(np.ascontiguousarray(poses, float), surroundings, cap)
 
 
 @njit(cache=True, nogil=True)
@@ -102,74 +150,76 @@ def wrapped(angle):
 
 
 @njit(cache=True, nogil=True)
-def leg(a, b, turn, body, things, taste, near, work):
+def leg(a, b, turn, surroundings, weights, scratch):
     """Cost of a straight leg between poses with an even turn [m], infinite where it touches.
 
     Args:
         a, b: Poses; the heading of `b` is not looked at.
         turn: How far the leg turns [rad].
-        body, things: What moves, and in what.
-        taste: Gap that is needed [m], gap that is liked [m], cost of coming nearer [-], cost of
-            turning [m/rad], cost of reversing [-].
-        near, work: Scratch.
+        surroundings: See `Surroundings`.
+        weights: See `CostWeights`.
+        scratch: See `Scratch`.
     """
-    need, liked, weight, turning, _ = taste
+    need, preferred = weights.needed_clearance, weights.preferred_clearance
+    radius, bounds = surroundings.prisms.radius, surroundings.obstacles.bounds
     dx, dy = b[0] - a[0], b[1] - a[1]
     length = np.hypot(dx, dy)
-    moved = length + body[4] * abs(turn)
-    cap = max(liked, 0.2)
-    count = select(a[0] + dx / 2, a[1] + dy / 2, length / 2 + body[4] + cap, things[5], near)
-    rate = (length + turning * abs(turn)) / max(moved, 1e-12)
+    moved = length + radius * abs(turn)
+    cap = max(preferred, 0.2)
+    reach = length / 2 + radius + cap
+    count = select(a[0] + dx / 2, a[1] + dy / 2, reach, bounds, scratch.near)
+    rate = (length + weights.turning * abs(turn)) / max(moved, 1e-12)
     cost, done = 0.0, 0.0
     while True:
         t = done / moved if moved > 0 else 0.0
-        g = gap(a[0] + t * dx, a[1] + t * dy, a[2] + t * turn, body, things, near, count, cap, work)
+        x, y, yaw = a[0] + t * dx, a[1] + t * dy, a[2] + t * turn
+        g = gap(x, y, yaw, surroundings, count, cap, scratch)
         if g < need:
             return np.inf
         if done >= moved:
             return cost
         step = min(g - need / 2, moved - done)
-        cost += step * rate * (1 + weight * max(0.0, 1 - g / liked) ** 2)
+        cost += step * rate * (1 + weights.proximity * max(0.0, 1 - g / preferred) ** 2)
         done += step
 
 
 @njit(cache=True, nogil=True)
-def connect(a, b, omni, body, things, taste, limit, near, work):
-    """Cheapest simple way between two poses: turn, straight, turn; omni bases turn on the way.
+def connect(a, b, omni, surroundings, weights, limit, scratch):
+    """Cheapest simple path between two poses: turn, straight, turn; omni bases turn on the way.
 
     Args:
         a, b: Poses.
         omni: Whether the base can move sideways.
-        body, things, taste: See `leg`.
+        surroundings, weights, scratch: See `leg`.
         limit: Costs above this are of no interest [m].
-        near, work: Scratch.
 
     Returns:
         The cost [m], infinite where there is none, and whether it is driven backwards.
     """
     if omni:
         turn = wrapped(b[2] - a[2])
-        if np.hypot(b[0] - a[0], b[1] - a[1]) + taste[3] * abs(turn) > limit:
+        if np.hypot(b[0] - a[0], b[1] - a[1]) + weights.turning * abs(turn) > limit:
             return np.inf, False
-        return leg(a, b, turn, body, things, taste, near, work), False
+        return leg(a, b, turn, surroundings, weights, scratch), False
     dx, dy = b[0] - a[0], b[1] - a[1]
     length = np.hypot(dx, dy)
     if length < 1e-6:
-        return leg(a, b, wrapped(b[2] - a[2]), body, things, taste, near, work), False
+        return leg(a, b, wrapped(b[2] - a[2]), surroundings, weights, scratch), False
     best, backwards = np.inf, False
     p, q = np.array([a[0], a[1], 0.0]), np.array([b[0], b[1], 0.0])
     for reverse in (False, True):
         heading = np.arctan2(-dy, -dx) if reverse else np.arctan2(dy, dx)
         before, after = wrapped(heading - a[2]), wrapped(b[2] - heading)
-        factor = taste[4] if reverse else 1.0
-        if factor * length + taste[3] * (abs(before) + abs(after)) > min(best, limit):
+        factor = weights.reversing if reverse else 1.0
+        turning = weights.turning * (abs(before) + abs(after))
+        if factor * length + turning > min(best, limit):
             continue
         p[2] = q[2] = heading
-        cost = factor * leg(p, q, 0.0, body, things, taste, near, work)
+        cost = factor * leg(p, q, 0.0, surroundings, weights, scratch)
         if cost < best:
-            cost += leg(a, a, before, body, things, taste, near, work)
+            cost += leg(a, a, before, surroundings, weights, scratch)
         if cost < best:
-            cost += leg(q, q, after, body, things, taste, near, work)
+            cost += leg(q, q, after, surroundings, weights, scratch)
         if cost < best:
             best, backwards = cost, reverse
     return best, backwards

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
+from momapos.geometry.planar import local_points, rotation
 from momapos.geometry.transforms import wrap_angle
 from momapos.navigation.global_path import Path
 from momapos.robots.robot import Robot
@@ -102,8 +103,7 @@ class Docking:
         self.index = path.follow(pose, self.index, _AHEAD)
         near = int(np.searchsorted(path.s, path.s[self.index] + _AHEAD))
         goal = path.poses[min(near, len(path.poses) - 1)]
-        c, s = np.cos(pose[2]), np.sin(pose[2])
-        step = np.array([[c, s], [-s, c]]) @ (goal[:2] - pose[:2])
+        (step,) = local_points(pose, goal[None, :2])
         distance, turn = float(np.hypot(*step)), float(wrap_angle(goal[2] - pose[2]))
         rest = path.s[-1] - path.s[min(near, len(path.s) - 1)]
         robot = self.robot
@@ -120,8 +120,7 @@ class Docking:
         self, pose: Float[np.ndarray, "3"], left_world: Float[np.ndarray, "2"]
     ) -> Float[np.ndarray, "3"]:
         """Follow the line to the end of the leg, which may be ahead or behind."""
-        c, s = np.cos(self.line), np.sin(self.line)
-        left, beside = np.array([[c, s], [-s, c]]) @ left_world
+        left, beside = left_world @ rotation(self.line)
         if abs(left) < _CLOSE:
             self.phase = "turn"
             return np.zeros(3)

@@ -9,18 +9,19 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from enum import Enum
 
 import numpy as np
 from jaxtyping import Float
 
 from momapos.errors import SceneError
 from momapos.geometry.transforms import wrap_angle
-from momapos.navigation.base import limited, moved
+from momapos.navigation.base import clip_velocity, integrate
 from momapos.navigation.docking import BEGIN, Docking, aimed, can_stop, stands
 from momapos.navigation.dynamic_window import Steering, WindowConfig, velocity_window
-from momapos.navigation.footprint_map import Ground, ground_of
+from momapos.navigation.footprint_map import NavigationMap, navigation_map_of
 from momapos.navigation.global_path import TURN, Path, PathConfig, direct_path, plan_path
-from momapos.navigation.judge import Judge
+from momapos.navigation.judge import FootprintCollisionChecker
 from momapos.navigation.localisation import Localiser, NoiseConfig
 from momapos.navigation.outlines import pack
 from momapos.protocols import Clock
@@ -32,6 +33,37 @@ Meet = Callable[[Float[np.ndarray, "3"]], None]
 _NO_DISCS = np.zeros((0, 5))
 _STANDING = 0.05
 """Discs slower than this are gone around [m/s]."""
+
+
+class DriveEnding(Enum):
+    """Why a drive, or a part of one, ended before it arrived."""
+
+    START_BLOCKED = "the start is in collision with"
+    GOAL_BLOCKED = "the goal is in collision with"
+    NO_PATH = "there is no way for the footprint"
+    NO_PATH_AS_BELIEVED = "there is no way from where it believes to be"
+    PATH_OCCUPIED = "a moving obstacle stands in the way"
+    STUCK = "stuck"
+    BESIDE_GOAL = "it believes to stand beside the goal"
+    MISSED = "it stands"
+    HIT = "it hit"
+    TIMEOUT = "timeout"
+
+
+_PLANNED_AGAIN = (DriveEnding.STUCK, DriveEnding.BESIDE_GOAL)
+"""After these a new path is planned from where the base is."""
+
+
+@dataclass(frozen=True)
+class _End:
+    """The end of a drive, or of a part of one."""
+
+    ending: DriveEnding
+    detail: str = ""
+
+    @property
+    def reason(self) -> str:
+        return f"{self.ending.value} {self.detail}".strip()
 
 
 @dataclass(frozen=True)
@@ -93,10 +125,12 @@ class DriveRecord:
     """True velocities in the base frame: vx [m/s], vy [m/s], yaw rate [rad/s]."""
     step_times: Float[np.ndarray, " k"]
     """Computing time of each control step [s]."""
+    ending: DriveEnding | None = None
+    """Why it did not arrive, as one of a few kinds; None where it did."""
 
 
 def drive(
-    ground: Ground,
+    nav_map: NavigationMap,
     start: Float[np.ndarray, "3"],
     goal: Float[np.ndarray, "3"],
     *,
@@ -109,7 +143,7 @@ def drive(
     """Drive a base from where it stands to a goal pose, in closed loop.
 
     Args:
-        ground: The robot and the room, see `survey`.
+        nav_map: The robot and the room, see `build_navigation_map`.
         start: True pose at first: x [m], y [m], yaw [rad].
         goal: The pose to reach.
         rng: Source of the noise; the same one gives the same drive.
@@ -126,7 +160,7 @@ def drive(
         if pose.shape != (3,) or not np.isfinite(pose).all():
             raise SceneError(f"the {name} must be three finite numbers: x [m], y [m], yaw [rad]")
     around = moving or _nothing, meet or _nobody
-    return _Run(ground, poses[0], poses[1], rng, *around, config, clock).record()
+    return _Run(nav_map, poses[0], poses[1], rng, *around, config, clock).record()
 
 
 def _nothing(_: float) -> Float[np.ndarray, "0 5"]:
@@ -142,7 +176,7 @@ class _Run:
 
     def __init__(
         self,
-        ground: Ground,
+        nav_map: NavigationMap,
         start: Float[np.ndarray, "3"],
         goal: Float[np.ndarray, "3"],
         rng: np.random.Generator,
@@ -151,9 +185,9 @@ class _Run:
         config: DriveConfig,
         clock: Clock,
     ) -> None:
-        self.ground, self.goal, self.config, self.clock = ground, goal, config, clock
+        self.nav_map, self.goal, self.config, self.clock = nav_map, goal, config, clock
         self.moving, self.meet = moving, meet
-        self.judge = Judge(ground.body, ground.obstacles, ground.floor)
+        self.judge = FootprintCollisionChecker(nav_map.prisms, nav_map.obstacles, nav_map.floor)
         self.localiser = Localiser(start, config.noise, rng)
         self.pose, self.velocity, self.now = start, np.zeros(3), 0.0
         self.times, self.poses, self.velocities = [0.0], [start], [np.zeros(3)]
@@ -162,11 +196,11 @@ class _Run:
         self.hit, self.planned, self.ways = "", np.inf, 0
 
     def record(self) -> DriveRecord:
-        reason = self._refusal() or self._ways()
+        end = self._blocked() or self._ways()
         poses = np.array(self.poses)
         return DriveRecord(
-            arrived=not reason,
-            reason=reason,
+            arrived=end is None,
+            reason="" if end is None else end.reason,
             goal=self.goal,
             pose=self.pose,
             believed=self.localiser.pose,
@@ -181,52 +215,57 @@ class _Run:
             poses=poses,
             velocities=np.array(self.velocities),
             step_times=np.array(self.step_times),
+            ending=None if end is None else end.ending,
         )
 
-    def _refusal(self) -> str:
-        """Why there is no point in starting; "" where there is none."""
-        for name, pose in (("start", self.pose), ("goal", self.goal)):
+    def _blocked(self) -> _End | None:
+        """Why there is no point in starting, if there is none."""
+        for ending, pose in (
+            (DriveEnding.START_BLOCKED, self.pose),
+            (DriveEnding.GOAL_BLOCKED, self.goal),
+        ):
             _, touched = self.judge.distance(pose[None])
             if touched[0]:
-                return f"the {name} is in collision with {touched[0]}"
+                return _End(ending, touched[0])
         discs = self._discs()
         if (self.judge.to_discs(self.pose, discs) <= 0).any():
-            return "the start is in collision with a moving obstacle"
+            return _End(DriveEnding.START_BLOCKED, "a moving obstacle")
         self.clearance = float(self.judge.distance(self.pose[None])[0][0])
-        return ""
+        return None
 
-    def _ways(self) -> str:
-        """Plan a way and drive it, again where that has to be; returns why it ended, "" if well."""
-        if reason := self._wait(self.config.settle):
-            return reason
+    def _ways(self) -> _End | None:
+        """Plan a path and drive it, again where that has to be; None where it arrives."""
+        if ended := self._wait(self.config.settle):
+            return ended
+        end: _End | None = None
         # Where the dynamic window got stuck, and for the last bit, the way is followed exactly.
         exactly = False
         for self.ways in range(1, self.config.replans + 2):  # noqa: B020
             path = self._plan()
             if path is None:
-                if plan_path(self.ground, self.pose, self.goal, self.config.path) is None:
-                    return "there is no way for the footprint"
+                if plan_path(self.nav_map, self.pose, self.goal, self.config.path) is None:
+                    return _End(DriveEnding.NO_PATH)
                 # Odd fixes pass, and so do people.
-                reason = "there is no way from where it believes to be"
+                end = _End(DriveEnding.NO_PATH_AS_BELIEVED)
                 if len(self._standing()):
-                    reason = "a moving obstacle stands in the way"
+                    end = _End(DriveEnding.PATH_OCCUPIED)
                 if ended := self._wait(self.config.patience):
                     return ended
                 continue
             if np.isinf(self.planned):
                 self.planned = path.length
             if not exactly and self._left(self.localiser.pose) > BEGIN:
-                reason, path = self._cruise(path)
-                exactly = bool(reason)
+                end, path = self._cruise(path)
+                exactly = end is not None
             if path is not None:
-                reason = self._dock(path)
-                exactly = not reason
-                if not reason and self._there(self.localiser.pose, 0.6):
-                    return "" if self._there(self.pose, 1.0) else self._missed()
-                reason = reason or "it believes to stand beside the goal"
-            if reason and not reason.startswith(("stuck", "it believes")):
-                return reason
-        return reason
+                end = self._dock(path)
+                exactly = end is None
+                if end is None and self._there(self.localiser.pose, 0.6):
+                    return None if self._there(self.pose, 1.0) else self._missed()
+                end = end or _End(DriveEnding.BESIDE_GOAL)
+            if end is not None and end.ending not in _PLANNED_AGAIN:
+                return end
+        return end
 
     def _there(self, pose: Float[np.ndarray, "3"], share: float) -> bool:
         """Whether a pose is within a share of the tolerance."""
@@ -234,16 +273,17 @@ class _Run:
         near = float(np.hypot(error[0], error[1])) <= share * c.tolerance
         return near and abs(float(wrap_angle(error[2]))) <= share * c.turn_tolerance
 
-    def _missed(self) -> str:
+    def _missed(self) -> _End:
         error = self.goal - self.pose
         turn = np.degrees(abs(float(wrap_angle(error[2]))))
-        return f"it stands {100 * np.hypot(*error[:2]):.1f} cm and {turn:.1f} degrees off the goal"
+        off = f"{100 * np.hypot(*error[:2]):.1f} cm and {turn:.1f} degrees off the goal"
+        return _End(DriveEnding.MISSED, off)
 
     def _plan(self) -> Path | None:
         """A way from where the base believes to be, around what stands in it."""
         standing = self._standing()
-        ground = _with_discs(self.ground, standing) if len(standing) else self.ground
-        return plan_path(ground, self.localiser.pose, self.goal, self.config.path)
+        nav_map = _with_discs(self.nav_map, standing) if len(standing) else self.nav_map
+        return plan_path(nav_map, self.localiser.pose, self.goal, self.config.path)
 
     def _discs(self) -> Float[np.ndarray, "d 5"]:
         """Moving obstacles as they are now."""
@@ -260,21 +300,21 @@ class _Run:
         discs = self._discs()
         return discs[np.hypot(discs[:, 2], discs[:, 3]) < _STANDING]
 
-    def _wait(self, seconds: float) -> str:
+    def _wait(self, seconds: float) -> _End | None:
         for _ in range(int(seconds / self.config.control)):
             if ended := self._step(np.zeros(3)):
                 return ended
-        return ""
+        return None
 
-    def _cruise(self, path: Path) -> tuple[str, Path | None]:
+    def _cruise(self, path: Path) -> tuple[_End | None, Path | None]:
         """Drive along a way by the dynamic window, until near the goal.
 
         Returns:
-            Why it ended, "" where it came near; and a way to follow from there, where there is a
+            Why it ended, None where it came near; and a path to follow from there, where there is a
             simple one that can be followed without a stop.
         """
-        config, robot = self.config, self.ground.robot
-        steering = Steering(self.ground, path, config.window, config.control)
+        config, robot = self.config, self.nav_map.robot
+        steering = Steering(self.nav_map, path, config.window, config.control)
         index, best, since = 0, -np.inf, self.now
         while True:
             began = self.clock()
@@ -283,14 +323,14 @@ class _Run:
             near = self._left(pose) < BEGIN and path.s[-1] - path.s[index] < BEGIN + TURN * np.pi
             short, halts = None, near and can_stop(robot, self.velocity, self._left(pose))
             if halts:
-                short = direct_path(self.ground, pose, self.goal, config.path)
+                short = direct_path(self.nav_map, pose, self.goal, config.path)
                 short = short if short is not None and aimed(robot, short) else None
                 wish = velocity_window(robot, self.velocity, config.control)[0]
             else:
                 wish = steering.choose(pose, self.velocity, index, discs)
             self.step_times.append(self.clock() - began)
             if halts and (short is not None or stands(self.velocity)):
-                return "", short
+                return None, short
             if ended := self._step(wish):
                 return ended, None
             if path.s[index] > best + 0.02:
@@ -298,17 +338,17 @@ class _Run:
             if self.now - since > config.patience:
                 return self._stuck(discs), None
 
-    def _dock(self, path: Path) -> str:
+    def _dock(self, path: Path) -> _End | None:
         """Follow a way exactly."""
-        config, robot = self.config, self.ground.robot
-        steering = Steering(self.ground, path, config.window, config.control)
+        config, robot = self.config, self.nav_map.robot
+        steering = Steering(self.nav_map, path, config.window, config.control)
         docking = Docking(robot, path, config.control)
         waited = 0.0
         while not docking.finished(self.localiser.pose, self.velocity):
             began = self.clock()
             pose, discs = self.localiser.pose, self._discs()
             wish = docking.command(pose, self.velocity)
-            reached = limited(robot, self.velocity, wish, config.control)
+            reached = clip_velocity(robot, self.velocity, wish, config.control)
             if not steering.allows(pose, reached, discs):
                 wish = velocity_window(robot, self.velocity, config.control)[0]
             self.step_times.append(self.clock() - began)
@@ -317,27 +357,28 @@ class _Run:
             waited = waited + config.control if stands(self.velocity) else 0.0
             if waited > config.patience:
                 return self._stuck(discs)
-        return ""
+        return None
 
-    def _stuck(self, discs: Float[np.ndarray, "d 5"]) -> str:
+    def _stuck(self, discs: Float[np.ndarray, "d 5"]) -> _End:
         near = self.judge.to_discs(self.pose, discs)
         what = "by a moving obstacle" if (near < 1.0).any() else "on the way"
         x, y, yaw = self.pose
-        return f"stuck {what} at ({x:.2f}, {y:.2f}, {np.degrees(yaw):.0f} deg)"
+        where = f"{what} at ({x:.2f}, {y:.2f}, {np.degrees(yaw):.0f} deg)"
+        return _End(DriveEnding.STUCK, where)
 
     def _left(self, pose: Float[np.ndarray, "3"]) -> float:
         """Distance from a pose to the goal [m]."""
         return float(np.hypot(*(self.goal - pose)[:2]))
 
-    def _step(self, wish: Float[np.ndarray, "3"]) -> str:
-        """Let one control step pass; returns why the drive ends, "" where it goes on."""
-        config, robot = self.config, self.ground.robot
+    def _step(self, wish: Float[np.ndarray, "3"]) -> _End | None:
+        """Let one control step pass; returns why the drive ends, None where it goes on."""
+        config, robot = self.config, self.nav_map.robot
         count = max(1, round(config.control / config.simulation))
         dt = config.control / count
         passed = []
         for _ in range(count):
-            self.velocity = limited(robot, self.velocity, wish, dt)
-            self.pose = moved(self.pose, self.velocity, dt)
+            self.velocity = clip_velocity(robot, self.velocity, wish, dt)
+            self.pose = integrate(self.pose, self.velocity, dt)
             self.now += dt
             passed.append(self.pose)
             self.times.append(self.now)
@@ -348,33 +389,35 @@ class _Run:
         self.localiser.step(self.pose, mean, config.control)
         return self._judged(np.array(passed))
 
-    def _judged(self, passed: Float[np.ndarray, "k 3"]) -> str:
+    def _judged(self, passed: Float[np.ndarray, "k 3"]) -> _End | None:
         distance, touched = self.judge.distance(passed)
         self.clearance = min(self.clearance, float(distance.min()))
         for name in touched:
             if name:
                 self.hit = name
-                return f"it hit {name}"
+                return _End(DriveEnding.HIT, name)
         discs = self._discs()
         if len(discs):
             near = float(self.judge.to_discs(self.pose, discs).min())
             self.clearance_moving = min(self.clearance_moving, near)
             if near <= 0:
                 self.hit = "a moving obstacle"
-                return "it hit a moving obstacle"
-        return "timeout" if self.now > self.config.timeout else ""
+                return _End(DriveEnding.HIT, self.hit)
+        return _End(DriveEnding.TIMEOUT) if self.now > self.config.timeout else None
 
 
-def _with_discs(ground: Ground, discs: Float[np.ndarray, "d 5"]) -> Ground:
-    """The ground with discs as things that stand."""
+def _with_discs(nav_map: NavigationMap, discs: Float[np.ndarray, "d 5"]) -> NavigationMap:
+    """The map with discs as obstacles that stand."""
     angle = np.linspace(0, 2 * np.pi, 12, endpoint=False)
     ring = np.stack([np.cos(angle), np.sin(angle)], -1) / np.cos(np.pi / 12)
-    old = ground.obstacles
+    old = nav_map.obstacles
     polygons = [old.polygon(k) for k in range(len(old))]
     layers, names = old.layer.tolist(), list(old.names)
-    prisms = len(ground.body.outlines)
+    prisms = len(nav_map.prisms.outlines)
     for disc in discs:
         polygons += [disc[:2] + (disc[4] + 0.05) * ring] * prisms
         layers += range(prisms)
         names += ["a standing obstacle"] * prisms
-    return ground_of(ground.robot, ground.body, pack(polygons, layers, names), ground.floor)
+    return navigation_map_of(
+        nav_map.robot, nav_map.prisms, pack(polygons, layers, names), nav_map.floor
+    )

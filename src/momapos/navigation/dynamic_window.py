@@ -9,13 +9,21 @@ footprint.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 from numba import njit
 
-from momapos.navigation.clearance import gap, gaps, select, wrapped
-from momapos.navigation.footprint_map import Ground
+from momapos.navigation.clearance import (
+    Surroundings,
+    gap,
+    gaps,
+    scratch_for,
+    select,
+    wrapped,
+)
+from momapos.navigation.footprint_map import NavigationMap
 from momapos.navigation.global_path import TURN, Path
 from momapos.robots.robot import Robot
 
@@ -28,7 +36,7 @@ class WindowConfig:
     """How long a velocity is imagined to be held [s]."""
     deviation: float = 2.5
     """Progress that a metre beside the way is worth [-]."""
-    liked: float = 0.06
+    preferred_clearance: float = 0.06
     """Gap to everything that is kept where there is room [m]."""
     crowding: float = 0.1
     """Progress that is given up to get from touching to that gap [m]."""
@@ -38,6 +46,50 @@ class WindowConfig:
     """How far ahead moving obstacles are followed, at the velocity they have [s]."""
     distance: float = 0.15
     """Distance kept to moving obstacles [m]."""
+
+
+class PathAhead(NamedTuple):
+    """The path from where the base has come to."""
+
+    poses: Float[np.ndarray, "n 3"]
+    s: Float[np.ndarray, " n"]
+    """Progress at each [m]."""
+
+
+class WindowWeights(NamedTuple):
+    """What velocities are rated by: limits of the base, and the numbers of a WindowConfig."""
+
+    dt: float
+    """Time until the next choice [s]."""
+    acceleration: float
+    """[m/s^2]"""
+    yaw_acceleration: float
+    """[rad/s^2]"""
+    needed_clearance: float
+    """Gap that is never gone below [m]."""
+    horizon: float
+    deviation: float
+    preferred_clearance: float
+    crowding: float
+    look: float
+    distance: float
+
+
+class Hold(NamedTuple):
+    """How long a velocity is looked at, and with which gaps."""
+
+    stop: float
+    """Time after which a braking base would stand [s]."""
+    horizon: float
+    """Time until which gaps count [s]."""
+    end: float
+    """Time until which they are looked at [s]."""
+    speed: float
+    """Of the robot's fastest point [m/s]."""
+    needed_clearance: float
+    """[m]"""
+    dull: float
+    """Gap at which the velocity is of no more interest [m]."""
 
 
 @njit(cache=True, nogil=True)
@@ -56,34 +108,34 @@ def _carried(pose, v, t, out):
 
 
 @njit(cache=True, nogil=True)
-def _progress(pose, way, s, deviation):
-    """How far along the way a pose is, less what it is beside it [m]."""
+def _progress(pose, path, deviation):
+    """How far along the path a pose is, less what it is beside it [m]."""
     best = -np.inf
-    for k in range(len(way)):
-        beside = np.hypot(pose[0] - way[k, 0], pose[1] - way[k, 1])
-        beside += TURN * abs(wrapped(pose[2] - way[k, 2]))
-        best = max(best, s[k] - deviation * beside)
+    for k in range(len(path.poses)):
+        beside = np.hypot(pose[0] - path.poses[k, 0], pose[1] - path.poses[k, 1])
+        beside += TURN * abs(wrapped(pose[2] - path.poses[k, 2]))
+        best = max(best, path.s[k] - deviation * beside)
     return best
 
 
 @njit(cache=True, nogil=True)
-def _to_disc(pose, x, y, body):
-    """Separation of a point from both outlines of the robot [m]; no more than the distance."""
-    _, normal, level, start, _ = body
+def disc_separation(pose, x, y, prisms):
+    """Separation of a point from the nearest prism of the robot [m]; no more than the distance."""
     c, s = np.cos(pose[2]), np.sin(pose[2])
     u = c * (x - pose[0]) + s * (y - pose[1])
     v = c * (y - pose[1]) - s * (x - pose[0])
+    normal, level, first = prisms.normal, prisms.level, prisms.first
     least = np.inf
-    for part in range(2):
+    for prism in range(len(first) - 1):
         widest = -np.inf
-        for i in range(start[part], start[part + 1]):
+        for i in range(first[prism], first[prism + 1]):
             widest = max(widest, normal[i, 0] * u + normal[i, 1] * v - level[i])
         least = min(least, widest)
     return least
 
 
 @njit(cache=True, nogil=True)
-def _meets(pose, v, held, braking, discs, body, look, keep, at):
+def _meets(pose, v, held, braking, discs, prisms, look, keep, at):
     """Time at which a robot that holds a velocity, then brakes along its arc, meets a disc [s]."""
     for step in range(1, int(look / 0.1) + 1):
         t = 0.1 * step
@@ -92,49 +144,47 @@ def _meets(pose, v, held, braking, discs, body, look, keep, at):
         _carried(pose, v, arc, at)
         for d in range(len(discs)):
             x, y = discs[d, 0] + t * discs[d, 2], discs[d, 1] + t * discs[d, 3]
-            if _to_disc(at, x, y, body) - discs[d, 4] < keep[d]:
+            if disc_separation(at, x, y, prisms) - discs[d, 4] < keep[d]:
                 return t
     return np.inf
 
 
 @njit(cache=True, nogil=True)
-def _held(pose, v, span, need, dull, body, things, near, count, cap, work, at):
+def _held(pose, v, hold, surroundings, count, cap, scratch, at):
     """Smallest gap while a velocity is held [m], and when too small a gap is met [s].
 
     A velocity that is of no interest meets one at once.
 
     Args:
-        pose, v, need: See `rate`.
-        span: Time after which a braking base would stand, until which gaps count, and until which
-            they are looked at [s]; how fast the robot's fastest point moves [m/s].
-        dull: Gap at which the velocity is of no more interest [m].
-        body, things, near, count, cap, work: See `gap`.
-        at: Scratch (3,).
+        pose, v: See `rate`.
+        hold: See `Hold`.
+        surroundings, count, cap, scratch: See `gap`.
+        at: Memory (3,).
     """
-    stop, horizon, end, points = span
+    need, stop = hold.needed_clearance, hold.stop
     # Most that cannot be stopped in time would touch where they stop.
     _carried(pose, v, stop, at)
-    if gap(at[0], at[1], at[2], body, things, near, count, cap, work) < need:
+    if gap(at[0], at[1], at[2], surroundings, count, cap, scratch) < need:
         return cap, stop
     t, least = 0.0, cap
     while True:
         _carried(pose, v, t, at)
-        g = gap(at[0], at[1], at[2], body, things, near, count, cap, work)
+        g = gap(at[0], at[1], at[2], surroundings, count, cap, scratch)
         if g < need:
             return least, t
-        if t <= horizon:
+        if t <= hold.horizon:
             least = min(least, g)
-        if least <= dull:
+        if least <= hold.dull:
             return least, 0.0
-        if t >= end:
+        if t >= hold.end:
             return least, np.inf
         finest = 0.005 if t < stop else 0.03  # beyond the stop only the score is at stake
-        ahead = t + max(g - need / 2, finest) / max(points, 1e-6)
-        t = stop if t < stop < ahead else min(end, ahead)
+        ahead = t + max(g - need / 2, finest) / max(hold.speed, 1e-6)
+        t = stop if t < stop < ahead else min(hold.end, ahead)
 
 
 @njit(cache=True, nogil=True)
-def rate(pose, samples, dt, limits, body, things, way, s, discs, need, taste):
+def rate(pose, samples, surroundings, path, discs, weights):
     """Score velocities, minus infinity for those after which the base could not stop in time.
 
     They are looked at in the order of what they would be worth in an empty room, and no further
@@ -143,53 +193,53 @@ def rate(pose, samples, dt, limits, body, things, way, s, discs, need, taste):
     Args:
         pose: Where the base believes to be (3,).
         samples: Velocities in the base frame (m, 3) [m/s, m/s, rad/s].
-        dt: Time until the next choice [s].
-        limits: Acceleration [m/s^2] and yaw acceleration [rad/s^2].
-        body, things: See `clearance`.
-        way, s: Poses of the way ahead (n, 3) and progress at each [m].
+        surroundings: See `Surroundings`.
+        path: See `PathAhead`.
         discs: x, y, vx, vy, radius of moving obstacles (d, 5).
-        need: Gap that is never gone below [m].
-        taste: The numbers of a WindowConfig.
+        weights: See `WindowWeights`.
     """
-    horizon, deviation, liked, crowding, look, distance = taste
-    near, work = np.empty(len(things[4]), np.int64), np.empty((len(body[0]), 5))
+    prisms, bounds = surroundings.prisms, surroundings.obstacles.bounds
+    horizon, dt, look = weights.horizon, weights.dt, weights.look
+    preferred, crowding = weights.preferred_clearance, weights.crowding
+    scratch = scratch_for(surroundings)
     out, at, keep = np.empty(len(samples)), np.empty(3), np.empty(len(discs))
-    cap = max(2 * liked, 0.15)
+    cap = max(2 * preferred, 0.15)
     for d in range(len(discs)):
-        keep[d] = min(distance, _to_disc(pose, discs[d, 0], discs[d, 1], body) - discs[d, 4])
+        now = disc_separation(pose, discs[d, 0], discs[d, 1], prisms) - discs[d, 4]
+        keep[d] = min(weights.distance, now)
     worth = np.zeros(len(samples))
     for m in range(len(samples)):
         out[m] = -np.inf
         for share in (0.5, 1.0):
             _carried(pose, samples[m], share * horizon, at)
-            worth[m] += 0.5 * _progress(at, way, s, deviation)
+            worth[m] += 0.5 * _progress(at, path, weights.deviation)
     best = -np.inf
     for m in np.argsort(-worth, kind="mergesort"):
         if worth[m] <= best:
             break
         v = samples[m]
         speed = np.hypot(v[0], v[1])
-        braking = max(speed / limits[0], abs(v[2]) / limits[1])
+        braking = max(speed / weights.acceleration, abs(v[2]) / weights.yaw_acceleration)
         stop = dt + braking / 2  # braking along the arc, it comes this far [s at full speed]
         end = max(horizon, stop)
-        points = speed + body[4] * abs(v[2])
-        count = select(pose[0], pose[1], points * end + body[4] + cap, things[5], near)
-        dull = -np.inf if crowding <= 0 else liked * (1 - (worth[m] - best) / crowding)
-        span = (stop, horizon, end, points)
-        least, met = _held(pose, v, span, need, dull, body, things, near, count, cap, work, at)
-        most = worth[m] - crowding * max(0.0, 1 - least / liked)
+        points = speed + prisms.radius * abs(v[2])
+        count = select(pose[0], pose[1], points * end + prisms.radius + cap, bounds, scratch.near)
+        dull = -np.inf if crowding <= 0 else preferred * (1 - (worth[m] - best) / crowding)
+        hold = Hold(stop, horizon, end, points, weights.needed_clearance, dull)
+        least, met = _held(pose, v, hold, surroundings, count, cap, scratch, at)
+        most = worth[m] - crowding * max(0.0, 1 - least / preferred)
         if met <= stop:
             continue
         waits = 0.0
         if len(discs):
-            if _meets(pose, v, dt, braking, discs, body, look, keep, at) < np.inf:
+            if _meets(pose, v, dt, braking, discs, prisms, look, keep, at) < np.inf:
                 continue
-            hit = _meets(pose, v, look, braking, discs, body, look, keep, at)
+            hit = _meets(pose, v, look, braking, discs, prisms, look, keep, at)
             waits = max(0.0, 1 - hit / look)
         score = 0.0
         for share in (0.5, 1.0):
             _carried(pose, v, min(share * horizon, met), at)
-            score += 0.5 * _progress(at, way, s, deviation)
+            score += 0.5 * _progress(at, path, weights.deviation)
         # To be stopped by something is never worth more than to go on.
         out[m] = min(score - worth[m], 0.0) + most - waits
         best = max(best, out[m])
@@ -228,7 +278,7 @@ def velocity_window(
 class Steering:
     """Chooses velocities along one way."""
 
-    ground: Ground
+    nav_map: NavigationMap
     path: Path
     config: WindowConfig
     dt: float
@@ -245,20 +295,28 @@ class Steering:
         No gap smaller than the margin is allowed, but where the way itself has none; a base that
         is nearer already may not come nearer still.
         """
-        ground, c, path = self.ground, self.config, self.path
-        robot = ground.robot
+        nav_map, c, path = self.nav_map, self.config, self.path
+        robot = nav_map.robot
         ahead = c.horizon * (robot.max_speed + TURN * robot.max_yaw_rate)
         end = max(int(np.searchsorted(path.s, path.s[index] + ahead)), index + 1)
-        here = float(gaps(pose[None], ground.body, ground.things, cap=0.2)[0])
+        here = float(gaps(pose[None], nav_map.prisms, nav_map.planning_obstacles, cap=0.2)[0])
         need = min(c.margin, 0.6 * float(path.gap[index : end + 1].min()), here)
-        return rate(
-            pose, samples, self.dt,
-            (robot.max_acceleration, robot.max_yaw_acceleration),
-            ground.body.arrays, ground.things.arrays,
-            path.poses[index : end + 1], path.s[index : end + 1] - path.s[index],
-            discs, need,
-            (c.horizon, c.deviation, c.liked, c.crowding, c.look, c.distance),
-        )  # fmt: skip
+        surroundings = Surroundings(nav_map.prisms.arrays, nav_map.planning_obstacles.arrays)
+        ahead_of = slice(index, end + 1)
+        weights = WindowWeights(
+            self.dt,
+            robot.max_acceleration,
+            robot.max_yaw_acceleration,
+            need,
+            c.horizon,
+            c.deviation,
+            c.preferred_clearance,
+            c.crowding,
+            c.look,
+            c.distance,
+        )
+        rest = PathAhead(path.poses[ahead_of], path.s[ahead_of] - path.s[index])
+        return rate(pose, samples, surroundings, rest, discs, weights)
 
     def choose(
         self,
@@ -268,7 +326,7 @@ class Steering:
         discs: Float[np.ndarray, "d 5"],
     ) -> Float[np.ndarray, "3"]:
         """The velocity to have next; braking where none is safe."""
-        samples = velocity_window(self.ground.robot, velocity, self.dt)
+        samples = velocity_window(self.nav_map.robot, velocity, self.dt)
         scores = self.ratings(pose, samples, index, discs)
         return samples[int(np.argmax(scores))]
 

@@ -10,9 +10,15 @@ from numba import njit
 
 from momapos.errors import SceneError
 from momapos.geometry.polygons import contains, inscribed_radius
-from momapos.navigation.clearance import gap, select
+from momapos.navigation.clearance import Surroundings, gap, scratch_for, select
 from momapos.navigation.cost_map import CELL
-from momapos.navigation.outlines import Body, Outlines, body_of, obstacles_of, thinned
+from momapos.navigation.outlines import (
+    ConvexPolygons,
+    RobotPrisms,
+    obstacles_of,
+    prisms_of,
+    thinned,
+)
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene
 
@@ -30,14 +36,14 @@ MOST_CELLS = 1_000_000
 
 
 @dataclass(frozen=True, eq=False)
-class Ground:
+class NavigationMap:
     """All that driving knows of one robot in one room."""
 
     robot: Robot
-    body: Body
-    obstacles: Outlines
+    prisms: RobotPrisms
+    obstacles: ConvexPolygons
     """Everything in the way, hull by hull."""
-    things: Outlines
+    planning_obstacles: ConvexPolygons
     """The same without what lies inside other outlines, and with the floor's edges."""
     floor: Float[np.ndarray, "k 2"] | None
     origin: Float[np.ndarray, "2"]
@@ -52,22 +58,25 @@ class Ground:
         return self.gap > 0.0
 
 
-def survey(scene: Scene, robot: Robot) -> Ground:
+def build_navigation_map(scene: Scene, robot: Robot) -> NavigationMap:
     """Map where a robot with its arm at home fits.
 
     Raises:
         SceneError: The room is too large to be mapped.
     """
-    body = body_of(robot)
-    obstacles = obstacles_of(scene, body)
-    return ground_of(robot, body, obstacles, scene.floor)
+    prisms = prisms_of(robot)
+    obstacles = obstacles_of(scene, prisms)
+    return navigation_map_of(robot, prisms, obstacles, scene.floor)
 
 
-def ground_of(
-    robot: Robot, body: Body, obstacles: Outlines, floor: Float[np.ndarray, "k 2"] | None
-) -> Ground:
-    """Map where a robot fits among outlines; see `survey`."""
-    things = thinned(obstacles, floor)
+def navigation_map_of(
+    robot: Robot,
+    prisms: RobotPrisms,
+    obstacles: ConvexPolygons,
+    floor: Float[np.ndarray, "k 2"] | None,
+) -> NavigationMap:
+    """Map where a robot fits among outlines; see `build_navigation_map`."""
+    planning_obstacles = thinned(obstacles, floor)
     if floor is not None:
         low, high = floor.min(0), floor.max(0)
     elif len(obstacles):
@@ -88,26 +97,27 @@ def ground_of(
     inside = np.ones((rows, columns), bool)
     if floor is not None:
         inside = contains(floor, centers.reshape(-1, 2)).reshape(rows, columns)
-    inner = inscribed_radius(body.outlines[0])
-    values = _fill(centers, inside, HEADINGS, inner, body.arrays, things.arrays)
-    return Ground(robot, body, obstacles, things, floor, origin, values)
+    inner = inscribed_radius(prisms.outlines[0])
+    surroundings = Surroundings(prisms.arrays, planning_obstacles.arrays)
+    values = _fill(centers, inside, HEADINGS, inner, surroundings)
+    return NavigationMap(robot, prisms, obstacles, planning_obstacles, floor, origin, values)
 
 
 @njit(cache=True, nogil=True)
-def _fill(centers, inside, headings, inner, body, things):
+def _fill(centers, inside, headings, inner, surroundings):
     rows, columns = inside.shape
-    box = things[5]
+    reach, bounds = surroundings.prisms.radius + FARTHEST, surroundings.obstacles.bounds
     out = np.empty((len(headings), rows, columns), np.float32)
-    near, work = np.empty(len(box), np.int64), np.empty((len(body[0]), 5))
+    scratch = scratch_for(surroundings)
     for i in range(rows):
         for j in range(columns):
             x, y = centers[i, j, 0], centers[i, j, 1]
-            count = select(x, y, body[4] + FARTHEST, box, near)
+            count = select(x, y, reach, bounds, scratch.near)
             for h in range(len(headings)):
                 if not inside[i, j]:
                     out[h, i, j] = -inner
                 elif count == 0:
                     out[h, i, j] = FARTHEST
                 else:
-                    out[h, i, j] = gap(x, y, headings[h], body, things, near, count, FARTHEST, work)
+                    out[h, i, j] = gap(x, y, headings[h], surroundings, count, FARTHEST, scratch)
     return out

@@ -15,11 +15,11 @@ from jaxtyping import Bool, Float, Int
 from scipy.sparse.csgraph import dijkstra
 
 from momapos.geometry.transforms import wrap_angle
-from momapos.navigation.attachment import Exits, shuffled, straight
-from momapos.navigation.clearance import gaps
+from momapos.navigation.clearance import CostWeights, Surroundings, gaps
 from momapos.navigation.cost_map import CELL, cell_graph
-from momapos.navigation.footprint_map import FARTHEST, HEADINGS, MOVES, Ground
-from momapos.navigation.lattice import connections, search, shorten
+from momapos.navigation.footprint_map import FARTHEST, HEADINGS, MOVES, NavigationMap
+from momapos.navigation.lattice import Lattice, PathModel, astar, connections, shorten
+from momapos.navigation.lattice_connection import Exits, shuffled, straight
 from momapos.navigation.outlines import on_floor
 
 NEEDED = 0.01
@@ -38,7 +38,7 @@ _FINER = 0.97
 class PathConfig:
     """What makes one way better than another of the same length."""
 
-    liked: float = 0.08
+    preferred_clearance: float = 0.08
     """Gap to everything that is kept where there is room [m]."""
     weight: float = 1.0
     """By which a metre along obstacles costs more than one with room [-]."""
@@ -80,7 +80,7 @@ class Path:
 
 
 def plan_path(
-    ground: Ground,
+    nav_map: NavigationMap,
     start: Float[np.ndarray, "3"],
     goal: Float[np.ndarray, "3"],
     config: PathConfig = PathConfig(),
@@ -88,40 +88,42 @@ def plan_path(
     """Find a short way for the whole footprint; None where there is none.
 
     Args:
-        ground: Where the robot fits.
+        nav_map: Where the robot fits.
         start: x [m], y [m], yaw [rad].
         goal: Likewise; the way ends in exactly this pose.
         config: What makes one way better than another.
     """
-    needs = 0.5 * gaps(np.stack([start, goal]), ground.body, ground.things)
-    if (needs <= 0).any() or not on_floor(ground.body, ground.floor, np.stack([start, goal])).all():
+    needs = 0.5 * gaps(np.stack([start, goal]), nav_map.prisms, nav_map.planning_obstacles)
+    if (needs <= 0).any() or not on_floor(
+        nav_map.prisms, nav_map.floor, np.stack([start, goal])
+    ).all():
         return None
-    plan = _Planner(ground, config, np.minimum(needs, NEEDED))
+    plan = _Planner(nav_map, config, np.minimum(needs, NEEDED))
     for rough in plan.rough(start, goal):
-        kept = shorten(rough, plan.needs, *plan.kernel)
+        kept = shorten(rough, plan.needs, plan.model())
         if len(kept):
             return plan.sampled(plan.merged(rough[kept]))
     return None
 
 
 def direct_path(
-    ground: Ground,
+    nav_map: NavigationMap,
     start: Float[np.ndarray, "3"],
     goal: Float[np.ndarray, "3"],
     config: PathConfig = PathConfig(),
 ) -> Path | None:
     """The way of one leg between two poses, None where it is blocked; see `plan_path`."""
     nodes = np.stack([start, goal])
-    needs = 0.5 * gaps(nodes, ground.body, ground.things)
+    needs = 0.5 * gaps(nodes, nav_map.prisms, nav_map.planning_obstacles)
     if (needs <= 0).any():
         return None
-    plan = _Planner(ground, config, np.minimum(needs, NEEDED))
-    cost, _ = connections(nodes[:1], nodes[1:], *plan.kernel_at(float(plan.needs.min())))
+    plan = _Planner(nav_map, config, np.minimum(needs, NEEDED))
+    cost, _ = connections(nodes[:1], nodes[1:], plan.model(float(plan.needs.min())))
     return plan.sampled(nodes) if np.isfinite(cost[0]) else None
 
 
 @dataclass(frozen=True, eq=False)
-class _LatticeWay:
+class _LatticePath:
     """A way between two trees of exits."""
 
     states: Int[np.ndarray, " k"]
@@ -136,24 +138,25 @@ class _LatticeWay:
 class _Planner:
     """One question to the planner."""
 
-    ground: Ground
+    nav_map: NavigationMap
     config: PathConfig
     needs: Float[np.ndarray, "2"]
     """Gaps needed at the start and at the goal [m]."""
 
     @property
     def omni(self) -> bool:
-        return self.ground.robot.drive == "omni"
+        return self.nav_map.robot.drive == "omni"
 
-    @property
-    def kernel(self) -> tuple:
-        """What every kernel wants: kind of base, its outlines, those of the room, the taste."""
-        return self.kernel_at(NEEDED)
-
-    def kernel_at(self, need: float) -> tuple:
-        c, ground = self.config, self.ground
-        taste = (float(need), c.liked, c.weight, c.turning, c.reversing)
-        return self.omni, ground.body.arrays, ground.things.arrays, taste
+    def model(self, needed_clearance: float = NEEDED) -> PathModel:
+        """What the kernels search by."""
+        c, nav_map = self.config, self.nav_map
+        return PathModel(
+            self.omni,
+            Surroundings(nav_map.prisms.arrays, nav_map.planning_obstacles.arrays),
+            CostWeights(
+                float(needed_clearance), c.preferred_clearance, c.weight, c.turning, c.reversing
+            ),
+        )
 
     def rough(
         self, start: Float[np.ndarray, "3"], goal: Float[np.ndarray, "3"]
@@ -163,7 +166,7 @@ class _Planner:
         A way over the lattice comes first with stretches thinned out, for speed, then with all its
         poses, for a cusp or a long turn is lost with the poses left out of it.
         """
-        direct, _ = connections(start[None], goal[None], *self.kernel_at(self.needs.min()))
+        direct, _ = connections(start[None], goal[None], self.model(self.needs.min()))
         simple = np.stack([start, goal])
         if np.isfinite(direct[0]):
             bound = np.hypot(*(goal - start)[:2])
@@ -173,12 +176,12 @@ class _Planner:
                 return
         for shuffle in (False, True):
             ends = (self._exits(start, 0, shuffle), self._exits(goal, 1, shuffle))
-            way = self._over_lattice(*ends)
-            if way is not None:
-                every = self._states(way.states)
+            found = self._over_lattice(*ends)
+            if found is not None:
+                every = self._states(found.states)
                 for states in (_thinned(every), every):
                     yield np.concatenate(
-                        [start[None], way.before, states, way.after[::-1], goal[None]]
+                        [start[None], found.before, states, found.after[::-1], goal[None]]
                     )
             if np.isfinite(direct[0]):
                 yield simple
@@ -191,7 +194,7 @@ class _Planner:
             return self._joined(a, b, end, tight)
 
         def room(poses: np.ndarray) -> np.ndarray:
-            return gaps(poses, self.ground.body, self.ground.things, cap=FARTHEST)
+            return gaps(poses, self.nav_map.prisms, self.nav_map.planning_obstacles, cap=FARTHEST)
 
         sides = 4 if self.omni else 2
         return shuffled(pose, sides, joined, room) if shuffle else straight(pose, sides, joined)
@@ -204,30 +207,30 @@ class _Planner:
         tight: bool,
     ) -> Float[np.ndarray, " n"]:
         """Cost of the simple way from each inner pose to the outer one; to it at the goal [m]."""
-        kernel = self.kernel_at(float(self.needs[end]) if tight else NEEDED)
+        model = self.model(float(self.needs[end]) if tight else NEEDED)
         inner, outer = np.ascontiguousarray(inner), np.ascontiguousarray(outer)
-        return connections(*((outer, inner) if end else (inner, outer)), *kernel)[0]
+        return connections(*((outer, inner) if end else (inner, outer)), model)[0]
 
-    def _over_lattice(self, first: Exits, last: Exits) -> _LatticeWay | None:
+    def _over_lattice(self, first: Exits, last: Exits) -> _LatticePath | None:
         """The cheapest way from one tree of exits to the other."""
         costs, via = zip(*(self._attached(e, k) for k, e in enumerate((first, last))), strict=True)
-        ground = self.ground
-        _, rows, columns = ground.gap.shape
+        nav_map = self.nav_map
+        _, rows, columns = nav_map.gap.shape
         cells = np.unique(np.flatnonzero(np.isfinite(costs[1])) % (rows * columns))
         if not len(cells) or not np.isfinite(costs[0]).any():
             return None
-        graph = cell_graph(np.any(ground.gap >= NEEDED, axis=0))
+        graph = cell_graph(np.any(nav_map.gap >= NEEDED, axis=0))
         ahead = _FINER * dijkstra(graph, indices=cells, min_only=True).reshape(rows, columns)
-        lattice = (ground.origin, CELL, MOVES, HEADINGS)
-        states = search(ground.gap, ahead, *costs, lattice, *self.kernel)
+        lattice = Lattice(nav_map.origin, CELL, MOVES, HEADINGS)
+        states = astar(nav_map.gap, ahead, *costs, lattice, self.model())
         if not len(states):
             return None
-        before = first.way(via[0][int(states[0])])
-        return _LatticeWay(states, before, last.way(via[1][int(states[-1])]))
+        before = first.path(via[0][int(states[0])])
+        return _LatticePath(states, before, last.path(via[1][int(states[-1])]))
 
     def _states(self, index: Int[np.ndarray, " k"]) -> Float[np.ndarray, "k 3"]:
-        h, i, j = np.unravel_index(index, self.ground.gap.shape)
-        xy = self.ground.origin + (np.stack([j, i], -1) + 0.5) * CELL
+        h, i, j = np.unravel_index(index, self.nav_map.gap.shape)
+        xy = self.nav_map.origin + (np.stack([j, i], -1) + 0.5) * CELL
         return np.column_stack([xy, HEADINGS[h]])
 
     def _attached(
@@ -238,7 +241,7 @@ class _Planner:
             self._near(pose, _AROUND[k == 0], outward=not end) for k, pose in enumerate(exits.poses)
         ]
         which = np.repeat(np.arange(len(found)), [len(f) for f in found])
-        cost = np.full(self.ground.gap.size, np.inf)
+        cost = np.full(self.nav_map.gap.size, np.inf)
         if not len(which):
             return cost, {}
         index = np.concatenate(found)
@@ -254,14 +257,14 @@ class _Planner:
         self, end: Float[np.ndarray, "3"], radius: float, outward: bool
     ) -> Int[np.ndarray, " k"]:
         """Free lattice states around a pose, with the headings that suit going there or turning."""
-        ground = self.ground
-        count, rows, columns = ground.gap.shape
-        j0, i0 = np.floor((end[:2] - ground.origin) / CELL).astype(int)
+        nav_map = self.nav_map
+        count, rows, columns = nav_map.gap.shape
+        j0, i0 = np.floor((end[:2] - nav_map.origin) / CELL).astype(int)
         span = np.arange(-int(radius / CELL), int(radius / CELL) + 1)
         i, j = (a.ravel() for a in np.meshgrid(i0 + span, j0 + span, indexing="ij"))
         inside = (i >= 0) & (j >= 0) & (i < rows) & (j < columns)
         i, j = i[inside], j[inside]
-        away = ground.origin + (np.stack([j, i], -1) + 0.5) * CELL - end[:2]
+        away = nav_map.origin + (np.stack([j, i], -1) + 0.5) * CELL - end[:2]
         near = np.hypot(*away.T) <= radius
         i, j, away = i[near], j[near], away[near] * (1 if outward else -1)
         toward = np.arctan2(away[:, 1], away[:, 0])
@@ -269,12 +272,12 @@ class _Planner:
         apart = np.abs(wrap_angle((headings[..., None] - HEADINGS).ravel()))
         h = apart.reshape(*headings.shape, count).argmin(-1)
         h = np.column_stack([h, (h[:, 0] + 1) % count, (h[:, 0] - 1) % count])
-        index = np.unique(np.ravel_multi_index((h, i[:, None], j[:, None]), ground.gap.shape))
-        return index[ground.gap.ravel()[index] >= NEEDED]
+        index = np.unique(np.ravel_multi_index((h, i[:, None], j[:, None]), nav_map.gap.shape))
+        return index[nav_map.gap.ravel()[index] >= NEEDED]
 
     def merged(self, nodes: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
         """Turn at each node from one leg to the next at once, not by way of the node's heading."""
-        nodes, kernel = nodes.copy(), self.kernel_at(self.needs.min())
+        nodes, model = nodes.copy(), self.model(self.needs.min())
         if self.omni:
             return nodes
         for k in range(1, len(nodes) - 1):
@@ -282,17 +285,17 @@ class _Planner:
             if np.hypot(*step) < 1e-6:
                 continue
             around = nodes[k - 1 : k + 2]
-            costs, backwards = connections(around[:-1], around[1:], *kernel)
+            costs, backwards = connections(around[:-1], around[1:], model)
             straight = around.copy()
             straight[1, 2] = np.arctan2(step[1], step[0]) + np.pi * backwards[0]
-            at_once = connections(straight[:-1], straight[1:], *kernel)[0].sum()
+            at_once = connections(straight[:-1], straight[1:], model)[0].sum()
             if np.isfinite(at_once) and at_once <= costs.sum() + 1e-9:
                 nodes[k, 2] = wrap_angle(straight[1, 2])
         return nodes
 
     def sampled(self, nodes: Float[np.ndarray, "n 3"]) -> Path:
         """Every pose of the way over nodes."""
-        _, backwards = connections(nodes[:-1], nodes[1:], *self.kernel_at(self.needs.min()))
+        _, backwards = connections(nodes[:-1], nodes[1:], self.model(self.needs.min()))
         poses = [nodes[0]]
         for a, b, back in zip(nodes[:-1], nodes[1:], backwards, strict=True):
             step = b[:2] - a[:2]
@@ -308,7 +311,7 @@ class _Planner:
         move = np.hypot(*np.diff(way[:, :2], axis=0).T)
         turn = np.abs(wrap_angle(np.diff(way[:, 2])))
         s = np.concatenate([[0.0], np.cumsum(move + TURN * turn)])
-        room = gaps(way, self.ground.body, self.ground.things, cap=0.3)
+        room = gaps(way, self.nav_map.prisms, self.nav_map.planning_obstacles, cap=0.3)
         return Path(way, s, room, float(move.sum()), nodes, backwards)
 
 

@@ -11,8 +11,9 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from momapos.geometry.polygons import contains
-from momapos.navigation.outlines import Body, Outlines, on_floor, turned
+from momapos.geometry.planar import place_points
+from momapos.geometry.polygons import contains, edge_distances
+from momapos.navigation.outlines import ConvexPolygons, RobotPrisms, on_floor
 
 FAR = 0.5
 """Distances above this are not told apart [m]."""
@@ -21,11 +22,11 @@ _AT_ONCE = 8
 
 
 @dataclass(frozen=True, eq=False)
-class Judge:
+class FootprintCollisionChecker:
     """The robot and everything that it must not touch."""
 
-    body: Body
-    obstacles: Outlines
+    prisms: RobotPrisms
+    obstacles: ConvexPolygons
     floor: Float[np.ndarray, "k 2"] | None
 
     @cached_property
@@ -50,8 +51,8 @@ class Judge:
         best = np.full(len(poses), FAR)
         touched = [""] * len(poses)
         count = np.diff(self.obstacles.first)
-        for layer, outline in enumerate(self.body.outlines):
-            robot = turned(outline, poses)[:, None]
+        for layer, outline in enumerate(self.prisms.outlines):
+            robot = place_points(poses, outline)[:, None]
             which, least = self._nearest_first(robot, layer)
             for k in range(0, len(which), _AT_ONCE):
                 # The bounds of the rest are farther from all poses than what was found.
@@ -59,12 +60,14 @@ class Judge:
                     break
                 some = which[k : k + _AT_ONCE]
                 room = self._padded[some, : count[some].max()][None]
-                apart = np.minimum(_corners_to_edges(robot, room), _corners_to_edges(room, robot))
+                apart = np.minimum(
+                    edge_distances(robot, room).min(-1), edge_distances(room, robot).min(-1)
+                )
                 apart = np.where(overlap(robot, room), 0.0, apart)
                 best = np.minimum(best, apart.min(1))
                 for n in np.flatnonzero((apart <= 0).any(1)):
                     touched[n] = touched[n] or self.obstacles.names[some[int(apart[n].argmin())]]
-        for n in np.flatnonzero(~on_floor(self.body, self.floor, poses)):
+        for n in np.flatnonzero(~on_floor(self.prisms, self.floor, poses)):
             touched[n] = touched[n] or "the edge of the floor"
         return best, touched
 
@@ -86,11 +89,10 @@ class Judge:
         """Distance between the robot and moving discs [m], negative where they overlap."""
         if not len(discs):
             return np.zeros(0)
-        centers = discs[:, None, :2]
         found = []
-        for outline in self.body.outlines:
-            robot = turned(outline, pose[None])
-            apart = _corners_to_edges(centers, robot)
+        for outline in self.prisms.outlines:
+            robot = place_points(pose[None], outline)
+            apart = edge_distances(discs[:, :2], robot[0])
             found.append(np.where(contains(robot[0], discs[:, :2]), 0.0, apart))
         return np.min(found, axis=0) - discs[:, 4]
 
@@ -108,15 +110,3 @@ def overlap(
         return np.asarray((beyond.min(-1) > 0).any(-1))
 
     return ~(separated(a, b) | separated(b, a))
-
-
-def _corners_to_edges(
-    a: Float[np.ndarray, "*batch k 2"], b: Float[np.ndarray, "*batch m 2"]
-) -> Float[np.ndarray, " *batch"]:
-    """Smallest distance from a corner of one outline to an edge of the other [m]."""
-    edge = np.roll(b, -1, axis=-2) - b
-    toward = a[..., :, None, :] - b[..., None, :, :]
-    squared = np.maximum((edge**2).sum(-1), 1e-18)
-    share = np.clip(np.einsum("...kmi,...mi->...km", toward, edge) / squared[..., None, :], 0, 1)
-    gap = toward - share[..., None] * edge[..., None, :, :]
-    return np.asarray(np.sqrt((gap**2).sum(-1)).min((-2, -1)))

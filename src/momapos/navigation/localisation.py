@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from momapos.geometry.transforms import wrap_angle
-from momapos.navigation.base import moved
+from momapos.navigation.base import integrate
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class Localiser:
         if not self.noise.fused:
             self.pose = fix
             return
-        self.pose = moved(self.pose, measured, dt)
+        self.pose = integrate(self.pose, measured, dt)
         way = float(np.hypot(velocity[0], velocity[1])) * dt
         turn = abs(float(velocity[2])) * dt
         spread = (self.noise.odometry * way) ** 2 + way**2 * self.variance[2]

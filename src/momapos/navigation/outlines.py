@@ -11,12 +11,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import ConvexHull
 
-from momapos.geometry.polygons import all_inside, signed_area
+from momapos.geometry.planar import place_points
+from momapos.geometry.polygons import all_inside, edge_normals, signed_area
 from momapos.geometry.transforms import apply, invert
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene
@@ -27,8 +29,33 @@ PRISMS = 5
 """A robot is so many prisms at most [-]."""
 
 
+class PrismArrays(NamedTuple):
+    """The prisms of a robot as kernels take them, one after the other, base frame."""
+
+    corner: Float[np.ndarray, "b 2"]
+    normal: Float[np.ndarray, "b 2"]
+    """Outward, of the edge from each corner to the next."""
+    level: Float[np.ndarray, " b"]
+    """The edge lies where normal . x is this [m]."""
+    first: Int[np.ndarray, " k+1"]
+    """Index of each prism's first corner, and the number of corners."""
+    radius: float
+    """Distance from the base's origin to the farthest corner [m]."""
+
+
+class PolygonArrays(NamedTuple):
+    """Convex polygons as kernels take them; see `ConvexPolygons`."""
+
+    corner: Float[np.ndarray, "p 2"]
+    normal: Float[np.ndarray, "p 2"]
+    level: Float[np.ndarray, " p"]
+    first: Int[np.ndarray, " o+1"]
+    layer: Int[np.ndarray, " o"]
+    bounds: Float[np.ndarray, "o 4"]
+
+
 @dataclass(frozen=True, eq=False)
-class Body:
+class RobotPrisms:
     """What drives: the robot with its arm at home."""
 
     outlines: tuple[Float[np.ndarray, "_ 2"], ...]
@@ -46,20 +73,20 @@ class Body:
         """Whether the outline of the first index lies within that of the second."""
         within = [
             [bool((a @ n.T <= np.einsum("ki,ki->k", b, n) + 1e-9).all()) for a in self.outlines]
-            for b, n in map(edges_of, self.outlines)
+            for b, n in ((b, edge_normals(b)) for b in self.outlines)
         ]
         return np.array(within).T
 
     @cached_property
-    def arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, float]:
-        """Corners (b, 2), outward normals (b, 2), levels (b,), first corners (k+1,), radius."""
+    def arrays(self) -> PrismArrays:
+        """All of them, as the kernels take them."""
         layers = range(len(self.outlines))
         packed = pack(self.outlines, layers, ["robot"] * len(self.outlines))
-        return packed.corner, packed.normal, packed.level, packed.first, self.radius
+        return PrismArrays(packed.corner, packed.normal, packed.level, packed.first, self.radius)
 
 
 @dataclass(frozen=True, eq=False)
-class Outlines:
+class ConvexPolygons:
     """Convex polygons on the floor, anticlockwise, one after the other."""
 
     corner: Float[np.ndarray, "p 2"]
@@ -79,39 +106,36 @@ class Outlines:
         return len(self.layer)
 
     @property
-    def arrays(self) -> tuple[np.ndarray, ...]:
+    def arrays(self) -> PolygonArrays:
         """All of it but the names, as the kernels take it."""
-        return self.corner, self.normal, self.level, self.first, self.layer, self.bounds
+        return PolygonArrays(
+            self.corner, self.normal, self.level, self.first, self.layer, self.bounds
+        )
 
     def polygon(self, index: int) -> Float[np.ndarray, "k 2"]:
         """Corners of one polygon [m]."""
         return self.corner[self.first[index] : self.first[index + 1]]
 
 
-def edges_of(
-    polygon: Float[np.ndarray, "k 2"],
-) -> tuple[Float[np.ndarray, "k 2"], Float[np.ndarray, "k 2"]]:
-    """Corners of an anticlockwise polygon, and the outward unit normals of the edges after them."""
-    along = np.roll(polygon, -1, axis=0) - polygon
-    normal = np.stack([along[:, 1], -along[:, 0]], -1)
-    return polygon, normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
-
-
 def pack(
     polygons: Sequence[Float[np.ndarray, "k 2"]], layers: Sequence[int], names: Sequence[str]
-) -> Outlines:
+) -> ConvexPolygons:
     """Put polygons one after the other."""
     first = np.concatenate([[0], np.cumsum([len(p) for p in polygons])]).astype(np.int64)
     if not len(polygons):
         none = np.zeros((0, 2))
-        return Outlines(none, none, np.zeros(0), first, np.zeros(0, np.int64), np.zeros((0, 4)), ())
-    corner, normal = (np.concatenate(a) for a in zip(*map(edges_of, polygons), strict=True))
+        return ConvexPolygons(
+            none, none, np.zeros(0), first, np.zeros(0, np.int64), np.zeros((0, 4)), ()
+        )
+    corner, normal = np.concatenate(polygons), np.concatenate(list(map(edge_normals, polygons)))
     bounds = np.array([[*p.min(0), *p.max(0)] for p in polygons])
     level = np.einsum("pi,pi->p", corner, normal)
-    return Outlines(corner, normal, level, first, np.array(layers, np.int64), bounds, tuple(names))
+    return ConvexPolygons(
+        corner, normal, level, first, np.array(layers, np.int64), bounds, tuple(names)
+    )
 
 
-def body_of(robot: Robot) -> Body:
+def prisms_of(robot: Robot) -> RobotPrisms:
     """Cut a robot at the heights where prisms hold it most tightly.
 
     The lowest prism is never less than the footprint of the robot file. Cuts are added one by one,
@@ -145,7 +169,7 @@ def body_of(robot: Robot) -> Body:
         ways = [np.unique(np.append(heights, cut)) for cut in cuts]
         heights = min(ways, key=volume)
     outlines = tuple(outline(begin, end) for begin, end in pairwise(heights.tolist()))
-    return Body(outlines, heights)
+    return RobotPrisms(outlines, heights)
 
 
 def _hull(points: Sequence[Float[np.ndarray, "n 2"]]) -> Float[np.ndarray, "k 2"]:
@@ -153,18 +177,18 @@ def _hull(points: Sequence[Float[np.ndarray, "n 2"]]) -> Float[np.ndarray, "k 2"
     return stacked[ConvexHull(stacked).vertices]
 
 
-def obstacles_of(scene: Scene, body: Body) -> Outlines:
+def obstacles_of(scene: Scene, prisms: RobotPrisms) -> ConvexPolygons:
     """Everything between the floor and the robot's top, for each prism that it is in the way of."""
     polygons, layers, names = [], [], []
-    index = np.arange(len(body.outlines))
+    index = np.arange(len(prisms.outlines))
     for item in scene.objects:
         for link, T in item.link_poses().items():
             for hull in item.model.hulls[link]:
                 points = apply(T, hull.vertices)
                 low, high = points[:, 2].min(), points[:, 2].max()
-                met = (low < body.heights[1:]) & (high > np.maximum(body.heights[:-1], STEP))
+                met = (low < prisms.heights[1:]) & (high > np.maximum(prisms.heights[:-1], STEP))
                 # Within a wider prism that is met as well, a prism asks nothing more.
-                wider = body.inside & met & ~(body.inside.T & (index[:, None] <= index))
+                wider = prisms.inside & met & ~(prisms.inside.T & (index[:, None] <= index))
                 for layer in np.flatnonzero(met & ~wider.any(axis=1)):
                     polygons.append(_hull([points[:, :2]]))
                     layers.append(int(layer))
@@ -172,7 +196,7 @@ def obstacles_of(scene: Scene, body: Body) -> Outlines:
     return pack(polygons, layers, names)
 
 
-def thinned(outlines: Outlines, floor: Float[np.ndarray, "k 2"] | None) -> Outlines:
+def thinned(outlines: ConvexPolygons, floor: Float[np.ndarray, "k 2"] | None) -> ConvexPolygons:
     """What suffices to plan with: no outline inside another, and the floor's edges as well."""
     kept = np.flatnonzero(~_covered(outlines))
     polygons = [outlines.polygon(int(i)) for i in kept]
@@ -185,7 +209,7 @@ def thinned(outlines: Outlines, floor: Float[np.ndarray, "k 2"] | None) -> Outli
     return pack(polygons, layers, names)
 
 
-def _covered(outlines: Outlines) -> Bool[np.ndarray, " o"]:
+def _covered(outlines: ConvexPolygons) -> Bool[np.ndarray, " o"]:
     """Which outlines lie inside another one of their layer; of equal ones the first is kept."""
     covered = np.zeros(len(outlines), bool)
     for i in range(len(outlines)):
@@ -201,19 +225,10 @@ def _covered(outlines: Outlines) -> Bool[np.ndarray, " o"]:
     return covered
 
 
-def turned(
-    outline: Float[np.ndarray, "k 2"], poses: Float[np.ndarray, "n 3"]
-) -> Float[np.ndarray, "n k 2"]:
-    """An outline of the base frame at base poses, in the world [m]."""
-    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-    R = np.stack([np.stack([c, -s], -1), np.stack([s, c], -1)], -2)
-    return np.einsum("nij,kj->nki", R, outline) + poses[:, None, :2]
-
-
 def on_floor(
-    body: Body, floor: Float[np.ndarray, "k 2"] | None, poses: Float[np.ndarray, "n 3"]
+    prisms: RobotPrisms, floor: Float[np.ndarray, "k 2"] | None, poses: Float[np.ndarray, "n 3"]
 ) -> Bool[np.ndarray, " n"]:
     """Whether the footprint lies on the floor at base poses."""
     if floor is None:
         return np.ones(len(poses), bool)
-    return all_inside(floor, turned(body.outlines[0], poses))
+    return all_inside(floor, place_points(poses, prisms.outlines[0]))

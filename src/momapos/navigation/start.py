@@ -9,12 +9,12 @@ from jaxtyping import Float
 from scipy.ndimage import distance_transform_edt
 
 from momapos.errors import SceneError
+from momapos.geometry.planar import place_points
 from momapos.geometry.polygons import all_inside
 from momapos.kinematics.base_collision import base_hits
 from momapos.kinematics.collision import FREE
 from momapos.kinematics.hulls import Boxes
 from momapos.navigation.cost_map import CELL, FloorPlan
-from momapos.navigation.outlines import turned
 from momapos.robots.robot import Robot
 
 ROOM = 0.8
@@ -67,5 +67,5 @@ def check_start(
     hit = int(base_hits(pose[None], robot.base, obstacles, clearance=0.0)[0])
     if hit != FREE:
         raise SceneError(f"{where}: the base of {robot.name} would hit {labels[hit]}")
-    if floor is not None and not all_inside(floor, turned(robot.footprint, pose[None]))[0]:
+    if floor is not None and not all_inside(floor, place_points(pose[None], robot.footprint))[0]:
         raise SceneError(f"{where}: the base of {robot.name} would stand off the floor")

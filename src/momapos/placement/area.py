@@ -8,8 +8,8 @@ from enum import IntEnum
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from momapos.geometry.planar import local_points, place_points
 from momapos.geometry.polygons import all_inside
-from momapos.geometry.transforms import wrap_angle
 from momapos.kinematics.base_collision import base_hits
 from momapos.kinematics.collision import FREE
 from momapos.kinematics.hulls import Boxes
@@ -82,26 +82,13 @@ def task_frame(site: Site) -> Float[np.ndarray, "3"]:
     return np.array([T[0, 3], T[1, 3], np.arctan2(along[1], along[0])])
 
 
-def in_world(
-    frame: Float[np.ndarray, "3"], poses: Float[np.ndarray, "n 3"]
-) -> Float[np.ndarray, "n 3"]:
-    """Map base poses from a frame on the floor to the world."""
-    c, s = np.cos(frame[2]), np.sin(frame[2])
-    x, y, yaw = poses.T
-    return np.stack(
-        [frame[0] + c * x - s * y, frame[1] + s * x + c * y, wrap_angle(frame[2] + yaw)], -1
-    )
-
-
 def sampling_box(site: Site) -> Float[np.ndarray, "2 2"] | None:
     """Corners of the rectangle in the task's frame that holds A; None where A is empty [m]."""
     radius = arm_radius(site)
     if np.isnan(radius).any():
         return None
     reach = radius + np.linalg.norm(site.shoulder[:2])
-    x0, y0, yaw = task_frame(site)
-    c, s = np.cos(yaw), np.sin(yaw)
-    plain = (site.Ts_world_tool[0, :, :2, 3] - [x0, y0]) @ np.array([[c, -s], [s, c]])
+    plain = local_points(task_frame(site), site.Ts_world_tool[0, :, :2, 3])
     low = (plain - reach[:, None]).max(0)
     high = (plain + reach[:, None]).min(0)
     return None if (low >= high).any() else np.stack([low, high])
@@ -109,9 +96,7 @@ def sampling_box(site: Site) -> Float[np.ndarray, "2 2"] | None:
 
 def within_reach(site: Site, poses: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
     """Whether every waypoint is within the arm's length of its axis (dist_xy <= Delta_r)."""
-    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-    x, y = site.shoulder[:2]
-    axis = poses[:, :2] + np.stack([c * x - s * y, s * x + c * y], -1)
+    axis = place_points(poses, site.shoulder[None, :2])[:, 0]
     plain = site.Ts_world_tool[0, :, :2, 3]
     distance = np.linalg.norm(axis[:, None] - plain[None], axis=-1)
     return (distance <= arm_radius(site)).all(1)
@@ -129,7 +114,7 @@ def standing(
     outcome = np.where(within_reach(site, poses), BaseStatus.CLEAR, BaseStatus.BEYOND_ARM)
     if site.floor is not None:
         near = np.flatnonzero(outcome == BaseStatus.CLEAR)
-        off = ~all_inside(site.floor, footprints(site.robot, poses[near]))
+        off = ~all_inside(site.floor, place_points(poses[near], site.robot.footprint))
         outcome[near[off]] = BaseStatus.OFF_FLOOR
     boxes = Boxes(
         np.concatenate([site.static.center, site.sweep.center]),
@@ -141,10 +126,3 @@ def standing(
     code[near] = base_hits(poses[near], site.robot.base, boxes, clearance=site.clearance)
     outcome[code != FREE] = BaseStatus.BLOCKED
     return outcome, code
-
-
-def footprints(robot: Robot, poses: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n k 2"]:
-    """Outline of the base at each pose [m]."""
-    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-    R = np.stack([np.stack([c, -s], -1), np.stack([s, c], -1)], -2)
-    return np.einsum("nij,kj->nki", R, robot.footprint) + poses[:, None, :2]

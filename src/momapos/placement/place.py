@@ -11,11 +11,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.stats import qmc
 
+from momapos.geometry.planar import compose
 from momapos.outcomes import PoseOutcome, PoseStatus
 from momapos.placement.area import (
     BaseStatus,
     Site,
-    in_world,
     sampling_box,
     standing,
     task_frame,
@@ -153,7 +153,7 @@ def search(problem: Problem, config: PlaceConfig, rng: np.random.Generator) -> S
         return found
     frame = task_frame(problem.site)
     for local, on_grid in _rounds(corners, config, rng):
-        shortlist = _cull(problem, in_world(frame, local), found)
+        shortlist = _cull(problem, compose(frame, local), found)
         if on_grid:
             _check_grid(problem, shortlist, config, found)
         else:

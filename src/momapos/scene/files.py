@@ -21,6 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from momapos.cache import write_atomic
 from momapos.errors import FileFormatError, SceneError, unknown_name
+from momapos.geometry.polygons import signed_area
 from momapos.geometry.transforms import pose_wxyz
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.urdf import box_urdf, read_urdf
@@ -319,9 +320,7 @@ def _floor(value: object, path: Path) -> Float[np.ndarray, "k 2"] | None:
     points = np.array([_numbers(p, 2, f"{path}: floor point {i}") for i, p in enumerate(value)])
     if np.abs(points).max() > MAX_DISTANCE:
         raise SceneError(f"{path}: floor reaches more than 10 km")
-    ahead = np.roll(points, -1, axis=0)
-    area = float(abs(points[:, 0] @ ahead[:, 1] - points[:, 1] @ ahead[:, 0])) / 2
-    if area < 1e-6:
+    if abs(signed_area(points)) < 1e-6:
         raise SceneError(f"{path}: floor encloses no area")
     return points
 

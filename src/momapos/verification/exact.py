@@ -14,11 +14,11 @@ from jaxtyping import Float, Int
 from momapos.scene.scene import Scene
 from momapos.types import Motion, Task
 from momapos.verification import path as paths
-from momapos.verification.machine import Arm, machine_of
 from momapos.verification.part import split
-from momapos.verification.passage import passage_of
+from momapos.verification.part_sweep import part_sweep_check
 from momapos.verification.polygon import outside
 from momapos.verification.report import DEFAULT, Check, Limits, Report, at_most
+from momapos.verification.robot_collision_model import Arm, robot_collision_model
 from momapos.verification.shapes import Shapes
 from momapos.verification.sweep import all_pairs, deepest
 
@@ -28,7 +28,7 @@ MOST_PAIRS = 6
 """Overlapping pairs that are named one by one [-]."""
 
 
-class ExactWorld:
+class PlanVerifier:
     """A scene, a robot and a task, prepared for the check of motions.
 
     Raises:
@@ -38,17 +38,17 @@ class ExactWorld:
     def __init__(self, scene: Scene, robot: Arm, task: Task, limits: Limits = DEFAULT) -> None:
         self.limits = limits
         self.task = task
-        self.machine = machine_of(robot)
+        self.robot_model = robot_collision_model(robot)
         self.part, self.fixed, own = split(scene, task)
-        self.passage = passage_of(self.part, self.fixed, own, limits)
+        self.part_sweep = part_sweep_check(self.part, self.fixed, own, limits)
         self.floor = scene.floor
-        self._base, self._arm = self.machine.base, self.machine.arm
+        self._base, self._arm = self.robot_model.base, self.robot_model.arm
         self._arm_fixed = all_pairs(len(self._arm), len(self.fixed))
         on_part = all_pairs(len(self._arm), len(self.part.shapes))
-        holds = self.machine.gripper[on_part[:, 0]]
+        holds = self.robot_model.gripper[on_part[:, 0]]
         self._arm_part, self._gripper_part = on_part[~holds], on_part[holds]
 
-    def refusal(self, base_pose: tuple[float, float, float], motion: Motion) -> str | None:
+    def first_violation(self, base_pose: tuple[float, float, float], motion: Motion) -> str | None:
         """Why a motion is refused, in words that are the same for similar motions; None if not."""
         violations = self.check(base_pose, motion).violations
         if not violations:
@@ -63,7 +63,7 @@ class ExactWorld:
             lift: How far an object without a joint is lifted straight up [m].
         """
         goal = self.part.goal if self.part.joint is not None else lift
-        return self.passage.first_hit(goal)
+        return self.part_sweep.first_hit(goal)
 
     def check(self, base_pose: tuple[float, float, float], motion: Motion) -> Report:
         """Check a motion at a base pose.
@@ -83,7 +83,7 @@ class ExactWorld:
     def _check(
         self, checks: list[Check], base_pose: tuple[float, float, float], motion: Motion
     ) -> Report:
-        machine, part, limits = self.machine, self.part, self.limits
+        machine, part, limits = self.robot_model, self.part, self.limits
         path = paths.dense_path(motion, limits.step)
         Ts_tool, Ts_base, Ts_arm = machine.poses(base_pose, path.q)
         Ts_planned = Ts_tool[path.planned]
@@ -121,7 +121,7 @@ class ExactWorld:
         self, Ts_way: Float[np.ndarray, "w p 4 4"], where: Callable[[int], str]
     ) -> Check:
         """The moved part against the scene: no deeper than there, but for the tolerance."""
-        found, passage, fixed = _Overlaps(self.limits.penetration), self.passage, self.fixed
+        found, passage, fixed = _Overlaps(self.limits.penetration), self.part_sweep, self.fixed
         found.add(
             self.part.shapes, Ts_way, fixed, fixed.Ts_body_shape[None],
             passage.pairs, where, already=passage.already,
@@ -167,7 +167,7 @@ class ExactWorld:
         path: paths.DensePath,
     ) -> Check:
         found = _Overlaps(self.limits.penetration)
-        arm, base, machine = self._arm, self._base, self.machine
+        arm, base, machine = self._arm, self._base, self.robot_model
         found.add(arm, Ts_arm, base, Ts_base, machine.arm_base_pairs, path.where)
         found.add(arm, Ts_arm, arm, Ts_arm, machine.arm_arm_pairs, path.where)
         return found.check("robot in itself")

@@ -13,7 +13,7 @@ from momapos.robots.robot import read_srdf
 from momapos.scene.files import load_scene
 from momapos.scene.scene import Scene
 from momapos.types import PlacementPlan
-from momapos.verification.exact import ExactWorld
+from momapos.verification.exact import PlanVerifier
 from momapos.verification.report import DEFAULT, Limits, Report, verdict
 
 
@@ -50,7 +50,7 @@ def verify_files(
     folders = [plan_path.resolve().parent, *([scene_root] if scene_root else []), Path()]
     scene = read_scene(find_file("scene", plan.scene, folders, plan_path), scene_root)
     urdf = find_file("robot.urdf", plan.robot_urdf, folders, plan_path)
-    world = ExactWorld(scene, _arm(plan, urdf), plan.task, limits)
+    world = PlanVerifier(scene, _arm(plan, urdf), plan.task, limits)
     report = world.check(plan.base_pose, plan.motion)
     return Report(report.checks, (*scene.warnings, *report.notes), report.gripper_depth)
 

@@ -11,9 +11,9 @@ from jaxtyping import Float, Int
 
 from momapos.geometry.transforms import invert, rotation_angle
 from momapos.types import Motion
-from momapos.verification.machine import Machine
 from momapos.verification.part import Part
 from momapos.verification.report import Check, Limits, at_most, verdict
+from momapos.verification.robot_collision_model import RobotCollisionModel
 
 STEP_BACK = 1e-6
 LARGEST = 1e6
@@ -136,7 +136,7 @@ def object_checks(part: Part, motion: Motion, limits: Limits) -> Iterator[Check]
     yield at_most("object within its joint limits (excess)", excess, limits.joint, "rad|m")
 
 
-def joint_checks(machine: Machine, motion: Motion, limits: Limits) -> Iterator[Check]:
+def joint_checks(machine: RobotCollisionModel, motion: Motion, limits: Limits) -> Iterator[Check]:
     """Whether the arm's states are within limits and connected."""
     both = np.vstack([motion.approach, motion.q])
     excess = np.maximum(machine.lower - both, both - machine.upper).max(0)

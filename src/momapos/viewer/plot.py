@@ -12,10 +12,10 @@ import numpy as np
 from jaxtyping import Float
 
 from momapos.errors import InputError
+from momapos.geometry.planar import place_points
 from momapos.geometry.polygons import contains
 from momapos.kinematics.hulls import Boxes
 from momapos.pipeline import PlacementResult
-from momapos.placement.area import footprints
 from momapos.protocols import ReachScorer
 from momapos.scene.scene import Scene
 from momapos.viewer.heat import Heat, potential_map
@@ -109,7 +109,7 @@ def _view(
     points = [target.bounds[:, :2], motion.waypoints[:, :2]]
     points.append(box_bounds(motion.sweep()))
     bases = [answer.start] + ([] if answer.plan.base_pose is None else [answer.plan.base_pose])
-    points += list(footprints(robot, np.array(bases, float)))
+    points += list(place_points(np.array(bases, float), robot.footprint))
     promising = [index for index, kind in enumerate(KINDS) if not kind.obvious]
     points.append(seen.poses[np.isin(seen.kind, promising), :2])
     if heat is not None:
@@ -159,7 +159,7 @@ def _keep_clear(answer: PlacementResult) -> list[Float[np.ndarray, "2 2"]]:
     shapes = [answer.start[None, :2]]
     robot = answer.prepared.robot
     if plan.base_pose is not None:
-        shapes = list(footprints(robot, np.array([answer.start, plan.base_pose])))
+        shapes = list(place_points(np.array([answer.start, plan.base_pose]), robot.footprint))
     path = _waypoints(answer)[:, :2]
     shapes += [path[k : k + 2] for k in range(len(path))]
     shapes += _part(answer, 0) + _part(answer, -1)

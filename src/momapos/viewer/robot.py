@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from momapos.geometry.planar import place_points
 from momapos.geometry.transforms import apply, pose, pose_planar
 from momapos.kinematics.chain import forward, stand_at_origin
-from momapos.placement.area import footprints
 from momapos.robots.robot import Robot
 from momapos.viewer.outlines import draw_union, outline
 from momapos.viewer.palette import ARM, INK
@@ -23,7 +23,7 @@ def draw_footprint(
     """Draw where the base stands, and which way it looks."""
     from matplotlib.patches import Polygon
 
-    xy = footprints(robot, np.asarray(base, float)[None])[0]
+    xy = place_points(np.asarray(base, float)[None], robot.footprint)[0]
     opacity, width, dashes = (0.55, 1.0, (0, (3.5, 2))) if dashed else (0.72, 1.6, "solid")
     shape = Polygon(
         xy, facecolor=(1, 1, 1, opacity), edgecolor=INK, linewidth=width, linestyle=dashes,

@@ -43,13 +43,13 @@ class Exits:
     parent: Int[np.ndarray, " n"]
     """The pose before each on the way from the root; -1 for the root."""
 
-    def way(self, index: int) -> Float[np.ndarray, "k 3"]:
+    def path(self, index: int) -> Float[np.ndarray, "k 3"]:
         """Poses from the root to one of them, without the root."""
-        way = []
+        path = []
         while index > 0:
-            way.append(self.poses[index])
+            path.append(self.poses[index])
             index = int(self.parent[index])
-        return np.array(way[::-1]).reshape(-1, 3)
+        return np.array(path[::-1]).reshape(-1, 3)
 
     def near_root(self) -> np.ndarray:
         """Which poses are the root or next to it, where the smaller gap will do."""

@@ -16,9 +16,9 @@ from momapos.errors import UrdfError
 from momapos.execution.config import ExecutionConfig
 from momapos.execution.dynamics import read_dynamics, volume
 from momapos.execution.furniture import Resistance
-from momapos.execution.machine import body_of, find_fingers
 from momapos.execution.shapes import Kind, masks
-from momapos.execution.world import World, build_world
+from momapos.execution.simulated_robot import body_of, find_fingers
+from momapos.execution.simulation import Simulation, build_simulation
 from momapos.geometry.transforms import invert, pose_planar
 from momapos.kinematics.urdf import Geometry
 from momapos.robots.robot import Robot
@@ -29,12 +29,12 @@ BASE = (1.9, -1.6, 1.5)
 LIGHT = Resistance(mass=5.0, friction=0.1, damping=0.1, pull=0.0)
 
 
-def world_of(robot: Robot, **options: object) -> World:
+def world_of(robot: Robot, **options: object) -> Simulation:
     """A robot in the small kitchen, in front of its fridge."""
     scene, task = load_scene("kitchen_small"), Task("open", "fridge", "door_hinge", 1.0)
     dynamics = read_dynamics(robot.model.urdf.path)  # type: ignore[arg-type]
     config = ExecutionConfig(**options)  # type: ignore[arg-type]
-    return build_world(scene, robot, BASE, robot.home[None], task, dynamics, LIGHT, config)
+    return build_simulation(scene, robot, BASE, robot.home[None], task, dynamics, LIGHT, config)
 
 
 def test_links_are_where_the_urdf_has_them(robot: Robot) -> None:

@@ -26,7 +26,7 @@ BEARING = -1e-3
 
 
 @dataclass(frozen=True)
-class Passage:
+class PartSweepCheck:
     """A part, the room, and which of their shapes may meet how deep."""
 
     part: Part
@@ -83,7 +83,9 @@ class Passage:
         return f"at {v} deg on its way from {a} to {b} deg"
 
 
-def passage_of(part: Part, fixed: Shapes, own: Bool[np.ndarray, " k"], limits: Limits) -> Passage:
+def part_sweep_check(
+    part: Part, fixed: Shapes, own: Bool[np.ndarray, " k"], limits: Limits
+) -> PartSweepCheck:
     """Find out what a part touches in the scene.
 
     Args:
@@ -104,4 +106,4 @@ def passage_of(part: Part, fixed: Shapes, own: Bool[np.ndarray, " k"], limits: L
     pairs = np.delete(pairs, ours[state >= 0], axis=0)
     floor = limits.penetration - limits.deeper
     depth, _ = depths(part.start, pairs, floor)
-    return Passage(part, fixed, pairs, depth - floor, limits)
+    return PartSweepCheck(part, fixed, pairs, depth - floor, limits)

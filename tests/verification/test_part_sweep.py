@@ -14,7 +14,7 @@ from momapos.kinematics.urdf import read_urdf
 from momapos.scene.files import load_scene
 from momapos.types import Motion, Task
 from momapos.verification.convex import overlap
-from momapos.verification.exact import ExactWorld
+from momapos.verification.exact import PlanVerifier
 from momapos.verification.files import UrdfArm
 from momapos.verification.report import DEFAULT, Check, Limits
 
@@ -24,12 +24,12 @@ FLUSH = [0.02, 0.3, 0.78]
 """A panel beside the door: its edge is the door's, on the side away from the hinge."""
 
 
-def world_of(folder: Path, case: Case, task: Task = DOOR, limits: Limits = DEFAULT) -> ExactWorld:
+def world_of(folder: Path, case: Case, task: Task = DOOR, limits: Limits = DEFAULT) -> PlanVerifier:
     case.write(folder)
     arm = UrdfArm(
         Articulated(read_urdf(folder / "robot.urdf")), "base", "tool", JOINTS, frozenset()
     )
-    return ExactWorld(load_scene(folder / "scene.json"), arm, task, limits)
+    return PlanVerifier(load_scene(folder / "scene.json"), arm, task, limits)
 
 
 def opening() -> Motion:
@@ -37,7 +37,7 @@ def opening() -> Motion:
     return Motion(approach, q, values, tool_poses(values))
 
 
-def verdict(world: ExactWorld, motion: Motion) -> Check:
+def verdict(world: PlanVerifier, motion: Motion) -> Check:
     return next(c for c in world.check(BASE, motion).checks if c.name == CHECK)
 
 

@@ -37,7 +37,7 @@ class Arm(Protocol):
 
 
 @dataclass(frozen=True)
-class Machine:
+class RobotCollisionModel:
     """A robot, ready to be put into many states."""
 
     bodies: Bodies
@@ -70,23 +70,25 @@ class Machine:
         return T_tool, self.base.placed(Ts[:1]), self.arm.placed(Ts)
 
 
-def machine_of(arm: Arm) -> Machine:
+def robot_collision_model(arm: Arm) -> RobotCollisionModel:
     """Prepare a robot.
 
     Raises:
         UnknownNameError, RobotError: The robot has no such link or joint, or a joint twice.
     """
-    return _machine(arm.model, arm.base_link, arm.tool_link, tuple(arm.arm_joints), arm.disabled)
+    return _robot_collision_model(
+        arm.model, arm.base_link, arm.tool_link, tuple(arm.arm_joints), arm.disabled
+    )
 
 
 @lru_cache(maxsize=8)
-def _machine(
+def _robot_collision_model(
     model: Articulated,
     base_link: str,
     tool_link: str,
     arm_joints: tuple[str, ...],
     disabled: frozenset[frozenset[str]],
-) -> Machine:
+) -> RobotCollisionModel:
     bodies, shapes = prepared(model)
     name = model.urdf.name
     for link in (base_link, tool_link):
@@ -101,7 +103,7 @@ def _machine(
     moved = of_bodies(shapes, moving)
     base = np.setdiff1d(np.arange(len(shapes)), moved)
     pairs = _self_pairs(bodies, shapes, moved, disabled)
-    return Machine(
+    return RobotCollisionModel(
         bodies=bodies,
         joints=arm_joints,
         lower=np.array([joint.lower for joint in joints]),

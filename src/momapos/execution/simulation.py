@@ -13,18 +13,25 @@ from momapos.errors import InputError
 from momapos.execution.config import ExecutionConfig
 from momapos.execution.dynamics import Dynamics
 from momapos.execution.furniture import PART, Resistance, add_part, add_room
-from momapos.execution.machine import BASE_JOINTS, TOOL_POINT, Finger, add_robot, body_of, tune
 from momapos.execution.shapes import ROBOT, Kind, matrix_quat
+from momapos.execution.simulated_robot import (
+    BASE_JOINTS,
+    TOOL_POINT,
+    Finger,
+    add_robot,
+    body_of,
+    tune,
+)
 from momapos.geometry.transforms import invert
 from momapos.robots.robot import Robot
-from momapos.scene.scene import Scene
+from momapos.scene.scene import Scene, SceneObject
 from momapos.types import Task
 
 WELD = "hold"
 
 
 @dataclass(frozen=True, eq=False)
-class World:
+class Simulation:
     """A compiled world; its state is in `data`."""
 
     model: Any
@@ -90,6 +97,18 @@ class World:
         """Open the weld."""
         self.data.eq_active[self.weld] = 0
 
+    def push(self) -> Float[np.ndarray, "3"]:
+        """Force of the hand on the part, world frame [N]: in the weld, or of the fingers."""
+        if self.data.eq_active[self.weld]:
+            return np.array(-self.data.efc_force[:3])
+        total, wrench = np.zeros(3), np.empty(6)
+        kinds = self.kinds[self.data.contact.geom]
+        for i in np.flatnonzero((kinds[:, 0] | kinds[:, 1]) == (Kind.GRIPPER | Kind.PART)).tolist():
+            mujoco.mj_contactForce(self.model, self.data, i, wrench)
+            force = self.data.contact.frame[i].reshape(3, 3).T @ wrench[:3]  # on the second geom
+            total += force if kinds[i, 1] == Kind.PART else -force
+        return total
+
     def hold_load(self) -> tuple[float, float]:
         """Force [N] and torque [Nm] in the weld; zero where it is open."""
         if not self.data.eq_active[self.weld]:
@@ -99,7 +118,7 @@ class World:
         return float(np.linalg.norm(load[:3])), float(np.linalg.norm(load[3:])) / 2
 
 
-def build_world(
+def build_simulation(
     scene: Scene,
     robot: Robot,
     base_pose: tuple[float, float, float],
@@ -108,11 +127,12 @@ def build_world(
     dynamics: Dynamics,
     resistance: Resistance,
     config: ExecutionConfig,
-) -> World:
+) -> Simulation:
     """Build the world of a run, with the arm at the first of some states.
 
-    Furniture that touches the part in the scene, and links of the robot that touch where its
-    joints rest, do so by design or for want of exact models: these pairs are left out.
+    Furniture that touches the part in the scene, elements of the part's own object that touch it
+    where it is closed, and links of the robot that touch where its joints rest, do so by design or
+    for want of exact models: these pairs are left out.
 
     Args:
         scene: The room.
@@ -133,10 +153,15 @@ def build_world(
     add_part(spec, scene, task, resistance, config)
     fingers = add_robot(spec, robot, base_pose, dynamics, config)
     _add_weld(spec, robot, config)
-    value = None if task.joint is None else scene.object(task.object).values()[task.joint]
+    item = scene.object(task.object)
+    value = None if task.joint is None else item.values()[task.joint]
     try:
         model = spec.compile()
         touching = _touching(model, _values(model, {PART: value}), config)
+        if task.joint is not None:
+            closed = _values(model, {PART: item.model.rest[task.joint]})
+            touching += _bearings(_touching(model, closed, config), item)
+        touching = list(dict.fromkeys(touching))
         for one, other in touching:
             spec.add_exclude(bodyname1=one, bodyname2=other)
         model = spec.compile()
@@ -209,6 +234,14 @@ def _touching(model: Any, data: Any, config: ExecutionConfig) -> list[tuple[str,
     return list(dict.fromkeys(pairs))
 
 
+def _bearings(pairs: list[tuple[str, str]], item: SceneObject) -> list[tuple[str, str]]:
+    """Those pairs that are of the part and an element of its own object."""
+    own = {f"{item.name}/{link}" for link in item.model.links}
+    return [
+        pair for pair in pairs if PART in pair and any(n.rpartition("#")[0] in own for n in pair)
+    ]
+
+
 def _near_pairs(model: Any, data: Any, gap: float) -> list[tuple[int, int]]:
     kept = model.geom_gap.copy()
     model.geom_gap[:] = gap
@@ -233,7 +266,7 @@ def _index(
     robot: Robot,
     fingers: tuple[Finger, ...],
     loose: tuple[str, ...],
-) -> World:
+) -> Simulation:
     def addresses(names: tuple[str, ...], key: str) -> Int[np.ndarray, " n"]:
         return np.array([int(getattr(model.joint(name), key)[0]) for name in names])
 
@@ -241,7 +274,7 @@ def _index(
         return np.array([model.actuator(name).id for name in names])
 
     names = [model.geom(i).name.split("#")[0] for i in range(model.ngeom)]
-    return World(
+    return Simulation(
         model=model,
         data=data,
         kinds=kinds_of(model),
