@@ -9,9 +9,25 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 
+LONGEST = 500
+"""Messages have at most so many characters; what is cut is the middle."""
+
+
+def one_line(text: str) -> str:
+    """A message as one line that a terminal can show: no control characters, not endless."""
+    if len(text) > 8 * LONGEST:  # what a file says may be millions of characters
+        text = f"{text[: 4 * LONGEST]} ... {text[-4 * LONGEST :]}"
+    text = "".join(c if c.isprintable() else "?" for c in " ".join(text.split()))
+    if len(text) <= LONGEST:
+        return text
+    return f"{text[: LONGEST * 3 // 5]} ... {text[-LONGEST // 3 :]}"
+
 
 class MomaposError(Exception):
-    """Base of all errors raised on purpose."""
+    """Base of all errors raised on purpose; its message is one line, whatever it quotes."""
+
+    def __str__(self) -> str:
+        return one_line(super().__str__())
 
 
 class InputError(MomaposError):

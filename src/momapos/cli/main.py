@@ -80,11 +80,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         print("momapos: interrupted", file=sys.stderr)
         return 130
     except Exception as error:
-        from momapos.errors import MomaposError
+        from momapos.errors import MomaposError, one_line
 
         if not isinstance(error, MomaposError | OSError):
             raise
-        print(f"momapos: {' '.join(str(error).split())}", file=sys.stderr)
+        print(f"momapos: {one_line(str(error))}", file=sys.stderr)
         return 2
 
 
