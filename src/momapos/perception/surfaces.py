@@ -12,9 +12,10 @@ from jaxtyping import Float
 from scipy.spatial import ConvexHull
 
 from momapos.errors import UrdfError
+from momapos.files import read_xml
 from momapos.geometry.transforms import apply
 from momapos.kinematics.meshes import mesh_bytes, parse_mesh
-from momapos.kinematics.urdf import Geometry
+from momapos.kinematics.urdf import MAX_URDF_BYTES, Geometry
 from momapos.scene.library.writer import COLOURS
 
 Paint = tuple[float, float, float] | None
@@ -177,9 +178,7 @@ def urdf_paints(path: Path | None) -> dict[str, list[Paint]]:
     """
     if path is None:
         return {}
-    from defusedxml import ElementTree
-
-    robot = ElementTree.parse(path, forbid_dtd=True).getroot()
+    robot: Any = read_xml(path, MAX_URDF_BYTES, error=UrdfError)
     named = {m.get("name"): _rgba(m) for m in robot.iter("material") if m.find("color") is not None}
     return {
         link.get("name"): [

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from momapos.errors import FileFormatError, UrdfError
+from momapos.files import read_text_bounded, read_xml
 from momapos.kinematics.urdf import MAX_LINKS, MAX_URDF_BYTES
 from momapos.reconstruction.urdformer import GRIPS, KINDS, SLOTS, Rectangle, around
 from momapos.types import Part
@@ -37,12 +38,7 @@ def read_part_boxes(path: Path) -> Float[np.ndarray, "n 4"]:
         FileFormatError: The file cannot be used; the message says why.
     """
     try:
-        if path.stat().st_size > MAX_BOXES_BYTES:
-            limit = MAX_BOXES_BYTES // 10**6
-            raise FileFormatError(f"{path}: larger than a list of part boxes can be ({limit} MB)")
-        content = json.loads(path.read_text(encoding="utf-8", errors="replace"))
-    except OSError as error:
-        raise FileFormatError(f"{path}: cannot be read ({error.strerror})") from error
+        content = json.loads(read_text_bounded(path, MAX_BOXES_BYTES))
     except (ValueError, RecursionError) as error:
         raise FileFormatError(f"{path}: damaged JSON ({error})") from error
     rows = content.get(BOXES_KEY) if isinstance(content, dict) else None
@@ -126,18 +122,7 @@ def _is_box(row: object) -> bool:
 
 
 def _parse(path: Path) -> Element:
-    from defusedxml import DefusedXmlException, ElementTree
-
-    try:
-        if path.stat().st_size > MAX_URDF_BYTES:
-            raise UrdfError(f"{path}: larger than {MAX_URDF_BYTES // 1_000_000} MB")
-        robot = ElementTree.fromstring(path.read_bytes(), forbid_dtd=True)
-    except OSError as error:
-        raise UrdfError(f"{path}: cannot be read ({error.strerror})") from error
-    except DefusedXmlException as error:
-        raise UrdfError(f"{path}: DTDs and entities are not allowed in a URDF") from error
-    except (ElementTree.ParseError, ValueError) as error:
-        raise UrdfError(f"{path}: not well-formed XML ({error})") from error
+    robot = read_xml(path, MAX_URDF_BYTES, error=UrdfError)
     if robot.tag != "robot" or len(robot) > 2 * MAX_LINKS:
         raise UrdfError(f"{path}: not a <robot> of at most {MAX_LINKS} links")
     return robot
