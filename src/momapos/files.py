@@ -31,8 +31,6 @@ def open_regular(
         # Looked at before it is opened: opening a fifo waits, opening a device may act on it.
         _refuse_special(os.stat(path), path, limit, error)
         file = os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb")
-    except FileNotFoundError as missing:
-        raise error(f"{path}: no such file") from missing
     except OSError as reason:
         raise error(f"{path}: cannot be read ({reason.strerror})") from reason
     except ValueError as reason:  # a NUL in the name

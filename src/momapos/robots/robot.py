@@ -30,7 +30,7 @@ MAX_TOML_BYTES = 20_000
 MAX_SRDF_BYTES = 5_000_000
 MAX_OUTLINE = 1_000
 """Corners of a footprint [-]."""
-MAX_REACH = 20.0
+MAX_REACH = 5.0
 """Reach of an arm [m]; maps and grids grow with its cube."""
 Drive = Literal["differential", "omni"]
 
