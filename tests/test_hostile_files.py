@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -48,8 +49,12 @@ def urdf(body: str) -> str:
     return f'<robot name="r">{body}</robot>'
 
 
+def shape_of(text: str) -> str:
+    return f"<collision><geometry>{text}</geometry></collision>"
+
+
 def shape(text: str) -> str:
-    return urdf(f'<link name="a"><collision><geometry>{text}</geometry></collision></link>')
+    return urdf(f'<link name="a">{shape_of(text)}</link>')
 
 
 def joint(text: str, name: str = "j", parent: str = "a", child: str = "b") -> str:
@@ -104,6 +109,15 @@ URDFS: dict[str, tuple[str, str]] = {
     "name with a line break": (urdf('<link name="a&#10;b"/>'), "name"),
     "too deep": (urdf("<a>" * 100_000 + "</a>" * 100_000), "nested deeper"),
     "too many links": (urdf("".join(f'<link name="{i}"/>' for i in range(6000))), "5000"),
+    "many collisions": (
+        urdf('<link name="a">' + shape_of('<sphere radius="1"/>') * 30_000 + "</link>"),
+        "2000",
+    ),
+    "collision without geometry": (urdf('<link name="a"><collision/></link>'), "no <geometry>"),
+    "optenv in optenv": (urdf('<link name="' + "$(optenv X " * 500_000 + '"/>'), "name"),
+    "optenv and spaces": (urdf('<link name="$(optenv ' + " " * 5_000_000 + '"/>'), "name"),
+    "an unknown encoding": ("<?xml version='1.0' encoding='utf-7'?>" + urdf(""), "no links"),
+    "another encoding": ("<?xml version='1.0' encoding='utf-16'?>" + urdf(""), "no links"),
     "endless optenv": (urdf('<link name="$(optenv X ' + "a" * 2_000_000 + '"/>'), "name"),
     "missing mesh": (shape('<mesh filename="gone.stl"/>'), "'gone.stl' does not exist"),
     "mesh outside": (shape('<mesh filename="../secret.stl"/>'), "leaves"),
@@ -176,6 +190,7 @@ def room(tmp_path: Path) -> Path:
     (tmp_path / "secret.stl").write_text("solid secret\nendsolid secret\n")
     (folder / "door").symlink_to(tmp_path, target_is_directory=True)
     (folder / "circle").symlink_to(folder / "circle")
+    os.mkfifo(folder / "pipe")
     meshes = {
         "good.obj": "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n",
         "empty.obj": "# nothing\n",
@@ -354,6 +369,13 @@ def test_names_that_do_not_exist_offer_the_nearest(room: Path) -> None:
         (("[0, 1, 0]", "[1, 0, 0]"), ["perpendicular"]),
         (("[0, 1, 0]", "[0, 0, 0]"), ["closing_axis"]),
         (('"r.urdf"', '"gone.urdf"'), ["gone.urdf"]),
+        (('"r.urdf"', '"a\\u0000b"'), ["looked up"]),
+        (('"r.urdf"', '"circle/r.urdf"'), ["circle"]),
+        (('"r.urdf"', '"pipe"'), ["fifo"]),
+        (("home = [0.0, 0.0]", f"home = [0, 1{'0' * 400}]"), ["home must be numbers"]),
+        (("home = [0.0, 0.0]", f"home = [0, 1{'0' * 5000}]"), ["TOML"]),
+        (('"differential"', f'"omni"\nmax_speed = 1{"0" * 400}'), ["max_speed"]),
+        (("[[-0.1, -0.1],", "[[-0.1, 1e300],"), ["footprint"]),
         (('name = "r"', "name = "), ["TOML"]),
         (('name = "r"', '{"name": "r"}'), ["TOML"]),
     ],
@@ -380,12 +402,38 @@ def test_a_robot_file_that_contradicts_itself_is_refused(
         b"<robot/>",
         b"{}",
         b"a = " + b"[" * 50_000,
+        b"a." * 400_000 + b"a = 1",
+        b"a = 1" + b"0" * 5000,
     ],
 )
 def test_a_damaged_robot_file_is_refused(room: Path, content: bytes) -> None:
     path = room / "r.toml"
     path.write_bytes(content)
     refused(room, lambda: load_robot(path), str(path))
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"<?xml version='1.0' encoding='utf-7'?><robot>",
+        "<?xml version='1.0' encoding='utf-8'?><robot/>".encode("utf-16"),
+        b"<!DOCTYPE r [<!ENTITY e 'x'>]><robot>&e;</robot>",
+        b"<robot>" + b" " * 5_000_000 + b"</robot>",
+        b"\x00",
+        b"",
+    ],
+)
+def test_a_damaged_srdf_is_refused(room: Path, content: bytes) -> None:
+    (room / "r.urdf").write_text(ROBOT_URDF)
+    (room / "r.toml").write_text(ROBOT_TOML)
+    (room / "r.srdf").write_bytes(content)
+    refused(room, lambda: load_robot(room / "r.toml"), str(room / "r.srdf"))
+
+
+def test_an_arm_of_kilometres_is_refused(room: Path) -> None:
+    (room / "r.urdf").write_text(ROBOT_URDF.replace('"0.4 0 0"', '"4000 0 0"'))
+    (room / "r.toml").write_text(ROBOT_TOML)
+    refused(room, lambda: load_robot(room / "r.toml"), "metres")
 
 
 @pytest.mark.parametrize("name", ["fetsh", "gone.toml", "r.urdf", "x" * 5000])

@@ -16,7 +16,11 @@ from pathlib import Path
 
 import numpy as np
 
+from momapos.errors import FileFormatError
+from momapos.files import read_bytes_bounded
+
 log = logging.getLogger(__name__)
+MAX_ENTRY_BYTES = 500_000_000
 _MAGIC = b"momapos-cache 1\n"
 _KEY = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,199}")
 
@@ -98,9 +102,12 @@ class Cache:
     def get(self, key: str) -> bytes | None:
         """Content of an entry, or None where there is none that is whole."""
         path = self.path(key)
+        if not path.exists():
+            return None
         try:
-            data = path.read_bytes()
-        except OSError:
+            data = read_bytes_bounded(path, MAX_ENTRY_BYTES)
+        except FileFormatError as error:
+            log.warning("%s; ignored", error)
             return None
         head = len(_MAGIC) + 32
         body = data[head:]

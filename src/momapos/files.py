@@ -6,9 +6,12 @@ import os
 import stat
 from collections.abc import Sequence
 from pathlib import Path
-from typing import BinaryIO
+from typing import TYPE_CHECKING, BinaryIO
 
 from momapos.errors import FileFormatError, InputError, MomaposError
+
+if TYPE_CHECKING:
+    from xml.etree.ElementTree import Element
 
 
 def open_regular(
@@ -64,6 +67,47 @@ def read_bytes_bounded(
     if len(data) > limit:  # it grew meanwhile
         raise error(_too_large(path, limit))
     return data
+
+
+def read_xml(path: Path, limit: int, *, error: type[MomaposError] = FileFormatError) -> Element:
+    """Read an XML file as UTF-8, whatever it declares; no DTDs, no entities.
+
+    Args:
+        path: The file.
+        limit: Largest size [bytes].
+        error: What to raise.
+
+    Raises:
+        MomaposError: As `error`: it cannot be read or is not well-formed.
+    """
+    return parse_xml(read_text_bounded(path, limit, error=error), path, error=error)
+
+
+def read_text_bounded(
+    path: Path, limit: int, *, error: type[MomaposError] = FileFormatError
+) -> str:
+    """Read a text file in UTF-8 as `read_bytes_bounded` does; what is no UTF-8 becomes U+FFFD."""
+    data = read_bytes_bounded(path, limit, error=error)
+    return data.decode("utf-8-sig", errors="replace")
+
+
+def parse_xml(text: str, path: Path, *, error: type[MomaposError] = FileFormatError) -> Element:
+    """Parse XML; no DTDs, no entities.
+
+    Raises:
+        MomaposError: As `error`: it is not well-formed.
+    """
+    from defusedxml import DefusedXmlException, ElementTree
+
+    try:
+        # A text, not bytes: a declared encoding is then passed over, which may be one that
+        # Python does not know.
+        root: Element = ElementTree.fromstring(text, forbid_dtd=True)
+    except DefusedXmlException as reason:
+        raise error(f"{path}: DTDs and entities are not allowed") from reason
+    except (ElementTree.ParseError, ValueError, LookupError) as reason:
+        raise error(f"{path}: not well-formed XML ({reason})") from reason
+    return root
 
 
 def _refuse_special(

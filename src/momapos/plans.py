@@ -17,10 +17,13 @@ from jaxtyping import Float
 
 from momapos.cache import write_atomic
 from momapos.errors import FileFormatError, InputError
+from momapos.files import read_bytes_bounded
 from momapos.types import Candidates, KeyObjects, Motion, PlacementPlan, Status, Task, Verb
 
 FORMAT, VERSION = "momapos-plan", 1
-MAX_BYTES = 200_000_000
+MAX_BYTES = 20_000_000
+"""A plan of 20,000 states, which is what the check takes, has some 10 MB."""
+MAX_HASHED_BYTES = 50_000_000
 MAX_PARENTS = 3
 """Files are named relative to the plan up to this many folders above it."""
 
@@ -94,11 +97,8 @@ def write_plan(plan: PlacementPlan, path: Path) -> None:
 
 
 def _sha256(path: Path) -> str:
-    try:
-        with path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
+    data = read_bytes_bounded(path, MAX_HASHED_BYTES, error=InputError)
+    return hashlib.sha256(data).hexdigest()
 
 
 def _portable(name: str, plan: Path, what: str) -> str:
@@ -243,16 +243,9 @@ def check_unchanged(path: Path, scene: Path, urdf: Path) -> None:
 
 
 def _content(path: Path) -> bytes:
-    if not path.is_file():
+    if not _is_file(path):
         raise FileFormatError(f"{path}: no such plan file")
-    try:
-        if path.stat().st_size > MAX_BYTES:
-            raise FileFormatError(
-                f"{path}: larger than a plan can be ({MAX_BYTES // 1_000_000} MB)"
-            )
-        content = path.read_bytes().removeprefix(b"\xef\xbb\xbf")
-    except OSError as error:
-        raise FileFormatError(f"{path}: cannot be read ({error.strerror})") from error
+    content = read_bytes_bounded(path, MAX_BYTES).removeprefix(b"\xef\xbb\xbf")
     if not content.strip():
         raise FileFormatError(f"{path}: is empty; a plan is a JSON object")
     return content
@@ -327,11 +320,14 @@ def _key_objects(data: _Importance | None) -> KeyObjects | None:
 
 
 def _located(name: str, folder: Path) -> str:
+    return os.path.normpath(folder / name) if _is_file(folder / name) else name
+
+
+def _is_file(path: Path) -> bool:
     try:
-        exists = (folder / name).is_file()
-    except OSError:  # a name that no file can have
-        exists = False
-    return os.path.normpath(folder / name) if exists else name
+        return path.is_file()
+    except (OSError, ValueError):  # a name that no file can have
+        return False
 
 
 def _motion(data: _Plan, path: Path) -> Motion | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import tracemalloc
 from collections.abc import Callable
 from dataclasses import fields, replace
 from pathlib import Path
@@ -173,6 +174,18 @@ def test_a_file_too_large_is_not_read(tmp_path: Path, monkeypatch: pytest.Monkey
     monkeypatch.setattr("momapos.plans.MAX_BYTES", 100)
     with pytest.raises(FileFormatError, match="larger"):
         read_plan(make_case().write(tmp_path))
+
+
+def test_a_plan_that_jumps_is_refused_before_it_is_laid_out(tmp_path: Path) -> None:
+    for jump in (1e3, 9e5):
+        case = make_case()
+        case.plan["manipulation"]["object_q"][1] = jump
+        tracemalloc.start()
+        report = verify_files(case.write(tmp_path))
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        assert [check.name for check in report.violations] == ["states to check"]
+        assert peak < 50_000_000
 
 
 def test_the_command_tells_valid_from_invalid_from_unusable(

@@ -12,9 +12,10 @@ import numpy as np
 from jaxtyping import Float
 
 from momapos.errors import UrdfError
+from momapos.files import read_xml
 from momapos.geometry.transforms import pose_rpy
 from momapos.kinematics.hulls import hull_of
-from momapos.kinematics.urdf import Geometry
+from momapos.kinematics.urdf import MAX_URDF_BYTES, Geometry
 
 _MATRIX = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 
@@ -47,12 +48,7 @@ def read_dynamics(path: Path) -> Dynamics:
     Raises:
         UrdfError: A mass or an effort is no usable number.
     """
-    from defusedxml import ElementTree
-
-    try:
-        root = ElementTree.fromstring(path.read_bytes(), forbid_dtd=True)
-    except ElementTree.ParseError as error:
-        raise UrdfError(f"{path}: not well-formed XML ({error})") from error
+    root: Any = read_xml(path, MAX_URDF_BYTES, error=UrdfError)
     inertias = {}
     for link in root.iter("link"):
         inertial = link.find("inertial")

@@ -7,9 +7,7 @@ physics engines); the boxes are what the batched kernels test.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -17,10 +15,9 @@ from scipy.spatial import ConvexHull, QhullError
 
 from momapos.errors import UrdfError
 from momapos.geometry.transforms import apply
+from momapos.kinematics.meshes import mesh_points
 from momapos.kinematics.urdf import Geometry
 
-MAX_MESH_BYTES = 200_000_000
-MESH_SUFFIXES = (".obj", ".stl", ".dae", ".ply", ".off", ".glb")
 SLACK = 1.25
 """A covering box may hold this many times the volume of its piece of hull [-]."""
 FLAT = 1e-3
@@ -73,7 +70,7 @@ def hull_of(geometry: Geometry, link: str = "") -> Hull:
     """
     if geometry.kind == "mesh":
         assert geometry.mesh is not None
-        points = _mesh_points(geometry.mesh) * np.array(geometry.size)
+        points = mesh_points(geometry.mesh) * np.array(geometry.size)
     else:
         points = _primitive_points(geometry)
     vertices, faces = _convex(points, geometry.mesh)
@@ -97,43 +94,6 @@ def _primitive_points(geometry: Geometry) -> Float[np.ndarray, "n 3"]:
     import trimesh
 
     return np.array(trimesh.creation.icosphere(2, geometry.size[0] * 1.02).vertices)
-
-
-@lru_cache(maxsize=4096)
-def _mesh_points_cached(path: Path, _stamp: int) -> Float[np.ndarray, "n 3"]:
-    import trimesh
-
-    if path.stat().st_size > MAX_MESH_BYTES:
-        raise UrdfError(f"{path}: mesh is larger than {MAX_MESH_BYTES // 1_000_000} MB")
-    if path.suffix.lower() not in MESH_SUFFIXES:
-        raise UrdfError(f"{path}: not a mesh that can be read; use {', '.join(MESH_SUFFIXES)}")
-    if path.suffix.lower() == ".obj":
-        # Vertices alone: materials and textures are neither needed nor trusted.
-        lines = path.read_text(errors="replace").splitlines()
-        try:
-            rows = [[*map(float, x.split()[1:4])] for x in lines if x.startswith("v ")]
-            points = np.array(rows, float).reshape(-1, 3)
-        except ValueError as error:
-            raise UrdfError(f"{path}: not a usable OBJ mesh ({error})") from error
-    else:
-        try:
-            mesh: Any = trimesh.load(path, force="mesh")
-            points = np.array(mesh.vertices, float)
-        except Exception as error:  # trimesh raises whatever its many readers met
-            reason = " ".join(str(error).split())
-            raise UrdfError(f"{path}: not a usable mesh ({reason})") from error
-    if len(points) == 0:
-        raise UrdfError(f"{path}: the mesh is empty")
-    if not np.isfinite(points).all():
-        raise UrdfError(f"{path}: the mesh holds NaN or infinite vertices")
-    if np.abs(points).max() > 1e7:
-        far = np.abs(points).max()
-        raise UrdfError(f"{path}: the mesh has a vertex at {far:g}; is it damaged?")
-    return points
-
-
-def _mesh_points(path: Path) -> Float[np.ndarray, "n 3"]:
-    return _mesh_points_cached(path, path.stat().st_mtime_ns)
 
 
 def _convex(points: Float[np.ndarray, "n 3"], path: Path | None) -> tuple[np.ndarray, np.ndarray]:

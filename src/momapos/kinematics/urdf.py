@@ -14,15 +14,19 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
+from xml.etree.ElementTree import Element, tostring
 
 import numpy as np
 from jaxtyping import Float
 
 from momapos.errors import UrdfError
+from momapos.files import parse_xml, read_text_bounded
 
 JointKind = Literal["revolute", "continuous", "prismatic", "fixed"]
 MAX_URDF_BYTES = 20_000_000
 MAX_LINKS = 5_000
+MAX_SHAPES = 2_000
+"""Collision elements of a URDF, and visual ones [-]; detailed furniture has some 150."""
 MAX_SIZE = 1e4
 """Edge, radius or length of a shape may be this at most [m]; distances too."""
 MAX_DEPTH = 50
@@ -37,7 +41,15 @@ _SHAPES = {
     "mesh": ("filename",),
 }  # fmt: skip
 """The shapes of a URDF and the attributes that each must have."""
-_OPTENV = re.compile(r"\$\(optenv\s{1,20}[^\s)]{1,200}\s{0,20}([^)]{0,500})\)")
+_PARTS: dict[str, tuple[str, ...]] = {
+    "robot": ("link", "joint"), "link": ("collision", "visual"),
+    "collision": ("origin", "geometry"), "visual": ("origin", "geometry"),
+    "geometry": tuple(_SHAPES), "joint": ("parent", "child", "origin", "axis", "limit"),
+}  # fmt: skip
+"""The elements that are used, by the one that holds them."""
+_ATTRIBUTES = {*_COUNTS, "name", "type", "link", "filename"}
+"""The attributes that are used."""
+_OPTENV = re.compile(r"\$\(optenv\s([^()]{0,1000}+)\)")
 
 
 @dataclass(frozen=True)
@@ -111,8 +123,7 @@ def read_urdf(path: Path, *, root: Path | None = None, scale: float = 1.0) -> Ur
     Raises:
         UrdfError: The file cannot be used; the message says where and why.
     """
-    text = _read_text(path)
-    robot = _parse(text, path)
+    robot = _parse(_read_tree(path), path)
     reader = _Reader(path, root, scale)
     links = {link.name: reader.link(link) for link in robot.links}
     if len(links) != len(robot.links):
@@ -129,32 +140,32 @@ def box_urdf(name: str, size: tuple[float, float, float]) -> Urdf:
     return Urdf(name, None, "box", {"box": Link("box", (shape,), (shape,))}, ())
 
 
-def _read_text(path: Path) -> str:
-    from defusedxml import DefusedXmlException, ElementTree
-
-    if not path.is_file():
+def _read_tree(path: Path) -> Element:
+    if not path.exists():
         raise UrdfError(f"{path}: no such URDF file")
-    if path.stat().st_size > MAX_URDF_BYTES:
-        raise UrdfError(f"{path}: larger than {MAX_URDF_BYTES // 1_000_000} MB; is it a URDF?")
-    text = _OPTENV.sub(r"\1", path.read_text(encoding="utf-8", errors="replace"))
-    try:
-        tree = ElementTree.fromstring(text.encode(), forbid_dtd=True)
-    except DefusedXmlException as error:
-        raise UrdfError(f"{path}: DTDs and entities are not allowed in a URDF") from error
-    except ElementTree.ParseError as error:
-        raise UrdfError(f"{path}: not well-formed XML ({error})") from error
+    text = read_text_bounded(path, MAX_URDF_BYTES, error=UrdfError)
+    tree = parse_xml(_OPTENV.sub(_default, text), path, error=UrdfError)
     if tree.tag != "robot":
         raise UrdfError(f"{path}: the root element is <{tree.tag}>, a URDF has <robot>")
     _check_tree(path, tree)
-    return text
+    return tree
 
 
-def _check_tree(path: Path, tree: Any) -> None:
+def _default(optenv: re.Match[str]) -> str:
+    """What `$(optenv NAME DEFAULT)` says where NAME is not set, which here it never is."""
+    words = optenv[1].split(None, 1)
+    return words[1] if len(words) == 2 else ""
+
+
+def _check_tree(path: Path, tree: Element) -> None:
     """Refuse what a parser would choke on or, worse, take in silence."""
     if not tree.get("name"):
         raise UrdfError(f"{path}: <robot> has no name")
     if len(tree.findall("link")) > MAX_LINKS or len(tree.findall("joint")) > MAX_LINKS:
         raise UrdfError(f"{path}: more than {MAX_LINKS} links")
+    for kind in ("collision", "visual"):
+        if len(tree.findall(f"link/{kind}")) > MAX_SHAPES:
+            raise UrdfError(f"{path}: more than {MAX_SHAPES} {kind} elements; use simpler shapes")
     level = [tree]
     for _ in range(MAX_DEPTH):
         level = [child for element in level for child in element]
@@ -177,6 +188,8 @@ def _check_part(part: Any, where: str) -> None:
     for element in part.iter():
         if element.tag == "geometry":
             _check_geometry(element, where)
+        if element.tag in ("collision", "visual") and element.find("geometry") is None:
+            raise UrdfError(f"{where}: a <{element.tag}> has no <geometry>")
         for key in _COUNTS.keys() & set(element.keys()):
             if element.tag in ("texture", "color"):
                 continue
@@ -215,24 +228,33 @@ def _float(word: str) -> float:
         return math.nan
 
 
-def _parse(text: str, path: Path) -> Any:
+def _parse(tree: Element, path: Path) -> Any:
     import yourdfpy
 
-    plain = re.sub(
-        r'\b(xyz|rpy|size|scale)\s*=\s*"([^"]*)"',
-        lambda m: f'{m[1]}="{m[2].replace(",", " ")}"',
-        text,
-    )
+    robot = Element("robot", name=tree.get("name", ""))
+    for part in tree:
+        if part.tag in _PARTS["robot"]:
+            robot.append(_needed(part))
+    text = tostring(robot)
     try:
-        urdf = yourdfpy.URDF.load(
-            io.BytesIO(plain.encode()), build_scene_graph=False, load_meshes=False
-        )
+        urdf = yourdfpy.URDF.load(io.BytesIO(text), build_scene_graph=False, load_meshes=False)
     except Exception as error:  # yourdfpy raises whatever its parser met
-        reason = " ".join(str(error).split())
-        raise UrdfError(f"{path}: not a usable URDF ({reason})") from error
+        raise UrdfError(f"{path}: not a usable URDF ({error})") from error
     if not urdf.robot.links:
         raise UrdfError(f"{path}: has no links")
     return urdf.robot
+
+
+def _needed(element: Element) -> Element:
+    """A part of the tree with what is needed alone, so that no parser meets the rest."""
+    found = Element(element.tag)
+    for key, value in element.items():
+        if key in _ATTRIBUTES:
+            found.set(key, value.replace(",", " ") if key in _COUNTS else value)
+    for child in element:
+        if child.tag in _PARTS.get(element.tag, ()):
+            found.append(_needed(child))
+    return found
 
 
 class _Reader:
@@ -287,7 +309,7 @@ class _Reader:
                     if candidate.is_relative_to(self.root) and candidate.is_file():
                         return candidate
             outside = not (self.folders[0] / relative).resolve().is_relative_to(self.root)
-        except (OSError, RuntimeError) as error:  # too long a name, or links in a circle
+        except (OSError, RuntimeError, ValueError) as error:  # too long, links in a circle, NUL
             raise UrdfError(f"{self.path}: mesh {filename!r:.80} cannot be looked up") from error
         if outside:
             raise UrdfError(

@@ -4,24 +4,33 @@ from __future__ import annotations
 
 import json
 import logging
+import math
+import os
 import struct
 import zlib
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from momapos.cache import Cache, content_key, default_cache_dir
 from momapos.errors import FileFormatError
+from momapos.files import read_bytes_bounded
 from momapos.reachability.construct import Progress, build_map, default_config
 from momapos.reachability.map import ReachConfig, ReachMap
-from momapos.robots.robot import Robot
+from momapos.robots.robot import MAX_REACH, Robot
 
 log = logging.getLogger(__name__)
 VERSION = 2
 """Changes whenever maps are built or stored differently."""
 _MAGIC = b"momapos-reach\n"
-_MAX_VALUES = 500_000_000
+MAX_BYTES = 50_000_000
+"""Maps of arms have some 1 MB."""
+_MAX_VALUES = 200_000_000
+_MAX_HEADER = 10_000
+_MAX_BEARINGS = 64
 _FIELDS = ("low", "cell", "axis_xy", "line_tool", "threshold", "key", "build_seconds")
 
 
@@ -55,53 +64,82 @@ def encode(reach_map: ReachMap) -> bytes:
 def decode(data: bytes) -> ReachMap:
     """Read what `encode` wrote.
 
+    The kernels that look values up trust the shape and the frame, so these are checked here.
+
     Raises:
         FileFormatError: It is not that.
     """
     try:
         if not data.startswith(_MAGIC):
-            raise ValueError("not a reachability map")
+            raise ValueError("it does not begin as one")
         (length,) = struct.unpack_from("<I", data, len(_MAGIC))
         begin = len(_MAGIC) + 4
+        if length > _MAX_HEADER:
+            raise ValueError(f"its header has {length} bytes")
         header = json.loads(data[begin : begin + length])
-        if header["version"] != VERSION:
-            raise ValueError(f"version {header['version']}, this is {VERSION}")
-        shape = tuple(int(n) for n in header["shape"])
-        size = int(np.prod(shape))
-        if len(shape) != 5 or min(shape) < 1 or size > _MAX_VALUES:
-            raise ValueError(f"shape {shape}")
+        if not isinstance(header, dict) or header.get("version") != VERSION:
+            raise ValueError(f"it is not of version {VERSION}")
+        shape = _shape(header)
+        size = math.prod(shape)
         inflate = zlib.decompressobj()
         raw = inflate.decompress(data[begin + length :], size + 1)
         if len(raw) != size or not inflate.eof:
-            raise ValueError("wrong amount of values")
-        axis, line = np.array(header["axis_xy"], float), np.array(header["line_tool"], float)
-        names = ("low", "cell", "threshold", "build_seconds")
-        numbers = np.array([header[name] for name in names], float)
-        finite = all(np.isfinite(part).all() for part in (axis, line, numbers))
-        if axis.shape != (2,) or line.shape != (2, 3) or not finite or numbers[1] <= 0:
-            raise ValueError("frame")
-    except (ValueError, KeyError, TypeError, OverflowError, struct.error, zlib.error) as error:
+            raise ValueError("it does not hold as many values as its header says")
+        return _map(header, np.frombuffer(raw, np.int8).reshape(shape))
+    except (ValueError, RecursionError, struct.error, zlib.error) as error:
         raise FileFormatError(f"not a usable reachability map ({error})") from error
+
+
+def _shape(header: Mapping[str, Any]) -> tuple[int, ...]:
+    shape = header.get("shape")
+    if (
+        not isinstance(shape, list)
+        or len(shape) != 5
+        or not all(type(n) is int and 1 <= n <= _MAX_VALUES for n in shape)
+        or min(shape[:4]) < 2
+        or shape[4] > _MAX_BEARINGS
+        or math.prod(shape) > _MAX_VALUES
+    ):
+        raise ValueError(f"it cannot have the shape {shape!r:.80}")
+    return tuple(shape)
+
+
+def _map(header: Mapping[str, Any], values: np.ndarray) -> ReachMap:
+    def numbers(name: str, shape: tuple[int, ...], most: float) -> np.ndarray:
+        try:
+            array = np.array(header.get(name), float)
+        except (TypeError, ValueError, OverflowError):
+            array = np.array(np.nan)
+        if array.shape != shape or not (np.abs(array) <= most).all():
+            raise ValueError(f"its {name} is no usable number")
+        return array
+
+    cell, line = float(numbers("cell", (), 1.0)), numbers("line_tool", (2, 3), MAX_REACH)
+    if cell < 1e-3 or abs(np.linalg.norm(line[0]) - 1.0) > 1e-6:
+        raise ValueError("its cell or line_tool is no usable number")
+    key = header.get("key")
+    if not isinstance(key, str):
+        raise ValueError("its key is no text")
     return ReachMap(
-        np.frombuffer(raw, np.int8).reshape(shape),
-        float(numbers[0]),
-        float(numbers[1]),
-        axis,
+        values,
+        float(numbers("low", (), 2 * MAX_REACH)),
+        cell,
+        numbers("axis_xy", (2,), 2 * MAX_REACH),
         line,
-        float(numbers[2]),
-        str(header["key"]),
-        float(numbers[3]),
+        float(numbers("threshold", (), 1000.0)),
+        key,
+        float(numbers("build_seconds", (), 1e9)),
     )
 
 
 def shipped(robot: Robot, key: str) -> ReachMap | None:
     """The map that lies beside a robot's file, where there is one and it is of this robot."""
     path = robot.path.with_suffix(".reach")
-    try:
-        found = decode(path.read_bytes())
-    except FileNotFoundError:
+    if not os.path.lexists(path):
         return None
-    except (FileFormatError, OSError) as error:
+    try:
+        found = decode(read_bytes_bounded(path, MAX_BYTES))
+    except FileFormatError as error:
         log.warning("%s: %s; it is not used", path, error)
         return None
     return found if found.key == key else None

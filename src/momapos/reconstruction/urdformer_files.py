@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from momapos.errors import FileFormatError, UrdfError
-from momapos.files import read_bytes_bounded
+from momapos.files import read_text_bounded, read_xml
 from momapos.kinematics.urdf import MAX_LINKS, MAX_URDF_BYTES
 from momapos.reconstruction.urdformer_format import HANDLES, KINDS, SLOTS, Rectangle, around
 from momapos.types import Part
@@ -38,7 +38,7 @@ def read_part_boxes(path: Path) -> Float[np.ndarray, "n 4"]:
         FileFormatError: The file cannot be used; the message says why.
     """
     try:
-        content = json.loads(read_bytes_bounded(path, MAX_BOXES_BYTES))
+        content = json.loads(read_text_bounded(path, MAX_BOXES_BYTES))
     except (ValueError, RecursionError) as error:
         raise FileFormatError(f"{path}: damaged JSON ({error})") from error
     rows = content.get(BOXES_KEY) if isinstance(content, dict) else None
@@ -122,15 +122,7 @@ def _is_box(row: object) -> bool:
 
 
 def _parse(path: Path) -> Element:
-    from defusedxml import DefusedXmlException, ElementTree
-
-    data = read_bytes_bounded(path, MAX_URDF_BYTES, error=UrdfError)
-    try:
-        robot = ElementTree.fromstring(data, forbid_dtd=True)
-    except DefusedXmlException as error:
-        raise UrdfError(f"{path}: DTDs and entities are not allowed in a URDF") from error
-    except (ElementTree.ParseError, LookupError, ValueError) as error:
-        raise UrdfError(f"{path}: not well-formed XML ({error})") from error
+    robot = read_xml(path, MAX_URDF_BYTES, error=UrdfError)
     if robot.tag != "robot" or len(robot) > 2 * MAX_LINKS:
         raise UrdfError(f"{path}: not a <robot> of at most {MAX_LINKS} links")
     return robot

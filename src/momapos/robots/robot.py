@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import math
 import os
 import tomllib
 from collections.abc import Mapping, Sequence
@@ -17,6 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from momapos.errors import FileFormatError, RobotError, unknown_name
+from momapos.files import read_bytes_bounded, read_xml
 from momapos.geometry.transforms import apply, invert
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.chain import Chain, Segments, build_chain
@@ -25,7 +25,13 @@ from momapos.kinematics.ik import IkModel, build_ik
 from momapos.kinematics.spheres import Spheres, build_spheres
 from momapos.kinematics.urdf import read_urdf
 
-MAX_TOML_BYTES = 1_000_000
+MAX_TOML_BYTES = 20_000
+"""A robot file has a page; the time that a parser takes for dotted keys grows with their square."""
+MAX_SRDF_BYTES = 5_000_000
+MAX_OUTLINE = 1_000
+"""Corners of a footprint [-]."""
+MAX_REACH = 5.0
+"""Reach of an arm [m]; maps and grids grow with its cube."""
 Drive = Literal["differential", "omni"]
 
 
@@ -144,7 +150,7 @@ def read_robot(path: Path) -> Robot:
     """Read a robot file; see ARCHITECTURE for the format."""
     data = _read_toml(path)
     table = _Table(data, path)
-    urdf = (path.parent / table.text("urdf")).resolve()
+    urdf = _beside(path, table.text("urdf"))
     model = Articulated(read_urdf(urdf))
     base, tool = table.table("base"), table.table("tool")
     robot = Robot(
@@ -171,8 +177,21 @@ def read_robot(path: Path) -> Robot:
     return robot
 
 
+def _beside(path: Path, name: str) -> Path:
+    """A file that a robot file names."""
+    try:
+        return (path.parent / name).resolve()
+    except (OSError, RuntimeError, ValueError) as error:  # too long, links in a circle, a NUL
+        raise RobotError(f"{path}: urdf {name!r:.80} cannot be looked up") from error
+
+
 def _check(robot: Robot) -> None:
     chain = robot.chain
+    if robot.reach > MAX_REACH:
+        raise RobotError(
+            f"{robot.path}: the arm reaches {robot.reach:.3g} m; at most {MAX_REACH:g} m are "
+            "supported; are the lengths in metres?"
+        )
     for link in robot.gripper_links:
         if link not in robot.model.urdf.links:
             raise unknown_name("gripper link", link, robot.model.urdf.links, str(robot.path))
@@ -193,26 +212,21 @@ def _check(robot: Robot) -> None:
 
 def read_srdf(path: Path) -> frozenset[frozenset[str]]:
     """Pairs of links that an SRDF disables; none where there is no such file."""
-    if not path.is_file():
-        return frozenset()
-    from defusedxml import DefusedXmlException, ElementTree
-
     try:
-        root = ElementTree.fromstring(path.read_bytes(), forbid_dtd=True)
-    except (DefusedXmlException, ElementTree.ParseError) as error:
-        raise RobotError(f"{path}: not a usable SRDF ({error})") from error
+        if not path.exists():
+            return frozenset()
+    except OSError as error:  # too long, or links in a circle
+        raise RobotError(f"{path}: cannot be looked up ({error.strerror})") from error
+    root = read_xml(path, MAX_SRDF_BYTES, error=RobotError)
     pairs = [(e.get("link1"), e.get("link2")) for e in root.iter("disable_collisions")]
-    return frozenset(frozenset(pair) for pair in pairs if None not in pair)  # type: ignore[misc]
+    return frozenset(frozenset((a, b)) for a, b in pairs if a is not None and b is not None)
 
 
 def _read_toml(path: Path) -> dict[str, Any]:
-    if not os.path.isfile(path):
-        raise FileFormatError(f"{path}: no such robot file")
-    if path.stat().st_size > MAX_TOML_BYTES:
-        raise FileFormatError(f"{path}: larger than a robot file can be (1 MB)")
+    data = read_bytes_bounded(path, MAX_TOML_BYTES)
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
+        return tomllib.loads(data.decode())
+    except (ValueError, RecursionError) as error:  # also no UTF-8, and too many digits
         raise FileFormatError(f"{path}: not a robot file in TOML ({error})") from error
 
 
@@ -220,6 +234,10 @@ def _footprint(base: _Table, path: Path) -> Float[np.ndarray, "k 2"]:
     from scipy.spatial import ConvexHull, QhullError
 
     points = base.matrix("footprint", 2)
+    if len(points) > MAX_OUTLINE or np.abs(points).max(initial=0.0) > MAX_REACH:
+        raise RobotError(
+            f"{path}: base.footprint must have at most {MAX_OUTLINE} corners within {MAX_REACH:g} m"
+        )
     try:
         return points[ConvexHull(points).vertices]
     except (QhullError, ValueError) as error:
@@ -269,18 +287,14 @@ class _Table:
 
     def positive(self, key: str, default: float) -> float:
         value = self.data.get(key, default)
-        if (
-            isinstance(value, bool)
-            or not isinstance(value, int | float)
-            or not (math.isfinite(value) and value > 0)
-        ):
-            raise RobotError(f"{self.path}: {self.prefix}{key} must be a number > 0")
+        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < 1e6:
+            raise RobotError(f"{self.path}: {self.prefix}{key} must be a number > 0 and < 1e6")
         return float(value)
 
     def _numbers(self, key: str) -> Float[np.ndarray, "..."]:
         try:
             value = np.array(self._take(key), float)
-        except (TypeError, ValueError) as error:
+        except (TypeError, ValueError, OverflowError) as error:
             raise RobotError(f"{self.path}: {self.prefix}{key} must be numbers") from error
         if not np.isfinite(value).all():
             raise RobotError(f"{self.path}: {self.prefix}{key} holds NaN or infinity")

@@ -12,9 +12,10 @@ from jaxtyping import Float
 from scipy.spatial import ConvexHull
 
 from momapos.errors import UrdfError
+from momapos.files import read_xml
 from momapos.geometry.transforms import apply
-from momapos.kinematics.hulls import MAX_MESH_BYTES, MESH_SUFFIXES
-from momapos.kinematics.urdf import Geometry
+from momapos.kinematics.meshes import mesh_bytes, parse_mesh
+from momapos.kinematics.urdf import MAX_URDF_BYTES, Geometry
 from momapos.scene.library.writer import COLOURS
 
 Paint = tuple[float, float, float] | None
@@ -90,21 +91,15 @@ def _primitive(shape: Geometry) -> Float[np.ndarray, "n 3 3"]:
 
 
 def _mesh(path: Path) -> list[tuple[Float[np.ndarray, "n 3 3"], Paint]]:
-    if path.stat().st_size > MAX_MESH_BYTES:
-        raise UrdfError(f"{path}: mesh is larger than {MAX_MESH_BYTES // 1_000_000} MB")
-    if path.suffix.lower() not in MESH_SUFFIXES:
-        raise UrdfError(f"{path}: not a mesh that can be read; use {', '.join(MESH_SUFFIXES)}")
+    data = mesh_bytes(path)
     if path.suffix.lower() == ".obj":
-        found = _obj(path)
+        found = _obj(path, data.decode(errors="replace"))
     else:
-        import trimesh
-
+        mesh = parse_mesh(path, data)
         try:
-            mesh: Any = trimesh.load(path, force="mesh")
-            triangles = np.array(mesh.vertices, float)[np.array(mesh.faces)]
-        except Exception as error:  # trimesh raises whatever its many readers met
-            reason = " ".join(str(error).split())
-            raise UrdfError(f"{path}: not a usable mesh ({reason})") from error
+            triangles = np.array(mesh.vertices, float)[np.array(mesh.faces, int)]
+        except (ValueError, IndexError, AttributeError) as error:
+            raise UrdfError(f"{path}: not a usable mesh (it has no sound faces)") from error
         found = [(triangles, None)]
     count = sum(len(triangles) for triangles, _ in found)
     if count > MAX_TRIANGLES:
@@ -114,14 +109,14 @@ def _mesh(path: Path) -> list[tuple[Float[np.ndarray, "n 3 3"], Paint]]:
     return found
 
 
-def _obj(path: Path) -> list[tuple[Float[np.ndarray, "n 3 3"], Paint]]:
+def _obj(path: Path, text: str) -> list[tuple[Float[np.ndarray, "n 3 3"], Paint]]:
     """Read the triangles of an OBJ file by material; what has textures counts as unpainted."""
     points: list[list[float]] = []
     faces: dict[str, list[list[int]]] = {}
     current = faces.setdefault("", [])
     paints: dict[str, Paint] = {}
     try:
-        for line in path.read_text(errors="replace").splitlines():
+        for line in text.splitlines():
             head, _, rest = line.strip().partition(" ")
             if head == "v":
                 points.append([float(word) for word in rest.split()[:3]])
@@ -138,7 +133,7 @@ def _obj(path: Path) -> list[tuple[Float[np.ndarray, "n 3 3"], Paint]]:
         if any(len(rows) and rows.min() < 0 for rows in index.values()):
             raise ValueError("a face names a vertex before the first")
         return [(vertices[rows], paints.get(name)) for name, rows in index.items()]
-    except (ValueError, IndexError) as error:
+    except (ValueError, IndexError, OverflowError) as error:
         raise UrdfError(f"{path}: not a usable OBJ mesh ({error})") from error
 
 
@@ -183,9 +178,7 @@ def urdf_paints(path: Path | None) -> dict[str, list[Paint]]:
     """
     if path is None:
         return {}
-    from defusedxml import ElementTree
-
-    robot = ElementTree.parse(path, forbid_dtd=True).getroot()
+    robot: Any = read_xml(path, MAX_URDF_BYTES, error=UrdfError)
     named = {m.get("name"): _rgba(m) for m in robot.iter("material") if m.find("color") is not None}
     return {
         link.get("name"): [

@@ -74,10 +74,18 @@ class PlanVerifier:
         """
         checks = list(paths.number_checks(self.part, motion, base_pose))
         if all(check.ok for check in checks):
-            count = paths.count_states(motion, self.limits.step)
-            if count <= self.limits.states:
+            # Before anything is allocated: a step of 1e6 would be cut into millions of states.
+            states = paths.count_states(motion, self.limits.step)
+            if self.part.joint is not None:
+                states += paths.count_cuts(motion.object_q, self.limits.step, SWEEP_STEPS)
+            shapes = len(self._arm) + len(self._base) + len(self.part.shapes)
+            few = [
+                at_most("states to check", states, self.limits.states),
+                at_most("poses of shapes to check", states * shapes, self.limits.poses),
+            ]
+            if all(check.ok for check in few):
                 return self._check(checks, base_pose, motion)
-            checks.append(at_most("states to check", count, self.limits.states))
+            checks.append(next(check for check in few if not check.ok))
         return Report(tuple(checks))
 
     def _check(
@@ -113,7 +121,7 @@ class PlanVerifier:
         if self.part.joint is None:
             return Ts_part, path.where
         held = path.object_q[path.approach :]
-        cuts = max(1, int(np.ceil(np.ptp(held) / self.limits.step / SWEEP_STEPS))) * SWEEP_STEPS
+        cuts = int(paths.count_cuts(held, self.limits.step, SWEEP_STEPS))
         values = np.unique(np.concatenate([held, np.linspace(held[0], held[-1], cuts + 1)]))
         return self.part.placed(values), lambda state: f"object_q {values[state]:.3f}"
 

@@ -62,8 +62,11 @@ def find_file(key: str, name: str, folders: list[Path], plan_path: Path) -> Path
         FileFormatError: It is in none of the folders.
     """
     for folder in folders:
-        if (folder / name).is_file():
-            return folder / name
+        try:
+            if (folder / name).is_file():
+                return folder / name
+        except OSError as error:  # too long, or links in a circle
+            raise FileFormatError(f"{plan_path}: {key} {name!r:.80} cannot be looked up") from error
     looked = ", ".join(dict.fromkeys(str(folder.resolve()) for folder in folders))
     raise FileFormatError(
         f"{plan_path}: {key} {name!r} does not exist (looked in {looked}); give --scene-root"

@@ -50,6 +50,11 @@ def count_states(motion: Motion, step: float) -> float:
     return float(sum(_pieces(q, step).sum() + 1 for q in (motion.approach, motion.q) if len(q)))
 
 
+def count_cuts(values: Float[np.ndarray, " s"], step: float, least: int) -> float:
+    """Into how many parts the way of a joint is cut, a multiple of the least number."""
+    return float(max(1.0, np.ceil(np.ptp(values) / step / least)) * least)
+
+
 def dense_path(motion: Motion, step: float) -> DensePath:
     """Fill in states so that no joint moves more than a step [rad] or [m]."""
     q, at = _densify(motion.q, step)

@@ -40,6 +40,8 @@ class Limits:
     """How far the base may stand outside the floor [m]."""
     states: int = 20_000
     """Most states that are checked [-]."""
+    poses: int = 4_000_000
+    """Most poses of shapes in these, which are held at once [-]."""
 
 
 DEFAULT = Limits()
