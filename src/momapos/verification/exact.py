@@ -1,8 +1,8 @@
 """The exact check of a motion: one world a task, many motions.
 
 The planner's spheres, boxes and kinematics are not used here. Shapes are the collision elements
-themselves, a mesh as its hull, which the planner's are made of too; states are no farther apart than
-the execution's.
+themselves, a mesh as its hull, from which the planner's are made too; states are no farther apart
+than the execution's.
 """
 
 from __future__ import annotations
