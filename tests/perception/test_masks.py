@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tests import optional
 
 from momapos.errors import FileFormatError
 from momapos.perception.masks import read_instances
@@ -162,7 +163,7 @@ def test_a_mask_file_of_anything_but_0_and_1_is_refused(tmp_path: Path, masks: n
 def test_masks_saved_by_torch_come_back_without_torch(
     tmp_path: Path, masks: np.ndarray, kind: str
 ) -> None:
-    torch = pytest.importorskip("torch")
+    torch = optional.module("torch")
     tensor = torch.from_numpy(masks)
     if kind == "transposed":
         tensor = torch.from_numpy(np.ascontiguousarray(masks.T)).T

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from door_case import BASE, JOINTS, OPEN, arm_path, make_case, tool_poses
 from mutations import MUTATIONS
+from tests import optional
 from tests.real import TOOLS
 
 from momapos.errors import TaskError, UnknownNameError
@@ -109,19 +110,11 @@ def verdicts_of_the_other(plans: Mapping[Any, Path]) -> list[dict[str, tuple[boo
     """Verdict and value of every check of the independent checker, plan by plan."""
     command = [sys.executable, "-c", RUN_THE_OTHER, *map(str, plans.values())]
     other = subprocess.run(
-        command, capture_output=True, text=True, cwd=tools_folder(),
+        command, capture_output=True, text=True, cwd=optional.there(TOOLS, "independent checker"),
         env={**os.environ, "PYTHONPATH": "."},
     )  # fmt: skip
     assert other.returncode == 0, other.stderr
     return [json.loads(line) for line in other.stdout.splitlines()]
-
-
-def tools_folder() -> Path:
-    if not (TOOLS / "verify_plan.py").is_file():
-        pytest.skip(f"no independent checker in {TOOLS}; set MOMAPOS_SHARED to the shared data")
-    pytest.importorskip("coal")
-    pytest.importorskip("pinocchio")
-    return TOOLS
 
 
 def test_numbers_that_are_not_finite_are_refused(world: ExactWorld, motion: Motion) -> None:
