@@ -2,37 +2,52 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+CODE := src tests benchmarks examples training
+INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: demo test check bench torch clean
+.PHONY: demo test check bench torch test-torch test-slow test-wheel test-film clean
 
 $(VENV)/.core: pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit("Python 3.11 or later is needed; set PYTHON=...") if sys.version_info < (3, 11) else None'
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
+	$(INSTALL) --editable .
 	touch $@
 
 $(VENV)/.dev: $(VENV)/.core
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev,kitchens,physics,scan]'
+	$(INSTALL) --editable '.[dev,kitchens,physics,scan]'
 	touch $@
 
-# Torch trains the front network and runs URDFormer; without it the tests of both are skipped.
 $(VENV)/.torch: $(VENV)/.dev
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check torch==2.13.0 'onnx>=1.16'
+	$(INSTALL) torch==2.13.0 'onnx>=1.16'
 	touch $@
 
 demo: $(VENV)/.core
 	$(BIN)/momapos place open kitchen_small fridge/door_hinge --robot segway_ur5e --out demo_plan.json --plot demo_plan.png
 
-torch: $(VENV)/.torch
-
 check: $(VENV)/.dev
-	$(BIN)/ruff check src tests benchmarks examples
-	$(BIN)/ruff format --check src tests benchmarks examples
+	$(BIN)/ruff check $(CODE)
+	$(BIN)/ruff format --check $(CODE)
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache
 
 test: check
 	$(BIN)/pytest
+
+# What make test leaves out, since a fresh machine lacks it or it takes minutes.
+# Torch trains the front network and runs URDFormer.
+torch: $(VENV)/.torch
+
+test-torch: $(VENV)/.torch
+	$(BIN)/pytest $(shell grep -lE '"torch"' $(shell find tests -name 'test_*.py' ! -name test_optional.py))
+
+test-slow: $(VENV)/.dev
+	MOMAPOS_SLOW=1 $(BIN)/pytest --dist load tests/scene/test_kitchens.py
+
+test-wheel: $(VENV)/.dev
+	MOMAPOS_WHEEL=1 $(BIN)/pytest tests/packaging/test_wheel.py
+
+test-film: $(VENV)/.dev
+	$(BIN)/pytest tests/execution/test_film.py
 
 bench: $(VENV)/.dev
 	$(BIN)/python benchmarks/run.py

@@ -7,18 +7,19 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+from tests import optional
 from tests.real import DATA
 
 from momapos.robots.robot import Robot, load_robot
 
+pytest_plugins = ["pytester"]
 ROBOTS = ("segway_ur5e", "husky_ur5e", "fetch", "ranger_rm63")
 
 
 @pytest.fixture(scope="session")
 def shared() -> Path:
     """Folder of the real data, which are not part of the package; see its README."""
-    if not (DATA / "bestman").is_dir():
-        pytest.skip(f"no real data at {DATA}; set MOMAPOS_SHARED to the folder that holds bestman/")
+    optional.there(DATA / "bestman")
     return DATA
 
 
@@ -32,3 +33,12 @@ def robots() -> Callable[[str], Robot]:
 def robot(request: pytest.FixtureRequest, robots: Callable[[str], Robot]) -> Robot:
     """Each robot of the library in turn."""
     return robots(request.param)
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """End with what did not run, and the commands that make it run."""
+    lines = optional.skipped(terminalreporter.getreports("skipped"))
+    if lines:
+        terminalreporter.section("not run here")
+        for line in lines:
+            terminalreporter.line(line)

@@ -1,4 +1,4 @@
-"""Plan files: momapos-plan, version 1. See ARCHITECTURE for the format."""
+"""Plan files: momapos-plan, version 1, with the members that `plan_to_dict` writes."""
 
 from __future__ import annotations
 

@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
+from tests import optional
 from tests.furnished import cloud_of, kitchen, look_at, photograph
 
 from momapos.errors import InputError
@@ -93,9 +94,7 @@ def test_too_few_points_are_refused() -> None:
 
 
 def test_the_real_kitchen_stands_within_a_degree_and_a_half(shared: Path) -> None:
-    folder = shared / "redkitchen"
-    if not folder.is_dir():
-        pytest.skip(f"no {folder}")
+    folder = optional.there(shared / "redkitchen")
     frames = read_scan(folder).frames[::2]
     cloud = fuse(frames, voxel=0.03)
     T = align_to_gravity(cloud, frames)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from gensim.models import Word2Vec
 
 from momapos.importance import embedding
 from momapos.importance.embedding import SkipGram, cosine, embed_walks, embed_words
@@ -32,12 +33,11 @@ def test_words_of_one_circle_are_closer_than_words_of_two() -> None:
 
 
 def test_similarities_agree_with_gensim() -> None:
-    word2vec = pytest.importorskip("gensim.models").Word2Vec
     walks, n = island_walks(50)
     config = SkipGram(dimensions=64, window=4, epochs=10, seed=0)
     mine = embed_walks(walks, n, config)
     words = np.array([str(k) for k in range(n)], object)
-    model = word2vec(
+    model = Word2Vec(
         words[walks].tolist(), sg=1, negative=embedding.NEGATIVE, sample=0, min_count=1, workers=1,
         seed=0, vector_size=64, window=4, epochs=10, alpha=embedding.LEARNING_RATE,
     )  # fmt: skip

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import coal
 import numpy as np
 import pytest
 from exact_shapes import random_boxes
@@ -20,7 +21,6 @@ def box_distances(
     base: Boxes, bases: Float[np.ndarray, "n 3"], boxes: Boxes, clearance: float
 ) -> Float[np.ndarray, "n boxes"]:
     """Signed distance of each box of the room to the nearest of the base's, by coal."""
-    coal = pytest.importorskip("coal")
 
     def shapes(some: Boxes, grow: float) -> list[object]:
         return [coal.Box(*map(float, 2 * (half + grow))) for half in some.half]

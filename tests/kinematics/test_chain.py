@@ -6,9 +6,11 @@ import re
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from exact_shapes import random_states
 from numpy.testing import assert_allclose
+from tests.real import BUILT_IN, furniture
 
 from momapos.errors import RobotError, UnknownNameError
 from momapos.geometry.transforms import invert
@@ -16,9 +18,6 @@ from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.chain import build_chain
 from momapos.kinematics.urdf import read_urdf
 from momapos.robots.robot import Robot
-
-pin = pytest.importorskip("pinocchio")
-KITCHEN = "bestman/Asset/Scene/Kitchen_models/models"
 
 
 class Twin:
@@ -72,10 +71,10 @@ def test_link_poses_of_a_robot_are_those_of_pinocchio(robot: Robot) -> None:
             assert_allclose(T, expected[link], atol=1e-9)
 
 
-@pytest.mark.parametrize("name", ["OvenCounter/101773", "Microwave/7128"])
+@pytest.mark.parametrize("name", [*BUILT_IN, "OvenCounter/101773", "Microwave/7128"])
 @pytest.mark.parametrize("scale", [1.0, 0.7])
-def test_link_poses_of_furniture_grow_with_its_scale(shared: Path, name: str, scale: float) -> None:
-    path, rng = shared / KITCHEN / name / "mobility.urdf", np.random.default_rng(2)
+def test_link_poses_of_furniture_grow_with_its_scale(name: str, scale: float) -> None:
+    path, rng = furniture(name), np.random.default_rng(2)
     model, twin = Articulated(read_urdf(path, scale=scale)), Twin(path)
     for _ in range(10):
         values = random_values(model, rng)

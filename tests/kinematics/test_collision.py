@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import coal
 import numpy as np
 import pytest
 from exact_shapes import random_boxes, random_states, rotations
@@ -242,7 +243,7 @@ class Exact:
     """Links and boxes as coal has them."""
 
     def __init__(self) -> None:
-        self.coal = pytest.importorskip("coal")
+        self.coal = coal
 
     def body(self, shape: Geometry) -> object:
         c = self.coal

@@ -9,6 +9,7 @@ import pytest
 from exact_shapes import rotations, surface_points
 from jaxtyping import Bool, Float
 from numpy.testing import assert_allclose
+from tests.real import BUILT_IN, furniture
 
 from momapos.errors import UrdfError
 from momapos.geometry.transforms import pose
@@ -17,8 +18,7 @@ from momapos.kinematics.hulls import FLAT, Boxes, Hull, cover, cover_shape, fit_
 from momapos.kinematics.urdf import Geometry, read_urdf
 from momapos.robots.robot import Robot
 
-MODELS = "bestman/Asset/Scene/Kitchen_models/models"
-FURNITURE = ("Fridge/10144", "Microwave/7128", "Faucet/14")
+FURNITURE = (*BUILT_IN, "Fridge/10144", "Microwave/7128", "Faucet/14")
 
 
 def outside(hull: Hull, points: Float[np.ndarray, "n 3"]) -> float:
@@ -65,8 +65,8 @@ def clouds(tmp_path: Path, count: int, rng: np.random.Generator) -> list[Hull]:
     ]  # fmt: skip
 
 
-def hulls_of(shared: Path, name: str) -> list[Hull]:
-    model = Articulated(read_urdf(shared / MODELS / name / "mobility.urdf"))
+def hulls_of(name: str) -> list[Hull]:
+    model = Articulated(read_urdf(furniture(name)))
     return [hull for hulls in model.hulls.values() for hull in hulls]
 
 
@@ -98,15 +98,18 @@ def test_a_mesh_lies_in_its_hull(tmp_path: Path) -> None:
         assert_allclose(size, np.ptp(points * scale, axis=0), atol=1e-6)
 
 
-@pytest.mark.parametrize("name", ["Fridge/10144", "Faucet/14"])
-def test_furniture_lies_in_its_hulls(shared: Path, name: str) -> None:
+@pytest.mark.parametrize("name", [*BUILT_IN, "Fridge/10144", "Faucet/14"])
+def test_furniture_lies_in_its_hulls(name: str) -> None:
     import trimesh
 
-    model = Articulated(read_urdf(shared / MODELS / name / "mobility.urdf"))
+    model = Articulated(read_urdf(furniture(name)))
     for link, hulls in model.hulls.items():
         for shape, hull in zip(model.urdf.links[link].collisions, hulls, strict=True):
-            mesh = trimesh.load(shape.mesh, force="mesh", process=False, skip_materials=True)
-            points = np.array(mesh.vertices) * shape.size
+            if shape.kind == "mesh":
+                mesh = trimesh.load(shape.mesh, force="mesh", process=False, skip_materials=True)
+                points = np.array(mesh.vertices) * shape.size
+            else:
+                points = trimesh.creation.box(shape.size).vertices
             T = shape.T_link_geometry
             assert outside(hull, points @ T[:3, :3].T + T[:3, 3]) < 1e-5
 
@@ -175,9 +178,9 @@ def test_boxes_cover_a_hull_and_take_no_more_room_than_one(tmp_path: Path, robot
 
 
 @pytest.mark.parametrize("name", FURNITURE)
-def test_boxes_cover_furniture(shared: Path, name: str) -> None:
+def test_boxes_cover_furniture(name: str) -> None:
     rng = np.random.default_rng(5)
-    for hull in hulls_of(shared, name):
+    for hull in hulls_of(name):
         check_cover(hull, rng)
 
 

@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from jaxtyping import Float
 from numpy.testing import assert_allclose
+from tests import optional
 
 from momapos.errors import RobotError
 from momapos.geometry.transforms import rotation_angle, wrap_angle
@@ -165,7 +166,7 @@ def test_what_is_reachable_is_what_eaik_finds_reachable(
     robots: Callable[[str], Robot], name: str
 ) -> None:
     """At one value of the locked joints; EAIK knows no limits, so ours are asked for none."""
-    eaik = pytest.importorskip("eaik.IK_HP", reason="eaik is not installed")
+    eaik = optional.module("eaik.IK_HP")
     rng, robot = np.random.default_rng(4), robots(name)
     chain = ideal(robot.chain)
     free = replace(chain, lower=np.full(chain.size, -np.inf), upper=np.full(chain.size, np.inf))

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from exact_shapes import directions, link_spheres, rotations, signed_distance, surface_points
 from jaxtyping import Float
+from tests.real import furniture
 
 from momapos.geometry.transforms import pose
 from momapos.kinematics.hulls import Boxes, hull_of
@@ -15,8 +14,6 @@ from momapos.kinematics.sphere_cover import ARM, BODY, BULKY, GRIPPER, MARGIN, c
 from momapos.kinematics.spheres import box_spheres
 from momapos.kinematics.urdf import Geometry
 from momapos.robots.robot import Robot
-
-MODELS = "bestman/Asset/Scene/Kitchen_models/models"
 
 
 def uncovered(
@@ -124,12 +121,12 @@ def test_a_shape_inside_another_costs_nothing() -> None:
     assert len(both[1]) == len(alone[1])
 
 
-@pytest.mark.parametrize("part", ["Faucet/14", "MilkBottle/4043"])
-def test_meshes_are_covered_too(shared: Path, part: str) -> None:
+@pytest.mark.parametrize("part", ["kitchen_small/chair", "Faucet/14", "MilkBottle/4043"])
+def test_things_are_covered_too(part: str) -> None:
     from momapos.kinematics.urdf import read_urdf
 
     rng = np.random.default_rng(4)
-    for link in read_urdf(shared / MODELS / part / "mobility.urdf", scale=0.4).links.values():
+    for link in read_urdf(furniture(part), scale=0.4).links.values():
         for shape in link.collisions:
             center, radius = cover_shapes((shape,), ARM)
             v = hull_of(shape).vertices

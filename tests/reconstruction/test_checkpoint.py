@@ -8,11 +8,15 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests import optional
 
 from momapos.errors import FileFormatError
 from momapos.reconstruction.checkpoint import load_weights, read_checkpoint
 
-torch = pytest.importorskip("torch", reason="needs torch: make torch")
+if optional.has("torch"):
+    import torch
+
+pytestmark = optional.needs("torch", optional.has("torch"))
 
 
 class Trap:

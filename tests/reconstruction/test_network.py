@@ -16,8 +16,6 @@ from momapos.reconstruction import decode, network
 from momapos.reconstruction.network import FrontNetwork
 from momapos.types import FaceImage
 
-onnxruntime = pytest.importorskip("onnxruntime")
-
 HINGES = {"door_left": "door_right", "door_right": "door_left"}
 
 

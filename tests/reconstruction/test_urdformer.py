@@ -16,6 +16,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from jaxtyping import Float
+from tests import optional
 from tests.reconstruction import urdformer_twin
 
 from momapos.errors import FileFormatError, InputError, MissingExtraError, UrdfError
@@ -307,7 +308,7 @@ def expected_names() -> set[str]:
 @pytest.fixture(scope="module")
 def checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """A file like the authors' one, with random weights."""
-    torch = pytest.importorskip("torch", reason="needs torch: make torch")
+    torch = optional.module("torch")
     from momapos.reconstruction.urdformer_model import Urdformer
 
     torch.manual_seed(0)
@@ -370,7 +371,7 @@ def test_the_order_of_the_boxes_does_not_matter(network: Network) -> None:
 
 
 def test_a_checkpoint_of_another_network_is_refused(tmp_path: Path) -> None:
-    torch = pytest.importorskip("torch", reason="needs torch: make torch")
+    torch = optional.module("torch")
     path = tmp_path / "global.pth"
     torch.save({"model_state_dict": {"head.weight": torch.ones(2)}}, path)
     with pytest.raises(FileFormatError) as caught:
@@ -425,7 +426,7 @@ def pooled_by_hand(
 
 
 def test_pooling_agrees_with_samples_taken_one_by_one() -> None:
-    torch = pytest.importorskip("torch", reason="needs torch: make torch")
+    torch = optional.module("torch")
     from momapos.reconstruction.urdformer_model import roi_align
 
     rng = np.random.default_rng(2)
@@ -439,7 +440,7 @@ def test_pooling_agrees_with_samples_taken_one_by_one() -> None:
 
 
 def test_regions_are_scaled_twice_and_have_their_axes_exchanged() -> None:
-    torch = pytest.importorskip("torch", reason="needs torch: make torch")
+    torch = optional.module("torch")
     from momapos.reconstruction.urdformer_model import regions_of, roi_align
 
     boxes = torch.tensor([[0.0, 0.0, 1.0, 1.0], [0.75, 0.1, 0.2, 0.4]])

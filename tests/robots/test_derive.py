@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from tests import optional
 from tests.real import DATA
 
 from momapos.cli.robot import robot_check, robot_export, robot_list, robot_show
@@ -267,7 +268,7 @@ def test_the_library_robots_are_what_their_urdf_alone_says(name: str) -> None:
     assert examine(robot) == []
 
 
-@pytest.mark.skipif(not FETCH.is_dir(), reason=f"the Fetch is not at {FETCH}")
+@optional.needs("real data", FETCH.is_dir())
 def test_the_fetch_of_its_maker_is_understood(tmp_path: Path) -> None:
     shutil.copytree(FETCH, tmp_path / "fetch", copy_function=shutil.copyfile)
     (tmp_path / "fetch").chmod(0o755)

@@ -22,6 +22,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import trimesh
+from tests import optional
 from tests.real import DATA
 
 LIBRARY = Path(__file__).parents[2] / "src" / "momapos" / "robots" / "library"
@@ -304,9 +305,7 @@ PARTS = {
 
 @lru_cache
 def manufacturer(path: Path) -> Urdf:
-    if not path.is_file():
-        pytest.skip(f"the manufacturer's file is not at {path}")
-    return Urdf(path)
+    return Urdf(optional.there(path))
 
 
 def random_states(robot: Robot, count: int) -> list[dict[str, float]]:
@@ -528,9 +527,8 @@ def test_pairs_said_never_to_meet_stay_apart_in_random_states(robot: Robot) -> N
 
 @lru_cache
 def shared_reader() -> ModuleType:
-    if not SCENE_IO.is_file():
-        pytest.skip(f"the shared tools are absent: no {SCENE_IO}")
-    spec = importlib.util.spec_from_file_location("shared_scene_io", SCENE_IO)
+    path = optional.there(SCENE_IO, "independent checker")
+    spec = importlib.util.spec_from_file_location("shared_scene_io", path)
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)

@@ -12,10 +12,6 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
-from scipy.spatial.transform import Rotation
-
-pytest.importorskip("rosbags")
-
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
+from tests import optional
 from tests.scan_io.recorded import (
     HEIGHT,
     WIDTH,
@@ -174,8 +176,10 @@ def test_a_frame_with_a_bad_pose_is_skipped_and_counted_and_all_bad_is_an_error(
         read_scan(folder)
 
 
-@pytest.mark.parametrize("kind", ["color", "depth"])
-@pytest.mark.parametrize("harm", ["cut", "gone", "empty", "text"])
+@pytest.mark.parametrize(
+    ("kind", "harm"),  # a frame without its color image is not listed at all
+    sorted({*product(("color", "depth"), ("cut", "empty", "text")), ("depth", "gone")}),
+)
 def test_a_broken_image_of_many_is_skipped_and_counted(
     tmp_path: Path, kind: str, harm: str
 ) -> None:
@@ -183,8 +187,6 @@ def test_a_broken_image_of_many_is_skipped_and_counted(
     file = folder / f"frame-000002.{kind}.png"
     data = file.read_bytes()
     harmed = {"cut": data[: len(data) // 2], "empty": b"", "text": b"not an image"}
-    if harm == "gone" and kind == "color":
-        pytest.skip("a frame without its colour image is not listed at all")
     file.unlink() if harm == "gone" else file.write_bytes(harmed[harm])
     scan = read_scan(folder)
     assert [frame.name[-1] for frame in scan.frames] == ["0", "1", "3", "4", "5"]
@@ -290,7 +292,7 @@ def test_integers_and_floats_become_metres_and_no_depth_becomes_zero(tmp_path: P
 
 
 def test_the_real_kitchen_is_read_whole(shared: Path) -> None:
-    scan = read_scan(shared / "redkitchen")
+    scan = read_scan(optional.there(shared / "redkitchen"))
     assert (len(scan.frames), scan.warnings) == (50, ())
     seen = np.concatenate([f.depth[f.depth > 0] for f in scan.frames if f.depth is not None])
     assert 1.0 < np.median(seen) < 3.0

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import importlib.util
 import json
 import os
 import pickle
@@ -25,9 +24,7 @@ from momapos.scan_io.scannet import SCANNET20, SCANNET200
 from momapos.types import Instance
 
 SIZE = 50
-needs_torch = pytest.mark.skipif(
-    importlib.util.find_spec("torch") is None, reason="needs torch: make torch"
-)
+needs_torch = optional.needs("torch", optional.has("torch"))
 
 
 @pytest.fixture

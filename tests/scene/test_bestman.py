@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from tests import optional
 from tests.real import DATA
 
 from momapos.errors import FileFormatError, SceneError, UrdfError
@@ -28,9 +29,7 @@ SCENES = (
 )
 TOLERANCE = 0.005
 """[m]; the engine's boxes hold a margin of 1 to 3 mm."""
-needs_data = pytest.mark.skipif(
-    not BESTMAN.is_dir(), reason=f"the BestMan scenes are not at {BESTMAN}"
-)
+needs_data = optional.needs("real data", BESTMAN.is_dir())
 CUBE = '<robot name="c"><link name="c"><collision><geometry><box size="1 1 1"/></geometry></collision></link></robot>'  # noqa: E501
 
 
@@ -53,9 +52,7 @@ def bounds_of(item: SceneObject, links: tuple[str, ...]) -> np.ndarray:
 
 @pytest.fixture(scope="module", params=SCENES)
 def pair(request: pytest.FixtureRequest) -> tuple[Scene, dict[str, dict[str, Any]]]:
-    if not BESTMAN.is_dir():
-        pytest.skip(f"the BestMan scenes are not at {BESTMAN}")
-    return load_scene(BESTMAN / request.param), measured(request.param)
+    return load_scene(optional.there(BESTMAN / request.param)), measured(request.param)
 
 
 def test_objects_are_as_large_as_the_engine_finds_them(pair: tuple[Scene, dict]) -> None:

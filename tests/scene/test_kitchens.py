@@ -1,28 +1,27 @@
 """Built-in kitchens: everything opens, nothing collides, and a seed says it all.
 
-The scenes are judged by an independent reader, `scene_io` of the shared acceptance tools.
+The scenes are judged by an independent reader, pinocchio's and coal's.
 """
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import os
 import random
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import product
 from pathlib import Path
-from types import ModuleType
-from typing import Any
 
+import coal
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
-from tests.real import TOOLS
+from tests import optional
+from tests.independent import Item, Placed, Room
 
 from momapos.errors import InputError, MissingExtraError, UnknownNameError
 from momapos.scene.kitchens import LAYOUTS, generate_kitchen
@@ -30,35 +29,14 @@ from momapos.scene.library import writer
 from momapos.scene.library.furniture import TOUCH, Box, Motion, Obstacles, Part, Piece, hits
 
 REPOSITORY = Path(__file__).parents[2]
-SCENE_IO = TOOLS / "scene_io.py"
 LIBRARY = REPOSITORY / "src" / "momapos" / "scene" / "library"
 SHIPPED = ("kitchen_small", "kitchen_island")
 CHEAPEST = "single_wall"
-
-needs_generator = pytest.mark.skipif(
-    importlib.util.find_spec("scene_synthesizer") is None, reason="scene-synthesizer is missing"
-)
-
-
-@pytest.fixture(scope="module")
-def scene_io() -> ModuleType:
-    """The independent reader."""
-    if not SCENE_IO.is_file():
-        pytest.skip(f"the shared tools are absent: no {SCENE_IO}")
-    pytest.importorskip("coal")
-    pytest.importorskip("pinocchio")
-    spec = importlib.util.spec_from_file_location("shared_scene_io", SCENE_IO)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 @pytest.fixture(scope="module")
 def generated(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """One generated kitchen."""
-    pytest.importorskip("scene_synthesizer")
     out = tmp_path_factory.mktemp("generated") / "kitchen.json"
     return generate_kitchen(CHEAPEST, seed=3, out=out)
 
@@ -72,54 +50,44 @@ def kitchen(request: pytest.FixtureRequest) -> Path:
     return LIBRARY / f"{request.param}.json"
 
 
-Shape = tuple[Any, np.ndarray, np.ndarray]
-
-
-def bounds(shapes: list[Shape]) -> tuple[np.ndarray, np.ndarray]:
+def bounds(shapes: Sequence[Placed]) -> tuple[np.ndarray, np.ndarray]:
     """Lowest and highest corners [m] of the axis-aligned boxes around shapes."""
-    corners = [geom.verts @ R.T + t for geom, R, t in shapes]
-    return np.array([c.min(0) for c in corners]), np.array([c.max(0) for c in corners])
+    corners = np.array([shape.corners for shape in shapes])
+    return corners.min(1), corners.max(1)
 
 
-def least_distance(scene_io: ModuleType, some: list[Shape], others: list[Shape]) -> float:
+def least_distance(some: Sequence[Placed], others: Sequence[Placed]) -> float:
     """Least signed distance [m] between two sets of shapes that is below 3 mm; else 3 mm."""
     margin, least = 0.003, 0.003
     low, high = bounds(others)
-    for (a, R, t), a_low, a_high in zip(some, *bounds(some), strict=True):
-        near = np.all((low < a_high + margin) & (high > a_low - margin), axis=1)
-        for index in np.flatnonzero(near):
-            b, R_b, t_b = others[index]
-            distance = scene_io.signed_distance(a.shape, R, t, b.shape, R_b, t_b)
-            least = min(least, distance)
-    return float(least)
+    for shape, its_low, its_high in zip(some, *bounds(some), strict=True):
+        near = np.all((low < its_high + margin) & (high > its_low - margin), axis=1)
+        least = min([least, *(shape.distance(others[i]) for i in np.flatnonzero(near))])
+    return least
 
 
-def moving_parts(scene: Any) -> Iterator[tuple[Any, int, list[Shape]]]:
+def moving_parts(path: Path) -> Iterator[tuple[Item, str, list[Placed]]]:
     """Every object and joint of a scene, with all that stands still while it moves."""
-    for item in scene.objects:
-        rest = [shape for other in scene.objects if other is not item for shape in other.shapes()]
-        for joint in range(1, item.art.model.njoints):
-            moved = item.art.moved_by(joint)
-            yield item, joint, [*rest, *(s for s in item.shapes() if s[0].joint not in moved)]
+    room = Room.read(path)
+    for item in room.items:
+        rest = [shape for other in room.items if other is not item for shape in other.shapes()]
+        for joint in item.joints:
+            own = [s for s in item.shapes() if not item.moved_by(joint, s)]
+            yield item, joint, [*rest, *own]
 
 
-def shapes_at(item: Any, joint: int, value: float) -> list[Shape]:
+def shapes_at(item: Item, joint: str, value: float) -> list[Placed]:
     """The shapes that a joint moves, at a value of it."""
-    q = item.q.copy()
-    q[item.art.model.joints[joint].idx_q] = value
-    return [s for s in item.shapes(q) if s[0].joint in item.art.moved_by(joint)]
+    return [s for s in item.shapes(item.at(joint, value)) if item.moved_by(joint, s)]
 
 
-def test_a_kitchen_loads_with_unique_named_and_categorised_closed_objects(
-    kitchen: Path, scene_io: ModuleType
-) -> None:
-    scene = scene_io.Scene(kitchen)
-    names = [item.name for item in scene.objects]
-    assert scene.notes == []
+def test_a_kitchen_loads_with_unique_named_and_categorised_closed_objects(kitchen: Path) -> None:
+    items = Room.read(kitchen).items
+    names = [item.name for item in items]
     assert len(set(names)) == len(names)
-    assert all(item.category for item in scene.objects)
-    assert all(not item.q.any() for item in scene.objects)
-    assert sum(len(item.q) for item in scene.objects) >= 8
+    assert all(item.category for item in items)
+    assert all(not item.q.any() for item in items)
+    assert sum(len(item.q) for item in items) >= 8
 
 
 def test_every_file_of_a_kitchen_lies_in_its_own_folder(kitchen: Path) -> None:
@@ -130,54 +98,46 @@ def test_every_file_of_a_kitchen_lies_in_its_own_folder(kitchen: Path) -> None:
     assert named == there
 
 
-def test_a_moving_part_hits_nothing_along_its_whole_opening(
-    kitchen: Path, scene_io: ModuleType
-) -> None:
-    for item, joint, still in moving_parts(scene_io.Scene(kitchen)):
-        index = item.art.model.joints[joint].idx_q
-        for value in np.linspace(item.art.lower[index], item.art.upper[index], 30):
-            least = least_distance(scene_io, shapes_at(item, joint, value), still)
-            assert least >= -1e-3, (item.name, item.art.model.names[joint], value, least)
+def test_a_moving_part_hits_nothing_along_its_whole_opening(kitchen: Path) -> None:
+    for item, joint, still in moving_parts(kitchen):
+        for value in np.linspace(*item.limits(joint), 30):
+            least = least_distance(shapes_at(item, joint, value), still)
+            assert least >= -1e-3, (item.name, joint, value, least)
 
 
-def test_a_closed_part_leaves_a_gap_all_around(kitchen: Path, scene_io: ModuleType) -> None:
-    for item, joint, still in moving_parts(scene_io.Scene(kitchen)):
-        least = least_distance(scene_io, shapes_at(item, joint, 0.0), still)
-        assert least >= 1e-3, (item.name, item.art.model.names[joint], least)
+def test_a_closed_part_leaves_a_gap_all_around(kitchen: Path) -> None:
+    for item, joint, still in moving_parts(kitchen):
+        least = least_distance(shapes_at(item, joint, 0.0), still)
+        assert least >= 1e-3, (item.name, joint, least)
 
 
-def test_every_moving_part_has_a_bar_that_fingers_fit_behind(
-    kitchen: Path, scene_io: ModuleType
-) -> None:
-    for item, joint, _ in moving_parts(scene_io.Scene(kitchen)):
-        moved = [geom for geom in item.art.geoms if geom.joint == joint]
-        bars = [g for g in moved if "handle" in g.link and max(g.shape.halfSide) >= 0.06]
-        panels = [g for g in moved if "handle" not in g.link]
-        assert len(bars) == 1, (item.name, item.art.model.names[joint])
-        length = 2 * float(max(bars[0].shape.halfSide))
-        door_front = min(float((g.verts @ g.R.T + g.t)[:, 1].min()) for g in panels)
-        bar_back = float((bars[0].verts @ bars[0].R.T + bars[0].t)[:, 1].max())
+def test_every_moving_part_has_a_bar_that_fingers_fit_behind(kitchen: Path) -> None:
+    for item, joint, _ in moving_parts(kitchen):
+        moved = [shape for shape in item.shapes() if shape.joint == item.joints[joint]]
+        bars = [s for s in moved if "handle" in s.link and max(s.box.halfSide) >= 0.06]
+        panels = [s for s in moved if "handle" not in s.link]
+        assert len(bars) == 1, (item.name, joint)
+        length = 2 * float(max(bars[0].box.halfSide))
+        outward = item.front
+        door_front = max(float((s.corners @ outward).max()) for s in panels)
+        bar_back = float((bars[0].corners @ outward).min())
         assert 0.12 - 1e-6 <= length <= 0.40 + 1e-6
-        assert door_front - bar_back == pytest.approx(0.04, abs=1e-4)
+        assert bar_back - door_front == pytest.approx(0.04, abs=1e-4)
 
 
-def test_the_start_is_on_the_floor_and_clear_of_everything(
-    kitchen: Path, scene_io: ModuleType
-) -> None:
-    scene = scene_io.Scene(kitchen)
-    start, floor = np.array([scene.start["x"], scene.start["y"]]), np.array(scene.floor)
+def test_the_start_is_on_the_floor_and_clear_of_everything(kitchen: Path) -> None:
+    room = Room.read(kitchen)
+    start, floor = room.start, room.floor
     assert np.all(np.abs(start - floor.mean(0)) <= np.ptp(floor, axis=0) / 2 - 0.6)
-    low, high = bounds([shape for item in scene.objects for shape in item.shapes()])
+    low, high = bounds([shape for item in room.items for shape in item.shapes()])
     away = np.maximum(np.maximum(low[:, :2] - start, start - high[:, :2]), 0.0)
     assert np.linalg.norm(away, axis=1).min() >= 0.6
 
 
-def test_the_furniture_stands_on_the_floor_and_the_walls_beside_it(
-    kitchen: Path, scene_io: ModuleType
-) -> None:
-    scene = scene_io.Scene(kitchen)
-    floor = np.array(scene.floor)
-    for item in scene.objects:
+def test_the_furniture_stands_on_the_floor_and_the_walls_beside_it(kitchen: Path) -> None:
+    room = Room.read(kitchen)
+    floor = room.floor
+    for item in room.items:
         low, high = (bound[:, :2] for bound in bounds(item.shapes()))
         inside = (low.min(0) >= floor.min(0) - 1e-6).all() and (
             high.max(0) <= floor.max(0) + 1e-6
@@ -188,16 +148,14 @@ def test_the_furniture_stands_on_the_floor_and_the_walls_beside_it(
         assert beside if item.category == "wall" else inside, item.name
 
 
-def test_there_are_things_to_pick_that_rest_on_something(
-    kitchen: Path, scene_io: ModuleType
-) -> None:
-    scene = scene_io.Scene(kitchen)
+def test_there_are_things_to_pick_that_rest_on_something(kitchen: Path) -> None:
+    items = Room.read(kitchen).items
     small = {"cup", "apple", "cereal box", "bottle", "can"}
-    things = [item for item in scene.objects if item.category in small]
+    things = [item for item in items if item.category in small]
     assert 3 <= len(things) <= 5
     for item in things:
-        others = [s for other in scene.objects if other is not item for s in other.shapes()]
-        assert 0 < least_distance(scene_io, item.shapes(), others) <= 0.002, item.name
+        others = [s for other in items if other is not item for s in other.shapes()]
+        assert 0 < least_distance(item.shapes(), others) <= 0.002, item.name
 
 
 def test_the_shipped_kitchens_are_small() -> None:
@@ -206,7 +164,6 @@ def test_the_shipped_kitchens_are_small() -> None:
     assert sum(path.stat().st_size for path in files) < 300_000
 
 
-@needs_generator
 def test_the_same_seed_gives_the_same_bytes_and_leaves_no_trace(
     generated: Path, tmp_path: Path
 ) -> None:
@@ -229,20 +186,19 @@ def test_the_same_seed_gives_the_same_bytes_and_leaves_no_trace(
     assert first == second
 
 
-@needs_generator
-@pytest.mark.skipif("MOMAPOS_SLOW" not in os.environ, reason="set MOMAPOS_SLOW for every layout")
+@optional.needs("every layout of kitchens", "MOMAPOS_SLOW" in os.environ)
 @pytest.mark.parametrize(("layout", "seed"), list(product(LAYOUTS, (0, 1))))
 def test_every_layout_opens_without_hitting_anything(
-    layout: str, seed: int, tmp_path: Path, scene_io: ModuleType
+    layout: str, seed: int, tmp_path: Path
 ) -> None:
     out = generate_kitchen(layout, seed=seed, out=tmp_path / "kitchen.json")
-    test_a_kitchen_loads_with_unique_named_and_categorised_closed_objects(out, scene_io)
-    test_a_moving_part_hits_nothing_along_its_whole_opening(out, scene_io)
-    test_a_closed_part_leaves_a_gap_all_around(out, scene_io)
-    test_every_moving_part_has_a_bar_that_fingers_fit_behind(out, scene_io)
-    test_the_start_is_on_the_floor_and_clear_of_everything(out, scene_io)
-    test_the_furniture_stands_on_the_floor_and_the_walls_beside_it(out, scene_io)
-    test_there_are_things_to_pick_that_rest_on_something(out, scene_io)
+    test_a_kitchen_loads_with_unique_named_and_categorised_closed_objects(out)
+    test_a_moving_part_hits_nothing_along_its_whole_opening(out)
+    test_a_closed_part_leaves_a_gap_all_around(out)
+    test_every_moving_part_has_a_bar_that_fingers_fit_behind(out)
+    test_the_start_is_on_the_floor_and_clear_of_everything(out)
+    test_the_furniture_stands_on_the_floor_and_the_walls_beside_it(out)
+    test_there_are_things_to_pick_that_rest_on_something(out)
 
 
 def test_an_unknown_layout_is_refused_with_the_nearest_name(tmp_path: Path) -> None:
@@ -332,7 +288,6 @@ def test_hits_are_those_that_coal_finds(
     axis: tuple[float, float, float],
     turns: int,
 ) -> None:
-    coal = pytest.importorskip("coal")
     values, pivot = np.linspace(0.0, 2.0, 7), np.array([0.0, -0.1, 0.0])
     motion = Motion("revolute", (0.0, -0.1, 0.0), axis, 2.0)
     door = Part("door", (Box("panel", (0.0, -0.1, 0.0), (0.6, 0.0, 0.5)),), motion)

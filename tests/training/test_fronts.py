@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from training.fronts import generator, layouts, pool, targets
+from tests import optional
+from training.fronts import generator, layouts, pool
 
 from momapos.reconstruction import decode
 
@@ -97,6 +98,7 @@ def test_a_proposal_means_the_part_that_it_covers(faces: list[generator.Drawn]) 
 
 
 def test_targets_read_back_as_the_boxes_that_made_them() -> None:
+    targets = optional.module("training.fronts.targets", "torch")
     boxes = np.array([[0.1, 0.1, 0.45, 0.5], [0.55, 0.1, 0.9, 0.5], [0.1, 0.6, 0.9, 0.9]])
     kinds = np.array([0, 1, 4])
     heat, reach, _ = targets.face_targets(boxes, kinds, 48)

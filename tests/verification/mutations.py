@@ -126,7 +126,7 @@ def the_door_hits_the_base(case: Case) -> None:
     case.robot = case.robot.replace('size="0.4 0.4 0.5"', 'size="0.9 0.4 0.65"')
 
 
-@mutation("moved part in the scene")
+@mutation("moved part in the room")
 def an_obstacle_in_the_way_of_the_door(case: Case) -> None:
     case.obstacle([0.04, 0.04, 0.04], [-0.007, 0.06, 0.45])
 

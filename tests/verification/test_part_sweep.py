@@ -19,7 +19,7 @@ from momapos.verification.files import UrdfArm
 from momapos.verification.report import DEFAULT, Check, Limits
 
 DOOR = Task("open", "cupboard", "hinge", OPEN)
-CHECK = "moved part in the scene"
+CHECK = "moved part in the room"
 FLUSH = [0.02, 0.3, 0.78]
 """A panel beside the door: its edge is the door's, on the side away from the hinge."""
 

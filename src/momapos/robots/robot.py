@@ -147,7 +147,7 @@ def load_robot(source: str | Path) -> Robot:
 
 
 def read_robot(path: Path) -> Robot:
-    """Read a robot file; see ARCHITECTURE for the format."""
+    """Read a robot file; docs/robots.md explains its keys."""
     data = _read_toml(path)
     table = _Table(data, path)
     urdf = _beside(path, table.text("urdf"))

@@ -1,7 +1,8 @@
 """The exact check of a motion: one world a task, many motions.
 
-Nothing of the planner's is used here: neither its spheres and boxes nor its kinematics. Shapes are
-the collision elements themselves, states are no farther apart than the execution's.
+The planner's spheres, boxes and kinematics are not used here. Shapes are the collision elements
+themselves, a mesh as its hull, from which the planner's are made too; states are no farther apart
+than the execution's.
 """
 
 from __future__ import annotations
@@ -128,13 +129,13 @@ class PlanVerifier:
     def _part_check(
         self, Ts_way: Float[np.ndarray, "w p 4 4"], where: Callable[[int], str]
     ) -> Check:
-        """The moved part against the scene: no deeper than there, but for the tolerance."""
+        """The moved part against the room: no deeper than in the scene, but for the tolerance."""
         found, passage, fixed = _Overlaps(self.limits.penetration), self.part_sweep, self.fixed
         found.add(
             self.part.shapes, Ts_way, fixed, fixed.Ts_body_shape[None],
             passage.pairs, where, already=passage.already,
         )  # fmt: skip
-        return found.check("moved part in the scene")
+        return found.check("moved part in the room")
 
     def _base_check(
         self,

@@ -1,0 +1,119 @@
+"""What is installed from a wheel answers alone: no checkout, no cache, all its data in it."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import venv
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+from tests import optional
+
+REPOSITORY = Path(__file__).parents[2]
+PACKAGE = REPOSITORY / "src" / "momapos"
+QUESTION = ("place", "open", "kitchen_small", "fridge/door_hinge", "--robot", "segway_ur5e")
+"""That of make demo."""
+EVERYTHING = """
+import json, sys
+from pathlib import Path
+import momapos
+from momapos.reachability.construct import default_config
+from momapos.reachability.store import map_key, shipped
+from momapos.robots.robot import library_names, load_robot
+from momapos.scene.files import builtin_names, load_scene
+
+robots = {name: load_robot(name) for name in library_names()}
+maps = {n: shipped(r, map_key(r, default_config(r))) is not None for n, r in robots.items()}
+boxes = {n: sum(len(item.bounds) for item in load_scene(n).objects) for n in builtin_names()}
+print(json.dumps({"file": momapos.__file__, "maps": maps, "kitchens": boxes}))
+"""
+FRONTS = """
+import numpy as np
+from momapos.reconstruction.network import FrontNetwork
+from momapos.types import FaceImage
+
+image, relief = np.full((96, 96, 3), 205, np.uint8), np.full((96, 96), np.nan, np.float32)
+print(type(FrontNetwork()(FaceImage(image, relief, 0.6, 0.6), "cabinet")).__name__)
+"""
+
+pytestmark = optional.needs("a wheel", "MOMAPOS_WHEEL" in os.environ)
+
+
+@dataclass(frozen=True)
+class Installed:
+    """An environment that holds the wheel and what it asks for, and an empty folder to work in."""
+
+    wheel: Path
+    environment: Path
+    folder: Path
+
+    def run(self, *command: str) -> str:
+        """Run a program of the environment, with nothing of this process's environment."""
+        plain = {
+            "PATH": f"{self.environment / 'bin'}:/usr/bin:/bin",
+            "HOME": str(self.folder / "home"),
+        }
+        kept = {k: v for k, v in os.environ.items() if k.startswith(("PIP_", "SSL_", "LANG"))}
+        kept |= {k: v for k, v in os.environ.items() if k.lower().endswith("_proxy")}
+        done = subprocess.run(
+            [str(self.environment / "bin" / command[0]), *command[1:]],
+            capture_output=True, text=True, cwd=self.folder, env=kept | plain,
+        )  # fmt: skip
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory: pytest.TempPathFactory) -> Installed:
+    """Build the wheel as a release is built, from the source archive, and install it."""
+    root = tmp_path_factory.mktemp("wheel")
+    assert not root.is_relative_to(REPOSITORY)
+    dist, environment, folder = root / "dist", root / "env", root / "elsewhere"
+    (folder / "home").mkdir(parents=True)
+    build = [sys.executable, "-m", "build", "--outdir", str(dist), str(REPOSITORY)]
+    done = subprocess.run(build, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    (wheel,) = dist.glob("*.whl")
+    venv.create(environment, with_pip=True)
+    there = Installed(wheel, environment, folder)
+    there.run("python", "-m", "pip", "install", "--quiet", str(wheel))
+    return there
+
+
+def test_every_file_of_the_package_is_in_the_wheel(installed: Installed) -> None:
+    wanted = {
+        str(path.relative_to(PACKAGE.parent))
+        for path in PACKAGE.rglob("*")
+        if path.is_file() and "__pycache__" not in path.parts
+    }
+    assert {".toml", ".urdf", ".srdf", ".reach", ".json", ".onnx"} <= {
+        Path(w).suffix for w in wanted
+    }
+    assert wanted <= set(zipfile.ZipFile(installed.wheel).namelist())
+
+
+def test_robots_their_maps_and_kitchens_come_with_the_wheel(installed: Installed) -> None:
+    found = json.loads(installed.run("python", "-c", EVERYTHING))
+    assert Path(found["file"]).is_relative_to(installed.environment)
+    assert len(found["maps"]) >= 4
+    assert all(found["maps"].values())
+    assert all(found["kitchens"].values())
+    assert set(found["kitchens"]) == {"kitchen_small", "kitchen_island"}
+
+
+def test_the_question_of_the_demo_is_answered_and_the_plan_holds(installed: Installed) -> None:
+    text = installed.run("momapos", *QUESTION, "--out", "plan.json", "--plot", "plan.png")
+    assert ": solved\n" in text
+    assert installed.run("momapos", "verify", "plan.json").rstrip().endswith("VALID")
+    assert (installed.folder / "plan.png").read_bytes().startswith(b"\x89PNG")
+    assert " ".join(QUESTION) in (REPOSITORY / "Makefile").read_text()
+
+
+def test_the_weights_of_the_front_network_come_with_the_wheel(installed: Installed) -> None:
+    installed.run("python", "-m", "pip", "install", "--quiet", f"{installed.wheel}[scan]")
+    assert installed.run("python", "-c", FRONTS) == "Front\n"

@@ -1,0 +1,82 @@
+"""No test is skipped without a word about how to run it."""
+
+from __future__ import annotations
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+from tests import optional
+
+TESTS = Path(__file__).parent
+REPOSITORY = TESTS.parent
+COMMAND = re.compile(
+    r"^(MOMAPOS_SHARED=FOLDER )?make (?P<target>[a-z-]+)|^apt-get install \S|pip install \S"
+)
+SKIPS = {"skip", "skipif", "importorskip", "xfail"}
+
+
+def skips_of(path: Path) -> list[int]:
+    """Lines of a file that skip by pytest's own means."""
+    calls = (n for n in ast.walk(ast.parse(path.read_text())) if isinstance(n, ast.Attribute))
+    return [n.lineno for n in calls if n.attr in SKIPS and ast.unparse(n).startswith("pytest.")]
+
+
+@pytest.mark.parametrize("what", optional.GET)
+def test_each_reason_names_a_command_that_there_is(what: str) -> None:
+    found = COMMAND.search(optional.GET[what])
+    assert found is not None, f"{optional.GET[what]!r} is no command"
+    target = found.group("target")
+    if target is not None:
+        assert re.search(rf"^{target}:", (REPOSITORY / "Makefile").read_text(), re.MULTILINE)
+    assert optional.GET[what] in optional.reason(what)
+
+
+def test_every_skip_takes_its_reason_from_the_table() -> None:
+    elsewhere = {
+        f"{path.relative_to(TESTS)}:{line}"
+        for path in TESTS.rglob("*.py")
+        if path != TESTS / "optional.py"
+        for line in skips_of(path)
+    }
+    assert elsewhere == set()
+    assert len(skips_of(TESTS / "optional.py")) == 2
+
+
+def test_the_list_of_skips_counts_the_tests_of_each_reason() -> None:
+    def report(reason: str) -> pytest.TestReport:
+        where = ("test_x.py", 1, f"Skipped: {reason}")
+        return pytest.TestReport(
+            "test_x.py::y", ("test_x.py", 1, "y"), {}, "skipped", where, "call"
+        )
+
+    torch, egl = optional.reason("torch"), optional.reason("EGL")
+    lines = optional.skipped([report(torch), report(egl), report(torch)])
+    assert lines == [f"   2 {torch}", f"   1 {egl}"]
+
+
+def test_the_tests_end_with_what_did_not_run(pytester: pytest.Pytester) -> None:
+    """In processes of their own, as make test runs them."""
+    pytester.makeconftest((TESTS / "conftest.py").read_text())
+    pytester.makepyfile(
+        """
+        import pytest
+        from tests import optional
+
+        @optional.needs("EGL", False)
+        @pytest.mark.parametrize("k", range(3))
+        def test_a(k):
+            pass
+
+        def test_b(tmp_path):
+            optional.there(tmp_path / "nothing")
+        """
+    )
+    pytester.makeini(f"[pytest]\npythonpath = {REPOSITORY}")
+    out = pytester.runpytest_subprocess("-q", "-n", "2", "-p", "no:cacheprovider")
+    reasons = ["EGL", "real data"]
+    expected = [
+        f"*{count} {optional.reason(what)}" for count, what in zip((3, 1), reasons, strict=True)
+    ]
+    out.stdout.fnmatch_lines(["*not run here*", *expected])
