@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +12,7 @@ from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from momapos.errors import TaskError
 from momapos.importance.scorers import ScorerName
+from momapos.units import parse_quantity
 
 if TYPE_CHECKING:
     from momapos.importance.scorers import ImportanceConfig
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
 Method = Literal["ours", "paper", "exhaustive"]
 Planner = Literal["RRTConnect", "RRTstar", "BITstar"]
-_UNITS = {"": 1.0, "rad": 1.0, "deg": math.pi / 180, "m": 1.0, "cm": 0.01, "mm": 0.001}
 _STATUS = {"solved": 0, "infeasible": 3, "timeout": 4}
 Target = Annotated[str, arg(metavar="OBJECT[/JOINT]")]
 StartArg = Annotated[str | None, arg(metavar="X,Y,YAW")]
@@ -120,27 +119,20 @@ def place_place(
     return _answer("place", scene, target, None, options)
 
 
-def parse_value(text: str) -> float:
-    """Read a joint value such as 90deg, 1.2, 0.3m or 30cm [rad] or [m]."""
-    match = re.fullmatch(r"\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*([a-z]*)\s*", text)
-    try:
-        if match and match[2] in _UNITS:
-            return float(match[1]) * _UNITS[match[2]]
-    except ValueError:
-        match = None
-    raise TaskError(f"{text!r} is no value; write it as 90deg, 1.2rad, 0.3m or 30cm")
-
-
 def parse_start(text: str) -> list[float]:
     """Read a base pose X,Y,YAW [m, m, rad], the yaw with a unit if it is not in radians."""
     parts = text.split(",")
     if len(parts) != 3:
         raise TaskError(f"start {text!r} is not X,Y,YAW; write it as 1.5,2.0,90deg")
-    return [parse_value(part) for part in parts]
+    x, y, yaw = map(parse_quantity, parts)
+    if not yaw.unit and abs(yaw.value) > 2 * math.pi:
+        raise TaskError(f"start {text!r}: a yaw of {yaw.value:g} rad; did you mean {yaw.text}deg?")
+    return [x.length("start: X"), y.length("start: Y"), yaw.angle("start: YAW")]
 
 
 def _answer(verb: str, scene_name: str, target: str, to: str | None, options: Options) -> int:
-    value = None if to is None else parse_value(to)
+    if to is not None:
+        parse_quantity(to)
     begin = None if options.start is None else parse_start(options.start)
     if not options.timeout > 0:
         raise TaskError("--timeout must be > 0 seconds")
@@ -164,7 +156,7 @@ def _answer(verb: str, scene_name: str, target: str, to: str | None, options: Op
     for warning in scene.warnings:
         print(f"momapos: {warning}", file=sys.stderr)
     name, _, joint = target.partition("/")
-    task = make_task(scene, verb, name, joint or None, value)
+    task = make_task(scene, verb, name, joint or None, to)
     with progress(f"reachability map of {robot.name}") as report:
         reach = load_or_build(robot, default_cache_dir(), report)
     at = None if begin is None else np.array(begin)
