@@ -196,11 +196,9 @@ def test_a_door_whose_zero_is_halfway_can_be_opened_and_closed(tmp_path: Path, s
     cabinet_room(tmp_path)
     text = (tmp_path / "cabinet.urdf").read_text()
     # It opens with growing values: shut at the lower limit as it is, at the upper one mirrored.
-    lower, upper, turn, axis = (
-        (-1.05, 1.92, 1.05, 1) if shut == "lower" else (-1.92, 1.05, 1.05, -1)
-    )
+    lower, upper, axis = (-1.05, 1.92, 1) if shut == "lower" else (-1.92, 1.05, -1)
     text = text.replace('<axis xyz="0 0 1.0"/>', f'<axis xyz="0 0 {axis}"/>')
-    text = text.replace('-0.25 0.8"/>', f'-0.25 0.8" rpy="0 0 1.05"/>')
+    text = text.replace('-0.25 0.8"/>', '-0.25 0.8" rpy="0 0 1.05"/>')
     text = text.replace('lower="0" upper="1.9"', f'lower="{lower}" upper="{upper}"')
     (tmp_path / "cabinet.urdf").write_text(text)
     scene = load_scene(tmp_path / "room.json")

@@ -13,6 +13,7 @@ from tyro.conf import OmitArgPrefixes, Positional, arg
 from momapos.errors import TaskError
 from momapos.importance.scorers import ScorerName
 from momapos.units import parse_quantity
+from momapos.viewer.pictures import check_picture
 
 if TYPE_CHECKING:
     from momapos.importance.scorers import ImportanceConfig
@@ -50,7 +51,7 @@ class Options:
     out: Path | None = None
     """Write the plan here (JSON)."""
     plot: Path | None = None
-    """Draw the answer here (PNG)."""
+    """Draw the answer here (PNG, SVG or PDF)."""
     json: bool = False
     """Print the plan as one JSON object and nothing else."""
 
@@ -134,6 +135,7 @@ def _answer(verb: str, scene_name: str, target: str, to: str | None, options: Op
     if to is not None:
         parse_quantity(to)
     begin = None if options.start is None else parse_start(options.start)
+    check_picture(options.plot)
     if not options.timeout > 0:
         raise TaskError("--timeout must be > 0 seconds")
 
@@ -171,11 +173,12 @@ def _answer(verb: str, scene_name: str, target: str, to: str | None, options: Op
         scene, robot, task, reach, start=at,
         config=config, seed=options.seed,
     )  # fmt: skip
-    _deliver(answer, options)
+    # Files come first: who reads what is printed may stop reading at any line.
     if options.plot is not None:
         from momapos.viewer.plot import draw_answer
 
         draw_answer(scene, answer, reach, options.plot)
+    _deliver(answer, options)
     return _STATUS[answer.plan.status]
 
 

@@ -39,7 +39,7 @@ def rank_objects(
         scene: A scene file or the name of a built-in kitchen.
         target: The object that the task is about, and the joint where it has several.
         seed: Same seed, same scores.
-        plot: Draw the scene graph over the room (PNG).
+        plot: Draw the scene graph over the room (PNG, SVG or PDF).
         json: Print one JSON object and nothing else.
         config: How to score.
     """
@@ -48,7 +48,9 @@ def rank_objects(
     from momapos.importance.rank import rank
     from momapos.manipulation.tasks import hand_path
     from momapos.scene.files import load_scene
+    from momapos.viewer.pictures import check_picture
 
+    check_picture(plot)
     loaded = load_scene(scene)
     for warning in loaded.warnings:
         print(f"momapos: {warning}", file=sys.stderr)

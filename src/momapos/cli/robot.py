@@ -14,6 +14,7 @@ from jaxtyping import Float
 from momapos.errors import RobotError, unknown_name
 from momapos.robots.derive import examine, write_robot
 from momapos.robots.robot import Robot, library_names, load_robot
+from momapos.viewer.pictures import check_picture, save_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -61,9 +62,10 @@ def robot_check(
     Args:
         file: A robot file (TOML), or a URDF.
         out: The robot file to write; where not given, the URDF's name with .toml.
-        plot: Draw the robot at home, with its collision spheres, into this PNG file.
+        plot: Draw the robot at home, with its collision spheres, into this file (PNG, SVG, PDF).
         json: Print one JSON object instead of text.
     """
+    check_picture(plot)
     guesses: tuple[str, ...] = ()
     if file.suffix.lower() in (".urdf", ".xml"):
         file, derived = write_robot(file, out)
@@ -202,11 +204,7 @@ def draw_robot(robot: Robot, path: Path) -> None:
     above.set_title("from above")
     side.set_title("from the right")
     figure.suptitle(f"{robot.name} at home; orange: gripper, arrow: approach")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path, dpi=110, format="png")
-    except OSError as error:
-        raise RobotError(f"{path}: cannot be written ({error.strerror})") from error
+    save_figure(figure, path, dpi=110)
 
 
 def _draw_view(robot: Robot, axes: Axes, i: int, j: int) -> None:

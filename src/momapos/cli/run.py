@@ -99,12 +99,12 @@ def run(
     )  # fmt: skip
     if out is not None:
         write_run(result, out)
-    print(dumps(run_to_dict(result)) if json else summary(result))
     if film is not None and record is not None:
         if result.execution is None:
             print(f"momapos: {record}: not drawn, for nothing was executed", file=sys.stderr)
         else:
             film.write(record)
+    print(dumps(run_to_dict(result)) if json else summary(result))
     return 0 if result.success else 1
 
 

@@ -21,6 +21,7 @@ from momapos.kinematics.urdf import read_urdf
 from momapos.scene.copies import copy_files, model_files
 from momapos.scene.files import builtin_names, load_scene, save_scene
 from momapos.scene.scene import Scene, SceneObject
+from momapos.viewer.pictures import check_picture, save_figure
 
 SOLVED = 0
 
@@ -47,9 +48,10 @@ def scene_show(scene: str, /, *, plot: Path | None = None, json: bool = False) -
 
     Args:
         scene: Name of a built-in kitchen, or a file (momapos scene, BestMan list, URDF).
-        plot: Draw the scene from above into this PNG file.
+        plot: Draw the scene from above into this file (PNG, SVG, PDF).
         json: Print one JSON object instead of text.
     """
+    check_picture(plot)
     loaded = load_scene(scene)
     if plot is not None:
         draw_scene(loaded, plot)
@@ -276,5 +278,4 @@ def draw_scene(scene: Scene, path: Path) -> None:
         axes.arrow(x, y, 0.4 * np.cos(yaw), 0.4 * np.sin(yaw), width=0.02, color="k")
     axes.autoscale_view()
     axes.set(aspect="equal", xlabel="x [m]", ylabel="y [m]", title=scene.name)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=110, format="png")
+    save_figure(figure, path, dpi=110)

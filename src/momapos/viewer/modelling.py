@@ -17,6 +17,7 @@ from momapos.perception.faces import Face
 from momapos.perception.views import View
 from momapos.scene.scene import SceneObject
 from momapos.types import Cloud, Detection, Frame, Part
+from momapos.viewer.pictures import save_figure
 
 _EDGES = ((0, 1), (0, 2), (0, 4), (1, 3), (1, 5), (2, 3), (2, 6), (3, 7), (4, 5), (4, 6), (5, 7),
           (6, 7))  # fmt: skip
@@ -62,7 +63,7 @@ def draw_modelled(
             axes.set_title(text)
         axis = None
     _fit(front, side, detection, axis, cloud, model)
-    figure.savefig(path, dpi=80)
+    save_figure(figure, path, dpi=80)
 
 
 def _frame(axes: Axes, frame: Frame, detection: Detection, angle: float) -> None:
