@@ -10,11 +10,11 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from functools import cache, lru_cache
+from functools import cache, cached_property, lru_cache
 from importlib import metadata
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from momapos.config import PipelineConfig
 from momapos.errors import SceneError
@@ -31,16 +31,19 @@ from momapos.manipulation.motion import LIFT, TaskMotion, in_room, room_boxes, t
 from momapos.manipulation.nearness import near_boxes, stood_boxes, swept_boxes
 from momapos.manipulation.tasks import hand_path, openable
 from momapos.navigation.cost_map import FloorPlan, build_cost_map, floor_plan
-from momapos.navigation.start import find_start
+from momapos.navigation.footprint_map import Ground, survey
+from momapos.navigation.global_path import Path, plan_path
+from momapos.navigation.start import check_start, find_start
 from momapos.placement.area import Site, footprints
 from momapos.placement.place import Barred, Problem, Search, search
 from momapos.protocols import Clock, ReachScorer
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene, upright_boxes
-from momapos.types import Motion, PlacementPlan, Task
+from momapos.types import Attempt, Motion, PlacementPlan, Screened, Task
 from momapos.verification.exact import ExactWorld
 
 DEFAULT = PipelineConfig()
+NO_WAY_AT_HOME = "no way to drive there with the arm at home"
 ROOM_MARGIN = 2.0
 """Free border that is mapped around a room without a known floor [m]."""
 
@@ -140,6 +143,11 @@ class _Question:
     watch: _Stopwatch
     began: float
 
+    @cached_property
+    def ground(self) -> Ground:
+        """Where the robot fits with its arm at home, among all objects as they are."""
+        return survey(self.scene, self.robot)
+
     def first_selection(
         self, ranked: Importance, motion: TaskMotion, start: Float[np.ndarray, "3"] | None
     ) -> Selection:
@@ -169,7 +177,7 @@ class _Question:
                 motion = replace(motion, Ts_world_tool=motion.Ts_world_tool[roomy])
         with self.watch.stage("drive"):
             plan = room_plan(motion.standing_boxes(), self.scene.floor, base_height(robot))
-            start = start_pose(self.scene, robot, motion, start)
+            start = start_pose(self.scene, robot, motion, start, self.ground)
             cost = build_cost_map(plan, start[:2], radius=inscribed_radius(robot.footprint))
         with self.watch.stage("exact model"):
             exact = ExactWorld(modelled, robot, self.task)
@@ -193,12 +201,25 @@ class _Question:
         def out_of_time() -> bool:
             return clock() - begun > left
 
+        ways: dict[bytes, Path | None] = {}
+
+        def attempt(
+            base: Float[np.ndarray, "3"], screened: Screened, grasps: Int[np.ndarray, " k"]
+        ) -> Attempt:
+            """A motion at a base pose that can be driven to with the arm at home."""
+            done = feasible(base, screened, grasps)
+            if done.motion is None:
+                return done
+            with self.watch.stage("way"):
+                ways[base.tobytes()] = way = plan_path(self.ground, start, base)
+            return done if way is not None else Attempt(None, NO_WAY_AT_HOME)
+
         feasible = Feasibility(robot, world, motion, config.planner, refuse, self.seed, out_of_time)
         problem = Problem(
             site=site,
             reach=self.reach,
             travel_cost=cost.lengths,
-            attempt=feasible,
+            attempt=attempt,
             screen=feasible.screen,
             hopeless=blocked or ("" if roomy.any() else f"the hand hits {obstacle} in every grasp"),
             start=start,
@@ -211,8 +232,13 @@ class _Question:
         search_config = some if selection.boxes else config.place
         with self.watch.stage("search"):
             result = search(problem, search_config, np.random.default_rng(self.seed))
+        way = None if result.base is None else ways.get(result.base.tobytes())
         return Answer(
-            plan=_plan(self.scene, robot, self.task, result, config, self.seed),
+            plan=replace(
+                _plan(self.scene, robot, self.task, result, config, self.seed),
+                start=(float(start[0]), float(start[1]), float(start[2])),
+                base_path=None if way is None else way.poses,
+            ),
             site=site,
             motion=motion,
             search=result,
@@ -288,22 +314,27 @@ def room_plan(boxes: Boxes, floor: Float[np.ndarray, "k 2"] | None, height: floa
 
 
 @lru_cache(maxsize=32)
-def _roomy_start(scene: Scene, height: float) -> Float[np.ndarray, "3"]:
+def _roomy_start(scene: Scene, ground: Ground) -> Float[np.ndarray, "3"]:
     """A roomy place in front of the furniture, all of it modelled."""
-    return find_start(room_plan(room_boxes(scene), scene.floor, height), _in_front(scene))
+    plan = room_plan(room_boxes(scene), scene.floor, base_height(ground.robot))
+    return find_start(plan, _in_front(scene), ground)
 
 
 def start_pose(
-    scene: Scene, robot: Robot, motion: TaskMotion, start: Float[np.ndarray, "3"] | None
+    scene: Scene,
+    robot: Robot,
+    motion: TaskMotion,
+    start: Float[np.ndarray, "3"] | None,
+    ground: Ground,
 ) -> Float[np.ndarray, "3"]:
     """The start that was given, the scene's, or a roomy place in front of the furniture.
 
     Raises:
-        SceneError: The base cannot stand there.
+        SceneError: The base cannot stand there, or not with its arm at home.
     """
     given = start if start is not None else scene.start
     if given is None:
-        return _roomy_start(scene, base_height(robot))
+        return _roomy_start(scene, ground)
     pose = np.asarray(given, float)
     if pose.shape != (3,) or not np.isfinite(pose).all():
         raise SceneError("the start must be three numbers: x [m], y [m], yaw")
@@ -313,6 +344,7 @@ def start_pose(
         raise SceneError(f"{where}: the base of {robot.name} would hit {motion.labels[hit]}")
     if scene.floor is not None and not all_inside(scene.floor, footprints(robot, pose[None]))[0]:
         raise SceneError(f"{where}: the base of {robot.name} would stand off the floor")
+    check_start(ground, pose)
     return pose
 
 
@@ -326,6 +358,12 @@ def _in_front(scene: Scene) -> Float[np.ndarray, "2"]:
     if points:
         return np.mean(points, axis=0)
     return np.mean([item.bounds[:, :2].mean(0) for item in scene.objects], axis=0)
+
+
+def _srdf(robot: Robot) -> str | None:
+    """The SRDF, where it is not the one that everybody finds beside the URDF."""
+    beside = robot.model.urdf.path.with_suffix(".srdf") if robot.model.urdf.path else None
+    return None if robot.srdf is None or robot.srdf == beside else str(robot.srdf)
 
 
 def _plan(
@@ -346,6 +384,9 @@ def _plan(
         tool_link=robot.tool_link,
         task=task,
         status="solved" if solved else "timeout" if result.timed_out else "infeasible",
+        robot_file=robot.source,
+        robot_srdf=_srdf(robot),
+        scene_joints=scene.joints_set,
         joints=robot.arm_joints,
         base_pose=None if base is None else (float(base[0]), float(base[1]), float(base[2])),
         motion=result.motion,

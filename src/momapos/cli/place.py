@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from tyro.conf import OmitArgPrefixes, Positional, arg
+from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
 from momapos.errors import TaskError
 from momapos.importance.scorers import ScorerName
@@ -25,6 +25,7 @@ _STATUS = {"solved": 0, "infeasible": 3, "timeout": 4}
 Target = Annotated[str, arg(metavar="OBJECT[/JOINT]")]
 StartArg = Annotated[str | None, arg(metavar="X,Y,YAW")]
 Thing = Annotated[str, arg(metavar="OBJECT")]
+JointsArg = Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="OBJECT/JOINT=VALUE")]
 ToArg = Annotated[str | None, arg(metavar="VALUE")]
 
 
@@ -34,6 +35,8 @@ class Options:
 
     robot: str = "fetch"
     """A library robot or a robot file."""
+    joint: JointsArg = ()
+    """A joint that stands elsewhere than in the file, as fridge/door_hinge=60deg; repeatable."""
     start: StartArg = None
     """Where the robot is now [m, m, rad or deg]; the scene's start by default."""
     method: Method = "ours"
@@ -152,9 +155,10 @@ def _answer(verb: str, scene_name: str, target: str, to: str | None, options: Op
     from momapos.reachability.store import load_or_build
     from momapos.robots.robot import load_robot
     from momapos.scene.files import load_scene
+    from momapos.scene.joints import set_joints
 
     robot = load_robot(options.robot)
-    scene = load_scene(scene_name)
+    scene = set_joints(load_scene(scene_name), options.joint)
     for warning in scene.warnings:
         print(f"momapos: {warning}", file=sys.stderr)
     name, _, joint = target.partition("/")

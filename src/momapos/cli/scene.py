@@ -14,12 +14,14 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from momapos.cli.place import JointsArg
 from momapos.errors import SceneError
 from momapos.geometry.transforms import apply
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.urdf import read_urdf
 from momapos.scene.copies import copy_files, model_files
 from momapos.scene.files import builtin_names, load_scene, save_scene
+from momapos.scene.joints import set_joints
 from momapos.scene.scene import Scene, SceneObject
 from momapos.viewer.pictures import check_picture, save_figure
 
@@ -43,16 +45,25 @@ def scene_list(*, json: bool = False) -> int:
     return SOLVED
 
 
-def scene_show(scene: str, /, *, plot: Path | None = None, json: bool = False) -> int:
+def scene_show(
+    scene: str,
+    /,
+    *,
+    joint: JointsArg = (),
+    plot: Path | None = None,
+    json: bool = False,
+) -> int:
     """Show what is in a scene: its objects, their sizes, their joints.
 
     Args:
         scene: Name of a built-in kitchen, or a file (momapos scene, BestMan list, URDF).
+        joint: A joint that stands elsewhere than in the file, as fridge/door_hinge=60deg;
+            repeatable.
         plot: Draw the scene from above into this file (PNG, SVG, PDF).
         json: Print one JSON object instead of text.
     """
     check_picture(plot)
-    loaded = load_scene(scene)
+    loaded = set_joints(load_scene(scene), joint)
     if plot is not None:
         draw_scene(loaded, plot)
     facts = describe(loaded)
@@ -65,8 +76,8 @@ def scene_show(scene: str, /, *, plot: Path | None = None, json: bool = False) -
         size = " x ".join(f"{v:.2f}" for v in high - low)
         x, y, z = (low + high) / 2
         print(f"  {item['name']:20} {item['category']:14} {size} m at ({x:.2f}, {y:.2f}, {z:.2f})")
-        for joint in item["joints"]:
-            print(f"      {_joint_line(joint)}")
+        for moving in item["joints"]:
+            print(f"      {_joint_line(moving)}")
     floor = facts["floor_area"]
     print(f"  floor: {'not known' if floor is None else f'{floor:.1f} m^2'}")
     start = facts["start"]

@@ -13,6 +13,7 @@ from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.opening import opening_of
 from momapos.kinematics.urdf import Joint
 from momapos.manipulation.handles import handle_path, has_handle
+from momapos.scene.joints import joint_value
 from momapos.scene.scene import Scene, SceneObject
 from momapos.types import Task, Verb
 from momapos.units import ANGLES, LENGTHS, Quantity, parse_quantity
@@ -141,15 +142,6 @@ def _goal(model: Articulated, joint: Joint, verb: str, start: float) -> float:
     if joint.kind == "prismatic" or way.sign * (way.wide - wide) < 0:
         return way.wide
     return wide if way.sign * (wide - start) > ROUNDED or not math.isfinite(way.wide) else way.wide
-
-
-def joint_value(joint: Joint, quantity: Quantity, what: str) -> float:
-    """A quantity as a value of a joint [rad] or [m].
-
-    Raises:
-        TaskError: Its unit is not one of this kind of joint.
-    """
-    return quantity.length(what) if joint.kind == "prismatic" else quantity.angle(what)
 
 
 def _within_limits(where: str, joint: Joint, to: float | str) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32
@@ -42,9 +43,21 @@ class Ground:
     floor: Float[np.ndarray, "k 2"] | None
     origin: Float[np.ndarray, "2"]
     """World position of the corner of cell (0, 0) [m]."""
-    gap: Float32[np.ndarray, "headings rows columns"]
-    """Gap around the robot at the centre of each cell [m], at most FARTHEST; negative where it
-    does not fit."""
+    shape: tuple[int, int]
+    """Rows and columns of the map."""
+
+    @cached_property
+    def gap(self) -> Float32[np.ndarray, "headings rows columns"]:
+        """Gap around the robot at the centre of each cell [m], at most FARTHEST; negative where it
+        does not fit. It is made when it is first asked for: most ways need no map."""
+        rows, columns = self.shape
+        j, i = np.meshgrid(np.arange(columns), np.arange(rows))
+        centers = self.origin + (np.stack([j, i], -1) + 0.5) * CELL
+        inside = np.ones((rows, columns), bool)
+        if self.floor is not None:
+            inside = contains(self.floor, centers.reshape(-1, 2)).reshape(rows, columns)
+        inner = inscribed_radius(self.body.outlines[0])
+        return _fill(centers, inside, HEADINGS, inner, self.body.arrays, self.things.arrays)
 
     @property
     def free(self) -> Bool[np.ndarray, "headings rows columns"]:
@@ -52,6 +65,7 @@ class Ground:
         return self.gap > 0.0
 
 
+@lru_cache(maxsize=8)
 def survey(scene: Scene, robot: Robot) -> Ground:
     """Map where a robot with its arm at home fits.
 
@@ -83,14 +97,7 @@ def ground_of(
             f"the room is {width:.0f} m x {depth:.0f} m; at most "
             f"{MOST_CELLS * CELL**2:.0f} m^2 can be mapped to drive in"
         )
-    j, i = np.meshgrid(np.arange(columns), np.arange(rows))
-    centers = origin + (np.stack([j, i], -1) + 0.5) * CELL
-    inside = np.ones((rows, columns), bool)
-    if floor is not None:
-        inside = contains(floor, centers.reshape(-1, 2)).reshape(rows, columns)
-    inner = inscribed_radius(body.outlines[0])
-    values = _fill(centers, inside, HEADINGS, inner, body.arrays, things.arrays)
-    return Ground(robot, body, obstacles, things, floor, origin, values)
+    return Ground(robot, body, obstacles, things, floor, origin, (rows, columns))
 
 
 @njit(cache=True, nogil=True)

@@ -29,9 +29,9 @@ MAX_TOML_BYTES = 1_000_000
 Drive = Literal["differential", "omni"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Robot:
-    """A mobile base with one arm and one tool."""
+    """A mobile base with one arm and one tool; one is equal to itself alone."""
 
     name: str
     path: Path
@@ -60,6 +60,14 @@ class Robot:
     """Widest thing that fits between the fingers [m]."""
     disabled: frozenset[frozenset[str]]
     """Pairs of links whose contact is never checked."""
+
+    srdf: Path | None = None
+    """The file that names those pairs; None where there is none."""
+
+    @property
+    def source(self) -> str:
+        """What `load_robot` finds it by: its name in the library, or the path of its file."""
+        return self.name if self.path == _library_file(self.name) else str(self.path)
 
     @cached_property
     def _parts(self) -> tuple[Chain, Segments]:
@@ -120,6 +128,10 @@ def library_names() -> tuple[str, ...]:
     return tuple(sorted(p.name for p in root.iterdir() if (p / f"{p.name}.toml").is_file()))
 
 
+def _library_file(name: str) -> Path:
+    return Path(str(resources.files("momapos.robots") / "library" / name / f"{name}.toml"))
+
+
 def load_robot(source: str | Path) -> Robot:
     """Load a robot by library name or from a TOML file.
 
@@ -128,7 +140,7 @@ def load_robot(source: str | Path) -> Robot:
     """
     text = str(source)
     if text in library_names():
-        path = Path(str(resources.files("momapos.robots") / "library" / text / f"{text}.toml"))
+        path = _library_file(text)
     else:
         path = Path(source)
         if path.suffix not in (".toml", ".urdf", ".xml") and not os.path.exists(path):
@@ -147,6 +159,7 @@ def read_robot(path: Path) -> Robot:
     urdf = (path.parent / table.text("urdf")).resolve()
     model = Articulated(read_urdf(urdf))
     base, tool = table.table("base"), table.table("tool")
+    srdf = _srdf_of(table, urdf)
     robot = Robot(
         name=table.text("name"),
         path=path,
@@ -165,10 +178,26 @@ def read_robot(path: Path) -> Robot:
         approach_axis=tool.unit("approach_axis"),
         closing_axis=tool.unit("closing_axis"),
         opening=tool.positive("opening", 0.08),
-        disabled=read_srdf(urdf.with_suffix(".srdf")),
+        disabled=frozenset() if srdf is None else read_srdf(srdf),
+        srdf=srdf,
     )
     _check(robot)
     return robot
+
+
+def _srdf_of(table: _Table, urdf: Path) -> Path | None:
+    """The SRDF that a robot file names, or the one of the URDF's name beside it, if any.
+
+    Raises:
+        RobotError: The one that is named does not exist.
+    """
+    if "srdf" not in table.data:
+        beside = urdf.with_suffix(".srdf")
+        return beside if beside.is_file() else None
+    named = table.path.parent / table.text("srdf")
+    if not named.is_file():
+        raise RobotError(f"{table.path}: srdf names {named}, which does not exist")
+    return named.resolve()
 
 
 def _check(robot: Robot) -> None:
