@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,11 +12,13 @@ from tests.rooms import cabinet_room
 
 from momapos.errors import MomaposError, TaskError, UnknownNameError
 from momapos.kinematics.opening import opening_of
+from momapos.manipulation.feasibility import loaded, touched_at_home
 from momapos.manipulation.grasps import GraspConfig, handle_grasps
 from momapos.manipulation.handles import find_handle
 from momapos.manipulation.motion import MotionConfig, task_motion
 from momapos.manipulation.tasks import make_task, openable
 from momapos.robots.robot import Robot
+from momapos.robots.states import touches
 from momapos.scene.files import load_scene
 
 KITCHENS = ("kitchen_small", "kitchen_island")
@@ -233,3 +236,31 @@ def test_knobs_stand_apart_from_doors_when_a_joint_must_be_named(tmp_path: Path)
     (tmp_path / "cabinet.urdf").write_text(text.replace("</robot>", knob))
     with pytest.raises(TaskError, match="with one of hinge; knobs: a_knob"):
         make_task(load_scene(tmp_path / "room.json"), "open", "cabinet")
+
+
+@pytest.mark.parametrize("verb", ["pick", "place"])
+def test_a_robot_without_a_gripper_picks_and_places_nothing(verb: str, robot: Robot) -> None:
+    scene = load_scene("kitchen_small")
+    task = make_task(scene, verb, "cup")
+    assert robot.has_gripper
+    assert len(task_motion(scene, robot, task, MotionConfig()).Ts_world_tool)
+    last = robot.model.joint(robot.arm_joints[-1]).child
+    bare = replace(robot, gripper_links=(last,))
+    # The Fetch's last link is its wrist, the others' the flange.
+    assert not bare.has_gripper
+    with pytest.raises(TaskError, match="has no gripper, so it cannot"):
+        task_motion(scene, bare, task, MotionConfig())
+
+
+@pytest.mark.parametrize("name", ["cup", "cereal_box"])
+def test_a_thing_that_would_touch_the_arm_at_home_is_not_carried_by_that_grasp(
+    robot: Robot, name: str
+) -> None:
+    """The way of a placed thing begins at home; its spheres and the robot's tell."""
+    scene = load_scene("kitchen_small")
+    motion = task_motion(scene, robot, make_task(scene, "place", name), MotionConfig())
+    touched = touched_at_home(robot, motion)
+    for g in range(0, len(touched), 7):
+        spheres = loaded(robot, motion, motion.Ts_world_tool[g, 0], 0)
+        hits = touches(robot.chain, spheres, robot.home[None])[0]
+        assert hits == (touched[g] >= 0)

@@ -240,6 +240,11 @@ def _rigid_motion(
     scene: Scene, robot: Robot, task: Task, target: SceneObject, config: MotionConfig
 ) -> TaskMotion:
     """Pick: approach, grasp, lift. Place: the same backwards, from release to retreat."""
+    if not robot.has_gripper:
+        raise TaskError(
+            f"{robot.name} has no gripper, so it cannot {task.verb} {target.name!r}; its "
+            "gripper_links name nothing beyond the arm's own links"
+        )
     T_object, half = _object_box(target)
     Ts_object_tool = box_grasps(robot, half, config.grasps)
     if len(Ts_object_tool) == 0:

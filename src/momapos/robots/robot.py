@@ -24,6 +24,7 @@ from momapos.kinematics.hulls import Boxes
 from momapos.kinematics.ik import IkModel, build_ik
 from momapos.kinematics.spheres import Spheres, build_spheres
 from momapos.kinematics.urdf import read_urdf
+from momapos.robots.gripper import FINGER, HAND
 
 MAX_TOML_BYTES = 1_000_000
 Drive = Literal["differential", "omni"]
@@ -97,6 +98,15 @@ class Robot:
     def base(self) -> Boxes:
         """The base as boxes in its own frame."""
         return self.spheres.base
+
+    @cached_property
+    def has_gripper(self) -> bool:
+        """Whether there is something to hold with: more than the arm's own links, or named so."""
+        own = {self.model.joint(name).child for name in self.arm_joints}
+        return any(
+            link not in own or FINGER.search(link) or HAND.search(link)
+            for link in self.gripper_links
+        )
 
     @cached_property
     def finger_depth(self) -> float:
