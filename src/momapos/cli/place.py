@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -146,7 +146,7 @@ def _answer(verb: str, scene_name: str, target: str, to: str | None, options: Op
 
     from momapos.cache import default_cache_dir
     from momapos.cli.compile import compile_once
-    from momapos.cli.console import progress
+    from momapos.cli.console import busy, progress
     from momapos.config import PipelineConfig
     from momapos.manipulation.planner import PlannerConfig
     from momapos.manipulation.tasks import make_task
@@ -156,6 +156,7 @@ def _answer(verb: str, scene_name: str, target: str, to: str | None, options: Op
     from momapos.robots.robot import load_robot
     from momapos.scene.files import load_scene
     from momapos.scene.joints import set_joints
+    from momapos.smaller_opening import smaller_opening
 
     robot = load_robot(options.robot)
     scene = set_joints(load_scene(scene_name), options.joint)
@@ -173,10 +174,13 @@ def _answer(verb: str, scene_name: str, target: str, to: str | None, options: Op
         planner=PlannerConfig(algorithm=options.planner),
         timeout=options.timeout,
     )
-    answer = place(
-        scene, robot, task, reach, start=at,
-        config=config, seed=options.seed,
-    )  # fmt: skip
+    with busy(f"{robot.name}: searching", options.timeout):
+        answer = place(
+            scene, robot, task, reach, start=at,
+            config=config, seed=options.seed,
+        )  # fmt: skip
+        plan = smaller_opening(answer.plan, scene, robot, reach, config=config)
+        answer = replace(answer, plan=plan)
     # Files come first: who reads what is printed may stop reading at any line.
     if options.plot is not None:
         from momapos.viewer.plot import draw_answer

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float
 
+from momapos.cli.console import busy
 from momapos.errors import RobotError, unknown_name
 from momapos.robots.derive import examine, write_robot
 from momapos.robots.robot import Robot, library_names, load_robot
@@ -68,12 +69,14 @@ def robot_check(
     check_picture(plot)
     guesses: tuple[str, ...] = ()
     if file.suffix.lower() in (".urdf", ".xml"):
-        file, derived = write_robot(file, out)
+        with busy(f"robot check {file.name}"):
+            file, derived = write_robot(file, out)
         guesses = derived.assumptions
     elif out is not None:
         raise RobotError(f"--out is for a URDF; {file} is a robot file already")
     robot = load_robot(file)
-    doubts = examine(robot)
+    with busy(f"robot check {file.name}"):
+        doubts = examine(robot)
     if plot is not None:
         draw_robot(robot, plot)
     facts = {
@@ -83,10 +86,13 @@ def robot_check(
     if json:
         print(json_format.dumps(facts, indent=1))
         return SOLVED
+    first = [text for text in guesses if text.startswith("IMPORTANT")]
+    if first:
+        print("\n".join(first) + "\n")
     print(as_text(facts))
     if guesses:
         print(f"\nwritten to {file}; what was assumed, please check:")
-        print("\n".join(f"  - {text}" for text in guesses))
+        print("\n".join(f"  - {text}" for text in guesses if text not in first))
     if doubts:
         print("\nthis looks wrong:")
         print("\n".join(f"  - {text}" for text in doubts))
