@@ -22,7 +22,8 @@ import numpy as np
 from momapos.cache import default_cache_dir
 from momapos.config import PipelineConfig
 from momapos.geometry.transforms import apply, invert, pose_planar
-from momapos.manipulation.handles import closed_value, opening_direction, opening_sign
+from momapos.kinematics.opening import opening_of
+from momapos.manipulation.handles import opening_direction
 from momapos.manipulation.tasks import hand_path, make_task, openable
 from momapos.pipeline import plan_base_placement
 from momapos.placement.place import PlaceConfig
@@ -61,10 +62,11 @@ class Door:
 
 def handle_at(scene: Scene, item: str, joint: str, share: float) -> np.ndarray:
     """Where the handle is when a part is opened by a share of 90 degrees or of 30 cm [m]."""
-    found = scene.object(item).model.joint(joint)
-    full = 0.3 if found.kind == "prismatic" else np.pi / 2
-    limit = abs((found.upper if opening_sign(found) > 0 else found.lower) - closed_value(found))
-    to = closed_value(found) + opening_sign(found) * max(min(share * full, limit), 1e-3)
+    model = scene.object(item).model
+    full = 0.3 if model.joint(joint).kind == "prismatic" else np.pi / 2
+    found = opening_of(model, joint)
+    limit = abs(found.wide - found.closed)
+    to = found.closed + found.sign * max(min(share * full, limit), 1e-3)
     path = hand_path(scene, item, joint, to)
     return path[0] if share == 0 else path[-1]
 
@@ -144,12 +146,12 @@ def answer(
         return replace(door, reason="not found in the scan")
     name, _, other = door.match.partition("/")
     ours, theirs = (
-        room.scene.object(item).model.joint(joint),
-        scanned.object(name).model.joint(other),
+        opening_of(room.scene.object(item).model, joint),
+        opening_of(scanned.object(name).model, other),
     )
     assert task.to is not None
-    travel = min(abs(task.to - closed_value(ours)), abs(_wide(theirs) - closed_value(theirs)))
-    to = closed_value(theirs) + opening_sign(theirs) * travel
+    travel = min(abs(task.to - ours.closed), abs(theirs.wide - theirs.closed))
+    to = theirs.closed + theirs.sign * travel
     found = plan_base_placement(
         scanned, robot, make_task(scanned, "open", name, other, to), reach,
         start=moved(there.start, T_scene_truth), config=config,
@@ -158,13 +160,13 @@ def answer(
         return replace(door, reason=f"{found.plan.status} in the scan")
     assert found.plan.motion is not None
     assert found.plan.base_pose is not None
-    q = found.plan.motion.object_q - closed_value(theirs)
+    q = found.plan.motion.object_q - theirs.closed
     base = moved(np.array(found.plan.base_pose), invert(T_scene_truth))
     T_truth_scene = pose_planar(base) @ invert(pose_planar(np.array(found.plan.base_pose)))
     motion = replace(
         found.plan.motion,
         Ts_world_tool=T_truth_scene @ found.plan.motion.Ts_world_tool,
-        object_q=closed_value(ours) + opening_sign(ours) * opening_sign(theirs) * q,
+        object_q=ours.closed + ours.sign * theirs.sign * q,
     )
     limits = Limits(
         penetration=MARGIN, slip_position=MARGIN, slip_rotation=np.radians(10.0),
@@ -182,10 +184,6 @@ def moved(base: np.ndarray, T: np.ndarray) -> np.ndarray:
 
 def _triple(pose: np.ndarray) -> tuple[float, float, float]:
     return float(pose[0]), float(pose[1]), float(pose[2])
-
-
-def _wide(joint: object) -> float:
-    return joint.upper if opening_sign(joint) > 0 else joint.lower  # type: ignore[attr-defined, arg-type]
 
 
 def main() -> None:

@@ -17,6 +17,7 @@ class PoseStatus(Enum):
     OFF_FLOOR = "base off the floor"
     BEYOND_ARM = "farther than the arm"
     NO_ROUTE = "no way to drive there"
+    NO_ROUTE_AT_HOME = "no way to drive there with the arm at home"
     OUT_OF_REACH = "out of reach"
     OUT_OF_REACH_ANYWHERE = "out of reach at any distance"
     TASK_INFEASIBLE = "{detail}"

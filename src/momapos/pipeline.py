@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, cached_property
 from importlib import metadata
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from momapos.config import PipelineConfig
 from momapos.geometry.polygons import inscribed_radius
@@ -23,6 +23,10 @@ from momapos.manipulation.motion import TaskMotion, task_motion
 from momapos.manipulation.nearness import near_boxes, stood_boxes, swept_boxes
 from momapos.manipulation.tasks import hand_path, slides
 from momapos.navigation.cost_map import base_height, build_cost_map, floor_plan
+from momapos.navigation.footprint_map import NavigationMap, build_navigation_map
+from momapos.navigation.global_path import Path as BasePath
+from momapos.navigation.global_path import plan_path
+from momapos.outcomes import PoseOutcome, PoseStatus
 from momapos.placement.place import PoseFilter, Problem, Search, search
 from momapos.prepare import PreparedTask, prepare, start_pose
 from momapos.protocols import Clock, ReachScorer
@@ -30,7 +34,7 @@ from momapos.reachability.store import load_reach_map
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene, upright_boxes
 from momapos.stopwatch import Stopwatch
-from momapos.types import PlacementPlan, Task
+from momapos.types import Attempt, PlacementPlan, Screened, Task
 from momapos.verification.exact import PlanVerifier
 
 DEFAULT = PipelineConfig()
@@ -125,6 +129,11 @@ class _Query:
     seed: int
     watch: Stopwatch
 
+    @cached_property
+    def nav_map(self) -> NavigationMap:
+        """Where the robot fits with its arm at home, among all objects as they are."""
+        return build_navigation_map(self.scene, self.robot)
+
 
 def _first_selection(query: _Query, ranked: Importance, motion: TaskMotion) -> Selection:
     """S at the configured alpha, with what the door or the robot stands in already."""
@@ -151,7 +160,7 @@ def _search(query: _Query, selection: Selection, motion: TaskMotion) -> Placemen
     with watch.stage("drive"):
         obstacles = prepared.motion.standing_boxes()
         plan = floor_plan(obstacles, height=base_height(robot), floor=modelled.floor)
-        start = start_pose(query.scene, robot, prepared.motion, query.start)
+        start = start_pose(query.scene, robot, prepared.motion, query.start, query.nav_map)
         cost = build_cost_map(plan, start[:2], radius=inscribed_radius(robot.footprint))
 
     # What is compiled and read before, once after installation, is not the search's time.
@@ -161,11 +170,26 @@ def _search(query: _Query, selection: Selection, motion: TaskMotion) -> Placemen
         return watch.clock() - begun > left
 
     feasible = prepared.feasibility(config, query.seed, out_of_time=out_of_time, watch=watch)
+    paths: dict[bytes, BasePath | None] = {}
+
+    def attempt(
+        base: Float[np.ndarray, "3"], screened: Screened, grasps: Int[np.ndarray, " k"]
+    ) -> Attempt:
+        """A motion at a base pose that can be driven to with the arm at home."""
+        found = feasible(base, screened, grasps)
+        if found.motion is None:
+            return found
+        with watch.stage("way"):
+            path = paths[base.tobytes()] = plan_path(query.nav_map, start, base)
+        if path is None:
+            return Attempt(None, PoseOutcome(PoseStatus.NO_ROUTE_AT_HOME))
+        return found
+
     problem = Problem(
         site=prepared.geometry,
         reach=query.reach,
         travel_cost=cost.lengths,
-        attempt=feasible,
+        attempt=attempt,
         screen=feasible.screen,
         infeasible_reason=prepared.infeasible_reason,
         start=start,
@@ -178,7 +202,8 @@ def _search(query: _Query, selection: Selection, motion: TaskMotion) -> Placemen
     search_config = brief if selection.boxes else config.place
     with watch.stage("search"):
         found = search(problem, search_config, np.random.default_rng(query.seed))
-    return PlacementResult(_plan(query, found), prepared, found, start)
+    path = None if found.base is None else paths.get(found.base.tobytes())
+    return PlacementResult(_plan(query, found, start, path), prepared, found, start)
 
 
 def _expand_model(
@@ -212,7 +237,9 @@ def _expand_model(
     return selection, True
 
 
-def _plan(query: _Query, found: Search) -> PlacementPlan:
+def _plan(
+    query: _Query, found: Search, start: Float[np.ndarray, "3"], path: BasePath | None
+) -> PlacementPlan:
     robot, base = query.robot, found.base
     solved = found.motion is not None and base is not None
     return PlacementPlan(
@@ -223,7 +250,12 @@ def _plan(query: _Query, found: Search) -> PlacementPlan:
         tool_link=robot.tool_link,
         task=query.task,
         status="solved" if solved else "timeout" if found.timed_out else "infeasible",
+        robot_file=robot.source,
+        robot_srdf=_named_srdf(robot),
+        scene_joints=query.scene.joints_set,
         joints=robot.arm_joints,
+        start=(float(start[0]), float(start[1]), float(start[2])),
+        base_path=None if path is None else path.poses,
         base_pose=None if base is None else (float(base[0]), float(base[1]), float(base[2])),
         motion=found.motion,
         navigation_cost=float(found.cost) if solved else None,
@@ -232,6 +264,13 @@ def _plan(query: _Query, found: Search) -> PlacementPlan:
         seed=query.seed,
         versions=_versions(),
     )
+
+
+def _named_srdf(robot: Robot) -> str | None:
+    """The SRDF, where it is not the one that everybody finds beside the URDF."""
+    urdf = robot.model.urdf.path
+    beside = None if urdf is None else urdf.with_suffix(".srdf")
+    return None if robot.srdf is None or robot.srdf == beside else str(robot.srdf)
 
 
 @cache

@@ -32,21 +32,26 @@ MAX_PARENTS = 3
 
 def plan_to_dict(plan: PlacementPlan) -> dict[str, Any]:
     """Turn a plan into what its file holds; paths as the plan has them."""
-    pose = plan.base_pose
     motion = plan.motion
     return {
         "format": FORMAT,
         "version": VERSION,
         "scene": plan.scene,
+        "scene_joints": {name: dict(joints) for name, joints in plan.scene_joints.items()},
         "robot": {
             "name": plan.robot_name,
             "urdf": plan.robot_urdf,
             "base_link": plan.base_link,
             "tool_link": plan.tool_link,
+            "file": plan.robot_file,
+            "srdf": plan.robot_srdf,
         },
         "task": asdict(plan.task),
         "status": plan.status,
-        "base_pose": None if pose is None else dict(zip(("x", "y", "yaw"), pose, strict=True)),
+        "feasible_to": plan.feasible_to,
+        "start": _pose_to_dict(plan.start),
+        "base_pose": _pose_to_dict(plan.base_pose),
+        "base_path": None if plan.base_path is None else plan.base_path.tolist(),
         "joints": list(plan.joints),
         "approach": [] if motion is None else motion.approach.tolist(),
         "manipulation": None
@@ -72,6 +77,10 @@ def plan_to_dict(plan: PlacementPlan) -> dict[str, Any]:
     }
 
 
+def _pose_to_dict(pose: tuple[float, float, float] | None) -> dict[str, float] | None:
+    return None if pose is None else dict(zip(("x", "y", "yaw"), pose, strict=True))
+
+
 def write_plan(plan: PlacementPlan, path: Path) -> None:
     """Write a plan, the whole file or nothing.
 
@@ -86,6 +95,10 @@ def write_plan(plan: PlacementPlan, path: Path) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     data["scene"] = _portable(plan.scene, path, "the scene")
     data["robot"]["urdf"] = _portable(plan.robot_urdf, path, "the robot's URDF")
+    if plan.robot_file is not None and plan.robot_file.endswith(".toml"):
+        data["robot"]["file"] = _portable(plan.robot_file, path, "the robot file")
+    if plan.robot_srdf is not None:
+        data["robot"]["srdf"] = _portable(plan.robot_srdf, path, "the robot's SRDF")
     data["hashes"] = {
         "scene": _sha256(Path(plan.scene)), "robot": _sha256(Path(plan.robot_urdf)),
     }  # fmt: skip
@@ -133,6 +146,8 @@ class _Robot(msgspec.Struct):
     urdf: str
     base_link: str
     tool_link: str
+    file: str | None = None
+    srdf: str | None = None
 
 
 class _Task(msgspec.Struct):
@@ -174,7 +189,11 @@ class _Plan(msgspec.Struct):
     task: _Task
     status: Status
     joints: list[str]
+    scene_joints: dict[str, dict[str, float]] = {}
+    feasible_to: float | None = None
+    start: _Pose | None = None
     base_pose: _Pose | None = None
+    base_path: list[list[float]] | None = None
     approach: list[list[float]] = []
     manipulation: _Manipulation | None = None
     navigation_cost: float | None = None
@@ -272,6 +291,7 @@ def _check(data: _Plan, path: Path) -> None:
     names = {
         "scene": data.scene, "robot.urdf": data.robot.urdf, "robot.base_link": data.robot.base_link,
         "robot.tool_link": data.robot.tool_link, "task.object": data.task.object,
+        "robot.file": data.robot.file or "-", "robot.srdf": data.robot.srdf or "-",
     }  # fmt: skip
     for key, name in names.items():
         need(0 < len(name) <= 4000 and "\0" not in name, f"{key} must be a name")
@@ -290,7 +310,7 @@ def _check(data: _Plan, path: Path) -> None:
 
 
 def _record(data: _Plan, path: Path) -> PlacementPlan:
-    pose, robot = data.base_pose, data.robot
+    robot = data.robot
     folder = path.resolve().parent
     return PlacementPlan(
         scene=_located(data.scene, folder),
@@ -301,7 +321,7 @@ def _record(data: _Plan, path: Path) -> PlacementPlan:
         task=Task(data.task.verb, data.task.object, data.task.joint, data.task.to),
         status=data.status,
         joints=tuple(data.joints),
-        base_pose=None if pose is None else (pose.x, pose.y, pose.yaw),
+        base_pose=_triple(data.base_pose),
         motion=_motion(data, path),
         navigation_cost=data.navigation_cost,
         candidates=Candidates(**msgspec.structs.asdict(data.candidates)),
@@ -310,7 +330,24 @@ def _record(data: _Plan, path: Path) -> PlacementPlan:
         method=data.method,
         seed=data.seed,
         versions=data.versions,
+        start=_triple(data.start),
+        base_path=None
+        if data.base_path is None
+        else _array(data.base_path, (3,), path, "base_path", "x, y, yaw"),
+        robot_file=_robot_file(robot.file, folder),
+        robot_srdf=None if robot.srdf is None else _located(robot.srdf, folder),
+        scene_joints=data.scene_joints,
+        feasible_to=data.feasible_to,
     )
+
+
+def _triple(pose: _Pose | None) -> tuple[float, float, float] | None:
+    return None if pose is None else (pose.x, pose.y, pose.yaw)
+
+
+def _robot_file(name: str | None, folder: Path) -> str | None:
+    """A robot file, absolute where it exists; names of the library robots stay names."""
+    return name if name is None or not name.endswith(".toml") else _located(name, folder)
 
 
 def _key_objects(data: _Importance | None) -> KeyObjects | None:
@@ -343,7 +380,7 @@ def _motion(data: _Plan, path: Path) -> Motion | None:
 
 
 def _array(
-    rows: Sequence[Any], shape: tuple[int, ...], path: Path, key: str
+    rows: Sequence[Any], shape: tuple[int, ...], path: Path, key: str, each: str = "one a joint"
 ) -> Float[np.ndarray, "..."]:
     if not rows:
         return np.empty((0, *shape))
@@ -356,6 +393,6 @@ def _array(
         found = " x ".join(map(str, array.shape[1:]))
         raise FileFormatError(
             f"{path}: {key} has rows of {found} numbers; need {size}"
-            + (", one a joint" if len(shape) == 1 else "")
+            + (f", {each}" if len(shape) == 1 else "")
         )
     return array

@@ -15,7 +15,8 @@ from momapos.manipulation.feasibility import Feasibility, hand_clears
 from momapos.manipulation.motion import LIFT, TaskMotion, in_room, room_boxes, task_motion
 from momapos.manipulation.tasks import in_front_of_parts
 from momapos.navigation.cost_map import base_height, floor_plan
-from momapos.navigation.start import check_start, find_start
+from momapos.navigation.footprint_map import NavigationMap
+from momapos.navigation.start import check_arm_at_home, check_base, find_start
 from momapos.placement.area import Site
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene
@@ -142,7 +143,11 @@ def collision_world(robot: Robot, motion: TaskMotion, config: PipelineConfig) ->
 
 
 def start_pose(
-    scene: Scene, robot: Robot, motion: TaskMotion, given: Float[np.ndarray, "3"] | None
+    scene: Scene,
+    robot: Robot,
+    motion: TaskMotion,
+    given: Float[np.ndarray, "3"] | None,
+    nav_map: NavigationMap,
 ) -> Float[np.ndarray, "3"]:
     """The start that was given, the scene's, or a roomy place in front of the furniture.
 
@@ -151,20 +156,23 @@ def start_pose(
         robot: The robot.
         motion: The task, among the boxes that the start is checked against.
         given: x [m], y [m], yaw [rad], or None.
+        nav_map: Where the robot fits with its arm at home.
 
     Raises:
-        SceneError: The base cannot stand there.
+        SceneError: The base cannot stand there, or not with its arm at home.
     """
     given = scene.start if given is None else given
     if given is None:
-        return _roomy_start(scene, base_height(robot))
+        return _roomy_start(scene, nav_map)
     pose = np.asarray(given, float)
-    check_start(pose, robot, motion.standing_boxes(), motion.labels, scene.floor)
+    check_base(pose, robot, motion.standing_boxes(), motion.labels, scene.floor)
+    check_arm_at_home(nav_map, pose)
     return pose
 
 
 @lru_cache(maxsize=32)
-def _roomy_start(scene: Scene, height: float) -> Float[np.ndarray, "3"]:
+def _roomy_start(scene: Scene, nav_map: NavigationMap) -> Float[np.ndarray, "3"]:
     """A roomy place in front of the furniture, all of it modelled."""
+    height = base_height(nav_map.robot)
     plan = floor_plan(room_boxes(scene), height=height, floor=scene.floor)
-    return find_start(plan, in_front_of_parts(scene))
+    return find_start(plan, in_front_of_parts(scene), nav_map)

@@ -26,7 +26,6 @@ from momapos.manipulation.motion import task_motion
 from momapos.navigation.clearance import gaps
 from momapos.navigation.drive import DriveConfig, DriveRecord, drive
 from momapos.navigation.footprint_map import NavigationMap, build_navigation_map
-from momapos.navigation.judge import FootprintCollisionChecker
 from momapos.navigation.localisation import NoiseConfig
 from momapos.pipeline import plan_base_placement
 from momapos.prepare import start_pose
@@ -81,7 +80,7 @@ def run_plan(
         scene: The room.
         robot: The robot.
         reach: The robot's reachability map, for planning anew.
-        start: Where the base is at first; as for `place` by default.
+        start: Where the base is at first; as the plan says by default, else as for `place`.
         attempts: Base poses that are driven to at most [-].
         config: How to plan anew.
         driving: How the base drives, and how wrong its sensors are.
@@ -113,6 +112,8 @@ def run_plan(
 
     with stopwatch.stage("drive"):
         ground = build_navigation_map(scene, robot)
+    if start is None and plan.start is not None:
+        start = np.array(plan.start)
     trip = _Trip(ground, scene, plan, reach, go or by_window, config, trace or _unseen, stopwatch)
     here, motion = trip.go(_begin(ground, scene, plan.task, start, config), attempts, of_drive)
     outcome: Execution | None = None
@@ -155,17 +156,8 @@ def _begin(
         SceneError: The base cannot stand there, or not with its arm at home.
     """
     robot = ground.robot
-    pose = start_pose(scene, robot, task_motion(scene, robot, task, config.motion), start)
-    touched = FootprintCollisionChecker(ground.prisms, ground.obstacles, ground.floor).distance(
-        pose[None]
-    )[1][0]
-    if touched:
-        x, y, yaw = pose
-        raise SceneError(
-            f"start ({x:.2f}, {y:.2f}, {np.degrees(yaw):.0f} deg): {robot.name} with its arm at "
-            f"home would touch {touched}; give another --start"
-        )
-    return pose
+    motion = task_motion(scene, robot, task, config.motion)
+    return start_pose(scene, robot, motion, start, ground)
 
 
 @dataclass

@@ -241,3 +241,15 @@ class PlacementPlan:
     method: str = "ours"
     seed: int = 0
     versions: Mapping[str, str] = field(default_factory=dict)
+    start: tuple[float, float, float] | None = None
+    """Where the base is at first: x [m], y [m], yaw [rad]."""
+    base_path: Float[np.ndarray, "k 3"] | None = None
+    """The way from there to the base pose, free for the whole robot with its arm at home."""
+    robot_file: str | None = None
+    """The robot file, or the robot's name in the library."""
+    robot_srdf: str | None = None
+    """The SRDF whose pairs of links are not checked; None for the one beside the URDF, if any."""
+    scene_joints: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    """Joint values that differ from the scene file's, by object and joint [rad] or [m]."""
+    feasible_to: float | None = None
+    """Where the value asked for is out of reach: one that is not [rad] or [m]."""

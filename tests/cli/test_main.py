@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from pathlib import Path
 
 import pytest
 
 from momapos.cli.main import COMMANDS, main
-from momapos.cli.place import parse_start, parse_value
+from momapos.cli.place import parse_start
 from momapos.errors import TaskError
+from momapos.units import parse_quantity
 
 
 @pytest.fixture(autouse=True)
@@ -85,10 +87,24 @@ def test_an_infeasible_question_is_status_3_with_reasons(
 
 
 def test_values_and_starts_take_units() -> None:
-    assert parse_value("90deg") == pytest.approx(math.pi / 2)
-    assert parse_value("30cm") == pytest.approx(0.3)
-    assert parse_value("-1.2") == -1.2
+    assert parse_quantity("90deg").angle("a") == pytest.approx(math.pi / 2)
+    assert parse_quantity("30cm").length("a") == pytest.approx(0.3)
+    assert parse_quantity("-1.2").angle("a") == parse_quantity("-1.2").length("a") == -1.2
     assert parse_start("1, 2.5, 180deg") == pytest.approx([1.0, 2.5, math.pi])
     for wrong in ("", "90 degrees", "nan", "1..2", "9m9"):
         with pytest.raises(TaskError):
-            parse_value(wrong)
+            parse_quantity(wrong)
+
+
+@pytest.mark.parametrize(
+    ("start", "words"),
+    [
+        ("1,2", "not X,Y,YAW"),
+        ("1,2,90", "did you mean 90deg?"),
+        ("1deg,2,0", "start: X 1deg is no length"),
+        ("1,2,30cm", "start: YAW 30cm is no angle"),
+    ],
+)
+def test_a_start_in_the_wrong_units_is_refused(start: str, words: str) -> None:
+    with pytest.raises(TaskError, match=re.escape(words)):
+        parse_start(start)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,11 +11,14 @@ import pytest
 from tests.rooms import cabinet_room
 
 from momapos.errors import MomaposError, TaskError, UnknownNameError
+from momapos.kinematics.opening import opening_of
+from momapos.manipulation.feasibility import loaded, touched_at_home
 from momapos.manipulation.grasps import GraspConfig, handle_grasps
-from momapos.manipulation.handles import find_handle, opening_sign
+from momapos.manipulation.handles import find_handle
 from momapos.manipulation.motion import MotionConfig, task_motion
 from momapos.manipulation.tasks import make_task, openable
 from momapos.robots.robot import Robot
+from momapos.robots.states import touches
 from momapos.scene.files import load_scene
 
 KITCHENS = ("kitchen_small", "kitchen_island")
@@ -74,11 +79,11 @@ def test_handles_face_the_way_the_part_moves_off(name: str) -> None:
     for item, joint in found:
         target = scene.object(item)
         record = target.model.joint(joint)
-        handle = find_handle(target.model, joint, opening_sign(record))
+        handle = find_handle(target.model, joint, opening_of(target.model, joint).sign)
         velocity = (
             record.axis if record.kind == "prismatic" else np.cross(record.axis, handle.center)
         )
-        velocity = opening_sign(record) * velocity / np.linalg.norm(velocity)
+        velocity = opening_of(target.model, joint).sign * velocity / np.linalg.norm(velocity)
         assert handle.out @ velocity > 0.8, (item, joint)
         assert abs(handle.out @ handle.long) < 1e-6
         assert not handle.edge
@@ -148,3 +153,114 @@ def test_a_thing_too_big_to_pick_is_refused(robot: Robot) -> None:
     task = make_task(scene, "pick", "table")
     with pytest.raises(MomaposError, match="opens"):
         task_motion(scene, robot, task, MotionConfig())
+
+
+@pytest.mark.parametrize(
+    ("target", "joint", "to", "words"),
+    [
+        ("microwave", "door_hinge", "30cm", "--to 30cm is no angle; write it as 90deg"),
+        ("cabinet_left", "drawer_slide", "20deg", "--to 20deg is no length; write it as 0.3m"),
+        ("microwave", "door_hinge", "90", "did you mean 90deg?"),
+        ("microwave", "door_hinge", 90.0, "did you mean 90deg?"),
+        ("cabinet_left", "drawer_slide", "30", "did you mean 30cm?"),
+    ],
+)
+def test_a_value_in_the_wrong_unit_or_none_is_refused_with_the_right_one(
+    target: str, joint: str, to: float | str, words: str
+) -> None:
+    with pytest.raises(TaskError, match=re.escape(words)) as caught:
+        make_task(load_scene("kitchen_small"), "open", target, joint, to)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("digits", [3, 4, 5])
+def test_a_limit_written_with_fewer_digits_is_that_limit(tmp_path: Path, digits: int) -> None:
+    cabinet_room(tmp_path)
+    text = (tmp_path / "cabinet.urdf").read_text()
+    upper = np.pi / 2
+    (tmp_path / "cabinet.urdf").write_text(text.replace('upper="1.9"', f'upper="{upper}"'))
+    scene = load_scene(tmp_path / "room.json")
+    assert make_task(scene, "open", "cabinet", "hinge", f"{upper:.{digits}f}").to == upper
+    with pytest.raises(TaskError, match="outside its limits"):
+        make_task(scene, "open", "cabinet", "hinge", upper + 0.01)
+
+
+def test_ninety_degrees_are_a_limit_of_1_57(tmp_path: Path) -> None:
+    cabinet_room(tmp_path)
+    text = (tmp_path / "cabinet.urdf").read_text()
+    (tmp_path / "cabinet.urdf").write_text(text.replace('upper="1.9"', 'upper="1.57"'))
+    scene = load_scene(tmp_path / "room.json")
+    assert make_task(scene, "open", "cabinet", "hinge", "90deg").to == 1.57
+
+
+@pytest.mark.parametrize("shut", ["lower", "upper"])
+def test_a_door_whose_zero_is_halfway_can_be_opened_and_closed(tmp_path: Path, shut: str) -> None:
+    """The joint's frame is turned, so that the door is shut at a limit and half open at zero."""
+    cabinet_room(tmp_path)
+    text = (tmp_path / "cabinet.urdf").read_text()
+    # It opens with growing values: shut at the lower limit as it is, at the upper one mirrored.
+    lower, upper, axis = (-1.05, 1.92, 1) if shut == "lower" else (-1.92, 1.05, -1)
+    text = text.replace('<axis xyz="0 0 1.0"/>', f'<axis xyz="0 0 {axis}"/>')
+    text = text.replace('-0.25 0.8"/>', '-0.25 0.8" rpy="0 0 1.05"/>')
+    text = text.replace('lower="0" upper="1.9"', f'lower="{lower}" upper="{upper}"')
+    (tmp_path / "cabinet.urdf").write_text(text)
+    scene = load_scene(tmp_path / "room.json")
+    closed = lower if shut == "lower" else upper
+    way = 1.0 if shut == "lower" else -1.0
+    assert make_task(scene, "close", "cabinet").to == closed
+    assert make_task(scene, "open", "cabinet").to == pytest.approx(closed + way * np.pi / 2)
+    ajar = scene.with_joint("cabinet", "hinge", closed)
+    assert make_task(ajar, "open", "cabinet", "hinge", "0deg").to == 0.0
+    model = scene.object("cabinet").model
+    assert opening_of(model, "hinge").sign == way
+
+
+def test_a_door_that_is_shut_at_zero_stays_so_whatever_lies_behind_it(tmp_path: Path) -> None:
+    """A limit that lets it swing into its cupboard makes it no less shut at zero."""
+    cabinet_room(tmp_path)
+    text = (tmp_path / "cabinet.urdf").read_text()
+    (tmp_path / "cabinet.urdf").write_text(text.replace('lower="0"', 'lower="-1.0"'))
+    model = load_scene(tmp_path / "room.json").object("cabinet").model
+    assert (opening_of(model, "hinge").closed, opening_of(model, "hinge").wide) == (0.0, 1.9)
+
+
+def test_knobs_stand_apart_from_doors_when_a_joint_must_be_named(tmp_path: Path) -> None:
+    cabinet_room(tmp_path)
+    text = (tmp_path / "cabinet.urdf").read_text()
+    knob = (
+        '<link name="knob_handle"><collision><geometry><box size="0.04 0.02 0.02"/></geometry>'
+        '</collision></link><joint name="a_knob" type="revolute"><parent link="body"/>'
+        '<child link="knob_handle"/><origin xyz="0 -0.3 0.45"/><axis xyz="0 1 0"/>'
+        '<limit lower="0" upper="3" effort="1" velocity="1"/></joint></robot>'
+    )
+    (tmp_path / "cabinet.urdf").write_text(text.replace("</robot>", knob))
+    with pytest.raises(TaskError, match="with one of hinge; knobs: a_knob"):
+        make_task(load_scene(tmp_path / "room.json"), "open", "cabinet")
+
+
+@pytest.mark.parametrize("verb", ["pick", "place"])
+def test_a_robot_without_a_gripper_picks_and_places_nothing(verb: str, robot: Robot) -> None:
+    scene = load_scene("kitchen_small")
+    task = make_task(scene, verb, "cup")
+    assert robot.has_gripper
+    assert len(task_motion(scene, robot, task, MotionConfig()).Ts_world_tool)
+    last = robot.model.joint(robot.arm_joints[-1]).child
+    bare = replace(robot, gripper_links=(last,))
+    # The Fetch's last link is its wrist, the others' the flange.
+    assert not bare.has_gripper
+    with pytest.raises(TaskError, match="has no gripper, so it cannot"):
+        task_motion(scene, bare, task, MotionConfig())
+
+
+@pytest.mark.parametrize("name", ["cup", "cereal_box"])
+def test_a_thing_that_would_touch_the_arm_at_home_is_not_carried_by_that_grasp(
+    robot: Robot, name: str
+) -> None:
+    """The way of a placed thing begins at home; its spheres and the robot's tell."""
+    scene = load_scene("kitchen_small")
+    motion = task_motion(scene, robot, make_task(scene, "place", name), MotionConfig())
+    touched = touched_at_home(robot, motion)
+    for g in range(0, len(touched), 7):
+        spheres = loaded(robot, motion, motion.Ts_world_tool[g, 0], 0)
+        hits = touches(robot.chain, spheres, robot.home[None])[0]
+        assert hits == (touched[g] >= 0)

@@ -15,12 +15,12 @@ from tests.reconstruction.fronts import KINDS, face_of, fronts, raised
 from momapos.errors import InputError
 from momapos.geometry.transforms import apply, invert, pose, rotation_about
 from momapos.kinematics.articulated import Articulated
+from momapos.kinematics.opening import opening_of
 from momapos.kinematics.urdf import read_urdf
 from momapos.manipulation.handles import (
     find_handle,
     has_handle,
     opening_direction,
-    opening_sign,
     rigid_links,
 )
 from momapos.reconstruction.model import ModelConfig, furniture_model
@@ -120,7 +120,7 @@ def test_every_part_of_a_random_front_moves_out_of_it(
     _, item = modelled(detection(*size, yaw), parts)
     normal = np.array([np.sin(yaw), -np.cos(yaw), 0.0])
     for name, joint in item.model.joints.items():
-        assert opening_sign(joint) == 1.0
+        assert opening_of(item.model, name).sign == 1.0
         assert opening_direction(item, name)[1] @ normal > 0.5
         handle = find_handle(item.model, name, 1.0)
         link = joint.child
@@ -238,7 +238,7 @@ def test_the_true_front_of_a_kitchens_piece_gives_its_true_handle_paths(name: st
             sideways: PartKind = "door_right" if axis[2] > 0 else "door_left"
             kind = sideways if abs(axis[2]) > 0.9 else "door_down"
         parts.append(Part(kind, area, 0.9, handle))
-        held = find_handle(item.model, joint, opening_sign(record))
+        held = find_handle(item.model, joint, opening_of(item.model, joint).sign)
         values = np.array([0.0, np.pi / 4, np.pi / 2]) * (1 if kind != "drawer" else 0.2)
         truth[handle] = [
             apply(item.link_poses({joint: v})[record.child], held.center[None])[0] for v in values
@@ -248,7 +248,7 @@ def test_the_true_front_of_a_kitchens_piece_gives_its_true_handle_paths(name: st
     assert len(again.model.joints) == len(joints)
     paths = []
     for joint, record in again.model.joints.items():
-        held = find_handle(again.model, joint, opening_sign(record))
+        held = find_handle(again.model, joint, opening_of(again.model, joint).sign)
         values = np.array([0.0, np.pi / 4, np.pi / 2]) * (1 if record.kind == "revolute" else 0.2)
         paths.append(
             [

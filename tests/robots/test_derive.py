@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,10 +16,11 @@ from tests.real import DATA
 
 from momapos.cli.robot import robot_check, robot_export, robot_list, robot_show
 from momapos.errors import MomaposError, RobotError, UnknownNameError
+from momapos.kinematics.spheres import build_spheres
 from momapos.robots.derive import derive_robot, examine, write_robot
 from momapos.robots.gripper import points_of
 from momapos.robots.robot import library_names, load_robot, read_robot
-from momapos.robots.states import touches
+from momapos.robots.states import sample_states, touches
 
 FETCH = DATA / "robots" / "fetch"
 LIMIT = '<limit lower="{}" upper="{}" effort="1" velocity="1"/>'
@@ -332,3 +334,101 @@ def test_the_library_is_listed_shown_and_exported(
     with pytest.raises(UnknownNameError):
         robot_export("nobody", tmp_path / "other")
     assert not (tmp_path / "other").exists()
+
+
+def test_with_out_nothing_is_written_beside_the_urdf(tmp_path: Path) -> None:
+    package, mine = tmp_path / "package", tmp_path / "mine"
+    package.mkdir()
+    path = package / "robot.urdf"
+    path.write_text(
+        mobile_manipulator().replace(
+            link("arm_1", box(0.26, 0.06, 0.06), "0.15 0 0"),
+            link("arm_1", '<sphere radius="0.25"/>'),
+        )
+    )
+    made, derived = write_robot(path, mine / "robot.toml")
+    assert list(package.iterdir()) == [path]
+    assert sorted(p.name for p in mine.iterdir()) == ["robot.srdf", "robot.toml"]
+    robot = load_robot(made)
+    assert robot.disabled == {frozenset(pair) for pair in derived.pairs}
+    assert robot.srdf == (mine / "robot.srdf").resolve()
+    (mine / "robot.srdf").unlink()
+    with pytest.raises(RobotError, match="which does not exist"):
+        load_robot(made)
+
+
+def test_what_cannot_be_read_back_leaves_nothing_and_can_be_tried_again(
+    urdf: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(path: Path) -> None:
+        raise RobotError(f"{path}: is no good")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("momapos.robots.derive.read_robot", broken)
+        with pytest.raises(RobotError, match=r"robot\.toml: is no good"):
+            write_robot(urdf)
+    assert list(urdf.parent.iterdir()) == [urdf]
+    load_robot(write_robot(urdf)[0])
+
+
+def test_links_that_touch_only_where_the_arm_is_folded_at_rest_stay_checked(tmp_path: Path) -> None:
+    """At zero the forearm lies on the lower arm; elsewhere the two are apart."""
+    text = mobile_manipulator()
+    folded = joint("j2", "revolute", "arm_1", "arm_2", "0.3 0 0", "0 1 0", LIMIT.format(-2.5, 2.5))
+    assert folded in text
+    back = folded.replace('xyz="0.3 0 0"', 'xyz="0.05 0 0"', 1)
+    path = tmp_path / "robot.urdf"
+    path.write_text(text.replace(folded, back))
+    pairs = derive_robot(path).pairs
+    shares = {}
+    robot = load_robot(write_robot(path)[0])
+    spheres = build_spheres(robot.model, robot.segments, frozenset(), robot.gripper_links)
+    q = sample_states(robot.chain, np.random.default_rng(0))
+    for i, j in spheres.pairs:
+        only = replace(
+            spheres, pairs=np.array([[i, j]]), base_pairs=np.zeros_like(spheres.base_pairs)
+        )
+        pair = frozenset((spheres.links[i], spheres.links[j]))
+        shares[pair] = touches(robot.chain, only, q).mean()
+    assert all(shares.get(frozenset(pair), 1.0) >= 0.1 for pair in pairs)
+
+
+def test_an_arm_without_a_base_is_asked_first_whether_it_is_a_mobile_robot(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "robot.urdf"
+    text = mobile_manipulator().replace("wheel_left", "foot_left")
+    path.write_text(text.replace('name="a" type="continuous"', 'name="a" type="fixed"'))
+    assert robot_check(path) == 0
+    assert "is this a mobile robot?" in capsys.readouterr().out.splitlines()[0]
+
+
+def two_armed() -> str:
+    """The mobile manipulator with a second, longer arm on its torso that stands out to a side."""
+    other = [
+        link("side_0", box(0.1, 0.06, 0.06), "0.05 0 0"),
+        joint("s0", "revolute", "torso", "side_0", "0 -0.25 0.5", "0 0 1", LIMIT.format(-3, 3)),
+        link("side_1", box(0.9, 0.05, 0.05), "0.45 0 0"),
+        joint("s1", "revolute", "side_0", "side_1", "0.1 0 0", "0 1 0", LIMIT.format(-3, 3)),
+    ]
+    return mobile_manipulator().replace("</robot>", "".join(other) + "</robot>")
+
+
+def test_a_passive_arm_does_not_count_in_how_compact_the_arm_is_at_home(tmp_path: Path) -> None:
+    (tmp_path / "one").mkdir()
+    (tmp_path / "two").mkdir()
+    (tmp_path / "one" / "robot.urdf").write_text(mobile_manipulator())
+    (tmp_path / "two" / "robot.urdf").write_text(two_armed())
+    reaches = []
+    for name in ("one", "two"):
+        robot = load_robot(write_robot(tmp_path / name / "robot.urdf")[0])
+        tool = robot.chain.tool_poses(robot.home[None])[0, :3, 3]
+        reaches.append(float(np.hypot(*tool[:2])))
+    assert reaches[1] < 0.6, "the arm reaches 1.1 m"
+    assert reaches[0] < 0.6
+
+
+def test_home_keeps_away_from_the_limits_of_turning_joints(urdf: Path) -> None:
+    robot = load_robot(write_robot(urdf)[0])
+    gap = np.minimum(robot.home - robot.chain.lower, robot.chain.upper - robot.home)
+    assert gap[~robot.chain.prismatic].min() > 0.1

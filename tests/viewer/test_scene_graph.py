@@ -54,8 +54,8 @@ def test_one_object_and_three_hundred_at_one_place_are_drawn_too(tmp_path: Path)
 def test_the_same_ranking_gives_the_same_picture(tmp_path: Path) -> None:
     scene = load_scene("kitchen_small")
     for name in "ab":
-        draw_importance(scene, rank(scene, "fridge"), tmp_path / name)
-    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
+        draw_importance(scene, rank(scene, "fridge"), tmp_path / f"{name}.png")
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
 
 
 def test_nodes_are_pushed_apart_and_those_that_are_stay() -> None:
@@ -68,5 +68,6 @@ def test_nodes_are_pushed_apart_and_those_that_are_stay() -> None:
 
 def test_a_place_that_cannot_be_written_is_named(tmp_path: Path) -> None:
     scene = load_scene("kitchen_small")
+    (tmp_path / "graph.png").mkdir()
     with pytest.raises(InputError, match="cannot be written"):
-        draw_importance(scene, rank(scene, "fridge", FAST), tmp_path)
+        draw_importance(scene, rank(scene, "fridge", FAST), tmp_path / "graph.png")

@@ -1,9 +1,9 @@
 """Compiling the kernels, once after installation.
 
 Compiling keeps one core busy, so two processes share the work: this one compiles the exact check
-and answers a small question, a helper compiles what finds the arm's path. They meet in numba's
-cache on disk, where each finds what the other has finished; without the helper, this process
-compiles it all.
+and answers a small question, a helper compiles what finds the arm's path and the way of the base.
+They meet in numba's cache on disk, where each finds what the other has finished; without the
+helper, this process compiles it all.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ import numpy as np
 
 import momapos
 from momapos.cache import Cache, content_key
+from momapos.cli.compile_arm import way_round_a_corner
 from momapos.config import PipelineConfig
 from momapos.pipeline import plan_base_placement
 from momapos.protocols import ReachScorer
@@ -54,6 +55,7 @@ def compile_once(
     with _helper(), _no_collector():
         _check_at_rest(scene, robot, task)
         plan_base_placement(scene, robot, task, reach, start=start, config=config)
+        way_round_a_corner()
     with contextlib.suppress(OSError):
         cache.put(key, b"done")
 

@@ -1,4 +1,4 @@
-"""The helper's half of the compiling: what finds and checks the arm's path."""
+"""The helper's half of the compiling: what finds the arm's path and the way of the base."""
 
 from __future__ import annotations
 
@@ -12,6 +12,8 @@ from momapos.kinematics.world import build_world
 from momapos.manipulation.arm_path import ArmPath, find_paths
 from momapos.manipulation.motion import MotionConfig, task_motion
 from momapos.manipulation.tasks import make_task
+from momapos.navigation.footprint_map import build_navigation_map
+from momapos.navigation.global_path import Path, plan_path
 from momapos.robots.robot import load_robot
 from momapos.scene.files import load_scene
 
@@ -38,7 +40,15 @@ def path_of_an_arm_at_rest() -> ArmPath:
     return find_paths(robot, world, still, _FAR[None], np.zeros(1, np.int64))[0]
 
 
+def way_round_a_corner() -> Path | None:
+    """Plan a way of a base that needs the map of the floor, so that all its kernels are used."""
+    robot = load_robot("segway_ur5e")
+    ground = build_navigation_map(load_scene("kitchen_small"), robot)
+    return plan_path(ground, np.array([1.9, -1.6, 1.5708]), np.array([1.353, -1.014, 2.978]))
+
+
 if __name__ == "__main__":
     # numba makes objects by the million; a tenth of the time goes to looking for dead cycles.
     gc.disable()
     path_of_an_arm_at_rest()
+    way_round_a_corner()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -39,6 +40,36 @@ def progress(title: str) -> Iterator[Callable[..., None]]:
         print(file=sys.stderr)
 
 
+@contextmanager
+def busy(title: str, limit: float | None = None) -> Iterator[None]:
+    """Show on stderr, when that is a terminal, that work goes on and for how long it has.
+
+    Args:
+        title: What is done.
+        limit: When it ends at the latest [s].
+    """
+    if not sys.stderr.isatty():
+        yield
+        return
+    done, began = threading.Event(), time.monotonic()
+    most = "" if limit is None else f" of at most {limit:.0f}"
+
+    def tell() -> None:
+        while not done.wait(1.0):
+            line = f"\r{title}: {time.monotonic() - began:.0f}{most} s"
+            print(line, end="", file=sys.stderr, flush=True)
+
+    teller = threading.Thread(target=tell, daemon=True)
+    teller.start()
+    try:
+        yield
+    finally:
+        done.set()
+        teller.join()
+        if time.monotonic() - began > 1.0:
+            print("\r\033[K", end="", file=sys.stderr, flush=True)
+
+
 def summary(answer: PlacementResult, out: Path | None) -> str:
     """The answer in a few lines: question, pose, motion, time, and why others were refused."""
     plan = answer.plan
@@ -57,6 +88,11 @@ def summary(answer: PlacementResult, out: Path | None) -> str:
     else:
         word = {"infeasible": "there is no base pose", "timeout": "out of time"}[plan.status]
         lines.append(f"  {plan.status:<11} {word}; the reasons are below")
+    if plan.feasible_to is not None:
+        unit = "cm" if answer.slides else "deg"
+        scale = 100.0 if answer.slides else 180 / math.pi
+        value = f"{scale * plan.feasible_to:.0f}"
+        lines.append(f"  smaller     to {value} {unit} it works: --to {value}{unit}")
     if plan.key_objects is not None:
         lines.append(f"  modelled    {_modelled(plan.key_objects)}")
     lines.append(f"  time        {_times(plan.timing)}")

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
-import re
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from tyro.conf import OmitArgPrefixes, Positional, arg
+from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
 from momapos.errors import TaskError
 from momapos.importance.scorers import ScorerName
+from momapos.units import parse_quantity
+from momapos.viewer.pictures import check_picture
 
 if TYPE_CHECKING:
     from momapos.importance.scorers import ImportanceConfig
@@ -20,11 +21,11 @@ if TYPE_CHECKING:
 
 Method = Literal["ours", "paper", "exhaustive"]
 Planner = Literal["RRTConnect", "RRTstar", "BITstar"]
-_UNITS = {"": 1.0, "rad": 1.0, "deg": math.pi / 180, "m": 1.0, "cm": 0.01, "mm": 0.001}
 _STATUS = {"solved": 0, "infeasible": 3, "timeout": 4}
 Target = Annotated[str, arg(metavar="OBJECT[/JOINT]")]
 StartArg = Annotated[str | None, arg(metavar="X,Y,YAW")]
 Thing = Annotated[str, arg(metavar="OBJECT")]
+JointsArg = Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="OBJECT/JOINT=VALUE")]
 ToArg = Annotated[str | None, arg(metavar="VALUE")]
 
 
@@ -34,6 +35,8 @@ class Options:
 
     robot: str = "fetch"
     """A library robot or a robot file."""
+    joint: JointsArg = ()
+    """A joint that stands elsewhere than in the file, as fridge/door_hinge=60deg; repeatable."""
     start: StartArg = None
     """Where the robot is now [m, m, rad or deg]; the scene's start by default."""
     method: Method = "ours"
@@ -51,7 +54,7 @@ class Options:
     out: Path | None = None
     """Write the plan here (JSON)."""
     plot: Path | None = None
-    """Draw the answer here (PNG)."""
+    """Draw the answer here (PNG, SVG or PDF)."""
     json: bool = False
     """Print the plan as one JSON object and nothing else."""
 
@@ -120,28 +123,22 @@ def place_place(
     return _answer("place", scene, target, None, options)
 
 
-def parse_value(text: str) -> float:
-    """Read a joint value such as 90deg, 1.2, 0.3m or 30cm [rad] or [m]."""
-    match = re.fullmatch(r"\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*([a-z]*)\s*", text)
-    try:
-        if match and match[2] in _UNITS:
-            return float(match[1]) * _UNITS[match[2]]
-    except ValueError:
-        match = None
-    raise TaskError(f"{text!r} is no value; write it as 90deg, 1.2rad, 0.3m or 30cm")
-
-
 def parse_start(text: str) -> list[float]:
     """Read a base pose X,Y,YAW [m, m, rad], the yaw with a unit if it is not in radians."""
     parts = text.split(",")
     if len(parts) != 3:
         raise TaskError(f"start {text!r} is not X,Y,YAW; write it as 1.5,2.0,90deg")
-    return [parse_value(part) for part in parts]
+    x, y, yaw = map(parse_quantity, parts)
+    if not yaw.unit and abs(yaw.value) > 2 * math.pi:
+        raise TaskError(f"start {text!r}: a yaw of {yaw.value:g} rad; did you mean {yaw.text}deg?")
+    return [x.length("start: X"), y.length("start: Y"), yaw.angle("start: YAW")]
 
 
 def _answer(verb: str, scene_name: str, target: str, to: str | None, options: Options) -> int:
-    value = None if to is None else parse_value(to)
+    if to is not None:
+        parse_quantity(to)
     begin = None if options.start is None else parse_start(options.start)
+    check_picture(options.plot)
     if not options.timeout > 0:
         raise TaskError("--timeout must be > 0 seconds")
 
@@ -149,7 +146,7 @@ def _answer(verb: str, scene_name: str, target: str, to: str | None, options: Op
 
     from momapos.cache import default_cache_dir
     from momapos.cli.compile import compile_once
-    from momapos.cli.console import progress
+    from momapos.cli.console import busy, progress
     from momapos.config import PipelineConfig
     from momapos.manipulation.planner import PlannerConfig
     from momapos.manipulation.tasks import make_task
@@ -158,13 +155,15 @@ def _answer(verb: str, scene_name: str, target: str, to: str | None, options: Op
     from momapos.reachability.store import load_reach_map
     from momapos.robots.robot import load_robot
     from momapos.scene.files import load_scene
+    from momapos.scene.joints import set_joints
+    from momapos.smaller_opening import smaller_opening
 
     robot = load_robot(options.robot)
-    scene = load_scene(scene_name)
+    scene = set_joints(load_scene(scene_name), options.joint)
     for warning in scene.warnings:
         print(f"momapos: {warning}", file=sys.stderr)
     name, _, joint = target.partition("/")
-    task = make_task(scene, verb, name, joint or None, value)
+    task = make_task(scene, verb, name, joint or None, to)
     with progress(f"reachability map of {robot.name}") as report:
         reach = load_reach_map(robot, default_cache_dir(), report)
     at = None if begin is None else np.array(begin)
@@ -175,15 +174,19 @@ def _answer(verb: str, scene_name: str, target: str, to: str | None, options: Op
         planner=PlannerConfig(algorithm=options.planner),
         timeout=options.timeout,
     )
-    answer = plan_base_placement(
-        scene, robot, task, reach, start=at,
-        config=config, seed=options.seed,
-    )  # fmt: skip
-    _deliver(answer, options)
+    with busy(f"{robot.name}: searching", options.timeout):
+        answer = plan_base_placement(
+            scene, robot, task, reach, start=at,
+            config=config, seed=options.seed,
+        )  # fmt: skip
+        plan = smaller_opening(answer.plan, scene, robot, reach, config=config)
+        answer = replace(answer, plan=plan)
+    # Files come first: who reads what is printed may stop reading at any line.
     if options.plot is not None:
         from momapos.viewer.plot import draw_answer
 
         draw_answer(scene, answer, reach, options.plot)
+    _deliver(answer, options)
     return _STATUS[answer.plan.status]
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
+from momapos.cli.place import JointsArg
 from momapos.importance.scorers import ImportanceConfig
 
 if TYPE_CHECKING:
@@ -28,6 +29,7 @@ def rank_objects(
     target: Positional[Target],
     /,
     *,
+    joint: JointsArg = (),
     seed: int = 0,
     plot: Path | None = None,
     json: bool = False,
@@ -38,8 +40,10 @@ def rank_objects(
     Args:
         scene: A scene file or the name of a built-in kitchen.
         target: The object that the task is about, and the joint where it has several.
+        joint: A joint that stands elsewhere than in the file, as fridge/door_hinge=60deg;
+            repeatable.
         seed: Same seed, same scores.
-        plot: Draw the scene graph over the room (PNG).
+        plot: Draw the scene graph over the room (PNG, SVG or PDF).
         json: Print one JSON object and nothing else.
         config: How to score.
     """
@@ -48,12 +52,15 @@ def rank_objects(
     from momapos.importance.rank import rank
     from momapos.manipulation.tasks import hand_path
     from momapos.scene.files import load_scene
+    from momapos.scene.joints import set_joints
+    from momapos.viewer.pictures import check_picture
 
-    loaded = load_scene(scene)
+    check_picture(plot)
+    loaded = set_joints(load_scene(scene), joint)
     for warning in loaded.warnings:
         print(f"momapos: {warning}", file=sys.stderr)
-    name, _, joint = target.partition("/")
-    path = hand_path(loaded, name, joint or None)
+    name, _, moved = target.partition("/")
+    path = hand_path(loaded, name, moved or None)
     result = rank(loaded, name, config, path=path, seed=seed)
     if plot is not None:
         from momapos.viewer.graph import draw_importance

@@ -11,9 +11,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float
 
+from momapos.cli.console import busy
 from momapos.errors import RobotError, unknown_name
 from momapos.robots.derive import examine, write_robot
 from momapos.robots.robot import Robot, library_names, load_robot
+from momapos.viewer.pictures import check_picture, save_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -61,17 +63,20 @@ def robot_check(
     Args:
         file: A robot file (TOML), or a URDF.
         out: The robot file to write; where not given, the URDF's name with .toml.
-        plot: Draw the robot at home, with its collision spheres, into this PNG file.
+        plot: Draw the robot at home, with its collision spheres, into this file (PNG, SVG, PDF).
         json: Print one JSON object instead of text.
     """
+    check_picture(plot)
     guesses: tuple[str, ...] = ()
     if file.suffix.lower() in (".urdf", ".xml"):
-        file, derived = write_robot(file, out)
+        with busy(f"robot check {file.name}"):
+            file, derived = write_robot(file, out)
         guesses = derived.assumptions
     elif out is not None:
         raise RobotError(f"--out is for a URDF; {file} is a robot file already")
     robot = load_robot(file)
-    doubts = examine(robot)
+    with busy(f"robot check {file.name}"):
+        doubts = examine(robot)
     if plot is not None:
         draw_robot(robot, plot)
     facts = {
@@ -81,10 +86,13 @@ def robot_check(
     if json:
         print(json_format.dumps(facts, indent=1))
         return SOLVED
+    first = [text for text in guesses if text.startswith("IMPORTANT")]
+    if first:
+        print("\n".join(first) + "\n")
     print(as_text(facts))
     if guesses:
         print(f"\nwritten to {file}; what was assumed, please check:")
-        print("\n".join(f"  - {text}" for text in guesses))
+        print("\n".join(f"  - {text}" for text in guesses if text not in first))
     if doubts:
         print("\nthis looks wrong:")
         print("\n".join(f"  - {text}" for text in doubts))
@@ -202,11 +210,7 @@ def draw_robot(robot: Robot, path: Path) -> None:
     above.set_title("from above")
     side.set_title("from the right")
     figure.suptitle(f"{robot.name} at home; orange: gripper, arrow: approach")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path, dpi=110, format="png")
-    except OSError as error:
-        raise RobotError(f"{path}: cannot be written ({error.strerror})") from error
+    save_figure(figure, path, dpi=110)
 
 
 def _draw_view(robot: Robot, axes: Axes, i: int, j: int) -> None:

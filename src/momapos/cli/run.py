@@ -43,7 +43,7 @@ def run(
         plan: The plan file.
         scene_root: Folder for names not found beside the plan, and for a BestMan scene's models.
         robot: A library robot or a robot file; by default the one that the plan names.
-        start: Where the robot is at first [m, m, rad or deg]; as for `place` by default.
+        start: Where the robot is at first [m, m, rad or deg]; as the plan says by default.
         hold: weld: a compliant, breakable weld at the grasp; contact: fingers and friction alone.
         noise: Let the base believe to be where noisy sensors say, and draw how heavily the
             furniture moves; without it, both are as modelled.
@@ -84,7 +84,7 @@ def run(
     scene_file = find_file("scene", content.scene, folders, plan)
     urdf = find_file("robot.urdf", content.robot_urdf, folders, plan)
     check_unchanged(plan, scene_file, urdf)
-    scene = read_scene(scene_file, scene_root)
+    scene = read_scene(scene_file, scene_root).with_joints(content.scene_joints)
     machine = _robot(content, plan, urdf, robot)
     for warning in scene.warnings:
         print(f"momapos: {warning}", file=sys.stderr)
@@ -99,12 +99,12 @@ def run(
     )  # fmt: skip
     if out is not None:
         write_run(result, out)
-    print(dumps(run_to_dict(result)) if json else summary(result))
     if film is not None and record is not None:
         if result.execution is None:
             print(f"momapos: {record}: not drawn, for nothing was executed", file=sys.stderr)
         else:
             film.write(record)
+    print(dumps(run_to_dict(result)) if json else summary(result))
     return 0 if result.success else 1
 
 
@@ -114,12 +114,19 @@ def _robot(content: PlacementPlan, plan: Path, urdf: Path, given: str | None) ->
     Raises:
         RobotError: There is none, or it describes another robot.
     """
-    from momapos.errors import RobotError
+    from momapos.errors import InputError, RobotError
     from momapos.robots.robot import library_names, load_robot
 
     beside = urdf.with_suffix(".toml")
     if given is not None:
         robot = load_robot(given)
+    elif content.robot_file is not None:
+        try:
+            robot = load_robot(content.robot_file)
+        except InputError as error:
+            raise RobotError(
+                f"{plan}: its robot file cannot be used: {error}; give --robot"
+            ) from error
     elif beside.is_file():
         robot = load_robot(beside)
     elif content.robot_name in library_names():

@@ -7,8 +7,10 @@ import sys
 from pathlib import Path
 
 from momapos.cli.console import progress
+from momapos.cli.place import JointsArg
 from momapos.files import check_outputs
 from momapos.scene.files import load_scene
+from momapos.scene.joints import set_joints
 from momapos.synthetic_scans.depth_sensor import DepthSensor
 from momapos.synthetic_scans.recording import refuse_used, synthetic_scan, write_scan
 
@@ -20,6 +22,7 @@ def scene_scan(
     /,
     *,
     out: Path,
+    joint: JointsArg = (),
     frames: int = 60,
     seed: int = 0,
     noise: bool = True,
@@ -31,6 +34,8 @@ def scene_scan(
     Args:
         scene: Name of a built-in kitchen, or a file (momapos scene, BestMan list, URDF).
         out: A new folder for the frames (layout of 7-Scenes) and truth.json.
+        joint: A joint that stands elsewhere than in the file, as fridge/door_hinge=60deg;
+            repeatable.
         frames: Number of images.
         seed: The same scene and seed give the same scan.
         noise: Make the images and poses as imperfect as those of a RealSense D435.
@@ -39,7 +44,7 @@ def scene_scan(
     """
     refuse_used(out)
     check_outputs(folders=[out])
-    loaded = load_scene(scene)
+    loaded = set_joints(load_scene(scene), joint)
     sensor = DepthSensor() if noise else None
     scan = synthetic_scan(loaded, frames=frames, seed=seed, sensor=sensor, tilt=tilt)
     with progress("rendering") as report:

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from momapos.cli.place import JointsArg
 from momapos.errors import SceneError
 from momapos.geometry.polygons import signed_area
 from momapos.geometry.transforms import apply
@@ -20,7 +21,9 @@ from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.urdf import read_urdf
 from momapos.scene.copies import copy_files, model_files
 from momapos.scene.files import builtin_names, load_scene, save_scene
+from momapos.scene.joints import set_joints
 from momapos.scene.scene import Scene, SceneObject
+from momapos.viewer.pictures import check_picture, save_figure
 
 SOLVED = 0
 
@@ -42,15 +45,25 @@ def scene_list(*, json: bool = False) -> int:
     return SOLVED
 
 
-def scene_show(scene: str, /, *, plot: Path | None = None, json: bool = False) -> int:
+def scene_show(
+    scene: str,
+    /,
+    *,
+    joint: JointsArg = (),
+    plot: Path | None = None,
+    json: bool = False,
+) -> int:
     """Show what is in a scene: its objects, their sizes, their joints.
 
     Args:
         scene: Name of a built-in kitchen, or a file (momapos scene, BestMan list, URDF).
-        plot: Draw the scene from above into this PNG file.
+        joint: A joint that stands elsewhere than in the file, as fridge/door_hinge=60deg;
+            repeatable.
+        plot: Draw the scene from above into this file (PNG, SVG, PDF).
         json: Print one JSON object instead of text.
     """
-    loaded = load_scene(scene)
+    check_picture(plot)
+    loaded = set_joints(load_scene(scene), joint)
     if plot is not None:
         draw_scene(loaded, plot)
     facts = describe(loaded)
@@ -63,8 +76,8 @@ def scene_show(scene: str, /, *, plot: Path | None = None, json: bool = False) -
         size = " x ".join(f"{v:.2f}" for v in high - low)
         x, y, z = (low + high) / 2
         print(f"  {item['name']:20} {item['category']:14} {size} m at ({x:.2f}, {y:.2f}, {z:.2f})")
-        for joint in item["joints"]:
-            print(f"      {_joint_line(joint)}")
+        for moving in item["joints"]:
+            print(f"      {_joint_line(moving)}")
     floor = facts["floor_area"]
     print(f"  floor: {'not known' if floor is None else f'{floor:.1f} m^2'}")
     start = facts["start"]
@@ -271,5 +284,4 @@ def draw_scene(scene: Scene, path: Path) -> None:
         axes.arrow(x, y, 0.4 * np.cos(yaw), 0.4 * np.sin(yaw), width=0.02, color="k")
     axes.autoscale_view()
     axes.set(aspect="equal", xlabel="x [m]", ylabel="y [m]", title=scene.name)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=110, format="png")
+    save_figure(figure, path, dpi=110)

@@ -20,6 +20,7 @@ from momapos.execution.shapes import ROBOT
 from momapos.execution.simulation import Simulation, build_simulation
 from momapos.execution.verdict import TaskOutcome, judge
 from momapos.geometry.transforms import invert, rotation_angle
+from momapos.kinematics.opening import opening_of
 from momapos.kinematics.urdf import Joint
 from momapos.protocols import Clock
 from momapos.robots.robot import Robot
@@ -135,14 +136,13 @@ def _seal(item: SceneObject, joint: Joint | None, motion: Motion, pull: float, w
     """The seal of a part, its force at the handle turned into one at the joint."""
     if joint is None:
         return Seal(0.0, 0.0, 0.0, 1.0)
-    closed = float(np.clip(0.0, joint.lower, joint.upper))
-    outward = 1.0 if joint.upper - closed >= closed - joint.lower else -1.0
+    opening = opening_of(item.model, joint.name)
     lever = 1.0
     if joint.kind != "prismatic":
         T = item.link_poses()[joint.parent] @ joint.T_parent_joint
         arm = invert(T)[:3, :3] @ (motion.Ts_world_tool[0, :3, 3] - T[:3, 3])
         lever = max(0.05, float(np.linalg.norm(arm - (arm @ joint.axis) * joint.axis)))
-    return Seal(closed, outward, pull * lever, way / lever)
+    return Seal(opening.closed, opening.sign, pull * lever, way / lever)
 
 
 class _Run:

@@ -145,7 +145,9 @@ def carry(
     center: Float[np.ndarray, "k 3"],
     radius: Float[np.ndarray, " k"],
 ) -> Spheres:
-    """The same robot with something in its hand, which is not checked against the robot itself.
+    """The same robot with something in its hand.
+
+    It is checked against the robot itself, but for what moves with the hand.
 
     Args:
         spheres: The robot.
@@ -154,8 +156,11 @@ def carry(
         radius: Their radii [m].
     """
     middle, bound = _bound(center, radius)
+    others = np.flatnonzero(spheres.segment < segment)
+    pairs = np.stack([others, np.full(len(others), len(spheres.segment))], -1)
     return replace(
         spheres,
+        pairs=np.concatenate([spheres.pairs, pairs]),
         center=np.concatenate([spheres.center, center]),
         radius=np.concatenate([spheres.radius, radius]),
         start=np.append(spheres.start, len(spheres.center) + len(center)),
@@ -164,7 +169,7 @@ def carry(
         bound_radius=np.append(spheres.bound_radius, bound),
         links=(*spheres.links, "carried object"),
         gripper=np.append(spheres.gripper, FINGER),
-        base_pairs=np.vstack([spheres.base_pairs, np.zeros((1, len(spheres.base)), bool)]),
+        base_pairs=np.vstack([spheres.base_pairs, np.ones((1, len(spheres.base)), bool)]),
     )
 
 

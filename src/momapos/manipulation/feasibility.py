@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from momapos.geometry.transforms import apply, invert, pose_planar
-from momapos.kinematics.collision import FREE
+from momapos.kinematics.collision import FREE, place_segments
 from momapos.kinematics.hulls import Boxes
 from momapos.kinematics.spheres import Spheres, box_spheres, carry
 from momapos.kinematics.world import World, check, check_hand, motion_checker
@@ -203,12 +203,20 @@ def loaded(
     """
     if motion.task.verb != "place":
         return robot.spheres
-    chain, m, value = robot.chain, motion.moving, motion.value[step]
-    center, radius = box_spheres(Boxes(m.center[value], m.rotation[value], m.half[value]))
+    chain = robot.chain
+    center, radius = _object_spheres(motion, step)
     in_tool = apply(invert(T_world_tool), center)
     return carry(
         robot.spheres, chain.size, chain.tool_offset + in_tool @ chain.tool_rotation.T, radius
     )
+
+
+def _object_spheres(
+    motion: TaskMotion, step: int
+) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, " k"]]:
+    """Spheres of what is moved, in the world at a step of the motion [m]."""
+    m, value = motion.moving, motion.value[step]
+    return box_spheres(Boxes(m.center[value], m.rotation[value], m.half[value]))
 
 
 def _farther(path: ArmPath, other: ArmPath) -> bool:
@@ -234,7 +242,45 @@ def hand_clears(
         alive = alive[(codes.reshape(len(alive), len(steps)) == FREE).all(1)]
     free = np.isin(np.arange(len(motion.Ts_world_tool)), alive)
     counts = np.bincount(np.concatenate(hits))
-    return free, world.reason(int(counts.argmax())) if len(counts) else ""
+    obstacle = world.reason(int(counts.argmax())) if len(counts) else ""
+    if motion.task.verb == "place" and free.any():
+        touched = touched_at_home(robot, motion)
+        free &= touched < 0
+        if not free.any():
+            names = (*robot.spheres.links, robot.base_link)
+            worst = names[np.bincount(touched[touched >= 0]).argmax()]
+            obstacle = f"{worst} at home with {motion.task.object} in it"
+    return free, obstacle
+
+
+def touched_at_home(robot: Robot, motion: TaskMotion) -> Int[np.ndarray, " g"]:
+    """What an object in the hand touches of its robot with the arm at home, for every grasp.
+
+    The way of a placed object begins there, so such a grasp helps at no base pose.
+
+    Returns:
+        An index into the groups of the robot's spheres, their number for the base, -1 for nothing.
+    """
+    chain, spheres = robot.chain, robot.spheres
+    center, radius = _object_spheres(motion, 0)
+    in_tool = np.linalg.inv(motion.Ts_world_tool[:, 0])
+    Ts = chain.tool_poses(robot.home[None])[0] @ in_tool
+    points = np.einsum("gij,kj->gki", Ts[:, :3, :3], center) + Ts[:, None, :3, 3]
+    touched = np.full(len(points), -1)
+    R, p = np.empty((chain.size + 1, 3, 3)), np.empty((chain.size + 1, 3))
+    place_segments(robot.home, np.zeros(3), (chain.h, chain.d, chain.prismatic), R, p)
+    for k, segment in enumerate(spheres.segment):
+        if segment == chain.size:
+            continue
+        rows = slice(spheres.start[k], spheres.start[k + 1])
+        links = spheres.center[rows] @ R[segment].T + p[segment]
+        gap = np.linalg.norm(points[:, :, None] - links, axis=-1) - radius[:, None]
+        touched[(gap < spheres.radius[rows]).any((1, 2))] = k
+    base = robot.base
+    local = np.abs(np.einsum("bij,gkbi->gkbj", base.rotation, points[:, :, None] - base.center))
+    apart = np.linalg.norm(np.maximum(local - base.half, 0.0), axis=-1)
+    touched[(apart < radius[:, None]).any((1, 2))] = len(spheres.segment)
+    return touched
 
 
 def near_home(

@@ -12,7 +12,8 @@ from momapos.errors import TaskError
 from momapos.geometry.transforms import apply, invert
 from momapos.kinematics.articulated import Articulated, joint_motion
 from momapos.kinematics.hulls import fit_box, hull_of
-from momapos.kinematics.urdf import Geometry, Joint
+from momapos.kinematics.opening import opening_of
+from momapos.kinematics.urdf import Geometry
 from momapos.scene.scene import SceneObject
 
 WORD = "handle"
@@ -40,17 +41,6 @@ class Handle:
     knob: bool
     edge: bool
     """Whether this is a free edge and no handle."""
-
-
-def closed_value(joint: Joint) -> float:
-    """The value at which a part is closed: zero, or the limit nearest to it."""
-    return min(max(0.0, joint.lower), joint.upper)
-
-
-def opening_sign(joint: Joint) -> float:
-    """Direction in which the joint opens: toward its farther limit."""
-    closed = closed_value(joint)
-    return 1.0 if joint.upper - closed >= closed - joint.lower else -1.0
 
 
 def has_handle(model: Articulated, joint: str) -> bool:
@@ -90,7 +80,7 @@ def _opening(
     T_link = _poses_in_part(model, joint, links)
     centers = [apply(T_link[n], h.vertices).mean(0) for n in links for h in model.hulls[n]]
     middle = np.mean(centers, axis=0) if centers else np.zeros(3)
-    return middle, _motion_direction(model, joint, opening_sign(model.joint(joint)), middle)
+    return middle, _motion_direction(model, joint, opening_of(model, joint).sign, middle)
 
 
 @lru_cache(maxsize=_MODELS)
@@ -126,7 +116,7 @@ def handle_path(item: SceneObject, joint: str, to: float) -> Float[np.ndarray, "
         to: Value it goes to [rad] or [m].
     """
     record = item.model.joint(joint)
-    handle = find_handle(item.model, joint, opening_sign(record))
+    handle = find_handle(item.model, joint, opening_of(item.model, joint).sign)
     values = np.linspace(item.values()[joint], to, _POINTS)
     T_world_joint = item.link_poses()[record.parent] @ record.T_parent_joint
     return apply(T_world_joint @ joint_motion(record, values), handle.center[None])[:, 0]

@@ -11,8 +11,9 @@ from momapos.errors import TaskError
 from momapos.geometry.transforms import invert
 from momapos.kinematics.articulated import joint_motion
 from momapos.kinematics.hulls import Boxes
+from momapos.kinematics.opening import opening_of
 from momapos.manipulation.grasps import GraspConfig, box_grasps, handle_grasps
-from momapos.manipulation.handles import Handle, find_handle, opening_sign
+from momapos.manipulation.handles import Handle, find_handle
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene, SceneObject
 from momapos.types import Task
@@ -117,7 +118,7 @@ def _joint_motion(
     start = target.values()[joint.name]
     count = config.waypoints or _count(joint.kind, abs(task.to - start), config)
     values = np.linspace(start, task.to, (count - 1) * config.substeps + 1)
-    handle = find_handle(target.model, joint.name, opening_sign(joint))
+    handle = find_handle(target.model, joint.name, opening_of(target.model, joint.name).sign)
     _check_width(robot, handle, f"{target.name}/{joint.name}")
     Ts_part_tool = handle_grasps(robot, handle, config.grasps)
     poses = target.link_poses()
@@ -239,6 +240,11 @@ def _rigid_motion(
     scene: Scene, robot: Robot, task: Task, target: SceneObject, config: MotionConfig
 ) -> TaskMotion:
     """Pick: approach, grasp, lift. Place: the same backwards, from release to retreat."""
+    if not robot.has_gripper:
+        raise TaskError(
+            f"{robot.name} has no gripper, so it cannot {task.verb} {target.name!r}; its "
+            "gripper_links name nothing beyond the arm's own links"
+        )
     T_object, half = _object_box(target)
     Ts_object_tool = box_grasps(robot, half, config.grasps)
     if len(Ts_object_tool) == 0:

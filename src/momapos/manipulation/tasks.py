@@ -9,26 +9,31 @@ import numpy as np
 from jaxtyping import Float
 
 from momapos.errors import TaskError
+from momapos.kinematics.articulated import Articulated
+from momapos.kinematics.opening import opening_of
 from momapos.kinematics.urdf import Joint
-from momapos.manipulation.handles import (
-    closed_value,
-    handle_path,
-    has_handle,
-    opening_direction,
-    opening_sign,
-)
+from momapos.manipulation.handles import handle_path, has_handle, opening_direction
+from momapos.scene.joints import joint_value
 from momapos.scene.scene import Scene, SceneObject
 from momapos.types import Task, Verb
+from momapos.units import ANGLES, LENGTHS, Quantity, parse_quantity
 
 WIDE_OPEN = math.pi / 2
 """How far a hinge is opened when nothing is said, as in the paper [rad]."""
 STAND_OFF = 1.5
 """A robot that nobody places starts about so far from doors and drawers [m]."""
-_SAME = 1e-6
+KNOB = 0.1
+"""What a joint turns that is nowhere larger than this is a knob or a button [m]."""
+ROUNDED = 1e-3
+"""What lies outside a limit by no more is that limit, written with fewer digits [rad] or [m]."""
 
 
 def make_task(
-    scene: Scene, verb: str, object_name: str, joint: str | None = None, to: float | None = None
+    scene: Scene,
+    verb: str,
+    object_name: str,
+    joint: str | None = None,
+    to: float | str | None = None,
 ) -> Task:
     """Check a request against the scene and fill in what it leaves out.
 
@@ -37,7 +42,8 @@ def make_task(
         verb: open, close, pick or place.
         object_name: Which object.
         joint: Which of its joints; may be left out where only one part has a handle.
-        to: Value to reach [rad] or [m]; a quarter turn or the whole slide by default.
+        to: Value to reach, as a number [rad] or [m] or as a text with its unit such as "90deg" or
+            "30cm"; a quarter turn or the whole slide by default.
 
     Raises:
         TaskError: The request makes no sense here; the message says what would.
@@ -54,7 +60,10 @@ def make_task(
         return Task(verb, object_name)  # type: ignore[arg-type]
     record = target.model.joint(joint) if joint else _only_joint(target)
     start = target.values()[record.name]
-    goal = _goal(record, verb) if to is None else float(to)
+    if to is None:
+        goal = _goal(target.model, record, verb, start)
+    else:
+        goal = _within_limits(f"{target.name}/{record.name}", record, to)
     _check_goal(target, record, verb, start, goal)
     return Task(verb, object_name, record.name, goal)  # type: ignore[arg-type]
 
@@ -110,7 +119,10 @@ def hand_path(
     joints = [joint] if joint else [name for o, name in openable(scene) if o == object_name]
     if not joints:
         return item.boxed.T_world_object[None, :3, 3]
-    goals = [_goal(item.model.joint(name), "open") if to is None else to for name in joints]
+    goals = [
+        _goal(item.model, item.model.joint(name), "open", item.values()[name]) if to is None else to
+        for name in joints
+    ]
     paths = [handle_path(item, name, goal) for name, goal in zip(joints, goals, strict=True)]
     return np.concatenate(paths)
 
@@ -124,38 +136,74 @@ def _only_joint(target: SceneObject) -> Joint:
     if len(choice) > 1:
         raise TaskError(
             f"{target.name!r} has several moving parts; say {target.name}/JOINT with one of "
-            + ", ".join(choice)
+            + _by_size(target, choice)
         )
     return target.model.joints[choice[0]]
 
 
-def _goal(joint: Joint, verb: str) -> float:
-    closed, sign = closed_value(joint), opening_sign(joint)
+def _by_size(target: SceneObject, joints: list[str]) -> str:
+    """Names of joints, with the knobs apart from the doors and drawers."""
+    knobs = [j for j in joints if _turns_a_knob(target, j)]
+    parts = [j for j in joints if j not in knobs]
+    words = [", ".join(parts)] if parts else []
+    return "; ".join([*words, *([f"knobs: {', '.join(knobs)}"] if knobs else [])])
+
+
+def _turns_a_knob(target: SceneObject, joint: str) -> bool:
+    """Whether a joint moves a small thing that is held anywhere, and no door or drawer."""
+    model = target.model
+    points = [h.vertices for name in model.moved_by(joint) for h in model.hulls[name]]
+    extent = max((float(np.ptp(p, axis=0).max()) for p in points), default=0.0)
+    return extent < KNOB
+
+
+def _goal(model: Articulated, joint: Joint, verb: str, start: float) -> float:
+    """Where a part goes when nobody says how far."""
+    way = opening_of(model, joint.name)
     if verb == "close":
-        return closed
-    limit = joint.upper if sign > 0 else joint.lower
-    wide = closed + sign * WIDE_OPEN if joint.kind != "prismatic" else limit
-    return max(limit, wide) if sign < 0 else min(limit, wide)
+        return way.closed
+    wide = way.closed + way.sign * WIDE_OPEN
+    if joint.kind == "prismatic" or way.sign * (way.wide - wide) < 0:
+        return way.wide
+    return wide if way.sign * (wide - start) > ROUNDED or not math.isfinite(way.wide) else way.wide
+
+
+def _within_limits(where: str, joint: Joint, to: float | str) -> float:
+    """The value that is asked for, moved onto a limit that it only misses by rounding."""
+    quantity = parse_quantity(to) if isinstance(to, str) else Quantity(float(to), "", f"{to:g}")
+    value = joint_value(joint, quantity, f"{where}: --to")
+    if not math.isfinite(value):
+        raise TaskError(f"{where}: --to must be a finite number, or an angle such as 90deg")
+    if not joint.lower - ROUNDED <= value <= joint.upper + ROUNDED:
+        asked = f"{value:g} {_unit(joint)}" + ("" if quantity.unit else _meant(joint, value))
+        raise TaskError(f"{where}: --to {asked} is outside its limits {limits_of(joint)}")
+    return min(max(value, joint.lower), joint.upper)
+
+
+def _meant(joint: Joint, value: float) -> str:
+    """The unit that a number without one may have been meant in."""
+    units = LENGTHS if joint.kind == "prismatic" else ANGLES
+    fits = [u for u, factor in units.items() if joint.lower <= factor * value <= joint.upper]
+    return f" (did you mean {value:g}{fits[0]}?)" if fits else ""
+
+
+def limits_of(joint: Joint) -> str:
+    """The limits of a joint in words."""
+    text = f"{joint.lower:.4g} to {joint.upper:.4g} {_unit(joint)}"
+    if joint.kind == "prismatic":
+        return text
+    return f"{text} ({math.degrees(joint.lower):.4g} to {math.degrees(joint.upper):.4g} deg)"
+
+
+def _unit(joint: Joint) -> str:
+    return "m" if joint.kind == "prismatic" else "rad"
 
 
 def _check_goal(target: SceneObject, joint: Joint, verb: str, start: float, goal: float) -> None:
-    where = f"{target.name}/{joint.name}"
-    unit = "m" if joint.kind == "prismatic" else "rad"
-    if not math.isfinite(goal):
-        raise TaskError(f"{where}: --to must be a finite number, or an angle such as 90deg")
-    if not joint.lower - _SAME <= goal <= joint.upper + _SAME:
-        degrees = (
-            ""
-            if unit == "m"
-            else f" ({math.degrees(joint.lower):.0f} to {math.degrees(joint.upper):.0f} deg)"
-        )
-        raise TaskError(
-            f"{where}: --to {goal:g} {unit} is outside its limits {joint.lower:g} to "
-            f"{joint.upper:g} {unit}{degrees}"
-        )
-    if abs(goal - start) < 1e-3:
+    where, unit = f"{target.name}/{joint.name}", _unit(joint)
+    if abs(goal - start) < ROUNDED:
         raise TaskError(f"{where}: already at {goal:g} {unit}; nothing to {verb}")
-    opens = (goal - start) * opening_sign(joint) > 0
+    opens = (goal - start) * opening_of(target.model, joint.name).sign > 0
     if opens != (verb == "open"):
         word = "open" if opens else "close"
         raise TaskError(f"{where}: from {start:g} to {goal:g} {unit} means to {word} it")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32
@@ -48,9 +49,22 @@ class NavigationMap:
     floor: Float[np.ndarray, "k 2"] | None
     origin: Float[np.ndarray, "2"]
     """World position of the corner of cell (0, 0) [m]."""
-    gap: Float32[np.ndarray, "headings rows columns"]
-    """Gap around the robot at the centre of each cell [m], at most FARTHEST; negative where it
-    does not fit."""
+    shape: tuple[int, int]
+    """Rows and columns of the map."""
+
+    @cached_property
+    def gap(self) -> Float32[np.ndarray, "headings rows columns"]:
+        """Gap around the robot at the centre of each cell [m], at most FARTHEST; negative where it
+        does not fit. It is made when it is first asked for: most ways need no map."""
+        rows, columns = self.shape
+        j, i = np.meshgrid(np.arange(columns), np.arange(rows))
+        centers = self.origin + (np.stack([j, i], -1) + 0.5) * CELL
+        inside = np.ones((rows, columns), bool)
+        if self.floor is not None:
+            inside = contains(self.floor, centers.reshape(-1, 2)).reshape(rows, columns)
+        inner = inscribed_radius(self.prisms.outlines[0])
+        surroundings = Surroundings(self.prisms.arrays, self.planning_obstacles.arrays)
+        return _fill(centers, inside, HEADINGS, inner, surroundings)
 
     @property
     def free(self) -> Bool[np.ndarray, "headings rows columns"]:
@@ -58,6 +72,7 @@ class NavigationMap:
         return self.gap > 0.0
 
 
+@lru_cache(maxsize=8)
 def build_navigation_map(scene: Scene, robot: Robot) -> NavigationMap:
     """Map where a robot with its arm at home fits.
 
@@ -92,15 +107,9 @@ def navigation_map_of(
             f"the room is {width:.0f} m x {depth:.0f} m; at most "
             f"{MOST_CELLS * CELL**2:.0f} m^2 can be mapped to drive in"
         )
-    j, i = np.meshgrid(np.arange(columns), np.arange(rows))
-    centers = origin + (np.stack([j, i], -1) + 0.5) * CELL
-    inside = np.ones((rows, columns), bool)
-    if floor is not None:
-        inside = contains(floor, centers.reshape(-1, 2)).reshape(rows, columns)
-    inner = inscribed_radius(prisms.outlines[0])
-    surroundings = Surroundings(prisms.arrays, planning_obstacles.arrays)
-    values = _fill(centers, inside, HEADINGS, inner, surroundings)
-    return NavigationMap(robot, prisms, obstacles, planning_obstacles, floor, origin, values)
+    return NavigationMap(
+        robot, prisms, obstacles, planning_obstacles, floor, origin, (rows, columns)
+    )
 
 
 @njit(cache=True, nogil=True)

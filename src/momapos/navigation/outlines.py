@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache, cached_property, lru_cache
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -135,6 +135,7 @@ def pack(
     )
 
 
+@lru_cache(maxsize=8)
 def prisms_of(robot: Robot) -> RobotPrisms:
     """Cut a robot at the heights where prisms hold it most tightly.
 
@@ -150,16 +151,19 @@ def prisms_of(robot: Robot) -> RobotPrisms:
     ]
     low = np.array([points[:, 2].min() for points in shapes])
     high = np.array([points[:, 2].max() for points in shapes])
-    flat = [points[:, :2] for points in shapes]
+    flat = [_hull([points[:, :2]]) for points in shapes]
 
     @cache
     def outline(begin: float, end: float) -> np.ndarray:
         met = [flat[i] for i in np.flatnonzero((low < end) & (high > begin))]
         return _hull([robot.footprint, *met] if begin == 0.0 or not met else met)
 
+    @cache
+    def area(begin: float, end: float) -> float:
+        return float(signed_area(outline(begin, end)))
+
     def volume(heights: np.ndarray) -> float:
-        spans = pairwise(heights.tolist())
-        return sum(signed_area(outline(begin, end)) * (end - begin) for begin, end in spans)
+        return sum(area(begin, end) * (end - begin) for begin, end in pairwise(heights.tolist()))
 
     top = float(high.max(initial=0.3))
     heights = np.array([0.0, top])

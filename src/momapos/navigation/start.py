@@ -1,4 +1,7 @@
-"""Where a robot starts: as given, or in front of things with room around it."""
+"""Where a robot starts: as it is told, or in front of things, with room around it.
+
+One rule for all who plan and drive: at the start the robot, its arm at home, touches nothing.
+"""
 
 from __future__ import annotations
 
@@ -14,19 +17,48 @@ from momapos.geometry.polygons import all_inside
 from momapos.kinematics.base_collision import base_hits
 from momapos.kinematics.collision import FREE
 from momapos.kinematics.hulls import Boxes
+from momapos.navigation.clearance import gaps
 from momapos.navigation.cost_map import CELL, FloorPlan
+from momapos.navigation.footprint_map import HEADINGS, NavigationMap
+from momapos.navigation.judge import FootprintCollisionChecker
+from momapos.navigation.outlines import on_floor
 from momapos.robots.robot import Robot
 
 ROOM = 0.8
 """Clearance around the start [m]."""
+_AT_ONCE = 64
+"""Cells that are looked at together [-]."""
 
 
-def find_start(plan: FloorPlan, wish: Float[np.ndarray, "2"]) -> Float[np.ndarray, "3"]:
-    """The floor position nearest to a wish that has room around it.
+def check_arm_at_home(nav_map: NavigationMap, pose: Float[np.ndarray, "3"]) -> None:
+    """Make sure that a robot with its arm at home touches nothing where it starts.
+
+    Args:
+        nav_map: The robot and the room.
+        pose: x [m], y [m], yaw [rad].
+
+    Raises:
+        SceneError: It would touch something.
+    """
+    checker = FootprintCollisionChecker(nav_map.prisms, nav_map.obstacles, nav_map.floor)
+    touched = checker.distance(pose[None])[1][0]
+    if touched:
+        x, y, yaw = pose
+        raise SceneError(
+            f"start ({x:.2f}, {y:.2f}, {np.degrees(yaw):.0f} deg): {nav_map.robot.name} with its "
+            f"arm at home would touch {touched}; give another --start"
+        )
+
+
+def find_start(
+    plan: FloorPlan, wish: Float[np.ndarray, "2"], nav_map: NavigationMap
+) -> Float[np.ndarray, "3"]:
+    """The floor position nearest to a wish that has room around it, for the arm at home as well.
 
     Args:
         plan: Where something stands.
         wish: Where the start would best be [m].
+        nav_map: The robot and the room.
 
     Raises:
         SceneError: Nowhere is there room.
@@ -34,15 +66,25 @@ def find_start(plan: FloorPlan, wish: Float[np.ndarray, "2"]) -> Float[np.ndarra
     clear = (
         distance_transform_edt(np.pad(~plan.blocked, 1, constant_values=True))[1:-1, 1:-1] * CELL
     )
-    i, j = np.nonzero(clear > min(ROOM, 0.9 * float(clear.max())))
-    if not len(i):
-        raise SceneError("the room is full: nowhere can a robot start; give --start X,Y,YAW")
-    centers = plan.origin + (np.stack([j, i], -1) + 0.5) * CELL
-    best = int(np.argmin(np.linalg.norm(centers - wish, axis=1)))
-    return np.array([centers[best, 0], centers[best, 1], 0.0])
+    # Where no place is roomy enough for an arm that sticks out, any that the robot fits in will do.
+    for room in (min(ROOM, 0.9 * float(clear.max())), 0.0):
+        i, j = np.nonzero(clear > room)
+        centers = plan.origin + (np.stack([j, i], -1) + 0.5) * CELL
+        nearest = centers[np.argsort(np.linalg.norm(centers - wish, axis=1), kind="stable")]
+        for k in range(0, len(nearest), _AT_ONCE):
+            # The heading along x comes first, as does the nearer of two cells.
+            poses = np.array([[*xy, yaw] for xy in nearest[k : k + _AT_ONCE] for yaw in _HEADINGS])
+            fits = gaps(poses, nav_map.prisms, nav_map.planning_obstacles) > 0.0
+            fits &= on_floor(nav_map.prisms, nav_map.floor, poses)
+            if fits.any():
+                return poses[int(np.argmax(fits))]
+    raise SceneError("the room is full: nowhere can a robot start; give --start X,Y,YAW")
 
 
-def check_start(
+_HEADINGS = HEADINGS[np.argsort(np.abs(HEADINGS), kind="stable")]
+
+
+def check_base(
     pose: Float[np.ndarray, "3"],
     robot: Robot,
     obstacles: Boxes,

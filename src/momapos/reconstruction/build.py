@@ -14,6 +14,7 @@ from jaxtyping import Float
 from momapos.errors import InputError, unknown_name
 from momapos.geometry.transforms import apply, pose, rotation_about
 from momapos.kinematics.articulated import Articulated
+from momapos.kinematics.opening import opening_of
 from momapos.kinematics.urdf import Joint, read_urdf
 from momapos.reconstruction.model import seen_from
 from momapos.scene.library.furniture import Piece, solid, vec
@@ -151,14 +152,13 @@ def _front(model: Articulated, tilt: Float[np.ndarray, "3 3"], path: Path) -> fl
 def _opening(model: Articulated, joint: Joint) -> Float[np.ndarray, "3"]:
     """How the middle of a part moves as its joint starts to open, in the root's frame.
 
-    A joint opens toward its farther limit; one that turns without end opens nothing.
+    One that turns without end opens nothing.
     """
     points = _points(model, model.moved_by(joint.name))
     if not np.isfinite([joint.lower, joint.upper]).all() or not len(points):
         return np.zeros(3)
-    sign = 1.0 if abs(joint.upper) >= abs(joint.lower) else -1.0
     T = model.rest_poses[joint.parent] @ joint.T_parent_joint
-    axis = sign * T[:3, :3] @ joint.axis
+    axis = opening_of(model, joint.name).sign * T[:3, :3] @ joint.axis
     if joint.kind == "prismatic":
         return axis * float(np.linalg.norm(np.ptp(points, axis=0))) / 2
     return np.cross(axis, (points.min(0) + points.max(0)) / 2 - T[:3, 3])

@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +19,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from momapos.errors import RobotError
+from momapos.cache import write_atomic
+from momapos.errors import InputError, RobotError
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.chain import Chain, build_chain
 from momapos.kinematics.spheres import Spheres, build_spheres
@@ -53,11 +55,15 @@ class Derived:
     pairs: dict[tuple[str, str], str]
     """Pairs of links that cannot help touching, with the reason, for an SRDF."""
     assumptions: tuple[str, ...]
-    """What was guessed, in words."""
+    """What was guessed, in words; what may be wrong altogether comes first."""
+    urdf_name: str
+    """How the robot file names the URDF."""
 
 
 def write_robot(urdf: Path, out: Path | None = None, *, seed: int = 0) -> tuple[Path, Derived]:
-    """Derive a robot file from a URDF and write it, with an SRDF beside the URDF if it has none.
+    """Derive a robot file from a URDF and write it, with an SRDF beside it if the URDF has none.
+
+    Both are written at the end, or nothing is.
 
     Args:
         urdf: The URDF.
@@ -68,35 +74,61 @@ def write_robot(urdf: Path, out: Path | None = None, *, seed: int = 0) -> tuple[
         The robot file, and what was derived.
 
     Raises:
-        RobotError: The robot file exists already, cannot be written, or nothing can be derived.
+        RobotError: A file exists already, cannot be written, or nothing can be derived.
         UrdfError: The URDF cannot be used.
     """
     out = out or urdf.with_suffix(".toml")
     if out.exists():
         raise RobotError(f"{out}: exists already; remove it, or choose another file with --out")
+    if out.parent.exists() and not out.parent.is_dir():
+        raise RobotError(f"{out}: cannot be written ({out.parent} is no folder)")
     name = os.path.relpath(urdf.resolve(), out.resolve().parent)
-    derived = derive_robot(urdf, urdf_name=Path(name).as_posix(), seed=seed)
-    draft, srdf = out.with_name(f".{out.name}.{os.getpid()}"), urdf.with_suffix(".srdf")
+    derived = derive_robot(
+        urdf, urdf_name=Path(name).as_posix(), srdf_name=f"{out.stem}.srdf", seed=seed
+    )
+    srdf = out.with_suffix(".srdf")
+    if derived.pairs and srdf.exists():
+        raise RobotError(f"{srdf}: exists already; remove it, or choose another file with --out")
+    files = {srdf: srdf_text(out.stem, derived.pairs)} if derived.pairs else {}
     try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        draft.write_text(derived.toml, encoding="utf-8")
-        read_robot(draft)
-        if derived.pairs and not srdf.exists():
-            srdf.write_text(srdf_text(out.stem, derived.pairs), encoding="utf-8")
-        draft.replace(out)
+        _try_out(urdf, out, derived, files)
+        for path, text in {**files, out: derived.toml}.items():
+            write_atomic(path, text.encode())
     except OSError as error:
+        for path in files:
+            path.unlink(missing_ok=True)
         raise RobotError(f"{error.filename}: cannot be written ({error.strerror})") from error
-    finally:
-        draft.unlink(missing_ok=True)
     return out, derived
 
 
-def derive_robot(urdf: Path, *, urdf_name: str | None = None, seed: int = 0) -> Derived:
+def _try_out(urdf: Path, out: Path, derived: Derived, files: dict[Path, str]) -> None:
+    """Read the robot file before it is written, from a folder of its own.
+
+    Raises:
+        RobotError: It cannot be read; the message names the file as it would be called.
+    """
+    with tempfile.TemporaryDirectory(prefix="momapos-") as folder:
+        draft = Path(folder) / out.name
+        for path, text in files.items():
+            draft.with_name(path.name).write_text(text, encoding="utf-8")
+        here = Path(os.path.relpath(urdf.resolve(), draft.resolve().parent)).as_posix()
+        toml = derived.toml.replace(_key("urdf", derived.urdf_name), _key("urdf", here), 1)
+        draft.write_text(toml, encoding="utf-8")
+        try:
+            read_robot(draft)
+        except InputError as error:
+            raise RobotError(str(error).replace(str(draft), str(out))) from error
+
+
+def derive_robot(
+    urdf: Path, *, urdf_name: str | None = None, srdf_name: str | None = None, seed: int = 0
+) -> Derived:
     """Derive a robot file from a URDF.
 
     Args:
         urdf: The file. An SRDF beside it is believed.
         urdf_name: How the robot file names the URDF; its file name where None.
+        srdf_name: How it names the SRDF, where one is needed; the URDF's name where None.
         seed: Seed of the sampled arm states.
 
     Raises:
@@ -123,14 +155,17 @@ def derive_robot(urdf: Path, *, urdf_name: str | None = None, seed: int = 0) -> 
     disabled = known | {frozenset(pair) for pair in pairs}
     spheres = build_spheres(model, segments, disabled, gripper)
     home = _home(chain, spheres, q, notes)
-    _note_pairs(pairs, bool(known), notes)
+    srdf_name = srdf_name or urdf.with_suffix(".srdf").name
+    _note_pairs(pairs, bool(known), srdf_name, notes)
+    notes.sort(key=lambda note: not note.startswith("IMPORTANT"))
     text = _toml(
         name=re.sub(r"\W+", "_", model.urdf.name).strip("_") or "robot",
-        urdf=urdf_name or urdf.name, base_link=base_link, tool_link=tool_link, joints=joints,
+        urdf=urdf_name or urdf.name, srdf=srdf_name if pairs else "", base_link=base_link,
+        tool_link=tool_link, joints=joints,
         gripper=gripper, home=home, footprint=footprint, drive=drive, approach=approach,
         closing=closing, opening=opening,
     )  # fmt: skip
-    return Derived(text, pairs, tuple(notes))
+    return Derived(text, pairs, tuple(notes), urdf_name or urdf.name)
 
 
 # ------------------------------------------------------------------------------------ the tree
@@ -283,8 +318,12 @@ def _drive(model: Articulated, notes: list[str]) -> str:
         notes.append("drive: omni, as its wheels are named so")
         return "omni"
     wheels = any(_WHEEL.search(name) for name in names)
-    why = "" if wheels else " (there are no wheels: is this a mobile robot?)"
-    notes.append(f"drive: differential, with speeds that are a guess{why}")
+    if not wheels:
+        notes.append(
+            "IMPORTANT: there are no wheels: is this a mobile robot? An arm alone needs a base in "
+            "its URDF"
+        )
+    notes.append("drive: differential, with speeds that are a guess")
     return "differential"
 
 
@@ -320,12 +359,18 @@ def examine(robot: Robot, *, seed: int = 0) -> list[str]:
     return doubts
 
 
-def _note_pairs(pairs: dict[tuple[str, str], str], known: bool, notes: list[str]) -> None:
+def _note_pairs(
+    pairs: dict[tuple[str, str], str], known: bool, srdf: str, notes: list[str]
+) -> None:
     if known:
         notes.append("self-collision: the pairs in the SRDF beside the URDF are not checked")
     elif pairs:
-        words = ", ".join(f"{a} with {b}" for a, b in pairs)
-        notes.append(f"self-collision: never checked, as they touch at rest or always: {words}")
+        always = sum(why == "Always" for why in pairs.values())
+        words = f"{always} touch in almost every state, {len(pairs) - always} are neighbours that"
+        notes.append(
+            f"self-collision: {len(pairs)} pairs of links are never checked, of which {words} "
+            f"touch at rest and often; {srdf} names them with the reason"
+        )
 
 
 def _home(
@@ -343,6 +388,11 @@ def _home(
     return home
 
 
+def _key(name: str, value: str) -> str:
+    """A line of a robot file."""
+    return f"{name} = {json.dumps(value, ensure_ascii=False)}"
+
+
 def _toml(**v: Any) -> str:
     """Text of a robot file; the texts are names that came out of an XML file."""
 
@@ -352,11 +402,12 @@ def _toml(**v: Any) -> str:
     def names(values: Sequence[str]) -> str:
         return f"[{', '.join(map(quoted, values))}]"
 
+    srdf = _key("srdf", v["srdf"]) + "\n" if v["srdf"] else ""
     corners = ", ".join(listed(corner) for corner in v["footprint"])
     return f"""# Derived by 'momapos robot check'; see docs/robots.md for every key.
 name = {quoted(v["name"])}
-urdf = {quoted(v["urdf"])}
-base_link = {quoted(v["base_link"])}
+{_key("urdf", v["urdf"])}
+{srdf}base_link = {quoted(v["base_link"])}
 tool_link = {quoted(v["tool_link"])}
 arm_joints = {names(v["joints"])}
 gripper_links = {names(v["gripper"])}

@@ -24,6 +24,7 @@ from momapos.kinematics.hulls import Boxes
 from momapos.kinematics.ik import IkModel, build_ik
 from momapos.kinematics.spheres import Spheres, build_spheres
 from momapos.kinematics.urdf import read_urdf
+from momapos.robots.gripper import FINGER, HAND
 
 MAX_TOML_BYTES = 20_000
 """A robot file has a page; the time that a parser takes for dotted keys grows with their square."""
@@ -35,9 +36,9 @@ MAX_REACH = 5.0
 Drive = Literal["differential", "omni"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Robot:
-    """A mobile base with one arm and one tool."""
+    """A mobile base with one arm and one tool; one is equal to itself alone."""
 
     name: str
     path: Path
@@ -66,6 +67,14 @@ class Robot:
     """Widest thing that fits between the fingers [m]."""
     disabled: frozenset[frozenset[str]]
     """Pairs of links whose contact is never checked."""
+
+    srdf: Path | None = None
+    """The file that names those pairs; None where there is none."""
+
+    @property
+    def source(self) -> str:
+        """What `load_robot` finds it by: its name in the library, or the path of its file."""
+        return self.name if self.path == _library_file(self.name) else str(self.path)
 
     @cached_property
     def _parts(self) -> tuple[Chain, Segments]:
@@ -97,6 +106,15 @@ class Robot:
         return self.spheres.base
 
     @cached_property
+    def has_gripper(self) -> bool:
+        """Whether there is something to hold with: more than the arm's own links, or named so."""
+        own = {self.model.joint(name).child for name in self.arm_joints}
+        return any(
+            link not in own or FINGER.search(link) or HAND.search(link)
+            for link in self.gripper_links
+        )
+
+    @cached_property
     def finger_depth(self) -> float:
         """How far the fingertips stick out beyond the tool's origin [m]."""
         poses = self.model.link_poses({})
@@ -126,6 +144,10 @@ def library_names() -> tuple[str, ...]:
     return tuple(sorted(p.name for p in root.iterdir() if (p / f"{p.name}.toml").is_file()))
 
 
+def _library_file(name: str) -> Path:
+    return Path(str(resources.files("momapos.robots") / "library" / name / f"{name}.toml"))
+
+
 def load_robot(source: str | Path) -> Robot:
     """Load a robot by library name or from a TOML file.
 
@@ -134,7 +156,7 @@ def load_robot(source: str | Path) -> Robot:
     """
     text = str(source)
     if text in library_names():
-        path = Path(str(resources.files("momapos.robots") / "library" / text / f"{text}.toml"))
+        path = _library_file(text)
     else:
         path = Path(source)
         if path.suffix not in (".toml", ".urdf", ".xml") and not os.path.exists(path):
@@ -153,6 +175,7 @@ def read_robot(path: Path) -> Robot:
     urdf = _beside(path, table.text("urdf"))
     model = Articulated(read_urdf(urdf))
     base, tool = table.table("base"), table.table("tool")
+    srdf = _srdf_of(table, urdf)
     robot = Robot(
         name=table.text("name"),
         path=path,
@@ -171,18 +194,34 @@ def read_robot(path: Path) -> Robot:
         approach_axis=tool.unit("approach_axis"),
         closing_axis=tool.unit("closing_axis"),
         opening=tool.positive("opening", 0.08),
-        disabled=read_srdf(urdf.with_suffix(".srdf")),
+        disabled=frozenset() if srdf is None else read_srdf(srdf),
+        srdf=srdf,
     )
     _check(robot)
     return robot
 
 
-def _beside(path: Path, name: str) -> Path:
+def _beside(path: Path, name: str, key: str = "urdf") -> Path:
     """A file that a robot file names."""
     try:
         return (path.parent / name).resolve()
     except (OSError, RuntimeError, ValueError) as error:  # too long, links in a circle, a NUL
-        raise RobotError(f"{path}: urdf {name!r:.80} cannot be looked up") from error
+        raise RobotError(f"{path}: {key} {name!r:.80} cannot be looked up") from error
+
+
+def _srdf_of(table: _Table, urdf: Path) -> Path | None:
+    """The SRDF that a robot file names, or the one of the URDF's name beside it, if any.
+
+    Raises:
+        RobotError: The one that is named does not exist.
+    """
+    if "srdf" not in table.data:
+        beside = urdf.with_suffix(".srdf")
+        return beside if beside.is_file() else None
+    named = _beside(table.path, table.text("srdf"), "srdf")
+    if not named.is_file():
+        raise RobotError(f"{table.path}: srdf names {named}, which does not exist")
+    return named
 
 
 def _check(robot: Robot) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from numba import njit
 
 from momapos.kinematics.articulated import Articulated
@@ -23,8 +23,17 @@ from momapos.kinematics.spheres import Spheres
 SAMPLES = 2000
 ALWAYS = 0.95
 """A pair of links that touch in this share of the states is never checked [-]."""
+OFTEN = 0.1
+"""Nor are neighbours that touch at rest, if they touch in this share of the states [-]: a rest at
+which the arm is folded into itself says nothing about the shapes."""
 UNWOUND = 0.05
 """Reach of the arm [m] that a radian less on its most turned joint is worth, at rest."""
+LIMIT, NEAR_LIMIT = 0.1, 0.15
+"""Reach that distance from all joint limits is worth [m], and how much distance [rad]."""
+TIGHT, ROOM = 0.1, 0.02
+"""Reach that room around the arm is worth, and how much room [m]."""
+_BEST = 100
+"""States whose room is looked at [-]."""
 
 
 @njit(cache=True, nogil=True)
@@ -66,7 +75,7 @@ def sample_states(chain: Chain, rng: np.random.Generator) -> Float[np.ndarray, "
 def inevitable_pairs(
     chain: Chain, spheres: Spheres, q: Float[np.ndarray, "m n"], model: Articulated
 ) -> dict[tuple[str, str], str]:
-    """Pairs of links that touch in (almost) every state, or in the first one as near neighbours.
+    """Pairs of links that touch in (almost) every state, or in the first and many as neighbours.
 
     Returns:
         The reason by pair, in MoveIt's words: "Always", or "Default" for two links at most two
@@ -102,29 +111,54 @@ def _judge(
 ) -> None:
     if hit.mean() >= ALWAYS:
         found[pair] = "Always"
-    elif near and hit[0]:
+    elif near and hit[0] and hit.mean() >= OFTEN:
         found[pair] = "Default"
 
 
 def resting_state(
     chain: Chain, spheres: Spheres, q: Float[np.ndarray, "m n"]
 ) -> tuple[Float[np.ndarray, " n"], float] | None:
-    """The free state that keeps the arm nearest to the base's middle, and unwound, for driving.
+    """The free state that keeps the arm nearest to the base's middle, for driving.
+
+    What counts is the arm itself: neither the torso that carries it nor what else hangs there.
+    Away from its limits, unwound, and with room to the robot are worth some reach.
 
     Returns:
         The state, and how far the arm reaches from the base's origin [m]; None where all states
         touch something.
     """
-    free = ~touches(chain, spheres, q, floor=True)
+    free = np.flatnonzero(~touches(chain, spheres, q, floor=True))
+    if not len(free):
+        return None
+    own = _of_the_arm(chain, spheres)
     R, p = np.empty((chain.size + 1, 3, 3)), np.empty((chain.size + 1, 3))
-    reach = np.full(len(q), np.inf)
-    for i in np.flatnonzero(free):
+    reach = np.empty(len(free))
+    for row, i in enumerate(free):
         place_segments(q[i], np.zeros(3), (chain.h, chain.d, chain.prismatic), R, p)
-        centers = np.einsum("gij,gj->gi", R[spheres.segment], spheres.bound_center)
-        middle = centers + p[spheres.segment]
-        reach[i] = (np.hypot(middle[:, 0], middle[:, 1]) + spheres.bound_radius).max()
-    best = int(np.argmin(reach + UNWOUND * abs(q).max(1)))
-    return (q[best], float(reach[best])) if free.any() else None
+        segment = spheres.segment[own]
+        middle = np.einsum("gij,gj->gi", R[segment], spheres.bound_center[own]) + p[segment]
+        reach[row] = (np.hypot(middle[:, 0], middle[:, 1]) + spheres.bound_radius[own]).max()
+    wound = np.where(chain.prismatic, 0.0, abs(q[free])).max(1)
+    cost = reach + UNWOUND * wound + LIMIT * _at_limits(chain, q[free])
+    thick = replace(spheres, radius=spheres.radius + ROOM, bound_radius=spheres.bound_radius + ROOM)
+    # Only the best are worth the look: a state with room beats a tighter one that is no better.
+    best = np.argsort(cost, kind="stable")[:_BEST]
+    cost[best] += TIGHT * touches(chain, thick, q[free[best]], floor=True)
+    chosen = best[int(np.argmin(cost[best]))]
+    return q[free[chosen]], float(reach[chosen])
+
+
+def _of_the_arm(chain: Chain, spheres: Spheres) -> Int[np.ndarray, " k"]:
+    """Groups of spheres that the arm's first turning joint moves; all where there are none."""
+    first = int(np.argmin(chain.prismatic)) + 1
+    own = np.flatnonzero(spheres.segment >= first)
+    return own if len(own) else np.arange(len(spheres.segment))
+
+
+def _at_limits(chain: Chain, q: Float[np.ndarray, "m n"]) -> Float[np.ndarray, " m"]:
+    """How near the turning joint nearest to a limit is to it, 0 (away) to 1 (at it)."""
+    gap = np.where(chain.prismatic, np.inf, np.minimum(q - chain.lower, chain.upper - q))
+    return np.clip(1.0 - gap.min(1) / NEAR_LIMIT, 0.0, 1.0)
 
 
 def srdf_text(name: str, pairs: dict[tuple[str, str], str]) -> str:

@@ -161,6 +161,8 @@ class Scene:
     """Where the robot stands at first: x [m], y [m], yaw [rad]."""
     warnings: tuple[str, ...] = ()
     """What the reader had to assume."""
+    joints_set: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    """Values that differ from the file's, by object and joint [rad] or [m]."""
 
     def object(self, name: str) -> SceneObject:
         """Look an object up by name.
@@ -186,4 +188,27 @@ class Scene:
         target = self.object(name)
         target.model.joint(joint)
         changed = replace(target, joints={**target.joints, joint: value})
-        return replace(self, objects=tuple(changed if o is target else o for o in self.objects))
+        return replace(
+            self,
+            objects=tuple(changed if o is target else o for o in self.objects),
+            joints_set={**self.joints_set, name: {**self.joints_set.get(name, {}), joint: value}},
+        )
+
+    def with_joints(self, values: Mapping[str, Mapping[str, float]]) -> Scene:
+        """The same scene with joints at other values, by object and joint.
+
+        Raises:
+            UnknownNameError: There is no such object or joint.
+            SceneError: A value is outside its joint's limits.
+        """
+        scene = self
+        for name, joints in values.items():
+            for joint, value in joints.items():
+                record = scene.object(name).model.joint(joint)
+                if not record.lower - 1e-6 <= value <= record.upper + 1e-6:
+                    raise SceneError(
+                        f"{name}/{joint}: {value:g} is outside its limits {record.lower:g} to "
+                        f"{record.upper:g}"
+                    )
+                scene = scene.with_joint(name, joint, value)
+        return scene

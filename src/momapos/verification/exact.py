@@ -12,8 +12,9 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from jaxtyping import Float, Int
 
+from momapos.geometry.transforms import pose_planar
 from momapos.scene.scene import Scene
-from momapos.types import Motion, Task
+from momapos.types import Motion, PlacementPlan, Task
 from momapos.verification import path as paths
 from momapos.verification.part import split
 from momapos.verification.part_sweep import part_sweep_check
@@ -25,6 +26,8 @@ from momapos.verification.sweep import all_pairs, deepest
 
 SWEEP_STEPS = 49
 """The joint's way is cut into so many steps, or a multiple, where base and room are checked [-]."""
+DRIVEN_OVER = 0.005
+"""What is no higher than this is no obstacle to a base that drives [m]."""
 MOST_PAIRS = 6
 """Overlapping pairs that are named one by one [-]."""
 
@@ -88,6 +91,40 @@ class PlanVerifier:
                 return self._check(checks, base_pose, motion)
             checks.append(next(check for check in few if not check.ok))
         return Report(tuple(checks))
+
+    def drive_checks(self, plan: PlacementPlan) -> tuple[Check, ...]:
+        """Check the start that a plan names, and its way from there, with the arm at home.
+
+        Home is where the approach begins; the object is as the scene has it, and left out where
+        the robot brings it. What is no higher than a base drives over is no obstacle.
+        """
+        if plan.motion is None or plan.start is None or plan.base_pose is None:
+            return ()
+        ends = np.array([plan.start, plan.base_pose])
+        way = ends[:1] if plan.base_path is None else plan.base_path
+        checks = [] if plan.base_path is None else list(paths.way_checks(way, ends, self.limits))
+        if not all(check.ok for check in checks):
+            return tuple(checks)
+        _, T_base, T_arm = self.robot_model.poses((0.0, 0.0, 0.0), plan.motion.approach[:1])
+        Ts_world_base = pose_planar(way)[:, None]
+        found, fixed, part = _Overlaps(self.limits.penetration), self.fixed, self.part
+        high = fixed.Ts_body_shape[:, 2, 3] + (
+            np.abs(fixed.Ts_body_shape[:, 2, :3]) * fixed.half
+        ).sum(1)
+        tall = high > DRIVEN_OVER
+        for shapes, Ts in (
+            (self._base, Ts_world_base @ T_base),
+            (self._arm, Ts_world_base @ T_arm),
+        ):
+            pairs = all_pairs(len(shapes), len(fixed))
+            found.add(
+                shapes, Ts, fixed, fixed.Ts_body_shape[None], pairs[tall[pairs[:, 1]]], _where
+            )
+            if self.task.verb != "place":
+                placed = part.placed(np.array([part.start if part.joint is not None else 0.0]))
+                pairs = all_pairs(len(shapes), len(part.shapes))
+                found.add(shapes, Ts, part.shapes, placed, pairs, _where)
+        return (*checks, found.check("start and way, arm at home"))
 
     def _check(
         self, checks: list[Check], base_pose: tuple[float, float, float], motion: Motion
@@ -207,6 +244,10 @@ class PlanVerifier:
         if self.part.joint is None:
             notes.append("no joint moves: neither the goal nor the grasp's slip is checked")
         return tuple(notes)
+
+
+def _where(pose: int) -> str:
+    return "the start" if pose == 0 else f"base_path[{pose}]"
 
 
 class _Overlaps:

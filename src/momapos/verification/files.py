@@ -49,10 +49,15 @@ def verify_files(
         return Report((verdict("status is solved", False, detail),))
     folders = [plan_path.resolve().parent, *([scene_root] if scene_root else []), Path()]
     scene = read_scene(find_file("scene", plan.scene, folders, plan_path), scene_root)
+    scene = scene.with_joints(plan.scene_joints)
     urdf = find_file("robot.urdf", plan.robot_urdf, folders, plan_path)
-    world = PlanVerifier(scene, _arm(plan, urdf), plan.task, limits)
+    srdf = None
+    if plan.robot_srdf is not None:
+        srdf = find_file("robot.srdf", plan.robot_srdf, folders, plan_path)
+    world = PlanVerifier(scene, _arm(plan, urdf, srdf), plan.task, limits)
     report = world.check(plan.base_pose, plan.motion)
-    return Report(report.checks, (*scene.warnings, *report.notes), report.gripper_depth)
+    drive = world.drive_checks(plan) if len(plan.motion.approach) else ()
+    return Report((*report.checks, *drive), (*scene.warnings, *report.notes), report.gripper_depth)
 
 
 def find_file(key: str, name: str, folders: list[Path], plan_path: Path) -> Path:
@@ -84,7 +89,7 @@ def read_scene(path: Path, scene_root: Path | None) -> Scene:
     return load_scene(path, root=scene_root if is_list else None)
 
 
-def _arm(plan: PlacementPlan, urdf: Path) -> UrdfArm:
-    disabled = read_srdf(urdf.with_suffix(".srdf"))
+def _arm(plan: PlacementPlan, urdf: Path, srdf: Path | None) -> UrdfArm:
+    disabled = read_srdf(srdf or urdf.with_suffix(".srdf"))
     model = Articulated(read_urdf(urdf))
     return UrdfArm(model, plan.base_link, plan.tool_link, plan.joints, disabled)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from momapos.geometry.transforms import invert, rotation_angle
+from momapos.geometry.transforms import invert, rotation_angle, wrap_angle
 from momapos.types import Motion
 from momapos.verification.part import Part
 from momapos.verification.report import Check, Limits, at_most, verdict
@@ -228,3 +228,29 @@ def reach_check(
         bounds = np.minimum(bounds, distance + moved)
     detail = f"state {states[where]}"
     return at_most("grasp point to the moved part", 1000 * worst, 1000 * limits.reach, "mm", detail)
+
+
+WAY_STEP, WAY_TURN = 0.05, 0.1
+"""Poses of a base path are no farther apart than this [m], [rad]."""
+
+
+def way_checks(
+    way: Float[np.ndarray, "k 3"], ends: Float[np.ndarray, "2 3"], limits: Limits
+) -> Iterator[Check]:
+    """A base path leads from the start to the base pose, in small steps."""
+    if not len(way) or len(way) > limits.states or np.abs([*way, *ends]).max() > LARGEST:
+        yield verdict("base path has one to 20 000 poses", False)
+        return
+    off = _apart(way[[0, -1]], ends)
+    yield at_most("base path from start to base pose", 1000 * off[0], 1000 * limits.join, "mm")
+    yield at_most("base path from start to base pose, turn", off[1], limits.join, "rad")
+    step, turn = _apart(way[1:], way[:-1])
+    yield at_most("step of the base path", 1000 * step, 1000 * WAY_STEP, "mm")
+    yield at_most("turn of the base path", turn, WAY_TURN, "rad")
+
+
+def _apart(a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "n 3"]) -> tuple[float, float]:
+    """Largest distance [m] and turn [rad] between poses."""
+    away = a - b
+    distance = np.hypot(away[:, 0], away[:, 1]).max(initial=0.0)
+    return float(distance), float(np.abs(wrap_angle(away[:, 2])).max(initial=0.0))

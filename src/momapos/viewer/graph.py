@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import io
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -24,8 +23,12 @@ from momapos.viewer.palette import (
     WAYPOINT,
 )
 from momapos.viewer.panel import Panel
-from momapos.viewer.plot import DPI, SIZE, frame, widen, write_bytes
+from momapos.viewer.pictures import check_picture, save_figure
+from momapos.viewer.plot import DPI, SIZE, frame, widen
 from momapos.viewer.room import name_objects, room, room_bounds
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 MAP, COLUMN = (0.058, 0.07, 0.625, 0.91), (0.715, 0.03, 0.27, 0.95)
 ROWS = 24
@@ -38,7 +41,7 @@ _EDGE_LAYER, _LEADER_LAYER, _NODE_LAYER = 12.0, 11.0, 14.0
 
 
 def draw_importance(scene: Scene, result: Importance, path: Path) -> None:
-    """Draw the scene graph into a PNG file, the whole file or nothing.
+    """Draw the scene graph into a PNG, SVG or PDF file, the whole file or nothing.
 
     Args:
         scene: The room.
@@ -46,17 +49,18 @@ def draw_importance(scene: Scene, result: Importance, path: Path) -> None:
         path: The file.
 
     Raises:
-        InputError: The file cannot be written.
+        InputError: The file cannot be written, or its name says that it is no picture.
     """
-    write_bytes(path, _picture(scene, result))
+    check_picture(path)
+    save_figure(_picture(scene, result), path, dpi=DPI)
 
 
-def _picture(scene: Scene, result: Importance) -> bytes:
+def _picture(scene: Scene, result: Importance) -> Figure:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=SIZE, dpi=DPI, facecolor="white")
-    canvas = FigureCanvasAgg(figure)
+    FigureCanvasAgg(figure)
     axes = figure.add_axes(MAP)
     size = np.array([MAP[2] * SIZE[0], MAP[3] * SIZE[1]])
     view = _view(scene, result, size[0] / size[1])
@@ -74,9 +78,7 @@ def _picture(scene: Scene, result: Importance) -> bytes:
     name_objects(axes, scene, target=result.target, keep_clear=clear)
     column = figure.add_axes(COLUMN)
     _draw_panel(column, COLUMN[2] * SIZE[0], COLUMN[3] * SIZE[1], scene, result)
-    buffer = io.BytesIO()
-    canvas.print_png(buffer)
-    return buffer.getvalue()
+    return figure
 
 
 def _view(scene: Scene, result: Importance, ratio: float) -> Float[np.ndarray, "2 2"]:

@@ -14,6 +14,7 @@ from matplotlib.patches import Polygon, Rectangle
 from momapos.geometry.transforms import apply, invert
 from momapos.scene.scene import SceneObject
 from momapos.types import Cloud, Detection, Frame, Part
+from momapos.viewer.pictures import save_figure
 from momapos.views.faces import Face
 from momapos.views.front_view import View
 from momapos.views.projection import corners
@@ -62,7 +63,7 @@ def draw_modelled(
             axes.set_title(text)
         axis = None
     _fit(front, side, detection, axis, cloud, model)
-    figure.savefig(path, dpi=80)
+    save_figure(figure, path, dpi=80)
 
 
 def _frame(axes: Axes, frame: Frame, detection: Detection, angle: float) -> None:

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import io
-import os
-import tempfile
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float
 
-from momapos.errors import InputError
 from momapos.geometry.planar import place_points
 from momapos.geometry.polygons import contains
 from momapos.kinematics.hulls import Boxes
@@ -23,8 +19,12 @@ from momapos.viewer.outcomes import KINDS, Outcomes, outcomes, thin
 from momapos.viewer.outlines import box_bounds, box_outlines, draw_union
 from momapos.viewer.palette import INK, PART, PART_BEFORE, PART_EDGE, POTENTIAL, SOFT_INK, WAYPOINT
 from momapos.viewer.panel import draw_panel
+from momapos.viewer.pictures import check_picture, save_figure
 from momapos.viewer.robot import draw_arm, draw_footprint
 from momapos.viewer.room import name_objects, room, room_bounds
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 SIZE, DPI = (8.0, 6.0), 200
 """Size of the picture [in] and its resolution: 1600 x 1200 pixels."""
@@ -41,7 +41,7 @@ _PART_LAYER, _WAY_LAYER, _FEASIBLE_LAYER, _WAYPOINT_LAYER = 7.0, 10.0, 11.0, 15.
 def draw_answer(
     scene: Scene, answer: PlacementResult, reach: ReachScorer, path: Path, *, cell: float = 0.08
 ) -> None:
-    """Draw an answer into a PNG file, the whole file or nothing.
+    """Draw an answer into a PNG, SVG or PDF file, the whole file or nothing.
 
     Args:
         scene: The room that was asked about.
@@ -51,33 +51,18 @@ def draw_answer(
         cell: Cell of the potential map [m].
 
     Raises:
-        InputError: The file cannot be written.
+        InputError: The file cannot be written, or its name says that it is no picture.
     """
-    write_bytes(path, _picture(scene, answer, reach, cell))
+    check_picture(path)
+    save_figure(_picture(scene, answer, reach, cell), path, dpi=DPI)
 
 
-def write_bytes(path: Path, data: bytes) -> None:
-    """Write a file so that a reader sees the old one or the new one, never half of it."""
-    name = ""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-        with os.fdopen(handle, "wb") as file:
-            file.write(data)
-        os.chmod(name, 0o644)
-        os.replace(name, path)
-    except OSError as error:
-        if name:
-            Path(name).unlink(missing_ok=True)
-        raise InputError(f"{path}: cannot be written ({error.strerror})") from error
-
-
-def _picture(scene: Scene, answer: PlacementResult, reach: ReachScorer, cell: float) -> bytes:
+def _picture(scene: Scene, answer: PlacementResult, reach: ReachScorer, cell: float) -> Figure:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=SIZE, dpi=DPI, facecolor="white")
-    canvas = FigureCanvasAgg(figure)
+    FigureCanvasAgg(figure)
     axes = figure.add_axes(_MAP)
     seen = outcomes(answer.search)
     heat = potential_map(answer.prepared.geometry, reach, cell=cell)
@@ -92,9 +77,7 @@ def _picture(scene: Scene, answer: PlacementResult, reach: ReachScorer, cell: fl
     column = figure.add_axes(_COLUMN)
     width, height = _COLUMN[2] * SIZE[0], _COLUMN[3] * SIZE[1]
     draw_panel(column, width, height, scene, answer, seen, highest)
-    buffer = io.BytesIO()
-    canvas.print_png(buffer)
-    return buffer.getvalue()
+    return figure
 
 
 # ----------------------------------------------------------------------------------------- the view
