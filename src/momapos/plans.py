@@ -54,11 +54,13 @@ def plan_to_dict(plan: PlacementPlan) -> dict[str, Any]:
         "base_path": None if plan.base_path is None else plan.base_path.tolist(),
         "joints": list(plan.joints),
         "approach": [] if motion is None else motion.approach.tolist(),
+        "approach_times": None if motion is None else _times(motion.approach_times),
         "manipulation": None
         if motion is None
         else {
             "q": motion.q.tolist(),
             "object_q": motion.object_q.tolist(),
+            "times": _times(motion.times),
             "T_world_tool": motion.Ts_world_tool.tolist(),
         },
         "navigation_cost": plan.navigation_cost,
@@ -75,6 +77,10 @@ def plan_to_dict(plan: PlacementPlan) -> dict[str, Any]:
         "seed": plan.seed,
         "versions": dict(plan.versions),
     }
+
+
+def _times(times: Float[np.ndarray, " m"] | None) -> list[float] | None:
+    return None if times is None else times.tolist()
 
 
 def _pose_to_dict(pose: tuple[float, float, float] | None) -> dict[str, float] | None:
@@ -167,6 +173,7 @@ class _Manipulation(msgspec.Struct):
     q: list[list[float]]
     object_q: list[float]
     T_world_tool: list[list[list[float]]]
+    times: list[float] | None = None
 
 
 class _Candidates(msgspec.Struct):
@@ -195,6 +202,7 @@ class _Plan(msgspec.Struct):
     base_pose: _Pose | None = None
     base_path: list[list[float]] | None = None
     approach: list[list[float]] = []
+    approach_times: list[float] | None = None
     manipulation: _Manipulation | None = None
     navigation_cost: float | None = None
     candidates: _Candidates = msgspec.field(default_factory=_Candidates)
@@ -371,12 +379,27 @@ def _motion(data: _Plan, path: Path) -> Motion | None:
     motion, n = data.manipulation, len(data.joints)
     if motion is None:
         return None
+    approach = _array(data.approach, (n,), path, "approach")
     return Motion(
-        approach=_array(data.approach, (n,), path, "approach"),
+        approach=approach,
         q=_array(motion.q, (n,), path, "manipulation.q"),
         object_q=_array(motion.object_q, (), path, "manipulation.object_q"),
         Ts_world_tool=_array(motion.T_world_tool, (4, 4), path, "manipulation.T_world_tool"),
+        approach_times=_read_times(data.approach_times, len(approach), path, "approach_times"),
+        times=_read_times(motion.times, len(motion.q), path, "manipulation.times"),
     )
+
+
+def _read_times(
+    times: list[float] | None, count: int, path: Path, key: str
+) -> Float[np.ndarray, " m"] | None:
+    """Times of states, one each and never falling [s]; None where a plan has none."""
+    if times is None:
+        return None
+    values = _array(times, (), path, key)
+    if len(values) != count or (np.diff(values) < 0).any():
+        raise FileFormatError(f"{path}: {key} must be {count} times that never fall [s]")
+    return values
 
 
 def _array(

@@ -16,6 +16,7 @@ from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from scipy.spatial.transform import Rotation
 from tests.scan_io.recorded import HEIGHT, WIDTH, K, Shot, shots
 
 from momapos.errors import FileFormatError, MissingExtraError

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tests import optional
 
 from momapos.errors import FileFormatError, MissingExtraError
 from momapos.scan_io.masks import read_instances

@@ -33,7 +33,7 @@ def same(a: PlacementPlan, b: PlacementPlan) -> bool:
     if a.motion is not None and b.motion is not None:
         for item in fields(Motion):
             x, y = getattr(a.motion, item.name), getattr(b.motion, item.name)
-            if not (x.shape == y.shape and np.array_equal(x, y)):
+            if (x is None) != (y is None) or (x is not None and not np.array_equal(x, y)):
                 return False
     return replace(a, motion=None) == replace(b, motion=None)
 
@@ -41,7 +41,8 @@ def same(a: PlacementPlan, b: PlacementPlan) -> bool:
 def test_what_is_written_is_what_is_read(plan: PlacementPlan, tmp_path: Path) -> None:
     assert plan.motion is not None
     noisy = replace(plan.motion, q=plan.motion.q + np.pi / 1e7)
-    for item in (plan, replace(plan, motion=noisy)):
+    timed = replace(plan.motion, times=np.linspace(0.0, np.pi, len(plan.motion.q)))
+    for item in (plan, replace(plan, motion=noisy), replace(plan, motion=timed)):
         write_plan(item, tmp_path / "again.json")
         assert same(read_plan(tmp_path / "again.json"), item)
 
@@ -143,6 +144,7 @@ MALFORMED: dict[str, tuple[str, str]] = {
     "narrow q": (
         text(lambda d: d["manipulation"].update(q=[[0.0] * 5] * 41)), "need 6, one a joint",
     ),
+    "too few times": (text(lambda d: d["manipulation"].update(times=[0.0])), "manipulation.times"),
     "narrow approach": (text(lambda d: d.update(approach=[[0.0]])), "approach"),
     "3x3 poses": (
         text(lambda d: d["manipulation"].update(T_world_tool=[np.eye(3).tolist()])), "4 x 4",

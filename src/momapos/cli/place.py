@@ -204,9 +204,11 @@ def _deliver(answer: PlacementResult, options: Options) -> None:
 
     from momapos.cli.console import summary
     from momapos.plans import plan_to_dict, write_plan
+    from momapos.trajectory import with_times
 
     if options.out is not None:
-        write_plan(answer.plan, options.out)
+        # A file is for those who execute it: they need to know when the arm is where.
+        write_plan(with_times(answer.plan, answer.prepared.robot), options.out)
     if options.json:
         print(json.dumps(plan_to_dict(answer.plan)))
     else:
