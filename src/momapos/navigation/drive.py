@@ -81,9 +81,9 @@ class DriveConfig:
     settle: float = 1.0
     """Time that the base stands at first, to learn where it is [s]."""
     patience: float = 4.0
-    """Time without progress after which a new way is planned [s]."""
+    """Time without progress after which a new path is planned [s]."""
     replans: int = 6
-    """New ways that are planned at most [-]."""
+    """New paths that are planned at most [-]."""
     timeout: float = 180.0
     """Time after which a drive ends [s]."""
     noise: NoiseConfig = field(default_factory=NoiseConfig)
@@ -106,7 +106,7 @@ class DriveRecord:
     hit: str
     """What the base touched, which ended the drive; "" where it touched nothing."""
     planned: float
-    """Length of the way as first planned [m]; infinite where there was none."""
+    """Length of the path as first planned [m]; infinite where there was none."""
     length: float
     """Metres driven."""
     time: float
@@ -116,7 +116,7 @@ class DriveRecord:
     clearance_moving: float
     """Smallest distance to what moves [m]; infinite where nothing does."""
     ways: int
-    """Ways that were planned [-]."""
+    """Paths that were planned [-]."""
     times: Float[np.ndarray, " t"]
     """Of the trace [s]."""
     poses: Float[np.ndarray, "t 3"]
@@ -238,7 +238,7 @@ class _Run:
         if ended := self._wait(self.config.settle):
             return ended
         end: _End | None = None
-        # Where the dynamic window got stuck, and for the last bit, the way is followed exactly.
+        # Where the dynamic window got stuck, and for the last bit, the path is followed exactly.
         exactly = False
         for self.ways in range(1, self.config.replans + 2):  # noqa: B020
             path = self._plan()
@@ -280,7 +280,7 @@ class _Run:
         return _End(DriveEnding.MISSED, off)
 
     def _plan(self) -> Path | None:
-        """A way from where the base believes to be, around what stands in it."""
+        """A path from where the base believes to be, around what stands in it."""
         standing = self._standing()
         nav_map = _with_discs(self.nav_map, standing) if len(standing) else self.nav_map
         return plan_path(nav_map, self.localiser.pose, self.goal, self.config.path)
@@ -307,7 +307,7 @@ class _Run:
         return None
 
     def _cruise(self, path: Path) -> tuple[_End | None, Path | None]:
-        """Drive along a way by the dynamic window, until near the goal.
+        """Drive along a path by the dynamic window, until near the goal.
 
         Returns:
             Why it ended, None where it came near; and a path to follow from there, where there is a
@@ -339,7 +339,7 @@ class _Run:
                 return self._stuck(discs), None
 
     def _dock(self, path: Path) -> _End | None:
-        """Follow a way exactly."""
+        """Follow a path exactly."""
         config, robot = self.config, self.nav_map.robot
         steering = Steering(self.nav_map, path, config.window, config.control)
         docking = Docking(robot, path, config.control)
