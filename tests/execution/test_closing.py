@@ -10,7 +10,7 @@ import pytest
 from tests.execution.toy import Toy, toy
 from tests.verification.door_case import OPEN, Case, make_case
 
-from momapos.execution.config import ExecutionConfig
+from momapos.execution.config import ExecutionConfig, FurnitureConfig
 from momapos.execution.simulation import Simulation
 from momapos.types import Motion, Task
 
@@ -86,3 +86,12 @@ def test_nothing_is_pressed_once_the_arm_has_stopped(tmp_path: Path) -> None:
 
     assert closing(tmp_path, case).run(watch=watch).success
     assert np.mean(forces[-20:]) < ExecutionConfig().control.stop_force
+
+
+def test_a_door_that_is_stiff_all_the_way_is_moved_to_its_end(tmp_path: Path) -> None:
+    stiff = ExecutionConfig(furniture=FurnitureConfig(hinge_friction=30.0))
+    done = closing(tmp_path, make_case()).run(config=stiff)
+    assert done.success, done.reason
+    assert done.load.force > ExecutionConfig().control.stop_force
+    assert done.reached == pytest.approx(0.0, abs=0.005)
+    assert done.notes == ()

@@ -63,7 +63,7 @@ class ControlConfig:
     bandwidth: float = 60.0
     """Natural frequency of the critically damped position loops [rad/s]."""
     stop_force: float = 30.0
-    """The arm stops where the part resists its push with this, at the end of the way [N]."""
+    """The arm stops where the part, near the end of its way, resists it by this more [N]."""
     armature: float = 0.1
     """Inertia of a motor seen through its gear [kg m^2]; ten times as many kg for slides."""
     base_bandwidth: float = 60.0

@@ -167,7 +167,9 @@ class _Run:
         length = float(np.linalg.norm(np.diff(tool, axis=0), axis=1).sum())
         self.goal, self.last_stretch = tool[-1], config.tolerance * length
         self.stopped_short: float | None = None
-        """Way that was left to the tool when the part stopped it [m]; None where none did."""
+        """Distance that was left to the tool when the part stopped it [m]; None where none did."""
+        self.usual_push: float | None = None
+        """Push toward the end of the way as the last stretch begins [N]; None before."""
 
     def carry(self, item: SceneObject) -> None:
         """Put the object into the hand, as the plan holds it where it lets go."""
@@ -250,7 +252,10 @@ class _Run:
         distance = float(np.linalg.norm(left))
         if not 0.0 < distance <= self.last_stretch:
             return False
-        if float(self.world.push() @ left) / distance < self.config.control.stop_force:
+        push = float(self.world.push() @ left) / distance
+        if self.usual_push is None:  # weight and friction, which resist all along
+            self.usual_push = max(0.0, push)
+        if push - self.usual_push < self.config.control.stop_force:
             return False
         self.stopped_short = distance
         return True

@@ -185,7 +185,7 @@ def leg(a, b, turn, surroundings, weights, scratch):
 
 @njit(cache=True, nogil=True)
 def connect(a, b, omni, surroundings, weights, limit, scratch):
-    """Cheapest simple path between two poses: turn, straight, turn; omni bases turn on the way.
+    """Cheapest simple path between two poses: turn, straight, turn; omni bases turn as they go.
 
     Args:
         a, b: Poses.

@@ -32,11 +32,11 @@ class CostMap:
     origin: Float[np.ndarray, "2"]
     """World position of the corner of cell (0, 0) [m]."""
     distance: Float[np.ndarray, "rows columns"]
-    """Driving length to the centre of each cell [m], infinite where there is no way."""
+    """Driving length to the centre of each cell [m], infinite where there is no path."""
     free: Bool[np.ndarray, "rows columns"]
 
     def lengths(self, xy: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
-        """Driving lengths to positions [m]; infinite where there is no way.
+        """Driving lengths to positions [m]; infinite where there is no path.
 
         A position is served by the best of the cells around it, since a base can stand
         closer to furniture than the disc's cell centre does.

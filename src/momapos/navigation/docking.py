@@ -11,7 +11,7 @@ from momapos.navigation.global_path import Path
 from momapos.robots.robot import Robot
 
 BEGIN = 0.5
-"""Way that is left when docking begins [m]."""
+"""Length of path that is left when docking begins [m]."""
 _SPEED = 0.3
 """Fastest [m/s]."""
 _SHARE = 0.5
@@ -23,7 +23,7 @@ _CLOSE, _TURNED = 0.004, float(np.radians(0.4))
 _ON_LINE = 0.15
 """Difference from the line that a moving base steers away on its way [rad]."""
 _AHEAD = 0.06
-"""An omni base heads for the pose of its way this far ahead [m]."""
+"""An omni base heads for the pose of its path this far ahead [m]."""
 
 
 def approach(left: float, acceleration: float, fastest: float, dt: float) -> float:
@@ -33,18 +33,18 @@ def approach(left: float, acceleration: float, fastest: float, dt: float) -> flo
 
 
 class Docking:
-    """Follows a way exactly, leg by leg, and stops in its last pose.
+    """Follows a path exactly, leg by leg, and stops in its last pose.
 
     A differential base turns to the line of a leg, follows it to its end, and turns on the spot; an
-    omni base goes from pose to pose of the way.
+    omni base goes from pose to pose of the path.
     """
 
     def __init__(self, robot: Robot, path: Path, dt: float) -> None:
-        """Prepare to follow a way.
+        """Prepare to follow a path.
 
         Args:
             robot: What is steered.
-            path: The way.
+            path: The path.
             dt: Time between commands [s].
         """
         self.robot, self.path, self.dt = robot, path, dt
@@ -79,7 +79,7 @@ class Docking:
         return self._along(pose, left)
 
     def finished(self, pose: Float[np.ndarray, "3"], velocity: Float[np.ndarray, "3"]) -> bool:
-        """Whether the base stands where the way ends."""
+        """Whether the base stands where the path ends."""
         goal = self.path.poses[-1]
         turned = abs(float(wrap_angle(goal[2] - pose[2]))) < 2 * _TURNED
         if self.robot.drive == "omni":
@@ -98,7 +98,7 @@ class Docking:
         return approach(left, robot.max_yaw_acceleration, robot.max_yaw_rate, self.dt)
 
     def _along_poses(self, pose: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
-        """Toward the pose of the way a little ahead, turning as evenly as the way does."""
+        """Toward the pose of the path a little ahead, turning as evenly as the path does."""
         path = self.path
         self.index = path.follow(pose, self.index, _AHEAD)
         near = int(np.searchsorted(path.s, path.s[self.index] + _AHEAD))
@@ -126,7 +126,7 @@ class Docking:
             return np.zeros(3)
         v = approach(left, self.robot.max_acceleration, self._fastest, self.dt)
         bend = np.copysign(1.0, v) * np.arctan2(beside, _LOOK)
-        # Steering is worth its turn only as far as there is way left to gain from it.
+        # Steering is worth its turn only as far as there is path left to gain from it.
         wish = self.line + bend * min(1.0, abs(left) / 0.05)
         return np.array([v, 0.0, self._turn(float(wrap_angle(wish - pose[2])))])
 
@@ -137,7 +137,7 @@ def stands(velocity: Float[np.ndarray, "3"]) -> bool:
 
 
 def aimed(robot: Robot, path: Path) -> bool:
-    """Whether a base can begin to follow a way without a turn on the spot."""
+    """Whether a base can begin to follow a path without a turn on the spot."""
     if robot.drive == "omni":
         return True
     step = path.nodes[1, :2] - path.nodes[0, :2]
@@ -146,6 +146,6 @@ def aimed(robot: Robot, path: Path) -> bool:
 
 
 def can_stop(robot: Robot, velocity: Float[np.ndarray, "3"], left: float) -> bool:
-    """Whether a base comes to stand within some way [m] at the deceleration planned with."""
-    way = float(velocity[0] ** 2 + velocity[1] ** 2) / (2 * _SHARE * robot.max_acceleration)
-    return way < left
+    """Whether a base comes to stand within some length [m] at the deceleration planned with."""
+    distance = float(velocity[0] ** 2 + velocity[1] ** 2) / (2 * _SHARE * robot.max_acceleration)
+    return distance < left

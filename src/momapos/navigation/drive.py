@@ -9,7 +9,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from enum import Enum
 
 import numpy as np
 from jaxtyping import Float
@@ -18,6 +17,7 @@ from momapos.errors import SceneError
 from momapos.geometry.transforms import wrap_angle
 from momapos.navigation.base import clip_velocity, integrate
 from momapos.navigation.docking import BEGIN, Docking, aimed, can_stop, stands
+from momapos.navigation.drive_record import DriveEnding, DriveRecord
 from momapos.navigation.dynamic_window import Steering, WindowConfig, velocity_window
 from momapos.navigation.footprint_map import NavigationMap, navigation_map_of
 from momapos.navigation.global_path import TURN, Path, PathConfig, direct_path, plan_path
@@ -33,21 +33,6 @@ Meet = Callable[[Float[np.ndarray, "3"]], None]
 _NO_DISCS = np.zeros((0, 5))
 _STANDING = 0.05
 """Discs slower than this are gone around [m/s]."""
-
-
-class DriveEnding(Enum):
-    """Why a drive, or a part of one, ended before it arrived."""
-
-    START_BLOCKED = "the start is in collision with"
-    GOAL_BLOCKED = "the goal is in collision with"
-    NO_PATH = "there is no way for the footprint"
-    NO_PATH_AS_BELIEVED = "there is no way from where it believes to be"
-    PATH_OCCUPIED = "a moving obstacle stands in the way"
-    STUCK = "stuck"
-    BESIDE_GOAL = "it believes to stand beside the goal"
-    MISSED = "it stands"
-    HIT = "it hit"
-    TIMEOUT = "timeout"
 
 
 _PLANNED_AGAIN = (DriveEnding.STUCK, DriveEnding.BESIDE_GOAL)
@@ -81,52 +66,14 @@ class DriveConfig:
     settle: float = 1.0
     """Time that the base stands at first, to learn where it is [s]."""
     patience: float = 4.0
-    """Time without progress after which a new way is planned [s]."""
+    """Time without progress after which a new path is planned [s]."""
     replans: int = 6
-    """New ways that are planned at most [-]."""
+    """New paths that are planned at most [-]."""
     timeout: float = 180.0
     """Time after which a drive ends [s]."""
     noise: NoiseConfig = field(default_factory=NoiseConfig)
     path: PathConfig = field(default_factory=PathConfig)
     window: WindowConfig = field(default_factory=WindowConfig)
-
-
-@dataclass(frozen=True, eq=False)
-class DriveRecord:
-    """What came of a drive."""
-
-    arrived: bool
-    reason: str
-    """Why it did not arrive; "" where it did."""
-    goal: Float[np.ndarray, "3"]
-    pose: Float[np.ndarray, "3"]
-    """Where the base really stands: x [m], y [m], yaw [rad]."""
-    believed: Float[np.ndarray, "3"]
-    """Where the controller believes it to stand."""
-    hit: str
-    """What the base touched, which ended the drive; "" where it touched nothing."""
-    planned: float
-    """Length of the way as first planned [m]; infinite where there was none."""
-    length: float
-    """Metres driven."""
-    time: float
-    """Seconds it took."""
-    clearance: float
-    """Smallest distance of the true footprint to anything that stands [m], at most 0.5."""
-    clearance_moving: float
-    """Smallest distance to what moves [m]; infinite where nothing does."""
-    ways: int
-    """Ways that were planned [-]."""
-    times: Float[np.ndarray, " t"]
-    """Of the trace [s]."""
-    poses: Float[np.ndarray, "t 3"]
-    """True poses."""
-    velocities: Float[np.ndarray, "t 3"]
-    """True velocities in the base frame: vx [m/s], vy [m/s], yaw rate [rad/s]."""
-    step_times: Float[np.ndarray, " k"]
-    """Computing time of each control step [s]."""
-    ending: DriveEnding | None = None
-    """Why it did not arrive, as one of a few kinds; None where it did."""
 
 
 def drive(
@@ -238,7 +185,7 @@ class _Run:
         if ended := self._wait(self.config.settle):
             return ended
         end: _End | None = None
-        # Where the dynamic window got stuck, and for the last bit, the way is followed exactly.
+        # Where the dynamic window got stuck, and for the last bit, the path is followed exactly.
         exactly = False
         for self.ways in range(1, self.config.replans + 2):  # noqa: B020
             path = self._plan()
@@ -280,7 +227,7 @@ class _Run:
         return _End(DriveEnding.MISSED, off)
 
     def _plan(self) -> Path | None:
-        """A way from where the base believes to be, around what stands in it."""
+        """A path from where the base believes to be, around what stands in it."""
         standing = self._standing()
         nav_map = _with_discs(self.nav_map, standing) if len(standing) else self.nav_map
         return plan_path(nav_map, self.localiser.pose, self.goal, self.config.path)
@@ -307,7 +254,7 @@ class _Run:
         return None
 
     def _cruise(self, path: Path) -> tuple[_End | None, Path | None]:
-        """Drive along a way by the dynamic window, until near the goal.
+        """Drive along a path by the dynamic window, until near the goal.
 
         Returns:
             Why it ended, None where it came near; and a path to follow from there, where there is a
@@ -339,7 +286,7 @@ class _Run:
                 return self._stuck(discs), None
 
     def _dock(self, path: Path) -> _End | None:
-        """Follow a way exactly."""
+        """Follow a path exactly."""
         config, robot = self.config, self.nav_map.robot
         steering = Steering(self.nav_map, path, config.window, config.control)
         docking = Docking(robot, path, config.control)

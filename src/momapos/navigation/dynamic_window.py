@@ -1,7 +1,7 @@
 """The Dynamic Window Approach: the best of the velocities that can be had within one step.
 
 Source: Fox, Burgard, Thrun, "The Dynamic Window Approach to Collision Avoidance", 1997; for omni
-bases with vx, vy and yaw rate. What differs: progress is measured along the planned way, position
+bases with vx, vy and yaw rate. What differs: progress is measured along the planned path, position
 and heading alike, in place of the heading to the goal; and the clearance is that of the real
 footprint.
 """
@@ -35,13 +35,13 @@ class WindowConfig:
     horizon: float = 1.2
     """How long a velocity is imagined to be held [s]."""
     deviation: float = 2.5
-    """Progress that a metre beside the way is worth [-]."""
+    """Progress that a metre beside the path is worth [-]."""
     preferred_clearance: float = 0.06
     """Gap to everything that is kept where there is room [m]."""
     crowding: float = 0.1
     """Progress that is given up to get from touching to that gap [m]."""
     margin: float = 0.02
-    """Gap that is never gone below, but where the way itself goes closer [m]."""
+    """Gap that is never gone below, but where the path itself goes closer [m]."""
     look: float = 2.5
     """How far ahead moving obstacles are followed, at the velocity they have [s]."""
     distance: float = 0.15
@@ -276,7 +276,7 @@ def velocity_window(
 
 @dataclass(frozen=True, eq=False)
 class Steering:
-    """Chooses velocities along one way."""
+    """Chooses velocities along one path."""
 
     nav_map: NavigationMap
     path: Path
@@ -290,9 +290,9 @@ class Steering:
         index: int,
         discs: Float[np.ndarray, "d 5"],
     ) -> Float[np.ndarray, " m"]:
-        """Score of velocities at a believed pose that is at some index of the way; see `rate`.
+        """Score of velocities at a believed pose that is at some index of the path; see `rate`.
 
-        No gap smaller than the margin is allowed, but where the way itself has none; a base that
+        No gap smaller than the margin is allowed, but where the path itself has none; a base that
         is nearer already may not come nearer still.
         """
         nav_map, c, path = self.nav_map, self.config, self.path
@@ -336,5 +336,5 @@ class Steering:
         velocity: Float[np.ndarray, "3"],
         discs: Float[np.ndarray, "d 5"],
     ) -> bool:
-        """Whether a base that follows the way exactly can have a velocity and still stop."""
+        """Whether a base that follows the path exactly can have a velocity and still stop."""
         return bool(np.isfinite(self.ratings(pose, velocity[None], 0, discs)[0]))

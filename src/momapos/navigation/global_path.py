@@ -1,8 +1,8 @@
-"""The way from a start to a goal pose: A* with headings, then as few straight legs as possible.
+"""The path from a start to a goal pose: A* with headings, then as few straight legs as possible.
 
 Sources: A* (Hart, Nilsson, Raphael 1968) over the cells and headings of the footprint map; then
 any-angle shortening, for the reason that Theta* has (Daniel, Nash, Koenig, Felner 2010): the
-shortest way over a lattice is not the shortest way.
+shortest path over a lattice is not the shortest path.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from momapos.navigation.lattice_connection import Exits, shuffled, straight
 from momapos.navigation.outlines import on_floor
 
 NEEDED = 0.01
-"""Gap that every pose of a way has, but where it begins and ends [m]."""
+"""Gap that every pose of a path has, but where it begins and ends [m]."""
 TURN = 0.3
-"""A radian of turning counts as this much way where progress is measured [m/rad]."""
+"""A radian of turning counts as this much path where progress is measured [m/rad]."""
 _AROUND = 0.15, 0.3
 """How far lattice states may be from an exit, and from the start or goal itself [m]."""
 _SPACING = 0.15
@@ -36,7 +36,7 @@ _FINER = 0.97
 
 @dataclass(frozen=True)
 class PathConfig:
-    """What makes one way better than another of the same length."""
+    """What makes one path better than another of the same length."""
 
     preferred_clearance: float = 0.08
     """Gap to everything that is kept where there is room [m]."""
@@ -50,7 +50,7 @@ class PathConfig:
 
 @dataclass(frozen=True, eq=False)
 class Path:
-    """A way, pose by pose; turns in place are part of it."""
+    """A path, pose by pose; turns in place are part of it."""
 
     poses: Float[np.ndarray, "n 3"]
     """x [m], y [m], heading [rad]; at most 2.5 cm or 3 degrees apart."""
@@ -61,7 +61,7 @@ class Path:
     length: float
     """Metres driven."""
     nodes: Float[np.ndarray, "m 3"]
-    """Where the legs of the way begin and end."""
+    """Where the legs of the path begin and end."""
     backwards: Bool[np.ndarray, " m-1"]
     """Whether a leg is driven backwards."""
 
@@ -70,8 +70,8 @@ class Path:
 
         Args:
             pose: Where the base is.
-            index: Where it was on the way.
-            reach: How far along the way it may have come since [m].
+            index: Where it was on the path.
+            reach: How far along the path it may have come since [m].
         """
         end = int(np.searchsorted(self.s, self.s[index] + reach)) + 1
         away = self.poses[index:end] - pose
@@ -85,13 +85,13 @@ def plan_path(
     goal: Float[np.ndarray, "3"],
     config: PathConfig = PathConfig(),
 ) -> Path | None:
-    """Find a short way for the whole footprint; None where there is none.
+    """Find a short path for the whole footprint; None where there is none.
 
     Args:
         nav_map: Where the robot fits.
         start: x [m], y [m], yaw [rad].
-        goal: Likewise; the way ends in exactly this pose.
-        config: What makes one way better than another.
+        goal: Likewise; the path ends in exactly this pose.
+        config: What makes one path better than another.
     """
     needs = 0.5 * gaps(np.stack([start, goal]), nav_map.prisms, nav_map.planning_obstacles)
     if (needs <= 0).any() or not on_floor(
@@ -112,7 +112,7 @@ def direct_path(
     goal: Float[np.ndarray, "3"],
     config: PathConfig = PathConfig(),
 ) -> Path | None:
-    """The way of one leg between two poses, None where it is blocked; see `plan_path`."""
+    """The path of one leg between two poses, None where it is blocked; see `plan_path`."""
     nodes = np.stack([start, goal])
     needs = 0.5 * gaps(nodes, nav_map.prisms, nav_map.planning_obstacles)
     if (needs <= 0).any():
@@ -124,14 +124,14 @@ def direct_path(
 
 @dataclass(frozen=True, eq=False)
 class _LatticePath:
-    """A way between two trees of exits."""
+    """A path between two trees of exits."""
 
     states: Int[np.ndarray, " k"]
     """Of the lattice, flat."""
     before: Float[np.ndarray, "n 3"]
-    """Exits on the way from the start."""
+    """Exits on the path from the start."""
     after: Float[np.ndarray, "m 3"]
-    """Exits on the way from the goal."""
+    """Exits on the path from the goal."""
 
 
 @dataclass(frozen=True)
@@ -161,9 +161,9 @@ class _Planner:
     def rough(
         self, start: Float[np.ndarray, "3"], goal: Float[np.ndarray, "3"]
     ) -> Iterator[Float[np.ndarray, "n 3"]]:
-        """Poses of ways, the likeliest first; each may still touch something where it is joined.
+        """Poses of paths, the likeliest first; each may still touch something where it is joined.
 
-        A way over the lattice comes first with stretches thinned out, for speed, then with all its
+        A path over the lattice comes first with stretches thinned out, for speed, then with all its
         poses, for a cusp or a long turn is lost with the poses left out of it.
         """
         direct, _ = connections(start[None], goal[None], self.model(self.needs.min()))
@@ -206,13 +206,13 @@ class _Planner:
         end: int,
         tight: bool,
     ) -> Float[np.ndarray, " n"]:
-        """Cost of the simple way from each inner pose to the outer one; to it at the goal [m]."""
+        """Cost of the simple path from each inner pose to the outer one; to it at the goal [m]."""
         model = self.model(float(self.needs[end]) if tight else NEEDED)
         inner, outer = np.ascontiguousarray(inner), np.ascontiguousarray(outer)
         return connections(*((outer, inner) if end else (inner, outer)), model)[0]
 
     def _over_lattice(self, first: Exits, last: Exits) -> _LatticePath | None:
-        """The cheapest way from one tree of exits to the other."""
+        """The cheapest path from one tree of exits to the other."""
         costs, via = zip(*(self._attached(e, k) for k, e in enumerate((first, last))), strict=True)
         nav_map = self.nav_map
         _, rows, columns = nav_map.gap.shape
@@ -250,7 +250,7 @@ class _Planner:
         for part, same in ((tight, True), (~tight, False)):
             total[part] += self._joined(exits.poses[which[part]], states[part], end, same)
         order = np.argsort(-total)
-        cost[index[order]] = total[order]  # of several ways to one state the last, cheapest stays
+        cost[index[order]] = total[order]  # of several paths to one state the last, cheapest stays
         return cost, {int(index[k]): int(which[k]) for k in order if np.isfinite(total[k])}
 
     def _near(
@@ -294,7 +294,7 @@ class _Planner:
         return nodes
 
     def sampled(self, nodes: Float[np.ndarray, "n 3"]) -> Path:
-        """Every pose of the way over nodes."""
+        """Every pose of the path over nodes."""
         _, backwards = connections(nodes[:-1], nodes[1:], self.model(self.needs.min()))
         poses = [nodes[0]]
         for a, b, back in zip(nodes[:-1], nodes[1:], backwards, strict=True):
@@ -307,12 +307,12 @@ class _Planner:
                 poses += _line(poses[-1], np.zeros(2), heading)
                 poses += _line(poses[-1], step, heading)
             poses += _line(poses[-1], np.zeros(2), b[2])
-        way = np.array(poses)
-        move = np.hypot(*np.diff(way[:, :2], axis=0).T)
-        turn = np.abs(wrap_angle(np.diff(way[:, 2])))
+        path = np.array(poses)
+        move = np.hypot(*np.diff(path[:, :2], axis=0).T)
+        turn = np.abs(wrap_angle(np.diff(path[:, 2])))
         s = np.concatenate([[0.0], np.cumsum(move + TURN * turn)])
-        room = gaps(way, self.nav_map.prisms, self.nav_map.planning_obstacles, cap=0.3)
-        return Path(way, s, room, float(move.sum()), nodes, backwards)
+        room = gaps(path, self.nav_map.prisms, self.nav_map.planning_obstacles, cap=0.3)
+        return Path(path, s, room, float(move.sum()), nodes, backwards)
 
 
 def _line(
@@ -328,7 +328,7 @@ def _line(
 
 
 def _thinned(poses: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "m 3"]:
-    """Poses of a lattice way: those where it turns, else one every so often."""
+    """Poses of a lattice path: those where it turns, else one every so often."""
     step = np.hypot(*np.diff(poses[:, :2], axis=0).T)
     kept = np.ones(len(poses), bool)
     kept[1:-1] = (np.diff(poses[:-1, 2]) != 0) != (np.diff(poses[1:, 2]) != 0)

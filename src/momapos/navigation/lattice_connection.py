@@ -1,4 +1,4 @@
-"""How a pose off the lattice is left: poses from which the lattice can be entered, and their ways.
+"""How a pose off the lattice is left: poses from which the lattice can be entered, and their paths.
 
 A base that stands close to furniture cannot turn at once, nor go for the centre of a cell. It backs
 out straight; where a wall runs along its side that gains nothing, and it shuffles: it turns by the
@@ -29,7 +29,7 @@ _ALIKE = 0.1, np.radians(5.0)
 Joined = Callable[
     [Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"], bool], Float[np.ndarray, " n"]
 ]
-"""Cost of the simple way from each pose to another [m], and whether it may keep the smaller gap
+"""Cost of the simple path from each pose to another [m], and whether it may keep the smaller gap
 that the start or goal has."""
 
 
@@ -39,9 +39,9 @@ class Exits:
 
     poses: Float[np.ndarray, "n 3"]
     cost: Float[np.ndarray, " n"]
-    """Of the way between the root and each [m]."""
+    """Of the path between the root and each [m]."""
     parent: Int[np.ndarray, " n"]
-    """The pose before each on the way from the root; -1 for the root."""
+    """The pose before each on the path from the root; -1 for the root."""
 
     def path(self, index: int) -> Float[np.ndarray, "k 3"]:
         """Poses from the root to one of them, without the root."""

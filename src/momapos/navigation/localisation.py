@@ -60,9 +60,9 @@ class Localiser:
             self.pose = fix
             return
         self.pose = integrate(self.pose, measured, dt)
-        way = float(np.hypot(velocity[0], velocity[1])) * dt
+        distance = float(np.hypot(velocity[0], velocity[1])) * dt
         turn = abs(float(velocity[2])) * dt
-        spread = (self.noise.odometry * way) ** 2 + way**2 * self.variance[2]
+        spread = (self.noise.odometry * distance) ** 2 + distance**2 * self.variance[2]
         self.variance += [spread, spread, (self.noise.odometry * turn) ** 2]
         total = self.variance + self._of_fix
         gain = np.divide(self.variance, total, out=np.ones(3), where=self._of_fix > 0)

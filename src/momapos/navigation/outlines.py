@@ -170,8 +170,8 @@ def prisms_of(robot: Robot) -> RobotPrisms:
     cuts = np.unique(np.round(np.concatenate([low, high]), 3))
     cuts = cuts[(cuts > STEP) & (cuts < top - STEP)]
     for _ in range(min(PRISMS - 1, len(cuts))):
-        ways = [np.unique(np.append(heights, cut)) for cut in cuts]
-        heights = min(ways, key=volume)
+        choices = [np.unique(np.append(heights, cut)) for cut in cuts]
+        heights = min(choices, key=volume)
     outlines = tuple(outline(begin, end) for begin, end in pairwise(heights.tolist()))
     return RobotPrisms(outlines, heights)
 
