@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
+from momapos.cli.options import check_seed
 from momapos.errors import TaskError
+from momapos.files import check_outputs
 from momapos.importance.scorers import ScorerName
 
 if TYPE_CHECKING:
@@ -54,6 +56,9 @@ class Options:
     """Draw the answer here (PNG)."""
     json: bool = False
     """Print the plan as one JSON object and nothing else."""
+
+    def __post_init__(self) -> None:
+        check_seed(self.seed)
 
 
 Shared = Annotated[Options, OmitArgPrefixes]
@@ -144,6 +149,7 @@ def _answer(verb: str, scene_name: str, target: str, to: str | None, options: Op
     begin = None if options.start is None else parse_start(options.start)
     if not options.timeout > 0:
         raise TaskError("--timeout must be > 0 seconds")
+    check_outputs([options.out, options.plot])
 
     import numpy as np
 

@@ -45,10 +45,14 @@ def rank_objects(
     """
     import json as encoder
 
+    from momapos.cli.options import check_seed
+    from momapos.files import check_outputs
     from momapos.importance.rank import rank
     from momapos.manipulation.tasks import hand_path
     from momapos.scene.files import load_scene
 
+    check_seed(seed)
+    check_outputs([plot])
     loaded = load_scene(scene)
     for warning in loaded.warnings:
         print(f"momapos: {warning}", file=sys.stderr)

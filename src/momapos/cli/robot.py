@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from momapos.errors import RobotError, unknown_name
+from momapos.files import check_outputs
 from momapos.robots.derive import examine, write_robot
 from momapos.robots.robot import Robot, library_names, load_robot
 
@@ -64,6 +65,7 @@ def robot_check(
         plot: Draw the robot at home, with its collision spheres, into this PNG file.
         json: Print one JSON object instead of text.
     """
+    check_outputs([out, plot])
     guesses: tuple[str, ...] = ()
     if file.suffix.lower() in (".urdf", ".xml"):
         file, derived = write_robot(file, out)
@@ -104,6 +106,7 @@ def robot_export(name: str, dir: Path, /) -> int:
         raise unknown_name("robot", name, library_names(), "the library")
     source = Path(str(resources.files("momapos.robots") / "library" / name))
     files = [path for path in sorted(source.rglob("*")) if path.is_file()]
+    check_outputs(folders=[dir])
     taken = [path for path in files if (dir / path.relative_to(source)).exists()]
     if taken:
         raise RobotError(

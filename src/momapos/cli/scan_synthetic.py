@@ -7,6 +7,9 @@ import sys
 from pathlib import Path
 
 from momapos.cli.console import progress
+from momapos.cli.options import check_seed
+from momapos.errors import InputError
+from momapos.files import check_outputs
 from momapos.perception.recording import refuse_used, synthetic_scan, write_scan
 from momapos.perception.sensor import DepthSensor
 from momapos.scene.files import load_scene
@@ -36,6 +39,10 @@ def scene_scan(
         tilt: Turn the world of the scan at random, so that its z axis is not up.
         json: Print one JSON object instead of text.
     """
+    check_outputs(folders=[out])
+    check_seed(seed)
+    if not 1 <= frames <= 10_000:
+        raise InputError("--frames must be between 1 and 10000")
     refuse_used(out)
     loaded = load_scene(scene)
     sensor = DepthSensor() if noise else None

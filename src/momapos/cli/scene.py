@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from momapos.cli.options import check_seed
 from momapos.errors import SceneError
 from momapos.files import check_outputs
 from momapos.geometry.transforms import apply
@@ -46,6 +47,7 @@ def scene_show(scene: str, /, *, plot: Path | None = None, json: bool = False) -
         plot: Draw the scene from above into this PNG file.
         json: Print one JSON object instead of text.
     """
+    check_outputs([plot])
     loaded = load_scene(scene)
     if plot is not None:
         draw_scene(loaded, plot)
@@ -83,6 +85,8 @@ def scene_new(layout: str, /, *, seed: int = 0, out: Path, json: bool = False) -
     """
     from momapos.scene.kitchens import generate_kitchen
 
+    check_outputs([out])
+    check_seed(seed)
     path = generate_kitchen(layout, seed=seed, out=out)
     facts = describe(load_scene(path))
     if json:
