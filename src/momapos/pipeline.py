@@ -57,6 +57,11 @@ class Answer:
     slides: bool
     """Whether the part slides [m]; it turns otherwise [rad]."""
 
+    def __repr__(self) -> str:
+        task = self.plan.task
+        what = task.object if task.joint is None else f"{task.object}/{task.joint}"
+        return f"<Answer of {self.plan.robot_name}: {task.verb} {what}: {self.plan.status}>"
+
 
 @dataclass
 class _Stopwatch:

@@ -50,6 +50,10 @@ class Scan:
     warnings: tuple[str, ...] = ()
     """What was skipped or assumed, one line each."""
 
+    def __repr__(self) -> str:
+        cloud = "no cloud" if self.cloud is None else f"a cloud of {len(self.cloud.points)} points"
+        return f"<Scan {self.name!r}: {len(self.frames)} frames, {cloud}>"
+
 
 @dataclass(frozen=True, eq=False)
 class UprightBox:
@@ -146,6 +150,9 @@ class Motion:
     object_q: Float[np.ndarray, " m"]
     """Value of the object's joint at each state; zeros for pick and place."""
     Ts_world_tool: Float[np.ndarray, "m 4 4"]
+
+    def __repr__(self) -> str:
+        return f"<Motion: {len(self.approach)} states to the grasp, {len(self.q)} in it>"
 
 
 @dataclass(frozen=True)

@@ -67,6 +67,11 @@ class Robot:
     disabled: frozenset[frozenset[str]]
     """Pairs of links whose contact is never checked."""
 
+    def __repr__(self) -> str:
+        return (
+            f"<Robot {self.name!r}: {len(self.arm_joints)} arm joints, {self.drive}, {self.path}>"
+        )
+
     @cached_property
     def _parts(self) -> tuple[Chain, Segments]:
         return build_chain(self.model, self.base_link, self.tool_link, self.arm_joints)

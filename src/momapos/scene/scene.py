@@ -31,6 +31,12 @@ class SceneObject:
     joints: Mapping[str, float] = field(default_factory=dict)
     """Joint values [rad] or [m] in this scene; joints not named are at rest."""
 
+    def __repr__(self) -> str:
+        joints = ", ".join(f"{name} {value:.4g}" for name, value in self.joints.items())
+        x, y, z = self.T_world_object[:3, 3]
+        at = f"at ({x:.3f}, {y:.3f}, {z:.3f})"
+        return f"<SceneObject {self.name!r} ({self.category}) {at}{joints and f', {joints}'}>"
+
     def values(self, change: Mapping[str, float] | None = None) -> dict[str, float]:
         """All joint values, with some of them changed."""
         return {**self.model.rest, **self.joints, **(change or {})}
@@ -98,6 +104,10 @@ class Scene:
     """Where the robot stands at first: x [m], y [m], yaw [rad]."""
     warnings: tuple[str, ...] = ()
     """What the reader had to assume."""
+
+    def __repr__(self) -> str:
+        floor = "no floor" if self.floor is None else f"a floor of {len(self.floor)} corners"
+        return f"<Scene {self.name!r}: {len(self.objects)} objects, {floor}, {self.path}>"
 
     def object(self, name: str) -> SceneObject:
         """Look an object up by name.
