@@ -283,7 +283,9 @@ def test_a_file_that_is_no_scene_is_refused(room: Path, content: bytes, word: st
     refused(room, lambda: load_scene(path), str(path), word)
 
 
-@pytest.mark.parametrize("name", ["gone.json", "no/such/scene", "x" * 5000, "a\0b.json", "."])
+@pytest.mark.parametrize(
+    "name", ["gone.json", "pipe", "/dev/zero", "no/such/scene", "x" * 5000, "a\0b.json", "."]
+)
 def test_a_scene_that_does_not_exist_is_refused(room: Path, name: str) -> None:
     refused(room, lambda: load_scene(room / name), "")
 
@@ -312,6 +314,45 @@ def test_a_hostile_object_is_refused(room: Path, item: dict[str, Any], words: li
     (room / "r.urdf").write_text(ROBOT_URDF)
     path = scene(room, objects=[{"name": "a", "pose": {"xyz": [0, 0, 0]}, **item}])
     refused(room, lambda: load_scene(path), str(room), *words)
+
+
+WIDE = [{"name": f"b{i}", "pose": {"xyz": [0, 0, 0]}, "box": [40, 40, 9]} for i in range(4)]
+VAST: dict[str, tuple[dict[str, Any], list[str]]] = {
+    "a wide floor": ({"floor": [[0, 0], [500, 0], [0, 500]]}, ["500.5 x 500.5 x", "the floor"]),
+    "a floor far away": ({"floor": [[900, 900], [901, 900], [900, 901]]}, ["50 x 50 x 10 m"]),
+    "many corners": ({"floor": [[i / 1e3, i % 2] for i in range(10_000)]}, ["1000 points"]),
+    "a wide box": (
+        {"objects": [{"name": "b", "pose": {"xyz": [0, 0, 0]}, "box": [900, 1, 1]}]},
+        ["900 x 1 x 1 m", "'b'"]),
+    "a high box": (
+        {"objects": [{"name": "b", "pose": {"xyz": [0, 0, 0]}, "box": [1, 1, 90]}]}, ["'b'"]),
+    "boxes far apart": (
+        {"objects": [{"name": n, "pose": {"xyz": [x, 0, 0]}, "box": [1, 1, 1]}
+                     for n, x in (("a", 0), ("b", 1), ("c", 9000))]}, ["'c'"]),
+    "boxes one in another": ({"objects": WIDE}, ["4 collision elements", "50000 m^3"]),
+    "a long mesh": (
+        {"objects": [{"name": "b", "pose": {"xyz": [0, 0, 0]}, "urdf": "long.urdf"}]}, ["'b'"]),
+    "many objects": ({"objects": [{}] * 2_001}, ["2000"]),
+    "a start far away": ({"start": {"x": 1e300, "y": 0, "yaw": 0}}, ["start"]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", VAST)
+def test_a_room_that_no_grid_could_hold_is_refused(room: Path, case: str) -> None:
+    changes, words = VAST[case]
+    (room / "long.obj").write_text("v 0 0 0\nv 900 0 0\nv 0 1 0\nv 0 0 1\n")
+    (room / "long.urdf").write_text(shape('<mesh filename="long.obj"/>'))
+    path = scene(room, **changes)
+    refused(room, lambda: load_scene(path), str(path), *words)
+
+
+def test_a_hall_of_a_thousand_things_can_be_used(room: Path) -> None:
+    things = [
+        {"name": f"b{i}", "pose": {"xyz": [1.5 * (i % 32), 1.5 * (i // 32), 1]}, "box": [1, 1, 2]}
+        for i in range(1000)
+    ]
+    path = scene(room, objects=things, floor=[[-1, -1], [48, -1], [48, 48], [-1, 48]])
+    assert len(load_scene(path).objects) == 1000
 
 
 def test_two_objects_of_one_name_are_refused(room: Path) -> None:

@@ -55,6 +55,11 @@ class PlacementResult:
         """Whether the part slides [m]; it turns otherwise [rad]."""
         return slides(self.prepared.scene, self.plan.task)
 
+    def __repr__(self) -> str:
+        task = self.plan.task
+        what = task.object if task.joint is None else f"{task.object}/{task.joint}"
+        return f"<Answer of {self.plan.robot_name}: {task.verb} {what}: {self.plan.status}>"
+
 
 def plan_base_placement(
     scene: Scene,

@@ -52,6 +52,10 @@ class Scan:
     warnings: tuple[str, ...] = ()
     """What was skipped or assumed, one line each."""
 
+    def __repr__(self) -> str:
+        cloud = "no cloud" if self.cloud is None else f"a cloud of {len(self.cloud.points)} points"
+        return f"<Scan {self.name!r}: {len(self.frames)} frames, {cloud}>"
+
 
 @dataclass(frozen=True, eq=False)
 class UprightBox:
@@ -162,6 +166,9 @@ class Motion:
     """When the arm passes each state of the approach [s]; None where nobody has timed it."""
     times: Float[np.ndarray, " m"] | None = None
     """Likewise while it holds the object, from the grasp on [s]."""
+
+    def __repr__(self) -> str:
+        return f"<Motion: {len(self.approach)} states to the grasp, {len(self.q)} in it>"
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
+from momapos.cli.options import check_seed
 from momapos.errors import TaskError
+from momapos.files import check_outputs
 from momapos.importance.scorers import ScorerName
 from momapos.units import parse_quantity
 from momapos.viewer.pictures import check_picture
@@ -57,6 +59,9 @@ class Options:
     """Draw the answer here (PNG, SVG or PDF)."""
     json: bool = False
     """Print the plan as one JSON object and nothing else."""
+
+    def __post_init__(self) -> None:
+        check_seed(self.seed)
 
 
 Shared = Annotated[Options, OmitArgPrefixes]
@@ -141,6 +146,7 @@ def _answer(verb: str, scene_name: str, target: str, to: str | None, options: Op
     check_picture(options.plot)
     if not options.timeout > 0:
         raise TaskError("--timeout must be > 0 seconds")
+    check_outputs([options.out, options.plot])
 
     import numpy as np
 

@@ -49,12 +49,16 @@ def rank_objects(
     """
     import json as encoder
 
+    from momapos.cli.options import check_seed
+    from momapos.files import check_outputs
     from momapos.importance.rank import rank
     from momapos.manipulation.tasks import hand_path
     from momapos.scene.files import load_scene
     from momapos.scene.joints import set_joints
     from momapos.viewer.pictures import check_picture
 
+    check_seed(seed)
+    check_outputs([plot])
     check_picture(plot)
     loaded = set_joints(load_scene(scene), joint)
     for warning in loaded.warnings:

@@ -28,10 +28,12 @@ def reach_build(
 
     from momapos.cache import default_cache_dir, write_atomic
     from momapos.cli.console import progress
+    from momapos.files import check_outputs
     from momapos.reachability.construct import build_map, default_config
     from momapos.reachability.store import encode, load_reach_map, map_key
     from momapos.robots.robot import load_robot
 
+    check_outputs([out], [cache])
     machine, where = load_robot(robot), out or cache or default_cache_dir()
     began = time.perf_counter()
     with progress(f"reachability map of {machine.name}") as report:
@@ -69,13 +71,17 @@ def reach_eval(
 
     from momapos.cache import default_cache_dir
     from momapos.cli.console import progress
+    from momapos.cli.options import check_seed
     from momapos.errors import InputError
+    from momapos.files import check_outputs
     from momapos.reachability.evaluation import evaluate
     from momapos.reachability.store import load_reach_map
     from momapos.robots.robot import load_robot
 
     if not 0 < count <= 10_000_000:
         raise InputError("--count must be between 1 and 10000000")
+    check_seed(seed)
+    check_outputs(folders=[cache])
     machine = load_robot(robot)
     with progress(f"reachability map of {machine.name}") as report:
         reach = load_reach_map(machine, cache or default_cache_dir(), report)

@@ -13,6 +13,7 @@ from jaxtyping import Float
 
 from momapos.cli.console import busy
 from momapos.errors import RobotError, unknown_name
+from momapos.files import check_outputs
 from momapos.robots.derive import examine, write_robot
 from momapos.robots.robot import Robot, library_names, load_robot
 from momapos.viewer.pictures import check_picture, save_figure
@@ -66,6 +67,7 @@ def robot_check(
         plot: Draw the robot at home, with its collision spheres, into this file (PNG, SVG, PDF).
         json: Print one JSON object instead of text.
     """
+    check_outputs([out, plot])
     check_picture(plot)
     guesses: tuple[str, ...] = ()
     if file.suffix.lower() in (".urdf", ".xml"):
@@ -112,6 +114,7 @@ def robot_export(name: str, dir: Path, /) -> int:
         raise unknown_name("robot", name, library_names(), "the library")
     source = Path(str(resources.files("momapos.robots") / "library" / name))
     files = [path for path in sorted(source.rglob("*")) if path.is_file()]
+    check_outputs(folders=[dir])
     taken = [path for path in files if (dir / path.relative_to(source)).exists()]
     if taken:
         raise RobotError(

@@ -58,11 +58,15 @@ def run(
 
     from momapos.cache import default_cache_dir
     from momapos.cli.console import progress
+    from momapos.cli.options import check_seed
     from momapos.errors import InputError, MissingExtraError
+    from momapos.files import check_outputs
     from momapos.plans import check_unchanged, read_plan
     from momapos.reachability.store import load_reach_map
     from momapos.verification.files import find_file, read_scene
 
+    check_seed(seed)
+    check_outputs([out, record])
     begin = None if start is None else np.array(parse_start(start))
     content = read_plan(plan)
     if content.status != "solved":

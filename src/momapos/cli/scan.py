@@ -55,6 +55,16 @@ class ScanOptions:
     fixed_frame: str | None = None
     """Frame of a recording that does not move; the root of tf by default."""
 
+    def __post_init__(self) -> None:
+        if not 1e-3 <= self.voxel <= 1.0:
+            raise InputError(f"--voxel must be between 0.001 and 1 m, not {self.voxel:g}")
+        if not 1e-6 <= self.depth_scale <= 1e9:
+            raise InputError(
+                f"--depth-scale must be between 1e-6 and 1e9, not {self.depth_scale:g}"
+            )
+        if not 1 <= self.max_frames <= 100_000:
+            raise InputError(f"--max-frames must be between 1 and 100000, not {self.max_frames}")
+
 
 def scan_room(
     source: Annotated[Positional[Path], arg(metavar="DIR")],

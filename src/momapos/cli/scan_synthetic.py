@@ -7,7 +7,9 @@ import sys
 from pathlib import Path
 
 from momapos.cli.console import progress
+from momapos.cli.options import check_seed
 from momapos.cli.place import JointsArg
+from momapos.errors import InputError
 from momapos.files import check_outputs
 from momapos.scene.files import load_scene
 from momapos.scene.joints import set_joints
@@ -42,8 +44,11 @@ def scene_scan(
         tilt: Turn the world of the scan at random, so that its z axis is not up.
         json: Print one JSON object instead of text.
     """
-    refuse_used(out)
     check_outputs(folders=[out])
+    check_seed(seed)
+    if not 1 <= frames <= 10_000:
+        raise InputError("--frames must be between 1 and 10000")
+    refuse_used(out)
     loaded = set_joints(load_scene(scene), joint)
     sensor = DepthSensor() if noise else None
     scan = synthetic_scan(loaded, frames=frames, seed=seed, sensor=sensor, tilt=tilt)

@@ -4,22 +4,19 @@ from __future__ import annotations
 
 import json as json_format
 import os
-import shutil
 import sys
-from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from momapos.cli.options import check_seed
 from momapos.cli.place import JointsArg
 from momapos.errors import SceneError
+from momapos.files import check_outputs
 from momapos.geometry.polygons import signed_area
 from momapos.geometry.transforms import apply
-from momapos.kinematics.articulated import Articulated
-from momapos.kinematics.urdf import read_urdf
-from momapos.scene.copies import copy_files, model_files
+from momapos.scene.copies import copied, model_files
 from momapos.scene.files import builtin_names, load_scene, save_scene
 from momapos.scene.joints import set_joints
 from momapos.scene.scene import Scene, SceneObject
@@ -62,6 +59,7 @@ def scene_show(
         plot: Draw the scene from above into this file (PNG, SVG, PDF).
         json: Print one JSON object instead of text.
     """
+    check_outputs([plot])
     check_picture(plot)
     loaded = set_joints(load_scene(scene), joint)
     if plot is not None:
@@ -100,6 +98,8 @@ def scene_new(layout: str, /, *, seed: int = 0, out: Path, json: bool = False) -
     """
     from momapos.scene.kitchens import generate_kitchen
 
+    check_outputs([out])
+    check_seed(seed)
     path = generate_kitchen(layout, seed=seed, out=out)
     facts = describe(load_scene(path))
     if json:
@@ -128,12 +128,14 @@ def scene_convert(
         root: Folder that the paths in a BestMan scene are relative to; found where not given.
         json: Print one JSON object instead of text.
     """
+    check_outputs([out])
     scene = load_scene(source, root=root)
     if copy:
-        scene = copy_models(scene, out)
+        with copied(scene, out, root) as moved:
+            save_scene(moved, out)
     else:
         _refuse_outside(scene, out)
-    save_scene(scene, out)
+        save_scene(scene, out)
     again = load_scene(out)
     if json:
         _print_json({**describe(again), "warnings": [*scene.warnings, *again.warnings]})
@@ -210,43 +212,6 @@ def _refuse_outside(scene: Scene, out: Path) -> None:
         f"{out}: the scene's URDF files are not below {folder}; "
         f"write it to {place}, or add --copy to copy them"
     )
-
-
-def copy_models(scene: Scene, out: Path) -> Scene:
-    """Copy the URDF and mesh files of a scene into `<stem>_files` beside a new scene file.
-
-    Folders keep their places among each other, so that the meshes are found as before.
-
-    Returns:
-        The scene with its models read from the copies.
-
-    Raises:
-        SceneError: The folder exists; what is in it is not overwritten.
-    """
-    target = out.resolve().parent / f"{out.stem}_files"
-    if target.exists():
-        raise SceneError(f"{target} exists already; remove it or write to another file")
-    models = {id(item.model): item.model for item in scene.objects}
-    files = {file: None for model in models.values() for file in model_files(model)}
-    if not files:
-        return scene
-    try:
-        copies = dict(zip(files, copy_files(files, target), strict=True))
-        moved = {key: _moved(model, copies, target) for key, model in models.items()}
-    except BaseException as error:
-        shutil.rmtree(target, ignore_errors=True)
-        if isinstance(error, OSError):
-            raise SceneError(f"{target}: cannot be written ({error.strerror})") from error
-        raise
-    objects = tuple(replace(item, model=moved[id(item.model)]) for item in scene.objects)
-    return replace(scene, objects=objects)
-
-
-def _moved(model: Articulated, copies: Mapping[Path, Path], target: Path) -> Articulated:
-    if model.urdf.path is None:
-        return model
-    path = copies[model.urdf.path]
-    return Articulated(read_urdf(path, root=target.parent, scale=model.urdf.scale))
 
 
 # ------------------------------------------------------------------------------------- the picture

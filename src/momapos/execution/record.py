@@ -12,6 +12,7 @@ import msgspec
 
 from momapos.cache import write_atomic
 from momapos.errors import FileFormatError, InputError
+from momapos.files import read_bytes_bounded
 from momapos.types import Task
 
 FORMAT, VERSION = "momapos-run", 1
@@ -201,12 +202,7 @@ def read_run(path: Path) -> RunRecord:
     Raises:
         FileFormatError: It is none that can be used; one line says why.
     """
-    try:
-        if path.stat().st_size > MAX_BYTES:
-            raise FileFormatError(f"{path}: larger than a run record can be (10 MB)")
-        content = path.read_bytes()
-    except OSError as error:
-        raise FileFormatError(f"{path}: cannot be read ({error.strerror})") from error
+    content = read_bytes_bounded(path, MAX_BYTES)
     try:
         head = msgspec.json.decode(content, type=_Head)
         if (head.format, head.version) != (FORMAT, VERSION):

@@ -30,6 +30,10 @@ class Importance:
     seed: int
     graph: SceneGraph
 
+    def __repr__(self) -> str:
+        count, chosen = len(self.names), len(self.selected())
+        return f"<Importance for {self.target!r} by {self.scorer}: {chosen} of {count} in S>"
+
     @cached_property
     def _rows(self) -> list[int]:
         """Place of each object in the graph."""

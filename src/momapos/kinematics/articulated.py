@@ -21,6 +21,10 @@ class Articulated:
 
     urdf: Urdf
 
+    def __repr__(self) -> str:
+        counts = f"{len(self.urdf.links)} links, {len(self.joints)} movable joints"
+        return f"<Articulated {self.urdf.name!r}: {counts}, {self.urdf.path}>"
+
     @cached_property
     def links(self) -> tuple[str, ...]:
         """Link names, the root first, parents before children."""

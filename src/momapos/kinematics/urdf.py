@@ -141,8 +141,6 @@ def box_urdf(name: str, size: tuple[float, float, float]) -> Urdf:
 
 
 def _read_tree(path: Path) -> Element:
-    if not path.exists():
-        raise UrdfError(f"{path}: no such URDF file")
     text = read_text_bounded(path, MAX_URDF_BYTES, error=UrdfError)
     tree = parse_xml(_OPTENV.sub(_default, text), path, error=UrdfError)
     if tree.tag != "robot":

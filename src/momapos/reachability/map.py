@@ -64,6 +64,10 @@ class ReachMap:
     """Content key of what the map was built from."""
     build_seconds: float = 0.0
 
+    def __repr__(self) -> str:
+        size = " x ".join(map(str, self.values.shape))
+        return f"<ReachMap {self.key}: {size} values, {self.reach:.2f} m>"
+
     @property
     def reach(self) -> float:
         """No tool's last axis point is farther from the first axis than this [m]."""

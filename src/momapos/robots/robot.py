@@ -76,6 +76,11 @@ class Robot:
         """What `load_robot` finds it by: its name in the library, or the path of its file."""
         return self.name if self.path == _library_file(self.name) else str(self.path)
 
+    def __repr__(self) -> str:
+        return (
+            f"<Robot {self.name!r}: {len(self.arm_joints)} arm joints, {self.drive}, {self.path}>"
+        )
+
     @cached_property
     def _parts(self) -> tuple[Chain, Segments]:
         return build_chain(self.model, self.base_link, self.tool_link, self.arm_joints)

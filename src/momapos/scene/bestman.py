@@ -162,7 +162,7 @@ def _file_of(entry: Entry, root: Path) -> Path | None:
     try:
         file = (root / entry.model_path).resolve()
         inside, exists = file.is_relative_to(root.resolve()), file.is_file()
-    except (OSError, RuntimeError) as error:  # too long, or links in a circle
+    except (OSError, RuntimeError, ValueError) as error:  # too long, links in a circle, a NUL
         path = f"{entry.model_path!r:.80}"
         raise SceneError(f"{entry.where}: model_path {path} cannot be looked up") from error
     if not inside:

@@ -21,17 +21,22 @@ from scipy.spatial.transform import Rotation
 
 from momapos.cache import write_atomic
 from momapos.errors import FileFormatError, SceneError, unknown_name
+from momapos.files import read_text_bounded
 from momapos.geometry.polygons import signed_area
 from momapos.geometry.transforms import pose_wxyz
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.urdf import box_urdf, read_urdf
 from momapos.scene import bestman
 from momapos.scene.copies import model_files
+from momapos.scene.limits import refuse_vast
 from momapos.scene.scene import Scene, SceneObject
 
 FORMAT, VERSION = "momapos-scene", 1
 MAX_BYTES = 50_000_000
-MAX_OBJECTS = 10_000
+MAX_OBJECTS = 2_000
+"""Relations are looked for between all pairs of objects: that many take some 5 s [-]."""
+MAX_CORNERS = 1_000
+"""Corners of a floor [-]."""
 MAX_EDGE, MAX_DISTANCE = 1e3, 1e4  # [m] of a box, from the world's origin
 _SCENE_KEYS = {"format", "version", "name", "objects", "floor", "start"}
 _OBJECT_KEYS = {"name", "category", "pose", "urdf", "scale", "joints", "box"}
@@ -59,20 +64,22 @@ def load_scene(source: str | Path, *, root: Path | None = None) -> Scene:
             says what is wrong and where.
     """
     path = _locate(source)
-    text = _read_text(path)
+    text = read_text_bounded(path, MAX_BYTES)
+    if not text.strip():
+        raise FileFormatError(f"{path}: is empty")
     start = text.lstrip("\ufeff \t\r\n")[:1]
     if start == "<":
-        return _read_single(path, root)
-    if start not in ("{", "["):
+        scene = _read_single(path, root)
+    elif start in ("{", "["):
+        data = _parse_json(text, path)
+        read = _read_bestman if bestman.is_bestman(data) else _read_momapos
+        scene = read(data, path, root)
+    else:
         raise FileFormatError(
             f"{path}: neither a scene (JSON: a momapos scene or a BestMan list) nor a URDF"
         )
-    data = _parse_json(text, path)
-    if bestman.is_bestman(data):
-        scene = _read_bestman(data, path, root)
-    else:
-        scene = _read_momapos(data, path, root)
     _refuse_twins(scene)
+    refuse_vast(scene)
     return scene
 
 
@@ -84,8 +91,11 @@ def _locate(source: str | Path) -> Path:
     path = Path(source)
     try:
         is_folder, is_file = path.is_dir(), path.is_file()
+        is_special = path.exists() and not (is_folder or is_file)
     except OSError as error:  # a name that is too long, say
         raise FileFormatError(f"{text:.80}: no such scene file ({error.strerror})") from error
+    if is_special:
+        raise FileFormatError(f"{path}: is a fifo, a socket or a device; give a regular file")
     if is_folder:
         raise FileFormatError(f"{path}: is a folder; give a scene file in it")
     if not is_file:
@@ -93,18 +103,6 @@ def _locate(source: str | Path) -> Path:
             raise FileFormatError(f"{path}: no such scene file")
         raise unknown_name("kitchen", text, names, "the built-in ones (or give a scene file)")
     return path
-
-
-def _read_text(path: Path) -> str:
-    try:
-        if path.stat().st_size > MAX_BYTES:
-            raise FileFormatError(f"{path}: larger than a scene can be ({MAX_BYTES // 10**6} MB)")
-        text = path.read_text(encoding="utf-8", errors="replace")
-    except OSError as error:
-        raise FileFormatError(f"{path}: cannot be read ({error.strerror})") from error
-    if not text.strip():
-        raise FileFormatError(f"{path}: is empty")
-    return text
 
 
 def _parse_json(text: str, path: Path) -> Any:
@@ -315,8 +313,8 @@ def _numbers(value: object, count: int, where: str) -> Float[np.ndarray, " count
 def _floor(value: object, path: Path) -> Float[np.ndarray, "k 2"] | None:
     if value is None:
         return None
-    if not isinstance(value, list) or not 3 <= len(value) <= 10_000:
-        raise SceneError(f"{path}: floor must be an outline of 3 or more points [x, y]")
+    if not isinstance(value, list) or not 3 <= len(value) <= MAX_CORNERS:
+        raise SceneError(f"{path}: floor must be an outline of 3 to {MAX_CORNERS} points [x, y]")
     points = np.array([_numbers(p, 2, f"{path}: floor point {i}") for i, p in enumerate(value)])
     if np.abs(points).max() > MAX_DISTANCE:
         raise SceneError(f"{path}: floor reaches more than 10 km")
@@ -330,7 +328,10 @@ def _start(value: object, path: Path) -> Float[np.ndarray, "3"] | None:
         return None
     if not isinstance(value, dict) or not {"x", "y", "yaw"} <= set(value):
         raise SceneError(f"{path}: start must be {{'x', 'y', 'yaw'}}")
-    return _numbers([value[k] for k in ("x", "y", "yaw")], 3, f"{path}: start")
+    start = _numbers([value[k] for k in ("x", "y", "yaw")], 3, f"{path}: start")
+    if np.abs(start).max() > MAX_DISTANCE:
+        raise SceneError(f"{path}: start is more than 10 km away")
+    return start
 
 
 # ------------------------------------------------------------------------------------------ writing

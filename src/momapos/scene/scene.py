@@ -94,6 +94,12 @@ class SceneObject:
         T[2, 3] = xyz[2]
         return cls(name, category, T, model, dict(joints or {}))
 
+    def __repr__(self) -> str:
+        joints = ", ".join(f"{name} {value:.4g}" for name, value in self.joints.items())
+        x, y, z = self.T_world_object[:3, 3]
+        at = f"at ({x:.3f}, {y:.3f}, {z:.3f})"
+        return f"<SceneObject {self.name!r} ({self.category}) {at}{joints and f', {joints}'}>"
+
     def values(self, change: Mapping[str, float] | None = None) -> dict[str, float]:
         """All joint values, with some of them changed."""
         return {**self.model.rest, **self.joints, **(change or {})}
@@ -163,6 +169,10 @@ class Scene:
     """What the reader had to assume."""
     joints_set: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     """Values that differ from the file's, by object and joint [rad] or [m]."""
+
+    def __repr__(self) -> str:
+        floor = "no floor" if self.floor is None else f"a floor of {len(self.floor)} corners"
+        return f"<Scene {self.name!r}: {len(self.objects)} objects, {floor}, {self.path}>"
 
     def object(self, name: str) -> SceneObject:
         """Look an object up by name.

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from momapos.errors import InputError
-from momapos.scene.copies import copy_files, model_files
+from momapos.scene.copies import copy_files
 from momapos.scene.library.furniture import Box, Part, Piece, Vec, centres_and_halves, vec
 from momapos.scene.scene import SceneObject
 
@@ -67,7 +67,9 @@ def write_kitchen(
             entries = [_object(piece, folder.name) for piece in pieces]
             for item in others:
                 target = new / f"{item.name}{COPIED}"
-                urdf = copy_files(model_files(item.model), target)[0].relative_to(new)
+                source = item.model.urdf.path
+                assert source is not None
+                urdf = copy_files([item.model], target)[source].relative_to(new)
                 entries.append(_copied(item, f"{folder.name}/{urdf.as_posix()}"))
             scene = Path(temporary) / "scene.json"
             text = scene_text(name, entries, floor, start)
