@@ -55,6 +55,16 @@ class ScanOptions:
     fixed_frame: str | None = None
     """Frame of a recording that does not move; the root of tf by default."""
 
+    def __post_init__(self) -> None:
+        if not 1e-3 <= self.voxel <= 1.0:
+            raise InputError(f"--voxel must be between 0.001 and 1 m, not {self.voxel:g}")
+        if not 1e-6 <= self.depth_scale <= 1e9:
+            raise InputError(
+                f"--depth-scale must be between 1e-6 and 1e9, not {self.depth_scale:g}"
+            )
+        if not 1 <= self.max_frames <= 100_000:
+            raise InputError(f"--max-frames must be between 1 and 100000, not {self.max_frames}")
+
 
 def scan_room(
     source: Annotated[Positional[Path], arg(metavar="DIR")],
@@ -81,13 +91,11 @@ def scan_room(
 
     from momapos.cli.console import progress
     from momapos.files import check_outputs
-    from momapos.fusion.tsdf import check_voxel
     from momapos.scan_io.bags import BagTopics
     from momapos.scan_io.scan import read_scan
     from momapos.scan_pipeline import scan_to_scene
     from momapos.scan_report import outputs_of, report_to_dict, write_report
 
-    check_voxel(options.voxel)
     if options.predictor == "urdformer" and options.checkpoint is None:
         raise InputError("--predictor urdformer needs --checkpoint PATH/part.pth")
     given = _given(options.models)
