@@ -627,7 +627,7 @@ def test_damaged_boxes_are_refused(tmp_path: Path, text: str, said: str) -> None
 
 
 def test_absent_files_are_named(tmp_path: Path) -> None:
-    with pytest.raises(FileFormatError, match=r"absent\.json: cannot be read"):
+    with pytest.raises(FileFormatError, match=r"absent\.json: no such file"):
         read_part_boxes(tmp_path / "absent.json")
-    with pytest.raises(UrdfError, match=r"absent\.urdf: cannot be read"):
+    with pytest.raises(UrdfError, match=r"absent\.urdf: no such file"):
         read_predicted_urdf(tmp_path / "absent.urdf")
