@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -338,6 +339,18 @@ def test_a_cut_recording_is_refused_by_name(tmp_path: Path, container: str) -> N
         file.write_bytes(data[:end])
         with pytest.raises(FileFormatError, match="drive"):
             read_scan(path)
+
+
+@pytest.mark.parametrize("container", ["sqlite", "mcap"])
+def test_a_fifo_in_the_folder_of_a_recording_is_refused_and_not_waited_for(
+    tmp_path: Path, container: str
+) -> None:
+    path = record(tmp_path / "drive", container, shots(1), Setting())
+    file = next(f for f in path.iterdir() if f.suffix != ".yaml")
+    file.unlink()
+    os.mkfifo(file)
+    with pytest.raises(FileFormatError, match="fifo"):
+        read_scan(path)
 
 
 def test_a_recording_without_rosbags_names_the_extra(

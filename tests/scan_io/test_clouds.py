@@ -178,6 +178,19 @@ def test_faces_that_are_no_triangles_of_its_points_are_passed_over(
     np.testing.assert_array_equal(columns["x"], [0, 1, 0])
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("write", [FILES["ply ascii"], FILES["pcd ascii"]])
+def test_empty_lines_between_points_are_passed_over_without_a_warning(
+    tmp_path: Path, table: np.ndarray, write: object
+) -> None:
+    plain, spaced = tmp_path / "plain", tmp_path / "spaced"
+    plain.write_bytes(write(table))
+    head, _, rest = write(table).rpartition(b"\n" + write(table).splitlines()[-1])
+    spaced.write_bytes(head + b"\n\n \n" + write(table).splitlines()[-1] + rest)
+    assert b"\n\n" in spaced.read_bytes()
+    np.testing.assert_array_equal(read_cloud(spaced)[0].points, read_cloud(plain)[0].points)
+
+
 def test_a_fifo_or_a_device_is_refused_before_it_is_opened(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "cloud.ply")
     for path in (tmp_path / "cloud.ply", Path("/dev/zero")):

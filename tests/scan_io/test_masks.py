@@ -118,6 +118,7 @@ def test_both_benchmarks_know_the_furniture_that_opens() -> None:
         ("pred_mask/s_000.txt 24 nan", "line 1"),
         ("pred_mask/\0.txt 24 0.9", "line 2"),
         ("pred_mask/round.txt 24 0.9", "line 1"),
+        (f"pred_mask/{300 * 'x'}.txt 24 0.9", "cannot be read"),
     ],
 )
 def test_a_bad_row_of_a_scene_file_is_refused_by_name(

@@ -91,13 +91,11 @@ def scan_room(
 
     from momapos.cli.console import progress
     from momapos.files import check_outputs
-    from momapos.fusion.tsdf import check_voxel
     from momapos.scan_io.bags import BagTopics
     from momapos.scan_io.scan import read_scan
     from momapos.scan_pipeline import scan_to_scene
     from momapos.scan_report import outputs_of, report_to_dict, write_report
 
-    check_voxel(options.voxel)
     if options.predictor == "urdformer" and options.checkpoint is None:
         raise InputError("--predictor urdformer needs --checkpoint PATH/part.pth")
     given = _given(options.models)

@@ -22,8 +22,8 @@ from momapos.geometry.transforms import invert
 from momapos.types import Cloud, Frame
 
 SIDE = 8  # voxels along a block
-VOXEL_RANGE = (0.001, 0.2)
-"""Edge of a voxel: finer than any depth camera measures, and as coarse as furniture is thin [m]."""
+VOXEL_RANGE = (0.001, 1.0)
+"""Edge of a voxel [m]."""
 BYTES_PER_VOXEL = 24  # distance, two weights and three colours, four bytes each
 
 
@@ -50,13 +50,6 @@ class FusionConfig:
     """A room that would need more memory is refused."""
 
 
-def check_voxel(voxel: float) -> None:
-    """Raise InputError where rooms are not to be fused in voxels of that size [m]."""
-    low, high = VOXEL_RANGE
-    if not low <= voxel <= high:  # NaN too
-        raise InputError(f"voxel is {voxel} m; it must be between {low} and {high} m")
-
-
 def fuse(
     frames: Sequence[Frame], voxel: float = 0.015, config: FusionConfig | None = None
 ) -> Cloud:
@@ -75,7 +68,9 @@ def fuse(
         InputError: No frame has depth that can be used, a pose is not finite, the voxel is out of
             `VOXEL_RANGE`, or the room is too large for the memory allowed.
     """
-    check_voxel(voxel)
+    low, high = VOXEL_RANGE
+    if not low <= voxel <= high:  # NaN too
+        raise InputError(f"voxel is {voxel} m; it must be between {low} and {high} m")
     config = config or FusionConfig()
     frames = [frame for frame in frames if frame.depth is not None]
     for frame in frames:

@@ -49,7 +49,7 @@ class FrontNetwork:
         """Find the parts of a face.
 
         Args:
-            face: The face, seen straight on. Height map helps where there is some.
+            face: The face, seen straight on. A height map helps where there is one.
             label: Class of the object; what is seen counts, so that a wrong label does no harm.
 
         Returns:

@@ -16,6 +16,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from momapos.errors import FileFormatError, MissingExtraError, MomaposError
+from momapos.files import open_regular
+from momapos.scan_io.layouts import list_names
 from momapos.scan_io.ros_images import colour_of, depth_of
 from momapos.scan_io.tf import TransformTree
 from momapos.scan_io.validation import (
@@ -119,6 +121,7 @@ def _opened(path: Path) -> Iterator[Any]:
         raise MissingExtraError(
             f"{path}: reading bags needs rosbags; pip install 'momapos[scan]'"
         ) from error
+    _check_regular(path)
     try:
         # Older SQLite bags do not say what their messages look like.
         store = get_typestore(Stores.ROS2_HUMBLE)
@@ -129,6 +132,14 @@ def _opened(path: Path) -> Iterator[Any]:
     except Exception as error:  # the parsers of a damaged recording raise whatever they trip over
         reason = " ".join(str(error).split())[:120] or type(error).__name__
         raise FileFormatError(f"{path}: damaged recording ({reason})") from error
+
+
+def _check_regular(path: Path) -> None:
+    """Refuse fifos and devices, in the folder of a recording too: rosbags would wait for them."""
+    files = [path / name for name in list_names(path)] if path.is_dir() else [path]
+    for file in files:
+        if not file.is_dir():
+            open_regular(file).close()
 
 
 def _find_topics(reader: Any, given: BagTopics, path: Path) -> BagTopics:

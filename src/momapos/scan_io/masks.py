@@ -242,12 +242,14 @@ def _check_size(count: int, cloud_size: int, path: Path) -> None:
 def _point_lines(path: Path, width: int, cloud_size: int) -> bytes:
     """Read a file of one line a point; what is far too long belongs to another cloud."""
     limit = width * cloud_size + 4096
-    if path.is_file() and path.stat().st_size > limit:
+    with open_regular(path) as file:
+        data = file.read(limit + 1)
+    if len(data) > limit:
         raise FileFormatError(
             f"{path}: is for a larger cloud (more than {limit // width} points), and this one has "
             f"{cloud_size}; give the cloud that was segmented"
         )
-    return read_bytes_bounded(path, limit)
+    return data
 
 
 def _text(path: Path, limit: int) -> str:

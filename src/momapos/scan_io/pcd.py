@@ -11,7 +11,7 @@ from numba import njit
 
 from momapos.errors import FileFormatError
 from momapos.files import open_regular
-from momapos.scan_io.ply import MAX_POINTS, Columns
+from momapos.scan_io.ply import MAX_POINTS, Columns, read_rows
 
 MAX_HEADER_BYTES = 10_000
 MAX_FIELDS = 64
@@ -105,7 +105,7 @@ def _ascii(file: BinaryIO, path: Path, dtype: np.dtype, count: int) -> np.ndarra
     if not count:
         return np.empty(0, dtype)
     try:
-        rows = np.loadtxt(file, max_rows=count, ndmin=2, comments=None)
+        rows = read_rows(file, count)
         if len(rows) < count or rows.shape[1] != sum(widths):
             raise ValueError(f"{rows.shape[0]} rows of {rows.shape[1]} numbers")
     except ValueError as error:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float, Int
 
 from momapos.errors import FileFormatError
 from momapos.files import open_regular
@@ -134,8 +135,7 @@ def _scalars(file: BinaryIO, path: Path, order: str, element: _Element) -> Colum
         columns = [table[f"f{i}"] for i in range(len(names))]
     else:
         try:
-            # comments=None: a "#" is no comment here.
-            rows = np.loadtxt(file, max_rows=element.count, ndmin=2, comments=None)
+            rows = read_rows(file, element.count)
         except ValueError as error:
             raise FileFormatError(f"{path}: {element.name} holds no numbers ({error})") from error
         if rows.shape[1:] != (len(names),) and rows.size:
@@ -152,6 +152,18 @@ def _scalars(file: BinaryIO, path: Path, order: str, element: _Element) -> Colum
             f"{path}: ends after {len(columns[0])} of {element.count} entries of {element.name!r}"
         )
     return dict(zip(names, columns, strict=True))
+
+
+def read_rows(file: BinaryIO, count: int) -> Float[np.ndarray, "rows columns"]:
+    """Read lines of numbers, at most so many; empty lines are passed over.
+
+    Raises:
+        ValueError: They hold something else, or lines are of different length.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # numpy's, about empty lines
+        # comments=None: a "#" is no comment here.
+        return np.loadtxt(file, max_rows=count, ndmin=2, comments=None)
 
 
 def _available(file: BinaryIO, itemsize: int, count: int) -> int:
@@ -181,7 +193,7 @@ def _triangles(
         lengths, corners = table["n"], table["v"].astype(np.int64)
     else:
         try:
-            rows = np.loadtxt(file, max_rows=element.count, ndmin=2, comments=None)
+            rows = read_rows(file, element.count)
             with np.errstate(invalid="ignore"):
                 lengths, corners = rows[:, 0], rows[:, 1:4].astype(np.int64)
         except (ValueError, IndexError):

@@ -58,9 +58,11 @@ def rigid_pose(values: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
         raise ValueError(f"a pose is a 4 x 4 matrix, not {' x '.join(map(str, T.shape))}")
     if not np.isfinite(T).all():
         raise ValueError("the pose holds numbers that are not finite")
+    if np.abs(T).max() > 1e6:
+        raise ValueError("the pose is farther than 1000 km from the origin, or no pose")
     R = T[:3, :3]
     off = max(np.abs(R.T @ R - np.eye(3)).max(), np.abs(T[3] - [0, 0, 0, 1]).max())
-    if off > _RIGID or np.linalg.det(R) < 0 or np.abs(T[:3, 3]).max() > 1e6:
+    if off > _RIGID or np.linalg.det(R) < 0:
         raise ValueError("the pose is not a rigid transform (rotation and metres)")
     u, _, vt = np.linalg.svd(R)
     exact = np.eye(4)
