@@ -128,12 +128,13 @@ def main() -> None:
     """Drive, and print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--drives", type=int, default=200, help="in all [-]")
+    parser.add_argument("--robots", nargs="+", default=list(library_names()))
     parser.add_argument("--layouts", type=int, default=4, help="generated kitchens [-]")
     parser.add_argument("--people", action="store_true", help="two people walk about in each room")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--figure", type=Path, help="draw the most winding drive of kitchen_small")
     args = parser.parse_args()
-    robots = [load_robot(name) for name in library_names()]
+    robots = [load_robot(name) for name in args.robots]
     print(
         f"{'room':<16} {'robot':<12} {'geo m':>5} {'disc':>6} {'foot':>6} {'time s':>6} "
         f"{'gap cm':>6} {'cm':>5} {'deg':>5} {'ways':>4} {'cpu ms':>6} {'ms':>6}"

@@ -93,7 +93,7 @@ def main() -> None:
     folder = None if args.scenes is None else Path(args.scenes)
     if folder is not None and (folder / "data").is_dir():
         folder = folder / "data"
-    if folder is not None:
+    if folder is not None and (folder / "bestman").is_dir():
         scenes += [load_scene(folder / "bestman" / name) for name in REAL]
     scenes += [boxes(30, strewn=True), boxes(100, strewn=True), boxes(1000, strewn=True)]
     scenes.append(boxes(1000, strewn=False))

@@ -1,6 +1,7 @@
 """Every door and drawer with a handle in five real kitchens, for four robots.
 
-    python benchmarks/placement.py [--robots fetch ...] [--exhaustive] [--out docs/data]
+    python benchmarks/placement.py [--robots fetch ...] [--scenes kitchen_small ...] [--exhaustive]
+        [--out docs/data]
 
 Prints, and writes as JSON, for each task: the answer, its time, and with --exhaustive whether
 a grid of 5 cm and 10 degrees can solve it.
@@ -26,7 +27,8 @@ from momapos.pipeline import place
 from momapos.placement.place import FEASIBLE, PASSED, PlaceConfig
 from momapos.reachability.store import load_or_build
 from momapos.robots.robot import load_robot
-from momapos.scene.files import load_scene
+from momapos.scene.files import builtin_names, load_scene
+from momapos.scene.scene import Scene
 
 SCENES = (
     "Asset/Scene/Scene/Kitchen.json",
@@ -42,6 +44,11 @@ def shared() -> Path:
     """The folder of real data that holds bestman/."""
     given = Path(os.environ.get("MOMAPOS_SHARED", Path(__file__).resolve().parents[2] / "shared"))
     return given / "data" if (given / "data").is_dir() else given
+
+
+def scene_of(name: str) -> Scene:
+    """A built-in kitchen by its name, or a scene of the real data."""
+    return load_scene(name if name in builtin_names() else shared() / "bestman" / name)
 
 
 def machine() -> str:
@@ -61,7 +68,7 @@ def run(robots: tuple[str, ...], scenes: tuple[str, ...], *, exhaustive: bool) -
         robot = load_robot(robot_name)
         reach = load_or_build(robot, default_cache_dir(), None)
         for scene_name in scenes:
-            scene = load_scene(shared() / "bestman" / scene_name)
+            scene = scene_of(scene_name)
             for item, joint in openable(scene):
                 row = {
                     "robot": robot_name,
