@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -146,11 +147,11 @@ class _Planner:
         return self.ground.robot.drive == "omni"
 
     @property
-    def kernel(self) -> tuple:
+    def kernel(self) -> tuple[Any, ...]:
         """What every kernel wants: kind of base, its outlines, those of the room, the taste."""
         return self.kernel_at(NEEDED)
 
-    def kernel_at(self, need: float) -> tuple:
+    def kernel_at(self, need: float) -> tuple[Any, ...]:
         c, ground = self.config, self.ground
         taste = (float(need), c.liked, c.weight, c.turning, c.reversing)
         return self.omni, ground.body.arrays, ground.things.arrays, taste

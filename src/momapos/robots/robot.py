@@ -202,7 +202,7 @@ def read_srdf(path: Path) -> frozenset[frozenset[str]]:
     except (DefusedXmlException, ElementTree.ParseError) as error:
         raise RobotError(f"{path}: not a usable SRDF ({error})") from error
     pairs = [(e.get("link1"), e.get("link2")) for e in root.iter("disable_collisions")]
-    return frozenset(frozenset(pair) for pair in pairs if None not in pair)  # type: ignore[misc]
+    return frozenset(frozenset(pair) for pair in pairs if None not in pair)
 
 
 def _read_toml(path: Path) -> dict[str, Any]:
