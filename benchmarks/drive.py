@@ -14,6 +14,7 @@ import tempfile
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -74,7 +75,7 @@ class _Clock:
 def driven(scene: Scene, ground: Ground, question: Question, seed: int, *, crowded: bool) -> Result:
     """Make one drive."""
     clock, rng = _Clock(), np.random.default_rng(seed)
-    around = {}
+    around: dict[str, Any] = {}
     if crowded:
         walking = People(ground, question.start, rng)
         around = {"moving": walking, "meet": walking.meet}

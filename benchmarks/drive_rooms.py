@@ -67,7 +67,7 @@ def questions(ground: Ground, scene: Scene, rng: np.random.Generator) -> Iterato
     robot = ground.robot
     plan = room_plan(room_boxes(scene), scene.floor, base_height(robot))
     # Half a cell less than nothing: a footprint that fits between two centres counts as well.
-    fits = FloorPlan(ground.origin, ~(ground.gap > -CELL / 2).any(0))
+    fits = FloorPlan(ground.origin, np.asarray(~(ground.gap > -CELL / 2).any(0)))
     states = np.argwhere(ground.free)
     while True:
         h, i, j = states[rng.integers(len(states), size=2)].T
@@ -79,7 +79,7 @@ def questions(ground: Ground, scene: Scene, rng: np.random.Generator) -> Iterato
         length = float(cost.lengths(ends[1:, :2])[0])
         if FARTHER_THAN <= length < np.inf:
             real = build_cost_map(fits, ends[0, :2], radius=0.0)
-            yield Question(*ends, length, float(real.lengths(ends[1:, :2])[0]))
+            yield Question(ends[0], ends[1], length, float(real.lengths(ends[1:, :2])[0]))
 
 
 def connected(ground: Ground, start: Float[np.ndarray, "3"], goal: Float[np.ndarray, "3"]) -> bool:
@@ -128,8 +128,9 @@ class People:
     def _walks(
         self, ground: Ground, rng: np.random.Generator
     ) -> tuple[Float[np.ndarray, "2 2"], Float[np.ndarray, "2 2"], Float[np.ndarray, " 2"]]:
-        fits = (ground.gap > 0.0).any(0)
-        cells, walks = np.argwhere(fits), []
+        fits = np.asarray((ground.gap > 0.0).any(0))
+        cells = np.argwhere(fits)
+        walks: list[tuple[np.ndarray, np.ndarray, float]] = []
         while len(walks) < 2:
             i, j = cells[rng.integers(len(cells), size=2)].T
             a, b = ground.origin + (np.stack([j, i], -1) + 0.5) * CELL
@@ -139,8 +140,8 @@ class People:
             column, row = np.floor((line - ground.origin) / CELL).astype(int).T
             if length > 1.0 and away > 1.0 and fits[row, column].all():
                 walks.append((a, (b - a) / length, length))
-        begin, toward, length = (np.array(parts) for parts in zip(*walks, strict=True))
-        return begin, toward, length
+        begin, toward, lengths = (np.array(parts) for parts in zip(*walks, strict=True))
+        return begin, toward, lengths
 
     def meet(self, robot: Float[np.ndarray, "3"]) -> None:
         """Look where the robot is."""

@@ -16,6 +16,7 @@ import platform
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -61,7 +62,9 @@ def machine() -> str:
     return f"{model}, {len(os.sched_getaffinity(0))} cores"
 
 
-def run(robots: tuple[str, ...], scenes: tuple[str, ...], *, exhaustive: bool) -> list[dict]:
+def run(
+    robots: tuple[str, ...], scenes: tuple[str, ...], *, exhaustive: bool
+) -> list[dict[str, Any]]:
     """Answer every task once to warm up and once for the clock."""
     rows = []
     for robot_name in robots:
@@ -70,7 +73,7 @@ def run(robots: tuple[str, ...], scenes: tuple[str, ...], *, exhaustive: bool) -
         for scene_name in scenes:
             scene = scene_of(scene_name)
             for item, joint in openable(scene):
-                row = {
+                row: dict[str, Any] = {
                     "robot": robot_name,
                     "scene": Path(scene_name).stem,
                     "task": f"{item}/{joint}",
@@ -96,7 +99,7 @@ def run(robots: tuple[str, ...], scenes: tuple[str, ...], *, exhaustive: bool) -
     return rows
 
 
-def _ground_truth(scene, robot, task, reach) -> dict:  # type: ignore[no-untyped-def]
+def _ground_truth(scene, robot, task, reach) -> dict[str, Any]:  # type: ignore[no-untyped-def]
     config = PipelineConfig(place=PlaceConfig(method="exhaustive"), timeout=600.0)
     began = time.perf_counter()
     answer = place(scene, robot, task, reach, config=replace(config))
@@ -110,7 +113,7 @@ def _ground_truth(scene, robot, task, reach) -> dict:  # type: ignore[no-untyped
     }
 
 
-def report(rows: list[dict]) -> str:
+def report(rows: list[dict[str, Any]]) -> str:
     """Summarise as Markdown."""
     done = [r for r in rows if "seconds" in r]
     lines = [f"machine: {machine()}", ""]
