@@ -18,6 +18,7 @@ from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -215,7 +216,7 @@ def face_errors(item: SceneObject, box: UprightBox) -> list[float]:
     return np.abs(corners - body_bounds(item)).ravel().tolist()
 
 
-def judge(room: Room, found: list[Detection], *, report: bool) -> list[dict]:
+def judge(room: Room, found: list[Detection], *, report: bool) -> list[dict[str, Any]]:
     """How well each object of a room was found."""
     truth = json.loads((room.folder / "truth.json").read_text())["objects"]
     rows = []
@@ -239,7 +240,9 @@ def judge(room: Room, found: list[Detection], *, report: bool) -> list[dict]:
                 "found": hit,
                 "row": hit or max((share for _, share in pairs), default=0.0) >= COVERED,
                 "labelled": label in ALIKE.get(category, {category}) if hit else None,
-                "faces": face_errors(item, found[best].box) if hit and not small else [],
+                "faces": face_errors(item, found[best].box)
+                if hit and best is not None and not small
+                else [],
             }
         )
         if report and not hit:
@@ -248,9 +251,9 @@ def judge(room: Room, found: list[Detection], *, report: bool) -> list[dict]:
     return rows
 
 
-def summary(rows: list[dict]) -> dict[str, dict[str, float]]:
+def summary(rows: list[dict[str, Any]]) -> dict[str, dict[str, float]]:
     """Rates and errors by category."""
-    groups: dict[str, list[dict]] = defaultdict(list)
+    groups: dict[str, list[dict[str, Any]]] = defaultdict(list)
     for row in rows:
         groups[row["category"]].append(row)
         if row["category"] in SMALL:

@@ -14,6 +14,7 @@ import tempfile
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -21,7 +22,8 @@ from jaxtyping import Float
 from drive_figure import draw_drive
 from drive_rooms import People, Question, connected, questions, rooms
 from momapos.geometry.transforms import wrap_angle
-from momapos.navigation.drive import DriveConfig, DriveEnding, DriveRecord, drive
+from momapos.navigation.drive import DriveConfig, drive
+from momapos.navigation.drive_record import DriveEnding, DriveRecord
 from momapos.navigation.footprint_map import NavigationMap, build_navigation_map
 from momapos.robots.robot import Robot, library_names, load_robot
 from momapos.scene.scene import Scene
@@ -76,7 +78,7 @@ def driven(
 ) -> Result:
     """Make one drive."""
     clock, rng = _Clock(), np.random.default_rng(seed)
-    around = {}
+    around: dict[str, Any] = {}
     if crowded:
         walking = People(nav_map, question.start, rng)
         around = {"moving": walking, "meet": walking.meet}
@@ -130,12 +132,13 @@ def main() -> None:
     """Drive, and print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--drives", type=int, default=200, help="in all [-]")
+    parser.add_argument("--robots", nargs="+", default=list(library_names()))
     parser.add_argument("--layouts", type=int, default=4, help="generated kitchens [-]")
     parser.add_argument("--people", action="store_true", help="two people walk about in each room")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--figure", type=Path, help="draw the most winding drive of kitchen_small")
     args = parser.parse_args()
-    robots = [load_robot(name) for name in library_names()]
+    robots = [load_robot(name) for name in args.robots]
     print(
         f"{'room':<16} {'robot':<12} {'geo m':>5} {'disc':>6} {'foot':>6} {'time s':>6} "
         f"{'gap cm':>6} {'cm':>5} {'deg':>5} {'ways':>4} {'cpu ms':>6} {'ms':>6}"

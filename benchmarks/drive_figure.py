@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -12,7 +13,7 @@ from matplotlib.figure import Figure
 from drive_rooms import Question
 from momapos.geometry.planar import place_points
 from momapos.geometry.transforms import wrap_angle
-from momapos.navigation.drive import DriveRecord
+from momapos.navigation.drive_record import DriveRecord
 from momapos.navigation.footprint_map import NavigationMap
 from momapos.navigation.global_path import plan_path
 from momapos.scene.scene import Scene
@@ -42,13 +43,16 @@ def draw_drive(
     gone = np.concatenate([[0], np.cumsum(np.hypot(*step.T[:2]) + 0.5 * turn)])
     some = np.unique(np.searchsorted(gone, np.arange(0, gone[-1], EVERY)))
     outlines = place_points(poses[some], nav_map.prisms.outlines[0])
-    blue = {"facecolors": (0.16, 0.48, 0.72, 0.05), "edgecolors": (0.16, 0.48, 0.72, 0.35)}
+    blue: dict[str, Any] = {
+        "facecolors": (0.16, 0.48, 0.72, 0.05),
+        "edgecolors": (0.16, 0.48, 0.72, 0.35),
+    }
     axes.add_collection(
-        PolyCollection(outlines, linewidths=0.7, zorder=8, label="footprint", **blue)
+        PolyCollection(list(outlines), linewidths=0.7, zorder=8, label="footprint", **blue)
     )
     planned = plan_path(nav_map, question.start, question.goal)
     if planned is not None:
-        way = {"color": WAYPOINT, "lw": 1.3, "ls": (0, (4, 2)), "zorder": 14}
+        way: dict[str, Any] = {"color": WAYPOINT, "lw": 1.3, "ls": (0, (4, 2)), "zorder": 14}
         axes.plot(*planned.poses.T[:2], label=f"planned, {planned.length:.2f} m", **way)
     driven = f"driven, {record.length:.2f} m"
     axes.plot(*poses.T[:2], color=SELECTED, lw=1.8, zorder=13, label=driven)

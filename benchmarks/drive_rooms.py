@@ -66,7 +66,7 @@ def questions(nav_map: NavigationMap, scene: Scene, rng: np.random.Generator) ->
     robot = nav_map.robot
     plan = floor_plan(room_boxes(scene), height=base_height(robot), floor=scene.floor)
     # Half a cell less than nothing: a footprint that fits between two centres counts as well.
-    fits = FloorPlan(nav_map.origin, ~(nav_map.gap > -CELL / 2).any(0))
+    fits = FloorPlan(nav_map.origin, np.asarray(~(nav_map.gap > -CELL / 2).any(0)))
     states = np.argwhere(nav_map.free)
     while True:
         h, i, j = states[rng.integers(len(states), size=2)].T
@@ -78,7 +78,7 @@ def questions(nav_map: NavigationMap, scene: Scene, rng: np.random.Generator) ->
         length = float(cost.lengths(ends[1:, :2])[0])
         if FARTHER_THAN <= length < np.inf:
             real = build_cost_map(fits, ends[0, :2], radius=0.0)
-            yield Question(*ends, length, float(real.lengths(ends[1:, :2])[0]))
+            yield Question(ends[0], ends[1], length, float(real.lengths(ends[1:, :2])[0]))
 
 
 def connected(
@@ -134,8 +134,9 @@ class People:
     def _walks(
         self, nav_map: NavigationMap, rng: np.random.Generator
     ) -> tuple[Float[np.ndarray, "2 2"], Float[np.ndarray, "2 2"], Float[np.ndarray, " 2"]]:
-        fits = (nav_map.gap > 0.0).any(0)
-        cells, walks = np.argwhere(fits), []
+        fits = np.asarray((nav_map.gap > 0.0).any(0))
+        cells = np.argwhere(fits)
+        walks: list[tuple[np.ndarray, np.ndarray, float]] = []
         while len(walks) < 2:
             i, j = cells[rng.integers(len(cells), size=2)].T
             a, b = nav_map.origin + (np.stack([j, i], -1) + 0.5) * CELL
@@ -145,8 +146,8 @@ class People:
             column, row = np.floor((line - nav_map.origin) / CELL).astype(int).T
             if length > 1.0 and away > 1.0 and fits[row, column].all():
                 walks.append((a, (b - a) / length, length))
-        begin, toward, length = (np.array(parts) for parts in zip(*walks, strict=True))
-        return begin, toward, length
+        begin, toward, lengths = (np.array(parts) for parts in zip(*walks, strict=True))
+        return begin, toward, lengths
 
     def meet(self, robot: Float[np.ndarray, "3"]) -> None:
         """Look where the robot is."""

@@ -19,6 +19,7 @@ import time
 from collections import Counter
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -130,7 +131,7 @@ def measure(
     return rows
 
 
-def report(rows: list[dict]) -> str:
+def report(rows: list[dict[str, Any]]) -> str:
     """Summarise in words."""
     lines = [f"machine: {platform.machine()}, {len(os.sched_getaffinity(0))} cores"]
     lines.append(f"plans: {dict(Counter(r['status'] for r in rows if not r.get('noise')))}")
@@ -163,11 +164,11 @@ def report(rows: list[dict]) -> str:
     return "\n".join(lines)
 
 
-def _name(row: dict) -> str:
+def _name(row: dict[str, Any]) -> str:
     return f"{row['robot']}, {row['scene']}, {row['task']}"
 
 
-def _of_drives(rows: list[dict]) -> list[str]:
+def _of_drives(rows: list[dict[str, Any]]) -> list[str]:
     """What came of the drives, and why a base pose was given up."""
     visits = [(r, visit) for r in rows for visit in r["visits"]]
     if not visits:

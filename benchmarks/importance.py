@@ -14,7 +14,9 @@ import argparse
 import os
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 
@@ -22,7 +24,7 @@ from momapos.geometry.transforms import pose
 from momapos.importance.graph import build_graph
 from momapos.importance.rank import rank
 from momapos.importance.relations import KINDS
-from momapos.importance.scorers import SCORERS, ImportanceConfig
+from momapos.importance.scorers import SCORERS, ImportanceConfig, ScorerName
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.urdf import box_urdf
 from momapos.scene.files import builtin_names, load_scene
@@ -65,8 +67,8 @@ def measure(scene: Scene, target: str, repeats: int) -> str:
     cells = [scene.name, str(len(scene.objects)), " / ".join(map(str, kinds)), f"{first:.0f}"]
     cells.append(f"{milliseconds(lambda: build_graph(scene), repeats):.0f}")
     for scorer in SCORERS:
-        config = ImportanceConfig(scorer=scorer)
-        cells.append(f"{milliseconds(lambda c=config: rank(scene, target, c), repeats):.0f}")
+        config = ImportanceConfig(scorer=cast(ScorerName, scorer))
+        cells.append(f"{milliseconds(partial(rank, scene, target, config), repeats):.0f}")
     cells.append(noise(scene, target))
     return f"| {' | '.join(cells)} |"
 
@@ -93,7 +95,7 @@ def main() -> None:
     folder = None if args.scenes is None else Path(args.scenes)
     if folder is not None and (folder / "data").is_dir():
         folder = folder / "data"
-    if folder is not None:
+    if folder is not None and (folder / "bestman").is_dir():
         scenes += [load_scene(folder / "bestman" / name) for name in REAL]
     scenes += [boxes(30, strewn=True), boxes(100, strewn=True), boxes(1000, strewn=True)]
     scenes.append(boxes(1000, strewn=False))

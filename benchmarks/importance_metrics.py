@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -17,7 +18,7 @@ ALPHAS = np.linspace(0.0, 1.0, 101)
 SHARES = (0.0, 0.01, 0.05)
 """An object matters when it adds and changes more than this share of the poses [-]."""
 PAPER = "deepwalk k0=0.5"
-SHOWN: dict[str, tuple] = {
+SHOWN: dict[str, tuple[Any, ...]] = {
     PAPER: ("deepwalk", "#2a7ab8", (0.14, 0.21), (0.6, 0.125), (0.12, 0.58)),
     "distance": ("distance", "#b87800", (0.74, 0.156), (0.9, 0.15), (0.65, 0.79)),
     "size": ("size / distance", "#008060", (0.68, 0.242), (0.72, 0.243), (0.72, 0.49)),
@@ -42,7 +43,7 @@ class Pairs:
     """Index of the task and seed that a pair belongs to."""
 
 
-def pairs(tasks: list[dict], scorer: str, share: float = SHARES[1]) -> Pairs:
+def pairs(tasks: list[dict[str, Any]], scorer: str, share: float = SHARES[1]) -> Pairs:
     """Stack the scores and the truth of all tasks."""
     runs = [(task, one) for task in tasks for one in task["scores"][scorer]]
     matters = [np.add(task["added"], task["changed"]) > share for task, _ in runs]
@@ -89,7 +90,7 @@ def at(p: Pairs, alpha: float) -> dict[str, float]:
     return {"precision": precision, "recall": recall, "f1": f1, "kept": float(chosen.mean())}
 
 
-def measures(tasks: list[dict], scorer: str, share: float) -> dict:
+def measures(tasks: list[dict[str, Any]], scorer: str, share: float) -> dict[str, Any]:
     """All figures of one scorer."""
     p = pairs(tasks, scorer, share)
     count = sum(len(task["objects"]) for task in tasks)
@@ -109,7 +110,7 @@ def measures(tasks: list[dict], scorer: str, share: float) -> dict:
     }
 
 
-def summary(tasks: list[dict]) -> list[dict]:
+def summary(tasks: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Figures of all scorers, over all rooms and by their source, for each share."""
     rows = []
     for share in SHARES:
@@ -125,10 +126,10 @@ def summary(tasks: list[dict]) -> list[dict]:
     return rows
 
 
-def table(rows: list[dict]) -> str:
+def table(rows: list[dict[str, Any]]) -> str:
     """The figures as Markdown: by source for the usual share, over all rooms for the others."""
     lines: list[str] = []
-    group: tuple = ()
+    group: tuple[str, ...] = ()
     for r in rows:
         if r["share"] != SHARES[1] and r["source"] != "all":
             continue
@@ -151,7 +152,7 @@ def table(rows: list[dict]) -> str:
     return "\n".join(lines)
 
 
-def draw(tasks: list[dict], path: Path) -> None:
+def draw(tasks: list[dict[str, Any]], path: Path) -> None:
     """Precision over recall, and both over alpha, by scorer."""
     import matplotlib
 
@@ -189,10 +190,10 @@ def _dress(axes: np.ndarray, rate: float) -> None:
         axis.set_title(title, loc="left", fontsize=10)
         axis.grid(color=FAINT, lw=0.6)
         axis.spines[["top", "right"]].set_visible(False)
-    dashes = {"color": SOFT_INK, "lw": 0.8, "ls": (0, (3, 2))}
-    for axis, x in zip(axes[:2], (0.68, 0.02), strict=True):
+    dashes: dict[str, Any] = {"color": SOFT_INK, "lw": 0.8, "ls": (0, (3, 2))}
+    for axis, left in zip(axes[:2], (0.68, 0.02), strict=True):
         axis.axhline(rate, **dashes)
-        axis.text(x, rate - 0.025, "all objects in S", color=SOFT_INK, fontsize=8)
+        axis.text(left, rate - 0.025, "all objects in S", color=SOFT_INK, fontsize=8)
     for axis in axes[1:]:
         axis.axvline(ALPHA, **dashes)
         axis.text(ALPHA + 0.01, 0.01, "0.45", color=SOFT_INK, fontsize=8)

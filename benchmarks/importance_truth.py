@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -166,7 +167,7 @@ def changed(asked: Question, item: SceneObject, rows: Rows) -> int:
     return len(near) - len(asked.feasible(after, near))
 
 
-def truth(asked: Question) -> dict | None:
+def truth(asked: Question) -> dict[str, Any] | None:
     """Shares of poses that every object adds and changes; None where the task says too little."""
     alone = asked.feasible(asked.without(asked.others), np.arange(len(asked.poses)))
     if len(alone) < FEWEST:
@@ -199,9 +200,11 @@ def scores(asked: Question) -> dict[str, list[list[float]]]:
     }
 
 
-def answer(room: Room, robot: Robot, reach: ReachScorer, args: argparse.Namespace) -> list[dict]:
+def answer(
+    room: Room, robot: Robot, reach: ReachScorer, args: argparse.Namespace
+) -> list[dict[str, Any]]:
     """The truth and the scores of each task in a room."""
-    tasks: dict[str, dict] = {}
+    tasks: dict[str, dict[str, Any]] = {}
     for name, joint in room.targets:
         if name in tasks or len(tasks) == room.most:
             continue
@@ -219,7 +222,7 @@ def answer(room: Room, robot: Robot, reach: ReachScorer, args: argparse.Namespac
     return list(tasks.values())
 
 
-def measure(args: argparse.Namespace) -> list[dict]:
+def measure(args: argparse.Namespace) -> list[dict[str, Any]]:
     """Read the rooms that the cache file has for these settings, and add those it lacks."""
     settings = [args.robot, args.cell, args.turn, args.targets]
     lines = args.cache.read_text().splitlines() if args.cache.exists() else []

@@ -18,6 +18,7 @@ import time
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -186,7 +187,7 @@ def trial(
     }  # fmt: skip
 
 
-def run(trials: int, methods: list[str], tasks: list[str], seed: int) -> list[dict]:
+def run(trials: int, methods: list[str], tasks: list[str], seed: int) -> list[dict[str, Any]]:
     """All trials, the same worlds for every method."""
     robot, room, small = load_robot(ROBOT), load_scene(shared() / "bestman" / ROOM), things()
     reach = load_reach_map(robot, default_cache_dir(), None)
@@ -205,7 +206,7 @@ def run(trials: int, methods: list[str], tasks: list[str], seed: int) -> list[di
     return rows
 
 
-def report(rows: list[dict]) -> str:
+def report(rows: list[dict[str, Any]]) -> str:
     """A table as Markdown, the paper's rows after ours."""
     lines = [f"machine: {machine()}", ""]
     lines += ["| task | method | trials | planning CPU s | with the arm's motion s | cost m | "

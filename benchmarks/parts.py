@@ -1,6 +1,6 @@
 """How well the front network finds doors, drawers and handles on faces it never saw.
 
-    python -m benchmarks.parts [--drawn 100] [--variants 3] [--pictures DIR]
+    PYTHONPATH=. python benchmarks/parts.py [--drawn 100] [--variants 3] [--pictures DIR]
 
 Four sets: freshly drawn faces, ordinary and hard; the real objects of the shared data, rendered;
 and real photos.
@@ -18,13 +18,13 @@ from pathlib import Path
 
 import numpy as np
 import tyro
-from benchmarks.parts_real import TrueFace, TruePart, photo_faces, real_faces
 from PIL import Image, ImageDraw
 from training.fronts import generator
 
 from momapos.reconstruction.decode import overlaps
 from momapos.reconstruction.network import FrontNetwork
 from momapos.types import Front
+from parts_real import TrueFace, TruePart, photo_faces, real_faces
 
 COLOURS = {
     "door_left": "red",

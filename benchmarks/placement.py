@@ -1,6 +1,7 @@
 """Every door and drawer with a handle in five real kitchens, for four robots.
 
-    python benchmarks/placement.py [--robots fetch ...] [--exhaustive] [--out docs/data]
+    python benchmarks/placement.py [--robots fetch ...] [--scenes kitchen_small ...] [--exhaustive]
+        [--out docs/data]
 
 Prints, and writes as JSON, for each task: the answer, its time, and with --exhaustive whether
 a grid of 5 cm and 10 degrees can solve it.
@@ -15,6 +16,7 @@ import platform
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -27,7 +29,8 @@ from momapos.pipeline import plan_base_placement
 from momapos.placement.place import PlaceConfig
 from momapos.reachability.store import load_reach_map
 from momapos.robots.robot import load_robot
-from momapos.scene.files import load_scene
+from momapos.scene.files import builtin_names, load_scene
+from momapos.scene.scene import Scene
 
 SCENES = (
     "Asset/Scene/Scene/Kitchen.json",
@@ -46,6 +49,11 @@ def shared() -> Path:
     return given / "data" if (given / "data").is_dir() else given
 
 
+def scene_of(name: str) -> Scene:
+    """A built-in kitchen by its name, or a scene of the real data."""
+    return load_scene(name if name in builtin_names() else shared() / "bestman" / name)
+
+
 def machine() -> str:
     """The processor and the number of cores this runs on."""
     model = platform.processor() or platform.machine()
@@ -56,16 +64,18 @@ def machine() -> str:
     return f"{model}, {len(os.sched_getaffinity(0))} cores"
 
 
-def run(robots: tuple[str, ...], scenes: tuple[str, ...], *, exhaustive: bool) -> list[dict]:
+def run(
+    robots: tuple[str, ...], scenes: tuple[str, ...], *, exhaustive: bool
+) -> list[dict[str, Any]]:
     """Answer every task once to warm up and once for the clock."""
     rows = []
     for robot_name in robots:
         robot = load_robot(robot_name)
         reach = load_reach_map(robot, default_cache_dir(), None)
         for scene_name in scenes:
-            scene = load_scene(shared() / "bestman" / scene_name)
+            scene = scene_of(scene_name)
             for item, joint in openable(scene):
-                row = {
+                row: dict[str, Any] = {
                     "robot": robot_name,
                     "scene": Path(scene_name).stem,
                     "task": f"{item}/{joint}",
@@ -95,7 +105,7 @@ def run(robots: tuple[str, ...], scenes: tuple[str, ...], *, exhaustive: bool) -
     return rows
 
 
-def _ground_truth(scene, robot, task, reach) -> dict:  # type: ignore[no-untyped-def]
+def _ground_truth(scene, robot, task, reach) -> dict[str, Any]:  # type: ignore[no-untyped-def]
     config = PipelineConfig(place=PlaceConfig(method="exhaustive"), timeout=600.0)
     began = time.perf_counter()
     answer = plan_base_placement(scene, robot, task, reach, config=replace(config))
@@ -110,7 +120,7 @@ def _ground_truth(scene, robot, task, reach) -> dict:  # type: ignore[no-untyped
     }
 
 
-def report(rows: list[dict]) -> str:
+def report(rows: list[dict[str, Any]]) -> str:
     """Summarise as Markdown."""
     done = [r for r in rows if "seconds" in r]
     lines = [f"machine: {machine()}", ""]

@@ -13,6 +13,7 @@ import os
 import platform
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -115,7 +116,7 @@ def speeds(reach: ReachMap, robot: Robot) -> tuple[float, float]:
     floor = np.arange(-3.0, 3.01, 0.05)
     weakest = best(lambda: reach.weakest(bases, Ts)) / (len(bases) * Ts.shape[0] * Ts.shape[1])
     return 1e9 * weakest, 1e3 * max(
-        best(lambda T=T: reach.base_scores(T, floor, floor), 30) for T in Ts[:10, 0]
+        best(partial(reach.base_scores, T, floor, floor), 30) for T in Ts[:10, 0]
     )
 
 

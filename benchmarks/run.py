@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import argparse
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -17,7 +19,7 @@ RUNS = (
     ["paper_tasks.py", "--methods", "ours", "paper", "--out", "bench_out"],
     ["drive.py"],
     ["boxes.py", "bench_out/boxes", "--count", "6", "--shared"],
-    ["-m", "benchmarks.parts", "--shared", str(shared())],
+    ["parts.py", "--shared", str(shared())],
     ["modelling_error.py", "--out", "bench_out"],
     ["scan.py", "--rooms", "17", "--out", "bench_out"],
     ["scaling.py"],
@@ -27,7 +29,9 @@ RUNS = (
 )
 
 if __name__ == "__main__":
+    argparse.ArgumentParser(description=__doc__).parse_args()
+    environment = {**os.environ, "PYTHONPATH": str(HERE.parent)}  # for training/
     for script, *args in RUNS:
         print(f"== {script} {' '.join(args)}", flush=True)
-        what = script if script == "-m" else str(HERE / script)
-        subprocess.run([sys.executable, what, *args], check=True, cwd=HERE.parent)
+        command = [sys.executable, str(HERE / script), *args]
+        subprocess.run(command, check=True, cwd=HERE.parent, env=environment)

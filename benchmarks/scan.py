@@ -99,7 +99,7 @@ def compare(room: Room, result: Modelled, scanned: Scene) -> list[Door]:
     for item, joint in openable(room.scene):
         thing = room.scene.object(item)
         same = matches.get((item, joint))
-        frontal, errors = float("nan"), ()
+        frontal, errors = float("nan"), tuple[float, ...]()
         if same is not None:
             view = views[same[0]]
             _, outward = opening_direction(thing, joint)

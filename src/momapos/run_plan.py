@@ -24,7 +24,8 @@ from momapos.execution.run import Watch, execute
 from momapos.geometry.transforms import wrap_angle
 from momapos.manipulation.motion import task_motion
 from momapos.navigation.clearance import gaps
-from momapos.navigation.drive import DriveConfig, DriveRecord, drive
+from momapos.navigation.drive import DriveConfig, drive
+from momapos.navigation.drive_record import DriveRecord
 from momapos.navigation.footprint_map import NavigationMap, build_navigation_map
 from momapos.navigation.localisation import NoiseConfig
 from momapos.pipeline import plan_base_placement

@@ -6,6 +6,7 @@ import multiprocessing as mp
 import os
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
@@ -157,7 +158,7 @@ def fill(folder: Path, mix: generator.Mix, seed: int, count: int, workers: int) 
     folder.mkdir(parents=True, exist_ok=True)
     # Workers read these when they start; threads within each would wait for one another.
     os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-    files: dict[str, np.ndarray] = {}
+    files: dict[str, np.memmap[Any, Any]] = {}
     with mp.get_context("spawn").Pool(workers) as helpers:
         tasks = [(mix, (seed, i)) for i in range(count)]
         for i, one in enumerate(helpers.imap(_one, tasks, chunksize=16)):

@@ -19,10 +19,10 @@ from momapos.reconstruction.alignment import (
     AlignedHandle,
     AlignedPart,
     AlignmentConfig,
-    Area,
     align,
     front_of,
 )
+from momapos.reconstruction.height_maps import Area
 from momapos.scene.library.furniture import (
     Box,
     Motion,

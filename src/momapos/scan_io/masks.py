@@ -214,7 +214,7 @@ def _box(entry: Any, where: str) -> Instance:
     return Instance(label, float(score), box=UprightBox(center, size, float(yaw)))
 
 
-def _vector(entry: dict[str, Any], key: str, where: str, good: Callable) -> np.ndarray:
+def _vector(entry: dict[str, Any], key: str, where: str, good: Callable[[Any], bool]) -> np.ndarray:
     values = entry.get(key)
     right = isinstance(values, list) and len(values) == 3 and all(map(_is_number, values))
     if not right or not good(np.array(values, float)):

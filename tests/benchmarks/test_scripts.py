@@ -1,0 +1,89 @@
+"""Every measurement starts, so that no rename breaks one silently."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from tests import optional
+from tests.real import DATA
+
+REPOSITORY = Path(__file__).parents[2]
+FOLDER = REPOSITORY / "benchmarks"
+SCRIPTS = tuple(p.name for p in sorted(FOLDER.glob("*.py")) if "__main__" in p.read_text())
+ASK_FOR_HELP = """
+import contextlib, io, json, runpy, sys
+found = {}
+for path in sys.argv[1:]:
+    sys.argv, text = [path, "--help"], io.StringIO()
+    try:
+        with contextlib.redirect_stdout(text):
+            runpy.run_path(path, run_name="__main__")
+    except SystemExit as end:
+        found[path.rsplit("/", 1)[1]] = end.code or 0, text.getvalue()
+print(json.dumps(found))
+"""
+SMALLEST = {
+    "placement.py --robots segway_ur5e --scenes kitchen_small --out out": "segway_ur5e: ",
+    "execution.py --robots segway_ur5e --tasks 1 --out out": "noise off: ",
+    "drive.py --robots segway_ur5e --drives 1 --layouts 0": "arrived: within",
+    "parts.py --drawn 1 --shared nowhere --pictures out": "fronts told: ",
+    "importance.py --repeats 1": "| kitchen_small | 17 |",
+}
+"""Smallest inputs, and what the report then holds. The others take more than ten seconds."""
+
+
+def run(*command: str, folder: Path, shared: Path) -> str:
+    path = os.pathsep.join(map(str, (FOLDER, REPOSITORY, REPOSITORY / "src")))
+    environment = {**os.environ, "PYTHONPATH": path, "MOMAPOS_SHARED": str(shared)}
+    done = subprocess.run(
+        [sys.executable, *command], capture_output=True, text=True, cwd=folder, env=environment
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def help_of(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[int, str]]:
+    """Status and words of every script that is asked for help, in one process."""
+    folder = tmp_path_factory.mktemp("help")
+    paths = [str(FOLDER / name) for name in SCRIPTS]
+    found: dict[str, tuple[int, str]] = json.loads(
+        run("-c", ASK_FOR_HELP, *paths, folder=folder, shared=folder)
+    )
+    return found
+
+
+@pytest.mark.parametrize("script", SCRIPTS)
+def test_a_script_says_what_it_takes(script: str, help_of: dict[str, tuple[int, str]]) -> None:
+    status, text = help_of[script]
+    assert status == 0
+    assert "--help" in text
+
+
+def test_make_bench_asks_for_what_there_is(help_of: dict[str, tuple[int, str]]) -> None:
+    runs = re.findall(r'^    \["(\w+\.py)"(.*)\]', (FOLDER / "run.py").read_text(), re.MULTILINE)
+    assert len(runs) > 10
+    for script, rest in runs:
+        for option in re.findall(r'"(--[a-z-]+)"', rest):
+            assert option in help_of[script][1], f"{script} {option}"
+
+
+@pytest.mark.parametrize("command", SMALLEST, ids=lambda command: command.split()[0])
+def test_a_measurement_runs_on_its_smallest_input(command: str, tmp_path: Path) -> None:
+    script, *options = shlex.split(command)
+    out = run(str(FOLDER / script), *options, folder=tmp_path, shared=tmp_path)
+    assert SMALLEST[command] in out
+
+
+def test_the_papers_tasks_run_once(tmp_path: Path) -> None:
+    data = optional.there(DATA / "bestman").parent
+    options = ("--trials", "1", "--tasks", "open microwave")
+    out = run(str(FOLDER / "paper_tasks.py"), *options, folder=tmp_path, shared=data)
+    assert "| open microwave | ours | 1 |" in out
