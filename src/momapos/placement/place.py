@@ -16,6 +16,7 @@ from momapos.placement.area import (
     CLEAR,
     OFF_FLOOR,
     Site,
+    arm_radius,
     in_world,
     sampling_box,
     standing,
@@ -143,7 +144,7 @@ def search(problem: Problem, config: PlaceConfig, rng: np.random.Generator) -> S
     found = Search()
     corners = sampling_box(problem.site)
     if corners is None or problem.hopeless:
-        reason = problem.hopeless or f"{NO_REACH} at any distance"
+        reason = problem.hopeless or f"{NO_REACH}{_too_high(problem.site)} at any distance"
         found.note(np.zeros((1, 3)), np.array([reason], object))
         return found
     frame = task_frame(problem.site)
@@ -156,6 +157,16 @@ def search(problem: Problem, config: PlaceConfig, rng: np.random.Generator) -> S
         if found.motion is not None or found.timed_out:
             break
     return found
+
+
+def _too_high(site: Site) -> str:
+    """What is wrong with a task that no arm length can reach, however near the base stands."""
+    off = np.isnan(arm_radius(site))
+    if not off.any():
+        return ""
+    heights = site.Ts_world_tool[0, off, 2, 3]
+    worst = heights[np.argmax(np.abs(heights - site.shoulder[2]))]
+    return f" in height: {worst:.2f} m is too {'high' if worst > site.shoulder[2] else 'low'}"
 
 
 def _rounds(
