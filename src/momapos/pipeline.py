@@ -386,6 +386,7 @@ def _plan(
         status="solved" if solved else "timeout" if result.timed_out else "infeasible",
         robot_file=robot.source,
         robot_srdf=_srdf(robot),
+        robot_rest=robot.model.held,
         scene_joints=scene.joints_set,
         joints=robot.arm_joints,
         base_pose=None if base is None else (float(base[0]), float(base[1]), float(base[2])),

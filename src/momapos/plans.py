@@ -42,6 +42,7 @@ def plan_to_dict(plan: PlacementPlan) -> dict[str, Any]:
             "tool_link": plan.tool_link,
             "file": plan.robot_file,
             "srdf": plan.robot_srdf,
+            "rest": dict(plan.robot_rest),
         },
         "task": asdict(plan.task),
         "status": plan.status,
@@ -148,6 +149,7 @@ class _Robot(msgspec.Struct):
     tool_link: str
     file: str | None = None
     srdf: str | None = None
+    rest: dict[str, float] = {}
 
 
 class _Task(msgspec.Struct):
@@ -343,6 +345,7 @@ def _record(data: _Plan, path: Path) -> PlacementPlan:
         else _array(data.base_path, (3,), path, "base_path", "x, y, yaw"),
         robot_file=_robot_file(robot.file, folder),
         robot_srdf=None if robot.srdf is None else _located(robot.srdf, folder),
+        robot_rest=robot.rest,
         scene_joints=data.scene_joints,
         feasible_to=data.feasible_to,
     )

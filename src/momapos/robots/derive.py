@@ -140,15 +140,17 @@ def derive_robot(
         raise RobotError(f"{urdf}: {len(model.links)} links; a robot has at most {MAX_LINKS}")
     notes: list[str] = []
     anchor = _anchor(model, notes)
-    joints = _arm(model, anchor, notes)
+    joints, others = _arm(model, anchor, notes)
     base_link = _base_link(model, anchor, joints, notes)
+    known = read_srdf(urdf.with_suffix(".srdf"))
+    for other in others:
+        model = _at_rest(model, base_link, other, joints, known, np.random.default_rng(seed), notes)
     last = model.joint(joints[-1]).child
     tool_link, gripper, fingers = find_tool(model, last, notes)
     approach, closing, opening = find_grip(model, last, tool_link, fingers, notes)
     footprint = _footprint(model, base_link, joints, notes)
     drive = _drive(model, notes)
     chain, segments = build_chain(model, base_link, tool_link, joints)
-    known = read_srdf(urdf.with_suffix(".srdf"))
     spheres = build_spheres(model, segments, known, gripper)
     q = sample_states(chain, np.random.default_rng(seed))
     pairs = {} if known else inevitable_pairs(chain, spheres, q, model)
@@ -163,7 +165,7 @@ def derive_robot(
         urdf=urdf_name or urdf.name, srdf=srdf_name if pairs else "", base_link=base_link,
         tool_link=tool_link, joints=joints,
         gripper=gripper, home=home, footprint=footprint, drive=drive, approach=approach,
-        closing=closing, opening=opening,
+        closing=closing, opening=opening, rest=model.held,
     )  # fmt: skip
     return Derived(text, pairs, tuple(notes), urdf_name or urdf.name)
 
@@ -195,10 +197,12 @@ def _anchor(model: Articulated, notes: list[str]) -> str:
     return anchor
 
 
-def _arm(model: Articulated, anchor: str, notes: list[str]) -> tuple[str, ...]:
-    """The longest chain of movable joints that ends in something like a hand."""
+def _arm(
+    model: Articulated, anchor: str, notes: list[str]
+) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """The longest chain of movable joints that ends in something like a hand, and its equals."""
     best: tuple[tuple[bool, int], tuple[str, ...]] = ((False, 0), ())
-    rivals: list[str] = []
+    rivals: list[tuple[str, ...]] = []
     stack: list[tuple[str, tuple[Joint, ...]]] = [(anchor, ())]
     while stack:
         link, path = stack.pop()
@@ -212,8 +216,8 @@ def _arm(model: Articulated, anchor: str, notes: list[str]) -> tuple[str, ...]:
         key = (hand, len(joints))
         if key > best[0]:
             best, rivals = (key, names), []
-        elif names and key == best[0] and not set(names) & set(best[1]):
-            rivals.append(names[-1])
+        elif names and key == best[0] and names[-1] != best[1][-1]:
+            rivals.append(names)
     if not best[1]:
         raise RobotError(
             f"{model.urdf.path}: no chain of movable joints that could be an arm; write the "
@@ -221,10 +225,37 @@ def _arm(model: Articulated, anchor: str, notes: list[str]) -> tuple[str, ...]:
         )
     notes.append(f"arm_joints: the longest chain that ends in a hand, {', '.join(best[1])}")
     if rivals:
-        notes.append(f"there is another arm, which ends in {rivals[0]}; it stays at rest")
+        notes.append(f"there is another arm, which ends in {rivals[0][-1]}; it stays at rest")
     if not best[0][0]:
         notes.append("nothing is named like a hand or tool; the arm is just the longest chain")
-    return best[1]
+    return best[1], rivals
+
+
+def _at_rest(
+    model: Articulated,
+    base_link: str,
+    other: tuple[str, ...],
+    joints: Sequence[str],
+    known: frozenset[frozenset[str]],
+    rng: np.random.Generator,
+    notes: list[str],
+) -> Articulated:
+    """The robot with another arm in a compact state, where it stays."""
+    last = model.joint(other[-1]).child
+    chain, segments = build_chain(model, base_link, last, other)
+    own = [i for i, name in enumerate(other) if name not in joints]
+    q = sample_states(chain, rng)
+    shared = [i for i in range(len(other)) if i not in own]
+    q[:, shared] = q[0, shared]
+    spheres = build_spheres(model, segments, known, [last])
+    pairs = {} if known else inevitable_pairs(chain, spheres, q, model)
+    disabled = known | {frozenset(pair) for pair in pairs}
+    found = resting_state(chain, build_spheres(model, segments, disabled, [last]), q)
+    if found is None:
+        return model
+    held = {other[i]: float(found[0][i]) for i in own}
+    notes.append(f"rest: the other arm is kept within {found[1]:.2f} m of the base's origin")
+    return Articulated(model.urdf, {**model.held, **held})
 
 
 def _arm_of(model: Articulated, path: Sequence[Joint]) -> tuple[list[Joint], list[str]]:
@@ -403,6 +434,8 @@ def _toml(**v: Any) -> str:
         return f"[{', '.join(map(quoted, values))}]"
 
     srdf = _key("srdf", v["srdf"]) + "\n" if v["srdf"] else ""
+    held = "".join(f"{quoted(name)} = {value:g}\n" for name, value in v["rest"].items())
+    rest = f"\n[rest]\n{held}" if held else ""
     corners = ", ".join(listed(corner) for corner in v["footprint"])
     return f"""# Derived by 'momapos robot check'; see docs/robots.md for every key.
 name = {quoted(v["name"])}
@@ -425,4 +458,4 @@ max_yaw_acceleration = 1.0
 approach_axis = {listed(v["approach"])}
 closing_axis = {listed(v["closing"])}
 opening = {v["opening"]:g}
-"""
+{rest}"""
