@@ -64,6 +64,18 @@ def test_a_plan_comes_back_as_it_was_written(plan: PlacementPlan, folder: Path) 
     assert data["robot"]["srdf"] == "mine.srdf"
 
 
+def test_where_other_joints_of_the_robot_rest_is_seen_by_the_check(
+    plan: PlacementPlan, folder: Path
+) -> None:
+    path = folder / "rest.json"
+    held = {"left_finger_joint": 0.042}
+    write_plan(replace(plan, robot_rest=held), path)
+    again = read_plan(path)
+    assert plan_to_dict(again) == plan_to_dict(replace(plan, robot_rest=held))
+    write_plan(plan, folder / "plan.json")
+    assert verify_files(path).gripper_depth != verify_files(folder / "plan.json").gripper_depth
+
+
 def test_a_plan_names_the_robot_file_that_run_needs(plan: PlacementPlan, folder: Path) -> None:
     path = folder / "plan.json"
     write_plan(plan, path)
