@@ -104,7 +104,10 @@ def write_plan(plan: PlacementPlan, path: Path) -> None:
         text = json.dumps(data, allow_nan=False)
     except ValueError as error:
         raise InputError(f"{path}: the plan holds NaN or infinity and was not written") from error
-    _replace(path, text + "\n")
+    try:
+        write_atomic(path, f"{text}\n".encode())
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror})") from error
 
 
 def _sha256(path: Path) -> str:
@@ -129,14 +132,6 @@ def _portable(name: str, plan: Path, what: str) -> str:
         if (folder / relative).exists() and (folder / relative).samefile(target):
             return relative.as_posix()
     return str(target)
-
-
-def _replace(path: Path, text: str) -> None:
-    """Write to a file beside it, then swap: a reader sees the old file or the new one."""
-    try:
-        write_atomic(path, text.encode())
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror})") from error
 
 
 # ------------------------------------------------------------------------------------------ reading
