@@ -257,6 +257,7 @@ def _plan(
         status="solved" if solved else "timeout" if found.timed_out else "infeasible",
         robot_file=robot.source,
         robot_srdf=_named_srdf(robot),
+        robot_rest=robot.model.held,
         scene_joints=query.scene.joints_set,
         joints=robot.arm_joints,
         start=(float(start[0]), float(start[1]), float(start[2])),

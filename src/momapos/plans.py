@@ -45,6 +45,7 @@ def plan_to_dict(plan: PlacementPlan) -> dict[str, Any]:
             "tool_link": plan.tool_link,
             "file": plan.robot_file,
             "srdf": plan.robot_srdf,
+            "rest": dict(plan.robot_rest),
         },
         "task": asdict(plan.task),
         "status": plan.status,
@@ -112,7 +113,10 @@ def write_plan(plan: PlacementPlan, path: Path) -> None:
         text = json.dumps(data, allow_nan=False)
     except ValueError as error:
         raise InputError(f"{path}: the plan holds NaN or infinity and was not written") from error
-    _replace(path, text + "\n")
+    try:
+        write_atomic(path, f"{text}\n".encode())
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror})") from error
 
 
 def _sha256(path: Path) -> str:
@@ -136,14 +140,6 @@ def _portable(name: str, plan: Path, what: str) -> str:
     return str(target)
 
 
-def _replace(path: Path, text: str) -> None:
-    """Write to a file beside it, then swap: a reader sees the old file or the new one."""
-    try:
-        write_atomic(path, text.encode())
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror})") from error
-
-
 # ------------------------------------------------------------------------------------------ reading
 
 
@@ -154,6 +150,7 @@ class _Robot(msgspec.Struct):
     tool_link: str
     file: str | None = None
     srdf: str | None = None
+    rest: dict[str, float] = {}
 
 
 class _Task(msgspec.Struct):
@@ -344,6 +341,7 @@ def _record(data: _Plan, path: Path) -> PlacementPlan:
         else _array(data.base_path, (3,), path, "base_path", "x, y, yaw"),
         robot_file=_robot_file(robot.file, folder),
         robot_srdf=None if robot.srdf is None else _located(robot.srdf, folder),
+        robot_rest=robot.rest,
         scene_joints=data.scene_joints,
         feasible_to=data.feasible_to,
     )

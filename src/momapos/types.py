@@ -256,6 +256,8 @@ class PlacementPlan:
     """The robot file, or the robot's name in the library."""
     robot_srdf: str | None = None
     """The SRDF whose pairs of links are not checked; None for the one beside the URDF, if any."""
+    robot_rest: Mapping[str, float] = field(default_factory=dict)
+    """Where joints beside the arm's rest that do not rest at zero [rad] or [m]."""
     scene_joints: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     """Joint values that differ from the scene file's, by object and joint [rad] or [m]."""
     feasible_to: float | None = None

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.rooms import cabinet_room, move_scene
+from tests.rooms import Everywhere, cabinet_room, move_scene
 
 from momapos.config import PipelineConfig
 from momapos.geometry.planar import compose
 from momapos.geometry.transforms import wrap_angle
 from momapos.manipulation.motion import MotionConfig, task_motion
 from momapos.manipulation.tasks import make_task
+from momapos.pipeline import place
 from momapos.placement.area import (
     BaseStatus,
     Site,
@@ -175,3 +177,17 @@ def test_the_exact_open_tour_is_no_longer_than_any_other() -> None:
 
     best = min(cost(p) for p in permutations(range(6)))
     assert cost(tuple(order.tolist())) == pytest.approx(best)
+
+
+def test_what_hangs_too_high_is_said_to_be_out_of_reach_in_height(
+    robot: Robot, tmp_path: Path
+) -> None:
+    cabinet_room(tmp_path)
+    text = (tmp_path / "room.json").read_text()
+    (tmp_path / "room.json").write_text(text.replace('"xyz": [0, 0, 0]', '"xyz": [0, 0, 3]'))
+    high = load_scene(tmp_path / "room.json")
+    task = make_task(high, "open", "cabinet")
+    plan = place(high, robot, task, Everywhere()).plan
+    assert plan.status == "infeasible"
+    (reason,) = plan.candidates.rejections
+    assert re.fullmatch(r"out of reach in height: 3\.8\d m is too high at any distance", reason)

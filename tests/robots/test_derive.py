@@ -432,3 +432,48 @@ def test_home_keeps_away_from_the_limits_of_turning_joints(urdf: Path) -> None:
     robot = load_robot(write_robot(urdf)[0])
     gap = np.minimum(robot.home - robot.chain.lower, robot.chain.upper - robot.home)
     assert gap[~robot.chain.prismatic].min() > 0.1
+
+
+def twin_armed() -> str:
+    """The mobile manipulator with a second arm like the first, half a metre to its side."""
+    text = mobile_manipulator()
+    begin = text.index('<link name="arm_0">')
+    arm = text[begin : text.index("</robot>")]
+    other = re.sub(r'(name|link)="(?!torso)', r'\1="b_', arm)
+    other = other.replace('xyz="0.15 0 0.5"', 'xyz="0.15 0.5 0.5"', 1)
+    return text.replace("</robot>", other + "</robot>")
+
+
+def test_the_other_arm_of_two_gets_a_compact_state_of_its_own(tmp_path: Path) -> None:
+    path = tmp_path / "robot.urdf"
+    path.write_text(twin_armed())
+    made, derived = write_robot(path)
+    assert any("there is another arm" in text for text in derived.assumptions)
+    robot = load_robot(made)
+    assert len(robot.model.held) == 6
+    assert not set(robot.model.held) & set(robot.arm_joints)
+    beside = [name for name in robot.model.links if name.startswith("b_")]
+    arm = beside if robot.arm_joints[-1] == "j5" else [name[2:] for name in beside]
+
+    def reach(values: dict[str, float]) -> float:
+        poses = robot.model.link_poses(values)
+        return max(float(np.hypot(*poses[name][:2, 3])) for name in arm)
+
+    assert reach({}) < reach(dict.fromkeys(robot.model.held, 0.0)) - 0.3
+    assert examine(robot) == []
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ('"head_joint" = 9', "its limits are -1 to 1"),
+        ('"head_joint" = "a"', "must be a number"),
+        ('"j0" = 0.1', "is a joint of the arm"),
+        ('"nobody" = 0.1', "no movable joint 'nobody'"),
+    ],
+)
+def test_a_rest_that_cannot_be_is_refused(urdf: Path, line: str, words: str) -> None:
+    path, _ = write_robot(urdf)
+    path.write_text(f"{path.read_text()}\n[rest]\n{line}\n")
+    with pytest.raises(MomaposError, match=words):
+        load_robot(path)

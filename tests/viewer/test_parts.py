@@ -25,6 +25,7 @@ from momapos.scene.files import load_scene
 from momapos.viewer.heat import YAWS, potential_map
 from momapos.viewer.outcomes import KIND_OF, KINDS, outcomes, thin
 from momapos.viewer.outlines import box_bounds, box_outlines
+from momapos.viewer.panel import wrapped
 from momapos.viewer.robot import arm_frames
 from momapos.viewer.room import name_objects, room, room_bounds
 
@@ -131,3 +132,12 @@ def test_the_arm_is_drawn_to_its_tool() -> None:
     T_world_tool = pose_planar(base) @ robot.chain.tool_poses(robot.home)
     assert_allclose(line[-1], T_world_tool[:2, 3], atol=1e-12)
     assert_allclose(poses[robot.tool_link], T_world_tool, atol=1e-12)
+
+
+def test_a_long_reason_is_wrapped_and_nothing_of_it_is_lost() -> None:
+    reason = "exact check: arm in the scene: left_finger_link in cabinet_right/drawer_bottom"
+    lines = wrapped(reason)
+    assert len(lines) > 1
+    assert all(len(line) <= 38 for line in lines)
+    assert " ".join(lines) == reason
+    assert "".join(wrapped("x" * 100)) == "x" * 100

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -20,6 +20,8 @@ class Articulated:
     """A tree of links with named joints; geometry is made when it is first asked for."""
 
     urdf: Urdf
+    held: Mapping[str, float] = field(default_factory=dict)
+    """Where joints rest that do not rest at zero [rad] or [m]."""
 
     def __repr__(self) -> str:
         counts = f"{len(self.urdf.links)} links, {len(self.joints)} movable joints"
@@ -47,8 +49,11 @@ class Articulated:
 
     @cached_property
     def rest(self) -> dict[str, float]:
-        """Zero, or the limit nearest to it, for every movable joint."""
-        return {n: float(np.clip(0.0, j.lower, j.upper)) for n, j in self.joints.items()}
+        """Where it is held or zero, or the limit nearest to that, for every movable joint."""
+        return {
+            name: float(np.clip(self.held.get(name, 0.0), joint.lower, joint.upper))
+            for name, joint in self.joints.items()
+        }
 
     def link_poses(self, values: Mapping[str, float]) -> dict[str, Float[np.ndarray, "4 4"]]:
         """Poses of all links in the root's frame; joints not named are at rest."""

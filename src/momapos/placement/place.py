@@ -16,6 +16,7 @@ from momapos.outcomes import PoseOutcome, PoseStatus
 from momapos.placement.area import (
     BaseStatus,
     Site,
+    arm_radius,
     sampling_box,
     standing,
     task_frame,
@@ -146,7 +147,7 @@ def search(problem: Problem, config: PlaceConfig, rng: np.random.Generator) -> S
     found = Search()
     corners = sampling_box(problem.site)
     if corners is None or problem.infeasible_reason:
-        outcome = PoseOutcome(PoseStatus.OUT_OF_REACH_ANYWHERE)
+        outcome = PoseOutcome(PoseStatus.OUT_OF_REACH_ANYWHERE, _too_high(problem.site))
         if problem.infeasible_reason:
             outcome = PoseOutcome(PoseStatus.TASK_INFEASIBLE, problem.infeasible_reason)
         found.note(np.zeros((1, 3)), np.array([outcome], object))
@@ -161,6 +162,16 @@ def search(problem: Problem, config: PlaceConfig, rng: np.random.Generator) -> S
         if found.motion is not None or found.timed_out:
             break
     return found
+
+
+def _too_high(site: Site) -> str:
+    """What is wrong with a task that no arm length can reach, however near the base stands."""
+    off = np.isnan(arm_radius(site))
+    if not off.any():
+        return ""
+    heights = site.Ts_world_tool[0, off, 2, 3]
+    worst = heights[np.argmax(np.abs(heights - site.shoulder[2]))]
+    return f" in height: {worst:.2f} m is too {'high' if worst > site.shoulder[2] else 'low'}"
 
 
 def _rounds(

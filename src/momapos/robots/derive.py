@@ -24,22 +24,18 @@ from momapos.errors import InputError, RobotError
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.chain import Chain, build_chain
 from momapos.kinematics.spheres import Spheres, build_spheres
-from momapos.kinematics.urdf import Joint, read_urdf
+from momapos.kinematics.urdf import read_urdf
 from momapos.robots.gripper import (
-    FINGER,
-    HAND,
     find_grip,
     find_tool,
     fixed_to,
-    joints_below,
     listed,
     points_of,
 )  # fmt: skip
 from momapos.robots.robot import Robot, read_robot, read_srdf
 from momapos.robots.states import inevitable_pairs, resting_state, sample_states, srdf_text, touches
+from momapos.robots.tree import WHEEL, find_anchor, find_arms
 
-_WHEEL = re.compile(r"wheel|caster|castor|track", re.I)
-_HEAD = re.compile(r"head|neck|camera|kinect|lidar|laser", re.I)
 _OMNI = re.compile(r"mecanum|omni|swerve", re.I)
 FLOOR_TOLERANCE = 0.03
 """How far the lowest point of the base may be from the base link's z = 0 [m]."""
@@ -139,16 +135,18 @@ def derive_robot(
     if len(model.links) > MAX_LINKS:
         raise RobotError(f"{urdf}: {len(model.links)} links; a robot has at most {MAX_LINKS}")
     notes: list[str] = []
-    anchor = _anchor(model, notes)
-    joints = _arm(model, anchor, notes)
+    anchor = find_anchor(model, notes)
+    joints, others = find_arms(model, anchor, notes)
     base_link = _base_link(model, anchor, joints, notes)
+    known = read_srdf(urdf.with_suffix(".srdf"))
+    for other in others:
+        model = _at_rest(model, base_link, other, joints, known, np.random.default_rng(seed), notes)
     last = model.joint(joints[-1]).child
     tool_link, gripper, fingers = find_tool(model, last, notes)
     approach, closing, opening = find_grip(model, last, tool_link, fingers, notes)
     footprint = _footprint(model, base_link, joints, notes)
     drive = _drive(model, notes)
     chain, segments = build_chain(model, base_link, tool_link, joints)
-    known = read_srdf(urdf.with_suffix(".srdf"))
     spheres = build_spheres(model, segments, known, gripper)
     q = sample_states(chain, np.random.default_rng(seed))
     pairs = {} if known else inevitable_pairs(chain, spheres, q, model)
@@ -163,96 +161,36 @@ def derive_robot(
         urdf=urdf_name or urdf.name, srdf=srdf_name if pairs else "", base_link=base_link,
         tool_link=tool_link, joints=joints,
         gripper=gripper, home=home, footprint=footprint, drive=drive, approach=approach,
-        closing=closing, opening=opening,
+        closing=closing, opening=opening, rest=model.held,
     )  # fmt: skip
     return Derived(text, pairs, tuple(notes), urdf_name or urdf.name)
 
 
-# ------------------------------------------------------------------------------------ the tree
-
-
-def _named(pattern: re.Pattern[str], joint: Joint) -> bool:
-    return bool(pattern.search(joint.name) or pattern.search(joint.child))
-
-
-def _anchor(model: Articulated, notes: list[str]) -> str:
-    """The link that carries the base: below the joints that stand for driving, as in Fetch's."""
-    anchor, link = model.urdf.root, model.urdf.root
-    virtual: list[str] = []
-    while not model.urdf.links[link].collisions and len(joints_below(model, link)) == 1:
-        joint = joints_below(model, link)[0]
-        upright = abs(joint.axis[2]) > 0.99
-        slides = joint.kind == "prismatic" and abs(joint.axis[2]) < 0.01
-        turns = upright and (joint.kind == "continuous" or joint.upper - joint.lower > 6)
-        if joint.movable and not slides and not (virtual and turns):
-            break
-        link = joint.child
-        if joint.movable:
-            virtual.append(joint.name)
-            anchor = link
-    if virtual:
-        notes.append(f"{', '.join(virtual)} stand for driving: they are not joints of the arm")
-    return anchor
-
-
-def _arm(model: Articulated, anchor: str, notes: list[str]) -> tuple[str, ...]:
-    """The longest chain of movable joints that ends in something like a hand."""
-    best: tuple[tuple[bool, int], tuple[str, ...]] = ((False, 0), ())
-    rivals: list[str] = []
-    stack: list[tuple[str, tuple[Joint, ...]]] = [(anchor, ())]
-    while stack:
-        link, path = stack.pop()
-        children = joints_below(model, link)
-        stack += [(joint.child, (*path, joint)) for joint in reversed(children)]
-        if children:
-            continue
-        joints, tail = _arm_of(model, path)
-        names = tuple(joint.name for joint in joints)
-        hand = len(joints) > 1 and any(HAND.search(n) or FINGER.search(n) for n in tail)
-        key = (hand, len(joints))
-        if key > best[0]:
-            best, rivals = (key, names), []
-        elif names and key == best[0] and not set(names) & set(best[1]):
-            rivals.append(names[-1])
-    if not best[1]:
-        raise RobotError(
-            f"{model.urdf.path}: no chain of movable joints that could be an arm; write the "
-            "robot file by hand (see docs/robots.md)"
-        )
-    notes.append(f"arm_joints: the longest chain that ends in a hand, {', '.join(best[1])}")
-    if rivals:
-        notes.append(f"there is another arm, which ends in {rivals[0]}; it stays at rest")
-    if not best[0][0]:
-        notes.append("nothing is named like a hand or tool; the arm is just the longest chain")
-    return best[1]
-
-
-def _arm_of(model: Articulated, path: Sequence[Joint]) -> tuple[list[Joint], list[str]]:
-    """Joints of the arm on a way from base to tip, and the names of what comes after them."""
-    joints: list[Joint] = []
-    for index, joint in enumerate(path):
-        if not joint.movable:
-            continue
-        if _named(_WHEEL, joint) or _named(_HEAD, joint):
-            return [], []
-        movable = [child for child in joints_below(model, joint.parent) if child.movable]
-        forks = len(joints) > 2 and len(movable) > 1
-        if _named(FINGER, joint) or (forks and _depth(model, joint) <= 3):
-            return joints, [n for j in path[index - 1 :] for n in (j.child, j.name)]
-        joints.append(joint)
-    last = path.index(joints[-1]) if joints else 0
-    return joints, [n for j in path[last:] for n in (j.child, j.name)]
-
-
-def _depth(model: Articulated, joint: Joint) -> int:
-    """Movable joints on the longest way down from a joint, itself included."""
-    deepest, stack = 0, [(joint, 0)]
-    while stack:
-        current, above = stack.pop()
-        depth = above + current.movable
-        deepest = max(deepest, depth)
-        stack += [(below, depth) for below in joints_below(model, current.child)]
-    return deepest
+def _at_rest(
+    model: Articulated,
+    base_link: str,
+    other: tuple[str, ...],
+    joints: Sequence[str],
+    known: frozenset[frozenset[str]],
+    rng: np.random.Generator,
+    notes: list[str],
+) -> Articulated:
+    """The robot with another arm in a compact state, where it stays."""
+    last = model.joint(other[-1]).child
+    chain, segments = build_chain(model, base_link, last, other)
+    own = [i for i, name in enumerate(other) if name not in joints]
+    q = sample_states(chain, rng)
+    shared = [i for i in range(len(other)) if i not in own]
+    q[:, shared] = q[0, shared]
+    spheres = build_spheres(model, segments, known, [last])
+    pairs = {} if known else inevitable_pairs(chain, spheres, q, model)
+    disabled = known | {frozenset(pair) for pair in pairs}
+    found = resting_state(chain, build_spheres(model, segments, disabled, [last]), q)
+    if found is None:
+        return model
+    held = {other[i]: float(found[0][i]) for i in own}
+    notes.append(f"rest: the other arm is kept within {found[1]:.2f} m of the base's origin")
+    return Articulated(model.urdf, {**model.held, **held})
 
 
 # ------------------------------------------------------------------------------------ the base
@@ -317,7 +255,7 @@ def _drive(model: Articulated, notes: list[str]) -> str:
     if any(_OMNI.search(name) for name in names):
         notes.append("drive: omni, as its wheels are named so")
         return "omni"
-    wheels = any(_WHEEL.search(name) for name in names)
+    wheels = any(WHEEL.search(name) for name in names)
     if not wheels:
         notes.append(
             "IMPORTANT: there are no wheels: is this a mobile robot? An arm alone needs a base in "
@@ -403,6 +341,8 @@ def _toml(**v: Any) -> str:
         return f"[{', '.join(map(quoted, values))}]"
 
     srdf = _key("srdf", v["srdf"]) + "\n" if v["srdf"] else ""
+    held = "".join(f"{quoted(name)} = {value:g}\n" for name, value in v["rest"].items())
+    rest = f"\n[rest]\n{held}" if held else ""
     corners = ", ".join(listed(corner) for corner in v["footprint"])
     return f"""# Derived by 'momapos robot check'; see docs/robots.md for every key.
 name = {quoted(v["name"])}
@@ -425,4 +365,4 @@ max_yaw_acceleration = 1.0
 approach_axis = {listed(v["approach"])}
 closing_axis = {listed(v["closing"])}
 opening = {v["opening"]:g}
-"""
+{rest}"""

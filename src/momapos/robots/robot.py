@@ -178,7 +178,7 @@ def read_robot(path: Path) -> Robot:
     data = _read_toml(path)
     table = _Table(data, path)
     urdf = _beside(path, table.text("urdf"))
-    model = Articulated(read_urdf(urdf))
+    model = _at_rest(Articulated(read_urdf(urdf)), table)
     base, tool = table.table("base"), table.table("tool")
     srdf = _srdf_of(table, urdf)
     robot = Robot(
@@ -212,6 +212,35 @@ def _beside(path: Path, name: str, key: str = "urdf") -> Path:
         return (path.parent / name).resolve()
     except (OSError, RuntimeError, ValueError) as error:  # too long, links in a circle, a NUL
         raise RobotError(f"{path}: {key} {name!r:.80} cannot be looked up") from error
+
+
+def _at_rest(model: Articulated, table: _Table) -> Articulated:
+    """The robot with the joints of its table `rest`, if it has one, where they rest.
+
+    Raises:
+        RobotError: A value is no number within the limits, or one of a joint of the arm.
+        UnknownNameError: There is no such joint.
+    """
+    if "rest" not in table.data:
+        return model
+    held = {}
+    rest = table.table("rest")
+    for name in rest.data:
+        joint = model.joint(name)
+        value = rest.data[name]
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise RobotError(f"{table.path}: rest.{name} must be a number")
+        if name in table.texts("arm_joints"):
+            raise RobotError(
+                f"{table.path}: rest.{name} is a joint of the arm, which rests at home"
+            )
+        if not joint.lower - 1e-6 <= value <= joint.upper + 1e-6:
+            raise RobotError(
+                f"{table.path}: rest.{name} is {value:g}, its limits are {joint.lower:g} to "
+                f"{joint.upper:g}"
+            )
+        held[name] = float(value)
+    return Articulated(model.urdf, held)
 
 
 def _srdf_of(table: _Table, urdf: Path) -> Path | None:

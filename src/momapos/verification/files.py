@@ -91,5 +91,5 @@ def read_scene(path: Path, scene_root: Path | None) -> Scene:
 
 def _arm(plan: PlacementPlan, urdf: Path, srdf: Path | None) -> UrdfArm:
     disabled = read_srdf(srdf or urdf.with_suffix(".srdf"))
-    model = Articulated(read_urdf(urdf))
+    model = Articulated(read_urdf(urdf), plan.robot_rest)
     return UrdfArm(model, plan.base_link, plan.tool_link, plan.joints, disabled)

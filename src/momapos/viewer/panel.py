@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,10 @@ from momapos.viewer.palette import (
 )
 from momapos.viewer.room import OVERHEAD, OVERHEAD_DASHES
 
+_LETTERS = 38
+"""Letters of a line in the column [-]."""
+_LINE = 0.11
+"""From one line of a reason to the next [in]."""
 ROWS = 11
 """Reasons that are listed; the rarest are added up [-]."""
 
@@ -137,20 +142,24 @@ def _reasons(panel: Panel, counts: dict[tuple[int, str], int], *, floor: float) 
         panel.text("no candidate was looked at", color=SOFT_INK, down=0.2)
         return
     most = max(count for _, _, count in rows)
-    step = min(0.265, (panel.y - floor) / len(rows))
-    for kind, reason, count in rows:
+    words = [wrapped(reason) for _, reason, _ in rows]
+    more = _LINE * sum(len(lines) - 1 for lines in words)
+    step = min(0.265, (panel.y - floor - more) / len(rows))
+    for (kind, _, count), lines in zip(rows, words, strict=True):
         look, y = KINDS[kind], panel.y
         bold = "bold" if look.filled else "normal"
         panel.axes.plot(
             0.05, y + 0.035, look.marker, color=look.color, markersize=1.3 * look.size,
             markerfacecolor=look.color if look.filled else "none", markeredgewidth=0.9,
         )  # fmt: skip
-        words, number = _short(reason, 38), _many(count)
-        room = panel.width - 0.2 - 0.062 * len(number)
-        panel.text(words, x=0.15, size=7, weight=bold, fit=room)
+        number = _many(count)
         panel.text(number, x=panel.width, size=7, ha="right", weight=bold)
+        room = panel.width - 0.2 - 0.062 * len(number)
+        for line in lines:
+            panel.text(line, x=0.15, size=7, weight=bold, fit=room, down=_LINE)
+        panel.y += _LINE
         left, full = 0.15, panel.width - 0.15
-        bar = y - min(0.075, 0.3 * step)
+        bar = panel.y - min(0.075, 0.3 * step)
         panel.axes.barh(bar, full, left=left, height=0.032, color="#eef0f1")
         panel.axes.barh(bar, full * count / most, left=left, height=0.032, color=look.color)
         panel.y -= step
@@ -172,8 +181,9 @@ def _rows(counts: dict[tuple[int, str], int]) -> list[tuple[int, str, int]]:
     return sorted(rows, key=lambda row: (row[0], -row[2]))
 
 
-def _short(words: str, most: int) -> str:
-    return words if len(words) <= most else words[: most - 1].rstrip() + "…"
+def wrapped(words: str) -> list[str]:
+    """A reason in lines that fit the column; names longer than a line are broken."""
+    return textwrap.wrap(words, _LETTERS, break_on_hyphens=False) or [""]
 
 
 def _legend(panel: Panel, answer: PlacementResult, highest: float) -> None:
