@@ -14,7 +14,7 @@ from momapos.cli.run import _robot
 from momapos.config import PipelineConfig
 from momapos.errors import FileFormatError, RobotError
 from momapos.manipulation.tasks import make_task
-from momapos.pipeline import place
+from momapos.pipeline import plan_base_placement
 from momapos.placement.place import PlaceConfig
 from momapos.plans import plan_to_dict, read_plan, write_plan
 from momapos.robots.robot import load_robot
@@ -46,7 +46,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def plan(folder: Path) -> PlacementPlan:
     room, robot = cabinet_room(folder), load_robot(folder / "mine.toml")
     task = make_task(room, "open", "cabinet")
-    found = place(room, robot, task, Everywhere(), start=np.array([0.2, -2.4, 1.5]), config=CONFIG)
+    start = np.array([0.2, -2.4, 1.5])
+    found = plan_base_placement(room, robot, task, Everywhere(), start=start, config=CONFIG)
     assert found.plan.status == "solved"
     return found.plan
 

@@ -58,7 +58,7 @@ class PlacementResult:
     def __repr__(self) -> str:
         task = self.plan.task
         what = task.object if task.joint is None else f"{task.object}/{task.joint}"
-        return f"<Answer of {self.plan.robot_name}: {task.verb} {what}: {self.plan.status}>"
+        return f"<PlacementResult of {self.plan.robot_name}: {task.verb} {what}: {self.plan.status}>"
 
 
 def plan_base_placement(

@@ -14,7 +14,7 @@ from momapos.geometry.planar import compose
 from momapos.geometry.transforms import wrap_angle
 from momapos.manipulation.motion import MotionConfig, task_motion
 from momapos.manipulation.tasks import make_task
-from momapos.pipeline import place
+from momapos.pipeline import plan_base_placement
 from momapos.placement.area import (
     BaseStatus,
     Site,
@@ -187,7 +187,7 @@ def test_what_hangs_too_high_is_said_to_be_out_of_reach_in_height(
     (tmp_path / "room.json").write_text(text.replace('"xyz": [0, 0, 0]', '"xyz": [0, 0, 3]'))
     high = load_scene(tmp_path / "room.json")
     task = make_task(high, "open", "cabinet")
-    plan = place(high, robot, task, Everywhere()).plan
+    plan = plan_base_placement(high, robot, task, Everywhere()).plan
     assert plan.status == "infeasible"
     (reason,) = plan.candidates.rejections
     assert re.fullmatch(r"out of reach in height: 3\.8\d m is too high at any distance", reason)
