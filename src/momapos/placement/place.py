@@ -9,8 +9,8 @@ from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.stats import qmc
 
+from momapos.geometry.samples import latin_hypercube
 from momapos.placement.area import (
     BLOCKED,
     CLEAR,
@@ -164,7 +164,7 @@ def _rounds(
     """Samples of every round, in the task's frame; the grid last (True), for its "no"."""
     if config.method != "exhaustive":
         for r in range(config.rounds):
-            unit = qmc.LatinHypercube(3, rng=rng).random(config.count * 2**r)
+            unit = latin_hypercube(rng, config.count * 2**r, 3)
             low, high = np.append(corners[0], -np.pi), np.append(corners[1], np.pi)
             yield low + unit * (high - low), False
         if not config.grid:
