@@ -147,7 +147,7 @@ def _answer(verb: str, scene_name: str, target: str, to: str | None, options: Op
 
     import numpy as np
 
-    from momapos.cache import default_cache_dir
+    from momapos.cache import user_cache
     from momapos.cli.compile import compile_once
     from momapos.cli.console import progress
     from momapos.config import PipelineConfig
@@ -159,16 +159,17 @@ def _answer(verb: str, scene_name: str, target: str, to: str | None, options: Op
     from momapos.robots.robot import load_robot
     from momapos.scene.files import load_scene
 
-    robot = load_robot(options.robot)
-    scene = load_scene(scene_name)
+    cache = user_cache()
+    robot = load_robot(options.robot, cache=cache)
+    scene = load_scene(scene_name, cache=cache)
     for warning in scene.warnings:
         print(f"momapos: {warning}", file=sys.stderr)
     name, _, joint = target.partition("/")
     task = make_task(scene, verb, name, joint or None, value)
     with progress(f"reachability map of {robot.name}") as report:
-        reach = load_or_build(robot, default_cache_dir(), report)
+        reach = load_or_build(robot, cache.folder, report)
     at = None if begin is None else np.array(begin)
-    compile_once(scene, robot, task, reach, at, default_cache_dir())
+    compile_once(scene, robot, task, reach, at, cache.folder)
     config = PipelineConfig(
         importance=_importance(options),
         place=PlaceConfig(method=options.method),

@@ -45,11 +45,12 @@ def rank_objects(
     """
     import json as encoder
 
+    from momapos.cache import user_cache
     from momapos.importance.rank import rank
     from momapos.manipulation.tasks import hand_path
     from momapos.scene.files import load_scene
 
-    loaded = load_scene(scene)
+    loaded = load_scene(scene, cache=user_cache())
     for warning in loaded.warnings:
         print(f"momapos: {warning}", file=sys.stderr)
     name, _, joint = target.partition("/")

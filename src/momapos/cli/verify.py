@@ -25,10 +25,11 @@ def verify(
     """
     from json import dumps
 
+    from momapos.cache import user_cache
     from momapos.verification.files import verify_files
     from momapos.verification.report import report_lines, report_to_dict
 
-    report = verify_files(plan, scene_root)
+    report = verify_files(plan, scene_root, cache=user_cache())
     if json:
         print(dumps(report_to_dict(report)))
     else:

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy import sparse
-from scipy.sparse import csgraph
 
 from momapos.errors import InputError, SceneError, unknown_name
 from momapos.importance.bodies import stack_bodies
 from momapos.importance.relations import KINDS, NEAR, hierarchy, neighbours, outline_gaps
 from momapos.kinematics.hulls import Boxes
 from momapos.scene.scene import Scene, upright_boxes
+
+if TYPE_CHECKING:
+    from scipy import sparse
 
 SMALLEST = 1e-3
 """Sizes are at least this [m], so that a flat thing has one."""
@@ -121,6 +123,8 @@ class SceneGraph:
     @cached_property
     def adjacency(self) -> sparse.csr_array:
         """The undirected graph: entry (i, j) is 1 + the index of the edge between i and j."""
+        from scipy import sparse
+
         order = np.arange(1, len(self.child) + 1)
         rows, columns = np.r_[self.child, self.parent], np.r_[self.parent, self.child]
         shape = (len(self), len(self))
@@ -130,6 +134,8 @@ class SceneGraph:
 
     def steps(self, target: int) -> Int[np.ndarray, " n"]:
         """Edges on the shortest way from each object to the target; -1 where there is none."""
+        from scipy.sparse import csgraph
+
         steps = csgraph.shortest_path(self.adjacency, indices=target, unweighted=True)
         return np.where(np.isfinite(steps), steps, -1).astype(np.int64)
 
@@ -166,6 +172,8 @@ def build_graph(scene: Scene, config: GraphConfig | None = None) -> SceneGraph:
 
 def _shortest(edges: Int[np.ndarray, "e 3"], n: int) -> Int[np.ndarray, "f 3"]:
     """Drop each edge to which there is a way of two edges."""
+    from scipy import sparse
+
     child, parent = edges[:, 0], edges[:, 1]
     matrix = sparse.csr_array((np.ones(len(edges), np.int32), (child, parent)), shape=(n, n))
     detour = (matrix @ matrix).multiply(matrix).tocoo()

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Float
 
+from momapos.cache import Cache
 from momapos.errors import unknown_name
 from momapos.geometry.transforms import rotation_about
-from momapos.kinematics.hulls import Boxes, Hull, cover_shape, hull_of
+from momapos.kinematics.hulls import Boxes, Hull, cover_shape, hull_of, mesh_digest
+from momapos.kinematics.kept import freeze, once
 from momapos.kinematics.urdf import Geometry, Joint, Urdf
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,6 +25,8 @@ class Articulated:
     """A tree of links with named joints; geometry is made when it is first asked for."""
 
     urdf: Urdf
+    cache: Cache | None = field(default=None, repr=False)
+    """Where its geometry is kept, which is dear to compute."""
 
     @cached_property
     def links(self) -> tuple[str, ...]:
@@ -85,21 +92,53 @@ class Articulated:
     @cached_property
     def hulls(self) -> dict[str, tuple[Hull, ...]]:
         """Convex hulls of the collision elements by link, in the link's frame."""
-        return {
-            name: tuple(hull_of(shape, name) for shape in link.collisions)
-            for name, link in self.urdf.links.items()
-        }
+
+        def compute() -> dict[str, tuple[Hull, ...]]:
+            return {
+                name: tuple(hull_of(shape, name) for shape in link.collisions)
+                for name, link in self.urdf.links.items()
+            }
+
+        return self.kept("hulls", compute)
 
     @cached_property
     def boxes(self) -> dict[str, tuple[Boxes, ...]]:
         """Boxes that cover each hull, by link, in the link's frame."""
-        return {
-            name: tuple(
-                cover_shape(shape, hull)
-                for shape, hull in zip(link.collisions, self.hulls[name], strict=True)
-            )
-            for name, link in self.urdf.links.items()
-        }
+
+        def compute() -> dict[str, tuple[Boxes, ...]]:
+            return {
+                name: tuple(
+                    cover_shape(shape, hull)
+                    for shape, hull in zip(link.collisions, self.hulls[name], strict=True)
+                )
+                for name, link in self.urdf.links.items()
+            }
+
+        return self.kept("boxes", compute)
+
+    def kept(
+        self, what: str, compute: Callable[[], T], *parts: object, records: tuple[type, ...] = ()
+    ) -> T:
+        """Compute something from joints and shapes, or take what was computed from the same.
+
+        Args:
+            what: Begins its key.
+            compute: Makes it; see `once`.
+            parts: What it depends on beside joints and shapes.
+            records: The kinds of records in it, beside hulls and boxes.
+        """
+        if self.cache is None:
+            return compute()
+        return once(self.cache, what, (self._content, *parts), compute, (Hull, Boxes, *records))
+
+    @cached_property
+    def _content(self) -> bytes:
+        """All of the model that its geometry is computed from; meshes by what is in them."""
+        shapes = {name: link.collisions for name, link in self.urdf.links.items()}
+        meshes = [shape.mesh for group in shapes.values() for shape in group if shape.mesh]
+        digests = {mesh: mesh_digest(mesh) for mesh in dict.fromkeys(meshes)}
+        bare = {name: [replace(s, mesh=None) for s in group] for name, group in shapes.items()}
+        return freeze((self.urdf.root, self.urdf.joints, bare, [digests[m] for m in meshes]))
 
     def shapes_named(self, word: str, links: tuple[str, ...]) -> list[tuple[str, Geometry]]:
         """Shapes whose link, collision or visual is named so, without regard to case."""

@@ -6,6 +6,7 @@ physics engines); the boxes are what the batched kernels test.
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -13,7 +14,6 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.spatial import ConvexHull, QhullError
 
 from momapos.errors import UrdfError
 from momapos.geometry.transforms import apply
@@ -35,6 +35,13 @@ STRIPS_FROM = 0.08
 """Upright cylinders with a larger radius are covered by strips [m]."""
 STRIPS = 10
 """Strips across a wide cylinder; they stick out by 5 % of the radius [-]."""
+THIN = 1e-4
+"""Boxes with an edge up to this may be flat [m]."""
+_BOX_FACES = np.array([
+    [0, 2, 6], [6, 4, 0], [0, 4, 5], [5, 1, 0], [4, 6, 5], [5, 6, 7],
+    [3, 2, 0], [0, 1, 3], [3, 6, 2], [7, 6, 3], [1, 5, 3], [3, 5, 7],
+])  # fmt: skip
+"""How Qhull divides the faces of every box with its corners in order."""
 _CIRCLE = 24
 _Box = tuple[np.ndarray, np.ndarray, np.ndarray, float]
 """Centre, rotation, half edges, and the volume of the body inside."""
@@ -76,7 +83,10 @@ def hull_of(geometry: Geometry, link: str = "") -> Hull:
         points = _mesh_points(geometry.mesh) * np.array(geometry.size)
     else:
         points = _primitive_points(geometry)
-    vertices, faces = _convex(points, geometry.mesh)
+    if geometry.kind == "box" and min(geometry.size) > THIN:
+        vertices, faces = _unique_rows(np.round(points, 7)), _BOX_FACES.copy()
+    else:
+        vertices, faces = _convex(points, geometry.mesh)
     return Hull(apply(geometry.T_link_geometry, vertices), faces, geometry.name or link)
 
 
@@ -101,10 +111,7 @@ def _primitive_points(geometry: Geometry) -> Float[np.ndarray, "n 3"]:
 
 @lru_cache(maxsize=4096)
 def _mesh_points_cached(path: Path, _stamp: int) -> Float[np.ndarray, "n 3"]:
-    import trimesh
-
-    if path.stat().st_size > MAX_MESH_BYTES:
-        raise UrdfError(f"{path}: mesh is larger than {MAX_MESH_BYTES // 1_000_000} MB")
+    _refuse_huge(path)
     if path.suffix.lower() not in MESH_SUFFIXES:
         raise UrdfError(f"{path}: not a mesh that can be read; use {', '.join(MESH_SUFFIXES)}")
     if path.suffix.lower() == ".obj":
@@ -116,6 +123,8 @@ def _mesh_points_cached(path: Path, _stamp: int) -> Float[np.ndarray, "n 3"]:
         except ValueError as error:
             raise UrdfError(f"{path}: not a usable OBJ mesh ({error})") from error
     else:
+        import trimesh
+
         try:
             mesh: Any = trimesh.load(path, force="mesh")
             points = np.array(mesh.vertices, float)
@@ -132,12 +141,30 @@ def _mesh_points_cached(path: Path, _stamp: int) -> Float[np.ndarray, "n 3"]:
     return points
 
 
+def mesh_digest(path: Path) -> bytes:
+    """What stands for the content of a mesh.
+
+    Raises:
+        UrdfError: It is larger than a mesh can be.
+    """
+    _refuse_huge(path)
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").digest()
+
+
+def _refuse_huge(path: Path) -> None:
+    if path.stat().st_size > MAX_MESH_BYTES:
+        raise UrdfError(f"{path}: mesh is larger than {MAX_MESH_BYTES // 1_000_000} MB")
+
+
 def _mesh_points(path: Path) -> Float[np.ndarray, "n 3"]:
     return _mesh_points_cached(path, path.stat().st_mtime_ns)
 
 
 def _convex(points: Float[np.ndarray, "n 3"], path: Path | None) -> tuple[np.ndarray, np.ndarray]:
     """Vertices and outward faces of the convex hull; flat point sets get 1 mm of thickness."""
+    from scipy.spatial import ConvexHull, QhullError
+
     points = _unique_rows(np.round(points, 7))
     spread = np.linalg.svd(points - points.mean(0), full_matrices=False)[1]
     flat = len(points) < 4 or spread[-1] < 1e-6 * np.sqrt(len(points))
@@ -236,6 +263,8 @@ def _clip(
     vertices: np.ndarray, faces: np.ndarray, normal: np.ndarray, offset: float
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """The part of a convex body with normal . x <= offset; None where it has no volume."""
+    from scipy.spatial import ConvexHull, QhullError
+
     side = vertices @ normal - offset
     # Both ways, as qhull does not orient the faces of a piece.
     edges = faces[:, [0, 1, 1, 2, 2, 0, 1, 0, 2, 1, 0, 2]].reshape(-1, 2)

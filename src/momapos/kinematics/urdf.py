@@ -10,15 +10,17 @@ from __future__ import annotations
 import io
 import math
 import re
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float
 
+from momapos.cache import Cache
 from momapos.errors import UrdfError
+from momapos.kinematics.kept import once
 
 JointKind = Literal["revolute", "continuous", "prismatic", "fixed"]
 MAX_URDF_BYTES = 20_000_000
@@ -99,7 +101,9 @@ class Urdf:
     """What all lengths of the file were multiplied by [-]."""
 
 
-def read_urdf(path: Path, *, root: Path | None = None, scale: float = 1.0) -> Urdf:
+def read_urdf(
+    path: Path, *, root: Path | None = None, scale: float = 1.0, cache: Cache | None = None
+) -> Urdf:
     """Read a URDF file.
 
     Args:
@@ -107,20 +111,19 @@ def read_urdf(path: Path, *, root: Path | None = None, scale: float = 1.0) -> Ur
         root: Folder that no mesh may leave; the file's own folder and every parent up to four
             levels where None (packages keep meshes beside the `urdf` folder).
         scale: Uniform scale of all lengths [-].
+        cache: Where what was parsed is kept, so that a file is parsed once.
 
     Raises:
         UrdfError: The file cannot be used; the message says where and why.
     """
+    if not (math.isfinite(scale) and scale > 0):
+        raise UrdfError(f"{path}: scale must be a number > 0, not {scale}")
     text = _read_text(path)
-    robot = _parse(text, path)
-    reader = _Reader(path, root, scale)
-    links = {link.name: reader.link(link) for link in robot.links}
-    if len(links) != len(robot.links):
-        raise UrdfError(f"{path}: two links share a name; link names must be unique")
-    joints = [reader.joint(joint) for joint in robot.joints]
-    _refuse_twins(path, "joint", [joint.name for joint in joints])
-    root_link, ordered = _order(path, links, joints)
-    return Urdf(robot.name or path.stem, path, root_link, links, ordered, scale)
+    urdf, meshes = once(
+        cache, "urdf", (text, scale), lambda: _parse(text, path, scale),
+        (Urdf, Link, Joint, Geometry),
+    )  # fmt: skip
+    return _with_meshes(urdf, path, iter(meshes), _Finder(path, root))
 
 
 def box_urdf(name: str, size: tuple[float, float, float]) -> Urdf:
@@ -130,13 +133,32 @@ def box_urdf(name: str, size: tuple[float, float, float]) -> Urdf:
 
 
 def _read_text(path: Path) -> str:
-    from defusedxml import DefusedXmlException, ElementTree
-
     if not path.is_file():
         raise UrdfError(f"{path}: no such URDF file")
     if path.stat().st_size > MAX_URDF_BYTES:
         raise UrdfError(f"{path}: larger than {MAX_URDF_BYTES // 1_000_000} MB; is it a URDF?")
-    text = _OPTENV.sub(r"\1", path.read_text(encoding="utf-8", errors="replace"))
+    return path.read_text(encoding="utf-8", errors="replace")
+
+
+def _parse(text: str, path: Path, scale: float) -> tuple[Urdf, tuple[str, ...]]:
+    """A checked URDF, its meshes without their files, and how it names these, in order."""
+    text = _OPTENV.sub(r"\1", text)
+    _check_text(text, path)
+    robot = _with_yourdfpy(text, path)
+    reader = _Reader(path, scale)
+    links = {link.name: reader.link(link) for link in robot.links}
+    if len(links) != len(robot.links):
+        raise UrdfError(f"{path}: two links share a name; link names must be unique")
+    joints = [reader.joint(joint) for joint in robot.joints]
+    _refuse_twins(path, "joint", [joint.name for joint in joints])
+    root_link, ordered = _order(path, links, joints)
+    return Urdf(robot.name, None, root_link, links, ordered, scale), tuple(reader.meshes)
+
+
+def _check_text(text: str, path: Path) -> None:
+    """Refuse what is no URDF, or more than one."""
+    from defusedxml import DefusedXmlException, ElementTree
+
     try:
         tree = ElementTree.fromstring(text.encode(), forbid_dtd=True)
     except DefusedXmlException as error:
@@ -146,7 +168,6 @@ def _read_text(path: Path) -> str:
     if tree.tag != "robot":
         raise UrdfError(f"{path}: the root element is <{tree.tag}>, a URDF has <robot>")
     _check_tree(path, tree)
-    return text
 
 
 def _check_tree(path: Path, tree: Any) -> None:
@@ -215,7 +236,7 @@ def _float(word: str) -> float:
         return math.nan
 
 
-def _parse(text: str, path: Path) -> Any:
+def _with_yourdfpy(text: str, path: Path) -> Any:
     import yourdfpy
 
     plain = re.sub(
@@ -238,13 +259,9 @@ def _parse(text: str, path: Path) -> Any:
 class _Reader:
     """Turns yourdfpy's records into ours, scaled and checked."""
 
-    def __init__(self, path: Path, root: Path | None, scale: float) -> None:
-        if not (math.isfinite(scale) and scale > 0):
-            raise UrdfError(f"{path}: scale must be a number > 0, not {scale}")
+    def __init__(self, path: Path, scale: float) -> None:
         self.path, self.scale = path, scale
-        folder = path.resolve().parent
-        self.folders = [folder, *list(folder.parents)[:4]]
-        self.root = root.resolve() if root else self.folders[-1]
+        self.meshes: list[str] = []
 
     def link(self, link: Any) -> Link:
         shapes = [
@@ -258,7 +275,8 @@ class _Reader:
         name = item.name or ""
         if g.mesh is not None:
             factor = np.ones(3) if g.mesh.scale is None else np.broadcast_to(g.mesh.scale, 3)
-            shape = Geometry("mesh", tuple(s * factor), T, name, self.find(g.mesh.filename))
+            shape = Geometry("mesh", tuple(s * factor), T, name)
+            self.meshes.append(g.mesh.filename)
         elif g.box is not None:
             shape = Geometry("box", tuple(s * np.asarray(g.box.size, float)), T, name)
         elif g.cylinder is not None:
@@ -276,24 +294,6 @@ class _Reader:
         T = np.eye(4) if origin is None else np.array(origin, float)
         T[:3, 3] *= self.scale
         return T
-
-    def find(self, filename: str) -> Path:
-        """Resolve a mesh name inside the root; `package://` is looked for in parent folders."""
-        relative = re.sub(r"^(package|file|model)://", "", filename)
-        try:
-            for folder in self.folders:
-                for name in (relative, relative.split("/", 1)[-1]):
-                    candidate = (folder / name).resolve()
-                    if candidate.is_relative_to(self.root) and candidate.is_file():
-                        return candidate
-            outside = not (self.folders[0] / relative).resolve().is_relative_to(self.root)
-        except (OSError, RuntimeError) as error:  # too long a name, or links in a circle
-            raise UrdfError(f"{self.path}: mesh {filename!r:.80} cannot be looked up") from error
-        if outside:
-            raise UrdfError(
-                f"{self.path}: mesh {filename!r} leaves {self.root}; keep meshes inside it"
-            )
-        raise UrdfError(f"{self.path}: mesh {filename!r} does not exist below {self.root}")
 
     def joint(self, joint: Any) -> Joint:
         kind, where = joint.type, f"{self.path}: joint {joint.name!r}"
@@ -322,6 +322,47 @@ class _Reader:
         if lower > upper:
             raise UrdfError(f"{where} has lower limit {lower:g} above upper limit {upper:g}")
         return lower, upper
+
+
+class _Finder:
+    """Finds the meshes that a URDF names."""
+
+    def __init__(self, path: Path, root: Path | None) -> None:
+        self.path = path
+        folder = path.resolve().parent
+        self.folders = [folder, *list(folder.parents)[:4]]
+        self.root = root.resolve() if root else self.folders[-1]
+
+    def find(self, filename: str) -> Path:
+        """Resolve a mesh name inside the root; `package://` is looked for in parent folders."""
+        relative = re.sub(r"^(package|file|model)://", "", filename)
+        try:
+            for folder in self.folders:
+                for name in (relative, relative.split("/", 1)[-1]):
+                    candidate = (folder / name).resolve()
+                    if candidate.is_relative_to(self.root) and candidate.is_file():
+                        return candidate
+            outside = not (self.folders[0] / relative).resolve().is_relative_to(self.root)
+        except (OSError, RuntimeError) as error:  # too long a name, or links in a circle
+            raise UrdfError(f"{self.path}: mesh {filename!r:.80} cannot be looked up") from error
+        if outside:
+            raise UrdfError(
+                f"{self.path}: mesh {filename!r} leaves {self.root}; keep meshes inside it"
+            )
+        raise UrdfError(f"{self.path}: mesh {filename!r} does not exist below {self.root}")
+
+
+def _with_meshes(urdf: Urdf, path: Path, names: Iterator[str], finder: _Finder) -> Urdf:
+    """Put the files of a URDF and of its meshes, in the order they were parsed, into a record."""
+
+    def found(shape: Geometry) -> Geometry:
+        return replace(shape, mesh=finder.find(next(names))) if shape.kind == "mesh" else shape
+
+    links = {
+        name: Link(name, tuple(map(found, link.collisions)), tuple(map(found, link.visuals)))
+        for name, link in urdf.links.items()
+    }
+    return replace(urdf, path=path, links=links)
 
 
 def _refuse_twins(path: Path, kind: str, names: Iterable[str]) -> None:

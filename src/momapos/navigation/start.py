@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Float
-from scipy.ndimage import distance_transform_edt
 
 from momapos.errors import SceneError
 from momapos.navigation.cost_map import CELL, FloorPlan
@@ -23,6 +22,8 @@ def find_start(plan: FloorPlan, wish: Float[np.ndarray, "2"]) -> Float[np.ndarra
     Raises:
         SceneError: Nowhere is there room.
     """
+    from scipy.ndimage import distance_transform_edt
+
     clear = (
         distance_transform_edt(np.pad(~plan.blocked, 1, constant_values=True))[1:-1, 1:-1] * CELL
     )

@@ -16,12 +16,14 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float
 
+from momapos.cache import Cache
 from momapos.errors import FileFormatError, RobotError, unknown_name
 from momapos.geometry.transforms import apply, invert
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.chain import Chain, Segments, build_chain
 from momapos.kinematics.hulls import Boxes
 from momapos.kinematics.ik import IkModel, build_ik
+from momapos.kinematics.kept import once
 from momapos.kinematics.spheres import Spheres, build_spheres
 from momapos.kinematics.urdf import read_urdf
 
@@ -83,7 +85,13 @@ class Robot:
     @cached_property
     def spheres(self) -> Spheres:
         """Collision spheres of the arm, boxes of the base."""
-        return build_spheres(self.model, self.segments, self.disabled, self.gripper_links)
+        return self.model.kept(
+            "spheres",
+            lambda: build_spheres(self.model, self.segments, self.disabled, self.gripper_links),
+            (self.base_link, self.tool_link, self.arm_joints, self.gripper_links),
+            sorted(sorted(pair) for pair in self.disabled),
+            records=(Spheres,),
+        )
 
     @property
     def base(self) -> Boxes:
@@ -120,8 +128,12 @@ def library_names() -> tuple[str, ...]:
     return tuple(sorted(p.name for p in root.iterdir() if (p / f"{p.name}.toml").is_file()))
 
 
-def load_robot(source: str | Path) -> Robot:
+def load_robot(source: str | Path, *, cache: Cache | None = None) -> Robot:
     """Load a robot by library name or from a TOML file.
+
+    Args:
+        source: The name or the file.
+        cache: Where its geometry is kept, so that it is computed once.
 
     Raises:
         RobotError, FileFormatError, UnknownNameError: It cannot be used; one line says why.
@@ -137,15 +149,15 @@ def load_robot(source: str | Path) -> Robot:
         raise RobotError(
             f"{path}: is a URDF; run 'momapos robot check {path}' once, it writes the robot file"
         )
-    return read_robot(path)
+    return read_robot(path, cache=cache)
 
 
-def read_robot(path: Path) -> Robot:
-    """Read a robot file; see ARCHITECTURE for the format."""
+def read_robot(path: Path, *, cache: Cache | None = None) -> Robot:
+    """Read a robot file; docs/robots.md tells its format."""
     data = _read_toml(path)
     table = _Table(data, path)
     urdf = (path.parent / table.text("urdf")).resolve()
-    model = Articulated(read_urdf(urdf))
+    model = Articulated(read_urdf(urdf, cache=cache), cache)
     base, tool = table.table("base"), table.table("tool")
     robot = Robot(
         name=table.text("name"),
@@ -156,7 +168,7 @@ def read_robot(path: Path) -> Robot:
         arm_joints=tuple(table.texts("arm_joints")),
         gripper_links=tuple(table.texts("gripper_links")),
         home=table.vector("home"),
-        footprint=_footprint(base, path),
+        footprint=_footprint(base, path, cache),
         drive=base.choice("drive", ("differential", "omni")),  # type: ignore[arg-type]
         max_speed=base.positive("max_speed", 0.5),
         max_yaw_rate=base.positive("max_yaw_rate", 1.0),
@@ -216,10 +228,14 @@ def _read_toml(path: Path) -> dict[str, Any]:
         raise FileFormatError(f"{path}: not a robot file in TOML ({error})") from error
 
 
-def _footprint(base: _Table, path: Path) -> Float[np.ndarray, "k 2"]:
+def _footprint(base: _Table, path: Path, cache: Cache | None) -> Float[np.ndarray, "k 2"]:
+    points = base.matrix("footprint", 2)
+    return once(cache, "footprint", (points,), lambda: _outline(points, path))
+
+
+def _outline(points: Float[np.ndarray, "n 2"], path: Path) -> Float[np.ndarray, "k 2"]:
     from scipy.spatial import ConvexHull, QhullError
 
-    points = base.matrix("footprint", 2)
     try:
         return points[ConvexHull(points).vertices]
     except (QhullError, ValueError) as error:

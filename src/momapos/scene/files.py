@@ -16,9 +16,8 @@ from typing import Any, NoReturn
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
-from momapos.cache import write_atomic
+from momapos.cache import Cache, write_atomic
 from momapos.errors import FileFormatError, SceneError, unknown_name
 from momapos.geometry.transforms import pose_wxyz
 from momapos.kinematics.articulated import Articulated
@@ -43,7 +42,9 @@ def builtin_names() -> tuple[str, ...]:
     return tuple(sorted(name[: -len(".json")] for name in names if name.endswith(".json")))
 
 
-def load_scene(source: str | Path, *, root: Path | None = None) -> Scene:
+def load_scene(
+    source: str | Path, *, root: Path | None = None, cache: Cache | None = None
+) -> Scene:
     """Load a scene.
 
     Args:
@@ -51,6 +52,7 @@ def load_scene(source: str | Path, *, root: Path | None = None) -> Scene:
             URDF of a single object, which is put on the floor at the origin.
         root: Folder that no path in the scene may leave. Where None: the file's own folder; for
             a BestMan scene the folder above it that holds `Asset`.
+        cache: Where the geometry of its models is kept, so that it is computed once.
 
     Raises:
         UnknownNameError, FileFormatError, SceneError, UrdfError: It cannot be used; one line
@@ -60,16 +62,16 @@ def load_scene(source: str | Path, *, root: Path | None = None) -> Scene:
     text = _read_text(path)
     start = text.lstrip("\ufeff \t\r\n")[:1]
     if start == "<":
-        return _read_single(path, root)
+        return _read_single(path, root, cache)
     if start not in ("{", "["):
         raise FileFormatError(
             f"{path}: neither a scene (JSON: a momapos scene or a BestMan list) nor a URDF"
         )
     data = _parse_json(text, path)
     if bestman.is_bestman(data):
-        scene = _read_bestman(data, path, root)
+        scene = _read_bestman(data, path, root, cache)
     else:
-        scene = _read_momapos(data, path, root)
+        scene = _read_momapos(data, path, root, cache)
     _refuse_twins(scene)
     return scene
 
@@ -129,23 +131,24 @@ def _refuse_twins(scene: Scene) -> None:
 class _Models:
     """Reads each URDF once per scale, so that objects share their models."""
 
-    def __init__(self, root: Path | None) -> None:
-        self.root = root
+    def __init__(self, root: Path | None, cache: Cache | None) -> None:
+        self.root, self.cache = root, cache
         self.read: dict[tuple[Path, float], Articulated] = {}
 
     def __call__(self, path: Path, scale: float) -> Articulated:
         key = (path.resolve(), scale)
         if key not in self.read:
-            self.read[key] = Articulated(read_urdf(path, root=self.root, scale=scale))
+            urdf = read_urdf(path, root=self.root, scale=scale, cache=self.cache)
+            self.read[key] = Articulated(urdf, self.cache)
         return self.read[key]
 
 
 # ------------------------------------------------------------------------- the kinds of scene files
 
 
-def _read_single(path: Path, root: Path | None) -> Scene:
+def _read_single(path: Path, root: Path | None, cache: Cache | None) -> Scene:
     """A scene of one object, its lowest point on the floor."""
-    model = _Models(root)(path, 1.0)
+    model = _Models(root, cache)(path, 1.0)
     category = bestman.category_of("", str(path.resolve()))
     plain = path.stem.lower() not in ("mobility", "model", "robot", "object")
     name = path.stem if plain else category
@@ -155,16 +158,18 @@ def _read_single(path: Path, root: Path | None) -> Scene:
     return Scene(name, path, (SceneObject(name, category, T, model),))
 
 
-def _read_bestman(data: Sequence[Any], path: Path, root: Path | None) -> Scene:
+def _read_bestman(data: Sequence[Any], path: Path, root: Path | None, cache: Cache | None) -> Scene:
     if len(data) > MAX_OBJECTS:
         raise FileFormatError(f"{path}: more than {MAX_OBJECTS} objects")
     entries = bestman.read_entries(data, path)
     root = root or bestman.find_root(path)
-    objects, warnings = bestman.read_objects(entries, root, _Models(root))
+    objects, warnings = bestman.read_objects(entries, root, _Models(root, cache))
     return Scene(path.stem, path, objects, warnings=warnings)
 
 
-def _read_momapos(data: Mapping[str, Any], path: Path, root: Path | None) -> Scene:
+def _read_momapos(
+    data: Mapping[str, Any], path: Path, root: Path | None, cache: Cache | None
+) -> Scene:
     if data.get("format") != FORMAT:
         raise FileFormatError(
             f'{path}: not a scene; a momapos scene has "format": {FORMAT!r}, '
@@ -179,7 +184,7 @@ def _read_momapos(data: Mapping[str, Any], path: Path, root: Path | None) -> Sce
     if not isinstance(items, list) or len(items) > MAX_OBJECTS:
         raise FileFormatError(f"{path}: 'objects' must be a list of at most {MAX_OBJECTS}")
     root = (root or path.parent).resolve()
-    models, warnings = _Models(root), _unknown_keys(data, _SCENE_KEYS, f"{path}")
+    models, warnings = _Models(root, cache), _unknown_keys(data, _SCENE_KEYS, f"{path}")
     objects = []
     for index, item in enumerate(items):
         where = f"{path}: object {index}"
@@ -365,6 +370,8 @@ def write_whole(path: Path, text: str) -> None:
 
 def _object(item: SceneObject, folder: Path) -> dict[str, Any]:
     T, urdf = item.T_world_object, item.model.urdf
+    from scipy.spatial.transform import Rotation
+
     wxyz = Rotation.from_matrix(T[:3, :3]).as_quat(scalar_first=True)
     entry: dict[str, Any] = {
         "name": item.name,
