@@ -12,9 +12,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cache, lru_cache
 from importlib import metadata
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float
 
 from momapos.config import PipelineConfig
 from momapos.errors import SceneError
@@ -39,6 +39,9 @@ from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene, upright_boxes
 from momapos.types import Motion, PlacementPlan, Task
 from momapos.verification.exact import ExactWorld
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 DEFAULT = PipelineConfig()
 ROOM_MARGIN = 2.0

@@ -6,9 +6,9 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float
 
 from momapos.errors import InputError
 from momapos.geometry.transforms import apply, pose, rotation_about
@@ -39,6 +39,9 @@ from momapos.reconstruction.templates import TemplatePredictor
 from momapos.scene.library.furniture import Piece
 from momapos.scene.scene import Scene, SceneObject
 from momapos.types import Cloud, Detection, FaceImage, Frame, Front, Instance, Part, Scan
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 Progress = Callable[[str, float], None]
 """Told what is at work, and the share of the whole that is done."""

@@ -9,10 +9,9 @@ import sys
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float
 
 from momapos.errors import SceneError
 from momapos.geometry.transforms import apply
@@ -21,6 +20,9 @@ from momapos.kinematics.urdf import read_urdf
 from momapos.scene.copies import copy_files, model_files
 from momapos.scene.files import builtin_names, load_scene, save_scene
 from momapos.scene.scene import Scene, SceneObject
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 SOLVED = 0
 

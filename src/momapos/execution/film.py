@@ -8,18 +8,20 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import mujoco
 import numpy as np
-from jaxtyping import Float, Shaped, UInt8
 
 from momapos.errors import InputError, MissingExtraError
 from momapos.execution.shapes import Kind
 from momapos.execution.world import World
 
+if TYPE_CHECKING:
+    from jaxtyping import Float, Shaped, UInt8
+
 WIDTH, HEIGHT, COLUMNS = 480, 420, 4
-Draw = Callable[[Any, Any], UInt8[np.ndarray, "h w 3"]]
+Draw: TypeAlias = "Callable[[Any, Any], UInt8[np.ndarray, 'h w 3']]"
 """Draws a state as a camera sees it."""
 INTERVAL = 0.05
 """Time between remembered states [s]."""

@@ -5,11 +5,14 @@ from __future__ import annotations
 import logging
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 
 from momapos.errors import InputError, MissingExtraError
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
 
 CORNER = np.radians(10.0)
 """The arm stops where its path turns by more than this in joint space [rad]."""

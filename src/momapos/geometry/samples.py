@@ -6,9 +6,12 @@ The same numbers as `scipy.stats.qmc` gives, whose import takes longer than many
 from __future__ import annotations
 
 import itertools
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 
 def latin_hypercube(

@@ -7,7 +7,6 @@ from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float, Int
 
 from momapos.errors import InputError, SceneError, unknown_name
 from momapos.importance.bodies import stack_bodies
@@ -16,6 +15,7 @@ from momapos.kinematics.hulls import Boxes
 from momapos.scene.scene import Scene, upright_boxes
 
 if TYPE_CHECKING:
+    from jaxtyping import Float, Int
     from scipy import sparse
 
 SMALLEST = 1e-3

@@ -6,16 +6,18 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Literal
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import numpy as np
-from jaxtyping import Float
 
 from momapos.errors import InputError
 from momapos.importance.embedding import SkipGram, cosine, embed_walks, embed_words
 from momapos.importance.graph import GraphConfig, SceneGraph
 from momapos.importance.walks import transitions, walk
 from momapos.scene.files import builtin_names, load_scene
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 LEAST = 1e-6
 """The lowest score there is: Lemma 1 of MoMa-Pos excludes 0 [-]."""
@@ -64,8 +66,10 @@ class ImportanceConfig:
             raise InputError(f"no scorer {self.scorer!r}; there are {', '.join(SCORERS)}")
 
 
-Path = Float[np.ndarray, "k 3"] | None
-Scorer = Callable[[SceneGraph, int, ImportanceConfig, int, Path], Float[np.ndarray, " n"]]
+Path: TypeAlias = "Float[np.ndarray, 'k 3'] | None"
+Scorer: TypeAlias = (
+    "Callable[[SceneGraph, int, ImportanceConfig, int, Path], Float[np.ndarray, ' n']]"
+)
 """Scores of all objects in (0, 1] from the graph, the target's index, the configuration, a seed."""
 
 

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
-from jaxtyping import Float
 
 from momapos.cache import Cache
 from momapos.errors import unknown_name
@@ -16,6 +15,9 @@ from momapos.geometry.transforms import rotation_about
 from momapos.kinematics.hulls import Boxes, Hull, cover_shape, hull_of, mesh_digest
 from momapos.kinematics.kept import freeze, once
 from momapos.kinematics.urdf import Geometry, Joint, Urdf
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 T = TypeVar("T")
 

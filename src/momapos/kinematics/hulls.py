@@ -10,14 +10,16 @@ import hashlib
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float, Int
 
 from momapos.errors import UrdfError
 from momapos.geometry.transforms import apply
 from momapos.kinematics.urdf import Geometry
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
 
 MAX_MESH_BYTES = 200_000_000
 MESH_SUFFIXES = (".obj", ".stl", ".dae", ".ply", ".off", ".glb")

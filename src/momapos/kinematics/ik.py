@@ -11,9 +11,9 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float, Int
 from numba import njit
 
 from momapos.errors import RobotError
@@ -31,6 +31,9 @@ from momapos.kinematics.closed_forms import (
 )
 from momapos.kinematics.newton import newton
 from momapos.kinematics.subproblems import mul, row, sub
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
 
 _LOOSE = 5e-3
 """How far [m or rad] from the ideal geometry Newton may be asked to bridge."""

@@ -8,14 +8,16 @@ are taken until nothing is left.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
 
 from momapos.geometry.transforms import apply
 from momapos.kinematics.hulls import Boxes, Hull, cover, hull_of
 from momapos.kinematics.urdf import Geometry
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
 
 MARGIN = 0.006
 """Parts of a shape may stay uncovered by this much [m]."""

@@ -13,14 +13,16 @@ import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from jaxtyping import Float
 
 from momapos.cache import Cache
 from momapos.errors import UrdfError
 from momapos.kinematics.kept import once
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 JointKind = Literal["revolute", "continuous", "prismatic", "fixed"]
 MAX_URDF_BYTES = 20_000_000

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float
 
 from momapos.errors import TaskError
 from momapos.geometry.transforms import apply, invert
@@ -14,6 +14,9 @@ from momapos.kinematics.articulated import Articulated, joint_motion
 from momapos.kinematics.hulls import fit_box, hull_of
 from momapos.kinematics.urdf import Geometry, Joint
 from momapos.scene.scene import SceneObject
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 WORD = "handle"
 _POINTS = 9

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
-from typing import get_args
+from typing import TYPE_CHECKING, get_args
 
 import numpy as np
-from jaxtyping import Float
 
 from momapos.errors import TaskError
 from momapos.kinematics.urdf import Joint
 from momapos.manipulation.handles import closed_value, handle_path, has_handle, opening_sign
 from momapos.scene.scene import Scene, SceneObject
 from momapos.types import Task, Verb
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 WIDE_OPEN = math.pi / 2
 """How far a hinge is opened when nothing is said, as in the paper [rad]."""

@@ -9,11 +9,15 @@ through.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-from jaxtyping import Float
 from numba import njit
 
 from momapos.navigation.outlines import Body, Outlines
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 DEEP = -0.1
 """Where the robot overlaps something by this much, no more is looked at [m]."""

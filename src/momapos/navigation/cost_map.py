@@ -6,12 +6,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 from PIL import Image, ImageDraw
 
 from momapos.kinematics.hulls import Boxes
 
 if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
     from scipy.sparse import csr_matrix
 
 CELL = 0.05

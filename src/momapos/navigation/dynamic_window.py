@@ -9,15 +9,18 @@ footprint.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float
 from numba import njit
 
 from momapos.navigation.clearance import gap, gaps, select, wrapped
 from momapos.navigation.footprint_map import Ground
 from momapos.navigation.global_path import TURN, Path
 from momapos.robots.robot import Robot
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 
 @dataclass(frozen=True)

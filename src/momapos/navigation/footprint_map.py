@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32
 from numba import njit
 
 from momapos.errors import SceneError
@@ -15,6 +15,9 @@ from momapos.navigation.cost_map import CELL
 from momapos.navigation.outlines import Body, Outlines, body_of, obstacles_of, thinned
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Float32
 
 _QUADRANT = ((1, 0), (3, 1), (2, 1), (3, 2), (1, 1), (2, 3), (1, 2), (1, 3))
 MOVES = np.array([(a, b) for a, b in _QUADRANT] + [(-b, a) for a, b in _QUADRANT])

@@ -7,12 +7,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 
 from momapos.geometry.polygons import contains
 from momapos.navigation.outlines import Body, Outlines, on_floor, turned
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
 
 FAR = 0.5
 """Distances above this are not told apart [m]."""

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-from jaxtyping import Float
 
 from momapos.errors import SceneError
 from momapos.navigation.cost_map import CELL, FloorPlan
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 ROOM = 0.8
 """Clearance around the start [m]."""

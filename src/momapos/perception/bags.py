@@ -10,10 +10,9 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float, Int
 
 from momapos.errors import FileFormatError, MissingExtraError, MomaposError
 from momapos.perception.intake import (
@@ -28,6 +27,9 @@ from momapos.perception.intake import (
 from momapos.perception.ros_images import colour_of, depth_of
 from momapos.perception.tf import TransformTree
 from momapos.types import Frame
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
 
 MAX_PICTURES = 100_000
 MAX_TRANSFORMS = 2_000_000

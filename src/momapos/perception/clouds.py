@@ -9,15 +9,18 @@ records a room stands in it.
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, UInt8
 from scipy.spatial import cKDTree
 
 from momapos.errors import FileFormatError
 from momapos.perception.pcd import read_pcd
 from momapos.perception.ply import Columns, read_ply
 from momapos.types import Cloud
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int, UInt8
 
 NEIGHBOURS = 16
 MAX_EXTENT = 300.0  # [m] of a home

@@ -7,15 +7,17 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float
 
 from momapos.errors import FileFormatError
 from momapos.geometry.transforms import apply, invert, pose, rotation_about
 from momapos.perception.faces import NEAREST
 from momapos.types import Frame, UprightBox
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 Rectangle = tuple[float, float, float, float]
 """Left, top, right, bottom."""

@@ -10,15 +10,17 @@ import json
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
-from jaxtyping import Bool, Int
 
 from momapos.errors import FileFormatError
 from momapos.perception.scannet import ClassSet, class_name, class_set
 from momapos.perception.torch_archive import read_tensor
 from momapos.types import Instance, UprightBox
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Int
 
 FORMAT, VERSION = "momapos-boxes", 1
 MAX_INSTANCES = 10_000

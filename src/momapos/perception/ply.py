@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import BinaryIO
+from typing import TYPE_CHECKING, BinaryIO
 
 import numpy as np
-from jaxtyping import Int
 
 from momapos.errors import FileFormatError
+
+if TYPE_CHECKING:
+    from jaxtyping import Int
 
 MAX_POINTS = 50_000_000
 MAX_HEADER_BYTES = 100_000

@@ -11,10 +11,9 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from momapos.errors import InputError, MissingExtraError, SceneError
@@ -24,6 +23,9 @@ from momapos.perception.sensor import DepthSensor, drifting, sense
 from momapos.perception.synthetic import RenderWorld, pinhole, render_frame, render_world
 from momapos.scene.scene import Scene, SceneObject
 from momapos.types import Frame, UprightBox
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 FORMAT, VERSION = "momapos-scan-truth", 1
 SIZE = (640, 480)

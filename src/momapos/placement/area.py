@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 
 from momapos.geometry.polygons import all_inside
 from momapos.geometry.transforms import wrap_angle
@@ -13,6 +13,9 @@ from momapos.kinematics.base_collision import base_hits
 from momapos.kinematics.collision import FREE
 from momapos.kinematics.hulls import Boxes
 from momapos.robots.robot import Robot
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
 
 CLEAR, BLOCKED, OFF_FLOOR, TOO_FAR = 0, 1, 2, 3
 

@@ -10,16 +10,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float
 
 from momapos.errors import InputError, MissingExtraError
 from momapos.reconstruction import decode
 from momapos.reconstruction.bars import with_bar
 from momapos.reconstruction.grips import into_drawers
 from momapos.types import FaceImage, Front, Part
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 FIRST_SHARE = 0.75
 """Weight of the first look in a part's score, a weighted geometric mean [-]."""

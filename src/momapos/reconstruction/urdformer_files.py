@@ -8,7 +8,6 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float
 
 from momapos.errors import FileFormatError, UrdfError
 from momapos.kinematics.urdf import MAX_LINKS, MAX_URDF_BYTES
@@ -17,6 +16,8 @@ from momapos.types import Part
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
+
+    from jaxtyping import Float
 
 BOXES_KEY = "part_boxes_yxhw_normalized"
 MAX_BOXES_BYTES = 1_000_000

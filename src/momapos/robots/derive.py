@@ -13,10 +13,9 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float
 
 from momapos.errors import RobotError
 from momapos.kinematics.articulated import Articulated
@@ -35,6 +34,9 @@ from momapos.robots.gripper import (
 )  # fmt: skip
 from momapos.robots.robot import Robot, read_robot, read_srdf
 from momapos.robots.states import inevitable_pairs, resting_state, sample_states, srdf_text, touches
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 _WHEEL = re.compile(r"wheel|caster|castor|track", re.I)
 _HEAD = re.compile(r"head|neck|camera|kinect|lidar|laser", re.I)

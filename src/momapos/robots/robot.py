@@ -11,10 +11,9 @@ from dataclasses import dataclass
 from functools import cached_property
 from importlib import resources
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from jaxtyping import Float
 
 from momapos.cache import Cache
 from momapos.errors import FileFormatError, RobotError, unknown_name
@@ -26,6 +25,9 @@ from momapos.kinematics.ik import IkModel, build_ik
 from momapos.kinematics.kept import once
 from momapos.kinematics.spheres import Spheres, build_spheres
 from momapos.kinematics.urdf import read_urdf
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 MAX_TOML_BYTES = 1_000_000
 Drive = Literal["differential", "omni"]

@@ -12,10 +12,9 @@ import math
 from collections.abc import Mapping, Sequence
 from importlib import resources
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
-from jaxtyping import Float
 
 from momapos.cache import Cache, write_atomic
 from momapos.errors import FileFormatError, SceneError, unknown_name
@@ -25,6 +24,9 @@ from momapos.kinematics.urdf import box_urdf, read_urdf
 from momapos.scene import bestman
 from momapos.scene.copies import model_files
 from momapos.scene.scene import Scene, SceneObject
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 FORMAT, VERSION = "momapos-scene", 1
 MAX_BYTES = 50_000_000

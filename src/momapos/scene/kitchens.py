@@ -15,10 +15,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float
 
 from momapos.errors import InputError, MissingExtraError, unknown_name
 from momapos.scene.library.furniture import (
@@ -34,6 +33,9 @@ from momapos.scene.library.furniture import (
     vec,
 )
 from momapos.scene.library.writer import write_kitchen
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 LAYOUTS: tuple[str, ...] = (
     "single_wall",

@@ -7,9 +7,9 @@ the collision elements themselves, states are no farther apart than the executio
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float, Int
 
 from momapos.scene.scene import Scene
 from momapos.types import Motion, Task
@@ -21,6 +21,9 @@ from momapos.verification.polygon import outside
 from momapos.verification.report import DEFAULT, Check, Limits, Report, at_most
 from momapos.verification.shapes import Shapes
 from momapos.verification.sweep import all_pairs, deepest
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
 
 SWEEP_STEPS = 49
 """The joint's way is cut into so many steps, or a multiple, where base and room are checked [-]."""

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import io
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
 from momapos.importance.rank import Importance
@@ -26,6 +25,9 @@ from momapos.viewer.palette import (
 from momapos.viewer.panel import Panel
 from momapos.viewer.plot import DPI, SIZE, frame, widen, write_bytes
 from momapos.viewer.room import name_objects, room, room_bounds
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
 
 MAP, COLUMN = (0.058, 0.07, 0.625, 0.91), (0.715, 0.03, 0.27, 0.95)
 ROWS = 24

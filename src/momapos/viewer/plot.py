@@ -6,10 +6,9 @@ import io
 import os
 import tempfile
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float
 
 from momapos.errors import InputError
 from momapos.geometry.polygons import contains
@@ -25,6 +24,9 @@ from momapos.viewer.palette import INK, PART, PART_BEFORE, PART_EDGE, POTENTIAL,
 from momapos.viewer.panel import draw_panel
 from momapos.viewer.robot import draw_arm, draw_footprint
 from momapos.viewer.room import name_objects, room, room_bounds
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 SIZE, DPI = (8.0, 6.0), 200
 """Size of the picture [in] and its resolution: 1600 x 1200 pixels."""
