@@ -23,7 +23,8 @@ from drive_rooms import People, Question, connected, questions, rooms
 from momapos.geometry.transforms import wrap_angle
 from momapos.navigation.drive import DriveConfig, DriveRecord, drive
 from momapos.navigation.footprint_map import Ground, survey
-from momapos.robots.robot import Robot, library_names, load_robot
+from momapos.robots.names import library_names
+from momapos.robots.robot import Robot, load_robot
 from momapos.scene.scene import Scene
 
 

@@ -19,8 +19,9 @@ from momapos.navigation.clearance import gaps
 from momapos.navigation.cost_map import CELL, FloorPlan, build_cost_map
 from momapos.navigation.footprint_map import HEADINGS, Ground
 from momapos.pipeline import base_height, room_plan
-from momapos.scene.files import builtin_names, load_scene
+from momapos.scene.files import load_scene
 from momapos.scene.kitchens import LAYOUTS, generate_kitchen
+from momapos.scene.names import builtin_names
 from momapos.scene.scene import Scene
 
 FARTHER_THAN = 1.5

@@ -19,13 +19,15 @@ from pathlib import Path
 import numpy as np
 
 from momapos.geometry.transforms import pose
+from momapos.importance.config import ImportanceConfig
 from momapos.importance.graph import build_graph
 from momapos.importance.rank import rank
 from momapos.importance.relations import KINDS
-from momapos.importance.scorers import SCORERS, ImportanceConfig
+from momapos.importance.scorers import SCORERS
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.urdf import box_urdf
-from momapos.scene.files import builtin_names, load_scene
+from momapos.scene.files import load_scene
+from momapos.scene.names import builtin_names
 from momapos.scene.scene import Scene, SceneObject
 
 SEEDS = 8

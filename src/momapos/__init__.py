@@ -11,7 +11,7 @@ from typing import Any
 _PUBLIC = {
     "Answer": "momapos.pipeline",
     "Importance": "momapos.importance.rank",
-    "ImportanceConfig": "momapos.importance.scorers",
+    "ImportanceConfig": "momapos.importance.config",
     "MomaposError": "momapos.errors",
     "Motion": "momapos.types",
     "PipelineConfig": "momapos.config",

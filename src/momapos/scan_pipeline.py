@@ -12,8 +12,8 @@ import numpy as np
 
 from momapos.errors import InputError
 from momapos.geometry.transforms import apply, pose, rotation_about
+from momapos.importance.config import ImportanceConfig
 from momapos.importance.rank import rank
-from momapos.importance.scorers import ImportanceConfig
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.urdf import box_urdf
 from momapos.perception.boxes import (

@@ -27,7 +27,8 @@ from tests.rooms import move_scene
 
 from momapos.errors import InputError, MomaposError, SceneError
 from momapos.geometry.transforms import pose, rotation_about
-from momapos.importance.graph import GraphConfig, build_graph
+from momapos.importance.config import GraphConfig
+from momapos.importance.graph import build_graph
 from momapos.importance.relations import neighbours, outline_gaps
 from momapos.kinematics.urdf import Link
 from momapos.scene.files import load_scene

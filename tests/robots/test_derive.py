@@ -16,7 +16,8 @@ from momapos.cli.robot import robot_check, robot_export, robot_list, robot_show
 from momapos.errors import MomaposError, RobotError, UnknownNameError
 from momapos.robots.derive import derive_robot, examine, write_robot
 from momapos.robots.gripper import points_of
-from momapos.robots.robot import library_names, load_robot, read_robot
+from momapos.robots.names import library_names
+from momapos.robots.robot import load_robot, read_robot
 from momapos.robots.states import touches
 
 FETCH = DATA / "robots" / "fetch"

@@ -6,26 +6,24 @@ import math
 import re
 import sys
 from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, Optional
 
-from tyro.conf import OmitArgPrefixes, Positional, arg
+from tyro.conf import OmitArgPrefixes, Positional
 
+from momapos.cli.options import OptionalNumber, OptionalPath, StartArg, Target, Thing, ToArg
 from momapos.errors import TaskError
-from momapos.importance.scorers import ScorerName
+from momapos.importance.config import ScorerName
+from momapos.robots.names import find_robot
+from momapos.scene.names import find_scene, refuse_unknown_object
 
 if TYPE_CHECKING:
-    from momapos.importance.scorers import ImportanceConfig
+    from momapos.importance.config import ImportanceConfig
     from momapos.pipeline import Answer
 
 Method = Literal["ours", "paper", "exhaustive"]
 Planner = Literal["RRTConnect", "RRTstar", "BITstar"]
 _UNITS = {"": 1.0, "rad": 1.0, "deg": math.pi / 180, "m": 1.0, "cm": 0.01, "mm": 0.001}
 _STATUS = {"solved": 0, "infeasible": 3, "timeout": 4}
-Target = Annotated[str, arg(metavar="OBJECT[/JOINT]")]
-StartArg = Annotated[str | None, arg(metavar="X,Y,YAW")]
-Thing = Annotated[str, arg(metavar="OBJECT")]
-ToArg = Annotated[str | None, arg(metavar="VALUE")]
 
 
 @dataclass(frozen=True)
@@ -40,17 +38,17 @@ class Options:
     """ours: cheapest pose first; paper: MoMa-Pos as printed; exhaustive: a grid."""
     planner: Planner = "RRTConnect"
     """OMPL's planner for the way from home to the object."""
-    scorer: ScorerName | None = None
+    scorer: Optional[ScorerName] = None  # noqa: UP045 (see cli.options)
     """How importance is measured: from where the hand goes (reach), or as the paper (deepwalk)."""
-    alpha: float | None = None
+    alpha: OptionalNumber = None
     """Objects with an importance of at least this are modelled, in [0, 1]; 0: all."""
     seed: int = 0
     """Same seed, same answer."""
     timeout: float = 120.0
     """Time to search for the answer [s]; what is read and compiled before does not count."""
-    out: Path | None = None
+    out: OptionalPath = None
     """Write the plan here (JSON)."""
-    plot: Path | None = None
+    plot: OptionalPath = None
     """Draw the answer here (PNG)."""
     json: bool = False
     """Print the plan as one JSON object and nothing else."""
@@ -144,6 +142,10 @@ def _answer(verb: str, scene_name: str, target: str, to: str | None, options: Op
     begin = None if options.start is None else parse_start(options.start)
     if not options.timeout > 0:
         raise TaskError("--timeout must be > 0 seconds")
+    name, _, joint = target.partition("/")
+    # A mistyped name is told before anything heavy is imported.
+    find_robot(options.robot)
+    refuse_unknown_object(find_scene(scene_name), name)
 
     import numpy as np
 
@@ -164,7 +166,6 @@ def _answer(verb: str, scene_name: str, target: str, to: str | None, options: Op
     scene = load_scene(scene_name, cache=cache)
     for warning in scene.warnings:
         print(f"momapos: {warning}", file=sys.stderr)
-    name, _, joint = target.partition("/")
     task = make_task(scene, verb, name, joint or None, value)
     with progress(f"reachability map of {robot.name}") as report:
         reach = load_or_build(robot, cache.folder, report)
@@ -190,7 +191,7 @@ def _answer(verb: str, scene_name: str, target: str, to: str | None, options: Op
 
 def _importance(options: Options) -> ImportanceConfig:
     """How objects are scored: as asked, and by walks in the paper's variant."""
-    from momapos.importance.scorers import ImportanceConfig
+    from momapos.importance.config import ImportanceConfig
 
     paper = "deepwalk" if options.method == "paper" else None
     asked = {"scorer": options.scorer or paper, "alpha": options.alpha}

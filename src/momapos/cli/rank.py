@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import sys
 from dataclasses import asdict
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from tyro.conf import OmitArgPrefixes, Positional, arg
+from tyro.conf import OmitArgPrefixes, Positional
 
-from momapos.importance.scorers import ImportanceConfig
+from momapos.cli.options import OptionalPath, Target
+from momapos.importance.config import ImportanceConfig
+from momapos.scene.names import find_scene, refuse_unknown_object
 
 if TYPE_CHECKING:
     from momapos.importance.rank import Importance
     from momapos.scene.scene import Scene
 
-Target = Annotated[str, arg(metavar="OBJECT[/JOINT]")]
 Shared = Annotated[ImportanceConfig, OmitArgPrefixes]
 _WORDS = {
     "": "", "near": "near it", "on": "on it", "in": "in it", "inside": "inside it",
@@ -29,7 +29,7 @@ def rank_objects(
     /,
     *,
     seed: int = 0,
-    plot: Path | None = None,
+    plot: OptionalPath = None,
     json: bool = False,
     config: Shared = ImportanceConfig(),  # noqa: B008 (frozen)
 ) -> int:
@@ -45,6 +45,9 @@ def rank_objects(
     """
     import json as encoder
 
+    name, _, joint = target.partition("/")
+    # A mistyped name is told before anything heavy is imported.
+    refuse_unknown_object(find_scene(scene), name)
     from momapos.cache import user_cache
     from momapos.importance.rank import rank
     from momapos.manipulation.tasks import hand_path
@@ -53,7 +56,6 @@ def rank_objects(
     loaded = load_scene(scene, cache=user_cache())
     for warning in loaded.warnings:
         print(f"momapos: {warning}", file=sys.stderr)
-    name, _, joint = target.partition("/")
     path = hand_path(loaded, name, joint or None)
     result = rank(loaded, name, config, path=path, seed=seed)
     if plot is not None:

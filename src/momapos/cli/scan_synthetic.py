@@ -7,9 +7,7 @@ import sys
 from pathlib import Path
 
 from momapos.cli.console import progress
-from momapos.perception.recording import refuse_used, synthetic_scan, write_scan
-from momapos.perception.sensor import DepthSensor
-from momapos.scene.files import load_scene
+from momapos.scene.names import find_scene
 
 SOLVED = 0
 
@@ -36,6 +34,11 @@ def scene_scan(
         tilt: Turn the world of the scan at random, so that its z axis is not up.
         json: Print one JSON object instead of text.
     """
+    find_scene(scene)  # a mistyped name is told before anything heavy is imported
+    from momapos.perception.recording import refuse_used, synthetic_scan, write_scan
+    from momapos.perception.sensor import DepthSensor
+    from momapos.scene.files import load_scene
+
     refuse_used(out)
     loaded = load_scene(scene)
     sensor = DepthSensor() if noise else None

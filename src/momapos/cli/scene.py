@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json as json_format
+import math
 import os
 import shutil
 import sys
@@ -11,18 +12,16 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
+from momapos.cli.options import OptionalPath
 from momapos.errors import SceneError
-from momapos.geometry.transforms import apply
-from momapos.kinematics.articulated import Articulated
-from momapos.kinematics.urdf import read_urdf
-from momapos.scene.copies import copy_files, model_files
-from momapos.scene.files import builtin_names, load_scene, save_scene
-from momapos.scene.scene import Scene, SceneObject
+from momapos.scene.names import builtin_names, builtin_size, find_scene
 
 if TYPE_CHECKING:
+    import numpy as np
     from jaxtyping import Float
+
+    from momapos.kinematics.articulated import Articulated
+    from momapos.scene.scene import Scene, SceneObject
 
 SOLVED = 0
 
@@ -33,18 +32,21 @@ def scene_list(*, json: bool = False) -> int:
     Args:
         json: Print one JSON object instead of a table.
     """
-    scenes = [describe(load_scene(name)) for name in builtin_names()]
     if json:
-        _print_json({"scenes": scenes})
+        from momapos.cache import user_cache
+        from momapos.scene.files import load_scene
+
+        scenes = [load_scene(name, cache=user_cache()) for name in builtin_names()]
+        _print_json({"scenes": [describe(scene) for scene in scenes]})
         return SOLVED
-    for scene in scenes:
-        joints = sum(len(item["joints"]) for item in scene["objects"])
-        print(f"{scene['name']:20} {len(scene['objects']):3} objects, {joints:3} joints")
+    for name in builtin_names():
+        objects, joints = builtin_size(name)
+        print(f"{name:20} {objects:3} objects, {joints:3} joints")
     print("Use a name as SCENE, or a file; 'momapos scene new LAYOUT' makes more.")
     return SOLVED
 
 
-def scene_show(scene: str, /, *, plot: Path | None = None, json: bool = False) -> int:
+def scene_show(scene: str, /, *, plot: OptionalPath = None, json: bool = False) -> int:
     """Show what is in a scene: its objects, their sizes, their joints.
 
     Args:
@@ -52,8 +54,14 @@ def scene_show(scene: str, /, *, plot: Path | None = None, json: bool = False) -
         plot: Draw the scene from above into this PNG file.
         json: Print one JSON object instead of text.
     """
-    loaded = load_scene(scene)
+    find_scene(scene)  # a mistyped name is told before anything heavy is imported
+    from momapos.cache import user_cache
+    from momapos.scene.files import load_scene
+
+    loaded = load_scene(scene, cache=user_cache())
     if plot is not None:
+        from momapos.viewer.scene import draw_scene
+
         draw_scene(loaded, plot)
     facts = describe(loaded)
     if json:
@@ -61,9 +69,9 @@ def scene_show(scene: str, /, *, plot: Path | None = None, json: bool = False) -
         return SOLVED
     print(f"{loaded.name} ({loaded.path})")
     for item in facts["objects"]:
-        low, high = np.array(item["bounds"])
-        size = " x ".join(f"{v:.2f}" for v in high - low)
-        x, y, z = (low + high) / 2
+        low, high = item["bounds"]
+        size = " x ".join(f"{b - a:.2f}" for a, b in zip(low, high, strict=True))
+        x, y, z = ((a + b) / 2 for a, b in zip(low, high, strict=True))
         print(f"  {item['name']:20} {item['category']:14} {size} m at ({x:.2f}, {y:.2f}, {z:.2f})")
         for joint in item["joints"]:
             print(f"      {_joint_line(joint)}")
@@ -87,6 +95,7 @@ def scene_new(layout: str, /, *, seed: int = 0, out: Path, json: bool = False) -
         out: The scene file; the URDF files go into a folder beside it.
         json: Print one JSON object instead of text.
     """
+    from momapos.scene.files import load_scene
     from momapos.scene.kitchens import generate_kitchen
 
     path = generate_kitchen(layout, seed=seed, out=out)
@@ -105,7 +114,7 @@ def scene_convert(
     /,
     *,
     copy: bool = False,
-    root: Path | None = None,
+    root: OptionalPath = None,
     json: bool = False,
 ) -> int:
     """Write a scene of another kind (BestMan list, URDF) as a momapos scene.
@@ -117,6 +126,9 @@ def scene_convert(
         root: Folder that the paths in a BestMan scene are relative to; found where not given.
         json: Print one JSON object instead of text.
     """
+    find_scene(source)
+    from momapos.scene.files import load_scene, save_scene
+
     scene = load_scene(source, root=root)
     if copy:
         scene = copy_models(scene, out)
@@ -148,13 +160,15 @@ def describe(scene: Scene) -> dict[str, Any]:
 
 
 def _describe_object(item: SceneObject) -> dict[str, Any]:
+    import numpy as np
+
     values = item.values()
     joints = [
         {
             "name": name,
             "kind": joint.kind,
-            "lower": joint.lower if np.isfinite(joint.lower) else None,
-            "upper": joint.upper if np.isfinite(joint.upper) else None,
+            "lower": joint.lower if math.isfinite(joint.lower) else None,
+            "upper": joint.upper if math.isfinite(joint.upper) else None,
             "value": values[name],
         }
         for name, joint in item.model.joints.items()
@@ -177,6 +191,8 @@ def _joint_line(joint: dict[str, Any]) -> str:
 
 
 def _area(outline: Float[np.ndarray, "k 2"]) -> float:
+    import numpy as np
+
     ahead = np.roll(outline, -1, axis=0)
     return abs(float(outline[:, 0] @ ahead[:, 1] - outline[:, 1] @ ahead[:, 0])) / 2
 
@@ -195,6 +211,8 @@ def _warn(scene: Scene) -> None:
 
 def _refuse_outside(scene: Scene, out: Path) -> None:
     """Say where the output could stand when the models are not below its folder."""
+    from momapos.scene.copies import model_files
+
     files = [file.resolve() for item in scene.objects for file in model_files(item.model)]
     folder = out.resolve().parent
     if all(file.is_relative_to(folder) for file in files):
@@ -217,6 +235,8 @@ def copy_models(scene: Scene, out: Path) -> Scene:
     Raises:
         SceneError: The folder exists; what is in it is not overwritten.
     """
+    from momapos.scene.copies import copy_files, model_files
+
     target = out.resolve().parent / f"{out.stem}_files"
     if target.exists():
         raise SceneError(f"{target} exists already; remove it or write to another file")
@@ -237,46 +257,10 @@ def copy_models(scene: Scene, out: Path) -> Scene:
 
 
 def _moved(model: Articulated, copies: Mapping[Path, Path], target: Path) -> Articulated:
+    from momapos.kinematics.articulated import Articulated
+    from momapos.kinematics.urdf import read_urdf
+
     if model.urdf.path is None:
         return model
     path = copies[model.urdf.path]
     return Articulated(read_urdf(path, root=target.parent, scale=model.urdf.scale))
-
-
-# ------------------------------------------------------------------------------------- the picture
-
-
-def draw_scene(scene: Scene, path: Path) -> None:
-    """Draw a scene from above: every hull's outline, the floor, the start."""
-    from matplotlib.figure import Figure
-    from matplotlib.patches import Polygon
-    from scipy.spatial import ConvexHull, QhullError
-
-    figure = Figure(figsize=(8, 8), layout="constrained")
-    axes = figure.subplots()
-    if scene.floor is not None:
-        axes.add_patch(Polygon(scene.floor, facecolor="0.95", edgecolor="0.5", zorder=0))
-    for index, item in enumerate(scene.objects):
-        colour = f"C{index % 10}"
-        for link, T in item.link_poses().items():
-            for hull in item.model.hulls[link]:
-                points = apply(T, hull.vertices)
-                try:
-                    outline = points[ConvexHull(points[:, :2]).vertices, :2]
-                except QhullError:
-                    continue
-                height = float(points[:, 2].max())
-                axes.add_patch(
-                    Polygon(outline, facecolor=colour, alpha=0.35, edgecolor=colour, zorder=height)
-                )
-        low, high = item.bounds
-        x, y = (low + high)[:2] / 2
-        axes.text(x, y, item.name, ha="center", va="center", size=7, zorder=99)
-    if scene.start is not None:
-        x, y, yaw = scene.start
-        axes.plot(x, y, "ko")
-        axes.arrow(x, y, 0.4 * np.cos(yaw), 0.4 * np.sin(yaw), width=0.02, color="k")
-    axes.autoscale_view()
-    axes.set(aspect="equal", xlabel="x [m]", ylabel="y [m]", title=scene.name)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=110, format="png")

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.errors import InputError, SceneError, unknown_name
+from momapos.errors import SceneError, unknown_name
 from momapos.importance.bodies import stack_bodies
+from momapos.importance.config import GraphConfig
 from momapos.importance.relations import KINDS, NEAR, hierarchy, neighbours, outline_gaps
 from momapos.kinematics.hulls import Boxes
 from momapos.scene.scene import Scene, upright_boxes
@@ -21,26 +22,6 @@ if TYPE_CHECKING:
 SMALLEST = 1e-3
 """Sizes are at least this [m], so that a flat thing has one."""
 _SEEN_FROM_PARENT = {"on": "carries", "in": "contains", "inside": "contains", "near": "near"}
-
-
-@dataclass(frozen=True)
-class GraphConfig:
-    """Which objects of a room are related."""
-
-    contact: float = 0.02
-    """Vertical gap or overlap of two surfaces that touch [m]."""
-    neighbours: int = 4
-    """Nearest objects of each that count as near [-]."""
-    near: float = 1.0
-    """Farthest gap between the boxes of two objects that are near [m]."""
-    floor: float = 0.1
-    """Centres closer than this from above count as this far apart [m]."""
-
-    def __post_init__(self) -> None:
-        if not (0 < self.contact < np.inf and 0 < self.floor < np.inf):
-            raise InputError("contact and floor must be lengths above 0 m")
-        if not (self.neighbours >= 0 and self.near >= 0):
-            raise InputError("neighbours and near must not be negative")
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.errors import InputError
+from momapos.importance.config import ImportanceConfig
 from momapos.importance.graph import SceneGraph, build_graph
-from momapos.importance.scorers import LEAST, SCORERS, ImportanceConfig
+from momapos.importance.scorers import LEAST, SCORERS
 from momapos.scene.scene import Scene
 
 if TYPE_CHECKING:

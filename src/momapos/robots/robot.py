@@ -9,7 +9,6 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -25,6 +24,7 @@ from momapos.kinematics.ik import IkModel, build_ik
 from momapos.kinematics.kept import once
 from momapos.kinematics.spheres import Spheres, build_spheres
 from momapos.kinematics.urdf import read_urdf
+from momapos.robots.names import find_robot
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -124,12 +124,6 @@ class Robot:
         return float(links[first + 1 :].sum() + travel[first + 1 :].sum()) + tool
 
 
-def library_names() -> tuple[str, ...]:
-    """Names of the robots that come with the package."""
-    root = resources.files("momapos.robots") / "library"
-    return tuple(sorted(p.name for p in root.iterdir() if (p / f"{p.name}.toml").is_file()))
-
-
 def load_robot(source: str | Path, *, cache: Cache | None = None) -> Robot:
     """Load a robot by library name or from a TOML file.
 
@@ -140,18 +134,7 @@ def load_robot(source: str | Path, *, cache: Cache | None = None) -> Robot:
     Raises:
         RobotError, FileFormatError, UnknownNameError: It cannot be used; one line says why.
     """
-    text = str(source)
-    if text in library_names():
-        path = Path(str(resources.files("momapos.robots") / "library" / text / f"{text}.toml"))
-    else:
-        path = Path(source)
-        if path.suffix not in (".toml", ".urdf", ".xml") and not os.path.exists(path):
-            raise unknown_name("robot", text[:80], library_names(), "the library (or give a file)")
-    if path.suffix in (".urdf", ".xml"):
-        raise RobotError(
-            f"{path}: is a URDF; run 'momapos robot check {path}' once, it writes the robot file"
-        )
-    return read_robot(path, cache=cache)
+    return read_robot(find_robot(source), cache=cache)
 
 
 def read_robot(path: Path, *, cache: Cache | None = None) -> Robot:

@@ -10,7 +10,6 @@ import difflib
 import json
 import math
 from collections.abc import Mapping, Sequence
-from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -23,25 +22,17 @@ from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.urdf import box_urdf, read_urdf
 from momapos.scene import bestman
 from momapos.scene.copies import model_files
+from momapos.scene.names import FORMAT, MAX_BYTES, find_scene
 from momapos.scene.scene import Scene, SceneObject
 
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-FORMAT, VERSION = "momapos-scene", 1
-MAX_BYTES = 50_000_000
+VERSION = 1
 MAX_OBJECTS = 10_000
 MAX_EDGE, MAX_DISTANCE = 1e3, 1e4  # [m] of a box, from the world's origin
 _SCENE_KEYS = {"format", "version", "name", "objects", "floor", "start"}
 _OBJECT_KEYS = {"name", "category", "pose", "urdf", "scale", "joints", "box"}
-_SUFFIXES = (".json", ".urdf", ".xml")
-
-
-def builtin_names() -> tuple[str, ...]:
-    """Names of the kitchens that come with the package."""
-    root = resources.files("momapos.scene") / "library"
-    names = [entry.name for entry in root.iterdir()]
-    return tuple(sorted(name[: -len(".json")] for name in names if name.endswith(".json")))
 
 
 def load_scene(
@@ -60,7 +51,7 @@ def load_scene(
         UnknownNameError, FileFormatError, SceneError, UrdfError: It cannot be used; one line
             says what is wrong and where.
     """
-    path = _locate(source)
+    path = find_scene(source)
     text = _read_text(path)
     start = text.lstrip("\ufeff \t\r\n")[:1]
     if start == "<":
@@ -76,25 +67,6 @@ def load_scene(
         scene = _read_momapos(data, path, root, cache)
     _refuse_twins(scene)
     return scene
-
-
-def _locate(source: str | Path) -> Path:
-    text = str(source)
-    names = builtin_names()
-    if text in names:
-        return Path(str(resources.files("momapos.scene") / "library" / f"{text}.json"))
-    path = Path(source)
-    try:
-        is_folder, is_file = path.is_dir(), path.is_file()
-    except OSError as error:  # a name that is too long, say
-        raise FileFormatError(f"{text:.80}: no such scene file ({error.strerror})") from error
-    if is_folder:
-        raise FileFormatError(f"{path}: is a folder; give a scene file in it")
-    if not is_file:
-        if path.suffix.lower() in _SUFFIXES or len(path.parts) > 1:
-            raise FileFormatError(f"{path}: no such scene file")
-        raise unknown_name("kitchen", text, names, "the built-in ones (or give a scene file)")
-    return path
 
 
 def _read_text(path: Path) -> str:
