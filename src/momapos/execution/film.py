@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import mujoco
 import numpy as np
 
-from momapos.errors import InputError, MissingExtraError
+from momapos.errors import InputError, require
 from momapos.execution.shapes import Kind
 from momapos.execution.world import World
 
@@ -74,12 +74,8 @@ class Film:
         """
         if self.world is None or not self.states:
             raise InputError(f"{path}: nothing was executed; there is nothing to draw")
-        try:
+        with require("physics"):
             from PIL import Image, ImageDraw
-        except ImportError as error:
-            raise MissingExtraError(
-                "--record needs the extra: pip install 'momapos[physics]'"
-            ) from error
         began = sum(float(times[-1]) for times in self.times)
         driven = self.driven(frames // 4)
         done = [(began + t, stage, q) for t, stage, q in self._chosen(frames - len(driven))]

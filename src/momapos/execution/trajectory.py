@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.errors import InputError, MissingExtraError
+from momapos.errors import InputError, require
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
@@ -104,13 +104,9 @@ def _piece(
     step: float,
 ) -> Trajectory:
     """A smooth piece from rest to rest; the tool's way is one more coordinate with its limit."""
-    try:
+    with require("physics"):
         import toppra
         from toppra import algorithm, constraint
-    except ImportError as error:
-        raise MissingExtraError(
-            "physics needs the extra: pip install 'momapos[physics]'"
-        ) from error
 
     logging.getLogger("toppra").setLevel(logging.ERROR)
     n = q.shape[1]

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from momapos.errors import FileFormatError, MissingExtraError, MomaposError
+from momapos.errors import FileFormatError, MomaposError, require
 from momapos.perception.intake import (
     Skips,
     check_depth_unit,
@@ -114,13 +114,9 @@ def read_bag(
 
 @contextmanager
 def _opened(path: Path) -> Iterator[Any]:
-    try:
+    with require("scan"):
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
-    except ImportError as error:
-        raise MissingExtraError(
-            f"{path}: reading bags needs rosbags; pip install 'momapos[scan]'"
-        ) from error
     try:
         # Older SQLite bags do not say what their messages look like.
         store = get_typestore(Stores.ROS2_HUMBLE)

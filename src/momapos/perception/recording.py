@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from momapos.errors import InputError, MissingExtraError, SceneError
+from momapos.errors import InputError, SceneError, require
 from momapos.geometry.transforms import pose, upright_frame
 from momapos.perception.route import scan_route
 from momapos.perception.sensor import DepthSensor, drifting, sense
@@ -175,10 +175,8 @@ def write_scan(
         SceneError: The folder holds files already or cannot be written.
         MissingExtraError: Pillow is not installed.
     """
-    try:
+    with require("scan"):
         import PIL.Image  # noqa: F401 - asked for before anything is rendered
-    except ImportError as error:
-        raise MissingExtraError("Pillow is not installed; pip install 'momapos[scan]'") from error
     refuse_used(folder)
     partial: Path | None = None
     try:

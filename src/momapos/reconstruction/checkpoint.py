@@ -13,7 +13,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from momapos.errors import FileFormatError, MissingExtraError
+from momapos.errors import FileFormatError, require
 
 if TYPE_CHECKING:
     from torch import Tensor, nn
@@ -37,11 +37,8 @@ def read_checkpoint(path: Path, key: str = "model_state_dict") -> dict[str, Tens
             tensors and plain values; or it has no such entry.
         MissingExtraError: torch is not installed.
     """
-    try:
+    with require("train"):
         import torch
-    except ImportError as error:
-        hint = "torch is not installed; pip install 'momapos[train]'"
-        raise MissingExtraError(hint) from error
     _check_archive(path)
     try:
         content = torch.load(path, map_location="cpu", weights_only=True)

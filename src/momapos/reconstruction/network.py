@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from momapos.errors import InputError, MissingExtraError
+from momapos.errors import InputError, require
 from momapos.reconstruction import decode
 from momapos.reconstruction.bars import with_bar
 from momapos.reconstruction.grips import into_drawers
@@ -153,12 +153,8 @@ def _look_at_parts(crops: np.ndarray, aspect: np.ndarray) -> tuple[np.ndarray, .
 @cache
 def _session(name: str) -> Any:
     """One of the two networks, read once in a process."""
-    try:
+    with require("scan"):
         import onnxruntime
-    except ImportError as missing:
-        raise MissingExtraError(
-            "the front network needs onnxruntime; install momapos[scan]"
-        ) from missing
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = 1
     options.inter_op_num_threads = 1

@@ -16,7 +16,7 @@ from typing import Generic, NamedTuple, TypeVar
 import numpy as np
 from jaxtyping import Float, Float32, Int, UInt8
 
-from momapos.errors import InputError, MissingExtraError
+from momapos.errors import InputError, require
 from momapos.protocols import ArticulationPredictor
 from momapos.reconstruction.checkpoint import load_weights, read_checkpoint
 from momapos.types import FaceImage, Front, Part, PartKind
@@ -166,11 +166,8 @@ def prepare_picture(colour: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "
     Raises:
         MissingExtraError: Pillow is not installed.
     """
-    try:
+    with require("scan"):
         from PIL import Image
-    except ImportError as error:
-        hint = "Pillow is not installed; pip install 'momapos[scan]'"
-        raise MissingExtraError(hint) from error
     small = Image.fromarray(colour).resize((PICTURE, PICTURE), Image.Resampling.BICUBIC)
     normal = (np.asarray(small, np.float32) / 255.0 - _MEAN) / _DEVIATION
     return np.ascontiguousarray(normal.transpose(2, 0, 1))
