@@ -115,10 +115,16 @@ class SceneGraph:
 
     def steps(self, target: int) -> Int[np.ndarray, " n"]:
         """Edges on the shortest way from each object to the target; -1 where there is none."""
-        from scipy.sparse import csgraph
-
-        steps = csgraph.shortest_path(self.adjacency, indices=target, unweighted=True)
-        return np.where(np.isfinite(steps), steps, -1).astype(np.int64)
+        ends = np.stack([np.r_[self.child, self.parent], np.r_[self.parent, self.child]])
+        steps = np.full(len(self), -1)
+        new = np.array([target])
+        for count in range(len(self)):
+            steps[new] = count
+            near = np.unique(ends[1, np.isin(ends[0], new)])
+            new = near[steps[near] < 0]
+            if not len(new):
+                break
+        return steps
 
     def relations(self, target: int) -> tuple[str, ...]:
         """What each object is to the target: on, in, inside, carries, contains, near, or ""."""

@@ -12,7 +12,7 @@ import numpy as np
 from momapos.cache import Cache
 from momapos.errors import unknown_name
 from momapos.geometry.transforms import rotation_about
-from momapos.kinematics.hulls import Boxes, Hull, cover_shape, hull_of, mesh_digest
+from momapos.kinematics.hulls import Boxes, Hull, cover_shape, fit_box, hull_of, mesh_digest
 from momapos.kinematics.kept import freeze, once
 from momapos.kinematics.urdf import Geometry, Joint, Urdf
 
@@ -117,6 +117,17 @@ class Articulated:
             }
 
         return self.kept("boxes", compute)
+
+    def hull(self, link: str, shape: Geometry) -> Hull:
+        """The hull of a shape of a link, visual or for collision."""
+        hulls = zip(self.urdf.links[link].collisions, self.hulls[link], strict=True)
+        return next((hull for known, hull in hulls if known is shape), None) or hull_of(shape, link)
+
+    def box_around(
+        self, points: Float[np.ndarray, "n 3"]
+    ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]:
+        """Fit a box around points of the model, see `fit_box`."""
+        return once(self.cache, "fit", (points,), lambda: fit_box(points))
 
     def kept(
         self, what: str, compute: Callable[[], T], *parts: object, records: tuple[type, ...] = ()
