@@ -10,7 +10,8 @@ from __future__ import annotations
 import io
 import math
 import re
-from collections.abc import Iterable, Iterator
+from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -152,7 +153,9 @@ def _parse(text: str, path: Path, scale: float) -> tuple[Urdf, tuple[str, ...]]:
     if len(links) != len(robot.links):
         raise UrdfError(f"{path}: two links share a name; link names must be unique")
     joints = [reader.joint(joint) for joint in robot.joints]
-    _refuse_twins(path, "joint", [joint.name for joint in joints])
+    twin = next((n for n, k in Counter(joint.name for joint in joints).items() if k > 1), None)
+    if twin is not None:
+        raise UrdfError(f"{path}: two joints are named {twin!r}; names must be unique")
     root_link, ordered = _order(path, links, joints)
     return Urdf(robot.name, None, root_link, links, ordered, scale), tuple(reader.meshes)
 
@@ -365,14 +368,6 @@ def _with_meshes(urdf: Urdf, path: Path, names: Iterator[str], finder: _Finder) 
         for name, link in urdf.links.items()
     }
     return replace(urdf, path=path, links=links)
-
-
-def _refuse_twins(path: Path, kind: str, names: Iterable[str]) -> None:
-    seen: set[str] = set()
-    for name in names:
-        if name in seen:
-            raise UrdfError(f"{path}: two {kind}s are named {name!r}; names must be unique")
-        seen.add(name)
 
 
 def _order(
