@@ -25,7 +25,8 @@ from momapos.geometry.transforms import wrap_angle
 from momapos.navigation.drive import DriveConfig, drive
 from momapos.navigation.drive_record import DriveEnding, DriveRecord
 from momapos.navigation.footprint_map import NavigationMap, build_navigation_map
-from momapos.robots.robot import Robot, library_names, load_robot
+from momapos.robots.names import library_names
+from momapos.robots.robot import Robot, load_robot
 from momapos.scene.scene import Scene
 
 

@@ -18,8 +18,9 @@ from momapos.manipulation.motion import room_boxes
 from momapos.navigation.clearance import gaps
 from momapos.navigation.cost_map import CELL, FloorPlan, base_height, build_cost_map, floor_plan
 from momapos.navigation.footprint_map import HEADINGS, NavigationMap
-from momapos.scene.files import builtin_names, load_scene
+from momapos.scene.files import load_scene
 from momapos.scene.kitchens import LAYOUTS, generate_kitchen
+from momapos.scene.names import builtin_names
 from momapos.scene.scene import Scene
 
 FARTHER_THAN = 1.5

@@ -21,13 +21,15 @@ from typing import cast
 import numpy as np
 
 from momapos.geometry.transforms import pose
+from momapos.importance.config import ImportanceConfig, ScorerName
 from momapos.importance.graph import build_graph
 from momapos.importance.rank import rank
 from momapos.importance.relations import KINDS
-from momapos.importance.scorers import SCORERS, ImportanceConfig, ScorerName
+from momapos.importance.scorers import SCORERS
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.urdf import box_urdf
-from momapos.scene.files import builtin_names, load_scene
+from momapos.scene.files import load_scene
+from momapos.scene.names import builtin_names
 from momapos.scene.scene import Scene, SceneObject
 
 SEEDS = 8

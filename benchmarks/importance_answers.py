@@ -17,12 +17,13 @@ import numpy as np
 from momapos.cache import default_cache_dir
 from momapos.config import PipelineConfig
 from momapos.errors import MomaposError
-from momapos.importance.scorers import ImportanceConfig, ScorerName
+from momapos.importance.config import ImportanceConfig, ScorerName
 from momapos.manipulation.tasks import make_task, openable
 from momapos.pipeline import plan_base_placement
 from momapos.reachability.store import load_reach_map
 from momapos.robots.robot import Robot, load_robot
-from momapos.scene.files import builtin_names, load_scene
+from momapos.scene.files import load_scene
+from momapos.scene.names import builtin_names
 from momapos.scene.scene import Scene
 from momapos.types import KeyObjects, Task
 from momapos.verification.exact import PlanVerifier

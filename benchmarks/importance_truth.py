@@ -32,8 +32,8 @@ from momapos.cache import default_cache_dir
 from momapos.config import PipelineConfig
 from momapos.errors import MomaposError, TaskError
 from momapos.geometry.planar import compose
+from momapos.importance.config import ImportanceConfig, ScorerName
 from momapos.importance.rank import rank
-from momapos.importance.scorers import ImportanceConfig, ScorerName
 from momapos.manipulation.feasibility import Feasibility, hand_clears
 from momapos.manipulation.motion import task_motion
 from momapos.manipulation.tasks import hand_path, make_task, openable

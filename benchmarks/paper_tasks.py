@@ -26,7 +26,7 @@ from momapos.cache import default_cache_dir
 from momapos.config import PipelineConfig
 from momapos.errors import MomaposError
 from momapos.geometry.transforms import pose, pose_planar
-from momapos.importance.scorers import ImportanceConfig
+from momapos.importance.config import ImportanceConfig
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.base_collision import base_hits
 from momapos.kinematics.collision import FREE

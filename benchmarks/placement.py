@@ -29,7 +29,8 @@ from momapos.pipeline import plan_base_placement
 from momapos.placement.place import PlaceConfig
 from momapos.reachability.store import load_reach_map
 from momapos.robots.robot import load_robot
-from momapos.scene.files import builtin_names, load_scene
+from momapos.scene.files import load_scene
+from momapos.scene.names import builtin_names
 from momapos.scene.scene import Scene
 
 SCENES = (

@@ -26,7 +26,8 @@ from momapos.kinematics.ik import build_ik
 from momapos.reachability import ReachConfig, ReachMap, build_map, evaluate
 from momapos.reachability.evaluation import random_poses
 from momapos.reachability.store import decode, encode
-from momapos.robots.robot import Robot, library_names, load_robot
+from momapos.robots.names import library_names
+from momapos.robots.robot import Robot, load_robot
 
 
 def machine() -> str:

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from momapos.config import PipelineConfig
+from momapos.importance.config import ImportanceConfig
 from momapos.importance.key_objects import Selection, everything
 from momapos.importance.rank import rank
-from momapos.importance.scorers import ImportanceConfig
 from momapos.manipulation.tasks import make_task
 from momapos.pipeline import PlacementResult, plan_base_placement
 from momapos.placement.place import PlaceConfig

@@ -1,9 +1,9 @@
 from .base_pose import check_base_pose as check_base_pose
 from .config import PipelineConfig as PipelineConfig
 from .errors import MomaposError as MomaposError
+from .importance.config import ImportanceConfig as ImportanceConfig
 from .importance.rank import Importance as Importance
 from .importance.rank import rank as rank
-from .importance.scorers import ImportanceConfig as ImportanceConfig
 from .manipulation.grasps import GraspConfig as GraspConfig
 from .manipulation.motion import MotionConfig as MotionConfig
 from .manipulation.planner import PlannerConfig as PlannerConfig

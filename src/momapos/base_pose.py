@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float
 
 from momapos.config import PipelineConfig
 from momapos.outcomes import PoseOutcome, PoseStatus
@@ -18,6 +18,9 @@ from momapos.reachability.store import load_reach_map
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene
 from momapos.types import Attempt, Task
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 DEFAULT = PipelineConfig()
 LEAST_SCORE = 1e-6

@@ -124,6 +124,11 @@ class Cache:
         return path
 
 
+def user_cache() -> Cache:
+    """The cache in the default folder."""
+    return Cache(default_cache_dir())
+
+
 def _digest(key: str, data: bytes) -> bytes:
     """Checksum over key and content: a file renamed to another key is foreign there."""
     return hashlib.sha256(key.encode() + b"\n" + data).digest()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from momapos.importance.scorers import ImportanceConfig
+from momapos.importance.config import ImportanceConfig
 from momapos.manipulation.motion import MotionConfig
 from momapos.manipulation.planner import PlannerConfig
 from momapos.placement.place import PlaceConfig

@@ -7,7 +7,12 @@ The command line prints that line and exits with status 2.
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from typing import Literal
+
+Extra = Literal["kitchens", "physics", "scan", "train"]
+"""The extras of the package, each with the packages that one kind of work needs."""
 
 LONGEST = 500
 """Messages have at most so many characters; what is cut is the middle."""
@@ -60,6 +65,22 @@ class UnknownNameError(InputError):
 
 class MissingExtraError(MomaposError):
     """An optional package is not installed; the message names the extra."""
+
+
+@contextmanager
+def require(extra: Extra) -> Iterator[None]:
+    """Import packages that an extra brings, as in `with require("scan"): import PIL`.
+
+    Raises:
+        MissingExtraError: One of them is not installed; the message says how to get it.
+    """
+    try:
+        yield
+    except ImportError as error:
+        name = error.name.partition(".")[0] if error.name else "a package"
+        raise MissingExtraError(
+            f"{name} is not installed; pip install 'momapos[{extra}]'"
+        ) from error
 
 
 def unknown_name(kind: str, name: str, known: Iterable[str], where: str) -> UnknownNameError:

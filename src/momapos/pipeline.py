@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from importlib import metadata
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float, Int
 
 from momapos.config import PipelineConfig
 from momapos.geometry.polygons import inscribed_radius
@@ -37,6 +37,9 @@ from momapos.stopwatch import Stopwatch
 from momapos.types import Attempt, PlacementPlan, Screened, Task
 from momapos.verification.exact import PlanVerifier
 
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
+
 DEFAULT = PipelineConfig()
 
 
@@ -58,7 +61,8 @@ class PlacementResult:
     def __repr__(self) -> str:
         task = self.plan.task
         what = task.object if task.joint is None else f"{task.object}/{task.joint}"
-        return f"<PlacementResult of {self.plan.robot_name}: {task.verb} {what}: {self.plan.status}>"
+        name, status = self.plan.robot_name, self.plan.status
+        return f"<PlacementResult of {name}: {task.verb} {what}: {status}>"
 
 
 def plan_base_placement(

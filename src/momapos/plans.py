@@ -9,16 +9,18 @@ import os
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
-from jaxtyping import Float
 
 from momapos.cache import write_atomic
 from momapos.errors import FileFormatError, InputError
 from momapos.files import read_bytes_bounded
 from momapos.types import Candidates, KeyObjects, Motion, PlacementPlan, Status, Task, Verb
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 FORMAT, VERSION = "momapos-plan", 1
 MAX_BYTES = 20_000_000

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float
 
 from momapos.config import PipelineConfig
 from momapos.kinematics.world import World, build_world
@@ -23,6 +23,9 @@ from momapos.scene.scene import Scene
 from momapos.stopwatch import Stopwatch
 from momapos.types import Motion, Task
 from momapos.verification.exact import PlanVerifier
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 
 @dataclass(frozen=True)

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol, TypeAlias
 
 import numpy as np
-from jaxtyping import Float
 
 from momapos.types import Cloud, FaceImage, Front, Instance
 
-TravelCost = Callable[[Float[np.ndarray, "n 2"]], Float[np.ndarray, " n"]]
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+TravelCost: TypeAlias = "Callable[[Float[np.ndarray, 'n 2']], Float[np.ndarray, ' n']]"
 """Driving length from the start to floor positions [m], infinite where there is no way."""
 Clock = Callable[[], float]
 """Seconds from some origin; passed in, so that nothing else depends on the time of day."""

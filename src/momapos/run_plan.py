@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from importlib import metadata
+from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -53,7 +54,7 @@ Drive = Callable[
     DriveRecord,
 ]
 """Drives from a pose to a pose: x [m], y [m], yaw [rad]."""
-Trace = Callable[[Float[np.ndarray, " t"], Float[np.ndarray, "t 3"]], None]
+Trace: TypeAlias = "Callable[[Float[np.ndarray, ' t'], Float[np.ndarray, 't 3']], None]"
 """Called after every drive with its times [s] and true poses."""
 
 

@@ -7,16 +7,16 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float
 
 from momapos.errors import InputError
 from momapos.fusion.gravity import GravityConfig, align_to_gravity
 from momapos.fusion.tsdf import FusionConfig, fuse
 from momapos.geometry.transforms import apply, pose, rotation_about
+from momapos.importance.config import ImportanceConfig
 from momapos.importance.rank import rank
-from momapos.importance.scorers import ImportanceConfig
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.urdf import box_urdf
 from momapos.protocols import ArticulationPredictor, Clock, Segmenter
@@ -50,6 +50,9 @@ from momapos.types import (
 from momapos.views.front_view import Seen, View, ViewConfig, choose_view
 from momapos.views.projection import sights, vote_label
 from momapos.views.rows import RowConfig, split_row
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 Progress = Callable[[str, float], None]
 """Told what is at work, and the share of the whole that is done."""

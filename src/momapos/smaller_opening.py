@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float
 
 from momapos.config import PipelineConfig
 from momapos.pipeline import plan_base_placement
@@ -15,6 +15,9 @@ from momapos.protocols import Clock, ReachScorer
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene
 from momapos.types import PlacementPlan, Task
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 DEFAULT = PipelineConfig()
 SHARES = (0.75, 0.5, 0.25)

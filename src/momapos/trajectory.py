@@ -8,14 +8,17 @@ import logging
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 
 from momapos.cache import write_atomic
 from momapos.errors import InputError
 from momapos.robots.robot import Robot
 from momapos.types import Motion, PlacementPlan
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
 
 CORNER = np.radians(10.0)
 """The arm stops where its path turns by more than this in joint space [rad]."""

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from momapos.cli.main import COMMANDS, main
+from momapos.cli.main import COMMANDS, SHELLS, main
 from momapos.cli.place import parse_start
 from momapos.errors import TaskError
 from momapos.units import parse_quantity
@@ -26,13 +26,29 @@ def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:
     assert all(name in shown for name in COMMANDS)
 
 
-@pytest.mark.parametrize("name", [n for n, c in COMMANDS.items() if isinstance(c[1], dict)])
+GROUPS = {name: group for name, (_, group) in COMMANDS.items() if isinstance(group, dict)}
+
+
+@pytest.mark.parametrize("name", GROUPS)
 def test_every_subcommand_has_help(name: str, capsys: pytest.CaptureFixture[str]) -> None:
-    functions = COMMANDS[name][1]
-    assert isinstance(functions, dict)
-    for sub in functions:
+    assert main([name, "--help"]) == 0
+    shown = capsys.readouterr().out
+    for sub in GROUPS[name]:
+        assert f"  {sub} " in shown
         assert main([name, sub, "--help"]) == 0
         assert f"momapos {name} {sub}" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("shell", SHELLS)
+def test_every_shell_completes_every_command(
+    shell: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["--tyro-print-completion", shell]) == 0
+    shown = capsys.readouterr().out
+    assert all(name in shown for name in COMMANDS)
+    assert all(sub in shown for group in GROUPS.values() for sub in group)
+    assert "--method" in shown
+    assert "RRTConnect" in shown
 
 
 @pytest.mark.parametrize(
@@ -40,6 +56,8 @@ def test_every_subcommand_has_help(name: str, capsys: pytest.CaptureFixture[str]
     [
         (["plaec"], "did you mean place"),
         (["place", "opne"], "did you mean open"),
+        (["--tyro-print-completion"], "followed by one of bash, zsh"),
+        (["--tyro-print-completion", "basch"], "followed by one of bash, zsh"),
         (["place", "open", "kitchen_smal", "fridge"], "kitchen_small"),
         (["place", "open", "kitchen_small", "fridg"], "did you mean fridge"),
         (["place", "open", "kitchen_small", "fridge"], "several moving parts"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import example, given
 from hypothesis import strategies as st
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
 from momapos.geometry.transforms import (
@@ -18,6 +18,7 @@ from momapos.geometry.transforms import (
     pose_wxyz,
     rotation_about,
     rotation_angle,
+    rotation_of,
     wrap_angle,
 )
 
@@ -132,3 +133,18 @@ def test_an_orthonormal_vector_is_one_and_the_same(axis: np.ndarray) -> None:
     assert abs(v @ axis) < 1e-12
     assert_allclose(np.linalg.norm(v), 1.0)
     assert_allclose(orthonormal(axis.copy()), v, atol=0)
+
+
+def test_rotations_are_those_of_scipy_to_the_last_bit() -> None:
+    rng = np.random.default_rng(3)
+    turns = rng.normal(size=(2000, 3)) * rng.choice([1e-5, 1e-3, 1.0, 5.0], size=(2000, 1))
+    turns[:500, :2], turns[0] = 0.0, 0.0
+    assert_array_equal(rotation_of(turns), Rotation.from_rotvec(turns).as_matrix())
+    angles = rng.uniform(-4, 4, size=(500, 3))
+    angles[:200] = np.round(angles[:200] / (np.pi / 2)) * np.pi / 2
+    for rpy in angles:
+        expected = Rotation.from_euler("xyz", rpy).as_matrix()
+        assert_array_equal(pose_rpy((0, 0, 0), tuple(rpy))[:3, :3], expected)
+    for wxyz in rng.normal(size=(500, 4)):
+        expected = Rotation.from_quat(wxyz, scalar_first=True).as_matrix()
+        assert_array_equal(pose_wxyz((0, 0, 0), tuple(wxyz))[:3, :3], expected)

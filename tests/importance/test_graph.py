@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.sparse import csgraph
 from scipy.spatial import cKDTree
 from tests.importance.things import (
     SHELF_TOP,
@@ -27,7 +28,8 @@ from tests.rooms import move_scene
 
 from momapos.errors import InputError, MomaposError, SceneError
 from momapos.geometry.transforms import pose, rotation_about
-from momapos.importance.graph import GraphConfig, build_graph
+from momapos.importance.config import GraphConfig
+from momapos.importance.graph import build_graph
 from momapos.importance.relations import neighbours, outline_gaps
 from momapos.kinematics.urdf import Link
 from momapos.scene.files import load_scene
@@ -267,3 +269,12 @@ def test_a_thing_that_lies_on_its_side_rests_on_what_is_below() -> None:
         (0, 0, 0.74), rotation_about(UP, 0.6) @ rotation_about(np.array([0, 1.0, 0]), np.pi / 2)
     )
     assert hierarchy(room(TABLE, replace(lying, T_world_object=T))) == {("bottle", "on", "table")}
+
+
+def test_steps_are_the_shortest_ways_over_the_edges() -> None:
+    for name in ("kitchen_small", "kitchen_island"):
+        graph = build_graph(load_scene(name))
+        ways = csgraph.shortest_path(graph.adjacency, unweighted=True)
+        expected = np.where(np.isfinite(ways), ways, -1)
+        for target in range(len(graph)):
+            np.testing.assert_array_equal(graph.steps(target), expected[target])

@@ -16,23 +16,16 @@ from tests.importance.things import box, room
 from tests.rooms import move_scene
 
 from momapos.errors import InputError, UnknownNameError
-from momapos.importance.graph import GraphConfig
+from momapos.importance.config import GraphConfig, ImportanceConfig
 from momapos.importance.rank import rank
-from momapos.importance.scorers import (
-    KNEE,
-    LEAST,
-    SCORERS,
-    ImportanceConfig,
-    score_of_cosine,
-    words,
-)
+from momapos.importance.scorers import KNEE, LEAST, SCORERS, score_of_cosine, words
 from momapos.scene.files import load_scene
 from momapos.scene.scene import Scene
 
 WALKS = ImportanceConfig(scorer="deepwalk")
 PRINT = (
     "from momapos.scene.files import load_scene; from momapos.importance.rank import rank;"
-    "from momapos.importance.scorers import ImportanceConfig as C;"
+    "from momapos.importance.config import ImportanceConfig as C;"
     "room = load_scene('kitchen_island');"
     "print(*(rank(room, 'cup', C(scorer=s), seed=3).scores.tobytes().hex()"
     " for s in ('deepwalk', 'reach', 'names')))"

@@ -10,7 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.importance.things import box, room
 
-from momapos.importance.graph import GraphConfig, SceneGraph, build_graph
+from momapos.importance.config import GraphConfig
+from momapos.importance.graph import SceneGraph, build_graph
 from momapos.importance.walks import transitions, walk
 from momapos.scene.files import load_scene
 

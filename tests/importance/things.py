@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from momapos.geometry.transforms import pose, rotation_about
-from momapos.importance.graph import GraphConfig, build_graph
+from momapos.importance.config import GraphConfig
+from momapos.importance.graph import build_graph
 from momapos.importance.relations import KINDS
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.urdf import Geometry, Joint, JointKind, Link, Urdf, box_urdf

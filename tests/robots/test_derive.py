@@ -19,7 +19,8 @@ from momapos.errors import MomaposError, RobotError, UnknownNameError
 from momapos.kinematics.spheres import build_spheres
 from momapos.robots.derive import derive_robot, examine, write_robot
 from momapos.robots.gripper import points_of
-from momapos.robots.robot import library_names, load_robot, read_robot
+from momapos.robots.names import library_names
+from momapos.robots.robot import load_robot, read_robot
 from momapos.robots.states import sample_states, touches
 
 FETCH = DATA / "robots" / "fetch"

@@ -19,7 +19,8 @@ from momapos.errors import FileFormatError, MomaposError, SceneError, UnknownNam
 from momapos.geometry.transforms import pose_rpy
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.urdf import box_urdf
-from momapos.scene.files import builtin_names, load_scene, save_scene
+from momapos.scene.files import load_scene, save_scene
+from momapos.scene.names import builtin_names
 from momapos.scene.scene import Scene, SceneObject
 
 CUPBOARD = """<robot name="cupboard">

@@ -12,8 +12,8 @@ from scipy.spatial.distance import pdist
 from tests.importance.things import SHELF_TOP, bowl, box, fridge, room
 
 from momapos.errors import InputError
+from momapos.importance.config import ImportanceConfig
 from momapos.importance.rank import Importance, rank
-from momapos.importance.scorers import ImportanceConfig
 from momapos.scene.files import load_scene
 from momapos.scene.scene import Scene
 from momapos.viewer.graph import draw_importance, spread

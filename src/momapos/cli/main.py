@@ -8,47 +8,43 @@ from __future__ import annotations
 
 import importlib
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
-COMMANDS: dict[str, tuple[str, dict[str, str] | str, str]] = {
+COMMANDS: dict[str, tuple[str, str | dict[str, str]]] = {
     "place": (
-        "momapos.cli.place",
-        {
-            "open": "place_open", "close": "place_close", "pick": "place_pick",
-            "place": "place_place",
-        },
         "where to stand and how to move, to open, close, pick or place something",
-    ),
-    "verify": ("momapos.cli.verify", "verify", "check a plan again, from the files alone"),
-    "run": (
-        "momapos.cli.run", "run", "carry a plan out in physics: is it really open then?",
-    ),
-    "rank": (
-        "momapos.cli.rank", "rank_objects", "which objects matter for a task with one of them",
-    ),
-    "scene": (
-        "momapos.cli.scene",
         {
-            "list": "scene_list", "show": "scene_show", "new": "scene_new",
-            "convert": "scene_convert", "scan": "momapos.cli.scan_synthetic:scene_scan",
+            "open": "place:place_open", "close": "place:place_close",
+            "pick": "place:place_pick", "place": "place:place_place",
         },
+    ),
+    "verify": ("check a plan again, from the files alone", "verify:verify"),
+    "run": ("carry a plan out in physics: is it really open then?", "run:run"),
+    "rank": ("which objects matter for a task with one of them", "rank:rank_objects"),
+    "scene": (
         "rooms: list, show, generate, convert, scan",
+        {
+            "list": "scene:scene_list", "show": "scene:scene_show", "new": "scene:scene_new",
+            "convert": "scene:scene_convert", "scan": "scan_synthetic:scene_scan",
+        },
     ),
     "robot": (
-        "momapos.cli.robot",
-        {
-            "list": "robot_list", "show": "robot_show", "check": "robot_check",
-            "export": "robot_export",
-        },
         "robots: list, show, check a URDF or robot file, export",
+        {
+            "list": "robot:robot_list", "show": "robot:robot_show",
+            "check": "robot:robot_check", "export": "robot:robot_export",
+        },
     ),
-    "scan": ("momapos.cli.scan", "scan_room", "a scene that moves, from a scan of a room"),
+    "scan": ("a scene that moves, from a scan of a room", "scan:scan_room"),
     "reach": (
-        "momapos.cli.reach",
-        {"build": "reach_build", "eval": "reach_eval"},
         "reachability maps: build, evaluate",
+        {"build": "reach:reach_build", "eval": "reach:reach_eval"},
     ),
 }  # fmt: skip
+"""What each command is for, and its function, or those of its subcommands, in `momapos.cli`.
+
+Modules of commands import nothing heavy: help, completion, lists and wrong names come at once.
+"""
 EXAMPLES = """examples:
   momapos place open kitchen_small fridge/door_hinge --robot segway_ur5e --plot plan.png
   momapos place open kitchen.json cabinet/door_left --robot fetch --to 90deg --out plan.json
@@ -57,6 +53,10 @@ EXAMPLES = """examples:
   momapos rank kitchen_small fridge --plot graph.png
   momapos robot check my_robot.urdf --plot robot.png"""
 HELP = ("-h", "--help")
+COMPLETION = "--tyro-print-completion"
+SHELLS = ("bash", "zsh", "fish")
+COMPLETE = f"""completion of commands and options in bash (zsh and fish likewise):
+  eval "$(momapos {COMPLETION} bash)\""""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -73,7 +73,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         return _run(args)
     except SystemExit as leaving:  # tyro ends the process itself on --help and on wrong words
-        return leaving.code if isinstance(leaving.code, int) else 2
+        return leaving.code if isinstance(leaving.code, int) else 0 if leaving.code is None else 2
     except BrokenPipeError:
         return 0
     except KeyboardInterrupt:
@@ -92,42 +92,68 @@ def _run(args: list[str]) -> int:
     from momapos.errors import unknown_name
 
     name, rest = args[0], args[1:]
+    if name == COMPLETION:
+        return _print_completion(rest)
     if name not in COMMANDS:
         raise unknown_name("command", name, COMMANDS, "momapos")
-    module, functions, _ = COMMANDS[name]
-    if isinstance(functions, str):
-        function, prog = functions, f"momapos {name}"
-    else:
+    function, prog = COMMANDS[name][1], f"momapos {name}"
+    if isinstance(function, dict):
         if not rest or rest[0] in HELP:
-            print(_group(name))
+            print(_group(name, function))
             return 0 if rest else 2
-        if rest[0] not in functions:
-            raise unknown_name("command", rest[0], functions, f"momapos {name}")
-        function, prog = functions[rest[0]], f"momapos {name} {rest[0]}"
-        rest = rest[1:]
+        if rest[0] not in function:
+            raise unknown_name("command", rest[0], function, prog)
+        function, prog, rest = function[rest[0]], f"{prog} {rest[0]}", rest[1:]
     import tyro
 
-    if ":" in function:  # a subcommand that has a module of its own
-        module, function = function.split(":")
-    run = getattr(importlib.import_module(module), function)
-    result = tyro.cli(run, args=rest, prog=prog)
-    return int(result)
+    return int(tyro.cli(_load(function), args=rest, prog=prog))
+
+
+def _load(function: str) -> Callable[..., int]:
+    """The function of a command, as the table names it."""
+    module, name = function.split(":")
+    loaded: Callable[..., int] = getattr(importlib.import_module(f"momapos.cli.{module}"), name)
+    return loaded
+
+
+def _print_completion(shell: list[str]) -> int:
+    """Print what makes a shell complete all commands and their options.
+
+    One application of all commands can do that; answers do not go through it, since it reads the
+    options of every command first, and tells a wrong word in more than one line.
+    """
+    from tyro.extras import SubcommandApp
+
+    from momapos.errors import InputError
+
+    if len(shell) != 1 or shell[0] not in SHELLS:
+        raise InputError(f"{COMPLETION} is followed by one of {', '.join(SHELLS)}")
+    app = SubcommandApp()
+    for name, (_, functions) in COMMANDS.items():
+        if isinstance(functions, str):
+            app.command(name=name)(_load(functions))
+            continue
+        group = SubcommandApp()
+        for sub, function in functions.items():
+            group.command(name=sub)(_load(function))
+        app.command(group, name=name)
+    app.cli(prog="momapos", args=[COMPLETION, *shell])
+    return 0
 
 
 def _overview() -> str:
     lines = ["usage: momapos COMMAND ...", "", "commands:"]
-    lines += [f"  {name:<8} {text}" for name, (_, _, text) in COMMANDS.items()]
-    lines += ["", "momapos COMMAND --help says more.", "", EXAMPLES]
+    lines += [f"  {name:<8} {text}" for name, (text, _) in COMMANDS.items()]
+    lines += ["", "momapos COMMAND --help says more.", "", EXAMPLES, "", COMPLETE]
     return "\n".join(lines)
 
 
-def _group(name: str) -> str:
-    _, functions, text = COMMANDS[name]
-    assert isinstance(functions, dict)
-    return (
-        f"usage: momapos {name} {{{','.join(functions)}}} ...\n\n{text}\n\n"
-        f"momapos {name} {next(iter(functions))} --help says more."
-    )
+def _group(name: str, functions: dict[str, str]) -> str:
+    lines = [f"usage: momapos {name} {{{','.join(functions)}}} ...", "", COMMANDS[name][0], ""]
+    for sub, function in functions.items():
+        first = (_load(function).__doc__ or "").partition("\n")[0]
+        lines.append(f"  {sub:<8} {first}")
+    return "\n".join([*lines, "", f"momapos {name} {next(iter(functions))} --help says more."])
 
 
 def entry() -> None:

@@ -5,30 +5,35 @@ from __future__ import annotations
 import math
 import sys
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, Optional
 
-from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
+from tyro.conf import OmitArgPrefixes, Positional
 
-from momapos.cli.options import check_seed
+from momapos.cli.options import (
+    JointsArg,
+    OptionalNumber,
+    OptionalPath,
+    StartArg,
+    Target,
+    Thing,
+    ToArg,
+    check_seed,
+)
 from momapos.errors import TaskError
 from momapos.files import check_outputs
-from momapos.importance.scorers import ScorerName
+from momapos.importance.config import ScorerName
+from momapos.robots.names import find_robot
+from momapos.scene.names import find_scene, refuse_unknown_object
 from momapos.units import parse_quantity
 from momapos.viewer.pictures import check_picture
 
 if TYPE_CHECKING:
-    from momapos.importance.scorers import ImportanceConfig
+    from momapos.importance.config import ImportanceConfig
     from momapos.pipeline import PlacementResult
 
 Method = Literal["ours", "paper", "exhaustive"]
 Planner = Literal["RRTConnect", "RRTstar", "BITstar"]
 _STATUS = {"solved": 0, "infeasible": 3, "timeout": 4}
-Target = Annotated[str, arg(metavar="OBJECT[/JOINT]")]
-StartArg = Annotated[str | None, arg(metavar="X,Y,YAW")]
-Thing = Annotated[str, arg(metavar="OBJECT")]
-JointsArg = Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="OBJECT/JOINT=VALUE")]
-ToArg = Annotated[str | None, arg(metavar="VALUE")]
 
 
 @dataclass(frozen=True)
@@ -45,17 +50,17 @@ class Options:
     """ours: cheapest pose first; paper: MoMa-Pos as printed; exhaustive: a grid."""
     planner: Planner = "RRTConnect"
     """OMPL's planner for the way from home to the object."""
-    scorer: ScorerName | None = None
+    scorer: Optional[ScorerName] = None  # noqa: UP045 (see cli.options)
     """How importance is measured: from where the hand goes (reach), or as the paper (deepwalk)."""
-    alpha: float | None = None
+    alpha: OptionalNumber = None
     """Objects with an importance of at least this are modelled, in [0, 1]; 0: all."""
     seed: int = 0
     """Same seed, same answer."""
     timeout: float = 120.0
     """Time to search for the answer [s]; what is read and compiled before does not count."""
-    out: Path | None = None
+    out: OptionalPath = None
     """Write the plan here (JSON)."""
-    plot: Path | None = None
+    plot: OptionalPath = None
     """Draw the answer here (PNG, SVG or PDF)."""
     json: bool = False
     """Print the plan as one JSON object and nothing else."""
@@ -147,10 +152,14 @@ def _answer(verb: str, scene_name: str, target: str, to: str | None, options: Op
     if not options.timeout > 0:
         raise TaskError("--timeout must be > 0 seconds")
     check_outputs([options.out, options.plot])
+    name, _, joint = target.partition("/")
+    # A mistyped name is told before anything heavy is imported.
+    find_robot(options.robot)
+    refuse_unknown_object(find_scene(scene_name), name)
 
     import numpy as np
 
-    from momapos.cache import default_cache_dir
+    from momapos.cache import user_cache
     from momapos.cli.compile import compile_once
     from momapos.cli.console import busy, progress
     from momapos.config import PipelineConfig
@@ -164,16 +173,16 @@ def _answer(verb: str, scene_name: str, target: str, to: str | None, options: Op
     from momapos.scene.joints import set_joints
     from momapos.smaller_opening import smaller_opening
 
-    robot = load_robot(options.robot)
-    scene = set_joints(load_scene(scene_name), options.joint)
+    cache = user_cache()
+    robot = load_robot(options.robot, cache=cache)
+    scene = set_joints(load_scene(scene_name, cache=cache), options.joint)
     for warning in scene.warnings:
         print(f"momapos: {warning}", file=sys.stderr)
-    name, _, joint = target.partition("/")
     task = make_task(scene, verb, name, joint or None, to)
     with progress(f"reachability map of {robot.name}") as report:
-        reach = load_reach_map(robot, default_cache_dir(), report)
+        reach = load_reach_map(robot, cache.folder, report)
     at = None if begin is None else np.array(begin)
-    compile_once(scene, robot, task, reach, at, default_cache_dir())
+    compile_once(scene, robot, task, reach, at, cache.folder)
     config = PipelineConfig(
         importance=_importance(options),
         place=PlaceConfig(method=options.method),
@@ -198,7 +207,7 @@ def _answer(verb: str, scene_name: str, target: str, to: str | None, options: Op
 
 def _importance(options: Options) -> ImportanceConfig:
     """How objects are scored: as asked, and by walks in the paper's variant."""
-    from momapos.importance.scorers import ImportanceConfig
+    from momapos.importance.config import ImportanceConfig
 
     paper = "deepwalk" if options.method == "paper" else None
     asked = {"scorer": options.scorer or paper, "alpha": options.alpha}

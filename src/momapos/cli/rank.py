@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import sys
 from dataclasses import asdict
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from tyro.conf import OmitArgPrefixes, Positional, arg
+from tyro.conf import OmitArgPrefixes, Positional
 
-from momapos.cli.place import JointsArg
-from momapos.importance.scorers import ImportanceConfig
+from momapos.cli.options import JointsArg, OptionalPath, Target
+from momapos.importance.config import ImportanceConfig
+from momapos.scene.names import find_scene, refuse_unknown_object
 
 if TYPE_CHECKING:
     from momapos.importance.rank import Importance
     from momapos.scene.scene import Scene
 
-Target = Annotated[str, arg(metavar="OBJECT[/JOINT]")]
 Shared = Annotated[ImportanceConfig, OmitArgPrefixes]
 _WORDS = {
     "": "", "near": "near it", "on": "on it", "in": "in it", "inside": "inside it",
@@ -31,7 +30,7 @@ def rank_objects(
     *,
     joint: JointsArg = (),
     seed: int = 0,
-    plot: Path | None = None,
+    plot: OptionalPath = None,
     json: bool = False,
     config: Shared = ImportanceConfig(),  # noqa: B008 (frozen)
 ) -> int:
@@ -51,6 +50,11 @@ def rank_objects(
 
     from momapos.cli.options import check_seed
     from momapos.files import check_outputs
+
+    name, _, moved = target.partition("/")
+    # A mistyped name is told before anything heavy is imported.
+    refuse_unknown_object(find_scene(scene), name)
+    from momapos.cache import user_cache
     from momapos.importance.rank import rank
     from momapos.manipulation.tasks import hand_path
     from momapos.scene.files import load_scene
@@ -60,10 +64,9 @@ def rank_objects(
     check_seed(seed)
     check_outputs([plot])
     check_picture(plot)
-    loaded = set_joints(load_scene(scene), joint)
+    loaded = set_joints(load_scene(scene, cache=user_cache()), joint)
     for warning in loaded.warnings:
         print(f"momapos: {warning}", file=sys.stderr)
-    name, _, moved = target.partition("/")
     path = hand_path(loaded, name, moved or None)
     result = rank(loaded, name, config, path=path, seed=seed)
     if plot is not None:

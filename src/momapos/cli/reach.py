@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from tyro.conf import Positional
+
+from momapos.cli.options import OptionalPath
+from momapos.robots.names import find_robot
 
 
 def reach_build(
     robot: Positional[str],
     /,
     *,
-    cache: Path | None = None,
-    out: Path | None = None,
+    cache: OptionalPath = None,
+    out: OptionalPath = None,
     json: bool = False,
 ) -> int:
     """Build a robot's reachability map, or find it ready.
@@ -23,6 +24,7 @@ def reach_build(
         out: Build it afresh into this file; NAME.reach beside NAME.toml is found by itself.
         json: Print one JSON object.
     """
+    find_robot(robot)  # a mistyped name is told before anything heavy is imported
     import json as encoder
     import time
 
@@ -52,7 +54,7 @@ def reach_build(
 
 
 def reach_eval(
-    robot: Positional[str], /, *, count: int = 20_000, seed: int = 0, cache: Path | None = None,
+    robot: Positional[str], /, *, count: int = 20_000, seed: int = 0, cache: OptionalPath = None,
     json: bool = False,
 ) -> int:  # fmt: skip
     """Hold a robot's reachability map against exact inverse kinematics.
@@ -64,6 +66,7 @@ def reach_eval(
         cache: Folder of the cache.
         json: Print one JSON object.
     """
+    find_robot(robot)
     import json as encoder
     from dataclasses import asdict
 

@@ -4,22 +4,19 @@ from __future__ import annotations
 
 import json as json_format
 import shutil
-from importlib import resources
+import tomllib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from jaxtyping import Float
-
 from momapos.cli.console import busy
+from momapos.cli.options import OptionalPath
 from momapos.errors import RobotError, unknown_name
 from momapos.files import check_outputs
-from momapos.robots.derive import examine, write_robot
-from momapos.robots.robot import Robot, library_names, load_robot
-from momapos.viewer.pictures import check_picture, save_figure
+from momapos.robots.names import LIBRARY, find_robot, library_names
+from momapos.viewer.pictures import check_picture
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+    from momapos.robots.robot import Robot
 
 SOLVED = 0
 
@@ -30,15 +27,20 @@ def robot_list(*, json: bool = False) -> int:
     Args:
         json: Print one JSON object instead of a table.
     """
-    robots = [load_robot(name) for name in library_names()]
+    robots = [_in_short(name) for name in library_names()]
     if json:
-        facts = [{"name": r.name, "joints": r.chain.size, "drive": r.drive} for r in robots]
-        print(json_format.dumps({"robots": facts}, indent=1))
+        print(json_format.dumps({"robots": robots}, indent=1))
         return SOLVED
     for robot in robots:
-        print(f"{robot.name:14} {robot.chain.size} arm joints, {robot.drive} drive")
+        print(f"{robot['name']:14} {robot['joints']} arm joints, {robot['drive']} drive")
     print("Use a name as --robot, or a robot file; 'momapos robot check FILE.urdf' makes one.")
     return SOLVED
+
+
+def _in_short(name: str) -> dict[str, Any]:
+    """What `robot list` tells of a library robot, from its robot file alone."""
+    data = tomllib.loads(find_robot(name).read_text(encoding="utf-8"))
+    return {"name": data["name"], "joints": len(data["arm_joints"]), "drive": data["base"]["drive"]}
 
 
 def robot_show(name: str, /, *, json: bool = False) -> int:
@@ -48,13 +50,17 @@ def robot_show(name: str, /, *, json: bool = False) -> int:
         name: Name of a robot in the library, or a robot file.
         json: Print one JSON object instead of text.
     """
-    facts = describe(load_robot(name))
+    find_robot(name)  # a mistyped name is told before anything heavy is imported
+    from momapos.cache import user_cache
+    from momapos.robots.robot import load_robot
+
+    facts = describe(load_robot(name, cache=user_cache()))
     print(json_format.dumps(facts, indent=1) if json else as_text(facts))
     return SOLVED
 
 
 def robot_check(
-    file: Path, /, *, out: Path | None = None, plot: Path | None = None, json: bool = False
+    file: Path, /, *, out: OptionalPath = None, plot: OptionalPath = None, json: bool = False
 ) -> int:
     """Check a robot file, or derive one from a URDF alone.
 
@@ -69,6 +75,10 @@ def robot_check(
     """
     check_outputs([out, plot])
     check_picture(plot)
+    from momapos.cache import user_cache
+    from momapos.robots.derive import examine, write_robot
+    from momapos.robots.robot import load_robot
+
     guesses: tuple[str, ...] = ()
     if file.suffix.lower() in (".urdf", ".xml"):
         with busy(f"robot check {file.name}"):
@@ -76,10 +86,12 @@ def robot_check(
         guesses = derived.assumptions
     elif out is not None:
         raise RobotError(f"--out is for a URDF; {file} is a robot file already")
-    robot = load_robot(file)
+    robot = load_robot(file, cache=user_cache())
     with busy(f"robot check {file.name}"):
         doubts = examine(robot)
     if plot is not None:
+        from momapos.viewer.spheres import draw_robot
+
         draw_robot(robot, plot)
     facts = {
         **describe(robot), "written": bool(guesses), "assumptions": list(guesses),
@@ -112,7 +124,7 @@ def robot_export(name: str, dir: Path, /) -> int:
     """
     if name not in library_names():
         raise unknown_name("robot", name, library_names(), "the library")
-    source = Path(str(resources.files("momapos.robots") / "library" / name))
+    source = LIBRARY / name
     files = [path for path in sorted(source.rglob("*")) if path.is_file()]
     check_outputs(folders=[dir])
     taken = [path for path in files if (dir / path.relative_to(source)).exists()]
@@ -133,6 +145,8 @@ def robot_export(name: str, dir: Path, /) -> int:
 
 def describe(robot: Robot) -> dict[str, Any]:
     """What `robot show` tells, as plain values [m], [rad]."""
+    import numpy as np
+
     chain, spheres = robot.chain, robot.spheres
 
     def finite(value: float) -> float | None:
@@ -193,62 +207,3 @@ def as_text(facts: dict[str, Any]) -> str:
         unit = "m" if joint["kind"] == "prismatic" else "rad"
         lines.append(f"    {joint['name']:26} {span} {unit}, home {joint['home']:.2f}")
     return "\n".join(lines)
-
-
-# ------------------------------------------------------------------------------------- the picture
-
-
-def draw_robot(robot: Robot, path: Path) -> None:
-    """Draw a robot at home from above and from its right, with its collision spheres."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(11, 6), layout="constrained")
-    above, side = figure.subplots(1, 2)
-    corners = np.vstack([robot.footprint, robot.footprint[:1]])
-    above.plot(*corners.T, "k--", lw=1, label="footprint")
-    side.axhline(0, color="0.5", lw=1)
-    for axes, (i, j) in ((above, (0, 1)), (side, (0, 2))):
-        _draw_view(robot, axes, i, j)
-        axes.set(aspect="equal", xlabel=f"{'xyz'[i]} [m]", ylabel=f"{'xyz'[j]} [m]")
-    above.set_title("from above")
-    side.set_title("from the right")
-    figure.suptitle(f"{robot.name} at home; orange: gripper, arrow: approach")
-    save_figure(figure, path, dpi=110)
-
-
-def _draw_view(robot: Robot, axes: Axes, i: int, j: int) -> None:
-    """Draw the projection onto two coordinates of the base frame."""
-    from matplotlib.collections import PatchCollection
-    from matplotlib.patches import Circle, Polygon
-    from scipy.spatial import ConvexHull
-
-    base = robot.base
-    signs = np.stack(np.meshgrid([-1, 1], [-1, 1], [-1, 1]), -1).reshape(-1, 3)
-    boxes = []
-    for k in range(len(base)):
-        points = (base.center[k] + (signs * base.half[k]) @ base.rotation[k].T)[:, [i, j]]
-        boxes.append(Polygon(points[ConvexHull(points).vertices]))
-    axes.add_collection(PatchCollection(boxes, facecolor="0.8", edgecolor="0.5", alpha=0.7))
-    centers, held = sphere_centers(robot, robot.home)
-    circles = [Circle((c[i], c[j]), r) for c, r in zip(centers, robot.spheres.radius, strict=True)]
-    colours = np.where(held, "tab:orange", "tab:blue")
-    axes.add_collection(PatchCollection(circles, facecolor=colours, edgecolor="none", alpha=0.25))
-    T = robot.chain.tool_poses(robot.home[None])[0]
-    tip = T[:3, 3] + 0.12 * T[:3, :3] @ robot.approach_axis
-    axes.annotate("", tip[[i, j]], T[[i, j], 3], arrowprops={"arrowstyle": "->", "color": "k"})
-    axes.autoscale_view()
-
-
-def sphere_centers(
-    robot: Robot, q: Float[np.ndarray, " n"]
-) -> tuple[Float[np.ndarray, "s 3"], Float[np.ndarray, " s"]]:
-    """Centres of the collision spheres in the base frame [m], and which are the gripper's."""
-    from momapos.kinematics.collision import place_segments
-
-    chain, spheres = robot.chain, robot.spheres
-    R, p = np.empty((chain.size + 1, 3, 3)), np.empty((chain.size + 1, 3))
-    place_segments(np.asarray(q, float), np.zeros(3), (chain.h, chain.d, chain.prismatic), R, p)
-    count = np.diff(spheres.start)
-    segment = np.repeat(spheres.segment, count)
-    centers = np.einsum("sij,sj->si", R[segment], spheres.center) + p[segment]
-    return centers, np.repeat(spheres.gripper, count)

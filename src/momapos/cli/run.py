@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Literal
 
 from tyro.conf import Positional
 
-from momapos.cli.place import StartArg, parse_start
+from momapos.cli.options import OptionalPath, OptionalText, StartArg
+from momapos.cli.place import parse_start
+from momapos.errors import FileFormatError
 
 if TYPE_CHECKING:
     from momapos.execution.record import RunRecord
@@ -22,14 +24,14 @@ def run(
     plan: Positional[Path],
     /,
     *,
-    scene_root: Path | None = None,
-    robot: str | None = None,
+    scene_root: OptionalPath = None,
+    robot: OptionalText = None,
     start: StartArg = None,
     hold: Literal["weld", "contact"] = "weld",
     noise: bool = True,
     seed: int = 0,
-    out: Path | None = None,
-    record: Path | None = None,
+    out: OptionalPath = None,
+    record: OptionalPath = None,
     json: bool = False,
 ) -> int:
     """Drive there and do it: carry a plan out in a physics engine, and say what came of it.
@@ -52,6 +54,8 @@ def run(
         record: Draw a filmstrip here (PNG).
         json: Print the record as one JSON object and nothing else.
     """
+    if not plan.exists():  # told before anything heavy is imported
+        raise FileFormatError(f"{plan}: no such plan file")
     from json import dumps
 
     import numpy as np
@@ -59,7 +63,7 @@ def run(
     from momapos.cache import default_cache_dir
     from momapos.cli.console import progress
     from momapos.cli.options import check_seed
-    from momapos.errors import InputError, MissingExtraError
+    from momapos.errors import InputError, require
     from momapos.files import check_outputs
     from momapos.plans import check_unchanged, read_plan
     from momapos.reachability.store import load_reach_map
@@ -73,16 +77,12 @@ def run(
         raise InputError(f"{plan}: the plan is {content.status!r}: there is nothing to execute")
     if record is not None and record.suffix.lower() != ".png":
         raise InputError(f"--record {record}: a filmstrip is a PNG; name it so")
-    try:
+    with require("physics"):
         from momapos.execution.config import ExecutionConfig, FurnitureConfig
         from momapos.execution.film import Film
         from momapos.execution.record import run_to_dict, write_run
         from momapos.navigation.drive import DriveConfig
         from momapos.run_plan import QUIET, run_plan
-    except ImportError as error:
-        raise MissingExtraError(
-            "momapos run needs the extra: pip install 'momapos[physics]'"
-        ) from error
 
     folders = [plan.resolve().parent, *([scene_root] if scene_root else []), Path()]
     scene_file = find_file("scene", content.scene, folders, plan)
@@ -119,7 +119,8 @@ def _robot(content: PlacementPlan, plan: Path, urdf: Path, given: str | None) ->
         RobotError: There is none, or it describes another robot.
     """
     from momapos.errors import InputError, RobotError
-    from momapos.robots.robot import library_names, load_robot
+    from momapos.robots.names import library_names
+    from momapos.robots.robot import load_robot
 
     beside = urdf.with_suffix(".toml")
     if given is not None:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
+from momapos.cli.options import OptionalPath, OptionalText
 from momapos.errors import InputError
 
 if TYPE_CHECKING:
@@ -25,16 +26,16 @@ Predictor = Literal["network", "template", "urdformer"]
 class ScanOptions:
     """Where knowledge comes from, beside the scan."""
 
-    target: Annotated[str | None, arg(metavar="OBJECT")] = None
+    target: Annotated[OptionalText, arg(metavar="OBJECT")] = None
     """Object that the task will be about: only what matters for it is modelled."""
-    instances: Path | None = None
+    instances: OptionalPath = None
     """Instances found by another program: Mask3D's ScanNet export, OpenMask3D masks, labels a
     point, or a JSON of boxes. All but boxes need a scan with a cloud."""
-    detections: Path | None = None
+    detections: OptionalPath = None
     """Detectron2's coco_instances_results.json for the images of the scan."""
     predictor: Predictor = "network"
     """Who finds doors and drawers: our network, a template by label, or URDFormer."""
-    checkpoint: Path | None = None
+    checkpoint: OptionalPath = None
     """URDFormer's part.pth."""
     models: tuple[str, ...] = ()
     """NAME=FILE.urdf of objects, by name or label, that need no prediction."""
@@ -48,11 +49,11 @@ class ScanOptions:
     """Units of integer depth in a metre."""
     voxel: float = 0.015
     """Edge of the voxels that depth is fused in [m]."""
-    depth_topic: str | None = None
+    depth_topic: OptionalText = None
     """Topics of a recording, where their types and names do not tell."""
-    colour_topic: str | None = None
-    info_topic: str | None = None
-    fixed_frame: str | None = None
+    colour_topic: OptionalText = None
+    info_topic: OptionalText = None
+    fixed_frame: OptionalText = None
     """Frame of a recording that does not move; the root of tf by default."""
 
     def __post_init__(self) -> None:

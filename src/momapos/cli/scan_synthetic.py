@@ -7,14 +7,10 @@ import sys
 from pathlib import Path
 
 from momapos.cli.console import progress
-from momapos.cli.options import check_seed
-from momapos.cli.place import JointsArg
+from momapos.cli.options import JointsArg, check_seed
 from momapos.errors import InputError
 from momapos.files import check_outputs
-from momapos.scene.files import load_scene
-from momapos.scene.joints import set_joints
-from momapos.synthetic_scans.depth_sensor import DepthSensor
-from momapos.synthetic_scans.recording import refuse_used, synthetic_scan, write_scan
+from momapos.scene.names import find_scene
 
 SOLVED = 0
 
@@ -48,6 +44,12 @@ def scene_scan(
     check_seed(seed)
     if not 1 <= frames <= 10_000:
         raise InputError("--frames must be between 1 and 10000")
+    find_scene(scene)  # a mistyped name is told before anything heavy is imported
+    from momapos.scene.files import load_scene
+    from momapos.scene.joints import set_joints
+    from momapos.synthetic_scans.depth_sensor import DepthSensor
+    from momapos.synthetic_scans.recording import refuse_used, synthetic_scan, write_scan
+
     refuse_used(out)
     loaded = set_joints(load_scene(scene), joint)
     sensor = DepthSensor() if noise else None

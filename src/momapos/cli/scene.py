@@ -3,24 +3,20 @@
 from __future__ import annotations
 
 import json as json_format
+import math
 import os
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from momapos.cli.options import check_seed
-from momapos.cli.place import JointsArg
+from momapos.cli.options import JointsArg, OptionalPath, check_seed
 from momapos.errors import SceneError
 from momapos.files import check_outputs
-from momapos.geometry.polygons import signed_area
-from momapos.geometry.transforms import apply
-from momapos.scene.copies import copied, model_files
-from momapos.scene.files import builtin_names, load_scene, save_scene
-from momapos.scene.joints import set_joints
-from momapos.scene.scene import Scene, SceneObject
-from momapos.viewer.pictures import check_picture, save_figure
+from momapos.scene.names import builtin_names, builtin_size, find_scene
+from momapos.viewer.pictures import check_picture
+
+if TYPE_CHECKING:
+    from momapos.scene.scene import Scene, SceneObject
 
 SOLVED = 0
 
@@ -31,13 +27,16 @@ def scene_list(*, json: bool = False) -> int:
     Args:
         json: Print one JSON object instead of a table.
     """
-    scenes = [describe(load_scene(name)) for name in builtin_names()]
     if json:
-        _print_json({"scenes": scenes})
+        from momapos.cache import user_cache
+        from momapos.scene.files import load_scene
+
+        scenes = [load_scene(name, cache=user_cache()) for name in builtin_names()]
+        _print_json({"scenes": [describe(scene) for scene in scenes]})
         return SOLVED
-    for scene in scenes:
-        joints = sum(len(item["joints"]) for item in scene["objects"])
-        print(f"{scene['name']:20} {len(scene['objects']):3} objects, {joints:3} joints")
+    for name in builtin_names():
+        objects, joints = builtin_size(name)
+        print(f"{name:20} {objects:3} objects, {joints:3} joints")
     print("Use a name as SCENE, or a file; 'momapos scene new LAYOUT' makes more.")
     return SOLVED
 
@@ -47,7 +46,7 @@ def scene_show(
     /,
     *,
     joint: JointsArg = (),
-    plot: Path | None = None,
+    plot: OptionalPath = None,
     json: bool = False,
 ) -> int:
     """Show what is in a scene: its objects, their sizes, their joints.
@@ -61,8 +60,15 @@ def scene_show(
     """
     check_outputs([plot])
     check_picture(plot)
-    loaded = set_joints(load_scene(scene), joint)
+    find_scene(scene)  # a mistyped name is told before anything heavy is imported
+    from momapos.cache import user_cache
+    from momapos.scene.files import load_scene
+    from momapos.scene.joints import set_joints
+
+    loaded = set_joints(load_scene(scene, cache=user_cache()), joint)
     if plot is not None:
+        from momapos.viewer.scene import draw_scene
+
         draw_scene(loaded, plot)
     facts = describe(loaded)
     if json:
@@ -70,9 +76,9 @@ def scene_show(
         return SOLVED
     print(f"{loaded.name} ({loaded.path})")
     for item in facts["objects"]:
-        low, high = np.array(item["bounds"])
-        size = " x ".join(f"{v:.2f}" for v in high - low)
-        x, y, z = (low + high) / 2
+        low, high = item["bounds"]
+        size = " x ".join(f"{b - a:.2f}" for a, b in zip(low, high, strict=True))
+        x, y, z = ((a + b) / 2 for a, b in zip(low, high, strict=True))
         print(f"  {item['name']:20} {item['category']:14} {size} m at ({x:.2f}, {y:.2f}, {z:.2f})")
         for moving in item["joints"]:
             print(f"      {_joint_line(moving)}")
@@ -96,6 +102,7 @@ def scene_new(layout: str, /, *, seed: int = 0, out: Path, json: bool = False) -
         out: The scene file; the URDF files go into a folder beside it.
         json: Print one JSON object instead of text.
     """
+    from momapos.scene.files import load_scene
     from momapos.scene.kitchens import generate_kitchen
 
     check_outputs([out])
@@ -116,7 +123,7 @@ def scene_convert(
     /,
     *,
     copy: bool = False,
-    root: Path | None = None,
+    root: OptionalPath = None,
     json: bool = False,
 ) -> int:
     """Write a scene of another kind (BestMan list, URDF) as a momapos scene.
@@ -129,6 +136,10 @@ def scene_convert(
         json: Print one JSON object instead of text.
     """
     check_outputs([out])
+    find_scene(source)
+    from momapos.scene.copies import copied
+    from momapos.scene.files import load_scene, save_scene
+
     scene = load_scene(source, root=root)
     if copy:
         with copied(scene, out, root) as moved:
@@ -150,6 +161,8 @@ def scene_convert(
 
 def describe(scene: Scene) -> dict[str, Any]:
     """What `scene show` tells, as plain values [m], [rad]."""
+    from momapos.geometry.polygons import signed_area
+
     return {
         "name": scene.name,
         "path": None if scene.path is None else str(scene.path),
@@ -161,13 +174,15 @@ def describe(scene: Scene) -> dict[str, Any]:
 
 
 def _describe_object(item: SceneObject) -> dict[str, Any]:
+    import numpy as np
+
     values = item.values()
     joints = [
         {
             "name": name,
             "kind": joint.kind,
-            "lower": joint.lower if np.isfinite(joint.lower) else None,
-            "upper": joint.upper if np.isfinite(joint.upper) else None,
+            "lower": joint.lower if math.isfinite(joint.lower) else None,
+            "upper": joint.upper if math.isfinite(joint.upper) else None,
             "value": values[name],
         }
         for name, joint in item.model.joints.items()
@@ -203,6 +218,8 @@ def _warn(scene: Scene) -> None:
 
 def _refuse_outside(scene: Scene, out: Path) -> None:
     """Say where the output could stand when the models are not below its folder."""
+    from momapos.scene.copies import model_files
+
     files = [file.resolve() for item in scene.objects for file in model_files(item.model)]
     folder = out.resolve().parent
     if all(file.is_relative_to(folder) for file in files):
@@ -212,41 +229,3 @@ def _refuse_outside(scene: Scene, out: Path) -> None:
         f"{out}: the scene's URDF files are not below {folder}; "
         f"write it to {place}, or add --copy to copy them"
     )
-
-
-# ------------------------------------------------------------------------------------- the picture
-
-
-def draw_scene(scene: Scene, path: Path) -> None:
-    """Draw a scene from above: every hull's outline, the floor, the start."""
-    from matplotlib.figure import Figure
-    from matplotlib.patches import Polygon
-    from scipy.spatial import ConvexHull, QhullError
-
-    figure = Figure(figsize=(8, 8), layout="constrained")
-    axes = figure.subplots()
-    if scene.floor is not None:
-        axes.add_patch(Polygon(scene.floor, facecolor="0.95", edgecolor="0.5", zorder=0))
-    for index, item in enumerate(scene.objects):
-        colour = f"C{index % 10}"
-        for link, T in item.link_poses().items():
-            for hull in item.model.hulls[link]:
-                points = apply(T, hull.vertices)
-                try:
-                    outline = points[ConvexHull(points[:, :2]).vertices, :2]
-                except QhullError:
-                    continue
-                height = float(points[:, 2].max())
-                axes.add_patch(
-                    Polygon(outline, facecolor=colour, alpha=0.35, edgecolor=colour, zorder=height)
-                )
-        low, high = item.bounds
-        x, y = (low + high)[:2] / 2
-        axes.text(x, y, item.name, ha="center", va="center", size=7, zorder=99)
-    if scene.start is not None:
-        x, y, yaw = scene.start
-        axes.plot(x, y, "ko")
-        axes.arrow(x, y, 0.4 * np.cos(yaw), 0.4 * np.sin(yaw), width=0.02, color="k")
-    axes.autoscale_view()
-    axes.set(aspect="equal", xlabel="x [m]", ylabel="y [m]", title=scene.name)
-    save_figure(figure, path, dpi=110)

@@ -6,12 +6,15 @@ from pathlib import Path
 
 from tyro.conf import Positional
 
+from momapos.cli.options import OptionalPath
+from momapos.errors import FileFormatError
+
 
 def verify(
     plan: Positional[Path],
     /,
     *,
-    scene_root: Path | None = None,
+    scene_root: OptionalPath = None,
     json: bool = False,
 ) -> int:
     """Check a plan again, from the plan file, the scene and the URDF that it names.
@@ -23,12 +26,15 @@ def verify(
         scene_root: Folder for names not found beside the plan, and for a BestMan scene's models.
         json: Print the report as one JSON object and nothing else.
     """
+    if not plan.exists():  # told before anything heavy is imported
+        raise FileFormatError(f"{plan}: no such plan file")
     from json import dumps
 
+    from momapos.cache import user_cache
     from momapos.verification.files import verify_files
     from momapos.verification.report import report_lines, report_to_dict
 
-    report = verify_files(plan, scene_root)
+    report = verify_files(plan, scene_root, cache=user_cache())
     if json:
         print(dumps(report_to_dict(report)))
     else:

@@ -6,16 +6,18 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float
 
 from momapos.errors import UrdfError
 from momapos.files import read_xml
 from momapos.geometry.transforms import pose_rpy
 from momapos.kinematics.hulls import hull_of
 from momapos.kinematics.urdf import MAX_URDF_BYTES, Geometry
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 _MATRIX = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 

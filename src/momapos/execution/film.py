@@ -8,20 +8,22 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import mujoco
 import numpy as np
-from jaxtyping import Float, Shaped, UInt8
 
-from momapos.errors import InputError, MissingExtraError
+from momapos.errors import InputError, require
 from momapos.execution.config import Stage
 from momapos.execution.shapes import Kind
 from momapos.execution.simulation import Simulation
 from momapos.geometry.planar import local_points
 
+if TYPE_CHECKING:
+    from jaxtyping import Float, Shaped, UInt8
+
 WIDTH, HEIGHT, COLUMNS = 480, 420, 4
-Draw = Callable[[Any, Any], UInt8[np.ndarray, "h w 3"]]
+Draw: TypeAlias = "Callable[[Any, Any], UInt8[np.ndarray, 'h w 3']]"
 """Draws a state as a camera sees it."""
 INTERVAL = 0.05
 """Time between remembered states [s]."""
@@ -76,12 +78,8 @@ class Film:
         """
         if self.world is None or not self.states:
             raise InputError(f"{path}: nothing was executed; there is nothing to draw")
-        try:
+        with require("physics"):
             from PIL import Image, ImageDraw
-        except ImportError as error:
-            raise MissingExtraError(
-                "--record needs the extra: pip install 'momapos[physics]'"
-            ) from error
         began = sum(float(times[-1]) for times in self.times)
         driven = self.driven(frames // 4)
         done = [(began + t, stage, q) for t, stage, q in self._chosen(frames - len(driven))]

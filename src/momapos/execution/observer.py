@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
-from jaxtyping import Float
 
 from momapos.execution.config import ExecutionConfig
 from momapos.execution.record import Collision, Load, Slip, Tracking
 from momapos.execution.shapes import ROBOT, Kind
 from momapos.execution.simulation import Simulation
 from momapos.geometry.transforms import invert, rotation_angle
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 _FASTEST = 1e4
 """A joint that moves faster is the engine's error [rad/s] or [m/s]."""

@@ -5,10 +5,10 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
-from jaxtyping import Float, Int
 
 from momapos.errors import SceneError
 from momapos.execution.config import ExecutionConfig, Stage
@@ -27,6 +27,9 @@ from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene, SceneObject
 from momapos.trajectory import Trajectory, joined, still, time_motion
 from momapos.types import Motion, Task
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
 
 DEFAULT = ExecutionConfig()
 Watch = Callable[[Simulation, float, Stage], None]

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from enum import IntEnum
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
-from jaxtyping import Float
 
 from momapos.kinematics.hulls import hull_of
 from momapos.kinematics.urdf import Geometry
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 
 class Kind(IntEnum):

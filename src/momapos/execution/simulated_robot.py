@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
-from jaxtyping import Float
 
 from momapos.errors import RobotError
 from momapos.execution.config import ExecutionConfig
@@ -17,6 +16,9 @@ from momapos.geometry.transforms import apply, invert, pose_planar
 from momapos.kinematics.articulated import joint_motion
 from momapos.kinematics.urdf import Joint
 from momapos.robots.robot import Robot
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 BASE_JOINTS = ("base x", "base y", "base yaw")
 TOOL_POINT = "tool point"

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
-from jaxtyping import Float, Int
 
 from momapos.errors import InputError
 from momapos.execution.config import ExecutionConfig
@@ -26,6 +25,9 @@ from momapos.geometry.transforms import invert
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene, SceneObject
 from momapos.types import Task
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
 
 WELD = "hold"
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float
 
 from momapos.execution.config import ExecutionConfig
 from momapos.execution.observer import Observer
@@ -13,6 +13,9 @@ from momapos.execution.simulation import Simulation
 from momapos.geometry.transforms import rotation_angle
 from momapos.scene.scene import SceneObject
 from momapos.types import Motion, Task
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 PLACED_POSITION, PLACED_ANGLE = 0.02, np.radians(15.0)
 """A placed object may rest this far from where the scene has it [m], [rad]."""

@@ -8,14 +8,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
 from momapos.errors import InputError
 from momapos.geometry.transforms import pose
 from momapos.types import Cloud, Frame
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
 
 EDGES = np.array([1.0, 0.97, 0.97, 0.94])
 """How much is believed that the top, right, left and lower edge of an image is up [-]."""

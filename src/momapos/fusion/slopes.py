@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-from jaxtyping import Float, Float32
 from numba import njit
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Float32
 
 TILE = 16  # pixels along a square of the coarse depth image that hidden blocks are found with
 

@@ -11,15 +11,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float, Float32, Int, UInt8
 from numba import njit
 
 from momapos.errors import InputError
 from momapos.fusion.slopes import TILE, deepest_of, facing_of
 from momapos.geometry.transforms import invert
 from momapos.types import Cloud, Frame
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Float32, Int, UInt8
 
 SIDE = 8  # voxels along a block
 VOXEL_RANGE = (0.001, 1.0)

@@ -5,10 +5,14 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-from jaxtyping import Float
 
 from momapos.geometry.transforms import wrap_angle
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 
 def rotation(yaw: float | Float[np.ndarray, " *batch"]) -> Float[np.ndarray, "*batch 2 2"]:

@@ -1,13 +1,19 @@
 """Rigid transforms as 4x4 matrices.
 
-`T_a_b` maps coordinates in b to a; `Ts_` is a batch over leading axes.
+`T_a_b` maps coordinates in b to a; `Ts_` is a batch over leading axes. Rotations are those of
+`scipy.spatial.transform` to the last bit, without its import, which takes longer than many an
+answer.
 """
 
 from __future__ import annotations
 
+import math
+from typing import TYPE_CHECKING
+
 import numpy as np
-from jaxtyping import Float
-from scipy.spatial.transform import Rotation
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 
 def pose(
@@ -24,12 +30,17 @@ def pose(
 
 def pose_rpy(xyz: tuple[float, ...], rpy: tuple[float, ...]) -> Float[np.ndarray, "4 4"]:
     """Build a transform from a translation [m] and fixed-axis roll, pitch, yaw [rad] (URDF)."""
-    return pose(xyz, Rotation.from_euler("xyz", rpy).as_matrix())
+    r, p, y = (_half_turn(k, float(angle)) for k, angle in enumerate(rpy))
+    return pose(xyz, _quaternion_matrix(_quaternion_product(_quaternion_product(r, p), y)))
 
 
 def pose_wxyz(xyz: tuple[float, ...], wxyz: tuple[float, ...]) -> Float[np.ndarray, "4 4"]:
     """Build a transform from a translation [m] and a quaternion (w first, any length > 0)."""
-    return pose(xyz, Rotation.from_quat(wxyz, scalar_first=True).as_matrix())
+    w, x, y, z = map(float, wxyz)
+    length = math.sqrt(x * x + y * y + z * z + w * w)
+    if length == 0:
+        raise ValueError("a quaternion of length 0 is no rotation")
+    return pose(xyz, _quaternion_matrix(np.array([x, y, z, w]) / length))
 
 
 def pose_planar(base: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 4 4"]:
@@ -64,9 +75,54 @@ def rotation_about(
     axis: Float[np.ndarray, "3"], angle: float | Float[np.ndarray, " *batch"]
 ) -> Float[np.ndarray, "*batch 3 3"]:
     """Rotate by `angle` [rad] about a unit axis (Rodrigues)."""
-    vectors = np.asarray(angle)[..., None] * np.asarray(axis)
-    flat = Rotation.from_rotvec(vectors.reshape(-1, 3)).as_matrix()
-    return flat.reshape(*vectors.shape[:-1], 3, 3)
+    return rotation_of(np.asarray(angle)[..., None] * np.asarray(axis))
+
+
+def rotation_of(vectors: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3 3"]:
+    """Rotate about each vector by its length [rad]."""
+    x, y, z = np.moveaxis(vectors, -1, 0)
+    angle = np.sqrt(x * x + y * y + z * z)
+    square = angle * angle
+    with np.errstate(invalid="ignore"):
+        scale = np.where(
+            angle <= 1e-3,  # where sin(a / 2) / a loses digits, or is 0 / 0
+            0.5 - square / 48 + square * square / 3840,
+            np.sin(angle / 2) / angle,
+        )
+    return _quaternion_matrix(
+        np.concatenate([scale[..., None] * vectors, np.cos(angle / 2)[..., None]], axis=-1)
+    )
+
+
+def _half_turn(axis: int, angle: float) -> Float[np.ndarray, "4"]:
+    """Quaternion (w last) of a rotation about x, y or z."""
+    q = np.zeros(4)
+    q[axis], q[3] = math.sin(angle / 2), math.cos(angle / 2)
+    return q
+
+
+def _quaternion_product(
+    p: Float[np.ndarray, "4"], q: Float[np.ndarray, "4"]
+) -> Float[np.ndarray, "4"]:
+    """Rotate by q after p about fixed axes (w last)."""
+    vector = p[3] * q[:3] + q[3] * p[:3] + np.cross(q[:3], p[:3])
+    return np.append(vector, p[3] * q[3] - p[:3] @ q[:3])
+
+
+def _quaternion_matrix(q: Float[np.ndarray, "*batch 4"]) -> Float[np.ndarray, "*batch 3 3"]:
+    """Rotation matrices of unit quaternions (w last)."""
+    x, y, z, w = np.moveaxis(q, -1, 0)
+    xx, yy, zz, ww = x * x, y * y, z * z, w * w
+    R = np.empty((*q.shape[:-1], 3, 3))
+    R[..., 0, 0], R[..., 1, 1], R[..., 2, 2] = (
+        xx - yy - zz + ww,
+        -xx + yy - zz + ww,
+        -xx - yy + zz + ww,
+    )
+    R[..., 0, 1], R[..., 1, 0] = 2 * (x * y - z * w), 2 * (x * y + z * w)
+    R[..., 0, 2], R[..., 2, 0] = 2 * (x * z + y * w), 2 * (x * z - y * w)
+    R[..., 1, 2], R[..., 2, 1] = 2 * (y * z - x * w), 2 * (y * z + x * w)
+    return R
 
 
 def rotation_angle(

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-from jaxtyping import Float
 
 from momapos.types import UprightBox
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 
 def box_axes(yaw: float) -> Float[np.ndarray, "2 2"]:

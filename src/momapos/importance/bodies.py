@@ -6,14 +6,17 @@ Everything is stacked over the whole scene once, so that the kernels run over pl
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 
 from momapos.geometry.transforms import apply, invert
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.hulls import Boxes
 from momapos.scene.scene import Scene, SceneObject
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
 
 CONTACT_LAYER = 0.01
 """Corners this little above an object's lowest point are what it stands on [m]."""

@@ -9,10 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float, Int
 from numba import njit
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
 
 LEARNING_RATE = 0.1
 """At the start; it falls to nearly nothing. High, for the corpus is small and seen few times."""

@@ -4,41 +4,24 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float, Int
-from scipy import sparse
-from scipy.sparse import csgraph
 
-from momapos.errors import InputError, SceneError, unknown_name
+from momapos.errors import SceneError, unknown_name
 from momapos.importance.bodies import stack_bodies
+from momapos.importance.config import GraphConfig
 from momapos.importance.relations import KINDS, NEAR, hierarchy, neighbours, outline_gaps
 from momapos.kinematics.hulls import Boxes
 from momapos.scene.scene import Scene, upright_boxes
 
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
+    from scipy import sparse
+
 SMALLEST = 1e-3
 """Sizes are at least this [m], so that a flat thing has one."""
 _SEEN_FROM_PARENT = {"on": "carries", "in": "contains", "inside": "contains", "near": "near"}
-
-
-@dataclass(frozen=True)
-class GraphConfig:
-    """Which objects of a room are related."""
-
-    contact: float = 0.02
-    """Vertical gap or overlap of two surfaces that touch [m]."""
-    neighbours: int = 4
-    """Nearest objects of each that count as near [-]."""
-    near: float = 1.0
-    """Farthest gap between the boxes of two objects that are near [m]."""
-    floor: float = 0.1
-    """Centres closer than this from above count as this far apart [m]."""
-
-    def __post_init__(self) -> None:
-        if not (0 < self.contact < np.inf and 0 < self.floor < np.inf):
-            raise InputError("contact and floor must be lengths above 0 m")
-        if not (self.neighbours >= 0 and self.near >= 0):
-            raise InputError("neighbours and near must not be negative")
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,6 +104,8 @@ class SceneGraph:
     @cached_property
     def adjacency(self) -> sparse.csr_array:
         """The undirected graph: entry (i, j) is 1 + the index of the edge between i and j."""
+        from scipy import sparse
+
         order = np.arange(1, len(self.child) + 1)
         rows, columns = np.r_[self.child, self.parent], np.r_[self.parent, self.child]
         shape = (len(self), len(self))
@@ -130,8 +115,16 @@ class SceneGraph:
 
     def steps(self, target: int) -> Int[np.ndarray, " n"]:
         """Edges on the shortest way from each object to the target; -1 where there is none."""
-        steps = csgraph.shortest_path(self.adjacency, indices=target, unweighted=True)
-        return np.where(np.isfinite(steps), steps, -1).astype(np.int64)
+        ends = np.stack([np.r_[self.child, self.parent], np.r_[self.parent, self.child]])
+        steps = np.full(len(self), -1)
+        new = np.array([target])
+        for count in range(len(self)):
+            steps[new] = count
+            near = np.unique(ends[1, np.isin(ends[0], new)])
+            new = near[steps[near] < 0]
+            if not len(new):
+                break
+        return steps
 
     def relations(self, target: int) -> tuple[str, ...]:
         """What each object is to the target: on, in, inside, carries, contains, near, or ""."""
@@ -166,6 +159,8 @@ def build_graph(scene: Scene, config: GraphConfig | None = None) -> SceneGraph:
 
 def _shortest(edges: Int[np.ndarray, "e 3"], n: int) -> Int[np.ndarray, "f 3"]:
     """Drop each edge to which there is a way of two edges."""
+    from scipy import sparse
+
     child, parent = edges[:, 0], edges[:, 1]
     matrix = sparse.csr_array((np.ones(len(edges), np.int32), (child, parent)), shape=(n, n))
     detour = (matrix @ matrix).multiply(matrix).tocoo()

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float
 
 from momapos.errors import InputError
+from momapos.importance.config import ImportanceConfig
 from momapos.importance.graph import SceneGraph, build_graph
-from momapos.importance.scorers import LEAST, SCORERS, ImportanceConfig
+from momapos.importance.scorers import LEAST, SCORERS
 from momapos.scene.scene import Scene
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 DIGITS = 6
 """Decimals of a score [-]."""

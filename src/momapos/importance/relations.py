@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-from jaxtyping import Float, Int
 from numba import njit
 
 from momapos.importance.bodies import Bodies
 from momapos.kinematics.hulls import Boxes
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
 
 ON, IN, INSIDE, NEAR = range(4)
 KINDS = ("on", "in", "inside", "near")

@@ -4,68 +4,30 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Literal
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
-from jaxtyping import Float
 
-from momapos.errors import InputError
+from momapos.importance.config import ImportanceConfig
 from momapos.importance.embedding import SkipGram, cosine, embed_walks, embed_words
-from momapos.importance.graph import GraphConfig, SceneGraph
+from momapos.importance.graph import SceneGraph
 from momapos.importance.walks import transitions, walk
-from momapos.scene.files import builtin_names, load_scene
+from momapos.scene.files import load_scene
+from momapos.scene.names import builtin_names
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 LEAST = 1e-6
 """The lowest score there is: Lemma 1 of MoMa-Pos excludes 0 [-]."""
 KNEE = 0.05
 """Cosines from here up are scores as they are; lower ones are squeezed in below [-]."""
-MOST = 10_000
-"""Bound of every count, so that a typing error does not run for hours [-]."""
-ScorerName = Literal["reach", "deepwalk", "distance", "size", "names"]
 
-
-@dataclass(frozen=True)
-class ImportanceConfig:
-    """How objects are scored against the target."""
-
-    scorer: ScorerName = "reach"
-    """reach: large for its distance from where the hand goes; deepwalk: the paper's; distance: near
-    the target; size: large for its distance from the target; names: by words alone."""
-    alpha: float = 0.45
-    """Objects with a score of at least this are in S, in [0, 1] [-]."""
-    k0: float = 0.5
-    """Weight of distance against size in the walks, in [0, 1] [-]."""
-    walks: int = 15
-    """Walks that begin at each object [-]."""
-    length: int = 20
-    """Objects in a walk [-]."""
-    window: int = 4
-    """Objects before and after in a walk that count as company [-]."""
-    dimensions: int = 64
-    """Length of an object's vector [-]."""
-    epochs: int = 3
-    """Passes over the walks [-]."""
-    graph: GraphConfig = field(default_factory=GraphConfig)
-
-    def __post_init__(self) -> None:
-        for name in ("alpha", "k0"):
-            value = getattr(self, name)
-            if not 0 <= value <= 1:
-                raise InputError(f"{name} must be between 0 and 1, not {value:g}")
-        for name, least in (
-            ("walks", 1), ("length", 2), ("window", 1), ("dimensions", 1), ("epochs", 1),
-        ):  # fmt: skip
-            value = getattr(self, name)
-            if not least <= value <= MOST:
-                raise InputError(f"{name} must be between {least} and {MOST}, not {value}")
-        if self.scorer not in SCORERS:
-            raise InputError(f"no scorer {self.scorer!r}; there are {', '.join(SCORERS)}")
-
-
-Path = Float[np.ndarray, "k 3"] | None
-Scorer = Callable[[SceneGraph, int, ImportanceConfig, int, Path], Float[np.ndarray, " n"]]
+Path: TypeAlias = "Float[np.ndarray, 'k 3'] | None"
+Scorer: TypeAlias = (
+    "Callable[[SceneGraph, int, ImportanceConfig, int, Path], Float[np.ndarray, ' n']]"
+)
 """Scores of all objects in (0, 1] from the graph, the target's index, the configuration, a seed."""
 
 

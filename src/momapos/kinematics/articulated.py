@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
-from jaxtyping import Float
 
+from momapos.cache import Cache
 from momapos.errors import unknown_name
 from momapos.geometry.transforms import rotation_about
-from momapos.kinematics.hulls import Boxes, Hull, cover_shape, hull_of
+from momapos.kinematics.hulls import Boxes, Hull, cover_shape, fit_box, hull_of
+from momapos.kinematics.kept import freeze, once
+from momapos.kinematics.meshes import mesh_digest
 from momapos.kinematics.urdf import Geometry, Joint, Urdf
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,6 +30,9 @@ class Articulated:
     urdf: Urdf
     held: Mapping[str, float] = field(default_factory=dict)
     """Where joints rest that do not rest at zero [rad] or [m]."""
+
+    cache: Cache | None = field(default=None, repr=False)
+    """Where its geometry is kept, which is dear to compute."""
 
     def __repr__(self) -> str:
         counts = f"{len(self.urdf.links)} links, {len(self.joints)} movable joints"
@@ -94,21 +105,65 @@ class Articulated:
     @cached_property
     def hulls(self) -> dict[str, tuple[Hull, ...]]:
         """Convex hulls of the collision elements by link, in the link's frame."""
-        return {
-            name: tuple(hull_of(shape, name) for shape in link.collisions)
-            for name, link in self.urdf.links.items()
-        }
+
+        def compute() -> dict[str, tuple[Hull, ...]]:
+            return {
+                name: tuple(hull_of(shape, name) for shape in link.collisions)
+                for name, link in self.urdf.links.items()
+            }
+
+        return self.kept("hulls", compute)
 
     @cached_property
     def boxes(self) -> dict[str, tuple[Boxes, ...]]:
         """Boxes that cover each hull, by link, in the link's frame."""
-        return {
-            name: tuple(
-                cover_shape(shape, hull)
-                for shape, hull in zip(link.collisions, self.hulls[name], strict=True)
-            )
-            for name, link in self.urdf.links.items()
-        }
+
+        def compute() -> dict[str, tuple[Boxes, ...]]:
+            return {
+                name: tuple(
+                    cover_shape(shape, hull)
+                    for shape, hull in zip(link.collisions, self.hulls[name], strict=True)
+                )
+                for name, link in self.urdf.links.items()
+            }
+
+        return self.kept("boxes", compute)
+
+    def hull(self, link: str, shape: Geometry) -> Hull:
+        """The hull of a shape of a link, visual or for collision."""
+        hulls = zip(self.urdf.links[link].collisions, self.hulls[link], strict=True)
+        return next((hull for known, hull in hulls if known is shape), None) or hull_of(shape, link)
+
+    def box_around(
+        self, points: Float[np.ndarray, "n 3"]
+    ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]:
+        """Fit a box around points of the model, see `fit_box`."""
+        return once(self.cache, "fit", (points,), lambda: fit_box(points))
+
+    def kept(
+        self, what: str, compute: Callable[[], T], *parts: object, records: tuple[type, ...] = ()
+    ) -> T:
+        """Compute something from joints and shapes, or take what was computed from the same.
+
+        Args:
+            what: Begins its key.
+            compute: Makes it; see `once`.
+            parts: What it depends on beside joints and shapes.
+            records: The kinds of records in it, beside hulls and boxes.
+        """
+        if self.cache is None:
+            return compute()
+        return once(self.cache, what, (self._content, *parts), compute, (Hull, Boxes, *records))
+
+    @cached_property
+    def _content(self) -> bytes:
+        """All of the model that its geometry is computed from; meshes by what is in them."""
+        shapes = {name: link.collisions for name, link in self.urdf.links.items()}
+        meshes = [shape.mesh for group in shapes.values() for shape in group if shape.mesh]
+        digests = {mesh: mesh_digest(mesh) for mesh in dict.fromkeys(meshes)}
+        bare = {name: [replace(s, mesh=None) for s in group] for name, group in shapes.items()}
+        held = sorted(self.held.items())
+        return freeze((self.urdf.root, self.urdf.joints, held, bare, [digests[m] for m in meshes]))
 
     def shapes_named(self, word: str, links: tuple[str, ...]) -> list[tuple[str, Geometry]]:
         """Shapes whose link, collision or visual is named so, without regard to case."""

@@ -8,15 +8,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float, Int
-from scipy.spatial import ConvexHull, QhullError
 
 from momapos.errors import UrdfError
 from momapos.geometry.transforms import apply
 from momapos.kinematics.meshes import mesh_points
 from momapos.kinematics.urdf import Geometry
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
 
 SLACK = 1.25
 """A covering box may hold this many times the volume of its piece of hull [-]."""
@@ -32,6 +34,13 @@ STRIPS_FROM = 0.08
 """Upright cylinders with a larger radius are covered by strips [m]."""
 STRIPS = 10
 """Strips across a wide cylinder; they stick out by 5 % of the radius [-]."""
+THIN = 1e-4
+"""Boxes with an edge up to this may be flat [m]."""
+_BOX_FACES = np.array([
+    [0, 2, 6], [6, 4, 0], [0, 4, 5], [5, 1, 0], [4, 6, 5], [5, 6, 7],
+    [3, 2, 0], [0, 1, 3], [3, 6, 2], [7, 6, 3], [1, 5, 3], [3, 5, 7],
+])  # fmt: skip
+"""How Qhull divides the faces of every box with its corners in order."""
 _CIRCLE = 24
 _Box = tuple[np.ndarray, np.ndarray, np.ndarray, float]
 """Centre, rotation, half edges, and the volume of the body inside."""
@@ -73,7 +82,10 @@ def hull_of(geometry: Geometry, link: str = "") -> Hull:
         points = mesh_points(geometry.mesh) * np.array(geometry.size)
     else:
         points = _primitive_points(geometry)
-    vertices, faces = _convex(points, geometry.mesh)
+    if geometry.kind == "box" and min(geometry.size) > THIN:
+        vertices, faces = _unique_rows(np.round(points, 7)), _BOX_FACES.copy()
+    else:
+        vertices, faces = _convex(points, geometry.mesh)
     return Hull(apply(geometry.T_link_geometry, vertices), faces, geometry.name or link)
 
 
@@ -98,6 +110,8 @@ def _primitive_points(geometry: Geometry) -> Float[np.ndarray, "n 3"]:
 
 def _convex(points: Float[np.ndarray, "n 3"], path: Path | None) -> tuple[np.ndarray, np.ndarray]:
     """Vertices and outward faces of the convex hull; flat point sets get 1 mm of thickness."""
+    from scipy.spatial import ConvexHull, QhullError
+
     points = _unique_rows(np.round(points, 7))
     spread = np.linalg.svd(points - points.mean(0), full_matrices=False)[1]
     flat = len(points) < 4 or spread[-1] < 1e-6 * np.sqrt(len(points))
@@ -196,6 +210,8 @@ def _clip(
     vertices: np.ndarray, faces: np.ndarray, normal: np.ndarray, offset: float
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """The part of a convex body with normal . x <= offset; None where it has no volume."""
+    from scipy.spatial import ConvexHull, QhullError
+
     side = vertices @ normal - offset
     # Both ways, as qhull does not orient the faces of a piece.
     edges = faces[:, [0, 1, 1, 2, 2, 0, 1, 0, 2, 1, 0, 2]].reshape(-1, 2)

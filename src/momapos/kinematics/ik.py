@@ -11,12 +11,13 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float, Int
 from numba import njit
 
 from momapos.errors import RobotError
+from momapos.geometry.samples import halton
 from momapos.kinematics.chain import Chain, chain_arrays, forward, stand_at_origin
 from momapos.kinematics.closed_forms import (
     MAX_BRANCHES,
@@ -30,6 +31,9 @@ from momapos.kinematics.closed_forms import (
 )
 from momapos.kinematics.newton import newton
 from momapos.kinematics.subproblems import mul, row, sub
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
 
 _LOOSE = 5e-3
 """How far [m or rad] from the ideal geometry Newton may be asked to bridge."""
@@ -166,15 +170,13 @@ def _points(kind: int, h: np.ndarray, o: np.ndarray) -> np.ndarray:
 
 
 def _numeric(chain: Chain, seeds: int) -> IkModel:
-    from scipy.stats import qmc
-
     if chain.size < 6:
         raise RobotError(
             f"the arm has {chain.size} joints; at least 6 are needed to reach a full tool pose"
         )
     lower = np.where(np.isfinite(chain.lower), chain.lower, -np.pi)
     upper = np.where(np.isfinite(chain.upper), chain.upper, np.pi)
-    unit = qmc.Halton(chain.size, scramble=False).random(seeds + 1)[1:]
+    unit = halton(seeds + 1, chain.size)[1:]
     samples = np.ascontiguousarray(lower + unit * (upper - lower))
     every = np.arange(chain.size)
     empty, point = np.zeros((len(samples), chain.size, 3)), np.zeros((len(samples), 3))

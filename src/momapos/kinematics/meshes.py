@@ -6,6 +6,7 @@ followed, and no file beside the mesh is opened.
 
 from __future__ import annotations
 
+import hashlib
 import io
 import json
 import logging
@@ -16,13 +17,15 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float
 
 from momapos.errors import UrdfError
 from momapos.files import read_bytes_bounded
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 MAX_MESH_BYTES = 50_000_000
 """A collision mesh of a robot or of furniture has some megabytes."""
@@ -71,6 +74,15 @@ def _vertices(path: Path, data: bytes) -> Float[np.ndarray, "n 3"]:
         return np.array(rows, float).reshape(-1, 3)
     except ValueError as error:
         raise UrdfError(f"{path}: not a usable OBJ mesh ({error})") from error
+
+
+def mesh_digest(path: Path) -> bytes:
+    """What stands for the content of a mesh.
+
+    Raises:
+        UrdfError: As for `mesh_bytes`.
+    """
+    return hashlib.sha256(mesh_bytes(path)).digest()
 
 
 def mesh_bytes(path: Path) -> bytes:

@@ -8,15 +8,16 @@ are taken until nothing is left.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
-from scipy.spatial.distance import cdist
 
 from momapos.geometry.transforms import apply
 from momapos.kinematics.hulls import Boxes, Hull, cover, hull_of
 from momapos.kinematics.urdf import Geometry
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
 
 MARGIN = 0.006
 """Parts of a shape may stay uncovered by this much [m]."""
@@ -189,6 +190,8 @@ def _into(points: np.ndarray, hull: Hull) -> np.ndarray:
 
 def _needed(cover: _Cover) -> Bool[np.ndarray, " s"]:
     """Which spheres have a point of their own; those that cover few points are dropped first."""
+    from scipy.spatial.distance import cdist
+
     far = cdist(cover.center, cover.points) - cover.radius[:, None]
     covers = far <= MARGIN + 1e-9
     # A millimetre less, for what lies between the points.

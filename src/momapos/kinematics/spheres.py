@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 
 from momapos.geometry.transforms import apply
 from momapos.kinematics.articulated import Articulated
@@ -19,6 +19,9 @@ from momapos.kinematics.chain import Segments
 from momapos.kinematics.collision import FINGER, OTHER, PALM
 from momapos.kinematics.hulls import Boxes
 from momapos.kinematics.sphere_cover import ARM, BODY, GRIPPER, MARGIN, box_spheres, cover_shapes
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
 
 __all__ = ["MARGIN", "Spheres", "box_spheres", "build_spheres", "carry"]
 

@@ -10,17 +10,22 @@ from __future__ import annotations
 import io
 import math
 import re
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 from xml.etree.ElementTree import Element, tostring
 
 import numpy as np
-from jaxtyping import Float
 
+from momapos.cache import Cache
 from momapos.errors import UrdfError
 from momapos.files import parse_xml, read_text_bounded
+from momapos.kinematics.kept import once
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 JointKind = Literal["revolute", "continuous", "prismatic", "fixed"]
 MAX_URDF_BYTES = 20_000_000
@@ -111,7 +116,9 @@ class Urdf:
     """What all lengths of the file were multiplied by [-]."""
 
 
-def read_urdf(path: Path, *, root: Path | None = None, scale: float = 1.0) -> Urdf:
+def read_urdf(
+    path: Path, *, root: Path | None = None, scale: float = 1.0, cache: Cache | None = None
+) -> Urdf:
     """Read a URDF file.
 
     Args:
@@ -119,19 +126,19 @@ def read_urdf(path: Path, *, root: Path | None = None, scale: float = 1.0) -> Ur
         root: Folder that no mesh may leave; the file's own folder and every parent up to four
             levels where None (packages keep meshes beside the `urdf` folder).
         scale: Uniform scale of all lengths [-].
+        cache: Where what was parsed is kept, so that a file is parsed once.
 
     Raises:
         UrdfError: The file cannot be used; the message says where and why.
     """
-    robot = _parse(_read_tree(path), path)
-    reader = _Reader(path, root, scale)
-    links = {link.name: reader.link(link) for link in robot.links}
-    if len(links) != len(robot.links):
-        raise UrdfError(f"{path}: two links share a name; link names must be unique")
-    joints = [reader.joint(joint) for joint in robot.joints]
-    _refuse_twins(path, "joint", [joint.name for joint in joints])
-    root_link, ordered = _order(path, links, joints)
-    return Urdf(robot.name or path.stem, path, root_link, links, ordered, scale)
+    if not (math.isfinite(scale) and scale > 0):
+        raise UrdfError(f"{path}: scale must be a number > 0, not {scale}")
+    text = read_text_bounded(path, MAX_URDF_BYTES, error=UrdfError)
+    urdf, meshes = once(
+        cache, "urdf", (text, scale), lambda: _parse(text, path, scale),
+        (Urdf, Link, Joint, Geometry),
+    )  # fmt: skip
+    return _with_meshes(urdf, path, iter(meshes), _Finder(path, root))
 
 
 def box_urdf(name: str, size: tuple[float, float, float]) -> Urdf:
@@ -140,8 +147,24 @@ def box_urdf(name: str, size: tuple[float, float, float]) -> Urdf:
     return Urdf(name, None, "box", {"box": Link("box", (shape,), (shape,))}, ())
 
 
-def _read_tree(path: Path) -> Element:
-    text = read_text_bounded(path, MAX_URDF_BYTES, error=UrdfError)
+def _parse(text: str, path: Path, scale: float) -> tuple[Urdf, tuple[str, ...]]:
+    """A checked URDF, its meshes without their files, and how it names these, in order."""
+    robot = _with_yourdfpy(_read_tree(text, path), path)
+    reader = _Reader(path, scale)
+    links = {link.name: reader.link(link) for link in robot.links}
+    if len(links) != len(robot.links):
+        raise UrdfError(f"{path}: two links share a name; link names must be unique")
+    joints = [reader.joint(joint) for joint in robot.joints]
+    twin = next((n for n, k in Counter(joint.name for joint in joints).items() if k > 1), None)
+    if twin is not None:
+        raise UrdfError(f"{path}: two joints are named {twin!r}; names must be unique")
+    root_link, ordered = _order(path, links, joints)
+    return Urdf(robot.name or path.stem, None, root_link, links, ordered, scale), tuple(
+        reader.meshes
+    )
+
+
+def _read_tree(text: str, path: Path) -> Element:
     tree = parse_xml(_OPTENV.sub(_default, text), path, error=UrdfError)
     if tree.tag != "robot":
         raise UrdfError(f"{path}: the root element is <{tree.tag}>, a URDF has <robot>")
@@ -226,7 +249,7 @@ def _float(word: str) -> float:
         return math.nan
 
 
-def _parse(tree: Element, path: Path) -> Any:
+def _with_yourdfpy(tree: Element, path: Path) -> Any:
     import yourdfpy
 
     robot = Element("robot", name=tree.get("name", ""))
@@ -258,13 +281,9 @@ def _needed(element: Element) -> Element:
 class _Reader:
     """Turns yourdfpy's records into ours, scaled and checked."""
 
-    def __init__(self, path: Path, root: Path | None, scale: float) -> None:
-        if not (math.isfinite(scale) and scale > 0):
-            raise UrdfError(f"{path}: scale must be a number > 0, not {scale}")
+    def __init__(self, path: Path, scale: float) -> None:
         self.path, self.scale = path, scale
-        folder = path.resolve().parent
-        self.folders = [folder, *list(folder.parents)[:4]]
-        self.root = root.resolve() if root else self.folders[-1]
+        self.meshes: list[str] = []
 
     def link(self, link: Any) -> Link:
         shapes = [
@@ -278,7 +297,8 @@ class _Reader:
         name = item.name or ""
         if g.mesh is not None:
             factor = np.ones(3) if g.mesh.scale is None else np.broadcast_to(g.mesh.scale, 3)
-            shape = Geometry("mesh", tuple(s * factor), T, name, self.find(g.mesh.filename))
+            shape = Geometry("mesh", tuple(s * factor), T, name)
+            self.meshes.append(g.mesh.filename)
         elif g.box is not None:
             shape = Geometry("box", tuple(s * np.asarray(g.box.size, float)), T, name)
         elif g.cylinder is not None:
@@ -296,24 +316,6 @@ class _Reader:
         T = np.eye(4) if origin is None else np.array(origin, float)
         T[:3, 3] *= self.scale
         return T
-
-    def find(self, filename: str) -> Path:
-        """Resolve a mesh name inside the root; `package://` is looked for in parent folders."""
-        relative = re.sub(r"^(package|file|model)://", "", filename)
-        try:
-            for folder in self.folders:
-                for name in (relative, relative.split("/", 1)[-1]):
-                    candidate = (folder / name).resolve()
-                    if candidate.is_relative_to(self.root) and candidate.is_file():
-                        return candidate
-            outside = not (self.folders[0] / relative).resolve().is_relative_to(self.root)
-        except (OSError, RuntimeError, ValueError) as error:  # too long, links in a circle, NUL
-            raise UrdfError(f"{self.path}: mesh {filename!r:.80} cannot be looked up") from error
-        if outside:
-            raise UrdfError(
-                f"{self.path}: mesh {filename!r} leaves {self.root}; keep meshes inside it"
-            )
-        raise UrdfError(f"{self.path}: mesh {filename!r} does not exist below {self.root}")
 
     def joint(self, joint: Any) -> Joint:
         kind, where = joint.type, f"{self.path}: joint {joint.name!r}"
@@ -344,12 +346,45 @@ class _Reader:
         return lower, upper
 
 
-def _refuse_twins(path: Path, kind: str, names: Iterable[str]) -> None:
-    seen: set[str] = set()
-    for name in names:
-        if name in seen:
-            raise UrdfError(f"{path}: two {kind}s are named {name!r}; names must be unique")
-        seen.add(name)
+class _Finder:
+    """Finds the meshes that a URDF names."""
+
+    def __init__(self, path: Path, root: Path | None) -> None:
+        self.path = path
+        folder = path.resolve().parent
+        self.folders = [folder, *list(folder.parents)[:4]]
+        self.root = root.resolve() if root else self.folders[-1]
+
+    def find(self, filename: str) -> Path:
+        """Resolve a mesh name inside the root; `package://` is looked for in parent folders."""
+        relative = re.sub(r"^(package|file|model)://", "", filename)
+        try:
+            for folder in self.folders:
+                for name in (relative, relative.split("/", 1)[-1]):
+                    candidate = (folder / name).resolve()
+                    if candidate.is_relative_to(self.root) and candidate.is_file():
+                        return candidate
+            outside = not (self.folders[0] / relative).resolve().is_relative_to(self.root)
+        except (OSError, RuntimeError, ValueError) as error:  # too long, links in a circle, NUL
+            raise UrdfError(f"{self.path}: mesh {filename!r:.80} cannot be looked up") from error
+        if outside:
+            raise UrdfError(
+                f"{self.path}: mesh {filename!r} leaves {self.root}; keep meshes inside it"
+            )
+        raise UrdfError(f"{self.path}: mesh {filename!r} does not exist below {self.root}")
+
+
+def _with_meshes(urdf: Urdf, path: Path, names: Iterator[str], finder: _Finder) -> Urdf:
+    """Put the files of a URDF and of its meshes, in the order they were parsed, into a record."""
+
+    def found(shape: Geometry) -> Geometry:
+        return replace(shape, mesh=finder.find(next(names))) if shape.kind == "mesh" else shape
+
+    links = {
+        name: Link(name, tuple(map(found, link.collisions)), tuple(map(found, link.visuals)))
+        for name, link in urdf.links.items()
+    }
+    return replace(urdf, path=path, links=links)
 
 
 def _order(

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 from numba import njit
 
 from momapos.kinematics.chain import Chain, chain_arrays
@@ -31,9 +31,12 @@ from momapos.kinematics.collision import (
 from momapos.kinematics.hulls import Boxes
 from momapos.kinematics.spheres import Spheres
 
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
+
 CELL = 0.1
 """Edge of a bucket [m]."""
-CheckMotion = Callable[[Float[np.ndarray, " n"], Float[np.ndarray, " n"]], bool]
+CheckMotion: TypeAlias = "Callable[[Float[np.ndarray, ' n'], Float[np.ndarray, ' n']], bool]"
 """Tell whether the straight motion between two configurations is free, ends included."""
 
 

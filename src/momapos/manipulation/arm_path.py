@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float, Int
 from numba import njit
 
 from momapos.geometry.transforms import invert, pose_planar
@@ -26,6 +26,9 @@ from momapos.manipulation.layers import (
 )
 from momapos.manipulation.motion import TaskMotion
 from momapos.robots.robot import Robot
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
 
 UNREACHABLE, HIT, BROKEN, FOUND = 0, 1, 2, 3
 MAX_DENSE_STEP = 0.25

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 
 from momapos.geometry.transforms import apply, invert, pose_planar
 from momapos.kinematics.collision import FREE, place_segments
@@ -21,7 +21,10 @@ from momapos.outcomes import PoseOutcome, PoseStatus
 from momapos.robots.robot import Robot
 from momapos.types import Attempt, Motion, Screened
 
-Refusal = Callable[[Float[np.ndarray, "3"], Motion], str | None]
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
+
+Refusal: TypeAlias = "Callable[[Float[np.ndarray, '3'], Motion], str | None]"
 """The exact check: None where a motion holds, else what is wrong with it."""
 _BATCH = 256
 """Pairs of base pose and grasp that a thread looks at together [-]."""

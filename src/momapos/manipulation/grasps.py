@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float
 
-from momapos.geometry.transforms import rotation_about
+from momapos.geometry.transforms import rotation_about, rotation_of
 from momapos.manipulation.handles import Handle
 from momapos.robots.robot import Robot
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 
 @dataclass(frozen=True)
@@ -98,9 +101,7 @@ def _points(handle: Handle, config: GraspConfig) -> Float[np.ndarray, " p"]:
 def _rotations(
     axes: Float[np.ndarray, "g 3"], angles: Float[np.ndarray, " g"]
 ) -> Float[np.ndarray, "g 3 3"]:
-    from scipy.spatial.transform import Rotation
-
-    return Rotation.from_rotvec(axes * angles[:, None]).as_matrix()
+    return rotation_of(axes * angles[:, None])
 
 
 def box_grasps(

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float
 
 from momapos.errors import TaskError
 from momapos.geometry.transforms import apply, invert
 from momapos.kinematics.articulated import Articulated, joint_motion
-from momapos.kinematics.hulls import fit_box, hull_of
 from momapos.kinematics.opening import opening_of
 from momapos.kinematics.urdf import Geometry
 from momapos.scene.scene import SceneObject
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 WORD = "handle"
 _POINTS = 9
@@ -98,7 +100,7 @@ def find_handle(model: Articulated, joint: str, sign: float) -> Handle:
     links = rigid_links(model, joint)
     T_link = _poses_in_part(model, joint, links)
     shapes = _handle_shapes(model, joint)
-    points = [apply(T_link[name], hull_of(shape).vertices) for name, shape in shapes]
+    points = [apply(T_link[name], model.hull(name, shape).vertices) for name, shape in shapes]
     if not points:
         panel = [apply(T_link[name], hull.vertices) for name in links for hull in model.hulls[name]]
         if not panel:
@@ -135,13 +137,13 @@ def _largest_cluster(points: list[np.ndarray]) -> np.ndarray:
     low = np.array([p.min(0) for p in points]) - 0.01
     high = np.array([p.max(0) for p in points]) + 0.01
     touch = np.all((low[:, None] <= high[None]) & (low[None] <= high[:, None]), axis=2)
-    from scipy.sparse import csr_matrix
-    from scipy.sparse.csgraph import connected_components
-
-    _, label = connected_components(csr_matrix(touch), directed=False)
+    joined = touch @ touch  # over ever longer chains, until none grows
+    while (joined != touch).any():
+        touch, joined = joined, joined @ joined
+    first = joined.argmax(axis=1)
     groups = [
-        np.concatenate([p for p, k in zip(points, label, strict=True) if k == g])
-        for g in range(label.max() + 1)
+        np.concatenate([p for p, k in zip(points, first, strict=True) if k == g])
+        for g in np.unique(first)
     ]
     return max(groups, key=lambda g: float(np.linalg.norm(np.ptp(g, axis=0))))
 
@@ -157,7 +159,7 @@ def _motion_direction(model: Articulated, joint: str, sign: float, point: np.nda
 
 
 def _from_box(points: np.ndarray, model: Articulated, joint: str, sign: float) -> Handle:
-    center, rotation, half = fit_box(points)
+    center, rotation, half = model.box_around(points)
     order = np.argsort(half)
     motion = _motion_direction(model, joint, sign, center)
     # The outward side is the one of the two short axes along which the part moves off.
@@ -178,7 +180,7 @@ def _from_box(points: np.ndarray, model: Articulated, joint: str, sign: float) -
 
 def _free_edge(points: np.ndarray, model: Articulated, joint: str, sign: float) -> Handle:
     """The edge of a panel that is farthest from the hinge, or the rim of a drawer's front."""
-    center, rotation, half = fit_box(points)
+    center, rotation, half = model.box_around(points)
     record = model.joint(joint)
     motion = _motion_direction(model, joint, sign, center)
     normal = int(np.argmax(np.abs(rotation.T @ motion)))

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 from numba import njit
 
 from momapos.geometry.transforms import invert, pose_planar
@@ -17,6 +17,9 @@ from momapos.kinematics.ik import COARSE, ik_arrays, ik_scratch, solve_sample
 from momapos.kinematics.world import World, check_one
 from momapos.manipulation.motion import TaskMotion
 from momapos.robots.robot import Robot
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
 
 MAX_STEP = 0.8
 """Largest joint step between waypoints [rad]."""

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 
 from momapos.errors import TaskError
 from momapos.geometry.transforms import invert
@@ -17,6 +17,9 @@ from momapos.manipulation.handles import Handle, find_handle
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene, SceneObject
 from momapos.types import Task
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
 
 LIFT = 0.05
 """How far a rigid object is lifted, or the gripper drawn back [m]."""

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 
 from momapos.kinematics.base_collision import base_hits
 from momapos.kinematics.hulls import Boxes
@@ -14,6 +14,9 @@ from momapos.manipulation.feasibility import loaded
 from momapos.manipulation.motion import TaskMotion
 from momapos.robots.robot import Robot
 from momapos.types import Motion
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
 
 _ORIGIN = np.zeros((1, 3))
 

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from jaxtyping import Float
 
 from momapos.kinematics.world import CheckMotion
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 RESOLUTION = 0.04
 """Largest joint step at which a motion is checked [rad] or [m]."""

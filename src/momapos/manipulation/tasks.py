@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-from typing import get_args
+from typing import TYPE_CHECKING, get_args
 
 import numpy as np
-from jaxtyping import Float
 
 from momapos.errors import TaskError
 from momapos.kinematics.articulated import Articulated
@@ -17,6 +16,9 @@ from momapos.scene.joints import joint_value
 from momapos.scene.scene import Scene, SceneObject
 from momapos.types import Task, Verb
 from momapos.units import ANGLES, LENGTHS, Quantity, parse_quantity
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 WIDE_OPEN = math.pi / 2
 """How far a hinge is opened when nothing is said, as in the paper [rad]."""

@@ -9,13 +9,15 @@ through.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
 from numba import njit
 
 from momapos.navigation.outlines import ConvexPolygons, PolygonArrays, PrismArrays, RobotPrisms
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
 
 DEEP = -0.1
 """Where the robot overlaps something by this much, no more is looked at [m]."""

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 from PIL import Image, ImageDraw
-from scipy.ndimage import distance_transform_edt
-from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import dijkstra
-from scipy.spatial import ConvexHull
 
 from momapos.kinematics.hulls import Boxes
 from momapos.robots.robot import Robot
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
+    from scipy.sparse import csr_matrix
 
 CELL = 0.05
 """Edge of a cell [m]."""
@@ -115,6 +115,10 @@ def _outlines(boxes: Boxes, which: Int[np.ndarray, " k"]) -> list[Float[np.ndarr
     signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     rectangles = c[:, None] + np.einsum("bij,kj->bki", edges, signs)
     found = list(rectangles[upright])
+    if upright.all():
+        return found
+    from scipy.spatial import ConvexHull
+
     cube = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
     for b in np.flatnonzero(~upright):
         corners = c[b] + (cube * h[b]) @ R[b, :2].T
@@ -130,6 +134,9 @@ def build_cost_map(plan: FloorPlan, start: Float[np.ndarray, "2"], *, radius: fl
         start: Where the base is [m].
         radius: Radius of the disc that must fit: the base's inscribed circle [m].
     """
+    from scipy.ndimage import distance_transform_edt
+    from scipy.sparse.csgraph import dijkstra
+
     rows, columns = plan.blocked.shape
     clear = (
         distance_transform_edt(~plan.blocked) * CELL
@@ -145,6 +152,8 @@ def build_cost_map(plan: FloorPlan, start: Float[np.ndarray, "2"], *, radius: fl
 
 def cell_graph(free: Bool[np.ndarray, "rows columns"]) -> csr_matrix:
     """Sixteen-neighbour graph of the free cells, as compressed rows without a detour."""
+    from scipy.sparse import csr_matrix
+
     columns = free.shape[1]
     di, dj = np.array(_MOVES).T
     # In a padded copy a move is one offset, and none leaves the array.

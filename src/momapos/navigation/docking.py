@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-from jaxtyping import Float
 
 from momapos.geometry.planar import local_points, rotation
 from momapos.geometry.transforms import wrap_angle
 from momapos.navigation.global_path import Path
 from momapos.robots.robot import Robot
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 BEGIN = 0.5
 """Length of path that is left when docking begins [m]."""

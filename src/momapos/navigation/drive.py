@@ -9,9 +9,9 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
-from jaxtyping import Float
 
 from momapos.errors import SceneError
 from momapos.geometry.transforms import wrap_angle
@@ -26,9 +26,12 @@ from momapos.navigation.localisation import Localiser, NoiseConfig
 from momapos.navigation.outlines import pack
 from momapos.protocols import Clock
 
-Moving = Callable[[float], Float[np.ndarray, "d 5"]]
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+Moving: TypeAlias = "Callable[[float], Float[np.ndarray, 'd 5']]"
 """Discs at a time [s]: x [m], y [m], vx [m/s], vy [m/s], radius [m]."""
-Meet = Callable[[Float[np.ndarray, "3"]], None]
+Meet: TypeAlias = "Callable[[Float[np.ndarray, '3']], None]"
 """Is told the true pose of the base."""
 _NO_DISCS = np.zeros((0, 5))
 _STANDING = 0.05

@@ -9,10 +9,9 @@ footprint.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 from numba import njit
 
 from momapos.navigation.clearance import (
@@ -26,6 +25,9 @@ from momapos.navigation.clearance import (
 from momapos.navigation.footprint_map import NavigationMap
 from momapos.navigation.global_path import TURN, Path
 from momapos.robots.robot import Robot
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 
 @dataclass(frozen=True)

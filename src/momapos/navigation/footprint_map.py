@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32
 from numba import njit
 
 from momapos.errors import SceneError
@@ -23,11 +23,14 @@ from momapos.navigation.outlines import (
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene
 
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Float32
+
 _QUADRANT = ((1, 0), (3, 1), (2, 1), (3, 2), (1, 1), (2, 3), (1, 2), (1, 3))
 MOVES = np.array([(a, b) for a, b in _QUADRANT] + [(-b, a) for a, b in _QUADRANT])
 MOVES = np.concatenate([MOVES, -MOVES])
 """Steps (columns, rows) along each heading, anticlockwise from x."""
-HEADINGS = np.arctan2(MOVES[:, 1], MOVES[:, 0])
+HEADINGS: np.ndarray = np.arctan2(MOVES[:, 1], MOVES[:, 0])
 """The 32 headings of the map, those along which cells lie [rad]."""
 FARTHEST = 0.2
 """Gaps are told apart up to this [m]."""

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 from scipy.sparse.csgraph import dijkstra
 
 from momapos.geometry.transforms import wrap_angle
@@ -21,6 +21,9 @@ from momapos.navigation.footprint_map import FARTHEST, HEADINGS, MOVES, Navigati
 from momapos.navigation.lattice import Lattice, PathModel, astar, connections, shorten
 from momapos.navigation.lattice_connection import Exits, shuffled, straight
 from momapos.navigation.outlines import on_floor
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
 
 NEEDED = 0.01
 """Gap that every pose of a path has, but where it begins and ends [m]."""

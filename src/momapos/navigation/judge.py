@@ -7,13 +7,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 
 from momapos.geometry.planar import place_points
 from momapos.geometry.polygons import contains, edge_distances
 from momapos.navigation.outlines import ConvexPolygons, RobotPrisms, on_floor
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
 
 FAR = 0.5
 """Distances above this are not told apart [m]."""

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import heapq
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
 from numba import njit
 
 from momapos.navigation.clearance import (
@@ -17,6 +16,9 @@ from momapos.navigation.clearance import (
     scratch_for,
     wrapped,
 )
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
 
 
 class PathModel(NamedTuple):

@@ -11,10 +11,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property, lru_cache
 from itertools import pairwise
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 from scipy.spatial import ConvexHull
 
 from momapos.geometry.planar import place_points
@@ -22,6 +21,9 @@ from momapos.geometry.polygons import all_inside, edge_normals, signed_area
 from momapos.geometry.transforms import apply, invert
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
 
 STEP = 0.005
 """What is no higher than this is driven over [m]."""

@@ -6,10 +6,9 @@ One rule for all who plan and drive: at the start the robot, its arm at home, to
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float
-from scipy.ndimage import distance_transform_edt
 
 from momapos.errors import SceneError
 from momapos.geometry.planar import place_points
@@ -23,6 +22,9 @@ from momapos.navigation.footprint_map import HEADINGS, NavigationMap
 from momapos.navigation.judge import FootprintCollisionChecker
 from momapos.navigation.outlines import on_floor
 from momapos.robots.robot import Robot
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 ROOM = 0.8
 """Clearance around the start [m]."""
@@ -63,6 +65,8 @@ def find_start(
     Raises:
         SceneError: Nowhere is there room.
     """
+    from scipy.ndimage import distance_transform_edt
+
     clear = (
         distance_transform_edt(np.pad(~plan.blocked, 1, constant_values=True))[1:-1, 1:-1] * CELL
     )

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 
 from momapos.geometry.planar import local_points, place_points
 from momapos.geometry.polygons import all_inside
@@ -14,6 +14,9 @@ from momapos.kinematics.base_collision import base_hits
 from momapos.kinematics.collision import FREE
 from momapos.kinematics.hulls import Boxes
 from momapos.robots.robot import Robot
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
 
 
 class BaseStatus(IntEnum):

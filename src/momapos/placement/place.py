@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
-from scipy.stats import qmc
 
 from momapos.geometry.planar import compose
+from momapos.geometry.samples import latin_hypercube
 from momapos.outcomes import PoseOutcome, PoseStatus
 from momapos.placement.area import (
     BaseStatus,
@@ -25,6 +24,9 @@ from momapos.placement.order import by_expected_cost, open_tours
 from momapos.placement.potential import attraction
 from momapos.protocols import ReachScorer, TravelCost
 from momapos.types import Attempt, Candidates, Motion, Screened
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
 
 Method = Literal["ours", "paper", "exhaustive"]
 _BLOCK = 512
@@ -74,14 +76,17 @@ class PlaceConfig:
     """Distance that the base keeps from everything [m]."""
 
 
-ScreenPoses = Callable[
-    [Float[np.ndarray, "n 3"], Float[np.ndarray, "n g"], int | None], list[Screened] | None
-]
+ScreenPoses: TypeAlias = (
+    "Callable[[Float[np.ndarray, 'n 3'], Float[np.ndarray, 'n g'], int | None], "
+    "list[Screened] | None]"
+)
 """Look for an arm path at each of many base poses, from the scores of all grasps and the number
 of grasps to be tried; None: out of time."""
-PoseFilter = Callable[[Float[np.ndarray, "n 3"]], Bool[np.ndarray, " n"]]
+PoseFilter: TypeAlias = "Callable[[Float[np.ndarray, 'n 3']], Bool[np.ndarray, ' n']]"
 """Which of some base poses are no candidates, for reasons that this stage does not know."""
-AttemptPose = Callable[[Float[np.ndarray, "3"], Screened, Int[np.ndarray, " k"]], Attempt]
+AttemptPose: TypeAlias = (
+    "Callable[[Float[np.ndarray, '3'], Screened, Int[np.ndarray, ' k']], Attempt]"
+)
 """Complete the arm path found at a base pose, or else one with the other grasps, best first."""
 
 
@@ -180,7 +185,7 @@ def _rounds(
     """Samples of every round, in the task's frame; the grid last (True), for its "no"."""
     if config.method != "exhaustive":
         for r in range(config.rounds):
-            unit = qmc.LatinHypercube(3, rng=rng).random(config.count * 2**r)
+            unit = latin_hypercube(rng, config.count * 2**r, 3)
             low, high = np.append(corners[0], -np.pi), np.append(corners[1], np.pi)
             yield low + unit * (high - low), False
         if not config.grid:

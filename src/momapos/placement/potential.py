@@ -7,12 +7,16 @@ are the parts as they stand, without the part that moves.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-from jaxtyping import Bool, Float
 from numba import njit
 
 from momapos.kinematics.hulls import Boxes
 from momapos.placement.area import Site
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
 
 NEAREST = 0.3
 """Distance at which the attraction is 1 [m]; 1 / distance has no bound of its own."""

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float
 
 from momapos.kinematics.chain import chain_arrays
 from momapos.kinematics.collision import FREE, check_states
@@ -13,6 +13,9 @@ from momapos.kinematics.ik import IkModel, solve_ik
 from momapos.reachability.map import ReachMap
 from momapos.reachability.store import encode
 from momapos.robots.robot import Robot
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
 
 
 @dataclass(frozen=True)

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float
 
 from momapos.errors import RobotError
 from momapos.geometry.transforms import orthonormal
 from momapos.kinematics.chain import Chain
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 FULL_TURN = 0.95 * 2 * np.pi
 """A last joint with this range counts as turning fully [rad]."""

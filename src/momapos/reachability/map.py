@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float, Int, Int8
 
 from momapos.reachability.floor import floor_scores
 from momapos.reachability.grid import OUTSIDE, pack_shape, score_lines, weakest_lines
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int, Int8
 
 YAWS = 12
 """Yaws that `base_scores` tries."""

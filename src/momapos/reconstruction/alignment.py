@@ -7,13 +7,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float
 
 from momapos.errors import InputError
 from momapos.reconstruction.height_maps import FEWEST, Area, area_of, heights_in, longest_bar
 from momapos.types import FaceImage, Part, PartKind
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 
 @dataclass(frozen=True)

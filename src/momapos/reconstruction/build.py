@@ -6,10 +6,9 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from jaxtyping import Float
 
 from momapos.errors import InputError, unknown_name
 from momapos.geometry.transforms import apply, pose, rotation_about
@@ -21,6 +20,9 @@ from momapos.scene.library.furniture import Piece, solid, vec
 from momapos.scene.library.writer import write_kitchen
 from momapos.scene.scene import SceneObject
 from momapos.types import Detection
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 MISFIT = 0.15
 """A given model may differ in its proportions from the box by this without a warning [-]."""

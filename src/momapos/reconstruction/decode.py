@@ -5,11 +5,15 @@ All boxes are (left, top, right, bottom) as fractions of the face, y down.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-from jaxtyping import Float, Float32, Int, UInt8
 from scipy import ndimage
 
 from momapos.types import FaceImage, Part, PartKind
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Float32, Int, UInt8
 
 KINDS: tuple[PartKind, ...] = ("door_left", "door_right", "door_down", "door_up", "drawer")
 FACE_PIXELS = 192

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float, Float32
 from scipy import ndimage
 
 from momapos.types import FaceImage, Part
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Float32
 
 FLAPS = ("door_down", "door_up")
 """What is never a stack: the racks behind an oven's window look like one."""

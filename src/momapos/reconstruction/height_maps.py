@@ -6,12 +6,15 @@ Areas are in metres from the face's lower left corner, x to the right and z up.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float
 from scipy import ndimage
 
 from momapos.types import FaceImage
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 FEWEST = 12
 """Measured pixels that a median needs [-]."""

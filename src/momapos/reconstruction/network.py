@@ -10,16 +10,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float
 
-from momapos.errors import InputError, MissingExtraError
+from momapos.errors import InputError, require
 from momapos.reconstruction import decode
 from momapos.reconstruction.bars import with_bar
 from momapos.reconstruction.drawer_handles import into_drawers
 from momapos.types import FaceImage, Front, Part
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 FIRST_SHARE = 0.75
 """Weight of the first look in a part's score, a weighted geometric mean [-]."""
@@ -152,12 +154,8 @@ def _look_at_parts(crops: np.ndarray, aspect: np.ndarray) -> tuple[np.ndarray, .
 @cache
 def _session(name: str) -> Any:
     """One of the two networks, read once in a process."""
-    try:
+    with require("scan"):
         import onnxruntime
-    except ImportError as missing:
-        raise MissingExtraError(
-            "the front network needs onnxruntime; install momapos[scan]"
-        ) from missing
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = 1
     options.inter_op_num_threads = 1

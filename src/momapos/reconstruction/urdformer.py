@@ -11,11 +11,11 @@ import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float, Float32, Int, UInt8
 
-from momapos.errors import InputError, MissingExtraError
+from momapos.errors import InputError, require
 from momapos.protocols import ArticulationPredictor
 from momapos.reconstruction.checkpoint import load_weights, read_checkpoint
 from momapos.reconstruction.urdformer_format import (
@@ -32,6 +32,9 @@ from momapos.reconstruction.urdformer_format import (
     around,
 )
 from momapos.types import FaceImage, Front, Part
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Float32, Int, UInt8
 
 _LOG = logging.getLogger(__name__)
 OVEN_HANDLE = (6, 10)
@@ -129,11 +132,8 @@ def prepare_image(colour: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "3 
     Raises:
         MissingExtraError: Pillow is not installed.
     """
-    try:
+    with require("scan"):
         from PIL import Image
-    except ImportError as error:
-        hint = "Pillow is not installed; pip install 'momapos[scan]'"
-        raise MissingExtraError(hint) from error
     small = Image.fromarray(colour).resize((IMAGE, IMAGE), Image.Resampling.BICUBIC)
     normal = (np.asarray(small, np.float32) / 255.0 - _MEAN) / _DEVIATION
     return np.ascontiguousarray(normal.transpose(2, 0, 1))

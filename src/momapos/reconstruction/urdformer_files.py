@@ -8,7 +8,6 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float
 
 from momapos.errors import FileFormatError, UrdfError
 from momapos.files import read_text_bounded, read_xml
@@ -18,6 +17,8 @@ from momapos.types import Part
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
+
+    from jaxtyping import Float
 
 BOXES_KEY = "part_boxes_yxhw_normalized"
 MAX_BOXES_BYTES = 1_000_000

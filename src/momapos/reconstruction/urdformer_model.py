@@ -16,13 +16,16 @@ Importing this module needs torch.
 from __future__ import annotations
 
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import torch
-from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 
 from momapos.reconstruction.urdformer_format import BASES, IMAGE, PARTS, STEPS, Logits
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 PATCH = 16
 """Edge of a patch [px]; the map has PICTURE / PATCH cells along an edge."""

@@ -14,10 +14,9 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float
 
 from momapos.cache import write_atomic
 from momapos.errors import InputError, RobotError
@@ -35,6 +34,9 @@ from momapos.robots.gripper import (
 from momapos.robots.robot import Robot, read_robot, read_srdf
 from momapos.robots.states import inevitable_pairs, resting_state, sample_states, srdf_text, touches
 from momapos.robots.tree import WHEEL, find_anchor, find_arms
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 _OMNI = re.compile(r"mecanum|omni|swerve", re.I)
 FLOOR_TOLERANCE = 0.03

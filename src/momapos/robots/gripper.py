@@ -5,13 +5,16 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Sequence
 from itertools import combinations
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float
 
 from momapos.geometry.transforms import apply, invert, orthonormal
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.urdf import Joint
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 FINGER = re.compile(
     r"finger|thumb|knuckle|phalanx|crank|jaw|claw|(left|right|[lr])_?gripper|gripper_?(left|right)",

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import difflib
-import os
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from importlib import resources
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from jaxtyping import Float
 
+from momapos.cache import Cache
 from momapos.errors import FileFormatError, RobotError, unknown_name
 from momapos.files import read_bytes_bounded, read_xml
 from momapos.geometry.transforms import apply, invert
@@ -22,9 +20,14 @@ from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.chain import Chain, Segments, build_chain
 from momapos.kinematics.hulls import Boxes
 from momapos.kinematics.ik import IkModel, build_ik
+from momapos.kinematics.kept import once
 from momapos.kinematics.spheres import Spheres, build_spheres
 from momapos.kinematics.urdf import read_urdf
 from momapos.robots.gripper import FINGER, HAND
+from momapos.robots.names import find_robot, library_file
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 MAX_TOML_BYTES = 20_000
 """A robot file has a page; the time that a parser takes for dotted keys grows with their square."""
@@ -74,7 +77,7 @@ class Robot:
     @property
     def source(self) -> str:
         """What `load_robot` finds it by: its name in the library, or the path of its file."""
-        return self.name if self.path == _library_file(self.name) else str(self.path)
+        return self.name if self.path == library_file(self.name) else str(self.path)
 
     def __repr__(self) -> str:
         return (
@@ -103,7 +106,13 @@ class Robot:
     @cached_property
     def spheres(self) -> Spheres:
         """Collision spheres of the arm, boxes of the base."""
-        return build_spheres(self.model, self.segments, self.disabled, self.gripper_links)
+        return self.model.kept(
+            "spheres",
+            lambda: build_spheres(self.model, self.segments, self.disabled, self.gripper_links),
+            (self.base_link, self.tool_link, self.arm_joints, self.gripper_links),
+            sorted(sorted(pair) for pair in self.disabled),
+            records=(Spheres,),
+        )
 
     @property
     def base(self) -> Boxes:
@@ -143,42 +152,25 @@ class Robot:
         return float(links[first + 1 :].sum() + travel[first + 1 :].sum()) + tool
 
 
-def library_names() -> tuple[str, ...]:
-    """Names of the robots that come with the package."""
-    root = resources.files("momapos.robots") / "library"
-    return tuple(sorted(p.name for p in root.iterdir() if (p / f"{p.name}.toml").is_file()))
-
-
-def _library_file(name: str) -> Path:
-    return Path(str(resources.files("momapos.robots") / "library" / name / f"{name}.toml"))
-
-
-def load_robot(source: str | Path) -> Robot:
+def load_robot(source: str | Path, *, cache: Cache | None = None) -> Robot:
     """Load a robot by library name or from a TOML file.
+
+    Args:
+        source: The name or the file.
+        cache: Where its geometry is kept, so that it is computed once.
 
     Raises:
         RobotError, FileFormatError, UnknownNameError: It cannot be used; one line says why.
     """
-    text = str(source)
-    if text in library_names():
-        path = _library_file(text)
-    else:
-        path = Path(source)
-        if path.suffix not in (".toml", ".urdf", ".xml") and not os.path.exists(path):
-            raise unknown_name("robot", text[:80], library_names(), "the library (or give a file)")
-    if path.suffix in (".urdf", ".xml"):
-        raise RobotError(
-            f"{path}: is a URDF; run 'momapos robot check {path}' once, it writes the robot file"
-        )
-    return read_robot(path)
+    return read_robot(find_robot(source), cache=cache)
 
 
-def read_robot(path: Path) -> Robot:
-    """Read a robot file; docs/robots.md explains its keys."""
+def read_robot(path: Path, *, cache: Cache | None = None) -> Robot:
+    """Read a robot file; docs/robots.md tells its format."""
     data = _read_toml(path)
     table = _Table(data, path)
     urdf = _beside(path, table.text("urdf"))
-    model = _at_rest(Articulated(read_urdf(urdf)), table)
+    model = _at_rest(Articulated(read_urdf(urdf, cache=cache), cache=cache), table)
     base, tool = table.table("base"), table.table("tool")
     srdf = _srdf_of(table, urdf)
     robot = Robot(
@@ -190,7 +182,7 @@ def read_robot(path: Path) -> Robot:
         arm_joints=tuple(table.texts("arm_joints")),
         gripper_links=tuple(table.texts("gripper_links")),
         home=table.vector("home"),
-        footprint=_footprint(base, path),
+        footprint=_footprint(base, path, cache),
         drive=base.choice("drive", ("differential", "omni")),  # type: ignore[arg-type]
         max_speed=base.positive("max_speed", 0.5),
         max_yaw_rate=base.positive("max_yaw_rate", 1.0),
@@ -303,10 +295,14 @@ def _read_toml(path: Path) -> dict[str, Any]:
         raise FileFormatError(f"{path}: not a robot file in TOML ({error})") from error
 
 
-def _footprint(base: _Table, path: Path) -> Float[np.ndarray, "k 2"]:
+def _footprint(base: _Table, path: Path, cache: Cache | None) -> Float[np.ndarray, "k 2"]:
+    points = base.matrix("footprint", 2)
+    return once(cache, "footprint", (points,), lambda: _outline(points, path))
+
+
+def _outline(points: Float[np.ndarray, "n 2"], path: Path) -> Float[np.ndarray, "k 2"]:
     from scipy.spatial import ConvexHull, QhullError
 
-    points = base.matrix("footprint", 2)
     if len(points) > MAX_OUTLINE or np.abs(points).max(initial=0.0) > MAX_REACH:
         raise RobotError(
             f"{path}: base.footprint must have at most {MAX_OUTLINE} corners within {MAX_REACH:g} m"

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 from numba import njit
 
 from momapos.kinematics.articulated import Articulated
@@ -19,6 +19,9 @@ from momapos.kinematics.collision import (
     scratch_of,
 )
 from momapos.kinematics.spheres import Spheres
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
 
 SAMPLES = 2000
 ALWAYS = 0.95

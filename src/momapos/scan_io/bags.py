@@ -10,12 +10,11 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float, Int
 
-from momapos.errors import FileFormatError, MissingExtraError, MomaposError
+from momapos.errors import FileFormatError, MomaposError, require
 from momapos.files import open_regular
 from momapos.scan_io.layouts import list_names
 from momapos.scan_io.ros_images import colour_of, depth_of
@@ -30,6 +29,9 @@ from momapos.scan_io.validation import (
     rigid_pose,
 )
 from momapos.types import Frame
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
 
 MAX_IMAGES = 100_000
 MAX_TRANSFORMS = 2_000_000
@@ -114,13 +116,9 @@ def read_bag(
 
 @contextmanager
 def _opened(path: Path) -> Iterator[Any]:
-    try:
+    with require("scan"):
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
-    except ImportError as error:
-        raise MissingExtraError(
-            f"{path}: reading bags needs rosbags; pip install 'momapos[scan]'"
-        ) from error
     _check_regular(path)
     try:
         # Older SQLite bags do not say what their messages look like.

@@ -9,9 +9,9 @@ records a room stands in it.
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, UInt8
 from scipy.spatial import cKDTree
 
 from momapos.errors import FileFormatError
@@ -19,6 +19,9 @@ from momapos.files import open_regular
 from momapos.scan_io.pcd import read_pcd
 from momapos.scan_io.ply import Columns, read_ply
 from momapos.types import Cloud
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int, UInt8
 
 NEIGHBOURS = 16
 MAX_EXTENT = 300.0  # [m] of a home

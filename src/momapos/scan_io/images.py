@@ -7,12 +7,15 @@ import math
 import struct
 import zlib
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float, Float32, Num, UInt8
 from PIL import Image
 
 from momapos.errors import FileFormatError
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Float32, Num, UInt8
 
 MAX_PIXELS = 40_000_000
 _FORMATS = ("JPEG", "PNG")

@@ -12,10 +12,9 @@ from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
-from jaxtyping import Float
 
 from momapos.errors import FileFormatError
 from momapos.files import read_bytes_bounded
@@ -37,6 +36,9 @@ from momapos.scan_io.validation import (
     rigid_pose,
 )
 from momapos.types import Frame
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 MAX_FRAMES_LISTED = 100_000
 MAX_TEXT_BYTES = 10_000

@@ -10,16 +10,18 @@ import json
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, BinaryIO, NoReturn
+from typing import TYPE_CHECKING, Any, BinaryIO, NoReturn
 
 import numpy as np
-from jaxtyping import Bool, Int
 
 from momapos.errors import FileFormatError
 from momapos.files import open_regular, read_bytes_bounded
 from momapos.scan_io.scannet import ClassSet, class_name, class_set
 from momapos.torch_files import load_tensors
 from momapos.types import Instance, UprightBox
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Int
 
 FORMAT, VERSION = "momapos-boxes", 1
 MAX_INSTANCES = 10_000

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import BinaryIO
+from typing import TYPE_CHECKING, BinaryIO
 
 import numpy as np
-from jaxtyping import UInt8
 from numba import njit
 
 from momapos.errors import FileFormatError
 from momapos.files import open_regular
 from momapos.scan_io.ply import MAX_POINTS, Columns, read_rows
+
+if TYPE_CHECKING:
+    from jaxtyping import UInt8
 
 MAX_HEADER_BYTES = 10_000
 MAX_FIELDS = 64

@@ -5,13 +5,15 @@ from __future__ import annotations
 import warnings
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import BinaryIO
+from typing import TYPE_CHECKING, BinaryIO
 
 import numpy as np
-from jaxtyping import Float, Int
 
 from momapos.errors import FileFormatError
 from momapos.files import open_regular
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
 
 MAX_POINTS = 50_000_000
 MAX_HEADER_BYTES = 100_000

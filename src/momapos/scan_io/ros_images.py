@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float32, UInt8
 
 from momapos.errors import FileFormatError
 from momapos.scan_io.images import MAX_PIXELS, read_colour, read_depth, to_metres
+
+if TYPE_CHECKING:
+    from jaxtyping import Float32, UInt8
 
 _CHANNELS = {"rgb8": 3, "bgr8": 3, "rgba8": 4, "bgra8": 4, "mono8": 1}
 _DEPTHS = {"16UC1": "u2", "mono16": "u2", "32FC1": "f4"}

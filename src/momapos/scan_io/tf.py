@@ -5,10 +5,13 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation, Slerp
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
 
 TOLERANCE = 0.1
 """How long before its first or after its last sample a transform still holds [s]."""

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Hashable, Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float
 
 from momapos.errors import FileFormatError, InputError
 from momapos.types import Frame
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 MAX_TOTAL_PIXELS = 400_000_000
 """Of all frames that are kept in memory; a depth and a colour pixel take 7 bytes."""

@@ -13,10 +13,9 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
-from jaxtyping import Float
 
 from momapos.errors import FileFormatError, SceneError
 from momapos.geometry.transforms import apply, pose_rpy
@@ -25,10 +24,13 @@ from momapos.kinematics.urdf import box_urdf
 from momapos.scene.arithmetic import number
 from momapos.scene.scene import SceneObject
 
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
 ReadModel = Callable[[Path, float], Articulated]
 """Reads a URDF file at a scale; the same file and scale give the same model."""
 Size = tuple[float, float, float]
-Corners = tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]
+Corners: TypeAlias = "tuple[Float[np.ndarray, '3'], Float[np.ndarray, '3']]"
 
 SIZES = "derived/urdf_models_sizes.csv"
 """Sizes of household models, below the root; read where it exists."""

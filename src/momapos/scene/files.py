@@ -11,15 +11,12 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from importlib import resources
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
-from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
-from momapos.cache import write_atomic
+from momapos.cache import Cache, write_atomic
 from momapos.errors import FileFormatError, SceneError, unknown_name
 from momapos.files import read_text_bounded
 from momapos.geometry.polygons import signed_area
@@ -29,10 +26,13 @@ from momapos.kinematics.urdf import box_urdf, read_urdf
 from momapos.scene import bestman
 from momapos.scene.copies import model_files
 from momapos.scene.limits import refuse_vast
+from momapos.scene.names import FORMAT, MAX_BYTES, find_scene
 from momapos.scene.scene import Scene, SceneObject
 
-FORMAT, VERSION = "momapos-scene", 1
-MAX_BYTES = 50_000_000
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+VERSION = 1
 MAX_OBJECTS = 2_000
 """Relations are looked for between all pairs of objects: that many take some 5 s [-]."""
 MAX_CORNERS = 1_000
@@ -40,17 +40,11 @@ MAX_CORNERS = 1_000
 MAX_EDGE, MAX_DISTANCE = 1e3, 1e4  # [m] of a box, from the world's origin
 _SCENE_KEYS = {"format", "version", "name", "objects", "floor", "start"}
 _OBJECT_KEYS = {"name", "category", "pose", "urdf", "scale", "joints", "box"}
-_SUFFIXES = (".json", ".urdf", ".xml")
 
 
-def builtin_names() -> tuple[str, ...]:
-    """Names of the kitchens that come with the package."""
-    root = resources.files("momapos.scene") / "library"
-    names = [entry.name for entry in root.iterdir()]
-    return tuple(sorted(name[: -len(".json")] for name in names if name.endswith(".json")))
-
-
-def load_scene(source: str | Path, *, root: Path | None = None) -> Scene:
+def load_scene(
+    source: str | Path, *, root: Path | None = None, cache: Cache | None = None
+) -> Scene:
     """Load a scene.
 
     Args:
@@ -58,22 +52,23 @@ def load_scene(source: str | Path, *, root: Path | None = None) -> Scene:
             URDF of a single object, which is put on the floor at the origin.
         root: Folder that no path in the scene may leave. Where None: the file's own folder; for
             a BestMan scene the folder above it that holds `Asset`.
+        cache: Where the geometry of its models is kept, so that it is computed once.
 
     Raises:
         UnknownNameError, FileFormatError, SceneError, UrdfError: It cannot be used; one line
             says what is wrong and where.
     """
-    path = _locate(source)
+    path = find_scene(source)
     text = read_text_bounded(path, MAX_BYTES)
     if not text.strip():
         raise FileFormatError(f"{path}: is empty")
     start = text.lstrip("\ufeff \t\r\n")[:1]
     if start == "<":
-        scene = _read_single(path, root)
+        scene = _read_single(path, root, cache)
     elif start in ("{", "["):
         data = _parse_json(text, path)
         read = _read_bestman if bestman.is_bestman(data) else _read_momapos
-        scene = read(data, path, root)
+        scene = read(data, path, root, cache)
     else:
         raise FileFormatError(
             f"{path}: neither a scene (JSON: a momapos scene or a BestMan list) nor a URDF"
@@ -81,28 +76,6 @@ def load_scene(source: str | Path, *, root: Path | None = None) -> Scene:
     _refuse_twins(scene)
     refuse_vast(scene)
     return scene
-
-
-def _locate(source: str | Path) -> Path:
-    text = str(source)
-    names = builtin_names()
-    if text in names:
-        return Path(str(resources.files("momapos.scene") / "library" / f"{text}.json"))
-    path = Path(source)
-    try:
-        is_folder, is_file = path.is_dir(), path.is_file()
-        is_special = path.exists() and not (is_folder or is_file)
-    except OSError as error:  # a name that is too long, say
-        raise FileFormatError(f"{text:.80}: no such scene file ({error.strerror})") from error
-    if is_special:
-        raise FileFormatError(f"{path}: is a fifo, a socket or a device; give a regular file")
-    if is_folder:
-        raise FileFormatError(f"{path}: is a folder; give a scene file in it")
-    if not is_file:
-        if path.suffix.lower() in _SUFFIXES or len(path.parts) > 1:
-            raise FileFormatError(f"{path}: no such scene file")
-        raise unknown_name("kitchen", text, names, "the built-in ones (or give a scene file)")
-    return path
 
 
 def _parse_json(text: str, path: Path) -> Any:
@@ -129,23 +102,24 @@ def _refuse_twins(scene: Scene) -> None:
 class _Models:
     """Reads each URDF once per scale, so that objects share their models."""
 
-    def __init__(self, root: Path | None) -> None:
-        self.root = root
+    def __init__(self, root: Path | None, cache: Cache | None) -> None:
+        self.root, self.cache = root, cache
         self.read: dict[tuple[Path, float], Articulated] = {}
 
     def __call__(self, path: Path, scale: float) -> Articulated:
         key = (path.resolve(), scale)
         if key not in self.read:
-            self.read[key] = Articulated(read_urdf(path, root=self.root, scale=scale))
+            urdf = read_urdf(path, root=self.root, scale=scale, cache=self.cache)
+            self.read[key] = Articulated(urdf, cache=self.cache)
         return self.read[key]
 
 
 # ------------------------------------------------------------------------- the kinds of scene files
 
 
-def _read_single(path: Path, root: Path | None) -> Scene:
+def _read_single(path: Path, root: Path | None, cache: Cache | None) -> Scene:
     """A scene of one object, its lowest point on the floor."""
-    model = _Models(root)(path, 1.0)
+    model = _Models(root, cache)(path, 1.0)
     category = bestman.category_of("", str(path.resolve()))
     plain = path.stem.lower() not in ("mobility", "model", "robot", "object")
     name = path.stem if plain else category
@@ -155,16 +129,18 @@ def _read_single(path: Path, root: Path | None) -> Scene:
     return Scene(name, (SceneObject(name, category, T, model),), path)
 
 
-def _read_bestman(data: Sequence[Any], path: Path, root: Path | None) -> Scene:
+def _read_bestman(data: Sequence[Any], path: Path, root: Path | None, cache: Cache | None) -> Scene:
     if len(data) > MAX_OBJECTS:
         raise FileFormatError(f"{path}: more than {MAX_OBJECTS} objects")
     entries = bestman.read_entries(data, path)
     root = root or bestman.find_root(path)
-    objects, warnings = bestman.read_objects(entries, root, _Models(root))
+    objects, warnings = bestman.read_objects(entries, root, _Models(root, cache))
     return Scene(path.stem, objects, path, warnings=warnings)
 
 
-def _read_momapos(data: Mapping[str, Any], path: Path, root: Path | None) -> Scene:
+def _read_momapos(
+    data: Mapping[str, Any], path: Path, root: Path | None, cache: Cache | None
+) -> Scene:
     if data.get("format") != FORMAT:
         raise FileFormatError(
             f'{path}: not a scene; a momapos scene has "format": {FORMAT!r}, '
@@ -179,7 +155,7 @@ def _read_momapos(data: Mapping[str, Any], path: Path, root: Path | None) -> Sce
     if not isinstance(items, list) or len(items) > MAX_OBJECTS:
         raise FileFormatError(f"{path}: 'objects' must be a list of at most {MAX_OBJECTS}")
     root = (root or path.parent).resolve()
-    models, warnings = _Models(root), _unknown_keys(data, _SCENE_KEYS, f"{path}")
+    models, warnings = _Models(root, cache), _unknown_keys(data, _SCENE_KEYS, f"{path}")
     objects = []
     for index, item in enumerate(items):
         where = f"{path}: object {index}"
@@ -370,6 +346,8 @@ def write_whole(path: Path, text: str) -> None:
 
 def _object(item: SceneObject, folder: Path) -> dict[str, Any]:
     T, urdf = item.T_world_object, item.model.urdf
+    from scipy.spatial.transform import Rotation
+
     wxyz = Rotation.from_matrix(T[:3, :3]).as_quat(scalar_first=True)
     entry: dict[str, Any] = {
         "name": item.name,

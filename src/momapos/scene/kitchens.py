@@ -15,12 +15,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float
 
-from momapos.errors import InputError, MissingExtraError, unknown_name
+from momapos.errors import InputError, require, unknown_name
 from momapos.scene.library.furniture import (
     Box,
     Motion,
@@ -34,6 +33,9 @@ from momapos.scene.library.furniture import (
     vec,
 )
 from momapos.scene.library.writer import write_kitchen
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 LAYOUTS: tuple[str, ...] = (
     "single_wall",
@@ -127,11 +129,8 @@ def generate_kitchen(layout: str, *, seed: int, out: Path) -> Path:
 
 def _furniture(layout: str, seed: int) -> list[Piece]:
     """Let scene-synthesizer arrange the furniture, and translate it piece by piece."""
-    try:
+    with require("kitchens"):
         from scene_synthesizer import procedural_assets, procedural_scenes
-    except ImportError as error:
-        hint = "scene-synthesizer is not installed; pip install 'momapos[kitchens]'"
-        raise MissingExtraError(hint) from error
     with _contained(procedural_assets.utils, seed):
         build = getattr(procedural_scenes, f"kitchen_{layout}")
         scene = build(seed=seed, **procedural_scenes.use_primitives_only(), **SIZES)

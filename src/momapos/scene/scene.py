@@ -6,15 +6,18 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float
 
 from momapos.errors import SceneError, unknown_name
 from momapos.geometry.transforms import apply, pose, pose_planar, upright_frame
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.hulls import Boxes
 from momapos.kinematics.urdf import box_urdf, read_urdf
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 SMALLEST = 1e-4
 """Edges of a box are at least this [m]."""

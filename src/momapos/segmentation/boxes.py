@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from momapos.errors import InputError
@@ -22,6 +22,9 @@ from momapos.geometry.upright_boxes import (
 from momapos.segmentation.labels import Stand, label_of, looks_of
 from momapos.segmentation.room import Room, area, peaks
 from momapos.types import Cloud, Detection, Instance, UprightBox
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
 
 PIECE = 0.9
 """A thing is a piece of another whose box holds more than this share of its points [-]."""

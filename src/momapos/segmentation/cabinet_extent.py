@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float
 
 from momapos.segmentation.room import area, ends, peaks
 from momapos.segmentation.supports import Rectangle
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 LOWEST, LIP = 0.12, 0.1
 """Sides are looked for this far above the floor, and this far below the top [m]."""

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float, Int
 
 from momapos.geometry.upright_boxes import corners, from_corners
 from momapos.segmentation.room import Room, Wall, area, ends, floor_seen, peaks
 from momapos.segmentation.supports import components
 from momapos.types import Cloud, Instance, UprightBox
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
 
 
 @dataclass(frozen=True)

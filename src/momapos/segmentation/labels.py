@@ -9,14 +9,16 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from math import inf
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from jaxtyping import Int
 
 from momapos.geometry.upright_boxes import along_edges, bottom, to_local, top
 from momapos.segmentation.room import Room, area
 from momapos.types import Cloud, UprightBox
+
+if TYPE_CHECKING:
+    from jaxtyping import Int
 
 Stand = Literal["floor", "support", "hung"]
 Range = tuple[float, float, float, float]

@@ -10,9 +10,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Int
 from scipy import ndimage
 
 from momapos.errors import InputError
@@ -36,6 +36,9 @@ from momapos.segmentation.supports import (
     rectangles,
 )
 from momapos.types import Cloud, Instance, UprightBox
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Int
 
 
 @dataclass(frozen=True)

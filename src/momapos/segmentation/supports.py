@@ -5,14 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 
 from momapos.errors import InputError
 from momapos.segmentation.room import Room, peaks
 from momapos.types import Cloud
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
 
 MOST_CELLS = 200_000_000
 """Rooms of more cells are refused: the scan holds something far away."""

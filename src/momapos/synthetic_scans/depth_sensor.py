@@ -10,13 +10,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, UInt8
 from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
 from momapos.types import Frame
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Float32, UInt8
 
 
 @dataclass(frozen=True)

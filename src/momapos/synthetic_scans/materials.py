@@ -8,12 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from jaxtyping import Float
 
 from momapos.synthetic_scans.surfaces import Paint
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 Role = Literal["body", "front", "handle"]
 """What a shape is to its object: what stays, what opens, what is held."""

@@ -7,11 +7,13 @@ They need no clipping, and give the distance that casting every ray by itself wo
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Int32, UInt8
 from numba import njit
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Float32, Int32, UInt8
 
 NEAREST = 0.02
 """What is nearer to the camera is not drawn [m]."""

@@ -11,19 +11,21 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from momapos.errors import InputError, MissingExtraError, SceneError
+from momapos.errors import InputError, SceneError, require
 from momapos.geometry.transforms import pose, upright_frame
 from momapos.scene.scene import Scene, SceneObject
 from momapos.synthetic_scans.depth_sensor import DepthSensor, drifting, sense
 from momapos.synthetic_scans.renderer import RenderWorld, pinhole, render_frame, render_world
 from momapos.synthetic_scans.route import scan_route
 from momapos.types import Frame, UprightBox
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 FORMAT, VERSION = "momapos-scan-truth", 1
 SIZE = (640, 480)
@@ -173,10 +175,8 @@ def write_scan(
         SceneError: The folder holds files already or cannot be written.
         MissingExtraError: Pillow is not installed.
     """
-    try:
+    with require("scan"):
         import PIL.Image  # noqa: F401 - asked for before anything is rendered
-    except ImportError as error:
-        raise MissingExtraError("Pillow is not installed; pip install 'momapos[scan]'") from error
     refuse_used(folder)
     partial: Path | None = None
     try:

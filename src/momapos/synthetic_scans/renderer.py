@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 
 from momapos.geometry.polygons import signed_area
 from momapos.geometry.transforms import invert, pose
@@ -20,6 +20,9 @@ from momapos.synthetic_scans.materials import Material, Palette, Role, linear
 from momapos.synthetic_scans.rasterizer import rasterise, shade_image
 from momapos.synthetic_scans.surfaces import Patch, patches, urdf_paints
 from momapos.types import Frame
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
 
 FLOOR_MARGIN = 2.0
 """How far the floor reaches beyond the objects where the scene does not say [m]."""

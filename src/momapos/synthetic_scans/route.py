@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 from scipy.ndimage import distance_transform_edt
 
 from momapos.errors import SceneError
@@ -13,6 +13,9 @@ from momapos.geometry.polygons import contains
 from momapos.geometry.transforms import apply, invert
 from momapos.scene.scene import Scene
 from momapos.synthetic_scans.renderer import FLOOR_MARGIN, RenderWorld, look_at, pinhole
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
 
 CELL = 0.05  # [m] of the grid of places to stand
 CLEARANCE = 0.35

@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float
 from scipy.spatial import ConvexHull
 
 from momapos.errors import UrdfError
@@ -17,6 +16,9 @@ from momapos.geometry.transforms import apply
 from momapos.kinematics.meshes import mesh_bytes, parse_mesh
 from momapos.kinematics.urdf import MAX_URDF_BYTES, Geometry
 from momapos.scene.library.writer import COLOURS
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 Paint = tuple[float, float, float] | None
 """A colour in [0, 1] as a screen shows it; None where no file gives one."""

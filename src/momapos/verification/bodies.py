@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
-from jaxtyping import Float
 
 from momapos.geometry.transforms import rotation_about
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.urdf import Joint
 
-Values = Mapping[str, float | Float[np.ndarray, " s"]]
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+Values: TypeAlias = "Mapping[str, float | Float[np.ndarray, ' s']]"
 
 
 @dataclass(frozen=True)

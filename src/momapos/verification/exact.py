@@ -8,9 +8,9 @@ than the execution's.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float, Int
 
 from momapos.geometry.transforms import pose_planar
 from momapos.scene.scene import Scene
@@ -23,6 +23,9 @@ from momapos.verification.report import DEFAULT, Check, Limits, Report, at_most
 from momapos.verification.robot_collision_model import Arm, robot_collision_model
 from momapos.verification.shapes import Shapes
 from momapos.verification.sweep import all_pairs, deepest
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
 
 SWEEP_STEPS = 49
 """The joint's way is cut into so many steps, or a multiple, where base and room are checked [-]."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from momapos.cache import Cache
 from momapos.errors import FileFormatError
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.urdf import read_urdf
@@ -29,7 +30,11 @@ class UrdfArm:
 
 
 def verify_files(
-    plan_path: Path, scene_root: Path | None = None, limits: Limits = DEFAULT
+    plan_path: Path,
+    scene_root: Path | None = None,
+    limits: Limits = DEFAULT,
+    *,
+    cache: Cache | None = None,
 ) -> Report:
     """Check a plan with nothing but the plan file, and the scene and the URDF that it names.
 
@@ -38,6 +43,7 @@ def verify_files(
         scene_root: Folder for names that are not found beside the plan, and for the models of a
             BestMan scene.
         limits: What to hold the plan to.
+        cache: Where the geometry of models is kept, so that it is computed once.
 
     Raises:
         FileFormatError, SceneError, UrdfError, UnknownNameError, TaskError, RobotError: The plan
@@ -48,13 +54,13 @@ def verify_files(
         detail = f"status {plan.status!r}: there is nothing to verify"
         return Report((verdict("status is solved", False, detail),))
     folders = [plan_path.resolve().parent, *([scene_root] if scene_root else []), Path()]
-    scene = read_scene(find_file("scene", plan.scene, folders, plan_path), scene_root)
+    scene = read_scene(find_file("scene", plan.scene, folders, plan_path), scene_root, cache)
     scene = scene.with_joints(plan.scene_joints)
     urdf = find_file("robot.urdf", plan.robot_urdf, folders, plan_path)
     srdf = None
     if plan.robot_srdf is not None:
         srdf = find_file("robot.srdf", plan.robot_srdf, folders, plan_path)
-    world = PlanVerifier(scene, _arm(plan, urdf, srdf), plan.task, limits)
+    world = PlanVerifier(scene, _arm(plan, urdf, srdf, cache), plan.task, limits)
     report = world.check(plan.base_pose, plan.motion)
     drive = world.drive_checks(plan) if len(plan.motion.approach) else ()
     return Report((*report.checks, *drive), (*scene.warnings, *report.notes), report.gripper_depth)
@@ -78,18 +84,18 @@ def find_file(key: str, name: str, folders: list[Path], plan_path: Path) -> Path
     )
 
 
-def read_scene(path: Path, scene_root: Path | None) -> Scene:
+def read_scene(path: Path, scene_root: Path | None, cache: Cache | None = None) -> Scene:
     """Load a scene; the root bounds it where the scene lies in it or knows no other."""
     if scene_root is not None and path.resolve().is_relative_to(scene_root.resolve()):
-        return load_scene(path, root=scene_root)
+        return load_scene(path, root=scene_root, cache=cache)
     if scene_root is None:
-        return load_scene(path)
+        return load_scene(path, cache=cache)
     with path.open("rb") as file:
         is_list = file.read(64).lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"[")
-    return load_scene(path, root=scene_root if is_list else None)
+    return load_scene(path, root=scene_root if is_list else None, cache=cache)
 
 
-def _arm(plan: PlacementPlan, urdf: Path, srdf: Path | None) -> UrdfArm:
+def _arm(plan: PlacementPlan, urdf: Path, srdf: Path | None, cache: Cache | None) -> UrdfArm:
     disabled = read_srdf(srdf or urdf.with_suffix(".srdf"))
-    model = Articulated(read_urdf(urdf), plan.robot_rest)
+    model = Articulated(read_urdf(urdf, cache=cache), plan.robot_rest, cache)
     return UrdfArm(model, plan.base_link, plan.tool_link, plan.joints, disabled)

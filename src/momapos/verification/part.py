@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float
 
 from momapos.errors import TaskError
 from momapos.geometry.transforms import invert
@@ -15,6 +15,9 @@ from momapos.types import Task
 from momapos.verification.bodies import Bodies, body_poses, joint_motions
 from momapos.verification.convex import overlap
 from momapos.verification.shapes import Shapes, join, of_bodies, prepared
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 
 from momapos.geometry.transforms import invert
 from momapos.verification.convex import overlap
@@ -20,6 +20,9 @@ from momapos.verification.part import Part
 from momapos.verification.report import Limits
 from momapos.verification.shapes import Shapes
 from momapos.verification.sweep import all_pairs, deepest
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
 
 BEARING = -1e-3
 """Depth from which an element of the own object touches the closed part: 1 mm apart [m]."""

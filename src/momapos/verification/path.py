@@ -5,15 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float, Int
 
 from momapos.geometry.transforms import invert, rotation_angle, wrap_angle
 from momapos.types import Motion
 from momapos.verification.part import Part
 from momapos.verification.report import Check, Limits, at_most, verdict
 from momapos.verification.robot_collision_model import RobotCollisionModel
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
 
 STEP_BACK = 1e-6
 LARGEST = 1e6

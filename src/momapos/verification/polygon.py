@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-from jaxtyping import Float
 
 from momapos.geometry.polygons import contains, edge_distances
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 
 def outside(

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 
 from momapos.errors import RobotError, unknown_name
 from momapos.geometry.transforms import invert, pose_planar
@@ -16,6 +15,9 @@ from momapos.kinematics.articulated import Articulated
 from momapos.verification.bodies import Bodies, body_poses
 from momapos.verification.shapes import Shapes, of_bodies, prepared
 from momapos.verification.sweep import all_pairs, deepest
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
 
 TOUCHING = -1e-7
 """Depth from which a pair counts as touching at the neutral pose [m]."""

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float, Int
 from numba import njit
 
 from momapos.geometry.transforms import apply, invert
@@ -15,6 +15,9 @@ from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.hulls import Hull
 from momapos.kinematics.urdf import Geometry
 from momapos.verification.bodies import Bodies, bodies_of
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
 
 _RIM = 64
 """Corners of the polygon that stands for a cylinder's rim where its outline is wanted."""

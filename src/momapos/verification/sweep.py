@@ -7,12 +7,16 @@ answer is that of checking every state, found with a few exact queries a pair.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-from jaxtyping import Float, Int
 from numba import njit
 
 from momapos.verification.convex import TOLERANCE, overlap
 from momapos.verification.shapes import Shapes
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
 
 
 def deepest(

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
 from momapos.importance.rank import Importance
@@ -28,6 +27,7 @@ from momapos.viewer.plot import DPI, SIZE, frame, widen
 from momapos.viewer.room import name_objects, room, room_bounds
 
 if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
     from matplotlib.figure import Figure
 
 MAP, COLUMN = (0.058, 0.07, 0.625, 0.91), (0.715, 0.03, 0.27, 0.95)

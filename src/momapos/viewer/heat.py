@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float
 
 from momapos.placement.area import BaseStatus, Site, arm_radius, standing, within_reach
 from momapos.placement.potential import attraction
 from momapos.protocols import ReachScorer
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 YAWS = 8
 """Yaws that are tried at each position [-]."""

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float
 from scipy.spatial import ConvexHull, QhullError
 
 from momapos.geometry.polygons import signed_area
 from momapos.kinematics.hulls import Boxes
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 _CORNERS = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
 

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float
 
 from momapos.geometry.planar import place_points
 from momapos.geometry.polygons import contains
@@ -24,6 +23,7 @@ from momapos.viewer.robot import draw_arm, draw_footprint
 from momapos.viewer.room import name_objects, room, room_bounds
 
 if TYPE_CHECKING:
+    from jaxtyping import Float
     from matplotlib.figure import Figure
 
 SIZE, DPI = (8.0, 6.0), 200

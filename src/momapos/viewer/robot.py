@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float
 
 from momapos.geometry.planar import place_points
 from momapos.geometry.transforms import apply, pose, pose_planar
@@ -13,6 +12,9 @@ from momapos.kinematics.chain import forward, stand_at_origin
 from momapos.robots.robot import Robot
 from momapos.viewer.outlines import draw_union, outline
 from momapos.viewer.palette import ARM, INK
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 FOOTPRINT_LAYER, ARM_LAYER = 9.0, 13.0
 

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float
 
 from momapos.geometry.transforms import apply
 from momapos.scene.scene import Scene, SceneObject
@@ -22,6 +21,9 @@ from momapos.viewer.palette import (
     TARGET_EDGE,
     WALL,
 )
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 OVERHEAD = 1.2
 """What hangs higher than this is drawn as a dashed outline only [m]."""

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float, Float32, UInt8
 from numba import njit
 
 from momapos.geometry.transforms import invert, pose
 from momapos.types import FaceImage, Frame, UprightBox
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Float32, UInt8
 
 FACES = 4
 """Upright faces of a box: outward along its x, y, -x, -y."""

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from jaxtyping import Float
 
 from momapos.geometry.transforms import invert
 from momapos.types import FaceImage, Frame, Front, Part, UprightBox
@@ -21,6 +20,9 @@ from momapos.views.faces import (
     solid,
 )
 from momapos.views.projection import Sight, area, common_area
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 AROUND = (0.03, 0.1)
 """How much of what surrounds a face is looked at with it; the second where the first shows no

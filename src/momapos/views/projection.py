@@ -5,13 +5,16 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float
 
 from momapos.geometry.transforms import apply, invert, pose, rotation_about
 from momapos.types import Frame, ImageDetection, UprightBox
 from momapos.views.faces import NEAREST
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 Rectangle = tuple[float, float, float, float]
 """Left, top, right, bottom."""

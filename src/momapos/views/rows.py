@@ -10,9 +10,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float
 
 from momapos.geometry.transforms import apply
 from momapos.types import Frame, Part, UprightBox
@@ -29,6 +29,9 @@ from momapos.views.front_view import (
     surest,
 )
 from momapos.views.projection import projection
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 COARSE = 96
 """Pixels along a window that tell whether it is flat: a table is open [-]."""

@@ -8,12 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from jaxtyping import Bool, Float
 
 from momapos.geometry.transforms import apply, pose, rotation_about
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
 
 TOUCH = 5e-4  # [m] of overlap that still counts as touching
 BAR, STAND_OFF = 0.02, 0.04  # [m] thickness of a handle, and its distance from the door

@@ -1,0 +1,73 @@
+"""How importance is measured; nothing heavy is imported, so that commands can show it at once."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Literal, get_args
+
+from momapos.errors import InputError
+
+MOST = 10_000
+"""Bound of every count, so that a typing error does not run for hours [-]."""
+ScorerName = Literal["reach", "deepwalk", "distance", "size", "names"]
+
+
+@dataclass(frozen=True)
+class GraphConfig:
+    """Which objects of a room are related."""
+
+    contact: float = 0.02
+    """Vertical gap or overlap of two surfaces that touch [m]."""
+    neighbours: int = 4
+    """Nearest objects of each that count as near [-]."""
+    near: float = 1.0
+    """Farthest gap between the boxes of two objects that are near [m]."""
+    floor: float = 0.1
+    """Centres closer than this from above count as this far apart [m]."""
+
+    def __post_init__(self) -> None:
+        if not (0 < self.contact < math.inf and 0 < self.floor < math.inf):
+            raise InputError("contact and floor must be lengths above 0 m")
+        if not (self.neighbours >= 0 and self.near >= 0):
+            raise InputError("neighbours and near must not be negative")
+
+
+@dataclass(frozen=True)
+class ImportanceConfig:
+    """How objects are scored against the target."""
+
+    scorer: ScorerName = "reach"
+    """reach: large for its distance from where the hand goes; deepwalk: the paper's; distance: near
+    the target; size: large for its distance from the target; names: by words alone."""
+    alpha: float = 0.45
+    """Objects with a score of at least this are in S, in [0, 1] [-]."""
+    k0: float = 0.5
+    """Weight of distance against size in the walks, in [0, 1] [-]."""
+    walks: int = 15
+    """Walks that begin at each object [-]."""
+    length: int = 20
+    """Objects in a walk [-]."""
+    window: int = 4
+    """Objects before and after in a walk that count as company [-]."""
+    dimensions: int = 64
+    """Length of an object's vector [-]."""
+    epochs: int = 3
+    """Passes over the walks [-]."""
+    graph: GraphConfig = field(default_factory=GraphConfig)
+
+    def __post_init__(self) -> None:
+        for name in ("alpha", "k0"):
+            value = getattr(self, name)
+            if not 0 <= value <= 1:
+                raise InputError(f"{name} must be between 0 and 1, not {value:g}")
+        for name, least in (
+            ("walks", 1), ("length", 2), ("window", 1), ("dimensions", 1), ("epochs", 1),
+        ):  # fmt: skip
+            value = getattr(self, name)
+            if not least <= value <= MOST:
+                raise InputError(f"{name} must be between {least} and {MOST}, not {value}")
+        if self.scorer not in get_args(ScorerName):
+            raise InputError(
+                f"no scorer {self.scorer!r}; there are {', '.join(get_args(ScorerName))}"
+            )

@@ -1,0 +1,40 @@
+"""The names of the robots that come with momapos; nothing heavy is imported to look one up."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from momapos.errors import RobotError, unknown_name
+
+LIBRARY = Path(__file__).parent / "library"
+
+
+def library_names() -> tuple[str, ...]:
+    """Names of the robots that come with the package."""
+    return tuple(sorted(p.name for p in LIBRARY.iterdir() if (p / f"{p.name}.toml").is_file()))
+
+
+def library_file(name: str) -> Path:
+    """The file of a robot that comes with the package."""
+    return LIBRARY / name / f"{name}.toml"
+
+
+def find_robot(source: str | Path) -> Path:
+    """The robot file that a library name or a path stands for; a path may not exist.
+
+    Raises:
+        UnknownNameError: It is neither; the message offers the nearest names.
+        RobotError: It is a URDF.
+    """
+    text = str(source)
+    if text in library_names():
+        return library_file(text)
+    path = Path(source)
+    if path.suffix not in (".toml", ".urdf", ".xml") and not os.path.exists(path):
+        raise unknown_name("robot", text[:80], library_names(), "the library (or give a file)")
+    if path.suffix in (".urdf", ".xml"):
+        raise RobotError(
+            f"{path}: is a URDF; run 'momapos robot check {path}' once, it writes the robot file"
+        )
+    return path

@@ -1,0 +1,75 @@
+"""A robot at home, as its collision spheres."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from momapos.errors import RobotError
+from momapos.robots.robot import Robot
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+    from matplotlib.axes import Axes
+
+
+def draw_robot(robot: Robot, path: Path) -> None:
+    """Draw a robot at home from above and from its right, with its collision spheres."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(11, 6), layout="constrained")
+    above, side = figure.subplots(1, 2)
+    corners = np.vstack([robot.footprint, robot.footprint[:1]])
+    above.plot(*corners.T, "k--", lw=1, label="footprint")
+    side.axhline(0, color="0.5", lw=1)
+    for axes, (i, j) in ((above, (0, 1)), (side, (0, 2))):
+        _draw_view(robot, axes, i, j)
+        axes.set(aspect="equal", xlabel=f"{'xyz'[i]} [m]", ylabel=f"{'xyz'[j]} [m]")
+    above.set_title("from above")
+    side.set_title("from the right")
+    figure.suptitle(f"{robot.name} at home; orange: gripper, arrow: approach")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        figure.savefig(path, dpi=110, format="png")
+    except OSError as error:
+        raise RobotError(f"{path}: cannot be written ({error.strerror})") from error
+
+
+def _draw_view(robot: Robot, axes: Axes, i: int, j: int) -> None:
+    """Draw the projection onto two coordinates of the base frame."""
+    from matplotlib.collections import PatchCollection
+    from matplotlib.patches import Circle, Polygon
+    from scipy.spatial import ConvexHull
+
+    base = robot.base
+    signs = np.stack(np.meshgrid([-1, 1], [-1, 1], [-1, 1]), -1).reshape(-1, 3)
+    boxes = []
+    for k in range(len(base)):
+        points = (base.center[k] + (signs * base.half[k]) @ base.rotation[k].T)[:, [i, j]]
+        boxes.append(Polygon(points[ConvexHull(points).vertices]))
+    axes.add_collection(PatchCollection(boxes, facecolor="0.8", edgecolor="0.5", alpha=0.7))
+    centers, held = sphere_centers(robot, robot.home)
+    circles = [Circle((c[i], c[j]), r) for c, r in zip(centers, robot.spheres.radius, strict=True)]
+    colours = np.where(held, "tab:orange", "tab:blue")
+    axes.add_collection(PatchCollection(circles, facecolor=colours, edgecolor="none", alpha=0.25))
+    T = robot.chain.tool_poses(robot.home[None])[0]
+    tip = T[:3, 3] + 0.12 * T[:3, :3] @ robot.approach_axis
+    axes.annotate("", tip[[i, j]], T[[i, j], 3], arrowprops={"arrowstyle": "->", "color": "k"})
+    axes.autoscale_view()
+
+
+def sphere_centers(
+    robot: Robot, q: Float[np.ndarray, " n"]
+) -> tuple[Float[np.ndarray, "s 3"], Float[np.ndarray, " s"]]:
+    """Centres of the collision spheres in the base frame [m], and which are the gripper's."""
+    from momapos.kinematics.collision import place_segments
+
+    chain, spheres = robot.chain, robot.spheres
+    R, p = np.empty((chain.size + 1, 3, 3)), np.empty((chain.size + 1, 3))
+    place_segments(np.asarray(q, float), np.zeros(3), (chain.h, chain.d, chain.prismatic), R, p)
+    count = np.diff(spheres.start)
+    segment = np.repeat(spheres.segment, count)
+    centers = np.einsum("sij,sj->si", R[segment], spheres.center) + p[segment]
+    return centers, np.repeat(spheres.gripper, count)
