@@ -168,7 +168,7 @@ def _answer(verb: str, scene_name: str, target: str, to: str | None, options: Op
     with progress(f"reachability map of {robot.name}") as report:
         reach = load_or_build(robot, default_cache_dir(), report)
     at = None if begin is None else np.array(begin)
-    compile_once(scene, robot, task, reach, at, default_cache_dir())
+    compile_once()
     config = PipelineConfig(
         importance=_importance(options),
         place=PlaceConfig(method=options.method),

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
-from numba import njit
+
+from momapos.compiled import F2, I1, entry, kernel
 
 LEARNING_RATE = 0.1
 """At the start; it falls to nearly nothing. High, for the corpus is small and seen few times."""
@@ -79,7 +80,7 @@ def _skip_gram(
     return vectors
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _sigmoid(x):
     """1 / (1 + exp(-x)) within 1e-5, by Lambert's fraction of tanh(x / 2); 0 or 1 beyond 6.
 
@@ -94,7 +95,7 @@ def _sigmoid(x):
     return 0.5 + 0.5 * above / (135135.0 + z * (62370.0 + z * (3150.0 + z * 28.0)))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _dot(a, b):
     """Product of two vectors in four sums: the processor overlaps them, the order is fixed."""
     size = len(a)
@@ -110,7 +111,7 @@ def _dot(a, b):
     return (s0 + s1) + (s2 + s3)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _learn(word, company, vectors, outputs, table, negative, rate, state, change):
     """One update: `word` shall predict `company`, and not the words that are drawn."""
     mine = vectors[word]
@@ -133,8 +134,19 @@ def _learn(word, company, vectors, outputs, table, negative, rate, state, change
     return state
 
 
-@njit(cache=True, nogil=True)
-def _train(tokens, start, table, vectors, outputs, window, epochs, negative, rate, state):
+@entry
+def _train(
+    tokens: I1,
+    start: I1,
+    table: I1,
+    vectors: F2,
+    outputs: F2,
+    window: int,
+    epochs: int,
+    negative: int,
+    rate: float,
+    state: np.uint64,
+):
     change = np.empty(vectors.shape[1])
     seen, total = 0, epochs * len(tokens)
     for _ in range(epochs):
