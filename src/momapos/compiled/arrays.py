@@ -120,7 +120,7 @@ def _tuple_checker(hint: Any, members: list[Fits]) -> Fits:
         nonlocal last
         if value is last:
             return True
-        if type(value) is not kind or len(value) != len(members):
+        if type(value) not in (kind, tuple) or len(value) != len(members):
             return False
         if all(member(item) for member, item in zip(members, value, strict=True)):
             last = value
