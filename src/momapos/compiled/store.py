@@ -12,19 +12,21 @@ import os
 import platform
 import sys
 import threading
-import zipfile
 from collections.abc import Callable, Sequence
 from functools import cached_property
-from importlib import metadata
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import llvmlite
 import llvmlite.binding as llvm
 
 from momapos.cache import Cache, content_key, default_cache_dir
 from momapos.compiled.native import Code, link
 
 if TYPE_CHECKING:
+    import zipfile
+
     from momapos.compiled.kernel import Kernel
 
 log = logging.getLogger(__name__)
@@ -38,8 +40,14 @@ Report = Callable[[int, int], None]
 
 def compiler_version() -> list[str]:
     """What machine code depends on besides its source and the processor."""
-    versions = [f"{name} {metadata.version(name)}" for name in ("numba", "llvmlite")]
+    package = find_spec("numba")
+    if package is None or package.origin is None:
+        raise ImportError("numba is not installed")
+    # numba's version, read and not imported: importing is what must not happen here, and the
+    # package's metadata takes 40 ms to look up.
+    numba = Path(package.origin).with_name("_version.py").read_bytes()
     python = f"{sys.implementation.name} {sys.version_info[0]}.{sys.version_info[1]}"
+    versions = [f"numba {content_key(numba)}", f"llvmlite {llvmlite.__version__}"]
     return [*versions, python, sys.platform, platform.machine()]
 
 
@@ -109,6 +117,8 @@ class Store:
 
     @cached_property
     def _members(self) -> zipfile.ZipFile:
+        import zipfile
+
         return zipfile.ZipFile(self.pack)
 
     @cached_property
@@ -116,9 +126,11 @@ class Store:
         """Stamps of the entries in the pack; none where it is not for this interpreter."""
         if not self.pack.is_file():
             return {}
+        from zipfile import BadZipFile
+
         try:
             about = json.loads(self._members.read("pack.json"))
-        except (OSError, KeyError, ValueError, zipfile.BadZipFile) as error:
+        except (OSError, KeyError, ValueError, BadZipFile) as error:
             log.warning("%s: damaged, ignored (%s)", self.pack, error)
             return {}
         features = llvm.get_host_cpu_features()
