@@ -1,4 +1,4 @@
-"""Kernels as stored machine code: found by what they are made from, and run without the compiler."""
+"""Kernels as stored machine code: found by what they are made from, run without numba."""
 
 from __future__ import annotations
 

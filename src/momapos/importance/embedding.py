@@ -146,7 +146,7 @@ def _train(
     negative: int,
     rate: float,
     state: np.uint64,
-):
+) -> None:
     change = np.empty(vectors.shape[1])
     seen, total = 0, epochs * len(tokens)
     for _ in range(epochs):

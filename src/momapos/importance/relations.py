@@ -160,7 +160,7 @@ def _hierarchy(
     groups: BoxArrays,
     group_start: I1,
     contact: float,
-):
+) -> np.ndarray:
     """Find who is on, in or inside whom: rows of child, parent, kind."""
     low, high = bodies[0], bodies[1]
     base = bodies[2]
@@ -255,7 +255,7 @@ def _nearest(
     half: F2,
     count: int,
     reach: float,
-):
+) -> np.ndarray:
     """The nearest boxes of each within reach, by gap: indices, -1 where there are fewer."""
     n = len(center)
     index = np.full((n, count), -1)
@@ -286,7 +286,7 @@ def _gaps_to(
     center: F2,
     rotation: F3,
     half: F2,
-):
+) -> np.ndarray:
     out = np.empty(len(center))
     for i in range(len(center)):
         out[i] = _outline_gap(i, target, center, rotation, half)

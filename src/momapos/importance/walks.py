@@ -60,7 +60,7 @@ def _walk(
     cumulative: F1,
     first: I1,
     draws: F2,
-):
+) -> np.ndarray:
     out = np.empty((len(first), draws.shape[1] + 1), np.int64)
     for w in range(len(first)):
         here = first[w]

@@ -53,7 +53,7 @@ def _hit(
     base: BoxArrays,
     boxes: BoxArrays,
     clearance: float,
-):
+) -> np.ndarray:
     base_center, base_rotation, base_half = base
     center, rotation, half = boxes
     out = np.full(len(bases), FREE, np.int64)

@@ -184,7 +184,7 @@ def place_segments(
     chain: ChainArrays,
     R: F3,
     p: F2,
-):
+) -> None:
     """Segment poses of a configuration for a base at (x, y, yaw) on the floor."""
     h, d, prismatic = chain[0], chain[1], chain[2]
     c, s = np.cos(base[2]), np.sin(base[2])
@@ -222,7 +222,7 @@ def check_states(
     boxes: ObstacleArrays,
     skip_gripper: bool,
     margin: float,
-):
+) -> np.ndarray:
     """First thing that each configuration (m, n) hits: FREE, FLOOR, SELF or a box's index (m,)."""
     scratch = scratch_of(q.shape[1], spheres)
     R, p, bounds = scratch

@@ -293,7 +293,7 @@ def _solve_all(
     limits: Limits,
     ik: IkArrays,
     limit: int,
-):
+) -> tuple[np.ndarray, np.ndarray]:
     n = ik[2].shape[1]
     scratch = ik_scratch(n)
     out = np.full((len(poses), limit, n), np.nan)

@@ -129,7 +129,7 @@ def _fill_buckets(
     low: F1,
     shape: I1,
     reach: float,
-):
+) -> tuple[np.ndarray, np.ndarray]:
     """Lists of the boxes that a sphere of radius `reach` in each cell could touch (CSR)."""
     cells = shape[0] * shape[1] * shape[2]
     counts = np.zeros(cells + 1, np.int64)
@@ -234,7 +234,7 @@ def _check(
     spheres: SphereArrays,
     world: WorldArrays,
     margin: float,
-):
+) -> np.ndarray:
     scratch = scratch_of(q.shape[1], spheres)
     out = np.empty(len(q), np.int64)
     for i in range(len(q)):
@@ -256,7 +256,7 @@ def _motion_free(
     spheres: SphereArrays,
     world: WorldArrays,
     margin: float,
-):
+) -> bool:
     n = len(a)
     scratch = scratch_of(n, spheres)
     q, longest = np.empty(n), 0.0
@@ -350,7 +350,7 @@ def _check_hand(
     hand: SphereArrays,
     world: WorldArrays,
     margin: float,
-):
+) -> np.ndarray:
     out = np.full(len(R), FREE, np.int64)
     bounds = np.empty((len(hand[3]), 3))
     moving_center, moving_rotation, moving_half, grasped = world[3:7]

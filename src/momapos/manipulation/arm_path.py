@@ -161,7 +161,7 @@ def _shortest(
     full_turn: B1,
     scale: F1,
     chosen: I1,
-):
+) -> int:
     """Path with the smallest sum of steps through the layers; returns the layers reached."""
     count, layers = len(q), len(start) - 1
     cost, parent = np.full(count, np.inf), np.full(count, -1)
@@ -218,7 +218,7 @@ def _track(
     limits: Limits,
     scale: F1,
     dense: F2,
-):
+) -> int:
     """Fill the states between waypoints by Newton steps; returns the step that fails, or -1."""
     n = q.shape[1]
     most = np.int64(8)  # a literal would have Newton compiled once more

@@ -165,7 +165,7 @@ def _solve_layer(
     locked: F1,
     before: Neighbour,
     after: Neighbour,
-):
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     n = len(full_turn)
     scratch = ik_scratch(n)
     arm = scratch_of(n, spheres)

@@ -27,7 +27,7 @@ def _sees(
     center: F2,
     rotation: F3,
     half: F2,
-):
+) -> np.ndarray:
     """Whether the segment from each source to each target misses all boxes."""
     out = np.ones((len(sources), len(targets)), np.bool_)
     for n in range(len(sources)):

@@ -83,7 +83,7 @@ def line_pose(r, z, u, v, roll, tool, R, p):
 
 
 @entry
-def arc_mask(q: float, turn: float, lower: float, upper: float):
+def arc_mask(q: float, turn: float, lower: float, upper: float) -> int:
     """Mask of the bearings that the first joint can serve, from its value at bearing 0."""
     if upper - lower >= 2.0 * math.pi - 1e-6:
         return EVERY
@@ -182,7 +182,7 @@ def line_masks(
     ik: IkArrays,
     pans: Pans,
     masks: U1,
-):
+) -> None:
     """Those of the wanted bearings (m,) at which lines (m, 4: z, r, u, v) can be reached.
 
     A line counts where every roll of the tool can be reached, each solved anew, with at least half

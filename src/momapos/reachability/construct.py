@@ -12,8 +12,9 @@ from dataclasses import replace
 import numpy as np
 
 from momapos.errors import RobotError
-from momapos.kinematics.chain import Chain, chain_arrays
+from momapos.kinematics.chain import Chain, chain_arrays, chain_limits
 from momapos.kinematics.hulls import Boxes
+from momapos.kinematics.records import SphereArrays
 from momapos.kinematics.spheres import Spheres
 from momapos.reachability.build import EVERY, Arm, line_masks
 from momapos.reachability.frame import Frame, arm_frame
@@ -157,7 +158,8 @@ class _Evaluator:
         arm = Arm(
             first,
             float(frame.turn),
-            *map(float, frame.limits),
+            float(frame.limits[0]),
+            float(frame.limits[1]),
             frame.axis,
             _turning(robot.spheres, first),
             standing_table(robot.spheres, chain.d, first),
@@ -191,7 +193,7 @@ class _Evaluator:
         return masks
 
 
-def _turning(spheres: Spheres, first: int) -> tuple:  # type: ignore[type-arg]
+def _turning(spheres: Spheres, first: int) -> SphereArrays:
     """The spheres with only those pairs that both turn with the first joint, and no base."""
     stays = spheres.segment <= first
     pairs = spheres.pairs[~stays[spheres.pairs].any(1)]

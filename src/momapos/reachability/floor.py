@@ -122,7 +122,7 @@ def floor_scores(
     shape: GridShape,
     frame: GridFrame,
     out: S2,
-):
+) -> None:
     """Best score over the yaws for bases on a grid of the floor, linear between lattice points.
 
     Args:

@@ -189,7 +189,7 @@ def score_lines(
     shape: GridShape,
     frame: GridFrame,
     out: F1,
-):
+) -> None:
     """S2 of lines (m, 6) given as x, y, z, direction, relative to the first axis."""
     for i in range(len(lines)):
         v = lookup(
@@ -217,7 +217,7 @@ def weakest_lines(
     shape: GridShape,
     frame: GridFrame,
     out: S2,
-):
+) -> None:
     """Least score over the lines (g, w, 6) in the world, for every base (n, 3) and g."""
     for i in range(len(bases)):
         c, s = math.cos(bases[i, 2]), math.sin(bases[i, 2])

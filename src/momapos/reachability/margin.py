@@ -74,7 +74,7 @@ def near_margins(
     rows: I2,
     interior: U2,
     out: C2,
-):
+) -> None:
     """Signed margins next to the boundary, for points lo to hi.
 
     Args:
@@ -125,7 +125,7 @@ def near_margins(
 def deepen(
     values: C1,
     shape: GridShape,
-):
+) -> None:
     """Count steps inwards: a point is at most one cell deeper than its neighbours."""
     nz, nr, nu, nv, nb = shape
     stride = (nr * nu * nv * nb, nu * nv * nb, nv * nb, nb)

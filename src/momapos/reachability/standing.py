@@ -44,7 +44,7 @@ def fill_words(
     reach: float,
     low: float,
     words: U3,
-):
+) -> None:
     """Set the bits where a sphere touches rounded boxes.
 
     Args:

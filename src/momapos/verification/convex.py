@@ -346,7 +346,7 @@ def overlap(
     a: Body,
     b: Body,
     T: F2,
-):
+) -> float:
     """How deep two bodies overlap [m]; minus their distance where they are apart.
 
     Args:

@@ -147,7 +147,7 @@ def _place(
     Ts: F4,
     body: I1,
     local: F3,
-):
+) -> np.ndarray:
     """Ts[:, body] @ local, in a fifth of the time."""
     out = np.zeros((len(Ts), len(body), 4, 4))
     for s in range(len(Ts)):

@@ -77,7 +77,7 @@ def _deepest(
     a: ShapeArrays,
     b: ShapeArrays,
     floor: float,
-):
+) -> tuple[np.ndarray, np.ndarray]:
     depths, states = np.full(len(pairs), floor), np.full(len(pairs), -1)
     bounds, Ts = np.empty(len(Ts_a)), np.empty((len(Ts_a), 4, 4))
     index = np.empty(len(Ts_a), np.int64)
