@@ -40,9 +40,9 @@ def numba_type(hint: Any) -> Any:
     if hasattr(hint, "_fields"):
         same = all(kind == inside[0] for kind in inside)
         if same:
-            return types.NamedUniTuple(inside[0], len(inside), hint)
-        return types.NamedTuple(inside, hint)
-    return types.Tuple(inside)
+            return types.NamedUniTuple(inside[0], len(inside), hint)  # type: ignore[attr-defined]
+        return types.NamedTuple(inside, hint)  # type: ignore[attr-defined]
+    return types.Tuple(inside)  # type: ignore[attr-defined]
 
 
 def dispatcher(kernel: Kernel) -> Any:

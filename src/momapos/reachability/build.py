@@ -83,7 +83,7 @@ def line_pose(r, z, u, v, roll, tool, R, p):
 
 
 @entry
-def arc_mask(q: float, turn: float, lower: float, upper: float) -> int:
+def arc_mask(q: float, turn: float, lower: float, upper: float) -> np.uint64:
     """Mask of the bearings that the first joint can serve, from its value at bearing 0."""
     if upper - lower >= 2.0 * math.pi - 1e-6:
         return EVERY
