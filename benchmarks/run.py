@@ -12,6 +12,7 @@ from placement import shared
 
 HERE = Path(__file__).parent
 RUNS = (
+    ["startup.py"],
     ["reach.py"],
     ["placement.py", "--out", "bench_out"],
     ["placement.py", "--exhaustive", "--out", "bench_out/grid"],

@@ -1,33 +1,35 @@
-"""Compiling once after installation: shared by two processes, and safe with one."""
+"""Compiling once after installation."""
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
-from momapos.cli.compile_arm import path_of_an_arm_at_rest
-from momapos.cli.main import main
-from momapos.manipulation.arm_path import FOUND
+from momapos.cli import compile as compiling
+from momapos.cli.compile import ANSWER, compile_once
+from momapos.compiled.kernel import ENTRIES
+from momapos.compiled.store import Store
 
 
-def test_the_helper_comes_to_the_end_of_an_arm_path() -> None:
-    assert path_of_an_arm_at_rest().status == FOUND
-
-
-def test_the_helper_is_silent() -> None:
-    command = [sys.executable, "-m", "momapos.cli.compile_arm"]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    assert (done.stdout, done.stderr) == ("", "")
-
-
-@pytest.mark.parametrize("executable", ["", "/no/such/python"])
-def test_an_answer_needs_no_helper(
-    executable: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_what_an_answer_needs_is_compiled_once_with_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setenv("MOMAPOS_CACHE", str(tmp_path))
-    monkeypatch.setattr(sys, "executable", executable)
-    assert main(["place", "open", "kitchen_small", "microwave", "--robot", "segway_ur5e"]) == 0
-    assert any(entry.name.startswith("compiled-") for entry in tmp_path.iterdir())
+    store = Store(tmp_path, tmp_path / "no pack")
+    monkeypatch.setattr(compiling, "store", store)
+    short = ("momapos.kinematics.chain.stand_at_origin", "momapos.verification.shapes._place")
+    for name in short:  # as in a new process
+        monkeypatch.setattr(ENTRIES[name], "_native", None)
+    monkeypatch.setattr("momapos.compiled.store.store", store)
+    compile_once(short)
+    assert capsys.readouterr().err.splitlines() == [
+        "momapos: compiling, once after installation: 0 of 2 kernels"
+    ]
+    compile_once(short)
+    assert capsys.readouterr().err == ""
+    assert all(store.find(ENTRIES[name]) is not None for name in short)
+
+
+def test_every_kernel_of_an_answer_is_an_entry() -> None:
+    compile_once()
+    assert set(ANSWER) <= set(ENTRIES)

@@ -1,100 +1,55 @@
-"""Compiling the kernels, once after installation.
-
-Compiling keeps one core busy, so two processes share the work: this one compiles the exact check
-and answers a small question, a helper compiles what finds the arm's path and the way of the base.
-They meet in numba's cache on disk, where each finds what the other has finished; without the
-helper, this process compiles it all.
-"""
+"""Compiling the kernels, once after installation from a clone; a wheel brings them compiled."""
 
 from __future__ import annotations
 
-import contextlib
-import gc
-import subprocess
+import importlib
 import sys
-from collections.abc import Iterator
-from dataclasses import replace
-from importlib import metadata
-from pathlib import Path
 
-import numpy as np
+from momapos.compiled.kernel import ENTRIES
+from momapos.compiled.store import store
 
-import momapos
-from momapos.cache import Cache, content_key
-from momapos.cli.compile_arm import way_round_a_corner
-from momapos.config import PipelineConfig
-from momapos.pipeline import plan_base_placement
-from momapos.protocols import ReachScorer
-from momapos.robots.robot import Robot
-from momapos.scene.scene import Scene
-from momapos.types import Motion, Task
-from momapos.verification.exact import PlanVerifier
+ANSWER = (
+    "momapos.importance.relations._gaps_to",
+    "momapos.kinematics.base_collision._hit",
+    "momapos.kinematics.chain.forward",
+    "momapos.kinematics.chain.stand_at_origin",
+    "momapos.kinematics.chain.tool_poses",
+    "momapos.kinematics.world._check",
+    "momapos.kinematics.world._check_hand",
+    "momapos.kinematics.world._fill_buckets",
+    "momapos.kinematics.world._motion_free",
+    "momapos.manipulation.arm_path._shortest",
+    "momapos.manipulation.arm_path._track",
+    "momapos.manipulation.layers._solve_layer",
+    "momapos.navigation.clearance._gaps",
+    "momapos.navigation.footprint_map._fill",
+    "momapos.navigation.lattice.astar",
+    "momapos.navigation.lattice.connections",
+    "momapos.navigation.lattice.shorten",
+    "momapos.placement.potential._sees",
+    "momapos.reachability.grid.weakest_lines",
+    "momapos.verification.convex.overlap",
+    "momapos.verification.shapes._place",
+    "momapos.verification.sweep._deepest",
+)
+"""The entries that an answer needs."""
 
 
-def compile_once(
-    scene: Scene,
-    robot: Robot,
-    task: Task,
-    reach: ReachScorer,
-    start: np.ndarray | None,
-    cache_dir: Path,
-) -> None:
-    """Compile the kernels where that has not been done yet, so that no timeout pays for it.
+def compile_once(names: tuple[str, ...] = ANSWER) -> None:
+    """Compile those entries that are not stored, so that no timeout pays for it.
 
-    A stamp in the cache folder says that it has; it names the versions and the package's place.
+    Says how far it is on stderr: in place on a terminal, else in one line.
     """
-    parts = [metadata.version(name) for name in ("momapos", "numba", "numpy")]
-    key = f"compiled-{content_key(*parts, sys.version, momapos.__file__)}"
-    cache = Cache(cache_dir)
-    if cache.get(key) is not None:
-        return
-    print("momapos: compiling, once after installation (about half a minute)", file=sys.stderr)
-    plain = PipelineConfig()
-    small = replace(plain.place, count=128, rounds=1, improve=0, grid_cell=0.5, grid_turn=90.0)
-    config = replace(plain, place=small, timeout=3600.0)
-    with _helper(), _no_collector():
-        _check_at_rest(scene, robot, task)
-        plan_base_placement(scene, robot, task, reach, start=start, config=config)
-        way_round_a_corner()
-    with contextlib.suppress(OSError):
-        cache.put(key, b"done")
+    for name in names:
+        importlib.import_module(name.rpartition(".")[0])
+    store.prepare([ENTRIES[name] for name in names], _report)
 
 
-def _check_at_rest(scene: Scene, robot: Robot, task: Task) -> None:
-    """Check an arm that stands still at the origin: whatever comes of it, the kernels are compiled.
-
-    The helper meanwhile compiles what a search needs next.
-    """
-    q = np.tile(robot.home, (2, 1))
-    still = Motion(q, q, np.zeros(2), robot.chain.tool_poses(q))
-    PlanVerifier(scene, robot, task).check((0.0, 0.0, 0.0), still)
-
-
-@contextlib.contextmanager
-def _helper() -> Iterator[None]:
-    """Have a second, silent process compile meanwhile, if one can be started."""
-    # -P: no module of that name in the current folder is taken for ours.
-    command = [sys.executable, "-P", "-m", "momapos.cli.compile_arm"]
-    none = subprocess.DEVNULL
-    process = None
-    if sys.executable:
-        with contextlib.suppress(OSError):
-            process = subprocess.Popen(command, stdin=none, stdout=none, stderr=none)
-    try:
-        yield
-    finally:
-        if process is not None:
-            process.kill()
-            process.wait()
-
-
-@contextlib.contextmanager
-def _no_collector() -> Iterator[None]:
-    """Keep Python from looking for dead cycles among numba's many objects: a tenth of the time."""
-    enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if enabled:
-            gc.enable()
+def _report(done: int, count: int) -> None:
+    """One line that a terminal shows in place."""
+    line = f"momapos: compiling, once after installation: {done} of {count} kernels"
+    if sys.stderr.isatty():
+        end = "\n" if done == count else ""
+        print(f"\r{line}", end=end, file=sys.stderr, flush=True)
+    elif done == 0:
+        print(line, file=sys.stderr, flush=True)

@@ -182,7 +182,7 @@ def _answer(verb: str, scene_name: str, target: str, to: str | None, options: Op
     with progress(f"reachability map of {robot.name}") as report:
         reach = load_reach_map(robot, cache.folder, report)
     at = None if begin is None else np.array(begin)
-    compile_once(scene, robot, task, reach, at, cache.folder)
+    compile_once()
     config = PipelineConfig(
         importance=_importance(options),
         place=PlaceConfig(method=options.method),

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import njit
+
+from momapos.compiled import F2, I1, entry, kernel
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
@@ -82,7 +83,7 @@ def _skip_gram(
     return vectors
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _sigmoid(x):
     """1 / (1 + exp(-x)) within 1e-5, by Lambert's fraction of tanh(x / 2); 0 or 1 beyond 6.
 
@@ -97,7 +98,7 @@ def _sigmoid(x):
     return 0.5 + 0.5 * above / (135135.0 + z * (62370.0 + z * (3150.0 + z * 28.0)))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _dot(a, b):
     """Product of two vectors in four sums: the processor overlaps them, the order is fixed."""
     size = len(a)
@@ -113,7 +114,7 @@ def _dot(a, b):
     return (s0 + s1) + (s2 + s3)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _learn(word, company, vectors, outputs, table, negative, rate, state, change):
     """One update: `word` shall predict `company`, and not the words that are drawn."""
     mine = vectors[word]
@@ -136,8 +137,19 @@ def _learn(word, company, vectors, outputs, table, negative, rate, state, change
     return state
 
 
-@njit(cache=True, nogil=True)
-def _train(tokens, start, table, vectors, outputs, window, epochs, negative, rate, state):
+@entry
+def _train(
+    tokens: I1,
+    start: I1,
+    table: I1,
+    vectors: F2,
+    outputs: F2,
+    window: int,
+    epochs: int,
+    negative: int,
+    rate: float,
+    state: np.uint64,
+) -> None:
     change = np.empty(vectors.shape[1])
     seen, total = 0, epochs * len(tokens)
     for _ in range(epochs):

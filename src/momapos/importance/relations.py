@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numba import njit
 
+from momapos.compiled import B1, F2, F3, I1, entry, kernel
 from momapos.importance.bodies import Bodies
 from momapos.kinematics.hulls import Boxes
+from momapos.kinematics.records import BoxArrays
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
@@ -29,7 +30,21 @@ _POINTS = 4
 """Points along each edge of the box that is tested for being contained [-]."""
 
 
-@njit(cache=True, nogil=True)
+class BodyArrays(NamedTuple):
+    """Stacked bodies as the kernels take them, see `Bodies`."""
+
+    low: F2
+    high: F2
+    base: F3
+    articulated: B1
+    hull_start: I1
+    hull_low: F2
+    hull_high: F2
+    planes: F2
+    plane_start: I1
+
+
+@kernel
 def _span(x, y, z, dx, dy, dz, planes, first, last):
     """Where the line p + t d lies in a convex body: (enters, leaves); leaves < enters if not."""
     enters, leaves = -np.inf, np.inf
@@ -47,7 +62,7 @@ def _span(x, y, z, dx, dy, dz, planes, first, last):
     return enters, leaves
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _columns(i, j, bodies, contact):
     """Shares of what i stands on where j carries it, lies beneath it, and lies above it."""
     low, high, base, articulated = bodies[:4]
@@ -79,7 +94,7 @@ def _columns(i, j, bodies, contact):
     return carried / count, below / count, roofed / count
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _contained(i, g, upright, groups, low):
     """Shares of i's box in the box of group g, and of its outline in the box seen from above; and
     how far i's underside is below the box's top [m].
@@ -114,7 +129,7 @@ def _contained(i, g, upright, groups, low):
     return inside / _POINTS**3, outline / _POINTS**3, rim - low[i, 2]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _walls(i, j, g, bodies, groups, height):
     """On how many of four sides j stands around i, along the axes of the group's box."""
     base = bodies[2]
@@ -140,8 +155,14 @@ def _walls(i, j, g, bodies, groups, height):
     return count
 
 
-@njit(cache=True, nogil=True)
-def _hierarchy(bodies, upright, groups, group_start, contact):
+@entry
+def _hierarchy(
+    bodies: BodyArrays,
+    upright: BoxArrays,
+    groups: BoxArrays,
+    group_start: I1,
+    contact: float,
+) -> np.ndarray:
     """Find who is on, in or inside whom: rows of child, parent, kind."""
     low, high = bodies[0], bodies[1]
     base = bodies[2]
@@ -169,7 +190,7 @@ def _hierarchy(bodies, upright, groups, group_start, contact):
     return found[:size]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _kind(i, j, bodies, upright, groups, group_start, contact):
     low, high = bodies[0], bodies[1]
     carried, below, roofed = _columns(i, j, bodies, contact)
@@ -189,7 +210,7 @@ def _kind(i, j, bodies, upright, groups, group_start, contact):
     return ON if carried >= SUPPORT else -1
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _corner_gap(a, b, center, rotation, half):
     """Smallest distance from the corners of outline a to outline b."""
     best = np.inf
@@ -204,7 +225,7 @@ def _corner_gap(a, b, center, rotation, half):
     return best
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _outlines_apart(a, b, center, rotation, half):
     """Whether an edge direction of outline a separates it from outline b."""
     for axis in range(2):
@@ -218,7 +239,7 @@ def _outlines_apart(a, b, center, rotation, half):
     return False
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _outline_gap(a, b, center, rotation, half):
     """Horizontal distance of two upright boxes [m]; 0 where one is above the other."""
     if not (
@@ -229,8 +250,14 @@ def _outline_gap(a, b, center, rotation, half):
     return min(_corner_gap(a, b, center, rotation, half), _corner_gap(b, a, center, rotation, half))
 
 
-@njit(cache=True, nogil=True)
-def _nearest(center, rotation, half, count, reach):
+@entry
+def _nearest(
+    center: F2,
+    rotation: F3,
+    half: F2,
+    count: int,
+    reach: float,
+) -> np.ndarray:
     """The nearest boxes of each within reach, by gap: indices, -1 where there are fewer."""
     n = len(center)
     index = np.full((n, count), -1)
@@ -255,8 +282,13 @@ def _nearest(center, rotation, half, count, reach):
     return index
 
 
-@njit(cache=True, nogil=True)
-def _gaps_to(target, center, rotation, half):
+@entry
+def _gaps_to(
+    target: int,
+    center: F2,
+    rotation: F3,
+    half: F2,
+) -> np.ndarray:
     out = np.empty(len(center))
     for i in range(len(center)):
         out[i] = _outline_gap(i, target, center, rotation, half)
@@ -270,15 +302,15 @@ def hierarchy(bodies: Bodies, *, contact: float) -> Int[np.ndarray, "e 3"]:
         bodies: The scene.
         contact: Vertical gap or overlap of two surfaces that touch [m].
     """
-    arrays = (
+    arrays = BodyArrays(
         bodies.low, bodies.high, bodies.base, bodies.articulated, bodies.hull_start,
         bodies.hull_low, bodies.hull_high, bodies.planes, bodies.plane_start,
     )  # fmt: skip
     upright, groups = bodies.upright, bodies.groups
     return _hierarchy(
         arrays,
-        (upright.center, upright.rotation, upright.half),
-        (groups.center, groups.rotation, groups.half),
+        BoxArrays(upright.center, upright.rotation, upright.half),
+        BoxArrays(groups.center, groups.rotation, groups.half),
         bodies.group_start,
         contact,
     )

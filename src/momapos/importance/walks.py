@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import njit
 
+from momapos.compiled import F1, F2, I1, entry
 from momapos.importance.graph import SceneGraph
 
 if TYPE_CHECKING:
@@ -56,8 +56,14 @@ def transitions(graph: SceneGraph, *, k0: float) -> Transitions:
     )
 
 
-@njit(cache=True, nogil=True)
-def _walk(start, target, cumulative, first, draws):
+@entry
+def _walk(
+    start: I1,
+    target: I1,
+    cumulative: F1,
+    first: I1,
+    draws: F2,
+) -> np.ndarray:
     out = np.empty((len(first), draws.shape[1] + 1), np.int64)
     for w in range(len(first)):
         here = first[w]

@@ -5,16 +5,17 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import njit
 
+from momapos.compiled import F2, entry, kernel
 from momapos.kinematics.collision import FREE
 from momapos.kinematics.hulls import Boxes
+from momapos.kinematics.records import BoxArrays
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _separated(ca, Ra, ha, cb, Rb, hb, t, C, A):
     """Whether two oriented boxes are apart (Gottschalk 1996: 15 axes); t, C, A are scratch."""
     for i in range(3):
@@ -39,7 +40,7 @@ def _separated(ca, Ra, ha, cb, Rb, hb, t, C, A):
     return False
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _spread(rotation, half):
     """Half edges of the upright boxes around oriented boxes (b, 3)."""
     out = np.zeros((len(half), 3))
@@ -50,8 +51,13 @@ def _spread(rotation, half):
     return out
 
 
-@njit(cache=True, nogil=True)
-def _hit(bases, base, boxes, clearance):
+@entry
+def _hit(
+    bases: F2,
+    base: BoxArrays,
+    boxes: BoxArrays,
+    clearance: float,
+) -> np.ndarray:
     base_center, base_rotation, base_half = base
     center, rotation, half = boxes
     out = np.full(len(bases), FREE, np.int64)
@@ -111,7 +117,7 @@ def base_hits(
     """
     return _hit(
         np.ascontiguousarray(bases, float),
-        (base.center, base.rotation, base.half),
-        (boxes.center, boxes.rotation, boxes.half),
+        BoxArrays(base.center, base.rotation, base.half),
+        BoxArrays(boxes.center, boxes.rotation, boxes.half),
         clearance,
     )

@@ -13,11 +13,12 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import njit
 
+from momapos.compiled import B1, F1, F2, F3, entry, kernel
 from momapos.errors import RobotError
 from momapos.geometry.transforms import invert
 from momapos.kinematics.articulated import Articulated
+from momapos.kinematics.records import ChainArrays, Limits
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
@@ -70,9 +71,14 @@ class Segments:
     """Pose of the link relative to its segment's joint origin, base-aligned at zero."""
 
 
-def chain_arrays(chain: Chain) -> tuple[np.ndarray, ...]:
+def chain_arrays(chain: Chain) -> ChainArrays:
     """The chain as the kernels take it."""
-    return chain.h, chain.d, chain.prismatic, chain.tool_offset, chain.tool_rotation
+    return ChainArrays(chain.h, chain.d, chain.prismatic, chain.tool_offset, chain.tool_rotation)
+
+
+def chain_limits(chain: Chain) -> Limits:
+    """The limits of its joints as the kernels take them."""
+    return Limits(chain.lower, chain.upper)
 
 
 def build_chain(
@@ -162,7 +168,7 @@ def _segments(
     return Segments(of_link, local)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def rotate_by(R: np.ndarray, axis: np.ndarray, angle: float, out: np.ndarray) -> None:
     """Write R times the rotation about a unit axis (Rodrigues) to `out` (3, 3)."""
     c, s = np.cos(angle), np.sin(angle)
@@ -178,8 +184,11 @@ def rotate_by(R: np.ndarray, axis: np.ndarray, angle: float, out: np.ndarray) ->
         out[i, 2] = a * m02 + b * m12 + d * m22
 
 
-@njit(cache=True, nogil=True)
-def stand_at_origin(R: np.ndarray, p: np.ndarray) -> None:
+@entry
+def stand_at_origin(
+    R: F3,
+    p: F2,
+) -> None:
     """Put segment 0 at the origin; written out, as array assignment is slow to compile."""
     for i in range(3):
         p[0, i] = 0.0
@@ -187,14 +196,14 @@ def stand_at_origin(R: np.ndarray, p: np.ndarray) -> None:
             R[0, i, j] = 1.0 if i == j else 0.0
 
 
-@njit(cache=True, nogil=True)
+@entry
 def forward(
-    q: np.ndarray,
-    h: np.ndarray,
-    d: np.ndarray,
-    prismatic: np.ndarray,
-    R: np.ndarray,
-    p: np.ndarray,
+    q: F1,
+    h: F2,
+    d: F2,
+    prismatic: B1,
+    R: F3,
+    p: F2,
 ) -> None:
     """Fill rotations R (n + 1, 3, 3) and origins p (n + 1, 3); entry 0 is the base's pose."""
     for i in range(len(q)):
@@ -213,14 +222,14 @@ def forward(
             rotate_by(R[i], h[i], q[i], R[i + 1])
 
 
-@njit(cache=True, nogil=True)
+@entry
 def tool_poses(
-    q: np.ndarray,
-    h: np.ndarray,
-    d: np.ndarray,
-    prismatic: np.ndarray,
-    tool_offset: np.ndarray,
-    tool_rotation: np.ndarray,
+    q: F2,
+    h: F2,
+    d: F2,
+    prismatic: B1,
+    tool_offset: F1,
+    tool_rotation: F2,
 ) -> np.ndarray:
     """Tool poses (m, 4, 4) of configurations (m, n), in the base frame."""
     count, n = q.shape

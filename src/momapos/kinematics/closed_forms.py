@@ -7,8 +7,8 @@ Source: Elias and Wen, IK-Geo: Unified robot inverse kinematics using subproblem
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from momapos.compiled import kernel
 from momapos.kinematics.subproblems import (
     add,
     cross,
@@ -35,7 +35,7 @@ MAX_BRANCHES = 8
 """Most solutions that any of these arms has for one tool pose."""
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _first_three_wrist(kind, h, o, c0, c, out):
     """Joints 1 to 3 that bring the wrist centre c0 to c; out (8, 6), returns the count."""
     h1, h2, h3 = row(h, 0), row(h, 1), row(h, 2)
@@ -68,7 +68,7 @@ def _first_three_wrist(kind, h, o, c0, c, out):
     return count
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def spherical(kind, h, o, c0, R06, c, out):
     """All branches of an arm with a spherical wrist; returns the count."""
     count = _first_three_wrist(kind, h, o, c0, c, out)
@@ -94,7 +94,7 @@ def spherical(kind, h, o, c0, R06, c, out):
     return total
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _free_turn(h1, h2, upper, lower, tip, foot, j, turned, sign):
     """A value of joint 6 that puts joint 4 in the middle of where the arm can have it.
 
@@ -117,14 +117,14 @@ def _free_turn(h1, h2, upper, lower, tip, foot, j, turned, sign):
     return turn if sign > 0 else -turn
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _across(v, axis):
     """Length of the part of v that is perpendicular to a unit axis."""
     part = dot(v, axis)
     return np.sqrt(max(0.0, dot(v, v) - part * part))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def three_parallel(h, o, c0, R06, c, out):
     """All branches of an arm whose axes 2, 3 and 4 are parallel; returns the count."""
     h1, h2, h3, h4, h5, h6 = (

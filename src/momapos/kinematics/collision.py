@@ -7,9 +7,10 @@ caller can say what was hit: FREE, SELF, or the index of a box.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from momapos.compiled import F1, F2, F3, entry, kernel
 from momapos.kinematics.chain import forward
+from momapos.kinematics.records import ChainArrays, ObstacleArrays, SphereArrays
 
 FREE = -1
 SELF = -2
@@ -18,7 +19,7 @@ OTHER, PALM, FINGER = 0, 1, 2
 """What a link is to a grasp."""
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def box_gap(c, r, center, rotation, half, b):
     """Whether a sphere is clear of box b: squared distance to the box minus r squared."""
     x, y, z = c[0] - center[b, 0], c[1] - center[b, 1], c[2] - center[b, 2]
@@ -31,7 +32,7 @@ def box_gap(c, r, center, rotation, half, b):
     return s - r * r
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _moved(R, p, segment, local):
     """A point of a segment in the frame of the chain's base pose."""
     return (
@@ -50,7 +51,7 @@ def _moved(R, p, segment, local):
     )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def place_bounds(R, p, spheres, bounds):
     """Put the centres of the links' bounding spheres into bounds (groups, 3)."""
     segment, bound_center = spheres[3], spheres[4]
@@ -58,7 +59,7 @@ def place_bounds(R, p, spheres, bounds):
         bounds[g, 0], bounds[g, 1], bounds[g, 2] = _moved(R, p, segment[g], bound_center[g])
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def hit_boxes(R, p, bounds, spheres, boxes, skip_gripper, margin):
     """First box that a configuration hits, or FREE.
 
@@ -88,7 +89,7 @@ def hit_boxes(R, p, bounds, spheres, boxes, skip_gripper, margin):
     return FREE
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def hit_self(R, p, bounds, spheres):
     """SELF when the arm touches itself or the base, else FREE.
 
@@ -99,7 +100,7 @@ def hit_self(R, p, bounds, spheres):
     return FREE
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _links_touch(R, p, bounds, spheres):
     """Whether links of the arm touch each other."""
     center, radius, start, segment, _, bound_radius, _, pairs = spheres[:8]
@@ -119,14 +120,14 @@ def _links_touch(R, p, bounds, spheres):
     return False
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _apart(a, b, distance):
     """Whether two points are at least so far apart."""
     x, y, z = a[0] - b[0], a[1] - b[1], a[2] - b[2]
     return x * x + y * y + z * z >= distance * distance
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _base_touched(R, p, bounds, spheres):
     """Whether a link of the arm touches the base."""
     center, radius, start, segment, _, bound_radius = spheres[:6]
@@ -152,7 +153,7 @@ def _base_touched(R, p, bounds, spheres):
     return False
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _into_base(R, p, c):
     """A point in the frame of segment 0."""
     x, y, z = c[0] - p[0, 0], c[1] - p[0, 1], c[2] - p[0, 2]
@@ -163,7 +164,7 @@ def _into_base(R, p, c):
     )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def hit_floor(R, p, bounds, spheres):
     """FLOOR when a sphere of the arm dips below z = 0, else FREE."""
     center, radius, start, segment, _, bound_radius = spheres[:6]
@@ -176,8 +177,14 @@ def hit_floor(R, p, bounds, spheres):
     return FREE
 
 
-@njit(cache=True, nogil=True)
-def place_segments(q, base, chain, R, p):
+@entry
+def place_segments(
+    q: F1,
+    base: F1,
+    chain: ChainArrays,
+    R: F3,
+    p: F2,
+) -> None:
     """Segment poses of a configuration for a base at (x, y, yaw) on the floor."""
     h, d, prismatic = chain[0], chain[1], chain[2]
     c, s = np.cos(base[2]), np.sin(base[2])
@@ -188,7 +195,7 @@ def place_segments(q, base, chain, R, p):
     forward(q, h, d, prismatic, R, p)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def scratch_of(joints, spheres):
     """Scratch for the checks: segment poses (n + 1, 3, 3), (n + 1, 3) and bounds (groups, 3)."""
     return (
@@ -198,7 +205,7 @@ def scratch_of(joints, spheres):
     )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def place_arm(q, base, chain, spheres, scratch):
     """Put a configuration, for a base at (x, y, yaw), into `scratch_of(...)`."""
     R, p, bounds = scratch
@@ -206,8 +213,16 @@ def place_arm(q, base, chain, spheres, scratch):
     place_bounds(R, p, spheres, bounds)
 
 
-@njit(cache=True, nogil=True)
-def check_states(q, base, chain, spheres, boxes, skip_gripper, margin):
+@entry
+def check_states(
+    q: F2,
+    base: F1,
+    chain: ChainArrays,
+    spheres: SphereArrays,
+    boxes: ObstacleArrays,
+    skip_gripper: bool,
+    margin: float,
+) -> np.ndarray:
     """First thing that each configuration (m, n) hits: FREE, FLOOR, SELF or a box's index (m,)."""
     scratch = scratch_of(q.shape[1], spheres)
     R, p, bounds = scratch

@@ -14,11 +14,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import njit
 
+from momapos.compiled import F3, entry, kernel
 from momapos.errors import RobotError
 from momapos.geometry.samples import halton
-from momapos.kinematics.chain import Chain, chain_arrays, forward, stand_at_origin
+from momapos.kinematics.chain import Chain, chain_arrays, chain_limits, forward, stand_at_origin
 from momapos.kinematics.closed_forms import (
     MAX_BRANCHES,
     NAMES,
@@ -30,6 +30,7 @@ from momapos.kinematics.closed_forms import (
     three_parallel,
 )
 from momapos.kinematics.newton import newton
+from momapos.kinematics.records import ChainArrays, IkArrays, Limits
 from momapos.kinematics.subproblems import mul, row, sub
 
 if TYPE_CHECKING:
@@ -185,7 +186,7 @@ def _numeric(chain: Chain, seeds: int) -> IkModel:
     )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def into_limits(q, lower, upper, prismatic):
     """Shift revolute joints by full turns into their limits; False where that cannot be."""
     turn = 2.0 * np.pi
@@ -207,7 +208,7 @@ def into_limits(q, lower, upper, prismatic):
     return True
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _hopeless(branch, active, lower, upper):
     """Whether a joint of a closed form is farther outside its limits than Newton will move it."""
     turn = 2.0 * np.pi
@@ -221,7 +222,7 @@ def _hopeless(branch, active, lower, upper):
     return False
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def solve_sample(s, R_target, p_target, chain, limits, ik, enough, out, scratch):
     """All configurations within limits at one sample of the locked joints (or from one seed).
 
@@ -276,7 +277,7 @@ def solve_sample(s, R_target, p_target, chain, limits, ik, enough, out, scratch)
     return count
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def ik_scratch(n):
     """Scratch arrays for `solve_sample`."""
     return (
@@ -287,8 +288,14 @@ def ik_scratch(n):
     )
 
 
-@njit(cache=True, nogil=True)
-def _solve_all(poses, chain, limits, ik, limit):
+@entry
+def _solve_all(
+    poses: F3,
+    chain: ChainArrays,
+    limits: Limits,
+    ik: IkArrays,
+    limit: int,
+) -> tuple[np.ndarray, np.ndarray]:
     n = ik[2].shape[1]
     scratch = ik_scratch(n)
     out = np.full((len(poses), limit, n), np.nan)
@@ -304,9 +311,9 @@ def _solve_all(poses, chain, limits, ik, limit):
     return out, counts
 
 
-def ik_arrays(ik: IkModel) -> tuple[int | np.ndarray, ...]:
+def ik_arrays(ik: IkModel) -> IkArrays:
     """The IK model as the kernels take it."""
-    return ik.kind, ik.active, ik.samples, ik.h, ik.o, ik.wrist, ik.R_tool, ik.p_tool
+    return IkArrays(ik.kind, ik.active, ik.samples, ik.h, ik.o, ik.wrist, ik.R_tool, ik.p_tool)
 
 
 def solve_ik(
@@ -320,7 +327,7 @@ def solve_ik(
     return _solve_all(
         np.ascontiguousarray(Ts_base_tool, float),
         chain_arrays(chain),
-        (chain.lower, chain.upper),
+        chain_limits(chain),
         ik_arrays(ik),
         ik.max_solutions,
     )

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from momapos.compiled import kernel
 from momapos.kinematics.chain import forward, stand_at_origin
 from momapos.kinematics.subproblems import dot, mul
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _solve_spd(A, b):
     """Solve A x = b in place for a small positive definite A (Cholesky)."""
     n = len(b)
@@ -29,7 +29,7 @@ def _solve_spd(A, b):
         b[i] /= A[i, i]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def newton(q, active, chain, R_target, p_target, steps, damping, enough, work):
     """Move the active joints of q until the tool stands at the target.
 
@@ -94,7 +94,7 @@ def newton(q, active, chain, R_target, p_target, steps, damping, enough, work):
     return residual
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _rotation_error(R_last, tool_rotation, R_target, e):
     """Rotation vector from the tool's orientation to the target's, into e[3:]."""
     x, y, z, trace = 0.0, 0.0, 0.0, 0.0

@@ -18,6 +18,7 @@ from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.chain import Segments
 from momapos.kinematics.collision import FINGER, OTHER, PALM
 from momapos.kinematics.hulls import Boxes
+from momapos.kinematics.records import SphereArrays
 from momapos.kinematics.sphere_cover import ARM, BODY, GRIPPER, MARGIN, box_spheres, cover_shapes
 
 if TYPE_CHECKING:
@@ -50,9 +51,9 @@ class Spheres:
     base_pairs: Bool[np.ndarray, "groups b"]
     """Which group is checked against which box of the base."""
 
-    def arrays(self) -> tuple[np.ndarray, ...]:
+    def arrays(self) -> SphereArrays:
         """The spheres as the kernels take them."""
-        return (
+        return SphereArrays(
             self.center,
             self.radius,
             self.start,

@@ -9,20 +9,20 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
+from momapos.compiled import kernel
 
 Vec = tuple[float, float, float]
 _EDGE = 1e-4
 """How far beyond the end of its range a cosine is taken for the end; Newton tells them apart."""
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def dot(a, b):
     """a . b"""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def cross(a, b):
     """a x b"""
     return (
@@ -32,31 +32,31 @@ def cross(a, b):
     )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def add(a, b):
     """a + b"""
     return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def sub(a, b):
     """a - b"""
     return (a[0] - b[0], a[1] - b[1], a[2] - b[2])
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def neg(a):
     """-a"""
     return (-a[0], -a[1], -a[2])
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def row(A, i):
     """Row i of an array (n, 3) as a tuple."""
     return (A[i, 0], A[i, 1], A[i, 2])
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def mul(R, v):
     """R v for a matrix (3, 3)."""
     return (
@@ -66,7 +66,7 @@ def mul(R, v):
     )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def mul_t(R, v):
     """R^T v for a matrix (3, 3)."""
     return (
@@ -76,7 +76,7 @@ def mul_t(R, v):
     )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def rot(k, angle, v):
     """Rotate v by an angle about the unit axis k."""
     c, s = math.cos(angle), math.sin(angle)
@@ -89,13 +89,13 @@ def rot(k, angle, v):
     )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def sp1(p1, p2, k):
     """Angle that turns p1 onto p2 about k (least squares when their lengths differ)."""
     return math.atan2(dot(k, cross(p1, p2)), dot(p1, p2) - dot(k, p1) * dot(k, p2))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def sp4(h, p, k, d):
     """Angles with h . rot(k, angle) p = d: count (0 or 2) and both angles."""
     hk, kp = dot(h, k), dot(k, p)
@@ -112,7 +112,7 @@ def sp4(h, p, k, d):
     return 2, phi + delta, phi - delta
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def sp3(p1, p2, k, d):
     """Angles with |rot(k, angle) p1 - p2| = d: count (0 or 2) and both angles."""
     return sp4(p2, p1, k, 0.5 * (dot(p1, p1) + dot(p2, p2) - d * d))

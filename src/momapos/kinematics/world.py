@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
-from numba import njit
 
+from momapos.compiled import B1, F1, F2, F3, I1, entry, kernel
 from momapos.kinematics.chain import Chain, chain_arrays
 from momapos.kinematics.collision import (
     FLOOR,
@@ -29,6 +29,7 @@ from momapos.kinematics.collision import (
     scratch_of,
 )
 from momapos.kinematics.hulls import Boxes
+from momapos.kinematics.records import ChainArrays, SphereArrays, WorldArrays
 from momapos.kinematics.spheres import Spheres
 
 if TYPE_CHECKING:
@@ -68,9 +69,9 @@ class World:
             return "the robot itself"
         return "the floor" if code == FLOOR else self.labels[code]
 
-    def arrays(self) -> tuple[np.ndarray, ...]:
+    def arrays(self) -> WorldArrays:
         """The world as the kernel takes it."""
-        return (
+        return WorldArrays(
             self.static.center,
             self.static.rotation,
             self.static.half,
@@ -123,8 +124,15 @@ def build_world(
     )
 
 
-@njit(cache=True, nogil=True)
-def _fill_buckets(center, rotation, half, low, shape, reach):
+@entry
+def _fill_buckets(
+    center: F2,
+    rotation: F3,
+    half: F2,
+    low: F1,
+    shape: I1,
+    reach: float,
+) -> tuple[np.ndarray, np.ndarray]:
     """Lists of the boxes that a sphere of radius `reach` in each cell could touch (CSR)."""
     cells = shape[0] * shape[1] * shape[2]
     counts = np.zeros(cells + 1, np.int64)
@@ -164,7 +172,7 @@ def _fill_buckets(center, rotation, half, low, shape, reach):
     return counts, index
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _any_filled(c, r, low, shape, filled):
     """Whether a bucket that the centres of a link's spheres can lie in lists a box."""
     i0 = min(max(int(np.floor((c[0] - r - low[0]) / CELL)), 0), shape[0])
@@ -180,7 +188,7 @@ def _any_filled(c, r, low, shape, filled):
     return count > 0
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _hit_static(R, p, bounds, spheres, world, margin):
     """First standing box that the arm hits, or FREE."""
     center, radius, start, segment, _, bound_radius = spheres[:6]
@@ -197,14 +205,14 @@ def _hit_static(R, p, bounds, spheres, world, margin):
             if not (0 <= i < shape[0] and 0 <= j < shape[1] and 0 <= k < shape[2]):
                 continue
             cell = (i * shape[1] + j) * shape[2] + k
-            for entry in range(grid_start[cell], grid_start[cell + 1]):
-                b = grid_index[entry]
+            for at in range(grid_start[cell], grid_start[cell + 1]):
+                b = grid_index[at]
                 if box_gap(m, radius[s] + margin, box_center, box_rotation, box_half, b) < 0.0:
                     return b
     return FREE
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def check_one(q, base, value, holding, chain, spheres, world, margin, scratch):
     """What one configuration hits first; scratch is `scratch_of(...)`."""
     R, p, bounds = scratch
@@ -219,8 +227,17 @@ def check_one(q, base, value, holding, chain, spheres, world, margin, scratch):
     return code if code != FREE else hit_self(R, p, bounds, spheres)
 
 
-@njit(cache=True, nogil=True)
-def _check(q, bases, value, holding, chain, spheres, world, margin):
+@entry
+def _check(
+    q: F2,
+    bases: F2,
+    value: I1,
+    holding: B1,
+    chain: ChainArrays,
+    spheres: SphereArrays,
+    world: WorldArrays,
+    margin: float,
+) -> np.ndarray:
     scratch = scratch_of(q.shape[1], spheres)
     out = np.empty(len(q), np.int64)
     for i in range(len(q)):
@@ -230,8 +247,19 @@ def _check(q, bases, value, holding, chain, spheres, world, margin):
     return out
 
 
-@njit(cache=True, nogil=True)
-def _motion_free(a, b, step, base, value, holding, chain, spheres, world, margin):
+@entry
+def _motion_free(
+    a: F1,
+    b: F1,
+    step: float,
+    base: F1,
+    value: int,
+    holding: bool,
+    chain: ChainArrays,
+    spheres: SphereArrays,
+    world: WorldArrays,
+    margin: float,
+) -> bool:
     n = len(a)
     scratch = scratch_of(n, spheres)
     q, longest = np.empty(n), 0.0
@@ -316,8 +344,16 @@ def motion_checker(
     return free
 
 
-@njit(cache=True, nogil=True)
-def _check_hand(R, p, value, holding, hand, world, margin):
+@entry
+def _check_hand(
+    R: F3,
+    p: F2,
+    value: I1,
+    holding: B1,
+    hand: SphereArrays,
+    world: WorldArrays,
+    margin: float,
+) -> np.ndarray:
     out = np.full(len(R), FREE, np.int64)
     bounds = np.empty((len(hand[3]), 3))
     moving_center, moving_rotation, moving_half, grasped = world[3:7]
@@ -352,7 +388,7 @@ def check_hand(
     rows = [np.arange(spheres.start[g], spheres.start[g + 1]) for g in groups]
     index = np.concatenate(rows)
     arrays = spheres.arrays()
-    hand = (
+    hand = SphereArrays(
         spheres.center[index],
         spheres.radius[index],
         np.cumsum([0, *map(len, rows)]),

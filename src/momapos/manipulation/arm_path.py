@@ -6,13 +6,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import njit
 
+from momapos.compiled import B1, F1, F2, F3, I1, entry
 from momapos.geometry.transforms import invert, pose_planar
-from momapos.kinematics.chain import chain_arrays
+from momapos.kinematics.chain import chain_arrays, chain_limits
 from momapos.kinematics.collision import FREE
 from momapos.kinematics.ik import EXACT
 from momapos.kinematics.newton import newton
+from momapos.kinematics.records import ChainArrays, Limits
 from momapos.kinematics.world import World, check
 from momapos.manipulation.layers import (
     CUT_OFF,
@@ -130,7 +131,7 @@ def _connect(
             targets,
             robot.ik.active,
             chain_arrays(chain),
-            (chain.lower, chain.upper),
+            chain_limits(chain),
             scale,
             dense,
         )
@@ -155,8 +156,15 @@ def _connect(
     return worst
 
 
-@njit(cache=True, nogil=True)
-def _shortest(q, start, banned, full_turn, scale, chosen):
+@entry
+def _shortest(
+    q: F2,
+    start: I1,
+    banned: B1,
+    full_turn: B1,
+    scale: F1,
+    chosen: I1,
+) -> int:
     """Path with the smallest sum of steps through the layers; returns the layers reached."""
     count, layers = len(q), len(start) - 1
     cost, parent = np.full(count, np.inf), np.full(count, -1)
@@ -203,8 +211,17 @@ def _unwrap(
     return out
 
 
-@njit(cache=True, nogil=True)
-def _track(q, coarse, targets, active, chain, limits, scale, dense):
+@entry
+def _track(
+    q: F2,
+    coarse: I1,
+    targets: F3,
+    active: I1,
+    chain: ChainArrays,
+    limits: Limits,
+    scale: F1,
+    dense: F2,
+) -> int:
     """Fill the states between waypoints by Newton steps; returns the step that fails, or -1."""
     n = q.shape[1]
     most = np.int64(8)  # a literal would have Newton compiled once more

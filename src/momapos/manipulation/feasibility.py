@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 
 from momapos.geometry.transforms import apply, invert, pose_planar
+from momapos.kinematics.chain import chain_arrays
 from momapos.kinematics.collision import FREE, place_segments
 from momapos.kinematics.hulls import Boxes
 from momapos.kinematics.spheres import Spheres, box_spheres, carry
@@ -271,7 +272,7 @@ def touched_at_home(robot: Robot, motion: TaskMotion) -> Int[np.ndarray, " g"]:
     points = np.einsum("gij,kj->gki", Ts[:, :3, :3], center) + Ts[:, None, :3, 3]
     touched = np.full(len(points), -1)
     R, p = np.empty((chain.size + 1, 3, 3)), np.empty((chain.size + 1, 3))
-    place_segments(robot.home, np.zeros(3), (chain.h, chain.d, chain.prismatic), R, p)
+    place_segments(robot.home, np.zeros(3), chain_arrays(chain), R, p)
     for k, segment in enumerate(spheres.segment):
         if segment == chain.size:
             continue

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numba import njit
 
+from momapos.compiled import B1, F1, F2, F3, I1, entry, kernel
 from momapos.geometry.transforms import invert, pose_planar
-from momapos.kinematics.chain import Chain, chain_arrays
+from momapos.kinematics.chain import Chain, chain_arrays, chain_limits
 from momapos.kinematics.closed_forms import MAX_BRANCHES
 from momapos.kinematics.collision import FREE, scratch_of
 from momapos.kinematics.ik import COARSE, ik_arrays, ik_scratch, solve_sample
+from momapos.kinematics.records import ChainArrays, IkArrays, Limits, SphereArrays, WorldArrays
 from momapos.kinematics.world import World, check_one
 from momapos.manipulation.motion import TaskMotion
 from momapos.robots.robot import Robot
@@ -45,6 +46,17 @@ class Layer:
         """The configurations of one job."""
         row = int(np.searchsorted(self.jobs, job))
         return self.q[row, : self.counts[row]]
+
+
+class Neighbour(NamedTuple):
+    """A known layer as the kernel takes it."""
+
+    states: F3
+    counts: I1
+    rows: I1
+    """Row of each job in the states."""
+    limit: float
+    """Largest joint step to it [rad]; infinite where there is no layer."""
 
 
 def joint_scale(chain: Chain) -> Float[np.ndarray, " n"]:
@@ -88,7 +100,7 @@ def solve_layer(
     locked[ik.active] = 0.0
     q, counts, codes = _solve_layer(
         np.ascontiguousarray(poses), bases[alive], int(motion.value[step]),
-        bool(motion.holding[step]), (chain.lower, chain.upper), chain_arrays(chain),
+        bool(motion.holding[step]), chain_limits(chain), chain_arrays(chain),
         ik_arrays(ik), ik.max_solutions, robot.spheres.arrays(), world.arrays(), world.clearance,
         full_turns(chain), scale, locked,
         _neighbour(before, alive, waypoint, chain.size),
@@ -101,17 +113,16 @@ def _waypoint(layer: Layer) -> int:
     return layer.waypoint
 
 
-def _neighbour(
-    layer: Layer | None, alive: np.ndarray, waypoint: int, n: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+def _neighbour(layer: Layer | None, alive: np.ndarray, waypoint: int, n: int) -> Neighbour:
     """A known layer as the kernel takes it; the limit is infinite where there is none."""
     if layer is None:
-        return np.empty((0, 0, n)), np.empty(0, np.int64), np.empty(0, np.int64), np.inf
+        none = np.empty(0, np.int64)
+        return Neighbour(np.empty((0, 0, n)), none, none, np.inf)
     limit = MAX_STEP * abs(waypoint - layer.waypoint)
-    return layer.q, layer.counts, np.searchsorted(layer.jobs, alive), limit
+    return Neighbour(layer.q, layer.counts, np.searchsorted(layer.jobs, alive), float(limit))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def joint_step(a, b, full_turn, scale, limit):
     """Largest joint difference, the short way round; it stops at the first beyond the limit."""
     worst = 0.0
@@ -125,7 +136,7 @@ def joint_step(a, b, full_turn, scale, limit):
     return worst
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _joined(q, job, neighbour, full_turn, scale):
     """Whether some configuration of a neighbouring layer is near enough."""
     states, counts, rows, limit = neighbour
@@ -138,11 +149,25 @@ def _joined(q, job, neighbour, full_turn, scale):
     return False
 
 
-@njit(cache=True, nogil=True)
+@entry
 def _solve_layer(
-    poses, bases, value, holding, limits, chain, ik, most, spheres, world, margin,
-    full_turn, scale, locked, before, after,
-):  # fmt: skip
+    poses: F3,
+    bases: F2,
+    value: int,
+    holding: bool,
+    limits: Limits,
+    chain: ChainArrays,
+    ik: IkArrays,
+    most: int,
+    spheres: SphereArrays,
+    world: WorldArrays,
+    margin: float,
+    full_turn: B1,
+    scale: F1,
+    locked: F1,
+    before: Neighbour,
+    after: Neighbour,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     n = len(full_turn)
     scratch = ik_scratch(n)
     arm = scratch_of(n, spheres)

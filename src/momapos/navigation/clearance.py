@@ -12,8 +12,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numba import njit
 
+from momapos.compiled import F2, entry, kernel
 from momapos.navigation.outlines import ConvexPolygons, PolygonArrays, PrismArrays, RobotPrisms
 
 if TYPE_CHECKING:
@@ -54,14 +54,14 @@ class CostWeights(NamedTuple):
     """Cost of a metre driven backwards [-]."""
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def scratch_for(surroundings):
     """Memory for the kernels below."""
     near = np.empty(len(surroundings.obstacles.layer), np.int64)
     return Scratch(near, np.empty((len(surroundings.prisms.corner), 5)))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def gap(x, y, yaw, surroundings, count, cap, scratch):
     """Smallest gap to the first `count` obstacles listed in the scratch [m], at most `cap`."""
     prisms, obstacles = surroundings.prisms, surroundings.obstacles
@@ -108,7 +108,7 @@ def gap(x, y, yaw, surroundings, count, cap, scratch):
     return best
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def select(x, y, reach, box, near):
     """List the outlines whose bounds come within `reach` of a point; returns how many."""
     count = 0
@@ -121,8 +121,8 @@ def select(x, y, reach, box, near):
     return count
 
 
-@njit(cache=True, nogil=True)
-def _gaps(poses, surroundings, cap):
+@entry
+def _gaps(poses: F2, surroundings: Surroundings, cap: float) -> np.ndarray:
     scratch = scratch_for(surroundings)
     reach, bounds = surroundings.prisms.radius + cap, surroundings.obstacles.bounds
     out = np.empty(len(poses))
@@ -145,13 +145,13 @@ def gaps(
     return _gaps(np.ascontiguousarray(poses, float), surroundings, cap)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def wrapped(angle):
     """An angle in (-pi, pi]."""
     return np.pi - (np.pi - angle) % (2 * np.pi)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def leg(a, b, turn, surroundings, weights, scratch):
     """Cost of a straight leg between poses with an even turn [m], infinite where it touches.
 
@@ -185,7 +185,7 @@ def leg(a, b, turn, surroundings, weights, scratch):
         done += step
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def connect(a, b, omni, surroundings, weights, limit, scratch):
     """Cheapest simple path between two poses: turn, straight, turn; omni bases turn as they go.
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numba import njit
 
+from momapos.compiled import F1, F2, entry, kernel
 from momapos.navigation.clearance import (
     Surroundings,
     gap,
@@ -24,6 +24,7 @@ from momapos.navigation.clearance import (
 )
 from momapos.navigation.footprint_map import NavigationMap
 from momapos.navigation.global_path import TURN, Path
+from momapos.navigation.outlines import PrismArrays
 from momapos.robots.robot import Robot
 
 if TYPE_CHECKING:
@@ -53,8 +54,8 @@ class WindowConfig:
 class PathAhead(NamedTuple):
     """The path from where the base has come to."""
 
-    poses: Float[np.ndarray, "n 3"]
-    s: Float[np.ndarray, " n"]
+    poses: F2
+    s: F1
     """Progress at each [m]."""
 
 
@@ -94,7 +95,7 @@ class Hold(NamedTuple):
     """Gap at which the velocity is of no more interest [m]."""
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _carried(pose, v, t, out):
     """The pose after a time at a constant velocity in the base frame."""
     turn = v[2] * t
@@ -109,7 +110,7 @@ def _carried(pose, v, t, out):
     out[2] = pose[2] + turn
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _progress(pose, path, deviation):
     """How far along the path a pose is, less what it is beside it [m]."""
     best = -np.inf
@@ -120,8 +121,8 @@ def _progress(pose, path, deviation):
     return best
 
 
-@njit(cache=True, nogil=True)
-def disc_separation(pose, x, y, prisms):
+@entry
+def disc_separation(pose: F1, x: float, y: float, prisms: PrismArrays) -> float:
     """Separation of a point from the nearest prism of the robot [m]; no more than the distance."""
     c, s = np.cos(pose[2]), np.sin(pose[2])
     u = c * (x - pose[0]) + s * (y - pose[1])
@@ -136,7 +137,7 @@ def disc_separation(pose, x, y, prisms):
     return least
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _meets(pose, v, held, braking, discs, prisms, look, keep, at):
     """Time at which a robot that holds a velocity, then brakes along its arc, meets a disc [s]."""
     for step in range(1, int(look / 0.1) + 1):
@@ -151,7 +152,7 @@ def _meets(pose, v, held, braking, discs, prisms, look, keep, at):
     return np.inf
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _held(pose, v, hold, surroundings, count, cap, scratch, at):
     """Smallest gap while a velocity is held [m], and when too small a gap is met [s].
 
@@ -185,8 +186,15 @@ def _held(pose, v, hold, surroundings, count, cap, scratch, at):
         t = stop if t < stop < ahead else min(hold.end, ahead)
 
 
-@njit(cache=True, nogil=True)
-def rate(pose, samples, surroundings, path, discs, weights):
+@entry
+def rate(
+    pose: F1,
+    samples: F2,
+    surroundings: Surroundings,
+    path: PathAhead,
+    discs: F2,
+    weights: WindowWeights,
+) -> np.ndarray:
     """Score velocities, minus infinity for those after which the base could not stop in time.
 
     They are looked at in the order of what they would be worth in an empty room, and no further

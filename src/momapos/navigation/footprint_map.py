@@ -7,8 +7,8 @@ from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import njit
 
+from momapos.compiled import B2, F1, F3, entry
 from momapos.errors import SceneError
 from momapos.geometry.polygons import contains, inscribed_radius
 from momapos.navigation.clearance import Surroundings, gap, scratch_for, select
@@ -115,8 +115,10 @@ def navigation_map_of(
     )
 
 
-@njit(cache=True, nogil=True)
-def _fill(centers, inside, headings, inner, surroundings):
+@entry
+def _fill(
+    centers: F3, inside: B2, headings: F1, inner: float, surroundings: Surroundings
+) -> np.ndarray:
     rows, columns = inside.shape
     reach, bounds = surroundings.prisms.radius + FARTHEST, surroundings.obstacles.bounds
     out = np.empty((len(headings), rows, columns), np.float32)

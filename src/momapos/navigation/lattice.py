@@ -6,8 +6,8 @@ import heapq
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numba import njit
 
+from momapos.compiled import F1, F2, I2, S3, entry
 from momapos.navigation.clearance import (
     CostWeights,
     Surroundings,
@@ -18,7 +18,7 @@ from momapos.navigation.clearance import (
 )
 
 if TYPE_CHECKING:
-    from jaxtyping import Float, Int
+    pass
 
 
 class PathModel(NamedTuple):
@@ -33,18 +33,18 @@ class PathModel(NamedTuple):
 class Lattice(NamedTuple):
     """The states of the search: cells of the floor, with headings."""
 
-    origin: Float[np.ndarray, "2"]
+    origin: F1
     """World position of the corner of cell (0, 0) [m]."""
     cell: float
     """Edge of a cell [m]."""
-    moves: Int[np.ndarray, "headings 2"]
+    moves: I2
     """Steps (columns, rows) along each heading."""
-    headings: Float[np.ndarray, " headings"]
+    headings: F1
     """[rad]"""
 
 
-@njit(cache=True, nogil=True)
-def connections(a, b, model):
+@entry
+def connections(a: F2, b: F2, model: PathModel) -> tuple[np.ndarray, np.ndarray]:
     """Cost of the simple path between each pair of poses (n, 3), and whether it is backwards."""
     scratch = scratch_for(model.surroundings)
     cost, backwards = np.empty(len(a)), np.empty(len(a), np.bool_)
@@ -55,8 +55,10 @@ def connections(a, b, model):
     return cost, backwards
 
 
-@njit(cache=True, nogil=True)
-def astar(gaps, ahead, first, last, lattice, model):
+@entry
+def astar(
+    gaps: S3, ahead: F2, first: F1, last: F1, lattice: Lattice, model: PathModel
+) -> np.ndarray:
     """Find the cheapest path over the lattice (Hart, Nilsson, Raphael 1968).
 
     Args:
@@ -139,8 +141,8 @@ def astar(gaps, ahead, first, last, lattice, model):
     return np.array(path[:-1][::-1], np.int64)
 
 
-@njit(cache=True, nogil=True)
-def shorten(poses, needs, model):
+@entry
+def shorten(poses: F2, needs: F1, model: PathModel) -> np.ndarray:
     """Leave poses out of a path where a simple path past them is cheaper.
 
     Args:

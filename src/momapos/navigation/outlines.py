@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from scipy.spatial import ConvexHull
 
+from momapos.compiled import F1, F2, I1
 from momapos.geometry.planar import place_points
 from momapos.geometry.polygons import all_inside, edge_normals, signed_area
 from momapos.geometry.transforms import apply, invert
@@ -34,12 +35,13 @@ PRISMS = 5
 class PrismArrays(NamedTuple):
     """The prisms of a robot as kernels take them, one after the other, base frame."""
 
-    corner: Float[np.ndarray, "b 2"]
-    normal: Float[np.ndarray, "b 2"]
-    """Outward, of the edge from each corner to the next."""
-    level: Float[np.ndarray, " b"]
+    corner: F2
+    """(b, 2) [m]"""
+    normal: F2
+    """(b, 2), outward, of the edge from each corner to the next."""
+    level: F1
     """The edge lies where normal . x is this [m]."""
-    first: Int[np.ndarray, " k+1"]
+    first: I1
     """Index of each prism's first corner, and the number of corners."""
     radius: float
     """Distance from the base's origin to the farthest corner [m]."""
@@ -48,12 +50,12 @@ class PrismArrays(NamedTuple):
 class PolygonArrays(NamedTuple):
     """Convex polygons as kernels take them; see `ConvexPolygons`."""
 
-    corner: Float[np.ndarray, "p 2"]
-    normal: Float[np.ndarray, "p 2"]
-    level: Float[np.ndarray, " p"]
-    first: Int[np.ndarray, " o+1"]
-    layer: Int[np.ndarray, " o"]
-    bounds: Float[np.ndarray, "o 4"]
+    corner: F2
+    normal: F2
+    level: F1
+    first: I1
+    layer: I1
+    bounds: F2
 
 
 @dataclass(frozen=True, eq=False)

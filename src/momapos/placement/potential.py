@@ -10,8 +10,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import njit
 
+from momapos.compiled import F2, F3, entry
 from momapos.kinematics.hulls import Boxes
 from momapos.placement.area import Site
 
@@ -24,8 +24,14 @@ _SKIN = 0.03
 """A target this close to a box is not hidden by it: handles sit on doors [m]."""
 
 
-@njit(cache=True, nogil=True)
-def _sees(sources, targets, center, rotation, half):
+@entry
+def _sees(
+    sources: F2,
+    targets: F2,
+    center: F2,
+    rotation: F3,
+    half: F2,
+) -> np.ndarray:
     """Whether the segment from each source to each target misses all boxes."""
     out = np.ones((len(sources), len(targets)), np.bool_)
     for n in range(len(sources)):

@@ -9,21 +9,48 @@ parts that do not turn (base, torso). A line's answer is a bit mask over `BEARIN
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from momapos.compiled import F1, F2, I1, U1, entry, kernel
 from momapos.kinematics.chain import forward
 from momapos.kinematics.closed_forms import MAX_BRANCHES
 from momapos.kinematics.collision import FREE, hit_floor, hit_self, place_bounds, scratch_of
 from momapos.kinematics.ik import COARSE, ik_scratch, solve_sample
+from momapos.kinematics.records import ChainArrays, IkArrays, Limits, SphereArrays
 from momapos.reachability.grid import oct_decode
-from momapos.reachability.standing import BEARINGS, touched
+from momapos.reachability.standing import BEARINGS, StandingTable, touched
 
 EVERY = np.uint64(0xFFFFFFFFFFFFFFFF)
 
 
-@njit(cache=True, nogil=True)
+class Arm(NamedTuple):
+    """What turns with the first joint, and what it may touch."""
+
+    first: int
+    """Index of the first joint."""
+    turn: float
+    lower: float
+    upper: float
+    """Of the first joint, see `Frame`."""
+    axis: F1
+    turning: SphereArrays
+    table: StandingTable
+
+
+class Pans(NamedTuple):
+    """By the value at which each sample locks the first joint."""
+
+    arcs: U1
+    """What it can serve, 0 where it does not lock it."""
+    value: I1
+    """Its index."""
+    step: I1
+    """The values this far to both sides are known before it, 0 for the first ones."""
+
+
+@kernel
 def line_pose(r, z, u, v, roll, tool, R, p):
     """Tool pose whose last axis is the given line at bearing 0, relative to the first axis.
 
@@ -55,8 +82,8 @@ def line_pose(r, z, u, v, roll, tool, R, p):
     p[2] += z
 
 
-@njit(cache=True, nogil=True)
-def arc_mask(q, turn, lower, upper):
+@entry
+def arc_mask(q: float, turn: float, lower: float, upper: float) -> np.uint64:
     """Mask of the bearings that the first joint can serve, from its value at bearing 0."""
     if upper - lower >= 2.0 * math.pi - 1e-6:
         return EVERY
@@ -69,7 +96,7 @@ def arc_mask(q, turn, lower, upper):
     return mask
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _majority(votes):
     """The bits that at least half of the words have."""
     mask = np.uint64(0)
@@ -82,7 +109,7 @@ def _majority(votes):
     return mask
 
 
-@njit(cache=True, nogil=True, inline="always")  # compiled once instead of twice: 3 s
+@kernel(inline="always")  # compiled once instead of twice: 3 s
 def _line_mask(R_tool, p_tool, closed, spins, arm, chain, limits, ik, pans, work):
     """Bearings at which a tool pose is reachable, for at least half of the spins.
 
@@ -142,8 +169,20 @@ def _line_mask(R_tool, p_tool, closed, spins, arm, chain, limits, ik, pans, work
     return _majority(votes) & ~closed
 
 
-@njit(cache=True, nogil=True)
-def line_masks(lines, wanted, rolls, spins, tool, arm, chain, limits, ik, pans, masks):
+@entry
+def line_masks(
+    lines: F2,
+    wanted: U1,
+    rolls: F1,
+    spins: F1,
+    tool: F2,
+    arm: Arm,
+    chain: ChainArrays,
+    limits: Limits,
+    ik: IkArrays,
+    pans: Pans,
+    masks: U1,
+) -> None:
     """Those of the wanted bearings (m,) at which lines (m, 4: z, r, u, v) can be reached.
 
     A line counts where every roll of the tool can be reached, each solved anew, with at least half

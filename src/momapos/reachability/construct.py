@@ -12,10 +12,11 @@ from dataclasses import replace
 import numpy as np
 
 from momapos.errors import RobotError
-from momapos.kinematics.chain import Chain, chain_arrays
+from momapos.kinematics.chain import Chain, chain_arrays, chain_limits
 from momapos.kinematics.hulls import Boxes
+from momapos.kinematics.records import SphereArrays
 from momapos.kinematics.spheres import Spheres
-from momapos.reachability.build import EVERY, line_masks
+from momapos.reachability.build import EVERY, Arm, line_masks
 from momapos.reachability.frame import Frame, arm_frame
 from momapos.reachability.grid import grid_points, pack_shape
 from momapos.reachability.map import ReachConfig, ReachMap
@@ -154,10 +155,11 @@ class _Evaluator:
         # that looks the same after half a turn, as grippers do.
         k = np.arange(config.spins if frame.full_roll else 1)
         self.spins = np.pi * (k / len(k) + k % 2)
-        arm = (
+        arm = Arm(
             first,
-            frame.turn,
-            *frame.limits,
+            float(frame.turn),
+            float(frame.limits[0]),
+            float(frame.limits[1]),
             frame.axis,
             _turning(robot.spheres, first),
             standing_table(robot.spheres, chain.d, first),
@@ -166,7 +168,7 @@ class _Evaluator:
             np.ascontiguousarray(frame.tool),
             arm,
             chain_arrays(free),
-            (free.lower, free.upper),
+            chain_limits(free),
         )
 
     def __call__(
@@ -191,7 +193,7 @@ class _Evaluator:
         return masks
 
 
-def _turning(spheres: Spheres, first: int) -> tuple:  # type: ignore[type-arg]
+def _turning(spheres: Spheres, first: int) -> SphereArrays:
     """The spheres with only those pairs that both turn with the first joint, and no base."""
     stays = spheres.segment <= first
     pairs = spheres.pairs[~stays[spheres.pairs].any(1)]

@@ -1,4 +1,4 @@
-"""Scores of bases on a grid of the floor, each at its best yaw.
+"""S2 of bases on a grid of the floor, each at its best yaw.
 
 Where the arm's first axis does not stand over the base's origin, every yaw puts it elsewhere. So
 the map is looked up once, for axes on a lattice around the tool's line, with all bearings of a
@@ -10,15 +10,24 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
-from momapos.reachability.grid import LOW, ONE, OUTSIDE, relative_line, scored, turns_of
+from momapos.compiled import F1, F2, I1, S2, ReadI8, entry, kernel
+from momapos.reachability.grid import (
+    LOW,
+    ONE,
+    OUTSIDE,
+    GridFrame,
+    GridShape,
+    relative_line,
+    scored,
+    turns_of,
+)
 
 SPACING = 0.06
 """Spacing of the lattice [m], or the map's cell where that is wider."""
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp", "nsz"})
+@kernel(error_model="numpy", fastmath={"contract", "arcp", "nsz"})
 def _axis_lattice(line, yaws, values, rims, shape, frame, step, table):
     """Values of a line for first axes on a square lattice around its point.
 
@@ -63,7 +72,7 @@ def _axis_lattice(line, yaws, values, rims, shape, frame, step, table):
     return most + 1
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
+@kernel(error_model="numpy", fastmath=True)
 def _all_bearings(at, fz, fr, fu, fv, values, shape, row):
     """Values at all bearings of two turns and a little more, into row (2 bearings + 2,).
 
@@ -100,8 +109,20 @@ def _all_bearings(at, fz, fr, fu, fv, values, shape, row):
         row[n] = row[n - nb]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp", "nsz"})
-def floor_scores(line, xs, ys, yaws, axis_x, axis_y, values, rims, shape, frame, out):
+@entry(error_model="numpy", fastmath={"contract", "arcp", "nsz"})
+def floor_scores(
+    line: F1,
+    xs: F1,
+    ys: F1,
+    yaws: F2,
+    axis_x: float,
+    axis_y: float,
+    values: ReadI8,
+    rims: I1,
+    shape: GridShape,
+    frame: GridFrame,
+    out: S2,
+) -> None:
     """Best score over the yaws for bases on a grid of the floor, linear between lattice points.
 
     Args:

@@ -16,9 +16,11 @@ the cell that holds the query (Kuhn's triangulation: six corners instead of 32).
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+
+from momapos.compiled import F1, F2, F3, S2, ReadI8, entry, kernel
 
 STEPS = 8
 """Stored steps per cell of margin [-]."""
@@ -35,7 +37,28 @@ _SHIFT = 1 << 20
 """Added to strides, which may be negative, where they are packed."""
 
 
-@njit(cache=True, nogil=True)
+class GridShape(NamedTuple):
+    """Number of points along each axis of a map."""
+
+    z: int
+    r: int
+    u: int
+    v: int
+    bearing: int
+
+
+class GridFrame(NamedTuple):
+    """Where the points of a map are, and what counts as reachable."""
+
+    low: float
+    """Height of the lowest point over the floor [m]."""
+    per_metre: float
+    """1 / cell [1/m]."""
+    threshold: float
+    """Stored value above which a line can be reached."""
+
+
+@kernel
 def oct_decode(u: float, v: float) -> tuple[float, float, float]:
     """Unit vector of a point on the octahedral square."""
     z = 1.0 - abs(u) - abs(v)
@@ -47,7 +70,7 @@ def oct_decode(u: float, v: float) -> tuple[float, float, float]:
     return x * n, y * n, z * n
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def turns_of(y: float, x: float) -> float:
     """atan2(y, x) / 2 pi in [0, 1], within 1e-5 (polynomial after Abramowitz and Stegun)."""
     ax, ay = abs(x), abs(y)
@@ -61,7 +84,7 @@ def turns_of(y: float, x: float) -> float:
     return 1.0 - t if y < 0.0 else t
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp", "nsz"})
+@kernel(error_model="numpy", fastmath={"contract", "arcp", "nsz"})
 def relative_line(x, y, ax, ay, az):
     """Distance of a line's point (x, y) from the first axis, and its direction relative to it.
 
@@ -82,7 +105,7 @@ def relative_line(x, y, ax, ay, az):
     return r, u, v
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp", "nsz"})
+@kernel(error_model="numpy", fastmath={"contract", "arcp", "nsz"})
 def lookup(x, y, z, ax, ay, az, yaw_turns, values, shape, frame):
     """Interpolated value of a line.
 
@@ -153,15 +176,21 @@ def lookup(x, y, z, ax, ay, az, yaw_turns, values, shape, frame):
     return total / ONE
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def scored(value, threshold):
     """Stored value as a score in [0, 1]; 0 up to the threshold."""
     return min(max((value - threshold) / DEPTH, 0.0), 1.0)
 
 
-@njit(cache=True, nogil=True)
-def score_lines(lines, values, shape, frame, out):
-    """Scores of lines (m, 6) given as x, y, z, direction, relative to the first axis."""
+@entry
+def score_lines(
+    lines: F2,
+    values: ReadI8,
+    shape: GridShape,
+    frame: GridFrame,
+    out: F1,
+) -> None:
+    """S2 of lines (m, 6) given as x, y, z, direction, relative to the first axis."""
     for i in range(len(lines)):
         v = lookup(
             lines[i, 0],
@@ -178,8 +207,17 @@ def score_lines(lines, values, shape, frame, out):
         out[i] = scored(v, frame[2])
 
 
-@njit(cache=True, nogil=True)
-def weakest_lines(bases, lines, axis_x, axis_y, values, shape, frame, out):
+@entry
+def weakest_lines(
+    bases: F2,
+    lines: F3,
+    axis_x: float,
+    axis_y: float,
+    values: ReadI8,
+    shape: GridShape,
+    frame: GridFrame,
+    out: S2,
+) -> None:
     """Least score over the lines (g, w, 6) in the world, for every base (n, 3) and g."""
     for i in range(len(bases)):
         c, s = math.cos(bases[i, 2]), math.sin(bases[i, 2])
@@ -206,10 +244,10 @@ def weakest_lines(bases, lines, axis_x, axis_y, values, shape, frame, out):
             out[i, g] = scored(least, frame[2])
 
 
-def pack_shape(shape: tuple[int, ...]) -> tuple[int, int, int, int, int]:
+def pack_shape(shape: tuple[int, ...]) -> GridShape:
     """The shape of the values as the kernels take it."""
     z, r, u, v, b = (int(n) for n in shape)
-    return z, r, u, v, b
+    return GridShape(z, r, u, v, b)
 
 
 def grid_points(

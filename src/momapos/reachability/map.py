@@ -9,7 +9,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.reachability.floor import floor_scores
-from momapos.reachability.grid import OUTSIDE, pack_shape, score_lines, weakest_lines
+from momapos.reachability.grid import (
+    OUTSIDE,
+    GridFrame,
+    GridShape,
+    pack_shape,
+    score_lines,
+    weakest_lines,
+)
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int, Int8
@@ -76,9 +83,9 @@ class ReachMap:
         """No tool's last axis point is farther from the first axis than this [m]."""
         return (self.values.shape[1] - 1) * self.cell
 
-    def _arrays(self) -> tuple:  # type: ignore[type-arg]
-        flat = self.values.reshape(-1)
-        return flat, pack_shape(self.values.shape), (self.low, 1.0 / self.cell, self.threshold)
+    def _arrays(self) -> tuple[np.ndarray, GridShape, GridFrame]:
+        frame = GridFrame(float(self.low), 1.0 / float(self.cell), float(self.threshold))
+        return self.values.reshape(-1), pack_shape(self.values.shape), frame
 
     def lines(self, Ts: Float[np.ndarray, "*batch 4 4"]) -> Float[np.ndarray, "*batch 6"]:
         """The last axis of tool poses: a point [m] and a direction, in the frame of the poses."""

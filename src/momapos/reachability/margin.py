@@ -10,9 +10,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
-from momapos.reachability.grid import DEPTH, OUTSIDE, STEPS
+from momapos.compiled import C1, C2, I2, U1, U2, entry, kernel
+from momapos.reachability.grid import DEPTH, OUTSIDE, STEPS, GridShape
 from momapos.reachability.standing import BEARINGS
 
 
@@ -20,7 +20,7 @@ def uneven_edges(masks: np.ndarray, least: int) -> list[np.ndarray]:
     """Indices of the points whose neighbour one step up disagrees, for each axis.
 
     Args:
-        masks: Answers (z, r, u, v).
+        masks: U2 (z, r, u, v).
         least: In how many bearings they must disagree [-].
     """
     found = []
@@ -36,7 +36,7 @@ def nearby(masks: np.ndarray, spread: int) -> np.ndarray:
     """The bearings that a point or one of its neighbours has, and some to both sides of them.
 
     Args:
-        masks: Answers (z, r, u, v).
+        masks: U2 (z, r, u, v).
         spread: How many to both sides [-].
     """
     found = masks.copy()
@@ -50,7 +50,7 @@ def nearby(masks: np.ndarray, spread: int) -> np.ndarray:
     return found
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _first_change(bit, here, there, row, interior, backwards):
     """Distance along an edge to the first answer that differs, or 9 where none does."""
     one, shift = np.uint64(1), np.uint64(bit)
@@ -65,13 +65,21 @@ def _first_change(bit, here, there, row, interior, backwards):
     return 0.5 if (there >> shift) & one != state else 9.0
 
 
-@njit(cache=True, nogil=True)
-def near_margins(lo, hi, masks, shape, rows, interior, out):
+@entry
+def near_margins(
+    lo: int,
+    hi: int,
+    masks: U1,
+    shape: GridShape,
+    rows: I2,
+    interior: U2,
+    out: C2,
+) -> None:
     """Signed margins next to the boundary, for points lo to hi.
 
     Args:
         lo, hi: Range of points.
-        masks: Answers (points,).
+        masks: U2 (points,).
         shape: Number of points along z, r, u, v, bearing.
         rows: (4, points): row of `interior` for the edge one step up each axis, or -1.
         interior: (edges, k) answers on the uneven edges.
@@ -113,8 +121,11 @@ def near_margins(lo, hi, masks, shape, rows, interior, out):
                 out[i, b] = d if state else -d
 
 
-@njit(cache=True, nogil=True)
-def deepen(values, shape):
+@entry
+def deepen(
+    values: C1,
+    shape: GridShape,
+) -> None:
     """Count steps inwards: a point is at most one cell deeper than its neighbours."""
     nz, nr, nu, nv, nb = shape
     stride = (nr * nu * nv * nb, nu * nv * nb, nv * nb, nb)

@@ -9,10 +9,11 @@ import numpy as np
 from momapos.kinematics.chain import Chain
 from momapos.kinematics.closed_forms import NUMERIC
 from momapos.kinematics.ik import IkModel, build_ik, ik_arrays
-from momapos.reachability.build import arc_mask
+from momapos.kinematics.records import IkArrays
+from momapos.reachability.build import Pans, arc_mask
 from momapos.reachability.frame import Frame
 
-Samples = tuple[tuple[int | np.ndarray, ...], tuple[np.ndarray, np.ndarray, np.ndarray]]
+Samples = tuple[IkArrays, Pans]
 HALVINGS = 2
 """How often the spacing of the first joint's values is halved where they disagree."""
 
@@ -40,7 +41,7 @@ def locked_samples(chain: Chain, frame: Frame, count: int, heights: int) -> Samp
     if ik.kind == NUMERIC or first in ik.active:
         ik = build_ik(chain, samples_per_joint=count)
         zero = np.zeros(len(ik.samples), np.int64)
-        return ik_arrays(ik), (zero.astype(np.uint64), zero, zero)
+        return ik_arrays(ik), Pans(zero.astype(np.uint64), zero, zero)
     values = count << HALVINGS
     # Straight ahead is 0; the spacing at which a value is the first to be tried tells its turn.
     offset = np.arange(values) - values // 2
@@ -49,7 +50,7 @@ def locked_samples(chain: Chain, frame: Frame, count: int, heights: int) -> Samp
     order = np.lexsort((pan, np.where(offset == 0, -np.inf, -np.abs(pan)), -step, step > 0))
     ik, repeat = _turned(ik, frame, pan[order])
     order = np.repeat(order, repeat)
-    return ik_arrays(ik), (_arcs(pan[order], frame, np.pi / values), order, step[order])
+    return ik_arrays(ik), Pans(_arcs(pan[order], frame, np.pi / values), order, step[order])
 
 
 def _turned(ik: IkModel, frame: Frame, pan: np.ndarray) -> tuple[IkModel, int]:
@@ -84,4 +85,4 @@ def _arcs(pan: np.ndarray, frame: Frame, slack: float) -> np.ndarray:
     """Bearings that values of the first joint can serve; half a step more at both ends, since
     the last value that works lies half a step, on average, before the last that would."""
     lower, upper = frame.limits[0] - slack, frame.limits[1] + slack
-    return np.array([arc_mask(q, frame.turn, lower, upper) for q in pan], np.uint64)
+    return np.array([arc_mask(q, float(frame.turn), lower, upper) for q in pan], np.uint64)

@@ -9,10 +9,11 @@ the word. One look-up per sphere replaces a collision check per bearing.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from momapos.compiled import F1, F2, F3, I2, U3, U4, entry, kernel
 from momapos.kinematics.spheres import Spheres
 from momapos.reachability.grid import turns_of
 
@@ -26,8 +27,24 @@ RADIUS_STEP = 0.002
 """Radii are rounded to this, so that spheres share tables [m]."""
 
 
-@njit(cache=True, nogil=True)
-def fill_words(center, rotation, half, radius, reach, low, words):
+class StandingTable(NamedTuple):
+    """What `touched` reads, see `standing_table`."""
+
+    words: U4
+    low: float
+    kind: I2
+
+
+@entry
+def fill_words(
+    center: F2,
+    rotation: F3,
+    half: F2,
+    radius: F1,
+    reach: float,
+    low: float,
+    words: U3,
+) -> None:
     """Set the bits where a sphere touches rounded boxes.
 
     Args:
@@ -64,7 +81,7 @@ def fill_words(center, rotation, half, radius, reach, low, words):
                         words[z, r, a % PHASES] |= bit
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def touched(wanted, R, p, spheres, first, axis, table):
     """Those of the wanted bearings at which the arm touches a part that does not turn.
 
@@ -113,7 +130,7 @@ def touched(wanted, R, p, spheres, first, axis, table):
     return hit & wanted
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _point(R, p, m, local, axis):
     """A point of segment m relative to the foot of the first axis."""
     return (
@@ -123,9 +140,7 @@ def _point(R, p, m, local, axis):
     )
 
 
-def standing_table(
-    spheres: Spheres, d: np.ndarray, first: int
-) -> tuple[np.ndarray, float, np.ndarray]:
+def standing_table(spheres: Spheres, d: np.ndarray, first: int) -> StandingTable:
     """Build the table that `touched` reads.
 
     Body 0 is the base; body i moves with joint i, all of which rise only, up to the first that
@@ -157,7 +172,7 @@ def standing_table(
                     shapes.append((tuple(part[keep] for part in parts), float(radii[s])))
                 kind[body, s] = classes[name]
     if not shapes:
-        return np.zeros((1, 1, 1, PHASES), np.uint64), 0.0, kind
+        return StandingTable(np.zeros((1, 1, 1, PHASES), np.uint64), 0.0, kind)
     low, high, far = np.inf, -np.inf, 0.0
     for (center, _, half, grown), reach in shapes:
         extent = np.linalg.norm(half, axis=1) + grown + reach
@@ -168,7 +183,7 @@ def standing_table(
     words = np.zeros((len(shapes), *size), np.uint64)
     for i, ((center, rotation, half, grown), reach) in enumerate(shapes):
         fill_words(center - axis, rotation, half, grown, reach, low, words[i])
-    return words, low, kind
+    return StandingTable(words, low, kind)
 
 
 def _body(spheres: Spheres, body: int, xy: np.ndarray) -> tuple[tuple[np.ndarray, ...], np.ndarray]:

@@ -6,10 +6,10 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import njit
 
+from momapos.compiled import F2, entry
 from momapos.kinematics.articulated import Articulated
-from momapos.kinematics.chain import Chain
+from momapos.kinematics.chain import Chain, chain_arrays
 from momapos.kinematics.collision import (
     FREE,
     hit_floor,
@@ -18,6 +18,7 @@ from momapos.kinematics.collision import (
     place_segments,
     scratch_of,
 )
+from momapos.kinematics.records import ChainArrays, SphereArrays
 from momapos.kinematics.spheres import Spheres
 
 if TYPE_CHECKING:
@@ -39,9 +40,12 @@ _BEST = 100
 """States whose room is looked at [-]."""
 
 
-@njit(cache=True, nogil=True)
+@entry
 def _touches(
-    q: np.ndarray, chain: tuple[np.ndarray, ...], spheres: tuple[np.ndarray, ...], floor: bool
+    q: F2,
+    chain: ChainArrays,
+    spheres: SphereArrays,
+    floor: bool,
 ) -> np.ndarray:
     """Which of the states (m, n) touch the robot itself or, where asked, the floor."""
     scratch = scratch_of(q.shape[1], spheres)
@@ -59,7 +63,7 @@ def touches(
     chain: Chain, spheres: Spheres, q: Float[np.ndarray, "m n"], *, floor: bool = False
 ) -> Bool[np.ndarray, " m"]:
     """Which states touch the robot itself or, where asked, the floor."""
-    return _touches(q, (chain.h, chain.d, chain.prismatic), spheres.arrays(), floor)
+    return _touches(q, chain_arrays(chain), spheres.arrays(), floor)
 
 
 def sample_states(chain: Chain, rng: np.random.Generator) -> Float[np.ndarray, "m n"]:
@@ -137,7 +141,7 @@ def resting_state(
     R, p = np.empty((chain.size + 1, 3, 3)), np.empty((chain.size + 1, 3))
     reach = np.empty(len(free))
     for row, i in enumerate(free):
-        place_segments(q[i], np.zeros(3), (chain.h, chain.d, chain.prismatic), R, p)
+        place_segments(q[i], np.zeros(3), chain_arrays(chain), R, p)
         segment = spheres.segment[own]
         middle = np.einsum("gij,gj->gi", R[segment], spheres.bound_center[own]) + p[segment]
         reach[row] = (np.hypot(middle[:, 0], middle[:, 1]) + spheres.bound_radius[own]).max()

@@ -15,8 +15,11 @@ Sources: van den Bergen, Collision Detection in Interactive 3D Environments (200
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
-from numba import njit
+
+from momapos.compiled import F2, entry, kernel
 
 TOLERANCE = 1e-6
 """Gap between the bounds at which a distance counts as exact [m]."""
@@ -30,8 +33,16 @@ _FLAT = 1e-10
 # to another kernel are no literals, since numba compiles that kernel once more for each literal.
 
 
-@njit(cache=True, nogil=True)
-def _extreme(points, disc, x, y, z, out):  # type: ignore[no-untyped-def]
+class Body(NamedTuple):
+    """The hull of points (n, 3), widened by a disc in its xy plane and by a ball [m]."""
+
+    points: F2
+    disc: float
+    ball: float
+
+
+@kernel
+def _extreme(points, disc, x, y, z, out):
     """Write the point of a core (without ball) that lies farthest along (x, y, z)."""
     best, value = 0, -np.inf
     for i in range(len(points)):
@@ -45,8 +56,8 @@ def _extreme(points, disc, x, y, z, out):  # type: ignore[no-untyped-def]
         out[1] += disc * y / length
 
 
-@njit(cache=True, nogil=True)
-def _support(a, b, T, n, w, work):  # type: ignore[no-untyped-def]
+@kernel
+def _support(a, b, T, n, w, work):
     """Write the point of the difference A - B farthest along `n`; all in the frame of B."""
     pa, pb = work[0], work[1]
     x = T[0, 0] * n[0] + T[1, 0] * n[1] + T[2, 0] * n[2]
@@ -59,18 +70,18 @@ def _support(a, b, T, n, w, work):  # type: ignore[no-untyped-def]
     return w[0] * n[0] + w[1] * n[1] + w[2] * n[2]
 
 
-@njit(cache=True, nogil=True)
-def _dot(a, b):  # type: ignore[no-untyped-def]
+@kernel
+def _dot(a, b):
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@njit(cache=True, nogil=True)
-def _set(a, x, y, z):  # type: ignore[no-untyped-def]
+@kernel
+def _set(a, x, y, z):
     a[0], a[1], a[2] = x, y, z
 
 
-@njit(cache=True, nogil=True)
-def _normal(p, q, r, n):  # type: ignore[no-untyped-def]
+@kernel
+def _normal(p, q, r, n):
     """Write the cross product of two edges of a triangle; return its length."""
     ux, uy, uz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
     vx, vy, vz = r[0] - p[0], r[1] - p[1], r[2] - p[2]
@@ -81,8 +92,8 @@ def _normal(p, q, r, n):  # type: ignore[no-untyped-def]
 # --------------------------------------------------------------------------------------------- GJK
 
 
-@njit(cache=True, nogil=True)
-def _try_segment(y, i, j, weights, best):  # type: ignore[no-untyped-def]
+@kernel
+def _try_segment(y, i, j, weights, best):
     """Take the point of a segment nearest to the origin if it beats `best` (squared)."""
     along = square = 0.0
     for k in range(3):
@@ -101,8 +112,8 @@ def _try_segment(y, i, j, weights, best):  # type: ignore[no-untyped-def]
     return best
 
 
-@njit(cache=True, nogil=True)
-def _try_triangle(y, i, j, k, weights, best, n):  # type: ignore[no-untyped-def]
+@kernel
+def _try_triangle(y, i, j, k, weights, best, n):
     """Take the point of a triangle nearest to the origin if it beats `best` (squared)."""
     area = _normal(y[i], y[j], y[k], n)
     if area > 0.0:
@@ -124,16 +135,16 @@ def _try_triangle(y, i, j, k, weights, best, n):  # type: ignore[no-untyped-def]
     return _try_segment(y, k, i, weights, best)
 
 
-@njit(cache=True, nogil=True)
-def _corner(n, q, r, px, py, pz):  # type: ignore[no-untyped-def]
+@kernel
+def _corner(n, q, r, px, py, pz):
     """Triple product n . ((q - p) x (r - p))."""
     ux, uy, uz = q[0] - px, q[1] - py, q[2] - pz
     vx, vy, vz = r[0] - px, r[1] - py, r[2] - pz
     return n[0] * (uy * vz - uz * vy) + n[1] * (uz * vx - ux * vz) + n[2] * (ux * vy - uy * vx)
 
 
-@njit(cache=True, nogil=True)
-def _nearest(y, count, weights, n):  # type: ignore[no-untyped-def]
+@kernel
+def _nearest(y, count, weights, n):
     """Weights of the simplex point nearest to the origin; False when the origin is inside."""
     weights[:] = 0.0
     if count == 1:
@@ -156,8 +167,8 @@ def _nearest(y, count, weights, n):  # type: ignore[no-untyped-def]
     return outside
 
 
-@njit(cache=True, nogil=True)
-def _gjk(a, b, T, work):  # type: ignore[no-untyped-def]
+@kernel
+def _gjk(a, b, T, work):
     """Lower bound on the distance of two cores [m], exact to TOLERANCE; <= 0 if they may meet."""
     y, v, n, w = work[2:6], work[6], work[7], work[8]
     weights = np.zeros(4)
@@ -197,8 +208,8 @@ def _gjk(a, b, T, work):  # type: ignore[no-untyped-def]
 # --------------------------------------------------------------------------- expanding polytope
 
 
-@njit(cache=True, nogil=True)
-def _first_points(a, b, T, p, work):  # type: ignore[no-untyped-def]
+@kernel
+def _first_points(a, b, T, p, work):
     """Span a tetrahedron inside A - B; return the least extent met, or -1 if A - B is flat."""
     n, w, u = work[7], work[8], work[2]
     best, widest = np.inf, _FLAT
@@ -237,8 +248,8 @@ def _first_points(a, b, T, p, work):  # type: ignore[no-untyped-def]
     return best
 
 
-@njit(cache=True, nogil=True)
-def _set_face(f, p, corners, normals, offsets, inside):  # type: ignore[no-untyped-def]
+@kernel
+def _set_face(f, p, corners, normals, offsets, inside):
     """Compute the plane of face `f`, its normal away from `inside`; slivers are never chosen."""
     i, j, k = corners[f]
     n = normals[f]
@@ -256,8 +267,8 @@ def _set_face(f, p, corners, normals, offsets, inside):  # type: ignore[no-untyp
         offsets[f] = -offsets[f]
 
 
-@njit(cache=True, nogil=True)
-def _depth(a, b, T, work):  # type: ignore[no-untyped-def]
+@kernel
+def _depth(a, b, T, work):
     """Upper bound on the depth of two cores [m], exact to TOLERANCE; < 0 if they are apart.
 
     The polytope need not hold the origin at first: faces beyond which it lies have the smallest
@@ -289,8 +300,8 @@ def _depth(a, b, T, work):  # type: ignore[no-untyped-def]
     return best
 
 
-@njit(cache=True, nogil=True)
-def _expand(new, p, corners, normals, offsets, faces, edges, inside):  # type: ignore[no-untyped-def]
+@kernel
+def _expand(new, p, corners, normals, offsets, faces, edges, inside):
     """Replace the faces that see a new point by a fan around it; return the number of faces.
 
     -1 when there is no room.
@@ -317,8 +328,8 @@ def _expand(new, p, corners, normals, offsets, faces, edges, inside):  # type: i
     return kept
 
 
-@njit(cache=True, nogil=True)
-def _toggle(edges, count, i, j):  # type: ignore[no-untyped-def]
+@kernel
+def _toggle(edges, count, i, j):
     """Add an edge, or remove it if it is there: what is left in the end is the rim."""
     for e in range(count):
         if edges[e, 0] == i and edges[e, 1] == j:
@@ -330,8 +341,12 @@ def _toggle(edges, count, i, j):  # type: ignore[no-untyped-def]
     return count + 1
 
 
-@njit(cache=True, nogil=True)
-def overlap(a, b, T):  # type: ignore[no-untyped-def]
+@entry
+def overlap(
+    a: Body,
+    b: Body,
+    T: F2,
+) -> float:
     """How deep two bodies overlap [m]; minus their distance where they are apart.
 
     Args:

@@ -10,10 +10,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import njit
 
-from momapos.verification.convex import TOLERANCE, overlap
-from momapos.verification.shapes import Shapes
+from momapos.compiled import F4, I2, entry, kernel
+from momapos.verification.convex import TOLERANCE, Body, overlap
+from momapos.verification.shapes import ShapeArrays, Shapes
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
@@ -50,8 +50,8 @@ def all_pairs(count_a: int, count_b: int) -> Int[np.ndarray, "p 2"]:
     return np.stack(np.meshgrid(np.arange(count_a), np.arange(count_b)), -1).reshape(-1, 2)
 
 
-@njit(cache=True, nogil=True)
-def _swept(Ts, half):  # type: ignore[no-untyped-def]
+@kernel
+def _swept(Ts, half):
     """Axis-aligned boxes around shapes over the whole motion: corners (2, k, 3) [m]."""
     box = np.empty((2, Ts.shape[1], 3))
     box[0], box[1] = np.inf, -np.inf
@@ -65,16 +65,23 @@ def _swept(Ts, half):  # type: ignore[no-untyped-def]
     return box
 
 
-@njit(cache=True, nogil=True)
-def _meet(a, b, i, j, floor):  # type: ignore[no-untyped-def]
+@kernel
+def _meet(a, b, i, j, floor):
     for r in range(3):
         if a[0, i, r] > b[1, j, r] - floor or b[0, j, r] > a[1, i, r] - floor:
             return False
     return True
 
 
-@njit(cache=True, nogil=True)
-def _deepest(pairs, Ts_a, Ts_b, a, b, floor):  # type: ignore[no-untyped-def]
+@entry
+def _deepest(
+    pairs: I2,
+    Ts_a: F4,
+    Ts_b: F4,
+    a: ShapeArrays,
+    b: ShapeArrays,
+    floor: float,
+) -> tuple[np.ndarray, np.ndarray]:
     depths, states = np.full(len(pairs), floor), np.full(len(pairs), -1)
     bounds, Ts = np.empty(len(Ts_a)), np.empty((len(Ts_a), 4, 4))
     index = np.empty(len(Ts_a), np.int64)
@@ -103,20 +110,20 @@ def _deepest(pairs, Ts_a, Ts_b, a, b, floor):  # type: ignore[no-untyped-def]
     return depths, states
 
 
-@njit(cache=True, nogil=True)
-def _core(shapes, i):  # type: ignore[no-untyped-def]
-    points, first, disc, ball, _ = shapes
-    return points[first[i] : first[i + 1]], disc[i], ball[i]
+@kernel
+def _core(shapes, i):
+    points = shapes.points[shapes.first[i] : shapes.first[i + 1]]
+    return Body(points, shapes.disc[i], shapes.ball[i])
 
 
-@njit(cache=True, nogil=True)
-def _radius(half):  # type: ignore[no-untyped-def]
+@kernel
+def _radius(half):
     """Radius of the sphere around a box."""
     return np.sqrt(half[0] ** 2 + half[1] ** 2 + half[2] ** 2)
 
 
-@njit(cache=True, nogil=True)
-def _bound(T_a, T_b, half_a, half_b, T):  # type: ignore[no-untyped-def]
+@kernel
+def _bound(T_a, T_b, half_a, half_b, T):
     """Upper bound on the depth of two boxes; writes the pose of A in the frame of B to `T`.
 
     The overlap along any direction bounds the depth; the directions here are the box axes.
@@ -141,8 +148,8 @@ def _bound(T_a, T_b, half_a, half_b, T):  # type: ignore[no-untyped-def]
     return bound
 
 
-@njit(cache=True, nogil=True)
-def _search(a, b, Ts, bounds, half, floor):  # type: ignore[no-untyped-def]
+@kernel
+def _search(a, b, Ts, bounds, half, floor):
     """Branch and bound over the states of one pair."""
     radius = _radius(half)
     best, where = floor, np.int64(-1)
@@ -160,8 +167,8 @@ def _search(a, b, Ts, bounds, half, floor):  # type: ignore[no-untyped-def]
                 bounds[other] = min(bounds[other], limit)
 
 
-@njit(cache=True, nogil=True)
-def _farthest_move(T, U, radius):  # type: ignore[no-untyped-def]
+@kernel
+def _farthest_move(T, U, radius):
     """Upper bound on how far any point within `radius` of the origin moves from T to U."""
     shift = turn = 0.0
     for r in range(3):

@@ -64,11 +64,12 @@ def sphere_centers(
     robot: Robot, q: Float[np.ndarray, " n"]
 ) -> tuple[Float[np.ndarray, "s 3"], Float[np.ndarray, " s"]]:
     """Centres of the collision spheres in the base frame [m], and which are the gripper's."""
+    from momapos.kinematics.chain import chain_arrays
     from momapos.kinematics.collision import place_segments
 
     chain, spheres = robot.chain, robot.spheres
     R, p = np.empty((chain.size + 1, 3, 3)), np.empty((chain.size + 1, 3))
-    place_segments(np.asarray(q, float), np.zeros(3), (chain.h, chain.d, chain.prismatic), R, p)
+    place_segments(np.asarray(q, float), np.zeros(3), chain_arrays(chain), R, p)
     count = np.diff(spheres.start)
     segment = np.repeat(spheres.segment, count)
     centers = np.einsum("sij,sj->si", R[segment], spheres.center) + p[segment]

@@ -1,0 +1,38 @@
+"""Compile the kernels into the wheel, where numba runs on the machine that builds it."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from hatchling.builders.hooks.plugin.interface import BuildHookInterface
+
+
+class KernelPack(BuildHookInterface):
+    """Puts `kernels.zip` beside `momapos/compiled/store.py`; without it kernels compile at run."""
+
+    def initialize(self, version: str, build_data: dict[str, Any]) -> None:
+        """Build the pack in a process of its own, as numba reads the processor's name once."""
+        if version == "editable":
+            return
+        source = Path(self.root) / "src"
+        self.folder = tempfile.TemporaryDirectory()
+        pack = Path(self.folder.name) / "kernels.zip"
+        command = [sys.executable, "-m", "momapos.compiled.pack", str(pack)]
+        paths = [str(source), os.environ.get("PYTHONPATH", "")]
+        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, paths))}
+        done = subprocess.run(command, env=environment, capture_output=True, text=True)
+        if done.returncode == 0:
+            build_data["force_include"][str(pack)] = "momapos/compiled/kernels.zip"
+        else:
+            reason = (done.stderr.strip().splitlines() or ["no reason given"])[-1]
+            self.app.display_warning(f"the wheel brings no compiled kernels: {reason}")
+
+    def finalize(self, version: str, build_data: dict[str, Any], artifact_path: str) -> None:  # noqa: ARG002
+        """Remove the temporary file."""
+        if version != "editable":
+            self.folder.cleanup()

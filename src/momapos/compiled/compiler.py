@@ -1,0 +1,136 @@
+"""numba's side: from a kernel to machine code.
+
+Only here numba is imported. All that an entry calls is compiled into its module unoptimised, and
+optimised there once, together: numba by itself optimises every function on its own, then again in
+every function that calls it, and makes machine code of each.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+import numba
+import numpy as np
+from numba.core import types
+from numba.core.codegen import JITCodeLibrary
+from numba.core.registry import cpu_target
+
+from momapos.compiled import arrays
+from momapos.compiled.native import Code
+
+if TYPE_CHECKING:
+    from momapos.compiled.kernel import Kernel
+
+_NUMBERS = {int: types.int64, float: types.float64, bool: types.boolean, np.uint64: types.uint64}
+
+
+def numba_type(hint: Any) -> Any:
+    """numba's type of an entry's argument."""
+    array = arrays.array_of(hint)
+    if array is not None:
+        dtype = numba.from_dtype(array.dtype)
+        return types.Array(dtype, array.ndim, "C", readonly=array.readonly)
+    members = arrays.fields(hint)
+    if members is None:
+        return _NUMBERS[hint]
+    inside = [numba_type(member) for member in members]
+    if hasattr(hint, "_fields"):
+        same = all(kind == inside[0] for kind in inside)
+        if same:
+            return types.NamedUniTuple(inside[0], len(inside), hint)  # type: ignore[attr-defined]
+        return types.NamedTuple(inside, hint)  # type: ignore[attr-defined]
+    return types.Tuple(inside)  # type: ignore[attr-defined]
+
+
+def dispatcher(kernel: Kernel) -> Any:
+    """A dispatcher that compiles for any arguments, with numba's own cache.
+
+    numba stamps its cache with the file that holds the function; this stamp holds what the
+    function calls as well.
+    """
+    made = numba.njit(nogil=True, cache=True, **kernel.options)(kernel.py_func)
+    file = getattr(made._cache, "_cache_file", None)
+    if file is not None:
+        file._source_stamp = kernel.stamp
+    return made
+
+
+def inner(kernel: Kernel) -> Any:
+    """A dispatcher for other kernels: without the wrappers by which Python calls it."""
+    options = {**kernel.options, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+    return numba.njit(nogil=True, **options)(kernel.py_func)
+
+
+def compile_entry(kernel: Kernel) -> Code:
+    """Compile an entry for its annotated types."""
+    outer = numba.njit(nogil=True, no_cfunc_wrapper=True, **kernel.options)(kernel.py_func)
+    signature = tuple(numba_type(hint) for hint in kernel.types)
+    with _optimized_once(kernel.py_func.__qualname__), _no_collector():
+        outer.compile(signature)
+    (result,) = outer.overloads.values()
+    main = result.target_context.get_env_name(result.fndesc)
+    others = {e.env_name: e for e in result._find_referenced_environments()}
+    others.pop(main, None)
+    environments = [(main, _dtypes(result.environment))]
+    environments += [(name, _dtypes(env)) for name, env in others.items() if env.consts]
+    return Code(
+        result.library._get_compiled_object(),
+        result.fndesc.llvm_cpython_wrapper_name,
+        tuple(environments),
+    )
+
+
+def _dtypes(environment: Any) -> tuple[str, ...]:
+    """The constants of an environment, which are the types of returned arrays."""
+    if not all(isinstance(const, np.dtype) for const in environment.consts):
+        raise TypeError(f"an entry returns what is neither a number nor an array: {environment}")
+    return tuple(const.str for const in environment.consts)
+
+
+class _Part(JITCodeLibrary):
+    """What is linked into an entry: code that is neither optimised nor run by itself."""
+
+    def _optimize_final_module(self) -> None:
+        pass
+
+    def _finalize_final_module(self) -> None:
+        self._finalize_dynamic_globals()
+        self._finalized = True
+
+    def get_pointer_to_function(self, name: str) -> int:  # noqa: ARG002, numba's signature
+        self._ensure_finalized()
+        return 0
+
+
+@contextlib.contextmanager
+def _optimized_once(entry: str) -> Iterator[None]:
+    """Have numba make parts of all functions but the entry."""
+    codegen = cpu_target.target_context.codegen()
+
+    def library(owner: Any, name: str) -> JITCodeLibrary:
+        return (JITCodeLibrary if name == entry else _Part)(owner, name)
+
+    def set_env(name: str, environment: Any) -> None:
+        if codegen._engine.is_symbol_defined(name):
+            type(codegen).set_env(codegen, name, environment)
+
+    codegen._library_class, codegen.set_env = library, set_env
+    try:
+        yield
+    finally:
+        del codegen._library_class, codegen.set_env
+
+
+@contextlib.contextmanager
+def _no_collector() -> Iterator[None]:
+    """Keep Python from looking for dead cycles among numba's many objects: a tenth of the time."""
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()

@@ -1,0 +1,159 @@
+"""Machine code that numba has made, loaded without numba.
+
+What numba's wrapper needs of its runtime are three extension modules that stand by themselves; the
+package around them is what takes half a second. They are loaded under their own names, so that
+numba finds and shares them when it is imported later.
+"""
+
+from __future__ import annotations
+
+import builtins
+import ctypes
+import functools
+import importlib.util
+import os
+import pickle
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.machinery import PathFinder
+from types import ModuleType
+from typing import Any
+
+import llvmlite.binding as llvm
+
+_Unpickle = ctypes.PYFUNCTYPE(ctypes.py_object, ctypes.c_void_p, ctypes.c_int, ctypes.c_void_p)
+
+
+@dataclass(frozen=True)
+class Code:
+    """The machine code of an entry."""
+
+    image: bytes
+    """An object file (ELF)."""
+    symbol: str
+    """The function that Python calls."""
+    environments: tuple[tuple[str, tuple[str, ...]], ...]
+    """Symbols of the environments, with the array types (as numpy spells them) that each holds."""
+
+
+def link(code: Code, name: str) -> Callable[..., Any]:
+    """Make machine code callable."""
+    dynfunc = _runtime()
+    engine = _engine()
+    engine.add_object_file(llvm.ObjectFileRef.from_data(code.image))
+    engine.finalize_object()
+    held: list[Any] = [engine]
+    for symbol, dtypes in code.environments:
+        environment = dynfunc.Environment({})
+        environment.consts.extend(_dtype(text) for text in dtypes)
+        address = engine.get_global_value_address(symbol)
+        if address:
+            (ctypes.c_void_p * 1).from_address(address)[0] = id(environment)
+        held.append(environment)
+    address = engine.get_function_address(code.symbol)
+    return dynfunc.make_function(sys.modules[__name__], name, name, address, held[1], tuple(held))
+
+
+def _dtype(text: str) -> Any:
+    import numpy as np
+
+    return np.dtype(text)
+
+
+def _engine() -> llvm.ExecutionEngine:
+    """An engine of its own for each entry: equal names of two entries do not meet."""
+    target = llvm.Target.from_triple(llvm.get_process_triple())
+    return llvm.create_mcjit_compiler(llvm.parse_assembly(""), target.create_target_machine())
+
+
+@functools.cache
+def _runtime() -> ModuleType:
+    """Tell LLVM where numba's helpers are; returns the module that makes functions."""
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+    dynfunc = _extension("numba._dynfunc")
+    helpers = _extension("numba._helperlib").c_helpers
+    memory = _extension("numba.core.runtime._nrt_python").c_helpers
+    symbols = {"_Py_NoneStruct": id(None)}
+    for table in (helpers, dynfunc.c_helpers):
+        symbols |= {f"numba_{name}": address for name, address in table.items()}
+        symbols |= {name: table[name] for name in table if name in _MATH}
+    symbols |= {n if n.startswith("_") else f"NRT_{n}": a for n, a in memory.items()}
+    for value in vars(builtins).values():
+        if isinstance(value, type) and issubclass(value, BaseException):
+            symbols[f"PyExc_{value.__name__}"] = id(value)
+    if "numba" not in sys.modules:
+        symbols["numba_unpickle"] = ctypes.cast(_unpickle, ctypes.c_void_p).value or 0
+    for name, address in symbols.items():
+        llvm.add_symbol(name, address)
+    return dynfunc
+
+
+_MATH = frozenset(
+    [
+        "sin",
+        "cos",
+        "tan",
+        "asin",
+        "acos",
+        "atan",
+        "atan2",
+        "sinh",
+        "cosh",
+        "tanh",
+        "asinh",
+        "acosh",
+        "atanh",
+        "exp",
+        "exp2",
+        "expm1",
+        "log",
+        "log2",
+        "log10",
+        "log1p",
+        "pow",
+        "powf",
+        "hypot",
+        "erf",
+        "erfc",
+        "gamma",
+        "lgamma",
+        "ldexp",
+        "frexp",
+        "floor",
+        "ceil",
+        "trunc",
+        "fmod",
+    ]
+)
+
+
+def _extension(name: str) -> ModuleType:
+    """An extension module of numba, without the packages it stands in."""
+    if name in sys.modules:
+        return sys.modules[name]
+    package = importlib.util.find_spec("numba")
+    if package is None or not package.submodule_search_locations:
+        raise ImportError("numba is not installed")
+    folder = os.path.join(package.submodule_search_locations[0], *name.split(".")[1:-1])
+    spec = PathFinder.find_spec(name, [folder])
+    if spec is None or spec.loader is None:
+        raise ImportError(f"{name} is missing")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    sys.modules[name] = module
+    return module
+
+
+@_Unpickle
+def _unpickle(data: int, size: int, _: int) -> object:
+    """What numba's function of this name does; that one imports numba."""
+    raw = ctypes.string_at(data, size)
+    known = _unpickled.get(raw)
+    if known is None:
+        known = _unpickled[raw] = pickle.loads(raw)
+    return known
+
+
+_unpickled: dict[bytes, Any] = {}

@@ -1,0 +1,94 @@
+"""What kernels take: the arrays of an arm, its spheres, boxes and a room, by name."""
+
+from __future__ import annotations
+
+from typing import Annotated, NamedTuple
+
+import numpy as np
+
+from momapos.compiled import B1, B2, F1, F2, F3, F4, I1, I2, Array
+
+Counts = Annotated[np.ndarray, Array(np.dtype("i4"), 3)]
+
+
+class ChainArrays(NamedTuple):
+    """A chain of n joints, see `Chain`."""
+
+    h: F2
+    d: F2
+    prismatic: B1
+    tool_offset: F1
+    tool_rotation: F2
+
+
+class Limits(NamedTuple):
+    """Limits of n joints [rad] or [m]."""
+
+    lower: F1
+    upper: F1
+
+
+class IkArrays(NamedTuple):
+    """How an arm is inverted, see `IkModel`."""
+
+    kind: int
+    active: I1
+    samples: F2
+    h: F3
+    o: F3
+    wrist: F2
+    R_tool: F3
+    p_tool: F2
+
+
+class SphereArrays(NamedTuple):
+    """The spheres of an arm and the boxes of its base, see `Spheres`."""
+
+    center: F2
+    radius: F1
+    start: I1
+    segment: I1
+    bound_center: F2
+    bound_radius: F1
+    gripper: I1
+    pairs: I2
+    base_center: F2
+    base_rotation: F3
+    base_half: F2
+    base_pairs: B2
+    base_bounds: F2
+    base_radius: F1
+
+
+class BoxArrays(NamedTuple):
+    """Oriented boxes: (b, 3), (b, 3, 3), (b, 3)."""
+
+    center: F2
+    rotation: F3
+    half: F2
+
+
+class ObstacleArrays(NamedTuple):
+    """Boxes, and which of them a gripper may touch while it holds (b,)."""
+
+    center: F2
+    rotation: F3
+    half: F2
+    grasped: B1
+
+
+class WorldArrays(NamedTuple):
+    """A room and what moves in it, see `World`."""
+
+    center: F2
+    rotation: F3
+    half: F2
+    moving_center: F3
+    moving_rotation: F4
+    moving_half: F3
+    grasped: B1
+    grid_origin: F1
+    grid_shape: I1
+    grid_start: I1
+    grid_index: I1
+    filled: Counts
