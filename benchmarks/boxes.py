@@ -116,8 +116,8 @@ def furnished(scene: Scene, rng: np.random.Generator) -> Scene:
             new = SceneObject("microwave", "microwave", pose(tuple(center.tolist())), model)
             scene = replace(scene, objects=(*scene.objects, new))
             break
-    if scene.floor is not None:
-        low, high = scene.floor.min(0), scene.floor.max(0)
+    if scene.floor_polygon is not None:
+        low, high = scene.floor_polygon.min(0), scene.floor_polygon.max(0)
         for _ in range(400):
             xy = rng.uniform(low, high)
             center = np.array([*xy, TABLE[2] / 2])
@@ -159,7 +159,7 @@ def detect(
     cloud = fuse(scan.frames, config.voxel, config.fusion)
     marks["fuse"] = time.perf_counter()
     T = align_to_gravity(cloud, scan.frames, config.gravity)
-    cloud = Cloud(apply(T, cloud.points), cloud.normals @ T[:3, :3].T, cloud.colours)
+    cloud = Cloud(apply(T, cloud.points), cloud.normals @ T[:3, :3].T, cloud.colors)
     frames = [replace(f, T_world_camera=T @ f.T_world_camera) for f in scan.frames]
     marks["upright"] = time.perf_counter()
     instances = ClassicalSegmenter()(cloud)
@@ -239,7 +239,7 @@ def judge(room: Room, found: list[Detection], *, report: bool) -> list[dict[str,
                 "overlap": score,
                 "found": hit,
                 "row": hit or max((share for _, share in pairs), default=0.0) >= COVERED,
-                "labelled": label in ALIKE.get(category, {category}) if hit else None,
+                "labeled": label in ALIKE.get(category, {category}) if hit else None,
                 "faces": face_errors(item, found[best].box)
                 if hit and best is not None and not small
                 else [],
@@ -262,7 +262,7 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, dict[str, float]]:
             groups["furniture"].append(row)
     out = {}
     for name, group in sorted(groups.items()):
-        labels = [row["labelled"] for row in group if row["labelled"] is not None]
+        labels = [row["labeled"] for row in group if row["labeled"] is not None]
         faces = [error for row in group for error in row["faces"]]
         out[name] = {
             "count": len(group),

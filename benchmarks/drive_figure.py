@@ -22,7 +22,7 @@ from momapos.viewer.robot import draw_footprint
 from momapos.viewer.room import name_objects, room, room_bounds
 
 EVERY = 0.25
-"""The footprint is drawn after this much way, a radian counting as half a metre [m]."""
+"""The footprint is drawn after this much way, a radian counting as half a meter [m]."""
 
 
 def draw_drive(
@@ -58,8 +58,8 @@ def draw_drive(
     axes.plot(*poses.T[:2], color=SELECTED, lw=1.8, zorder=13, label=driven)
     draw_footprint(axes, nav_map.robot, question.start, dashed=True)
     draw_footprint(axes, nav_map.robot, question.goal)
-    for name, pose, colour in (("start", question.start, INK), ("goal", question.goal, GOOD)):
-        axes.plot(*pose[:2], "o", ms=5, color=colour, zorder=16, label=name)
+    for name, pose, color in (("start", question.start, INK), ("goal", question.goal, GOOD)):
+        axes.plot(*pose[:2], "o", ms=5, color=color, zorder=16, label=name)
     name_objects(axes, scene)
     axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), fontsize=8, frameon=False)
     axes.set_xlabel("x [m]", fontsize=8, color=SOFT_INK)

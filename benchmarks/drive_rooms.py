@@ -65,8 +65,10 @@ def rooms(folder: Path, layouts: int) -> Iterator[Scene]:
 def questions(nav_map: NavigationMap, scene: Scene, rng: np.random.Generator) -> Iterator[Question]:
     """Random starts and goals that the disc can drive between."""
     robot = nav_map.robot
-    plan = floor_plan(room_boxes(scene), height=base_height(robot), floor=scene.floor)
-    # Half a cell less than nothing: a footprint that fits between two centres counts as well.
+    plan = floor_plan(
+        room_boxes(scene), height=base_height(robot), floor_polygon=scene.floor_polygon
+    )
+    # Half a cell less than nothing: a footprint that fits between two centers counts as well.
     fits = FloorPlan(nav_map.origin, np.asarray(~(nav_map.gap > -CELL / 2).any(0)))
     states = np.argwhere(nav_map.free)
     while True:
@@ -121,7 +123,7 @@ class People:
     """Two people who walk to and fro between free places, and stop before they walk into a robot.
 
     They take the robot for a disc and keep a step away from it; one who has to wait for long turns
-    back. They begin at least a metre from it.
+    back. They begin at least a meter from it.
     """
 
     def __init__(

@@ -132,7 +132,7 @@ def measure(
 
 
 def report(rows: list[dict[str, Any]]) -> str:
-    """Summarise in words."""
+    """Summarize in words."""
     lines = [f"machine: {platform.machine()}, {len(os.sched_getaffinity(0))} cores"]
     lines.append(f"plans: {dict(Counter(r['status'] for r in rows if not r.get('noise')))}")
     for noise in (False, True):

@@ -1,9 +1,9 @@
-"""What importance costs and saves in an answer: misses, rounds, time of modelling.
+"""What importance costs and saves in an answer: misses, rounds, time of modeling.
 
     python benchmarks/importance_answers.py [--robot segway_ur5e]
 
 Every door and drawer with a handle in the five real kitchens and the built-in ones, by each scorer
-and with everything modelled. A miss is a plan that the exact check with all objects refuses.
+and with everything modeled. A miss is a plan that the exact check with all objects refuses.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def questions() -> list[tuple[str, Task]]:
     return found
 
 
-def modelling_seconds(name: str, keep: tuple[str, ...]) -> float:
+def modeling_seconds(name: str, keep: tuple[str, ...]) -> float:
     """Time to make hulls and boxes of some objects of a scene that was just read [s]."""
     scene = load_scene(name)
     began = time.perf_counter()
@@ -85,14 +85,14 @@ def row(label: str, robot: Robot, asked: list[tuple[str, Task]], config: Pipelin
         f"{np.mean([k.rounds for k in keys]):.2f}",
         str(sum(k.alpha < config.importance.alpha for k in keys)),
         f"{1e3 * np.median(seconds):.0f} / {1e3 * np.percentile(seconds, 95):.0f} ms",
-        f"{1e3 * np.mean(_modelling(asked, keys)):.0f} ms",
+        f"{1e3 * np.mean(_modeling(asked, keys)):.0f} ms",
     ]  # fmt: skip
     return f"| {' | '.join(cells)} |"
 
 
-def _modelling(asked: list[tuple[str, Task]], keys: list[KeyObjects]) -> list[float]:
+def _modeling(asked: list[tuple[str, Task]], keys: list[KeyObjects]) -> list[float]:
     pairs = zip(asked, keys, strict=True)
-    return [modelling_seconds(name, key.names) for (name, _), key in pairs]
+    return [modeling_seconds(name, key.names) for (name, _), key in pairs]
 
 
 def main() -> None:
@@ -104,8 +104,8 @@ def main() -> None:
     rooms = len({Path(name).stem for name, _ in asked})
     print(f"machine: {machine()}; {args.robot}, {len(asked)} tasks in {rooms} rooms\n")
     print(
-        "| modelled | solved | refused by the whole room | drive | S | rounds | alpha lowered "
-        "| median / 95th percentile | modelling |"
+        "| modeled | solved | refused by the whole room | drive | S | rounds | alpha lowered "
+        "| median / 95th percentile | modeling |"
     )
     print("|" + "---|" * 9)
     for label, scorer, alpha in RUNS:

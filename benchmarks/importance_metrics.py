@@ -28,7 +28,7 @@ SHOWN: dict[str, tuple[Any, ...]] = {
     ),
     "names": ("names", "#8a4b9c", (0.48, 0.06), (0.85, 0.07), (0.82, 0.96)),
 }  # fmt: skip
-"""Scorers in the picture: name, colour, and where the name stands in each of the three parts."""
+"""Scorers in the picture: name, color, and where the name stands in each of the three parts."""
 FEW = 0.02
 """Curves leave out an S of less than this share of the objects: chance decides there [-]."""
 
@@ -162,7 +162,7 @@ def draw(tasks: list[dict[str, Any]], path: Path) -> None:
     plt.rcParams.update({"font.size": 9, "text.color": INK, "axes.edgecolor": SOFT_INK})
     figure, axes = plt.subplots(1, 3, figsize=(10.5, 3.6), layout="constrained")
     rate = 0.0
-    for scorer, (name, colour, *spots) in SHOWN.items():
+    for scorer, (name, color, *spots) in SHOWN.items():
         p = pairs(tasks, scorer)
         rows = [at(p, alpha) for alpha in ALPHAS]
         alphas = (ALPHAS, *([row[k] for row in rows] for k in ("precision", "recall", "kept")))
@@ -170,8 +170,8 @@ def draw(tasks: list[dict[str, Any]], path: Path) -> None:
         lines = [(recall, precision, kept), (*alphas[:2], alphas[3]), (alphas[0], *alphas[2:])]
         for axis, (x, y, share), spot in zip(axes, lines, spots, strict=True):
             fair = np.asarray(share) >= FEW
-            axis.plot(np.asarray(x)[fair], np.asarray(y)[fair], color=colour, lw=1.8)
-            axis.text(*spot, name, color=colour, ha="center", va="center")
+            axis.plot(np.asarray(x)[fair], np.asarray(y)[fair], color=color, lw=1.8)
+            axis.text(*spot, name, color=color, ha="center", va="center")
         rate = float(p.matters.mean())
     _dress(axes, rate)
     figure.savefig(path, dpi=150)

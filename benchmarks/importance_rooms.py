@@ -50,7 +50,7 @@ class Room:
 
 
 def is_wall(item: SceneObject) -> bool:
-    """Whether an object is part of the building: it can be neither removed nor modelled."""
+    """Whether an object is part of the building: it can be neither removed nor modeled."""
     return "wall" in item.category and "cabinet" not in item.category
 
 
@@ -103,15 +103,15 @@ def furnish(scene: Scene, rng: np.random.Generator) -> Scene:
 def _spot(
     scene: Scene, size: Float[np.ndarray, "3"], rng: np.random.Generator, *, on_floor: bool
 ) -> tuple[float, float, float] | None:
-    """A centre where a box stands clear of all others by 2 cm [m]; None where none was found."""
+    """A center where a box stands clear of all others by 2 cm [m]; None where none was found."""
     bounds = np.array([item.bounds for item in scene.objects])
     tops = [
         item.bounds for item in scene.objects
         if item.category in COUNTERS and TOP[0] < item.bounds[1, 2] < TOP[1]
     ]  # fmt: skip
     for _ in range(TRIES):
-        if on_floor and scene.floor is not None:
-            low, high, z = scene.floor.min(0), scene.floor.max(0), 0.0
+        if on_floor and scene.floor_polygon is not None:
+            low, high, z = scene.floor_polygon.min(0), scene.floor_polygon.max(0), 0.0
         elif tops:
             top = tops[int(rng.integers(len(tops)))]
             low, high, z = top[0, :2], top[1, :2], float(top[1, 2])
@@ -121,8 +121,8 @@ def _spot(
         if (slack < 0).any():
             continue
         x, y = low + size[:2] / 2 + rng.random(2) * slack
-        centre = np.array([x, y, z + 0.001 + size[2] / 2])
-        near = np.maximum(bounds[:, 0] - centre, centre - bounds[:, 1]) < size / 2 + [0.02, 0.02, 0]
+        center = np.array([x, y, z + 0.001 + size[2] / 2])
+        near = np.maximum(bounds[:, 0] - center, center - bounds[:, 1]) < size / 2 + [0.02, 0.02, 0]
         if not near.all(1).any():
-            return tuple(centre.tolist())
+            return tuple(center.tolist())
     return None

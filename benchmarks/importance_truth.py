@@ -34,10 +34,10 @@ from momapos.errors import MomaposError, TaskError
 from momapos.geometry.planar import compose
 from momapos.importance.config import ImportanceConfig, ScorerName
 from momapos.importance.rank import rank
-from momapos.manipulation.feasibility import Feasibility, hand_clears
+from momapos.manipulation.feasibility import Feasibility, collision_free_grasps
 from momapos.manipulation.motion import task_motion
 from momapos.manipulation.tasks import hand_path, make_task, openable
-from momapos.placement.area import BaseStatus, sampling_box, standing, task_frame
+from momapos.placement.area import BaseStatus, base_pose_status, sampling_box, task_frame
 from momapos.prepare import collision_world, placement_geometry
 from momapos.protocols import ReachScorer
 from momapos.reachability.store import load_reach_map
@@ -80,25 +80,25 @@ class Question:
     def poses(self) -> Float[np.ndarray, "n 3"]:
         """The grid over all that the arm's length allows, in the task's frame."""
         motion = task_motion(self.scene, self.robot, self.task, CONFIG.motion)
-        site = placement_geometry(self.scene, self.robot, motion, CONFIG.place.clearance)
-        corners = sampling_box(site)
+        geometry = placement_geometry(self.scene, self.robot, motion, CONFIG.place.clearance)
+        corners = sampling_box(geometry)
         if corners is None:
             return np.zeros((0, 3))
         x, y = (np.arange(low, high + self.cell, self.cell) for low, high in corners.T)
         yaw = np.radians(np.arange(-180.0, 180.0, self.turn))
         local = np.stack(np.meshgrid(x, y, yaw, indexing="ij"), -1).reshape(-1, 3)
-        return compose(task_frame(site), local)
+        return compose(task_frame(geometry), local)
 
     def feasible(self, scene: Scene, rows: Rows) -> Rows:
         """Which of some poses of the grid are feasible in a scene."""
         if not len(rows):
             return rows
         motion = task_motion(scene, self.robot, self.task, CONFIG.motion)
-        site = placement_geometry(scene, self.robot, motion, CONFIG.place.clearance)
-        rows = rows[standing(site, self.poses[rows])[0] == BaseStatus.CLEAR]
+        geometry = placement_geometry(scene, self.robot, motion, CONFIG.place.clearance)
+        rows = rows[base_pose_status(geometry, self.poses[rows])[0] == BaseStatus.CLEAR]
         world = collision_world(self.robot, motion, CONFIG)
-        roomy, _ = hand_clears(self.robot, world, motion)
-        scores = self.reach.weakest(self.poses[rows], site.Ts_world_tool) * roomy
+        roomy, _ = collision_free_grasps(self.robot, world, motion)
+        scores = self.reach.min_score(self.poses[rows], geometry.Ts_world_tool) * roomy
         reached = scores.max(1, initial=0.0) > 0
         rows, scores = rows[reached], scores[reached]
         check = Feasibility(

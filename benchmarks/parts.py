@@ -26,7 +26,7 @@ from momapos.reconstruction.network import FrontNetwork
 from momapos.types import Front
 from parts_real import TrueFace, TruePart, photo_faces, real_faces
 
-COLOURS = {
+COLORS = {
     "door_left": "red",
     "door_right": "lime",
     "door_down": "cyan",
@@ -112,12 +112,12 @@ def drawn_faces(number: int, seed: int, mix: generator.Mix) -> Iterator[TrueFace
 def picture(true: TrueFace, front: Front, side: int = 320) -> Image.Image:
     """A face with its true parts (left) and the predicted ones (right)."""
     sheet = Image.new("RGB", (2 * side + 4, side))
-    image = Image.fromarray(true.face.colour).resize((side, side))
+    image = Image.fromarray(true.face.color).resize((side, side))
     right = image.copy()
     for canvas, parts in ((image, true.parts), (right, front.parts)):
         pen = ImageDraw.Draw(canvas)
         for part in parts:
-            pen.rectangle([v * side for v in part.box], outline=COLOURS[part.kind or "drawer"])
+            pen.rectangle([v * side for v in part.box], outline=COLORS[part.kind or "drawer"])
             grips = part.handles if isinstance(part, TruePart) else (part.handle,)
             for grip in grips:
                 if grip is not None:

@@ -55,7 +55,7 @@ class _Solid:
     """All visible triangles of an object, and what each belongs to."""
 
     mesh: trimesh.Trimesh
-    colours: np.ndarray
+    colors: np.ndarray
     """(faces, 3) in [0, 1]."""
     moving: np.ndarray
     """(faces,) index of the joint that moves a triangle, -1 where none does."""
@@ -97,7 +97,7 @@ def _scales(scene: Path) -> dict[str, float]:
 
 
 def _load(path: Path, scale: float) -> _Solid:
-    """Read a model's visual meshes with their colours, all joints closed."""
+    """Read a model's visual meshes with their colors, all joints closed."""
     urdf = yourdfpy.URDF.load(str(path), load_meshes=False, build_scene_graph=True)
     buttons = {
         link.name
@@ -116,7 +116,7 @@ def _load(path: Path, scale: float) -> _Solid:
                 carried[joint.child] = carried[joint.parent]
     # The root is turned to z up by one fixed joint; below it is the frame of the meshes.
     body = next(j.child for j in urdf.robot.joints if j.parent == urdf.base_link)
-    meshes, colours, moving, grips = [], [], [], []
+    meshes, colors, moving, grips = [], [], [], []
     for link in urdf.robot.links:
         T_body_link = urdf.get_transform(link.name, body)
         for visual in link.visuals:
@@ -127,7 +127,7 @@ def _load(path: Path, scale: float) -> _Solid:
             for piece in loaded.dump():
                 piece.apply_transform(T_body_link @ origin)
                 meshes.append(trimesh.Trimesh(piece.vertices, piece.faces, process=False))
-                colours.append(np.tile(_colour(piece), (len(piece.faces), 1)))
+                colors.append(np.tile(_color(piece), (len(piece.faces), 1)))
                 moving.append(np.full(len(piece.faces), carried.get(link.name, -1)))
                 grips.append(np.full(len(piece.faces), (visual.name or "").startswith("handle")))
     mesh = trimesh.util.concatenate(meshes)
@@ -137,12 +137,12 @@ def _load(path: Path, scale: float) -> _Solid:
         T_body_joint = urdf.get_transform(joint.child, body)
         kinds.append((joint.type, T_body_joint[:3, :3] @ joint.axis, scale * T_body_joint[:3, 3]))
     return _Solid(
-        mesh, np.concatenate(colours), np.concatenate(moving), np.concatenate(grips), kinds
+        mesh, np.concatenate(colors), np.concatenate(moving), np.concatenate(grips), kinds
     )
 
 
-def _colour(piece: trimesh.Trimesh) -> np.ndarray:
-    """Mean colour of a piece."""
+def _color(piece: trimesh.Trimesh) -> np.ndarray:
+    """Mean color of a piece."""
     material = getattr(piece.visual, "material", None)
     picture = getattr(material, "image", None)
     if picture is not None:
@@ -172,7 +172,7 @@ def _render(name: str, solid: _Solid, rng: np.random.Generator, *, straight: boo
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     hit = solid.mesh.ray.intersects_first(origins, rays)
     seen = hit >= 0
-    depth, colour = np.full(len(plane), np.nan), np.full((len(plane), 3), rng.choice([0.95, 0.5]))
+    depth, color = np.full(len(plane), np.nan), np.full((len(plane), 3), rng.choice([0.95, 0.5]))
     corner = solid.mesh.triangles[hit[seen], 0]
     normal = solid.mesh.face_normals[hit[seen]]
     facing = np.einsum("ij,ij->i", normal, rays[seen])
@@ -183,21 +183,21 @@ def _render(name: str, solid: _Solid, rng: np.random.Generator, *, straight: boo
     lamp = rng.normal((0, 0.5, 1.2), (0.5, 0.3, 0.0))
     lamp /= np.linalg.norm(lamp)
     light = 0.2 + 0.2 * np.abs(facing) + 0.4 * np.clip(normal @ lamp, 0, 1)
-    colour[seen] = solid.colours[hit[seen]] * light[:, None]
+    color[seen] = solid.colors[hit[seen]] * light[:, None]
     shape = (rows, columns)
     parts = _parts(solid, np.where(seen, hit, -1).reshape(shape))
-    face = _face(colour.reshape(*shape, 3), depth.reshape(shape), size, rng)
+    face = _face(color.reshape(*shape, 3), depth.reshape(shape), size, rng)
     return TrueFace(name, face, parts)
 
 
 def _face(
-    colour: np.ndarray, depth: np.ndarray, size: np.ndarray, rng: np.random.Generator
+    color: np.ndarray, depth: np.ndarray, size: np.ndarray, rng: np.random.Generator
 ) -> FaceImage:
     """Darken corners, add a camera's noise, and measure depth from the fronts."""
     solid = np.where(np.isfinite(depth), depth, np.nanmin(depth))
     near = np.clip((ndimage.uniform_filter(solid, 9) - solid) / 0.03, 0, 1)
     wide = np.clip((ndimage.uniform_filter(solid, 41) - solid) / 0.15, 0, 1)
-    image = colour * (1 - 0.4 * near - 0.25 * wide)[..., None]
+    image = color * (1 - 0.4 * near - 0.25 * wide)[..., None]
     image = np.clip(image * rng.uniform(0.8, 1.2), 0, 1) ** rng.uniform(0.7, 1.0)
     image = ndimage.gaussian_filter(image, (0.6, 0.6, 0)) + rng.normal(0, 0.012, image.shape)
     nearest = np.nanmax(depth)
@@ -221,9 +221,9 @@ def _parts(solid: _Solid, hit: np.ndarray) -> tuple[TruePart, ...]:
         bare = mask & ~grip
         box = _bounds(bare if bare.any() else mask, 0.003)
         low, high = solid.mesh.bounds
-        centre = np.array([(box[0] + box[2]) / 2, 1 - (box[1] + box[3]) / 2])
-        centre = low[:2] + centre * (high - low)[:2]
-        way = _way(kind, axis, origin[:2] - centre)
+        center = np.array([(box[0] + box[2]) / 2, 1 - (box[1] + box[3]) / 2])
+        center = low[:2] + center * (high - low)[:2]
+        way = _way(kind, axis, origin[:2] - center)
         if way is None:
             continue
         pieces, count = ndimage.label(ndimage.binary_dilation(mask & grip, iterations=4))
@@ -242,7 +242,7 @@ def _bounds(mask: np.ndarray, tail: float) -> Box:
 
 
 def _way(kind: str, axis: np.ndarray, hinge: np.ndarray) -> PartKind | None:
-    """How a part opens; `hinge` is from its centre to its axis, x right and y up."""
+    """How a part opens; `hinge` is from its center to its axis, x right and y up."""
     main = int(np.abs(axis).argmax())
     if kind == "prismatic":
         return "drawer" if main == 2 else None

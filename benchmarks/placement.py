@@ -122,7 +122,7 @@ def _ground_truth(scene, robot, task, reach) -> dict[str, Any]:  # type: ignore[
 
 
 def report(rows: list[dict[str, Any]]) -> str:
-    """Summarise as Markdown."""
+    """Summarize as Markdown."""
     done = [r for r in rows if "seconds" in r]
     lines = [f"machine: {machine()}", ""]
     for name in dict.fromkeys(r["robot"] for r in done):

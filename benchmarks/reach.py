@@ -48,7 +48,7 @@ def main(robots: tyro.conf.Positional[tuple[str, ...]] = (), count: int = 20_000
         robots: Names of library robots; all where none is given.
         count: Random poses per robot.
     """
-    tiny = ReachConfig(cell=0.3, directions=3, bearings=2, spins=1)
+    tiny = ReachConfig(cell=0.3, directions=3, azimuths=2, spins=1)
     # Compile first, and say what that takes.
     began = time.perf_counter()
     build_map(load_robot("husky_ur5e"), tiny)
@@ -115,7 +115,7 @@ def speeds(reach: ReachMap, robot: Robot) -> tuple[float, float]:
     Ts[..., :3, 3] += np.linspace(0, 0.4, 12)[:, None] * pose((1, 0.5, 0))[:3, 3]
     bases = np.column_stack([rng.uniform(-1.2, 1.2, (2_000, 2)), rng.uniform(-3, 3, 2_000)])
     floor = np.arange(-3.0, 3.01, 0.05)
-    weakest = best(lambda: reach.weakest(bases, Ts)) / (len(bases) * Ts.shape[0] * Ts.shape[1])
+    weakest = best(lambda: reach.min_score(bases, Ts)) / (len(bases) * Ts.shape[0] * Ts.shape[1])
     return 1e9 * weakest, 1e3 * max(
         best(partial(reach.base_scores, T, floor, floor), 30) for T in Ts[:10, 0]
     )

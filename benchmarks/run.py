@@ -21,7 +21,7 @@ RUNS = (
     ["drive.py"],
     ["boxes.py", "bench_out/boxes", "--count", "6", "--shared"],
     ["parts.py", "--shared", str(shared())],
-    ["modelling_error.py", "--out", "bench_out"],
+    ["modeling_error.py", "--out", "bench_out"],
     ["scan.py", "--rooms", "17", "--out", "bench_out"],
     ["scaling.py"],
     ["importance.py"],

@@ -44,7 +44,7 @@ def crowd(scene: Scene, count: int) -> Scene:
         size = tuple(rng.uniform(0.1, 0.5, 3))
         model = Articulated(box_urdf(f"box_{i}", size))
         more.append(SceneObject(f"box_{i}", "box", pose((x, y, size[2] / 2)), model))
-    return replace(scene, objects=(*scene.objects[: max(count, 1)], *more), floor=None)
+    return replace(scene, objects=(*scene.objects[: max(count, 1)], *more), floor_polygon=None)
 
 
 def main() -> None:

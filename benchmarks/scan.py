@@ -29,7 +29,7 @@ from momapos.pipeline import plan_base_placement
 from momapos.placement.place import PlaceConfig
 from momapos.reachability.store import load_reach_map
 from momapos.robots.robot import load_robot
-from momapos.scan_pipeline import Modelled, default_tools, scan_to_scene
+from momapos.scan_pipeline import Modeled, default_tools, scan_to_scene
 from momapos.scene.files import load_scene
 from momapos.scene.scene import Scene
 from momapos.verification.exact import PlanVerifier
@@ -91,7 +91,7 @@ def match(
     return found
 
 
-def compare(room: Room, result: Modelled, scanned: Scene) -> list[Door]:
+def compare(room: Room, result: Modeled, scanned: Scene) -> list[Door]:
     """Every joint of the room against the scan."""
     back = invert(result.T_scene_scan)
     matches, doors = match(room.scene, scanned, back), []

@@ -3,7 +3,7 @@
 import momapos
 
 scene = momapos.load_scene("kitchen_small")
-robot = momapos.load_robot("segway_ur5e")  # its arm stands a metre high: the drawer is too low
+robot = momapos.load_robot("segway_ur5e")  # its arm stands a meter high: the drawer is too low
 task = momapos.make_task(scene, "open", "cabinet_right", "drawer_bottom_slide")
 plan = momapos.plan_base_placement(scene, robot, task).plan
 

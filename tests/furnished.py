@@ -87,7 +87,7 @@ def photograph(
     noise: float = 0.0,
     rng: np.random.Generator | None = None,
 ) -> Frame:
-    """An image of boxes, each in its own grey; noise is the standard deviation of depth [m]."""
+    """An image of boxes, each in its own gray; noise is the standard deviation of depth [m]."""
     rays = camera.rays() @ T_world_camera[:3, :3].T
     rays = np.where(np.abs(rays) < 1e-9, 1e-9, rays)
     eye = T_world_camera[:3, 3]
@@ -100,9 +100,9 @@ def photograph(
         depth[hit], number[hit] = near[hit], k
     if rng is not None:
         depth = depth + rng.normal(0.0, noise, depth.shape)
-    grey = np.where(np.isfinite(depth), 40 + 10 * number, 0).astype(np.uint8)
+    gray = np.where(np.isfinite(depth), 40 + 10 * number, 0).astype(np.uint8)
     depth = np.where(np.isfinite(depth), depth, 0.0).astype(np.float32)
-    return Frame("frame", np.repeat(grey[..., None], 3, axis=-1), depth, camera.K, T_world_camera)
+    return Frame("frame", np.repeat(gray[..., None], 3, axis=-1), depth, camera.K, T_world_camera)
 
 
 def cloud_of(

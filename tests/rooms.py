@@ -44,7 +44,7 @@ WALLS = (
 class Everywhere:
     """A reach scorer for which every pose is as good as any."""
 
-    def weakest(
+    def min_score(
         self, bases: Float[np.ndarray, "n 3"], Ts_world_tool: Float[np.ndarray, "g w 4 4"]
     ) -> Float[np.ndarray, "n g"]:
         """Score 1 for all."""
@@ -74,8 +74,8 @@ def move_scene(scene: Scene, x: float, y: float, yaw: float) -> Scene:
     R = rotation_about(np.array([0.0, 0.0, 1.0]), yaw)
     T = pose((x, y, 0.0), R)
     objects = tuple(replace(o, T_world_object=T @ o.T_world_object) for o in scene.objects)
-    floor = None if scene.floor is None else scene.floor @ R[:2, :2].T + [x, y]
+    floor = None if scene.floor_polygon is None else scene.floor_polygon @ R[:2, :2].T + [x, y]
     start = scene.start
     if start is not None:
         start = np.array([*(R[:2, :2] @ start[:2] + [x, y]), start[2] + yaw])
-    return replace(scene, objects=objects, floor=floor, start=start)
+    return replace(scene, objects=objects, floor_polygon=floor, start=start)

@@ -471,10 +471,10 @@ def test_a_damaged_srdf_is_refused(room: Path, content: bytes) -> None:
     refused(room, lambda: load_robot(room / "r.toml"), str(room / "r.srdf"))
 
 
-def test_an_arm_of_kilometres_is_refused(room: Path) -> None:
+def test_an_arm_of_kilometers_is_refused(room: Path) -> None:
     (room / "r.urdf").write_text(ROBOT_URDF.replace('"0.4 0 0"', '"4000 0 0"'))
     (room / "r.toml").write_text(ROBOT_TOML)
-    refused(room, lambda: load_robot(room / "r.toml"), "metres")
+    refused(room, lambda: load_robot(room / "r.toml"), "meters")
 
 
 @pytest.mark.parametrize("name", ["fetsh", "gone.toml", "r.urdf", "x" * 5000])

@@ -1,4 +1,4 @@
-"""The set S in an answer: what is modelled, what joins, and that nothing is ever missed."""
+"""The set S in an answer: what is modeled, what joins, and that nothing is ever missed."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_lowering_alpha_ends_with_everything_and_never_loses_an_object() -> None
     ranked = rank(load_scene("kitchen_small"), "fridge")
     selection, sizes = Selection(ranked, 1.0), []
     while selection.boxes:
-        before, selection = set(selection.names), selection.lowered()
+        before, selection = set(selection.names), selection.relax_alpha()
         assert before < set(selection.names)
         sizes.append(len(selection.names))
     assert sizes[-1] == len(ranked.names)
@@ -71,7 +71,7 @@ def test_what_joins_stays_whatever_its_score() -> None:
     selection = Selection(ranked, 1.0).join(["cup"])
     assert set(selection.names) == {"fridge", "cup"}
     assert "cup" not in selection.boxes
-    assert "cup" in selection.lowered().names
+    assert "cup" in selection.relax_alpha().names
 
 
 def test_a_box_that_is_in_the_way_falls_and_its_object_does_not(
@@ -79,7 +79,9 @@ def test_a_box_that_is_in_the_way_falls_and_its_object_does_not(
 ) -> None:
     """Among four posts there is room; in the box around them there is none."""
     scene, robot = porch_room(tmp_path), robots("segway_ur5e")
-    assert ask(scene.boxed({"cabinet"}), robot, "cabinet", 0.0).plan.status == "infeasible"
+    assert (
+        ask(scene.with_box_proxies({"cabinet"}), robot, "cabinet", 0.0).plan.status == "infeasible"
+    )
     answer = ask(scene, robot, "cabinet", 1.0)
     assert answer.plan.status == "solved"
     assert answer.plan.key_objects is not None
@@ -118,7 +120,7 @@ def test_a_box_that_a_plan_comes_near_joins_and_the_plan_is_checked_again(
     assert joined.scores["counter"] < joined.alpha
 
 
-def test_the_plan_file_says_what_was_modelled(
+def test_the_plan_file_says_what_was_modeled(
     tmp_path: Path, robots: Callable[[str], Robot]
 ) -> None:
     answer = ask(load_scene("kitchen_small"), robots("segway_ur5e"), "microwave", 0.9)
@@ -130,7 +132,7 @@ def test_what_is_free_among_boxes_is_free_among_objects() -> None:
     """Each box holds its object's every corner, whatever way the object is turned."""
     scene = load_scene("kitchen_island")
     for item in scene.objects:
-        box = item.boxed
+        box = item.box_proxy
         half = np.array(box.model.urdf.links["box"].collisions[0].size) / 2
         local = (item.vertices - box.T_world_object[:3, 3]) @ box.T_world_object[:3, :3]
         assert (np.abs(local) <= half + 1e-9).all()

@@ -17,7 +17,7 @@ from momapos.reconstruction.build import GivenModel
 from momapos.reconstruction.network import FrontNetwork
 from momapos.reconstruction.templates import TemplatePredictor
 from momapos.scan_io.scan import read_scan
-from momapos.scan_pipeline import Modelled, Tools, scan_to_scene
+from momapos.scan_pipeline import Modeled, Tools, scan_to_scene
 from momapos.scan_report import report_to_dict, write_report
 from momapos.scene.files import load_scene
 from momapos.segmentation.segmenter import ClassicalSegmenter
@@ -47,7 +47,7 @@ def tools() -> Tools:
 
 
 @pytest.fixture(scope="module")
-def made(scan: Scan, tools: Tools, tmp_path_factory: pytest.TempPathFactory) -> Modelled:
+def made(scan: Scan, tools: Tools, tmp_path_factory: pytest.TempPathFactory) -> Modeled:
     return scan_to_scene(scan, tmp_path_factory.mktemp("made") / "scene.json", tools)
 
 
@@ -57,7 +57,7 @@ def true_fridge(folder: Path) -> UprightBox:
     return UprightBox(np.array(fridge["center"]), np.array(fridge["size"]), fridge["yaw"])
 
 
-def nearest(made: Modelled, box: UprightBox) -> str:
+def nearest(made: Modeled, box: UprightBox) -> str:
     gaps = {
         d.detection.name: np.linalg.norm(d.detection.box.center - box.center)
         for d in made.decisions
@@ -65,7 +65,7 @@ def nearest(made: Modelled, box: UprightBox) -> str:
     return min(gaps, key=lambda name: gaps[name])
 
 
-def same_door(made: Modelled, folder: Path) -> tuple[str, str, float]:
+def same_door(made: Modeled, folder: Path) -> tuple[str, str, float]:
     """The fridge of the scan, its door that is the true one, and how far its handle strays [m]."""
     truth, scene = load_scene("kitchen_small"), load_scene(str(made.scene))
     name = nearest(made, true_fridge(folder))
@@ -79,13 +79,13 @@ def same_door(made: Modelled, folder: Path) -> tuple[str, str, float]:
     return name, door, gaps[door]
 
 
-def test_the_fridge_of_a_scan_opens_where_the_true_one_does(made: Modelled, folder: Path) -> None:
+def test_the_fridge_of_a_scan_opens_where_the_true_one_does(made: Modeled, folder: Path) -> None:
     _, _, gap = same_door(made, folder)
     assert gap < 0.06
 
 
 def test_a_scan_becomes_a_scene_in_which_a_robot_opens_the_fridge(
-    made: Modelled, folder: Path, tmp_path: Path
+    made: Modeled, folder: Path, tmp_path: Path
 ) -> None:
     name, door, _ = same_door(made, folder)
     plan = tmp_path / "plan.json"
@@ -95,8 +95,8 @@ def test_a_scan_becomes_a_scene_in_which_a_robot_opens_the_fridge(
     assert json.loads(plan.read_text())["status"] == "solved"
 
 
-def test_only_what_matters_for_the_target_is_modelled(
-    made: Modelled, scan: Scan, tools: Tools, folder: Path, tmp_path: Path
+def test_only_what_matters_for_the_target_is_modeled(
+    made: Modeled, scan: Scan, tools: Tools, folder: Path, tmp_path: Path
 ) -> None:
     target = nearest(made, true_fridge(folder))
     result = scan_to_scene(scan, tmp_path / "scene.json", tools, target=target)
@@ -128,7 +128,7 @@ def test_boxes_that_someone_gives_are_taken_and_given_models_too(
 
 
 def test_the_report_says_why_everything_is_what_it_is(
-    made: Modelled, scan: Scan, tmp_path: Path
+    made: Modeled, scan: Scan, tmp_path: Path
 ) -> None:
     data = report_to_dict(made, scan, None)
     out = tmp_path / "scene.json"

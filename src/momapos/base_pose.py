@@ -1,4 +1,4 @@
-"""Is this base pose feasible? One pose, all grasps, the room fully modelled."""
+"""Is this base pose feasible? One pose, all grasps, the room fully modeled."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from momapos.config import PipelineConfig
 from momapos.outcomes import PoseOutcome, PoseStatus
-from momapos.placement.area import BaseStatus, standing
+from momapos.placement.area import BaseStatus, base_pose_status
 from momapos.placement.place import BASE_OUTCOMES
 from momapos.prepare import prepare
 from momapos.protocols import ReachScorer
@@ -40,7 +40,7 @@ def check_base_pose(
 ) -> Attempt:
     """Plan the arm's motion at one base pose, or say why there is none.
 
-    All grasps are tried, and every object of the room is modelled. Nothing is driven: whether a
+    All grasps are tried, and every object of the room is modeled. Nothing is driven: whether a
     way leads to the pose does not count.
 
     Args:
@@ -64,14 +64,14 @@ def check_base_pose(
     prepared = prepare(scene, robot, task, config, clearance=0.0)
     if prepared.infeasible_reason:
         return Attempt(None, PoseOutcome(PoseStatus.TASK_INFEASIBLE, prepared.infeasible_reason))
-    status = BaseStatus(standing(prepared.geometry, base[None])[0][0])
+    status = BaseStatus(base_pose_status(prepared.geometry, base[None])[0][0])
     if status != BaseStatus.CLEAR:
         return Attempt(None, BASE_OUTCOMES[status])
     if reach is None:
         reach = load_reach_map(robot, cache_dir)
     feasible = prepared.feasibility(config, seed)
     # The map is right for most poses, not for all: it orders the grasps and rules none out.
-    scores = reach.weakest(base[None], prepared.geometry.Ts_world_tool)
+    scores = reach.min_score(base[None], prepared.geometry.Ts_world_tool)
     screened = feasible.screen(base[None], np.maximum(scores, LEAST_SCORE), None)
     assert screened is not None
     if screened[0].q is None:

@@ -51,7 +51,7 @@ def content_key(*parts: object) -> str:
             kind, data = "bytes", part
         else:
             kind, data = type(part).__name__, repr(part).encode()
-        # The length keeps neighbours apart: ("ab", "c") is not ("a", "bc").
+        # The length keeps neighbors apart: ("ab", "c") is not ("a", "bc").
         digest.update(f"{kind} {len(data)}\n".encode())
         digest.update(data)
     return digest.hexdigest()[:32]

@@ -16,7 +16,7 @@ class PipelineConfig:
 
     importance: ImportanceConfig = field(default_factory=ImportanceConfig)
     near: float = 0.05
-    """A plan that comes this near to a box has its object modelled, and is checked again [m]."""
+    """A plan that comes this near to a box has its object modeled, and is checked again [m]."""
     motion: MotionConfig = field(default_factory=MotionConfig)
     place: PlaceConfig = field(default_factory=PlaceConfig)
     planner: PlannerConfig = field(default_factory=PlannerConfig)

@@ -20,12 +20,11 @@ from momapos.geometry.polygons import inscribed_radius
 from momapos.importance.key_objects import Selection, everything, start_of
 from momapos.importance.rank import Importance, rank
 from momapos.manipulation.motion import TaskMotion, task_motion
-from momapos.manipulation.nearness import near_boxes, stood_boxes, swept_boxes
+from momapos.manipulation.nearness import boxes_near_base, boxes_near_swept_volume, near_boxes
 from momapos.manipulation.tasks import hand_path, slides
 from momapos.navigation.cost_map import base_height, build_cost_map, floor_plan
 from momapos.navigation.footprint_map import NavigationMap, build_navigation_map
-from momapos.navigation.global_path import Path as BasePath
-from momapos.navigation.global_path import plan_path
+from momapos.navigation.global_path import BasePath, plan_path
 from momapos.outcomes import PoseOutcome, PoseStatus
 from momapos.placement.place import PoseFilter, Problem, Search, search
 from momapos.prepare import PreparedTask, prepare, start_pose
@@ -34,7 +33,7 @@ from momapos.reachability.store import load_reach_map
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene, upright_boxes
 from momapos.stopwatch import Stopwatch
-from momapos.types import Attempt, PlacementPlan, Screened, Task
+from momapos.types import ArmPathResult, Attempt, PlacementPlan, Task
 from momapos.verification.exact import PlanVerifier
 
 if TYPE_CHECKING:
@@ -80,8 +79,8 @@ def plan_base_placement(
 ) -> PlacementResult:
     """Answer where the robot must stand, and how it moves, to do a task.
 
-    Objects that matter are modelled, all others are boxes; what turns out to matter later is
-    modelled then. A "no" is given with everything modelled.
+    Objects that matter are modeled, all others are boxes; what turns out to matter later is
+    modeled then. A "no" is given with everything modeled.
 
     Args:
         scene: The room.
@@ -107,7 +106,7 @@ def plan_base_placement(
         path = hand_path(scene, task.object, task.joint, task.to)
         ranked = rank(scene, task.object, config.importance, path=path, seed=seed)
     with watch.stage("model"):
-        motion = task_motion(scene.boxed({task.object}), robot, task, config.motion)
+        motion = task_motion(scene.with_box_proxies({task.object}), robot, task, config.motion)
     selection = _first_selection(query, ranked, motion)
     while True:
         result = _search(query, selection, motion)
@@ -118,7 +117,7 @@ def plan_base_placement(
         elif result.plan.status == "timeout" or not selection.boxes:
             break
         else:
-            selection = selection.lowered()
+            selection = selection.relax_alpha()
     timing = {**watch.seconds, "total": watch.total}
     plan = replace(result.plan, key_objects=selection.record(), timing=timing)
     return replace(result, plan=plan)
@@ -151,24 +150,24 @@ def _first_selection(query: _Query, ranked: Importance, motion: TaskMotion) -> S
     selection = start_of(ranked)
     names = selection.boxes
     boxes = upright_boxes([query.scene.object(name) for name in names])
-    hit = swept_boxes(motion, boxes, margin=0.0)
+    hit = boxes_near_swept_volume(motion, boxes, margin=0.0)
     start = query.scene.start if query.start is None else query.start
     if start is not None and np.isfinite(start).all() and len(start) == 3:
-        hit |= stood_boxes(query.robot, np.asarray(start, float), boxes, margin=0.0)
+        hit |= boxes_near_base(query.robot, np.asarray(start, float), boxes, margin=0.0)
     return selection.join(names[i] for i in np.flatnonzero(hit))
 
 
 def _search(query: _Query, selection: Selection, motion: TaskMotion) -> PlacementResult:
-    """Search base poses with the selected objects modelled."""
+    """Search base poses with the selected objects modeled."""
     robot, config, watch = query.robot, query.config, query.watch
-    modelled = query.scene.boxed(selection.names)
+    modeled = query.scene.with_box_proxies(selection.names)
     clearance = config.place.clearance
     prepared = prepare(
-        modelled, robot, query.task, config, clearance=clearance, motion=motion, watch=watch
+        modeled, robot, query.task, config, clearance=clearance, motion=motion, watch=watch
     )
     with watch.stage("drive"):
-        obstacles = prepared.motion.standing_boxes()
-        plan = floor_plan(obstacles, height=base_height(robot), floor=modelled.floor)
+        obstacles = prepared.motion.static_obstacles()
+        plan = floor_plan(obstacles, height=base_height(robot), floor_polygon=modeled.floor_polygon)
         start = start_pose(query.scene, robot, prepared.motion, query.start, query.nav_map)
         cost = build_cost_map(plan, start[:2], radius=inscribed_radius(robot.footprint))
 
@@ -182,7 +181,7 @@ def _search(query: _Query, selection: Selection, motion: TaskMotion) -> Placemen
     paths: dict[bytes, BasePath | None] = {}
 
     def attempt(
-        base: Float[np.ndarray, "3"], screened: Screened, grasps: Int[np.ndarray, " k"]
+        base: Float[np.ndarray, "3"], screened: ArmPathResult, grasps: Int[np.ndarray, " k"]
     ) -> Attempt:
         """A motion at a base pose that can be driven to with the arm at home."""
         found = feasible(base, screened, grasps)
@@ -195,7 +194,7 @@ def _search(query: _Query, selection: Selection, motion: TaskMotion) -> Placemen
         return found
 
     problem = Problem(
-        site=prepared.geometry,
+        geometry=prepared.geometry,
         reach=query.reach,
         travel_cost=cost.lengths,
         attempt=attempt,
@@ -228,7 +227,7 @@ def _expand_model(
     assert pose is not None
     robot, motion = query.robot, result.prepared.motion
     while selection.boxes:
-        with query.watch.stage("look around"):
+        with query.watch.stage("expand model"):
             names = selection.boxes
             boxes = upright_boxes([query.scene.object(name) for name in names])
             near = near_boxes(
@@ -239,7 +238,9 @@ def _expand_model(
         joined = selection.join(names[i] for i in np.flatnonzero(near))
         selection = replace(joined, rounds=selection.rounds + 1)
         with query.watch.stage("exact check"):
-            verifier = PlanVerifier(query.scene.boxed(selection.names), robot, query.task)
+            verifier = PlanVerifier(
+                query.scene.with_box_proxies(selection.names), robot, query.task
+            )
             violation = verifier.first_violation(pose, found)
         if violation is not None:
             return selection, False

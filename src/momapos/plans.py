@@ -216,7 +216,7 @@ class _Hashes(msgspec.Struct):
     hashes: dict[str, str] = {}
 
 
-class _Head(msgspec.Struct):
+class _PlanHead(msgspec.Struct):
     format: Any = None
     version: Any = None
 
@@ -230,7 +230,7 @@ def read_plan(path: Path) -> PlacementPlan:
         FileFormatError: It is no plan that can be used; one line says what is wrong and where.
     """
     content = _content(path)
-    head = _decode(content, _Head, path)
+    head = _decode(content, _PlanHead, path)
     if head.format != FORMAT:
         raise FileFormatError(
             f'{path}: not a plan; a plan has "format": {FORMAT!r}, this file has '

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.config import PipelineConfig
-from momapos.kinematics.world import World, build_world
-from momapos.manipulation.feasibility import Feasibility, hand_clears
+from momapos.kinematics.world import CollisionWorld, build_world
+from momapos.manipulation.feasibility import Feasibility, collision_free_grasps
 from momapos.manipulation.motion import LIFT, TaskMotion, in_room, room_boxes, task_motion
 from momapos.manipulation.tasks import in_front_of_parts
 from momapos.navigation.cost_map import base_height, floor_plan
 from momapos.navigation.footprint_map import NavigationMap
 from momapos.navigation.start import check_arm_at_home, check_base, find_start
-from momapos.placement.area import Site
+from momapos.placement.area import PlacementGeometry
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene
 from momapos.stopwatch import Stopwatch
@@ -33,14 +33,14 @@ class PreparedTask:
     """A scene, a robot and a task, made ready."""
 
     scene: Scene
-    """The room as it is modelled."""
+    """The room as it is modeled."""
     robot: Robot
     task: Task
     motion: TaskMotion
     """Tool poses of the grasps for which the hand has room; of all where it has none for any."""
-    world: World
+    world: CollisionWorld
     """The room as the arm's collision kernel wants it."""
-    geometry: Site
+    geometry: PlacementGeometry
     """The room and the task as placement wants them."""
     verifier: PlanVerifier
     infeasible_reason: str
@@ -90,7 +90,7 @@ def prepare(
     """Make a scene, a robot and a task ready.
 
     Args:
-        scene: The room as it is to be modelled.
+        scene: The room as it is to be modeled.
         robot: The mobile manipulator.
         task: What is to be done.
         config: How to plan.
@@ -109,7 +109,7 @@ def prepare(
         else:
             motion = in_room(motion, scene)
         world = collision_world(robot, motion, config)
-        has_room, obstacle = hand_clears(robot, world, motion)
+        has_room, obstacle = collision_free_grasps(robot, world, motion)
         if has_room.any():
             motion = replace(motion, Ts_world_tool=motion.Ts_world_tool[has_room])
     with watch.stage("exact model"):
@@ -121,19 +121,21 @@ def prepare(
     return PreparedTask(scene, robot, task, motion, world, geometry, verifier, reason)
 
 
-def placement_geometry(scene: Scene, robot: Robot, motion: TaskMotion, clearance: float) -> Site:
+def placement_geometry(
+    scene: Scene, robot: Robot, motion: TaskMotion, clearance: float
+) -> PlacementGeometry:
     """The room and the task as placement wants them; the base keeps a clearance [m]."""
-    return Site(
+    return PlacementGeometry(
         robot=robot,
-        Ts_world_tool=np.ascontiguousarray(motion.Ts_world_tool[:, motion.coarse]),
+        Ts_world_tool=np.ascontiguousarray(motion.Ts_world_tool[:, motion.waypoint_steps]),
         static=motion.static,
         sweep=motion.sweep(),
-        floor=scene.floor,
+        floor_polygon=scene.floor_polygon,
         clearance=clearance,
     )
 
 
-def collision_world(robot: Robot, motion: TaskMotion, config: PipelineConfig) -> World:
+def collision_world(robot: Robot, motion: TaskMotion, config: PipelineConfig) -> CollisionWorld:
     """The room and the moving part as the arm's collision kernel wants them."""
     return build_world(
         motion.static,
@@ -155,7 +157,7 @@ def start_pose(
     """The start that was given, the scene's, or a roomy place in front of the furniture.
 
     Args:
-        scene: The whole room; where nobody gives a start, all of it is modelled to find one.
+        scene: The whole room; where nobody gives a start, all of it is modeled to find one.
         robot: The robot.
         motion: The task, among the boxes that the start is checked against.
         given: x [m], y [m], yaw [rad], or None.
@@ -168,14 +170,14 @@ def start_pose(
     if given is None:
         return _roomy_start(scene, nav_map)
     pose = np.asarray(given, float)
-    check_base(pose, robot, motion.standing_boxes(), motion.labels, scene.floor)
+    check_base(pose, robot, motion.static_obstacles(), motion.labels, scene.floor_polygon)
     check_arm_at_home(nav_map, pose)
     return pose
 
 
 @lru_cache(maxsize=32)
 def _roomy_start(scene: Scene, nav_map: NavigationMap) -> Float[np.ndarray, "3"]:
-    """A roomy place in front of the furniture, all of it modelled."""
+    """A roomy place in front of the furniture, all of it modeled."""
     height = base_height(nav_map.robot)
-    plan = floor_plan(room_boxes(scene), height=height, floor=scene.floor)
+    plan = floor_plan(room_boxes(scene), height=height, floor_polygon=scene.floor_polygon)
     return find_start(plan, in_front_of_parts(scene), nav_map)

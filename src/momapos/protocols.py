@@ -21,7 +21,7 @@ Clock = Callable[[], float]
 class ReachScorer(Protocol):
     """Says how well an arm reaches tool poses."""
 
-    def weakest(
+    def min_score(
         self, bases: Float[np.ndarray, "n 3"], Ts_world_tool: Float[np.ndarray, "g w 4 4"]
     ) -> Float[np.ndarray, "n g"]:
         """Smallest score over the waypoints, for each base pose and grasp, in [0, 1]."""

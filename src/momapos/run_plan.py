@@ -28,7 +28,7 @@ from momapos.navigation.clearance import gaps
 from momapos.navigation.drive import DriveConfig, drive
 from momapos.navigation.drive_record import DriveRecord
 from momapos.navigation.footprint_map import NavigationMap, build_navigation_map
-from momapos.navigation.localisation import NoiseConfig
+from momapos.navigation.localization import NoiseConfig
 from momapos.pipeline import plan_base_placement
 from momapos.prepare import start_pose
 from momapos.protocols import Clock, ReachScorer

@@ -78,7 +78,7 @@ class ScanConfig:
     rows: RowConfig = field(default_factory=RowConfig)
     view: ViewConfig = field(default_factory=ViewConfig)
     importance: ImportanceConfig = field(default_factory=ImportanceConfig)
-    """Which objects are modelled when a target is named."""
+    """Which objects are modeled when a target is named."""
     model: ModelConfig = field(default_factory=ModelConfig)
 
 
@@ -129,7 +129,7 @@ class Decision:
     source: PartSource | None
     """Where the parts are from; None for a box."""
     reason: str
-    """Why it stays a box; "" where it is modelled."""
+    """Why it stays a box; "" where it is modeled."""
     seconds: float = 0.0
     model: Piece | SceneObject | None = None
     """What stands in the scene; None for a box."""
@@ -137,7 +137,7 @@ class Decision:
 
 
 @dataclass(frozen=True, eq=False)
-class Modelled:
+class Modeled:
     """A scene made from a scan, with all that was decided on the way."""
 
     scene: Path
@@ -162,14 +162,14 @@ def scan_to_scene(
     config: ScanConfig | None = None,
     progress: Progress | None = None,
     clock: Clock = time.perf_counter,
-) -> Modelled:
+) -> Modeled:
     """Make a scene whose doors and drawers open from a scan of a room.
 
     Args:
         scan: Posed images, a cloud, or both.
         out: The scene file to write; URDF files go into a folder beside it.
         tools: Segmenter and predictors; `default_tools` by default.
-        target: Object that the task will be about: only what matters for it is modelled. By
+        target: Object that the task will be about: only what matters for it is modeled. By
             default everything is that has a front.
         found: What a 2-D detector found in the images; projected boxes by default.
         given: URDF files for objects by name or label, which need no prediction.
@@ -199,7 +199,7 @@ def scan_to_scene(
         detections = boxes(cloud, instances, room, config.boxes)
     detections = without_pieces(detections, cloud)
     if found is not None:
-        detections = [_relabelled(item, frames, found) for item in detections]
+        detections = [_relabeled(item, frames, found) for item in detections]
     detections = named(detections)
     marks["rows"] = clock()
     if not detections:
@@ -220,7 +220,7 @@ def scan_to_scene(
     marks["write"] = clock()
     timing = dict(zip(marks, np.diff([began, *marks.values()]).tolist(), strict=True))
     timing["total"] = clock() - began
-    return Modelled(out, cloud, frames, T, tuple(decisions), timing)
+    return Modeled(out, cloud, frames, T, tuple(decisions), timing)
 
 
 def _silent(what: str, share: float) -> None:
@@ -234,7 +234,7 @@ def _turned(
     cloud: Cloud, frames: Sequence[Frame], T: Float[np.ndarray, "4 4"]
 ) -> tuple[Cloud, tuple[Frame, ...]]:
     """Everything in the upright world."""
-    upright_cloud = Cloud(apply(T, cloud.points), cloud.normals @ T[:3, :3].T, cloud.colours)
+    upright_cloud = Cloud(apply(T, cloud.points), cloud.normals @ T[:3, :3].T, cloud.colors)
     return upright_cloud, tuple(replace(f, T_world_camera=T @ f.T_world_camera) for f in frames)
 
 
@@ -268,7 +268,7 @@ def divide(
     return instances, before
 
 
-def _relabelled(item: Detection, frames: Sequence[Frame], found: Found) -> Detection:
+def _relabeled(item: Detection, frames: Sequence[Frame], found: Found) -> Detection:
     """A 2-D detector that was trained on images knows better what a thing is."""
     return replace(item, label=vote_label(item.box, frames, found) or item.label)
 

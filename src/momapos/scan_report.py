@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from momapos.scan_pipeline import Decision, Modelled
+from momapos.scan_pipeline import Decision, Modeled
 from momapos.scene.files import load_scene, write_whole
 from momapos.types import Scan
 
@@ -17,7 +17,7 @@ FORMAT, VERSION = "momapos-scan-report", 1
 NAME = "scan_report.json"
 
 
-def report_to_dict(result: Modelled, scan: Scan, target: str | None) -> dict[str, Any]:
+def report_to_dict(result: Modeled, scan: Scan, target: str | None) -> dict[str, Any]:
     """The report as plain values; lengths in [m], angles in [deg]."""
     return {
         "format": FORMAT,
@@ -34,7 +34,7 @@ def report_to_dict(result: Modelled, scan: Scan, target: str | None) -> dict[str
     }
 
 
-def _decision(decision: Decision, result: Modelled) -> dict[str, Any]:
+def _decision(decision: Decision, result: Modeled) -> dict[str, Any]:
     item, view = decision.detection, decision.view
     data: dict[str, Any] = {
         "name": item.name,
@@ -75,7 +75,7 @@ def _pictures_folder(out: Path) -> Path:
 
 
 def write_report(
-    result: Modelled, data: dict[str, Any], out: Path, *, pictures: bool
+    result: Modeled, data: dict[str, Any], out: Path, *, pictures: bool
 ) -> Path | None:
     """Write `scan_report.json` beside the scene, and an image of every object looked at.
 
@@ -85,7 +85,7 @@ def write_report(
     write_whole(out.parent / NAME, json.dumps(data, indent=1, allow_nan=False) + "\n")
     if not pictures:
         return None
-    from momapos.viewer.modelling import draw_modelled
+    from momapos.viewer.modeling import draw_modeled
 
     folder = _pictures_folder(out)
     folder.mkdir(exist_ok=True)
@@ -95,7 +95,7 @@ def write_report(
             continue
         item = decision.detection
         caption = f"{item.name}: {decision.reason or decision.source}"
-        draw_modelled(
+        draw_modeled(
             item, decision.view, result.frames, result.cloud, scene.object(item.name), caption,
             folder / f"{item.name}.png",
         )  # fmt: skip

@@ -85,5 +85,5 @@ def _works(
 
 
 def rounded(value: float, slides: bool) -> float:
-    """A value that can be written in whole degrees or centimetres [rad] or [m]."""
+    """A value that can be written in whole degrees or centimeters [rad] or [m]."""
     return round(100 * value) / 100 if slides else math.radians(round(math.degrees(value)))

@@ -200,8 +200,8 @@ def time_path(
     pieces = []
     for first, last in pairwise(ends):
         part = slice(first, last + 1)
-        travelled = None if length is None else length[part] - length[first]
-        pieces.append(_piece(q[part], travelled, speed, acceleration, tool_speed, step))
+        traveled = None if length is None else length[part] - length[first]
+        pieces.append(_piece(q[part], traveled, speed, acceleration, tool_speed, step))
     timed, _ = joined(pieces)
     begin = np.cumsum([0, *map(len, pieces[:-1])]) * step
     passed = [t + piece.state_times[1:] for t, piece in zip(begin, pieces, strict=True)]
@@ -223,7 +223,7 @@ def _corners(q: Float[np.ndarray, "m n"]) -> Bool[np.ndarray, " m"]:
 
 def _piece(
     q: Float[np.ndarray, "m n"],
-    travelled: Float[np.ndarray, " m"] | None,
+    traveled: Float[np.ndarray, " m"] | None,
     speed: Float[np.ndarray, " n"],
     acceleration: Float[np.ndarray, " n"],
     tool_speed: float,
@@ -236,8 +236,8 @@ def _piece(
     logging.getLogger("toppra").setLevel(logging.ERROR)
     n = q.shape[1]
     path = q
-    if travelled is not None and travelled[-1] > 1e-6:
-        path = np.column_stack([q, travelled])
+    if traveled is not None and traveled[-1] > 1e-6:
+        path = np.column_stack([q, traveled])
         speed, acceleration = np.append(speed, tool_speed), np.append(acceleration, 1e3)
     s = _along_max(q)
     spline = toppra.SplineInterpolator(s, path)

@@ -24,11 +24,11 @@ class Frame:
     """One picture of a scan and where it was taken from."""
 
     name: str
-    colour: UInt8[np.ndarray, "h w 3"]
+    color: UInt8[np.ndarray, "h w 3"]
     depth: Float32[np.ndarray, "h w"] | None
     """Distance along the optical axis [m], 0 where it was not measured; None without a sensor."""
     intrinsics: Float[np.ndarray, "3 3"]
-    """Of colour and depth, which are registered [px]."""
+    """Of color and depth, which are registered [px]."""
     T_world_camera: Float[np.ndarray, "4 4"]
     """Camera axes as in OpenCV: x right, y down, z forward."""
 
@@ -40,7 +40,7 @@ class Cloud:
     points: Float[np.ndarray, "n 3"]
     normals: Float[np.ndarray, "n 3"]
     """Unit vectors toward the side that was seen."""
-    colours: UInt8[np.ndarray, "n 3"]
+    colors: UInt8[np.ndarray, "n 3"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,14 +110,14 @@ class ImageDetection:
 class FaceImage:
     """One upright face of a box, seen straight on; row 0 is its top, column 0 its left."""
 
-    colour: UInt8[np.ndarray, "h w 3"]
+    color: UInt8[np.ndarray, "h w 3"]
     height_map: Float32[np.ndarray, "h w"]
     """How far the surface stands out of the face's plane [m]; NaN where not measured."""
     width: float
     """Size of the face [m]."""
     height: float
     camera_position: Float[np.ndarray, "3"] | None = None
-    """Where the camera was that took the colours [m]: x right and y up from the middle of the face,
+    """Where the camera was that took the colors [m]: x right and y up from the middle of the face,
     z outward. What stands out was seen displaced, away from there. None where it is not known."""
 
 
@@ -174,7 +174,7 @@ class Motion:
 
 
 @dataclass(frozen=True)
-class Screened:
+class ArmPathResult:
     """What came of looking for an arm path over the waypoints at one base pose."""
 
     grasp: int
@@ -246,7 +246,7 @@ class PlacementPlan:
     timing: Mapping[str, float] = field(default_factory=dict)
     """Seconds by stage, and "total"."""
     key_objects: KeyObjects | None = None
-    """What was modelled; None where nothing says."""
+    """What was modeled; None where nothing says."""
     method: str = "ours"
     seed: int = 0
     versions: Mapping[str, str] = field(default_factory=dict)

@@ -21,14 +21,14 @@ def scan(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def test_a_scan_holds_colour_depth_and_pose_of_every_frame(scan: Path) -> None:
+def test_a_scan_holds_color_depth_and_pose_of_every_frame(scan: Path) -> None:
     assert np.loadtxt(scan / "camera-intrinsics.txt").shape == (3, 3)
     assert len(list(scan.iterdir())) == 3 * 3 + 2
     for k in range(3):
-        colour = np.array(Image.open(scan / f"frame-{k:06d}.color.jpg"))
+        color = np.array(Image.open(scan / f"frame-{k:06d}.color.jpg"))
         depth = np.array(Image.open(scan / f"frame-{k:06d}.depth.png"))
         T = np.loadtxt(scan / f"frame-{k:06d}.pose.txt")
-        assert colour.shape == (480, 640, 3)
+        assert color.shape == (480, 640, 3)
         assert depth.shape == (480, 640)
         assert depth.dtype == np.uint16
         assert 300 <= np.median(depth[depth > 0]) <= 6000

@@ -27,7 +27,7 @@ ROOM = cloud_of(kitchen(), np.random.default_rng(0), spacing=0.03)
 
 def moved(T: Float[np.ndarray, "4 4"]) -> tuple[Cloud, list[Frame]]:
     """The kitchen and cameras that look down at it, in another world."""
-    cloud = Cloud(apply(T, ROOM.points), ROOM.normals @ T[:3, :3].T, ROOM.colours)
+    cloud = Cloud(apply(T, ROOM.points), ROOM.normals @ T[:3, :3].T, ROOM.colors)
     frames = [photograph([], T @ look_at(eye, (0.0, 0.5, 0.4))) for eye in EYES]
     return cloud, frames
 

@@ -61,11 +61,11 @@ def test_normals_look_out_of_the_surface(exact: Cloud) -> None:
     np.testing.assert_allclose(np.linalg.norm(exact.normals, axis=1), 1.0, atol=1e-9)
 
 
-def test_colours_are_those_of_the_images(exact: Cloud) -> None:
+def test_colors_are_those_of_the_images(exact: Cloud) -> None:
     top = np.abs(exact.points[:, 2] - 0.5) < 0.004
     ground = np.abs(exact.points[:, :2]).max(axis=1) > 0.5
-    assert np.abs(exact.colours[top].astype(int) - 50).max() <= 2
-    assert np.abs(exact.colours[ground].astype(int) - 40).max() <= 2
+    assert np.abs(exact.colors[top].astype(int) - 50).max() <= 2
+    assert np.abs(exact.colors[ground].astype(int) - 40).max() <= 2
 
 
 def test_noise_of_single_images_averages_out() -> None:
@@ -115,7 +115,7 @@ def test_scans_that_cannot_be_fused_are_refused_with_the_reason() -> None:
     frames = around()
     with pytest.raises(InputError, match="depth"):
         fuse([replace(frame, depth=None) for frame in frames])
-    with pytest.raises(InputError, match="metres"):
+    with pytest.raises(InputError, match="meters"):
         fuse([replace(frame, depth=frame.depth * 1000) for frame in frames])
     with pytest.raises(InputError, match="registered"):
         fuse([replace(frames[0], depth=frames[0].depth[::2])])

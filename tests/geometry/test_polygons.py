@@ -21,7 +21,7 @@ U_SHAPE = np.array([[0.0, 0], [3, 0], [3, 3], [2, 3], [2, 1], [1, 1], [1, 3], [0
 
 
 def star(corners: int, rng: np.random.Generator) -> Float[np.ndarray, "k 2"]:
-    """A simple polygon, seldom convex, anticlockwise about the origin."""
+    """A simple polygon, seldom convex, counterclockwise about the origin."""
     angle = np.sort(rng.uniform(-np.pi, np.pi, corners))
     radius = rng.uniform(0.3, 2.0, corners)
     return np.stack([radius * np.cos(angle), radius * np.sin(angle)], -1)

@@ -30,7 +30,7 @@ from momapos.errors import InputError, MomaposError, SceneError
 from momapos.geometry.transforms import pose, rotation_about
 from momapos.importance.config import GraphConfig
 from momapos.importance.graph import build_graph
-from momapos.importance.relations import neighbours, outline_gaps
+from momapos.importance.relations import neighbors, outline_gaps
 from momapos.kinematics.urdf import Link
 from momapos.scene.files import load_scene
 from momapos.scene.scene import Scene, upright_boxes
@@ -56,7 +56,7 @@ def test_a_stack_of_plates_thinner_than_the_tolerance_is_a_chain_too() -> None:
 
 
 @pytest.mark.parametrize(("gap", "rests"), [(-0.019, 1), (0.0, 1), (0.019, 1), (0.021, 0)])
-def test_surfaces_touch_within_two_centimetres(gap: float, rests: bool) -> None:
+def test_surfaces_touch_within_two_centimeters(gap: float, rests: bool) -> None:
     found = hierarchy(room(TABLE, tall("cup", 0, 0, 0.7 + gap)))
     assert found == ({("cup", "on", "table")} if rests else set())
 
@@ -149,7 +149,7 @@ def test_moving_and_turning_the_whole_room_changes_no_relation(
 
 def test_the_nearest_are_near_and_nobody_beyond_the_reach() -> None:
     line = [box(f"b{k}", (0.2, 0.2, 0.2), (x, 0, 0)) for k, x in enumerate((0.0, 0.5, 1.2, 3.0))]
-    config = GraphConfig(neighbours=1, near=1.0)
+    config = GraphConfig(neighbors=1, near=1.0)
     assert edges(room(*line), config) == {("b0", "near", "b1"), ("b1", "near", "b2")}
 
 
@@ -173,7 +173,7 @@ def test_gaps_between_boxes_agree_with_points_sampled_on_their_outlines(seed: in
 
 @settings(max_examples=15, deadline=None)
 @given(st.floats(-5, 5), st.floats(-5, 5), st.floats(-np.pi, np.pi))
-def test_turning_a_row_of_touching_cabinets_changes_no_neighbour(
+def test_turning_a_row_of_touching_cabinets_changes_no_neighbor(
     x: float, y: float, yaw: float
 ) -> None:
     row = [box(f"c{k}", (0.6, 0.6, 0.9), (0.6 * k, 0, 0)) for k in range(8)]
@@ -197,7 +197,7 @@ def test_the_nearest_found_are_the_nearest_of_all() -> None:
         gap[i] = np.inf
         order = [j for j in np.argsort(gap, kind="stable")[:3] if gap[j] <= 1.0]
         expected |= {(min(i, int(j)), max(i, int(j))) for j in order}
-    assert {tuple(row) for row in neighbours(box_, count=3, reach=1.0).tolist()} == expected
+    assert {tuple(row) for row in neighbors(box_, count=3, reach=1.0).tolist()} == expected
 
 
 def test_an_object_stands_in_one_relation_to_another_at_most() -> None:
@@ -253,7 +253,7 @@ def test_distances_and_sizes_are_never_zero() -> None:
 def test_a_scene_without_objects_and_useless_tolerances_are_refused() -> None:
     with pytest.raises(SceneError, match="no object"):
         build_graph(Scene("empty", ()))
-    for wrong in ({"near": -1.0}, {"neighbours": -1}, {"contact": 0.0}, {"floor": float("nan")}):
+    for wrong in ({"near": -1.0}, {"neighbors": -1}, {"contact": 0.0}, {"floor": float("nan")}):
         with pytest.raises(InputError):
             GraphConfig(**wrong)
 

@@ -115,9 +115,9 @@ def test_noise_between_seeds_is_small_against_the_spread_of_scores() -> None:
     assert scores.std(axis=0).mean() < 0.05 < scores.mean(axis=0).std()
 
 
-def test_the_neighbour_is_more_important_than_what_stands_far_away() -> None:
+def test_the_neighbor_is_more_important_than_what_stands_far_away() -> None:
     line = room(*(box(f"b{k}", (0.5, 0.5, 0.8), (0.6 * k, 0, 0)) for k in range(12)))
-    config = ImportanceConfig(graph=GraphConfig(neighbours=2, near=0.3))
+    config = ImportanceConfig(graph=GraphConfig(neighbors=2, near=0.3))
     for scorer in ("deepwalk", "distance", "size"):
         found = rank(line, "b0", replace(config, scorer=scorer))
         scores = [found.score(f"b{k}") for k in (1, 5, 10)]

@@ -15,7 +15,7 @@ from momapos.importance.graph import SceneGraph, build_graph
 from momapos.importance.walks import transitions, walk
 from momapos.scene.files import load_scene
 
-ALL = GraphConfig(neighbours=10, near=100.0)
+ALL = GraphConfig(neighbors=10, near=100.0)
 
 
 def triple(far: float = 2.0, size: float = 0.3) -> SceneGraph:
@@ -56,13 +56,13 @@ def test_chances_are_the_formula_of_the_paper_with_both_terms_scaled() -> None:
     assert np.allclose(P * w.sum(1, keepdims=True), w)
 
 
-def test_the_nearer_of_two_equal_neighbours_gets_the_larger_chance() -> None:
+def test_the_nearer_of_two_equal_neighbors_gets_the_larger_chance() -> None:
     for k0 in (0.1, 0.5, 1.0):
         P = transitions(triple(far=2.0), k0=k0).dense()
         assert P[0, 1] > P[0, 2]
 
 
-def test_the_larger_of_two_equally_near_neighbours_gets_the_larger_chance() -> None:
+def test_the_larger_of_two_equally_near_neighbors_gets_the_larger_chance() -> None:
     for k0 in (0.0, 0.5, 0.9):
         P = transitions(triple(far=1.0, size=0.6), k0=k0).dense()
         assert P[0, 2] > P[0, 1]

@@ -18,7 +18,7 @@ UP = np.array([0.0, 0.0, 1.0])
 
 Size = tuple[float, float, float]
 Panel = tuple[Size, Size]
-"""Edges and centre of a box-shaped part [m]."""
+"""Edges and center of a box-shaped part [m]."""
 HOLLOW: tuple[Panel, ...] = (
     ((0.6, 0.02, 1.6), (0, 0.29, 0.8)),
     ((0.02, 0.56, 1.6), (-0.29, 0, 0.8)),
@@ -89,7 +89,7 @@ def bowl(xyz: Size) -> SceneObject:
 
 
 def edges(scene: Scene, config: GraphConfig | None = None) -> set[tuple[str, str, str]]:
-    """The relations of a scene as (child, kind, parent); neighbours in alphabetical order."""
+    """The relations of a scene as (child, kind, parent); neighbors in alphabetical order."""
     graph = build_graph(scene, config)
     found = set()
     for child, parent, kind in zip(graph.child, graph.parent, graph.kind, strict=True):
@@ -100,5 +100,5 @@ def edges(scene: Scene, config: GraphConfig | None = None) -> set[tuple[str, str
 
 
 def hierarchy(scene: Scene) -> set[tuple[str, str, str]]:
-    """The relations of a scene without the neighbours."""
+    """The relations of a scene without the neighbors."""
     return {edge for edge in edges(scene) if edge[1] != "near"}

@@ -63,7 +63,7 @@ def rotations(count: int, rng: np.random.Generator) -> Float[np.ndarray, "n 3 3"
 def random_boxes(
     count: int, rng: np.random.Generator, low: tuple[float, ...], high: tuple[float, ...]
 ) -> Boxes:
-    """Boxes of 2 to 60 cm with centres in a range."""
+    """Boxes of 2 to 60 cm with centers in a range."""
     half = rng.uniform(0.01, 0.3, (count, 3))
     return Boxes(rng.uniform(low, high, (count, 3)), rotations(count, rng), half)
 
@@ -76,7 +76,7 @@ def random_states(chain: Chain, count: int, rng: np.random.Generator) -> Float[n
 
 
 def link_spheres(robot: Robot, link: str) -> tuple[np.ndarray, np.ndarray]:
-    """Centres in the link's frame and radii of its spheres."""
+    """Centers in the link's frame and radii of its spheres."""
     spheres, group = robot.spheres, robot.spheres.links.index(link)
     of_link = slice(*spheres.start[group : group + 2])
     T = robot.segments.T_segment_link[link]

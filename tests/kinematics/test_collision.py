@@ -18,7 +18,7 @@ from momapos.kinematics.hulls import Boxes
 from momapos.kinematics.sphere_cover import BODY
 from momapos.kinematics.spheres import MARGIN, Spheres, box_spheres, carry
 from momapos.kinematics.urdf import Geometry
-from momapos.kinematics.world import CELL, World, build_world, check, motion_checker
+from momapos.kinematics.world import CELL, CollisionWorld, build_world, check, motion_checker
 from momapos.robots.robot import Robot
 
 NONE = Boxes(np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3)))
@@ -33,7 +33,7 @@ def moved_by_joint(boxes: Boxes, values: int, rng: np.random.Generator) -> Boxes
 
 def world_of(
     robot: Robot, rng: np.random.Generator, *, static: int, moving: int, clearance: float
-) -> World:
+) -> CollisionWorld:
     boxes = random_boxes(static, rng, (-1.5, -1.5, 0.1), (1.5, 1.5, 2.0))
     parts = random_boxes(moving, rng, (-1.0, -1.0, 0.3), (1.0, 1.0, 1.5))
     labels = [f"box {i}" for i in range(static + moving)]
@@ -68,7 +68,7 @@ def gaps(
 class Twin:
     """`world.check` as numpy writes it: every sphere, every box, no grid and no culling."""
 
-    def __init__(self, world: World, chain: Chain, spheres: Spheres) -> None:
+    def __init__(self, world: CollisionWorld, chain: Chain, spheres: Spheres) -> None:
         self.world, self.chain, self.spheres = world, chain, spheres
         self.group = np.repeat(np.arange(len(spheres.segment)), np.diff(spheres.start))
 
@@ -226,10 +226,10 @@ def test_what_is_carried_is_checked_like_the_hand(robots: Callable[[str], Robot]
     loaded = carry(robot.spheres, robot.chain.size, in_segment, radius)
     world = build_world(
         random_boxes(8, rng, (-1.0, -1.0, 0.2), (1.0, 1.0, 1.8)), moved_by_joint(NONE, 3, rng),
-        np.zeros(0, bool), [""] * 8, loaded, clearance=0.0,
+        np.zeros(0, bool), [""] * 8, with_payload, clearance=0.0,
     )  # fmt: skip
     case = situations(robot, 500, rng, 0.5)
-    with_it = check(world, robot.chain, loaded, *case)
+    with_it = check(world, robot.chain, with_payload, *case)
     np.testing.assert_array_equal(with_it, Twin(world, robot.chain, loaded).codes(*case))
     alone = check(world, robot.chain, robot.spheres, *case)
     assert (with_it[alone != FREE] != FREE).all()

@@ -157,7 +157,7 @@ def test_poses_out_of_reach_have_no_solution(robot: Robot) -> None:
 
 
 def ideal(chain: Chain) -> Chain:
-    """The arm without the rounding of its file: axes along 0 or 1, offsets in micrometres."""
+    """The arm without the rounding of its file: axes along 0 or 1, offsets in micrometers."""
     return replace(chain, h=np.round(chain.h, 3), d=np.round(chain.d, 5))
 
 
@@ -238,7 +238,7 @@ def test_an_arm_of_five_joints_is_refused(skew_arm: Chain) -> None:
 
 
 def test_a_long_rail_is_not_taken_for_an_angle(robots: Callable[[str], Robot]) -> None:
-    """A rail's values beyond pi metres are distances, and never turned round."""
+    """A rail's values beyond pi meters are distances, and never turned round."""
     chain = robots("segway_ur5e").chain
     along = np.array([[1.0, 0.0, 0.0]])
     railed = replace(

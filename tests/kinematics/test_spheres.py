@@ -81,7 +81,7 @@ def test_bounding_spheres_contain_their_groups(robot: Robot) -> None:
         assert (reach <= s.bound_radius[g] + 1e-9).all()
 
 
-def test_neighbours_and_disabled_pairs_are_never_checked(robot: Robot) -> None:
+def test_neighbors_and_disabled_pairs_are_never_checked(robot: Robot) -> None:
     s, parents = robot.spheres, {j.child: j.parent for j in robot.model.urdf.joints}
     pairs = {frozenset((s.links[a], s.links[b])) for a, b in s.pairs}
     assert not pairs & robot.disabled

@@ -12,7 +12,7 @@ from tests.rooms import cabinet_room
 
 from momapos.errors import MomaposError, TaskError, UnknownNameError
 from momapos.kinematics.opening import opening_of
-from momapos.manipulation.feasibility import loaded, touched_at_home
+from momapos.manipulation.feasibility import touched_at_home, with_payload
 from momapos.manipulation.grasps import GraspConfig, handle_grasps
 from momapos.manipulation.handles import find_handle
 from momapos.manipulation.motion import MotionConfig, task_motion
@@ -122,7 +122,7 @@ def test_the_grasp_is_carried_along_rigidly_by_the_joint(robot: Robot, tmp_path:
     task = make_task(scene, "open", "cabinet")
     motion = task_motion(scene, robot, task, MotionConfig())
     target = scene.object("cabinet")
-    hold = motion.hold
+    hold = motion.grasp_step
     poses = [target.link_poses({"hinge": v})["door"] for v in motion.object_q[hold:]]
     grasps = np.linalg.inv(poses)[:, None] @ np.swapaxes(motion.Ts_world_tool[:, hold:], 0, 1)
     np.testing.assert_allclose(grasps, np.broadcast_to(grasps[:1], grasps.shape), atol=1e-9)
@@ -133,7 +133,7 @@ def test_the_grasp_is_carried_along_rigidly_by_the_joint(robot: Robot, tmp_path:
 def test_the_straight_approach_moves_along_the_approach_axis(robot: Robot, tmp_path: Path) -> None:
     scene = cabinet_room(tmp_path)
     motion = task_motion(scene, robot, make_task(scene, "open", "cabinet"), MotionConfig())
-    before, grasp = motion.Ts_world_tool[:, 0], motion.Ts_world_tool[:, motion.hold]
+    before, grasp = motion.Ts_world_tool[:, 0], motion.Ts_world_tool[:, motion.grasp_step]
     travel = grasp[:, :3, 3] - before[:, :3, 3]
     wanted = MotionConfig().grasps.pregrasp * (grasp[:, :3, :3] @ robot.approach_axis)
     np.testing.assert_allclose(travel, wanted, atol=1e-9)
@@ -261,6 +261,6 @@ def test_a_thing_that_would_touch_the_arm_at_home_is_not_carried_by_that_grasp(
     motion = task_motion(scene, robot, make_task(scene, "place", name), MotionConfig())
     touched = touched_at_home(robot, motion)
     for g in range(0, len(touched), 7):
-        spheres = loaded(robot, motion, motion.Ts_world_tool[g, 0], 0)
+        spheres = with_payload(robot, motion, motion.Ts_world_tool[g, 0], 0)
         hits = touches(robot.chain, spheres, robot.home[None])[0]
         assert hits == (touched[g] >= 0)

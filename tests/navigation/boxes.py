@@ -15,7 +15,7 @@ from momapos.navigation.footprint_map import NavigationMap
 from momapos.scene.scene import Scene, SceneObject
 
 Box = tuple[float, float, float, float, float]
-"""Centre x, y, size x, y [m], yaw [rad]; boxes are one metre high unless told otherwise."""
+"""Center x, y, size x, y [m], yaw [rad]; boxes are one meter high unless told otherwise."""
 UP = np.array([0.0, 0.0, 1.0])
 
 
@@ -41,7 +41,7 @@ def room(
         )
         for k, (x, y, w, d, yaw) in enumerate(boxes)
     ]
-    return Scene("boxes", tuple(objects), floor=square(6.0) if floor is None else floor)
+    return Scene("boxes", tuple(objects), floor_polygon=square(6.0) if floor is None else floor)
 
 
 def wall_with_door(width: float) -> list[Box]:

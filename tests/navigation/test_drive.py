@@ -16,7 +16,7 @@ from momapos.geometry.transforms import wrap_angle
 from momapos.navigation.drive import DriveConfig, DriveEnding, DriveRecord, drive
 from momapos.navigation.footprint_map import NavigationMap, build_navigation_map
 from momapos.navigation.global_path import plan_path
-from momapos.navigation.localisation import NoiseConfig
+from momapos.navigation.localization import NoiseConfig
 from momapos.robots.robot import Robot, load_robot
 
 START, GOAL = np.array([-1.5, -0.8, 0.5]), np.array([1.4, 0.9, -1.0])
@@ -98,7 +98,7 @@ def test_a_floor_smaller_than_the_base_is_named_as_the_reason(
 
 
 def test_a_room_without_a_known_floor_has_no_edges(robots: Callable[[str], Robot]) -> None:
-    walls = replace(room([(0.0, 0.0, 0.4, 0.4, 0.3)]), floor=None)
+    walls = replace(room([(0.0, 0.0, 0.4, 0.4, 0.3)]), floor_polygon=None)
     for scene in (walls, replace(walls, objects=())):
         record = go(build_navigation_map(scene, robots("ranger_rm63")))
         assert record.arrived, record.reason

@@ -66,7 +66,7 @@ def test_after_a_velocity_that_is_allowed_the_base_can_brake_without_touching(
 ) -> None:
     robot = robots("husky_ur5e")
     nav_map = build_navigation_map(room(BOXES), robot)
-    judge = FootprintCollisionChecker(nav_map.prisms, nav_map.obstacles, nav_map.floor)
+    judge = FootprintCollisionChecker(nav_map.prisms, nav_map.obstacles, nav_map.floor_polygon)
     checked = 0
     for pose, window, _, alone in samples_on_the_way(robot, np.zeros((0, 5))):
         for v in window[np.isfinite(alone)][::9]:
@@ -82,7 +82,7 @@ def test_after_a_velocity_that_is_allowed_the_base_can_brake_without_touching(
 
 def test_the_separation_from_a_disc_is_that_of_the_nearest_of_all_prisms(robot: Robot) -> None:
     nav_map = build_navigation_map(room([]), robot)
-    judge = FootprintCollisionChecker(nav_map.prisms, nav_map.obstacles, nav_map.floor)
+    judge = FootprintCollisionChecker(nav_map.prisms, nav_map.obstacles, nav_map.floor_polygon)
     rng = np.random.default_rng(0)
     pose = np.array([0.3, -0.2, 0.7])
     points = pose[:2] + rng.uniform(-1.2, 1.2, (400, 2))

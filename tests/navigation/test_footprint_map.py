@@ -12,10 +12,10 @@ from momapos.errors import SceneError
 from momapos.geometry.polygons import edge_normals
 from momapos.geometry.transforms import apply, invert
 from momapos.navigation.clearance import gaps
+from momapos.navigation.convex_polygons import obstacles_of, prisms_of, thinned
 from momapos.navigation.cost_map import CELL
 from momapos.navigation.footprint_map import HEADINGS, build_navigation_map, navigation_map_of
 from momapos.navigation.judge import FootprintCollisionChecker
-from momapos.navigation.outlines import obstacles_of, prisms_of, thinned
 from momapos.robots.robot import Robot
 
 CLUTTER = [
@@ -46,7 +46,7 @@ def test_a_cell_of_the_map_is_free_where_the_footprint_stands_clear_and_on_the_f
     robots: Callable[[str], Robot],
 ) -> None:
     nav_map = build_navigation_map(room(CLUTTER), robots("husky_ur5e"))
-    judge = FootprintCollisionChecker(nav_map.prisms, nav_map.obstacles, nav_map.floor)
+    judge = FootprintCollisionChecker(nav_map.prisms, nav_map.obstacles, nav_map.floor_polygon)
     rng = np.random.default_rng(1)
     h, i, j = (rng.integers(n, size=500) for n in nav_map.gap.shape)
     centers = nav_map.origin + (np.stack([j, i], -1) + 0.5) * CELL

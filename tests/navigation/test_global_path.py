@@ -12,13 +12,13 @@ from momapos.geometry.polygons import inscribed_radius
 from momapos.geometry.transforms import wrap_angle
 from momapos.navigation.cost_map import CELL, FloorPlan, build_cost_map
 from momapos.navigation.footprint_map import HEADINGS, NavigationMap, build_navigation_map
-from momapos.navigation.global_path import Path, direct_path, plan_path
+from momapos.navigation.global_path import BasePath, direct_path, plan_path
 from momapos.navigation.judge import FootprintCollisionChecker
 from momapos.robots.robot import Robot
 from momapos.scene.files import load_scene
 
 
-def finely(path: Path) -> np.ndarray:
+def finely(path: BasePath) -> np.ndarray:
     """Poses of a way, at most 1.3 cm and 1.5 degrees apart."""
     step = np.diff(path.poses, axis=0)
     step[:, 2] = wrap_angle(step[:, 2])
@@ -26,11 +26,11 @@ def finely(path: Path) -> np.ndarray:
     return np.concatenate([(path.poses[:-1] + share * step).reshape(-1, 3), path.poses[-1:]])
 
 
-def touches_nothing(nav_map: NavigationMap, path: Path) -> bool:
+def touches_nothing(nav_map: NavigationMap, path: BasePath) -> bool:
     return not any(
-        FootprintCollisionChecker(nav_map.prisms, nav_map.obstacles, nav_map.floor).distance(
-            finely(path)
-        )[1]
+        FootprintCollisionChecker(
+            nav_map.prisms, nav_map.obstacles, nav_map.floor_polygon
+        ).distance(finely(path))[1]
     )
 
 
@@ -133,9 +133,9 @@ def test_a_base_beside_a_long_wall_shuffles_away_from_it_and_back(
     beside = np.array([0.2, 2.5 - wall / 2 - side - 0.03, 0.02])
     away = np.array([-1.2, -1.0, 2.0])
     assert (
-        FootprintCollisionChecker(nav_map.prisms, nav_map.obstacles, nav_map.floor).distance(
-            beside[None]
-        )[0][0]
+        FootprintCollisionChecker(
+            nav_map.prisms, nav_map.obstacles, nav_map.floor_polygon
+        ).distance(beside[None])[0][0]
         > 0.01
     )
     for start, goal in ((beside, away), (away, beside)):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -42,13 +41,13 @@ def wide(tmp_path_factory: pytest.TempPathFactory) -> Robot:
 
 
 @pytest.fixture
-def room(tmp_path: Path) -> Scene:
+def room(tmp_path: BasePath) -> Scene:
     return cabinet_room(tmp_path)
 
 
 def touching(ground_robot: Robot, scene: Scene, pose: np.ndarray) -> str:
     ground = build_navigation_map(scene, ground_robot)
-    checker = FootprintCollisionChecker(ground.prisms, ground.obstacles, ground.floor)
+    checker = FootprintCollisionChecker(ground.prisms, ground.obstacles, ground.floor_polygon)
     return checker.distance(pose[None])[1][0]
 
 
@@ -63,7 +62,7 @@ def test_a_start_where_the_arm_at_home_hits_is_refused_though_the_base_is_free(
 
 
 def test_a_start_that_is_chosen_leaves_room_for_the_arm_at_home(
-    wide: Robot, tmp_path: Path
+    wide: Robot, tmp_path: BasePath
 ) -> None:
     """A board at the height of the arm is farther from the base than the start's clearance."""
     board = (
@@ -122,7 +121,7 @@ def test_a_start_or_way_that_is_not_free_fails_the_check(
 
 
 def test_a_base_pose_that_cannot_be_driven_to_with_the_arm_at_home_is_no_answer(
-    robots: Callable[[str], Robot], tmp_path: Path
+    robots: Callable[[str], Robot], tmp_path: BasePath
 ) -> None:
     """Bars at the height of the arm close the room off; the base would pass under them."""
     bars = "".join(

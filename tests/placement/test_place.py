@@ -12,16 +12,16 @@ from momapos.config import PipelineConfig
 from momapos.manipulation.motion import task_motion
 from momapos.manipulation.tasks import make_task
 from momapos.outcomes import PoseOutcome, PoseStatus
-from momapos.placement.area import Site
+from momapos.placement.area import PlacementGeometry
 from momapos.placement.place import Method, PlaceConfig, Problem, Search, search
 from momapos.robots.robot import Robot
-from momapos.types import Attempt, Motion, Screened
+from momapos.types import ArmPathResult, Attempt, Motion
 from rooms import Everywhere, cabinet_room
 
 MOTION = Motion(np.zeros((1, 6)), np.zeros((1, 6)), np.zeros(1), np.eye(4)[None])
 FEASIBLE, NO_APPROACH = PoseOutcome(PoseStatus.FEASIBLE), PoseOutcome(PoseStatus.NO_APPROACH)
-FOUND = Screened(0, np.zeros((1, 6)), PoseOutcome(PoseStatus.PATH_FOUND))
-MISSED = Screened(-1, None, PoseOutcome(PoseStatus.NO_GRASP_IN_REACH))
+FOUND = ArmPathResult(0, np.zeros((1, 6)), PoseOutcome(PoseStatus.PATH_FOUND))
+MISSED = ArmPathResult(-1, None, PoseOutcome(PoseStatus.NO_GRASP_IN_REACH))
 Works = Callable[[Float[np.ndarray, "n 3"]], Bool[np.ndarray, " n"]]
 START = np.array([0.0, -2.5, np.pi / 2])
 
@@ -39,25 +39,32 @@ def left(poses: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
 
 
 @pytest.fixture(scope="module")
-def site(tmp_path_factory: pytest.TempPathFactory, robots: Callable[[str], Robot]) -> Site:
+def geometry(
+    tmp_path_factory: pytest.TempPathFactory, robots: Callable[[str], Robot]
+) -> PlacementGeometry:
     scene, robot = cabinet_room(tmp_path_factory.mktemp("room")), robots("segway_ur5e")
     motion = task_motion(scene, robot, make_task(scene, "open", "cabinet"), PipelineConfig().motion)
-    Ts = np.ascontiguousarray(motion.Ts_world_tool[:, motion.coarse])
-    return Site(robot, Ts, motion.static, motion.sweep(), scene.floor, 0.01)
+    Ts = np.ascontiguousarray(motion.Ts_world_tool[:, motion.waypoint_steps])
+    return PlacementGeometry(robot, Ts, motion.static, motion.sweep(), scene.floor_polygon, 0.01)
 
 
 def find(
-    site: Site, path: Works, whole: Works, *, method: Method = "ours", **changes: int | float
+    geometry: PlacementGeometry,
+    path: Works,
+    whole: Works,
+    *,
+    method: Method = "ours",
+    **changes: int | float,
 ) -> Search:
     def screen(
         bases: Float[np.ndarray, "n 3"], scores: Float[np.ndarray, "n g"], _most: int | None
-    ) -> list[Screened]:
+    ) -> list[ArmPathResult]:
         assert (scores.max(1) > 0).all()
         good = path(bases)
         return [FOUND if g else MISSED for g in good]
 
     def attempt(
-        base: Float[np.ndarray, "3"], screened: Screened, _grasps: Int[np.ndarray, " k"]
+        base: Float[np.ndarray, "3"], screened: ArmPathResult, _grasps: Int[np.ndarray, " k"]
     ) -> Attempt:
         assert screened.q is not None
         assert path(base[None])[0]
@@ -66,7 +73,7 @@ def find(
     def length(xy: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
         return np.linalg.norm(xy - START[:2], axis=1)
 
-    problem = Problem(site, Everywhere(), length, attempt, screen, START, lambda: False)
+    problem = Problem(geometry, Everywhere(), length, attempt, screen, START, lambda: False)
     coarse = {"grid_cell": 0.2, "grid_turn": 45.0}
     config = PlaceConfig(method=method, **{**coarse, **changes})  # type: ignore[arg-type]
     return search(problem, config, np.random.default_rng(0))
@@ -75,40 +82,44 @@ def find(
 @pytest.mark.parametrize("method", ["ours", "paper", "exhaustive"])
 @pytest.mark.parametrize("which", [always, left])
 def test_a_pose_that_works_is_found_and_its_cost_is_the_way_there(
-    site: Site, method: Method, which: Works
+    geometry: PlacementGeometry, method: Method, which: Works
 ) -> None:
-    found = find(site, which, which, method=method)
+    found = find(geometry, which, which, method=method)
     assert found.base is not None
     assert which(found.base[None])[0]
     assert found.cost == pytest.approx(np.linalg.norm(found.base[:2] - START[:2]))
     assert list(np.concatenate(found.outcomes)).count(FEASIBLE) == 1
 
 
-def test_the_grid_gives_the_cheapest_of_its_poses(site: Site) -> None:
-    found = find(site, left, left, method="exhaustive", whole_grid=True)
+def test_the_grid_gives_the_cheapest_of_its_poses(geometry: PlacementGeometry) -> None:
+    found = find(geometry, left, left, method="exhaustive", whole_grid=True)
     poses = np.concatenate(found.poses)
     passed = poses[[one in (FOUND.outcome, FEASIBLE) for one in np.concatenate(found.outcomes)]]
     assert len(passed) > 10
     assert found.cost == pytest.approx(np.linalg.norm(passed[:, :2] - START[:2], axis=1).min())
 
 
-def test_looking_at_more_candidates_never_makes_the_answer_dearer(site: Site) -> None:
-    costs = [find(site, always, always, together=n, improve=0).cost for n in (1, 2, 8, 32)]
+def test_looking_at_more_candidates_never_makes_the_answer_dearer(
+    geometry: PlacementGeometry,
+) -> None:
+    costs = [find(geometry, always, always, together=n, improve=0).cost for n in (1, 2, 8, 32)]
     assert costs == sorted(costs, reverse=True)
-    improved = find(site, always, always, together=1, improve=16).cost
+    improved = find(geometry, always, always, together=1, improve=16).cost
     assert improved <= costs[0]
 
 
-def test_where_a_path_cannot_be_completed_the_next_is_tried(site: Site) -> None:
-    found = find(site, always, left)
+def test_where_a_path_cannot_be_completed_the_next_is_tried(geometry: PlacementGeometry) -> None:
+    found = find(geometry, always, left)
     assert found.base is not None
     assert found.base[0] < -0.3
     assert NO_APPROACH in np.concatenate(found.outcomes)
 
 
-def test_nothing_is_found_where_nothing_works_and_every_pose_has_a_reason(site: Site) -> None:
+def test_nothing_is_found_where_nothing_works_and_every_pose_has_a_reason(
+    geometry: PlacementGeometry,
+) -> None:
     for path, whole, reason in ((never, never, MISSED.outcome), (always, never, NO_APPROACH)):
-        found = find(site, path, whole, count=32, rounds=1)
+        found = find(geometry, path, whole, count=32, rounds=1)
         assert found.motion is None
         assert not found.timed_out
         rejections = found.candidates().rejections

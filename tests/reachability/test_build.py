@@ -9,11 +9,11 @@ import pytest
 
 from momapos.kinematics.chain import Chain
 from momapos.kinematics.ik import build_ik
+from momapos.reachability.arm_axes import arm_frame
 from momapos.reachability.construct import _Evaluator
-from momapos.reachability.frame import arm_frame
 from momapos.reachability.map import ReachConfig
-from momapos.reachability.margin import nearby
 from momapos.reachability.samples import HALVINGS, locked_samples
+from momapos.reachability.signed_distance import nearby
 from momapos.robots.robot import Robot, load_robot
 
 
@@ -66,7 +66,7 @@ def test_asking_for_some_bearings_gives_those_of_the_full_answer() -> None:
     np.testing.assert_array_equal(evaluate(lines, wanted, 0.0, 1.0), full & wanted)
 
 
-def test_nearby_bearings_are_those_of_neighbours_and_beside_them() -> None:
+def test_nearby_bearings_are_those_of_neighbors_and_beside_them() -> None:
     masks = np.zeros((3, 4, 5, 5), np.uint64)
     masks[1, 2, 3, 3] = 1
     found = nearby(masks, 2)

@@ -19,8 +19,8 @@ from momapos.reachability.map import YAWS
 from momapos.reachability.store import decode, encode, map_key
 from momapos.robots.robot import Robot, load_robot
 
-COARSE = ReachConfig(cell=0.08, directions=13, bearings=32, spins=4)
-TINY = ReachConfig(cell=0.25, directions=5, bearings=8, spins=1)
+COARSE = ReachConfig(cell=0.08, directions=13, azimuths=32, spins=4)
+TINY = ReachConfig(cell=0.25, directions=5, azimuths=8, spins=1)
 
 
 @pytest.fixture(scope="module")
@@ -91,7 +91,7 @@ def test_turning_the_tool_about_the_last_axis_changes_nothing(
 
 
 def test_without_the_bearing_a_turn_of_the_base_changes_nothing(robot: Robot) -> None:
-    flat = build_map(robot, replace(TINY, bearings=1))
+    flat = build_map(robot, replace(TINY, azimuths=1))
     Ts = random_poses(robot, np.random.default_rng(5), 300)
     x, y = flat.axis_xy
     for yaw in (0.3, 2.0, -1.2):
@@ -106,7 +106,7 @@ def test_weakest_is_the_minimum_of_the_scores(robot: Robot, reach: ReachMap) -> 
     bases = np.column_stack([rng.uniform(-0.5, 0.5, (40, 2)), rng.uniform(-np.pi, np.pi, 40)])
     Ts_base = np.array([invert(pose_planar(base)) for base in bases])
     expected = reach.score(Ts_base[:, None, None] @ Ts).min(-1)
-    np.testing.assert_allclose(reach.weakest(bases, Ts), expected, atol=1e-3)
+    np.testing.assert_allclose(reach.min_score(bases, Ts), expected, atol=1e-3)
     assert (expected > 0).any()
 
 
@@ -119,7 +119,7 @@ def test_base_scores_are_the_best_over_yaws(robot: Robot, reach: ReachMap) -> No
         moved, highest = replace(reach, cell=cell, axis_xy=axis), 0.0
         for T in random_poses(robot, np.random.default_rng(7), 6):
             found = moved.base_scores(T, xs, ys)
-            best = moved.weakest(grid, T[None, None]).reshape(21, 33, YAWS).max(-1)
+            best = moved.min_score(grid, T[None, None]).reshape(21, 33, YAWS).max(-1)
             # The score changes by 1/4 per cell: half a cell across is all that can be smoothed.
             assert np.abs(found - best).max() < 0.25 * max(1.0, SPACING / cell)
             assert np.abs(found - best).mean() < 0.01
@@ -138,7 +138,7 @@ def test_base_scores_are_exact_where_the_axis_stands_on_the_lattice(
         point = central.lines(T)
         xs, ys = point[0] + steps, point[1] + steps
         bases = np.stack(np.broadcast_arrays(xs, ys[:, None], 0.0), -1).reshape(-1, 3)
-        expected = central.weakest(bases, T[None, None]).reshape(51, 51)
+        expected = central.min_score(bases, T[None, None]).reshape(51, 51)
         np.testing.assert_allclose(central.base_scores(T, xs, ys), expected, atol=1e-3)
 
 

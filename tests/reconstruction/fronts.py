@@ -15,10 +15,10 @@ SCALE = 400.0  # [1/m] pixels of a face
 
 
 def face_of(width: float, height: float, height_map: float = np.nan) -> FaceImage:
-    """A face of one colour and height map [m], not measured without one."""
+    """A face of one color and height map [m], not measured without one."""
     shape = (round(height * SCALE), round(width * SCALE))
-    colour = np.full((*shape, 3), 200, np.uint8)
-    return FaceImage(colour, np.full(shape, height_map, np.float32), width, height)
+    color = np.full((*shape, 3), 200, np.uint8)
+    return FaceImage(color, np.full(shape, height_map, np.float32), width, height)
 
 
 def raised(face: FaceImage, box: tuple[float, float, float, float], height_map: float) -> None:

@@ -1,4 +1,4 @@
-"""Alignment: parts in metres that fit the face and each other."""
+"""Alignment: parts in meters that fit the face and each other."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def test_parts_that_fit_stay_within_a_seam_of_where_they_were_seen(
     assert off.min(1).max() <= 0.015 + 1e-9
 
 
-def test_neighbours_that_nearly_meet_share_a_seam_and_the_rim_is_one() -> None:
+def test_neighbors_that_nearly_meet_share_a_seam_and_the_rim_is_one() -> None:
     parts = [
         Part("door_left", (0.01, 0.005, 0.49, 0.995), 0.9),
         Part("door_right", (0.505, 0.0, 1.0, 0.495), 0.9),
@@ -80,7 +80,7 @@ def test_neighbours_that_nearly_meet_share_a_seam_and_the_rim_is_one() -> None:
     assert (left.area.left, left.area.bottom, upper.area.right, upper.area.top) == (0, 0, *FACE)
 
 
-def test_overlapping_neighbours_part_at_the_middle_of_their_overlap() -> None:
+def test_overlapping_neighbors_part_at_the_middle_of_their_overlap() -> None:
     parts = [
         Part("drawer", (0.0, 0.0, 1.0, 0.4), 0.6),
         Part("drawer", (0.0, 0.3, 1.0, 1.0), 0.9),
@@ -105,7 +105,7 @@ def test_on_the_grid_edges_are_whole_steps_and_at_most_half_a_step_off(
     front: tuple[tuple[float, float, float], list[Part]],
 ) -> None:
     (width, _, height), parts = front
-    for seen in parts:  # alone, for on a coarse grid neighbours can land on each other
+    for seen in parts:  # alone, for on a coarse grid neighbors can land on each other
         for part in align(face_of(width, height), [seen], AlignmentConfig(grid=12)):
             a = part.area
             got = np.array([a.left / width, 1 - a.top / height, a.right / width])

@@ -72,14 +72,14 @@ def test_a_scene_holds_every_detection_in_its_box_and_the_models_open(tmp_path: 
         np.testing.assert_allclose(low, [0.0, -out_of_front, 0.0], atol=1e-3)
         np.testing.assert_allclose(high, 0.0, atol=1e-3)
     assert list(scene.object("fridge").model.joints) == ["door_hinge"]
-    assert scene.floor is not None
-    np.testing.assert_allclose(scene.floor, FLOOR)
+    assert scene.floor_polygon is not None
+    np.testing.assert_allclose(scene.floor_polygon, FLOOR)
     np.testing.assert_allclose(scene.start, (1.0, -2.0, 0.5))
 
 
 def test_a_room_without_known_end_or_start_has_none(tmp_path: Path) -> None:
     scene = load_scene(build_scene([CUP], {}, None, tmp_path / "room.json"))
-    assert scene.floor is None
+    assert scene.floor_polygon is None
     assert scene.start is None
 
 

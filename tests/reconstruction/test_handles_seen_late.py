@@ -59,15 +59,15 @@ def test_a_handle_that_was_seen_stays_and_no_depth_tells_nothing() -> None:
 def gripped(rows: list[float], *, left: float = 0.4, wide: float = 0.2) -> FaceImage:
     """A plain front of 0.5 x 0.8 m with faint handles at some heights, as shares from the top."""
     face = face_of(0.5, 0.8)
-    h, w = face.colour.shape[:2]
+    h, w = face.color.shape[:2]
     for row in rows:
         start = round(left * w)
-        face.colour[round(row * h), start : start + round(wide * w)] = 185
+        face.color[round(row * h), start : start + round(wide * w)] = 185
     return face
 
 
 def drawers_on(face: FaceImage, kind: PartKind = "door_right") -> tuple[Part, ...]:
-    return into_drawers(face, Part(kind, WHOLE, 0.5), decode.dark_lines(face.colour, 0))
+    return into_drawers(face, Part(kind, WHOLE, 0.5), decode.dark_lines(face.color, 0))
 
 
 @pytest.mark.parametrize(

@@ -40,7 +40,7 @@ def detection(width: float, depth: float, height: float, yaw: float = 0.3) -> De
     return Detection("fridge", "fridge", 0.9, box, np.arange(3))
 
 
-def modelled(
+def modeled(
     found: Detection, parts: list[Part], face: FaceImage | None = None
 ) -> tuple[Piece, SceneObject]:
     """The piece that parts on the -y side give, and the object that its URDF reads as."""
@@ -61,7 +61,7 @@ def read(piece: Piece) -> SceneObject:
 
 
 Boxes = tuple[np.ndarray, np.ndarray, np.ndarray]
-"""Centres (n, 3), rotations (n, 3, 3) and half sizes (n, 3)."""
+"""Centers (n, 3), rotations (n, 3, 3) and half sizes (n, 3)."""
 
 
 def boxes(item: SceneObject, links: list[str], values: dict[str, float]) -> Boxes:
@@ -100,7 +100,7 @@ def test_a_random_front_opens_part_by_part_and_hits_nothing_of_its_own(
         face.height_map[...] = rng.uniform(-0.05, 0.05)
         for part in parts:
             raised(face, part.box, rng.uniform(-0.08, 0.08))
-    _, item = modelled(detection(*size, yaw), parts, face)
+    _, item = modeled(detection(*size, yaw), parts, face)
     assert len(item.model.joints) == len(parts)
     for name, joint in item.model.joints.items():
         moving = list(rigid_links(item.model, name))
@@ -117,7 +117,7 @@ def test_every_part_of_a_random_front_moves_out_of_it(
     front: tuple[tuple[float, float, float], list[Part]], yaw: float
 ) -> None:
     size, parts = front
-    _, item = modelled(detection(*size, yaw), parts)
+    _, item = modeled(detection(*size, yaw), parts)
     normal = np.array([np.sin(yaw), -np.cos(yaw), 0.0])
     for name, joint in item.model.joints.items():
         assert opening_of(item.model, name).sign == 1.0
@@ -137,7 +137,7 @@ def test_a_closed_model_fills_its_box_but_for_handles(
 ) -> None:
     size, parts = front
     found = detection(*size, yaw)
-    _, item = modelled(found, parts)
+    _, item = modeled(found, parts)
     links = [name for name in item.model.links if "handle" not in name]
     T_box_world = invert(pose(CENTER, rotation_about(UP, yaw)))
     points = np.concatenate(
@@ -174,7 +174,7 @@ def test_the_handle_goes_where_a_turn_about_the_true_hinge_takes_it(
     found = detection(0.6, 0.5, 0.8)
     face = face_of(0.6, 0.8, 0.0)
     raised(face, BAR[kind], 0.05)
-    piece, item = modelled(found, [Part(kind, (0.0, 0.0, 1.0, 1.0), 0.9, BAR[kind])], face)
+    piece, item = modeled(found, [Part(kind, (0.0, 0.0, 1.0, 1.0), 0.9, BAR[kind])], face)
     (name,) = item.model.joints
     assert has_handle(item.model, name)
     left, top, right, bottom = BAR[kind]
@@ -279,21 +279,21 @@ def test_parts_are_named_top_to_bottom_and_left_to_right() -> None:
         Part("door_left", (0.0, 0.3, 0.5, 0.7), 0.7),
         Part("drawer", (0.0, 0.0, 1.0, 0.3), 0.8),
     ]
-    piece, _ = modelled(detection(0.8, 0.6, 0.9), parts)
+    piece, _ = modeled(detection(0.8, 0.6, 0.9), parts)
     names = ["body", "drawer_1", "door_1", "door_2", "drawer_2"]
     assert [part.name for part in piece.parts] == names
-    only, _ = modelled(detection(0.8, 0.6, 0.9), parts[:1])
+    only, _ = modeled(detection(0.8, 0.6, 0.9), parts[:1])
     assert [part.name for part in only.parts] == ["body", "drawer"]
 
 
 def test_the_room_behind_a_door_is_empty() -> None:
-    _, item = modelled(detection(0.6, 0.6, 1.8), [Part("door_left", (0.0, 0.0, 1.0, 1.0), 0.9)])
+    _, item = modeled(detection(0.6, 0.6, 1.8), [Part("door_left", (0.0, 0.0, 1.0, 1.0), 0.9)])
     room = (CENTER[None], rotation_about(UP, 0.3)[None], np.array([[0.27, 0.25, 0.87]]))
     assert deepest(room, boxes(item, ["body"], {})) < 0
 
 
 def test_what_does_not_open_is_closed_by_panels() -> None:
-    _, item = modelled(detection(0.5, 0.35, 0.3), [Part("door_left", (0.0, 0.0, 0.7, 1.0), 0.9)])
+    _, item = modeled(detection(0.5, 0.35, 0.3), [Part("door_left", (0.0, 0.0, 0.7, 1.0), 0.9)])
     T = pose(CENTER, rotation_about(UP, 0.3))
     button = apply(T, np.array([[0.2, -0.17, 0.0]]))
     room = (button, rotation_about(UP, 0.3)[None], np.full((1, 3), 1e-3))
@@ -308,7 +308,7 @@ def test_a_door_that_stands_proud_is_as_thick_as_it_stands_out(
 ) -> None:
     face = face_of(0.6, 1.8, height_map)
     part = Part("door_right", (0.0, 0.0, 1.0, 1.0), 0.9)
-    piece, _ = modelled(detection(0.6, 0.6, 1.8), [part], face)
+    piece, _ = modeled(detection(0.6, 0.6, 1.8), [part], face)
     (panel,) = piece.parts[1].boxes
     assert -0.3 - panel.low[1] == pytest.approx(front, abs=1e-4)
     assert panel.high[1] - panel.low[1] == pytest.approx(thickness, abs=1e-4)

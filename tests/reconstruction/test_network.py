@@ -67,7 +67,7 @@ def test_a_bare_wall_has_no_parts() -> None:
 
 def test_a_mirror_swaps_the_hinges() -> None:
     face = cabinet()
-    mirrored = replace(face, colour=np.ascontiguousarray(face.colour[:, ::-1]))
+    mirrored = replace(face, color=np.ascontiguousarray(face.color[:, ::-1]))
     kinds = sorted(part.kind for part in FrontNetwork()(face, "").parts)
     swapped = sorted(
         HINGES.get(part.kind, part.kind) for part in FrontNetwork()(mirrored, "").parts

@@ -75,8 +75,8 @@ def logits_of(shown: Prediction) -> Logits[np.ndarray]:
 
 def face(width: int = 40, height: int = 60) -> FaceImage:
     rng = np.random.default_rng(0)
-    colour = rng.integers(0, 256, (height, width, 3), dtype=np.uint8)
-    return FaceImage(colour, np.zeros((height, width), np.float32), 0.6, 0.9)
+    color = rng.integers(0, 256, (height, width, 3), dtype=np.uint8)
+    return FaceImage(color, np.zeros((height, width), np.float32), 0.6, 0.9)
 
 
 # ---------------------------------------------------------------- reading the output
@@ -264,11 +264,11 @@ def test_of_too_many_parts_the_best_are_asked_for() -> None:
         UrdformerPredictor(network, np.full((33, 4), 0.1))(face(), "cabinet")
 
 
-def test_a_image_is_squeezed_and_normalised() -> None:
-    colour = np.zeros((50, 200, 3), np.uint8)
-    colour[:, :100] = (255, 0, 0)
-    colour[:, 100:] = (0, 0, 255)
-    image = prepare_image(colour)
+def test_a_image_is_squeezed_and_normalized() -> None:
+    color = np.zeros((50, 200, 3), np.uint8)
+    color[:, :100] = (255, 0, 0)
+    color[:, 100:] = (0, 0, 255)
+    image = prepare_image(color)
     assert image.shape == (3, 224, 224)
     restored = image * np.reshape([0.229, 0.224, 0.225], (3, 1, 1))
     restored += np.reshape([0.485, 0.456, 0.406], (3, 1, 1))
@@ -337,7 +337,7 @@ def asked() -> tuple[np.ndarray, np.ndarray]:
     """Return a prepared image and the boxes of three parts in their slots."""
     boxes = np.zeros((SLOTS, 4), np.float32)
     boxes[:3] = [[0, 0, 1, 0.5], [0, 0.5, 1, 0.5], [0.4, 0.4, 0.2, 0.05]]
-    return prepare_image(face().colour), boxes
+    return prepare_image(face().color), boxes
 
 
 def test_the_network_agrees_with_one_in_plain_numpy(checkpoint: Path, network: Network) -> None:
@@ -395,7 +395,7 @@ def test_what_is_not_installed_names_its_extra(monkeypatch: pytest.MonkeyPatch) 
         load_urdformer(Path("part.pth"))
     monkeypatch.setitem(sys.modules, "PIL", None)
     with pytest.raises(MissingExtraError, match=r"momapos\[scan\]"):
-        prepare_image(face().colour)
+        prepare_image(face().color)
 
 
 def pooled_by_hand(
@@ -462,8 +462,8 @@ def test_regions_are_scaled_twice_and_have_their_axes_exchanged() -> None:
 # ---------------------------------------------------------------- files
 
 
-def labelled(path: Path) -> Float[np.ndarray, "n 4"]:
-    """Read hand-labelled boxes as rectangles on the front, which is what all of them span."""
+def labeled(path: Path) -> Float[np.ndarray, "n 4"]:
+    """Read hand-labeled boxes as rectangles on the front, which is what all of them span."""
     top, left, height, width = read_part_boxes(path).T
     corners = np.stack((left, top, left + width, top + height), axis=-1)
     low, high = corners[:, :2].min(axis=0), corners[:, 2:].max(axis=0)
@@ -471,7 +471,7 @@ def labelled(path: Path) -> Float[np.ndarray, "n 4"]:
 
 
 def errors_to(labels: Float[np.ndarray, "n 4"], boxes: Any) -> Float[np.ndarray, " parts"]:
-    """Largest error of a side, to the nearest labelled rectangle."""
+    """Largest error of a side, to the nearest labeled rectangle."""
     gaps = np.abs(np.asarray(boxes, float)[:, None] - labels).max(axis=-1)
     return gaps.min(axis=-1)
 
@@ -483,7 +483,7 @@ def test_the_authors_urdfs_match_the_labels_of_their_photos(shared: Path) -> Non
     """
     errors: dict[str, list[float]] = {"as read": [], "left for right": [], "upside down": []}
     for name in PHOTOS:
-        labels = labelled(shared / "cabinet_photos" / f"{name}.boxes.json")
+        labels = labeled(shared / "cabinet_photos" / f"{name}.boxes.json")
         boxes = [p.box for p in read_predicted_urdf(shared / "cabinet_photos" / f"{name}.urdf")]
         errors["as read"] += errors_to(labels, boxes).tolist()
         errors["left for right"] += errors_to(labels, [mirror(box) for box in boxes]).tolist()
@@ -494,11 +494,11 @@ def test_the_authors_urdfs_match_the_labels_of_their_photos(shared: Path) -> Non
     assert max(within["left for right"], within["upside down"]) < 0.65
 
 
-def test_handles_in_the_authors_urdfs_lie_near_labelled_ones(shared: Path) -> None:
+def test_handles_in_the_authors_urdfs_lie_near_labeled_ones(shared: Path) -> None:
     """That their height and side count from the hinge is seen in the photos."""
     near: list[bool] = []
     for name in PHOTOS:
-        labels = labelled(shared / "cabinet_photos" / f"{name}.boxes.json")
+        labels = labeled(shared / "cabinet_photos" / f"{name}.boxes.json")
         small = labels[np.prod(labels[:, 2:] - labels[:, :2], axis=-1) < 0.02]
         centers = (small[:, :2] + small[:, 2:]) / 2
         for part in read_predicted_urdf(shared / "cabinet_photos" / f"{name}.urdf"):

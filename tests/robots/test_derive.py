@@ -436,7 +436,7 @@ def test_home_keeps_away_from_the_limits_of_turning_joints(urdf: Path) -> None:
 
 
 def twin_armed() -> str:
-    """The mobile manipulator with a second arm like the first, half a metre to its side."""
+    """The mobile manipulator with a second arm like the first, half a meter to its side."""
     text = mobile_manipulator()
     begin = text.index('<link name="arm_0">')
     arm = text[begin : text.index("</robot>")]

@@ -419,7 +419,7 @@ def test_the_base_stands_on_the_floor(robot: Robot) -> None:
     assert abs(lowest) < 0.002
 
 
-def test_the_footprint_is_convex_anticlockwise_and_covers_the_base_tightly(robot: Robot) -> None:
+def test_the_footprint_is_convex_counterclockwise_and_covers_the_base_tightly(robot: Robot) -> None:
     polygon = np.array(robot.table["base"]["footprint"])
     assert 6 <= len(polygon) <= 16
     edges = np.roll(polygon, -1, axis=0) - polygon

@@ -15,9 +15,9 @@ K = np.array([[30.0, 0, 15.5], [0, 30.0, 11.5], [0, 0, 1]])
 
 @dataclass(frozen=True, eq=False)
 class Shot:
-    """One frame as it was taken; depth in whole millimetres."""
+    """One frame as it was taken; depth in whole millimeters."""
 
-    colour: np.ndarray
+    color: np.ndarray
     depth: np.ndarray
     T_world_camera: np.ndarray
 
@@ -43,7 +43,7 @@ def write_seven_scenes(folder: Path, taken: list[Shot], intrinsics: bool = True)
         np.savetxt(folder / "camera-intrinsics.txt", K)
     for i, shot in enumerate(taken):
         stem = folder / f"frame-{i:06d}"
-        Image.fromarray(shot.colour).save(f"{stem}.color.png")
+        Image.fromarray(shot.color).save(f"{stem}.color.png")
         Image.fromarray(shot.depth).save(f"{stem}.depth.png")
         np.savetxt(f"{stem}.pose.txt", shot.T_world_camera)
     return folder
@@ -58,7 +58,7 @@ def write_export(folder: Path, taken: list[Shot], matrices: dict[str, np.ndarray
         padded[:3, :3] = matrix
         np.savetxt(folder / "intrinsic" / name, padded)
     for i, shot in enumerate(taken):
-        Image.fromarray(shot.colour).save(folder / "color" / f"{i}.png")
+        Image.fromarray(shot.color).save(folder / "color" / f"{i}.png")
         Image.fromarray(shot.depth).save(folder / "depth" / f"{i}.png")
         np.savetxt(folder / "pose" / f"{i}.txt", shot.T_world_camera)
     return folder

@@ -29,7 +29,7 @@ START = 1_700_000_000_000_000_000
 STEP = 100_000_000
 OPTICAL = "camera_color_optical_frame"
 DEPTH = "/camera/aligned_depth_to_color/image_raw"
-COLOUR = "/camera/color/image_raw"
+COLOR = "/camera/color/image_raw"
 INFO = "/camera/color/camera_info"
 CONTAINERS = ("ros1", "sqlite", "mcap", "mcap file")
 
@@ -39,13 +39,13 @@ class Setting:
     """What is recorded, and how."""
 
     depth_topic: str = DEPTH
-    colour_topic: str = COLOUR
+    color_topic: str = COLOR
     depth_frame: str = OPTICAL
     depth_encoding: str = "16UC1"
-    colour_encoding: str = "rgb8"
+    color_encoding: str = "rgb8"
     omit: frozenset[str] = frozenset()
     lag: int = 0
-    """Of colour after depth [ns]."""
+    """Of color after depth [ns]."""
     moving: tuple[int, int] = (-1, 2)
     """The robot's odometry is known from so many steps before the first to after the last."""
 
@@ -160,11 +160,11 @@ def base_at(steps: float) -> np.ndarray:
 def record(path: Path, container: str, taken: list[Shot], setting: Setting) -> Path:
     recorder = Recorder(path, container)
     encodings = {"bgr8": lambda c: c[..., ::-1], "mono8": lambda c: c[..., :1]}
-    as_colour = encodings.get(setting.colour_encoding, lambda c: c)
-    metres = setting.depth_encoding == "32FC1"
+    as_color = encodings.get(setting.color_encoding, lambda c: c)
+    meters = setting.depth_encoding == "32FC1"
     for i, shot in enumerate(taken):
         stamp = START + i * STEP
-        depth = (shot.depth / 1000).astype(np.float32) if metres else shot.depth
+        depth = (shot.depth / 1000).astype(np.float32) if meters else shot.depth
         if "depth" not in setting.omit:
             add_image(
                 recorder,
@@ -174,10 +174,10 @@ def record(path: Path, container: str, taken: list[Shot], setting: Setting) -> P
                 setting.depth_encoding,
                 depth,
             )
-        if "colour" not in setting.omit:
+        if "color" not in setting.omit:
             add_image(
-                recorder, setting.colour_topic, stamp + setting.lag, OPTICAL,
-                setting.colour_encoding, as_colour(shot.colour),
+                recorder, setting.color_topic, stamp + setting.lag, OPTICAL,
+                setting.color_encoding, as_color(shot.color),
             )  # fmt: skip
         if "info" not in setting.omit:
             add_info(recorder, stamp)
@@ -219,7 +219,7 @@ def test_every_container_gives_back_images_and_interpolated_poses(
     assert scan.warnings == ()
     assert len(scan.frames) == 5
     for i, (frame, shot) in enumerate(zip(scan.frames, taken, strict=True)):
-        np.testing.assert_array_equal(frame.colour, shot.colour)
+        np.testing.assert_array_equal(frame.color, shot.color)
         np.testing.assert_allclose(frame.depth, shot.depth / 1000, atol=1e-6)
         np.testing.assert_allclose(frame.intrinsics, K)
         np.testing.assert_allclose(frame.T_world_camera, base_at(i) @ T_BASE_CAMERA, atol=1e-6)
@@ -233,13 +233,13 @@ ENCODINGS = [
 ]
 
 
-@pytest.mark.parametrize(("depth", "colour"), ENCODINGS)
-def test_every_encoding_gives_the_same_images(tmp_path: Path, depth: str, colour: str) -> None:
+@pytest.mark.parametrize(("depth", "color"), ENCODINGS)
+def test_every_encoding_gives_the_same_images(tmp_path: Path, depth: str, color: str) -> None:
     taken = shots(2)
-    setting = Setting(depth_encoding=depth, colour_encoding=colour)
+    setting = Setting(depth_encoding=depth, color_encoding=color)
     scan = read_scan(record(tmp_path / "drive", "mcap", taken, setting))
     for frame, shot in zip(scan.frames, taken, strict=True):
-        np.testing.assert_array_equal(frame.colour, shot.colour)
+        np.testing.assert_array_equal(frame.color, shot.color)
         np.testing.assert_allclose(frame.depth, shot.depth / 1000, atol=1e-6)
 
 
@@ -248,11 +248,11 @@ def test_chosen_frames_are_evenly_spaced_and_keep_their_partners(tmp_path: Path)
     path = record(tmp_path / "drive", "sqlite", taken, Setting(lag=STEP // 4))
     scan = read_scan(path, max_frames=3)
     for frame, i in zip(scan.frames, (0, 4, 8), strict=True):
-        np.testing.assert_array_equal(frame.colour, taken[i].colour)
+        np.testing.assert_array_equal(frame.color, taken[i].color)
         assert frame.name == f"1700000000.{i}00000000"
 
 
-@pytest.mark.parametrize("missing", ["depth", "colour", "info", "tf"])
+@pytest.mark.parametrize("missing", ["depth", "color", "info", "tf"])
 @pytest.mark.parametrize("container", ["ros1", "mcap"])
 def test_a_recording_without_a_topic_is_refused_with_those_it_has(
     tmp_path: Path, container: str, missing: str
@@ -260,19 +260,19 @@ def test_a_recording_without_a_topic_is_refused_with_those_it_has(
     path = record(tmp_path / "drive", container, shots(1), Setting(omit=frozenset({missing})))
     with pytest.raises(FileFormatError, match=missing) as caught:
         read_scan(path)
-    others = {"depth": DEPTH, "colour": COLOUR, "info": INFO, "tf": "/tf_static"}
+    others = {"depth": DEPTH, "color": COLOR, "info": INFO, "tf": "/tf_static"}
     for name, topic in others.items():
         assert (topic in str(caught.value)) == (name != missing)
 
 
 def test_topics_that_names_do_not_tell_can_be_given(tmp_path: Path) -> None:
     taken = shots(2)
-    setting = Setting(depth_topic="/sensor/range", colour_topic="/sensor/image")
+    setting = Setting(depth_topic="/sensor/range", color_topic="/sensor/image")
     path = record(tmp_path / "drive", "mcap", taken, setting)
     with pytest.raises(FileFormatError, match="no topic for depth"):
         read_scan(path)
-    scan = read_scan(path, topics=BagTopics(depth="/sensor/range", colour="/sensor/image"))
-    np.testing.assert_array_equal(scan.frames[1].colour, taken[1].colour)
+    scan = read_scan(path, topics=BagTopics(depth="/sensor/range", color="/sensor/image"))
+    np.testing.assert_array_equal(scan.frames[1].color, taken[1].color)
 
 
 def test_the_fixed_frame_can_be_given_and_must_exist(tmp_path: Path) -> None:
@@ -305,14 +305,14 @@ def test_a_broken_image_of_many_is_skipped_and_all_of_another_encoding_is_an_err
     tmp_path: Path,
 ) -> None:
     def spoil(recorder: Recorder) -> None:
-        images = [m for _, topic, _, m in recorder.messages if topic == COLOUR]
+        images = [m for _, topic, _, m in recorder.messages if topic == COLOR]
         images[1].height = 1000
 
     path = spoilt(tmp_path / "drive", spoil)
     scan = read_scan(path)
     assert len(scan.frames) == 3
     assert "1 of 4 frames skipped for their images" in scan.warnings[0]
-    yuv = record(tmp_path / "yuv", "mcap", shots(2), Setting(colour_encoding="yuv422"))
+    yuv = record(tmp_path / "yuv", "mcap", shots(2), Setting(color_encoding="yuv422"))
     with pytest.raises(FileFormatError, match="encoding 'yuv422'; expected rgb8"):
         read_scan(yuv)
 

@@ -32,8 +32,8 @@ def table() -> np.ndarray:
     rng = np.random.default_rng(5)
     made = np.zeros(60, COLUMNS)
     for name in COLUMNS.names or ():
-        colour = COLUMNS[name].kind == "u"
-        made[name] = rng.integers(0, 256, 60) if colour else rng.normal(size=60)
+        color = COLUMNS[name].kind == "u"
+        made[name] = rng.integers(0, 256, 60) if color else rng.normal(size=60)
     length = np.sqrt(made["nx"] ** 2 + made["ny"] ** 2 + made["nz"] ** 2)
     for name in ("nx", "ny", "nz"):
         made[name] /= length
@@ -53,7 +53,7 @@ def as_ply(table: np.ndarray, order: str, count: int | None = None) -> bytes:
 
 
 def packed(table: np.ndarray) -> np.ndarray:
-    """The fields of a PCD file, colour as the bits of a float."""
+    """The fields of a PCD file, color as the bits of a float."""
     kinds = [(n, "<f4") for n in ("x", "y", "z", "rgb", "normal_x", "normal_y", "normal_z")]
     made = np.zeros(len(table), kinds)
     for ours, theirs in (*((a, a) for a in "xyz"), *((f"n{a}", f"normal_{a}") for a in "xyz")):
@@ -110,7 +110,7 @@ def test_every_file_of_the_same_points_gives_the_same_cloud(
         np.testing.assert_allclose(cloud.points[:, i], table[axis], rtol=1e-6)
         np.testing.assert_allclose(cloud.normals[:, i], table[f"n{axis}"], atol=1e-5)
     for i, name in enumerate(("red", "green", "blue")):
-        np.testing.assert_array_equal(cloud.colours[:, i], table[name])
+        np.testing.assert_array_equal(cloud.colors[:, i], table[name])
 
 
 def test_a_mesh_written_by_trimesh_keeps_the_order_of_its_vertices(tmp_path: Path) -> None:
@@ -209,7 +209,7 @@ def test_estimated_normals_face_the_nearest_camera(tmp_path: Path, side: int) ->
     cameras = np.array([[0, 0, 2.0 * side], [0, 0, -9.0 * side]])
     cloud, warnings = read_cloud(path, cameras)
     np.testing.assert_allclose(cloud.normals[:, 2] * side, 1.0, atol=1e-3)
-    assert "no colours" in warnings[0]
+    assert "no colors" in warnings[0]
 
 
 def test_without_cameras_the_walls_of_a_room_face_its_middle(tmp_path: Path) -> None:
@@ -240,7 +240,7 @@ def test_points_that_are_not_finite_are_left_out_and_counted(tmp_path: Path) -> 
     [
         (np.empty((0, 3)), "empty"),
         (np.full((5, 3), np.nan), "none of its 5 points is finite"),
-        (1000 * wall(), "millimetres"),
+        (1000 * wall(), "millimeters"),
     ],
 )
 def test_a_cloud_that_cannot_be_used_is_refused(

@@ -22,12 +22,12 @@ from tests.scan_io.recorded import (
 
 from momapos.errors import FileFormatError, InputError
 from momapos.scan_io import images, validation
-from momapos.scan_io.images import match_colour, read_depth, scaled_intrinsics
+from momapos.scan_io.images import match_color, read_depth, scaled_intrinsics
 from momapos.scan_io.scan import read_scan
 
 
 def assert_same(frame: object, shot: Shot) -> None:
-    np.testing.assert_array_equal(frame.colour, shot.colour)
+    np.testing.assert_array_equal(frame.color, shot.color)
     np.testing.assert_allclose(frame.depth, shot.depth / 1000, atol=1e-6)
     np.testing.assert_allclose(frame.T_world_camera, shot.T_world_camera, atol=1e-9)
     np.testing.assert_allclose(frame.intrinsics, K)
@@ -67,7 +67,7 @@ def test_a_sequence_of_7_scenes_without_intrinsics_gets_its_kinect_and_a_warning
 ) -> None:
     shot = shots(1)[0]
     large = Shot(
-        np.tile(shot.colour, (20, 20, 1)), np.tile(shot.depth, (20, 20)), shot.T_world_camera
+        np.tile(shot.color, (20, 20, 1)), np.tile(shot.depth, (20, 20)), shot.T_world_camera
     )
     large.depth[100, 100] = 65_535
     scan = read_scan(write_seven_scenes(tmp_path / "seq-01", [large], intrinsics=False))
@@ -86,47 +86,47 @@ def test_intrinsics_beside_the_sequences_are_found(tmp_path: Path) -> None:
 
 
 def image_of_rays(matrix: np.ndarray, width: int, height: int) -> np.ndarray:
-    """Colour that depends smoothly on where a pixel looks."""
+    """Color that depends smoothly on where a pixel looks."""
     u, v = np.meshgrid(np.arange(width), np.arange(height))
     x, y = (u - matrix[0, 2]) / matrix[0, 0], (v - matrix[1, 2]) / matrix[1, 1]
     return np.clip(128 + 120 * np.stack([x, y, x + y], -1), 0, 255).astype(np.uint8)
 
 
 @pytest.mark.parametrize("factor", [1.0, 2.0, 2.5])
-def test_colour_is_brought_to_the_rays_of_depth(tmp_path: Path, factor: float) -> None:
-    K_colour = scaled_intrinsics(K, (WIDTH, HEIGHT), (int(WIDTH * factor), int(HEIGHT * factor)))
-    K_colour[0, 2] += 1.5
-    colour = image_of_rays(K_colour, int(WIDTH * factor), int(HEIGHT * factor))
+def test_color_is_brought_to_the_rays_of_depth(tmp_path: Path, factor: float) -> None:
+    K_color = scaled_intrinsics(K, (WIDTH, HEIGHT), (int(WIDTH * factor), int(HEIGHT * factor)))
+    K_color[0, 2] += 1.5
+    color = image_of_rays(K_color, int(WIDTH * factor), int(HEIGHT * factor))
     shot = shots(1)[0]
     folder = write_export(
         tmp_path / "scan",
-        [Shot(colour, shot.depth, shot.T_world_camera)],
-        {"intrinsic_color.txt": K_colour, "intrinsic_depth.txt": K},
+        [Shot(color, shot.depth, shot.T_world_camera)],
+        {"intrinsic_color.txt": K_color, "intrinsic_depth.txt": K},
     )
     frame = read_scan(folder).frames[0]
     expected = image_of_rays(K, WIDTH, HEIGHT)
     inside = np.s_[3:-3, 3:-3]
-    error = np.abs(frame.colour[inside].astype(int) - expected[inside])
-    assert frame.colour.shape == (HEIGHT, WIDTH, 3)
+    error = np.abs(frame.color[inside].astype(int) - expected[inside])
+    assert frame.color.shape == (HEIGHT, WIDTH, 3)
     assert error.max() <= 4
     np.testing.assert_allclose(frame.intrinsics, K)
 
 
-def test_one_matrix_belongs_to_colour_and_is_scaled_to_smaller_depth(tmp_path: Path) -> None:
+def test_one_matrix_belongs_to_color_and_is_scaled_to_smaller_depth(tmp_path: Path) -> None:
     shot = shots(1)[0]
-    double = Shot(np.repeat(np.repeat(shot.colour, 2, 0), 2, 1), shot.depth, shot.T_world_camera)
+    double = Shot(np.repeat(np.repeat(shot.color, 2, 0), 2, 1), shot.depth, shot.T_world_camera)
     K_double = scaled_intrinsics(K, (WIDTH, HEIGHT), (2 * WIDTH, 2 * HEIGHT))
     folder = write_export(tmp_path / "scan", [double], {"intrinsic.txt": K_double})
     frame = read_scan(folder).frames[0]
     np.testing.assert_allclose(frame.intrinsics, K)
-    assert frame.colour.shape[:2] == (HEIGHT, WIDTH)
+    assert frame.color.shape[:2] == (HEIGHT, WIDTH)
 
 
-def test_colour_that_sees_another_part_is_refused() -> None:
+def test_color_that_sees_another_part_is_refused() -> None:
     aside = K.copy()
     aside[0, 2] += 25
     with pytest.raises(ValueError, match="one view"):
-        match_colour(np.zeros((HEIGHT, WIDTH, 3), np.uint8), aside, K, (WIDTH, HEIGHT))
+        match_color(np.zeros((HEIGHT, WIDTH, 3), np.uint8), aside, K, (WIDTH, HEIGHT))
 
 
 def test_a_cloud_beside_the_frames_is_read_with_them(tmp_path: Path) -> None:
@@ -197,18 +197,18 @@ def test_a_broken_image_of_many_is_skipped_and_counted(
 
 
 @pytest.mark.parametrize(
-    ("factor", "says"), [(0.001, "metres or centimetres"), (16, "a unit finer")]
+    ("factor", "says"), [(0.001, "meters or centimeters"), (16, "a unit finer")]
 )
 def test_depth_in_another_unit_is_refused_and_depth_scale_mends_it(
     tmp_path: Path, factor: float, says: str
 ) -> None:
     taken = shots(2)
     spoilt = [
-        Shot(s.colour, (s.depth.astype(float) * factor).astype(np.uint16), s.T_world_camera)
+        Shot(s.color, (s.depth.astype(float) * factor).astype(np.uint16), s.T_world_camera)
         for s in taken
     ]
     folder = write_seven_scenes(tmp_path / "scan", spoilt)
-    with pytest.raises(FileFormatError, match=rf"{says}.*16-bit millimetres"):
+    with pytest.raises(FileFormatError, match=rf"{says}.*16-bit millimeters"):
         read_scan(folder)
     assert len(read_scan(folder, depth_scale=1000 * factor).frames) == 2
 
@@ -224,7 +224,7 @@ def test_depth_of_8_bits_is_refused_by_what_it_should_be(tmp_path: Path) -> None
 
 
 def test_empty_depth_everywhere_is_an_error(tmp_path: Path) -> None:
-    empty = [Shot(s.colour, np.zeros_like(s.depth), s.T_world_camera) for s in shots(2)]
+    empty = [Shot(s.color, np.zeros_like(s.depth), s.T_world_camera) for s in shots(2)]
     with pytest.raises(FileFormatError, match="empty"):
         read_scan(write_seven_scenes(tmp_path / "scan", empty))
 
@@ -285,12 +285,12 @@ def test_images_too_large_for_memory_are_refused_before_they_are_decoded(
         read_scan(folder)
 
 
-def test_integers_and_floats_become_metres_and_no_depth_becomes_zero(tmp_path: Path) -> None:
+def test_integers_and_floats_become_meters_and_no_depth_becomes_zero(tmp_path: Path) -> None:
     raw = np.array([[0, 500, 65_535]], np.uint16)
     Image.fromarray(raw).save(tmp_path / "d.png")
     np.testing.assert_allclose(read_depth(tmp_path / "d.png", 500.0), [[0, 1, 0]])
     floats = np.array([[np.nan, np.inf, -1, 2]], np.float32)
-    np.testing.assert_allclose(images.to_metres(floats, 1.0), [[0, 0, 0, 2]])
+    np.testing.assert_allclose(images.to_meters(floats, 1.0), [[0, 0, 0, 2]])
 
 
 def test_the_real_kitchen_is_read_whole(shared: Path) -> None:

@@ -159,7 +159,7 @@ def test_a_missing_model_of_unknown_size_is_a_small_cube_on_the_floor(tmp_path: 
     assert scene.object("lamp").bounds.mean(0)[2] == pytest.approx(2.0), "fixed things hang"
     assert len(scene.warnings) == 2
     assert "unknown size" in scene.warnings[0]
-    assert (scene.floor, scene.start) == (None, None)
+    assert (scene.floor_polygon, scene.start) == (None, None)
 
 
 def test_the_root_is_found_upwards_or_given(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Scene files: what is written is what is read, and every kind is recognised."""
+"""Scene files: what is written is what is read, and every kind is recognized."""
 
 from __future__ import annotations
 
@@ -66,8 +66,8 @@ def test_a_scene_is_read_as_it_is_written_down(tmp_path: Path) -> None:
     closed = scene.with_joint("cupboard", "hinge", 0.0).object("cupboard")
     assert_allclose(closed.bounds, [[0.6, 1.4, 0], [1.44, 2.6, 1.6]], atol=1e-9)
     assert_allclose(scene.object("cup").bounds, [[-0.05, -0.05, 0.9], [0.05, 0.05, 1.1]])
-    assert scene.floor is not None
-    assert scene.floor.shape == (3, 2)
+    assert scene.floor_polygon is not None
+    assert scene.floor_polygon.shape == (3, 2)
     assert scene.start is not None
     assert_allclose(scene.start, [0, -1, 1.57])
 
@@ -81,7 +81,7 @@ def test_saving_and_loading_changes_nothing(tmp_path: Path) -> None:
         assert (a.name, a.category, a.joints) == (b.name, b.category, b.joints)
         assert_allclose(a.T_world_object, b.T_world_object, atol=1e-12)
         assert_allclose(a.bounds, b.bounds, atol=1e-12)
-    assert_allclose(again.floor, scene.floor)
+    assert_allclose(again.floor_polygon, scene.floor_polygon)
     assert_allclose(again.start, scene.start)
     first = (tmp_path / "again.json").read_bytes()
     save_scene(again, tmp_path / "again.json")
@@ -151,8 +151,8 @@ def test_objects_of_one_urdf_share_their_model(tmp_path: Path) -> None:
 
 def test_unknown_keys_are_reported(tmp_path: Path) -> None:
     items = [{"name": "a", "pose": {"xyz": [0, 0, 0]}, "box": [1, 1, 1], "joint": {}}]
-    scene = load_scene(write(tmp_path, objects=items, colour="red"))
-    assert "'colour' is not known" in scene.warnings[0]
+    scene = load_scene(write(tmp_path, objects=items, color="red"))
+    assert "'color' is not known" in scene.warnings[0]
     assert "'joints' meant" in scene.warnings[1]
 
 
@@ -260,12 +260,12 @@ def test_converting_that_is_cut_off_can_be_done_again(
 def test_showing_a_scene_tells_its_joints_and_draws_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    path, picture = write(tmp_path, colour="red"), tmp_path / "new" / "room.png"
+    path, picture = write(tmp_path, color="red"), tmp_path / "new" / "room.png"
     assert scene_show(str(path), plot=picture) == 0
     text = capsys.readouterr()
     assert "hinge" in text.out
     assert "0.00 to 1.50 rad, at 0.50" in text.out
-    assert "'colour'" in text.err, "what was assumed goes to stderr"
+    assert "'color'" in text.err, "what was assumed goes to stderr"
     assert picture.read_bytes().startswith(b"\x89PNG")
     assert scene_show(str(path), json=True) == 0
     facts = json.loads(capsys.readouterr().out)

@@ -26,7 +26,15 @@ from tests.independent import Item, Placed, Room
 from momapos.errors import InputError, MissingExtraError, UnknownNameError
 from momapos.scene.kitchens import LAYOUTS, generate_kitchen
 from momapos.scene.library import writer
-from momapos.scene.library.furniture import TOUCH, Box, Motion, Obstacles, Part, Piece, hits
+from momapos.scene.library.furniture import (
+    TOUCH,
+    Box,
+    FurniturePart,
+    JointMotion,
+    Obstacles,
+    Piece,
+    hits,
+)
 
 REPOSITORY = Path(__file__).parents[2]
 LIBRARY = REPOSITORY / "src" / "momapos" / "scene" / "library"
@@ -127,7 +135,7 @@ def test_every_moving_part_has_a_bar_that_fingers_fit_behind(kitchen: Path) -> N
 
 def test_the_start_is_on_the_floor_and_clear_of_everything(kitchen: Path) -> None:
     room = Room.read(kitchen)
-    start, floor = room.start, room.floor
+    start, floor = room.start, room.floor_polygon
     assert np.all(np.abs(start - floor.mean(0)) <= np.ptp(floor, axis=0) / 2 - 0.6)
     low, high = bounds([shape for item in room.items for shape in item.shapes()])
     away = np.maximum(np.maximum(low[:, :2] - start, start - high[:, :2]), 0.0)
@@ -136,7 +144,7 @@ def test_the_start_is_on_the_floor_and_clear_of_everything(kitchen: Path) -> Non
 
 def test_the_furniture_stands_on_the_floor_and_the_walls_beside_it(kitchen: Path) -> None:
     room = Room.read(kitchen)
-    floor = room.floor
+    floor = room.floor_polygon
     for item in room.items:
         low, high = (bound[:, :2] for bound in bounds(item.shapes()))
         inside = (low.min(0) >= floor.min(0) - 1e-6).all() and (
@@ -225,9 +233,13 @@ def cupboard(name: str, upper: float = 1.0) -> Piece:
     """A body with one door."""
     body = Box("wall", (0.0, 0.0, 0.0), (1.0, 0.5, 1.0))
     door = Box("panel", (0.0, -0.03, 0.0), (1.0, -0.01, 1.0))
-    motion = Motion("revolute", (0.0, -0.03, 0.0), (0.0, 0.0, -1.0), upper)
+    motion = JointMotion("revolute", (0.0, -0.03, 0.0), (0.0, 0.0, -1.0), upper)
     return Piece(
-        name, "x", (0.0, 0.0, 0.0), 0.0, (Part("body", (body,)), Part("door", (door,), motion))
+        name,
+        "x",
+        (0.0, 0.0, 0.0),
+        0.0,
+        (FurniturePart("body", (body,)), FurniturePart("door", (door,), motion)),
     )
 
 
@@ -276,24 +288,24 @@ def test_a_folder_of_other_files_is_never_replaced(tmp_path: Path) -> None:
 
 
 @given(
-    centre=st.tuples(*[st.floats(-1.2, 1.2)] * 3),
+    center=st.tuples(*[st.floats(-1.2, 1.2)] * 3),
     size=st.tuples(*[st.floats(0.02, 0.8)] * 3),
     axis=st.sampled_from([(1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, -1.0)]),
     turns=st.integers(0, 3),
 )
 @settings(deadline=None, max_examples=60)
 def test_hits_are_those_that_coal_finds(
-    centre: tuple[float, float, float],
+    center: tuple[float, float, float],
     size: tuple[float, float, float],
     axis: tuple[float, float, float],
     turns: int,
 ) -> None:
     values, pivot = np.linspace(0.0, 2.0, 7), np.array([0.0, -0.1, 0.0])
-    motion = Motion("revolute", (0.0, -0.1, 0.0), axis, 2.0)
-    door = Part("door", (Box("panel", (0.0, -0.1, 0.0), (0.6, 0.0, 0.5)),), motion)
+    motion = JointMotion("revolute", (0.0, -0.1, 0.0), axis, 2.0)
+    door = FurniturePart("door", (Box("panel", (0.0, -0.1, 0.0), (0.6, 0.0, 0.5)),), motion)
     piece = Piece("piece", "x", (0.1, 0.2, 0.3), turns * np.pi / 2, (door,))
     half = np.array(size) / 2
-    found = hits(piece, door, values, Obstacles(np.eye(3)[None], np.array([centre]), half[None]))
+    found = hits(piece, door, values, Obstacles(np.eye(3)[None], np.array([center]), half[None]))
     request = coal.DistanceRequest()
     request.enable_signed_distance = True
     R_yaw = Rotation.from_euler("z", piece.yaw)
@@ -304,7 +316,7 @@ def test_hits_are_those_that_coal_finds(
             coal.Box(0.6, 0.1, 0.5),
             coal.Transform3s((R_yaw * R).as_matrix(), middle),
             coal.Box(*size),
-            coal.Transform3s(np.eye(3), np.array(centre)),
+            coal.Transform3s(np.eye(3), np.array(center)),
             request,
             coal.DistanceResult(),
         )

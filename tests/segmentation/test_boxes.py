@@ -95,7 +95,7 @@ def test_things_stand_on_what_is_below_them(rng: np.random.Generator) -> None:
 
 
 def _arrays(cloud: Cloud) -> tuple[np.ndarray, ...]:
-    return cloud.points, cloud.normals, cloud.colours
+    return cloud.points, cloud.normals, cloud.colors
 
 
 @pytest.mark.parametrize("degrees", [-30.0, 4.0, 20.0])
@@ -119,7 +119,7 @@ def test_boxes_of_least_area_follow_a_small_turn_when_asked(rng: np.random.Gener
 def _turned(cloud: Cloud, angle: float) -> Cloud:
     c, s = np.cos(angle), np.sin(angle)
     R: Float[np.ndarray, "3 3"] = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    return Cloud(cloud.points @ R.T, cloud.normals @ R.T, cloud.colours)
+    return Cloud(cloud.points @ R.T, cloud.normals @ R.T, cloud.colors)
 
 
 def test_a_cup_seen_from_one_side_is_as_deep_as_it_is_wide(rng: np.random.Generator) -> None:

@@ -61,7 +61,7 @@ def wall_ahead(distance: float) -> Frame:
     return render_frame(world, look_at(np.zeros(3), np.array([1.0, 0, 0])), K, SIZE)
 
 
-def test_a_wall_at_two_metres_has_depth_two_everywhere() -> None:
+def test_a_wall_at_two_meters_has_depth_two_everywhere() -> None:
     np.testing.assert_allclose(wall_ahead(2.0).depth, 2.0, atol=1e-4)
 
 
@@ -138,7 +138,7 @@ def test_a_dark_seam_shows_between_two_doors() -> None:
     back = a_box("cabinet_back", (0.02, 0.8, 0.7), (1.53, 0.0, 0.0))
     world = render_world(a_room(*doors, back), np.random.default_rng(0), floor=False)
     frame = render_frame(world, look_at(np.zeros(3), np.array([1.0, 0, 0])), K, SIZE)
-    row = frame.colour[200:280].astype(float).mean((0, 2))
+    row = frame.color[200:280].astype(float).mean((0, 2))
     assert row[318:322].min() < 0.85 * min(np.median(row[290:310]), np.median(row[330:350]))
 
 

@@ -20,7 +20,7 @@ def faces() -> list[generator.Drawn]:
 
 def test_the_same_seed_draws_the_same_picture() -> None:
     one, two = (generator.draw(np.random.default_rng(3)) for _ in range(2))
-    np.testing.assert_array_equal(one.face.colour, two.face.colour)
+    np.testing.assert_array_equal(one.face.color, two.face.color)
     np.testing.assert_array_equal(one.face.height_map, two.face.height_map)
     assert one.parts == two.parts
 

@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 from momapos.geometry.transforms import invert, pose
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.urdf import Geometry, Link, Urdf
-from momapos.verification.bodies import bodies_of
 from momapos.verification.convex import overlap
+from momapos.verification.link_bodies import bodies_of
 from momapos.verification.polygon import outside
 from momapos.verification.shapes import Shapes, shapes_of
 from momapos.verification.sweep import all_pairs, deepest

@@ -25,9 +25,9 @@ from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.urdf import read_urdf
 from momapos.scene.files import load_scene
 from momapos.types import Motion, Task
-from momapos.verification.bodies import bodies_of, body_poses
 from momapos.verification.exact import PlanVerifier
 from momapos.verification.files import UrdfArm, verify_files
+from momapos.verification.link_bodies import bodies_of, body_poses
 from momapos.verification.report import Limits
 
 RUN_THE_OTHER = """

@@ -69,7 +69,7 @@ def test_the_first_hit_is_that_of_looking_at_every_value(seed: int, tmp_path: Pa
 
 
 @pytest.mark.parametrize("overlap_mm", [0.0, 2.0, 8.0])
-def test_a_door_may_leave_a_neighbour_that_it_stands_in(overlap_mm: float, tmp_path: Path) -> None:
+def test_a_door_may_leave_a_neighbor_that_it_stands_in(overlap_mm: float, tmp_path: Path) -> None:
     case = make_case()
     case.obstacle(FLUSH, [0.185, 0.44 - overlap_mm / 1000, 0.8])
     world = world_of(tmp_path, case)

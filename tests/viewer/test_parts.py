@@ -18,12 +18,13 @@ from momapos.kinematics.hulls import Boxes
 from momapos.manipulation.motion import MotionConfig, task_motion
 from momapos.manipulation.tasks import make_task
 from momapos.outcomes import PoseOutcome, PoseStatus
-from momapos.placement.area import BaseStatus, Site, standing
+from momapos.placement.area import BaseStatus, base_pose_status
 from momapos.placement.place import Search
+from momapos.prepare import placement_geometry
 from momapos.robots.robot import load_robot
 from momapos.scene.files import load_scene
+from momapos.viewer.candidate_markers import KIND_OF, KINDS, outcomes, thin
 from momapos.viewer.heat import YAWS, potential_map
-from momapos.viewer.outcomes import KIND_OF, KINDS, outcomes, thin
 from momapos.viewer.outlines import box_bounds, box_outlines
 from momapos.viewer.panel import wrapped
 from momapos.viewer.robot import arm_frames
@@ -33,7 +34,7 @@ from momapos.viewer.room import name_objects, room, room_bounds
 class Always:
     """A map on which the arm reaches everything."""
 
-    def weakest(self, bases: np.ndarray, Ts_world_tool: np.ndarray) -> np.ndarray:
+    def min_score(self, bases: np.ndarray, Ts_world_tool: np.ndarray) -> np.ndarray:
         return np.ones((len(bases), len(Ts_world_tool)))
 
 
@@ -90,17 +91,14 @@ def test_thinning_keeps_the_best_of_every_place() -> None:
 def test_the_potential_is_zero_where_the_base_cannot_stand_and_nowhere_else() -> None:
     scene, robot = load_scene("kitchen_small"), load_robot("fetch")
     motion = task_motion(scene, robot, make_task(scene, "pick", "cup"), MotionConfig())
-    site = Site(
-        robot=robot, Ts_world_tool=np.ascontiguousarray(motion.Ts_world_tool[:, motion.coarse]),
-        static=motion.static, sweep=motion.sweep(), floor=scene.floor, clearance=0.01,
-    )  # fmt: skip
-    heat = potential_map(site, Always(), cell=0.2)
+    geometry = placement_geometry(scene, robot, motion, clearance=0.01)
+    heat = potential_map(geometry, Always(), cell=0.2)
     assert heat is not None
     i, j = np.indices(heat.value.shape).reshape(2, -1)
     xy = heat.low + 0.2 * (np.stack([j, i], -1) + 0.5)
     yaw = np.tile(2 * np.pi / YAWS * np.arange(YAWS), len(xy))
     poses = np.column_stack([np.repeat(xy, YAWS, axis=0), yaw])
-    stands = (standing(site, poses)[0] == BaseStatus.CLEAR).reshape(-1, YAWS).any(1)
+    stands = (base_pose_status(geometry, poses)[0] == BaseStatus.CLEAR).reshape(-1, YAWS).any(1)
     assert stands.any()
     assert ((heat.value.ravel() > 0) == stands).all()
     assert heat.value.max() <= 1.0

@@ -37,7 +37,7 @@ NOWHERE = PoseOutcome(PoseStatus.OUT_OF_REACH_ANYWHERE)
 class Near:
     """A map on which the arm reaches whatever is near."""
 
-    def weakest(
+    def min_score(
         self, bases: Float[np.ndarray, "n 3"], Ts_world_tool: Float[np.ndarray, "g w 4 4"]
     ) -> Float[np.ndarray, "n g"]:
         away = bases[:, None, :2] - Ts_world_tool[None, 0, :, :2, 3]
@@ -48,7 +48,7 @@ class Near:
 class Broken:
     """A map that cannot be asked."""
 
-    def weakest(self, bases: np.ndarray, Ts_world_tool: np.ndarray) -> np.ndarray:
+    def min_score(self, bases: np.ndarray, Ts_world_tool: np.ndarray) -> np.ndarray:
         raise RuntimeError(f"no map for {len(bases)} bases, {len(Ts_world_tool)} grasps")
 
 
@@ -68,7 +68,7 @@ def answer_of(
     """An answer that is only good for being drawn: the arm stays at home."""
     task = make_task(scene, verb, name, joint)
     motion = task_motion(scene, robot, task, MotionConfig())
-    tools = motion.Ts_world_tool[0, motion.hold :]
+    tools = motion.Ts_world_tool[0, motion.grasp_step :]
     poses = np.random.default_rng(0).uniform([0, -2.5, -3], [2, 0, 3], (70, 3))
     plan = PlacementPlan(
         scene=scene.name, robot_name=robot.name, robot_urdf="", base_link=robot.base_link,
@@ -76,7 +76,7 @@ def answer_of(
         base_pose=(0.55, -1.6, 1.2), navigation_cost=1.5, timing={"total": 1.25},
         motion=Motion(
             robot.home[None], np.tile(robot.home, (len(tools), 1)),
-            motion.object_q[motion.hold :], tools,
+            motion.object_q[motion.grasp_step :], tools,
         ),
     )  # fmt: skip
     return PlacementResult(
@@ -149,7 +149,7 @@ def test_an_infeasible_answer_is_drawn_too(
 
 
 def test_a_room_without_a_floor_is_drawn_too(kitchen: Scene, fetch: Robot, tmp_path: Path) -> None:
-    bare = replace(kitchen, floor=None, objects=kitchen.objects[:3])
+    bare = replace(kitchen, floor_polygon=None, objects=kitchen.objects[:3])
     answer = answer_of(bare, fetch, "open", "fridge", "door_hinge")
     draw_answer(bare, answer, Near(), tmp_path / "plan.png")
     assert size_of(tmp_path / "plan.png") == (1600, 1200)

@@ -42,7 +42,7 @@ def test_a_face_seen_at_an_angle_comes_out_straight(off: float) -> None:
     image = face_image(face, [view_of(2, off)])
     rows, columns = image.height_map.shape
     heights = 1.8 * (1 - (np.arange(rows) + 0.5) / rows)
-    error = image.colour[:, columns // 2, 0] - 255 * heights / 1.8
+    error = image.color[:, columns // 2, 0] - 255 * heights / 1.8
     assert np.abs(error[2:-2]).max() < 3  # the border mixes with what lies behind
     assert np.abs(np.nanmedian(image.height_map)) < 1e-3
     assert (image.width, image.height) == (face.width, face.height)
@@ -80,16 +80,16 @@ def test_what_hides_a_face_in_one_frame_is_looked_past_in_another() -> None:
     face = box_faces(FRIDGE)[0]
     free = view_of(0)
     assert free.depth is not None
-    hidden = replace(free, colour=free.colour.copy(), depth=free.depth.copy())
-    hidden.colour[240:] = 7
-    hidden.depth[240:] = 1.0  # something stands a metre from the camera
+    hidden = replace(free, color=free.color.copy(), depth=free.depth.copy())
+    hidden.color[240:] = 7
+    hidden.depth[240:] = 1.0  # something stands a meter from the camera
     image = face_image(face, [hidden, free])
     alone = face_image(face, [free])
-    np.testing.assert_array_equal(image.colour, alone.colour)
+    np.testing.assert_array_equal(image.color, alone.color)
     measured = np.isfinite(alone.height_map)
     np.testing.assert_allclose(image.height_map[measured], alone.height_map[measured], atol=1e-6)
     only = face_image(face, [hidden])
-    assert (only.colour[-5:] == 7).all()
+    assert (only.color[-5:] == 7).all()
     assert np.nanmin(only.height_map[-5:]) > 0.5
 
 

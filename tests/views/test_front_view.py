@@ -37,7 +37,7 @@ def around(offsets: list[float], index: int) -> list[Frame]:
 
 
 def red_is_front(face: FaceImage) -> Front:
-    red = float((face.colour[..., 0] > 100).mean())
+    red = float((face.color[..., 0] > 100).mean())
     door = Part("door_left", (0.0, 0.0, 1.0, 1.0), red, handle=(0.8, 0.4, 0.9, 0.6))
     return Front(red, (door,) if red > 0.5 else ())
 
@@ -55,7 +55,7 @@ def test_the_front_is_the_face_for_which_the_images_vote() -> None:
 
 def test_one_wrong_vote_is_outvoted_while_the_first_image_that_passes_is_believed() -> None:
     frames = around([0.0, 0.2, 0.1], 3) + around([0.1, 0.2, 0.3], FRONT)
-    lies = replace(frames[0], colour=np.full_like(frames[0].colour, 0) + np.uint8([200, 0, 0]))
+    lies = replace(frames[0], color=np.full_like(frames[0].color, 0) + np.uint8([200, 0, 0]))
     frames[0] = lies
     seen = sights(FRIDGE, frames)
     config = ViewConfig(votes=3)
@@ -103,16 +103,16 @@ CODE = {"drawer": 60, "door_left": 110, "door_right": 160, "door_down": 210}
 
 
 def row_paint(world: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """Doors of the row, a grey for each kind; what is no door is black."""
+    """Doors of the row, a gray for each kind; what is no door is black."""
     left = 1.2 - world[:, 1]  # seen from -x, y goes to the left
-    grey = np.zeros(len(world))
+    gray = np.zeros(len(world))
     for a, b, kind in DOORS:
-        grey[(left > a + 0.005) & (left < b - 0.005) & (normals[:, 0] < -0.9)] = CODE[kind]
-    return np.repeat(grey[:, None], 3, axis=1)
+        gray[(left > a + 0.005) & (left < b - 0.005) & (normals[:, 0] < -0.9)] = CODE[kind]
+    return np.repeat(gray[:, None], 3, axis=1)
 
 
 def doors_in(face: FaceImage) -> Front:
-    line = face.colour[face.colour.shape[0] // 2, :, 0].astype(float)
+    line = face.color[face.color.shape[0] // 2, :, 0].astype(float)
     parts = []
     for kind, code in CODE.items():
         flat = np.abs(line - code) < 12

@@ -18,7 +18,7 @@ from momapos.views.projection import (
 )
 
 
-def grey(world: np.ndarray, normals: np.ndarray) -> np.ndarray:
+def gray(world: np.ndarray, normals: np.ndarray) -> np.ndarray:
     del normals
     return np.full((len(world), 3), 128)
 
@@ -27,7 +27,7 @@ def frames() -> list[Frame]:
     eyes = [(-0.5, 0.5, 1.0), (0.0, -0.5, 1.4), (4.5, 1.0, 1.0)]
     targets = [(2.0, 0.9, 0.9), (2.0, 0.5, 0.9), (9.0, 1.0, 1.0)]  # the last looks away
     return [
-        image(camera(eye, target), FRIDGE, grey, name=f"frame-{k:06d}")
+        image(camera(eye, target), FRIDGE, gray, name=f"frame-{k:06d}")
         for k, (eye, target) in enumerate(zip(eyes, targets, strict=True))
     ]
 
@@ -36,7 +36,7 @@ def test_a_projected_box_holds_just_the_pixels_of_the_thing() -> None:
     frame = frames()[0]
     rectangle = projection(FRIDGE, frame)
     assert rectangle is not None
-    rows, columns = np.nonzero(frame.colour[..., 0])
+    rows, columns = np.nonzero(frame.color[..., 0])
     seen = (columns.min(), rows.min(), columns.max() + 1, rows.max() + 1)
     assert np.abs(np.subtract(rectangle, seen)).max() < 1.5
 

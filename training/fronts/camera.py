@@ -21,7 +21,7 @@ class Pose:
     homography: Float[np.ndarray, "3 3"]
     """From pixels of the picture to pixels of the canvas."""
     shift: Float[np.ndarray, "2"]
-    """How far a surface moves for each metre that it stands out [px/m]."""
+    """How far a surface moves for each meter that it stands out [px/m]."""
     level: float
     """Height that was rectified [m]."""
 
@@ -217,8 +217,8 @@ def photograph(
     curve = (np.linspace(0, 1, 1025) ** rng.uniform(0.45, 1.0)).astype(np.float32)
     image = curve[(np.clip(light, 0, 1) * 1024).astype(np.int32)]
     if not uniform and rng.random() < 0.5:
-        centre = float(image.mean())
-        image = centre + (image - centre) * rng.uniform(0.6, 1.2)
+        center = float(image.mean())
+        image = center + (image - center) * rng.uniform(0.6, 1.2)
         image += rng.uniform(-0.08, 0.08)
     blur = rng.choice([0.0, 0.0, 0.5, 1.0, 1.6])
     if blur:

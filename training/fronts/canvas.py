@@ -1,6 +1,6 @@
-"""A picture of a face in the making: how far each pixel stands out, its colour and its gloss.
+"""A picture of a face in the making: how far each pixel stands out, its color and its gloss.
 
-Coordinates are metres, x right and y down, as seen from the front. Rectangles are (left, top,
+Coordinates are meters, x right and y down, as seen from the front. Rectangles are (left, top,
 right, bottom). Everything is painted with area coverage, so that a seam of 2 mm darkens a pixel
 of 6 mm by a third, as a camera would show it.
 """
@@ -12,7 +12,7 @@ from collections.abc import Callable
 import numpy as np
 
 Rect = tuple[float, float, float, float]
-Colour = np.ndarray
+Color = np.ndarray
 Window = tuple[slice, slice]
 
 
@@ -77,14 +77,14 @@ class Canvas:
         self,
         window: Window,
         cover: np.ndarray,
-        colour: Colour | None = None,
+        color: Color | None = None,
         height: np.ndarray | float | None = None,
         gloss: float | None = None,
     ) -> None:
         """Paint over a window, as far as `cover` says."""
-        if colour is not None:
+        if color is not None:
             area = self.albedo[window]
-            area += cover[..., None] * (np.asarray(colour, np.float32) - area)
+            area += cover[..., None] * (np.asarray(color, np.float32) - area)
         if height is not None:
             level = self.height[window]
             level += cover * (height - level)
@@ -95,7 +95,7 @@ class Canvas:
     def fill(
         self,
         rect: Rect,
-        colour: Colour | Callable[[np.ndarray, np.ndarray], Colour] | None = None,
+        color: Color | Callable[[np.ndarray, np.ndarray], Color] | None = None,
         height: float | None = None,
         gloss: float | None = None,
         edge: float = 0.0,
@@ -111,7 +111,7 @@ class Canvas:
                 np.minimum(x - rect[0], rect[2] - x), np.minimum(y - rect[1], rect[3] - y)
             )
             level = height - edge * (1 - ramp(inward, 0, edge)) ** 2 * 0.7
-        paint = colour(*self.grid(window)) if callable(colour) else colour
+        paint = color(*self.grid(window)) if callable(color) else color
         self.blend(window, self.cover(rect, window), paint, level, gloss)
 
     def darken(self, rect: Rect, by: float) -> None:
@@ -137,7 +137,7 @@ class Canvas:
         self,
         rect: Rect,
         corner: float,
-        colour: Colour | None,
+        color: Color | None,
         base: float | None,
         out: float,
         *,
@@ -149,7 +149,7 @@ class Canvas:
         Args:
             rect: Its bounds.
             corner: Radius of its corners [m].
-            colour: Its colour, or None to keep what is there.
+            color: Its color, or None to keep what is there.
             base: Height of its rim; None leaves the height alone.
             out: Height of its middle above the rim [m].
             flat: 0 for a half round, 1 for a flat top.
@@ -174,7 +174,7 @@ class Canvas:
             deep = max(min(half_x, half_y), 1e-4)
             dome = np.sqrt(np.clip(1 - (1 - np.clip(inside / deep, 0, 1)) ** 2, 0, 1))
             level = base + out * (flat + (1 - flat) * dome)
-        self.blend(window, cover, colour, level, gloss)
+        self.blend(window, cover, color, level, gloss)
 
 
 def smooth_noise(

@@ -81,7 +81,7 @@ def _write(
 
 
 def restore(net: nn.Module, path: Path) -> None:
-    """Give a network without normalisation the weights of a file that `write` wrote.
+    """Give a network without normalization the weights of a file that `write` wrote.
 
     The file lists its layers in the order in which they are used, and names only some.
     """

@@ -31,7 +31,7 @@ class DoorStyle:
     uniform: bool
     """Drawn plainly, as models made on a computer are."""
     mono: bool
-    """Everything has the colour of the body, handles too."""
+    """Everything has the color of the body, handles too."""
     corner: float
     """Radius of the corners of its fronts [m]."""
 
@@ -186,13 +186,13 @@ def _window(rng: np.random.Generator, canvas: Canvas, rect: Rect, style: DoorSty
 
 def hardware(rng: np.random.Generator, canvas: Canvas, rect: Rect, left: bool) -> None:
     """Visible hinges on one side of a door."""
-    colour = materials.metal(rng).base
+    color = materials.metal(rng).base
     high, tall = rect[3] - rect[1], rng.uniform(0.03, 0.07)
     wide = rng.uniform(0.006, 0.014)
     x = rect[0] if left else rect[2]
     for share in (0.12, 0.88) if rng.random() < 0.7 else (0.1, 0.5, 0.9):
         y = rect[1] + share * high
-        canvas.fill((x - wide, y - tall / 2, x + wide, y + tall / 2), colour, 0.01, 0.4)
+        canvas.fill((x - wide, y - tall / 2, x + wide, y + tall / 2), color, 0.01, 0.4)
 
 
 def controls(
@@ -259,7 +259,7 @@ def opening(rng: np.random.Generator, canvas: Canvas, rect: Rect, body: Material
         x, size = rect[0] + rng.uniform(0, 0.8) * wide, rng.uniform(0.05, 0.25)
         y = rect[3] - rng.integers(0, 4) * high / 4
         thing = (x, y - size * high, min(x + size * wide, rect[2]), y)
-        canvas.fill(thing, materials.random_colour(rng), -0.08, 0.2)
+        canvas.fill(thing, materials.random_color(rng), -0.08, 0.2)
 
 
 def vent(rng: np.random.Generator, canvas: Canvas, rect: Rect) -> None:
@@ -281,7 +281,7 @@ def blank(
     canvas.fill(plan_rect, body.texture, 0.0, body.gloss, 0.004)
     if fill == "table":
         board, leg = rng.uniform(0.02, 0.15), rng.uniform(0.03, 0.1)
-        canvas.fill((left, top + board, right, bottom), materials.random_colour(rng), -0.3)
+        canvas.fill((left, top + board, right, bottom), materials.random_color(rng), -0.3)
         for x in (left, right - leg):
             canvas.fill((x, top, x + leg, bottom), body.texture, 0.0)
     elif fill == "wall":
@@ -291,9 +291,9 @@ def blank(
             x, y = left + rng.uniform(0, 0.7) * wide, top + rng.uniform(0, 0.7) * high
             size = rng.uniform(0.08, 0.5, 2)
             frame = (x, y, x + size[0], y + size[1])
-            canvas.fill(frame, materials.random_colour(rng), 0.01, 0.2)
+            canvas.fill(frame, materials.random_color(rng), 0.01, 0.2)
             if rng.random() < 0.5:
-                canvas.fill(inset(frame, 0.02), materials.random_colour(rng), 0.005)
+                canvas.fill(inset(frame, 0.02), materials.random_color(rng), 0.005)
     elif fill == "shelves":
         opening(rng, canvas, inset(plan_rect, 0.02), body)
     elif fill == "clutter":
@@ -302,7 +302,7 @@ def blank(
             size = rng.uniform(0.05, 0.5, 2) * (wide, high)
             corner = rng.uniform(0, 0.3)
             thing = (x, y, x + size[0], y + size[1])
-            tone = materials.random_colour(rng)
+            tone = materials.random_color(rng)
             canvas.capsule(thing, corner, tone, rng.uniform(-0.2, 0.05), 0.03, flat=rng.random())
     elif fill == "grille":
         vent(rng, canvas, inset(plan_rect, 0.1 * wide, 0.1 * high))
@@ -329,11 +329,11 @@ def distractors(rng: np.random.Generator, canvas: Canvas, rect: Rect, fridge: bo
         x, y = rect[0] + rng.uniform(0.1, 0.8) * wide, rect[1] + rng.uniform(0.1, 0.8) * high
         size = np.minimum(rng.uniform(0.02, 0.2, 2), (0.18 * wide, 0.18 * high))
         note = (x, y, x + size[0], y + size[1])
-        canvas.fill(note, materials.random_colour(rng), level + 0.001, rng.uniform(0, 0.5))
+        canvas.fill(note, materials.random_color(rng), level + 0.001, rng.uniform(0, 0.5))
 
 
 def backdrop(rng: np.random.Generator, canvas: Canvas, plan_rect: Rect, uniform: bool) -> None:
-    """What is around a face: wall, floor, worktop, legs, a neighbour, nothing."""
+    """What is around a face: wall, floor, worktop, legs, a neighbor, nothing."""
     left, top, right, bottom = plan_rect
     view = canvas.view
     far = -rng.uniform(0.1, 0.6)
@@ -369,7 +369,7 @@ def backdrop(rng: np.random.Generator, canvas: Canvas, plan_rect: Rect, uniform:
         for _ in range(int(rng.integers(0, 4))):
             x, size = rng.uniform(left, right), rng.uniform(0.05, 0.25, 2)
             thing = (x, top - thick - size[1], x + size[0], top - thick)
-            canvas.capsule(thing, 0.03, materials.random_colour(rng), -0.05, 0.03)
+            canvas.capsule(thing, 0.03, materials.random_color(rng), -0.05, 0.03)
 
 
 def lumps(rng: np.random.Generator, canvas: Canvas) -> None:
@@ -379,7 +379,7 @@ def lumps(rng: np.random.Generator, canvas: Canvas) -> None:
     x = view[0] + rng.uniform(-0.1, 0.95) * wide
     size = rng.uniform(0.06, 0.28, 2) * (wide, high)
     y = view[3] - size[1] * rng.uniform(0.5, 1.2)
-    tone = materials.random_colour(rng)
+    tone = materials.random_color(rng)
     corner = rng.uniform(0, 0.2)
     canvas.capsule((x, y, x + size[0], y + size[1]), corner, tone, 0.15, 0.05, flat=0.5, gloss=0.2)
     window = canvas.window((x, y, x + size[0], y + size[1]))

@@ -91,10 +91,10 @@ def draw(rng: np.random.Generator, mix: Mix = ORDINARY) -> Drawn:
         (camera.shade(rng, canvas, uniform=uniform), canvas.height[..., None]), axis=-1
     )
     stack = camera.warp(stack.astype(np.float32), canvas.height, pose)
-    colour = camera.photograph(rng, stack[..., :3], uniform=uniform)
+    color = camera.photograph(rng, stack[..., :3], uniform=uniform)
     relief = camera.measured(rng, stack[..., 3], level + _plane(rng))
     face = FaceImage(
-        colour, relief, canvas.view[2] - canvas.view[0], canvas.view[3] - canvas.view[1]
+        color, relief, canvas.view[2] - canvas.view[0], canvas.view[3] - canvas.view[1]
     )
     parts, false_parts = _truth(canvas, pose, fitted)
     return Drawn(face, parts, false_parts, plan.family)
@@ -206,7 +206,7 @@ def _fixed_cell(
     if cell.fill == "open":
         fittings.opening(rng, canvas, cell.rect, body)
     elif cell.fill == "knees":
-        canvas.fill(cell.rect, materials.random_colour(rng), -rng.uniform(0.2, 0.6))
+        canvas.fill(cell.rect, materials.random_color(rng), -rng.uniform(0.2, 0.6))
     elif cell.fill in ("controls", "knobs"):
         knobs = cell.fill == "knobs"
         fittings.controls(rng, canvas, cell.rect, style.skin, max(style.out, 0.0), knobs)

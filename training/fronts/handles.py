@@ -39,7 +39,7 @@ def random_style(
         rng: Source of chance.
         skin: What the doors are made of.
         weights: How likely each of `SHAPES` is.
-        mono: Handles have the colour of the doors.
+        mono: Handles have the color of the doors.
     """
     odds = np.array(weights, dtype=float)
     shape = str(rng.choice(SHAPES, p=odds / odds.sum()))
@@ -123,17 +123,17 @@ def draw(
     rng: np.random.Generator, canvas: Canvas, style: HandleStyle, rect: Rect, level: float
 ) -> None:
     """Paint a handle on a part whose front is at a height."""
-    colour, gloss = style.material.base, style.material.gloss
+    color, gloss = style.material.base, style.material.gloss
     wide, high = rect[2] - rect[0], rect[3] - rect[1]
     thick, upright = min(wide, high), high > wide
     if style.shape in ("knob", "square"):
         corner = thick if style.shape == "knob" else thick * rng.uniform(0, 0.2)
         if rng.random() < 0.3:
-            canvas.capsule(inset(rect, -0.2 * thick), corner * 1.4, colour * 0.8, level, 0.003)
-        canvas.capsule(rect, corner, colour, level + 0.4 * style.out, 0.6 * style.out, gloss=gloss)
+            canvas.capsule(inset(rect, -0.2 * thick), corner * 1.4, color * 0.8, level, 0.003)
+        canvas.capsule(rect, corner, color, level + 0.4 * style.out, 0.6 * style.out, gloss=gloss)
         if rng.random() < 0.4:
             canvas.capsule(
-                inset(rect, 0.25 * thick), corner, colour * 1.25, level + 0.7 * style.out, 0.01
+                inset(rect, 0.25 * thick), corner, color * 1.25, level + 0.7 * style.out, 0.01
             )
     elif style.shape == "cup":
         _cup(canvas, style, rect, level)
@@ -143,19 +143,19 @@ def draw(
             rect, canvas.albedo[canvas.window(rect)] * shade, level - rng.uniform(0.008, 0.03)
         )
     elif style.shape == "profile":
-        canvas.fill(rect, colour, level + rng.uniform(0, 0.015), gloss, edge=0.003)
+        canvas.fill(rect, color, level + rng.uniform(0, 0.015), gloss, edge=0.003)
     elif style.shape == "block":
         corner = thick * rng.uniform(0, 0.5)
-        canvas.capsule(rect, corner, colour, level, style.out, flat=rng.random(), gloss=gloss)
+        canvas.capsule(rect, corner, color, level, style.out, flat=rng.random(), gloss=gloss)
     else:
         _bar(rng, canvas, style, rect, level, upright)
 
 
 def _cup(canvas: Canvas, style: HandleStyle, rect: Rect, level: float) -> None:
     """A half shell, open below."""
-    colour, gloss = style.material.base, style.material.gloss
+    color, gloss = style.material.base, style.material.gloss
     left, top, right, bottom = rect
-    canvas.capsule(rect, (right - left) / 2, colour, level, style.out, flat=0.1, gloss=gloss)
+    canvas.capsule(rect, (right - left) / 2, color, level, style.out, flat=0.1, gloss=gloss)
     lip = bottom - 0.2 * (bottom - top)
     canvas.darken((left + 0.08 * (right - left), lip, right - 0.08 * (right - left), bottom), 0.6)
 
@@ -169,7 +169,7 @@ def _bar(
     upright: bool,
 ) -> None:
     """A bar on two posts; a bow is thinner in the middle, a wire is thin."""
-    colour, gloss = style.material.base, style.material.gloss
+    color, gloss = style.material.base, style.material.gloss
     wide, high = rect[2] - rect[0], rect[3] - rect[1]
     thick, long = min(wide, high), max(wide, high)
     post = thick * rng.uniform(1.0, 1.5)
@@ -180,12 +180,12 @@ def _bar(
             if upright
             else (rect[0] + start, rect[1], rect[0] + start + post, rect[3])
         )
-        canvas.fill(foot, colour * 0.8, level + style.out * 0.6, gloss)
+        canvas.fill(foot, color * 0.8, level + style.out * 0.6, gloss)
     corner = thick * (0.5 if rng.random() < 0.6 else 0.05)
     body = rect
     if style.shape == "bow":
         slim = thick * rng.uniform(0.1, 0.3)
         body = inset(rect, slim, 0.0) if upright else inset(rect, 0.0, slim)
     canvas.capsule(
-        body, corner, colour, level + style.out - thick / 2, thick / 2, flat=0.2, gloss=gloss
+        body, corner, color, level + style.out - thick / 2, thick / 2, flat=0.2, gloss=gloss
     )

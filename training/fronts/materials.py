@@ -1,6 +1,6 @@
-"""Colours and textures: paint, wood, steel, glass, tiles, prints, carvings.
+"""Colors and textures: paint, wood, steel, glass, tiles, prints, carvings.
 
-A material is a function of metric coordinates (a row of x, a column of y) that gives colours.
+A material is a function of metric coordinates (a row of x, a column of y) that gives colors.
 """
 
 from __future__ import annotations
@@ -53,42 +53,40 @@ class Material:
     texture: Texture
     gloss: float
     base: np.ndarray
-    """Its mean colour."""
+    """Its mean color."""
 
 
-def _vary(rng: np.random.Generator, colour: tuple[float, ...], by: float) -> np.ndarray:
+def _vary(rng: np.random.Generator, color: tuple[float, ...], by: float) -> np.ndarray:
     shade = rng.normal(1, by) + rng.normal(0, by / 3, 3)
-    return np.clip(np.array(colour) * shade, 0.02, 0.97).astype(np.float32)
+    return np.clip(np.array(color) * shade, 0.02, 0.97).astype(np.float32)
 
 
-def random_colour(rng: np.random.Generator) -> np.ndarray:
-    """Any colour, greys more often than not."""
-    grey = rng.uniform(0.03, 0.97)
+def random_color(rng: np.random.Generator) -> np.ndarray:
+    """Any color, grays more often than not."""
+    gray = rng.uniform(0.03, 0.97)
     tint = rng.normal(0, rng.choice([0.01, 0.03, 0.08, 0.25]), 3)
-    return np.clip(grey + tint, 0.02, 0.97).astype(np.float32)
+    return np.clip(gray + tint, 0.02, 0.97).astype(np.float32)
 
 
-def plain(colour: np.ndarray, gloss: float = 0.1) -> Material:
-    """One colour all over."""
-    return Material(lambda x, y: np.broadcast_to(colour, (y.size, x.size, 3)), gloss, colour)
+def plain(color: np.ndarray, gloss: float = 0.1) -> Material:
+    """One color all over."""
+    return Material(lambda x, y: np.broadcast_to(color, (y.size, x.size, 3)), gloss, color)
 
 
 def paint(rng: np.random.Generator) -> Material:
     """Painted, sometimes worn."""
-    any_colour = rng.random() < 0.3
-    colour = (
-        random_colour(rng) if any_colour else _vary(rng, PAINTS[rng.integers(len(PAINTS))], 0.06)
-    )
+    any_color = rng.random() < 0.3
+    color = random_color(rng) if any_color else _vary(rng, PAINTS[rng.integers(len(PAINTS))], 0.06)
     worn = rng.choice([0.0, 0.0, 0.03, 0.15])
     if worn == 0:
-        return plain(colour, rng.uniform(0, 0.3))
+        return plain(color, rng.uniform(0, 0.3))
 
     def texture(x: np.ndarray, y: np.ndarray) -> np.ndarray:
         shape = (y.size, x.size)
         spots = smooth_noise(rng, shape, (np.ptp(y) * 15, np.ptp(x) * 60))
-        return colour * (1 + worn * np.clip(spots, -1, 0.6)[..., None])
+        return color * (1 + worn * np.clip(spots, -1, 0.6)[..., None])
 
-    return Material(texture, rng.uniform(0, 0.15), colour)
+    return Material(texture, rng.uniform(0, 0.15), color)
 
 
 def wood(rng: np.random.Generator) -> Material:
@@ -119,8 +117,8 @@ def wood(rng: np.random.Generator) -> Material:
 
 def steel(rng: np.random.Generator) -> Material:
     """Brushed metal."""
-    grey = rng.uniform(0.35, 0.75)
-    base = np.clip(grey + rng.normal(0, 0.015, 3), 0, 1).astype(np.float32)
+    gray = rng.uniform(0.35, 0.75)
+    base = np.clip(gray + rng.normal(0, 0.015, 3), 0, 1).astype(np.float32)
     upright = rng.random() < 0.5
     strength = rng.uniform(0, 0.06)
 
@@ -135,7 +133,7 @@ def steel(rng: np.random.Generator) -> Material:
 def glass(rng: np.random.Generator) -> Material:
     """Dark, bright or see-through glass."""
     dark = rng.random() < 0.7
-    colour = np.full(3, rng.uniform(0.01, 0.12) if dark else rng.uniform(0.3, 0.8), np.float32)
+    color = np.full(3, rng.uniform(0.01, 0.12) if dark else rng.uniform(0.3, 0.8), np.float32)
     shelves = rng.uniform(0.15, 0.35) if rng.random() < 0.3 else 0.0
     depth = rng.uniform(0.02, 0.25)
 
@@ -144,14 +142,14 @@ def glass(rng: np.random.Generator) -> Material:
         tone = 1 + depth * 3 * smooth_noise(rng, shape, (3, 3))
         if shelves:
             tone = tone + 0.8 * ((y % shelves) < 0.02)
-        return np.clip(colour * tone[..., None], 0, 1)
+        return np.clip(color * tone[..., None], 0, 1)
 
-    return Material(texture, rng.uniform(0.3, 1.0), colour)
+    return Material(texture, rng.uniform(0.3, 1.0), color)
 
 
 def tiles(rng: np.random.Generator) -> Material:
     """A repeated print or a tiled wall."""
-    a, b = random_colour(rng), random_colour(rng)
+    a, b = random_color(rng), random_color(rng)
     pitch = rng.uniform(0.04, 0.2)
     fold = int(rng.integers(1, 5))
     phase = rng.uniform(0, 6.3, 4)
@@ -196,11 +194,11 @@ def carcass(rng: np.random.Generator, appliance: bool, uniform: bool) -> Materia
     Args:
         rng: Source of chance.
         appliance: A fridge or an oven, not a cabinet.
-        uniform: One flat colour, as models made on a computer have.
+        uniform: One flat color, as models made on a computer have.
     """
     if uniform:
-        grey = np.full(3, rng.uniform(0.45, 1.0), np.float32)
-        return plain(grey if rng.random() < 0.4 else random_colour(rng), rng.uniform(0, 0.3))
+        gray = np.full(3, rng.uniform(0.45, 1.0), np.float32)
+        return plain(gray if rng.random() < 0.4 else random_color(rng), rng.uniform(0, 0.3))
     draw = rng.random()
     if appliance:
         if draw < 0.5:

@@ -13,7 +13,7 @@ PLANES = 7
 
 
 def conv(inner: int, outer: int, stride: int = 1, size: int = 3) -> nn.Sequential:
-    """Convolution, normalisation, rectifier."""
+    """Convolution, normalization, rectifier."""
     return nn.Sequential(
         nn.Conv2d(inner, outer, size, stride, size // 2, bias=False),
         nn.BatchNorm2d(outer),
@@ -61,7 +61,7 @@ class Pyramid(nn.Module):
 
 
 class FaceNetwork(nn.Module):
-    """Where the centres of parts are, how far their edges, and whether the face is a front."""
+    """Where the centers of parts are, how far their edges, and whether the face is a front."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -106,7 +106,7 @@ class PartNetwork(nn.Module):
 
         Returns:
             Logits of the kinds, of no part, and of a handle; logits of where each edge is, along
-            its axis, (n, 4, m); logits of the handle's centre (n, m, m); logarithms of the
+            its axis, (n, 4, m); logits of the handle's center (n, m, m); logarithms of the
             distances to the handle's edges (n, 4, m, m).
         """
         y, top = self.pyramid(crop)
@@ -124,9 +124,9 @@ class PartNetwork(nn.Module):
 
 
 def fused(net: nn.Module) -> nn.Module:
-    """A network without normalisation: it is folded into the convolutions, as for shipping.
+    """A network without normalization: it is folded into the convolutions, as for shipping.
 
-    Normalisation helps to learn from scratch; what is learnt can be refined without.
+    Normalization helps to learn from scratch; what is learnt can be refined without.
     """
     net.eval()
     for block in [m for m in net.modules() if isinstance(m, nn.Sequential)]:

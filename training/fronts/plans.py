@@ -1,6 +1,6 @@
 """Plans of faces: rectangles that open, and rectangles that do not.
 
-A plan is drawn up in metres with the origin at the face's top left corner, y down.
+A plan is drawn up in meters with the origin at the face's top left corner, y down.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ def pair(
 
 
 def shares(rng: np.random.Generator, count: int, uneven: float) -> np.ndarray:
-    """Relative sizes of neighbours."""
+    """Relative sizes of neighbors."""
     raw = np.ones(count) if rng.random() > uneven else rng.uniform(0.6, 1.7, count)
     return raw / raw.sum()
 

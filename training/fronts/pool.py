@@ -23,7 +23,7 @@ NO_PART = len(decode.KINDS)
 
 @dataclass(frozen=True)
 class Pool:
-    """Pictures and truth; a picture's planes are colour, relief (0 where unknown) and lines."""
+    """Pictures and truth; a picture's planes are color, relief (0 where unknown) and lines."""
 
     faces: UInt8[np.ndarray, "n 6 s s"]
     boxes: Float[np.ndarray, "n p 4"]
@@ -46,21 +46,21 @@ class Pool:
 
 def packed(stack: np.ndarray) -> UInt8[np.ndarray, "6 s s"]:
     """What `decode.planes` gives of a face, resampled, as bytes."""
-    colour = np.clip(stack[:3] * 64 + 128, 0, 255)
+    color = np.clip(stack[:3] * 64 + 128, 0, 255)
     share = np.maximum(stack[4], 1e-6)
     relief = np.clip(stack[3] / share, -1, 1) * 127 + 128.5
     code = np.where(stack[4] > 0.5, relief, 0)
     lines = stack[5:] * (255 / decode.SEAM_MOST) + 0.5
-    return np.concatenate((colour, code[None], lines)).astype(np.uint8)
+    return np.concatenate((color, code[None], lines)).astype(np.uint8)
 
 
 def unpacked(codes: UInt8[np.ndarray, "n 6 s s"]) -> np.ndarray:
     """What the networks take."""
-    colour = (codes[:, :3].astype(np.float32) - 127.5) / 64
+    color = (codes[:, :3].astype(np.float32) - 127.5) / 64
     known = codes[:, 3:4] > 0
     relief = np.where(known, (codes[:, 3:4].astype(np.float32) - 128) / 127, 0)
     lines = codes[:, 4:].astype(np.float32) * (decode.SEAM_MOST / 255)
-    return np.concatenate((colour, relief, known, lines), axis=1, dtype=np.float32)
+    return np.concatenate((color, relief, known, lines), axis=1, dtype=np.float32)
 
 
 def proposals(

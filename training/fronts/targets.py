@@ -14,10 +14,10 @@ from momapos.reconstruction.decode import KINDS
 def bumps(
     boxes: Float[np.ndarray, "n 4"], side: int, spread: float
 ) -> Float[np.ndarray, "n side side"]:
-    """A bell over the middle of each box that is 1 at the cell nearest to its centre."""
+    """A bell over the middle of each box that is 1 at the cell nearest to its center."""
     cells = np.arange(side)
-    centre = (boxes[:, :2] + boxes[:, 2:]) / 2 * side - 0.5
-    nearest = np.clip(np.round(centre), 0, side - 1)
+    center = (boxes[:, :2] + boxes[:, 2:]) / 2 * side - 0.5
+    nearest = np.clip(np.round(center), 0, side - 1)
     width = np.maximum((boxes[:, 2:] - boxes[:, :2]) * side * spread, 0.7)
     x = np.exp(-0.5 * ((cells - nearest[:, :1]) / width[:, :1]) ** 2)
     y = np.exp(-0.5 * ((cells - nearest[:, 1:]) / width[:, 1:]) ** 2)
@@ -58,7 +58,7 @@ def face_targets(
 
 
 def heat_loss(logits: Tensor, heat: Tensor, count: Tensor) -> Tensor:
-    """Focal loss of centre maps: cells near a centre are forgiven (CornerNet, section 3.2)."""
+    """Focal loss of center maps: cells near a center are forgiven (CornerNet, section 3.2)."""
     positive = heat > 0.999
     sure = torch.sigmoid(logits)
     hit = F.logsigmoid(logits) * (1 - sure) ** 2

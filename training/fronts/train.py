@@ -22,7 +22,7 @@ WEIGHTS = Path(__file__).parents[2] / "src" / "momapos" / "reconstruction" / "we
 MIRROR = np.array(decode.MIRRORED_KINDS)
 """What each kind is in a mirror."""
 REFINING_RATE = 6e-4
-"""Highest learning rate of the second round, which has no normalisation to steady it."""
+"""Highest learning rate of the second round, which has no normalization to steady it."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Schedule:
 
 
 def disturbed(rng: np.random.Generator, codes: np.ndarray) -> Tensor:
-    """Pictures for one step: other colours, half of them without relief, fainter lines."""
+    """Pictures for one step: other colors, half of them without relief, fainter lines."""
     stack = pool.unpacked(codes)
     n = len(stack)
     gain = rng.uniform(0.8, 1.2, (n, 1, 1, 1)) * rng.normal(1, 0.04, (n, 3, 1, 1))
@@ -162,9 +162,9 @@ def fit(
     rng = np.random.default_rng(seed)
     net = net.to(memory_format=torch.channels_last).train()
     averaged = copy.deepcopy(net).eval()
-    optimiser = torch.optim.AdamW(net.parameters(), lr=plan.rate, weight_decay=plan.decay)
+    optimizer = torch.optim.AdamW(net.parameters(), lr=plan.rate, weight_decay=plan.decay)
     pace = torch.optim.lr_scheduler.OneCycleLR(
-        optimiser, plan.rate, total_steps=plan.steps, pct_start=0.15
+        optimizer, plan.rate, total_steps=plan.steps, pct_start=0.15
     )
     decks = [Deck(usable, rng) for _, usable in data]
     totals: dict[str, float] = {}
@@ -172,10 +172,10 @@ def fit(
     for i in range(1, plan.steps + 1):
         turn = i % len(data)
         losses = step(net, data[turn][0], rng, decks[turn].take(plan.batch))
-        optimiser.zero_grad(set_to_none=True)
+        optimizer.zero_grad(set_to_none=True)
         torch.stack(list(losses.values())).sum().backward()
         nn.utils.clip_grad_norm_(net.parameters(), 5.0)
-        optimiser.step()
+        optimizer.step()
         pace.step()
         _follow(averaged, net, min(plan.keep, (1 + i) / (10 + i)))
         for key, value in losses.items():

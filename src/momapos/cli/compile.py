@@ -27,7 +27,7 @@ ANSWER = (
     "momapos.navigation.lattice.connections",
     "momapos.navigation.lattice.shorten",
     "momapos.placement.potential._sees",
-    "momapos.reachability.grid.weakest_lines",
+    "momapos.reachability.grid.min_line_scores",
     "momapos.verification.convex.overlap",
     "momapos.verification.shapes._place",
     "momapos.verification.sweep._deepest",

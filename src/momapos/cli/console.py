@@ -94,7 +94,7 @@ def summary(answer: PlacementResult, out: Path | None) -> str:
         value = f"{scale * plan.feasible_to:.0f}"
         lines.append(f"  smaller     to {value} {unit} it works: --to {value}{unit}")
     if plan.key_objects is not None:
-        lines.append(f"  modelled    {_modelled(plan.key_objects)}")
+        lines.append(f"  modeled    {_modeled(plan.key_objects)}")
     lines.append(f"  time        {_times(plan.timing)}")
     lines += _rejections(answer)
     if out is not None:
@@ -102,7 +102,7 @@ def summary(answer: PlacementResult, out: Path | None) -> str:
     return "\n".join(lines)
 
 
-def _modelled(key: KeyObjects) -> str:
+def _modeled(key: KeyObjects) -> str:
     text = f"{len(key.names)} of {len(key.scores)} objects ({key.scorer}, alpha {key.alpha:.2f})"
     again = "once" if key.rounds == 1 else f"{key.rounds} times"
     return text + (f", checked again {again}" if key.rounds else "")

@@ -53,7 +53,7 @@ class Options:
     scorer: Optional[ScorerName] = None  # noqa: UP045 (see cli.options)
     """How importance is measured: from where the hand goes (reach), or as the paper (deepwalk)."""
     alpha: OptionalNumber = None
-    """Objects with an importance of at least this are modelled, in [0, 1]; 0: all."""
+    """Objects with an importance of at least this are modeled, in [0, 1]; 0: all."""
     seed: int = 0
     """Same seed, same answer."""
     timeout: float = 120.0

@@ -90,7 +90,7 @@ def robot_check(
     with busy(f"robot check {file.name}"):
         doubts = examine(robot)
     if plot is not None:
-        from momapos.viewer.spheres import draw_robot
+        from momapos.viewer.robot_spheres import draw_robot
 
         draw_robot(robot, plot)
     facts = {

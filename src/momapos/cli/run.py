@@ -48,7 +48,7 @@ def run(
         start: Where the robot is at first [m, m, rad or deg]; as the plan says by default.
         hold: weld: a compliant, breakable weld at the grasp; contact: fingers and friction alone.
         noise: Let the base believe to be where noisy sensors say, and draw how heavily the
-            furniture moves; without it, both are as modelled.
+            furniture moves; without it, both are as modeled.
         seed: Same seed, same run.
         out: Write the record here (JSON).
         record: Draw a filmstrip here (PNG).

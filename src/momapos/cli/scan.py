@@ -15,7 +15,7 @@ from momapos.errors import InputError
 if TYPE_CHECKING:
     from momapos.protocols import ArticulationPredictor, Segmenter
     from momapos.reconstruction.build import GivenModel
-    from momapos.scan_pipeline import Modelled, Tools
+    from momapos.scan_pipeline import Modeled, Tools
     from momapos.types import Scan
 
 NOTHING_FOUND = 3
@@ -27,7 +27,7 @@ class ScanOptions:
     """Where knowledge comes from, beside the scan."""
 
     target: Annotated[OptionalText, arg(metavar="OBJECT")] = None
-    """Object that the task will be about: only what matters for it is modelled."""
+    """Object that the task will be about: only what matters for it is modeled."""
     instances: OptionalPath = None
     """Instances found by another program: Mask3D's ScanNet export, OpenMask3D masks, labels a
     point, or a JSON of boxes. All but boxes need a scan with a cloud."""
@@ -46,12 +46,12 @@ class ScanOptions:
     max_frames: int = 150
     """Images that are read at most, evenly spaced."""
     depth_scale: float = 1000.0
-    """Units of integer depth in a metre."""
+    """Units of integer depth in a meter."""
     voxel: float = 0.015
     """Edge of the voxels that depth is fused in [m]."""
     depth_topic: OptionalText = None
     """Topics of a recording, where their types and names do not tell."""
-    colour_topic: OptionalText = None
+    color_topic: OptionalText = None
     info_topic: OptionalText = None
     fixed_frame: OptionalText = None
     """Frame of a recording that does not move; the root of tf by default."""
@@ -82,9 +82,9 @@ def scan_room(
     image of every object that was looked at.
 
     Args:
-        source: Folder of posed colour and depth images, a cloud, or a robot's log.
+        source: Folder of posed color and depth images, a cloud, or a robot's log.
         out: The scene file.
-        images: Draw why every object was modelled as it was.
+        images: Draw why every object was modeled as it was.
         json: Print one JSON object and nothing else.
         options: Where knowledge comes from.
     """
@@ -102,7 +102,7 @@ def scan_room(
     given = _given(options.models)
     check_outputs(*outputs_of(out, pictures=pictures))
     topics = BagTopics(
-        options.depth_topic, options.colour_topic, options.info_topic, options.fixed_frame
+        options.depth_topic, options.color_topic, options.info_topic, options.fixed_frame
     )
     scan = read_scan(
         source, max_frames=options.max_frames, depth_scale=options.depth_scale, topics=topics
@@ -123,7 +123,7 @@ def scan_room(
     return 0
 
 
-def table(result: Modelled, out: Path, folder: Path | None) -> str:
+def table(result: Modeled, out: Path, folder: Path | None) -> str:
     """All objects in a few columns."""
     width = max(len(d.detection.name) for d in result.decisions)
     lines = []
@@ -133,11 +133,11 @@ def table(result: Modelled, out: Path, folder: Path | None) -> str:
         x, y, z = item.box.center
         what = decision.reason or f"{decision.source}: {_count(decision.parts)}"
         lines.append(f"  {item.name:<{width}}  {size} m at ({x:.2f}, {y:.2f}, {z:.2f})  {what}")
-    modelled = sum(d.model is not None for d in result.decisions)
+    modeled = sum(d.model is not None for d in result.decisions)
     stages = ", ".join(f"{n} {s:.1f}" for n, s in result.timing.items() if n != "total")
     lines += [
         "",
-        f"  {len(result.decisions)} objects, {modelled} of them modelled",
+        f"  {len(result.decisions)} objects, {modeled} of them modeled",
         f"  time        {result.timing['total']:.1f} s ({stages})",
         f"  scene       {out}",
         f"  report      {out.parent / 'scan_report.json'}",

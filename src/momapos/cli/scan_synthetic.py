@@ -27,7 +27,7 @@ def scene_scan(
     tilt: bool = False,
     json: bool = False,
 ) -> int:
-    """Render a scan of a scene: posed colour and depth images, and the truth beside them.
+    """Render a scan of a scene: posed color and depth images, and the truth beside them.
 
     Args:
         scene: Name of a built-in kitchen, or a file (momapos scene, BestMan list, URDF).

@@ -67,7 +67,7 @@ def scene_show(
 
     loaded = set_joints(load_scene(scene, cache=user_cache()), joint)
     if plot is not None:
-        from momapos.viewer.scene import draw_scene
+        from momapos.viewer.scene_outlines import draw_scene
 
         draw_scene(loaded, plot)
     facts = describe(loaded)
@@ -167,7 +167,9 @@ def describe(scene: Scene) -> dict[str, Any]:
         "name": scene.name,
         "path": None if scene.path is None else str(scene.path),
         "objects": [_describe_object(item) for item in scene.objects],
-        "floor_area": None if scene.floor is None else abs(signed_area(scene.floor)),
+        "floor_area": None
+        if scene.floor_polygon is None
+        else abs(signed_area(scene.floor_polygon)),
         "start": None if scene.start is None else scene.start.tolist(),
         "warnings": list(scene.warnings),
     }

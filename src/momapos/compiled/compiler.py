@@ -1,7 +1,7 @@
 """numba's side: from a kernel to machine code.
 
-Only here numba is imported. All that an entry calls is compiled into its module unoptimised, and
-optimised there once, together: numba by itself optimises every function on its own, then again in
+Only here numba is imported. All that an entry calls is compiled into its module unoptimized, and
+optimized there once, together: numba by itself optimizes every function on its own, then again in
 every function that calls it, and makes machine code of each.
 """
 
@@ -91,7 +91,7 @@ def _dtypes(environment: Any) -> tuple[str, ...]:
 
 
 class _Part(JITCodeLibrary):
-    """What is linked into an entry: code that is neither optimised nor run by itself."""
+    """What is linked into an entry: code that is neither optimized nor run by itself."""
 
     def _optimize_final_module(self) -> None:
         pass

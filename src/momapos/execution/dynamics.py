@@ -29,7 +29,7 @@ class Inertia:
     mass: float
     """[kg]"""
     T_link_inertia: Float[np.ndarray, "4 4"]
-    """Of the frame of `matrix`; its origin is the centre of mass."""
+    """Of the frame of `matrix`; its origin is the center of mass."""
     matrix: tuple[float, float, float, float, float, float]
     """xx, yy, zz, xy, xz, yz [kg m^2]."""
 

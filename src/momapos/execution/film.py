@@ -150,7 +150,7 @@ class Film:
         views = np.linspace(-180.0, 180.0, _VIEWS, endpoint=False)
         targets = np.stack([cloud[i] for i in np.linspace(0, len(cloud) - 1, 24).astype(int)])
         seen = [_visible(world, data, _eye(camera, view), targets) for view in views]
-        # Neighbours count too: a view through a narrow gap is not worth much.
+        # Neighbors count too: a view through a narrow gap is not worth much.
         smooth = np.convolve(np.r_[seen[-1], seen, seen[0]], [0.5, 1.0, 0.5], "valid")
         camera.azimuth = float(views[int(np.argmax(smooth))])
         return camera

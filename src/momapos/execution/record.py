@@ -191,7 +191,7 @@ def write_run(record: RunRecord, path: Path) -> None:
         raise InputError(f"{path}: cannot be written ({error.strerror})") from error
 
 
-class _Head(msgspec.Struct):
+class _RunHead(msgspec.Struct):
     format: Any = None
     version: Any = None
 
@@ -204,7 +204,7 @@ def read_run(path: Path) -> RunRecord:
     """
     content = read_bytes_bounded(path, MAX_BYTES)
     try:
-        head = msgspec.json.decode(content, type=_Head)
+        head = msgspec.json.decode(content, type=_RunHead)
         if (head.format, head.version) != (FORMAT, VERSION):
             raise FileFormatError(
                 f'{path}: not a run record of this version; it has "format": {head.format!r:.60}, '

@@ -88,7 +88,7 @@ def execute(
     plan, stage = _timed(robot, motion, config)
     world = build_simulation(scene, robot, base_pose, tuned, task, dynamics, resistance, config)
     seal = _seal(item, joint, motion, resistance.pull, config.furniture.seal_range)
-    run = _Run(world, motion, task, config, seal, watch)
+    run = _ExecutionRun(world, motion, task, config, seal, watch)
     if task.verb == "place":
         run.carry(item)
     run.check_start()
@@ -148,7 +148,7 @@ def _seal(item: SceneObject, joint: Joint | None, motion: Motion, pull: float, w
     return Seal(opening.closed, opening.sign, pull * lever, way / lever)
 
 
-class _Run:
+class _ExecutionRun:
     """One run under way."""
 
     def __init__(
@@ -325,7 +325,7 @@ class _Run:
 
 
 def _outcome(
-    run: _Run,
+    run: _ExecutionRun,
     verdict: TaskOutcome,
     resistance: Resistance,
     dynamics: Dynamics,

@@ -36,7 +36,7 @@ _MEETS = {
     Kind.PART: (Kind.BASE, Kind.ARM, Kind.ROOM, Kind.FLOOR),
     Kind.FLOOR: (Kind.ARM, Kind.GRIPPER, Kind.PART),
 }
-_COLOURS = {
+_COLORS = {
     Kind.BASE: (0.25, 0.27, 0.32, 1.0),
     Kind.ARM: (0.88, 0.42, 0.13, 1.0),
     Kind.GRIPPER: (0.15, 0.15, 0.17, 1.0),
@@ -44,7 +44,7 @@ _COLOURS = {
     Kind.PART: (0.35, 0.58, 0.80, 1.0),
     Kind.FLOOR: (0.55, 0.52, 0.48, 1.0),
 }
-HANDLE_COLOUR = (0.10, 0.25, 0.45, 1.0)
+HANDLE_COLOR = (0.10, 0.25, 0.45, 1.0)
 
 
 def masks(kind: Kind, *, touched: bool) -> tuple[int, int]:
@@ -98,7 +98,7 @@ def add_shape(
 
 
 def dress(geom: Any, kind: Kind, *, touched: bool, handle: bool = False) -> Any:
-    """Set what a geom meets, and its colour."""
+    """Set what a geom meets, and its color."""
     geom.contype, geom.conaffinity = masks(kind, touched=touched)
-    geom.rgba = HANDLE_COLOUR if handle else _COLOURS[kind]
+    geom.rgba = HANDLE_COLOR if handle else _COLORS[kind]
     return geom

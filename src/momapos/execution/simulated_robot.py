@@ -59,16 +59,16 @@ def find_fingers(robot: Robot) -> tuple[Finger, ...]:
 
 def _closed_end(robot: Robot, joint: Joint, fingers: list[Joint]) -> float:
     """The end of a finger's joint that is nearer to the middle of all fingers."""
-    middle = np.mean([_finger_centre(robot, j.child, {}) for j in fingers], axis=0)
+    middle = np.mean([_finger_center(robot, j.child, {}) for j in fingers], axis=0)
     ends = (joint.lower, joint.upper)
     gaps = [
-        np.linalg.norm(_finger_centre(robot, joint.child, {joint.name: end}) - middle)
+        np.linalg.norm(_finger_center(robot, joint.child, {joint.name: end}) - middle)
         for end in ends
     ]
     return ends[int(np.argmin(gaps))]
 
 
-def _finger_centre(robot: Robot, link: str, values: dict[str, float]) -> Float[np.ndarray, "3"]:
+def _finger_center(robot: Robot, link: str, values: dict[str, float]) -> Float[np.ndarray, "3"]:
     model = robot.model
     poses = model.link_poses(values)
     points = [apply(poses[n], h.vertices) for n in model.links_below(link) for h in model.hulls[n]]
@@ -200,7 +200,7 @@ def _add_motors(
 
 
 def _add_excludes(spec: Any, robot: Robot) -> None:
-    """Pairs of links that the robot's maker does not check; neighbours the engine leaves out."""
+    """Pairs of links that the robot's maker does not check; neighbors the engine leaves out."""
     for pair in robot.disabled:
         names = sorted(pair)
         if len(names) == 2 and all(name in robot.model.urdf.links for name in names):

@@ -204,7 +204,7 @@ def _floor_height(z: Float[np.ndarray, " n"], config: GravityConfig) -> float:
 
 
 def _yaw_offset(normals: Float[np.ndarray, "n 3"], config: GravityConfig) -> float:
-    """How far vertical surfaces are turned from x and y, anticlockwise, in (-pi/4, pi/4] [rad]."""
+    """Turn of vertical surfaces from x and y, counterclockwise, in (-pi/4, pi/4] [rad]."""
     upright_ones = np.abs(normals[:, 2]) < np.sin(np.radians(2 * config.spread))
     if upright_ones.sum() < 50:
         return 0.0

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 SIDE = 8  # voxels along a block
 VOXEL_RANGE = (0.001, 1.0)
 """Edge of a voxel [m]."""
-BYTES_PER_VOXEL = 24  # distance, two weights and three colours, four bytes each
+BYTES_PER_VOXEL = 24  # distance, two weights and three colors, four bytes each
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class FusionConfig:
     edge: float = 0.04
     """Pixels beside a larger step in depth are left out, as a share of the depth [-]."""
     least_weight: float = 0.08
-    """Voxels of less weight give no surface; one look from z metres weighs about 1/z^2 [-]."""
+    """Voxels of less weight give no surface; one look from z meters weighs about 1/z^2 [-]."""
     least_seen: float = 0.1
     """Share of a voxel's weight from looks at a surface in it: what bounds the unseen space behind
     things was never looked at, and is no surface [-]."""
@@ -80,17 +80,17 @@ def fuse(
         if not (np.isfinite(frame.T_world_camera).all() and np.isfinite(frame.intrinsics).all()):
             raise InputError(f"frame {frame.name}: its pose or intrinsics are not finite numbers")
         size = np.asarray(frame.depth).shape
-        if size != frame.colour.shape[:2]:
+        if size != frame.color.shape[:2]:
             raise InputError(
-                f"frame {frame.name}: depth is {size} and colour "
-                f"{frame.colour.shape[:2]} pixels; depth must be registered to colour"
+                f"frame {frame.name}: depth is {size} and color "
+                f"{frame.color.shape[:2]} pixels; depth must be registered to color"
             )
     margin = config.truncation * voxel
     origin, index, count = _allocate(frames, voxel, margin, config)
     distance = np.zeros((count, SIDE**3), np.float32)
     weight = np.zeros((count, SIDE**3), np.float32)
     seen = np.zeros((count, SIDE**3), np.float32)
-    colour = np.zeros((count, SIDE**3, 3), np.float32)
+    color = np.zeros((count, SIDE**3, 3), np.float32)
     blocks = np.zeros((count, 3), np.int64)
     where = np.argwhere(index >= 0)
     blocks[index[tuple(where.T)]] = where
@@ -101,16 +101,16 @@ def fuse(
         facing = facing_of(depth, K, config.edge, config.grazing)
         deepest = deepest_of(depth)
         _integrate(
-            distance, weight, seen, colour, blocks, origin, voxel, margin,
-            depth, facing, deepest, frame.colour, K, T_camera_world,
+            distance, weight, seen, color, blocks, origin, voxel, margin,
+            depth, facing, deepest, frame.color, K, T_camera_world,
         )  # fmt: skip
     weight[seen < config.least_seen * weight] = 0.0
-    points, normals, colours = _extract(
-        distance, weight, colour, blocks, index, origin, voxel, np.float32(config.least_weight)
+    points, normals, colors = _extract(
+        distance, weight, color, blocks, index, origin, voxel, np.float32(config.least_weight)
     )
     if not len(points):
         raise InputError("the frames agree on no surface: check poses and the unit of depth")
-    return Cloud(points, normals, colours)
+    return Cloud(points, normals, colors)
 
 
 def _usable(frame: Frame, config: FusionConfig) -> Float32[np.ndarray, "h w"]:
@@ -135,7 +135,7 @@ def _allocate(
     if not len(points):
         raise InputError(
             f"no depth between {config.nearest} and {config.farthest} m in any of the "
-            f"{len(frames)} frames that have depth; depth must be in metres"
+            f"{len(frames)} frames that have depth; depth must be in meters"
         )
     low = points.min(axis=0) - margin - size
     cells = np.ceil((points.max(axis=0) + margin + size - low) / size).astype(np.int64)
@@ -219,7 +219,7 @@ def _integrate(
     distance: Float32[np.ndarray, "b v"],
     weight: Float32[np.ndarray, "b v"],
     seen: Float32[np.ndarray, "b v"],
-    colour: Float32[np.ndarray, "b v 3"],
+    color: Float32[np.ndarray, "b v 3"],
     blocks: Int[np.ndarray, "b 3"],
     origin: Float[np.ndarray, "3"],
     voxel: float,
@@ -273,7 +273,7 @@ def _integrate(
                         seen[b, n] += share
                         tint = share / seen[b, n]
                         for c in range(3):
-                            colour[b, n, c] += tint * (image[v, u, c] - colour[b, n, c])
+                            color[b, n, c] += tint * (image[v, u, c] - color[b, n, c])
                     weight[b, n] = total
 
 
@@ -298,7 +298,7 @@ def _gradient(
     cell: Int[np.ndarray, "3"],
     least: float,
 ) -> Float[np.ndarray, "3"]:
-    """Slope of the field at a known cell, one-sided where a neighbour is unknown."""
+    """Slope of the field at a known cell, one-sided where a neighbor is unknown."""
     out = np.zeros(3)
     b0, n0 = _lookup(index, weight, cell[0], cell[1], cell[2], least)
     for axis in range(3):
@@ -318,7 +318,7 @@ def _gradient(
 def _extract(
     distance: Float32[np.ndarray, "b v"],
     weight: Float32[np.ndarray, "b v"],
-    colour: Float32[np.ndarray, "b v 3"],
+    color: Float32[np.ndarray, "b v 3"],
     blocks: Int[np.ndarray, "b 3"],
     index: Int[np.ndarray, "x y z"],
     origin: Float[np.ndarray, "3"],
@@ -331,7 +331,7 @@ def _extract(
     """
     room = 4096
     points, normals = np.empty((room, 3)), np.empty((room, 3))
-    colours = np.empty((room, 3), np.uint8)
+    colors = np.empty((room, 3), np.uint8)
     count = 0
     for b in range(len(blocks)):
         for n in range(SIDE**3):
@@ -355,7 +355,7 @@ def _extract(
                 slope += t * _gradient(distance, weight, index, beyond, least)
                 point += cell + t * (beyond - cell)
                 normal += slope / max(np.sqrt((slope * slope).sum()), 1e-12)
-                tint += (1 - t) * colour[b, n] + t * colour[c, m]
+                tint += (1 - t) * color[b, n] + t * color[c, m]
                 crossings += 1
             length = np.sqrt((normal * normal).sum())
             if crossings == 0 or length < 1e-6:
@@ -364,14 +364,14 @@ def _extract(
                 room *= 2
                 points, normals = _longer(points, room), _longer(normals, room)
                 longer = np.empty((room, 3), np.uint8)
-                longer[:count] = colours
-                colours = longer
+                longer[:count] = colors
+                colors = longer
             points[count] = origin + (point / crossings + 0.5) * voxel
             normals[count] = normal / length
             for a in range(3):
-                colours[count, a] = np.uint8(min(255.0, max(0.0, tint[a] / crossings + 0.5)))
+                colors[count, a] = np.uint8(min(255.0, max(0.0, tint[a] / crossings + 0.5)))
             count += 1
-    return points[:count].copy(), normals[:count].copy(), colours[:count].copy()
+    return points[:count].copy(), normals[:count].copy(), colors[:count].copy()
 
 
 @njit(cache=True)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def rotation(yaw: float | Float[np.ndarray, " *batch"]) -> Float[np.ndarray, "*batch 2 2"]:
-    """Rotate points on the floor anticlockwise by angles [rad]."""
+    """Rotate points on the floor counterclockwise by angles [rad]."""
     c, s = np.cos(yaw), np.sin(yaw)
     return np.stack([np.stack([c, -s], -1), np.stack([s, c], -1)], -2)
 

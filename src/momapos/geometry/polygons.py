@@ -47,13 +47,13 @@ def _edges_cross(
 
 
 def signed_area(polygon: Float[np.ndarray, "k 2"]) -> float:
-    """Area of a simple polygon, positive when it runs anticlockwise [m^2]."""
+    """Area of a simple polygon, positive when it runs counterclockwise [m^2]."""
     x, y = polygon.T
     return float(0.5 * np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
 
 
 def edge_normals(polygon: Float[np.ndarray, "*batch k 2"]) -> Float[np.ndarray, "*batch k 2"]:
-    """Outward unit normals of the edges of an anticlockwise polygon, each after its corner."""
+    """Outward unit normals of the edges of an counterclockwise polygon, each after its corner."""
     edge = np.roll(polygon, -1, axis=-2) - polygon
     normal = np.stack([edge[..., 1], -edge[..., 0]], -1)
     return normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-12)
@@ -72,5 +72,5 @@ def edge_distances(
 
 
 def inscribed_radius(polygon: Float[np.ndarray, "k 2"]) -> float:
-    """Radius of the largest circle about the origin inside a convex anticlockwise polygon [m]."""
+    """Radius of the largest circle about the origin in a convex counterclockwise polygon [m]."""
     return float(max(0.0, np.einsum("ij,ij->i", edge_normals(polygon), polygon).min()))

@@ -19,18 +19,18 @@ class GraphConfig:
 
     contact: float = 0.02
     """Vertical gap or overlap of two surfaces that touch [m]."""
-    neighbours: int = 4
+    neighbors: int = 4
     """Nearest objects of each that count as near [-]."""
     near: float = 1.0
     """Farthest gap between the boxes of two objects that are near [m]."""
     floor: float = 0.1
-    """Centres closer than this from above count as this far apart [m]."""
+    """Centers closer than this from above count as this far apart [m]."""
 
     def __post_init__(self) -> None:
         if not (0 < self.contact < math.inf and 0 < self.floor < math.inf):
             raise InputError("contact and floor must be lengths above 0 m")
-        if not (self.neighbours >= 0 and self.near >= 0):
-            raise InputError("neighbours and near must not be negative")
+        if not (self.neighbors >= 0 and self.near >= 0):
+            raise InputError("neighbors and near must not be negative")
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.errors import SceneError, unknown_name
-from momapos.importance.bodies import stack_bodies
 from momapos.importance.config import GraphConfig
-from momapos.importance.relations import KINDS, NEAR, hierarchy, neighbours, outline_gaps
+from momapos.importance.object_bodies import stack_bodies
+from momapos.importance.relations import KINDS, NEAR, hierarchy, neighbors, outline_gaps
 from momapos.kinematics.hulls import Boxes
 from momapos.scene.scene import Scene, upright_boxes
 
@@ -53,7 +53,7 @@ class SceneGraph:
 
     @cached_property
     def edges(self) -> Int[np.ndarray, "e 3"]:
-        """Child, parent, index into KINDS; of neighbours, the first in the scene is the child.
+        """Child, parent, index into KINDS; of neighbors, the first in the scene is the child.
 
         An edge that follows from two others is left out: a cup on a tray on a table is not on the
         table. Objects that are otherwise related are not near as well.
@@ -61,7 +61,7 @@ class SceneGraph:
         config, n = self.config, len(self)
         bodies = stack_bodies(self.scene, self.upright)
         above = _shortest(hierarchy(bodies, contact=config.contact), n)
-        beside = neighbours(self.upright, count=config.neighbours, reach=config.near)
+        beside = neighbors(self.upright, count=config.neighbors, reach=config.near)
         known = np.sort(above[:, :2], axis=1) @ [n, 1]
         beside = beside[~np.isin(beside @ [n, 1], known)]
         return np.concatenate([above, np.column_stack([beside, np.full(len(beside), NEAR)])])
@@ -83,7 +83,7 @@ class SceneGraph:
 
     @cached_property
     def dist_xy(self) -> Float[np.ndarray, " e"]:
-        """Horizontal distance of the centres of the two boxes of each edge, floored [m]."""
+        """Horizontal distance of the centers of the two boxes of each edge, floored [m]."""
         center = self.upright.center[:, :2]
         apart = np.linalg.norm(center[self.child] - center[self.parent], axis=1)
         return np.maximum(apart, self.config.floor)

@@ -1,4 +1,4 @@
-"""The set S while it grows: which objects are modelled, and which come next."""
+"""The set S while it grows: which objects are modeled, and which come next."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from momapos.types import KeyObjects
 
 @dataclass(frozen=True)
 class Selection:
-    """What is modelled at the moment."""
+    """What is modeled at the moment."""
 
     ranked: Importance
     alpha: float
@@ -37,7 +37,7 @@ class Selection:
         """Add objects that a check found to matter."""
         return replace(self, joined=self.joined | frozenset(names))
 
-    def lowered(self) -> Selection:
+    def relax_alpha(self) -> Selection:
         """Lower alpha until S is twice as large, or everything (MoMa-Pos, Lemma 1)."""
         wanted = min(2 * len(self.names), len(self.ranked.names))
         for score in self.ranked.scores:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from momapos.compiled import B1, F2, F3, I1, entry, kernel
-from momapos.importance.bodies import Bodies
+from momapos.importance.object_bodies import ObjectBodies
 from momapos.kinematics.hulls import Boxes
 from momapos.kinematics.records import BoxArrays
 
@@ -31,7 +31,7 @@ _POINTS = 4
 
 
 class BodyArrays(NamedTuple):
-    """Stacked bodies as the kernels take them, see `Bodies`."""
+    """Stacked bodies as the kernels take them, see `ObjectBodies`."""
 
     low: F2
     high: F2
@@ -295,7 +295,7 @@ def _gaps_to(
     return out
 
 
-def hierarchy(bodies: Bodies, *, contact: float) -> Int[np.ndarray, "e 3"]:
+def hierarchy(bodies: ObjectBodies, *, contact: float) -> Int[np.ndarray, "e 3"]:
     """Find every on, in and inside: rows of child, parent, index into KINDS.
 
     Args:
@@ -316,13 +316,13 @@ def hierarchy(bodies: Bodies, *, contact: float) -> Int[np.ndarray, "e 3"]:
     )
 
 
-def neighbours(box: Boxes, *, count: int, reach: float) -> Int[np.ndarray, "e 2"]:
+def neighbors(box: Boxes, *, count: int, reach: float) -> Int[np.ndarray, "e 2"]:
     """Pairs (smaller index first) of which one is among the other's nearest.
 
     Args:
         box: The upright boxes of the objects.
         count: Nearest boxes of each object [-].
-        reach: Farthest gap between two boxes that are neighbours [m].
+        reach: Farthest gap between two boxes that are neighbors [m].
     """
     if count == 0 or len(box) < 2:
         return np.zeros((0, 2), np.int64)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Transitions:
-    """Where a walk goes next: the neighbours of each object in one list, row after row."""
+    """Where a walk goes next: the neighbors of each object in one list, row after row."""
 
     start: Int[np.ndarray, " n_plus_1"]
     target: Int[np.ndarray, " m"]
@@ -24,7 +24,7 @@ class Transitions:
     """Sums to 1 over each row that is not empty."""
 
     def dense(self) -> Float[np.ndarray, "n n"]:
-        """The whole matrix P(i, j); a row of zeros for an object without neighbours."""
+        """The whole matrix P(i, j); a row of zeros for an object without neighbors."""
         n = len(self.start) - 1
         matrix = np.zeros((n, n))
         matrix[np.repeat(np.arange(n), np.diff(self.start)), self.target] = self.probability
@@ -32,11 +32,11 @@ class Transitions:
 
 
 def transitions(graph: SceneGraph, *, k0: float) -> Transitions:
-    """Chances of the next object: P(i, j) = w(i, j) / sum over the neighbours u of w(i, u).
+    """Chances of the next object: P(i, j) = w(i, j) / sum over the neighbors u of w(i, u).
 
     MoMa-Pos, section III-A, prints w = k0 / dist_xy(i, j) + (1 - k0) size(j). The terms have
     different units, so each is scaled to (0, 1] here, or k0 would mean nothing: the first by the
-    closest pair of neighbours, the second by the largest object. Edges are walked both ways, or a
+    closest pair of neighbors, the second by the largest object. Edges are walked both ways, or a
     cup on a table would be a dead end.
 
     Args:
@@ -80,7 +80,7 @@ def _walk(
 def walk(
     steps: Transitions, first: Int[np.ndarray, " w"], length: int, rng: np.random.Generator
 ) -> Int[np.ndarray, "w length"]:
-    """Walk from each given object; one without neighbours stays where it is.
+    """Walk from each given object; one without neighbors stays where it is.
 
     Args:
         steps: Chances of the next object.

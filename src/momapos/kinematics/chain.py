@@ -18,7 +18,7 @@ from momapos.compiled import B1, F1, F2, F3, entry, kernel
 from momapos.errors import RobotError
 from momapos.geometry.transforms import invert
 from momapos.kinematics.articulated import Articulated
-from momapos.kinematics.records import ChainArrays, Limits
+from momapos.kinematics.records import ChainArrays, JointLimits
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
@@ -76,9 +76,9 @@ def chain_arrays(chain: Chain) -> ChainArrays:
     return ChainArrays(chain.h, chain.d, chain.prismatic, chain.tool_offset, chain.tool_rotation)
 
 
-def chain_limits(chain: Chain) -> Limits:
+def chain_limits(chain: Chain) -> JointLimits:
     """The limits of its joints as the kernels take them."""
-    return Limits(chain.lower, chain.upper)
+    return JointLimits(chain.lower, chain.upper)
 
 
 def build_chain(

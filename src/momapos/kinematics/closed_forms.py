@@ -37,7 +37,7 @@ MAX_BRANCHES = 8
 
 @kernel
 def _first_three_wrist(kind, h, o, c0, c, out):
-    """Joints 1 to 3 that bring the wrist centre c0 to c; out (8, 6), returns the count."""
+    """Joints 1 to 3 that bring the wrist center c0 to c; out (8, 6), returns the count."""
     h1, h2, h3 = row(h, 0), row(h, 1), row(h, 2)
     o1, o2, o3 = row(o, 0), row(o, 1), row(o, 2)
     link, reach = sub(o3, o2), sub(c0, o3)

@@ -53,7 +53,7 @@ def _moved(R, p, segment, local):
 
 @kernel
 def place_bounds(R, p, spheres, bounds):
-    """Put the centres of the links' bounding spheres into bounds (groups, 3)."""
+    """Put the centers of the links' bounding spheres into bounds (groups, 3)."""
     segment, bound_center = spheres[3], spheres[4]
     for g in range(len(segment)):
         bounds[g, 0], bounds[g, 1], bounds[g, 2] = _moved(R, p, segment[g], bound_center[g])

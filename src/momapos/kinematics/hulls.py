@@ -43,7 +43,7 @@ _BOX_FACES = np.array([
 """How Qhull divides the faces of every box with its corners in order."""
 _CIRCLE = 24
 _Box = tuple[np.ndarray, np.ndarray, np.ndarray, float]
-"""Centre, rotation, half edges, and the volume of the body inside."""
+"""Center, rotation, half edges, and the volume of the body inside."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class Hull:
     vertices: Float[np.ndarray, "n 3"]
     """In the link frame [m]."""
     faces: Float[np.ndarray, "f 3"]
-    """Vertex indices, anticlockwise seen from outside."""
+    """Vertex indices, counterclockwise seen from outside."""
     name: str
 
 
@@ -177,7 +177,7 @@ def cover(hull: Hull, *, depth: int = 3) -> Boxes:
 def fit_box(
     points: Float[np.ndarray, "n 3"],
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]:
-    """Fit a small oriented box around points: centre, rotation (axes as columns), half edges."""
+    """Fit a small oriented box around points: center, rotation (axes as columns), half edges."""
     vertices, faces = _convex(points, None)
     return _fit_box(vertices, faces)[:3]
 
@@ -233,7 +233,7 @@ def _fit_box(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) 
     frame's own axes win ties, so that boxes stay recognisable.
 
     Returns:
-        Centre (3,), rotation (3, 3) with the axes as columns, half edges (3,) [m], and the
+        Center (3,), rotation (3, 3) with the axes as columns, half edges (3,) [m], and the
         volume of the body [m^3].
     """
     corners = vertices[faces]

@@ -30,7 +30,7 @@ from momapos.kinematics.closed_forms import (
     three_parallel,
 )
 from momapos.kinematics.newton import newton
-from momapos.kinematics.records import ChainArrays, IkArrays, Limits
+from momapos.kinematics.records import ChainArrays, IkArrays, JointLimits
 from momapos.kinematics.subproblems import mul, row, sub
 
 if TYPE_CHECKING:
@@ -292,7 +292,7 @@ def ik_scratch(n):
 def _solve_all(
     poses: F3,
     chain: ChainArrays,
-    limits: Limits,
+    limits: JointLimits,
     ik: IkArrays,
     limit: int,
 ) -> tuple[np.ndarray, np.ndarray]:

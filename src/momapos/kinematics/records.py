@@ -21,7 +21,7 @@ class ChainArrays(NamedTuple):
     tool_rotation: F2
 
 
-class Limits(NamedTuple):
+class JointLimits(NamedTuple):
     """Limits of n joints [rad] or [m]."""
 
     lower: F1

@@ -54,7 +54,7 @@ def cover_shapes(
         stick_out: How far spheres may stick out of a shape that is not bulky [m].
 
     Returns:
-        Centres in the link frame and radii [m].
+        Centers in the link frame and radii [m].
     """
     base = _join([_cover_shape(shape, stick_out) for shape in shapes])
     keep = _needed(base)
@@ -62,7 +62,7 @@ def cover_shapes(
 
 
 def box_spheres(boxes: Boxes) -> tuple[Float[np.ndarray, "s 3"], Float[np.ndarray, " s"]]:
-    """Cover boxes up to `MARGIN`: centres in the frame of the boxes, and radii [m]."""
+    """Cover boxes up to `MARGIN`: centers in the frame of the boxes, and radii [m]."""
     rows = zip(boxes.center, boxes.rotation, boxes.half, strict=True)
     return _join([_cells(*row, GRIPPER) for row in rows])[:2]
 
@@ -96,7 +96,7 @@ def _rings(radius: float, length: float, stick_out: float) -> _Cover | None:
     """Layers of spheres that cover a cylinder along z, or None where they would stick out.
 
     A layer is a sphere on the axis, a ring of them, or both. Farthest from a ring are points
-    halfway between two neighbours: on the rim, and on the axis or where the middle one ends.
+    halfway between two neighbors: on the rim, and on the axis or where the middle one ends.
     """
     best, cost = None, np.inf
     for k, hub in _LAYERS:
@@ -194,7 +194,7 @@ def _needed(cover: _Cover) -> Bool[np.ndarray, " s"]:
 
     far = cdist(cover.center, cover.points) - cover.radius[:, None]
     covers = far <= MARGIN + 1e-9
-    # A millimetre less, for what lies between the points.
+    # A millimeter less, for what lies between the points.
     well = far <= MARGIN - 1e-3
     times, keep = well.sum(0), np.ones(len(well), bool)
     for s in np.argsort(covers.sum(1)):

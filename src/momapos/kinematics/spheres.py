@@ -105,7 +105,7 @@ def build_spheres(
         groups, moving = [(np.zeros((1, 3)), np.zeros(1))], [model.links[-1]]
     bounds = [_bound(center, radius) for center, radius in groups]
     base, base_links = _base_boxes(model, segments)
-    joined = _neighbours(model)
+    joined = _neighbors(model)
 
     def checked(a: str, b: str) -> bool:
         return frozenset((a, b)) not in disabled and not joined(a, b)
@@ -187,7 +187,7 @@ def _bodies(model: Articulated, segments: Segments) -> set[int]:
     return found
 
 
-def _neighbours(model: Articulated) -> Callable[[str, str], bool]:
+def _neighbors(model: Articulated) -> Callable[[str, str], bool]:
     """Tell whether two links are joined by one moving joint, fixed joints being no joints."""
     body: dict[str, str] = {model.urdf.root: model.urdf.root}
     parent: dict[str, str] = {}

@@ -2,7 +2,7 @@
 
 yourdfpy parses; this module guards what goes in (no entities, bounded size, no path out of the
 root folder) and what comes out (a tree, finite numbers, ordered limits), and hands on frozen
-records with everything scaled to metres.
+records with everything scaled to meters.
 """
 
 from __future__ import annotations
@@ -142,7 +142,7 @@ def read_urdf(
 
 
 def box_urdf(name: str, size: tuple[float, float, float]) -> Urdf:
-    """Build the model of a rigid box, its frame at the centre."""
+    """Build the model of a rigid box, its frame at the center."""
     shape = Geometry("box", size, np.eye(4))
     return Urdf(name, None, "box", {"box": Link("box", (shape,), (shape,))}, ())
 

@@ -1,7 +1,7 @@
 """The room as boxes that the arm can hit: what stands still, and what the task moves.
 
 Standing boxes are found through a bucket grid: each cell lists the boxes that a robot sphere
-centred in it could touch. Moving boxes are few and are tested directly, at each value of the
+centered in it could touch. Moving boxes are few and are tested directly, at each value of the
 object's joint that the motion passes.
 """
 
@@ -42,7 +42,7 @@ CheckMotion: TypeAlias = "Callable[[Float[np.ndarray, ' n'], Float[np.ndarray, '
 
 
 @dataclass(frozen=True)
-class World:
+class CollisionWorld:
     """What the arm of one robot can hit during one task."""
 
     static: Boxes
@@ -95,7 +95,7 @@ def build_world(
     spheres: Spheres,
     *,
     clearance: float,
-) -> World:
+) -> CollisionWorld:
     """Sort the standing boxes into buckets for one robot.
 
     Args:
@@ -119,7 +119,7 @@ def build_world(
     filled = np.zeros(shape + 1, np.int32)
     sums = (np.diff(start) > 0).reshape(shape).astype(np.int32)
     filled[1:, 1:, 1:] = sums.cumsum(0).cumsum(1).cumsum(2)
-    return World(
+    return CollisionWorld(
         static, tuple(labels), moving, grasped, clearance, low, shape, start, index, filled
     )
 
@@ -174,7 +174,7 @@ def _fill_buckets(
 
 @kernel
 def _any_filled(c, r, low, shape, filled):
-    """Whether a bucket that the centres of a link's spheres can lie in lists a box."""
+    """Whether a bucket that the centers of a link's spheres can lie in lists a box."""
     i0 = min(max(int(np.floor((c[0] - r - low[0]) / CELL)), 0), shape[0])
     i1 = min(max(int(np.floor((c[0] + r - low[0]) / CELL)) + 1, 0), shape[0])
     j0 = min(max(int(np.floor((c[1] - r - low[1]) / CELL)), 0), shape[1])
@@ -287,7 +287,7 @@ def _motion_free(
 
 
 def check(
-    world: World,
+    world: CollisionWorld,
     chain: Chain,
     spheres: Spheres,
     q: Float[np.ndarray, "m n"],
@@ -316,7 +316,7 @@ def check(
 
 
 def motion_checker(
-    world: World,
+    world: CollisionWorld,
     chain: Chain,
     spheres: Spheres,
     base: Float[np.ndarray, "3"],
@@ -370,7 +370,7 @@ def _check_hand(
 
 
 def check_hand(
-    world: World,
+    world: CollisionWorld,
     chain: Chain,
     spheres: Spheres,
     Ts_world_tool: Float[np.ndarray, "m 4 4"],

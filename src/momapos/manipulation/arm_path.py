@@ -13,8 +13,8 @@ from momapos.kinematics.chain import chain_arrays, chain_limits
 from momapos.kinematics.collision import FREE
 from momapos.kinematics.ik import EXACT
 from momapos.kinematics.newton import newton
-from momapos.kinematics.records import ChainArrays, Limits
-from momapos.kinematics.world import World, check
+from momapos.kinematics.records import ChainArrays, JointLimits
+from momapos.kinematics.world import CollisionWorld, check
 from momapos.manipulation.layers import (
     CUT_OFF,
     MAX_STEP,
@@ -54,7 +54,7 @@ class ArmPath:
 
 def find_paths(
     robot: Robot,
-    world: World,
+    world: CollisionWorld,
     motion: TaskMotion,
     bases: Float[np.ndarray, "j 3"],
     grasps: Int[np.ndarray, " j"],
@@ -64,7 +64,7 @@ def find_paths(
     The ends and the middle of the motion are looked at first, since they fail most; a pair
     that fails at one waypoint is not carried on.
     """
-    count = len(motion.coarse)
+    count = len(motion.waypoint_steps)
     paths: list[ArmPath | None] = [None] * len(grasps)
     layers: list[Layer] = []
     alive = np.arange(len(grasps))
@@ -103,7 +103,7 @@ def _ends_first(count: int) -> list[int]:
 
 def _connect(
     robot: Robot,
-    world: World,
+    world: CollisionWorld,
     motion: TaskMotion,
     base: np.ndarray,
     grasp: int,
@@ -127,7 +127,7 @@ def _connect(
         dense = np.empty((len(motion.object_q), chain.size))
         bad = _track(
             q,
-            motion.coarse,
+            motion.waypoint_steps,
             targets,
             robot.ik.active,
             chain_arrays(chain),
@@ -149,10 +149,10 @@ def _connect(
             if not len(hit):
                 return ArmPath(FOUND, count, count, FREE, dense)
             bad = int(hit[0])
-            step = int(np.searchsorted(motion.coarse, bad))
+            step = int(np.searchsorted(motion.waypoint_steps, bad))
             worst = ArmPath(HIT, step, count, int(codes[bad]))
         # Without the node after the failure the next path must take another way.
-        banned[chosen[min(int(np.searchsorted(motion.coarse, bad)), count - 1)]] = True
+        banned[chosen[min(int(np.searchsorted(motion.waypoint_steps, bad)), count - 1)]] = True
     return worst
 
 
@@ -218,7 +218,7 @@ def _track(
     targets: F3,
     active: I1,
     chain: ChainArrays,
-    limits: Limits,
+    limits: JointLimits,
     scale: F1,
     dense: F2,
 ) -> int:

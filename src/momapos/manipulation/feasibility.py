@@ -14,13 +14,13 @@ from momapos.kinematics.chain import chain_arrays
 from momapos.kinematics.collision import FREE, place_segments
 from momapos.kinematics.hulls import Boxes
 from momapos.kinematics.spheres import Spheres, box_spheres, carry
-from momapos.kinematics.world import World, check, check_hand, motion_checker
+from momapos.kinematics.world import CollisionWorld, check, check_hand, motion_checker
 from momapos.manipulation.arm_path import FOUND, HIT, UNREACHABLE, ArmPath, find_paths
 from momapos.manipulation.motion import TaskMotion
 from momapos.manipulation.planner import RESOLUTION, PlannerConfig, interpolate, plan_motion
 from momapos.outcomes import PoseOutcome, PoseStatus
 from momapos.robots.robot import Robot
-from momapos.types import Attempt, Motion, Screened
+from momapos.types import ArmPathResult, Attempt, Motion
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
@@ -39,7 +39,7 @@ class Feasibility:
     """Checks base poses for one robot, room and task."""
 
     robot: Robot
-    world: World
+    world: CollisionWorld
     motion: TaskMotion
     planner: PlannerConfig
     refuse: Refusal
@@ -48,7 +48,7 @@ class Feasibility:
     """Asked between steps of the work."""
 
     def __call__(
-        self, base: Float[np.ndarray, "3"], screened: Screened, grasps: Int[np.ndarray, " k"]
+        self, base: Float[np.ndarray, "3"], screened: ArmPathResult, grasps: Int[np.ndarray, " k"]
     ) -> Attempt:
         """Complete a motion at a base pose: the way from home, then the exact check.
 
@@ -73,7 +73,7 @@ class Feasibility:
 
     def screen(
         self, bases: Float[np.ndarray, "n 3"], scores: Float[np.ndarray, "n g"], most: int | None
-    ) -> list[Screened] | None:
+    ) -> list[ArmPathResult] | None:
         """Look for an arm path at each of many base poses, the best reached grasps first.
 
         Args:
@@ -104,7 +104,7 @@ class Feasibility:
                 undecided[i] &= path.status != FOUND
             first, width = first + width, _WIDER * width
         return [
-            Screened(grasp, None if path is None else path.q, self._outcome(path, int(code)))
+            ArmPathResult(grasp, None if path is None else path.q, self._outcome(path, int(code)))
             for (grasp, path), code in zip(best, home, strict=True)
         ]
 
@@ -147,8 +147,8 @@ class Feasibility:
         self, base: Float[np.ndarray, "3"], q: Float[np.ndarray, "d n"], grasp: int
     ) -> tuple[Motion | None, PoseOutcome]:
         """Add the approach from home, and let the exact check decide."""
-        chain, hold = self.robot.chain, self.motion.hold
-        spheres = loaded(self.robot, self.motion, self.motion.Ts_world_tool[grasp, 0], 0)
+        chain, hold = self.robot.chain, self.motion.grasp_step
+        spheres = with_payload(self.robot, self.motion, self.motion.Ts_world_tool[grasp, 0], 0)
         q = near_home(q, self.robot.home, chain.lower, chain.upper)
         free = motion_checker(
             self.world, chain, spheres, base, value=int(self.motion.value[0]),
@@ -194,7 +194,7 @@ class Feasibility:
         return PoseOutcome(PoseStatus.NO_CONTINUOUS_PATH)
 
 
-def loaded(
+def with_payload(
     robot: Robot, motion: TaskMotion, T_world_tool: Float[np.ndarray, "4 4"], step: int
 ) -> Spheres:
     """The robot's spheres, with the object in its hand where the task is to place it.
@@ -228,8 +228,8 @@ def _farther(path: ArmPath, other: ArmPath) -> bool:
     return path.status == FOUND or path.passed > other.passed
 
 
-def hand_clears(
-    robot: Robot, world: World, motion: TaskMotion
+def collision_free_grasps(
+    robot: Robot, world: CollisionWorld, motion: TaskMotion
 ) -> tuple[Bool[np.ndarray, " g"], str]:
     """Which grasps the hand itself has room for at every waypoint, wherever the base stands.
 
@@ -238,7 +238,7 @@ def hand_clears(
     """
     alive, hits = np.arange(len(motion.Ts_world_tool)), []
     # Most that fail do so at the grasp itself; only the others are looked at farther on.
-    for steps in (motion.coarse[1:2], np.delete(motion.coarse, 1)):
+    for steps in (motion.waypoint_steps[1:2], np.delete(motion.waypoint_steps, 1)):
         Ts = motion.Ts_world_tool[alive[:, None], steps].reshape(-1, 4, 4)
         value, holding = (np.tile(v[steps], len(alive)) for v in (motion.value, motion.holding))
         codes = check_hand(world, robot.chain, robot.spheres, Ts, value, holding)

@@ -28,7 +28,7 @@ class GraspConfig:
     standoffs: tuple[float, ...] = (0.0, 0.7)
     """How far the tool's origin stays before the handle, as shares of the fingers' depth [-]."""
     tip_gap: float = 0.005
-    """A last stand-off: the fingertips this far before the handle's centre, for handles that lie
+    """A last stand-off: the fingertips this far before the handle's center, for handles that lie
     flat on what they open [m]."""
     rolls: int = 8
     """Rolls about the approach for knobs and rigid objects [-]."""
@@ -107,7 +107,7 @@ def _rotations(
 def box_grasps(
     robot: Robot, half: Float[np.ndarray, "3"], config: GraspConfig
 ) -> Float[np.ndarray, "g 4 4"]:
-    """Grasps of a rigid box about its centre, in the box's frame (z up): from above and the sides.
+    """Grasps of a rigid box about its center, in the box's frame (z up): from above and the sides.
 
     Only directions across which the box fits between the fingers are kept.
     """

@@ -14,8 +14,8 @@ from momapos.kinematics.chain import Chain, chain_arrays, chain_limits
 from momapos.kinematics.closed_forms import MAX_BRANCHES
 from momapos.kinematics.collision import FREE, scratch_of
 from momapos.kinematics.ik import COARSE, ik_arrays, ik_scratch, solve_sample
-from momapos.kinematics.records import ChainArrays, IkArrays, Limits, SphereArrays, WorldArrays
-from momapos.kinematics.world import World, check_one
+from momapos.kinematics.records import ChainArrays, IkArrays, JointLimits, SphereArrays, WorldArrays
+from momapos.kinematics.world import CollisionWorld, check_one
 from momapos.manipulation.motion import TaskMotion
 from momapos.robots.robot import Robot
 
@@ -25,9 +25,9 @@ if TYPE_CHECKING:
 MAX_STEP = 0.8
 """Largest joint step between waypoints [rad]."""
 SLIDE = 4.0
-"""Radians that a metre of a sliding joint counts as [rad/m]."""
+"""Radians that a meter of a sliding joint counts as [rad/m]."""
 NOWHERE, CUT_OFF = FREE, FREE - 10
-"""Why a layer is empty where nothing is hit: out of reach, or too far from its neighbours."""
+"""Why a layer is empty where nothing is hit: out of reach, or too far from its neighbors."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class Layer:
         return self.q[row, : self.counts[row]]
 
 
-class Neighbour(NamedTuple):
+class Neighbor(NamedTuple):
     """A known layer as the kernel takes it."""
 
     states: F3
@@ -71,7 +71,7 @@ def full_turns(chain: Chain) -> Bool[np.ndarray, " n"]:
 
 def solve_layer(
     robot: Robot,
-    world: World,
+    world: CollisionWorld,
     motion: TaskMotion,
     bases: Float[np.ndarray, "j 3"],
     grasps: Int[np.ndarray, " j"],
@@ -91,7 +91,7 @@ def solve_layer(
         waypoint: Index into the coarse waypoints.
         known: Layers that have been solved, for these jobs at least.
     """
-    step, chain, ik = motion.coarse[waypoint], robot.chain, robot.ik
+    step, chain, ik = motion.waypoint_steps[waypoint], robot.chain, robot.ik
     poses = invert(pose_planar(bases[alive])) @ motion.Ts_world_tool[grasps[alive], step]
     before = max((k for k in known if k.waypoint < waypoint), key=_waypoint, default=None)
     after = min((k for k in known if k.waypoint > waypoint), key=_waypoint, default=None)
@@ -103,8 +103,8 @@ def solve_layer(
         bool(motion.holding[step]), chain_limits(chain), chain_arrays(chain),
         ik_arrays(ik), ik.max_solutions, robot.spheres.arrays(), world.arrays(), world.clearance,
         full_turns(chain), scale, locked,
-        _neighbour(before, alive, waypoint, chain.size),
-        _neighbour(after, alive, waypoint, chain.size),
+        _neighbor(before, alive, waypoint, chain.size),
+        _neighbor(after, alive, waypoint, chain.size),
     )  # fmt: skip
     return Layer(waypoint, alive, q, counts, codes)
 
@@ -113,13 +113,13 @@ def _waypoint(layer: Layer) -> int:
     return layer.waypoint
 
 
-def _neighbour(layer: Layer | None, alive: np.ndarray, waypoint: int, n: int) -> Neighbour:
+def _neighbor(layer: Layer | None, alive: np.ndarray, waypoint: int, n: int) -> Neighbor:
     """A known layer as the kernel takes it; the limit is infinite where there is none."""
     if layer is None:
         none = np.empty(0, np.int64)
-        return Neighbour(np.empty((0, 0, n)), none, none, np.inf)
+        return Neighbor(np.empty((0, 0, n)), none, none, np.inf)
     limit = MAX_STEP * abs(waypoint - layer.waypoint)
-    return Neighbour(layer.q, layer.counts, np.searchsorted(layer.jobs, alive), float(limit))
+    return Neighbor(layer.q, layer.counts, np.searchsorted(layer.jobs, alive), float(limit))
 
 
 @kernel
@@ -137,9 +137,9 @@ def joint_step(a, b, full_turn, scale, limit):
 
 
 @kernel
-def _joined(q, job, neighbour, full_turn, scale):
-    """Whether some configuration of a neighbouring layer is near enough."""
-    states, counts, rows, limit = neighbour
+def _joined(q, job, neighbor, full_turn, scale):
+    """Whether some configuration of a neighboring layer is near enough."""
+    states, counts, rows, limit = neighbor
     if limit == np.inf:
         return True
     row = rows[job]
@@ -155,7 +155,7 @@ def _solve_layer(
     bases: F2,
     value: int,
     holding: bool,
-    limits: Limits,
+    limits: JointLimits,
     chain: ChainArrays,
     ik: IkArrays,
     most: int,
@@ -165,8 +165,8 @@ def _solve_layer(
     full_turn: B1,
     scale: F1,
     locked: F1,
-    before: Neighbour,
-    after: Neighbour,
+    before: Neighbor,
+    after: Neighbor,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     n = len(full_turn)
     scratch = ik_scratch(n)

@@ -49,9 +49,9 @@ class TaskMotion:
     """Straight approach first, then the motion itself."""
     object_q: Float[np.ndarray, " d"]
     """Value of the object's joint at each step [rad] or [m]; zeros for rigid objects."""
-    coarse: Int[np.ndarray, " w"]
+    waypoint_steps: Int[np.ndarray, " w"]
     """Steps that are waypoints; the first is the pre-grasp."""
-    hold: int
+    grasp_step: int
     """Step at which the gripper holds the object."""
     holding: Bool[np.ndarray, " d"]
     """Whether the gripper may touch what it grasps."""
@@ -69,14 +69,14 @@ class TaskMotion:
     @property
     def waypoints(self) -> Float[np.ndarray, "w 3"]:
         """Tool positions of the plainest grasp at the waypoints, pre-grasp left out [m]."""
-        return self.Ts_world_tool[0, self.coarse[1:], :3, 3]
+        return self.Ts_world_tool[0, self.waypoint_steps[1:], :3, 3]
 
     def sweep(self) -> Boxes:
         """The moving boxes at all values, as one set."""
         m = self.moving
         return Boxes(m.center.reshape(-1, 3), m.rotation.reshape(-1, 3, 3), m.half.reshape(-1, 3))
 
-    def standing_boxes(self) -> Boxes:
+    def static_obstacles(self) -> Boxes:
         """All boxes as they are before the task begins; `labels` names them in this order."""
         m = self.moving
         return Boxes(
@@ -138,8 +138,8 @@ def _joint_motion(
         task=task,
         Ts_world_tool=np.ascontiguousarray(Ts_world_tool),
         object_q=np.concatenate([np.full(steps, start), values]),
-        coarse=np.concatenate([[0], steps + np.arange(count) * config.substeps]),
-        hold=steps,
+        waypoint_steps=np.concatenate([[0], steps + np.arange(count) * config.substeps]),
+        grasp_step=steps,
         holding=np.ones(steps + len(values), bool),
         static=static,
         moving=moving,
@@ -268,20 +268,20 @@ def _rigid_motion(
         hold = Ts_world_object[None] @ Ts_object_tool[:, None]
         Ts = np.concatenate([approach, hold], axis=1)
         value = np.concatenate([np.zeros(steps, np.int64), np.arange(len(lifts))])
-        coarse, first = np.array([0, steps, steps + len(lifts) - 1]), steps
+        waypoint_steps, first = np.array([0, steps, steps + len(lifts) - 1]), steps
     else:
         # The hand comes down with the object, lets go, and backs off along its approach.
         down = (Ts_world_object[None] @ Ts_object_tool[:, None])[:, ::-1]
         Ts = np.concatenate([down, approach[:, ::-1]], axis=1)
         value = np.concatenate([np.arange(len(lifts))[::-1], np.zeros(steps, np.int64)])
-        coarse = np.array([0, len(lifts) - 1, len(lifts) - 1 + steps])
+        waypoint_steps = np.array([0, len(lifts) - 1, len(lifts) - 1 + steps])
         first = len(lifts) - 1
     return TaskMotion(
         task=task,
         Ts_world_tool=np.ascontiguousarray(Ts),
         object_q=np.zeros(Ts.shape[1]),
-        coarse=coarse,
-        hold=first,
+        waypoint_steps=waypoint_steps,
+        grasp_step=first,
         holding=np.ones(Ts.shape[1], bool),
         static=static,
         moving=moving,

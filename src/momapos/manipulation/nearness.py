@@ -10,7 +10,7 @@ import numpy as np
 from momapos.kinematics.base_collision import base_hits
 from momapos.kinematics.hulls import Boxes
 from momapos.kinematics.world import build_world, check
-from momapos.manipulation.feasibility import loaded
+from momapos.manipulation.feasibility import with_payload
 from momapos.manipulation.motion import TaskMotion
 from momapos.robots.robot import Robot
 from momapos.types import Motion
@@ -21,7 +21,9 @@ if TYPE_CHECKING:
 _ORIGIN = np.zeros((1, 3))
 
 
-def swept_boxes(motion: TaskMotion, boxes: Boxes, *, margin: float) -> Bool[np.ndarray, " b"]:
+def boxes_near_swept_volume(
+    motion: TaskMotion, boxes: Boxes, *, margin: float
+) -> Bool[np.ndarray, " b"]:
     """Which boxes the moving part comes near, whoever moves it.
 
     Args:
@@ -33,7 +35,7 @@ def swept_boxes(motion: TaskMotion, boxes: Boxes, *, margin: float) -> Bool[np.n
     return _every(boxes, lambda left: base_hits(_ORIGIN, sweep, left, clearance=margin))
 
 
-def stood_boxes(
+def boxes_near_base(
     robot: Robot, base: Float[np.ndarray, "3"], boxes: Boxes, *, margin: float
 ) -> Bool[np.ndarray, " b"]:
     """Which boxes the base comes near where it stands (x, y [m], yaw [rad])."""
@@ -63,7 +65,7 @@ def near_boxes(
     """
     q = np.concatenate([found.approach, found.q])
     bases, none = np.tile(base, (len(q), 1)), np.zeros(len(q), np.int64)
-    spheres = loaded(robot, motion, found.Ts_world_tool[0], motion.hold)
+    spheres = with_payload(robot, motion, found.Ts_world_tool[0], motion.grasp_step)
     nothing = Boxes(np.zeros((1, 0, 3)), np.zeros((1, 0, 3, 3)), np.zeros((1, 0, 3)))
 
     def arm_hits(left: Boxes) -> Int[np.ndarray, " m"]:
@@ -72,8 +74,8 @@ def near_boxes(
         return check(world, robot.chain, spheres, q, bases, none, none > 0)
 
     return (
-        stood_boxes(robot, base, boxes, margin=margin)
-        | swept_boxes(motion, boxes, margin=margin)
+        boxes_near_base(robot, base, boxes, margin=margin)
+        | boxes_near_swept_volume(motion, boxes, margin=margin)
         | _every(boxes, arm_hits)
     )
 

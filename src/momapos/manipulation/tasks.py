@@ -120,7 +120,7 @@ def hand_path(
     item = scene.object(object_name)
     joints = [joint] if joint else [name for o, name in openable(scene) if o == object_name]
     if not joints:
-        return item.boxed.T_world_object[None, :3, 3]
+        return item.box_proxy.T_world_object[None, :3, 3]
     goals = [
         _goal(item.model, item.model.joint(name), "open", item.values()[name]) if to is None else to
         for name in joints

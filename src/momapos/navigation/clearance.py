@@ -14,7 +14,12 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from momapos.compiled import F2, entry, kernel
-from momapos.navigation.outlines import ConvexPolygons, PolygonArrays, PrismArrays, RobotPrisms
+from momapos.navigation.convex_polygons import (
+    ConvexPolygons,
+    PolygonArrays,
+    PrismArrays,
+    RobotPrisms,
+)
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
@@ -47,11 +52,11 @@ class CostWeights(NamedTuple):
     preferred_clearance: float
     """Gap that is kept where there is room [m]."""
     proximity: float
-    """By which a metre along obstacles costs more than one with room [-]."""
+    """By which a meter along obstacles costs more than one with room [-]."""
     turning: float
     """Cost of turning [m/rad]."""
     reversing: float
-    """Cost of a metre driven backwards [-]."""
+    """Cost of a meter driven backwards [-]."""
 
 
 @kernel

@@ -32,14 +32,14 @@ class CostMap:
     origin: Float[np.ndarray, "2"]
     """World position of the corner of cell (0, 0) [m]."""
     distance: Float[np.ndarray, "rows columns"]
-    """Driving length to the centre of each cell [m], infinite where there is no path."""
+    """Driving length to the center of each cell [m], infinite where there is no path."""
     free: Bool[np.ndarray, "rows columns"]
 
     def lengths(self, xy: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
         """Driving lengths to positions [m]; infinite where there is no path.
 
         A position is served by the best of the cells around it, since a base can stand
-        closer to furniture than the disc's cell centre does.
+        closer to furniture than the disc's cell center does.
         """
         rows, columns = self.distance.shape
         base = np.floor((xy - self.origin) / CELL).astype(int)
@@ -72,7 +72,7 @@ def floor_plan(
     boxes: Boxes,
     *,
     height: float,
-    floor: Float[np.ndarray, "k 2"] | None,
+    floor_polygon: Float[np.ndarray, "k 2"] | None,
     margin: float = ROOM_MARGIN,
 ) -> FloorPlan:
     """Project what stands in the way of a base onto the floor.
@@ -80,24 +80,24 @@ def floor_plan(
     Args:
         boxes: The room, world frame.
         height: Height of the base; what hangs above it is no obstacle [m].
-        floor: Outline of the floor; None where it has no known end.
+        floor_polygon: Outline of the floor; None where it has no known end.
         margin: Width of the free border around everything that is mapped [m].
     """
     low_z = boxes.center[:, 2] - np.einsum("bj,bj->b", np.abs(boxes.rotation[:, 2]), boxes.half)
     outlines = _outlines(boxes, np.flatnonzero(low_z < height))
     points = np.concatenate(outlines) if outlines else np.zeros((1, 2))
-    if floor is not None:
-        points = floor
+    if floor_polygon is not None:
+        points = floor_polygon
     low = np.floor((points.min(0) - margin) / CELL) * CELL
     columns, rows = (int(np.ceil(v)) for v in (points.max(0) + margin - low) / CELL)
-    image = Image.new("L", (columns, rows), 0 if floor is None else 1)
+    image = Image.new("L", (columns, rows), 0 if floor_polygon is None else 1)
     draw = ImageDraw.Draw(image)
 
     def fill(outline: Float[np.ndarray, "k 2"], value: int) -> None:
         draw.polygon((((outline - low) / CELL) - 0.5).ravel().tolist(), fill=value)
 
-    if floor is not None:
-        fill(floor, 0)
+    if floor_polygon is not None:
+        fill(floor_polygon, 0)
     for outline in outlines:
         fill(outline, 1)
     return FloorPlan(low, np.array(image, bool))
@@ -151,7 +151,7 @@ def build_cost_map(plan: FloorPlan, start: Float[np.ndarray, "2"], *, radius: fl
 
 
 def cell_graph(free: Bool[np.ndarray, "rows columns"]) -> csr_matrix:
-    """Sixteen-neighbour graph of the free cells, as compressed rows without a detour."""
+    """Sixteen-neighbor graph of the free cells, as compressed rows without a detour."""
     from scipy.sparse import csr_matrix
 
     columns = free.shape[1]

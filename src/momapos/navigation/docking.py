@@ -8,7 +8,7 @@ import numpy as np
 
 from momapos.geometry.planar import local_points, rotation
 from momapos.geometry.transforms import wrap_angle
-from momapos.navigation.global_path import Path
+from momapos.navigation.global_path import BasePath
 from momapos.robots.robot import Robot
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ class Docking:
     omni base goes from pose to pose of the path.
     """
 
-    def __init__(self, robot: Robot, path: Path, dt: float) -> None:
+    def __init__(self, robot: Robot, path: BasePath, dt: float) -> None:
         """Prepare to follow a path.
 
         Args:
@@ -140,7 +140,7 @@ def stands(velocity: Float[np.ndarray, "3"]) -> bool:
     return bool(np.hypot(velocity[0], velocity[1]) < 0.01 and abs(velocity[2]) < 0.02)
 
 
-def aimed(robot: Robot, path: Path) -> bool:
+def aimed(robot: Robot, path: BasePath) -> bool:
     """Whether a base can begin to follow a path without a turn on the spot."""
     if robot.drive == "omni":
         return True

@@ -16,14 +16,14 @@ import numpy as np
 from momapos.errors import SceneError
 from momapos.geometry.transforms import wrap_angle
 from momapos.navigation.base import clip_velocity, integrate
+from momapos.navigation.convex_polygons import pack
 from momapos.navigation.docking import BEGIN, Docking, aimed, can_stop, stands
 from momapos.navigation.drive_record import DriveEnding, DriveRecord
 from momapos.navigation.dynamic_window import Steering, WindowConfig, velocity_window
 from momapos.navigation.footprint_map import NavigationMap, navigation_map_of
-from momapos.navigation.global_path import TURN, Path, PathConfig, direct_path, plan_path
+from momapos.navigation.global_path import TURN, BasePath, PathConfig, direct_path, plan_path
 from momapos.navigation.judge import FootprintCollisionChecker
-from momapos.navigation.localisation import Localiser, NoiseConfig
-from momapos.navigation.outlines import pack
+from momapos.navigation.localization import Localiser, NoiseConfig
 from momapos.protocols import Clock
 
 if TYPE_CHECKING:
@@ -110,7 +110,7 @@ def drive(
         if pose.shape != (3,) or not np.isfinite(pose).all():
             raise SceneError(f"the {name} must be three finite numbers: x [m], y [m], yaw [rad]")
     around = moving or _nothing, meet or _nobody
-    return _Run(nav_map, poses[0], poses[1], rng, *around, config, clock).record()
+    return _DriveRun(nav_map, poses[0], poses[1], rng, *around, config, clock).record()
 
 
 def _nothing(_: float) -> Float[np.ndarray, "0 5"]:
@@ -121,7 +121,7 @@ def _nobody(_: Float[np.ndarray, "3"]) -> None:
     return None
 
 
-class _Run:
+class _DriveRun:
     """One drive while it lasts."""
 
     def __init__(
@@ -137,7 +137,9 @@ class _Run:
     ) -> None:
         self.nav_map, self.goal, self.config, self.clock = nav_map, goal, config, clock
         self.moving, self.meet = moving, meet
-        self.judge = FootprintCollisionChecker(nav_map.prisms, nav_map.obstacles, nav_map.floor)
+        self.judge = FootprintCollisionChecker(
+            nav_map.prisms, nav_map.obstacles, nav_map.floor_polygon
+        )
         self.localiser = Localiser(start, config.noise, rng)
         self.pose, self.velocity, self.now = start, np.zeros(3), 0.0
         self.times, self.poses, self.velocities = [0.0], [start], [np.zeros(3)]
@@ -229,7 +231,7 @@ class _Run:
         off = f"{100 * np.hypot(*error[:2]):.1f} cm and {turn:.1f} degrees off the goal"
         return _End(DriveEnding.MISSED, off)
 
-    def _plan(self) -> Path | None:
+    def _plan(self) -> BasePath | None:
         """A path from where the base believes to be, around what stands in it."""
         standing = self._standing()
         nav_map = _with_discs(self.nav_map, standing) if len(standing) else self.nav_map
@@ -256,7 +258,7 @@ class _Run:
                 return ended
         return None
 
-    def _cruise(self, path: Path) -> tuple[_End | None, Path | None]:
+    def _cruise(self, path: BasePath) -> tuple[_End | None, BasePath | None]:
         """Drive along a path by the dynamic window, until near the goal.
 
         Returns:
@@ -288,7 +290,7 @@ class _Run:
             if self.now - since > config.patience:
                 return self._stuck(discs), None
 
-    def _dock(self, path: Path) -> _End | None:
+    def _dock(self, path: BasePath) -> _End | None:
         """Follow a path exactly."""
         config, robot = self.config, self.nav_map.robot
         steering = Steering(self.nav_map, path, config.window, config.control)
@@ -369,5 +371,5 @@ def _with_discs(nav_map: NavigationMap, discs: Float[np.ndarray, "d 5"]) -> Navi
         layers += range(prisms)
         names += ["a standing obstacle"] * prisms
     return navigation_map_of(
-        nav_map.robot, nav_map.prisms, pack(polygons, layers, names), nav_map.floor
+        nav_map.robot, nav_map.prisms, pack(polygons, layers, names), nav_map.floor_polygon
     )

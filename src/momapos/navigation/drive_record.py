@@ -44,7 +44,7 @@ class DriveRecord:
     planned: float
     """Length of the path as first planned [m]; infinite where there was none."""
     length: float
-    """Metres driven."""
+    """Meters driven."""
     time: float
     """Seconds it took."""
     clearance: float

@@ -22,9 +22,9 @@ from momapos.navigation.clearance import (
     select,
     wrapped,
 )
+from momapos.navigation.convex_polygons import PrismArrays
 from momapos.navigation.footprint_map import NavigationMap
-from momapos.navigation.global_path import TURN, Path
-from momapos.navigation.outlines import PrismArrays
+from momapos.navigation.global_path import TURN, BasePath
 from momapos.robots.robot import Robot
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ class WindowConfig:
     horizon: float = 1.2
     """How long a velocity is imagined to be held [s]."""
     deviation: float = 2.5
-    """Progress that a metre beside the path is worth [-]."""
+    """Progress that a meter beside the path is worth [-]."""
     preferred_clearance: float = 0.06
     """Gap to everything that is kept where there is room [m]."""
     crowding: float = 0.1
@@ -289,7 +289,7 @@ class Steering:
     """Chooses velocities along one path."""
 
     nav_map: NavigationMap
-    path: Path
+    path: BasePath
     config: WindowConfig
     dt: float
 

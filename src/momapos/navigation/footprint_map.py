@@ -12,14 +12,14 @@ from momapos.compiled import B2, F1, F3, entry
 from momapos.errors import SceneError
 from momapos.geometry.polygons import contains, inscribed_radius
 from momapos.navigation.clearance import Surroundings, gap, scratch_for, select
-from momapos.navigation.cost_map import CELL
-from momapos.navigation.outlines import (
+from momapos.navigation.convex_polygons import (
     ConvexPolygons,
     RobotPrisms,
     obstacles_of,
     prisms_of,
     thinned,
 )
+from momapos.navigation.cost_map import CELL
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 _QUADRANT = ((1, 0), (3, 1), (2, 1), (3, 2), (1, 1), (2, 3), (1, 2), (1, 3))
 MOVES = np.array([(a, b) for a, b in _QUADRANT] + [(-b, a) for a, b in _QUADRANT])
 MOVES = np.concatenate([MOVES, -MOVES])
-"""Steps (columns, rows) along each heading, anticlockwise from x."""
+"""Steps (columns, rows) along each heading, counterclockwise from x."""
 HEADINGS: np.ndarray = np.arctan2(MOVES[:, 1], MOVES[:, 0])
 """The 32 headings of the map, those along which cells lie [rad]."""
 FARTHEST = 0.2
@@ -49,7 +49,7 @@ class NavigationMap:
     """Everything in the way, hull by hull."""
     planning_obstacles: ConvexPolygons
     """The same without what lies inside other outlines, and with the floor's edges."""
-    floor: Float[np.ndarray, "k 2"] | None
+    floor_polygon: Float[np.ndarray, "k 2"] | None
     origin: Float[np.ndarray, "2"]
     """World position of the corner of cell (0, 0) [m]."""
     shape: tuple[int, int]
@@ -57,14 +57,14 @@ class NavigationMap:
 
     @cached_property
     def gap(self) -> Float32[np.ndarray, "headings rows columns"]:
-        """Gap around the robot at the centre of each cell [m], at most FARTHEST; negative where it
+        """Gap around the robot at the center of each cell [m], at most FARTHEST; negative where it
         does not fit. It is made when it is first asked for: most ways need no map."""
         rows, columns = self.shape
         j, i = np.meshgrid(np.arange(columns), np.arange(rows))
         centers = self.origin + (np.stack([j, i], -1) + 0.5) * CELL
         inside = np.ones((rows, columns), bool)
-        if self.floor is not None:
-            inside = contains(self.floor, centers.reshape(-1, 2)).reshape(rows, columns)
+        if self.floor_polygon is not None:
+            inside = contains(self.floor_polygon, centers.reshape(-1, 2)).reshape(rows, columns)
         inner = inscribed_radius(self.prisms.outlines[0])
         surroundings = Surroundings(self.prisms.arrays, self.planning_obstacles.arrays)
         return _fill(centers, inside, HEADINGS, inner, surroundings)
@@ -84,19 +84,19 @@ def build_navigation_map(scene: Scene, robot: Robot) -> NavigationMap:
     """
     prisms = prisms_of(robot)
     obstacles = obstacles_of(scene, prisms)
-    return navigation_map_of(robot, prisms, obstacles, scene.floor)
+    return navigation_map_of(robot, prisms, obstacles, scene.floor_polygon)
 
 
 def navigation_map_of(
     robot: Robot,
     prisms: RobotPrisms,
     obstacles: ConvexPolygons,
-    floor: Float[np.ndarray, "k 2"] | None,
+    floor_polygon: Float[np.ndarray, "k 2"] | None,
 ) -> NavigationMap:
     """Map where a robot fits among outlines; see `build_navigation_map`."""
-    planning_obstacles = thinned(obstacles, floor)
-    if floor is not None:
-        low, high = floor.min(0), floor.max(0)
+    planning_obstacles = thinned(obstacles, floor_polygon)
+    if floor_polygon is not None:
+        low, high = floor_polygon.min(0), floor_polygon.max(0)
     elif len(obstacles):
         low = obstacles.bounds[:, :2].min(0) - BORDER
         high = obstacles.bounds[:, 2:].max(0) + BORDER
@@ -111,7 +111,7 @@ def navigation_map_of(
             f"{MOST_CELLS * CELL**2:.0f} m^2 can be mapped to drive in"
         )
     return NavigationMap(
-        robot, prisms, obstacles, planning_obstacles, floor, origin, (rows, columns)
+        robot, prisms, obstacles, planning_obstacles, floor_polygon, origin, (rows, columns)
     )
 
 

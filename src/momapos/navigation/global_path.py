@@ -16,11 +16,11 @@ from scipy.sparse.csgraph import dijkstra
 
 from momapos.geometry.transforms import wrap_angle
 from momapos.navigation.clearance import CostWeights, Surroundings, gaps
+from momapos.navigation.convex_polygons import on_floor
 from momapos.navigation.cost_map import CELL, cell_graph
 from momapos.navigation.footprint_map import FARTHEST, HEADINGS, MOVES, NavigationMap
 from momapos.navigation.lattice import Lattice, PathModel, astar, connections, shorten
 from momapos.navigation.lattice_connection import Exits, shuffled, straight
-from momapos.navigation.outlines import on_floor
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
@@ -44,25 +44,25 @@ class PathConfig:
     preferred_clearance: float = 0.08
     """Gap to everything that is kept where there is room [m]."""
     weight: float = 1.0
-    """By which a metre along obstacles costs more than one with room [-]."""
+    """By which a meter along obstacles costs more than one with room [-]."""
     turning: float = 0.1
     """Cost of turning [m/rad]."""
     reversing: float = 1.3
-    """Cost of a metre driven backwards, where a base has a front [-]."""
+    """Cost of a meter driven backwards, where a base has a front [-]."""
 
 
 @dataclass(frozen=True, eq=False)
-class Path:
+class BasePath:
     """A path, pose by pose; turns in place are part of it."""
 
     poses: Float[np.ndarray, "n 3"]
     """x [m], y [m], heading [rad]; at most 2.5 cm or 3 degrees apart."""
     s: Float[np.ndarray, " n"]
-    """Progress at each: metres driven plus TURN times radians turned [m]."""
+    """Progress at each: meters driven plus TURN times radians turned [m]."""
     gap: Float[np.ndarray, " n"]
     """Room around the robot at each [m], at most 0.3."""
     length: float
-    """Metres driven."""
+    """Meters driven."""
     nodes: Float[np.ndarray, "m 3"]
     """Where the legs of the path begin and end."""
     backwards: Bool[np.ndarray, " m-1"]
@@ -87,7 +87,7 @@ def plan_path(
     start: Float[np.ndarray, "3"],
     goal: Float[np.ndarray, "3"],
     config: PathConfig = PathConfig(),
-) -> Path | None:
+) -> BasePath | None:
     """Find a short path for the whole footprint; None where there is none.
 
     Args:
@@ -98,7 +98,7 @@ def plan_path(
     """
     needs = 0.5 * gaps(np.stack([start, goal]), nav_map.prisms, nav_map.planning_obstacles)
     if (needs <= 0).any() or not on_floor(
-        nav_map.prisms, nav_map.floor, np.stack([start, goal])
+        nav_map.prisms, nav_map.floor_polygon, np.stack([start, goal])
     ).all():
         return None
     plan = _Planner(nav_map, config, np.minimum(needs, NEEDED))
@@ -114,7 +114,7 @@ def direct_path(
     start: Float[np.ndarray, "3"],
     goal: Float[np.ndarray, "3"],
     config: PathConfig = PathConfig(),
-) -> Path | None:
+) -> BasePath | None:
     """The path of one leg between two poses, None where it is blocked; see `plan_path`."""
     nodes = np.stack([start, goal])
     needs = 0.5 * gaps(nodes, nav_map.prisms, nav_map.planning_obstacles)
@@ -296,7 +296,7 @@ class _Planner:
                 nodes[k, 2] = wrap_angle(straight[1, 2])
         return nodes
 
-    def sampled(self, nodes: Float[np.ndarray, "n 3"]) -> Path:
+    def sampled(self, nodes: Float[np.ndarray, "n 3"]) -> BasePath:
         """Every pose of the path over nodes."""
         _, backwards = connections(nodes[:-1], nodes[1:], self.model(self.needs.min()))
         poses = [nodes[0]]
@@ -315,7 +315,7 @@ class _Planner:
         turn = np.abs(wrap_angle(np.diff(path[:, 2])))
         s = np.concatenate([[0.0], np.cumsum(move + TURN * turn)])
         room = gaps(path, self.nav_map.prisms, self.nav_map.planning_obstacles, cap=0.3)
-        return Path(path, s, room, float(move.sum()), nodes, backwards)
+        return BasePath(path, s, room, float(move.sum()), nodes, backwards)
 
 
 def _line(

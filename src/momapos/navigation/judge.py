@@ -13,7 +13,7 @@ import numpy as np
 
 from momapos.geometry.planar import place_points
 from momapos.geometry.polygons import contains, edge_distances
-from momapos.navigation.outlines import ConvexPolygons, RobotPrisms, on_floor
+from momapos.navigation.convex_polygons import ConvexPolygons, RobotPrisms, on_floor
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 FAR = 0.5
 """Distances above this are not told apart [m]."""
 _AT_ONCE = 8
-"""Poses that are looked at together; neighbours share what is near them."""
+"""Poses that are looked at together; neighbors share what is near them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +30,7 @@ class FootprintCollisionChecker:
 
     prisms: RobotPrisms
     obstacles: ConvexPolygons
-    floor: Float[np.ndarray, "k 2"] | None
+    floor_polygon: Float[np.ndarray, "k 2"] | None
 
     @cached_property
     def _padded(self) -> Float[np.ndarray, "o k 2"]:
@@ -70,7 +70,7 @@ class FootprintCollisionChecker:
                 best = np.minimum(best, apart.min(1))
                 for n in np.flatnonzero((apart <= 0).any(1)):
                     touched[n] = touched[n] or self.obstacles.names[some[int(apart[n].argmin())]]
-        for n in np.flatnonzero(~on_floor(self.prisms, self.floor, poses)):
+        for n in np.flatnonzero(~on_floor(self.prisms, self.floor_polygon, poses)):
             touched[n] = touched[n] or "the edge of the floor"
         return best, touched
 

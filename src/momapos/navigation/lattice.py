@@ -152,7 +152,7 @@ def shorten(poses: F2, needs: F1, model: PathModel) -> np.ndarray:
         model: See `PathModel`.
 
     Returns:
-        Indices of the poses that stay, in order; empty where even neighbours do not connect.
+        Indices of the poses that stay, in order; empty where even neighbors do not connect.
     """
     n, weights = len(poses), model.cost_weights
     scratch = scratch_for(model.surroundings)

@@ -1,6 +1,6 @@
 """How a pose off the lattice is left: poses from which the lattice can be entered, and their paths.
 
-A base that stands close to furniture cannot turn at once, nor go for the centre of a cell. It backs
+A base that stands close to furniture cannot turn at once, nor go for the center of a cell. It backs
 out straight; where a wall runs along its side that gains nothing, and it shuffles: it turns by the
 little that there is room for, drives on, turns again. The goal is left likewise, in reverse.
 """

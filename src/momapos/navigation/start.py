@@ -17,10 +17,10 @@ from momapos.kinematics.base_collision import base_hits
 from momapos.kinematics.collision import FREE
 from momapos.kinematics.hulls import Boxes
 from momapos.navigation.clearance import gaps
+from momapos.navigation.convex_polygons import on_floor
 from momapos.navigation.cost_map import CELL, FloorPlan
 from momapos.navigation.footprint_map import HEADINGS, NavigationMap
 from momapos.navigation.judge import FootprintCollisionChecker
-from momapos.navigation.outlines import on_floor
 from momapos.robots.robot import Robot
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ def check_arm_at_home(nav_map: NavigationMap, pose: Float[np.ndarray, "3"]) -> N
     Raises:
         SceneError: It would touch something.
     """
-    checker = FootprintCollisionChecker(nav_map.prisms, nav_map.obstacles, nav_map.floor)
+    checker = FootprintCollisionChecker(nav_map.prisms, nav_map.obstacles, nav_map.floor_polygon)
     touched = checker.distance(pose[None])[1][0]
     if touched:
         x, y, yaw = pose
@@ -79,7 +79,7 @@ def find_start(
             # The heading along x comes first, as does the nearer of two cells.
             poses = np.array([[*xy, yaw] for xy in nearest[k : k + _AT_ONCE] for yaw in _HEADINGS])
             fits = gaps(poses, nav_map.prisms, nav_map.planning_obstacles) > 0.0
-            fits &= on_floor(nav_map.prisms, nav_map.floor, poses)
+            fits &= on_floor(nav_map.prisms, nav_map.floor_polygon, poses)
             if fits.any():
                 return poses[int(np.argmax(fits))]
     raise SceneError("the room is full: nowhere can a robot start; give --start X,Y,YAW")

@@ -29,7 +29,7 @@ class BaseStatus(IntEnum):
 
 
 @dataclass(frozen=True)
-class Site:
+class PlacementGeometry:
     """What placement knows of the room and the task: no objects, no joints, only geometry."""
 
     robot: Robot
@@ -39,7 +39,7 @@ class Site:
     """Boxes that stand still."""
     sweep: Boxes
     """The moving part at every opening."""
-    floor: Float[np.ndarray, "k 2"] | None
+    floor_polygon: Float[np.ndarray, "k 2"] | None
     clearance: float
     """Distance that the base keeps from everything [m]."""
 
@@ -60,53 +60,55 @@ class Site:
         return float((chain.upper[:first] - chain.lower[:first]).sum() / 2)
 
 
-def arm_radius(site: Site) -> Float[np.ndarray, " w"]:
+def arm_radius(geometry: PlacementGeometry) -> Float[np.ndarray, " w"]:
     """Horizontal reach Delta_r at the height of each waypoint, NaN where it is out of reach.
 
     Source: MoMa-Pos, section III-C, `sqrt(r_l^2 - dz^2)`; the family of grasps widens it.
     """
-    plain = site.Ts_world_tool[0, :, :3, 3]
-    spread = np.linalg.norm(site.Ts_world_tool[..., :3, 3] - plain, axis=-1).max(0)
-    reach = site.robot.reach + spread
-    dz = np.maximum(np.abs(plain[:, 2] - site.shoulder[2]) - site.lift, 0.0)
+    plain = geometry.Ts_world_tool[0, :, :3, 3]
+    spread = np.linalg.norm(geometry.Ts_world_tool[..., :3, 3] - plain, axis=-1).max(0)
+    reach = geometry.robot.reach + spread
+    dz = np.maximum(np.abs(plain[:, 2] - geometry.shoulder[2]) - geometry.lift, 0.0)
     with np.errstate(invalid="ignore"):
         return np.sqrt(reach**2 - dz**2)
 
 
-def task_frame(site: Site) -> Float[np.ndarray, "3"]:
+def task_frame(geometry: PlacementGeometry) -> Float[np.ndarray, "3"]:
     """A frame on the floor at the first waypoint, x along the approach: x [m], y [m], yaw [rad].
 
     Samples and grids are laid out in it, so that an answer moves with the room.
     """
-    T = site.Ts_world_tool[0, 1]
-    along = T[:2, :3] @ site.robot.approach_axis
+    T = geometry.Ts_world_tool[0, 1]
+    along = T[:2, :3] @ geometry.robot.approach_axis
     if np.hypot(*along) < 0.1:  # from straight above: take how the fingers close
-        along = T[:2, :3] @ site.robot.closing_axis
+        along = T[:2, :3] @ geometry.robot.closing_axis
     return np.array([T[0, 3], T[1, 3], np.arctan2(along[1], along[0])])
 
 
-def sampling_box(site: Site) -> Float[np.ndarray, "2 2"] | None:
+def sampling_box(geometry: PlacementGeometry) -> Float[np.ndarray, "2 2"] | None:
     """Corners of the rectangle in the task's frame that holds A; None where A is empty [m]."""
-    radius = arm_radius(site)
+    radius = arm_radius(geometry)
     if np.isnan(radius).any():
         return None
-    reach = radius + np.linalg.norm(site.shoulder[:2])
-    plain = local_points(task_frame(site), site.Ts_world_tool[0, :, :2, 3])
+    reach = radius + np.linalg.norm(geometry.shoulder[:2])
+    plain = local_points(task_frame(geometry), geometry.Ts_world_tool[0, :, :2, 3])
     low = (plain - reach[:, None]).max(0)
     high = (plain + reach[:, None]).min(0)
     return None if (low >= high).any() else np.stack([low, high])
 
 
-def within_reach(site: Site, poses: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
+def within_reach(
+    geometry: PlacementGeometry, poses: Float[np.ndarray, "n 3"]
+) -> Bool[np.ndarray, " n"]:
     """Whether every waypoint is within the arm's length of its axis (dist_xy <= Delta_r)."""
-    axis = place_points(poses, site.shoulder[None, :2])[:, 0]
-    plain = site.Ts_world_tool[0, :, :2, 3]
+    axis = place_points(poses, geometry.shoulder[None, :2])[:, 0]
+    plain = geometry.Ts_world_tool[0, :, :2, 3]
     distance = np.linalg.norm(axis[:, None] - plain[None], axis=-1)
-    return (distance <= arm_radius(site)).all(1)
+    return (distance <= arm_radius(geometry)).all(1)
 
 
-def standing(
-    site: Site, poses: Float[np.ndarray, "n 3"]
+def base_pose_status(
+    geometry: PlacementGeometry, poses: Float[np.ndarray, "n 3"]
 ) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
     """Say whether the base can stand at each pose while the part moves.
 
@@ -114,18 +116,20 @@ def standing(
         A `BaseStatus`, and the box that blocks (static boxes first, then the sweep), FREE where
         none does.
     """
-    outcome = np.where(within_reach(site, poses), BaseStatus.CLEAR, BaseStatus.BEYOND_ARM)
-    if site.floor is not None:
+    outcome = np.where(within_reach(geometry, poses), BaseStatus.CLEAR, BaseStatus.BEYOND_ARM)
+    if geometry.floor_polygon is not None:
         near = np.flatnonzero(outcome == BaseStatus.CLEAR)
-        off = ~all_inside(site.floor, place_points(poses[near], site.robot.footprint))
+        off = ~all_inside(
+            geometry.floor_polygon, place_points(poses[near], geometry.robot.footprint)
+        )
         outcome[near[off]] = BaseStatus.OFF_FLOOR
     boxes = Boxes(
-        np.concatenate([site.static.center, site.sweep.center]),
-        np.concatenate([site.static.rotation, site.sweep.rotation]),
-        np.concatenate([site.static.half, site.sweep.half]),
+        np.concatenate([geometry.static.center, geometry.sweep.center]),
+        np.concatenate([geometry.static.rotation, geometry.sweep.rotation]),
+        np.concatenate([geometry.static.half, geometry.sweep.half]),
     )
     code = np.full(len(poses), FREE, np.int64)
     near = np.flatnonzero(outcome == BaseStatus.CLEAR)
-    code[near] = base_hits(poses[near], site.robot.base, boxes, clearance=site.clearance)
+    code[near] = base_hits(poses[near], geometry.robot.base, boxes, clearance=geometry.clearance)
     outcome[code != FREE] = BaseStatus.BLOCKED
     return outcome, code

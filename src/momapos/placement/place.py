@@ -14,16 +14,16 @@ from momapos.geometry.samples import latin_hypercube
 from momapos.outcomes import PoseOutcome, PoseStatus
 from momapos.placement.area import (
     BaseStatus,
-    Site,
+    PlacementGeometry,
     arm_radius,
+    base_pose_status,
     sampling_box,
-    standing,
     task_frame,
 )
 from momapos.placement.order import by_expected_cost, open_tours
 from momapos.placement.potential import attraction
 from momapos.protocols import ReachScorer, TravelCost
-from momapos.types import Attempt, Candidates, Motion, Screened
+from momapos.types import ArmPathResult, Attempt, Candidates, Motion
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
@@ -78,14 +78,14 @@ class PlaceConfig:
 
 ScreenPoses: TypeAlias = (
     "Callable[[Float[np.ndarray, 'n 3'], Float[np.ndarray, 'n g'], int | None], "
-    "list[Screened] | None]"
+    "list[ArmPathResult] | None]"
 )
 """Look for an arm path at each of many base poses, from the scores of all grasps and the number
 of grasps to be tried; None: out of time."""
 PoseFilter: TypeAlias = "Callable[[Float[np.ndarray, 'n 3']], Bool[np.ndarray, ' n']]"
 """Which of some base poses are no candidates, for reasons that this stage does not know."""
 AttemptPose: TypeAlias = (
-    "Callable[[Float[np.ndarray, '3'], Screened, Int[np.ndarray, ' k']], Attempt]"
+    "Callable[[Float[np.ndarray, '3'], ArmPathResult, Int[np.ndarray, ' k']], Attempt]"
 )
 """Complete the arm path found at a base pose, or else one with the other grasps, best first."""
 
@@ -120,7 +120,7 @@ class Search:
 class Problem:
     """What the search is given; the stages behind the functions are not its business."""
 
-    site: Site
+    geometry: PlacementGeometry
     reach: ReachScorer
     """The robot's reachability map."""
     travel_cost: TravelCost
@@ -150,14 +150,14 @@ def search(problem: Problem, config: PlaceConfig, rng: np.random.Generator) -> S
         The best pose found, if any, and what became of all others.
     """
     found = Search()
-    corners = sampling_box(problem.site)
+    corners = sampling_box(problem.geometry)
     if corners is None or problem.infeasible_reason:
-        outcome = PoseOutcome(PoseStatus.OUT_OF_REACH_ANYWHERE, _too_high(problem.site))
+        outcome = PoseOutcome(PoseStatus.OUT_OF_REACH_ANYWHERE, _too_high(problem.geometry))
         if problem.infeasible_reason:
             outcome = PoseOutcome(PoseStatus.TASK_INFEASIBLE, problem.infeasible_reason)
         found.note(np.zeros((1, 3)), np.array([outcome], object))
         return found
-    frame = task_frame(problem.site)
+    frame = task_frame(problem.geometry)
     for local, on_grid in _rounds(corners, config, rng):
         shortlist = _cull(problem, compose(frame, local), found)
         if on_grid:
@@ -169,14 +169,14 @@ def search(problem: Problem, config: PlaceConfig, rng: np.random.Generator) -> S
     return found
 
 
-def _too_high(site: Site) -> str:
+def _too_high(geometry: PlacementGeometry) -> str:
     """What is wrong with a task that no arm length can reach, however near the base stands."""
-    off = np.isnan(arm_radius(site))
+    off = np.isnan(arm_radius(geometry))
     if not off.any():
         return ""
-    heights = site.Ts_world_tool[0, off, 2, 3]
-    worst = heights[np.argmax(np.abs(heights - site.shoulder[2]))]
-    return f" in height: {worst:.2f} m is too {'high' if worst > site.shoulder[2] else 'low'}"
+    heights = geometry.Ts_world_tool[0, off, 2, 3]
+    worst = heights[np.argmax(np.abs(heights - geometry.shoulder[2]))]
+    return f" in height: {worst:.2f} m is too {'high' if worst > geometry.shoulder[2] else 'low'}"
 
 
 def _rounds(
@@ -224,18 +224,18 @@ class _Shortlist:
 
 def _cull(problem: Problem, poses: Float[np.ndarray, "n 3"], found: Search) -> _Shortlist:
     """Footprint first, then the way there, then the reach map."""
-    status, _ = standing(problem.site, poses)
+    status, _ = base_pose_status(problem.geometry, poses)
     outcomes = np.full(len(poses), _NOT_TRIED, object)
     for code, outcome in BASE_OUTCOMES.items():
         outcomes[status == code] = outcome
     row = np.flatnonzero(status == BaseStatus.CLEAR)
     travel = problem.travel_cost(poses[row, :2])
-    empty = np.zeros((len(row), len(problem.site.Ts_world_tool)), np.float32)
+    empty = np.zeros((len(row), len(problem.geometry.Ts_world_tool)), np.float32)
     left = _Shortlist(poses[row], row, travel, empty, outcomes)
     left.keep(np.isfinite(travel), PoseStatus.NO_ROUTE)
     if problem.pose_filter is not None:
         left.keep(~problem.pose_filter(left.poses), PoseStatus.FILTERED)
-    left.scores = problem.reach.weakest(left.poses, problem.site.Ts_world_tool)
+    left.scores = problem.reach.min_score(left.poses, problem.geometry.Ts_world_tool)
     left.keep(left.scores.max(1, initial=0.0) > 0, PoseStatus.OUT_OF_REACH)
     found.note(poses, outcomes)
     return left
@@ -247,7 +247,7 @@ def _screen(
     block: Int[np.ndarray, " b"],
     most: int | None,
     found: Search,
-) -> dict[int, Screened]:
+) -> dict[int, ArmPathResult]:
     """Arm paths at some poses of a shortlist, by index; all get their outcomes."""
     screened = problem.screen(left.poses[block], left.scores[block], most)
     if screened is None:
@@ -259,7 +259,11 @@ def _screen(
 
 
 def _complete(
-    problem: Problem, left: _Shortlist, passed: dict[int, Screened], most: int | None, found: Search
+    problem: Problem,
+    left: _Shortlist,
+    passed: dict[int, ArmPathResult],
+    most: int | None,
+    found: Search,
 ) -> None:
     """Complete the cheapest of some arm paths that can be completed."""
     for i in sorted(passed, key=lambda i: float(left.travel[i])):
@@ -307,8 +311,11 @@ def _check_grid(problem: Problem, left: _Shortlist, config: PlaceConfig, found: 
 def _order(problem: Problem, left: _Shortlist, config: PlaceConfig) -> Int[np.ndarray, " n"]:
     if not len(left.poses):
         return np.zeros(0, int)
-    site, xy = problem.site, left.poses[:, :2]
-    best, field_value = left.scores.max(1), attraction(site, xy, np.array([site.shoulder[2]]))
+    geometry, xy = problem.geometry, left.poses[:, :2]
+    best, field_value = (
+        left.scores.max(1),
+        attraction(geometry, xy, np.array([geometry.shoulder[2]])),
+    )
     if config.method == "paper":
         return open_tours(
             problem.start[:2],

@@ -13,7 +13,7 @@ import numpy as np
 
 from momapos.compiled import F2, F3, entry
 from momapos.kinematics.hulls import Boxes
-from momapos.placement.area import Site
+from momapos.placement.area import PlacementGeometry
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
@@ -69,7 +69,7 @@ def sees(
 
 
 def attraction(
-    site: Site,
+    geometry: PlacementGeometry,
     positions: Float[np.ndarray, "n 2"],
     heights: Float[np.ndarray, " z"],
     *,
@@ -78,12 +78,12 @@ def attraction(
     """The field F of each position: 1 / distance where the target is seen, else 0, in [0, 1].
 
     Args:
-        site: Room and task.
+        geometry: Room and task.
         positions: Where the base stands [m].
         heights: Heights from which it looks [m]; the best counts.
         waypoints: How many waypoints, evenly chosen, must be seen [-]; the weakest counts.
     """
-    plain = site.Ts_world_tool[0, :, :3, 3]
+    plain = geometry.Ts_world_tool[0, :, :3, 3]
     targets = np.ascontiguousarray(
         plain[np.linspace(0, len(plain) - 1, waypoints).round().astype(int)]
     )
@@ -92,5 +92,5 @@ def attraction(
     seen = np.zeros(distance.shape, bool)
     for z in heights:
         sources = np.column_stack([positions, np.full(len(positions), z)])
-        seen |= sees(sources, targets, site.static)
+        seen |= sees(sources, targets, geometry.static)
     return (field * seen).min(1)

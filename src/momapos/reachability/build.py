@@ -2,8 +2,8 @@
 
 For one line of the last axis (see `grid`) the first joint is set free and the arm solved once:
 turning the first joint turns the line about the vertical axis, so that every solution serves a
-whole arc of bearings. What is left per bearing is the first joint's limits and contact with the
-parts that do not turn (base, torso). A line's answer is a bit mask over `BEARINGS` bearings.
+whole arc of azimuths. What is left per azimuth is the first joint's limits and contact with the
+parts that do not turn (base, torso). A line's answer is a bit mask over `BEARINGS` azimuths.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from momapos.kinematics.chain import forward
 from momapos.kinematics.closed_forms import MAX_BRANCHES
 from momapos.kinematics.collision import FREE, hit_floor, hit_self, place_bounds, scratch_of
 from momapos.kinematics.ik import COARSE, ik_scratch, solve_sample
-from momapos.kinematics.records import ChainArrays, IkArrays, Limits, SphereArrays
+from momapos.kinematics.records import ChainArrays, IkArrays, JointLimits, SphereArrays
+from momapos.reachability.base_contact import BEARINGS, StandingTable, touched
 from momapos.reachability.grid import oct_decode
-from momapos.reachability.standing import BEARINGS, StandingTable, touched
 
 EVERY = np.uint64(0xFFFFFFFFFFFFFFFF)
 
@@ -33,13 +33,13 @@ class Arm(NamedTuple):
     turn: float
     lower: float
     upper: float
-    """Of the first joint, see `Frame`."""
+    """Of the first joint, see `ArmAxes`."""
     axis: F1
     turning: SphereArrays
     table: StandingTable
 
 
-class Pans(NamedTuple):
+class ShoulderSamples(NamedTuple):
     """By the value at which each sample locks the first joint."""
 
     arcs: U1
@@ -52,7 +52,7 @@ class Pans(NamedTuple):
 
 @kernel
 def line_pose(r, z, u, v, roll, tool, R, p):
-    """Tool pose whose last axis is the given line at bearing 0, relative to the first axis.
+    """Tool pose whose last axis is the given line at azimuth 0, relative to the first axis.
 
     Args:
         r, z, u, v: Coordinates of the line, see `grid`.
@@ -84,7 +84,7 @@ def line_pose(r, z, u, v, roll, tool, R, p):
 
 @entry
 def arc_mask(q: float, turn: float, lower: float, upper: float) -> np.uint64:
-    """Mask of the bearings that the first joint can serve, from its value at bearing 0."""
+    """Mask of the azimuths that the first joint can serve, from its value at azimuth 0."""
     if upper - lower >= 2.0 * math.pi - 1e-6:
         return EVERY
     mask = np.uint64(0)
@@ -110,23 +110,24 @@ def _majority(votes):
 
 
 @kernel(inline="always")  # compiled once instead of twice: 3 s
-def _line_mask(R_tool, p_tool, closed, spins, arm, chain, limits, ik, pans, work):
-    """Bearings at which a tool pose is reachable, for at least half of the spins.
+def _line_mask(R_tool, p_tool, closed, spins, arm, chain, limits, ik, shoulder_samples, work):
+    """Azimuths at which a tool pose is reachable, for at least half of the spins.
 
     Args:
-        R_tool, p_tool: Tool pose at bearing 0, in the base frame.
-        closed: Bearings that are of no interest.
+        R_tool, p_tool: Tool pose at azimuth 0, in the base frame.
+        closed: Azimuths that are of no interest.
         spins: What is added to the last joint after the arm is solved [rad].
         arm: (first, turn, lower, upper, axis, turning, table), see `construct`.
         chain, limits, ik: The arm with its first joint freed.
-        pans: For each sample, by the value at which it locks the first joint: (arcs: what it can
+        shoulder_samples: For each sample, by the value at which it locks the first joint: (arcs: what
+            it can
             serve, 0 where it does not lock it; value: its index; step: the values this far to
             both sides are known before it, 0 for the first ones). A value between two that agree
             is not tried, nor one that can add nothing.
         work: Scratch.
     """
     first, turn, lower, upper, axis, turning, table = arm
-    arcs, value, step = pans
+    arcs, value, step = shoulder_samples
     out, scratch, R, p, bounds, works, votes = work
     works[:] = False
     votes[:] = closed
@@ -178,12 +179,12 @@ def line_masks(
     tool: F2,
     arm: Arm,
     chain: ChainArrays,
-    limits: Limits,
+    limits: JointLimits,
     ik: IkArrays,
-    pans: Pans,
+    shoulder_samples: ShoulderSamples,
     masks: U1,
 ) -> None:
-    """Those of the wanted bearings (m,) at which lines (m, 4: z, r, u, v) can be reached.
+    """Those of the wanted azimuths (m,) at which lines (m, 4: z, r, u, v) can be reached.
 
     A line counts where every roll of the tool can be reached, each solved anew, with at least half
     of the spins.
@@ -194,7 +195,7 @@ def line_masks(
         np.empty((MAX_BRANCHES, n)),
         ik_scratch(n),
         *scratch_of(n, arm[5]),
-        np.zeros(np.max(pans[1]) + 1, np.bool_),
+        np.zeros(np.max(shoulder_samples[1]) + 1, np.bool_),
         np.empty(len(spins), np.uint64),
     )
     R, p = np.empty((3, 3)), np.empty(3)
@@ -205,7 +206,7 @@ def line_masks(
             line_pose(r, z, lines[i, 2], lines[i, 3], rolls[k], tool, R, p)
             p[0] += axis[0]
             p[1] += axis[1]
-            mask = _line_mask(R, p, ~mask, spins, arm, chain, limits, ik, pans, work)
+            mask = _line_mask(R, p, ~mask, spins, arm, chain, limits, ik, shoulder_samples, work)
             if mask == np.uint64(0):
                 break
         masks[i] = mask

@@ -1,4 +1,4 @@
-"""Put a map together for a robot: frame, grid, answers, margins."""
+"""Put a map together for a robot: frame, grid, answers, signed distances."""
 
 from __future__ import annotations
 
@@ -16,13 +16,19 @@ from momapos.kinematics.chain import Chain, chain_arrays, chain_limits
 from momapos.kinematics.hulls import Boxes
 from momapos.kinematics.records import SphereArrays
 from momapos.kinematics.spheres import Spheres
+from momapos.reachability.arm_axes import ArmAxes, arm_frame
+from momapos.reachability.base_contact import BEARINGS, standing_table
 from momapos.reachability.build import EVERY, Arm, line_masks
-from momapos.reachability.frame import Frame, arm_frame
 from momapos.reachability.grid import grid_points, pack_shape
 from momapos.reachability.map import ReachConfig, ReachMap
-from momapos.reachability.margin import close_seam, deepen, near_margins, nearby, uneven_edges
 from momapos.reachability.samples import Samples, locked_samples
-from momapos.reachability.standing import BEARINGS, standing_table
+from momapos.reachability.signed_distance import (
+    close_seam,
+    deepen,
+    near_signed_distances,
+    nearby,
+    uneven_edges,
+)
 from momapos.robots.robot import Robot
 
 log = logging.getLogger(__name__)
@@ -30,11 +36,11 @@ Progress = Callable[[float], None]
 BLOCK = 1024
 """Lines a thread takes at once."""
 UNEVEN = 6
-"""Bearings of 64 in which the ends of an edge must differ for the edge to be looked at."""
+"""Azimuths of 64 in which the ends of an edge must differ for the edge to be looked at."""
 SPREAD = 3
-"""Bearings of 64 to both sides at which a finer look is taken."""
+"""Azimuths of 64 to both sides at which a finer look is taken."""
 FEW = 0.005
-"""Share of lines that may depend on the bearing while it counts as making no difference [-]."""
+"""Share of lines that may depend on the azimuth while it counts as making no difference [-]."""
 ROLLS = 8
 """Rolls of the tool that must all be reachable where the last joint does not turn fully."""
 
@@ -67,8 +73,8 @@ def build_map(
     """
     config = config or default_config(robot)
     began = time.perf_counter()
-    if config.bearings < 1 or BEARINGS % config.bearings or config.directions % 2 == 0:
-        raise RobotError("reach: bearings must divide 64 and directions must be odd")
+    if config.azimuths < 1 or BEARINGS % config.azimuths or config.directions % 2 == 0:
+        raise RobotError("reach: azimuths must divide 64 and directions must be odd")
     chain = robot.chain
     frame = arm_frame(chain, robot.approach_axis)
     low, shape = _extent(chain, frame, config)
@@ -76,10 +82,10 @@ def build_map(
     zs, rs, us, vs = grid_points(shape, low, config.cell)
     points = np.stack(np.meshgrid(zs, rs, us, vs, indexing="ij"), -1).reshape(-1, 4)
     every = np.full(len(points), EVERY)
-    if evaluate.coarse is None:
+    if evaluate.waypoint_steps is None:
         masks = evaluate(points, every, 0.0, 0.5)
     else:
-        masks = evaluate(points, every, 0.0, 0.25, evaluate.coarse)
+        masks = evaluate(points, every, 0.0, 0.25, evaluate.waypoint_steps)
         _look_closer(masks, points, shape, evaluate)
     if shape[4] > 1 and _bearing_free(masks):
         shape = (*shape[:4], 1)
@@ -90,7 +96,9 @@ def build_map(
     t2 = time.perf_counter()
     values = np.empty((len(points), shape[4]), np.int8)
     _threaded(
-        lambda lo, hi: near_margins(lo, hi, masks, pack_shape(shape), rows, interior, values),
+        lambda lo, hi: near_signed_distances(
+            lo, hi, masks, pack_shape(shape), rows, interior, values
+        ),
         len(points),
         8 * BLOCK,
         _silent,
@@ -115,7 +123,7 @@ def build_map(
 
 
 def _extent(
-    chain: Chain, frame: Frame, config: ReachConfig
+    chain: Chain, frame: ArmAxes, config: ReachConfig
 ) -> tuple[float, tuple[int, int, int, int, int]]:
     """Lowest height and shape of a grid that holds every line, by random arm states."""
     rng = np.random.default_rng(0)
@@ -129,13 +137,15 @@ def _extent(
     slack = 0.03 * r + config.cell
     low = max(bottom - slack, -config.cell)
     nz, nr = int(np.ceil((top + slack - low) / config.cell)) + 1, int((r + slack) / config.cell) + 2
-    return low, (nz, nr, config.directions, config.directions, config.bearings)
+    return low, (nz, nr, config.directions, config.directions, config.azimuths)
 
 
 class _Evaluator:
     """Answers for lines, on two threads."""
 
-    def __init__(self, robot: Robot, frame: Frame, config: ReachConfig, progress: Progress) -> None:
+    def __init__(
+        self, robot: Robot, frame: ArmAxes, config: ReachConfig, progress: Progress
+    ) -> None:
         chain, first = robot.chain, frame.first
         free = replace(
             chain,
@@ -143,11 +153,11 @@ class _Evaluator:
             upper=np.where(np.arange(chain.size) == first, np.inf, chain.upper),
         )
         self.fine = locked_samples(free, frame, config.samples, config.heights)
-        self.coarse: Samples | None = None
+        self.waypoint_steps: Samples | None = None
         if self.fine[1][0].any():
             # A first joint locked at few values shows where it is worth trying many.
             heights = (config.heights + 1) // 2
-            self.coarse = locked_samples(free, frame, config.samples // 2, heights)
+            self.waypoint_steps = locked_samples(free, frame, config.samples // 2, heights)
         self.progress = progress
         # A tool whose last joint turns fully reaches all rolls or none, but for what it touches.
         self.rolls = np.zeros(1) if frame.full_roll else 2 * np.pi / ROLLS * np.arange(ROLLS)
@@ -179,7 +189,7 @@ class _Evaluator:
         end: float,
         samples: Samples | None = None,
     ) -> np.ndarray:
-        """Which of the wanted bearings (m,) lines (m, 4) serve; progress goes from begin to end."""
+        """Which of the wanted azimuths (m,) lines (m, 4) serve; progress goes from begin to end."""
         samples = samples or self.fine
         fixed = self.rolls, self.spins, *self.arguments, *samples
         masks = np.empty(len(lines), np.uint64)
@@ -215,7 +225,7 @@ def _threaded(work: Callable[[int, int], None], count: int, block: int, done: Pr
 
 
 def _bearing_free(masks: np.ndarray) -> bool:
-    """Whether the bearing makes no difference: neither first joint nor base are in the way."""
+    """Whether the azimuth makes no difference: neither first joint nor base are in the way."""
     count = np.bitwise_count(masks)
     return bool(((count > 0) & (count < BEARINGS)).sum() <= FEW * max(1, (count > 0).sum()))
 
@@ -223,7 +233,7 @@ def _bearing_free(masks: np.ndarray) -> bool:
 def _look_closer(
     masks: np.ndarray, points: np.ndarray, shape: tuple[int, ...], evaluate: _Evaluator
 ) -> None:
-    """Try many samples for the bearings next to those that a point or a neighbour has, in place.
+    """Try many samples for the azimuths next to those that a point or a neighbor has, in place.
 
     Thin parts of the reachable set fall between few samples, but nearly always next to a point
     that has some of them.
@@ -242,7 +252,7 @@ def _look_between(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Answers on the edges whose ends disagree, and for each edge its row among them.
 
-    The middle first, then the quarters on the side where the answer changes; only for the bearings
+    The middle first, then the quarters on the side where the answer changes; only for the azimuths
     in which it does.
     """
     least = 1 if shape[4] == 1 else UNEVEN

@@ -1,7 +1,7 @@
 """S2 of bases on a grid of the floor, each at its best yaw.
 
 Where the arm's first axis does not stand over the base's origin, every yaw puts it elsewhere. So
-the map is looked up once, for axes on a lattice around the tool's line, with all bearings of a
+the map is looked up once, for axes on a lattice around the tool's line, with all azimuths of a
 lattice point together; a base at some yaw then reads where its axis stands between the points.
 """
 
@@ -31,7 +31,7 @@ SPACING = 0.06
 def _axis_lattice(line, yaws, values, rims, shape, frame, step, table):
     """Values of a line for first axes on a square lattice around its point.
 
-    Interpolates over the simplex of height, distance and direction, then linearly over the bearing.
+    Interpolates over the simplex of height, distance and direction, then linearly over the azimuth.
 
     Args:
         line: Point over the floor and unit direction (6,).
@@ -74,7 +74,7 @@ def _axis_lattice(line, yaws, values, rims, shape, frame, step, table):
 
 @kernel(error_model="numpy", fastmath=True)
 def _all_bearings(at, fz, fr, fu, fv, values, shape, row):
-    """Values at all bearings of two turns and a little more, into row (2 bearings + 2,).
+    """Values at all azimuths of two turns and a little more, into row (2 azimuths + 2,).
 
     Args:
         at: Index of the lowest corner among the points.
@@ -135,7 +135,7 @@ def floor_scores(
         out: (len(ys), len(xs)) to be filled.
     """
     step = max(1.0, SPACING * frame[1])
-    per_metre = frame[1] / step
+    per_meter = frame[1] / step
     size = 2 * math.ceil(shape[1] / step) + 1
     table = np.empty((size, len(yaws), size), np.float32)
     far = _axis_lattice(line, yaws, values, rims, shape, frame, step, table)
@@ -148,12 +148,12 @@ def floor_scores(
         x, y = line[0] - c * axis_x + s * axis_y, line[1] - s * axis_x - c * axis_y
         count = 0
         for j in range(len(xs)):
-            f = (x - xs[j]) * per_metre + size // 2
+            f = (x - xs[j]) * per_meter + size // 2
             if begin <= f < end:
                 column[count], low[count], share[count] = j, int(f), f - int(f)
                 count += 1
         for i in range(len(ys)):
-            f = (y - ys[i]) * per_metre + size // 2
+            f = (y - ys[i]) * per_meter + size // 2
             if begin <= f < end:
                 g = int(f)
                 upper = np.float32(f - g)

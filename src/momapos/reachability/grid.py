@@ -2,7 +2,7 @@
 
 A tool pose is reduced to the line of the arm's last axis: turning the tool about that line costs
 nothing. The line is described around the vertical first axis of the arm: distance `r` and height
-`z` of a point on it, its direction relative to the radius, and the bearing of the point, which
+`z` of a point on it, its direction relative to the radius, and the azimuth of the point, which
 counts only where the first joint or the base is in the way. Source: Rudorfer, RM4D: a combined
 reachability and inverse reachability map for common 6-/7-axis robot arms by dimensionality
 reduction to 4D (ICRA 2025).
@@ -23,7 +23,7 @@ import numpy as np
 from momapos.compiled import F1, F2, F3, S2, ReadI8, entry, kernel
 
 STEPS = 8
-"""Stored steps per cell of margin [-]."""
+"""Stored steps per cell of signed distance [-]."""
 DEPTH = 32
 """Stored value from which on the score is 1: four cells from the boundary."""
 OUTSIDE = -12
@@ -44,7 +44,7 @@ class GridShape(NamedTuple):
     r: int
     u: int
     v: int
-    bearing: int
+    azimuth: int
 
 
 class GridFrame(NamedTuple):
@@ -52,7 +52,7 @@ class GridFrame(NamedTuple):
 
     low: float
     """Height of the lowest point over the floor [m]."""
-    per_metre: float
+    per_meter: float
     """1 / cell [1/m]."""
     threshold: float
     """Stored value above which a line can be reached."""
@@ -115,20 +115,20 @@ def lookup(x, y, z, ax, ay, az, yaw_turns, values, shape, frame):
         ax, ay, az: Unit direction of the line in the same frame.
         yaw_turns: Yaw of the base in that frame [turns].
         values: Stored values, flat, int8.
-        shape: Number of points along z, r, u, v, bearing.
+        shape: Number of points along z, r, u, v, azimuth.
         frame: (lowest height [m], 1 / cell [1/m], threshold [steps]).
 
     Returns:
         Value in stored steps; above the threshold where the line can be reached.
     """
     nz, nr, nu, nv, nb = shape
-    z0, per_metre, _ = frame
+    z0, per_meter, _ = frame
     square = x * x + y * y
-    fz = (z - z0) * per_metre
-    if square * (per_metre * per_metre) >= (nr - 1) * (nr - 1) or fz < 0.0 or fz >= nz - 1:
+    fz = (z - z0) * per_meter
+    if square * (per_meter * per_meter) >= (nr - 1) * (nr - 1) or fz < 0.0 or fz >= nz - 1:
         return float(OUTSIDE)
     r, u, v = relative_line(x, y, ax, ay, az)
-    fr, fu, fv = r * per_metre, (u + 1.0) * (0.5 * (nu - 1)), (v + 1.0) * (0.5 * (nv - 1))
+    fr, fu, fv = r * per_meter, (u + 1.0) * (0.5 * (nu - 1)), (v + 1.0) * (0.5 * (nv - 1))
     iz, ir, iu, iv = int(fz), min(int(fr), nr - 2), min(int(fu), nu - 2), min(int(fv), nv - 2)
     sv = nb
     su = sv * nv
@@ -208,7 +208,7 @@ def score_lines(
 
 
 @entry
-def weakest_lines(
+def min_line_scores(
     bases: F2,
     lines: F3,
     axis_x: float,

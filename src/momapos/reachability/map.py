@@ -13,9 +13,9 @@ from momapos.reachability.grid import (
     OUTSIDE,
     GridFrame,
     GridShape,
+    min_line_scores,
     pack_shape,
     score_lines,
-    weakest_lines,
 )
 
 if TYPE_CHECKING:
@@ -35,8 +35,8 @@ class ReachConfig:
     """Spacing of the grid in height and distance [m]."""
     directions: int = 25
     """Grid points along each side of the octahedral square of directions, odd [-]."""
-    bearings: int = 32
-    """Grid points along the bearing, a divisor of 64 [-]; 1 leaves the bearing out. It is also
+    azimuths: int = 32
+    """Grid points along the azimuth, a divisor of 64 [-]; 1 leaves the azimuth out. It is also
     left out where it makes no difference."""
     samples: int = 32
     """Values at which the first joint of a longer arm is locked [-]; where they disagree, up to
@@ -58,7 +58,7 @@ class ReachMap:
     They stand over the lines of the last axis; see `momapos.reachability.grid`.
     """
 
-    values: Int8[np.ndarray, "z r u v bearing"]
+    values: Int8[np.ndarray, "z r u v azimuth"]
     """Cells to the boundary in steps of 1/8; positive inside."""
     low: float
     """Height of the lowest grid point over the floor [m]."""
@@ -108,7 +108,7 @@ class ReachMap:
         score_lines(lines, *self._arrays(), out)
         return out.reshape(batch)
 
-    def weakest(
+    def min_score(
         self, bases: Float[np.ndarray, "n 3"], Ts_world_tool: Float[np.ndarray, "g w 4 4"]
     ) -> Float[np.ndarray, "n g"]:
         """The worst score along each grasp's waypoints, for each base pose.
@@ -121,7 +121,7 @@ class ReachMap:
         bases = np.ascontiguousarray(bases, float)
         out = np.empty((len(bases), len(lines)), np.float32)
         x, y = float(self.axis_xy[0]), float(self.axis_xy[1])
-        weakest_lines(bases, lines, x, y, *self._arrays(), out)
+        min_line_scores(bases, lines, x, y, *self._arrays(), out)
         return out
 
     def score_base_poses(
@@ -133,7 +133,7 @@ class ReachMap:
             base_poses: x, y [m], yaw [rad] of the base on the floor, in the world frame.
             T_world_tool: Tool pose in the world frame.
         """
-        return self.weakest(base_poses, np.asarray(T_world_tool, float)[None, None])[:, 0]
+        return self.min_score(base_poses, np.asarray(T_world_tool, float)[None, None])[:, 0]
 
     def base_scores(
         self,

@@ -10,19 +10,19 @@ from momapos.kinematics.chain import Chain
 from momapos.kinematics.closed_forms import NUMERIC
 from momapos.kinematics.ik import IkModel, build_ik, ik_arrays
 from momapos.kinematics.records import IkArrays
-from momapos.reachability.build import Pans, arc_mask
-from momapos.reachability.frame import Frame
+from momapos.reachability.arm_axes import ArmAxes
+from momapos.reachability.build import ShoulderSamples, arc_mask
 
-Samples = tuple[IkArrays, Pans]
+Samples = tuple[IkArrays, ShoulderSamples]
 HALVINGS = 2
 """How often the spacing of the first joint's values is halved where they disagree."""
 
 
-def locked_samples(chain: Chain, frame: Frame, count: int, heights: int) -> Samples:
+def locked_samples(chain: Chain, frame: ArmAxes, count: int, heights: int) -> Samples:
     """How the freed arm is inverted, and its samples in the order in which they are tried.
 
     Where a longer arm is inverted with its first joint locked, the values of that joint tell which
-    bearings a sample can serve. Straight ahead comes first, then the values farthest to the sides:
+    azimuths a sample can serve. Straight ahead comes first, then the values farthest to the sides:
     what lies between them adds nothing. Then the values between are tried where it changes, at
     half the spacing each time.
 
@@ -33,7 +33,8 @@ def locked_samples(chain: Chain, frame: Frame, count: int, heights: int) -> Samp
         heights: Values of a torso [-].
 
     Returns:
-        The IK model as the kernels take it, and for each sample what `line_masks` calls pans.
+        The IK model as the kernels take it, and each sample's `shoulder_samples`, see
+        `line_masks`.
     """
     first = frame.first
     # That many values of a turning joint give `heights` of a torso.
@@ -41,7 +42,7 @@ def locked_samples(chain: Chain, frame: Frame, count: int, heights: int) -> Samp
     if ik.kind == NUMERIC or first in ik.active:
         ik = build_ik(chain, samples_per_joint=count)
         zero = np.zeros(len(ik.samples), np.int64)
-        return ik_arrays(ik), Pans(zero.astype(np.uint64), zero, zero)
+        return ik_arrays(ik), ShoulderSamples(zero.astype(np.uint64), zero, zero)
     values = count << HALVINGS
     # Straight ahead is 0; the spacing at which a value is the first to be tried tells its turn.
     offset = np.arange(values) - values // 2
@@ -50,10 +51,12 @@ def locked_samples(chain: Chain, frame: Frame, count: int, heights: int) -> Samp
     order = np.lexsort((pan, np.where(offset == 0, -np.inf, -np.abs(pan)), -step, step > 0))
     ik, repeat = _turned(ik, frame, pan[order])
     order = np.repeat(order, repeat)
-    return ik_arrays(ik), Pans(_arcs(pan[order], frame, np.pi / values), order, step[order])
+    return ik_arrays(ik), ShoulderSamples(
+        _arcs(pan[order], frame, np.pi / values), order, step[order]
+    )
 
 
-def _turned(ik: IkModel, frame: Frame, pan: np.ndarray) -> tuple[IkModel, int]:
+def _turned(ik: IkModel, frame: ArmAxes, pan: np.ndarray) -> tuple[IkModel, int]:
     """The samples at one value of the first joint, turned to others; and how many each has.
 
     Turning the model is a hundred times quicker than deriving it at every value.
@@ -81,8 +84,8 @@ def _turned(ik: IkModel, frame: Frame, pan: np.ndarray) -> tuple[IkModel, int]:
     return replace(ik, **flat), len(one)
 
 
-def _arcs(pan: np.ndarray, frame: Frame, slack: float) -> np.ndarray:
-    """Bearings that values of the first joint can serve; half a step more at both ends, since
+def _arcs(pan: np.ndarray, frame: ArmAxes, slack: float) -> np.ndarray:
+    """Azimuths that values of the first joint can serve; half a step more at both ends, since
     the last value that works lies half a step, on average, before the last that would."""
     lower, upper = frame.limits[0] - slack, frame.limits[1] + slack
     return np.array([arc_mask(q, float(frame.turn), lower, upper) for q in pan], np.uint64)

@@ -46,7 +46,7 @@ def map_key(robot: Robot, config: ReachConfig) -> str:
         chain.h, chain.d, chain.prismatic, chain.lower, chain.upper, chain.tool_offset,
         chain.tool_rotation, robot.approach_axis, *shapes,
     )  # fmt: skip
-    # A micrometre more or less is another machine's rounding, not another robot.
+    # A micrometer more or less is another machine's rounding, not another robot.
     rounded = (np.round(a, 6) + 0.0 if a.dtype.kind == "f" else a for a in arrays)
     return content_key("reach", VERSION, sorted(asdict(config).items()), *rounded)
 

@@ -1,4 +1,4 @@
-"""From parts seen on a face, as fractions of it, to parts in metres that fit each other.
+"""From parts seen on a face, as fractions of it, to parts in meters that fit each other.
 
 Frame of a face: its origin is the lower left corner as seen from the front, x right, z up.
 """

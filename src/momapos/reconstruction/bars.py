@@ -22,7 +22,7 @@ BROAD = 0.5
 def with_bar(face: FaceImage, part: Part) -> Part:
     """A part that has no handle, with the bar that stands out of it, if one does.
 
-    A thin bar in the colour of its door is a pixel or two of the image, but it is well before
+    A thin bar in the color of its door is a pixel or two of the image, but it is well before
     the door. Where it is tells how the door opens.
 
     Args:

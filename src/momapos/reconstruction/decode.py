@@ -45,42 +45,42 @@ DARKEST = 16.0
 def planes(face: FaceImage) -> Float32[np.ndarray, "h w 7"]:
     """Stack what the networks see, each in about [-2, 2].
 
-    Colour; height map about its median, since the plane of a box is not always that of its fronts;
+    Color; height map about its median, since the plane of a box is not always that of its fronts;
     whether height map was measured; upright and level dark lines.
     """
-    colour = (face.colour.astype(np.float32) - 127.5) / 64.0
+    color = (face.color.astype(np.float32) - 127.5) / 64.0
     known = np.isfinite(face.height_map)
     middle = float(np.median(face.height_map[known])) if known.any() else 0.0
     off = np.clip(face.height_map - middle, -HEIGHT_MAP_RANGE, HEIGHT_MAP_RANGE)
     height_map = np.where(known, off, 0.0) / HEIGHT_MAP_RANGE
-    lines = (dark_lines(face.colour, axis) for axis in (1, 0))
+    lines = (dark_lines(face.color, axis) for axis in (1, 0))
     return np.stack(
-        [*np.moveaxis(colour, -1, 0), height_map, known, *lines], axis=-1, dtype=np.float32
+        [*np.moveaxis(color, -1, 0), height_map, known, *lines], axis=-1, dtype=np.float32
     )
 
 
-def dark_lines(colour: UInt8[np.ndarray, "h w 3"], across: int) -> Float32[np.ndarray, "h w"]:
+def dark_lines(color: UInt8[np.ndarray, "h w 3"], across: int) -> Float32[np.ndarray, "h w"]:
     """How much darker each pixel is than both of its sides, averaged along the line it may lie on.
 
     The seam of two doors is a pixel wide and hardly darker than the grain of their wood, but it
     runs straight from one end to the other; once the image is shrunk it is lost.
 
     Args:
-        colour: The image, at its full resolution.
+        color: The image, at its full resolution.
         across: Axis across the line: 1 for upright lines, 0 for level ones.
 
     Returns:
         Contrast, 0 to `SEAM_MOST`.
     """
-    grey = colour.mean(axis=-1, dtype=np.float32)
-    index = np.arange(grey.shape[across])
+    gray = color.mean(axis=-1, dtype=np.float32)
+    index = np.arange(gray.shape[across])
     before, after = (
-        grey.take(np.clip(index + step, 0, len(index) - 1), axis=across)
+        gray.take(np.clip(index + step, 0, len(index) - 1), axis=across)
         for step in (-SEAM_SIDE, SEAM_SIDE)
     )
     side = np.minimum(before, after)
-    contrast = (side - grey) / (side + DARKEST)
-    run = max(3, round(SEAM_RUN * grey.shape[1 - across]))
+    contrast = (side - gray) / (side + DARKEST)
+    run = max(3, round(SEAM_RUN * gray.shape[1 - across]))
     mean = ndimage.uniform_filter1d(contrast, run, axis=1 - across, mode="nearest")
     return np.clip(SEAM_GAIN * mean, 0.0, SEAM_MOST)
 

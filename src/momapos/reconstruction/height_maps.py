@@ -1,6 +1,6 @@
 """What the height map of a face shows: surfaces, and bars that stand out of them.
 
-Areas are in metres from the face's lower left corner, x to the right and z up.
+Areas are in meters from the face's lower left corner, x to the right and z up.
 """
 
 from __future__ import annotations

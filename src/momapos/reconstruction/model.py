@@ -25,8 +25,8 @@ from momapos.reconstruction.alignment import (
 from momapos.reconstruction.height_maps import Area
 from momapos.scene.library.furniture import (
     Box,
-    Motion,
-    Part,
+    FurniturePart,
+    JointMotion,
     Piece,
     Vec,
     bar_handle,
@@ -124,7 +124,7 @@ def furniture_model(
     if not aligned:
         return solid(detection.name, detection.label, vec(size), center, yaw)
     layers = _layers(size, aligned, config)
-    body = Part("body", tuple(_body(face, aligned, layers, config)))
+    body = FurniturePart("body", tuple(_body(face, aligned, layers, config)))
     moving = [
         _moving(name, part, face, layers, config)
         for name, part in zip(_names(aligned), aligned, strict=True)
@@ -265,7 +265,7 @@ def _rest(areas: Sequence[Area], whole: Area) -> list[Area]:
 
 def _moving(
     name: str, part: AlignedPart, face: FaceImage, layers: _Layers, config: ModelConfig
-) -> Part:
+) -> FurniturePart:
     """A door, or a drawer with its tray."""
     front, thickness = _slab(part, layers, config)
     area = _leaf(part, thickness, config)
@@ -275,11 +275,11 @@ def _moving(
         rear = layers.opening + config.tray * room
         boxes += _tray(name, part.area, front + thickness, rear, face, layers, config)
         travel = min(config.travel, config.tray * room)
-        motion = Motion("prismatic", (0.0, 0.0, 0.0), (0.0, -1.0, 0.0), travel)
+        motion = JointMotion("prismatic", (0.0, 0.0, 0.0), (0.0, -1.0, 0.0), travel)
     else:
         motion = _turning(part, boxes[0], face, config)
     handle = () if part.handle is None else _handle(name, part.handle, front, face)
-    return Part(name, tuple(boxes), motion, handle)
+    return FurniturePart(name, tuple(boxes), motion, handle)
 
 
 def _leaf(part: AlignedPart, thickness: float, config: ModelConfig) -> Area:
@@ -302,7 +302,7 @@ def _leaf(part: AlignedPart, thickness: float, config: ModelConfig) -> Area:
     return replace(area, bottom=area.bottom + swing) if part.kind == "door_up" else area
 
 
-def _turning(part: AlignedPart, panel: Box, face: FaceImage, config: ModelConfig) -> Motion:
+def _turning(part: AlignedPart, panel: Box, face: FaceImage, config: ModelConfig) -> JointMotion:
     """The hinge of a door, at the edge of its front; all doors open with a positive angle."""
     (left, front, bottom), (right, rear, top) = panel.low, panel.high
     at_rim = {
@@ -318,7 +318,7 @@ def _turning(part: AlignedPart, panel: Box, face: FaceImage, config: ModelConfig
         "door_down": ((0.0, y, bottom), (1.0, 0.0, 0.0)),
         "door_up": ((0.0, y, top), (-1.0, 0.0, 0.0)),
     }
-    return Motion("revolute", *pivots[part.kind], config.turn)
+    return JointMotion("revolute", *pivots[part.kind], config.turn)
 
 
 def _tray(

@@ -58,15 +58,15 @@ class FrontNetwork:
             Parts, the surest first, disjoint but for a rim, and whether the face is a front.
 
         Raises:
-            InputError: The image is empty, or height map and colour differ in size.
+            InputError: The image is empty, or height map and color differ in size.
             MissingExtraError: onnxruntime is not installed.
         """
-        height, width = face.colour.shape[:2]
+        height, width = face.color.shape[:2]
         if min(height, width) < 2 or face.height_map.shape != (height, width):
             raise InputError(
                 f"a face of {width} x {height} px with a height map of "
                 f"{face.height_map.shape} cannot be looked at; "
-                "give colour and height map of one size, at least 2 x 2 px"
+                "give color and height map of one size, at least 2 x 2 px"
             )
         stack = decode.planes(face)
         whole = decode.resample(stack, np.array([0.0, 0.0, 1.0, 1.0]), decode.FACE_PIXELS)
@@ -97,11 +97,11 @@ class FrontNetwork:
         found = np.clip(decode.in_face(edges.astype(float), outer), 0.0, 1.0)
         handles = np.stack([decode.handle_box(*pair) for pair in zip(heat, reach, strict=True)])
         handles = decode.in_face(handles, outer)
-        # The whole face knows the neighbours, the crop knows the handle: both have a say.
+        # The whole face knows the neighbors, the crop knows the handle: both have a say.
         share = sure[:, :-1] / np.maximum(sure[:, :-1].sum(axis=1, keepdims=True), 1e-9)
         vote = np.log(share + 1e-3) + np.log(kinds + 1e-3)
         # Each look alone is often wrongly sure, hardly ever both at once. The first knows the
-        # neighbours; what the second doubts is mostly a plain door without a handle.
+        # neighbors; what the second doubts is mostly a plain door without a handle.
         score = (1.0 - sure[:, -1]) ** (1 - FIRST_SHARE) * kinds.max(axis=1) ** FIRST_SHARE
         broad = (found[:, 2:] - found[:, :2] > decode.LEAST_SIDE).all(axis=1)
         good = np.nonzero(broad & (score > self.config.part))[0]
@@ -128,8 +128,8 @@ class FrontNetwork:
 def _look_at_face(face: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """What the first network says of faces, on average with what it says of them in a mirror.
 
-    Left and right doors look alike but for their handles: a network that favours one side would
-    be wrong half of the time, the mean of both looks favours none.
+    Left and right doors look alike but for their handles: a network that favors one side would
+    be wrong half of the time, the mean of both looks favors none.
     """
     run = _session("face").run
     heat, reach, front = run(None, {"face": face})

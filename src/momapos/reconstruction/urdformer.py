@@ -84,7 +84,7 @@ class UrdformerPredictor:
             return Front(score, ())
         slots = np.zeros((SLOTS, 4), np.float32)
         slots[: len(boxes)] = boxes
-        logits = self.network(prepare_image(face.colour), slots)
+        logits = self.network(prepare_image(face.color), slots)
         return Front(score, to_parts(decode(logits, len(boxes)), boxes))
 
     def _find(self, face: FaceImage, label: str) -> tuple[float, Float[np.ndarray, "n 4"]]:
@@ -124,7 +124,7 @@ def load_urdformer(path: Path) -> Network:
     return network
 
 
-def prepare_image(colour: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "3 224 224"]:
+def prepare_image(color: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "3 224 224"]:
     """Squeeze an image into the square that the network saw in training.
 
     Sides may change their ratio. Pillow's bicubic filter is the one the authors used.
@@ -134,7 +134,7 @@ def prepare_image(colour: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "3 
     """
     with require("scan"):
         from PIL import Image
-    small = Image.fromarray(colour).resize((IMAGE, IMAGE), Image.Resampling.BICUBIC)
+    small = Image.fromarray(color).resize((IMAGE, IMAGE), Image.Resampling.BICUBIC)
     normal = (np.asarray(small, np.float32) / 255.0 - _MEAN) / _DEVIATION
     return np.ascontiguousarray(normal.transpose(2, 0, 1))
 

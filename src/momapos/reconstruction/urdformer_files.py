@@ -25,7 +25,7 @@ MAX_BOXES_BYTES = 1_000_000
 MESH_EDGE = 0.25
 """Edge of the authors' meshes of doors and drawers, so a scale of 4 fills the base."""
 GAP = {"drawer": 0.02, "doorL": 0.01, "doorR": 0.01}
-"""What the authors take off the scale of a part, so that neighbours do not touch."""
+"""What the authors take off the scale of a part, so that neighbors do not touch."""
 HANDLE_SIZES = {"handle": (0.035, 0.125), "knob": (0.069, 0.069)}
 """Width and height of the authors' meshes, as fractions of a base of scale 1."""
 

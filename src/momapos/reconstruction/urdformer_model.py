@@ -143,7 +143,7 @@ class Urdformer(nn.Module):
         """Say where and what the boxed parts are.
 
         Args:
-            image: Square image of 224 pixels, normalised as for ImageNet.
+            image: Square image of 224 pixels, normalized as for ImageNet.
             boxes_yxhw: Top, left, height, width as fractions of the image; unused slots zero.
         """
         cells = self.img_backbone(image[None])[0]

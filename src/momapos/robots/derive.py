@@ -239,7 +239,7 @@ def _footprint(
     points = points_of(model, base_link, _base_links(model, joints))[:, :2]
     outline = points[ConvexHull(points).vertices]
     if len(outline) > MAX_CORNERS:
-        # Around it, so that nothing sticks out: where neighbouring tangents meet.
+        # Around it, so that nothing sticks out: where neighboring tangents meet.
         angle = np.arange(MAX_CORNERS) * 2 * np.pi / MAX_CORNERS
         normal = np.stack([np.cos(angle), np.sin(angle)], -1)
         reach = (outline @ normal.T).max(0)
@@ -306,7 +306,7 @@ def _note_pairs(
         notes.append("self-collision: the pairs in the SRDF beside the URDF are not checked")
     elif pairs:
         always = sum(why == "Always" for why in pairs.values())
-        words = f"{always} touch in almost every state, {len(pairs) - always} are neighbours that"
+        words = f"{always} touch in almost every state, {len(pairs) - always} are neighbors that"
         notes.append(
             f"self-collision: {len(pairs)} pairs of links are never checked, of which {words} "
             f"touch at rest and often; {srdf} names them with the reason"

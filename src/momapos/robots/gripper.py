@@ -96,8 +96,8 @@ def find_grip(
             f"{listed(closing)} is any across it, and the opening of {GUESS} m is a guess"
         )
         return approach, closing, GUESS
-    centres = [(points.min(0) + points.max(0)) / 2 for points in hands]
-    one, other = max(combinations(centres, 2), key=lambda p: float(np.linalg.norm(p[0] - p[1])))
+    centers = [(points.min(0) + points.max(0)) / 2 for points in hands]
+    one, other = max(combinations(centers, 2), key=lambda p: float(np.linalg.norm(p[0] - p[1])))
     closing = _snap(one - other)
     closing = closing * np.sign(closing[int(np.argmax(abs(closing)))])
     middle = (one + other) / 2

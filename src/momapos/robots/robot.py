@@ -56,7 +56,7 @@ class Robot:
     home: Float[np.ndarray, " n"]
     """Where the arm is while the base drives."""
     footprint: Float[np.ndarray, "k 2"]
-    """Convex outline of the base in its own frame, anticlockwise [m]."""
+    """Convex outline of the base in its own frame, counterclockwise [m]."""
     drive: Drive
     max_speed: float
     max_yaw_rate: float
@@ -255,7 +255,7 @@ def _check(robot: Robot) -> None:
     if robot.reach > MAX_REACH:
         raise RobotError(
             f"{robot.path}: the arm reaches {robot.reach:.3g} m; at most {MAX_REACH:g} m are "
-            "supported; are the lengths in metres?"
+            "supported; are the lengths in meters?"
         )
     for link in robot.gripper_links:
         if link not in robot.model.urdf.links:

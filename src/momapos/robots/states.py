@@ -28,7 +28,7 @@ SAMPLES = 2000
 ALWAYS = 0.95
 """A pair of links that touch in this share of the states is never checked [-]."""
 OFTEN = 0.1
-"""Nor are neighbours that touch at rest, if they touch in this share of the states [-]: a rest at
+"""Nor are neighbors that touch at rest, if they touch in this share of the states [-]: a rest at
 which the arm is folded into itself says nothing about the shapes."""
 UNWOUND = 0.05
 """Reach of the arm [m] that a radian less on its most turned joint is worth, at rest."""
@@ -69,7 +69,7 @@ def touches(
 def sample_states(chain: Chain, rng: np.random.Generator) -> Float[np.ndarray, "m n"]:
     """States of the arm: all zero (or the limit nearest to it), mid-range, then random ones.
 
-    They are multiples of a milliradian or millimetre that lie within the limits, so that a file
+    They are multiples of a milliradian or millimeter that lie within the limits, so that a file
     can hold them.
     """
     lower, upper = np.maximum(chain.lower, -np.pi), np.minimum(chain.upper, np.pi)
@@ -82,7 +82,7 @@ def sample_states(chain: Chain, rng: np.random.Generator) -> Float[np.ndarray, "
 def inevitable_pairs(
     chain: Chain, spheres: Spheres, q: Float[np.ndarray, "m n"], model: Articulated
 ) -> dict[tuple[str, str], str]:
-    """Pairs of links that touch in (almost) every state, or in the first and many as neighbours.
+    """Pairs of links that touch in (almost) every state, or in the first and many as neighbors.
 
     Returns:
         The reason by pair, in MoveIt's words: "Always", or "Default" for two links at most two

@@ -1,6 +1,6 @@
 """Posed images from ROS recordings: ROS 1 bags, ROS 2 bags (SQLite, MCAP), and MCAP files.
 
-Depth and colour must be registered, as `aligned_depth_to_color` or `depth_registered` are; nothing
+Depth and color must be registered, as `aligned_depth_to_color` or `depth_registered` are; nothing
 is registered here. Poses come from `/tf` and `/tf_static`, interpolated at the depth's time.
 """
 
@@ -17,7 +17,7 @@ import numpy as np
 from momapos.errors import FileFormatError, MomaposError, require
 from momapos.files import open_regular
 from momapos.scan_io.layouts import list_names
-from momapos.scan_io.ros_images import colour_of, depth_of
+from momapos.scan_io.ros_images import color_of, depth_of
 from momapos.scan_io.tf import TransformTree
 from momapos.scan_io.validation import (
     Skips,
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 MAX_IMAGES = 100_000
 MAX_TRANSFORMS = 2_000_000
 MAX_APART = 0.05
-"""How far apart in time depth and colour may be [s]."""
+"""How far apart in time depth and color may be [s]."""
 _UNREGISTERED = "so they are not registered; record aligned_depth_to_color or depth_registered"
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 INFO = "sensor_msgs/msg/CameraInfo"
@@ -48,9 +48,9 @@ class BagTopics:
     """Which topics and frames of a recording are meant; what is None is found by type and name."""
 
     depth: str | None = None
-    """Images of depth, registered to colour."""
-    colour: str | None = None
-    """Images of colour."""
+    """Images of depth, registered to color."""
+    color: str | None = None
+    """Images of color."""
     info: str | None = None
     """Camera info of both."""
     fixed_frame: str | None = None
@@ -59,11 +59,11 @@ class BagTopics:
 
 @dataclass(frozen=True, eq=False)
 class _Shot:
-    """A depth and a colour image that belong together, by their place in their topics."""
+    """A depth and a color image that belong together, by their place in their topics."""
 
     name: str
     depth: int
-    colour: int
+    color: int
     T_world_camera: Float[np.ndarray, "4 4"]
 
 
@@ -73,7 +73,7 @@ class _Index:
 
     depth: list[tuple[int, str]] = field(default_factory=list)
     """Time [ns] and frame."""
-    colour: list[tuple[int, str]] = field(default_factory=list)
+    color: list[tuple[int, str]] = field(default_factory=list)
     info: Any = None
     tree: TransformTree = field(default_factory=TransformTree)
     transforms: int = 0
@@ -87,7 +87,7 @@ def read_bag(
     Args:
         path: A `.bag` or `.mcap` file, or the folder of a ROS 2 bag.
         max_frames: How many frames to read at most, evenly spaced among those with a pose.
-        depth_scale: How many units of 16-bit depth are a metre; 32-bit depth is in metres.
+        depth_scale: How many units of 16-bit depth are a meter; 32-bit depth is in meters.
         topics: Which topics are meant, where names do not tell.
 
     Returns:
@@ -149,10 +149,10 @@ def _find_topics(reader: Any, given: BagTopics, path: Path) -> BagTopics:
     )
     others = [n for n in images if not any(word in n for word in ("depth", "infra", "/ir/"))]
     named = [name for name in others if any(word in name for word in ("color", "colour", "rgb"))]
-    colour = given.colour or _best(named or others, ("image_rect", "/image_raw"))
+    color = given.color or _best(named or others, ("image_rect", "/image_raw"))
     infos = [name for name, kind in types.items() if kind == INFO]
-    info = given.info or _nearest_name(infos, depth, colour)
-    wanted = {"depth": depth, "colour": colour, "camera info": info}
+    info = given.info or _nearest_name(infos, depth, color)
+    wanted = {"depth": depth, "color": color, "camera info": info}
     lacks = [kind for kind, name in wanted.items() if name is None or name not in types]
     if not any(kind in TRANSFORMS for kind in types.values()):
         lacks.append("/tf")
@@ -161,7 +161,7 @@ def _find_topics(reader: Any, given: BagTopics, path: Path) -> BagTopics:
         raise FileFormatError(
             f"{path}: has no topic for {', '.join(lacks)}; it has {listed or 'none'}"
         )
-    return BagTopics(depth, colour, info, given.fixed_frame)
+    return BagTopics(depth, color, info, given.fixed_frame)
 
 
 def _best(names: Sequence[str], signs: Sequence[str]) -> str | None:
@@ -174,7 +174,7 @@ def _best(names: Sequence[str], signs: Sequence[str]) -> str | None:
 
 
 def _nearest_name(infos: Sequence[str], *topics: str | None) -> str | None:
-    """The camera info beside the depth topic, or beside colour, or the only one."""
+    """The camera info beside the depth topic, or beside color, or the only one."""
     for topic in topics:
         # /camera/color/image_raw and /camera/color/image_raw/compressed both have it there.
         folders = [] if topic is None else [topic.rsplit("/", k)[0] for k in (1, 2)]
@@ -192,26 +192,24 @@ def _messages(reader: Any, topics: set[str | None]) -> Iterator[tuple[Any, int, 
 def _first_pass(reader: Any, topics: BagTopics, path: Path) -> _Index:
     index = _Index()
     moving = {c.topic for c in reader.connections if c.msgtype in TRANSFORMS}
-    for connection, _, raw in _messages(
-        reader, {topics.depth, topics.colour, topics.info, *moving}
-    ):
+    for connection, _, raw in _messages(reader, {topics.depth, topics.color, topics.info, *moving}):
         topic = connection.topic
         if topic == topics.info and index.info is not None:
             continue
         message = reader.deserialize(raw, connection.msgtype)
-        if topic in (topics.depth, topics.colour):
-            listed = index.depth if topic == topics.depth else index.colour
+        if topic in (topics.depth, topics.color):
+            listed = index.depth if topic == topics.depth else index.color
             listed.append((_nanoseconds(message.header.stamp), message.header.frame_id))
         elif topic == topics.info:
             index.info = message
         else:
             index.transforms += len(message.transforms)
             _add_transforms(index.tree, message, topic.endswith("static"))
-        if max(len(index.depth), len(index.colour)) > MAX_IMAGES:
+        if max(len(index.depth), len(index.color)) > MAX_IMAGES:
             raise FileFormatError(f"{path}: has more than {MAX_IMAGES} images; cut it")
         if index.transforms > MAX_TRANSFORMS:
             raise FileFormatError(f"{path}: has more than {MAX_TRANSFORMS} transforms; cut it")
-    for kind, found in (("depth", index.depth), ("colour", index.colour), ("info", index.info)):
+    for kind, found in (("depth", index.depth), ("color", index.color), ("info", index.info)):
         if not found:
             raise FileFormatError(f"{path}: its topic {getattr(topics, kind)} has no messages")
     return index
@@ -238,7 +236,7 @@ def _intrinsics(
     distortion = np.asarray(message.d if hasattr(message, "d") else message.D, float)
     K = check_intrinsics(np.asarray(raw, float).reshape(3, 3), f"{path}: {topics.info}")
     warnings = []
-    if np.any(np.abs(distortion) > 1e-2) and "rect" not in str(topics.colour):
+    if np.any(np.abs(distortion) > 1e-2) and "rect" not in str(topics.color):
         warnings.append(f"{path}: {topics.info} has lens distortion, which is not corrected")
     return K, warnings
 
@@ -246,9 +244,9 @@ def _intrinsics(
 def _shots(
     index: _Index, fixed_frame: str | None, skips: Skips, path: Path
 ) -> tuple[list[_Shot], list[str]]:
-    """Pair depth with the colour nearest in time, and look up where the camera was."""
-    stamps, colour_stamps = (
-        np.array([stamp for stamp, _ in listed], np.int64) for listed in (index.depth, index.colour)
+    """Pair depth with the color nearest in time, and look up where the camera was."""
+    stamps, color_stamps = (
+        np.array([stamp for stamp, _ in listed], np.int64) for listed in (index.depth, index.color)
     )
     frame = _common_frame(index, path)
     try:
@@ -256,15 +254,15 @@ def _shots(
     except ValueError as error:
         raise FileFormatError(f"{path}: {error}") from error
     Ts, known = index.tree.poses(edges, stamps)
-    partner = _nearest(colour_stamps, stamps)
-    apart = np.abs(colour_stamps[partner] - stamps) * 1e-9
+    partner = _nearest(color_stamps, stamps)
+    apart = np.abs(color_stamps[partner] - stamps) * 1e-9
     shots = []
     for i, stamp in enumerate(stamps):
         name = _seconds(stamp)
         if not known[i]:
             skips.add("pose", f"tf does not say where {frame!r} was at {name}")
         elif apart[i] > MAX_APART:
-            skips.add("colour", f"the nearest to depth at {name} is {apart[i]:.2f} s off")
+            skips.add("color", f"the nearest to depth at {name} is {apart[i]:.2f} s off")
         else:
             shots.append(_Shot(name, i, int(partner[i]), rigid_pose(Ts[i])))
     skips.refuse_none_left(len(shots), str(path))
@@ -272,11 +270,11 @@ def _shots(
 
 
 def _common_frame(index: _Index, path: Path) -> str:
-    """The frame of depth and colour, which must be one and stand in tf."""
-    frame, colour_frame = (listed[0][1].lstrip("/") for listed in (index.depth, index.colour))
-    if frame != colour_frame:
+    """The frame of depth and color, which must be one and stand in tf."""
+    frame, color_frame = (listed[0][1].lstrip("/") for listed in (index.depth, index.color))
+    if frame != color_frame:
         raise FileFormatError(
-            f"{path}: depth is in frame {frame!r} and colour in {colour_frame!r}, {_UNREGISTERED}"
+            f"{path}: depth is in frame {frame!r} and color in {color_frame!r}, {_UNREGISTERED}"
         )
     if frame not in index.tree.parents:
         raise FileFormatError(
@@ -311,14 +309,14 @@ def _second_pass(
 ) -> dict[tuple[str, int], Any]:
     """Read the chosen messages; only they are kept."""
     wanted = {(topics.depth, shot.depth) for shot in shots}
-    wanted |= {(topics.colour, shot.colour) for shot in shots}
-    seen = {topics.depth: -1, topics.colour: -1}
+    wanted |= {(topics.color, shot.color) for shot in shots}
+    seen = {topics.depth: -1, topics.color: -1}
     found = {}
-    for connection, _, raw in _messages(reader, {topics.depth, topics.colour}):
+    for connection, _, raw in _messages(reader, {topics.depth, topics.color}):
         seen[connection.topic] += 1
         key = (connection.topic, seen[connection.topic])
         if key in wanted:
-            kind = "depth" if connection.topic == topics.depth else "colour"
+            kind = "depth" if connection.topic == topics.depth else "color"
             found[kind, key[1]] = reader.deserialize(raw, connection.msgtype)
     return found
 
@@ -336,24 +334,24 @@ def _frames(
         where = f"{path}: image at {shot.name}"
         try:
             depth = depth_of(images["depth", shot.depth], depth_scale, where)
-            colour = colour_of(images["colour", shot.colour], where)
+            color = color_of(images["color", shot.color], where)
         except FileFormatError as error:
             skips.add("images", str(error))
             continue
-        if colour.shape[:2] != depth.shape:
+        if color.shape[:2] != depth.shape:
             raise FileFormatError(
-                f"{where}: colour is {colour.shape[1::-1]} and depth {depth.shape[::-1]} pixels, "
+                f"{where}: color is {color.shape[1::-1]} and depth {depth.shape[::-1]} pixels, "
                 f"{_UNREGISTERED}"
             )
-        frames[number] = Frame(shot.name, colour, depth, K, shot.T_world_camera)
-    sizes = {number: frame.colour.shape[1::-1] for number, frame in frames.items()}
+        frames[number] = Frame(shot.name, color, depth, K, shot.T_world_camera)
+    sizes = {number: frame.color.shape[1::-1] for number, frame in frames.items()}
     kept = keep_common_size(sizes, skips, str(path))
     skips.refuse_none_left(len(kept), str(path))
     return tuple(frames[number] for number in kept)
 
 
 def _check_size(frames: Sequence[Frame], size: tuple[int, int], path: Path) -> None:
-    found = frames[0].colour.shape[1::-1]
+    found = frames[0].color.shape[1::-1]
     if found != size:
         raise FileFormatError(f"{path}: camera info is for images of {size}, and they have {found}")
 

@@ -1,7 +1,7 @@
 """Point clouds that come with a scan, from PLY or PCD.
 
 Normals are taken from the file where it has them, else from its triangles, else from a plane
-through each point's neighbours. Such a plane has two sides: the normal is turned toward the
+through each point's neighbors. Such a plane has two sides: the normal is turned toward the
 nearest camera, and where no cameras are known toward the middle of the cloud, since whoever
 records a room stands in it.
 """
@@ -23,11 +23,11 @@ from momapos.types import Cloud
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int, UInt8
 
-NEIGHBOURS = 16
+NEIGHBORS = 16
 MAX_EXTENT = 300.0  # [m] of a home
 MAX_DISTANCE = 1e6  # [m] from the origin, beyond which a number is damage
 _CHUNK = 200_000
-_GREY = 128
+_GRAY = 128
 
 
 def read_cloud(
@@ -44,7 +44,7 @@ def read_cloud(
         thing that was left out or assumed.
 
     Raises:
-        FileFormatError: It is damaged, empty, or not in metres.
+        FileFormatError: It is damaged, empty, or not in meters.
     """
     columns, triangles = _read(path)
     points = _stacked(columns, ("x", "y", "z"))
@@ -55,12 +55,12 @@ def read_cloud(
     finite = (np.abs(points) < MAX_DISTANCE).all(axis=1)
     if not finite.any():
         raise FileFormatError(f"{path}: none of its {len(points)} points is finite")
-    _check_metres(points[finite], path)
+    _check_meters(points[finite], path)
     warnings = []
-    colours = _colours(columns, len(points))
-    if colours is None:
-        warnings.append(f"{path}: has no colours; all points are grey")
-        colours = np.full((len(points), 3), _GREY, np.uint8)
+    colors = _colors(columns, len(points))
+    if colors is None:
+        warnings.append(f"{path}: has no colors; all points are gray")
+        colors = np.full((len(points), 3), _GRAY, np.uint8)
     normals = _given_normals(columns, len(points))
     if triangles is not None and not np.any(normals):
         normals = _unit(_of_triangles(points, triangles))
@@ -69,11 +69,11 @@ def read_cloud(
             f"{path}: {np.count_nonzero(~finite)} of {len(points)} points are not finite and left "
             "out; masks count only the others"
         )
-    points, normals, colours = points[finite], normals[finite], colours[finite]
+    points, normals, colors = points[finite], normals[finite], colors[finite]
     without = ~np.any(normals, axis=1)
     if without.any():
         normals[without] = _toward(cameras, points, without, _estimated(points, without))
-    return Cloud(points, normals, colours), tuple(warnings)
+    return Cloud(points, normals, colors), tuple(warnings)
 
 
 def _read(path: Path) -> tuple[Columns, Int[np.ndarray, "m 3"] | None]:
@@ -84,13 +84,13 @@ def _read(path: Path) -> tuple[Columns, Int[np.ndarray, "m 3"] | None]:
     return read_pcd(path), None
 
 
-def _check_metres(points: Float[np.ndarray, "n 3"], path: Path) -> None:
+def _check_meters(points: Float[np.ndarray, "n 3"], path: Path) -> None:
     low, high = np.percentile(points[:: max(1, len(points) // 100_000)], (2, 98), axis=0)
     extent = float((high - low).max())
     if extent > MAX_EXTENT:
         raise FileFormatError(
             f"{path}: the cloud is {extent:.0f} m across, so it looks as if it were in "
-            "millimetres; expected metres"
+            "millimeters; expected meters"
         )
 
 
@@ -101,7 +101,7 @@ def _stacked(columns: Columns, names: tuple[str, ...]) -> Float[np.ndarray, "n k
         return np.stack([columns[name] for name in names], axis=1).astype(float)
 
 
-def _colours(columns: Columns, count: int) -> UInt8[np.ndarray, "n 3"] | None:
+def _colors(columns: Columns, count: int) -> UInt8[np.ndarray, "n 3"] | None:
     for names in (
         ("red", "green", "blue"),
         ("r", "g", "b"),
@@ -151,13 +151,13 @@ def _of_triangles(
 def _estimated(
     points: Float[np.ndarray, "n 3"], which: Bool[np.ndarray, " n"]
 ) -> Float[np.ndarray, "k 3"]:
-    """Normals of planes through the neighbours of some points, either way round."""
+    """Normals of planes through the neighbors of some points, either way round."""
     # A sensor may put all points it did not see into one place, where a search would not end.
     places, place = np.unique(points, axis=0, return_inverse=True)
     tree = cKDTree(places)
     indices, back = np.unique(place.reshape(-1)[which], return_inverse=True)
     normals = np.empty((len(indices), 3))
-    near = min(NEIGHBOURS, len(places))
+    near = min(NEIGHBORS, len(places))
     for start in range(0, len(indices), _CHUNK):
         chosen = indices[start : start + _CHUNK]
         _, found = tree.query(places[chosen], k=[*range(1, near + 1)], workers=-1)

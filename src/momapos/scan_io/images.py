@@ -1,4 +1,4 @@
-"""Images of a scan: colour and depth decoded from JPEG and PNG, bounded and checked."""
+"""Images of a scan: color and depth decoded from JPEG and PNG, bounded and checked."""
 
 from __future__ import annotations
 
@@ -45,8 +45,8 @@ def image_size(source: Path | bytes, name: str | None = None) -> Size:
         return image.size
 
 
-def read_colour(source: Path | bytes, name: str | None = None) -> UInt8[np.ndarray, "h w 3"]:
-    """Decode a colour image.
+def read_color(source: Path | bytes, name: str | None = None) -> UInt8[np.ndarray, "h w 3"]:
+    """Decode a color image.
 
     Args:
         source: A JPEG or PNG file, or its bytes.
@@ -70,7 +70,7 @@ def read_depth(
 
     Args:
         source: A PNG file, or its bytes.
-        scale: How many of its units are a metre.
+        scale: How many of its units are a meter.
         name: What errors call it; the path of a file if None.
 
     Returns:
@@ -84,17 +84,17 @@ def read_depth(
         if image.mode not in _DEPTH_MODES:
             raise FileFormatError(
                 f"{name}: is an image of 8 bits a channel ({image.mode}); "
-                "depth must be a PNG of one 16-bit channel, in millimetres"
+                "depth must be a PNG of one 16-bit channel, in millimeters"
             )
         try:
             raw = np.asarray(image)
         except _BROKEN as error:
             raise FileFormatError(f"{name}: damaged image ({_brief(error)})") from error
-    return to_metres(raw, scale)
+    return to_meters(raw, scale)
 
 
-def to_metres(raw: Num[np.ndarray, "h w"], scale: float) -> Float32[np.ndarray, "h w"]:
-    """Scale depth to metres; what is no depth (65535 in integers, NaN, negative) becomes 0."""
+def to_meters(raw: Num[np.ndarray, "h w"], scale: float) -> Float32[np.ndarray, "h w"]:
+    """Scale depth to meters; what is no depth (65535 in integers, NaN, negative) becomes 0."""
     with np.errstate(over="ignore", invalid="ignore"):  # damaged floats count as not measured
         depth = raw.astype(np.float32) / np.float32(scale)
     seen = np.isfinite(depth) & (depth > 0)
@@ -103,45 +103,45 @@ def to_metres(raw: Num[np.ndarray, "h w"], scale: float) -> Float32[np.ndarray, 
     return np.where(seen, depth, np.float32(0))
 
 
-def match_colour(
-    colour: UInt8[np.ndarray, "h w 3"],
-    K_colour: Float[np.ndarray, "3 3"],
+def match_color(
+    color: UInt8[np.ndarray, "h w 3"],
+    K_color: Float[np.ndarray, "3 3"],
     K_depth: Float[np.ndarray, "3 3"],
     size: Size,
 ) -> UInt8[np.ndarray, "h2 w2 3"]:
-    """Resample a colour image as the depth camera sees the same rays.
+    """Resample a color image as the depth camera sees the same rays.
 
-    Both cameras must stand at the same place and look the same way. What the colour camera does
+    Both cameras must stand at the same place and look the same way. What the color camera does
     not see is black.
 
     Args:
-        colour: Image of the colour camera.
-        K_colour, K_depth: Intrinsics of both cameras [px], without skew.
+        color: Image of the color camera.
+        K_color, K_depth: Intrinsics of both cameras [px], without skew.
         size: Width and height of the depth image [px].
 
     Returns:
         An image of that size, to which the depth camera's intrinsics apply.
 
     Raises:
-        ValueError: Less than half of the depth image's width or height is seen in colour.
+        ValueError: Less than half of the depth image's width or height is seen in color.
     """
-    height, width = colour.shape[:2]
+    height, width = color.shape[:2]
     # Intrinsics count from the center of the first pixel, a region from its edge.
     corners = np.array([[-0.5, -0.5], np.array(size) - 0.5])
     focal, center = np.diag(K_depth)[:2], K_depth[:2, 2]
-    corners = (corners - center) / focal * np.diag(K_colour)[:2] + K_colour[:2, 2] + 0.5
+    corners = (corners - center) / focal * np.diag(K_color)[:2] + K_color[:2, 2] + 0.5
     limit = np.array([width, height], float)
     seen = np.clip(corners, 0, limit)
     if np.any(np.diff(seen, axis=0) < np.maximum(0.5 * np.diff(corners, axis=0), 1.0)):
-        raise ValueError("the intrinsics of colour and depth do not belong to one view")
+        raise ValueError("the intrinsics of color and depth do not belong to one view")
     left, top = (max(0, math.ceil(-edge)) for edge in corners[0])
     right, bottom = (max(0, math.ceil(edge)) for edge in corners[1] - limit)
     if left or top or right or bottom:
-        colour = np.pad(colour, ((top, bottom), (left, right), (0, 0)))
+        color = np.pad(color, ((top, bottom), (left, right), (0, 0)))
     # Rounding must not push the region out of the image.
-    inside = np.array(colour.shape[1::-1], float)
+    inside = np.array(color.shape[1::-1], float)
     (x0, y0), (x1, y1) = np.clip(corners + np.array([left, top]), 0, inside)
-    image = Image.fromarray(colour).resize(size, Image.Resampling.BILINEAR, box=(x0, y0, x1, y1))
+    image = Image.fromarray(color).resize(size, Image.Resampling.BILINEAR, box=(x0, y0, x1, y1))
     return np.asarray(image)
 
 

@@ -21,8 +21,8 @@ from momapos.files import read_bytes_bounded
 from momapos.scan_io.images import (
     Size,
     image_size,
-    match_colour,
-    read_colour,
+    match_color,
+    read_color,
     read_depth,
     scaled_intrinsics,
 )
@@ -53,7 +53,7 @@ class FrameFiles:
     """The files of one frame."""
 
     name: str
-    colour: Path
+    color: Path
     depth: Path | None
     pose: Path
 
@@ -64,14 +64,14 @@ class Layout:
 
     folder: Path
     frames: tuple[FrameFiles, ...]
-    K_colour: Float[np.ndarray, "3 3"]
+    K_color: Float[np.ndarray, "3 3"]
     K_depth: Float[np.ndarray, "3 3"] | None
-    """None where one matrix is given for both; then it belongs to the colour image."""
+    """None where one matrix is given for both; then it belongs to the color image."""
     warnings: tuple[str, ...] = ()
 
 
 def find_layout(folder: Path) -> Layout | None:
-    """Recognise a folder of frames by the files in it.
+    """Recognize a folder of frames by the files in it.
 
     Returns:
         What it holds; None where it is no such folder.
@@ -98,7 +98,7 @@ def read_frames(
     Args:
         layout: From `find_layout`.
         max_frames: How many to read at most, evenly spaced.
-        depth_scale: How many units of a depth image are a metre.
+        depth_scale: How many units of a depth image are a meter.
 
     Returns:
         The frames, and one line for each kind of frame that was skipped.
@@ -116,13 +116,13 @@ def read_frames(
         sizes = _collect(pool.map(_attempt(_sizes), [files for files, _ in chosen]), skips)
         kept = keep_common_size(sizes, skips, where)
         skips.refuse_none_left(len(kept), where)
-        colour_size, depth_size = sizes[kept[0]]
-        check_memory(len(kept), int(np.prod(np.maximum(colour_size, depth_size or (0, 0)))), where)
-        K = _common_intrinsics(layout, colour_size, depth_size)
+        color_size, depth_size = sizes[kept[0]]
+        check_memory(len(kept), int(np.prod(np.maximum(color_size, depth_size or (0, 0)))), where)
+        K = _common_intrinsics(layout, color_size, depth_size)
 
         def read(index: int) -> Frame:
             files, T_world_camera = chosen[index]
-            return _read_frame(files, T_world_camera, layout.K_colour, K, depth_scale)
+            return _read_frame(files, T_world_camera, layout.K_color, K, depth_scale)
 
         frames = tuple(_collect(pool.map(_attempt(read), kept), skips).values())
     skips.refuse_none_left(len(frames), where)
@@ -133,32 +133,32 @@ def read_frames(
 def _read_frame(
     files: FrameFiles,
     T_world_camera: Float[np.ndarray, "4 4"],
-    K_colour: Float[np.ndarray, "3 3"],
+    K_color: Float[np.ndarray, "3 3"],
     K: Float[np.ndarray, "3 3"],
     depth_scale: float,
 ) -> Frame:
-    colour = read_colour(files.colour)
+    color = read_color(files.color)
     depth = None if files.depth is None else read_depth(files.depth, depth_scale)
-    if depth is not None and (colour.shape[:2] != depth.shape or not np.allclose(K, K_colour)):
-        colour = match_colour(colour, K_colour, K, (depth.shape[1], depth.shape[0]))
-    return Frame(files.name, colour, depth, K, T_world_camera)
+    if depth is not None and (color.shape[:2] != depth.shape or not np.allclose(K, K_color)):
+        color = match_color(color, K_color, K, (depth.shape[1], depth.shape[0]))
+    return Frame(files.name, color, depth, K, T_world_camera)
 
 
 def _common_intrinsics(
-    layout: Layout, colour_size: Size, depth_size: Size | None
+    layout: Layout, color_size: Size, depth_size: Size | None
 ) -> Float[np.ndarray, "3 3"]:
     """Intrinsics of the frames: those of depth, where there is depth."""
-    K, size = layout.K_colour, colour_size
+    K, size = layout.K_color, color_size
     if depth_size is not None and layout.K_depth is not None:
         K, size = layout.K_depth, depth_size
-    elif depth_size is not None and depth_size != colour_size:
-        ratios = np.array(depth_size) / np.array(colour_size)
+    elif depth_size is not None and depth_size != color_size:
+        ratios = np.array(depth_size) / np.array(color_size)
         if abs(ratios[0] / ratios[1] - 1) > 0.02:
             raise FileFormatError(
-                f"{layout.folder}: colour is {colour_size} and depth {depth_size} pixels, which "
+                f"{layout.folder}: color is {color_size} and depth {depth_size} pixels, which "
                 "is not the same view; give intrinsic_color.txt and intrinsic_depth.txt"
             )
-        K, size = scaled_intrinsics(K, colour_size, depth_size), depth_size
+        K, size = scaled_intrinsics(K, color_size, depth_size), depth_size
     if not (0 < K[0, 2] < size[0] and 0 < K[1, 2] < size[1]):
         raise FileFormatError(
             f"{layout.folder}: the intrinsics have their center at ({K[0, 2]:.0f}, {K[1, 2]:.0f}), "
@@ -166,7 +166,7 @@ def _common_intrinsics(
         )
     if depth_size is not None and layout.K_depth is not None:
         try:
-            match_colour(np.zeros((*colour_size[::-1], 3), np.uint8), layout.K_colour, K, size)
+            match_color(np.zeros((*color_size[::-1], 3), np.uint8), layout.K_color, K, size)
         except ValueError as error:
             raise FileFormatError(f"{layout.folder}: {error}") from error
     return K
@@ -188,7 +188,7 @@ def _with_poses(
 
 def _sizes(files: FrameFiles) -> tuple[Size, Size | None]:
     depth = None if files.depth is None else image_size(files.depth)
-    return image_size(files.colour), depth
+    return image_size(files.color), depth
 
 
 def _attempt(read: Callable[[_In], _Out]) -> Callable[[_In], _Out | FileFormatError]:
@@ -214,13 +214,13 @@ def _collect(results: Iterable[_Out | FileFormatError], skips: Skips) -> dict[in
 
 
 def _seven_scenes(folder: Path, names: set[str]) -> Layout:
-    colours = {_stem(name): name for name in names if ".color." in name and _is_image(name)}
-    stems = _in_order(stem for stem in colours if stem.startswith("frame-"))
+    colors = {_stem(name): name for name in names if ".color." in name and _is_image(name)}
+    stems = _in_order(stem for stem in colors if stem.startswith("frame-"))
     has_depth = any(name.endswith(".depth.png") for name in names)
     frames = tuple(
         FrameFiles(
             stem,
-            folder / colours[stem],
+            folder / colors[stem],
             folder / f"{stem}.depth.png" if has_depth else None,
             folder / f"{stem}.pose.txt",
         )
@@ -241,21 +241,21 @@ def _seven_scenes(folder: Path, names: set[str]) -> Layout:
 def _export(folder: Path) -> Layout:
     if not (folder / "pose").is_dir():
         raise FileFormatError(f"{folder}: has no poses; expected pose/0.txt, camera to world")
-    colours = {_stem(name): name for name in list_names(folder / "color") if _is_image(name)}
+    colors = {_stem(name): name for name in list_names(folder / "color") if _is_image(name)}
     has_depth = (folder / "depth").is_dir()
     frames = tuple(
         FrameFiles(
             stem,
-            folder / "color" / colours[stem],
+            folder / "color" / colors[stem],
             folder / "depth" / f"{stem}.png" if has_depth else None,
             folder / "pose" / f"{stem}.txt",
         )
-        for stem in _in_order(colours)
+        for stem in _in_order(colors)
     )
     if not frames:
         raise FileFormatError(f"{folder / 'color'}: holds no images such as 0.jpg")
-    K_colour, K_depth = _export_intrinsics(folder)
-    return Layout(folder, frames, K_colour, K_depth)
+    K_color, K_depth = _export_intrinsics(folder)
+    return Layout(folder, frames, K_color, K_depth)
 
 
 def _export_intrinsics(
@@ -263,9 +263,9 @@ def _export_intrinsics(
 ) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3 3"] | None]:
     inside = folder / "intrinsic"
     place = inside if inside.is_dir() else folder
-    colour, depth = place / "intrinsic_color.txt", place / "intrinsic_depth.txt"
-    if colour.is_file() and depth.is_file():
-        return _matrix(colour), _matrix(depth)
+    color, depth = place / "intrinsic_color.txt", place / "intrinsic_depth.txt"
+    if color.is_file() and depth.is_file():
+        return _matrix(color), _matrix(depth)
     only = [
         name
         for name in _in_order(list_names(place))

@@ -220,7 +220,7 @@ def _vector(entry: dict[str, Any], key: str, where: str, good: Callable[[Any], b
     values = entry.get(key)
     right = isinstance(values, list) and len(values) == 3 and all(map(_is_number, values))
     if not right or not good(np.array(values, float)):
-        raise FileFormatError(f'{where} needs "{key}" as three numbers, in metres')
+        raise FileFormatError(f'{where} needs "{key}" as three numbers, in meters')
     return np.array(values, float)
 
 

@@ -27,7 +27,7 @@ def read_pcd(path: Path) -> Columns:
     """Read the fields of a PCD file.
 
     Returns:
-        The fields by name; `red`, `green`, `blue` (uint8) where it has a packed colour. Fields of
+        The fields by name; `red`, `green`, `blue` (uint8) where it has a packed color. Fields of
         several values are left out.
 
     Raises:
@@ -151,7 +151,7 @@ def _exactly(file: BinaryIO, size: int, path: Path) -> bytes:
 
 
 def _unpacked(packed: np.ndarray) -> Columns:
-    """Split a colour that PCL packs into the bits of one number, a float for old files."""
+    """Split a color that PCL packs into the bits of one number, a float for old files."""
     if packed.dtype.itemsize != 4:
         return {}
     bits = np.ascontiguousarray(packed).view("<u4")

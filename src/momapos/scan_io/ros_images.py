@@ -1,4 +1,4 @@
-"""Images in ROS messages: raw and compressed, colour and depth."""
+"""Images in ROS messages: raw and compressed, color and depth."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from momapos.errors import FileFormatError
-from momapos.scan_io.images import MAX_PIXELS, read_colour, read_depth, to_metres
+from momapos.scan_io.images import MAX_PIXELS, read_color, read_depth, to_meters
 
 if TYPE_CHECKING:
     from jaxtyping import Float32, UInt8
@@ -22,7 +22,7 @@ def depth_of(message: Any, scale: float, where: str) -> Float32[np.ndarray, "h w
 
     Args:
         message: A sensor_msgs Image or CompressedImage, as rosbags gives it.
-        scale: How many units of 16-bit depth are a metre; 32-bit depth is in metres.
+        scale: How many units of 16-bit depth are a meter; 32-bit depth is in meters.
         where: What errors call it.
 
     Returns:
@@ -43,21 +43,20 @@ def depth_of(message: Any, scale: float, where: str) -> Float32[np.ndarray, "h w
             f"{where}: depth has encoding {message.encoding!r:.40}; expected {', '.join(_DEPTHS)}"
         )
     raw = _pixels(message, _DEPTHS[message.encoding], 1, where)[..., 0]
-    return to_metres(raw, 1.0 if raw.dtype.kind == "f" else scale)
+    return to_meters(raw, 1.0 if raw.dtype.kind == "f" else scale)
 
 
-def colour_of(message: Any, where: str) -> UInt8[np.ndarray, "h w 3"]:
-    """Decode a message of colour, raw or compressed.
+def color_of(message: Any, where: str) -> UInt8[np.ndarray, "h w 3"]:
+    """Decode a message of color, raw or compressed.
 
     Raises:
         FileFormatError: It is damaged or of another encoding.
     """
     if not hasattr(message, "encoding"):
-        return read_colour(message.data.tobytes(), where)
+        return read_color(message.data.tobytes(), where)
     if message.encoding not in _CHANNELS:
         raise FileFormatError(
-            f"{where}: colour has encoding {message.encoding!r:.40}; "
-            f"expected {', '.join(_CHANNELS)}"
+            f"{where}: color has encoding {message.encoding!r:.40}; expected {', '.join(_CHANNELS)}"
         )
     raw = _pixels(message, "u1", _CHANNELS[message.encoding], where)
     if raw.shape[2] == 1:

@@ -44,7 +44,7 @@ def read_scan(
     Args:
         path: A folder of posed images, a cloud, or a ROS recording.
         max_frames: How many frames to read at most; they are evenly spaced.
-        depth_scale: How many units of integer depth are a metre; float depth is in metres.
+        depth_scale: How many units of integer depth are a meter; float depth is in meters.
         topics: Which topics of a recording are meant, where their names do not tell.
 
     Returns:
@@ -58,7 +58,7 @@ def read_scan(
     """
     path = Path(path)
     if not 0 < depth_scale < float("inf"):
-        raise InputError(f"depth_scale is {depth_scale}; it is the units of depth in a metre")
+        raise InputError(f"depth_scale is {depth_scale}; it is the units of depth in a meter")
     if max_frames < 1:
         raise InputError(f"max_frames is {max_frames}; at least 1 frame is needed")
     if path.is_dir():

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 MAX_TOTAL_PIXELS = 400_000_000
-"""Of all frames that are kept in memory; a depth and a colour pixel take 7 bytes."""
+"""Of all frames that are kept in memory; a depth and a color pixel take 7 bytes."""
 NEAREST_MEDIAN, FARTHEST_MEDIAN = 0.05, 40.0  # [m]
 MAX_ODD = 0.2
 _RIGID = 1e-2
@@ -66,7 +66,7 @@ def rigid_pose(values: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
     R = T[:3, :3]
     off = max(np.abs(R.T @ R - np.eye(3)).max(), np.abs(T[3] - [0, 0, 0, 1]).max())
     if off > _RIGID or np.linalg.det(R) < 0:
-        raise ValueError("the pose is not a rigid transform (rotation and metres)")
+        raise ValueError("the pose is not a rigid transform (rotation and meters)")
     u, _, vt = np.linalg.svd(R)
     exact = np.eye(4)
     exact[:3, :3], exact[:3, 3] = u @ vt, T[:3, 3]
@@ -151,8 +151,8 @@ def check_depth_unit(frames: Sequence[Frame], scale: float, where: str) -> None:
     median = float(np.median(seen))
     if NEAREST_MEDIAN <= median <= FARTHEST_MEDIAN:
         return
-    guess = "metres or centimetres" if median < NEAREST_MEDIAN else "a unit finer than expected"
+    guess = "meters or centimeters" if median < NEAREST_MEDIAN else "a unit finer than expected"
     raise FileFormatError(
-        f"{where}: the median depth is {median:.3g} m at {scale:g} units a metre, so depth looks "
-        f"as if it were in {guess}; expected 16-bit millimetres, or give depth_scale"
+        f"{where}: the median depth is {median:.3g} m at {scale:g} units a meter, so depth looks "
+        f"as if it were in {guess}; expected 16-bit millimeters, or give depth_scale"
     )

@@ -242,9 +242,9 @@ def _stand_in(
 def _set_down(
     item: SceneObject, size: Float[np.ndarray, "3"], solid: Sequence[Corners]
 ) -> SceneObject:
-    """Let a loose box rest on what is below its centre, or on the floor.
+    """Let a loose box rest on what is below its center, or on the floor.
 
-    BestMan drops such objects from their position, which is the centre of the household models;
+    BestMan drops such objects from their position, which is the center of the household models;
     a position up to half a height inside the support is lifted out of it.
     """
     T = item.T_world_object.copy()

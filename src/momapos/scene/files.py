@@ -168,7 +168,7 @@ def _read_momapos(
         name=_text(data.get("name", path.stem), f"{path}: name"),
         path=path,
         objects=tuple(objects),
-        floor=_floor(data.get("floor"), path),
+        floor_polygon=_floor(data.get("floor"), path),
         start=_start(data.get("start"), path),
         warnings=tuple(warnings),
     )
@@ -327,8 +327,8 @@ def save_scene(scene: Scene, path: Path) -> Scene:
     objects = ",\n".join(f"  {json.dumps(_object(item, folder))}" for item in scene.objects)
     head = {"format": FORMAT, "version": VERSION, "name": scene.name}
     text = json.dumps(head)[:-1]
-    if scene.floor is not None:
-        text += f',\n "floor": {json.dumps(np.asarray(scene.floor, float).tolist())}'
+    if scene.floor_polygon is not None:
+        text += f',\n "floor": {json.dumps(np.asarray(scene.floor_polygon, float).tolist())}'
     if scene.start is not None:
         start = dict(zip(("x", "y", "yaw"), map(float, scene.start), strict=True))
         text += f',\n "start": {json.dumps(start)}'

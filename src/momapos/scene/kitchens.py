@@ -22,8 +22,8 @@ import numpy as np
 from momapos.errors import InputError, require, unknown_name
 from momapos.scene.library.furniture import (
     Box,
-    Motion,
-    Part,
+    FurniturePart,
+    JointMotion,
     Piece,
     bar_handle,
     ending_before_hits,
@@ -171,7 +171,7 @@ def _piece(scene: Any, name: str) -> Piece:
         for edge in joints.values()
     }
     body: list[Box] = []
-    parts: list[Part] = []
+    parts: list[FurniturePart] = []
     for root, nodes in sorted(zip(roots, links, strict=True)):
         boxes = [_box(scene, frame, node) for node in nodes if node in scene.graph.nodes_geometry]
         motion = motions.get(root)
@@ -183,25 +183,25 @@ def _piece(scene: Any, name: str) -> Piece:
     yaw = float(np.arctan2(T[1, 0], T[0, 0]))
     xyz = (float(T[0, 3]), float(T[1, 3]), float(T[2, 3]))
     new_name = name.replace(kind, new_kind, 1)
-    return Piece(new_name, category, xyz, yaw, (Part("body", tuple(body)), *parts))
+    return Piece(new_name, category, xyz, yaw, (FurniturePart("body", tuple(body)), *parts))
 
 
-def _motion(scene: Any, frame: str, node: str, joint: Mapping[str, Any]) -> Motion | None:
+def _motion(scene: Any, frame: str, node: str, joint: Mapping[str, Any]) -> JointMotion | None:
     """Translate a joint into the frame of its piece; None for one that does not move."""
     if joint["type"] not in ("revolute", "prismatic"):
         return None
     T_piece_link = scene.get_transform(node, frame)
     axis = np.round(T_piece_link[:3, :3] @ np.asarray(joint["axis"], float), 9)
-    return Motion(joint["type"], vec(T_piece_link[:3, 3]), vec(axis), joint["limit_upper"])
+    return JointMotion(joint["type"], vec(T_piece_link[:3, 3]), vec(axis), joint["limit_upper"])
 
 
 def _box(scene: Any, frame: str, node: str) -> Box:
     """Bound one geometry by a box in the frame of its piece; boxes there are axis-aligned."""
     T = scene.get_transform(node, frame)
     low, high = scene.geometry[scene.graph[node][1]].bounds
-    centre = T[:3, :3] @ (low + high) / 2 + T[:3, 3]
+    center = T[:3, :3] @ (low + high) / 2 + T[:3, 3]
     half = np.abs(T[:3, :3]) @ (high - low) / 2
-    return Box(node.rsplit("/", maxsplit=1)[-1], vec(centre - half), vec(centre + half))
+    return Box(node.rsplit("/", maxsplit=1)[-1], vec(center - half), vec(center + half))
 
 
 def _simplified(boxes: Sequence[Box]) -> list[Box]:
@@ -241,7 +241,7 @@ def _sides(outer: Box, inner: Box, wall: float) -> list[Box]:
     ]
 
 
-def _moving_part(name: str, boxes: Sequence[Box], motion: Motion) -> Part:
+def _moving_part(name: str, boxes: Sequence[Box], motion: JointMotion) -> FurniturePart:
     """Make a door or drawer that stands clear of its frame, with a bar to pull it by."""
     panels = [box for box in boxes if "handle" not in box.name]
     front = min(box.low[1] for box in panels) + GAP
@@ -256,11 +256,11 @@ def _moving_part(name: str, boxes: Sequence[Box], motion: Motion) -> Part:
     panels = [_smaller(box, margin) for box in panels]
     old = union("handle", [box for box in boxes if "handle" in box.name])
     along_x, _, along_z = _size(old)
-    centre = np.add(old.low, old.high) / 2
+    center = np.add(old.low, old.high) / 2
     upright = bool(along_z > along_x)
     length = float(np.clip(max(along_x, along_z), *HANDLE_LENGTHS))
-    handle = bar_handle(name, centre[0], centre[2], length, upright=upright, front=front)
-    return Part(name, tuple(panels), motion, handle)
+    handle = bar_handle(name, center[0], center[2], length, upright=upright, front=front)
+    return FurniturePart(name, tuple(panels), motion, handle)
 
 
 def _size(box: Box) -> Float[np.ndarray, "3"]:
@@ -300,7 +300,7 @@ def _room(pieces: Sequence[Piece]) -> tuple[list[tuple[float, float]], list[Piec
     """Lay out the floor, and put walls where furniture has its back to the edge.
 
     Returns:
-        The corners of the floor [m], anticlockwise, and the walls.
+        The corners of the floor [m], counterclockwise, and the walls.
     """
     low, high = (bound[:2] for bound in _bounds(pieces))
     edges = np.stack([low, high])
@@ -318,11 +318,11 @@ def _room(pieces: Sequence[Piece]) -> tuple[list[tuple[float, float]], list[Piec
     walls = []
     names = ("wall_left", "wall_front", "wall_right", "wall_back")
     for (side, axis), name in zip(np.ndindex(2, 2), names, strict=True):
-        centre, size = edges.mean(axis=0), edges[1] - edges[0]
-        centre[axis] = edges[side, axis] + (side - 0.5) * WALL_THICKNESS
+        center, size = edges.mean(axis=0), edges[1] - edges[0]
+        center[axis] = edges[side, axis] + (side - 0.5) * WALL_THICKNESS
         size[axis] = WALL_THICKNESS
         if walled[side, axis]:
-            wall = solid(name, "wall", vec([*size, WALL_HEIGHT]), vec([*centre, WALL_HEIGHT / 2]))
+            wall = solid(name, "wall", vec([*size, WALL_HEIGHT]), vec([*center, WALL_HEIGHT / 2]))
             walls.append(wall)
     return [(x0, y0), (x1, y0), (x1, y1), (x0, y1)], walls
 

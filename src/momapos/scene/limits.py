@@ -25,8 +25,8 @@ def refuse_vast(scene: Scene) -> None:
     """
     bounds = np.array([item.bounds for item in scene.objects]).reshape(-1, 2, 3)
     corners = bounds.reshape(-1, 3)
-    if scene.floor is not None:
-        corners = np.vstack([corners, np.pad(scene.floor, ((0, 0), (0, 1)))])
+    if scene.floor_polygon is not None:
+        corners = np.vstack([corners, np.pad(scene.floor_polygon, ((0, 0), (0, 1)))])
     if not len(corners):
         return
     size = np.ptp(corners, axis=0)

@@ -132,7 +132,7 @@ class SceneObject:
         return np.concatenate(points) if points else self.T_world_object[None, :3, 3]
 
     @cached_property
-    def boxed(self) -> SceneObject:
+    def box_proxy(self) -> SceneObject:
         """The same thing as one rigid box, upright and turned as the thing is."""
         R = upright_frame(self.T_world_object[:3, :3])
         local = self.vertices @ R
@@ -149,7 +149,7 @@ class SceneObject:
 
 def upright_boxes(items: Sequence[SceneObject]) -> Boxes:
     """The upright box around each object, turned with the object's frame."""
-    boxed = [item.boxed for item in items]
+    boxed = [item.box_proxy for item in items]
     T = np.array([item.T_world_object for item in boxed]).reshape(-1, 4, 4)
     size = [item.model.urdf.links["box"].collisions[0].size for item in boxed]
     half = np.array(size, float).reshape(-1, 3) / 2
@@ -164,7 +164,7 @@ class Scene:
     objects: tuple[SceneObject, ...]
     path: Path | None = None
     """The file it came from; plans name it. `save_scene` gives a scene made in code its own."""
-    floor: Float[np.ndarray, "k 2"] | None = None
+    floor_polygon: Float[np.ndarray, "k 2"] | None = None
     """Outline of the floor [m]; None where the room has no known end."""
     start: Float[np.ndarray, "3"] | None = None
     """Where the robot stands at first: x [m], y [m], yaw [rad]."""
@@ -174,7 +174,11 @@ class Scene:
     """Values that differ from the file's, by object and joint [rad] or [m]."""
 
     def __repr__(self) -> str:
-        floor = "no floor" if self.floor is None else f"a floor of {len(self.floor)} corners"
+        floor = (
+            "no floor"
+            if self.floor_polygon is None
+            else f"a floor of {len(self.floor_polygon)} corners"
+        )
         return f"<Scene {self.name!r}: {len(self.objects)} objects, {floor}, {self.path}>"
 
     def object(self, name: str) -> SceneObject:
@@ -188,12 +192,12 @@ class Scene:
                 return item
         raise unknown_name("object", name, [o.name for o in self.objects], f"scene {self.name}")
 
-    def boxed(self, keep: Collection[str]) -> Scene:
+    def with_box_proxies(self, keep: Collection[str]) -> Scene:
         """The same room in which only the objects named keep their joints and their shape.
 
         All others are boxes, so what is free in it is free in the room.
         """
-        objects = (item if item.name in keep else item.boxed for item in self.objects)
+        objects = (item if item.name in keep else item.box_proxy for item in self.objects)
         return replace(self, objects=tuple(objects))
 
     def with_joint(self, name: str, joint: str, value: float) -> Scene:

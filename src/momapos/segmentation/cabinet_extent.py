@@ -52,7 +52,7 @@ def cabinet_extent(
     """Outline of the furniture below a top that may hang over.
 
     Each side is the outermost upright surface that faces out and is broad enough, but no farther
-    in than its neighbours end: furniture may be open at a side. Where none is seen, and where the
+    in than its neighbors end: furniture may be open at a side. Where none is seen, and where the
     difference is small, it is below the edge of the top.
 
     Args:

@@ -176,7 +176,7 @@ def looks_of(
         for wall in room.walls
         if wall.beside(box.center[None], 0.5)[0]
     ]
-    colours = cloud.colours[members]
+    colors = cloud.colors[members]
     return Looks(
         stand=stand,
         height=float(box.size[2]),
@@ -186,7 +186,7 @@ def looks_of(
         closed=_closed(cloud, members, box),
         step=_step(box, others),
         free=min(walls, default=10.0),
-        bright=float(np.median(colours)) / 255 if len(colours) else 0.5,
+        bright=float(np.median(colors)) / 255 if len(colors) else 0.5,
     )
 
 

@@ -158,7 +158,7 @@ class _Division:
         possible = self.free & (above > config.lift) & (above < config.reach)
         for other in supports:
             if 0 < other.height - support.height < 0.08:
-                possible[other.members] = False  # a neighbour's top, one step higher
+                possible[other.members] = False  # a neighbor's top, one step higher
         # At the edge of the surface, sides of taller furniture begin.
         inner = ndimage.binary_erosion(support.outline)
         inside = np.flatnonzero(possible & self.raster.within(inner, points))

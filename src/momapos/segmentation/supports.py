@@ -96,7 +96,7 @@ class Support:
 
 
 def floor_raster(points: Float[np.ndarray, "n 3"], cell: float) -> FloorRaster:
-    """A raster that holds all points, with a margin of half a metre."""
+    """A raster that holds all points, with a margin of half a meter."""
     low = points[:, :2].min(axis=0) - 0.5
     shape = np.ceil((points[:, :2].max(axis=0) + 0.5 - low) / cell).astype(int)
     if float(shape[0]) * float(shape[1]) > MOST_CELLS / 100:

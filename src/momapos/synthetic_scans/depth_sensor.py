@@ -33,16 +33,16 @@ class DepthSensor:
     steps: int = 32
     """Values of the shift per pixel [-]."""
     correlation: float = 1.2
-    """Deviation of the blur that makes the noise of neighbours alike [px]; 0 for none."""
+    """Deviation of the blur that makes the noise of neighbors alike [px]; 0 for none."""
     near: float = 0.3
     far: float = 6.0
     """Range in which depth is measured [m]."""
     grazing: float = 75.0
     """Surfaces that are seen at a larger angle from their normal have no depth [deg]."""
-    colour: float = 2.5
-    """Deviation of a colour channel [of 255]."""
+    color: float = 2.5
+    """Deviation of a color channel [of 255]."""
     blur: float = 0.45
-    """Deviation of the blur of colours [px]."""
+    """Deviation of the blur of colors [px]."""
     exposure: float = 0.06
     """Deviation of the brightness of an image [-]."""
     balance: float = 0.012
@@ -64,13 +64,13 @@ def sense(frame: Frame, rng: np.random.Generator, sensor: DepthSensor | None = N
         sensor: How the camera errs.
 
     Returns:
-        The frame with noise in colour and depth; the pose is as it was.
+        The frame with noise in color and depth; the pose is as it was.
     """
     sensor = sensor or DepthSensor()
-    colour = _sense_colour(frame.colour, rng, sensor)
+    color = _sense_color(frame.color, rng, sensor)
     if frame.depth is None:
-        return replace(frame, colour=colour)
-    return replace(frame, colour=colour, depth=_sense_depth(frame, frame.depth, rng, sensor))
+        return replace(frame, color=color)
+    return replace(frame, color=color, depth=_sense_depth(frame, frame.depth, rng, sensor))
 
 
 def _sense_depth(
@@ -126,16 +126,16 @@ def _slope(values: Float[np.ndarray, "h w"], axis: int) -> Float[np.ndarray, "h 
     return np.where(np.abs(before) < np.abs(after), before, after)
 
 
-def _sense_colour(
-    colour: UInt8[np.ndarray, "h w 3"], rng: np.random.Generator, sensor: DepthSensor
+def _sense_color(
+    color: UInt8[np.ndarray, "h w 3"], rng: np.random.Generator, sensor: DepthSensor
 ) -> UInt8[np.ndarray, "h w 3"]:
     gain = np.exp(rng.normal(0.0, sensor.exposure))
     balance = np.exp(rng.normal(0.0, sensor.balance, 3))
-    image = colour.astype(np.float32)
+    image = color.astype(np.float32)
     if sensor.blur > 0:
         image = gaussian_filter(image, (sensor.blur, sensor.blur, 0))
     image = image * (gain * balance).astype(np.float32)
-    image += sensor.colour * rng.standard_normal(colour.shape, np.float32)
+    image += sensor.color * rng.standard_normal(color.shape, np.float32)
     return np.clip(np.rint(image), 0, 255).astype(np.uint8)
 
 

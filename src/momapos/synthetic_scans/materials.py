@@ -26,7 +26,7 @@ RGB = tuple[float, float, float]
 class Material:
     """How a surface looks."""
 
-    colour: RGB
+    color: RGB
     """As a screen shows it, in [0, 1]."""
     strength: float = 0.03
     """How much the grain lightens and darkens it [-]."""
@@ -111,7 +111,7 @@ class Palette:
             name: Name of the object.
             category: Its category.
             role: What the part is to the object.
-            paint: Colour that its files give; None where they give none.
+            paint: Color that its files give; None where they give none.
         """
         kinds = KINDS if category != "wall_cabinet" else KINDS[3:]
         offered = next((m for words, m in kinds if any(w in category for w in words)), None)
@@ -127,7 +127,7 @@ class Palette:
         shift = self._rng("tint", name).normal(0.0, 0.004, 3)
         shift += self._rng("shade", name, role).normal(0.0, 0.015)
         shade = 0.93 if role == "body" and offered in (CABINET, APPLIANCE) else 1.0
-        r, g, b = np.clip(shade * np.array(base.colour) + shift, 0.02, 0.98).tolist()
+        r, g, b = np.clip(shade * np.array(base.color) + shift, 0.02, 0.98).tolist()
         return Material((r, g, b), base.strength, base.frequency)
 
     def _choose(self, offered: Sequence[Material], *words: str) -> Material:
@@ -138,6 +138,6 @@ class Palette:
         return np.random.default_rng([self._seed, *"\0".join(words).encode()])
 
 
-def linear(colour: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
-    """From a colour as shown to an amount of light (gamma 2.2)."""
-    return np.asarray(colour, float) ** 2.2
+def linear(color: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
+    """From a color as shown to an amount of light (gamma 2.2)."""
+    return np.asarray(color, float) ** 2.2

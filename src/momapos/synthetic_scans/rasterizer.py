@@ -23,7 +23,7 @@ HEADLIGHT = 0.16
 CREVICE = 0.008
 """How far around a point is searched for what stands out beside it [m]."""
 RAISED = 0.003
-"""What stands out by this much [m] darkens its neighbourhood."""
+"""What stands out by this much [m] darkens its neighborhood."""
 DEEP = 0.035
 """What lies behind by more than this [m] is no crevice but another thing."""
 _RING = ((0, 0), (0, 1), (0, 2), (1, 2), (2, 2), (2, 1), (2, 0), (1, 0))
@@ -32,7 +32,7 @@ SHADE = 0.75
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def rasterise(
+def rasterize(
     corners: Float[np.ndarray, "n 3 3"],
     one_sided: Bool[np.ndarray, " n"],
     xs: Float[np.ndarray, " w"],
@@ -44,7 +44,7 @@ def rasterise(
 
     Args:
         corners: Triangles in the camera's frame [m].
-        one_sided: Triangles that are seen only from where they run anticlockwise.
+        one_sided: Triangles that are seen only from where they run counterclockwise.
         xs, ys: The rays; both are evenly spaced and grow.
         inverse: Filled with 1 / depth [1/m]; 0 where a ray meets nothing.
         nearest: Filled with the triangle's number, -1 where there is none.
@@ -169,10 +169,10 @@ def _lamp_light(p: tuple[float, float, float], n: tuple[float, float, float], la
 def _shade(
     i: int, j: int, tri: int, rays: Any, inverse: Any, camera: Any, look: Any, lamps: Any, out: Any
 ) -> None:
-    """Linear colour of the surface that one ray meets."""
+    """Linear color of the surface that one ray meets."""
     xs, ys = rays
     R, eye = camera
-    normals, surface, colours, grain = look
+    normals, surface, colors, grain = look
     z = 1 / inverse[i, j]
     x, y = xs[j] * z, ys[i] * z
     dx = R[0, 0] * x + R[0, 1] * y + R[0, 2] * z
@@ -197,7 +197,7 @@ def _shade(
         noise = 0.65 * _grain(gx, gy, gz) + 0.35 * _grain(2.7 * gx, 2.7 * gy, 2.7 * gz)
         light *= 1 + grain[s, 0] * noise
     for k in range(3):
-        out[k] = colours[s, k] * light
+        out[k] = colors[s, k] * light
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
@@ -211,27 +211,27 @@ def shade_image(
     shown: UInt8[np.ndarray, " levels"],
     image: UInt8[np.ndarray, "h w 3"],
 ) -> None:
-    """Colour each pixel from the 3 x 3 rays around its center, weighted as a tent.
+    """Color each pixel from the 3 x 3 rays around its center, weighted as a tent.
 
     Each triangle that these rays meet is shaded once: between edges that is one of nine.
 
     Args:
         rays: Twice as dense as the pixels; the pixel (i, j) has its center at (2i + 1, 2j + 1).
-        buffers: What `rasterise` found along them.
+        buffers: What `rasterize` found along them.
         camera: Rotation and position in the world.
-        look: Unit normals (n, 3) and surface numbers (n,) of the triangles, then linear colours
+        look: Unit normals (n, 3) and surface numbers (n,) of the triangles, then linear colors
             (s, 3) and grain (s, 4): strength [-] and frequency [1/m] of the surfaces.
         lamps: World to lamp (k, 4, 4), strengths (k,), texels per tangent (k,) and shadow maps
             (k, m, m), each 1 / depth.
-        background: Linear colour where there is nothing.
-        shown: Colours on a screen for evenly spaced linear ones in [0, 1].
+        background: Linear color where there is nothing.
+        shown: Colors on a screen for evenly spaced linear ones in [0, 1].
         image: Filled with them.
     """
     inverse, nearest = buffers
     height, width, _ = image.shape
     seen, weight = np.empty(9, np.int64), np.empty(9)
     where = np.empty((9, 2), np.int64)
-    colour, total = np.empty(3), np.empty(3)
+    color, total = np.empty(3), np.empty(3)
     last = len(shown) - 1
     for i in range(height):
         for j in range(width):
@@ -253,11 +253,11 @@ def shade_image(
             total[:] = 0.0
             for q in range(count):
                 if seen[q] < 0:
-                    colour[:] = background
+                    color[:] = background
                 else:
                     a, b = where[q]
-                    _shade(a, b, seen[q], rays, inverse, camera, look, lamps, colour)
+                    _shade(a, b, seen[q], rays, inverse, camera, look, lamps, color)
                 for k in range(3):
-                    total[k] += weight[q] * colour[k]
+                    total[k] += weight[q] * color[k]
             for k in range(3):
                 image[i, j, k] = shown[int(min(total[k], 1.0) * last + 0.5)]

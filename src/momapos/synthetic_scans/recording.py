@@ -201,8 +201,8 @@ def _write(frame: Frame, folder: Path) -> None:
     from PIL import Image
 
     assert frame.depth is not None
-    millimetres = np.clip(np.rint(1000 * frame.depth), 0, 65535).astype(np.uint16)
+    millimeters = np.clip(np.rint(1000 * frame.depth), 0, 65535).astype(np.uint16)
     stem = folder / frame.name
-    Image.fromarray(frame.colour).save(f"{stem}.color.jpg", quality=95)
-    Image.fromarray(millimetres).save(f"{stem}.depth.png", compress_level=3)
+    Image.fromarray(frame.color).save(f"{stem}.color.jpg", quality=95)
+    Image.fromarray(millimeters).save(f"{stem}.depth.png", compress_level=3)
     np.savetxt(f"{stem}.pose.txt", frame.T_world_camera)

@@ -1,6 +1,6 @@
 """Images of a scene as an ideal camera would take them.
 
-Everything is drawn as triangles on the processor: distances are exact, and colours are good enough
+Everything is drawn as triangles on the processor: distances are exact, and colors are good enough
 that seams, edges and handles can be told apart.
 """
 
@@ -17,7 +17,7 @@ from momapos.geometry.polygons import signed_area
 from momapos.geometry.transforms import invert, pose
 from momapos.scene.scene import Scene, SceneObject
 from momapos.synthetic_scans.materials import Material, Palette, Role, linear
-from momapos.synthetic_scans.rasterizer import rasterise, shade_image
+from momapos.synthetic_scans.rasterizer import rasterize, shade_image
 from momapos.synthetic_scans.surfaces import Patch, patches, urdf_paints
 from momapos.types import Frame
 
@@ -32,7 +32,7 @@ LAMP_LIGHT = 1.1
 LAMP_DISTANCE = 60.0  # [m]: so far that their light is all but parallel
 SHADOW_TEXELS = 768
 BACKGROUND = (0.75, 0.78, 0.80)
-"""Colour where there is nothing, as a screen shows it."""
+"""Color where there is nothing, as a screen shows it."""
 _TO_SCREEN = np.rint(255 * np.linspace(0, 1, 4097) ** (1 / 2.2)).astype(np.uint8)
 
 
@@ -62,9 +62,9 @@ class RenderWorld:
 
     @cached_property
     def _look(self) -> tuple[np.ndarray, ...]:
-        colours = linear(np.array([m.colour for m in self.materials]))
+        colors = linear(np.array([m.color for m in self.materials]))
         grain = np.array([(m.strength, *m.frequency) for m in self.materials])
-        return self.normals, self.surface.astype(np.int32), colours, grain
+        return self.normals, self.surface.astype(np.int32), colors, grain
 
     @cached_property
     def _lamps(self) -> tuple[np.ndarray, ...]:
@@ -84,7 +84,7 @@ class RenderWorld:
         ids = np.empty((SHADOW_TEXELS, SHADOW_TEXELS), np.int32)
         Ts_lamp_world = invert(Ts_world_lamp)
         for T, image in zip(Ts_lamp_world, maps, strict=True):
-            rasterise(self._seen_from(T), self.closed, grid, grid, image, ids)
+            rasterize(self._seen_from(T), self.closed, grid, grid, image, ids)
         strength = LAMP_LIGHT / LAMPS * np.linspace(1.4, 0.6, LAMPS)
         return Ts_lamp_world, strength, np.full(LAMPS, scale), maps
 
@@ -101,19 +101,19 @@ class RenderWorld:
         inverse = np.empty((len(ys), len(xs)), np.float32)
         nearest = np.empty((len(ys), len(xs)), np.int32)
         corners = self._seen_from(invert(T_world_camera))
-        rasterise(corners, self.closed, xs, ys, inverse, nearest)
+        rasterize(corners, self.closed, xs, ys, inverse, nearest)
         return inverse, nearest
 
 
 def render_world(scene: Scene, rng: np.random.Generator, *, floor: bool = True) -> RenderWorld:
-    """Turn a scene, its joints at their values, into triangles with colours.
+    """Turn a scene, its joints at their values, into triangles with colors.
 
     A scene may be one object, as `load_scene` gives for a URDF; numbered PartNet objects then
     stand upright with their front toward -x.
 
     Args:
         scene: What is drawn.
-        rng: Chooses materials where the files give no colours, and small differences.
+        rng: Chooses materials where the files give no colors, and small differences.
         floor: Draw the floor too.
 
     Raises:
@@ -163,9 +163,9 @@ def _object_patches(
 def _floor_triangles(scene: Scene, parts: list[np.ndarray]) -> Float[np.ndarray, "n 3 3"]:
     """The floor at height 0: the scene's outline, or a rectangle around everything."""
     points = np.concatenate([part.reshape(-1, 3) for part in parts] or [np.zeros((1, 3))])
-    if scene.floor is not None:
-        corners = np.column_stack([scene.floor, np.zeros(len(scene.floor))])
-        return corners[ear_clipped(scene.floor)]
+    if scene.floor_polygon is not None:
+        corners = np.column_stack([scene.floor_polygon, np.zeros(len(scene.floor_polygon))])
+        return corners[ear_clipped(scene.floor_polygon)]
     low, high = points.min(0), points.max(0)
     (x0, y0), (x1, y1) = low[:2] - FLOOR_MARGIN, high[:2] + FLOOR_MARGIN
     corners = np.array([[x0, y0, 0.0], [x1, y0, 0.0], [x1, y1, 0.0], [x0, y1, 0.0]])
@@ -243,7 +243,7 @@ def render_frame(
         name: Name of the frame.
 
     Returns:
-        Colour, and depth along the optical axis [m], 0 where there is nothing.
+        Color, and depth along the optical axis [m], 0 where there is nothing.
     """
     width, height = size
     K = intrinsics
@@ -251,11 +251,11 @@ def render_frame(
     xs = (np.arange(2 * width + 1) / 2 - 0.5 - K[0, 2]) / K[0, 0]
     ys = (np.arange(2 * height + 1) / 2 - 0.5 - K[1, 2]) / K[1, 1]
     buffers = world.trace(T_world_camera, xs, ys)
-    colour = np.empty((height, width, 3), np.uint8)
+    color = np.empty((height, width, 3), np.uint8)
     camera = (np.ascontiguousarray(T_world_camera[:3, :3]), T_world_camera[:3, 3].copy())
     background = linear(np.array(BACKGROUND))
     look = (world._look, world._lamps, background, _TO_SCREEN)
-    shade_image((xs, ys), buffers, camera, *look, colour)
+    shade_image((xs, ys), buffers, camera, *look, color)
     inverse = buffers[0][1::2, 1::2]
     depth = np.divide(1.0, inverse, out=np.zeros_like(inverse), where=inverse > 0)
-    return Frame(name, colour, depth, np.array(K, float), np.array(T_world_camera, float))
+    return Frame(name, color, depth, np.array(K, float), np.array(T_world_camera, float))

@@ -48,9 +48,9 @@ POINTS = 3000
 TOPS = (0.3, 1.3)
 """Heights of the tops that a person looks down on [m]."""
 TOP_POINTS = 100
-"""Points on each square metre of such a top [1/m2]."""
+"""Points on each square meter of such a top [1/m2]."""
 TOP_WORTH = 4.0
-"""What each of them is worth in single points: a square metre is worth as much as a front [-]."""
+"""What each of them is worth in single points: a square meter is worth as much as a front [-]."""
 STEEP = np.sin(np.radians(20.0))
 """A top is seen where the eye is at least this far above its plane: depth fails at a graze."""
 CROUCHED = 0.15
@@ -142,15 +142,15 @@ def free_floor(scene: Scene, world: RenderWorld) -> _Room:
     spots = world.triangles[used].reshape(-1, 3)
     spots = spots if len(spots) else np.zeros((1, 3))
     low, high = spots[:, :2].min(0) - FLOOR_MARGIN, spots[:, :2].max(0) + FLOOR_MARGIN
-    if scene.floor is not None:
-        low, high = scene.floor.min(0), scene.floor.max(0)
+    if scene.floor_polygon is not None:
+        low, high = scene.floor_polygon.min(0), scene.floor_polygon.max(0)
     count = np.maximum(np.ceil((high - low) / CELL).astype(int), 1)
     # one cell around the floor is never free, so that its border is kept clear of too
     free = np.ones(count + 2, bool)
     corner = low - CELL
-    if scene.floor is not None:
+    if scene.floor_polygon is not None:
         centers = corner + (np.argwhere(free) + 0.5) * CELL
-        free = contains(scene.floor, centers).reshape(free.shape)
+        free = contains(scene.floor_polygon, centers).reshape(free.shape)
     free[[0, -1]] = free[:, [0, -1]] = False
     for item in scene.objects:
         for name, T in item.link_poses().items():
@@ -173,8 +173,8 @@ def _faces(scene: Scene) -> _Faces:
     for item in scene.objects:
         if item.category == "wall":
             continue
-        T = item.boxed.T_world_object
-        half = np.array(item.boxed.model.urdf.links["box"].visuals[0].size) / 2
+        T = item.box_proxy.T_world_object
+        half = np.array(item.box_proxy.model.urdf.links["box"].visuals[0].size) / 2
         for axis, side in ((0, 1), (0, -1), (1, 1), (1, -1)):
             if 2 * min(half[1 - axis], half[2]) < FRONT:
                 continue
@@ -338,7 +338,7 @@ def _visible(
     v = np.floor(points[:, 1] / z * K[1, 1] + K[1, 2] + 0.5).astype(int)
     inside = ahead & (u >= 0) & (u < width) & (v >= 0) & (v < height)
     found = inverse[np.clip(v, 0, height - 1), np.clip(u, 0, width - 1)]
-    # fronts lie behind their handles' box by some centimetres, and pixels here are large
+    # fronts lie behind their handles' box by some centimeters, and pixels here are large
     return inside & (found * (z - 0.1) < 1) & (z < 4.0), inside, found * (z + SOLID) > 1
 
 

@@ -15,13 +15,13 @@ from momapos.files import read_xml
 from momapos.geometry.transforms import apply
 from momapos.kinematics.meshes import mesh_bytes, parse_mesh
 from momapos.kinematics.urdf import MAX_URDF_BYTES, Geometry
-from momapos.scene.library.writer import COLOURS
+from momapos.scene.library.writer import COLORS
 
 if TYPE_CHECKING:
     from jaxtyping import Float
 
 Paint = tuple[float, float, float] | None
-"""A colour in [0, 1] as a screen shows it; None where no file gives one."""
+"""A color in [0, 1] as a screen shows it; None where no file gives one."""
 ROUND = 48
 """Corners that stand for a circle [-]."""
 MAX_TRIANGLES = 2_000_000
@@ -31,21 +31,21 @@ _CORNERS = np.array(np.meshgrid([-0.5, 0.5], [-0.5, 0.5], [-0.5, 0.5])).reshape(
 
 @dataclass(frozen=True)
 class Patch:
-    """Triangles of one colour."""
+    """Triangles of one color."""
 
     triangles: Float[np.ndarray, "n 3 3"]
     """In the frame of the shape's link [m]."""
     paint: Paint
     closed: bool
-    """Whether they run anticlockwise seen from outside and leave no hole."""
+    """Whether they run counterclockwise seen from outside and leave no hole."""
 
 
 def patches(shape: Geometry, paint: Paint) -> list[Patch]:
-    """Triangles of a shape, in the frame of its link; a mesh with several colours gives several.
+    """Triangles of a shape, in the frame of its link; a mesh with several colors gives several.
 
     Args:
         shape: A box, cylinder, sphere or mesh.
-        paint: Colour that its URDF gives, which comes before that of a mesh file.
+        paint: Color that its URDF gives, which comes before that of a mesh file.
 
     Raises:
         UrdfError: The mesh cannot be read.
@@ -140,7 +140,7 @@ def _obj(path: Path, text: str) -> list[tuple[Float[np.ndarray, "n 3 3"], Paint]
 
 
 def _mtl(folder: Path, name: str) -> dict[str, Paint]:
-    """Diffuse colours of a material file that lies beside its mesh; none where it does not."""
+    """Diffuse colors of a material file that lies beside its mesh; none where it does not."""
     file = folder / Path(name).name
     if not name or not file.is_file() or file.stat().st_size > 1_000_000:
         return {}
@@ -170,9 +170,9 @@ def _paint(text: str) -> Paint:
 
 
 def urdf_paints(path: Path | None) -> dict[str, list[Paint]]:
-    """Colours of the visual shapes of each link, in the file's order.
+    """Colors of the visual shapes of each link, in the file's order.
 
-    The file was read before, so its size and form are known to be sound. The colours that
+    The file was read before, so its size and form are known to be sound. The colors that
     momapos' own kitchens carry say which part is which, the same in every room: they are no paint.
 
     Args:
@@ -201,4 +201,4 @@ def _material(element: Any, named: dict[str, Paint]) -> Paint:
 
 def _rgba(material: Any) -> Paint:
     text = material.find("color").get("rgba", "")
-    return None if COLOURS.get(material.get("name")) == text else _paint(text)
+    return None if COLORS.get(material.get("name")) == text else _paint(text)

@@ -350,7 +350,7 @@ def overlap(
     """How deep two bodies overlap [m]; minus their distance where they are apart.
 
     Args:
-        a, b: Bodies (points (n, 3), disc radius, ball radius), each in its own frame.
+        a, b: LinkBodies (points (n, 3), disc radius, ball radius), each in its own frame.
         T: Pose of A in the frame of B (4, 4).
     """
     work = np.empty((9, 3))

@@ -48,7 +48,7 @@ class PlanVerifier:
         self.robot_model = robot_collision_model(robot)
         self.part, self.fixed, own = split(scene, task)
         self.part_sweep = part_sweep_check(self.part, self.fixed, own, limits)
-        self.floor = scene.floor
+        self.floor_polygon = scene.floor_polygon
         self._base, self._arm = self.robot_model.base, self.robot_model.arm
         self._arm_fixed = all_pairs(len(self._arm), len(self.fixed))
         on_part = all_pairs(len(self._arm), len(self.part.shapes))
@@ -228,12 +228,12 @@ class PlanVerifier:
         return float(depth.max(initial=0.0))
 
     def _on_floor(self, Ts_base: Float[np.ndarray, "1 b 4 4"]) -> Iterator[Check]:
-        if self.floor is None:
+        if self.floor_polygon is None:
             return
         outlines = [self._base.outline(index) for index in range(len(self._base))]
         points = [x @ T[:2, :3].T + T[:2, 3] for x, T in zip(outlines, Ts_base[0], strict=True)]
         balls = np.repeat(self._base.ball, [len(x) for x in outlines])
-        gaps = outside(self.floor, np.concatenate([np.empty((0, 2)), *points])) + balls
+        gaps = outside(self.floor_polygon, np.concatenate([np.empty((0, 2)), *points])) + balls
         worst = float(gaps.max(initial=0.0))
         limit = self.limits.floor_edge
         yield at_most("base outside the floor polygon", 1000 * worst, 1000 * limit, "mm")

@@ -12,8 +12,8 @@ from momapos.geometry.transforms import invert
 from momapos.kinematics.urdf import Joint
 from momapos.scene.scene import Scene, SceneObject
 from momapos.types import Task
-from momapos.verification.bodies import Bodies, body_poses, joint_motions
 from momapos.verification.convex import overlap
+from momapos.verification.link_bodies import LinkBodies, body_poses, joint_motions
 from momapos.verification.shapes import Shapes, join, of_bodies, prepared
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Part:
+class MovedPart:
     """What is moved: the links beyond a joint, or an object as a whole."""
 
     name: str
@@ -72,7 +72,7 @@ class Part:
 _POINT = (np.zeros((1, 3)), 0.0, 0.0)
 
 
-def split(scene: Scene, task: Task) -> tuple[Part, Shapes, Bool[np.ndarray, " k"]]:
+def split(scene: Scene, task: Task) -> tuple[MovedPart, Shapes, Bool[np.ndarray, " k"]]:
     """Split a scene into the part that a task moves, and all else, in world coordinates.
 
     Returns:
@@ -104,14 +104,14 @@ def split(scene: Scene, task: Task) -> tuple[Part, Shapes, Bool[np.ndarray, " k"
     return part, join(fixed, prefixes), np.concatenate(own)
 
 
-def _world_shapes(item: SceneObject) -> tuple[Bodies, Shapes]:
-    """Bodies, and the shapes as the scene has them, in world coordinates."""
+def _world_shapes(item: SceneObject) -> tuple[LinkBodies, Shapes]:
+    """LinkBodies, and the shapes as the scene has them, in world coordinates."""
     bodies, shapes = prepared(item.model)
     Ts = shapes.placed(body_poses(bodies, item.values(), item.T_world_object))[0]
     return bodies, shapes.moved_to(Ts)
 
 
-def _part(item: SceneObject, task: Task, bodies: Bodies, shapes: Shapes) -> Part:
+def _part(item: SceneObject, task: Task, bodies: LinkBodies, shapes: Shapes) -> MovedPart:
     """The part, from its shapes in world coordinates."""
     joint, start, rest, goal = None, 0.0, 0.0, 0.0
     T = item.T_world_object
@@ -122,6 +122,6 @@ def _part(item: SceneObject, task: Task, bodies: Bodies, shapes: Shapes) -> Part
         Ts = body_poses(bodies, item.values(), item.T_world_object)[0]
         T = Ts[bodies.parent[body]] @ bodies.Ts_parent_joint[body]
     named = join([shapes], [f"{item.name}/"])
-    part = Part(item.name, joint, float(start), float(rest), float(goal), T, named)
+    part = MovedPart(item.name, joint, float(start), float(rest), float(goal), T, named)
     T_part_world = invert(part.poses(np.array([start]))[0])
     return replace(part, shapes=named.moved_to(T_part_world @ named.Ts_body_shape))

@@ -1,6 +1,6 @@
 """The way of the moved part through the room, whoever moves it.
 
-Real scenes are not clean: doors stand flush with their neighbours, drawers lie in frames that
+Real scenes are not clean: doors stand flush with their neighbors, drawers lie in frames that
 they touch, a thing leans on a front. So the scene as it is counts as given, and asked is only that
 the part comes no deeper into anything. The part's own object is its bearing: its elements that
 touch the part where it is closed are left out, as the links of a robot that touch at rest are.
@@ -16,7 +16,7 @@ import numpy as np
 
 from momapos.geometry.transforms import invert
 from momapos.verification.convex import overlap
-from momapos.verification.part import Part
+from momapos.verification.part import MovedPart
 from momapos.verification.report import Limits
 from momapos.verification.shapes import Shapes
 from momapos.verification.sweep import all_pairs, deepest
@@ -32,7 +32,7 @@ BEARING = -1e-3
 class PartSweepCheck:
     """A part, the room, and which of their shapes may meet how deep."""
 
-    part: Part
+    part: MovedPart
     fixed: Shapes
     pairs: Int[np.ndarray, "p 2"]
     """Indices into the shapes of the part and into the room's."""
@@ -87,7 +87,7 @@ class PartSweepCheck:
 
 
 def part_sweep_check(
-    part: Part, fixed: Shapes, own: Bool[np.ndarray, " k"], limits: Limits
+    part: MovedPart, fixed: Shapes, own: Bool[np.ndarray, " k"], limits: Limits
 ) -> PartSweepCheck:
     """Find out what a part touches in the scene.
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from momapos.geometry.transforms import invert, rotation_angle, wrap_angle
 from momapos.types import Motion
-from momapos.verification.part import Part
+from momapos.verification.part import MovedPart
 from momapos.verification.report import Check, Limits, at_most, verdict
 from momapos.verification.robot_collision_model import RobotCollisionModel
 
@@ -91,7 +91,7 @@ def _densify(
 
 
 def part_poses(
-    part: Part, verb: str, path: DensePath, Ts_world_tool: Float[np.ndarray, "s 4 4"]
+    part: MovedPart, verb: str, path: DensePath, Ts_world_tool: Float[np.ndarray, "s 4 4"]
 ) -> Float[np.ndarray, "s 4 4"]:
     """World poses of the part along a path: by its joint's value, or as the tool carries it.
 
@@ -108,7 +108,7 @@ def part_poses(
 
 
 def number_checks(
-    part: Part, motion: Motion, base_pose: tuple[float, float, float]
+    part: MovedPart, motion: Motion, base_pose: tuple[float, float, float]
 ) -> Iterator[Check]:
     """Whether the arrays fit together and are finite; nothing else makes sense before."""
     lengths = [len(motion.q), len(motion.Ts_world_tool), len(motion.object_q)]
@@ -124,7 +124,7 @@ def number_checks(
     yield verdict("numbers are finite", finite and largest < LARGEST, f"largest {largest:g}")
 
 
-def object_checks(part: Part, motion: Motion, limits: Limits) -> Iterator[Check]:
+def object_checks(part: MovedPart, motion: Motion, limits: Limits) -> Iterator[Check]:
     """Whether the object's joint goes where the task asks, without turning back."""
     if part.joint is None:
         return
@@ -190,7 +190,7 @@ def tool_checks(
 
 
 def grasp_checks(
-    part: Part, path: DensePath, Ts_world_tool: Float[np.ndarray, "s 4 4"], limits: Limits
+    part: MovedPart, path: DensePath, Ts_world_tool: Float[np.ndarray, "s 4 4"], limits: Limits
 ) -> Iterator[Check]:
     """Whether the tool keeps its place in the part it moves; tool poses are of the dense path."""
     if part.joint is None:
@@ -210,7 +210,11 @@ def grasp_checks(
 
 
 def reach_check(
-    part: Part, verb: str, motion: Motion, Ts_world_tool: Float[np.ndarray, "m 4 4"], limits: Limits
+    part: MovedPart,
+    verb: str,
+    motion: Motion,
+    Ts_world_tool: Float[np.ndarray, "m 4 4"],
+    limits: Limits,
 ) -> Check:
     """Whether the tool is at the part where it holds it: all along, or at its end for a pick.
 

@@ -12,7 +12,7 @@ import numpy as np
 from momapos.errors import RobotError, unknown_name
 from momapos.geometry.transforms import invert, pose_planar
 from momapos.kinematics.articulated import Articulated
-from momapos.verification.bodies import Bodies, body_poses
+from momapos.verification.link_bodies import LinkBodies, body_poses
 from momapos.verification.shapes import Shapes, of_bodies, prepared
 from momapos.verification.sweep import all_pairs, deepest
 
@@ -42,7 +42,7 @@ class Arm(Protocol):
 class RobotCollisionModel:
     """A robot, ready to be put into many states."""
 
-    bodies: Bodies
+    bodies: LinkBodies
     joints: tuple[str, ...]
     lower: Float[np.ndarray, " n"]
     upper: Float[np.ndarray, " n"]
@@ -121,7 +121,7 @@ def _robot_collision_model(
     )
 
 
-def _link_pose(bodies: Bodies, link: str) -> Float[np.ndarray, "4 4"]:
+def _link_pose(bodies: LinkBodies, link: str) -> Float[np.ndarray, "4 4"]:
     """Pose of a link at rest in the root's frame."""
     T = body_poses(bodies, {}, np.eye(4))[0, bodies.of_link[link]]
     return np.asarray(T @ bodies.T_body_link[link])
@@ -138,7 +138,7 @@ def _among(
 
 
 def _self_pairs(
-    bodies: Bodies,
+    bodies: LinkBodies,
     shapes: Shapes,
     moved: Int[np.ndarray, " a"],
     disabled: frozenset[frozenset[str]],

@@ -14,8 +14,8 @@ from momapos.geometry.transforms import apply, invert
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.hulls import Hull
 from momapos.kinematics.urdf import Geometry
-from momapos.verification.bodies import Bodies, bodies_of
 from momapos.verification.convex import Body
+from momapos.verification.link_bodies import LinkBodies, bodies_of
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
@@ -102,13 +102,13 @@ class Shapes:
 
 
 @lru_cache(maxsize=512)
-def prepared(model: Articulated) -> tuple[Bodies, Shapes]:
-    """Bodies and shapes of a model, made once for all tasks."""
+def prepared(model: Articulated) -> tuple[LinkBodies, Shapes]:
+    """LinkBodies and shapes of a model, made once for all tasks."""
     bodies = bodies_of(model)
     return bodies, shapes_of(model, bodies)
 
 
-def shapes_of(model: Articulated, bodies: Bodies) -> Shapes:
+def shapes_of(model: Articulated, bodies: LinkBodies) -> Shapes:
     """All collision elements of a model."""
     names, numbers, made = [], [], []
     for name, link in model.urdf.links.items():

@@ -138,7 +138,7 @@ def _draw_edges(axes: Any, result: Importance, nodes: Float[np.ndarray, "n 2"]) 
         lines = np.stack([nodes[graph.child[mine]], nodes[graph.parent[mine]]], axis=1)
         axes.add_collection(
             LineCollection(
-                list(lines), colors=look.colour, linewidths=look.width, linestyles=[look.dashes],
+                list(lines), colors=look.color, linewidths=look.width, linestyles=[look.dashes],
                 alpha=look.alpha, zorder=_EDGE_LAYER + (kind != "near"),
             ),
             autolim=False,
@@ -150,7 +150,7 @@ def _draw_edges(axes: Any, result: Importance, nodes: Float[np.ndarray, "n 2"]) 
             axes.annotate(
                 "", xy=middle, xytext=middle - 0.02 * (b - a), zorder=_EDGE_LAYER + 1,
                 arrowprops={
-                    "arrowstyle": "-|>", "color": look.colour, "lw": 0, "mutation_scale": 7,
+                    "arrowstyle": "-|>", "color": look.color, "lw": 0, "mutation_scale": 7,
                     "shrinkA": 0, "shrinkB": 0,
                 },
             )  # fmt: skip
@@ -161,9 +161,9 @@ def _draw_nodes(
 ) -> None:
     """Numbered circles, filled for S; a thin line leads to the object where one had to move."""
     chosen, place = _chosen(result), _places(result)
-    for mine, colour in ((chosen, SELECTED), (~chosen, SOFT_INK)):
+    for mine, color in ((chosen, SELECTED), (~chosen, SOFT_INK)):
         dots = nodes[mine & (place >= NUMBERED)]
-        axes.plot(*dots.T, "o", color=colour, markersize=3, mew=0, zorder=_NODE_LAYER)
+        axes.plot(*dots.T, "o", color=color, markersize=3, mew=0, zorder=_NODE_LAYER)
     for i in np.flatnonzero(place < NUMBERED):
         if np.linalg.norm(nodes[i] - centers[i]) > 0.02:
             way = np.stack([centers[i], nodes[i]])
@@ -243,11 +243,11 @@ def _legend(panel: Panel) -> None:
     for k, kind in enumerate(words):
         look, x, y = RELATIONS[kind], right * (k % 2), panel.y + 0.035
         panel.axes.plot(
-            [x, x + 0.24], [y, y], color=look.colour, lw=look.width, ls=look.dashes,
+            [x, x + 0.24], [y, y], color=look.color, lw=look.width, ls=look.dashes,
             alpha=look.alpha,
         )  # fmt: skip
         if kind != "near":
-            panel.axes.plot(x + 0.16, y, marker=">", color=look.colour, markersize=3.5, mew=0)
+            panel.axes.plot(x + 0.16, y, marker=">", color=look.color, markersize=3.5, mew=0)
         panel.text(words[kind], x=x + 0.32, size=7)
         panel.y -= 0.18 * (k % 2)
     meanings = (("target", True, True), ("in S", True, False), ("not in S", False, False))

@@ -7,7 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.placement.area import BaseStatus, Site, arm_radius, standing, within_reach
+from momapos.placement.area import (
+    BaseStatus,
+    PlacementGeometry,
+    arm_radius,
+    base_pose_status,
+    within_reach,
+)
 from momapos.placement.potential import attraction
 from momapos.protocols import ReachScorer
 
@@ -37,18 +43,18 @@ class Heat:
         return (float(self.low[0]), float(right), float(self.low[1]), float(top))
 
 
-def potential_map(site: Site, reach: ReachScorer, *, cell: float) -> Heat | None:
+def potential_map(geometry: PlacementGeometry, reach: ReachScorer, *, cell: float) -> Heat | None:
     """Evaluate reachability plus attraction on a grid, as the weakest waypoint has them.
 
     Args:
-        site: Room and task.
+        geometry: Room and task.
         reach: The robot's reachability map.
         cell: Edge of a cell [m].
 
     Returns:
         None where no position is within the arm's length of all waypoints.
     """
-    corners = _reachable(site)
+    corners = _reachable(geometry)
     if corners is None:
         return None
     low = np.floor(corners[0] / cell) * cell
@@ -60,22 +66,22 @@ def potential_map(site: Site, reach: ReachScorer, *, cell: float) -> Heat | None
     poses = np.column_stack([np.repeat(xy, YAWS, axis=0), np.tile(yaw, len(xy))])
     # What the arm reaches is asked first, as it is the cheaper question.
     score = np.zeros(len(poses))
-    near = np.flatnonzero(within_reach(site, poses))
-    score[near] = reach.weakest(poses[near], site.Ts_world_tool).max(1, initial=0.0)
+    near = np.flatnonzero(within_reach(geometry, poses))
+    score[near] = reach.min_score(poses[near], geometry.Ts_world_tool).max(1, initial=0.0)
     near = near[score[near] > 0]
-    score[near[standing(site, poses[near])[0] != BaseStatus.CLEAR]] = 0.0
+    score[near[base_pose_status(geometry, poses[near])[0] != BaseStatus.CLEAR]] = 0.0
     best = score.reshape(-1, YAWS).max(1)
     seen = np.flatnonzero(best > 0)
     value = np.zeros(len(xy))
-    field = attraction(site, xy[seen], np.array([site.shoulder[2]]))
+    field = attraction(geometry, xy[seen], np.array([geometry.shoulder[2]]))
     value[seen] = (best[seen] + field) / 2
     return Heat(value.reshape(rows, columns), low, cell)
 
 
-def _reachable(site: Site) -> Float[np.ndarray, "2 2"] | None:
+def _reachable(geometry: PlacementGeometry) -> Float[np.ndarray, "2 2"] | None:
     """The floor rectangle that holds every base within the arm's length of all waypoints [m]."""
-    reach = (arm_radius(site) + np.linalg.norm(site.shoulder[:2]))[:, None]
-    targets = site.Ts_world_tool[0, :, :2, 3]
+    reach = (arm_radius(geometry) + np.linalg.norm(geometry.shoulder[:2]))[:, None]
+    targets = geometry.Ts_world_tool[0, :, :2, 3]
     low, high = (targets - reach).max(0), (targets + reach).min(0)
     # NaN where a waypoint is out of reach at any distance: the comparison is then False.
     return np.stack([low, high]) if (low < high).all() else None

@@ -18,7 +18,7 @@ _CORNERS = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
 
 
 def outline(points: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "k 2"] | None:
-    """The convex outline of points from above, anticlockwise; None where they span no area."""
+    """The convex outline of points from above, counterclockwise; None where they span no area."""
     try:
         xy = points[ConvexHull(points[:, :2]).vertices, :2]
     except (QhullError, ValueError):

@@ -1,4 +1,4 @@
-"""The colours of all pictures, told apart without red and green (after Okabe and Ito, and Tol)."""
+"""The colors of all pictures, told apart without red and green (after Okabe and Ito, and Tol)."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ SELECTED, UNSELECTED, SELECTED_BAR = "#2a7ab8", "#ffffff", "#bcd7ec"
 class Line:
     """How a line is drawn."""
 
-    colour: str
+    color: str
     width: float
     dashes: tuple[float, tuple[float, ...]] | str = "-"
     alpha: float = 1.0

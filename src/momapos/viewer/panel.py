@@ -10,7 +10,7 @@ import numpy as np
 from momapos.outcomes import PoseStatus
 from momapos.pipeline import PlacementResult
 from momapos.scene.scene import Scene
-from momapos.viewer.outcomes import KIND_OF, KINDS, Outcomes
+from momapos.viewer.candidate_markers import KIND_OF, KINDS, Outcomes
 from momapos.viewer.palette import (
     BAD,
     FAINT,
@@ -101,14 +101,14 @@ def _question(panel: Panel, scene: Scene, answer: PlacementResult) -> None:
 
 def _facts(panel: Panel, answer: PlacementResult) -> None:
     plan = answer.plan
-    word, colour = {
+    word, color = {
         "solved": ("solved", GOOD),
         "infeasible": ("infeasible: no base pose works", BAD),
         "timeout": ("out of time", BAD),
     }[plan.status]
     mark = "o" if plan.status == "solved" else "X"
-    panel.axes.plot(0.05, panel.y + 0.045, mark, color=colour, markersize=6, markeredgewidth=0)
-    panel.text(word, x=0.16, size=9, weight="bold", color=colour, fit=panel.width - 0.16, down=0.21)
+    panel.axes.plot(0.05, panel.y + 0.045, mark, color=color, markersize=6, markeredgewidth=0)
+    panel.text(word, x=0.16, size=9, weight="bold", color=color, fit=panel.width - 0.16, down=0.21)
     rows = []
     if plan.base_pose is not None:
         x, y, yaw = plan.base_pose
@@ -226,9 +226,9 @@ def _gradient(panel: Panel, highest: float) -> None:
     left, right = 0.62, panel.width - 0.3
     panel.text("0", x=left - 0.05, size=7, ha="right")
     panel.text(f"{highest:.2f}", x=right + 0.05, size=7)
-    colours = LinearSegmentedColormap.from_list("potential", ["#ffffff", *POTENTIAL])
+    colors = LinearSegmentedColormap.from_list("potential", ["#ffffff", *POTENTIAL])
     panel.axes.imshow(
-        np.linspace(0, 1, 128)[None], cmap=colours, aspect="auto", interpolation="bilinear",
+        np.linspace(0, 1, 128)[None], cmap=colors, aspect="auto", interpolation="bilinear",
         extent=(left, right, panel.y - 0.01, panel.y + 0.08),
     )  # fmt: skip
     panel.axes.set(xlim=(0, panel.width))

@@ -13,8 +13,8 @@ from momapos.kinematics.hulls import Boxes
 from momapos.pipeline import PlacementResult
 from momapos.protocols import ReachScorer
 from momapos.scene.scene import Scene
+from momapos.viewer.candidate_markers import KINDS, Outcomes, outcomes, thin
 from momapos.viewer.heat import Heat, potential_map
-from momapos.viewer.outcomes import KINDS, Outcomes, outcomes, thin
 from momapos.viewer.outlines import box_bounds, box_outlines, draw_union
 from momapos.viewer.palette import INK, PART, PART_BEFORE, PART_EDGE, POTENTIAL, SOFT_INK, WAYPOINT
 from momapos.viewer.panel import draw_panel
@@ -160,10 +160,10 @@ def _draw_heat(axes: Any, heat: Heat | None) -> float:
     if heat is None or highest <= 0:
         return 0.0
     steps = [(c, a) for c, a in zip((POTENTIAL[0], *POTENTIAL), (0.0, 0.8, 0.9, 0.95), strict=True)]
-    colours = LinearSegmentedColormap.from_list("potential", steps)
+    colors = LinearSegmentedColormap.from_list("potential", steps)
     axes.imshow(
         heat.value,
-        cmap=colours,
+        cmap=colors,
         vmin=0.0,
         vmax=highest,
         extent=heat.extent,
@@ -197,8 +197,8 @@ def _draw_candidates(
     """Draw where the base was tried, and what came of it."""
     xy = seen.poses[:, :2]
     shown = ((xy > view[0]) & (xy < view[1])).all(1)
-    if scene.floor is not None:
-        shown &= contains(scene.floor, xy)
+    if scene.floor_polygon is not None:
+        shown &= contains(scene.floor_polygon, xy)
     chosen = np.flatnonzero(shown)
     chosen = chosen[thin(xy[chosen], seen.kind[chosen], POINTS)]
     crowd = 1.0 if len(chosen) < 700 else 0.8
@@ -240,13 +240,13 @@ def _waypoints(answer: PlacementResult) -> Float[np.ndarray, "w 3"]:
     motion, planned = answer.prepared.motion, answer.plan.motion
     if planned is None:
         return motion.waypoints
-    return planned.Ts_world_tool[motion.coarse[1:] - motion.hold, :3, 3]
+    return planned.Ts_world_tool[motion.waypoint_steps[1:] - motion.grasp_step, :3, 3]
 
 
 def _draw_way(
     axes: Any, start: Float[np.ndarray, "3"], base: Float[np.ndarray, "3"], length: float | None
 ) -> None:
-    """Draw the way from the start to the base, labelled with its driving length."""
+    """Draw the way from the start to the base, labeled with its driving length."""
     from matplotlib.patheffects import withStroke
 
     way = np.stack([start[:2], base[:2]])

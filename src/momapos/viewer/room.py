@@ -40,16 +40,22 @@ def room(axes: Any, scene: Scene, *, target: str = "", moving: Collection[str] =
     """Draw a room from above.
 
     Args:
-        axes: Matplotlib axes in metres.
+        axes: Matplotlib axes in meters.
         scene: The room.
         target: Object that is set off from the others.
         moving: Links of the target that are left out, because somebody else draws them.
     """
     from matplotlib.patches import Polygon
 
-    if scene.floor is not None:
+    if scene.floor_polygon is not None:
         axes.add_patch(
-            Polygon(scene.floor, facecolor=FLOOR, edgecolor=FLOOR_EDGE, lw=0.8, zorder=FLOOR_LAYER)
+            Polygon(
+                scene.floor_polygon,
+                facecolor=FLOOR,
+                edgecolor=FLOOR_EDGE,
+                lw=0.8,
+                zorder=FLOOR_LAYER,
+            )
         )
     tallest = max((float(o.bounds[1, 2]) for o in scene.objects), default=1.0) or 1.0
     for item in scene.objects:
@@ -93,8 +99,8 @@ def _look(item: SceneObject, is_target: bool) -> tuple[str, str]:
 def room_bounds(scene: Scene) -> Float[np.ndarray, "2 2"]:
     """Lower and upper corner of everything in the room, seen from above [m]."""
     points = [item.bounds[:, :2] for item in scene.objects]
-    if scene.floor is not None:
-        points.append(scene.floor)
+    if scene.floor_polygon is not None:
+        points.append(scene.floor_polygon)
     if not points:
         return np.array([[-1.0, -1.0], [1.0, 1.0]])
     every = np.concatenate(points)

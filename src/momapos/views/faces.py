@@ -67,7 +67,7 @@ def box_faces(box: UprightBox) -> tuple[Face, ...]:
 def face_image(face: Face, frames: Sequence[Frame], *, pixels: int = 384) -> FaceImage:
     """Look straight at a face.
 
-    Colour comes from the first frame that shows a place with nothing before it. The height map is
+    Color comes from the first frame that shows a place with nothing before it. The height map is
     the mean of what all such frames measured there, since one depth image alone is too noisy to
     tell a handle from a door. Each counts by the inverse variance of a stereo camera at its
     distance, and the more the nearer its line of sight is to that of the first: what stands out
@@ -88,7 +88,7 @@ def face_image(face: Face, frames: Sequence[Frame], *, pixels: int = 384) -> Fac
     known = np.isfinite(near)
     height_map[known] = near[known]
     seen_from = cameras[0] if cameras else None
-    return FaceImage(view.colour, height_map, face.width, face.height, seen_from)
+    return FaceImage(view.color, height_map, face.width, face.height, seen_from)
 
 
 def camera_position_of(face: Face, frame: Frame) -> Float[np.ndarray, "3"]:
@@ -127,7 +127,7 @@ def _shape(face: Face, pixels: int) -> tuple[int, int]:
 class _View:
     """What frames have shown of a face so far."""
 
-    colour: UInt8[np.ndarray, "h w 3"]
+    color: UInt8[np.ndarray, "h w 3"]
     state: UInt8[np.ndarray, "h w"]
     """0 where no frame looked, `HIDDEN` where all saw something else, `CLEAR` elsewhere."""
     near: Float32[np.ndarray, "h w 2"]
@@ -153,8 +153,8 @@ def _look(face: Face, frame: Frame, view: _View, weight: float) -> None:
     T_camera_face = invert(frame.T_world_camera) @ face.T_world_face
     if T_camera_face[:3, 2] @ T_camera_face[:3, 3] < 0:  # the camera is on the outer side
         _sample(
-            frame.colour, depth, frame.depth is not None, np.ascontiguousarray(frame.intrinsics),
-            np.ascontiguousarray(T_camera_face), face.width, face.height, weight, view.colour,
+            frame.color, depth, frame.depth is not None, np.ascontiguousarray(frame.intrinsics),
+            np.ascontiguousarray(T_camera_face), face.width, face.height, weight, view.color,
             view.state, view.near, view.far,
         )  # fmt: skip
 
@@ -169,7 +169,7 @@ def _sample(
     width: float,
     height: float,
     weight: float,
-    colour: np.ndarray,
+    color: np.ndarray,
     state: np.ndarray,
     near: np.ndarray,
     far: np.ndarray,
@@ -211,4 +211,4 @@ def _sample(
             for k in range(3):
                 top = (1 - s) * image[b, a, k] + s * image[b, a + 1, k]
                 low = (1 - s) * image[b + 1, a, k] + s * image[b + 1, a + 1, k]
-                colour[i, j, k] = np.uint8((1 - t) * top + t * low + 0.5)
+                color[i, j, k] = np.uint8((1 - t) * top + t * low + 0.5)

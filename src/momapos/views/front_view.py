@@ -197,7 +197,7 @@ def _vote(
     look: Look,
     config: ViewConfig,
 ) -> Front:
-    """What one image's colours say of a face, with the height map that the best ones measured."""
+    """What one image's colors say of a face, with the height map that the best ones measured."""
     rest = [frames[i] for i in merged if i != chosen]
     return look_at(face, [frames[chosen], *rest], look, config.least)
 
@@ -205,7 +205,7 @@ def _vote(
 def _with(front: Front, face: Face, frame: Frame, before: Sequence[Seen]) -> Front:
     """A front with what was seen on it before.
 
-    A door that fills its face shows no edges, beside its neighbours it does.
+    A door that fills its face shows no edges, beside its neighbors it does.
     """
     for seen in before:
         known = placed(seen.parts, seen.face, face)

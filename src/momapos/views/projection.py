@@ -74,7 +74,7 @@ def projection(box: UprightBox, frame: Frame) -> tuple[float, float, float, floa
         return None
     pixels = points @ frame.intrinsics.T
     pixels = pixels[:, :2] / pixels[:, 2:]
-    height, width = frame.colour.shape[:2]
+    height, width = frame.color.shape[:2]
     if not (0 <= pixels[-1, 0] < width and 0 <= pixels[-1, 1] < height):
         return None
     low = np.clip(pixels.min(0), 0, [width, height])
@@ -122,7 +122,7 @@ def area(a: Rectangle) -> float:
 
 
 def _off_center(rectangle: tuple[float, float, float, float], frame: Frame) -> float:
-    height, width = frame.colour.shape[:2]
+    height, width = frame.color.shape[:2]
     half = np.array([width, height]) / 2
     middle = np.array([rectangle[0] + rectangle[2], rectangle[1] + rectangle[3]]) / 2
     return float(np.linalg.norm(middle - half) / np.linalg.norm(half))

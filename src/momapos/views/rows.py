@@ -48,7 +48,7 @@ class RowConfig:
     margin: float = 0.03
     """Parts that end this near to a window's end may go on beyond it [m]."""
     least_piece: float = 0.2
-    """A stretch without parts that is narrower than this belongs to its neighbour [m]."""
+    """A stretch without parts that is narrower than this belongs to its neighbor [m]."""
 
 
 def split_row(

@@ -35,7 +35,7 @@ class Box:
 
 
 @dataclass(frozen=True)
-class Motion:
+class JointMotion:
     """How a part moves against the body; the closed state is 0."""
 
     kind: Literal["revolute", "prismatic"]
@@ -48,12 +48,12 @@ class Motion:
 
 
 @dataclass(frozen=True)
-class Part:
+class FurniturePart:
     """What moves as one: the body, a door, a drawer."""
 
     name: str
     boxes: tuple[Box, ...]
-    motion: Motion | None = None
+    motion: JointMotion | None = None
     """None: fixed to the body."""
     handle: tuple[Box, ...] = ()
 
@@ -68,11 +68,11 @@ class Piece:
     """Origin of its frame in the world [m]."""
     yaw: float
     """Turn of its frame about the world's z axis [rad]."""
-    parts: tuple[Part, ...]
+    parts: tuple[FurniturePart, ...]
 
 
 def vec(values: Iterable[float]) -> Vec:
-    """Make a triple of plain floats, to 10 micrometres and without negative zeros."""
+    """Make a triple of plain floats, to 10 micrometers and without negative zeros."""
     x, y, z = (round(float(value), 5) + 0.0 for value in values)
     return x, y, z
 
@@ -84,11 +84,11 @@ def union(name: str, boxes: Sequence[Box]) -> Box:
     return Box(name, vec(low), vec(high))
 
 
-def solid(name: str, category: str, size: Vec, centre: Vec, yaw: float = 0.0) -> Piece:
-    """A piece that is one box, its frame in the centre."""
+def solid(name: str, category: str, size: Vec, center: Vec, yaw: float = 0.0) -> Piece:
+    """A piece that is one box, its frame in the center."""
     half = tuple(value / 2 for value in size)
     box = Box(name, vec(-value for value in half), vec(half))
-    return Piece(name, category, centre, yaw, (Part("body", (box,)),))
+    return Piece(name, category, center, yaw, (FurniturePart("body", (box,)),))
 
 
 def bar_handle(
@@ -106,8 +106,8 @@ def bar_handle(
 
     Args:
         part: Name of the part that it is on.
-        x: Its centre [m].
-        z: Its centre [m].
+        x: Its center [m].
+        z: Its center [m].
         length: Of the bar [m].
         upright: Along z; else along x.
         front: The y coordinate of the surface that it stands on [m].
@@ -116,10 +116,10 @@ def bar_handle(
     """
     along = np.array([0.0, 0.0, 1.0] if upright else [1.0, 0.0, 0.0])
     across = np.array([1.0, 0.0, 0.0] if upright else [0.0, 0.0, 1.0])
-    centre = np.array([x, front - stand_off - bar / 2, z])
+    center = np.array([x, front - stand_off - bar / 2, z])
     half = along * length / 2 + across * bar / 2 + np.array([0.0, bar / 2, 0.0])
     post = min(0.0075, bar / 2)
-    boxes = [Box(f"{part}_handle_bar", vec(centre - half), vec(centre + half))]
+    boxes = [Box(f"{part}_handle_bar", vec(center - half), vec(center + half))]
     for end, sign in (("a", -1.0), ("b", 1.0)):
         foot = np.array([x, front - stand_off / 2, z]) + sign * along * (length / 2 - bar)
         half = np.array([post, stand_off / 2, post])
@@ -131,7 +131,7 @@ def bar_handle(
 
 
 def part_poses(
-    piece: Piece, part: Part, values: Float[np.ndarray, " s"]
+    piece: Piece, part: FurniturePart, values: Float[np.ndarray, " s"]
 ) -> Float[np.ndarray, "s 4 4"]:
     """Motion of a part in the world: maps where its points are when closed, in the piece's frame.
 
@@ -154,10 +154,10 @@ def part_poses(
     return T_world_piece @ Ts_piece_part
 
 
-def centres_and_halves(
+def centers_and_halves(
     boxes: Sequence[Box],
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
-    """Centres and half sizes of boxes [m], in the frame of their piece."""
+    """Centers and half sizes of boxes [m], in the frame of their piece."""
     low, high = np.array([b.low for b in boxes]), np.array([b.high for b in boxes])
     return (low + high) / 2, (high - low) / 2
 
@@ -167,32 +167,32 @@ class Obstacles:
     """Boxes in the world."""
 
     R: Float[np.ndarray, "n 3 3"]
-    centres: Float[np.ndarray, "n 3"]
+    centers: Float[np.ndarray, "n 3"]
     halves: Float[np.ndarray, "n 3"]
 
     def bounds(self) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
         """Lowest and highest corners of the axis-aligned boxes around them [m]."""
         half = np.einsum("nij,nj->ni", np.abs(self.R), self.halves)
-        return self.centres - half, self.centres + half
+        return self.centers - half, self.centers + half
 
 
 def obstacles(pieces: Iterable[Piece], without: tuple[str, str] | None = None) -> Obstacles:
     """Collect all boxes of closed furniture, but for one part given by piece and name."""
-    Rs, centres, halves = [], [], []
+    Rs, centers, halves = [], [], []
     for piece in pieces:
         for part in piece.parts:
             boxes = (*part.boxes, *part.handle)
             if boxes and (piece.name, part.name) != without:
                 T = part_poses(piece, part, np.zeros(1))[0]
-                centre, half = centres_and_halves(boxes)
+                center, half = centers_and_halves(boxes)
                 Rs.append(np.tile(T[:3, :3], (len(boxes), 1, 1)))
-                centres.append(apply(T, centre))
+                centers.append(apply(T, center))
                 halves.append(half)
-    return Obstacles(np.concatenate(Rs), np.concatenate(centres), np.concatenate(halves))
+    return Obstacles(np.concatenate(Rs), np.concatenate(centers), np.concatenate(halves))
 
 
 def hits(
-    piece: Piece, part: Part, values: Float[np.ndarray, " s"], others: Obstacles
+    piece: Piece, part: FurniturePart, values: Float[np.ndarray, " s"], others: Obstacles
 ) -> Bool[np.ndarray, " s"]:
     """Whether a part overlaps other boxes at each joint value [rad] or [m].
 
@@ -200,12 +200,12 @@ def hits(
     share an axis, as everything does here but a few small objects; for these it errs to a hit.
     """
     Ts = part_poses(piece, part, values)
-    centre, h = centres_and_halves((*part.boxes, *part.handle))
-    R, c = Ts[:, :3, :3], apply(Ts, centre)
+    center, h = centers_and_halves((*part.boxes, *part.handle))
+    R, c = Ts[:, :3, :3], apply(Ts, center)
     reach = np.einsum("sij,mj->smi", np.abs(R), h)
     low, high = others.bounds()
     near = np.all((low < (c + reach).max((0, 1))) & (high > (c - reach).min((0, 1))), axis=1)
-    R2, c2, h2 = others.R[near], others.centres[near], others.halves[near]
+    R2, c2, h2 = others.R[near], others.centers[near], others.halves[near]
     t = c2 - c[:, :, None]
     A = np.abs(np.einsum("sji,njk->snik", R, R2))
     own = h[:, None] + np.einsum("snij,nj->sni", A, h2)[:, None]

@@ -14,13 +14,13 @@ from scipy.spatial.transform import Rotation
 
 from momapos.errors import InputError
 from momapos.scene.copies import copy_files
-from momapos.scene.library.furniture import Box, Part, Piece, Vec, centres_and_halves, vec
+from momapos.scene.library.furniture import Box, FurniturePart, Piece, Vec, centers_and_halves, vec
 from momapos.scene.scene import SceneObject
 
 COPIED = ".model"
 """Suffix of a folder with the files of an object that has a URDF of its own."""
 DENSITY = 400.0  # [kg/m^3] of everything: light wood
-COLOURS = {
+COLORS = {
     "body": "0.85 0.83 0.78 1",
     "front": "0.55 0.65 0.72 1",
     "handle": "0.2 0.2 0.22 1",
@@ -41,7 +41,7 @@ def write_kitchen(
         out: The scene file; the URDF files go into `<stem>_urdf` beside it.
         name: Name of the scene.
         pieces: The furniture; one that is a single box needs no URDF.
-        floor: Corners of the floor in the world, anticlockwise [m]; None where it has no known end.
+        floor: Corners of the floor in the world, counterclockwise [m]; None where it has no end.
         start: Where the robot's base stands at first: x [m], y [m], yaw [rad]; None if not known.
         others: Objects with URDF files of their own, which are copied with their meshes.
 
@@ -139,9 +139,9 @@ def _object(piece: Piece, folder: str) -> dict[str, Any]:
     xyz = np.array(piece.xyz)
     box = piece.parts[0].boxes[0]
     if is_single_box(piece):
-        (centre,), (half,) = centres_and_halves((box,))
+        (center,), (half,) = centers_and_halves((box,))
         c, s = np.cos(piece.yaw), np.sin(piece.yaw)
-        xyz += [c * centre[0] - s * centre[1], s * centre[0] + c * centre[1], centre[2]]
+        xyz += [c * center[0] - s * center[1], s * center[0] + c * center[1], center[2]]
     wxyz = [round(float(f(piece.yaw / 2)), 9) + 0.0 for f in (np.cos, np.sin)]
     entry["pose"] = {"xyz": vec(xyz), "wxyz": [wxyz[0], 0.0, 0.0, wxyz[1]]}
     if is_single_box(piece):
@@ -150,7 +150,7 @@ def _object(piece: Piece, folder: str) -> dict[str, Any]:
     return {**entry, "urdf": f"{folder}/{piece.name}.urdf", "scale": 1.0, "joints": joints}
 
 
-def joint_name(part: Part) -> str:
+def joint_name(part: FurniturePart) -> str:
     """Name of the joint that moves a part."""
     if part.motion is None:
         return f"{part.name}_mount"
@@ -161,8 +161,8 @@ def urdf_text(piece: Piece) -> str:
     """Write a piece as a URDF; the handle of a part is a link of its own, fixed to the part."""
     body = piece.parts[0]
     lines = ['<?xml version="1.0"?>', f'<robot name="{piece.name}">']
-    for colour, rgba in COLOURS.items():
-        lines.append(f'  <material name="{colour}"><color rgba="{rgba}"/></material>')
+    for color, rgba in COLORS.items():
+        lines.append(f'  <material name="{color}"><color rgba="{rgba}"/></material>')
     lines += _link(body.name, body.boxes, (0.0, 0.0, 0.0), "body")
     for part in piece.parts[1:]:
         origin = part.motion.pivot if part.motion is not None else (0.0, 0.0, 0.0)
@@ -171,11 +171,11 @@ def urdf_text(piece: Piece) -> str:
         if part.handle:
             handle = f"{part.name}_handle"
             lines += _link(handle, part.handle, origin, "handle")
-            lines += _joint(Part(handle, ()), part.name, (0.0, 0.0, 0.0))
+            lines += _joint(FurniturePart(handle, ()), part.name, (0.0, 0.0, 0.0))
     return "\n".join([*lines, "</robot>", ""])
 
 
-def _joint(part: Part, parent: str, origin: Vec) -> list[str]:
+def _joint(part: FurniturePart, parent: str, origin: Vec) -> list[str]:
     """The lines of the joint between a part and its parent."""
     kind = "fixed" if part.motion is None else part.motion.kind
     lines = [
@@ -192,26 +192,26 @@ def _joint(part: Part, parent: str, origin: Vec) -> list[str]:
     return [*lines, "  </joint>"]
 
 
-def _link(name: str, boxes: Sequence[Box], origin: Vec, colour: str) -> list[str]:
+def _link(name: str, boxes: Sequence[Box], origin: Vec, color: str) -> list[str]:
     """The lines of a link; its boxes are moved from the piece's frame to the link's."""
     lines = [f'  <link name="{name}">', _inertial(boxes, origin)]
-    for box, centre, half in zip(boxes, *centres_and_halves(boxes), strict=True):
+    for box, center, half in zip(boxes, *centers_and_halves(boxes), strict=True):
         shape = (
-            f'<origin xyz="{_text(centre - origin)}"/>'
+            f'<origin xyz="{_text(center - origin)}"/>'
             f'<geometry><box size="{_text(2 * half)}"/></geometry>'
         )
-        lines.append(f'    <visual name="{box.name}">{shape}<material name="{colour}"/></visual>')
+        lines.append(f'    <visual name="{box.name}">{shape}<material name="{color}"/></visual>')
         lines.append(f"    <collision>{shape}</collision>")
     return [*lines, "  </link>"]
 
 
 def _inertial(boxes: Sequence[Box], origin: Vec) -> str:
     """Mass and inertia of boxes of one density."""
-    centres, halves = centres_and_halves(boxes)
+    centers, halves = centers_and_halves(boxes)
     masses = DENSITY * np.prod(2 * halves, axis=1)
     mass = masses.sum()
-    centre = masses @ centres / mass
-    offset = centres - centre
+    center = masses @ centers / mass
+    offset = centers - center
     # a box of half sizes h turns like its mass at +-h/sqrt(3) along each of its axes
     second = np.einsum("n,ni,nj->ij", masses, offset, offset) + np.diag(masses @ halves**2 / 3)
     I = np.trace(second) * np.eye(3) - second  # noqa: E741
@@ -219,7 +219,7 @@ def _inertial(boxes: Sequence[Box], origin: Vec) -> str:
         f'i{"xyz"[i]}{"xyz"[j]}="{I[i, j]:.4g}"' for i in range(3) for j in range(i, 3)
     )
     return (
-        f'    <inertial><origin xyz="{_text(centre - origin)}"/>'
+        f'    <inertial><origin xyz="{_text(center - origin)}"/>'
         f'<mass value="{mass:.4g}"/><inertia {terms}/></inertial>'
     )
 

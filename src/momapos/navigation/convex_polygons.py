@@ -63,7 +63,7 @@ class RobotPrisms:
     """What drives: the robot with its arm at home."""
 
     outlines: tuple[Float[np.ndarray, "_ 2"], ...]
-    """From the floor up, convex and anticlockwise, in the base frame [m]."""
+    """From the floor up, convex and counterclockwise, in the base frame [m]."""
     heights: Float[np.ndarray, " k+1"]
     """Where each begins, and the top of the robot [m]."""
 
@@ -91,7 +91,7 @@ class RobotPrisms:
 
 @dataclass(frozen=True, eq=False)
 class ConvexPolygons:
-    """Convex polygons on the floor, anticlockwise, one after the other."""
+    """Convex polygons on the floor, counterclockwise, one after the other."""
 
     corner: Float[np.ndarray, "p 2"]
     normal: Float[np.ndarray, "p 2"]

@@ -19,13 +19,13 @@ FULL_TURN = 0.95 * 2 * np.pi
 
 
 @dataclass(frozen=True)
-class Frame:
+class ArmAxes:
     """Where the first and the last axis of an arm are."""
 
     first: int
     """Index of the first revolute joint; only vertical prismatic joints come before it."""
     turn: float
-    """1 where the first joint turns anticlockwise seen from above, else -1."""
+    """1 where the first joint turns counterclockwise seen from above, else -1."""
     limits: tuple[float, float]
     """Of the first joint [rad]."""
     axis: Float[np.ndarray, "3"]
@@ -36,7 +36,7 @@ class Frame:
     """Whether the last joint turns fully."""
 
 
-def arm_frame(chain: Chain, approach_axis: Float[np.ndarray, "3"]) -> Frame:
+def arm_frame(chain: Chain, approach_axis: Float[np.ndarray, "3"]) -> ArmAxes:
     """Find the first and the last axis of an arm.
 
     Raises:
@@ -62,7 +62,7 @@ def arm_frame(chain: Chain, approach_axis: Float[np.ndarray, "3"]) -> Frame:
     foot = np.array([origin[first, 0], origin[first, 1], 0.0])
     turn = float(np.sign(chain.h[first, 2]))
     limits = float(chain.lower[first]), float(chain.upper[first])
-    return Frame(first, turn, limits, foot, rows @ chain.tool_rotation, full)
+    return ArmAxes(first, turn, limits, foot, rows @ chain.tool_rotation, full)
 
 
 def _nearest(o: np.ndarray, h: np.ndarray, other: np.ndarray, k: np.ndarray) -> np.ndarray:

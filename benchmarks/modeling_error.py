@@ -1,12 +1,12 @@
 """How far the model of a fridge is off: the paper's table, on scans of real fridges.
 
-    python benchmarks/modelling_error.py [--frames 30] [--out bench_out]
+    python benchmarks/modeling_error.py [--frames 30] [--out bench_out]
 
 Every fridge of the shared data stands before a wall, is scanned with the noise of a RealSense
-435 and modelled three times. The error is the mean of the distance of the handle from its true
-place and of the differences of the box's three sides (MoMa-Pos, table on modelling).
+435 and modeled three times. The error is the mean of the distance of the handle from its true
+place and of the differences of the box's three sides (MoMa-Pos, table on modeling).
 
-- vanilla: the parts on a box of one metre, which is all that a single picture's network gives;
+- vanilla: the parts on a box of one meter, which is all that a single picture's network gives;
 - box from RGB: what the straightest whole picture and the floor give, its depth that of a usual
   fridge;
 - box from points: ours.
@@ -59,7 +59,9 @@ def room(name: str) -> Scene:
     fridge = replace(raw, T_world_object=pose((-high[0], -(low[1] + high[1]) / 2, -low[2])))
     wall = Articulated(box_urdf("wall", (0.1, 4.0, 2.5)))
     items = (fridge, SceneObject("wall", "wall", pose((0.06, 0.0, 1.25)), wall))
-    return Scene(name, items, floor=np.array([[-4, -2], [0.0, -2], [0.0, 2], [-4, 2]], float))
+    return Scene(
+        name, items, floor_polygon=np.array([[-4, -2], [0.0, -2], [0.0, 2], [-4, 2]], float)
+    )
 
 
 def _as_drawn(urdf: Urdf) -> Urdf:
@@ -94,7 +96,7 @@ def whole_in(frames: Sequence[Frame], face: Face, box: UprightBox) -> Frame:
     upright = [frame for frame in frames if frame.T_world_camera[2, 1] < -0.5]
     whole = []
     for frame in upright:
-        rectangle, (height, width) = projection(box, frame), frame.colour.shape[:2]
+        rectangle, (height, width) = projection(box, frame), frame.color.shape[:2]
         if rectangle is not None and min(rectangle) > 0:
             whole += [frame] if rectangle[2] < width and rectangle[3] < height else []
     return whole[int(np.argmax(cosines_to(face, whole)))]
@@ -181,7 +183,7 @@ def main() -> None:
     args = parser.parse_args()
     rows = {}
     for name in FRIDGES:
-        rows[name] = measure(name, args.frames, args.out / "modelling" / name.replace("/", "_"))
+        rows[name] = measure(name, args.frames, args.out / "modeling" / name.replace("/", "_"))
         print(name, {key: round(value, 3) for key, value in rows[name].items()}, flush=True)
     means = {
         method: float(np.nanmean([row[method] for row in rows.values()])) for method in METHODS
@@ -189,7 +191,7 @@ def main() -> None:
     for method, paper in zip(METHODS, (0.38, 0.13, 0.04), strict=True):
         print(f"{method:16} {means[method]:.3f} m (paper {paper:.2f} m)")
     args.out.mkdir(parents=True, exist_ok=True)
-    (args.out / "modelling_error.json").write_text(json.dumps(rows, indent=1) + "\n")
+    (args.out / "modeling_error.json").write_text(json.dumps(rows, indent=1) + "\n")
 
 
 if __name__ == "__main__":

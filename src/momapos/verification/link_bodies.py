@@ -19,7 +19,7 @@ Values: TypeAlias = "Mapping[str, float | Float[np.ndarray, ' s']]"
 
 
 @dataclass(frozen=True)
-class Bodies:
+class LinkBodies:
     """The links of a model, those that are rigidly joined as one body; body 0 has the root link.
 
     The frame of a body is that of the joint that moves it, the root link's for body 0.
@@ -55,7 +55,7 @@ class Bodies:
         return depth
 
 
-def bodies_of(model: Articulated) -> Bodies:
+def bodies_of(model: Articulated) -> LinkBodies:
     """Group a model's links into bodies."""
     joints: list[Joint | None] = [None]
     parent, offsets = [-1], [np.eye(4)]
@@ -70,13 +70,13 @@ def bodies_of(model: Articulated) -> Bodies:
             body, T = len(parent) - 1, np.eye(4)
         of_link[joint.child], T_body_link[joint.child] = body, T
     of_joint = {joint.name: body for body, joint in enumerate(joints) if joint is not None}
-    return Bodies(
+    return LinkBodies(
         tuple(joints), tuple(parent), np.array(offsets), of_link, T_body_link, of_joint, model.rest
     )
 
 
 def body_poses(
-    bodies: Bodies, values: Values, T_world_root: Float[np.ndarray, "4 4"]
+    bodies: LinkBodies, values: Values, T_world_root: Float[np.ndarray, "4 4"]
 ) -> Float[np.ndarray, "s b 4 4"]:
     """World poses of all bodies for a batch of states.
 

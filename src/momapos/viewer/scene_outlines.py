@@ -18,10 +18,10 @@ def draw_scene(scene: Scene, path: Path) -> None:
 
     figure = Figure(figsize=(8, 8), layout="constrained")
     axes = figure.subplots()
-    if scene.floor is not None:
-        axes.add_patch(Polygon(scene.floor, facecolor="0.95", edgecolor="0.5", zorder=0))
+    if scene.floor_polygon is not None:
+        axes.add_patch(Polygon(scene.floor_polygon, facecolor="0.95", edgecolor="0.5", zorder=0))
     for index, item in enumerate(scene.objects):
-        colour = f"C{index % 10}"
+        color = f"C{index % 10}"
         for link, T in item.link_poses().items():
             for hull in item.model.hulls[link]:
                 points = apply(T, hull.vertices)
@@ -31,7 +31,7 @@ def draw_scene(scene: Scene, path: Path) -> None:
                     continue
                 height = float(points[:, 2].max())
                 axes.add_patch(
-                    Polygon(outline, facecolor=colour, alpha=0.35, edgecolor=colour, zorder=height)
+                    Polygon(outline, facecolor=color, alpha=0.35, edgecolor=color, zorder=height)
                 )
         low, high = item.bounds
         x, y = (low + high)[:2] / 2

@@ -1,4 +1,4 @@
-"""Why an object was modelled as it was: the image that was chosen, the parts found, the fit."""
+"""Why an object was modeled as it was: the image that was chosen, the parts found, the fit."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 _EDGES = ((0, 1), (0, 2), (0, 4), (1, 3), (1, 5), (2, 3), (2, 6), (3, 7), (4, 5), (4, 6), (5, 7),
           (6, 7))  # fmt: skip
-COLOURS = {
+COLORS = {
     "door_left": "#e07b39", "door_right": "#2a9d8f", "door_down": "#b5179e", "door_up": "#7209b7",
     "drawer": "#3a86ff",
 }  # fmt: skip
@@ -33,7 +33,7 @@ MOST_POINTS = 20_000
 """Points of the cloud that are drawn [-]."""
 
 
-def draw_modelled(
+def draw_modeled(
     detection: Detection,
     view: View | None,
     frames: Sequence[Frame],
@@ -71,7 +71,7 @@ def draw_modelled(
 
 def _frame(axes: Axes, frame: Frame, detection: Detection, angle: float) -> None:
     """The chosen image with the object's box."""
-    axes.imshow(frame.colour)
+    axes.imshow(frame.color)
     points = apply(invert(frame.T_world_camera), corners(detection.box))
     visible = points[:, 2] > 0.1
     pixels = points @ frame.intrinsics.T
@@ -79,7 +79,7 @@ def _frame(axes: Axes, frame: Frame, detection: Detection, angle: float) -> None
     for a, b in _EDGES:
         if visible[a] and visible[b]:
             axes.plot(*pixels[[a, b]].T, color="#ff3366", linewidth=1.5)
-    height, width = frame.colour.shape[:2]
+    height, width = frame.color.shape[:2]
     axes.set(xlim=(0, width), ylim=(height, 0))
     axes.set_axis_off()
     axes.set_title(f"{frame.name}, {angle:.0f} deg off the normal")
@@ -88,16 +88,16 @@ def _frame(axes: Axes, frame: Frame, detection: Detection, angle: float) -> None
 def _face(axes: Axes, view: View) -> None:
     """The front seen straight on, with the parts and the side of their hinges."""
     width, height = view.image.width, view.image.height
-    axes.imshow(view.image.colour, extent=(0, width, 0, height))
+    axes.imshow(view.image.color, extent=(0, width, 0, height))
     for part in view.front.parts:
         left, top, right, bottom = part.box
-        colour = COLOURS[part.kind]
+        color = COLORS[part.kind]
         corner = (left * width, (1 - bottom) * height)
         size = ((right - left) * width, (bottom - top) * height)
-        axes.add_patch(Rectangle(corner, *size, fill=False, edgecolor=colour, linewidth=2))
-        axes.plot(*_hinge(part, width, height), color=colour, linewidth=5, alpha=0.6)
+        axes.add_patch(Rectangle(corner, *size, fill=False, edgecolor=color, linewidth=2))
+        axes.plot(*_hinge(part, width, height), color=color, linewidth=5, alpha=0.6)
         label = f"{part.kind} {part.score:.2f}"
-        axes.text(corner[0], corner[1] + size[1], label, color=colour, fontsize=8, va="bottom")
+        axes.text(corner[0], corner[1] + size[1], label, color=color, fontsize=8, va="bottom")
         if part.handle is not None:
             left, top, right, bottom = part.handle
             corner = (left * width, (1 - bottom) * height)
@@ -133,9 +133,9 @@ def _fit(
     step = max(1, len(detection.members) // MOST_POINTS)
     members = detection.members[::step]
     points = apply(T_face_world, cloud.points[members])
-    colours = cloud.colours[members] / 255.0
+    colors = cloud.colors[members] / 255.0
     for axes, columns, side_name in ((front, (0, 1), "front"), (side, (2, 1), "side")):
-        axes.scatter(points[:, columns[0]], points[:, columns[1]], s=0.5, c=colours)
+        axes.scatter(points[:, columns[0]], points[:, columns[1]], s=0.5, c=colors)
         if model is not None:
             _outline(axes, model, T_face_world, columns)
         axes.set_aspect("equal")
@@ -165,5 +165,5 @@ def _outline(
                 ring = flat[ConvexHull(flat).vertices]
             except QhullError:
                 continue  # seen edge-on it is a line
-            colour = "0.3" if link == model.model.urdf.root else "#d00000"
-            axes.add_patch(Polygon(ring, fill=False, edgecolor=colour, linewidth=0.8))
+            color = "0.3" if link == model.model.urdf.root else "#d00000"
+            axes.add_patch(Polygon(ring, fill=False, edgecolor=color, linewidth=0.8))

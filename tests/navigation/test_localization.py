@@ -6,7 +6,7 @@ import numpy as np
 
 from momapos.geometry.transforms import wrap_angle
 from momapos.navigation.base import integrate
-from momapos.navigation.localisation import Localiser, NoiseConfig
+from momapos.navigation.localization import Localiser, NoiseConfig
 
 
 def test_a_motion_is_that_of_many_small_steps() -> None:

@@ -93,8 +93,8 @@ def thin(
     while len(chosen) > most:
         cell += 0.05
         cells = np.floor(points / cell).astype(np.int64)
-        off_centre = np.abs(points / cell - cells - 0.5).max(1).round(2)
-        order = np.lexsort((off_centre, -rank, cells[:, 1], cells[:, 0]))
+        off_center = np.abs(points / cell - cells - 0.5).max(1).round(2)
+        order = np.lexsort((off_center, -rank, cells[:, 1], cells[:, 0]))
         step = np.diff(cells[order], axis=0, prepend=cells[order[:1]] - 1)
         chosen = order[(step != 0).any(1)]
     return np.sort(chosen)

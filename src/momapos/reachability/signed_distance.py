@@ -1,4 +1,4 @@
-"""From answers at grid points to a signed margin: how many cells the boundary is away.
+"""From answers at grid points to a signed distance: how many cells the boundary is away.
 
 Along every grid edge whose ends disagree the boundary is located by further answers on the edge.
 With crossings at distances t_i along the axes, the distance to a flat boundary is
@@ -12,16 +12,16 @@ import math
 import numpy as np
 
 from momapos.compiled import C1, C2, I2, U1, U2, entry, kernel
+from momapos.reachability.base_contact import BEARINGS
 from momapos.reachability.grid import DEPTH, OUTSIDE, STEPS, GridShape
-from momapos.reachability.standing import BEARINGS
 
 
 def uneven_edges(masks: np.ndarray, least: int) -> list[np.ndarray]:
-    """Indices of the points whose neighbour one step up disagrees, for each axis.
+    """Indices of the points whose neighbor one step up disagrees, for each axis.
 
     Args:
         masks: U2 (z, r, u, v).
-        least: In how many bearings they must disagree [-].
+        least: In how many azimuths they must disagree [-].
     """
     found = []
     for axis in range(masks.ndim):
@@ -33,7 +33,7 @@ def uneven_edges(masks: np.ndarray, least: int) -> list[np.ndarray]:
 
 
 def nearby(masks: np.ndarray, spread: int) -> np.ndarray:
-    """The bearings that a point or one of its neighbours has, and some to both sides of them.
+    """The azimuths that a point or one of its neighbors has, and some to both sides of them.
 
     Args:
         masks: U2 (z, r, u, v).
@@ -66,7 +66,7 @@ def _first_change(bit, here, there, row, interior, backwards):
 
 
 @entry
-def near_margins(
+def near_signed_distances(
     lo: int,
     hi: int,
     masks: U1,
@@ -75,15 +75,15 @@ def near_margins(
     interior: U2,
     out: C2,
 ) -> None:
-    """Signed margins next to the boundary, for points lo to hi.
+    """Signed signed distances next to the boundary, for points lo to hi.
 
     Args:
         lo, hi: Range of points.
         masks: U2 (points,).
-        shape: Number of points along z, r, u, v, bearing.
+        shape: Number of points along z, r, u, v, azimuth.
         rows: (4, points): row of `interior` for the edge one step up each axis, or -1.
         interior: (edges, k) answers on the uneven edges.
-        out: (points, bearings) int8.
+        out: (points, azimuths) int8.
     """
     nz, nr, nu, nv, nb = shape
     stride = (nr * nu * nv, nu * nv, nv, 1)
@@ -126,7 +126,7 @@ def deepen(
     values: C1,
     shape: GridShape,
 ) -> None:
-    """Count steps inwards: a point is at most one cell deeper than its neighbours."""
+    """Count steps inwards: a point is at most one cell deeper than its neighbors."""
     nz, nr, nu, nv, nb = shape
     stride = (nr * nu * nv * nb, nu * nv * nb, nv * nb, nb)
     count = (nz, nr, nu, nv)

@@ -52,8 +52,8 @@ def _draw_view(robot: Robot, axes: Axes, i: int, j: int) -> None:
     axes.add_collection(PatchCollection(boxes, facecolor="0.8", edgecolor="0.5", alpha=0.7))
     centers, held = sphere_centers(robot, robot.home)
     circles = [Circle((c[i], c[j]), r) for c, r in zip(centers, robot.spheres.radius, strict=True)]
-    colours = np.where(held, "tab:orange", "tab:blue")
-    axes.add_collection(PatchCollection(circles, facecolor=colours, edgecolor="none", alpha=0.25))
+    colors = np.where(held, "tab:orange", "tab:blue")
+    axes.add_collection(PatchCollection(circles, facecolor=colors, edgecolor="none", alpha=0.25))
     T = robot.chain.tool_poses(robot.home[None])[0]
     tip = T[:3, 3] + 0.12 * T[:3, :3] @ robot.approach_axis
     axes.annotate("", tip[[i, j]], T[[i, j], 3], arrowprops={"arrowstyle": "->", "color": "k"})
@@ -63,7 +63,7 @@ def _draw_view(robot: Robot, axes: Axes, i: int, j: int) -> None:
 def sphere_centers(
     robot: Robot, q: Float[np.ndarray, " n"]
 ) -> tuple[Float[np.ndarray, "s 3"], Float[np.ndarray, " s"]]:
-    """Centres of the collision spheres in the base frame [m], and which are the gripper's."""
+    """Centers of the collision spheres in the base frame [m], and which are the gripper's."""
     from momapos.kinematics.chain import chain_arrays
     from momapos.kinematics.collision import place_segments
 

@@ -27,7 +27,7 @@ LONG = 3.0
 
 
 @dataclass(frozen=True)
-class Bodies:
+class ObjectBodies:
     """All objects of a scene at their joint values, in the world frame."""
 
     upright: Boxes
@@ -53,7 +53,7 @@ class Bodies:
         return len(self.low)
 
 
-def stack_bodies(scene: Scene, upright: Boxes) -> Bodies:
+def stack_bodies(scene: Scene, upright: Boxes) -> ObjectBodies:
     """Stack the geometry of a scene; an object without geometry is a point at its origin."""
     rows = [_hull_rows(item) for item in scene.objects]
     flat = [row for group in rows for row in group]
@@ -69,7 +69,7 @@ def stack_bodies(scene: Scene, upright: Boxes) -> Bodies:
         scene, upright.rotation, points, vertex_start[np.r_[0, np.cumsum(objects)]]
     )
     group_boxes, group_counts = _groups(scene, rows, points, vertex_start)
-    return Bodies(
+    return ObjectBodies(
         upright=upright,
         low=low,
         high=high,

@@ -1,9 +1,9 @@
-"""Contact between the arm and the parts that do not turn with its first joint, for every bearing.
+"""Contact between the arm and the parts that do not turn with its first joint, for every azimuth.
 
 The base (and a torso, which only rises) stands still while the arm turns about a vertical axis.
 So a table over height and distance from that axis tells, in one word of bits, at which azimuths
-a sphere of a given radius touches; where the sphere is at bearing 0 says by how much to rotate
-the word. One look-up per sphere replaces a collision check per bearing.
+a sphere of a given radius touches; where the sphere is at azimuth 0 says by how much to rotate
+the word. One look-up per sphere replaces a collision check per azimuth.
 """
 
 from __future__ import annotations
@@ -83,11 +83,11 @@ def fill_words(
 
 @kernel
 def touched(wanted, R, p, spheres, first, axis, table):
-    """Those of the wanted bearings at which the arm touches a part that does not turn.
+    """Those of the wanted azimuths at which the arm touches a part that does not turn.
 
     Args:
-        wanted: Mask of bearings.
-        R, p: Segment poses at bearing 0, base at the origin.
+        wanted: Mask of azimuths.
+        R, p: Segment poses at azimuth 0, base at the origin.
         spheres: `Spheres.arrays()`.
         first: Index of the first turning joint.
         axis: Foot of its axis (3,) [m].
