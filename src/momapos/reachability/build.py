@@ -119,11 +119,10 @@ def _line_mask(R_tool, p_tool, closed, spins, arm, chain, limits, ik, shoulder_s
         spins: What is added to the last joint after the arm is solved [rad].
         arm: (first, turn, lower, upper, axis, turning, table), see `construct`.
         chain, limits, ik: The arm with its first joint freed.
-        shoulder_samples: For each sample, by the value at which it locks the first joint: (arcs: what
-            it can
-            serve, 0 where it does not lock it; value: its index; step: the values this far to
-            both sides are known before it, 0 for the first ones). A value between two that agree
-            is not tried, nor one that can add nothing.
+        shoulder_samples: For each sample, by the value at which it locks the first joint: (arcs:
+            what it can serve, 0 where it does not lock it; value: its index; step: the values this
+            far to both sides are known before it, 0 for the first ones). A value between two that
+            agree is not tried, nor one that can add nothing.
         work: Scratch.
     """
     first, turn, lower, upper, axis, turning, table = arm
