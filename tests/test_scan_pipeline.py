@@ -160,7 +160,7 @@ def test_the_command_prints_one_object_of_json(
         "--out",
         str(out),
         "--json",
-        "--no-images",
+        "--no-pictures",
         "--max-frames",
         "20",
     ]

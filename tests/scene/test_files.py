@@ -247,7 +247,7 @@ def test_converting_that_is_cut_off_can_be_done_again(
         folders.append((out.parent / "room_files").exists())
         raise KeyboardInterrupt
 
-    for step in ("momapos.scene.copies.read_bytes_bounded", "momapos.cli.scene.save_scene"):
+    for step in ("momapos.scene.copies.read_bytes_bounded", "momapos.scene.files.save_scene"):
         with monkeypatch.context() as patch:
             patch.setattr(step, cut_off)
             with pytest.raises(KeyboardInterrupt):
@@ -346,4 +346,4 @@ def test_a_joint_that_does_not_exist_offers_the_nearest(tmp_path: Path) -> None:
 
 def test_the_floor_is_kept_in_the_order_of_the_file(tmp_path: Path) -> None:
     outline = [[0, 0], [0, 4], [2, 4], [2, 2], [4, 2], [4, 0]]
-    assert_allclose(load_scene(write(tmp_path, floor=outline)).floor, np.array(outline, float))
+    assert_allclose(load_scene(write(tmp_path, floor=outline)).floor_polygon, np.array(outline, float))

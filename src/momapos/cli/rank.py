@@ -48,22 +48,18 @@ def rank_objects(
     """
     import json as encoder
 
-    from momapos.cli.options import check_seed
-    from momapos.files import check_outputs
-
+    # What is mistyped is told before anything heavy is imported.
+    check_seed(seed)
+    check_outputs([plot])
+    check_picture(plot)
     name, _, moved = target.partition("/")
-    # A mistyped name is told before anything heavy is imported.
     refuse_unknown_object(find_scene(scene), name)
     from momapos.cache import user_cache
     from momapos.importance.rank import rank
     from momapos.manipulation.tasks import hand_path
     from momapos.scene.files import load_scene
     from momapos.scene.joints import set_joints
-    from momapos.viewer.pictures import check_picture
 
-    check_seed(seed)
-    check_outputs([plot])
-    check_picture(plot)
     loaded = set_joints(load_scene(scene, cache=user_cache()), joint)
     for warning in loaded.warnings:
         print(f"momapos: {warning}", file=sys.stderr)

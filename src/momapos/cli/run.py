@@ -54,7 +54,10 @@ def run(
         record: Draw a filmstrip here (PNG).
         json: Print the record as one JSON object and nothing else.
     """
-    if not plan.exists():  # told before anything heavy is imported
+    # Told before anything heavy is imported.
+    check_seed(seed)
+    check_outputs([out, record])
+    if not plan.exists():
         raise FileFormatError(f"{plan}: no such plan file")
     from json import dumps
 
@@ -62,15 +65,11 @@ def run(
 
     from momapos.cache import default_cache_dir
     from momapos.cli.console import progress
-    from momapos.cli.options import check_seed
     from momapos.errors import InputError, require
-    from momapos.files import check_outputs
     from momapos.plans import check_unchanged, read_plan
     from momapos.reachability.store import load_reach_map
     from momapos.verification.files import find_file, read_scene
 
-    check_seed(seed)
-    check_outputs([out, record])
     begin = None if start is None else np.array(parse_start(start))
     content = read_plan(plan)
     if content.status != "solved":
