@@ -33,7 +33,7 @@ from momapos.kinematics.collision import FREE
 from momapos.kinematics.urdf import box_urdf
 from momapos.manipulation.tasks import make_task
 from momapos.pipeline import plan_base_placement
-from momapos.placement.place import PlaceConfig
+from momapos.placement.config import PlaceConfig
 from momapos.protocols import ReachScorer
 from momapos.reachability.store import load_reach_map
 from momapos.robots.robot import Robot, load_robot

@@ -26,7 +26,7 @@ from momapos.errors import MomaposError
 from momapos.manipulation.tasks import make_task, openable
 from momapos.outcomes import PoseStatus
 from momapos.pipeline import plan_base_placement
-from momapos.placement.place import PlaceConfig
+from momapos.placement.config import PlaceConfig
 from momapos.reachability.store import load_reach_map
 from momapos.robots.robot import load_robot
 from momapos.scene.files import load_scene

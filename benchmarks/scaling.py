@@ -20,10 +20,10 @@ from momapos.config import PipelineConfig
 from momapos.geometry.transforms import pose
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.urdf import box_urdf
-from momapos.manipulation.motion import MotionConfig
+from momapos.manipulation.config import MotionConfig
 from momapos.manipulation.tasks import make_task
 from momapos.pipeline import plan_base_placement
-from momapos.placement.place import PlaceConfig
+from momapos.placement.config import PlaceConfig
 from momapos.reachability.store import load_reach_map
 from momapos.robots.robot import load_robot
 from momapos.scene.files import load_scene

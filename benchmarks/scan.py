@@ -26,7 +26,7 @@ from momapos.kinematics.opening import opening_of
 from momapos.manipulation.handles import opening_direction
 from momapos.manipulation.tasks import hand_path, make_task, openable
 from momapos.pipeline import plan_base_placement
-from momapos.placement.place import PlaceConfig
+from momapos.placement.config import PlaceConfig
 from momapos.reachability.store import load_reach_map
 from momapos.robots.robot import load_robot
 from momapos.scan_pipeline import Modeled, default_tools, scan_to_scene

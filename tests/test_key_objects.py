@@ -14,8 +14,9 @@ from momapos.importance.config import ImportanceConfig
 from momapos.importance.key_objects import Selection, everything
 from momapos.importance.rank import rank
 from momapos.manipulation.tasks import make_task
-from momapos.pipeline import PlacementResult, plan_base_placement
-from momapos.placement.place import PlaceConfig
+from momapos.pipeline import plan_base_placement
+from momapos.placement.config import PlaceConfig
+from momapos.placement_result import PlacementResult
 from momapos.plans import read_plan, write_plan
 from momapos.robots.robot import Robot
 from momapos.scene.files import load_scene

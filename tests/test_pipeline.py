@@ -15,8 +15,9 @@ from tests.rooms import Everywhere, cabinet_room, move_scene
 from momapos.config import PipelineConfig
 from momapos.errors import SceneError
 from momapos.manipulation.tasks import make_task
-from momapos.pipeline import PlacementResult, plan_base_placement
-from momapos.placement.place import Method, PlaceConfig
+from momapos.pipeline import plan_base_placement
+from momapos.placement.config import Method, PlaceConfig
+from momapos.placement_result import PlacementResult
 from momapos.plans import plan_to_dict, write_plan
 from momapos.robots.robot import Robot
 from momapos.scene.files import save_scene

@@ -7,11 +7,12 @@ The command line prints that line and exits with status 2.
 from __future__ import annotations
 
 import difflib
+import math
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import Literal
 
-Extra = Literal["kitchens", "physics", "scan", "train"]
+Extra = Literal["kitchens", "physics", "scan", "torch"]
 """The extras of the package, each with the packages that one kind of work needs."""
 
 LONGEST = 500
@@ -65,6 +66,20 @@ class UnknownNameError(InputError):
 
 class MissingExtraError(MomaposError):
     """An optional package is not installed; the message names the extra."""
+
+
+def refuse_below(config: object, least: float, *names: str) -> None:
+    """Refuse fields of a configuration that are less than something, or no finite number.
+
+    Raises:
+        InputError: One is; the message names its option.
+    """
+    for name in names:
+        value = getattr(config, name)
+        if not least <= value < math.inf:
+            raise InputError(
+                f"--{name.replace('_', '-')} must be at least {least:g}, not {value:g}"
+            )
 
 
 @contextmanager

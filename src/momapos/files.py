@@ -14,6 +14,10 @@ if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
 
 
+_CHUNK = 1 << 20
+"""Read at once [bytes]; of a read, Python makes the whole buffer at once."""
+
+
 def open_regular(
     path: Path, limit: int | None = None, *, error: type[MomaposError] = FileFormatError
 ) -> BinaryIO:
@@ -60,13 +64,15 @@ def read_bytes_bounded(
             folder), cannot be read, or is larger than the limit.
     """
     with open_regular(path, limit, error=error) as file:
+        data = bytearray()
         try:
-            data = file.read(limit + 1)
+            while len(data) <= limit and (chunk := file.read(_CHUNK)):
+                data += chunk
         except OSError as reason:
             raise error(f"{path}: cannot be read ({reason.strerror})") from reason
     if len(data) > limit:  # it grew meanwhile
         raise error(_too_large(path, limit))
-    return data
+    return bytes(data)
 
 
 def read_xml(path: Path, limit: int, *, error: type[MomaposError] = FileFormatError) -> Element:

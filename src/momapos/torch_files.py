@@ -13,7 +13,7 @@ import zipfile
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from momapos.errors import FileFormatError, MissingExtraError
+from momapos.errors import FileFormatError, MissingExtraError, require
 from momapos.files import open_regular
 
 MAX_BYTES = 4_000_000_000
@@ -32,10 +32,8 @@ def load_tensors(path: Path) -> Any:
             tensors and plain values.
         MissingExtraError: torch is not installed, or too old.
     """
-    try:
+    with require("torch"):
         import torch
-    except ImportError as error:
-        raise MissingExtraError(f"torch is not installed; {_INSTALL}") from error
     if tuple(map(int, torch.__version__.split(".")[:2])) < OLDEST:
         raise MissingExtraError(
             f"torch {torch.__version__} cannot read a stranger's file safely; {_INSTALL}"

@@ -27,7 +27,7 @@ from momapos.navigation.drive import DriveRecord
 from momapos.navigation.footprint_map import NavigationMap
 from momapos.outcomes import PoseOutcome, PoseStatus
 from momapos.pipeline import plan_base_placement
-from momapos.placement.place import PlaceConfig
+from momapos.placement.config import PlaceConfig
 from momapos.plans import write_plan
 from momapos.robots.robot import Robot, load_robot
 from momapos.run_plan import APART, NONE_LEFT, TURN, Drive, run_plan

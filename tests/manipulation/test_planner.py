@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from momapos.kinematics.world import CheckMotion
-from momapos.manipulation.planner import RESOLUTION, PlannerConfig, interpolate, plan_motion
+from momapos.manipulation.config import PlannerConfig
+from momapos.manipulation.planner import RESOLUTION, interpolate, plan_motion
 
 LOW, HIGH = np.full(2, -3.0), np.full(2, 3.0)
 A, B = np.array([-2.0, 0.0]), np.array([2.0, 0.0])
@@ -32,7 +33,7 @@ def test_a_free_straight_line_is_the_answer() -> None:
 @pytest.mark.parametrize("algorithm", ["RRTConnect", "RRTstar"])
 def test_a_way_round_starts_and_ends_where_it_must_and_is_free(algorithm: str) -> None:
     free = disc(1.0)
-    config = PlannerConfig(algorithm=algorithm, budget=0.2)  # type: ignore[arg-type]
+    config = PlannerConfig(planner=algorithm, budget=0.2)  # type: ignore[arg-type]
     path = plan_motion(A, B, LOW, HIGH, free, config=config, seed=3)
     assert path is not None
     assert len(path) > 2

@@ -12,10 +12,11 @@ from tests.rooms import cabinet_room
 
 from momapos.errors import MomaposError, TaskError, UnknownNameError
 from momapos.kinematics.opening import opening_of
+from momapos.manipulation.config import GraspConfig, MotionConfig
 from momapos.manipulation.feasibility import touched_at_home, with_payload
-from momapos.manipulation.grasps import GraspConfig, handle_grasps
+from momapos.manipulation.grasps import handle_grasps
 from momapos.manipulation.handles import find_handle
-from momapos.manipulation.motion import MotionConfig, task_motion
+from momapos.manipulation.motion import task_motion
 from momapos.manipulation.tasks import make_task, openable
 from momapos.robots.robot import Robot
 from momapos.robots.states import touches

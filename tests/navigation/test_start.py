@@ -15,7 +15,7 @@ from momapos.manipulation.tasks import make_task
 from momapos.navigation.footprint_map import build_navigation_map
 from momapos.navigation.judge import FootprintCollisionChecker
 from momapos.pipeline import plan_base_placement
-from momapos.placement.place import PlaceConfig
+from momapos.placement.config import PlaceConfig
 from momapos.robots.robot import Robot, load_robot, read_robot
 from momapos.scene.files import load_scene
 from momapos.scene.scene import Scene

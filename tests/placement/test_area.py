@@ -12,7 +12,8 @@ from tests.rooms import Everywhere, cabinet_room, move_scene
 from momapos.config import PipelineConfig
 from momapos.geometry.planar import compose
 from momapos.geometry.transforms import wrap_angle
-from momapos.manipulation.motion import MotionConfig, task_motion
+from momapos.manipulation.config import MotionConfig
+from momapos.manipulation.motion import task_motion
 from momapos.manipulation.tasks import make_task
 from momapos.pipeline import plan_base_placement
 from momapos.placement.area import (

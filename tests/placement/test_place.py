@@ -13,7 +13,8 @@ from momapos.manipulation.motion import task_motion
 from momapos.manipulation.tasks import make_task
 from momapos.outcomes import PoseOutcome, PoseStatus
 from momapos.placement.area import PlacementGeometry
-from momapos.placement.place import Method, PlaceConfig, Problem, Search, search
+from momapos.placement.config import Method, PlaceConfig
+from momapos.placement.place import Problem, Search, search
 from momapos.robots.robot import Robot
 from momapos.types import ArmPathResult, Attempt, Motion
 from rooms import Everywhere, cabinet_room

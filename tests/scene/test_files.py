@@ -346,4 +346,6 @@ def test_a_joint_that_does_not_exist_offers_the_nearest(tmp_path: Path) -> None:
 
 def test_the_floor_is_kept_in_the_order_of_the_file(tmp_path: Path) -> None:
     outline = [[0, 0], [0, 4], [2, 4], [2, 2], [4, 2], [4, 0]]
-    assert_allclose(load_scene(write(tmp_path, floor=outline)).floor_polygon, np.array(outline, float))
+    assert_allclose(
+        load_scene(write(tmp_path, floor=outline)).floor_polygon, np.array(outline, float)
+    )

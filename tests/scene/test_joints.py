@@ -14,7 +14,7 @@ from momapos.config import PipelineConfig
 from momapos.errors import MomaposError
 from momapos.manipulation.tasks import make_task
 from momapos.pipeline import plan_base_placement
-from momapos.placement.place import PlaceConfig
+from momapos.placement.config import PlaceConfig
 from momapos.plans import plan_to_dict, read_plan, write_plan
 from momapos.robots.robot import load_robot
 from momapos.scene.files import load_scene

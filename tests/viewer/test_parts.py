@@ -15,7 +15,8 @@ from scipy.spatial.transform import Rotation
 from momapos.geometry.polygons import signed_area
 from momapos.geometry.transforms import pose_planar
 from momapos.kinematics.hulls import Boxes
-from momapos.manipulation.motion import MotionConfig, task_motion
+from momapos.manipulation.config import MotionConfig
+from momapos.manipulation.motion import task_motion
 from momapos.manipulation.tasks import make_task
 from momapos.outcomes import PoseOutcome, PoseStatus
 from momapos.placement.area import BaseStatus, base_pose_status

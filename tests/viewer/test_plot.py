@@ -12,11 +12,12 @@ from jaxtyping import Float
 
 from momapos.config import PipelineConfig
 from momapos.errors import InputError
-from momapos.manipulation.motion import MotionConfig, task_motion
+from momapos.manipulation.config import MotionConfig
+from momapos.manipulation.motion import task_motion
 from momapos.manipulation.tasks import make_task
 from momapos.outcomes import PoseOutcome, PoseStatus
-from momapos.pipeline import PlacementResult
 from momapos.placement.place import Search
+from momapos.placement_result import PlacementResult
 from momapos.prepare import prepare
 from momapos.robots.robot import Robot, load_robot
 from momapos.scene.files import load_scene

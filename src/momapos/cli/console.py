@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from momapos.pipeline import PlacementResult
+    from momapos.placement_result import PlacementResult
     from momapos.types import KeyObjects
 
 MOST_REASONS = 8
@@ -94,7 +94,7 @@ def summary(answer: PlacementResult, out: Path | None) -> str:
         value = f"{scale * plan.feasible_to:.0f}"
         lines.append(f"  smaller     to {value} {unit} it works: --to {value}{unit}")
     if plan.key_objects is not None:
-        lines.append(f"  modeled    {_modeled(plan.key_objects)}")
+        lines.append(f"  modeled     {_modeled(plan.key_objects)}")
     lines.append(f"  time        {_times(plan.timing)}")
     lines += _rejections(answer)
     if out is not None:

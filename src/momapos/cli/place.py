@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 import sys
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Annotated, Literal, Optional
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import OmitArgPrefixes, Positional
 
 from momapos.cli.options import (
     JointsArg,
-    OptionalNumber,
     OptionalPath,
     StartArg,
     Target,
@@ -19,20 +18,17 @@ from momapos.cli.options import (
     ToArg,
     check_seed,
 )
+from momapos.config import PipelineConfig
 from momapos.errors import TaskError
 from momapos.files import check_outputs
-from momapos.importance.config import ScorerName
 from momapos.robots.names import find_robot
 from momapos.scene.names import find_scene, refuse_unknown_object
 from momapos.units import parse_quantity
 from momapos.viewer.pictures import check_picture
 
 if TYPE_CHECKING:
-    from momapos.importance.config import ImportanceConfig
-    from momapos.pipeline import PlacementResult
+    from momapos.placement_result import PlacementResult
 
-Method = Literal["ours", "paper", "exhaustive"]
-Planner = Literal["RRTConnect", "RRTstar", "BITstar"]
 _STATUS = {"solved": 0, "infeasible": 3, "timeout": 4}
 
 
@@ -46,24 +42,15 @@ class Options:
     """A joint that stands elsewhere than in the file, as fridge/door_hinge=60deg; repeatable."""
     start: StartArg = None
     """Where the robot is now [m, m, rad or deg]; the scene's start by default."""
-    method: Method = "ours"
-    """ours: cheapest pose first; paper: MoMa-Pos as printed; exhaustive: a grid."""
-    planner: Planner = "RRTConnect"
-    """OMPL's planner for the way from home to the object."""
-    scorer: Optional[ScorerName] = None  # noqa: UP045 (see cli.options)
-    """How importance is measured: from where the hand goes (reach), or as the paper (deepwalk)."""
-    alpha: OptionalNumber = None
-    """Objects with an importance of at least this are modeled, in [0, 1]; 0: all."""
     seed: int = 0
     """Same seed, same answer."""
-    timeout: float = 120.0
-    """Time to search for the answer [s]; what is read and compiled before does not count."""
     out: OptionalPath = None
     """Write the plan here (JSON)."""
     plot: OptionalPath = None
     """Draw the answer here (PNG, SVG or PDF)."""
     json: bool = False
     """Print the plan as one JSON object and nothing else."""
+    config: PipelineConfig = field(default_factory=PipelineConfig)
 
     def __post_init__(self) -> None:
         check_seed(self.seed)
@@ -148,10 +135,9 @@ def _answer(verb: str, scene_name: str, target: str, to: str | None, options: Op
     if to is not None:
         parse_quantity(to)
     begin = None if options.start is None else parse_start(options.start)
-    check_picture(options.plot)
-    if not options.timeout > 0:
-        raise TaskError("--timeout must be > 0 seconds")
+    config = options.config
     check_outputs([options.out, options.plot])
+    check_picture(options.plot)
     name, _, joint = target.partition("/")
     # A mistyped name is told before anything heavy is imported.
     find_robot(options.robot)
@@ -162,11 +148,8 @@ def _answer(verb: str, scene_name: str, target: str, to: str | None, options: Op
     from momapos.cache import user_cache
     from momapos.cli.compile import compile_once
     from momapos.cli.console import busy, progress
-    from momapos.config import PipelineConfig
-    from momapos.manipulation.planner import PlannerConfig
     from momapos.manipulation.tasks import make_task
     from momapos.pipeline import plan_base_placement
-    from momapos.placement.place import PlaceConfig
     from momapos.reachability.store import load_reach_map
     from momapos.robots.robot import load_robot
     from momapos.scene.files import load_scene
@@ -183,13 +166,7 @@ def _answer(verb: str, scene_name: str, target: str, to: str | None, options: Op
         reach = load_reach_map(robot, cache.folder, report)
     at = None if begin is None else np.array(begin)
     compile_once()
-    config = PipelineConfig(
-        importance=_importance(options),
-        place=PlaceConfig(method=options.method),
-        planner=PlannerConfig(algorithm=options.planner),
-        timeout=options.timeout,
-    )
-    with busy(f"{robot.name}: searching", options.timeout):
+    with busy(f"{robot.name}: searching", config.timeout):
         answer = plan_base_placement(
             scene, robot, task, reach, start=at,
             config=config, seed=options.seed,
@@ -205,15 +182,6 @@ def _answer(verb: str, scene_name: str, target: str, to: str | None, options: Op
     return _STATUS[answer.plan.status]
 
 
-def _importance(options: Options) -> ImportanceConfig:
-    """How objects are scored: as asked, and by walks in the paper's variant."""
-    from momapos.importance.config import ImportanceConfig
-
-    paper = "deepwalk" if options.method == "paper" else None
-    asked = {"scorer": options.scorer or paper, "alpha": options.alpha}
-    return ImportanceConfig(**{k: v for k, v in asked.items() if v is not None})  # type: ignore[arg-type]
-
-
 def _deliver(answer: PlacementResult, options: Options) -> None:
     import json
 
@@ -221,9 +189,11 @@ def _deliver(answer: PlacementResult, options: Options) -> None:
     from momapos.plans import plan_to_dict, write_plan
     from momapos.trajectory import with_times
 
+    if options.out is not None or options.json:
+        # For those who execute it: they need to know when the arm is where.
+        answer = replace(answer, plan=with_times(answer.plan, answer.prepared.robot))
     if options.out is not None:
-        # A file is for those who execute it: they need to know when the arm is where.
-        write_plan(with_times(answer.plan, answer.prepared.robot), options.out)
+        write_plan(answer.plan, options.out)
     if options.json:
         print(json.dumps(plan_to_dict(answer.plan)))
     else:

@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import OmitArgPrefixes, Positional
 
-from momapos.cli.options import JointsArg, OptionalPath, Target
+from momapos.cli.options import JointsArg, OptionalPath, Target, check_seed
+from momapos.files import check_outputs
 from momapos.importance.config import ImportanceConfig
 from momapos.scene.names import find_scene, refuse_unknown_object
+from momapos.viewer.pictures import check_picture
 
 if TYPE_CHECKING:
     from momapos.importance.rank import Importance

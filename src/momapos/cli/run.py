@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Literal
 
 from tyro.conf import Positional
 
-from momapos.cli.options import OptionalPath, OptionalText, StartArg
+from momapos.cli.options import OptionalPath, OptionalText, StartArg, check_seed
 from momapos.cli.place import parse_start
 from momapos.errors import FileFormatError
+from momapos.files import check_outputs
 
 if TYPE_CHECKING:
     from momapos.execution.record import RunRecord

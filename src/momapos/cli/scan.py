@@ -84,7 +84,7 @@ def scan_room(
     Args:
         source: Folder of posed color and depth images, a cloud, or a robot's log.
         out: The scene file.
-        images: Draw why every object was modeled as it was.
+        pictures: Draw why every object was modeled as it was.
         json: Print one JSON object and nothing else.
         options: Where knowledge comes from.
     """

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Literal, get_args
+from typing import Literal, Optional, get_args
 
 from momapos.errors import InputError
 
@@ -37,9 +37,10 @@ class GraphConfig:
 class ImportanceConfig:
     """How objects are scored against the target."""
 
-    scorer: ScorerName = "reach"
+    scorer: Optional[ScorerName] = None  # noqa: UP045 (see cli.options)
     """reach: large for its distance from where the hand goes; deepwalk: the paper's; distance: near
-    the target; size: large for its distance from the target; names: by words alone."""
+    the target; size: large for its distance from the target; names: by words alone. None: deepwalk
+    for the paper's method of placement, else reach."""
     alpha: float = 0.45
     """Objects with a score of at least this are in S, in [0, 1] [-]."""
     k0: float = 0.5
@@ -67,7 +68,7 @@ class ImportanceConfig:
             value = getattr(self, name)
             if not least <= value <= MOST:
                 raise InputError(f"{name} must be between {least} and {MOST}, not {value}")
-        if self.scorer not in get_args(ScorerName):
+        if self.scorer is not None and self.scorer not in get_args(ScorerName):
             raise InputError(
                 f"no scorer {self.scorer!r}; there are {', '.join(get_args(ScorerName))}"
             )

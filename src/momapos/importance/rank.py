@@ -107,7 +107,8 @@ def rank(
     scene.object(target)
     graph = build_graph(scene, config.graph)
     chosen = graph.index(target)
-    scores = SCORERS[config.scorer](graph, chosen, config, seed, path)
+    scorer = config.scorer or "reach"
+    scores = SCORERS[scorer](graph, chosen, config, seed, path)
     # The last digits are the processor's.
     scores = np.clip(np.round(scores, DIGITS), LEAST, 1.0)
     scores[chosen] = 1.0
@@ -118,7 +119,7 @@ def rank(
         names=tuple(graph.names[i] for i in order),
         scores=scores[order],
         alpha=config.alpha,
-        scorer=config.scorer,
+        scorer=scorer,
         seed=seed,
         graph=graph,
     )

@@ -16,8 +16,9 @@ from momapos.kinematics.hulls import Boxes
 from momapos.kinematics.spheres import Spheres, box_spheres, carry
 from momapos.kinematics.world import CollisionWorld, check, check_hand, motion_checker
 from momapos.manipulation.arm_path import FOUND, HIT, UNREACHABLE, ArmPath, find_paths
+from momapos.manipulation.config import PlannerConfig
 from momapos.manipulation.motion import TaskMotion
-from momapos.manipulation.planner import RESOLUTION, PlannerConfig, interpolate, plan_motion
+from momapos.manipulation.planner import RESOLUTION, interpolate, plan_motion
 from momapos.outcomes import PoseOutcome, PoseStatus
 from momapos.robots.robot import Robot
 from momapos.types import ArmPathResult, Attempt, Motion

@@ -2,38 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from momapos.geometry.transforms import rotation_about, rotation_of
+from momapos.manipulation.config import GraspConfig
 from momapos.manipulation.handles import Handle
 from momapos.robots.robot import Robot
 
 if TYPE_CHECKING:
     from jaxtyping import Float
-
-
-@dataclass(frozen=True)
-class GraspConfig:
-    """Which ways of holding a thing are tried."""
-
-    turns: tuple[float, ...] = (0.0, 20.0, -20.0, 40.0, -40.0, 60.0, -60.0)
-    """Turns about the handle's long axis [deg]."""
-    tilts: tuple[float, ...] = (0.0, 25.0, -25.0)
-    """Tilts along the handle [deg]."""
-    points: tuple[float, ...] = (0.0, 0.6, -0.6)
-    """Points along the handle, as shares of its half length [-]."""
-    standoffs: tuple[float, ...] = (0.0, 0.7)
-    """How far the tool's origin stays before the handle, as shares of the fingers' depth [-]."""
-    tip_gap: float = 0.005
-    """A last stand-off: the fingertips this far before the handle's center, for handles that lie
-    flat on what they open [m]."""
-    rolls: int = 8
-    """Rolls about the approach for knobs and rigid objects [-]."""
-    pregrasp: float = 0.08
-    """Length of the straight approach [m]."""
 
 
 def grasp_frames(

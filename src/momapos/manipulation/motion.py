@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,7 +12,8 @@ from momapos.geometry.transforms import invert
 from momapos.kinematics.articulated import joint_motion
 from momapos.kinematics.hulls import Boxes
 from momapos.kinematics.opening import opening_of
-from momapos.manipulation.grasps import GraspConfig, box_grasps, handle_grasps
+from momapos.manipulation.config import GraspConfig, MotionConfig
+from momapos.manipulation.grasps import box_grasps, handle_grasps
 from momapos.manipulation.handles import Handle, find_handle
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene, SceneObject
@@ -23,21 +24,6 @@ if TYPE_CHECKING:
 
 LIFT = 0.05
 """How far a rigid object is lifted, or the gripper drawn back [m]."""
-
-
-@dataclass(frozen=True)
-class MotionConfig:
-    """How finely a motion is cut."""
-
-    waypoint_angle: float = 7.5
-    """Turn of a hinge between waypoints [deg]."""
-    waypoint_slide: float = 0.05
-    """Slide between waypoints [m]."""
-    waypoints: int | None = None
-    """Number of waypoints, whatever the motion [-]; None to follow the two above."""
-    substeps: int = 4
-    """States between waypoints, all of which are checked [-]."""
-    grasps: GraspConfig = field(default_factory=GraspConfig)
 
 
 @dataclass(frozen=True)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from momapos.kinematics.world import CheckMotion
+from momapos.manipulation.config import PlannerConfig
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -17,16 +17,6 @@ RESOLUTION = 0.04
 """Largest joint step at which a motion is checked [rad] or [m]."""
 _UNBOUNDED = np.pi
 """Half range in which a joint without limits is sampled, about its start [rad]."""
-
-
-@dataclass(frozen=True)
-class PlannerConfig:
-    """How the arm gets from home to the first waypoint."""
-
-    algorithm: Literal["RRTConnect", "RRTstar", "BITstar"] = "RRTConnect"
-    """OMPL's planner; RRTstar is the paper's and uses its whole budget."""
-    budget: float = 0.25
-    """Time for one motion [s]."""
 
 
 def interpolate(
@@ -122,11 +112,11 @@ def _ompl(
         for k in range(n):
             state[k] = float(q[k])
     setup.setStartAndGoalStates(ends[0], ends[1])
-    setup.setPlanner(getattr(og, config.algorithm)(info))
+    setup.setPlanner(getattr(og, config.planner)(info))
     solved = setup.solve(config.budget)
     if not solved or "Approximate" in solved.asString():
         return None
-    if config.algorithm == "RRTConnect":
+    if config.planner == "RRTConnect":
         setup.simplifySolution(config.budget)
     path = setup.getSolutionPath()
     return np.array([[path.getState(i)[k] for k in range(n)] for i in range(path.getStateCount())])

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from momapos.placement.area import (
     sampling_box,
     task_frame,
 )
+from momapos.placement.config import PlaceConfig
 from momapos.placement.order import by_expected_cost, open_tours
 from momapos.placement.potential import attraction
 from momapos.protocols import ReachScorer, TravelCost
@@ -28,7 +29,6 @@ from momapos.types import ArmPathResult, Attempt, Candidates, Motion
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
-Method = Literal["ours", "paper", "exhaustive"]
 _BLOCK = 512
 """Poses of the grid that are screened together [-]."""
 BASE_OUTCOMES = {
@@ -38,42 +38,6 @@ BASE_OUTCOMES = {
 }
 _NOT_TRIED = PoseOutcome(PoseStatus.NOT_TRIED)
 _UNCOUNTED = (PoseStatus.FEASIBLE, PoseStatus.PATH_FOUND, PoseStatus.NOT_TRIED)
-
-
-@dataclass(frozen=True)
-class PlaceConfig:
-    """How base poses are sampled, ordered and checked."""
-
-    method: Method = "ours"
-    """ours: by expected cost; paper: open tours over groups; exhaustive: a grid."""
-    count: int = 512
-    """Latin Hypercube samples in the first round [-]; each further round has twice as many."""
-    rounds: int = 3
-    """Rounds before the grid decides [-]."""
-    grasps: int = 24
-    """Grasps tried at one base pose, best reached first [-]."""
-    together: int = 2
-    """Candidates whose arm paths are looked for together (ours); the cheapest wins [-]."""
-    improve: int = 6
-    """Cheaper candidates that are looked at besides, once some have a path (ours) [-]."""
-    miss: float = 2.0
-    """Driving length that a certain miss is worth [m]."""
-    group: int = 10
-    """T: candidates in one open tour (paper) [-]."""
-    k_distance: float = 5 / 6
-    """k1: weight of distance in the open tour (paper) [-]."""
-    k_potential: float = 1 / 6
-    """k1': weight of potential in the open tour (paper) [-]."""
-    grid_cell: float = 0.05
-    """Cell of the exhaustive grid [m]."""
-    grid_turn: float = 10.0
-    """Turn between yaws of the exhaustive grid [deg]."""
-    grid: bool = True
-    """Whether the grid decides where no sample works [-]."""
-    whole_grid: bool = False
-    """Whether the grid is screened to its end, even after the cheapest pose is found."""
-    clearance: float = 0.01
-    """Distance that the base keeps from everything [m]."""
 
 
 ScreenPoses: TypeAlias = (

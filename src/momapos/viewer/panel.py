@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from momapos.outcomes import PoseStatus
-from momapos.pipeline import PlacementResult
+from momapos.placement_result import PlacementResult
 from momapos.scene.scene import Scene
 from momapos.viewer.candidate_markers import KIND_OF, KINDS, Outcomes
 from momapos.viewer.palette import (

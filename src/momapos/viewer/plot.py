@@ -10,7 +10,7 @@ import numpy as np
 from momapos.geometry.planar import place_points
 from momapos.geometry.polygons import contains
 from momapos.kinematics.hulls import Boxes
-from momapos.pipeline import PlacementResult
+from momapos.placement_result import PlacementResult
 from momapos.protocols import ReachScorer
 from momapos.scene.scene import Scene
 from momapos.viewer.candidate_markers import KINDS, Outcomes, outcomes, thin

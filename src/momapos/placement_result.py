@@ -1,0 +1,94 @@
+"""An answer: the plan, and what the search saw on the way."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from importlib import metadata
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from momapos.manipulation.tasks import slides
+from momapos.navigation.global_path import BasePath
+from momapos.placement.place import Search
+from momapos.prepare import PreparedTask
+from momapos.query import PlacementQuery
+from momapos.robots.robot import Robot
+from momapos.types import PlacementPlan
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+
+@dataclass(frozen=True)
+class PlacementResult:
+    """A plan, and what the search saw on the way; the latter is for pictures and benchmarks."""
+
+    plan: PlacementPlan
+    prepared: PreparedTask
+    search: Search
+    start: Float[np.ndarray, "3"]
+    """Where the base was: x [m], y [m], yaw [rad]."""
+
+    @property
+    def slides(self) -> bool:
+        """Whether the part slides [m]; it turns otherwise [rad]."""
+        return slides(self.prepared.scene, self.plan.task)
+
+    def __repr__(self) -> str:
+        task = self.plan.task
+        what = task.object if task.joint is None else f"{task.object}/{task.joint}"
+        name, status = self.plan.robot_name, self.plan.status
+        return f"<PlacementResult of {name}: {task.verb} {what}: {status}>"
+
+
+def plan_of(
+    query: PlacementQuery, found: Search, start: Float[np.ndarray, "3"], path: BasePath | None
+) -> PlacementPlan:
+    """The plan that a search leads to.
+
+    Args:
+        query: What was asked.
+        found: What the search found.
+        start: Where the base is: x [m], y [m], yaw [rad].
+        path: The way from there to the base pose, if there is one.
+    """
+    robot, base = query.robot, found.base
+    solved = found.motion is not None and base is not None
+    return PlacementPlan(
+        scene=str(query.scene.path) if query.scene.path else query.scene.name,
+        robot_name=robot.name,
+        robot_urdf=str(robot.model.urdf.path),
+        base_link=robot.base_link,
+        tool_link=robot.tool_link,
+        task=query.task,
+        status="solved" if solved else "timeout" if found.timed_out else "infeasible",
+        robot_file=robot.source,
+        robot_srdf=_named_srdf(robot),
+        robot_rest=robot.model.held,
+        scene_joints=query.scene.joints_set,
+        joints=robot.arm_joints,
+        start=(float(start[0]), float(start[1]), float(start[2])),
+        base_path=None if path is None else path.poses,
+        base_pose=None if base is None else (float(base[0]), float(base[1]), float(base[2])),
+        motion=found.motion,
+        navigation_cost=float(found.cost) if solved else None,
+        candidates=found.candidates(),
+        method=query.config.place.method,
+        seed=query.seed,
+        versions=_versions(),
+    )
+
+
+def _named_srdf(robot: Robot) -> str | None:
+    """The SRDF, where it is not the one that everybody finds beside the URDF."""
+    urdf = robot.model.urdf.path
+    beside = None if urdf is None else urdf.with_suffix(".srdf")
+    return None if robot.srdf is None or robot.srdf == beside else str(robot.srdf)
+
+
+@cache
+def _versions() -> dict[str, str]:
+    """What the answer depends on, beside its inputs."""
+    return {name: metadata.version(name) for name in ("momapos", "numpy", "ompl")}

@@ -1,0 +1,41 @@
+"""A question: what is asked, and what stays the same while it is answered."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from momapos.config import PipelineConfig
+from momapos.navigation.footprint_map import NavigationMap, build_navigation_map
+from momapos.placement.place import PoseFilter
+from momapos.protocols import ReachScorer
+from momapos.robots.robot import Robot
+from momapos.scene.scene import Scene
+from momapos.stopwatch import Stopwatch
+from momapos.types import Task
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+
+@dataclass(frozen=True)
+class PlacementQuery:
+    """What stays the same while the model of the room grows."""
+
+    scene: Scene
+    robot: Robot
+    task: Task
+    reach: ReachScorer
+    start: Float[np.ndarray, "3"] | None
+    pose_filter: PoseFilter | None
+    config: PipelineConfig
+    seed: int
+    watch: Stopwatch
+
+    @cached_property
+    def nav_map(self) -> NavigationMap:
+        """Where the robot fits with its arm at home, among all objects as they are."""
+        return build_navigation_map(self.scene, self.robot)

@@ -1,0 +1,60 @@
+"""The options of a question are the fields of the pipeline's configuration, from one definition."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import fields, is_dataclass
+
+import pytest
+
+from momapos import ImportanceConfig, PipelineConfig, PlaceConfig
+from momapos.cli.main import main
+from momapos.errors import InputError
+
+
+def options(config: object) -> Iterator[str]:
+    """Names of the options that a configuration stands for."""
+    for item in fields(config):  # type: ignore[arg-type]
+        value = getattr(config, item.name)
+        if is_dataclass(value):
+            yield from options(value)
+        else:
+            yield f"--{item.name.replace('_', '-')}"
+
+
+def test_no_two_fields_share_an_option() -> None:
+    names = list(options(PipelineConfig()))
+    assert len(names) == len(set(names)) > 40
+
+
+@pytest.mark.parametrize("verb", ["open", "pick"])
+def test_every_field_is_an_option_of_place(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["place", verb, "--help"]) == 0
+    shown = capsys.readouterr().out
+    assert [name for name in options(PipelineConfig()) if f"{name} " not in shown] == []
+
+
+@pytest.mark.parametrize(
+    ("option", "value"),
+    [
+        ("--count", "0"), ("--grid-cell", "0"), ("--k0", "2"), ("--timeout", "nan"),
+        ("--waypoints", "1"), ("--budget", "-1"), ("--clearance", "inf"), ("--substeps", "0"),
+    ],
+)  # fmt: skip
+def test_a_value_without_meaning_is_one_line_that_names_the_option(
+    option: str, value: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["place", "open", "kitchen_small", "fridge/door_hinge", option, value]) == 2
+    said = capsys.readouterr().err
+    assert option.strip("-") in said
+    assert said.count("\n") == 1
+
+
+def test_the_scorer_is_the_methods_own_unless_one_is_asked_for() -> None:
+    paper = PlaceConfig(method="paper")
+    assert PipelineConfig().ranking.scorer == "reach"
+    assert PipelineConfig(place=paper).ranking.scorer == "deepwalk"
+    asked = PipelineConfig(place=paper, importance=ImportanceConfig(scorer="size"))
+    assert asked.ranking.scorer == "size"
+    with pytest.raises(InputError, match="count"):
+        PlaceConfig(count=-1)
