@@ -5,14 +5,25 @@ from __future__ import annotations
 import numpy as np
 
 from momapos import load_robot, load_scene
+from momapos.manipulation.motion import MotionConfig, task_motion
+from momapos.manipulation.tasks import make_task
 from momapos.reachability.map import ReachMap
-from momapos.types import Motion
+from momapos.types import Cloud, Frame, Motion, PlacementPlan, Task
 
 
 def test_records_that_hold_models_and_arrays_have_a_short_repr() -> None:
     scene, robot = load_scene("kitchen_small"), load_robot("fetch")
     fridge = scene.object("fridge")
     motion = Motion(np.zeros((500, 7)), np.zeros((50, 7)), np.zeros(50), np.zeros((50, 4, 4)))
+    task = Task("open", "fridge", "door_hinge", 1.0)
+    plan = PlacementPlan(
+        "scene.json", "fetch", "fetch.urdf", "base_link", "grip", task, "solved",
+        tuple("abcdefg"), motion=motion, base_path=np.zeros((900, 3)),
+    )  # fmt: skip
+    frame = Frame("0001", np.zeros((480, 640, 3), np.uint8), None, np.eye(3), np.eye(4))
+    cloud = Cloud(np.zeros((9000, 3)), np.zeros((9000, 3)), np.zeros((9000, 3), np.uint8))
+    opening = make_task(scene, "open", "fridge", "door_hinge")
+    held = task_motion(scene, robot, opening, MotionConfig())
     values = np.zeros((4, 5, 3, 3, 2), np.int8)
     reach = ReachMap(values, 0.0, 0.05, np.zeros(2), np.zeros((2, 3)))
     for thing, words in (
@@ -21,6 +32,10 @@ def test_records_that_hold_models_and_arrays_have_a_short_repr() -> None:
         (fridge.model, ["links", "movable joints"]),
         (robot, ["'fetch'", "arm joints"]),
         (motion, ["500 states", "50 in it"]),
+        (plan, ["fetch", "open fridge/door_hinge", "solved"]),
+        (frame, ["'0001'", "640 x 480 pixels", "no depth"]),
+        (cloud, ["9000 points"]),
+        (held, ["open fridge", "grasps", "steps"]),
         (reach, ["4 x 5 x 3 x 3 x 2 values"]),
     ):
         text = repr(thing)

@@ -269,8 +269,6 @@ def check_unchanged(path: Path, scene: Path, urdf: Path) -> None:
 
 
 def _content(path: Path) -> bytes:
-    if not _is_file(path):
-        raise FileFormatError(f"{path}: no such plan file")
     content = read_bytes_bounded(path, MAX_BYTES).removeprefix(b"\xef\xbb\xbf")
     if not content.strip():
         raise FileFormatError(f"{path}: is empty; a plan is a JSON object")

@@ -32,6 +32,11 @@ class Frame:
     T_world_camera: Float[np.ndarray, "4 4"]
     """Camera axes as in OpenCV: x right, y down, z forward."""
 
+    def __repr__(self) -> str:
+        height, width = self.color.shape[:2]
+        depth = "no depth" if self.depth is None else "depth"
+        return f"<Frame {self.name!r}: {width} x {height} pixels, {depth}>"
+
 
 @dataclass(frozen=True, eq=False)
 class Cloud:
@@ -41,6 +46,9 @@ class Cloud:
     normals: Float[np.ndarray, "n 3"]
     """Unit vectors toward the side that was seen."""
     colors: UInt8[np.ndarray, "n 3"]
+
+    def __repr__(self) -> str:
+        return f"<Cloud: {len(self.points)} points>"
 
 
 @dataclass(frozen=True, eq=False)
@@ -264,3 +272,9 @@ class PlacementPlan:
     """Joint values that differ from the scene file's, by object and joint [rad] or [m]."""
     feasible_to: float | None = None
     """Where the value asked for is out of reach: one that is not [rad] or [m]."""
+
+    def __repr__(self) -> str:
+        what = (
+            self.task.object if self.task.joint is None else f"{self.task.object}/{self.task.joint}"
+        )
+        return f"<PlacementPlan of {self.robot_name}: {self.task.verb} {what}: {self.status}>"

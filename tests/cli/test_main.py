@@ -7,6 +7,7 @@ import math
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from momapos.cli.main import COMMANDS, SHELLS, main
@@ -77,6 +78,19 @@ def test_what_cannot_be_used_is_one_line_and_status_2(
     assert hint in shown.err
     assert shown.err.count("\n") == 1
     assert "Traceback" not in shown.err
+
+
+def test_an_input_that_memory_cannot_hold_is_one_line_and_status_2(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def too_large(**_: object) -> int:
+        return len(np.zeros(2**62, np.uint8))
+
+    monkeypatch.setattr("momapos.cli.robot.robot_list", too_large)
+    assert main(["robot", "list"]) == 2
+    said = capsys.readouterr().err
+    assert "not enough memory" in said
+    assert said.count("\n") == 1
 
 
 def test_a_solved_question_is_status_0_and_verifies(

@@ -64,6 +64,20 @@ def test_a_senseless_request_is_refused_in_one_line(
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize("kind", ["continuous", "prismatic"])
+def test_a_part_that_nothing_stops_is_not_moved_without_end(kind: str, tmp_path: Path) -> None:
+    cabinet_room(tmp_path)
+    text = (tmp_path / "cabinet.urdf").read_text()
+    endless = text.replace('type="revolute"', f'type="{kind}"')
+    endless = endless.replace('upper="1.9"', 'upper="1e12"')
+    assert endless != text
+    (tmp_path / "cabinet.urdf").write_text(endless)
+    scene = load_scene(tmp_path / "room.json")
+    assert make_task(scene, "open", "cabinet", "hinge", 1.0).to == 1.0
+    with pytest.raises(TaskError, match="moves at most"):
+        make_task(scene, "open", "cabinet", "hinge", 1e9)
+
+
 def test_a_wrong_name_is_answered_with_the_nearest() -> None:
     scene = load_scene("kitchen_small")
     with pytest.raises(UnknownNameError, match="did you mean microwave"):

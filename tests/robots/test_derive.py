@@ -17,6 +17,7 @@ from tests.real import DATA
 from momapos.cli.robot import robot_check, robot_export, robot_list, robot_show
 from momapos.errors import MomaposError, RobotError, UnknownNameError
 from momapos.kinematics.spheres import build_spheres
+from momapos.reachability.arm_axes import arm_frame
 from momapos.robots.derive import derive_robot, examine, write_robot
 from momapos.robots.gripper import points_of
 from momapos.robots.names import library_names
@@ -404,6 +405,21 @@ def test_an_arm_without_a_base_is_asked_first_whether_it_is_a_mobile_robot(
     assert "is this a mobile robot?" in capsys.readouterr().out.splitlines()[0]
 
 
+def test_an_arm_that_no_reachability_map_can_be_made_of_is_told_when_it_is_checked(
+    tmp_path: Path,
+) -> None:
+    text = mobile_manipulator()
+    mount = re.search(r'<joint name="j0".*?</joint>', text)
+    assert mount is not None
+    assert '<axis xyz="0 0 1"/>' in mount[0]
+    path = tmp_path / "robot.urdf"
+    path.write_text(text.replace(mount[0], mount[0].replace("0 0 1", "0 1 0")))
+    robot = load_robot(write_robot(path)[0])
+    assert any("not vertical" in text for text in examine(robot))
+    with pytest.raises(RobotError, match="not vertical"):
+        arm_frame(robot.chain, robot.approach_axis)
+
+
 def two_armed() -> str:
     """The mobile manipulator with a second, longer arm on its torso that stands out to a side."""
     other = [
@@ -450,6 +466,7 @@ def test_the_other_arm_of_two_gets_a_compact_state_of_its_own(tmp_path: Path) ->
     path.write_text(twin_armed())
     made, derived = write_robot(path)
     assert any("there is another arm" in text for text in derived.assumptions)
+    assert len([text for text in derived.assumptions if text.startswith("rest: ")]) == 1
     robot = load_robot(made)
     assert len(robot.model.held) == 6
     assert not set(robot.model.held) & set(robot.arm_joints)

@@ -29,6 +29,8 @@ from momapos.verification.exact import PlanVerifier
 from momapos.verification.files import UrdfArm, verify_files
 from momapos.verification.link_bodies import bodies_of, body_poses
 from momapos.verification.report import Limits
+from momapos.verification.robot_collision_model import robot_collision_model
+from momapos.verification.sweep import deepest
 
 RUN_THE_OTHER = """
 import json, sys, types
@@ -58,6 +60,24 @@ def motion() -> Motion:
 def toy_arm(folder: Path) -> UrdfArm:
     model = Articulated(read_urdf(folder / "robot.urdf"))
     return UrdfArm(model, "base", "tool", JOINTS, frozenset())
+
+
+def test_links_that_touch_where_all_joints_are_at_rest_are_checked_elsewhere(
+    tmp_path: Path,
+) -> None:
+    """An arm that is folded into itself at rest, and passes through itself again beyond it."""
+    case = make_case()
+    straight = '<child link="wrist"/><origin xyz="0 0 0.4"/>'
+    assert straight in case.robot
+    case.robot = case.robot.replace(straight, straight.replace("0.4", "-0.35"))
+    case.write(tmp_path)
+    model = robot_collision_model(toy_arm(tmp_path))
+    q = np.zeros((2, 6))
+    q[1, JOINTS.index("twist")] = 1.0
+    _, _, Ts = model.poses(BASE, q)
+    _, state = deepest(model.arm, Ts, model.arm, Ts, model.arm_arm_pairs, 0.0)
+    names = np.array(model.arm.names)[model.arm_arm_pairs[state >= 0]]
+    assert {"upper", "palm"} in [set(pair) for pair in names.tolist()]
 
 
 def test_a_plan_along_the_arc_of_the_handle_is_valid(tmp_path: Path) -> None:

@@ -164,8 +164,12 @@ def test_a_malformed_file_is_refused_in_one_line(name: str, tmp_path: Path) -> N
 
 
 def test_missing_files_and_binaries_are_refused(tmp_path: Path) -> None:
-    for path in (tmp_path / "none.json", tmp_path, Path("/dev/null")):
-        with pytest.raises(FileFormatError, match="no such plan file"):
+    for path, why in (
+        (tmp_path / "none.json", "no such file"),
+        (tmp_path, "is a folder"),
+        (Path("/dev/null"), "regular file"),
+    ):
+        with pytest.raises(FileFormatError, match=why):
             read_plan(path)
     (tmp_path / "binary").write_bytes(bytes(range(256)))
     with pytest.raises(FileFormatError, match="damaged"):

@@ -7,9 +7,15 @@ from pathlib import Path
 import pytest
 from matplotlib.figure import Figure
 
+from momapos import load_robot, load_scene
 from momapos.cli.main import main
 from momapos.errors import InputError
+from momapos.importance.rank import rank
+from momapos.manipulation.tasks import hand_path
+from momapos.viewer.graph import draw_importance
 from momapos.viewer.pictures import save_figure
+from momapos.viewer.robot_spheres import draw_robot
+from momapos.viewer.scene_outlines import draw_scene
 
 HEADS = {"png": b"\x89PNG", "svg": b"<?xml", "pdf": b"%PDF", "SVG": b"<?xml"}
 
@@ -70,3 +76,15 @@ def test_a_picture_is_written_whoever_reads_what_is_printed(
     assert main([*words, "--out", str(plan), "--plot", str(plot)]) == 0
     assert plan.is_file()
     assert plot.read_bytes().startswith(HEADS["svg"])
+
+
+@pytest.mark.parametrize("ending", ["png", "svg", "pdf"])
+def test_every_picture_is_what_its_name_says(ending: str, tmp_path: Path) -> None:
+    scene, robot = load_scene("kitchen_small"), load_robot("segway_ur5e")
+    fridge = rank(scene, "fridge", path=hand_path(scene, "fridge", "door_hinge"))
+    scene_file, robot_file, graph_file = (tmp_path / f"{i}.{ending}" for i in range(3))
+    draw_scene(scene, scene_file)
+    draw_robot(robot, robot_file)
+    draw_importance(scene, fridge, graph_file)
+    for path in (scene_file, robot_file, graph_file):
+        assert path.read_bytes().startswith(HEADS[ending]), path

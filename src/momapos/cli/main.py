@@ -79,6 +79,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("momapos: interrupted", file=sys.stderr)
         return 130
+    except MemoryError:
+        print(
+            "momapos: not enough memory; give a smaller input, or close other programs",
+            file=sys.stderr,
+        )
+        return 2
     except Exception as error:
         from momapos.errors import MomaposError, one_line
 

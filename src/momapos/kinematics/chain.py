@@ -48,6 +48,12 @@ class Chain:
         """Number of joints."""
         return len(self.names)
 
+    @property
+    def upright(self) -> bool:
+        """Whether the first turning axis, and what slides below it, are vertical."""
+        first = int(np.argmin(self.prismatic))
+        return bool(np.abs(self.h[: first + 1, 2]).min() >= 1 - 1e-4)
+
     def tool_poses(self, q: Float[np.ndarray, "*batch n"]) -> Float[np.ndarray, "*batch 4 4"]:
         """Tool poses in the base frame."""
         q = np.asarray(q, float)

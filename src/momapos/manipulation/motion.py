@@ -52,6 +52,11 @@ class TaskMotion:
     labels: tuple[str, ...]
     """Names of the standing, then of the moving boxes."""
 
+    def __repr__(self) -> str:
+        grasps, steps = self.Ts_world_tool.shape[:2]
+        what = f"{self.task.verb} {self.task.object}"
+        return f"<TaskMotion of {what}: {grasps} grasps, {steps} steps>"
+
     @property
     def waypoints(self) -> Float[np.ndarray, "w 3"]:
         """Tool positions of the plainest grasp at the waypoints, pre-grasp left out [m]."""

@@ -29,6 +29,9 @@ KNOB = 0.1
 ROUNDED = 1e-3
 """What lies outside a limit by no more is that limit, written with fewer digits [rad] or [m]."""
 
+LONGEST_TURN, LONGEST_SLIDE = 2 * math.pi, 10.0
+"""No task moves a part farther: the model's limits are wrong, or the unit is [rad], [m]."""
+
 
 def make_task(
     scene: Scene,
@@ -205,6 +208,12 @@ def _check_goal(target: SceneObject, joint: Joint, verb: str, start: float, goal
     where, unit = f"{target.name}/{joint.name}", _unit(joint)
     if abs(goal - start) < ROUNDED:
         raise TaskError(f"{where}: already at {goal:g} {unit}; nothing to {verb}")
+    longest = LONGEST_SLIDE if joint.kind == "prismatic" else LONGEST_TURN
+    if abs(goal - start) > longest + ROUNDED:
+        raise TaskError(
+            f"{where}: from {start:g} to {goal:g} {unit} is too far; a part moves at most "
+            f"{longest:.4g} {unit}" + ("" if joint.kind == "prismatic" else " (a full turn)")
+        )
     opens = (goal - start) * opening_of(target.model, joint.name).sign > 0
     if opens != (verb == "open"):
         word = "open" if opens else "close"

@@ -44,7 +44,7 @@ def arm_frame(chain: Chain, approach_axis: Float[np.ndarray, "3"]) -> ArmAxes:
     """
     origin = np.cumsum(chain.d, axis=0)
     first = int(np.argmin(chain.prismatic))
-    if np.abs(chain.h[: first + 1, 2]).min() < 1 - 1e-4:
+    if not chain.upright:
         raise RobotError(
             f"the first axis of the arm, {chain.names[first]!r}, is not vertical; a reachability "
             "map needs an upright arm"

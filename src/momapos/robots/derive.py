@@ -273,6 +273,11 @@ def _drive(model: Articulated, notes: list[str]) -> str:
 def examine(robot: Robot, *, seed: int = 0) -> list[str]:
     """Say what looks wrong about a robot whose file is consistent; mostly nothing."""
     doubts: list[str] = []
+    if not robot.chain.upright:
+        doubts.append(
+            "the arm's first axis is not vertical: there is no reachability map for such an arm, "
+            "and 'momapos place' needs one"
+        )
     body = _base_links(robot.model, robot.arm_joints)
     points = points_of(robot.model, robot.base_link, body)
     if not len(points):

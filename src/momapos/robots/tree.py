@@ -57,8 +57,8 @@ def find_arms(
         key = (hand, len(joints))
         if key > best[0]:
             best, rivals = (key, names), []
-        elif names and key == best[0] and names[-1] != best[1][-1]:
-            rivals.append(names)
+        elif names and key == best[0] and names[-1] != best[1][-1] and names not in rivals:
+            rivals.append(names)  # a hand's fingers end the same arm
     if not best[1]:
         raise RobotError(
             f"{model.urdf.path}: no chain of movable joints that could be an arm; write the "

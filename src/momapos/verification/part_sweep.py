@@ -3,7 +3,7 @@
 Real scenes are not clean: doors stand flush with their neighbors, drawers lie in frames that
 they touch, a thing leans on a front. So the scene as it is counts as given, and asked is only that
 the part comes no deeper into anything. The part's own object is its bearing: its elements that
-touch the part where it is closed are left out, as the links of a robot that touch at rest are.
+touch the part where it is closed are left out.
 """
 
 from __future__ import annotations

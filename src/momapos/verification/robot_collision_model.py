@@ -14,13 +14,10 @@ from momapos.geometry.transforms import invert, pose_planar
 from momapos.kinematics.articulated import Articulated
 from momapos.verification.link_bodies import LinkBodies, body_poses
 from momapos.verification.shapes import Shapes, of_bodies, prepared
-from momapos.verification.sweep import all_pairs, deepest
+from momapos.verification.sweep import all_pairs
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
-
-TOUCHING = -1e-7
-"""Depth from which a pair counts as touching at the neutral pose [m]."""
 
 
 class Arm(Protocol):
@@ -145,8 +142,9 @@ def _self_pairs(
 ) -> Int[np.ndarray, "p 2"]:
     """Pairs of the robot's shapes that may not overlap.
 
-    Not those of one body or of two bodies joined by a joint, not those that the robot's maker
-    disables, and not those that touch where all joints are at rest.
+    Not those of one body or of two bodies joined by a joint, and not those that the robot's maker
+    disables. That two links touch where all joints are at rest says nothing: an arm may be folded
+    into itself there.
     """
     pairs = all_pairs(len(shapes), len(shapes))
     pairs = pairs[pairs[:, 0] < pairs[:, 1]]
@@ -154,7 +152,4 @@ def _self_pairs(
     joined = (of[:, 0] == of[:, 1]) | (parent[:, 0] == of[:, 1]) | (parent[:, 1] == of[:, 0])
     pairs = pairs[~joined & np.isin(pairs, moved).any(1)]
     named = [frozenset((shapes.names[i], shapes.names[j])) in disabled for i, j in pairs]
-    pairs = pairs[~np.array(named, bool)]
-    Ts = shapes.placed(body_poses(bodies, {}, np.eye(4)))
-    _, state = deepest(shapes, Ts, shapes, Ts, pairs, TOUCHING)
-    return np.asarray(pairs[state < 0])
+    return np.asarray(pairs[~np.array(named, bool)])

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.errors import RobotError
 from momapos.robots.robot import Robot
+from momapos.viewer.pictures import save_figure
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -30,11 +30,7 @@ def draw_robot(robot: Robot, path: Path) -> None:
     above.set_title("from above")
     side.set_title("from the right")
     figure.suptitle(f"{robot.name} at home; orange: gripper, arrow: approach")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path, dpi=110, format="png")
-    except OSError as error:
-        raise RobotError(f"{path}: cannot be written ({error.strerror})") from error
+    save_figure(figure, path, dpi=110)
 
 
 def _draw_view(robot: Robot, axes: Axes, i: int, j: int) -> None:
