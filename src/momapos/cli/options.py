@@ -7,7 +7,7 @@ imports typeguard, which takes longer than all else that it does.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Optional
+from typing import TYPE_CHECKING, Annotated, Optional
 
 from tyro.conf import UseAppendAction, arg
 
@@ -20,7 +20,10 @@ Target = Annotated[str, arg(metavar="OBJECT[/JOINT]")]
 Thing = Annotated[str, arg(metavar="OBJECT")]
 StartArg = Annotated[OptionalText, arg(metavar="X,Y,YAW")]
 ToArg = Annotated[OptionalText, arg(metavar="VALUE")]
-JointsArg = Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="OBJECT/JOINT=VALUE")]
+if TYPE_CHECKING:
+    JointsArg = tuple[str, ...]
+else:  # tyro takes the members of a plain tuple for texts, and imports typeguard for any other
+    JointsArg = Annotated[UseAppendAction[tuple], arg(metavar="OBJECT/JOINT=VALUE")]
 MAX_SEED = 2**63 - 1
 
 

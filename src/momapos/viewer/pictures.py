@@ -6,7 +6,6 @@ import io
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from momapos.cache import write_atomic
 from momapos.errors import InputError
 
 if TYPE_CHECKING:
@@ -41,6 +40,8 @@ def save_figure(figure: Figure, path: Path, *, dpi: float) -> None:
     Raises:
         InputError: The ending is another one, or the file cannot be written.
     """
+    from momapos.cache import write_atomic  # numpy's import would slow every command down
+
     check_picture(path)
     kind = path.suffix.lower()
     buffer = io.BytesIO()
