@@ -47,7 +47,7 @@ class Options:
     start: StartArg = None
     """Where the robot is now [m, m, rad or deg]; the scene's start by default."""
     method: Method = "ours"
-    """ours: cheapest pose first; paper: MoMa-Pos as printed; exhaustive: a grid."""
+    """ours: cheapest pose first; paper: the order of MoMa-Pos; exhaustive: a grid."""
     planner: Planner = "RRTConnect"
     """OMPL's planner for the way from home to the object."""
     scorer: Optional[ScorerName] = None  # noqa: UP045 (see cli.options)
