@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -35,6 +37,23 @@ def test_json_is_one_object_and_nothing_else(capsys: pytest.CaptureFixture[str])
     assert {"child": "cup", "parent": "table", "kind": "on"}.items() <= next(
         edge for edge in shown["edges"] if edge["child"] == "cup" and edge["kind"] == "on"
     ).items()
+
+
+def test_long_work_says_that_it_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    said = []
+
+    @contextmanager
+    def note(title: str) -> Iterator[None]:
+        said.append(title)
+        yield
+
+    for module in ("rank", "scene"):
+        monkeypatch.setattr(f"momapos.cli.{module}.busy", note)
+    path = tmp_path / "graph.png"
+    assert main(["rank", "kitchen_small", "cup", "--scorer", "size", "--plot", str(path)]) == 0
+    assert said == ["kitchen_small: scoring 17 objects", "drawing graph.png"]
+    assert main(["scene", "show", "kitchen_small", "--plot", str(path)]) == 0
+    assert said[2:] == ["drawing graph.png"]
 
 
 def test_the_picture_is_written_where_it_is_asked_for(tmp_path: Path) -> None:

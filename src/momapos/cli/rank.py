@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import OmitArgPrefixes, Positional
 
+from momapos.cli.console import busy
 from momapos.cli.options import JointsArg, OptionalPath, Target, check_seed
 from momapos.files import check_outputs
 from momapos.importance.config import ImportanceConfig
@@ -66,11 +67,13 @@ def rank_objects(
     for warning in loaded.warnings:
         print(f"momapos: {warning}", file=sys.stderr)
     path = hand_path(loaded, name, moved or None)
-    result = rank(loaded, name, config, path=path, seed=seed)
+    with busy(f"{loaded.name}: scoring {len(loaded.objects)} objects"):
+        result = rank(loaded, name, config, path=path, seed=seed)
     if plot is not None:
         from momapos.viewer.graph import draw_importance
 
-        draw_importance(loaded, result, plot)
+        with busy(f"drawing {plot.name}"):
+            draw_importance(loaded, result, plot)
     if json:
         print(encoder.dumps(importance_to_dict(loaded, result, config), allow_nan=False))
     else:

@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from momapos.cli.console import busy
 from momapos.cli.options import JointsArg, OptionalPath, check_seed
 from momapos.errors import SceneError
 from momapos.files import check_outputs
@@ -69,7 +70,8 @@ def scene_show(
     if plot is not None:
         from momapos.viewer.scene_outlines import draw_scene
 
-        draw_scene(loaded, plot)
+        with busy(f"drawing {plot.name}"):
+            draw_scene(loaded, plot)
     facts = describe(loaded)
     if json:
         _print_json({**facts, "plot": None if plot is None else str(plot)})
