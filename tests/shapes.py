@@ -126,6 +126,8 @@ def check(made: Any) -> Any:
     """A function that is checked, or a class whose `__init__` or `__new__` is."""
     if not inspect.isclass(made):
         return _checked(made, lambda: typing.get_type_hints(made, include_extras=True))
+    if getattr(made, "_is_protocol", False):
+        return typing.runtime_checkable(made)
     if "__dataclass_fields__" in vars(made) and "__init__" in vars(made):
         made.__init__ = _checked(made.__init__, lambda: _hints(made))
     return made
