@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 CODE := src tests benchmarks examples training
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: demo test check bench torch test-torch test-slow test-wheel test-film clean
+.PHONY: demo test check bench torch test-shapes test-torch test-slow test-wheel test-film clean
 
 $(VENV)/.core: pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit("Python 3.11 or later is needed; set PYTHON=...") if sys.version_info < (3, 11) else None'
@@ -32,6 +32,10 @@ check: $(VENV)/.dev
 
 test: check
 	$(BIN)/pytest
+
+# Every function and record of the package checks types, shapes and dtypes; see tests/shapes.py.
+test-shapes: $(VENV)/.dev
+	MOMAPOS_SHAPES=1 $(BIN)/pytest
 
 # What make test leaves out, since a fresh machine lacks it or it takes minutes.
 # Torch trains the front network and runs URDFormer.

@@ -7,7 +7,7 @@ from functools import cache
 from pathlib import Path
 
 import pytest
-from tests import optional
+from tests import optional, shapes  # noqa: F401, shapes before what it checks
 from tests.real import DATA
 
 from momapos.robots.robot import Robot, load_robot

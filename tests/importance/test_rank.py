@@ -14,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.importance.things import box, room
 from tests.rooms import move_scene
+from tests.shapes import unchecked
 
 from momapos.errors import InputError, UnknownNameError
 from momapos.importance.config import GraphConfig, ImportanceConfig
@@ -181,7 +182,7 @@ def test_alpha_and_k0_outside_zero_to_one_are_refused_in_one_line(name: str, val
     "wrong", [{"walks": 0}, {"length": 1}, {"window": 0}, {"epochs": 10**9}, {"scorer": "best"}]
 )
 def test_counts_and_scorers_that_cannot_be_used_are_refused(wrong: dict[str, object]) -> None:
-    with pytest.raises(InputError):
+    with pytest.raises(InputError), unchecked():
         ImportanceConfig(**wrong)  # type: ignore[arg-type]
 
 

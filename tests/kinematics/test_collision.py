@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from momapos.geometry.transforms import invert, pose, pose_planar
 from momapos.kinematics.chain import Chain, chain_arrays
 from momapos.kinematics.collision import FINGER, FLOOR, FREE, PALM, SELF, check_states
-from momapos.kinematics.hulls import Boxes
+from momapos.kinematics.hulls import Boxes, MovingBoxes
 from momapos.kinematics.sphere_cover import BODY
 from momapos.kinematics.spheres import MARGIN, Spheres, box_spheres, carry
 from momapos.kinematics.urdf import Geometry
@@ -24,11 +24,12 @@ from momapos.robots.robot import Robot
 NONE = Boxes(np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3)))
 
 
-def moved_by_joint(boxes: Boxes, values: int, rng: np.random.Generator) -> Boxes:
-    """The boxes at several values of some joint, with a leading axis of values."""
+def moved_by_joint(boxes: Boxes, values: int, rng: np.random.Generator) -> MovingBoxes:
+    """The boxes at several values of some joint."""
     shift = rng.uniform(-0.3, 0.3, (values, 1, 3))
     turn = rotations(values, rng)[:, None]
-    return Boxes(boxes.center + shift, turn @ boxes.rotation, np.tile(boxes.half, (values, 1, 1)))
+    half = np.tile(boxes.half, (values, 1, 1))
+    return MovingBoxes(boxes.center + shift, turn @ boxes.rotation, half)
 
 
 def world_of(

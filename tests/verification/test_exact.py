@@ -18,6 +18,7 @@ from door_case import BASE, JOINTS, OPEN, arm_path, make_case, tool_poses
 from mutations import MUTATIONS
 from tests import optional
 from tests.real import TOOLS
+from tests.shapes import unchecked
 
 from momapos.errors import TaskError, UnknownNameError
 from momapos.geometry.transforms import pose_planar
@@ -91,7 +92,8 @@ def test_a_spoilt_plan_is_refused_for_its_reason(name: str, tmp_path: Path) -> N
     spoil, reason = MUTATIONS[name]
     case = make_case()
     spoil(case)
-    report = verify_files(case.write(tmp_path))
+    with unchecked():  # one of them has fewer values than states
+        report = verify_files(case.write(tmp_path))
     assert reason in [check.name for check in report.violations]
 
 

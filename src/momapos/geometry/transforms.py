@@ -8,7 +8,7 @@ answer.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, overload
 
 import numpy as np
 
@@ -127,7 +127,7 @@ def _quaternion_matrix(q: Float[np.ndarray, "*batch 4"]) -> Float[np.ndarray, "*
 
 def rotation_angle(
     A: Float[np.ndarray, "*batch 3 3"], B: Float[np.ndarray, "*batch 3 3"]
-) -> Float[np.ndarray, " *batch"]:
+) -> np.float64 | Float[np.ndarray, " *batch"]:
     """Angle [rad] between rotations; exact for small angles, unlike arccos of the trace."""
     D = np.swapaxes(A, -1, -2) @ B
     v = np.stack(
@@ -136,7 +136,13 @@ def rotation_angle(
     return np.arctan2(0.5 * np.linalg.norm(v, axis=-1), 0.5 * (np.trace(D, axis1=-2, axis2=-1) - 1))
 
 
-def wrap_angle(angle: float | Float[np.ndarray, " *batch"]) -> Float[np.ndarray, " *batch"]:
+@overload
+def wrap_angle(angle: float) -> np.float64: ...
+@overload
+def wrap_angle(angle: Float[np.ndarray, " *batch"]) -> Float[np.ndarray, " *batch"]: ...
+def wrap_angle(
+    angle: float | Float[np.ndarray, " *batch"],
+) -> np.float64 | Float[np.ndarray, " *batch"]:
     """Wrap angles [rad] into (-pi, pi]."""
     wrapped = -(np.mod(-np.asarray(angle) + np.pi, 2 * np.pi) - np.pi)
     # Just above pi, the remainder rounds up to a full turn.

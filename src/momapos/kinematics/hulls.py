@@ -52,7 +52,7 @@ class Hull:
 
     vertices: Float[np.ndarray, "n 3"]
     """In the link frame [m]."""
-    faces: Float[np.ndarray, "f 3"]
+    faces: Int[np.ndarray, "f 3"]
     """Vertex indices, counterclockwise seen from outside."""
     name: str
 
@@ -69,6 +69,27 @@ class Boxes:
 
     def __len__(self) -> int:
         return len(self.center)
+
+
+@dataclass(frozen=True)
+class MovingBoxes:
+    """Oriented boxes at each of the values that a joint takes."""
+
+    center: Float[np.ndarray, "v m 3"]
+    rotation: Float[np.ndarray, "v m 3 3"]
+    """Columns are the box axes."""
+    half: Float[np.ndarray, "v m 3"]
+    """Half edges [m]."""
+
+    def at(self, value: int) -> Boxes:
+        """The boxes at one value, given by its index."""
+        return Boxes(self.center[value], self.rotation[value], self.half[value])
+
+    def sweep(self) -> Boxes:
+        """The boxes at all values, as one set."""
+        return Boxes(
+            self.center.reshape(-1, 3), self.rotation.reshape(-1, 3, 3), self.half.reshape(-1, 3)
+        )
 
 
 def hull_of(geometry: Geometry, link: str = "") -> Hull:

@@ -28,7 +28,7 @@ from momapos.kinematics.collision import (
     place_bounds,
     scratch_of,
 )
-from momapos.kinematics.hulls import Boxes
+from momapos.kinematics.hulls import Boxes, MovingBoxes
 from momapos.kinematics.records import ChainArrays, SphereArrays, WorldArrays
 from momapos.kinematics.spheres import Spheres
 
@@ -48,8 +48,7 @@ class CollisionWorld:
     static: Boxes
     labels: tuple[str, ...]
     """Name of each standing box, then of each moving box."""
-    moving: Boxes
-    """Moving boxes at every value: arrays have a leading axis of values."""
+    moving: MovingBoxes
     grasped: Bool[np.ndarray, " m"]
     """Moving boxes that the gripper may touch."""
     clearance: float
@@ -89,7 +88,7 @@ class CollisionWorld:
 
 def build_world(
     static: Boxes,
-    moving: Boxes,
+    moving: MovingBoxes,
     grasped: Bool[np.ndarray, " m"],
     labels: Sequence[str],
     spheres: Spheres,
@@ -100,7 +99,7 @@ def build_world(
 
     Args:
         static: Standing boxes in the world frame.
-        moving: Moving boxes with a leading axis of joint values: center (v, m, 3) and so on.
+        moving: Moving boxes at every value of the joint.
         grasped: Which moving boxes the gripper may touch.
         labels: Names of the standing boxes, then of the moving ones.
         spheres: The robot.

@@ -12,7 +12,6 @@ import numpy as np
 from momapos.geometry.transforms import apply, invert, pose_planar
 from momapos.kinematics.chain import chain_arrays
 from momapos.kinematics.collision import FREE, place_segments
-from momapos.kinematics.hulls import Boxes
 from momapos.kinematics.spheres import Spheres, box_spheres, carry
 from momapos.kinematics.world import CollisionWorld, check, check_hand, motion_checker
 from momapos.manipulation.arm_path import FOUND, HIT, UNREACHABLE, ArmPath, find_paths
@@ -220,8 +219,7 @@ def _object_spheres(
     motion: TaskMotion, step: int
 ) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, " k"]]:
     """Spheres of what is moved, in the world at a step of the motion [m]."""
-    m, value = motion.moving, motion.value[step]
-    return box_spheres(Boxes(m.center[value], m.rotation[value], m.half[value]))
+    return box_spheres(motion.moving.at(int(motion.value[step])))
 
 
 def _farther(path: ArmPath, other: ArmPath) -> bool:

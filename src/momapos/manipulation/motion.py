@@ -10,7 +10,7 @@ import numpy as np
 from momapos.errors import TaskError
 from momapos.geometry.transforms import invert
 from momapos.kinematics.articulated import joint_motion
-from momapos.kinematics.hulls import Boxes
+from momapos.kinematics.hulls import Boxes, MovingBoxes
 from momapos.kinematics.opening import opening_of
 from momapos.manipulation.config import GraspConfig, MotionConfig
 from momapos.manipulation.grasps import box_grasps, handle_grasps
@@ -43,8 +43,8 @@ class TaskMotion:
     """Whether the gripper may touch what it grasps."""
     static: Boxes
     """Boxes that stand still, world frame."""
-    moving: Boxes
-    """Boxes that move, at each value: leading axis v, world frame."""
+    moving: MovingBoxes
+    """Boxes that move, at each value, world frame."""
     value: Int[np.ndarray, " d"]
     """Index of each step's value into `moving`."""
     grasped: Bool[np.ndarray, " m"]
@@ -64,16 +64,15 @@ class TaskMotion:
 
     def sweep(self) -> Boxes:
         """The moving boxes at all values, as one set."""
-        m = self.moving
-        return Boxes(m.center.reshape(-1, 3), m.rotation.reshape(-1, 3, 3), m.half.reshape(-1, 3))
+        return self.moving.sweep()
 
     def static_obstacles(self) -> Boxes:
         """All boxes as they are before the task begins; `labels` names them in this order."""
-        m = self.moving
+        first = self.moving.at(0)
         return Boxes(
-            np.concatenate([self.static.center, m.center[0]]),
-            np.concatenate([self.static.rotation, m.rotation[0]]),
-            np.concatenate([self.static.half, m.half[0]]),
+            np.concatenate([self.static.center, first.center]),
+            np.concatenate([self.static.rotation, first.rotation]),
+            np.concatenate([self.static.half, first.half]),
         )
 
 
@@ -170,7 +169,7 @@ def _moving_boxes(
     Ts_world_part: Float[np.ndarray, "v 4 4"],
     T_part_link: dict[str, Float[np.ndarray, "4 4"]],
     handle: Handle | None,
-) -> tuple[Boxes, list[str], Bool[np.ndarray, " m"]]:
+) -> tuple[MovingBoxes, list[str], Bool[np.ndarray, " m"]]:
     """Boxes of the moving links at each value, and which of them the gripper may touch."""
     center, rotation, half, labels, near = [], [], [], [], []
     for link, T in T_part_link.items():
@@ -185,7 +184,7 @@ def _moving_boxes(
             touched = _near_handle(local, axes, boxes.half, handle).any()
             near.append(np.full(len(boxes), touched))
     c, R, h = _stack(center, rotation, half)
-    world = Boxes(
+    world = MovingBoxes(
         np.einsum("vij,mj->vmi", Ts_world_part[:, :3, :3], c) + Ts_world_part[:, None, :3, 3],
         np.einsum("vij,mjk->vmik", Ts_world_part[:, :3, :3], R),
         np.broadcast_to(h, (len(Ts_world_part), *h.shape)).copy(),

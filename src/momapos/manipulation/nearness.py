@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.kinematics.base_collision import base_hits
-from momapos.kinematics.hulls import Boxes
+from momapos.kinematics.hulls import Boxes, MovingBoxes
 from momapos.kinematics.world import build_world, check
 from momapos.manipulation.feasibility import with_payload
 from momapos.manipulation.motion import TaskMotion
@@ -66,7 +66,7 @@ def near_boxes(
     q = np.concatenate([found.approach, found.q])
     bases, none = np.tile(base, (len(q), 1)), np.zeros(len(q), np.int64)
     spheres = with_payload(robot, motion, found.Ts_world_tool[0], motion.grasp_step)
-    nothing = Boxes(np.zeros((1, 0, 3)), np.zeros((1, 0, 3, 3)), np.zeros((1, 0, 3)))
+    nothing = MovingBoxes(np.zeros((1, 0, 3)), np.zeros((1, 0, 3, 3)), np.zeros((1, 0, 3)))
 
     def arm_hits(left: Boxes) -> Int[np.ndarray, " m"]:
         labels, free = [""] * len(left), np.zeros(0, bool)

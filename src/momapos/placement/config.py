@@ -15,7 +15,7 @@ class PlaceConfig:
     """How base poses are sampled, ordered and checked."""
 
     method: Method = "ours"
-    """ours: by expected cost; paper: the order of MoMa-Pos, open tours over groups; exhaustive: a grid."""
+    """ours: by expected cost; paper: open tours over groups, as MoMa-Pos; exhaustive: a grid."""
     count: int = 512
     """Latin Hypercube samples in the first round [-]; each further round has twice as many."""
     rounds: int = 3

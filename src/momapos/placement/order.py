@@ -16,7 +16,7 @@ EXACT_UP_TO = 10
 
 def by_expected_cost(
     travel: Float[np.ndarray, " n"], odds: Float[np.ndarray, " n"], *, miss: float
-) -> Int[np.ndarray, " n"]:
+) -> Int[np.ndarray, " m"]:
     """Ours: driving length plus what a likely miss costs, cheapest first.
 
     Args:

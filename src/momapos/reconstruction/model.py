@@ -359,7 +359,7 @@ def _handle(name: str, handle: AlignedHandle, front: float, face: FaceImage) -> 
         x,
         z,
         length,
-        upright=area.height > area.width,
+        upright=bool(area.height > area.width),
         front=front,
         bar=bar,
         stand_off=handle.out - bar,

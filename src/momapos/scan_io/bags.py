@@ -258,7 +258,7 @@ def _shots(
     apart = np.abs(color_stamps[partner] - stamps) * 1e-9
     shots = []
     for i, stamp in enumerate(stamps):
-        name = _seconds(stamp)
+        name = _seconds(int(stamp))
         if not known[i]:
             skips.add("pose", f"tf does not say where {frame!r} was at {name}")
         elif apart[i] > MAX_APART:
@@ -357,4 +357,4 @@ def _check_size(frames: Sequence[Frame], size: tuple[int, int], path: Path) -> N
 
 
 def _seconds(stamp: int) -> str:
-    return f"{int(stamp) // 10**9}.{int(stamp) % 10**9:09d}"
+    return f"{stamp // 10**9}.{stamp % 10**9:09d}"

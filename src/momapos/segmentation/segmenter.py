@@ -229,7 +229,7 @@ class _Division:
             hidden = max(shares) >= self.config.closed and not self._shows_floor(piece)
             seen = share >= self.config.closed
             label = "cabinet" if hidden and not seen else ""
-            out += self._body(piece, top.height, label, closed=seen or hidden)
+            out += self._body(piece, top.height, label, closed=bool(seen or hidden))
         return [self._with_back(body) for body in out] if self._is_seat(top) else out
 
     def _with_back(self, seat: Instance) -> Instance:

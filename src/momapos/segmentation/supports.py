@@ -182,13 +182,13 @@ def _is_basin(support: Support, higher: Sequence[Support], config: SupportConfig
 
 
 def _same_height(
-    groups: Sequence[Int[np.ndarray, " k"]],
+    groups: Sequence[Int[np.ndarray, " _"]],
     cloud: Cloud,
     raster: FloorRaster,
     config: SupportConfig,
-) -> list[Int[np.ndarray, " k"]]:
+) -> list[Int[np.ndarray, " _"]]:
     """Join pieces of one surface between which something hides it."""
-    joined: list[tuple[float, Bool[np.ndarray, "x y"], list[Int[np.ndarray, " k"]]]] = []
+    joined: list[tuple[float, Bool[np.ndarray, "x y"], list[Int[np.ndarray, " _"]]]] = []
     reach = _square(config.closing, config.cell)
     for group in groups:
         height = float(np.median(cloud.points[group, 2]))

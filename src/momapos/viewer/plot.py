@@ -9,7 +9,6 @@ import numpy as np
 
 from momapos.geometry.planar import place_points
 from momapos.geometry.polygons import contains
-from momapos.kinematics.hulls import Boxes
 from momapos.placement_result import PlacementResult
 from momapos.protocols import ReachScorer
 from momapos.scene.scene import Scene
@@ -187,8 +186,7 @@ def _draw_part(axes: Any, answer: PlacementResult) -> None:
 
 def _part(answer: PlacementResult, k: int) -> list[Float[np.ndarray, "c 2"]]:
     """Outlines of the part at the k-th value of its joint."""
-    m = answer.prepared.motion.moving
-    return box_outlines(Boxes(m.center[k], m.rotation[k], m.half[k]))
+    return box_outlines(answer.prepared.motion.moving.at(k))
 
 
 def _draw_candidates(

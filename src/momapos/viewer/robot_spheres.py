@@ -11,7 +11,7 @@ from momapos.robots.robot import Robot
 from momapos.viewer.pictures import save_figure
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
+    from jaxtyping import Float, Int
     from matplotlib.axes import Axes
 
 
@@ -58,8 +58,8 @@ def _draw_view(robot: Robot, axes: Axes, i: int, j: int) -> None:
 
 def sphere_centers(
     robot: Robot, q: Float[np.ndarray, " n"]
-) -> tuple[Float[np.ndarray, "s 3"], Float[np.ndarray, " s"]]:
-    """Centers of the collision spheres in the base frame [m], and which are the gripper's."""
+) -> tuple[Float[np.ndarray, "s 3"], Int[np.ndarray, " s"]]:
+    """Centers of the collision spheres in the base frame [m]; OTHER, PALM or FINGER of each."""
     from momapos.kinematics.chain import chain_arrays
     from momapos.kinematics.collision import place_segments
 
