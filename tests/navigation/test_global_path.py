@@ -10,10 +10,18 @@ from tests.navigation.boxes import free_pose, room, wall_with_door
 
 from momapos.geometry.polygons import inscribed_radius
 from momapos.geometry.transforms import wrap_angle
+from momapos.navigation.clearance import CostWeights, Surroundings
 from momapos.navigation.cost_map import CELL, FloorPlan, build_cost_map
-from momapos.navigation.footprint_map import HEADINGS, NavigationMap, build_navigation_map
-from momapos.navigation.global_path import BasePath, direct_path, plan_path
+from momapos.navigation.footprint_map import (
+    FARTHEST,
+    HEADINGS,
+    MOVES,
+    NavigationMap,
+    build_navigation_map,
+)
+from momapos.navigation.global_path import NEEDED, BasePath, direct_path, plan_path
 from momapos.navigation.judge import FootprintCollisionChecker
+from momapos.navigation.lattice import Lattice, PathModel, standable
 from momapos.robots.robot import Robot
 from momapos.scene.files import load_scene
 
@@ -76,6 +84,27 @@ def test_a_way_touches_nothing_and_is_little_longer_than_a_disc_would_need(
         assert touches_nothing(nav_map, path)
         assert path.length <= 1.1 * shortest + inner
         checked += 1
+
+
+def test_a_search_computes_the_gaps_of_the_map_where_it_comes_by(robot: Robot) -> None:
+    nav_map = build_navigation_map(room([(0.0, 0.0, 1.0, 1.0, 0.4)]), robot)
+    assert plan_path(nav_map, np.array([-1.8, -1.0, 2.0]), np.array([1.8, 0.6, 0.0])) is not None
+    known = np.isfinite(nav_map.known_gaps)
+    assert 0 < known.sum() < 0.5 * known.size
+    np.testing.assert_array_equal(nav_map.known_gaps[known], nav_map.gap[known])
+
+
+def test_a_cell_is_standable_where_the_base_fits_with_some_heading(
+    robots: Callable[[str], Robot],
+) -> None:
+    for name in ("fetch", "segway_ur5e"):
+        nav_map = build_navigation_map(load_scene("kitchen_small"), robots(name))
+        lattice = Lattice(nav_map.origin, CELL, MOVES, HEADINGS, FARTHEST)
+        surroundings = Surroundings(nav_map.prisms.arrays, nav_map.planning_obstacles.arrays)
+        model = PathModel(False, surroundings, CostWeights(NEEDED, 0.08, 1.0, 0.1, 1.3))
+        found = standable(nav_map.inside, lattice, model)
+        assert 0.05 < found.mean() < 0.95
+        np.testing.assert_array_equal(found, (nav_map.gap >= NEEDED).any(0))
 
 
 def test_a_differential_base_drives_along_its_heading_and_turns_on_the_spot(

@@ -22,7 +22,7 @@ from momapos.navigation.convex_polygons import (
 )
 
 if TYPE_CHECKING:
-    from jaxtyping import Float, Int
+    from jaxtyping import Bool, Float, Int
 
 DEEP = -0.1
 """Where the robot overlaps something by this much, no more is looked at [m]."""
@@ -42,6 +42,8 @@ class Scratch(NamedTuple):
     """Indices of the obstacles that `select` lists."""
     edges: Float[np.ndarray, "b 5"]
     """Of the robot's prisms at a pose: corner x, y, normal x, y, level."""
+    placed: Bool[np.ndarray, " k"]
+    """Of which prisms `edges` holds those at that pose."""
 
 
 class CostWeights(NamedTuple):
@@ -63,7 +65,8 @@ class CostWeights(NamedTuple):
 def scratch_for(surroundings):
     """Memory for the kernels below."""
     near = np.empty(len(surroundings.obstacles.layer), np.int64)
-    return Scratch(near, np.empty((len(surroundings.prisms.corner), 5)))
+    edges = np.empty((len(surroundings.prisms.corner), 5))
+    return Scratch(near, edges, np.zeros(len(surroundings.prisms.first) - 1, np.bool_))
 
 
 @kernel
@@ -73,14 +76,8 @@ def gap(x, y, yaw, surroundings, count, cap, scratch):
     corner, first, box = obstacles.corner, obstacles.first, obstacles.bounds
     side, edges = obstacles.normal, scratch.edges
     c, s = np.cos(yaw), np.sin(yaw)
-    for i in range(len(prisms.corner)):
-        px, py = prisms.corner[i, 0], prisms.corner[i, 1]
-        nx, ny = prisms.normal[i, 0], prisms.normal[i, 1]
-        edges[i, 0] = x + c * px - s * py
-        edges[i, 1] = y + s * px + c * py
-        edges[i, 2] = c * nx - s * ny
-        edges[i, 3] = s * nx + c * ny
-        edges[i, 4] = prisms.level[i] + edges[i, 2] * x + edges[i, 3] * y
+    closest = 0
+    scratch.placed[:] = False
     best = cap
     for k in range(count):
         o = scratch.near[k]
@@ -89,7 +86,18 @@ def gap(x, y, yaw, surroundings, count, cap, scratch):
         reach = max(best + prisms.radius, 0.0)
         if dx * dx + dy * dy >= reach * reach:
             continue
-        low, high = prisms.first[obstacles.layer[o]], prisms.first[obstacles.layer[o] + 1]
+        layer = obstacles.layer[o]
+        low, high = prisms.first[layer], prisms.first[layer + 1]
+        if not scratch.placed[layer]:
+            scratch.placed[layer] = True
+            for i in range(low, high):
+                px, py = prisms.corner[i, 0], prisms.corner[i, 1]
+                nx, ny = prisms.normal[i, 0], prisms.normal[i, 1]
+                edges[i, 0] = x + c * px - s * py
+                edges[i, 1] = y + s * px + c * py
+                edges[i, 2] = c * nx - s * ny
+                edges[i, 3] = s * nx + c * ny
+                edges[i, 4] = prisms.level[i] + edges[i, 2] * x + edges[i, 3] * y
         widest = -np.inf
         for e in range(first[o], first[o + 1]):
             nearest = np.inf
@@ -107,9 +115,13 @@ def gap(x, y, yaw, surroundings, count, cap, scratch):
             widest = max(widest, nearest - edges[i, 4])
             if widest >= best:
                 break
-        best = min(best, widest)
+        if widest < best:
+            best, closest = widest, k
         if best < DEEP:
             break
+    # What is closest here is so at the next pose too, most likely: looked at first, it spares more.
+    if count:
+        scratch.near[0], scratch.near[closest] = scratch.near[closest], scratch.near[0]
     return best
 
 

@@ -14,12 +14,12 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from scipy.spatial import ConvexHull
 
 from momapos.compiled import F1, F2, I1
 from momapos.geometry.planar import place_points
 from momapos.geometry.polygons import all_inside, edge_normals, signed_area
 from momapos.geometry.transforms import apply, invert
+from momapos.navigation.convex_hull import convex_hull
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene
 
@@ -155,12 +155,13 @@ def prisms_of(robot: Robot) -> RobotPrisms:
     ]
     low = np.array([points[:, 2].min() for points in shapes])
     high = np.array([points[:, 2].max() for points in shapes])
-    flat = [_hull([points[:, :2]]) for points in shapes]
+    flat = [convex_hull(points[:, :2]) for points in shapes]
 
     @cache
     def outline(begin: float, end: float) -> np.ndarray:
         met = [flat[i] for i in np.flatnonzero((low < end) & (high > begin))]
-        return _hull([robot.footprint, *met] if begin == 0.0 or not met else met)
+        given = [robot.footprint, *met] if begin == 0.0 or not met else met
+        return convex_hull(np.concatenate(given))
 
     @cache
     def area(begin: float, end: float) -> float:
@@ -180,11 +181,6 @@ def prisms_of(robot: Robot) -> RobotPrisms:
     return RobotPrisms(outlines, heights)
 
 
-def _hull(points: Sequence[Float[np.ndarray, "n 2"]]) -> Float[np.ndarray, "k 2"]:
-    stacked = np.concatenate(points)
-    return stacked[ConvexHull(stacked).vertices]
-
-
 def obstacles_of(scene: Scene, prisms: RobotPrisms) -> ConvexPolygons:
     """Everything between the floor and the robot's top, for each prism that it is in the way of."""
     polygons, layers, names = [], [], []
@@ -198,7 +194,7 @@ def obstacles_of(scene: Scene, prisms: RobotPrisms) -> ConvexPolygons:
                 # Within a wider prism that is met as well, a prism asks nothing more.
                 wider = prisms.inside & met & ~(prisms.inside.T & (index[:, None] <= index))
                 for layer in np.flatnonzero(met & ~wider.any(axis=1)):
-                    polygons.append(_hull([points[:, :2]]))
+                    polygons.append(convex_hull(points[:, :2]))
                     layers.append(int(layer))
                     names.append(f"{item.name}/{link}")
     return pack(polygons, layers, names)

@@ -9,20 +9,17 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from momapos.kinematics.hulls import Boxes
+from momapos.navigation.convex_hull import convex_hull
+from momapos.navigation.grid_distance import clearance, path_lengths
 from momapos.robots.robot import Robot
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
-    from scipy.sparse import csr_matrix
 
 CELL = 0.05
 """Edge of a cell [m]."""
-_QUADRANT = ((1, 0), (1, 1), (2, 1), (1, 2))
-_MOVES = tuple(move for a, b in _QUADRANT for move in ((a, b), (-b, a), (-a, -b), (b, -a)))
-"""Steps to the sixteen cells around a cell: path lengths are at most 2.7 % too long."""
 ROOM_MARGIN = 2.0
 """Free border that is mapped around a room without a known floor [m]."""
-_FARTHEST = max(max(map(abs, move)) for move in _MOVES)
 
 
 @dataclass(frozen=True)
@@ -117,12 +114,10 @@ def _outlines(boxes: Boxes, which: Int[np.ndarray, " k"]) -> list[Float[np.ndarr
     found = list(rectangles[upright])
     if upright.all():
         return found
-    from scipy.spatial import ConvexHull
-
     cube = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
     for b in np.flatnonzero(~upright):
         corners = c[b] + (cube * h[b]) @ R[b, :2].T
-        found.append(corners[ConvexHull(corners).vertices])
+        found.append(convex_hull(corners))
     return found
 
 
@@ -134,39 +129,8 @@ def build_cost_map(plan: FloorPlan, start: Float[np.ndarray, "2"], *, radius: fl
         start: Where the base is [m].
         radius: Radius of the disc that must fit: the base's inscribed circle [m].
     """
-    from scipy.ndimage import distance_transform_edt
-    from scipy.sparse.csgraph import dijkstra
-
     rows, columns = plan.blocked.shape
-    clear = (
-        distance_transform_edt(~plan.blocked) * CELL
-        if plan.blocked.any()
-        else np.full(plan.blocked.shape, np.inf)
-    )
-    free = clear > radius
+    free = clearance(plan.blocked) * CELL > radius
     j, i = np.clip(((start - plan.origin) / CELL).astype(int), 0, [columns - 1, rows - 1])
     free[i, j] = True
-    distance = dijkstra(cell_graph(free), indices=int(i * columns + j)).reshape(rows, columns)
-    return CostMap(plan.origin, distance, free)
-
-
-def cell_graph(free: Bool[np.ndarray, "rows columns"]) -> csr_matrix:
-    """Sixteen-neighbor graph of the free cells, as compressed rows without a detour."""
-    from scipy.sparse import csr_matrix
-
-    columns = free.shape[1]
-    di, dj = np.array(_MOVES).T
-    # In a padded copy a move is one offset, and none leaves the array.
-    wide = columns + 2 * _FARTHEST
-    padded = np.pad(free, _FARTHEST)
-    cells = np.flatnonzero(free).astype(np.int32)
-    at = np.flatnonzero(padded).astype(np.int32)
-    open_edge = padded.ravel()[at[:, None] + (di * wide + dj).astype(np.int32)]
-    target = cells[:, None] + (di * columns + dj).astype(np.int32)
-    start = np.zeros(free.size + 1, np.int32)
-    start[cells + 1] = open_edge.sum(1)
-    length = np.broadcast_to(CELL * np.hypot(di, dj), target.shape)
-    return csr_matrix(
-        (length[open_edge], target[open_edge], np.cumsum(start, dtype=np.int32)),
-        shape=(free.size, free.size),
-    )
+    return CostMap(plan.origin, path_lengths(free, np.array([i * columns + j]), CELL), free)

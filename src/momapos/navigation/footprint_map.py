@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.compiled import B2, F1, F3, entry
 from momapos.errors import SceneError
-from momapos.geometry.polygons import contains, inscribed_radius
-from momapos.navigation.clearance import Surroundings, gap, scratch_for, select
+from momapos.geometry.polygons import contains
+from momapos.navigation.clearance import gaps
 from momapos.navigation.convex_polygons import (
     ConvexPolygons,
     RobotPrisms,
@@ -34,6 +33,8 @@ HEADINGS: np.ndarray = np.arctan2(MOVES[:, 1], MOVES[:, 0])
 """The 32 headings of the map, those along which cells lie [rad]."""
 FARTHEST = 0.2
 """Gaps are told apart up to this [m]."""
+OFF_FLOOR = -1.0
+"""Gap at cells whose center is not on the floor [m]."""
 BORDER = 2.0
 """Free border that is mapped around a room without a known floor [m]."""
 MOST_CELLS = 1_000_000
@@ -56,18 +57,35 @@ class NavigationMap:
     """Rows and columns of the map."""
 
     @cached_property
+    def inside(self) -> Bool[np.ndarray, "rows columns"]:
+        """Cells whose center is on the floor."""
+        if self.floor_polygon is None:
+            return np.ones(self.shape, bool)
+        return contains(self.floor_polygon, self._centers().reshape(-1, 2)).reshape(self.shape)
+
+    @cached_property
+    def known_gaps(self) -> Float32[np.ndarray, "headings rows columns"]:
+        """Gaps of the states that searches have come to so far, NaN elsewhere, see `gap`: a search
+        comes to few of them, and writes those down here."""
+        known = np.full((len(HEADINGS), *self.shape), np.nan, np.float32)
+        known[:, ~self.inside] = OFF_FLOOR
+        return known
+
+    @cached_property
     def gap(self) -> Float32[np.ndarray, "headings rows columns"]:
         """Gap around the robot at the center of each cell [m], at most FARTHEST; negative where it
-        does not fit. It is made when it is first asked for: most ways need no map."""
+        does not fit. For all states, which takes long."""
+        centers = self._centers()[self.inside]
+        found = np.full((len(HEADINGS), *self.shape), OFF_FLOOR, np.float32)
+        for heading, layer in zip(HEADINGS, found, strict=True):
+            poses = np.column_stack([centers, np.full(len(centers), heading)])
+            layer[self.inside] = gaps(poses, self.prisms, self.planning_obstacles, cap=FARTHEST)
+        return found
+
+    def _centers(self) -> Float[np.ndarray, "rows columns 2"]:
         rows, columns = self.shape
         j, i = np.meshgrid(np.arange(columns), np.arange(rows))
-        centers = self.origin + (np.stack([j, i], -1) + 0.5) * CELL
-        inside = np.ones((rows, columns), bool)
-        if self.floor_polygon is not None:
-            inside = contains(self.floor_polygon, centers.reshape(-1, 2)).reshape(rows, columns)
-        inner = inscribed_radius(self.prisms.outlines[0])
-        surroundings = Surroundings(self.prisms.arrays, self.planning_obstacles.arrays)
-        return _fill(centers, inside, HEADINGS, inner, surroundings)
+        return self.origin + (np.stack([j, i], -1) + 0.5) * CELL
 
     @property
     def free(self) -> Bool[np.ndarray, "headings rows columns"]:
@@ -113,25 +131,3 @@ def navigation_map_of(
     return NavigationMap(
         robot, prisms, obstacles, planning_obstacles, floor_polygon, origin, (rows, columns)
     )
-
-
-@entry
-def _fill(
-    centers: F3, inside: B2, headings: F1, inner: float, surroundings: Surroundings
-) -> np.ndarray:
-    rows, columns = inside.shape
-    reach, bounds = surroundings.prisms.radius + FARTHEST, surroundings.obstacles.bounds
-    out = np.empty((len(headings), rows, columns), np.float32)
-    scratch = scratch_for(surroundings)
-    for i in range(rows):
-        for j in range(columns):
-            x, y = centers[i, j, 0], centers[i, j, 1]
-            count = select(x, y, reach, bounds, scratch.near)
-            for h in range(len(headings)):
-                if not inside[i, j]:
-                    out[h, i, j] = -inner
-                elif count == 0:
-                    out[h, i, j] = FARTHEST
-                else:
-                    out[h, i, j] = gap(x, y, headings[h], surroundings, count, FARTHEST, scratch)
-    return out

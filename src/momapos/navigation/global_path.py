@@ -7,19 +7,20 @@ shortest path over a lattice is not the shortest path.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.sparse.csgraph import dijkstra
 
 from momapos.geometry.transforms import wrap_angle
 from momapos.navigation.clearance import CostWeights, Surroundings, gaps
 from momapos.navigation.convex_polygons import on_floor
-from momapos.navigation.cost_map import CELL, cell_graph
+from momapos.navigation.cost_map import CELL
 from momapos.navigation.footprint_map import FARTHEST, HEADINGS, MOVES, NavigationMap
-from momapos.navigation.lattice import Lattice, PathModel, astar, connections, shorten
+from momapos.navigation.grid_distance import path_lengths
+from momapos.navigation.lattice import Lattice, PathModel, astar, connections, shorten, standable
 from momapos.navigation.lattice_connection import Exits, shuffled, straight
 
 if TYPE_CHECKING:
@@ -150,6 +151,11 @@ class _Planner:
     def omni(self) -> bool:
         return self.nav_map.robot.drive == "omni"
 
+    @property
+    def _shape(self) -> tuple[int, int, int]:
+        """Headings, rows and columns of the lattice."""
+        return len(HEADINGS), *self.nav_map.shape
+
     def model(self, needed_clearance: float = NEEDED) -> PathModel:
         """What the kernels search by."""
         c, nav_map = self.config, self.nav_map
@@ -218,21 +224,20 @@ class _Planner:
         """The cheapest path from one tree of exits to the other."""
         costs, via = zip(*(self._attached(e, k) for k, e in enumerate((first, last))), strict=True)
         nav_map = self.nav_map
-        _, rows, columns = nav_map.gap.shape
+        rows, columns = nav_map.shape
         cells = np.unique(np.flatnonzero(np.isfinite(costs[1])) % (rows * columns))
         if not len(cells) or not np.isfinite(costs[0]).any():
             return None
-        graph = cell_graph(np.any(nav_map.gap >= NEEDED, axis=0))
-        ahead = _FINER * dijkstra(graph, indices=cells, min_only=True).reshape(rows, columns)
-        lattice = Lattice(nav_map.origin, CELL, MOVES, HEADINGS)
-        states = astar(nav_map.gap, ahead, *costs, lattice, self.model())
+        lattice, model = Lattice(nav_map.origin, CELL, MOVES, HEADINGS, FARTHEST), self.model()
+        ahead = _FINER * path_lengths(standable(nav_map.inside, lattice, model), cells, CELL)
+        states = astar(nav_map.known_gaps, ahead, *costs, lattice, model)
         if not len(states):
             return None
         before = first.path(via[0][int(states[0])])
         return _LatticePath(states, before, last.path(via[1][int(states[-1])]))
 
     def _states(self, index: Int[np.ndarray, " k"]) -> Float[np.ndarray, "k 3"]:
-        h, i, j = np.unravel_index(index, self.nav_map.gap.shape)
+        h, i, j = np.unravel_index(index, self._shape)
         xy = self.nav_map.origin + (np.stack([j, i], -1) + 0.5) * CELL
         return np.column_stack([xy, HEADINGS[h]])
 
@@ -244,7 +249,7 @@ class _Planner:
             self._near(pose, _AROUND[k == 0], outward=not end) for k, pose in enumerate(exits.poses)
         ]
         which = np.repeat(np.arange(len(found)), [len(f) for f in found])
-        cost = np.full(self.nav_map.gap.size, np.inf)
+        cost = np.full(math.prod(self._shape), np.inf)
         if not len(which):
             return cost, {}
         index = np.concatenate(found)
@@ -261,7 +266,7 @@ class _Planner:
     ) -> Int[np.ndarray, " k"]:
         """Free lattice states around a pose, with the headings that suit going there or turning."""
         nav_map = self.nav_map
-        count, rows, columns = nav_map.gap.shape
+        count, rows, columns = self._shape
         j0, i0 = np.floor((end[:2] - nav_map.origin) / CELL).astype(int)
         span = np.arange(-int(radius / CELL), int(radius / CELL) + 1)
         i, j = (a.ravel() for a in np.meshgrid(i0 + span, j0 + span, indexing="ij"))
@@ -275,8 +280,10 @@ class _Planner:
         apart = np.abs(wrap_angle((headings[..., None] - HEADINGS).ravel()))
         h = apart.reshape(*headings.shape, count).argmin(-1)
         h = np.column_stack([h, (h[:, 0] + 1) % count, (h[:, 0] - 1) % count])
-        index = np.unique(np.ravel_multi_index((h, i[:, None], j[:, None]), nav_map.gap.shape))
-        return index[nav_map.gap.ravel()[index] >= NEEDED]
+        index = np.unique(np.ravel_multi_index((h, i[:, None], j[:, None]), self._shape))
+        index = index[nav_map.inside.ravel()[index % nav_map.inside.size]]
+        states = self._states(index)
+        return index[gaps(states, nav_map.prisms, nav_map.planning_obstacles, cap=NEEDED) >= NEEDED]
 
     def merged(self, nodes: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
         """Turn at each node from one leg to the next at once, not by way of the node's heading."""

@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 import heapq
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from momapos.compiled import F1, F2, I2, S3, entry
+from momapos.compiled import B2, F1, F2, I2, S3, entry, kernel
 from momapos.navigation.clearance import (
     CostWeights,
     Surroundings,
     connect,
+    gap,
     leg,
     scratch_for,
+    select,
     wrapped,
 )
-
-if TYPE_CHECKING:
-    pass
 
 
 class PathModel(NamedTuple):
@@ -41,6 +40,8 @@ class Lattice(NamedTuple):
     """Steps (columns, rows) along each heading."""
     headings: F1
     """[rad]"""
+    farthest: float
+    """Gaps are told apart up to this [m]."""
 
 
 @entry
@@ -56,13 +57,84 @@ def connections(a: F2, b: F2, model: PathModel) -> tuple[np.ndarray, np.ndarray]
 
 
 @entry
+def standable(inside: B2, lattice: Lattice, model: PathModel) -> np.ndarray:
+    """Where the base can be with some heading (rows, columns), of the cells on the floor."""
+    surroundings, need = model.surroundings, model.cost_weights.needed_clearance
+    prisms, obstacles = surroundings.prisms, surroundings.obstacles
+    origin, cell = lattice.origin, lattice.cell
+    # A circle about the origin within a prism is clear of what the prism is clear of.
+    inner = np.zeros(len(prisms.first) - 1)
+    for layer in range(len(inner)):
+        inner[layer] = prisms.level[prisms.first[layer] : prisms.first[layer + 1]].min()
+    scratch = scratch_for(surroundings)
+    out = np.zeros(inside.shape, np.bool_)
+    for i in range(inside.shape[0]):
+        for j in range(inside.shape[1]):
+            if not inside[i, j]:
+                continue
+            x, y = origin[0] + (j + 0.5) * cell, origin[1] + (i + 0.5) * cell
+            count = select(x, y, prisms.radius + need, obstacles.bounds, scratch.near)
+            blocked = False
+            for o in scratch.near[:count]:
+                circle = inner[obstacles.layer[o]]
+                if circle > 0 and _within(x, y, circle + need, obstacles, o):
+                    blocked = True
+                    break
+            if blocked:
+                continue
+            for yaw in lattice.headings:
+                if gap(x, y, yaw, surroundings, count, need, scratch) >= need:
+                    out[i, j] = True
+                    break
+    return out
+
+
+@kernel
+def _within(x, y, distance, obstacles, o):
+    """Whether a point is closer to a convex polygon than a distance."""
+    corner, first, last = obstacles.corner, obstacles.first[o], obstacles.first[o + 1]
+    outside = False
+    for e in range(first, last):
+        beyond = obstacles.normal[e, 0] * x + obstacles.normal[e, 1] * y - obstacles.level[e]
+        if beyond >= distance:
+            return False
+        outside = outside or beyond > 0
+    if not outside:
+        return True
+    for e in range(first, last):
+        f = e + 1 if e + 1 < last else first
+        ax, ay = x - corner[e, 0], y - corner[e, 1]
+        bx, by = corner[f, 0] - corner[e, 0], corner[f, 1] - corner[e, 1]
+        share = min(1.0, max(0.0, (ax * bx + ay * by) / max(bx * bx + by * by, 1e-18)))
+        dx, dy = ax - share * bx, ay - share * by
+        if dx * dx + dy * dy < distance * distance:
+            return True
+    return False
+
+
+@kernel
+def _gap_at(h, i, j, known, lattice, surroundings, scratch):
+    """Gap at a state [m], computed when it is first asked for."""
+    if np.isnan(known[h, i, j]):
+        x = lattice.origin[0] + (j + 0.5) * lattice.cell
+        y = lattice.origin[1] + (i + 0.5) * lattice.cell
+        reach, bounds = surroundings.prisms.radius + lattice.farthest, surroundings.obstacles.bounds
+        count = select(x, y, reach, bounds, scratch.near)
+        known[h, i, j] = gap(
+            x, y, lattice.headings[h], surroundings, count, lattice.farthest, scratch
+        )
+    return known[h, i, j]
+
+
+@entry
 def astar(
-    gaps: S3, ahead: F2, first: F1, last: F1, lattice: Lattice, model: PathModel
+    known: S3, ahead: F2, first: F1, last: F1, lattice: Lattice, model: PathModel
 ) -> np.ndarray:
     """Find the cheapest path over the lattice (Hart, Nilsson, Raphael 1968).
 
     Args:
-        gaps: Gap at every state (headings, rows, columns) [m].
+        known: Gap at every state (headings, rows, columns) [m]; NaN where it is not known yet, and
+            then written down.
         ahead: Lower bound of the cost from every cell to the goal (rows, columns) [m].
         first: Cost from the start to every state it is attached to, infinite elsewhere, flat.
         last: Cost from every state to the goal, likewise.
@@ -76,12 +148,11 @@ def astar(
     moves, headings = lattice.moves, lattice.headings
     omni, weights = model.omni, model.cost_weights
     radius = model.surroundings.prisms.radius
-    turns, rows, columns = gaps.shape
+    turns, rows, columns = known.shape
     area = rows * columns
-    flat = gaps.ravel()
     scratch = scratch_for(model.surroundings)
-    cost, parent = first.copy(), np.full(flat.size, -1, np.int64)
-    done = np.zeros(flat.size, np.bool_)
+    cost, parent = first.copy(), np.full(first.size, -1, np.int64)
+    done = np.zeros(first.size, np.bool_)
     queue = [(np.inf, np.int64(-1))]
     for state in np.flatnonzero(np.isfinite(first)):
         bound = ahead[(state % area) // columns, state % columns]
@@ -102,6 +173,7 @@ def astar(
         h, i, j = state // area, (state % area) // columns, state % columns
         a[0], a[1] = origin[0] + (j + 0.5) * cell, origin[1] + (i + 0.5) * cell
         a[2] = headings[h]
+        here = _gap_at(h, i, j, known, lattice, model.surroundings, scratch)
         for move in range(directions + 2):
             g, di, dj, factor = h, 0, 0, 1.0
             if move < 2:
@@ -114,18 +186,17 @@ def astar(
             if ni < 0 or nj < 0 or ni >= rows or nj >= columns:
                 continue
             after = g * area + ni * columns + nj
-            if (
-                done[after]
-                or flat[after] < weights.needed_clearance
-                or not np.isfinite(ahead[ni, nj])
-            ):
+            if done[after] or not np.isfinite(ahead[ni, nj]):
                 continue
             turn = wrapped(headings[g] - headings[h]) if g != h else 0.0
             length = cell * np.hypot(di, dj)
-            between = (flat[state] + flat[after]) / 2
             step = factor * (length + weights.turning * abs(turn))
             if cost[state] + step >= cost[after]:
                 continue
+            there = _gap_at(g, ni, nj, known, lattice, model.surroundings, scratch)
+            if there < weights.needed_clearance:
+                continue
+            between = (here + there) / 2
             if 2 * between - length - radius * abs(turn) > weights.needed_clearance:
                 near = max(0.0, 1 - between / weights.preferred_clearance)
                 step *= 1 + weights.proximity * near**2

@@ -7,13 +7,23 @@ little that there is room for, drives on, turns again. The goal is left likewise
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float, Int
 
 from momapos.geometry.transforms import wrap_angle
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from jaxtyping import Float, Int
+
+    Joined = Callable[
+        [Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"], bool], Float[np.ndarray, " n"]
+    ]
+    """Cost of the simple path from each pose to another [m], and whether it may keep the smaller
+    gap that the start or goal has."""
 
 AHEAD = np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0, 1.2])
 """How far a pose is left straight [m]."""
@@ -25,12 +35,6 @@ _KEPT = 16
 """Poses with the most room from which shuffling goes on after each stretch [-]."""
 _ALIKE = 0.1, np.radians(5.0)
 """Of poses that differ by less only one is kept [m], [rad]."""
-
-Joined = Callable[
-    [Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"], bool], Float[np.ndarray, " n"]
-]
-"""Cost of the simple path from each pose to another [m], and whether it may keep the smaller gap
-that the start or goal has."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,6 +20,7 @@ from momapos.navigation.clearance import gaps
 from momapos.navigation.convex_polygons import on_floor
 from momapos.navigation.cost_map import CELL, FloorPlan
 from momapos.navigation.footprint_map import HEADINGS, NavigationMap
+from momapos.navigation.grid_distance import clearance
 from momapos.navigation.judge import FootprintCollisionChecker
 from momapos.robots.robot import Robot
 
@@ -65,11 +66,7 @@ def find_start(
     Raises:
         SceneError: Nowhere is there room.
     """
-    from scipy.ndimage import distance_transform_edt
-
-    clear = (
-        distance_transform_edt(np.pad(~plan.blocked, 1, constant_values=True))[1:-1, 1:-1] * CELL
-    )
+    clear = clearance(plan.blocked) * CELL
     # Where no place is roomy enough for an arm that sticks out, any that the robot fits in will do.
     for room in (min(ROOM, 0.9 * float(clear.max())), 0.0):
         i, j = np.nonzero(clear > room)
