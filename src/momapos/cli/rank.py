@@ -55,6 +55,7 @@ def rank_objects(
     # A mistyped name is told before anything heavy is imported.
     refuse_unknown_object(find_scene(scene), name)
     from momapos.cache import user_cache
+    from momapos.cli.compile import RANK, WALKS, compile_once
     from momapos.importance.rank import rank
     from momapos.manipulation.tasks import hand_path
     from momapos.scene.files import load_scene
@@ -68,6 +69,7 @@ def rank_objects(
     for warning in loaded.warnings:
         print(f"momapos: {warning}", file=sys.stderr)
     path = hand_path(loaded, name, moved or None)
+    compile_once(RANK + WALKS if config.scorer == "deepwalk" else RANK)
     result = rank(loaded, name, config, path=path, seed=seed)
     if plot is not None:
         from momapos.viewer.graph import draw_importance
