@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import importlib
 from pathlib import Path
 
 import pytest
 
 from momapos.cli import compile as compiling
-from momapos.cli.compile import ANSWER, compile_once
+from momapos.cli.compile import ANSWER, RANK, VERIFY, WALKS, compile_once
+from momapos.cli.main import main
 from momapos.compiled.kernel import ENTRIES
 from momapos.compiled.store import Store
 
@@ -19,6 +21,7 @@ def test_what_an_answer_needs_is_compiled_once_with_one_line(
     monkeypatch.setattr(compiling, "store", store)
     short = ("momapos.kinematics.chain.stand_at_origin", "momapos.verification.shapes._place")
     for name in short:  # as in a new process
+        importlib.import_module(name.rpartition(".")[0])
         monkeypatch.setattr(ENTRIES[name], "_native", None)
     monkeypatch.setattr("momapos.compiled.store.store", store)
     compile_once(short)
@@ -33,3 +36,23 @@ def test_what_an_answer_needs_is_compiled_once_with_one_line(
 def test_every_kernel_of_an_answer_is_an_entry() -> None:
     compile_once()
     assert set(ANSWER) <= set(ENTRIES)
+
+
+@pytest.mark.parametrize("command", ["rank", "walks", "verify"])
+def test_checking_and_ranking_compile_nothing_but_what_they_announce(
+    command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plan = tmp_path / "plan.json"
+    words, announced = {
+        "rank": (["rank", "kitchen_small", "fridge"], RANK),
+        "walks": (["rank", "kitchen_small", "fridge", "--scorer", "deepwalk"], RANK + WALKS),
+        "verify": (["verify", str(plan)], VERIFY),
+    }[command]
+    if command == "verify":
+        question = ["place", "open", "kitchen_small", "fridge/door_hinge", "--out", str(plan)]
+        assert main(question) == 0
+    for kernel in ENTRIES.values():  # as in a new process
+        monkeypatch.setattr(kernel, "_native", None)
+    assert main(words) == 0
+    used = {name for name, kernel in ENTRIES.items() if kernel._native is not None}
+    assert used == set(announced)

@@ -36,6 +36,20 @@ ANSWER = (
     "momapos.verification.sweep._deepest",
 )
 """The entries that an answer needs."""
+VERIFY = (
+    "momapos.verification.convex.overlap",
+    "momapos.verification.shapes._place",
+    "momapos.verification.sweep._deepest",
+)
+"""Those that checking a plan needs."""
+RANK = (
+    "momapos.importance.relations._gaps_to",
+    "momapos.importance.relations._hierarchy",
+    "momapos.importance.relations._nearest",
+)
+"""Those that the scene graph and the scores by reach need."""
+WALKS = ("momapos.importance.embedding._train", "momapos.importance.walks._walk")
+"""Those that scores by walks need besides."""
 
 
 def compile_once(names: tuple[str, ...] = ANSWER) -> None:

@@ -58,6 +58,7 @@ def rank_objects(
     name, _, moved = target.partition("/")
     refuse_unknown_object(find_scene(scene), name)
     from momapos.cache import user_cache
+    from momapos.cli.compile import RANK, WALKS, compile_once
     from momapos.importance.rank import rank
     from momapos.manipulation.tasks import hand_path
     from momapos.scene.files import load_scene
@@ -67,6 +68,7 @@ def rank_objects(
     for warning in loaded.warnings:
         print(f"momapos: {warning}", file=sys.stderr)
     path = hand_path(loaded, name, moved or None)
+    compile_once(RANK + WALKS if config.scorer == "deepwalk" else RANK)
     with busy(f"{loaded.name}: scoring {len(loaded.objects)} objects"):
         result = rank(loaded, name, config, path=path, seed=seed)
     if plot is not None:

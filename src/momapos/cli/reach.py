@@ -28,7 +28,7 @@ def reach_build(
     import json as encoder
     import time
 
-    from momapos.cache import default_cache_dir, write_atomic
+    from momapos.cache import Cache, default_cache_dir, write_atomic
     from momapos.cli.console import progress
     from momapos.files import check_outputs
     from momapos.reachability.construct import build_map, default_config
@@ -36,7 +36,8 @@ def reach_build(
     from momapos.robots.robot import load_robot
 
     check_outputs([out], [cache])
-    machine, where = load_robot(robot), out or cache or default_cache_dir()
+    kept = cache or default_cache_dir()
+    machine, where = load_robot(robot, cache=Cache(kept)), out or kept
     began = time.perf_counter()
     with progress(f"reachability map of {machine.name}") as report:
         if out is None:
@@ -72,7 +73,7 @@ def reach_eval(
 
     import numpy as np
 
-    from momapos.cache import default_cache_dir
+    from momapos.cache import Cache, default_cache_dir
     from momapos.cli.console import progress
     from momapos.cli.options import check_seed
     from momapos.errors import InputError
@@ -85,9 +86,10 @@ def reach_eval(
         raise InputError("--count must be between 1 and 10000000")
     check_seed(seed)
     check_outputs(folders=[cache])
-    machine = load_robot(robot)
+    kept = cache or default_cache_dir()
+    machine = load_robot(robot, cache=Cache(kept))
     with progress(f"reachability map of {machine.name}") as report:
-        reach = load_reach_map(machine, cache or default_cache_dir(), report)
+        reach = load_reach_map(machine, kept, report)
     result = asdict(evaluate(reach, machine, np.random.default_rng(seed), count))
     if json:
         print(encoder.dumps({"robot": machine.name, **result}))

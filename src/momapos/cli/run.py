@@ -64,7 +64,7 @@ def run(
 
     import numpy as np
 
-    from momapos.cache import default_cache_dir
+    from momapos.cache import default_cache_dir, user_cache
     from momapos.cli.console import progress
     from momapos.errors import InputError, require
     from momapos.plans import check_unchanged, read_plan
@@ -88,7 +88,7 @@ def run(
     scene_file = find_file("scene", content.scene, folders, plan)
     urdf = find_file("robot.urdf", content.robot_urdf, folders, plan)
     check_unchanged(plan, scene_file, urdf)
-    scene = read_scene(scene_file, scene_root).with_joints(content.scene_joints)
+    scene = read_scene(scene_file, scene_root, cache=user_cache()).with_joints(content.scene_joints)
     machine = _robot(content, plan, urdf, robot)
     for warning in scene.warnings:
         print(f"momapos: {warning}", file=sys.stderr)
@@ -118,24 +118,25 @@ def _robot(content: PlacementPlan, plan: Path, urdf: Path, given: str | None) ->
     Raises:
         RobotError: There is none, or it describes another robot.
     """
+    from momapos.cache import user_cache
     from momapos.errors import InputError, RobotError
     from momapos.robots.names import library_names
     from momapos.robots.robot import load_robot
 
     beside = urdf.with_suffix(".toml")
     if given is not None:
-        robot = load_robot(given)
+        robot = load_robot(given, cache=user_cache())
     elif content.robot_file is not None:
         try:
-            robot = load_robot(content.robot_file)
+            robot = load_robot(content.robot_file, cache=user_cache())
         except InputError as error:
             raise RobotError(
                 f"{plan}: its robot file cannot be used: {error}; give --robot"
             ) from error
     elif beside.is_file():
-        robot = load_robot(beside)
+        robot = load_robot(beside, cache=user_cache())
     elif content.robot_name in library_names():
-        robot = load_robot(content.robot_name)
+        robot = load_robot(content.robot_name, cache=user_cache())
     else:
         raise RobotError(f"{plan}: there is no robot file {beside}; give --robot")
     named = (content.base_link, content.tool_link, content.joints)

@@ -45,13 +45,14 @@ def scene_scan(
     if not 1 <= frames <= 10_000:
         raise InputError("--frames must be between 1 and 10000")
     find_scene(scene)  # a mistyped name is told before anything heavy is imported
+    from momapos.cache import user_cache
     from momapos.scene.files import load_scene
     from momapos.scene.joints import set_joints
     from momapos.synthetic_scans.depth_sensor import DepthSensor
     from momapos.synthetic_scans.recording import refuse_used, synthetic_scan, write_scan
 
     refuse_used(out)
-    loaded = set_joints(load_scene(scene), joint)
+    loaded = set_joints(load_scene(scene, cache=user_cache()), joint)
     sensor = DepthSensor() if noise else None
     scan = synthetic_scan(loaded, frames=frames, seed=seed, sensor=sensor, tilt=tilt)
     with progress("rendering") as report:

@@ -31,9 +31,11 @@ def verify(
     from json import dumps
 
     from momapos.cache import user_cache
+    from momapos.cli.compile import VERIFY, compile_once
     from momapos.verification.files import verify_files
     from momapos.verification.report import report_lines, report_to_dict
 
+    compile_once(VERIFY)
     report = verify_files(plan, scene_root, cache=user_cache())
     if json:
         print(dumps(report_to_dict(report)))
