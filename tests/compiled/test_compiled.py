@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import json
+import resource
 import subprocess
 import sys
 import zipfile
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
 
@@ -177,3 +180,100 @@ def test_answers_and_checks_run_without_numba(tmp_path: Path) -> None:
         call = [sys.executable, "-c", _WITHOUT_NUMBA, *command]
         done = subprocess.run(call, capture_output=True, text=True)
         assert done.returncode == 0, done.stderr
+
+
+@entry
+def _careful(x: F1, by: float):
+    if len(x) == 0:
+        raise ValueError("nothing to divide")
+    out = np.empty(len(x))
+    for i in range(len(x)):
+        out[i] = x[i] / by
+    return out
+
+
+def test_errors_of_a_kernel_arrive_as_in_python(folder: Path) -> None:
+    native = Store(folder).native(_careful)
+    with pytest.raises(ZeroDivisionError):
+        native(X, 0.0)
+    with pytest.raises(ValueError, match="nothing to divide"):
+        native(X[:0], 1.0)
+    np.testing.assert_array_equal(native(X, 2.0), X / 2.0)
+
+
+def test_returned_arrays_are_freed(folder: Path) -> None:
+    native, x = Store(folder).native(_careful), np.ones(10_000)
+    native(x, 2.0)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    for _ in range(20_000):  # 1.6 GB if they were kept
+        native(x, 2.0)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 40_000  # KiB
+
+
+def test_threads_that_call_an_entry_first_at_once_get_the_same_answer() -> None:
+    fresh = Kernel(_careful.py_func, False, {})
+    fresh.is_entry = True
+    with ThreadPoolExecutor(4) as pool:
+        answers = list(pool.map(lambda _: fresh(X, 2.0), range(8)))
+    np.testing.assert_array_equal(answers, np.tile(X / 2.0, (8, 1)))
+
+
+def test_a_cache_folder_that_cannot_be_used_only_costs_compiling(tmp_path: Path) -> None:
+    blocked = tmp_path / "file"
+    blocked.write_bytes(b"")  # neither folders nor files can be made in a file
+    native = Store(blocked / "cache").native(_careful)
+    np.testing.assert_array_equal(native(X, 2.0), X / 2.0)
+    assert blocked.read_bytes() == b""
+
+
+@pytest.mark.parametrize("damage", ["cut", "foreign key", "empty"])
+def test_a_stored_file_that_is_not_whole_is_compiled_anew(tmp_path: Path, damage: str) -> None:
+    store = Store(tmp_path)
+    store.native(_careful)
+    (file,) = tmp_path.iterdir()
+    whole = file.read_bytes()
+    if damage == "foreign key":
+        other = Store(tmp_path / "other")
+        other.native(_along)
+        (foreign,) = (tmp_path / "other").iterdir()
+        file.write_bytes(foreign.read_bytes())
+    else:
+        file.write_bytes(whole[: len(whole) // 2] if damage == "cut" else b"")
+    assert store.find(_careful) is None
+    np.testing.assert_array_equal(Store(tmp_path).native(_careful)(X, 2.0), X / 2.0)
+    assert store.find(_careful) is not None
+
+
+@pytest.mark.parametrize("other", [["numba 0"], ["another Python"]])
+def test_code_of_another_compiler_is_not_found(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, other: list[str]
+) -> None:
+    Store(tmp_path).native(_careful)
+    monkeypatch.setattr(stores, "compiler_version", lambda: other)
+    assert Store(tmp_path).find(_careful) is None
+
+
+def test_code_of_another_processor_is_not_found(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    Store(tmp_path).native(_careful)
+    monkeypatch.setattr(stores.llvm, "get_host_cpu_name", lambda: "another")
+    assert Store(tmp_path).find(_careful) is None
+
+
+def test_a_damaged_member_of_a_pack_is_left_alone(tmp_path: Path) -> None:
+    pack = tmp_path / "kernels.zip"
+    about = {"made by": stores.compiler_version(), "stamps": {_careful.name: _careful.stamp}}
+    for body in (b"no code", b"{}\n"):
+        with zipfile.ZipFile(pack, "w") as file:
+            file.writestr(_careful.name, body)
+            file.writestr("pack.json", json.dumps(about))
+        assert Store(tmp_path / "none", pack).find(_careful) is None
+
+
+@pytest.mark.parametrize("about", ["{}", "[]", '{"made by": [], "stamps": 3}'])
+def test_a_pack_that_says_nothing_of_itself_is_left_alone(tmp_path: Path, about: str) -> None:
+    pack = tmp_path / "kernels.zip"
+    with zipfile.ZipFile(pack, "w") as file:
+        file.writestr("pack.json", about)
+    assert Store(tmp_path / "none", pack).find(_careful) is None

@@ -224,14 +224,14 @@ def test_what_is_carried_is_checked_like_the_hand(robots: Callable[[str], Robot]
     thing = Boxes(np.array([[0.0, 0.0, 0.12]]), np.eye(3)[None], np.array([[0.05, 0.1, 0.15]]))
     center, radius = box_spheres(thing)
     in_segment = robot.chain.tool_offset + center @ robot.chain.tool_rotation.T
-    loaded = carry(robot.spheres, robot.chain.size, in_segment, radius)
+    with_payload = carry(robot.spheres, robot.chain.size, in_segment, radius)
     world = build_world(
         random_boxes(8, rng, (-1.0, -1.0, 0.2), (1.0, 1.0, 1.8)), moved_by_joint(NONE, 3, rng),
         np.zeros(0, bool), [""] * 8, with_payload, clearance=0.0,
     )  # fmt: skip
     case = situations(robot, 500, rng, 0.5)
     with_it = check(world, robot.chain, with_payload, *case)
-    np.testing.assert_array_equal(with_it, Twin(world, robot.chain, loaded).codes(*case))
+    np.testing.assert_array_equal(with_it, Twin(world, robot.chain, with_payload).codes(*case))
     alone = check(world, robot.chain, robot.spheres, *case)
     assert (with_it[alone != FREE] != FREE).all()
     Ts = pose_planar(case[1]) @ robot.chain.tool_poses(case[0])

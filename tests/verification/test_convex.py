@@ -13,32 +13,31 @@ from scipy.spatial.transform import Rotation
 from momapos.geometry.transforms import invert, pose
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.urdf import Geometry, Link, Urdf
-from momapos.verification.convex import overlap
+from momapos.verification.convex import Body, overlap
 from momapos.verification.link_bodies import bodies_of
 from momapos.verification.polygon import outside
 from momapos.verification.shapes import Shapes, shapes_of
 from momapos.verification.sweep import all_pairs, deepest
 
-Core = tuple[np.ndarray, float, float]
 seeds = st.integers(0, 2**32 - 1)
 
 
-def box(size: np.ndarray) -> Core:
+def box(size: np.ndarray) -> Body:
     signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
-    return signs * (np.asarray(size) / 2), 0.0, 0.0
+    return Body(signs * (np.asarray(size) / 2), 0.0, 0.0)
 
 
-def cylinder(radius: float, length: float) -> Core:
-    return np.array([[0.0, 0.0, -length / 2], [0.0, 0.0, length / 2]]), radius, 0.0
+def cylinder(radius: float, length: float) -> Body:
+    return Body(np.array([[0.0, 0.0, -length / 2], [0.0, 0.0, length / 2]]), radius, 0.0)
 
 
-def sphere(radius: float) -> Core:
-    return np.zeros((1, 3)), 0.0, radius
+def sphere(radius: float) -> Body:
+    return Body(np.zeros((1, 3)), 0.0, radius)
 
 
-def cloud(rng: np.random.Generator) -> Core:
+def cloud(rng: np.random.Generator) -> Body:
     points = rng.normal(size=(int(rng.integers(4, 40)), 3)) * rng.uniform(0.05, 0.3, 3)
-    return points[ConvexHull(points).vertices], 0.0, 0.0
+    return Body(points[ConvexHull(points).vertices], 0.0, 0.0)
 
 
 def random_pose(rng: np.random.Generator, reach: float = 0.3) -> np.ndarray:
@@ -98,7 +97,7 @@ def test_a_ball_and_a_cylinder_agree_with_the_closed_form(seed: int) -> None:
 
 
 @pytest.mark.parametrize("core", [box(np.ones(3)), cylinder(0.5, 1.0), sphere(0.5)])
-def test_a_body_overlaps_itself_by_its_width(core: Core) -> None:
+def test_a_body_overlaps_itself_by_its_width(core: Body) -> None:
     assert overlap(core, core, np.eye(4)) == pytest.approx(1.0, abs=5e-3)
 
 

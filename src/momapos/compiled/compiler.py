@@ -93,6 +93,15 @@ def _dtypes(environment: Any) -> tuple[str, ...]:
 class _Part(JITCodeLibrary):
     """What is linked into an entry: code that is neither optimized nor run by itself."""
 
+    def _optimize_functions(self, ll_module: Any) -> None:
+        # As numba does, but with one list of passes instead of one per function, and not for the
+        # declarations, which are most of them.
+        ll_module.data_layout = self._codegen._data_layout
+        passes, builder = self._codegen._function_pass_manager()
+        for function in ll_module.functions:
+            if not function.is_declaration:
+                passes.run(function, builder)
+
     def _optimize_final_module(self) -> None:
         pass
 

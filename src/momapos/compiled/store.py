@@ -1,7 +1,8 @@
 """Where the machine code of entries is kept: a pack that comes with a wheel, then a cache folder.
 
 Code is found by what it is made from: the entry's stamp (all functions that it calls), the exact
-versions of numba and llvmlite, Python's minor version, and the processor.
+versions of numba and llvmlite, Python's minor version, and the processor. Checksums find damage,
+not malice: who can write the cache folder can run code as its owner, as with Python's own caches.
 """
 
 from __future__ import annotations
@@ -59,10 +60,6 @@ class Store:
         self.pack = pack
         self._lock = threading.RLock()
 
-    def keep_in(self, folder: Path) -> None:
-        """Use another cache folder from now on."""
-        self.cache = Cache(folder)
-
     def native(self, entry: Kernel) -> Callable[..., Any]:
         """What Python calls, compiled now if it has not been."""
         if os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
@@ -85,8 +82,15 @@ class Store:
     def find(self, entry: Kernel) -> Code | None:
         """The code of an entry, if it is stored."""
         if entry.stamp == self._packed.get(entry.name):
-            return decode(self._members.read(entry.name))
-        data = self.cache.get(self._key(entry))
+            try:
+                return decode(self._members.read(entry.name))
+            except Exception as error:  # zipfile, zlib and json each raise their own
+                log.warning("%s: %s is damaged, ignored (%s)", self.pack, entry.name, error)
+        try:
+            data = self.cache.get(self._key(entry))
+        except OSError as error:
+            log.warning("compiled code cannot be read: %s", error)
+            return None
         return None if data is None else decode(data)
 
     def _has(self, entry: Kernel) -> bool:
@@ -126,18 +130,17 @@ class Store:
         """Stamps of the entries in the pack; none where it is not for this interpreter."""
         if not self.pack.is_file():
             return {}
-        from zipfile import BadZipFile
-
         try:
             about = json.loads(self._members.read("pack.json"))
-        except (OSError, KeyError, ValueError, BadZipFile) as error:
+            made_by, stamps = about["made by"], dict(about["stamps"])
+        except Exception as error:  # zipfile, zlib and json each raise their own
             log.warning("%s: damaged, ignored (%s)", self.pack, error)
             return {}
         features = llvm.get_host_cpu_features()
-        fits = about["made by"] == compiler_version() and all(
+        fits = made_by == compiler_version() and all(
             features.get(name, False) for name in PACK_FEATURES
         )
-        return about["stamps"] if fits else {}
+        return stamps if fits else {}
 
 
 def encode(code: Code) -> bytes:

@@ -54,7 +54,7 @@ def _moved(R, p, segment, local):
 @kernel
 def place_bounds(R, p, spheres, bounds):
     """Put the centers of the links' bounding spheres into bounds (groups, 3)."""
-    segment, bound_center = spheres[3], spheres[4]
+    segment, bound_center = spheres.segment, spheres.bound_center
     for g in range(len(segment)):
         bounds[g, 0], bounds[g, 1], bounds[g, 2] = _moved(R, p, segment[g], bound_center[g])
 
@@ -67,12 +67,13 @@ def hit_boxes(R, p, bounds, spheres, boxes, skip_gripper, margin):
         R, p: Segment poses (n + 1, 3, 3), (n + 1, 3) as `forward` leaves them.
         bounds: As `place_bounds` leaves them (groups, 3).
         spheres: `Spheres.arrays()`.
-        boxes: (center (b, 3), rotation (b, 3, 3), half (b, 3), grasped (b,)).
+        boxes: `ObstacleArrays`.
         skip_gripper: Whether the gripper holds: then its fingers may touch all these boxes (they
             close about the handle), its palm only those marked as grasped.
         margin: Clearance that is asked for [m].
     """
-    center, radius, start, segment, _, bound_radius, gripper = spheres[:7]
+    center, radius, start = spheres.center, spheres.radius, spheres.start
+    segment, bound_radius, gripper = spheres.segment, spheres.bound_radius, spheres.gripper
     box_center, box_rotation, box_half, grasped = boxes
     for g in range(len(segment)):
         c = (bounds[g, 0], bounds[g, 1], bounds[g, 2])
@@ -103,7 +104,8 @@ def hit_self(R, p, bounds, spheres):
 @kernel
 def _links_touch(R, p, bounds, spheres):
     """Whether links of the arm touch each other."""
-    center, radius, start, segment, _, bound_radius, _, pairs = spheres[:8]
+    center, radius, start = spheres.center, spheres.radius, spheres.start
+    segment, bound_radius, pairs = spheres.segment, spheres.bound_radius, spheres.pairs
     for k in range(len(pairs)):
         i, j = pairs[k, 0], pairs[k, 1]
         b = (bounds[j, 0], bounds[j, 1], bounds[j, 2])
@@ -130,8 +132,15 @@ def _apart(a, b, distance):
 @kernel
 def _base_touched(R, p, bounds, spheres):
     """Whether a link of the arm touches the base."""
-    center, radius, start, segment, _, bound_radius = spheres[:6]
-    base_center, base_rotation, base_half, base_pairs, base_bounds, base_radius = spheres[8:]
+    center, radius, start = spheres.center, spheres.radius, spheres.start
+    segment, bound_radius = spheres.segment, spheres.bound_radius
+    base_center, base_rotation, base_half = (
+        spheres.base_center,
+        spheres.base_rotation,
+        spheres.base_half,
+    )
+    base_pairs, base_bounds = spheres.base_pairs, spheres.base_bounds
+    base_radius = spheres.base_radius
     for g in range(len(segment)):
         c = _into_base(R, p, (bounds[g, 0], bounds[g, 1], bounds[g, 2]))
         r, far = bound_radius[g], False
@@ -167,7 +176,8 @@ def _into_base(R, p, c):
 @kernel
 def hit_floor(R, p, bounds, spheres):
     """FLOOR when a sphere of the arm dips below z = 0, else FREE."""
-    center, radius, start, segment, _, bound_radius = spheres[:6]
+    center, radius, start = spheres.center, spheres.radius, spheres.start
+    segment, bound_radius = spheres.segment, spheres.bound_radius
     for g in range(len(segment)):
         if bounds[g, 2] > bound_radius[g]:
             continue
@@ -186,13 +196,12 @@ def place_segments(
     p: F2,
 ) -> None:
     """Segment poses of a configuration for a base at (x, y, yaw) on the floor."""
-    h, d, prismatic = chain[0], chain[1], chain[2]
     c, s = np.cos(base[2]), np.sin(base[2])
     R[0, 0, 0], R[0, 0, 1], R[0, 0, 2] = c, -s, 0.0
     R[0, 1, 0], R[0, 1, 1], R[0, 1, 2] = s, c, 0.0
     R[0, 2, 0], R[0, 2, 1], R[0, 2, 2] = 0.0, 0.0, 1.0
     p[0, 0], p[0, 1], p[0, 2] = base[0], base[1], 0.0
-    forward(q, h, d, prismatic, R, p)
+    forward(q, chain.h, chain.d, chain.prismatic, R, p)
 
 
 @kernel
@@ -201,7 +210,7 @@ def scratch_of(joints, spheres):
     return (
         np.empty((joints + 1, 3, 3)),
         np.empty((joints + 1, 3)),
-        np.empty((len(spheres[3]), 3)),
+        np.empty((len(spheres.segment), 3)),
     )
 
 

@@ -237,7 +237,8 @@ def solve_sample(s, R_target, p_target, chain, limits, ik, enough, out, scratch)
     Returns:
         Number of configurations written.
     """
-    kind, active, samples, h, o, wrist, R_tool, p_tool = ik
+    kind, active, samples = ik.kind, ik.active, ik.samples
+    h, o, wrist, R_tool, p_tool = ik.h, ik.o, ik.wrist, ik.R_tool, ik.p_tool
     branches, R06, R, p = scratch
     lower, upper = limits
     found = 1
@@ -272,7 +273,9 @@ def solve_sample(s, R_target, p_target, chain, limits, ik, enough, out, scratch)
         residual = newton(
             out[count], active, chain, R_target, p_target, steps, damping, enough, (R, p)
         )
-        if residual < max(enough, _TIGHT) and into_limits(out[count], lower, upper, chain[2]):
+        if residual < max(enough, _TIGHT) and into_limits(
+            out[count], lower, upper, chain.prismatic
+        ):
             count += 1
     return count
 
@@ -296,13 +299,13 @@ def _solve_all(
     ik: IkArrays,
     limit: int,
 ) -> tuple[np.ndarray, np.ndarray]:
-    n = ik[2].shape[1]
+    n = ik.samples.shape[1]
     scratch = ik_scratch(n)
     out = np.full((len(poses), limit, n), np.nan)
     counts = np.zeros(len(poses), np.int64)
     for i in range(len(poses)):
         R, p = poses[i, :3, :3], poses[i, :3, 3]
-        for s in range(len(ik[2])):
+        for s in range(len(ik.samples)):
             counts[i] += solve_sample(
                 s, R, p, chain, limits, ik, EXACT, out[i, counts[i] :], scratch
             )

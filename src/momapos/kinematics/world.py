@@ -29,7 +29,7 @@ from momapos.kinematics.collision import (
     scratch_of,
 )
 from momapos.kinematics.hulls import Boxes, MovingBoxes
-from momapos.kinematics.records import ChainArrays, SphereArrays, WorldArrays
+from momapos.kinematics.records import ChainArrays, ObstacleArrays, SphereArrays, WorldArrays
 from momapos.kinematics.spheres import Spheres
 
 if TYPE_CHECKING:
@@ -190,11 +190,12 @@ def _any_filled(c, r, low, shape, filled):
 @kernel
 def _hit_static(R, p, bounds, spheres, world, margin):
     """First standing box that the arm hits, or FREE."""
-    center, radius, start, segment, _, bound_radius = spheres[:6]
-    box_center, box_rotation, box_half = world[:3]
-    low, shape, grid_start, grid_index, filled = world[7:]
+    center, radius, start = spheres.center, spheres.radius, spheres.start
+    segment, bound_radius = spheres.segment, spheres.bound_radius
+    low, shape = world.grid_origin, world.grid_shape
+    grid_start, grid_index = world.grid_start, world.grid_index
     for g in range(len(segment)):
-        if not _any_filled(bounds[g], bound_radius[g], low, shape, filled):
+        if not _any_filled(bounds[g], bound_radius[g], low, shape, world.filled):
             continue
         for s in range(start[g], start[g + 1]):
             m = _moved(R, p, segment[g], center[s])
@@ -206,9 +207,21 @@ def _hit_static(R, p, bounds, spheres, world, margin):
             cell = (i * shape[1] + j) * shape[2] + k
             for at in range(grid_start[cell], grid_start[cell + 1]):
                 b = grid_index[at]
-                if box_gap(m, radius[s] + margin, box_center, box_rotation, box_half, b) < 0.0:
+                r = radius[s] + margin
+                if box_gap(m, r, world.center, world.rotation, world.half, b) < 0.0:
                     return b
     return FREE
+
+
+@kernel
+def moving_boxes(world, value):
+    """The moving boxes at one value of the object's joint."""
+    return ObstacleArrays(
+        world.moving_center[value],
+        world.moving_rotation[value],
+        world.moving_half[value],
+        world.grasped,
+    )
 
 
 @kernel
@@ -218,10 +231,10 @@ def check_one(q, base, value, holding, chain, spheres, world, margin, scratch):
     place_arm(q, base, chain, spheres, scratch)
     if hit_floor(R, p, bounds, spheres) != FREE:
         return FLOOR
-    boxes = (world[3][value], world[4][value], world[5][value], world[6])
+    boxes = moving_boxes(world, value)
     code = hit_boxes(R, p, bounds, spheres, boxes, holding, margin)
     if code != FREE:
-        return code + len(world[0])
+        return code + len(world.center)
     code = _hit_static(R, p, bounds, spheres, world, margin)
     return code if code != FREE else hit_self(R, p, bounds, spheres)
 
@@ -354,15 +367,13 @@ def _check_hand(
     margin: float,
 ) -> np.ndarray:
     out = np.full(len(R), FREE, np.int64)
-    bounds = np.empty((len(hand[3]), 3))
-    moving_center, moving_rotation, moving_half, grasped = world[3:7]
+    bounds = np.empty((len(hand.segment), 3))
     for i in range(len(R)):
-        v = value[i]
-        boxes = (moving_center[v], moving_rotation[v], moving_half[v], grasped)
+        boxes = moving_boxes(world, value[i])
         place_bounds(R[i : i + 1], p[i : i + 1], hand, bounds)
         code = hit_boxes(R[i : i + 1], p[i : i + 1], bounds, hand, boxes, holding[i], margin)
         if code != FREE:
-            out[i] = code + len(world[0])
+            out[i] = code + len(world.center)
             continue
         out[i] = _hit_static(R[i : i + 1], p[i : i + 1], bounds, hand, world, margin)
     return out

@@ -175,11 +175,11 @@ def _solve_layer(
     out = np.empty((len(poses), most, n))
     counts, codes = np.zeros(len(poses), np.int64), np.full(len(poses), NOWHERE)
     for j in range(len(poses)):
-        for s in range(len(ik[2])):
+        for s in range(len(ik.samples)):
             # Locked joints are known beforehand, so most samples need no inverse kinematics.
             if not (
-                _joined(ik[2][s], j, before, full_turn, locked)
-                and _joined(ik[2][s], j, after, full_turn, locked)
+                _joined(ik.samples[s], j, before, full_turn, locked)
+                and _joined(ik.samples[s], j, after, full_turn, locked)
             ):
                 continue
             found = solve_sample(

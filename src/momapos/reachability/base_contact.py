@@ -93,8 +93,8 @@ def touched(wanted, R, p, spheres, first, axis, table):
         axis: Foot of its axis (3,) [m].
         table: (words (classes, heights, distances, PHASES), low [m], kind (bodies, spheres)).
     """
-    center, start, segment = spheres[0], spheres[2], spheres[3]
-    bound_center, bound_radius = spheres[4], spheres[5]
+    center, start, segment = spheres.center, spheres.start, spheres.segment
+    bound_center, bound_radius = spheres.bound_center, spheres.bound_radius
     words, low, kind = table
     heights, distances = words.shape[1], words.shape[2]
     hit = np.uint64(0)

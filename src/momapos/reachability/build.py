@@ -154,7 +154,7 @@ def _line_mask(R_tool, p_tool, closed, spins, arm, chain, limits, ik, shoulder_s
                 if gain:
                     out[k, last] += spins[i]
                     R[0], p[0] = np.eye(3), 0.0
-                    forward(out[k], chain[0], chain[1], chain[2], R, p)
+                    forward(out[k], chain.h, chain.d, chain.prismatic, R, p)
                     out[k, last] -= spins[i]
                     place_bounds(R, p, turning, bounds)
                     if (
@@ -188,12 +188,12 @@ def line_masks(
     A line counts where every roll of the tool can be reached, each solved anew, with at least half
     of the spins.
     """
-    n = ik[2].shape[1]
-    axis = arm[4]
+    n = ik.samples.shape[1]
+    axis = arm.axis
     work = (
         np.empty((MAX_BRANCHES, n)),
         ik_scratch(n),
-        *scratch_of(n, arm[5]),
+        *scratch_of(n, arm.turning),
         np.zeros(np.max(shoulder_samples[1]) + 1, np.bool_),
         np.empty(len(spins), np.uint64),
     )

@@ -47,7 +47,7 @@ def _axis_lattice(line, yaws, values, rims, shape, frame, step, table):
     nz, nr, nu, nv, nb = shape
     half = len(table) // 2
     table[:] = OUTSIDE
-    fz = (line[2] - frame[0]) * frame[1]
+    fz = (line[2] - frame.low) * frame.per_meter
     if fz < 0.0 or fz >= nz - 1:
         return 0
     iz = int(fz)
@@ -134,8 +134,8 @@ def floor_scores(
         rims: For each height, the first r from which on all is `OUTSIDE` [cells].
         out: (len(ys), len(xs)) to be filled.
     """
-    step = max(1.0, SPACING * frame[1])
-    per_meter = frame[1] / step
+    step = max(1.0, SPACING * frame.per_meter)
+    per_meter = frame.per_meter / step
     size = 2 * math.ceil(shape[1] / step) + 1
     table = np.empty((size, len(yaws), size), np.float32)
     far = _axis_lattice(line, yaws, values, rims, shape, frame, step, table)
@@ -165,4 +165,4 @@ def floor_scores(
                     out[i, column[m]] = max(out[i, column[m]], v)
     for i in range(len(ys)):
         for j in range(len(xs)):
-            out[i, j] = scored(out[i, j], frame[2])
+            out[i, j] = scored(out[i, j], frame.threshold)

@@ -204,7 +204,7 @@ def score_lines(
             shape,
             frame,
         )
-        out[i] = scored(v, frame[2])
+        out[i] = scored(v, frame.threshold)
 
 
 @entry
@@ -239,9 +239,9 @@ def min_line_scores(
                     frame,
                 )
                 least = min(least, v)
-                if least <= frame[2]:
+                if least <= frame.threshold:
                     break
-            out[i, g] = scored(least, frame[2])
+            out[i, g] = scored(least, frame.threshold)
 
 
 def pack_shape(shape: tuple[int, ...]) -> GridShape:

@@ -63,8 +63,8 @@ def _support(a, b, T, n, w, work):
     x = T[0, 0] * n[0] + T[1, 0] * n[1] + T[2, 0] * n[2]
     y = T[0, 1] * n[0] + T[1, 1] * n[1] + T[2, 1] * n[2]
     z = T[0, 2] * n[0] + T[1, 2] * n[1] + T[2, 2] * n[2]
-    _extreme(a[0], a[1], x, y, z, pa)
-    _extreme(b[0], b[1], -n[0], -n[1], -n[2], pb)
+    _extreme(a.points, a.disc, x, y, z, pa)
+    _extreme(b.points, b.disc, -n[0], -n[1], -n[2], pb)
     for k in range(3):
         w[k] = T[k, 0] * pa[0] + T[k, 1] * pa[1] + T[k, 2] * pa[2] + T[k, 3] - pb[k]
     return w[0] * n[0] + w[1] * n[1] + w[2] * n[2]
@@ -356,4 +356,4 @@ def overlap(
     work = np.empty((9, 3))
     distance = _gjk(a, b, T, work)
     core = -distance if distance > 0.0 else _depth(a, b, T, work)
-    return core + a[2] + b[2]
+    return core + a.ball + b.ball

@@ -12,7 +12,7 @@ from momapos.geometry.transforms import invert
 from momapos.kinematics.urdf import Joint
 from momapos.scene.scene import Scene, SceneObject
 from momapos.types import Task
-from momapos.verification.convex import overlap
+from momapos.verification.convex import Body, overlap
 from momapos.verification.link_bodies import LinkBodies, body_poses, joint_motions
 from momapos.verification.shapes import Shapes, join, of_bodies, prepared
 
@@ -69,7 +69,7 @@ class MovedPart:
         return nearest
 
 
-_POINT = (np.zeros((1, 3)), 0.0, 0.0)
+_POINT = Body(np.zeros((1, 3)), 0.0, 0.0)
 
 
 def split(scene: Scene, task: Task) -> tuple[MovedPart, Shapes, Bool[np.ndarray, " k"]]:

@@ -85,25 +85,25 @@ def _deepest(
     depths, states = np.full(len(pairs), floor), np.full(len(pairs), -1)
     bounds, Ts = np.empty(len(Ts_a)), np.empty((len(Ts_a), 4, 4))
     index = np.empty(len(Ts_a), np.int64)
-    swept_a, swept_b = _swept(Ts_a, a[4]), _swept(Ts_b, b[4])
+    swept_a, swept_b = _swept(Ts_a, a.half), _swept(Ts_b, b.half)
     for p in range(len(pairs)):
         i, j = pairs[p]
         if not _meet(swept_a, swept_b, i, j, floor):
             continue
         count, stride = 0, 1 if len(Ts_b) == len(Ts_a) else 0
-        near = max(0.0, _radius(a[4][i]) + _radius(b[4][j]) - floor) ** 2
+        near = max(0.0, _radius(a.half[i]) + _radius(b.half[j]) - floor) ** 2
         for s in range(len(Ts_a)):
             x = Ts_a[s, i, 0, 3] - Ts_b[s * stride, j, 0, 3]
             y = Ts_a[s, i, 1, 3] - Ts_b[s * stride, j, 1, 3]
             z = Ts_a[s, i, 2, 3] - Ts_b[s * stride, j, 2, 3]
             if x * x + y * y + z * z > near:
                 continue
-            bound = _bound(Ts_a[s, i], Ts_b[s * stride, j], a[4][i], b[4][j], Ts[count])
+            bound = _bound(Ts_a[s, i], Ts_b[s * stride, j], a.half[i], b.half[j], Ts[count])
             if bound > floor:
                 bounds[count], index[count] = bound, s
                 count += 1
         if count:
-            found = _search(_core(a, i), _core(b, j), Ts[:count], bounds[:count], a[4][i], floor)
+            found = _search(_core(a, i), _core(b, j), Ts[:count], bounds[:count], a.half[i], floor)
             depths[p] = found[0]
             if found[1] >= 0:
                 states[p] = index[found[1]]
