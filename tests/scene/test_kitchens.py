@@ -135,7 +135,7 @@ def test_every_moving_part_has_a_bar_that_fingers_fit_behind(kitchen: Path) -> N
 
 def test_the_start_is_on_the_floor_and_clear_of_everything(kitchen: Path) -> None:
     room = Room.read(kitchen)
-    start, floor = room.start, room.floor_polygon
+    start, floor = room.start, room.floor
     assert np.all(np.abs(start - floor.mean(0)) <= np.ptp(floor, axis=0) / 2 - 0.6)
     low, high = bounds([shape for item in room.items for shape in item.shapes()])
     away = np.maximum(np.maximum(low[:, :2] - start, start - high[:, :2]), 0.0)
@@ -144,7 +144,7 @@ def test_the_start_is_on_the_floor_and_clear_of_everything(kitchen: Path) -> Non
 
 def test_the_furniture_stands_on_the_floor_and_the_walls_beside_it(kitchen: Path) -> None:
     room = Room.read(kitchen)
-    floor = room.floor_polygon
+    floor = room.floor
     for item in room.items:
         low, high = (bound[:, :2] for bound in bounds(item.shapes()))
         inside = (low.min(0) >= floor.min(0) - 1e-6).all() and (
