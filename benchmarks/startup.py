@@ -81,8 +81,8 @@ def first_from_wheel(folder: Path) -> float | None:
         if "momapos/compiled/kernels.zip" not in wheel.namelist():
             print("the wheel brings no compiled kernels", file=sys.stderr)
             return None
-        wheel.extractall(folder / "geometry")
-    return processor_time(PLACE, folder / "geometry", folder / "wheel_cache")
+        wheel.extractall(folder / "site")
+    return processor_time(PLACE, folder / "site", folder / "wheel_cache")
 
 
 def measure(repeats: int) -> Mapping[str, float | None]:

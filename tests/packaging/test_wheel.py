@@ -24,8 +24,10 @@ from pathlib import Path
 import momapos
 from momapos.reachability.construct import default_config
 from momapos.reachability.store import map_key, shipped
-from momapos.robots.robot import library_names, load_robot
-from momapos.scene.files import builtin_names, load_scene
+from momapos.robots.names import library_names
+from momapos.robots.robot import load_robot
+from momapos.scene.files import load_scene
+from momapos.scene.names import builtin_names
 
 robots = {name: load_robot(name) for name in library_names()}
 maps = {n: shipped(r, map_key(r, default_config(r))) is not None for n, r in robots.items()}
