@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 import tempfile
@@ -10,6 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
+
+_RUN = """
+import runpy, sys
+sys.path.insert(0, sys.argv.pop(1))
+runpy.run_module("momapos.compiled.pack", run_name="__main__")
+"""
 
 
 class KernelPack(BuildHookInterface):
@@ -22,10 +27,10 @@ class KernelPack(BuildHookInterface):
         source = Path(self.root) / "src"
         self.folder = tempfile.TemporaryDirectory()
         pack = Path(self.folder.name) / "kernels.zip"
-        command = [sys.executable, "-m", "momapos.compiled.pack", str(pack)]
-        paths = [str(source), os.environ.get("PYTHONPATH", "")]
-        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, paths))}
-        done = subprocess.run(command, env=environment, capture_output=True, text=True)
+        # By sys.path, not PYTHONPATH: pip's build environment drops from that what an editable
+        # install of the same source has put on the path outside.
+        command = [sys.executable, "-c", _RUN, str(source), str(pack)]
+        done = subprocess.run(command, capture_output=True, text=True)
         if done.returncode == 0:
             build_data["force_include"][str(pack)] = "momapos/compiled/kernels.zip"
         else:
