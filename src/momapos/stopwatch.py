@@ -26,8 +26,10 @@ class Stopwatch:
     def stage(self, name: str) -> Iterator[None]:
         """Count the time of a block for a stage."""
         began = self.clock()
-        yield
-        self.seconds[name] = self.seconds.get(name, 0.0) + self.clock() - began
+        try:
+            yield
+        finally:
+            self.seconds[name] = self.seconds.get(name, 0.0) + self.clock() - began
 
     @property
     def total(self) -> float:
