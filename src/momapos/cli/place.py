@@ -146,7 +146,7 @@ def _answer(verb: str, scene_name: str, target: str, to: str | None, options: Op
     import numpy as np
 
     from momapos.cache import user_cache
-    from momapos.cli.compile import compile_once
+    from momapos.cli.compile import ANSWER, RANK, WALKS, compile_once
     from momapos.cli.console import busy, progress
     from momapos.manipulation.tasks import make_task
     from momapos.pipeline import plan_base_placement
@@ -165,7 +165,8 @@ def _answer(verb: str, scene_name: str, target: str, to: str | None, options: Op
     with progress(f"reachability map of {robot.name}") as report:
         reach = load_reach_map(robot, cache.folder, report)
     at = None if begin is None else np.array(begin)
-    compile_once()
+    walks = (*RANK, *WALKS) if config.ranking.scorer == "deepwalk" else ()
+    compile_once(tuple(dict.fromkeys((*ANSWER, *walks))))
     with busy(f"{robot.name}: searching", config.timeout):
         answer = plan_base_placement(
             scene, robot, task, reach, start=at,
