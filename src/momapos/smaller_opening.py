@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.config import PipelineConfig
+from momapos.manipulation.tasks import slides
 from momapos.pipeline import plan_base_placement
 from momapos.protocols import Clock, ReachScorer
 from momapos.robots.robot import Robot
@@ -51,12 +52,10 @@ def smaller_opening(
     task = plan.task
     if plan.status != "infeasible" or task.verb != "open" or task.joint is None or task.to is None:
         return plan
-    target = scene.object(task.object)
-    slides = target.model.joint(task.joint).kind == "prismatic"
-    begin, began = target.values()[task.joint], clock()
+    begin, began = scene.object(task.object).values()[task.joint], clock()
     start = None if plan.start is None else np.array(plan.start)
     for share in SHARES:
-        to = rounded(begin + share * (task.to - begin), slides)
+        to = rounded(begin + share * (task.to - begin), slides(scene, task))
         left = TIMEOUT - (clock() - began)
         if left <= 0 or abs(to - begin) < 1e-3:
             break
