@@ -32,6 +32,8 @@ if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
 UNREACHABLE, HIT, BROKEN, FOUND = 0, 1, 2, 3
+MAX_TURN = float(np.radians(25.0))
+"""Largest turn of the hand about a bar between waypoints [rad]."""
 MAX_DENSE_STEP = 0.25
 """Largest joint step between states [rad]; see `SLIDE` for sliding joints."""
 
@@ -57,17 +59,18 @@ def find_paths(
     world: CollisionWorld,
     motion: TaskMotion,
     bases: Float[np.ndarray, "j 3"],
-    grasps: Int[np.ndarray, " j"],
+    ways: Int[np.ndarray, " j"],
 ) -> list[ArmPath]:
-    """Look for an arm path for each pair of base pose and grasp.
+    """Look for an arm path for each pair of base pose and way of holding.
 
-    The ends and the middle of the motion are looked at first, since they fail most; a pair
-    that fails at one waypoint is not carried on.
+    A way is a grasp, or beyond their number one of the motion's turns, in which the hand goes from
+    grasp to grasp of a group. The ends and the middle of the motion are looked at first, since
+    they fail most; a pair that fails at one waypoint is not carried on.
     """
     count = len(motion.waypoint_steps)
-    paths: list[ArmPath | None] = [None] * len(grasps)
+    paths: list[ArmPath | None] = [None] * len(ways)
     layers: list[Layer] = []
-    alive = np.arange(len(grasps))
+    alive, grasps = np.arange(len(ways)), motion.turning.members(ways)
     for passed, w in enumerate(_ends_first(count)):
         layer = solve_layer(robot, world, motion, bases, grasps, alive, w, layers)
         failed = layer.counts == 0
@@ -80,7 +83,7 @@ def find_paths(
     layers.sort(key=lambda layer: layer.waypoint)
     for j in alive:
         nodes = [layer.nodes(int(j)) for layer in layers]
-        paths[j] = _connect(robot, world, motion, bases[j], int(grasps[j]), nodes)
+        paths[j] = _connect(robot, world, motion, bases[j], nodes)
     return [path for path in paths if path is not None]
 
 
@@ -106,24 +109,26 @@ def _connect(
     world: CollisionWorld,
     motion: TaskMotion,
     base: np.ndarray,
-    grasp: int,
-    nodes: list[Float[np.ndarray, "k n"]],
+    nodes: list[tuple[Float[np.ndarray, "k n"], Int[np.ndarray, " k"]]],
 ) -> ArmPath:
     """Shortest path through the layers of one job, then every state between, checked."""
-    start = np.cumsum([0, *(len(k) for k in nodes)])
-    stacked = np.concatenate(nodes)
+    start = np.cumsum([0, *(len(q) for q, _ in nodes)])
+    stacked, grasps = (np.concatenate(parts) for parts in zip(*nodes, strict=True))
     chain = robot.chain
     full_turn, scale = full_turns(chain), joint_scale(chain)
     banned = np.zeros(len(stacked), bool)
-    targets = invert(pose_planar(base)) @ motion.Ts_world_tool[grasp]
+    # The turn of the hand is one more joint of the path.
+    states = np.column_stack([stacked, motion.turning.angles[grasps]])
+    free, steps = np.append(full_turn, False), np.append(scale, MAX_STEP / MAX_TURN)
     count = len(nodes)
     worst = ArmPath(BROKEN, 0, count, FREE)
     for _ in range(4):
         chosen = np.full(count, -1)
-        reached = _shortest(stacked, start, banned, full_turn, scale, chosen)
+        reached = _shortest(states, start, grasps, banned, free, steps, chosen)
         if reached < count:
             return worst if worst.obstacle != FREE else ArmPath(BROKEN, reached, count, FREE)
         q = _unwrap(stacked[chosen], full_turn, chain.lower, chain.upper)
+        targets = invert(pose_planar(base)) @ motion.tool_poses(grasps[chosen])
         dense = np.empty((len(motion.object_q), chain.size))
         bad = _track(
             q,
@@ -160,12 +165,16 @@ def _connect(
 def _shortest(
     q: F2,
     start: I1,
+    grasp: I1,
     banned: B1,
     full_turn: B1,
     scale: F1,
     chosen: I1,
 ) -> int:
-    """Path with the smallest sum of steps through the layers; returns the layers reached."""
+    """Path with the smallest sum of steps through the layers; returns the layers reached.
+
+    From the pre-grasp, the first layer, to the grasp itself the hand does not turn.
+    """
     count, layers = len(q), len(start) - 1
     cost, parent = np.full(count, np.inf), np.full(count, -1)
     for i in range(start[0], start[1]):
@@ -177,7 +186,7 @@ def _shortest(
             if banned[i]:
                 continue
             for j in range(start[w - 1], start[w]):
-                if cost[j] >= cost[i]:
+                if cost[j] >= cost[i] or (w == 1 and grasp[i] != grasp[j]):
                     continue
                 d = joint_step(q[j], q[i], full_turn, scale, MAX_STEP)
                 if d < MAX_STEP and cost[j] + d < cost[i]:

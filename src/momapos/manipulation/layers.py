@@ -41,11 +41,13 @@ class Layer:
     counts: Int[np.ndarray, " a"]
     codes: Int[np.ndarray, " a"]
     """What the first configuration hit, else NOWHERE or CUT_OFF; of use where the count is 0."""
+    grasps: Int[np.ndarray, "a b"]
+    """The grasp of each configuration."""
 
-    def nodes(self, job: int) -> Float[np.ndarray, "k n"]:
-        """The configurations of one job."""
+    def nodes(self, job: int) -> tuple[Float[np.ndarray, "k n"], Int[np.ndarray, " k"]]:
+        """The configurations of one job, and their grasps."""
         row = int(np.searchsorted(self.jobs, job))
-        return self.q[row, : self.counts[row]]
+        return self.q[row, : self.counts[row]], self.grasps[row, : self.counts[row]]
 
 
 class Neighbor(NamedTuple):
@@ -74,7 +76,7 @@ def solve_layer(
     world: CollisionWorld,
     motion: TaskMotion,
     bases: Float[np.ndarray, "j 3"],
-    grasps: Int[np.ndarray, " j"],
+    grasps: Int[np.ndarray, "j k"],
     alive: Int[np.ndarray, " a"],
     waypoint: int,
     known: Sequence[Layer],
@@ -86,40 +88,67 @@ def solve_layer(
 
     Args:
         robot, world, motion: Whose arm, in which room, for what.
-        bases, grasps: The jobs.
+        bases: Base pose of each job.
+        grasps: Grasps that each job may have at this waypoint, -1 where it has fewer.
         alive: Indices of the jobs to be solved.
         waypoint: Index into the coarse waypoints.
         known: Layers that have been solved, for these jobs at least.
     """
     step, chain, ik = motion.waypoint_steps[waypoint], robot.chain, robot.ik
-    poses = invert(pose_planar(bases[alive])) @ motion.Ts_world_tool[grasps[alive], step]
+    job, column = np.nonzero(grasps[alive] >= 0)
+    row, grasp = alive[job], grasps[alive[job], column]
+    poses = invert(pose_planar(bases[row])) @ motion.Ts_world_tool[grasp, step]
     before = max((k for k in known if k.waypoint < waypoint), key=_waypoint, default=None)
     after = min((k for k in known if k.waypoint > waypoint), key=_waypoint, default=None)
     scale = joint_scale(chain)
     locked = scale.copy()
     locked[ik.active] = 0.0
     q, counts, codes = _solve_layer(
-        np.ascontiguousarray(poses), bases[alive], int(motion.value[step]),
+        np.ascontiguousarray(poses), bases[row], int(motion.value[step]),
         bool(motion.holding[step]), chain_limits(chain), chain_arrays(chain),
         ik_arrays(ik), ik.max_solutions, robot.spheres.arrays(), world.arrays(), world.clearance,
         full_turns(chain), scale, locked,
-        _neighbor(before, alive, waypoint, chain.size),
-        _neighbor(after, alive, waypoint, chain.size),
+        _neighbor(before, row, waypoint, chain.size),
+        _neighbor(after, row, waypoint, chain.size),
     )  # fmt: skip
-    return Layer(waypoint, alive, q, counts, codes)
+    if grasps.shape[1] == 1:
+        return Layer(waypoint, alive, q, counts, codes, np.tile(grasp[:, None], (1, q.shape[1])))
+    return _merged(waypoint, alive, job, grasp, q, counts, codes)
+
+
+def _merged(
+    waypoint: int,
+    alive: Int[np.ndarray, " a"],
+    job: Int[np.ndarray, " r"],
+    grasp: Int[np.ndarray, " r"],
+    q: Float[np.ndarray, "r b n"],
+    counts: Int[np.ndarray, " r"],
+    codes: Int[np.ndarray, " r"],
+) -> Layer:
+    """One layer of what was found for every grasp of every job; `job` is sorted."""
+    total = np.bincount(job, counts, len(alive)).astype(np.int64)
+    row = np.repeat(np.arange(len(job)), counts)
+    within = np.arange(len(row)) - np.repeat(np.cumsum(counts) - counts, counts)
+    place = np.arange(len(row)) - (np.cumsum(total) - total)[job[row]]
+    states = np.empty((len(alive), int(total.max(initial=0)), q.shape[2]))
+    grasps = np.full(states.shape[:2], -1)
+    states[job[row], place], grasps[job[row], place] = q[row, within], grasp[row]
+    worst = np.full(len(alive), CUT_OFF)
+    np.maximum.at(worst, job, codes)
+    return Layer(waypoint, alive, states, total, worst, grasps)
 
 
 def _waypoint(layer: Layer) -> int:
     return layer.waypoint
 
 
-def _neighbor(layer: Layer | None, alive: np.ndarray, waypoint: int, n: int) -> Neighbor:
+def _neighbor(layer: Layer | None, jobs: np.ndarray, waypoint: int, n: int) -> Neighbor:
     """A known layer as the kernel takes it; the limit is infinite where there is none."""
     if layer is None:
         none = np.empty(0, np.int64)
         return Neighbor(np.empty((0, 0, n)), none, none, np.inf)
     limit = MAX_STEP * abs(waypoint - layer.waypoint)
-    return Neighbor(layer.q, layer.counts, np.searchsorted(layer.jobs, alive), float(limit))
+    return Neighbor(layer.q, layer.counts, np.searchsorted(layer.jobs, jobs), float(limit))
 
 
 @kernel
