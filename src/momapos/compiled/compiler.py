@@ -131,20 +131,25 @@ class _BorrowArrays(FunctionPass):
         made = (
             signature
             for expression, signature in state.calltypes.items()
-            if signature is not None and not _is_view(expression, signature)
+            if signature is not None and not _only_views(expression, signature, state.typemap)
         )
         if not counted(state.return_type) and not any(counted(s.return_type) for s in made):
             state.targetctx = state.targetctx.subtarget(enable_nrt=False)
         return False
 
 
-def _is_view(expression: Any, signature: Any) -> bool:
-    """Whether an expression can only be a view of an array, or a member of a tuple."""
-    if not isinstance(expression, ir.Expr) or expression.op not in ("getitem", "static_getitem"):
+def _only_views(expression: Any, signature: Any, kinds: Any) -> bool:
+    """Whether an expression can only be a view of an array, or a record or member of such."""
+    if not isinstance(expression, ir.Expr):
+        return False
+    if expression.op == "call":
+        return isinstance(kinds[expression.func.name], types.NamedTupleClass)
+    if expression.op not in ("getitem", "static_getitem"):
         return False
     index = signature.args[1]
-    parts = index if isinstance(index, types.BaseTuple) else [index]
-    return all(isinstance(part, types.Integer | types.SliceType) for part in parts)
+    parts = index if isinstance(index, types.BaseTuple) else [index]  # type: ignore[attr-defined]
+    plain = types.Integer | types.SliceType  # type: ignore[attr-defined]
+    return all(isinstance(part, plain) for part in parts)
 
 
 class _Part(JITCodeLibrary):

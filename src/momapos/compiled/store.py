@@ -5,6 +5,7 @@ versions of numba, of `compiler.py` and of llvmlite, Python's minor version, and
 Checksums find damage, not malice: who can write the cache folder can run code as its owner, as with
 Python's own caches.
 """
+
 from __future__ import annotations
 
 import json
