@@ -9,11 +9,10 @@ import numpy as np
 
 from momapos.compiled import B1, F1, F2, F3, I1, entry
 from momapos.geometry.transforms import invert, pose_planar
-from momapos.kinematics.chain import chain_arrays, chain_limits
 from momapos.kinematics.collision import FREE
-from momapos.kinematics.ik import EXACT
-from momapos.kinematics.newton import newton
-from momapos.kinematics.records import ChainArrays, JointLimits
+from momapos.kinematics.ik import EXACT, arm_arrays
+from momapos.kinematics.newton import newton, newton_scratch
+from momapos.kinematics.records import ArmArrays, NewtonRule
 from momapos.kinematics.world import CollisionWorld, check
 from momapos.manipulation.layers import (
     CUT_OFF,
@@ -134,9 +133,7 @@ def _connect(
             q,
             motion.waypoint_steps,
             targets,
-            robot.ik.active,
-            chain_arrays(chain),
-            chain_limits(chain),
+            arm_arrays(chain, robot.ik),
             scale,
             dense,
         )
@@ -225,17 +222,16 @@ def _track(
     q: F2,
     coarse: I1,
     targets: F3,
-    active: I1,
-    chain: ChainArrays,
-    limits: JointLimits,
+    arm: ArmArrays,
     scale: F1,
     dense: F2,
 ) -> int:
     """Fill the states between waypoints by Newton steps; returns the step that fails, or -1."""
     n = q.shape[1]
-    most = np.int64(8)  # a literal would have Newton compiled once more
-    lower, upper = limits
-    R, p = np.empty((n + 1, 3, 3)), np.empty((n + 1, 3))
+    # A literal would have Newton compiled once more.
+    rule = NewtonRule(np.int64(8), 1e-6, EXACT)  # type: ignore[arg-type]
+    lower, upper = arm.limits
+    scratch = newton_scratch(n)
     for w in range(len(coarse)):
         first = coarse[w - 1] + 1 if w > 0 else 0
         for s in range(first, coarse[w] + 1):
@@ -244,14 +240,12 @@ def _track(
                 dense[s, k] = (1.0 - t) * q[max(w - 1, 0), k] + t * q[w, k]
             residual = newton(
                 dense[s],
-                active,
-                chain,
+                arm.ik.active,
+                arm.chain,
                 targets[s, :3, :3],
                 targets[s, :3, 3],
-                most,
-                1e-6,
-                EXACT,
-                (R, p),
+                rule,
+                scratch,
             )
             if residual > 1e-9:
                 return s

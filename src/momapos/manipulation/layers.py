@@ -10,12 +10,12 @@ import numpy as np
 
 from momapos.compiled import B1, F1, F2, F3, I1, entry, kernel
 from momapos.geometry.transforms import invert, pose_planar
-from momapos.kinematics.chain import Chain, chain_arrays, chain_limits
+from momapos.kinematics.chain import Chain
 from momapos.kinematics.closed_forms import MAX_BRANCHES
 from momapos.kinematics.collision import FREE, scratch_of
-from momapos.kinematics.ik import COARSE, ik_arrays, ik_scratch, solve_sample
-from momapos.kinematics.records import ChainArrays, IkArrays, JointLimits, SphereArrays, WorldArrays
-from momapos.kinematics.world import CollisionWorld, check_one
+from momapos.kinematics.ik import COARSE, arm_arrays, ik_scratch, max_solutions, solve_sample
+from momapos.kinematics.records import ArmArrays, CollisionArrays, TaskState
+from momapos.kinematics.world import CollisionWorld, check_one, collision_arrays
 from momapos.manipulation.motion import TaskMotion
 from momapos.robots.robot import Robot
 
@@ -50,6 +50,17 @@ class Layer:
         return self.q[row, : self.counts[row]], self.grasps[row, : self.counts[row]]
 
 
+class JointSteps(NamedTuple):
+    """How steps of n joints are measured."""
+
+    full_turn: B1
+    """Which joints turn fully, so that a step is taken the short way round."""
+    scale: F1
+    """What a step of each counts as [rad/rad] or [rad/m]."""
+    locked: F1
+    """The same of the joints that inverse kinematics does not solve for, 0 of the others."""
+
+
 class Neighbor(NamedTuple):
     """A known layer as the kernel takes it."""
 
@@ -59,6 +70,13 @@ class Neighbor(NamedTuple):
     """Row of each job in the states."""
     limit: float
     """Largest joint step to it [rad]; infinite where there is no layer."""
+
+
+class Neighbors(NamedTuple):
+    """The known layers next to a waypoint."""
+
+    before: Neighbor
+    after: Neighbor
 
 
 def joint_scale(chain: Chain) -> Float[np.ndarray, " n"]:
@@ -103,14 +121,19 @@ def solve_layer(
     scale = joint_scale(chain)
     locked = scale.copy()
     locked[ik.active] = 0.0
-    q, counts, codes = _solve_layer(
-        np.ascontiguousarray(poses), bases[row], int(motion.value[step]),
-        bool(motion.holding[step]), chain_limits(chain), chain_arrays(chain),
-        ik_arrays(ik), ik.max_solutions, robot.spheres.arrays(), world.arrays(), world.clearance,
-        full_turns(chain), scale, locked,
+    around = Neighbors(
         _neighbor(before, row, waypoint, chain.size),
         _neighbor(after, row, waypoint, chain.size),
-    )  # fmt: skip
+    )
+    q, counts, codes = _solve_layer(
+        np.ascontiguousarray(poses),
+        bases[row],
+        TaskState(int(motion.value[step]), bool(motion.holding[step])),
+        arm_arrays(chain, ik),
+        collision_arrays(robot.spheres, world),
+        JointSteps(full_turns(chain), scale, locked),
+        around,
+    )
     if grasps.shape[1] == 1:
         return Layer(waypoint, alive, q, counts, codes, np.tile(grasp[:, None], (1, q.shape[1])))
     return _merged(waypoint, alive, job, grasp, q, counts, codes)
@@ -166,7 +189,15 @@ def joint_step(a, b, full_turn, scale, limit):
 
 
 @kernel
-def _joined(q, job, neighbor, full_turn, scale):
+def _joined(q, job, around, full_turn, scale):
+    """Whether some configuration of each neighboring layer is near enough."""
+    return _near(q, job, around.before, full_turn, scale) and _near(
+        q, job, around.after, full_turn, scale
+    )
+
+
+@kernel
+def _near(q, job, neighbor, full_turn, scale):
     """Whether some configuration of a neighboring layer is near enough."""
     states, counts, rows, limit = neighbor
     if limit == np.inf:
@@ -182,48 +213,32 @@ def _joined(q, job, neighbor, full_turn, scale):
 def _solve_layer(
     poses: F3,
     bases: F2,
-    value: int,
-    holding: bool,
-    limits: JointLimits,
-    chain: ChainArrays,
-    ik: IkArrays,
-    most: int,
-    spheres: SphereArrays,
-    world: WorldArrays,
-    margin: float,
-    full_turn: B1,
-    scale: F1,
-    locked: F1,
-    before: Neighbor,
-    after: Neighbor,
+    state: TaskState,
+    arm: ArmArrays,
+    room: CollisionArrays,
+    steps: JointSteps,
+    around: Neighbors,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    n = len(full_turn)
-    scratch = ik_scratch(n)
-    arm = scratch_of(n, spheres)
+    chain, samples = arm.chain, arm.ik.samples
+    full_turn, n = steps.full_turn, len(steps.full_turn)
+    scratch, placed = ik_scratch(n), scratch_of(n, room.spheres)
     solutions = np.empty((MAX_BRANCHES, n))
-    out = np.empty((len(poses), most, n))
+    out = np.empty((len(poses), max_solutions(arm.ik), n))
     counts, codes = np.zeros(len(poses), np.int64), np.full(len(poses), NOWHERE)
     for j in range(len(poses)):
-        for s in range(len(ik.samples)):
+        for s in range(len(samples)):
             # Locked joints are known beforehand, so most samples need no inverse kinematics.
-            if not (
-                _joined(ik.samples[s], j, before, full_turn, locked)
-                and _joined(ik.samples[s], j, after, full_turn, locked)
-            ):
+            if not _joined(samples[s], j, around, full_turn, steps.locked):
                 continue
-            found = solve_sample(
-                s, poses[j, :3, :3], poses[j, :3, 3], chain, limits, ik, COARSE, solutions, scratch
-            )
+            R, p = poses[j, :3, :3], poses[j, :3, 3]
+            found = solve_sample(s, R, p, arm, COARSE, solutions, scratch)
             for b in range(found):
                 q = solutions[b]
-                if not (
-                    _joined(q, j, before, full_turn, scale)
-                    and _joined(q, j, after, full_turn, scale)
-                ):
+                if not _joined(q, j, around, full_turn, steps.scale):
                     if codes[j] == NOWHERE:
                         codes[j] = CUT_OFF
                     continue
-                code = check_one(q, bases[j], value, holding, chain, spheres, world, margin, arm)
+                code = check_one(q, bases[j], state, chain, room, placed)
                 if code == FREE:
                     for k in range(n):
                         out[j, counts[j], k] = q[k]
