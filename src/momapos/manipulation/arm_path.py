@@ -107,7 +107,7 @@ def _connect(
     motion: TaskMotion,
     base: np.ndarray,
     grasp: int,
-    nodes: list[Float[np.ndarray, "k n"]],
+    nodes: list[Float[np.ndarray, "_ n"]],
 ) -> ArmPath:
     """Shortest path through the layers of one job, then every state between, checked."""
     start = np.cumsum([0, *(len(k) for k in nodes)])
