@@ -108,7 +108,7 @@ def _connect(
     world: CollisionWorld,
     motion: TaskMotion,
     base: np.ndarray,
-    nodes: list[tuple[Float[np.ndarray, "k n"], Int[np.ndarray, " k"]]],
+    nodes: list[tuple[Float[np.ndarray, "_ n"], Int[np.ndarray, " _"]]],
 ) -> ArmPath:
     """Shortest path through the layers of one job, then every state between, checked."""
     start = np.cumsum([0, *(len(q) for q, _ in nodes)])
