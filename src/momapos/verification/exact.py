@@ -81,6 +81,8 @@ class PlanVerifier:
         """
         checks = list(paths.number_checks(self.part, motion, base_pose))
         if all(check.ok for check in checks):
+            checks += paths.hold_checks(self.part, motion)
+        if all(check.ok for check in checks):
             # Before anything is allocated: a step of 1e6 would be cut into millions of states.
             states = paths.count_states(motion, self.limits.step)
             if self.part.joint is not None:
@@ -140,7 +142,7 @@ class PlanVerifier:
         checks += paths.object_checks(part, motion, limits)
         checks += paths.joint_checks(machine, motion, limits)
         checks += paths.tool_checks(Ts_planned, motion, limits)
-        checks += paths.grasp_checks(part, path, Ts_tool, limits)
+        checks += paths.grasp_checks(part, path, Ts_tool, paths.holds_of(motion), limits)
         checks.append(paths.reach_check(part, self.task.verb, motion, Ts_planned, limits))
         Ts_way, where = self._way(Ts_part, path)
         checks.append(self._part_check(Ts_way, where))
