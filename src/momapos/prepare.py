@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
@@ -111,13 +111,13 @@ def prepare(
         world = collision_world(robot, motion, config)
         has_room, obstacle = collision_free_grasps(robot, world, motion)
         if has_room.any():
-            motion = replace(motion, Ts_world_tool=motion.Ts_world_tool[has_room])
+            motion = motion.only(has_room)
     with watch.stage("exact model"):
         verifier = PlanVerifier(scene, robot, task)
         blocked = verifier.blocked(LIFT)
     no_grasp = "" if has_room.any() else f"the hand hits {obstacle} in every grasp"
     geometry = placement_geometry(scene, robot, motion, clearance)
-    reason = blocked or no_grasp
+    reason = motion.refusal or blocked or no_grasp
     return PreparedTask(scene, robot, task, motion, world, geometry, verifier, reason)
 
 
