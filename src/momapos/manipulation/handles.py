@@ -280,8 +280,8 @@ def _core(
     levels = np.linspace(half_out, -half_out - BEHIND, _LEVELS)
     shares = np.array([-0.95, -0.5, 0.0, 0.5, 0.95])
     points = center + shares[:, None, None] * half_long + levels[:, None] * out
-    solid = np.array([e.convex.depth(points) > -1e-6 for e in group]).any(0)
-    filled = np.array([e.convex.depth(points) > -1e-6 for e in [*group, *others]]).any(0)
+    solid = np.stack([e.convex.depth(points) > -1e-6 for e in group]).any(axis=0)
+    filled = np.stack([e.convex.depth(points) > -1e-6 for e in [*group, *others]]).any(axis=0)
     middle = solid[2]
     if not middle.any():
         return _Core(0.0, 2 * half_out, HandleKind.BAR)
