@@ -26,7 +26,8 @@ from momapos.geometry.transforms import apply, pose
 from momapos.geometry.upright_boxes import top
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.urdf import Urdf, box_urdf, read_urdf
-from momapos.manipulation.handles import WORD, has_handle
+from momapos.manipulation.handle_shapes import WORD
+from momapos.manipulation.handles import has_handle
 from momapos.manipulation.tasks import hand_path
 from momapos.reconstruction.build import build_scene
 from momapos.reconstruction.model import furniture_model

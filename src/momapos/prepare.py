@@ -117,7 +117,7 @@ def prepare(
         blocked = verifier.blocked(LIFT)
     no_grasp = "" if has_room.any() else f"the hand hits {obstacle} in every grasp"
     geometry = placement_geometry(scene, robot, motion, clearance)
-    reason = blocked or no_grasp
+    reason = motion.refusal or blocked or no_grasp
     return PreparedTask(scene, robot, task, motion, world, geometry, verifier, reason)
 
 

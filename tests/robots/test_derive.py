@@ -21,7 +21,7 @@ from momapos.reachability.arm_axes import arm_frame
 from momapos.robots.derive import derive_robot, examine, write_robot
 from momapos.robots.gripper import points_of
 from momapos.robots.names import library_names
-from momapos.robots.robot import load_robot, read_robot
+from momapos.robots.robot import ASSUMED_FORCE, Grip, load_robot, read_robot
 from momapos.robots.states import sample_states, touches
 
 FETCH = DATA / "robots" / "fetch"
@@ -141,7 +141,7 @@ def test_the_arm_starts_with_the_lift_and_leaves_out_wheels_head_and_fingers(urd
 def test_every_guess_is_put_into_words(urdf: Path) -> None:
     words = " ".join(derive_robot(urdf).assumptions)
     for key in ("arm_joints", "base_link", "tool_link", "gripper_links", "approach_axis", "home",
-                "footprint", "drive: differential", "opening"):  # fmt: skip
+                "footprint", "drive: differential", "opening", "grips"):  # fmt: skip
         assert key in words
 
 
@@ -495,3 +495,54 @@ def test_a_rest_that_cannot_be_is_refused(urdf: Path, line: str, words: str) -> 
     path.write_text(f"{path.read_text()}\n[rest]\n{line}\n")
     with pytest.raises(MomaposError, match=words):
         load_robot(path)
+
+
+def test_what_a_file_leaves_out_about_the_gripper_is_assumed_and_said(urdf: Path) -> None:
+    path, _ = write_robot(urdf)
+    derived = load_robot(path)
+    assert derived.grips is Grip.FINGERS
+    assert derived.grip_force == ASSUMED_FORCE
+    assert len(derived.assumed) == 1
+    assert "60 N" in derived.assumed[0]
+    path.write_text(re.sub(r"# force = .*", "force = 80", path.read_text()))
+    given = load_robot(path)
+    assert (given.grip_force, given.assumed) == (80.0, ())
+    path.write_text(re.sub(r"(?m)^opening = .*", "", path.read_text()))
+    assert "opening" in load_robot(path).assumed[0]
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("force = -5", "tool.force must be a number > 0"),
+        ('force = "strong"', "tool.force must be a number > 0"),
+        ('grips = "teeth"', "'teeth'; it must be fingers or suction or hook"),
+    ],
+)
+def test_a_gripper_that_cannot_be_is_refused(urdf: Path, line: str, words: str) -> None:
+    path, _ = write_robot(urdf)
+    key = line.split(" ", 1)[0]
+    kept = [row for row in path.read_text().splitlines() if not row.startswith(key)]
+    path.write_text("\n".join([*kept, line]))
+    with pytest.raises(RobotError, match=words):
+        load_robot(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "grips"), [("vacuum_cup", Grip.SUCTION), ("door_hook", Grip.HOOK)]
+)
+def test_a_tool_without_fingers_that_is_named_so_holds_by_that(
+    tmp_path: Path, name: str, grips: Grip
+) -> None:
+    path = tmp_path / "robot.urdf"
+    text = mobile_manipulator(fingers=False).replace('"palm"', f'"{name}"')
+    path.write_text(text)
+    assert load_robot(write_robot(path)[0]).grips is grips
+
+
+def test_the_grippers_of_the_library_state_their_force() -> None:
+    robots = [load_robot(name) for name in library_names()]
+    assert all(robot.grips is Grip.FINGERS and not robot.assumed for robot in robots)
+    assert {robot.name: robot.grip_force for robot in robots} == {
+        "fetch": 60.0, "husky_ur5e": 100.0, "ranger_rm63": 100.0, "segway_ur5e": 100.0,
+    }  # fmt: skip

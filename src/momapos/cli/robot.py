@@ -182,6 +182,9 @@ def describe(robot: Robot) -> dict[str, Any]:
         "approach_axis": robot.approach_axis.tolist(),
         "closing_axis": robot.closing_axis.tolist(),
         "opening": robot.opening,
+        "grips": str(robot.grips),
+        "grip_force": robot.grip_force,
+        "assumed": list(robot.assumed),
     }
 
 
@@ -192,7 +195,8 @@ def as_text(facts: dict[str, Any]) -> str:
         f"{facts['name']} ({facts['path']})",
         f"  base      {facts['base_link']}, {length:.2f} x {width:.2f} m, {facts['drive']} drive, "
         f"{facts['max_speed']:g} m/s, {facts['max_yaw_rate']:g} rad/s",
-        f"  tool      {facts['tool_link']}, opens {facts['opening']:.3f} m",
+        f"  tool      {facts['tool_link']}, opens {facts['opening']:.3f} m, "
+        f"holds by {facts['grips']} with {facts['grip_force']:g} N",
         f"  reach     at most {facts['reach']:.2f} m from the first turning joint",
         f"  inverse   {facts['ik']}",
         f"  collision {facts['spheres']} spheres, {facts['self_collision_pairs']} pairs checked, "
@@ -206,4 +210,4 @@ def as_text(facts: dict[str, Any]) -> str:
             span = f"{joint['lower']:.2f} to {joint['upper']:.2f}"
         unit = "m" if joint["kind"] == "prismatic" else "rad"
         lines.append(f"    {joint['name']:26} {span} {unit}, home {joint['home']:.2f}")
-    return "\n".join(lines)
+    return "\n".join([*lines, *(f"  assumed   {text}" for text in facts["assumed"])])

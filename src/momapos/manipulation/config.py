@@ -11,28 +11,60 @@ Planner = Literal["RRTConnect", "RRTstar", "BITstar"]
 
 
 @dataclass(frozen=True)
-class GraspConfig:
-    """Which ways of holding a thing are tried."""
+class ResistanceConfig:
+    """What doors and drawers weigh and how they resist, where no file says; see docs/execution.md.
 
-    turns: tuple[float, ...] = (0.0, 20.0, -20.0, 40.0, -40.0, 60.0, -60.0)
+    The grasps must transmit it. The physics has values of its own.
+    """
+
+    density: float = 300.0
+    """Of moving parts with what is in them, over the volume of their hulls [kg/m^3]."""
+    least_mass: float = 0.5
+    """A part weighs at least this [kg]."""
+    most_mass: float = 25.0
+    """A part weighs at most this [kg]."""
+    hinge_friction: float = 0.4
+    """Dry friction of hinges [Nm]."""
+    slide_friction: float = 4.0
+    """Dry friction of slides [N]."""
+    seal_force: float = 30.0
+    """Pull at the handle that frees a door with a seal [N]."""
+    latch_force: float = 6.0
+    """Pull at the handle that frees any other door or drawer [N]."""
+    sealed: tuple[str, ...] = ("fridge", "refrigerator", "freezer", "oven", "dishwasher")
+    """Words in the category or name of objects whose doors have a seal."""
+
+
+@dataclass(frozen=True)
+class GraspConfig:
+    """Which ways of holding a thing are tried, and when one holds."""
+
+    turns: tuple[float, ...] = (0.0, 20.0, -20.0, 40.0, -40.0, 60.0, -60.0, 90.0, -90.0)
     """Turns about the handle's long axis [deg]."""
     tilts: tuple[float, ...] = (0.0, 25.0, -25.0)
     """Tilts along the handle [deg]."""
     points: tuple[float, ...] = (0.0, 0.6, -0.6)
     """Points along the handle, as shares of its half length [-]."""
-    standoffs: tuple[float, ...] = (0.0, 0.7)
-    """How far the tool's origin stays before the handle, as shares of the fingers' depth [-]."""
-    tip_gap: float = 0.005
-    """A last stand-off: the fingertips this far before the handle's center, for handles that lie
-    flat on what they open [m]."""
+    standoffs: tuple[float, ...] = (0.0, 0.6)
+    """How far the hand stays before the deepest place it can reach, as shares of the way from
+    there to where only its fingertips hold [-]."""
     rolls: int = 8
     """Rolls about the approach for knobs and rigid objects [-]."""
     pregrasp: float = 0.08
     """Length of the straight approach [m]."""
+    clearance: float = 0.004
+    """Distance that the open hand keeps from what it does not hold [m]."""
+    friction: float = 0.6
+    """Between pads and handles [-]."""
+    contact: float = 0.4
+    """Each pad touches what it holds over this area at least [cm^2]."""
+    margin: float = 1.3
+    """A grasp transmits this many times what the part needs [-]."""
+    resistance: ResistanceConfig = field(default_factory=ResistanceConfig)
 
     def __post_init__(self) -> None:
         refuse_below(self, 1, "rolls")
-        refuse_below(self, 0, "tip_gap")
+        refuse_below(self, 0, "clearance", "friction", "contact", "margin")
         refuse_below(self, 0.01, "pregrasp")
         for name in ("turns", "tilts", "points", "standoffs"):
             if not getattr(self, name):

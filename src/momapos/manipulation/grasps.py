@@ -2,17 +2,123 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from momapos.geometry.transforms import rotation_about, rotation_of
+from momapos.kinematics.articulated import Articulated
 from momapos.manipulation.config import GraspConfig
-from momapos.manipulation.handles import Handle
-from momapos.robots.robot import Robot
+from momapos.manipulation.grasp_hold import (
+    advance,
+    close,
+    contact_of,
+    near_elements,
+    pinch_capacity,
+    stands_clear,
+)
+from momapos.manipulation.hand import Hand, hand_of
+from momapos.manipulation.handle_shapes import part_elements
+from momapos.manipulation.handles import (
+    Handle,
+    HandleKind,
+    HandleSource,
+    find_handles,
+    front_face,
+    lever_arms,
+    motion_direction,
+)
+from momapos.robots.robot import Grip, Robot
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
+    from jaxtyping import Bool, Float, Int
+
+HAND_REACH = 0.35
+"""What is farther from a handle cannot meet the hand [m]."""
+BITE = 0.005
+"""Fingertips reach at least this far beyond the near side of what they hold [m]."""
+HOOKED = 0.8
+"""A grasp hooks where at least this share of the pull is along the closing axis [-]."""
+ENOUGH = 2.5
+"""Grasps that transmit more times what is needed are as good as each other [-]."""
+_PARTS = 512
+"""Parts whose grasps are remembered [-]."""
+
+
+class Family(StrEnum):
+    """How a grasp holds; the words stand in answers."""
+
+    PINCH = "pinch"
+    """Pads on both sides, friction carries the pull."""
+    HOOK = "hook"
+    """A finger behind a bar, a lip or an edge carries the pull."""
+    PUSH = "push"
+    """The fingertips against a front, for closing alone."""
+    SUCTION = "suction"
+    """A cup on a front."""
+
+
+FAMILIES = tuple(Family)
+
+
+@dataclass(frozen=True)
+class Grasps:
+    """What is known of each grasp of a task, beside where the tool is."""
+
+    code: Int[np.ndarray, " g"]
+    """Index into `FAMILIES`."""
+    width: Float[np.ndarray, " g"]
+    """Between the pads when they have closed [m]."""
+    capacity: Float[np.ndarray, " g"]
+    """Pull that the grasp transmits along the motion [N]."""
+    need: Float[np.ndarray, " g"]
+    """Pull there that the part needs [N]."""
+    handles: tuple[Handle, ...]
+    """What is held; empty for rigid objects."""
+    handle: Int[np.ndarray, " g"]
+    """Index into `handles`."""
+
+    def __len__(self) -> int:
+        return len(self.code)
+
+    @property
+    def family(self) -> tuple[Family, ...]:
+        """How each grasp holds."""
+        return tuple(FAMILIES[code] for code in self.code)
+
+    def take(self, rows: Int[np.ndarray, " k"] | Bool[np.ndarray, " g"]) -> Grasps:
+        """Some of the grasps."""
+        return Grasps(
+            self.code[rows], self.width[rows], self.capacity[rows], self.need[rows],
+            self.handles, self.handle[rows],
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class PartGrasps:
+    """The grasps of one handle by one robot, whatever the part weighs and where it stands."""
+
+    Ts_part_tool: Float[np.ndarray, "g 4 4"]
+    code: Int[np.ndarray, " g"]
+    """Index into `FAMILIES`."""
+    width: Float[np.ndarray, " g"]
+    capacity: Float[np.ndarray, " g"]
+    point: Float[np.ndarray, "g 3"]
+    """Middle of the contact in the part [m]."""
+    plainness: Float[np.ndarray, " g"]
+    """The less, the plainer [-]."""
+    reason: str
+    """Why there is none; "" where there is one."""
+
+    def only(self, rows: Bool[np.ndarray, " g"]) -> PartGrasps:
+        """Some of the grasps."""
+        return PartGrasps(
+            self.Ts_part_tool[rows], self.code[rows], self.width[rows], self.capacity[rows],
+            self.point[rows], self.plainness[rows], self.reason,
+        )  # fmt: skip
 
 
 def grasp_frames(
@@ -38,36 +144,39 @@ def grasp_frames(
     return T
 
 
-def handle_grasps(robot: Robot, handle: Handle, config: GraspConfig) -> Float[np.ndarray, "g 4 4"]:
-    """The family of grasps of a handle, the plainest first, in the moving link's frame.
+@dataclass(frozen=True)
+class _Lines:
+    """Straight ways of the tool onto a handle."""
 
-    The fingers close across the long axis; both rolls by half a turn are kept, because the
-    arm's wrist makes them different.
-    """
+    R: Float[np.ndarray, "g 3 3"]
+    target: Float[np.ndarray, "g 3"]
+    """Point on the handle's middle line [m]."""
+    plainness: Float[np.ndarray, " g"]
+
+
+def _lines(robot: Robot, handle: Handle, config: GraspConfig) -> _Lines:
+    """Turns about the handle, tilts along it, rolls about the approach, points along it."""
     side = np.cross(handle.long, handle.out)
-    # An edge that cannot be reached behind is touched with the fingertips.
-    deep = [] if handle.edge else [share * robot.finger_depth for share in config.standoffs]
-    standoffs = [*deep, robot.finger_depth + config.tip_gap]
-    points = _points(handle, config)
-    rolls = (
-        np.arange(config.rolls) * 2 * np.pi / config.rolls if handle.knob else np.array([0, np.pi])
-    )
+    if handle.knob:
+        rolls = np.arange(config.rolls) * 2 * np.pi / config.rolls
+    else:
+        rolls = np.array([0, np.pi])
+        if 2 * handle.half_length < robot.opening:
+            rolls = np.array([0, np.pi, np.pi / 2, -np.pi / 2])
     turns, tilts = np.radians(config.turns), np.radians(config.tilts)
-    grid = np.stack(np.meshgrid(rolls, points, standoffs, tilts, turns, indexing="ij"), -1).reshape(
-        -1, 5
-    )
-    roll, point, standoff, tilt, turn = grid.T
+    grid = np.stack(np.meshgrid(rolls, _points(handle, config), tilts, turns, indexing="ij"), -1)
+    roll, point, tilt, turn = grid.reshape(-1, 4).T
     R_turn = rotation_about(handle.long, turn)
     approach = R_turn @ -handle.out
     closing = R_turn @ side
-    R_tilt = _rotations(closing, tilt)
-    approach = np.einsum("gij,gj->gi", R_tilt, approach)
+    approach = np.einsum("gij,gj->gi", _rotations(closing, tilt), approach)
     closing = np.einsum("gij,gj->gi", _rotations(approach, roll), closing)
-    center = handle.center + point[:, None] * handle.long - standoff[:, None] * approach
-    order = np.argsort(
-        np.abs(turn) + np.abs(tilt) + 5 * np.abs(point) + 5 * standoff, kind="stable"
-    )
-    return grasp_frames(robot, center, approach, closing)[order]
+    plainness = np.abs(turn) + np.abs(tilt) + 5 * np.abs(point)
+    if not handle.knob:
+        plainness = plainness + 0.5 * np.abs(np.sin(roll))
+    target = handle.center + point[:, None] * handle.long
+    R = grasp_frames(robot, target, approach, closing)[:, :3, :3]
+    return _Lines(R, target, plainness)
 
 
 def _points(handle: Handle, config: GraspConfig) -> Float[np.ndarray, " p"]:
@@ -83,12 +192,313 @@ def _rotations(
     return rotation_of(axes * angles[:, None])
 
 
+@dataclass(frozen=True)
+class Chosen:
+    """The grasps of a part that hold, the best first."""
+
+    Ts_part_tool: Float[np.ndarray, "g 4 4"]
+    grasps: Grasps
+    reason: str
+    """Why none of them holds; "" where they do."""
+
+
+def holding_grasps(
+    robot: Robot,
+    model: Articulated,
+    joint: str,
+    sign: float,
+    torque: float,
+    *,
+    closes: bool,
+    config: GraspConfig,
+) -> Chosen:
+    """The grasps of the first handle of a part by which the robot can move it.
+
+    Args:
+        robot: Whose hand.
+        model, joint: The part.
+        sign: Direction of the joint in which it opens (+1 or -1).
+        torque: What the joint resists with [Nm] or [N].
+        closes: Whether the part is to be shut: then its front may be pushed as well.
+        config: What is tried.
+
+    Returns:
+        Where none holds, those that the best handle would have, and why they do not.
+    """
+    handles = find_handles(model, joint, sign)
+    found: list[tuple[Handle, PartGrasps]] = []
+    reasons = []
+    for handle in handles:
+        grasps = _grasps_of(robot, model, joint, sign, handle, config)
+        strong, reason = _strong(robot, model, joint, grasps, torque, handle, config)
+        if len(strong.code):
+            found.append((handle, strong))
+            break
+        reasons.append(reason)
+    pushed = push_grasps(robot, model, joint, sign, config) if closes else None
+    if pushed is not None and len(pushed[1].code):
+        found.append(pushed)
+    if found:
+        return _ordered(model, joint, found, torque, "")
+    lines = _lines(robot, handles[0], config)
+    none = np.full(len(lines.R), np.nan)
+    bare = PartGrasps(
+        _poses(lines.R, lines.target), np.zeros(len(none), np.int64), none,
+        np.zeros(len(none)), lines.target, lines.plainness, "",
+    )  # fmt: skip
+    # A part without any handle has edges alone, and the first says as much as the second.
+    named = [r for r, h in zip(reasons, handles, strict=True) if not h.edge] or reasons[:1]
+    edges = "" if handles[0].edge else ", and no hand gets around its free edge"
+    return _ordered(model, joint, [(handles[0], bare)], torque, "; ".join(named[:1]) + edges)
+
+
+def _strong(
+    robot: Robot,
+    model: Articulated,
+    joint: str,
+    grasps: PartGrasps,
+    torque: float,
+    handle: Handle,
+    config: GraspConfig,
+) -> tuple[PartGrasps, str]:
+    """Those grasps that transmit what a part needs, and why there is none."""
+    if not len(grasps.code):
+        return grasps, grasps.reason
+    need = torque / np.maximum(lever_arms(model, joint, grasps.point), 1e-3)
+    strong = grasps.capacity >= config.margin * need
+    if strong.any():
+        return grasps.only(strong), ""
+    best = int(np.argmax(grasps.capacity / need))
+    return grasps.only(strong), (
+        f"{robot.name} holds {handle.name} with {grasps.capacity[best]:.0f} N at most, and "
+        f"{config.margin * need[best]:.0f} N are needed there"
+    )
+
+
+def _ordered(
+    model: Articulated,
+    joint: str,
+    found: list[tuple[Handle, PartGrasps]],
+    torque: float,
+    reason: str,
+) -> Chosen:
+    """All grasps of some handles, the firmest first, and of those the plainest."""
+    parts = [grasps for _, grasps in found]
+    point = np.concatenate([g.point for g in parts])
+    need = torque / np.maximum(lever_arms(model, joint, point), 1e-3)
+    capacity = np.concatenate([g.capacity for g in parts])
+    handle = np.repeat(np.arange(len(parts)), [len(g.code) for g in parts])
+    plain = np.concatenate([g.plainness for g in parts])
+    firm = np.minimum(capacity / np.maximum(need, 1e-9), ENOUGH)
+    order = np.lexsort((plain, -np.floor(2 * firm), handle))
+    grasps = Grasps(
+        np.concatenate([g.code for g in parts]), np.concatenate([g.width for g in parts]),
+        capacity, need, tuple(h for h, _ in found), handle,
+    )  # fmt: skip
+    Ts = np.concatenate([g.Ts_part_tool for g in parts])
+    return Chosen(Ts[order], grasps.take(order), reason)
+
+
+@lru_cache(maxsize=_PARTS)
+def _grasps_of(
+    robot: Robot, model: Articulated, joint: str, sign: float, handle: Handle, config: GraspConfig
+) -> PartGrasps:
+    hand = hand_of(robot)
+    if robot.grips is Grip.FINGERS and hand.closes:
+        return _closed(robot, hand, model, joint, sign, handle, config)
+    return _touching(robot, hand, model, joint, sign, handle, config)
+
+
+@lru_cache(maxsize=_PARTS)
+def push_grasps(
+    robot: Robot, model: Articulated, joint: str, sign: float, config: GraspConfig
+) -> tuple[Handle, PartGrasps] | None:
+    """Ways to push a part shut with the fingertips against its front; None where it has none."""
+    face = front_face(model, joint, sign)
+    if face is None:
+        return None
+    found = _touching(robot, hand_of(robot), model, joint, sign, face, config)
+    push = np.full(len(found.code), FAMILIES.index(Family.PUSH))
+    firm = np.full(len(found.code), np.inf)
+    return face, PartGrasps(
+        found.Ts_part_tool, push, found.width, firm, found.point, found.plainness, found.reason
+    )
+
+
+def _closed(
+    robot: Robot,
+    hand: Hand,
+    model: Articulated,
+    joint: str,
+    sign: float,
+    handle: Handle,
+    config: GraspConfig,
+) -> PartGrasps:
+    """Grasps with fingers that close."""
+    elements, held = _surroundings(model, joint, handle)
+    lines = _lines(robot, handle, config)
+    what = handle.name if handle.found is not HandleSource.EDGE else f"the edge of {handle.name}"
+    R, p, plain, obstacle = _deep_enough(hand, elements, lines, handle, config)
+    if not len(R):
+        name = elements[obstacle].link if obstacle >= 0 else handle.name
+        return _none(f"the hand has no room at {what}: {name} is in its way")
+    closing = close(hand, elements, held, R, p, config.clearance)
+    met = np.isfinite(closing.travel).all(1)
+    way = np.where(met[:, None], closing.travel, 0.0)
+    p = p - (way[:, 0] - way[:, 1])[:, None] / 2 * (R @ hand.closing)
+    travel = np.repeat(way.mean(1)[:, None], 2, axis=1)
+    met &= (travel[:, 0] > 0) & (travel[:, 0] < hand.travel)
+    firm = (closing.cosine >= np.cos(np.arctan(config.friction))).all(1)
+    rows = np.flatnonzero(met & firm)
+    if not len(rows):
+        return _none(_too_thick(robot, handle, what) or f"the fingers cannot close on {what}")
+    rows = rows[stands_clear(hand, elements, held, R[rows], p[rows], config)]
+    if not len(rows):
+        return _none(_too_thick(robot, handle, what) or f"the open hand has no room at {what}")
+    own = tuple(e for e, mine in zip(elements, held, strict=True) if mine)
+    contact = contact_of(hand, own, R[rows], p[rows], travel[rows])
+    pads = np.diff(hand.inner(1)[1], axis=0)[0]
+    kept = (contact.area >= 1e-4 * config.contact) & (contact.apart < pads.min())
+    if not kept.any():
+        return _none(f"the pads touch too little of {what}")
+    rows, point = rows[kept], contact.point[kept]
+    pull = np.array([motion_direction(model, joint, sign, x) for x in point])
+    lean = np.abs(np.einsum("gi,gi->g", R[rows] @ hand.closing, pull))
+    capacity = pinch_capacity(robot.grip_force, config.friction, lean)
+    code = np.where(lean > HOOKED, FAMILIES.index(Family.HOOK), FAMILIES.index(Family.PINCH))
+    width = robot.opening - 2 * travel[rows, 0]
+    return PartGrasps(_poses(R[rows], p[rows]), code, width, capacity, point, plain[rows], "")
+
+
+def _surroundings(model: Articulated, joint: str, handle: Handle) -> tuple:  # type: ignore[type-arg]
+    """The elements near a handle, and which of them the pads may touch."""
+    near = near_elements(
+        part_elements(model, joint), handle.center, HAND_REACH + handle.half_length
+    )
+    own = {id(e) for e in handle.elements}
+    extra = tuple(e for e in handle.elements if not any(e is other for other in near))
+    elements = (*near, *extra)
+    return elements, np.array([id(e) in own for e in elements], bool)
+
+
+def _deep_enough(
+    hand: Hand,
+    elements: tuple,
+    lines: _Lines,
+    handle: Handle,
+    config: GraspConfig,  # type: ignore[type-arg]
+) -> tuple[Float[np.ndarray, "g 3 3"], Float[np.ndarray, "g 3"], Float[np.ndarray, " g"], int]:
+    """Tool poses where the pads are at the handle, as deep as there is room, and less deep.
+
+    Returns:
+        Rotations, origins, plainness, and what is in the way of most lines that lead nowhere.
+    """
+    origin = lines.target - hand.pad_middle * (lines.R @ hand.approach)
+    room = advance(hand, elements, lines.R, origin, config)
+    deepest = np.minimum(room.travel, 0.0)
+    # At the least the tips come a little beyond the near side of the handle.
+    along = np.abs(np.einsum("gij,j->gi", lines.R, hand.approach) @ handle.out)
+    reach = np.minimum(handle.depth, 0.02) / 2 * along
+    shallow = hand.pad_middle - hand.tip + BITE - reach
+    fits = deepest >= shallow
+    blocked = room.obstacle[~fits & (room.obstacle >= 0)]
+    worst = int(np.bincount(blocked).argmax()) if len(blocked) else -1
+    R, p, plain = [], [], []
+    for share in config.standoffs:
+        travel = deepest + share * (shallow - deepest)
+        rows = fits & ((share == 0.0) | (deepest - shallow > BITE))
+        R.append(lines.R[rows])
+        p.append(origin[rows] + travel[rows, None] * (lines.R[rows] @ hand.approach))
+        plain.append(lines.plainness[rows] + 10 * (-travel[rows]).clip(0))
+    return np.concatenate(R), np.concatenate(p), np.concatenate(plain), worst
+
+
+def _touching(
+    robot: Robot,
+    hand: Hand,
+    model: Articulated,
+    joint: str,
+    sign: float,
+    handle: Handle,
+    config: GraspConfig,
+) -> PartGrasps:
+    """Poses of a hand that touches and does not close: a cup, a hook, fingertips that push."""
+    if robot.grips is Grip.SUCTION and handle.kind is HandleKind.EDGE:
+        handle = front_face(model, joint, sign) or handle
+    elements, held = _surroundings(model, joint, handle)
+    lines = _lines(robot, handle, config)
+    hooks = robot.grips is not Grip.SUCTION and handle.kind is not HandleKind.FACE
+    if hooks:
+        elements = tuple(e for e, own in zip(elements, held, strict=True) if not own)
+        origin = lines.target
+    else:
+        origin = lines.target - hand.tip * (lines.R @ hand.approach)
+    room = advance(hand, elements, lines.R, origin, config)
+    travel = np.minimum(room.travel, 0.0) if hooks else room.travel + config.clearance
+    rows = np.flatnonzero(np.abs(travel) < hand.tip if hooks else np.abs(travel) < BITE)
+    if not len(rows):
+        return _none(f"the tool has no room at {handle.name}")
+    p = origin[rows] + travel[rows, None] * (lines.R[rows] @ hand.approach)
+    code = FAMILIES.index(Family.HOOK if hooks else Family.SUCTION)
+    count = len(rows)
+    return PartGrasps(
+        _poses(lines.R[rows], p), np.full(count, code), np.full(count, robot.opening),
+        np.full(count, robot.grip_force), lines.target[rows], lines.plainness[rows], "",
+    )  # fmt: skip
+
+
+def _poses(
+    R: Float[np.ndarray, "g 3 3"], p: Float[np.ndarray, "g 3"]
+) -> Float[np.ndarray, "g 4 4"]:
+    T = np.tile(np.eye(4), (len(R), 1, 1))
+    T[:, :3, :3], T[:, :3, 3] = R, p
+    return T
+
+
+def _none(reason: str) -> PartGrasps:
+    none = np.zeros(0)
+    return PartGrasps(
+        np.zeros((0, 4, 4)), np.zeros(0, np.int64), none, none, np.zeros((0, 3)), none, reason
+    )
+
+
+def _too_thick(robot: Robot, handle: Handle, what: str) -> str:
+    """That no way of closing spans a handle; "" where one does."""
+    least = min(handle.thickness, handle.depth, 2 * handle.half_length)
+    if least < robot.opening:
+        return ""
+    return (
+        f"{what} is {100 * (least - robot.opening):.1f} cm too thick for the gripper of "
+        f"{robot.name} ({100 * least:.1f} cm, opens {100 * robot.opening:.1f} cm)"
+    )
+
+
+def lifting_grasps(
+    robot: Robot, width: Float[np.ndarray, " g"], weight: float, friction: float
+) -> Grasps:
+    """What pinches of a rigid object transmit, against its weight.
+
+    Args:
+        robot: Whose hand.
+        width: Between the pads [m].
+        weight: Of the object [N].
+        friction: Between pads and object [-].
+    """
+    firm = np.full(len(width), 2 * friction * robot.grip_force)
+    code = np.full(len(width), FAMILIES.index(Family.PINCH))
+    none = np.zeros(len(width), np.int64)
+    return Grasps(code, width, firm, np.full(len(width), weight), (), none)
+
+
 def box_grasps(
     robot: Robot, half: Float[np.ndarray, "3"], config: GraspConfig
-) -> Float[np.ndarray, "g 4 4"]:
+) -> tuple[Float[np.ndarray, "g 4 4"], Float[np.ndarray, " g"]]:
     """Grasps of a rigid box about its center, in the box's frame (z up): from above and the sides.
 
     Only directions across which the box fits between the fingers are kept.
+
+    Returns:
+        T_object_tool, and what the fingers then hold between them [m].
     """
     directions, closings = [], []
     for pitch in np.radians((90.0, 60.0, 30.0, 0.0)):
@@ -103,8 +513,9 @@ def box_grasps(
     approach, closing = np.array(directions), np.array(closings)
     width = 2 * np.abs(closing) @ half
     # A round thing of this box is as wide as the box's narrower side, whatever the direction.
-    fits = np.minimum(width, 2 * float(half[:2].min())) < robot.opening
-    approach, closing = approach[fits], closing[fits]
+    width = np.minimum(width, 2 * float(half[:2].min()))
+    fits = width < robot.opening
+    approach, closing, width = approach[fits], closing[fits], width[fits]
     # Come no deeper than the palm allows: hold near the top or the near side.
     depth = np.maximum(np.abs(approach) @ half - 0.03, 0.0)
-    return grasp_frames(robot, -approach * depth[:, None], approach, closing)
+    return grasp_frames(robot, -approach * depth[:, None], approach, closing), width

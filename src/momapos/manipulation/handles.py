@@ -3,31 +3,73 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import StrEnum
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from momapos.errors import TaskError
-from momapos.geometry.transforms import apply, invert
+from momapos.geometry.transforms import apply
 from momapos.kinematics.articulated import Articulated, joint_motion
 from momapos.kinematics.opening import opening_of
-from momapos.kinematics.urdf import Geometry
+from momapos.manipulation.handle_shapes import (
+    Element,
+    clusters,
+    corners,
+    named_elements,
+    named_shapes,
+    part_elements,
+    poses_in_part,
+    protrusions,
+    rigid_links,
+    visual_elements,
+    widest,
+)
 from momapos.scene.scene import SceneObject
 
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-WORD = "handle"
 _POINTS = 9
 """Points on the way of a handle [-]."""
+_LEVELS = 41
+"""Points at which a handle is cut along its outward side [-]."""
 _MODELS = 1024
-"""Parts whose geometry is remembered [-]."""
+"""Parts whose handles are remembered [-]."""
 ROUND = 1.5
 """A handle less elongated than this is a knob: it can be turned about freely [-]."""
+FACE_INSIDE = 0.05
+"""A door is pushed this far inside its free edge [m]."""
+BEHIND = 0.008
+"""Room behind a handle that a finger may use [m]."""
 
 
-@dataclass(frozen=True)
+class HandleSource(StrEnum):
+    """How a handle was found; the words stand in answers."""
+
+    NAME = "name"
+    SHAPE = "shape"
+    EDGE = "edge"
+
+
+class HandleKind(StrEnum):
+    """What a handle is like; the words stand in answers."""
+
+    BAR = "bar"
+    """Long, with room behind it."""
+    KNOB = "knob"
+    LEVER = "lever"
+    """A bar that hangs on one end."""
+    LIP = "lip"
+    """Long, without room behind it."""
+    EDGE = "edge"
+    """The free edge of a panel that has no handle."""
+    FACE = "face"
+    """The front of a panel, to be pushed or sucked."""
+
+
+@dataclass(frozen=True, eq=False)
 class Handle:
     """Something to hold, in the frame of the moving link."""
 
@@ -35,33 +77,42 @@ class Handle:
     long: Float[np.ndarray, "3"]
     """Unit vector along the handle."""
     out: Float[np.ndarray, "3"]
-    """Unit vector from the part toward the robot, perpendicular to `long`."""
+    """Unit vector from the part toward the hand, perpendicular to `long`."""
     half_length: float
     """Half the length along `long` [m]."""
     thickness: float
     """Size across, which the fingers must span [m]."""
-    knob: bool
-    edge: bool
-    """Whether this is a free edge and no handle."""
+    depth: float
+    """Size along `out` [m]."""
+    found: HandleSource
+    kind: HandleKind
+    name: str
+    """Of its link or shape, or of the panel that has none."""
+    elements: tuple[Element, ...]
+    """What the pads may touch."""
+
+    @property
+    def knob(self) -> bool:
+        """Whether the hand may turn about it."""
+        return self.kind is HandleKind.KNOB
+
+    @property
+    def edge(self) -> bool:
+        """Whether this is a free edge and no handle."""
+        return self.kind is HandleKind.EDGE
+
+    def __str__(self) -> str:
+        how = {
+            HandleSource.NAME: f"{self.kind} {self.name!r}, by its name",
+            HandleSource.SHAPE: f"{self.kind} {self.name!r}, by its shape",
+            HandleSource.EDGE: f"the {self.kind} of {self.name!r}, which has no handle",
+        }
+        return how[self.found]
 
 
 def has_handle(model: Articulated, joint: str) -> bool:
     """Whether the part that a joint moves has geometry named "handle"."""
-    return bool(_handle_shapes(model, joint))
-
-
-def _handle_shapes(model: Articulated, joint: str) -> list[tuple[str, Geometry]]:
-    """Named shapes on the part itself, not on parts that hang from it by further joints."""
-    return model.shapes_named(WORD, rigid_links(model, joint))
-
-
-def rigid_links(model: Articulated, joint: str) -> tuple[str, ...]:
-    """Links that a joint moves and that are fixed to each other."""
-    links = {model.joint(joint).child}
-    for other in model.urdf.joints:
-        if other.parent in links and not other.movable:
-            links.add(other.child)
-    return tuple(name for name in model.links if name in links)
+    return bool(named_shapes(model, joint))
 
 
 def opening_direction(
@@ -79,15 +130,23 @@ def _opening(
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
     """Middle of a part and where it moves when it opens, in the part's frame."""
     links = rigid_links(model, joint)
-    T_link = _poses_in_part(model, joint, links)
+    T_link = poses_in_part(model, joint, links)
     centers = [apply(T_link[n], h.vertices).mean(0) for n in links for h in model.hulls[n]]
     middle = np.mean(centers, axis=0) if centers else np.zeros(3)
-    return middle, _motion_direction(model, joint, opening_of(model, joint).sign, middle)
+    return middle, motion_direction(model, joint, opening_of(model, joint).sign, middle)
+
+
+def find_handle(model: Articulated, joint: str, sign: float) -> Handle:
+    """Find what to hold on the part that a joint moves: the first of `find_handles`."""
+    return find_handles(model, joint, sign)[0]
 
 
 @lru_cache(maxsize=_MODELS)
-def find_handle(model: Articulated, joint: str, sign: float) -> Handle:
-    """Find what to hold on the part that a joint moves.
+def find_handles(model: Articulated, joint: str, sign: float) -> tuple[Handle, ...]:
+    """Find what to hold on the part that a joint moves, the best guess first.
+
+    What is named "handle" comes first, the largest group of it; then what sticks out of the part's
+    panel, seen in its collision elements, else in what is drawn; then the panel's free edges.
 
     Args:
         model: The object.
@@ -97,16 +156,23 @@ def find_handle(model: Articulated, joint: str, sign: float) -> Handle:
     Raises:
         TaskError: The part has no geometry at all.
     """
+    solid = part_elements(model, joint)
+    named = clusters(named_elements(model, joint))[:1]
     links = rigid_links(model, joint)
-    T_link = _poses_in_part(model, joint, links)
-    shapes = _handle_shapes(model, joint)
-    points = [apply(T_link[name], model.hull(name, shape).vertices) for name, shape in shapes]
-    if not points:
-        panel = [apply(T_link[name], hull.vertices) for name in links for hull in model.hulls[name]]
-        if not panel:
-            raise TaskError(f"joint {joint!r} moves nothing that has a shape")
-        return _free_edge(np.concatenate(panel), model, joint, sign)
-    return _from_box(_largest_cluster(points), model, joint, sign)
+    own = tuple(e for e in solid if e.link in links)
+    if not own and not named:
+        raise TaskError(f"joint {joint!r} moves nothing that has a shape")
+    handles = [_of(HandleSource.NAME, group, model, joint, sign, own) for group in named]
+    if own:
+        known = {id(e) for group in named for e in group}
+        middle = corners(own).mean(0)
+        out = motion_direction(model, joint, sign, middle)
+        shaped = protrusions(own, out) or protrusions((*own, *visual_elements(model, joint)), out)
+        groups = [group for group in shaped if not known & {id(e) for e in group}]
+        shown = [_of(HandleSource.SHAPE, group, model, joint, sign, own) for group in groups]
+        handles += sorted(shown, key=lambda h: -h.half_length * _lever(model, joint, h.center))
+        handles += _free_edges(own, model, joint, sign)
+    return tuple(handles)
 
 
 def handle_path(item: SceneObject, joint: str, to: float) -> Float[np.ndarray, "k 3"]:
@@ -124,31 +190,24 @@ def handle_path(item: SceneObject, joint: str, to: float) -> Float[np.ndarray, "
     return apply(T_world_joint @ joint_motion(record, values), handle.center[None])[:, 0]
 
 
-def _poses_in_part(
-    model: Articulated, joint: str, links: tuple[str, ...]
-) -> dict[str, Float[np.ndarray, "4 4"]]:
-    poses = model.rest_poses
-    T_part_root = invert(poses[model.joint(joint).child])
-    return {name: T_part_root @ poses[name] for name in links}
+def _lever(model: Articulated, joint: str, point: Float[np.ndarray, "3"]) -> float:
+    """Distance of a point from the axis of a hinge [m]; 1 for a slide."""
+    return float(lever_arms(model, joint, point[None])[0])
 
 
-def _largest_cluster(points: list[np.ndarray]) -> np.ndarray:
-    """Merge shapes whose boxes touch within 2 cm; return the points of the largest group."""
-    low = np.array([p.min(0) for p in points]) - 0.01
-    high = np.array([p.max(0) for p in points]) + 0.01
-    touch = np.all((low[:, None] <= high[None]) & (low[None] <= high[:, None]), axis=2)
-    joined = touch @ touch  # over ever longer chains, until none grows
-    while (joined != touch).any():
-        touch, joined = joined, joined @ joined
-    first = joined.argmax(axis=1)
-    groups = [
-        np.concatenate([p for p, k in zip(points, first, strict=True) if k == g])
-        for g in np.unique(first)
-    ]
-    return max(groups, key=lambda g: float(np.linalg.norm(np.ptp(g, axis=0))))
+def lever_arms(
+    model: Articulated, joint: str, points: Float[np.ndarray, "n 3"]
+) -> Float[np.ndarray, " n"]:
+    """Distances of points of a part from the axis of its hinge [m]; 1 for a slide."""
+    record = model.joint(joint)
+    if record.kind == "prismatic":
+        return np.ones(len(points))
+    return np.linalg.norm(np.cross(record.axis, points), axis=1)
 
 
-def _motion_direction(model: Articulated, joint: str, sign: float, point: np.ndarray) -> np.ndarray:
+def motion_direction(
+    model: Articulated, joint: str, sign: float, point: Float[np.ndarray, "3"]
+) -> Float[np.ndarray, "3"]:
     """Direction in which a point of the part moves when the joint opens, in the part's frame."""
     record = model.joint(joint)
     if record.kind == "prismatic":
@@ -158,10 +217,18 @@ def _motion_direction(model: Articulated, joint: str, sign: float, point: np.nda
     return velocity / length if length > 1e-6 else sign * record.axis
 
 
-def _from_box(points: np.ndarray, model: Articulated, joint: str, sign: float) -> Handle:
-    center, rotation, half = model.box_around(points)
+def _of(
+    found: HandleSource,
+    group: list[Element],
+    model: Articulated,
+    joint: str,
+    sign: float,
+    part: tuple[Element, ...],
+) -> Handle:
+    """A handle from its elements."""
+    center, rotation, half = model.box_around(corners(group))
     order = np.argsort(half)
-    motion = _motion_direction(model, joint, sign, center)
+    motion = motion_direction(model, joint, sign, center)
     # The outward side is the one of the two short axes along which the part moves off.
     long = rotation[:, order[2]]
     across = [order[0], order[1]]
@@ -172,32 +239,114 @@ def _from_box(points: np.ndarray, model: Articulated, joint: str, sign: float) -
     side = next(k for k in range(3) if k != out_axis and abs(rotation[:, k] @ long) < 0.5)
     out = rotation[:, out_axis] * np.sign(motion @ rotation[:, out_axis])
     along = int(np.argmax(np.abs(rotation.T @ long)))
-    knob = bool(half[along] < ROUND * half[side])
+    length = float(half[along])
+    others = [e for e in part if not any(e is mine for mine in group)]
+    core = _core(center, long * length, out, float(half[out_axis]), group, others)
+    kind = core.kind if length >= ROUND * half[side] else HandleKind.KNOB
     return Handle(
-        center, long, out, float(half[along]), 2 * float(min(half[side], half[along])), knob, False
-    )
+        center + core.shift * out, long, out, length, 2 * float(min(half[side], half[along])),
+        core.depth, found, kind, _name_of(group), tuple(group),
+    )  # fmt: skip
 
 
-def _free_edge(points: np.ndarray, model: Articulated, joint: str, sign: float) -> Handle:
-    """The edge of a panel that is farthest from the hinge, or the rim of a drawer's front."""
-    center, rotation, half = model.box_around(points)
+def _name_of(group: list[Element]) -> str:
+    """What a group is called: by its largest element."""
+    return max(group, key=lambda e: float(np.ptp(e.convex.vertices, axis=0).max())).name
+
+
+@dataclass(frozen=True)
+class _Core:
+    """The part of a handle that hands hold, without what fastens it."""
+
+    shift: float
+    """From the middle of the whole toward the outside [m]."""
+    depth: float
+    """Size along the outside direction [m]."""
+    kind: HandleKind
+
+
+def _core(
+    center: Float[np.ndarray, "3"],
+    half_long: Float[np.ndarray, "3"],
+    out: Float[np.ndarray, "3"],
+    half_out: float,
+    group: list[Element],
+    others: list[Element],
+) -> _Core:
+    """Where a handle is solid from its outer side on, and whether there is room behind that.
+
+    Bars, levers and lips are told apart by that room, and by what closes it at the ends.
+    """
+    levels = np.linspace(half_out, -half_out - BEHIND, _LEVELS)
+    shares = np.array([-0.95, -0.5, 0.0, 0.5, 0.95])
+    points = center + shares[:, None, None] * half_long + levels[:, None] * out
+    solid = np.stack([e.convex.depth(points) > -1e-6 for e in group]).any(axis=0)
+    filled = np.stack([e.convex.depth(points) > -1e-6 for e in [*group, *others]]).any(axis=0)
+    middle = solid[2]
+    if not middle.any():
+        return _Core(0.0, 2 * half_out, HandleKind.BAR)
+    first = int(middle.argmax())
+    rest = np.flatnonzero(~middle[first:])
+    last = first + int(rest[0]) - 1 if len(rest) else len(levels) - 1
+    shift, depth = (levels[first] + levels[last]) / 2, levels[first] - levels[last]
+    behind = ~filled[1:4, first:].all(0)
+    free = [bool((~filled[k, first:]).sum() * (levels[0] - levels[1]) >= BEHIND) for k in range(5)]
+    kind = HandleKind.BAR
+    if behind.sum() * (levels[0] - levels[1]) < BEHIND:
+        kind = HandleKind.LIP
+    elif free[0] != free[4]:
+        kind = HandleKind.LEVER
+    return _Core(float(shift), float(depth), kind)
+
+
+def _free_edges(
+    part: tuple[Element, ...], model: Articulated, joint: str, sign: float
+) -> list[Handle]:
+    """The edge of a panel that is farthest from the hinge, or both rims of a drawer's front."""
     record = model.joint(joint)
-    motion = _motion_direction(model, joint, sign, center)
+    opens = motion_direction(model, joint, sign, corners(part).mean(0))
+    panel = [widest(part, opens)]
+    center, rotation, half = model.box_around(corners(panel))
+    motion = motion_direction(model, joint, sign, center)
     normal = int(np.argmax(np.abs(rotation.T @ motion)))
-    out = rotation[:, normal] * np.sign(rotation[:, normal] @ motion)
     plane = [k for k in range(3) if k != normal]
     if record.kind == "prismatic":
         along = max(plane, key=lambda k: half[k])
-        far = rotation[:, next(k for k in plane if k != along)]
-        front = center + out * half[normal]
-        return Handle(front, rotation[:, along], out, float(half[along]), 0.0, False, True)
-    along = max(plane, key=lambda k: abs(float(record.axis @ rotation[:, k])))
+    else:
+        along = max(plane, key=lambda k: abs(float(record.axis @ rotation[:, k])))
     across = next(k for k in plane if k != along)
     far = rotation[:, across]
-    radial = center - record.axis * float(center @ record.axis)
-    far = far * (1.0 if far @ radial >= 0 else -1.0)
-    # On the front face, a finger's width inside the edge.
-    point = center + far * max(half[across] - 0.02, 0.0) + out * half[normal]
-    return Handle(
-        point, rotation[:, along], out, float(half[along]), 2 * float(half[normal]), False, True
+    signs = [1.0, -1.0]
+    if record.kind != "prismatic":
+        radial = center - record.axis * float(center @ record.axis)
+        signs = [1.0 if far @ radial >= 0 else -1.0]
+    return [
+        Handle(
+            center + s * far * half[across], rotation[:, along], s * far, float(half[along]),
+            2 * float(half[normal]), 2 * float(half[across]), HandleSource.EDGE, HandleKind.EDGE,
+            _name_of(panel), tuple(panel),
+        )
+        for s in signs
+    ]  # fmt: skip
+
+
+def front_face(model: Articulated, joint: str, sign: float) -> Handle | None:
+    """The front of a part, near its free edge; None where it has no collision geometry."""
+    links = rigid_links(model, joint)
+    part = tuple(e for e in part_elements(model, joint) if e.link in links)
+    if not part:
+        return None
+    edge = _free_edges(part, model, joint, sign)[0]
+    middle = edge.center - edge.out * min(edge.depth / 2, FACE_INSIDE)
+    if model.joint(joint).kind == "prismatic":
+        middle = edge.center - edge.out * edge.depth / 2
+    out = motion_direction(model, joint, sign, middle)
+    out = out - (out @ edge.long) * edge.long
+    out = out / np.linalg.norm(out)
+    front = middle + out * float(
+        max((e.convex.vertices @ out).max() for e in edge.elements) - middle @ out
     )
+    return Handle(
+        front, edge.long, out, edge.half_length, 0.0, edge.thickness, HandleSource.EDGE,
+        HandleKind.FACE, edge.name, edge.elements,
+    )  # fmt: skip

@@ -13,8 +13,9 @@ from momapos.kinematics.articulated import joint_motion
 from momapos.kinematics.hulls import Boxes, MovingBoxes
 from momapos.kinematics.opening import opening_of
 from momapos.manipulation.config import GraspConfig, MotionConfig
-from momapos.manipulation.grasps import box_grasps, handle_grasps
-from momapos.manipulation.handles import Handle, find_handle
+from momapos.manipulation.grasps import Grasps, box_grasps, holding_grasps, lifting_grasps
+from momapos.manipulation.handles import Handle, find_handle, lever_arms
+from momapos.manipulation.resistance import resistance_of, weight_of
 from momapos.manipulation.turning import Turning, no_turning, turning_about
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene, SceneObject
@@ -52,6 +53,10 @@ class TaskMotion:
     """Moving boxes that the gripper may touch."""
     labels: tuple[str, ...]
     """Names of the standing, then of the moving boxes."""
+    grasps: Grasps
+    """How each grasp holds."""
+    refusal: str
+    """Why no grasp holds, wherever the base stands; "" where some do."""
     turning: Turning
     """Grasps between which the hand may turn."""
 
@@ -65,11 +70,20 @@ class TaskMotion:
         """Tool positions of the plainest grasp at the waypoints, pre-grasp left out [m]."""
         return self.Ts_world_tool[0, self.waypoint_steps[1:], :3, 3]
 
-    def only(self, grasps: Bool[np.ndarray, " g"]) -> TaskMotion:
-        """The same motion with some of its grasps alone."""
+    def only(self, rows: Bool[np.ndarray, " g"]) -> TaskMotion:
+        """The same motion with some of its grasps."""
         return replace(
-            self, Ts_world_tool=self.Ts_world_tool[grasps], turning=self.turning.only(grasps)
+            self,
+            Ts_world_tool=self.Ts_world_tool[rows],
+            grasps=self.grasps.take(rows),
+            turning=self.turning.only(rows),
         )
+
+    @property
+    def handle(self) -> Handle | None:
+        """What the first grasp holds; None for rigid objects."""
+        handles = self.grasps.handles
+        return handles[int(self.grasps.handle[0])] if handles else None
 
     def tool_poses(self, grasps: Int[np.ndarray, " w"]) -> Float[np.ndarray, "d 4 4"]:
         """Tool poses at every step, for the grasp that the hand has at each waypoint.
@@ -136,9 +150,15 @@ def _joint_motion(
     start = target.values()[joint.name]
     count = config.waypoints or _count(joint.kind, abs(task.to - start), config)
     values = np.linspace(start, task.to, (count - 1) * config.substeps + 1)
-    handle = find_handle(target.model, joint.name, opening_of(target.model, joint.name).sign)
-    _check_width(robot, handle, f"{target.name}/{joint.name}")
-    Ts_part_tool = handle_grasps(robot, handle, config.grasps)
+    sign = opening_of(target.model, joint.name).sign
+    handle = find_handle(target.model, joint.name, sign)
+    lever = float(lever_arms(target.model, joint.name, handle.center[None])[0])
+    torque = resistance_of(target, joint.name, values, lever, config.grasps.resistance)
+    chosen = holding_grasps(
+        robot, target.model, joint.name, sign, torque,
+        closes=task.verb == "close", config=config.grasps,
+    )  # fmt: skip
+    Ts_part_tool, handle = chosen.Ts_part_tool, chosen.grasps.handles[0]
     poses = target.link_poses()
     T_world_joint = poses[joint.parent] @ joint.T_parent_joint
     Ts_world_part = T_world_joint @ joint_motion(joint, values)
@@ -148,7 +168,7 @@ def _joint_motion(
     static, labels = _static_boxes(scene, target, set(moved))
     approach = _straight_approach(robot, Ts_world_part[0] @ Ts_part_tool, config.grasps)
     steps = approach.shape[1]
-    turning = turning_about(robot, handle, Ts_part_tool)
+    turning = turning_about(robot, chosen)
     Ts_world_tool = np.concatenate([approach, Ts_world_part[None] @ Ts_part_tool[:, None]], axis=1)
     return TaskMotion(
         task=task,
@@ -162,6 +182,8 @@ def _joint_motion(
         value=np.concatenate([np.zeros(steps, np.int64), np.arange(len(values))]),
         grasped=grasped,
         labels=(*labels, *moving_labels),
+        grasps=chosen.grasps,
+        refusal=chosen.reason,
         turning=turning,
     )
 
@@ -169,14 +191,6 @@ def _joint_motion(
 def _count(kind: str, span: float, config: MotionConfig) -> int:
     step = config.waypoint_slide if kind == "prismatic" else np.radians(config.waypoint_angle)
     return max(2, int(np.ceil(span / step - 1e-9)) + 1)
-
-
-def _check_width(robot: Robot, handle: Handle, where: str) -> None:
-    if not handle.edge and handle.thickness > robot.opening:
-        raise TaskError(
-            f"{where}: its handle is {handle.thickness * 100:.1f} cm thick, the gripper of "
-            f"{robot.name} opens {robot.opening * 100:.1f} cm"
-        )
 
 
 def _straight_approach(
@@ -266,7 +280,7 @@ def _rigid_motion(
             "gripper_links name nothing beyond the arm's own links"
         )
     T_object, half = _object_box(target)
-    Ts_object_tool = box_grasps(robot, half, config.grasps)
+    Ts_object_tool, width = box_grasps(robot, half, config.grasps)
     if len(Ts_object_tool) == 0:
         size = " x ".join(f"{2 * h * 100:.0f}" for h in half)
         raise TaskError(
@@ -305,6 +319,10 @@ def _rigid_motion(
         value=value,
         grasped=grasped,
         labels=(*labels, *moving_labels),
+        grasps=lifting_grasps(
+            robot, width, weight_of(target.model, config.grasps.resistance), config.grasps.friction
+        ),
+        refusal="",
         turning=no_turning(len(Ts)),
     )
 

@@ -12,18 +12,21 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.geometry.transforms import rotation_about
-from momapos.manipulation.handles import Handle
+from momapos.manipulation.grasps import FAMILIES, Chosen, Family
+from momapos.manipulation.handles import HandleKind
 from momapos.robots.robot import Robot
 from momapos.types import Hold
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
-OFF_AXIS = 0.002
-"""The tool's origin lies in the bar to within this [m]."""
+OFF_AXIS = 0.004
+"""The tool's origin is so near to the bar's axis, about which the hand then turns [m]."""
 LEAST = 3
 """A group has so many grasps at least [-]."""
-_DIGITS = 6
+_DIGITS = 4
+_BARS = (HandleKind.BAR, HandleKind.LEVER)
+_CLOSED = [FAMILIES.index(Family.PINCH), FAMILIES.index(Family.HOOK)]
 
 
 @dataclass(frozen=True)
@@ -74,32 +77,30 @@ def no_turning(grasps: int) -> Turning:
     return Turning(np.zeros(grasps), none, up, np.tile(np.eye(3), (grasps, 1, 1)))
 
 
-def turning_about(
-    robot: Robot, handle: Handle, Ts_part_tool: Float[np.ndarray, "g 4 4"]
-) -> Turning:
+def turning_about(robot: Robot, chosen: Chosen) -> Turning:
     """Group the grasps of a bar that differ by a turn about it.
 
     Args:
         robot: Names the axes of its tool.
-        handle: What is held; only a bar lets the fingers turn.
-        Ts_part_tool: The grasps, in the frame of the moved link.
+        chosen: The grasps; only those of a bar between two pads turn.
     """
-    count, axis = len(Ts_part_tool), handle.long
-    if handle.knob or handle.edge:
+    handle, Ts = chosen.grasps.handles[0], chosen.Ts_part_tool
+    count, axis = len(Ts), handle.long
+    if handle.kind not in _BARS:
         return no_turning(count)
-    approach = Ts_part_tool[:, :3, :3] @ robot.approach_axis
+    approach = Ts[:, :3, :3] @ robot.approach_axis
     angles = np.arctan2(np.cross(-handle.out, approach) @ axis, approach @ -handle.out)
-    away = Ts_part_tool[:, :3, 3] - handle.center
-    beside = np.linalg.norm(away - (away @ axis)[:, None] * axis, axis=1)
-    in_bar = np.flatnonzero(beside < OFF_AXIS)
-    unturned = rotation_about(axis, -angles[in_bar]) @ Ts_part_tool[in_bar, :3, :3]
-    along = away[in_bar] @ axis
-    keys = np.round(np.column_stack([unturned.reshape(-1, 9), along]), _DIGITS) + 0.0
+    away = Ts[:, :3, 3] - handle.center
+    along = away @ axis
+    beside = np.linalg.norm(away - along[:, None] * axis, axis=1)
+    held = (chosen.grasps.handle == 0) & np.isin(chosen.grasps.code, _CLOSED)
+    in_bar = np.flatnonzero(held & (beside < OFF_AXIS))
+    unturned = rotation_about(axis, -angles[in_bar]) @ Ts[in_bar, :3, :3]
+    keys = np.round(np.column_stack([unturned.reshape(-1, 9), along[in_bar]]), _DIGITS) + 0.0
     _, group, counts = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
     group = group.ravel()
-    width = int(counts.max(initial=0))
-    groups = np.full((len(counts), width), -1)
+    groups = np.full((len(counts), int(counts.max(initial=0))), -1)
     order = np.lexsort((angles[in_bar], group))
     place = np.arange(len(order)) - np.repeat(np.cumsum(counts) - counts, counts)
     groups[group[order], place] = in_bar[order]
-    return Turning(angles, groups[counts >= LEAST], axis, Ts_part_tool[:, :3, :3])
+    return Turning(angles, groups[counts >= LEAST], axis, Ts[:, :3, :3])

@@ -26,12 +26,13 @@ from momapos.kinematics.spheres import Spheres, build_spheres
 from momapos.kinematics.urdf import read_urdf
 from momapos.robots.gripper import (
     find_grip,
+    find_grips,
     find_tool,
     fixed_to,
     listed,
     points_of,
 )  # fmt: skip
-from momapos.robots.robot import Robot, read_robot, read_srdf
+from momapos.robots.robot import ASSUMED_FORCE, Robot, read_robot, read_srdf
 from momapos.robots.states import inevitable_pairs, resting_state, sample_states, srdf_text, touches
 from momapos.robots.tree import WHEEL, find_anchor, find_arms
 
@@ -155,6 +156,7 @@ def derive_robot(
     disabled = known | {frozenset(pair) for pair in pairs}
     spheres = build_spheres(model, segments, disabled, gripper)
     home = _home(chain, spheres, q, notes)
+    grips = find_grips(model, last, fingers, notes)
     srdf_name = srdf_name or urdf.with_suffix(".srdf").name
     _note_pairs(pairs, bool(known), srdf_name, notes)
     notes.sort(key=lambda note: not note.startswith("IMPORTANT"))
@@ -163,7 +165,7 @@ def derive_robot(
         urdf=urdf_name or urdf.name, srdf=srdf_name if pairs else "", base_link=base_link,
         tool_link=tool_link, joints=joints,
         gripper=gripper, home=home, footprint=footprint, drive=drive, approach=approach,
-        closing=closing, opening=opening, rest=model.held,
+        closing=closing, opening=opening, grips=grips, rest=model.held,
     )  # fmt: skip
     return Derived(text, pairs, tuple(notes), urdf_name or urdf.name)
 
@@ -372,4 +374,6 @@ max_yaw_acceleration = 1.0
 approach_axis = {listed(v["approach"])}
 closing_axis = {listed(v["closing"])}
 opening = {v["opening"]:g}
+grips = {quoted(v["grips"])}
+# force = {ASSUMED_FORCE:g}    # of each finger, or pull of a cup [N]; assumed while it is not given
 {rest}"""

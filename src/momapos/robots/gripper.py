@@ -29,6 +29,7 @@ _TOOLS = tuple(
     )
 )  # fmt: skip
 """Names of tool frames, the best first."""
+_SUCTION, _HOOK = re.compile(r"suction|vacuum|magnet", re.I), re.compile(r"hook", re.I)
 GUESS = 0.08
 """How far a gripper opens when its geometry does not tell [m]."""
 NEAR_TIP = 0.03
@@ -115,6 +116,26 @@ def find_grip(
     if not -0.02 <= tip <= 0.1:
         _note_tool(tool, middle + (tip - 0.02 - middle @ approach) * approach, tip, notes)
     return approach, closing, opening or GUESS
+
+
+def find_grips(model: Articulated, last: str, fingers: Sequence[str], notes: list[str]) -> str:
+    """Say what a tool holds with, in a robot file's word: fingers, suction or hook.
+
+    Fingers that move close; a tool without any is a suction cup or a hook where it is named so.
+    """
+    names = " ".join(fixed_to(model, last))
+    shaped = [name for name in fingers if any(model.hulls[n] for n in model.links_below(name))]
+    moving = len(shaped) >= 2
+    grips = "fingers"
+    if not moving and _SUCTION.search(names):
+        grips = "suction"
+    elif not moving and _HOOK.search(names):
+        grips = "hook"
+    why = "by its name" if grips != "fingers" else "which close"
+    if grips == "fingers" and not moving:
+        why = "for want of a better guess: none was found that moves"
+    notes.append(f"grips: {grips}, {why}; with what force no URDF says: give tool.force")
+    return grips
 
 
 def _note_tool(tool: str, grasp: Float[np.ndarray, "3"], tip: float, notes: list[str]) -> None:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import difflib
 import tomllib
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -25,6 +24,7 @@ from momapos.kinematics.spheres import Spheres, build_spheres
 from momapos.kinematics.urdf import read_urdf
 from momapos.robots.gripper import FINGER, HAND
 from momapos.robots.names import find_robot, library_file
+from momapos.robots.table import Table
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -37,6 +37,19 @@ MAX_OUTLINE = 1_000
 MAX_REACH = 5.0
 """Reach of an arm [m]; maps and grids grow with its cube."""
 Drive = Literal["differential", "omni"]
+ASSUMED_FORCE, ASSUMED_OPENING = 60.0, 0.08
+"""Closing force of a finger [N] and opening [m] of a gripper whose file does not say."""
+
+
+class Grip(StrEnum):
+    """What a tool holds things with; the words stand in robot files."""
+
+    FINGERS = "fingers"
+    """Fingers that close."""
+    SUCTION = "suction"
+    """A cup, or a magnet: it holds what it touches."""
+    HOOK = "hook"
+    """A stiff finger that pulls from behind."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +86,12 @@ class Robot:
 
     srdf: Path | None = None
     """The file that names those pairs; None where there is none."""
+    grips: Grip = Grip.FINGERS
+    """What the tool holds with."""
+    grip_force: float = ASSUMED_FORCE
+    """Closing force of each finger, or pull of a suction cup [N]."""
+    assumed: tuple[str, ...] = ()
+    """What the robot's file leaves out about the gripper, and what is taken instead, in words."""
 
     @property
     def source(self) -> str:
@@ -168,11 +187,12 @@ def load_robot(source: str | Path, *, cache: Cache | None = None) -> Robot:
 def read_robot(path: Path, *, cache: Cache | None = None) -> Robot:
     """Read a robot file; docs/robots.md tells its format."""
     data = _read_toml(path)
-    table = _Table(data, path)
+    table = Table(data, path)
     urdf = _beside(path, table.text("urdf"))
     model = _at_rest(Articulated(read_urdf(urdf, cache=cache), cache=cache), table)
     base, tool = table.table("base"), table.table("tool")
     srdf = _srdf_of(table, urdf)
+    grips = Grip(tool.choice("grips", tuple(Grip), Grip.FINGERS))
     robot = Robot(
         name=table.text("name"),
         path=path,
@@ -190,12 +210,26 @@ def read_robot(path: Path, *, cache: Cache | None = None) -> Robot:
         max_yaw_acceleration=base.positive("max_yaw_acceleration", 1.0),
         approach_axis=tool.unit("approach_axis"),
         closing_axis=tool.unit("closing_axis"),
-        opening=tool.positive("opening", 0.08),
+        opening=tool.positive("opening", ASSUMED_OPENING),
+        grips=grips,
+        grip_force=tool.positive("force", ASSUMED_FORCE),
+        assumed=_assumed(tool, grips),
         disabled=frozenset() if srdf is None else read_srdf(srdf),
         srdf=srdf,
     )
     _check(robot)
     return robot
+
+
+def _assumed(tool: Table, grips: Grip) -> tuple[str, ...]:
+    """What a robot file leaves out about its gripper."""
+    values = {"opening": f"{100 * ASSUMED_OPENING:g} cm", "force": f"{ASSUMED_FORCE:g} N"}
+    needed = {Grip.FINGERS: ("opening", "force"), Grip.SUCTION: ("force",), Grip.HOOK: ()}
+    return tuple(
+        f"the gripper's {key} is assumed to be {values[key]}: {tool.path} has no tool.{key}"
+        for key in needed[grips]
+        if key not in tool.data
+    )
 
 
 def _beside(path: Path, name: str, key: str = "urdf") -> Path:
@@ -206,7 +240,7 @@ def _beside(path: Path, name: str, key: str = "urdf") -> Path:
         raise RobotError(f"{path}: {key} {name!r:.80} cannot be looked up") from error
 
 
-def _at_rest(model: Articulated, table: _Table) -> Articulated:
+def _at_rest(model: Articulated, table: Table) -> Articulated:
     """The robot with the joints of its table `rest`, if it has one, where they rest.
 
     Raises:
@@ -235,7 +269,7 @@ def _at_rest(model: Articulated, table: _Table) -> Articulated:
     return Articulated(model.urdf, held)
 
 
-def _srdf_of(table: _Table, urdf: Path) -> Path | None:
+def _srdf_of(table: Table, urdf: Path) -> Path | None:
     """The SRDF that a robot file names, or the one of the URDF's name beside it, if any.
 
     Raises:
@@ -295,7 +329,7 @@ def _read_toml(path: Path) -> dict[str, Any]:
         raise FileFormatError(f"{path}: not a robot file in TOML ({error})") from error
 
 
-def _footprint(base: _Table, path: Path, cache: Cache | None) -> Float[np.ndarray, "k 2"]:
+def _footprint(base: Table, path: Path, cache: Cache | None) -> Float[np.ndarray, "k 2"]:
     points = base.matrix("footprint", 2)
     return once(cache, "footprint", (points,), lambda: _outline(points, path))
 
@@ -313,76 +347,3 @@ def _outline(points: Float[np.ndarray, "n 2"], path: Path) -> Float[np.ndarray, 
         raise RobotError(
             f"{path}: base.footprint must enclose an area, as [[x, y], ...]"
         ) from error
-
-
-class _Table:
-    """A TOML table whose values are checked as they are taken."""
-
-    def __init__(self, data: Mapping[str, Any], path: Path, prefix: str = "") -> None:
-        self.data, self.path, self.prefix = data, path, prefix
-
-    def _take(self, key: str) -> Any:
-        if key not in self.data:
-            near = difflib.get_close_matches(key, self.data, n=1)
-            hint = f"; is {near[0]!r} meant to be it?" if near else ""
-            raise RobotError(f"{self.path}: {self.prefix}{key} is missing{hint}")
-        return self.data[key]
-
-    def table(self, key: str) -> _Table:
-        value = self._take(key)
-        if not isinstance(value, dict):
-            raise RobotError(f"{self.path}: [{key}] must be a table")
-        return _Table(value, self.path, f"{key}.")
-
-    def text(self, key: str) -> str:
-        value = self._take(key)
-        if not isinstance(value, str) or not value:
-            raise RobotError(f"{self.path}: {self.prefix}{key} must be a text")
-        return value
-
-    def texts(self, key: str) -> Sequence[str]:
-        value = self._take(key)
-        if not isinstance(value, list) or not all(isinstance(item, str) for item in value):
-            raise RobotError(f"{self.path}: {self.prefix}{key} must be a list of names")
-        return value
-
-    def choice(self, key: str, options: Sequence[str]) -> str:
-        value = self.text(key)
-        if value not in options:
-            raise RobotError(
-                f"{self.path}: {self.prefix}{key} is {value!r}; it must be {' or '.join(options)}"
-            )
-        return value
-
-    def positive(self, key: str, default: float) -> float:
-        value = self.data.get(key, default)
-        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < 1e6:
-            raise RobotError(f"{self.path}: {self.prefix}{key} must be a number > 0 and < 1e6")
-        return float(value)
-
-    def _numbers(self, key: str) -> Float[np.ndarray, "..."]:
-        try:
-            value = np.array(self._take(key), float)
-        except (TypeError, ValueError, OverflowError) as error:
-            raise RobotError(f"{self.path}: {self.prefix}{key} must be numbers") from error
-        if not np.isfinite(value).all():
-            raise RobotError(f"{self.path}: {self.prefix}{key} holds NaN or infinity")
-        return value
-
-    def vector(self, key: str) -> Float[np.ndarray, " n"]:
-        value = self._numbers(key)
-        if value.ndim != 1:
-            raise RobotError(f"{self.path}: {self.prefix}{key} must be a list of numbers")
-        return value
-
-    def matrix(self, key: str, columns: int) -> Float[np.ndarray, "n columns"]:
-        value = self._numbers(key)
-        if value.ndim != 2 or value.shape[1] != columns:
-            raise RobotError(f"{self.path}: {self.prefix}{key} must be rows of {columns} numbers")
-        return value
-
-    def unit(self, key: str) -> Float[np.ndarray, "3"]:
-        value = self.vector(key)
-        if value.shape != (3,) or np.linalg.norm(value) < 1e-9:
-            raise RobotError(f"{self.path}: {self.prefix}{key} must be 3 numbers, not all zero")
-        return value / np.linalg.norm(value)

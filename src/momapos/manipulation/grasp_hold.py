@@ -1,0 +1,203 @@
+"""Hands that close on a part: where they can go, where the pads meet it, what they transmit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from momapos.kinematics.hulls import Boxes
+from momapos.manipulation.config import GraspConfig
+from momapos.manipulation.hand import Hand
+from momapos.manipulation.handle_shapes import Element
+from momapos.manipulation.swept_boxes import NEVER, touches_hull
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
+
+BACK = 0.25
+"""A hand that comes along a line is looked at from this far before its target [m]."""
+ROWS, COLUMNS = 20, 4
+"""Points of a pad at which its contact is looked for, along and across the fingers [-]."""
+NEAR = 0.0015
+"""A pad touches what is this near to its face: rubber gives way [m]."""
+
+
+@dataclass(frozen=True)
+class Clearing:
+    """How far hands come along their lines before anything touches."""
+
+    travel: Float[np.ndarray, " g"]
+    """[m]"""
+    obstacle: Int[np.ndarray, " g"]
+    """The element that stops each, -1 for none."""
+
+
+def near_elements(
+    elements: tuple[Element, ...], center: Float[np.ndarray, "3"], reach: float
+) -> tuple[Element, ...]:
+    """Those elements whose upright boxes come within a distance of a point."""
+    return tuple(
+        e
+        for e in elements
+        if np.linalg.norm(np.maximum(0, np.maximum(e.low - center, center - e.high))) < reach
+    )
+
+
+def advance(
+    hand: Hand,
+    elements: tuple[Element, ...],
+    R: Float[np.ndarray, "g 3 3"],
+    p: Float[np.ndarray, "g 3"],
+    config: GraspConfig,
+) -> Clearing:
+    """How far open hands move along their approach before they touch anything.
+
+    Args:
+        hand: The gripper.
+        elements: The part.
+        R, p: Where the tools are to go, in the frame of the part; they begin `BACK` before.
+        config: Names the clearance.
+
+    Returns:
+        Travel from the poses given, mostly positive: how much farther they could go.
+    """
+    start = p - BACK * (R @ hand.approach)
+    travel = np.full(len(R), NEVER)
+    obstacle = np.full(len(R), -1)
+    for index, element in enumerate(elements):
+        touch = touches_hull(hand.boxes, element.convex, R, start, hand.approach, config.clearance)
+        # What lies behind the straight approach is not in the way.
+        begin = np.where(touch.end < BACK - config.pregrasp, NEVER, touch.begin).min(
+            1, initial=NEVER
+        )
+        obstacle = np.where(begin < travel, index, obstacle)
+        travel = np.minimum(travel, begin)
+    return Clearing(travel - BACK, obstacle)
+
+
+def stands_clear(
+    hand: Hand,
+    elements: tuple[Element, ...],
+    held: Bool[np.ndarray, " e"],
+    R: Float[np.ndarray, "g 3 3"],
+    p: Float[np.ndarray, "g 3"],
+    config: GraspConfig,
+) -> Bool[np.ndarray, " g"]:
+    """Whether open hands touch nothing at their grasps and on the straight way there."""
+    clear = np.ones(len(R), bool)
+    for element, own in zip(elements, held, strict=True):
+        margin = config.clearance / 4 if own else config.clearance / 2
+        touch = touches_hull(hand.boxes, element.convex, R, p, -hand.approach, margin)
+        clear &= ~((touch.begin <= config.pregrasp) & (touch.end > 0)).any(1)
+    return clear
+
+
+@dataclass(frozen=True)
+class Closing:
+    """Where fingers meet what they close on."""
+
+    travel: Float[np.ndarray, "g 2"]
+    """How far each finger closes until its pad touches what is held [m]; NEVER where it does not,
+    or not first."""
+    cosine: Float[np.ndarray, "g 2"]
+    """Between the closing axis and the normal of each contact [-]."""
+
+
+def close(
+    hand: Hand,
+    elements: tuple[Element, ...],
+    held: Bool[np.ndarray, " e"],
+    R: Float[np.ndarray, "g 3 3"],
+    p: Float[np.ndarray, "g 3"],
+    clearance: float,
+) -> Closing:
+    """Close both fingers until they touch something.
+
+    A finger counts where its pad touches first, and what is held; all else keeps a clearance.
+    """
+    travel = np.full((len(R), 2), NEVER)
+    cosine = np.zeros((len(R), 2))
+    for k, side in enumerate((1, -1)):
+        rows = np.flatnonzero(hand.side == side)
+        boxes = Boxes(hand.boxes.center[rows], hand.boxes.rotation[rows], hand.boxes.half[rows])
+        pad, other = hand.pad[rows], np.full(len(R), NEVER)
+        for element, own in zip(elements, held, strict=True):
+            touch = touches_hull(boxes, element.convex, R, p, -side * hand.closing)
+            begin = np.where(touch.end < 0, NEVER, touch.begin)
+            mine = begin[:, pad] if own else np.full((len(R), 1), NEVER)
+            best = mine.argmin(1)[:, None]
+            first = np.take_along_axis(mine, best, 1)[:, 0]
+            if own:
+                nearer = first < travel[:, k]
+                lean = np.take_along_axis(touch.cosine[:, pad], best, 1)[:, 0]
+                cosine[:, k] = np.where(nearer, lean, cosine[:, k])
+                travel[:, k] = np.minimum(travel[:, k], first)
+            rest = begin[:, ~pad] if own else begin
+            margin = 0.0 if own else clearance / 2
+            other = np.minimum(other, rest.min(1, initial=NEVER) - margin)
+        travel[:, k] = np.where(other < travel[:, k], NEVER, travel[:, k])
+    return Closing(travel, cosine)
+
+
+@dataclass(frozen=True)
+class Contact:
+    """What closed pads touch."""
+
+    area: Float[np.ndarray, " g"]
+    """Of the smaller contact of the two [m^2]."""
+    point: Float[np.ndarray, "g 3"]
+    """Middle of both, in the part."""
+    apart: Float[np.ndarray, " g"]
+    """Distance of their middles, seen along the closing axis [m]."""
+
+
+def contact_of(
+    hand: Hand,
+    held: tuple[Element, ...],
+    R: Float[np.ndarray, "g 3 3"],
+    p: Float[np.ndarray, "g 3"],
+    travel: Float[np.ndarray, "g 2"],
+) -> Contact:
+    """Where the pads of closed hands touch what they hold, by points on their faces."""
+    across = np.cross(hand.approach, hand.closing)
+    areas, middles = [], []
+    for k, side in enumerate((1, -1)):
+        face, (low, high) = hand.inner(side)
+        a = low[0] + (np.arange(ROWS) + 0.5) / ROWS * (high[0] - low[0])
+        b = low[1] + (np.arange(COLUMNS) + 0.5) / COLUMNS * (high[1] - low[1])
+        grid = (a[:, None, None] * hand.approach + b[None, :, None] * across).reshape(-1, 3)
+        shift = face - side * (travel[:, k] + NEAR)
+        local = grid[None] + shift[:, None, None] * hand.closing
+        points = np.einsum("gij,gnj->gni", R, local) + p[:, None]
+        touching = np.stack([e.convex.depth(points) >= 0 for e in held]).any(0)
+        count = touching.sum(1)
+        cell = (high - low).prod() / (ROWS * COLUMNS)
+        areas.append(count * cell)
+        weights = touching / np.maximum(count, 1)[:, None]
+        middles.append(weights @ grid)
+    middle = (middles[0] + middles[1]) / 2
+    inward = (travel[:, 1] - travel[:, 0])[:, None] / 2 * hand.closing
+    point = np.einsum("gij,gj->gi", R, middle + inward) + p
+    apart = np.linalg.norm(middles[0] - middles[1], axis=1)
+    return Contact(np.minimum(areas[0], areas[1]), point, apart)
+
+
+def pinch_capacity(
+    force: float, friction: float, lean: Float[np.ndarray, " g"]
+) -> Float[np.ndarray, " g"]:
+    """The pull that two closed fingers transmit [N].
+
+    Across the closing axis friction at both pads carries it; along the axis a finger's own force
+    does, and takes as much from the other pad's friction.
+
+    Args:
+        force: Of each finger [N].
+        friction: Between pad and part [-].
+        lean: Share of the pull along the closing axis [-].
+    """
+    along = np.abs(lean)
+    across = np.sqrt(np.maximum(0.0, 1.0 - along**2))
+    by_friction = 2 * friction * force / np.maximum(across + friction * along, 1e-9)
+    return np.minimum(by_friction, force / np.maximum(along, 1e-9))

@@ -1,0 +1,120 @@
+"""The gripper as boxes: a palm, and two jaws that close along one axis."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from momapos.geometry.transforms import apply, invert
+from momapos.kinematics.collision import FINGER
+from momapos.kinematics.hulls import Boxes
+from momapos.robots.robot import Robot
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
+
+PAD_DEPTH = 0.03
+"""Boxes of a finger that reach this close to its tip are its pad [m]."""
+FLAT = 0.98
+"""A pad's inner face is perpendicular to the closing axis up to this cosine [-]."""
+
+
+@dataclass(frozen=True)
+class Hand:
+    """A gripper at rest and wide open, in the frame of its tool."""
+
+    boxes: Boxes
+    side: Int[np.ndarray, " b"]
+    """1 or -1 for boxes of the finger on that side of the closing axis, 0 for the palm."""
+    pad: Bool[np.ndarray, " b"]
+    """Which boxes touch what is held."""
+    approach: Float[np.ndarray, "3"]
+    closing: Float[np.ndarray, "3"]
+    travel: float
+    """How far each finger can close [m]; 0 where nothing closes."""
+    pad_middle: float
+    """Where the middle of the pads lies along the approach [m]."""
+    tip: float
+    """Where the fingers end along the approach [m]."""
+
+    @property
+    def closes(self) -> bool:
+        """Whether two fingers with pads face each other."""
+        return self.travel > 0.0
+
+    def inner(self, side: int) -> tuple[float, Float[np.ndarray, "2 2"]]:
+        """The inner face of the pad on a side.
+
+        Returns:
+            Its place along the closing axis [m], and its lower and upper corner along the
+            approach and across both axes [m].
+        """
+        axes = np.stack([self.closing, self.approach, np.cross(self.approach, self.closing)])
+        rows = np.flatnonzero((self.side == side) & self.pad)
+        middle = self.boxes.center[rows] @ axes.T
+        reach = _reach(self.boxes, axes)[rows]
+        low, high = (middle - reach).min(0), (middle + reach).max(0)
+        face = low[0] if side > 0 else high[0]
+        return float(face), np.array([low[1:], high[1:]])
+
+
+def _reach(boxes: Boxes, axes: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "b k"]:
+    """How far boxes stick out of their centers along axes [m]."""
+    return np.einsum("kbj,bj->bk", np.abs(axes @ boxes.rotation).transpose(1, 0, 2), boxes.half)
+
+
+@lru_cache(maxsize=64)
+def hand_of(robot: Robot) -> Hand:
+    """The gripper of a robot.
+
+    Fingers are moved along the closing axis until their pads are the opening apart, for files in
+    which the gripper rests closed.
+    """
+    model, poses = robot.model, robot.model.rest_poses
+    T_tool_root = invert(poses[robot.tool_link])
+    fingers = {
+        link
+        for link, role in zip(robot.spheres.links, robot.spheres.gripper, strict=True)
+        if role == FINGER
+    }
+    center, rotation, half, finger = [], [], [], []
+    for link in robot.gripper_links:
+        T = T_tool_root @ poses[link]
+        for boxes in model.boxes[link]:
+            center.append(apply(T, boxes.center))
+            rotation.append(T[:3, :3] @ boxes.rotation)
+            half.append(boxes.half)
+            finger += [link in fingers] * len(boxes)
+    if not center:
+        center, rotation, half = [np.zeros((0, 3))], [np.zeros((0, 3, 3))], [np.zeros((0, 3))]
+    boxes = Boxes(np.concatenate(center), np.concatenate(rotation), np.concatenate(half))
+    return _sorted_out(boxes, np.array(finger, bool), robot)
+
+
+def _sorted_out(boxes: Boxes, finger: Bool[np.ndarray, " b"], robot: Robot) -> Hand:
+    """Tell palm, fingers and pads apart, and open the fingers."""
+    approach, closing = robot.approach_axis, robot.closing_axis
+    reach = _reach(boxes, np.stack([approach, closing]))
+    at, along = boxes.center @ closing, boxes.center @ approach
+    side = np.where(finger, np.where(at >= 0, 1, -1), 0)
+    tips = [(along + reach[:, 0])[side == s].max(initial=-np.inf) for s in (1, -1)]
+    flat = np.abs(np.einsum("bij,i->bj", boxes.rotation, closing)).max(1, initial=0.0) > FLAT
+    pad = np.zeros(len(boxes), bool)
+    for s, tip in zip((1, -1), tips, strict=True):
+        pad |= (side == s) & flat & (along + reach[:, 0] > tip - PAD_DEPTH)
+    inner = at - np.sign(at) * reach[:, 1]
+    faces = [float((inner * s)[pad & (side == s)].min(initial=np.inf)) for s in (1, -1)]
+    ends = (along + reach[:, 0])[side != 0]
+    tip = float(ends.max()) if len(ends) else robot.finger_depth
+    if not np.isfinite(faces).all():
+        return Hand(boxes, side, pad, approach, closing, 0.0, 0.0, tip)
+    spread = np.where(side > 0, robot.opening / 2 - faces[0], faces[1] - robot.opening / 2)
+    center = boxes.center + np.where(side != 0, spread, 0.0)[:, None] * closing
+    low = float((along - reach[:, 0])[pad].min())
+    return Hand(
+        Boxes(center, boxes.rotation, boxes.half), side, pad, approach, closing,
+        robot.opening / 2, (low + tip) / 2, tip,
+    )  # fmt: skip

@@ -1,0 +1,95 @@
+"""How hard a part is to move: what a grasp must transmit."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from momapos.kinematics.articulated import Articulated, joint_motion
+from momapos.kinematics.hulls import Hull
+from momapos.manipulation.config import ResistanceConfig
+from momapos.manipulation.handle_shapes import poses_in_part
+from momapos.scene.scene import SceneObject
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+GRAVITY = 9.81
+_PARTS = 1024
+"""Parts whose mass is remembered [-]."""
+
+
+def resistance_of(
+    item: SceneObject,
+    joint: str,
+    values: Float[np.ndarray, " v"],
+    handle_lever: float,
+    config: ResistanceConfig,
+) -> float:
+    """The largest torque [Nm] or force [N] at a joint that moves a part over some values.
+
+    A seal or a catch, friction, and weight, each at its worst: the seal is that of the part at its
+    handle, wherever the part is held.
+
+    Args:
+        item: The object.
+        joint: Its joint.
+        values: Of the joint [rad] or [m].
+        handle_lever: Distance of the handle from the axis [m]; 1 for a slide.
+        config: What nobody measured.
+    """
+    record = item.model.joint(joint)
+    slides = record.kind == "prismatic"
+    words = f"{item.category} {item.name}".lower()
+    sealed = not slides and any(word in words for word in config.sealed)
+    pull = config.seal_force if sealed else config.latch_force
+    friction = config.slide_friction if slides else config.hinge_friction
+    mass, center = _mass(item.model, joint, config)
+    down = (item.link_poses()[record.parent] @ record.T_parent_joint)[:3, :3].T @ [0.0, 0.0, -1.0]
+    if slides:
+        weight = abs(mass * GRAVITY * float(down @ record.axis))
+    else:
+        Ts = joint_motion(record, values)
+        lever = np.cross(Ts[:, :3, :3] @ center, down) @ record.axis
+        weight = mass * GRAVITY * float(np.abs(lever).max())
+    return pull * handle_lever + friction + weight
+
+
+@lru_cache(maxsize=_PARTS)
+def _mass(
+    model: Articulated, joint: str, config: ResistanceConfig
+) -> tuple[float, Float[np.ndarray, "3"]]:
+    """Mass [kg] and center of mass of what a joint moves, in the frame of the moving link [m]."""
+    T_link = poses_in_part(model, joint, model.moved_by(joint))
+    volumes, centers = [], []
+    for link, T in T_link.items():
+        for hull in model.hulls[link]:
+            volume, center = _volume(hull)
+            volumes.append(volume)
+            centers.append(T[:3, :3] @ center + T[:3, 3])
+    middle = np.average(centers, axis=0, weights=volumes) if sum(volumes) > 0 else np.zeros(3)
+    return _clipped(sum(volumes), config), middle
+
+
+def weight_of(model: Articulated, config: ResistanceConfig) -> float:
+    """Weight of a whole object [N]."""
+    return GRAVITY * _clipped(
+        sum(_volume(hull)[0] for hulls in model.hulls.values() for hull in hulls), config
+    )
+
+
+def _clipped(volume: float, config: ResistanceConfig) -> float:
+    """Mass of a volume, within what parts weigh [kg]."""
+    return float(np.clip(config.density * volume, config.least_mass, config.most_mass))
+
+
+def _volume(hull: Hull) -> tuple[float, Float[np.ndarray, "3"]]:
+    """Volume [m^3] and center of mass [m] of a hull."""
+    a, b, c = (hull.vertices[hull.faces[:, k]] for k in range(3))
+    parts = np.einsum("fi,fi->f", np.cross(a, b), c) / 6
+    total = float(parts.sum())
+    if total <= 0:
+        return 0.0, hull.vertices.mean(0)
+    return total, ((a + b + c) / 4 * parts[:, None]).sum(0) / total
