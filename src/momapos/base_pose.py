@@ -11,7 +11,6 @@ import numpy as np
 from momapos.config import PipelineConfig
 from momapos.outcomes import PoseOutcome, PoseStatus
 from momapos.placement.area import BaseStatus, base_pose_status
-from momapos.placement.holding import score_grasps
 from momapos.placement.place import BASE_OUTCOMES
 from momapos.prepare import prepare
 from momapos.protocols import ReachScorer
@@ -72,8 +71,8 @@ def check_base_pose(
         reach = load_reach_map(robot, cache_dir)
     feasible = prepared.feasibility(config, seed)
     # The map is right for most poses, not for all: it orders the grasps and rules none out.
-    scores = np.maximum(score_grasps(reach, base[None], prepared.geometry), LEAST_SCORE)
-    turning = np.full((1, len(prepared.geometry.groups)), LEAST_SCORE / 2)
+    scores = np.maximum(prepared.ways[0](reach, base[None]).scores, LEAST_SCORE)
+    turning = np.full((1, len(prepared.motion.turning.groups)), LEAST_SCORE / 2)
     scores = np.concatenate([scores, turning], axis=1)
     screened = feasible.screen(base[None], scores, None)
     assert screened is not None

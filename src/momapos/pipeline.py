@@ -23,12 +23,13 @@ from momapos.manipulation.tasks import hand_path
 from momapos.navigation.cost_map import base_height, build_cost_map, floor_plan
 from momapos.navigation.global_path import BasePath, plan_path
 from momapos.outcomes import PoseOutcome, PoseStatus
-from momapos.placement.place import PoseFilter, Problem, search
+from momapos.placement.place import AttemptPose, PoseFilter, Problem, search
 from momapos.placement_result import PlacementResult, plan_of
 from momapos.prepare import prepare, start_pose
 from momapos.protocols import Clock, ReachScorer
 from momapos.query import PlacementQuery
 from momapos.reachability.store import load_reach_map
+from momapos.regrasp import AJAR, two_holds
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene
 from momapos.stopwatch import Stopwatch
@@ -122,24 +123,29 @@ def _search(query: PlacementQuery, selection: Selection, motion: TaskMotion) -> 
     feasible = prepared.feasibility(config, query.seed, out_of_time=out_of_time, watch=watch)
     paths: dict[bytes, BasePath | None] = {}
 
-    def attempt(
-        base: Float[np.ndarray, "3"], screened: ArmPathResult, grasps: Int[np.ndarray, " k"]
-    ) -> Attempt:
+    def drivable(check: AttemptPose) -> AttemptPose:
         """A motion at a base pose that can be driven to with the arm at home."""
-        found = feasible(base, screened, grasps)
-        if found.motion is None:
+
+        def attempt(
+            base: Float[np.ndarray, "3"], screened: ArmPathResult, ways: Int[np.ndarray, " k"]
+        ) -> Attempt:
+            found = check(base, screened, ways)
+            if found.motion is None:
+                return found
+            with watch.stage("way"):
+                path = paths[base.tobytes()] = plan_path(query.nav_map, start, base)
+            if path is None:
+                return Attempt(None, PoseOutcome(PoseStatus.NO_ROUTE_AT_HOME))
             return found
-        with watch.stage("way"):
-            path = paths[base.tobytes()] = plan_path(query.nav_map, start, base)
-        if path is None:
-            return Attempt(None, PoseOutcome(PoseStatus.NO_ROUTE_AT_HOME))
-        return found
+
+        return attempt
 
     problem = Problem(
         geometry=prepared.geometry,
         reach=query.reach,
+        ways=prepared.ways,
         travel_cost=cost.lengths,
-        attempt=attempt,
+        attempt=drivable(feasible),
         screen=feasible.screen,
         infeasible_reason=prepared.infeasible_reason,
         start=start,
@@ -152,5 +158,14 @@ def _search(query: PlacementQuery, selection: Selection, motion: TaskMotion) -> 
     search_config = brief if selection.boxes else config.place
     with watch.stage("search"):
         found = search(problem, search_config, np.random.default_rng(query.seed))
+    for ajar in AJAR if found.is_no else ():
+        two = two_holds(prepared, config, query.seed, ajar, out_of_time=out_of_time, watch=watch)
+        if two is None:
+            continue
+        again = replace(two.problem(problem), attempt=drivable(two))
+        with watch.stage("search"):
+            found.join(search(again, search_config, np.random.default_rng(query.seed)))
+        if not found.is_no:
+            break
     path = None if found.base is None else paths.get(found.base.tobytes())
     return PlacementResult(plan_of(query, found, start, path), prepared, found, start)

@@ -92,6 +92,7 @@ def _holds_to_dict(holds: tuple[Hold, ...]) -> dict[str, Any]:
     return {
         "holds": [[hold.first, hold.last] for hold in holds],
         "turn_axes": [hold.turn_axis for hold in holds],
+        "families": [hold.family for hold in holds],
     }
 
 
@@ -188,6 +189,7 @@ class _Manipulation(msgspec.Struct):
     times: list[float] | None = None
     holds: list[tuple[int, int]] = []
     turn_axes: list[tuple[float, float, float] | None] = []
+    families: list[str] = []
 
 
 class _Candidates(msgspec.Struct):
@@ -431,7 +433,11 @@ def _holds(motion: _Manipulation, path: Path) -> tuple[Hold, ...]:
             f"{path}: manipulation.turn_axes must be a unit vector or null for each of the "
             f"{len(motion.holds)} holds"
         )
-    return tuple(Hold(*hold, axis) for hold, axis in zip(motion.holds, axes, strict=True))
+    families = motion.families or [""] * len(motion.holds)
+    if len(families) != len(motion.holds) or any(len(name) > 40 for name in families):
+        raise FileFormatError(f"{path}: manipulation.families must be a word for each hold")
+    holds = zip(motion.holds, axes, families, strict=True)
+    return tuple(Hold(*hold, axis, family) for hold, axis, family in holds)
 
 
 def _read_times(

@@ -18,6 +18,7 @@ from momapos.navigation.cost_map import base_height, floor_plan
 from momapos.navigation.footprint_map import NavigationMap
 from momapos.navigation.start import check_arm_at_home, check_base, find_start
 from momapos.placement.area import PlacementGeometry
+from momapos.placement.holding import ScoreWays, ways_of_holding
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene
 from momapos.stopwatch import Stopwatch
@@ -55,6 +56,11 @@ class PreparedTask:
         """
         x, y, yaw = map(float, base_pose)
         return self.verifier.first_violation((x, y, yaw), motion)
+
+    @property
+    def ways(self) -> tuple[ScoreWays, ...]:
+        """How base poses reach the ways of holding."""
+        return ways_of_holding(self.geometry.Ts_world_tool, self.motion.turning.groups)
 
     def feasibility(
         self,
@@ -132,7 +138,6 @@ def placement_geometry(
         sweep=motion.sweep(),
         floor_polygon=scene.floor_polygon,
         clearance=clearance,
-        groups=motion.turning.groups,
     )
 
 

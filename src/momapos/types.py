@@ -172,6 +172,8 @@ class Hold:
     turn_axis: tuple[float, float, float] | None = None
     """Unit axis through the tool's origin, fixed in the moved link's frame, about which the hand
     may turn; None where it may not."""
+    family: str = ""
+    """How it holds: pinch, hook, push or suction; "" where nobody says."""
 
 
 @dataclass(frozen=True)

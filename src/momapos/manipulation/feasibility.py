@@ -170,7 +170,7 @@ class Feasibility:
         approach = np.concatenate([interpolate(way), q[1 : hold + 1]])
         motion = Motion(
             approach, q[hold:], self.motion.object_q[hold:], self._tools(q[hold:], base),
-            holds=self.motion.turning.holds(grasp, len(q) - hold),
+            holds=self.motion.holds(grasp),
         )  # fmt: skip
         refusal = self.refuse(base, motion)
         if refusal is not None:

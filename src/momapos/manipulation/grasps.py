@@ -31,6 +31,7 @@ from momapos.manipulation.handles import (
     lever_arms,
     motion_direction,
 )
+from momapos.manipulation.push import push_from_behind
 from momapos.robots.robot import Grip, Robot
 
 if TYPE_CHECKING:
@@ -307,6 +308,25 @@ def _grasps_of(
     if robot.grips is Grip.FINGERS and hand.closes:
         return _closed(robot, hand, model, joint, sign, handle, config)
     return _touching(robot, hand, model, joint, sign, handle, config)
+
+
+@lru_cache(maxsize=_PARTS)
+def inside_grasps(
+    robot: Robot, model: Articulated, joint: str, sign: float, config: GraspConfig
+) -> Chosen | None:
+    """Ways to push a part that is ajar farther open, the plainest first; None where there is none.
+
+    The arm pushes: what it transmits has no bound of its own.
+    """
+    found = push_from_behind(robot, model, joint, sign, config)
+    if found is None:
+        return None
+    back, Ts, plain = found
+    count, order = len(Ts), np.argsort(plain, kind="stable")
+    code = np.full(count, FAMILIES.index(Family.PUSH))
+    wide, firm = np.full(count, robot.opening), np.full(count, np.inf)
+    grasps = Grasps(code, wide, firm, np.zeros(count), (back,), np.zeros(count, np.int64))
+    return Chosen(Ts[order], grasps, "")
 
 
 @lru_cache(maxsize=_PARTS)

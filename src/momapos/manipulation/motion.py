@@ -13,13 +13,19 @@ from momapos.kinematics.articulated import joint_motion
 from momapos.kinematics.hulls import Boxes, MovingBoxes
 from momapos.kinematics.opening import opening_of
 from momapos.manipulation.config import GraspConfig, MotionConfig
-from momapos.manipulation.grasps import Grasps, box_grasps, holding_grasps, lifting_grasps
+from momapos.manipulation.grasps import (
+    Grasps,
+    box_grasps,
+    holding_grasps,
+    inside_grasps,
+    lifting_grasps,
+)
 from momapos.manipulation.handles import Handle, find_handle, lever_arms
 from momapos.manipulation.resistance import resistance_of, weight_of
 from momapos.manipulation.turning import Turning, no_turning, turning_about
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene, SceneObject
-from momapos.types import Task
+from momapos.types import Hold, Task
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
@@ -59,6 +65,8 @@ class TaskMotion:
     """Why no grasp holds, wherever the base stands; "" where some do."""
     turning: Turning
     """Grasps between which the hand may turn."""
+    release_step: int | None = None
+    """Step after which the hand lets go of the part of a joint; None where it never does."""
 
     def __repr__(self) -> str:
         grasps, steps = self.Ts_world_tool.shape[:2]
@@ -101,6 +109,15 @@ class TaskMotion:
         out[:, :3, :3] = Ts[:, :3, :3] @ rotation_about(axis, turn - self.turning.angles[first])
         return out
 
+    def holds(self, way: int) -> tuple[Hold, ...]:
+        """What a plan says of a way of holding; nothing of a rigid object."""
+        if self.task.joint is None:
+            return ()
+        grasp = int(self.turning.members(np.array([way]))[0, 0])
+        last = len(self.object_q) - 1 if self.release_step is None else self.release_step
+        axis = self.turning.axis_of(way)
+        return (Hold(0, last - self.grasp_step, axis, str(self.grasps.family[grasp])),)
+
     def sweep(self) -> Boxes:
         """The moving boxes at all values, as one set."""
         return self.moving.sweep()
@@ -115,8 +132,17 @@ class TaskMotion:
         )
 
 
-def task_motion(scene: Scene, robot: Robot, task: Task, config: MotionConfig) -> TaskMotion:
+def task_motion(
+    scene: Scene, robot: Robot, task: Task, config: MotionConfig, *, inside: bool = False
+) -> TaskMotion:
     """Turn a task into tool poses.
+
+    Args:
+        scene: The room.
+        robot: Whose hand.
+        task: What moves.
+        config: How finely the motion is cut, and what grasps are tried.
+        inside: Whether a part that is ajar is pushed on from behind, and not held.
 
     Raises:
         TaskError: The object cannot be held by this gripper.
@@ -124,7 +150,24 @@ def task_motion(scene: Scene, robot: Robot, task: Task, config: MotionConfig) ->
     target = scene.object(task.object)
     if task.joint is None:
         return _rigid_motion(scene, robot, task, target, config)
-    return _joint_motion(scene, robot, task, target, config)
+    return _joint_motion(scene, robot, task, target, config, inside=inside)
+
+
+def with_retreat(motion: TaskMotion, robot: Robot, config: GraspConfig) -> TaskMotion:
+    """The same motion, at the end of which the hand lets go and draws straight back."""
+    last = motion.Ts_world_tool[:, -1]
+    back = _straight_approach(robot, last, config)[:, ::-1]
+    steps = back.shape[1]
+    held = motion.Ts_world_tool.shape[1]
+    return replace(
+        motion,
+        Ts_world_tool=np.concatenate([motion.Ts_world_tool, back], axis=1),
+        object_q=np.append(motion.object_q, np.repeat(motion.object_q[-1], steps)),
+        waypoint_steps=np.append(motion.waypoint_steps, held + steps - 1),
+        holding=np.append(motion.holding, np.ones(steps, bool)),
+        value=np.append(motion.value, np.repeat(motion.value[-1], steps)),
+        release_step=held - 1,
+    )
 
 
 def in_room(motion: TaskMotion, scene: Scene) -> TaskMotion:
@@ -142,7 +185,13 @@ def room_boxes(scene: Scene) -> Boxes:
 
 
 def _joint_motion(
-    scene: Scene, robot: Robot, task: Task, target: SceneObject, config: MotionConfig
+    scene: Scene,
+    robot: Robot,
+    task: Task,
+    target: SceneObject,
+    config: MotionConfig,
+    *,
+    inside: bool,
 ) -> TaskMotion:
     assert task.joint is not None
     assert task.to is not None
@@ -154,10 +203,12 @@ def _joint_motion(
     handle = find_handle(target.model, joint.name, sign)
     lever = float(lever_arms(target.model, joint.name, handle.center[None])[0])
     torque = resistance_of(target, joint.name, values, lever, config.grasps.resistance)
-    chosen = holding_grasps(
-        robot, target.model, joint.name, sign, torque,
-        closes=task.verb == "close", config=config.grasps,
-    )  # fmt: skip
+    chosen = inside_grasps(robot, target.model, joint.name, sign, config.grasps) if inside else None
+    if chosen is None:
+        chosen = holding_grasps(
+            robot, target.model, joint.name, sign, torque,
+            closes=task.verb == "close", config=config.grasps,
+        )  # fmt: skip
     Ts_part_tool, handle = chosen.Ts_part_tool, chosen.grasps.handles[0]
     poses = target.link_poses()
     T_world_joint = poses[joint.parent] @ joint.T_parent_joint

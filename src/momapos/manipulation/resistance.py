@@ -46,15 +46,27 @@ def resistance_of(
     sealed = not slides and any(word in words for word in config.sealed)
     pull = config.seal_force if sealed else config.latch_force
     friction = config.slide_friction if slides else config.hinge_friction
+    return pull * handle_lever + friction + float(weight_at(item, joint, values, config).max())
+
+
+def weight_at(
+    item: SceneObject, joint: str, values: Float[np.ndarray, " v"], config: ResistanceConfig
+) -> Float[np.ndarray, " v"]:
+    """Torque [Nm] or force [N] of a part's weight at its joint, at some values of it [rad], [m]."""
+    record = item.model.joint(joint)
     mass, center = _mass(item.model, joint, config)
     down = (item.link_poses()[record.parent] @ record.T_parent_joint)[:3, :3].T @ [0.0, 0.0, -1.0]
-    if slides:
-        weight = abs(mass * GRAVITY * float(down @ record.axis))
-    else:
-        Ts = joint_motion(record, values)
-        lever = np.cross(Ts[:, :3, :3] @ center, down) @ record.axis
-        weight = mass * GRAVITY * float(np.abs(lever).max())
-    return pull * handle_lever + friction + weight
+    if record.kind == "prismatic":
+        return np.full(len(values), abs(mass * GRAVITY * float(down @ record.axis)))
+    lever = np.cross(joint_motion(record, values)[:, :3, :3] @ center, down) @ record.axis
+    return np.asarray(mass * GRAVITY * np.abs(lever))
+
+
+def stays(item: SceneObject, joint: str, value: float, config: ResistanceConfig) -> bool:
+    """Whether a part that nobody holds stays where it is, by its friction."""
+    slides = item.model.joint(joint).kind == "prismatic"
+    friction = config.slide_friction if slides else config.hinge_friction
+    return float(weight_at(item, joint, np.array([value]), config)[0]) < friction
 
 
 @lru_cache(maxsize=_PARTS)

@@ -15,7 +15,6 @@ from momapos.geometry.transforms import rotation_about
 from momapos.manipulation.grasps import FAMILIES, Chosen, Family
 from momapos.manipulation.handles import HandleKind
 from momapos.robots.robot import Robot
-from momapos.types import Hold
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
@@ -63,12 +62,12 @@ class Turning:
         enough = (groups >= 0).sum(1) >= LEAST
         return Turning(self.angles[grasps], groups[enough], self.axis, self.R_part_tool[grasps])
 
-    def holds(self, way: int, states: int) -> tuple[Hold, ...]:
-        """What a plan says of a way of holding: nothing of a grasp that stays as it is."""
+    def axis_of(self, way: int) -> tuple[float, float, float] | None:
+        """The axis about which the hand turns in a way of holding; None where it does not."""
         if way < len(self.angles):
-            return ()
+            return None
         x, y, z = self.axis.tolist()
-        return (Hold(0, states - 1, (x, y, z)),)
+        return x, y, z
 
 
 def no_turning(grasps: int) -> Turning:
@@ -99,7 +98,7 @@ def turning_about(robot: Robot, chosen: Chosen) -> Turning:
     keys = np.round(np.column_stack([unturned.reshape(-1, 9), along[in_bar]]), _DIGITS) + 0.0
     _, group, counts = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
     group = group.ravel()
-    groups = np.full((len(counts), int(counts.max(initial=0))), -1)
+    groups = np.full((len(counts), int(counts.max(initial=1))), -1)
     order = np.lexsort((angles[in_bar], group))
     place = np.arange(len(order)) - np.repeat(np.cumsum(counts) - counts, counts)
     groups[group[order], place] = in_bar[order]

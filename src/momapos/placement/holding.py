@@ -3,46 +3,81 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 
-from momapos.placement.area import PlacementGeometry
 from momapos.protocols import ReachScorer
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
+    from jaxtyping import Float, Int
 
-ScoreWays: TypeAlias = (
-    "Callable[[ReachScorer, Float[np.ndarray, 'n 3'], PlacementGeometry], Float[np.ndarray, 'n h']]"
-)
-"""Scores of ways of holding from some base poses: of grasps, then, where asked for, of groups."""
 _BLOCK = 4096
 """Poses whose scores at every waypoint are held at a time [-]."""
 
 
-def score_grasps(
-    reach: ReachScorer, poses: Float[np.ndarray, "n 3"], geometry: PlacementGeometry
-) -> Float[np.ndarray, "n h"]:
-    """Smallest score over the waypoints of every grasp; groups that turn are not asked for."""
-    return reach.min_score(poses, geometry.Ts_world_tool)
+class WayScores(NamedTuple):
+    """How well some base poses reach ways of holding."""
+
+    scores: Float[np.ndarray, "n h"]
+    """In [0, 1]; 0 for ways that are not asked for, too."""
+    asked: int
+    """How many ways are asked for [-]."""
 
 
-def score_turning(
-    reach: ReachScorer, poses: Float[np.ndarray, "n 3"], geometry: PlacementGeometry
-) -> Float[np.ndarray, "n h"]:
-    """Smallest score over the waypoints of every group, of whose grasps the best counts there.
+ScoreWays: TypeAlias = "Callable[[ReachScorer, Float[np.ndarray, 'n 3']], WayScores]"
+
+
+def scores_of_grasps(Ts_world_tool: Float[np.ndarray, "g w 4 4"]) -> ScoreWays:
+    """Score every grasp by its smallest score over the waypoints."""
+
+    def score(reach: ReachScorer, poses: Float[np.ndarray, "n 3"]) -> WayScores:
+        return WayScores(reach.min_score(poses, Ts_world_tool), len(Ts_world_tool))
+
+    return score
+
+
+def scores_of_turning(
+    Ts_world_tool: Float[np.ndarray, "g w 4 4"], groups: Int[np.ndarray, "t k"]
+) -> ScoreWays:
+    """Score every group by its smallest score over the waypoints, the best grasp counting there.
 
     The approach is straight: there the hand does not turn, so that its two waypoints count as one.
-    Single grasps get 0, being tried before.
+    Single grasps, which come before the groups, get 0.
     """
-    grasps, waypoints = geometry.Ts_world_tool.shape[:2]
-    each = np.ascontiguousarray(geometry.Ts_world_tool.reshape(-1, 1, 4, 4))
-    scores = np.zeros((len(poses), grasps + len(geometry.groups)), np.float32)
-    for first in range(0, len(poses), _BLOCK):
-        block = slice(first, first + _BLOCK)
-        at = reach.min_score(poses[block], each).reshape(-1, grasps, waypoints)
-        at[:, :, 1] = np.minimum(at[:, :, 0], at[:, :, 1])
-        members = at[:, geometry.groups, 1:] * (geometry.groups >= 0)[None, :, :, None]
-        scores[block, grasps:] = members.max(2, initial=0.0).min(2)
-    return scores
+    grasps, waypoints = Ts_world_tool.shape[:2]
+    each = np.ascontiguousarray(Ts_world_tool.reshape(-1, 1, 4, 4))
+
+    def score(reach: ReachScorer, poses: Float[np.ndarray, "n 3"]) -> WayScores:
+        scores = np.zeros((len(poses), grasps + len(groups)), np.float32)
+        for first in range(0, len(poses), _BLOCK):
+            block = slice(first, first + _BLOCK)
+            at = reach.min_score(poses[block], each).reshape(-1, grasps, waypoints)
+            at[:, :, 1] = np.minimum(at[:, :, 0], at[:, :, 1])
+            members = at[:, groups, 1:] * (groups >= 0)[None, :, :, None]
+            scores[block, grasps:] = members.max(2, initial=0.0).min(2)
+        return WayScores(scores, len(groups))
+
+    return score
+
+
+def ways_of_holding(
+    Ts_world_tool: Float[np.ndarray, "g w 4 4"], groups: Int[np.ndarray, "t k"]
+) -> tuple[ScoreWays, ...]:
+    """Grasps that stay as they are first; those that turn cost more."""
+    rigid = scores_of_grasps(Ts_world_tool)
+    return (rigid, scores_of_turning(Ts_world_tool, groups)) if len(groups) else (rigid,)
+
+
+def scores_of_two_holds(
+    first: Float[np.ndarray, "g w 4 4"], second: Float[np.ndarray, "h v 4 4"]
+) -> ScoreWays:
+    """Score the grasps of two holds, side by side; 0 where one of the two is out of reach."""
+
+    def score(reach: ReachScorer, poses: Float[np.ndarray, "n 3"]) -> WayScores:
+        one, other = reach.min_score(poses, first), reach.min_score(poses, second)
+        both = (one.max(1, initial=0.0) > 0) & (other.max(1, initial=0.0) > 0)
+        scores = np.concatenate([one, other], axis=1) * both[:, None]
+        return WayScores(scores, scores.shape[1])
+
+    return score

@@ -21,7 +21,7 @@ from momapos.placement.area import (
     task_frame,
 )
 from momapos.placement.config import PlaceConfig
-from momapos.placement.holding import ScoreWays, score_grasps, score_turning
+from momapos.placement.holding import ScoreWays, WayScores
 from momapos.placement.order import by_expected_cost, open_tours
 from momapos.placement.potential import attraction
 from momapos.protocols import ReachScorer, TravelCost
@@ -73,6 +73,19 @@ class Search:
         self.poses.append(poses)
         self.outcomes.append(outcomes)
 
+    @property
+    def is_no(self) -> bool:
+        """Whether all was looked at, and nothing found."""
+        return self.motion is None and not self.timed_out
+
+    def join(self, other: Search) -> None:
+        """Add what another search of the same poses has found; why it found nothing does not
+        count beside why this one did not."""
+        self.checked += other.checked
+        self.timed_out = other.timed_out
+        if other.motion is not None:
+            self.base, self.motion, self.cost = other.base, other.motion, other.cost
+
     def candidates(self) -> Candidates:
         """Counts for the plan."""
         every = np.concatenate([np.zeros(0, object), *self.outcomes])
@@ -88,6 +101,8 @@ class Problem:
     geometry: PlacementGeometry
     reach: ReachScorer
     """The robot's reachability map."""
+    ways: tuple[ScoreWays, ...]
+    """Ways of holding, each of which is tried where those before fail."""
     travel_cost: TravelCost
     attempt: AttemptPose
     """Checks one base pose completely."""
@@ -125,8 +140,8 @@ def search(problem: Problem, config: PlaceConfig, rng: np.random.Generator) -> S
     frame = task_frame(problem.geometry)
     for local, on_grid in _rounds(corners, config, rng):
         clear = _cull(problem, compose(frame, local), found)
-        for score in _ways_of_holding(problem.geometry):
-            shortlist = clear.reached(score(problem.reach, clear.poses, problem.geometry))
+        for score in problem.ways:
+            shortlist = clear.reached(score(problem.reach, clear.poses))
             if on_grid:
                 _check_grid(problem, shortlist, config, found)
             else:
@@ -134,11 +149,6 @@ def search(problem: Problem, config: PlaceConfig, rng: np.random.Generator) -> S
             if found.motion is not None or found.timed_out:
                 return found
     return found
-
-
-def _ways_of_holding(geometry: PlacementGeometry) -> tuple[ScoreWays, ...]:
-    """Grasps that stay as they are first; those that turn cost more."""
-    return (score_grasps, score_turning) if len(geometry.groups) else (score_grasps,)
 
 
 def _too_high(geometry: PlacementGeometry) -> str:
@@ -179,25 +189,32 @@ class _Shortlist:
     row: Int[np.ndarray, " n"]
     """Index of each into the round."""
     travel: Float[np.ndarray, " n"]
-    scores: Float[np.ndarray, "n h"]
-    """Of the ways of holding."""
     outcomes: np.ndarray
+    held: WayScores | None = None
+    """Of the ways of holding; None before they are known."""
+
+    @property
+    def scores(self) -> Float[np.ndarray, "n h"]:
+        """Of the ways of holding."""
+        assert self.held is not None
+        return self.held.scores
 
     def keep(self, which: Bool[np.ndarray, " n"], otherwise: PoseStatus) -> None:
         """Drop the others, and say what became of them."""
         self.outcomes[self.row[~which]] = PoseOutcome(otherwise)
         self.poses, self.row = self.poses[which], self.row[which]
-        self.travel, self.scores = self.travel[which], self.scores[which]
+        self.travel = self.travel[which]
 
-    def reached(self, scores: Float[np.ndarray, "n h"]) -> _Shortlist:
+    def reached(self, ways: WayScores) -> _Shortlist:
         """Those from which some way of holding is within reach."""
-        which = scores.max(1, initial=0.0) > 0
+        which = ways.scores.max(1, initial=0.0) > 0
         beyond = self.row[~which]
         untold = beyond[self.outcomes[beyond] == _NOT_TRIED]
         self.outcomes[untold] = PoseOutcome(PoseStatus.OUT_OF_REACH)
         return _Shortlist(
-            self.poses[which], self.row[which], self.travel[which], scores[which], self.outcomes
-        )
+            self.poses[which], self.row[which], self.travel[which], self.outcomes,
+            WayScores(ways.scores[which], ways.asked),
+        )  # fmt: skip
 
     def ways(self, i: int) -> Int[np.ndarray, " k"]:
         """Ways of holding within reach of pose i, the best reached first."""
@@ -213,7 +230,7 @@ def _cull(problem: Problem, poses: Float[np.ndarray, "n 3"], found: Search) -> _
         outcomes[status == code] = outcome
     row = np.flatnonzero(status == BaseStatus.CLEAR)
     travel = problem.travel_cost(poses[row, :2])
-    left = _Shortlist(poses[row], row, travel, np.zeros((len(row), 0), np.float32), outcomes)
+    left = _Shortlist(poses[row], row, travel, outcomes)
     left.keep(np.isfinite(travel), PoseStatus.NO_ROUTE)
     if problem.pose_filter is not None:
         left.keep(~problem.pose_filter(left.poses), PoseStatus.FILTERED)
@@ -306,7 +323,7 @@ def _order(problem: Problem, left: _Shortlist, config: PlaceConfig) -> Int[np.nd
             k_potential=config.k_potential,
         )
     # A pose that many grasps reach is worth more than one that a single grasp reaches well.
-    asked = left.scores.shape[1] % len(geometry.Ts_world_tool) or len(geometry.Ts_world_tool)
-    share = np.clip((left.scores > 0).sum(1) / asked * 4, 0.0, 1.0)
+    assert left.held is not None
+    share = np.clip((left.scores > 0).sum(1) / left.held.asked * 4, 0.0, 1.0)
     odds = np.clip(0.4 * best + 0.4 * share + 0.2 * np.sqrt(field_value), 0.0, 1.0)
     return by_expected_cost(left.travel, odds, miss=config.miss)

@@ -1,0 +1,190 @@
+"""Two holds: pull a door ajar, let go, push it on from behind, from the same base pose."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from momapos.config import PipelineConfig
+from momapos.geometry.transforms import pose_planar
+from momapos.kinematics.opening import opening_of
+from momapos.kinematics.world import motion_checker
+from momapos.manipulation.feasibility import Feasibility
+from momapos.manipulation.motion import task_motion, with_retreat
+from momapos.manipulation.planner import RESOLUTION, interpolate, plan_motion
+from momapos.manipulation.resistance import stays
+from momapos.outcomes import PoseOutcome, PoseStatus
+from momapos.placement.holding import scores_of_two_holds
+from momapos.placement.place import Problem
+from momapos.prepare import PreparedTask, prepare
+from momapos.stopwatch import Stopwatch
+from momapos.types import ArmPathResult, Attempt, Hold, Motion, Task
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
+
+AJAR = (np.radians(30.0), np.radians(40.0), np.radians(50.0))
+"""How far a door is pulled before it is pushed, the first that works [rad]."""
+
+
+@dataclass(frozen=True)
+class TwoHolds:
+    """A door's opening in two holds, made ready; the check of base poses."""
+
+    whole: PreparedTask
+    """The task as it was asked."""
+    first: Feasibility
+    """Pulls the door ajar and draws the hand back."""
+    second: Feasibility
+    """Pushes it on."""
+    config: PipelineConfig
+    seed: int
+    _pulled: dict[bytes, ArmPathResult] = field(default_factory=dict)
+    """Arm paths of the first hold, by base pose."""
+
+    @property
+    def _pulls(self) -> int:
+        """Ways of the first hold: columns of scores that come before those of the second."""
+        return len(self.first.motion.Ts_world_tool)
+
+    def problem(self, problem: Problem) -> Problem:
+        """The search's problem, for two holds."""
+        first, second = self.first.motion, self.second.motion
+        Ts = (m.Ts_world_tool[:, m.waypoint_steps] for m in (first, second))
+        pulling, pushing = (np.ascontiguousarray(T) for T in Ts)
+        return replace(
+            problem,
+            geometry=replace(problem.geometry, Ts_world_tool=pushing),
+            ways=(scores_of_two_holds(pulling, pushing),),
+            screen=self.screen,
+            attempt=self,
+        )
+
+    def screen(
+        self, bases: Float[np.ndarray, "n 3"], scores: Float[np.ndarray, "n h"], most: int | None
+    ) -> list[ArmPathResult] | None:
+        """Look for arm paths of both holds, see `Feasibility.screen`."""
+        pulled = self.first.screen(bases, scores[:, : self._pulls], most)
+        if pulled is None:
+            return None
+        found = np.array([one.q is not None for one in pulled])
+        if not found.any():
+            return pulled
+        pushed = self.second.screen(bases[found], scores[found, self._pulls :], most)
+        if pushed is None:
+            return None
+        results = list(pulled)
+        for i, result in zip(np.flatnonzero(found).tolist(), pushed, strict=True):
+            self._pulled[bases[i].tobytes()] = pulled[i]
+            results[i] = result
+        return results
+
+    def __call__(
+        self, base: Float[np.ndarray, "3"], screened: ArmPathResult, ways: Int[np.ndarray, " k"]
+    ) -> Attempt:
+        """Complete both holds at a base pose: the way from home, between them, the exact check."""
+        pulls = ways[ways < self._pulls]
+        pulled = self.first(base, self._pulled[base.tobytes()], pulls)
+        if pulled.motion is None:
+            return pulled
+        assert screened.q is not None
+        between = self._between(base, pulled.motion.q[-1], screened.q[0])
+        if between is None:
+            return Attempt(None, PoseOutcome(PoseStatus.NO_APPROACH))
+        motion = self._joined(base, pulled.motion, between, screened)
+        refusal = self.whole.violation(base, motion)
+        if refusal is not None:
+            return Attempt(None, PoseOutcome(PoseStatus.EXACT_CHECK, refusal))
+        return Attempt(motion, PoseOutcome(PoseStatus.FEASIBLE))
+
+    def _between(
+        self, base: Float[np.ndarray, "3"], start: Float[np.ndarray, " n"], goal: np.ndarray
+    ) -> Float[np.ndarray, "k n"] | None:
+        """A free way of the arm while the door stands ajar."""
+        chain = self.second.robot.chain
+        free = motion_checker(
+            self.second.world, chain, self.second.robot.spheres, base,
+            value=int(self.second.motion.value[0]), holding=False, step=RESOLUTION,
+        )  # fmt: skip
+        return plan_motion(
+            start, goal, chain.lower, chain.upper, free,
+            config=self.config.planner, seed=self.seed,
+        )  # fmt: skip
+
+    def _joined(
+        self,
+        base: Float[np.ndarray, "3"],
+        pulled: Motion,
+        between: Float[np.ndarray, "k n"],
+        pushed: ArmPathResult,
+    ) -> Motion:
+        """One motion of both holds; the door rests between them."""
+        assert pushed.q is not None
+        way, second = interpolate(between)[1:], self.second.motion
+        q = np.concatenate([pulled.q, way, pushed.q[1:]])
+        ajar = np.repeat(pulled.object_q[-1], len(way))
+        object_q = np.concatenate([pulled.object_q, ajar, second.object_q[1:]])
+        begin = len(pulled.q) + len(way) - 1 + second.grasp_step
+        (push,) = second.holds(pushed.grasp)
+        hold = Hold(begin, begin + push.last, push.turn_axis, push.family)
+        Ts = pose_planar(base) @ self.second.robot.chain.tool_poses(q)
+        return Motion(pulled.approach, q, object_q, Ts, holds=(*pulled.holds, hold))
+
+
+def two_holds(
+    whole: PreparedTask,
+    config: PipelineConfig,
+    seed: int,
+    ajar: float,
+    *,
+    out_of_time: Callable[[], bool],
+    watch: Stopwatch,
+) -> TwoHolds | None:
+    """Make a task ready to be done in two holds.
+
+    Args:
+        whole: The task.
+        config: How to plan.
+        seed: Same seed, same motion.
+        ajar: How far the door is pulled, from where it is shut [rad].
+        out_of_time: Asked between steps of the work.
+        watch: Counts the stages.
+
+    Returns:
+        None where that makes no sense: what slides, what closes, what is to be opened less far,
+        what does not stay where the hand lets go of it, and where the hand finds no room.
+    """
+    scene, robot, task = whole.scene, whole.robot, whole.task
+    if task.verb != "open" or task.joint is None or task.to is None:
+        return None
+    item = scene.object(task.object)
+    opening = opening_of(item.model, task.joint)
+    value = opening.closed + opening.sign * ajar
+    start = item.values()[task.joint]
+    on_the_way = opening.sign * start < opening.sign * value < opening.sign * task.to
+    turns = item.model.joint(task.joint).kind != "prismatic"
+    resistance = config.motion.grasps.resistance
+    if not (on_the_way and turns and stays(item, task.joint, value, resistance)):
+        return None
+    pull, opened = (
+        Task("open", task.object, task.joint, value),
+        scene.with_joint(task.object, task.joint, value),
+    )
+    with watch.stage("model"):
+        pulling = with_retreat(
+            task_motion(scene, robot, pull, config.motion), robot, config.motion.grasps
+        )
+        pushing = task_motion(opened, robot, task, config.motion, inside=True)
+    clearance = whole.geometry.clearance
+    first = prepare(scene, robot, pull, config, clearance=clearance, motion=pulling, watch=watch)
+    second = prepare(opened, robot, task, config, clearance=clearance, motion=pushing, watch=watch)
+    if first.infeasible_reason or second.infeasible_reason:
+        return None
+    one, other = (
+        part.feasibility(config, seed, out_of_time=out_of_time, watch=watch)
+        for part in (first, second)
+    )
+    return TwoHolds(whole, one, other, config, seed)
