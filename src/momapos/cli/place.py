@@ -7,7 +7,7 @@ import sys
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Annotated
 
-from tyro.conf import OmitArgPrefixes, Positional
+from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from momapos.cli.options import (
     JointsArg,
@@ -27,6 +27,8 @@ from momapos.units import MAX, parse_quantity
 from momapos.viewer.pictures import check_picture
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from momapos.placement_result import PlacementResult
 
 _STATUS = {"solved": 0, "infeasible": 3, "timeout": 4}
@@ -59,6 +61,7 @@ class Options:
 
 
 Shared = Annotated[Options, OmitArgPrefixes]
+MapArg = Annotated[OptionalPath, arg(name="map")]
 DEFAULT = Options()
 
 
@@ -68,6 +71,7 @@ def place_open(
     /,
     *,
     to: ToArg = None,
+    map_file: MapArg = None,
     options: Shared = DEFAULT,
 ) -> int:
     """Open a door, a drawer or a lid.
@@ -75,10 +79,10 @@ def place_open(
     Args:
         scene: A scene file or the name of a built-in kitchen.
         target: The object, and the joint where it has several.
-        to: How far, as 90deg, 1.2rad, 0.3m or 30cm, or max for as far as it can be opened; a
-            quarter turn or the whole slide by default.
+        to: How far: 90deg, 1.2rad, 0.3m, 30cm or max; a quarter turn or the whole slide by default.
+        map_file: Draw how far it opens from everywhere (PNG, SVG or PDF); takes 5 s and more.
     """
-    return _answer("open", scene, target, to, options)
+    return _answer("open", scene, target, to, options, map_file)
 
 
 def place_close(
@@ -139,14 +143,22 @@ def parse_pose(text: str, name: str) -> list[float]:
     return [x.length(f"{name}: X"), y.length(f"{name}: Y"), yaw.angle(f"{name}: YAW")]
 
 
-def _answer(verb: str, scene_name: str, target: str, to: str | None, options: Options) -> int:
+def _answer(
+    verb: str,
+    scene_name: str,
+    target: str,
+    to: str | None,
+    options: Options,
+    map_file: Path | None = None,
+) -> int:
     if to is not None and to != MAX:
         parse_quantity(to)
     start = None if options.start is None else parse_pose(options.start, "start")
     at = None if options.at is None else parse_pose(options.at, "--at")
     config = options.config
-    check_outputs([options.out, options.plot])
-    check_picture(options.plot)
+    check_outputs([options.out, options.plot, map_file])
+    for picture in (options.plot, map_file):
+        check_picture(picture)
     name, _, joint = target.partition("/")
     # A mistyped name is told before anything heavy is imported.
     find_robot(options.robot)
@@ -193,6 +205,15 @@ def _answer(verb: str, scene_name: str, target: str, to: str | None, options: Op
         from momapos.viewer.plot import draw_answer
 
         draw_answer(scene, answer, reach, options.plot)
+    if map_file is not None:
+        from momapos.opening_map import opening_map
+        from momapos.viewer.opening import draw_opening_map
+
+        with progress(f"{robot.name}: opening map") as report:
+            farthest = opening_map(
+                scene, robot, task, reach, config=config, seed=options.seed, report=report
+            )
+        draw_opening_map(scene, answer, farthest, map_file)
     _deliver(answer, options, most=to == MAX)
     return _STATUS[answer.plan.status]
 

@@ -88,8 +88,13 @@ def question(answer: PlacementResult) -> tuple[str, str]:
     task, robot = plan.task, f"with {plan.robot_name}"
     if task.joint is None or task.to is None:
         return f"{task.verb} {task.object}", robot
-    value = f"{task.to:.2f} m" if answer.slides else f"{np.degrees(task.to):.0f}°"
+    value = value_text(answer, task.to)
     return f"{task.verb} {task.object}/{task.joint}", f"to {value} {robot}"
+
+
+def value_text(answer: PlacementResult, value: float) -> str:
+    """A value of the task's joint, such as 90° or 0.30 m."""
+    return f"{value:.2f} m" if answer.slides else f"{np.degrees(value):.0f}°"
 
 
 def _question(panel: Panel, scene: Scene, answer: PlacementResult) -> None:
@@ -101,9 +106,10 @@ def _question(panel: Panel, scene: Scene, answer: PlacementResult) -> None:
 
 def _facts(panel: Panel, answer: PlacementResult) -> None:
     plan = answer.plan
+    here = plan.status == "infeasible" and plan.base_pose is not None
     word, color = {
         "solved": ("solved", GOOD),
-        "infeasible": ("infeasible: no base pose works", BAD),
+        "infeasible": (f"infeasible: {'not from here' if here else 'no base pose works'}", BAD),
         "timeout": ("out of time", BAD),
     }[plan.status]
     mark = "o" if plan.status == "solved" else "X"
@@ -113,6 +119,10 @@ def _facts(panel: Panel, answer: PlacementResult) -> None:
     if plan.base_pose is not None:
         x, y, yaw = plan.base_pose
         rows.append(("base pose", f"({x:.2f}, {y:.2f}) m, {np.degrees(yaw):.0f}°"))
+    if plan.feasible_to is not None and plan.feasible_from is not None:
+        x, y, yaw = plan.feasible_from
+        rows.append(("works to", value_text(answer, plan.feasible_to)))
+        rows.append(("from", f"({x:.2f}, {y:.2f}) m, {np.degrees(yaw):.0f}°"))
     if plan.navigation_cost is not None:
         rows.append(("driving length", f"{plan.navigation_cost:.2f} m"))
     if "total" in plan.timing:

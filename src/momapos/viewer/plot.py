@@ -67,7 +67,7 @@ def _picture(scene: Scene, answer: PlacementResult, reach: ReachScorer, cell: fl
     heat = potential_map(answer.prepared.geometry, reach, cell=cell)
     view = _view(scene, answer, seen, heat)
     frame(axes, view)
-    room(axes, scene, target=answer.plan.task.object, moving=_moving_links(scene, answer))
+    room(axes, scene, target=answer.plan.task.object, moving=moving_links(scene, answer))
     highest = _draw_heat(axes, heat)
     _draw_part(axes, answer)
     _draw_candidates(axes, scene, seen, view)
@@ -129,7 +129,8 @@ def frame(axes: Any, view: Float[np.ndarray, "2 2"]) -> None:
         spine.set(color=SOFT_INK, linewidth=0.6)
 
 
-def _moving_links(scene: Scene, answer: PlacementResult) -> tuple[str, ...]:
+def moving_links(scene: Scene, answer: PlacementResult) -> tuple[str, ...]:
+    """Links of the target that the task moves."""
     task = answer.plan.task
     model = scene.object(task.object).model
     return model.links if task.joint is None else model.moved_by(task.joint)
@@ -221,6 +222,8 @@ def _draw_robot(axes: Any, answer: PlacementResult) -> None:
         draw_footprint(axes, robot, base)
         draw_arm(axes, robot, base, plan.motion.q[0], faint=True)
         draw_arm(axes, robot, base, plan.motion.q[-1])
+    elif (base_pose := plan.feasible_from or plan.base_pose) is not None:
+        draw_footprint(axes, robot, np.array(base_pose))
     axes.plot(
         *_waypoints(answer)[:, :2].T,
         color=WAYPOINT,
