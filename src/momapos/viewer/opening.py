@@ -13,6 +13,7 @@ from momapos.placement_result import PlacementResult
 from momapos.scene.scene import Scene
 from momapos.viewer.outlines import box_bounds, box_outlines, draw_union
 from momapos.viewer.palette import INK, PART, PART_BEFORE, PART_EDGE, SOFT_INK
+from momapos.viewer.panel import reached_value, shown_base
 from momapos.viewer.pictures import check_picture, save_figure
 from momapos.viewer.plot import DPI, frame, moving_links, widen
 from momapos.viewer.robot import draw_footprint
@@ -62,7 +63,7 @@ def _picture(scene: Scene, answer: PlacementResult, opening: OpeningMap) -> Figu
     figure = Figure(figsize=SIZE, dpi=DPI, facecolor="white")
     FigureCanvasAgg(figure)
     axes = figure.add_axes(_MAP)
-    chosen = _chosen(answer)
+    chosen = shown_base(answer)
     frame(axes, _view(scene, answer, opening, chosen))
     target = opening.task.object
     room(axes, scene, target=target, moving=moving_links(scene, answer))
@@ -76,12 +77,6 @@ def _picture(scene: Scene, answer: PlacementResult, opening: OpeningMap) -> Figu
     name_objects(axes, scene, target=target, keep_clear=[*clear, *_colored(opening)])
     _write(figure, answer, opening, chosen)
     return figure
-
-
-def _chosen(answer: PlacementResult) -> Float[np.ndarray, "3"] | None:
-    plan = answer.plan
-    pose = plan.base_pose if plan.status == "solved" else plan.feasible_from or plan.base_pose
-    return None if pose is None else np.array(pose)
 
 
 def _view(
@@ -154,10 +149,10 @@ def _draw_part(axes: Any, answer: PlacementResult) -> list[Float[np.ndarray, "c 
 
     There it is see-through, as the base may well stand under a lid or where a door is later.
     """
-    plan, motion = answer.plan, answer.prepared.motion
+    motion = answer.prepared.motion
     before = box_outlines(motion.moving.at(0))
     draw_union(axes, before, fill=PART_BEFORE, edge=PART_EDGE, width=0.6, zorder=_PART_LAYER)
-    reached = plan.task.to if plan.status == "solved" else plan.feasible_to
+    reached = reached_value(answer)
     if reached is None:
         return before
     step = int(np.argmin(np.abs(motion.object_q - reached)))
@@ -174,15 +169,15 @@ def _write(
     chosen: Float[np.ndarray, "3"] | None,
 ) -> None:
     """The title above, and at the right what a cell is and which pose is drawn."""
-    plan, task = answer.plan, opening.task
-    what = f"{plan.robot_name}: how far it can {task.verb} {task.object}/{task.joint}"
+    task = opening.task
+    what = f"{answer.plan.robot_name}: how far it can {task.verb} {task.object}/{task.joint}"
     title = figure.text(_MAP[0], 0.94, f"{what}, by where it stands", size=11, weight="bold")
     width = title.get_window_extent(figure.canvas.get_renderer()).width
     title.set(color=INK, size=11 * min(1.0, _TITLE * SIZE[0] * DPI / width))
     lines = [f"{answer.prepared.robot.base_link}", "stands in a cell,", f"best of {YAWS} yaws"]
     lines += ["", "no color: the part", "stays where it is"]
     if chosen is not None:
-        reached = plan.task.to if plan.status == "solved" else plan.feasible_to
+        reached = reached_value(answer)
         to = "" if reached is None else f", {_value(reached, answer.slides)}"
         lines += ["", f"dot: the answer{to}"]
     figure.text(_BAR[0], 0.27, "\n".join(lines), size=7.5, color=SOFT_INK, va="top")
