@@ -16,6 +16,7 @@ from momapos.manipulation.tasks import slides
 from momapos.navigation.global_path import plan_path
 from momapos.outcomes import PoseOutcome, PoseStatus
 from momapos.placement.area import BaseStatus, base_pose_status
+from momapos.placement.holding import score_grasps
 from momapos.placement.place import BASE_OUTCOMES, Search
 from momapos.placement_result import PlacementResult, plan_of
 from momapos.prepare import PreparedTask, driving_lengths, prepare, start_pose
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
 
 DEFAULT = PipelineConfig()
 LEAST_SCORE = 1e-6
-"""Score of grasps that the reachability map calls out of reach: they come last [-]."""
+"""Score of grasps that the reachability map calls out of reach; those that turn come last [-]."""
 MOST_VALUES = 100
 """Values that are asked one by one at a pose; of more, only some at first [-]."""
 
@@ -198,8 +199,11 @@ def _attempt(query: PlacementQuery, base: Float[np.ndarray, "3"]) -> _Look:
         return _Look(prepared, Attempt(None, BASE_OUTCOMES[status]))
     feasible = prepared.feasibility(query.config, query.seed)
     # The map is right for most poses, not for all: it orders the grasps and rules none out.
-    scores = query.reach.min_score(base[None], prepared.geometry.Ts_world_tool)
-    screened = feasible.screen(base[None], np.maximum(scores, LEAST_SCORE), None)
+    geometry = prepared.geometry
+    scores = np.maximum(score_grasps(query.reach, base[None], geometry), LEAST_SCORE)
+    turning = np.full((1, len(geometry.groups)), LEAST_SCORE / 2)
+    scores = np.concatenate([scores, turning], axis=1)
+    screened = feasible.screen(base[None], scores, None)
     assert screened is not None
     if screened[0].q is None:
         return _Look(prepared, Attempt(None, screened[0].outcome))

@@ -11,7 +11,13 @@ import numpy as np
 from momapos.config import PipelineConfig
 from momapos.manipulation.feasibility import Feasibility
 from momapos.manipulation.tasks import slides
-from momapos.placement.area import BaseStatus, base_pose_status, reachable_rectangle
+from momapos.placement.area import (
+    BaseStatus,
+    PlacementGeometry,
+    base_pose_status,
+    reachable_rectangle,
+)
+from momapos.placement.holding import score_grasps, score_turning
 from momapos.prepare import PreparedTask, prepare
 from momapos.protocols import ReachScorer
 from momapos.robots.robot import Robot
@@ -24,6 +30,8 @@ if TYPE_CHECKING:
 DEFAULT = PipelineConfig()
 YAWS = 16
 """Yaws that are tried in each cell [-]."""
+TURNING = 1e-6
+"""What the score of a way of holding that turns is multiplied by: it costs more to try [-]."""
 WAVES = (1, 4, YAWS)
 """So many of the yaws of a cell, best reached first, are tried before the others are [-]."""
 
@@ -140,10 +148,10 @@ def _best_yaws(
     poses: Float[np.ndarray, "c y 3"],
 ) -> Int[np.ndarray, " c"]:
     """For each cell the first of its yaws, best reached first, that works; -1 where none does."""
-    flat = poses.reshape(-1, 3)
-    scores = np.zeros((len(flat), len(prepared.geometry.Ts_world_tool)), np.float32)
-    clear = np.flatnonzero(base_pose_status(prepared.geometry, flat)[0] == BaseStatus.CLEAR)
-    scores[clear] = reach.min_score(flat[clear], prepared.geometry.Ts_world_tool)
+    flat, geometry = poses.reshape(-1, 3), prepared.geometry
+    scores = np.zeros((len(flat), len(geometry.Ts_world_tool) + len(geometry.groups)), np.float32)
+    clear = np.flatnonzero(base_pose_status(geometry, flat)[0] == BaseStatus.CLEAR)
+    scores[clear] = _scores(reach, flat[clear], geometry)
     best = scores.max(1, initial=0.0).reshape(poses.shape[:2])
     order = np.argsort(-best, axis=1, kind="stable")
     found = np.full(len(poses), -1)
@@ -157,7 +165,18 @@ def _best_yaws(
         for row, cell, one in zip(rows.tolist(), cells.tolist(), screened, strict=True):
             if found[cell] >= 0 or one.q is None:
                 continue
-            grasps = np.argsort(-scores[row], kind="stable")[: int((scores[row] > 0).sum())]
-            if feasible(flat[row], one, grasps).motion is not None:
+            ways = np.argsort(-scores[row], kind="stable")[: int((scores[row] > 0).sum())]
+            if feasible(flat[row], one, ways).motion is not None:
                 found[cell] = row - cell * poses.shape[1]
     return found
+
+
+def _scores(
+    reach: ReachScorer, poses: Float[np.ndarray, "n 3"], geometry: PlacementGeometry
+) -> Float[np.ndarray, "n h"]:
+    """Scores of all ways of holding; those that turn come after all grasps that do not."""
+    grasps = score_grasps(reach, poses, geometry)
+    if not len(geometry.groups):
+        return grasps
+    turning = TURNING * score_turning(reach, poses, geometry)[:, grasps.shape[1] :]
+    return np.concatenate([grasps, turning], axis=1)
