@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from momapos.cli.main import COMMANDS, SHELLS, main
-from momapos.cli.place import parse_start
+from momapos.cli.place import parse_pose
 from momapos.errors import TaskError
 from momapos.units import parse_quantity
 
@@ -122,7 +122,7 @@ def test_values_and_starts_take_units() -> None:
     assert parse_quantity("90deg").angle("a") == pytest.approx(math.pi / 2)
     assert parse_quantity("30cm").length("a") == pytest.approx(0.3)
     assert parse_quantity("-1.2").angle("a") == parse_quantity("-1.2").length("a") == -1.2
-    assert parse_start("1, 2.5, 180deg") == pytest.approx([1.0, 2.5, math.pi])
+    assert parse_pose("1, 2.5, 180deg", "start") == pytest.approx([1.0, 2.5, math.pi])
     for wrong in ("", "90 degrees", "nan", "1..2", "9m9"):
         with pytest.raises(TaskError):
             parse_quantity(wrong)
@@ -139,4 +139,4 @@ def test_values_and_starts_take_units() -> None:
 )
 def test_a_start_in_the_wrong_units_is_refused(start: str, words: str) -> None:
     with pytest.raises(TaskError, match=re.escape(words)):
-        parse_start(start)
+        parse_pose(start, "start")
