@@ -194,8 +194,9 @@ def _answer(
             answer = plan_base_placement(
                 scene, robot, task, reach, start=begin, config=config, seed=options.seed
             )
-            plan = smaller_opening(answer.plan, scene, robot, reach, config=config)
-            answer = replace(answer, plan=plan)
+            if not task.farthest:
+                plan = smaller_opening(answer.plan, scene, robot, reach, config=config)
+                answer = replace(answer, plan=plan)
         else:
             answer = plan_at_base_pose(
                 scene, robot, task, at, reach, start=begin, config=config, seed=options.seed

@@ -42,7 +42,7 @@ class PlacementGeometry:
     floor_polygon: Float[np.ndarray, "k 2"] | None
     clearance: float
     """Distance that the base keeps from everything [m]."""
-    groups: Int[np.ndarray, "t k"] = field(default_factory=lambda: np.zeros((0, 1), np.int64))
+    groups: Int[np.ndarray, "t members"] = field(default_factory=lambda: np.zeros((0, 1), np.int64))
     """Grasps between which the hand may turn on its way, -1 where a group has fewer."""
 
     @property
