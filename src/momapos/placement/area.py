@@ -97,6 +97,15 @@ def sampling_box(geometry: PlacementGeometry) -> Float[np.ndarray, "2 2"] | None
     return None if (low >= high).any() else np.stack([low, high])
 
 
+def reachable_rectangle(geometry: PlacementGeometry) -> Float[np.ndarray, "2 2"] | None:
+    """The floor rectangle that holds every base within the arm's length of all waypoints [m]."""
+    reach = (arm_radius(geometry) + np.linalg.norm(geometry.shoulder[:2]))[:, None]
+    targets = geometry.Ts_world_tool[0, :, :2, 3]
+    low, high = (targets - reach).max(0), (targets + reach).min(0)
+    # NaN where a waypoint is out of reach at any distance: the comparison is then False.
+    return np.stack([low, high]) if (low < high).all() else None
+
+
 def within_reach(
     geometry: PlacementGeometry, poses: Float[np.ndarray, "n 3"]
 ) -> Bool[np.ndarray, " n"]:
