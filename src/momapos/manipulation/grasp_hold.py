@@ -67,7 +67,9 @@ def advance(
     travel = np.full(len(R), NEVER)
     obstacle = np.full(len(R), -1)
     for index, element in enumerate(elements):
-        touch = touches_hull(hand.boxes, element.convex, R, start, hand.approach, config.clearance)
+        touch = touches_hull(
+            hand.boxes, element.convex, R, start, hand.approach, config.hand_clearance
+        )
         # What lies behind the straight approach is not in the way.
         begin = np.where(touch.end < BACK - config.pregrasp, NEVER, touch.begin).min(
             1, initial=NEVER
@@ -88,7 +90,7 @@ def stands_clear(
     """Whether open hands touch nothing at their grasps and on the straight way there."""
     clear = np.ones(len(R), bool)
     for element, own in zip(elements, held, strict=True):
-        margin = config.clearance / 4 if own else config.clearance / 2
+        margin = config.hand_clearance / 4 if own else config.hand_clearance / 2
         touch = touches_hull(hand.boxes, element.convex, R, p, -hand.approach, margin)
         clear &= ~((touch.begin <= config.pregrasp) & (touch.end > 0)).any(1)
     return clear

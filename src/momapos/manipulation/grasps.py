@@ -21,7 +21,7 @@ from momapos.manipulation.grasp_hold import (
     stands_clear,
 )
 from momapos.manipulation.hand import Hand, hand_of
-from momapos.manipulation.handle_shapes import part_elements
+from momapos.manipulation.handle_shapes import Element, part_elements
 from momapos.manipulation.handles import (
     Handle,
     HandleKind,
@@ -174,7 +174,7 @@ def _lines(robot: Robot, handle: Handle, config: GraspConfig) -> _Lines:
     plainness = np.abs(turn) + np.abs(tilt) + 5 * np.abs(point)
     if not handle.knob:
         plainness = plainness + 0.5 * np.abs(np.sin(roll))
-    target = handle.center + point[:, None] * handle.long
+    target = handle.grip + point[:, None] * handle.long
     R = grasp_frames(robot, target, approach, closing)[:, :3, :3]
     return _Lines(R, target, plainness)
 
@@ -265,13 +265,13 @@ def _strong(
     if not len(grasps.code):
         return grasps, grasps.reason
     need = torque / np.maximum(lever_arms(model, joint, grasps.point), 1e-3)
-    strong = grasps.capacity >= config.margin * need
+    strong = grasps.capacity >= config.grasp_margin * need
     if strong.any():
         return grasps.only(strong), ""
     best = int(np.argmax(grasps.capacity / need))
     return grasps.only(strong), (
         f"{robot.name} holds {handle.name} with {grasps.capacity[best]:.0f} N at most, and "
-        f"{config.margin * need[best]:.0f} N are needed there"
+        f"{config.grasp_margin * need[best]:.0f} N are needed there"
     )
 
 
@@ -342,7 +342,7 @@ def _closed(
     if not len(R):
         name = elements[obstacle].link if obstacle >= 0 else handle.name
         return _none(f"the hand has no room at {what}: {name} is in its way")
-    closing = close(hand, elements, held, R, p, config.clearance)
+    closing = close(hand, elements, held, R, p, config.hand_clearance)
     met = np.isfinite(closing.travel).all(1)
     way = np.where(met[:, None], closing.travel, 0.0)
     p = p - (way[:, 0] - way[:, 1])[:, None] / 2 * (R @ hand.closing)
@@ -358,7 +358,7 @@ def _closed(
     own = tuple(e for e, mine in zip(elements, held, strict=True) if mine)
     contact = contact_of(hand, own, R[rows], p[rows], travel[rows])
     pads = np.diff(hand.inner(1)[1], axis=0)[0]
-    kept = (contact.area >= 1e-4 * config.contact) & (contact.apart < pads.min())
+    kept = (contact.area >= 1e-4 * config.pad_contact) & (contact.apart < pads.min())
     if not kept.any():
         return _none(f"the pads touch too little of {what}")
     rows, point = rows[kept], contact.point[kept]
@@ -370,7 +370,9 @@ def _closed(
     return PartGrasps(_poses(R[rows], p[rows]), code, width, capacity, point, plain[rows], "")
 
 
-def _surroundings(model: Articulated, joint: str, handle: Handle) -> tuple:  # type: ignore[type-arg]
+def _surroundings(
+    model: Articulated, joint: str, handle: Handle
+) -> tuple[tuple[Element, ...], Bool[np.ndarray, " e"]]:
     """The elements near a handle, and which of them the pads may touch."""
     near = near_elements(
         part_elements(model, joint), handle.center, HAND_REACH + handle.half_length
@@ -383,10 +385,10 @@ def _surroundings(model: Articulated, joint: str, handle: Handle) -> tuple:  # t
 
 def _deep_enough(
     hand: Hand,
-    elements: tuple,
+    elements: tuple[Element, ...],
     lines: _Lines,
     handle: Handle,
-    config: GraspConfig,  # type: ignore[type-arg]
+    config: GraspConfig,
 ) -> tuple[Float[np.ndarray, "g 3 3"], Float[np.ndarray, "g 3"], Float[np.ndarray, " g"], int]:
     """Tool poses where the pads are at the handle, as deep as there is room, and less deep.
 
@@ -434,7 +436,7 @@ def _touching(
     else:
         origin = lines.target - hand.tip * (lines.R @ hand.approach)
     room = advance(hand, elements, lines.R, origin, config)
-    travel = np.minimum(room.travel, 0.0) if hooks else room.travel + config.clearance
+    travel = np.minimum(room.travel, 0.0) if hooks else room.travel + config.hand_clearance
     rows = np.flatnonzero(np.abs(travel) < hand.tip if hooks else np.abs(travel) < BITE)
     if not len(rows):
         return _none(f"the tool has no room at {handle.name}")

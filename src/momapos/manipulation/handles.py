@@ -29,7 +29,7 @@ from momapos.manipulation.handle_shapes import (
 from momapos.scene.scene import SceneObject
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
+    from jaxtyping import Bool, Float
 
 _POINTS = 9
 """Points on the way of a handle [-]."""
@@ -41,6 +41,8 @@ ROUND = 1.5
 """A handle less elongated than this is a knob: it can be turned about freely [-]."""
 FACE_INSIDE = 0.05
 """A door is pushed this far inside its free edge [m]."""
+RIM = 0.02
+"""Elements of a panel that end this near its edge make the edge [m]."""
 BEHIND = 0.008
 """Room behind a handle that a finger may use [m]."""
 
@@ -74,6 +76,9 @@ class Handle:
     """Something to hold, in the frame of the moving link."""
 
     center: Float[np.ndarray, "3"]
+    """Middle of all of it."""
+    grip: Float[np.ndarray, "3"]
+    """Middle of what a hand closes on: of the bar, without what fastens it."""
     long: Float[np.ndarray, "3"]
     """Unit vector along the handle."""
     out: Float[np.ndarray, "3"]
@@ -83,7 +88,7 @@ class Handle:
     thickness: float
     """Size across, which the fingers must span [m]."""
     depth: float
-    """Size along `out` [m]."""
+    """Size of what a hand closes on along `out` [m]."""
     found: HandleSource
     kind: HandleKind
     name: str
@@ -171,7 +176,9 @@ def find_handles(model: Articulated, joint: str, sign: float) -> tuple[Handle, .
         groups = [group for group in shaped if not known & {id(e) for e in group}]
         shown = [_of(HandleSource.SHAPE, group, model, joint, sign, own) for group in groups]
         handles += sorted(shown, key=lambda h: -h.half_length * _lever(model, joint, h.center))
-        handles += _free_edges(own, model, joint, sign)
+        taken = {id(e) for handle in handles for e in handle.elements}
+        bare = tuple(e for e in own if id(e) not in taken)
+        handles += _free_edges(bare or own, model, joint, sign)
     return tuple(handles)
 
 
@@ -243,9 +250,10 @@ def _of(
     others = [e for e in part if not any(e is mine for mine in group)]
     core = _core(center, long * length, out, float(half[out_axis]), group, others)
     kind = core.kind if length >= ROUND * half[side] else HandleKind.KNOB
+    thickness = 2 * float(min(half[side], half[along]))
     return Handle(
-        center + core.shift * out, long, out, length, 2 * float(min(half[side], half[along])),
-        core.depth, found, kind, _name_of(group), tuple(group),
+        center, center + core.shift * out, long, out, length, thickness, core.depth,
+        found, kind, _name_of(group), tuple(group),
     )  # fmt: skip
 
 
@@ -280,9 +288,10 @@ def _core(
     levels = np.linspace(half_out, -half_out - BEHIND, _LEVELS)
     shares = np.array([-0.95, -0.5, 0.0, 0.5, 0.95])
     points = center + shares[:, None, None] * half_long + levels[:, None] * out
-    solid = np.stack([e.convex.depth(points) > -1e-6 for e in group]).any(axis=0)
-    filled = np.stack([e.convex.depth(points) > -1e-6 for e in [*group, *others]]).any(axis=0)
-    middle = solid[2]
+    solid = _filled(group, points)
+    covered = _filled(others, points)
+    filled = solid | covered
+    middle = solid[2] & ~covered[2]  # what is inside the panel cannot be held
     if not middle.any():
         return _Core(0.0, 2 * half_out, HandleKind.BAR)
     first = int(middle.argmax())
@@ -299,13 +308,22 @@ def _core(
     return _Core(float(shift), float(depth), kind)
 
 
+def _filled(elements: list[Element], points: Float[np.ndarray, "k n 3"]) -> Bool[np.ndarray, "k n"]:
+    """Which points lie in some element."""
+    filled = np.zeros(points.shape[:-1], bool)
+    for element in elements:
+        filled |= element.convex.depth(points) > -1e-6
+    return filled
+
+
 def _free_edges(
     part: tuple[Element, ...], model: Articulated, joint: str, sign: float
 ) -> list[Handle]:
     """The edge of a panel that is farthest from the hinge, or both rims of a drawer's front."""
     record = model.joint(joint)
     opens = motion_direction(model, joint, sign, corners(part).mean(0))
-    panel = [widest(part, opens)]
+    # A drawer has a front, and a box behind it; a door may be a frame around a pane.
+    panel = [widest(part, opens)] if record.kind == "prismatic" else list(part)
     center, rotation, half = model.box_around(corners(panel))
     motion = motion_direction(model, joint, sign, center)
     normal = int(np.argmax(np.abs(rotation.T @ motion)))
@@ -320,14 +338,27 @@ def _free_edges(
     if record.kind != "prismatic":
         radial = center - record.axis * float(center @ record.axis)
         signs = [1.0 if far @ radial >= 0 else -1.0]
-    return [
-        Handle(
-            center + s * far * half[across], rotation[:, along], s * far, float(half[along]),
-            2 * float(half[normal]), 2 * float(half[across]), HandleSource.EDGE, HandleKind.EDGE,
-            _name_of(panel), tuple(panel),
-        )
-        for s in signs
-    ]  # fmt: skip
+    return [_edge(rotation[:, normal], rotation[:, along], s * far, panel) for s in signs]
+
+
+def _edge(
+    normal: Float[np.ndarray, "3"],
+    along: Float[np.ndarray, "3"],
+    far: Float[np.ndarray, "3"],
+    panel: list[Element],
+) -> Handle:
+    """The side of a panel that lies farthest in a direction."""
+    ends = np.array([(e.convex.vertices @ far).max() for e in panel])
+    rim = [e for e, end in zip(panel, ends, strict=True) if end > ends.max() - RIM]
+    points = corners(rim)
+    across, length, out = points @ normal, points @ along, points @ far
+    middle = [(x.min() + x.max()) / 2 for x in (across, length)]
+    where = middle[0] * normal + middle[1] * along + ends.max() * far
+    return Handle(
+        where, where, along, far,
+        float(np.ptp(length)) / 2, float(np.ptp(across)), float(np.ptp(out)),
+        HandleSource.EDGE, HandleKind.EDGE, _name_of(panel), tuple(rim),
+    )  # fmt: skip
 
 
 def front_face(model: Articulated, joint: str, sign: float) -> Handle | None:
@@ -337,16 +368,14 @@ def front_face(model: Articulated, joint: str, sign: float) -> Handle | None:
     if not part:
         return None
     edge = _free_edges(part, model, joint, sign)[0]
-    middle = edge.center - edge.out * min(edge.depth / 2, FACE_INSIDE)
-    if model.joint(joint).kind == "prismatic":
-        middle = edge.center - edge.out * edge.depth / 2
+    slides = model.joint(joint).kind == "prismatic"
+    middle = edge.center - edge.out * (edge.depth / 2 if slides else FACE_INSIDE)
     out = motion_direction(model, joint, sign, middle)
     out = out - (out @ edge.long) * edge.long
     out = out / np.linalg.norm(out)
-    front = middle + out * float(
-        max((e.convex.vertices @ out).max() for e in edge.elements) - middle @ out
-    )
+    tops = [float((e.convex.vertices @ out).max()) for e in edge.elements]
+    front = middle + out * (max(tops) - float(middle @ out))
     return Handle(
-        front, edge.long, out, edge.half_length, 0.0, edge.thickness, HandleSource.EDGE,
+        front, front, edge.long, out, edge.half_length, 0.0, edge.thickness, HandleSource.EDGE,
         HandleKind.FACE, edge.name, edge.elements,
     )  # fmt: skip
