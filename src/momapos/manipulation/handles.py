@@ -41,6 +41,8 @@ ROUND = 1.5
 """A handle less elongated than this is a knob: it can be turned about freely [-]."""
 FACE_INSIDE = 0.05
 """A door is pushed this far inside its free edge [m]."""
+HELD_DEPTH = 0.04
+"""Of what is deeper the outer end is held [m]."""
 RIM = 0.02
 """Elements of a panel that end this near its edge make the edge [m]."""
 BEHIND = 0.008
@@ -297,7 +299,8 @@ def _core(
     first = int(middle.argmax())
     rest = np.flatnonzero(~middle[first:])
     last = first + int(rest[0]) - 1 if len(rest) else len(levels) - 1
-    shift, depth = (levels[first] + levels[last]) / 2, levels[first] - levels[last]
+    depth = min(levels[first] - levels[last], HELD_DEPTH)
+    shift = levels[first] - depth / 2
     behind = ~filled[1:4, first:].all(0)
     free = [bool((~filled[k, first:]).sum() * (levels[0] - levels[1]) >= BEHIND) for k in range(5)]
     kind = HandleKind.BAR
