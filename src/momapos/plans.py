@@ -393,11 +393,19 @@ def _motion(data: _Plan, path: Path) -> Motion | None:
     if motion is None:
         return None
     approach = _array(data.approach, (n,), path, "approach")
+    q = _array(motion.q, (n,), path, "manipulation.q")
+    object_q = _array(motion.object_q, (), path, "manipulation.object_q")
+    Ts_world_tool = _array(motion.T_world_tool, (4, 4), path, "manipulation.T_world_tool")
+    if not len(q) == len(object_q) == len(Ts_world_tool):
+        raise FileFormatError(
+            f"{path}: manipulation has {len(q)} q, {len(object_q)} object_q and "
+            f"{len(Ts_world_tool)} T_world_tool; need one of each at every state"
+        )
     return Motion(
         approach=approach,
-        q=_array(motion.q, (n,), path, "manipulation.q"),
-        object_q=_array(motion.object_q, (), path, "manipulation.object_q"),
-        Ts_world_tool=_array(motion.T_world_tool, (4, 4), path, "manipulation.T_world_tool"),
+        q=q,
+        object_q=object_q,
+        Ts_world_tool=Ts_world_tool,
         approach_times=_read_times(data.approach_times, len(approach), path, "approach_times"),
         times=_read_times(motion.times, len(motion.q), path, "manipulation.times"),
         holds=_holds(motion, path),

@@ -132,6 +132,7 @@ def placement_geometry(
         sweep=motion.sweep(),
         floor_polygon=scene.floor_polygon,
         clearance=clearance,
+        groups=motion.turning.groups,
     )
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.errors import TaskError
-from momapos.geometry.transforms import invert
+from momapos.geometry.transforms import invert, rotation_about
 from momapos.kinematics.articulated import joint_motion
 from momapos.kinematics.hulls import Boxes, MovingBoxes
 from momapos.kinematics.opening import opening_of
@@ -17,6 +17,7 @@ from momapos.manipulation.config import GraspConfig, MotionConfig
 from momapos.manipulation.grasps import Grasps, box_grasps, holding_grasps, lifting_grasps
 from momapos.manipulation.handles import Handle, find_handle, lever_arms
 from momapos.manipulation.resistance import resistance_of, weight_of
+from momapos.manipulation.turning import Turning, no_turning, turning_about
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene, SceneObject
 from momapos.types import Task
@@ -53,6 +54,8 @@ class TaskMotion:
     """Moving boxes that the gripper may touch."""
     labels: tuple[str, ...]
     """Names of the standing, then of the moving boxes."""
+    turning: Turning
+    """Grasps between which the hand may turn."""
     grasps: Grasps
     """How each grasp holds."""
     refusal: str
@@ -68,15 +71,34 @@ class TaskMotion:
         """Tool positions of the plainest grasp at the waypoints, pre-grasp left out [m]."""
         return self.Ts_world_tool[0, self.waypoint_steps[1:], :3, 3]
 
-    def only(self, rows: Bool[np.ndarray, " g"]) -> TaskMotion:
-        """The same motion with some of its grasps."""
-        return replace(self, Ts_world_tool=self.Ts_world_tool[rows], grasps=self.grasps.take(rows))
+    def only(self, grasps: Bool[np.ndarray, " g"]) -> TaskMotion:
+        """The same motion with some of its grasps alone."""
+        return replace(
+            self, Ts_world_tool=self.Ts_world_tool[grasps], turning=self.turning.only(grasps),
+            grasps=self.grasps.take(grasps),
+        )  # fmt: skip
 
     @property
     def handle(self) -> Handle | None:
         """What the first grasp holds; None for rigid objects."""
         handles = self.grasps.handles
         return handles[int(self.grasps.handle[0])] if handles else None
+
+    def tool_poses(self, grasps: Int[np.ndarray, " w"]) -> Float[np.ndarray, "d 4 4"]:
+        """Tool poses at every step, for the grasp that the hand has at each waypoint.
+
+        Between waypoints with different grasps it turns about the axis of `turning`.
+        """
+        first = grasps[0]
+        Ts = self.Ts_world_tool[first]
+        if (grasps == first).all():
+            return Ts
+        steps = np.arange(len(Ts))
+        turn = np.interp(steps, self.waypoint_steps, self.turning.angles[grasps])
+        axis = self.turning.axis @ self.turning.R_part_tool[first]
+        out = Ts.copy()
+        out[:, :3, :3] = Ts[:, :3, :3] @ rotation_about(axis, turn - self.turning.angles[first])
+        return out
 
     def sweep(self) -> Boxes:
         """The moving boxes at all values, as one set."""
@@ -160,6 +182,7 @@ def _joint_motion(
         value=np.concatenate([np.zeros(steps, np.int64), np.arange(len(values))]),
         grasped=grasped,
         labels=(*labels, *moving_labels),
+        turning=turning_about(robot, chosen.grasps.handles[0], Ts_part_tool),
         grasps=chosen.grasps,
         refusal=chosen.reason,
     )
@@ -295,6 +318,7 @@ def _rigid_motion(
         value=value,
         grasped=grasped,
         labels=(*labels, *moving_labels),
+        turning=no_turning(len(Ts)),
         grasps=lifting_grasps(
             robot, width, weight_of(target.model, config.grasps.resistance), config.grasps.friction
         ),

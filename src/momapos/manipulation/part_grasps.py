@@ -274,10 +274,14 @@ def _deep_enough(
     fits = deepest >= shallow
     blocked = room.obstacle[~fits & (room.obstacle >= 0)]
     worst = int(np.bincount(blocked).argmax()) if len(blocked) else -1
+    # Where the tool's origin lies in a bar, the hand can turn about it on its way.
+    depths = [deepest + share * (shallow - deepest) for share in config.standoffs]
+    at_origin = np.full(len(deepest), min(hand.pad_middle, 0.0))
     R, p, plain = [], [], []
-    for share in config.standoffs:
-        travel = deepest + share * (shallow - deepest)
-        rows = fits & ((share == 0.0) | (deepest - shallow > BITE))
+    for index, travel in enumerate([*depths, at_origin]):
+        rows = fits & (travel <= deepest) & (travel >= shallow)
+        if index:
+            rows &= deepest - travel > BITE / 2
         R.append(lines.R[rows])
         p.append(origin[rows] + travel[rows, None] * (lines.R[rows] @ hand.approach))
         plain.append(lines.plainness[rows] + 10 * (-travel[rows]).clip(0))

@@ -267,7 +267,7 @@ class _Overlaps:
         a: Shapes,
         Ts_a: Float[np.ndarray, "s a 4 4"],
         b: Shapes,
-        Ts_b: Float[np.ndarray, "s b 4 4"],
+        Ts_b: Float[np.ndarray, "#s b 4 4"],
         pairs: Int[np.ndarray, "p 2"],
         where: Callable[[int], str],
         *,
@@ -302,7 +302,7 @@ def _above_floor(
     extent = np.einsum("skj,kj->sk", np.abs(Ts_arm[..., 2, :3]), arm.half)
     low = Ts_arm[..., 2, 3] - extent
     worst, where, culprit = 0.0, "", ""
-    for state, index in np.argwhere(low < 0.0):
+    for state, index in np.argwhere(low < 0.0).tolist():
         if -low[state, index] <= worst:
             continue
         T = Ts_arm[state, index]
