@@ -161,8 +161,15 @@ def contact_of(
     R: Float[np.ndarray, "g 3 3"],
     p: Float[np.ndarray, "g 3"],
     travel: Float[np.ndarray, "g 2"],
+    friction: float,
 ) -> Contact:
-    """Where the pads of closed hands touch what they hold, by points on their faces."""
+    """Where the pads of closed hands touch what they hold, by points on their faces.
+
+    Only surface within the friction cone about the closing axis counts: over the rest, as at the
+    sharp edge of a bar, pads slip.
+    """
+    cone = np.cos(np.arctan(friction))
+    axis = R @ hand.closing
     across = np.cross(hand.approach, hand.closing)
     areas, middles = [], []
     for k, side in enumerate((1, -1)):
@@ -173,7 +180,10 @@ def contact_of(
         shift = face - side * (travel[:, k] + NEAR)
         local = grid[None] + shift[:, None, None] * hand.closing
         points = np.einsum("gij,gnj->gni", R, local) + p[:, None]
-        touching = np.stack([e.convex.depth(points) >= 0 for e in held]).any(0)
+        touching = np.zeros(points.shape[:2], bool)
+        for element in held:
+            depth, cosine = element.convex.surface(points, axis)
+            touching |= (depth >= 0) & (cosine >= cone)
         count = touching.sum(1)
         cell = (high - low).prod() / (ROWS * COLUMNS)
         areas.append(count * cell)

@@ -34,7 +34,9 @@ if TYPE_CHECKING:
 _POINTS = 9
 """Points on the way of a handle [-]."""
 _LEVELS = 41
-"""Points at which a handle is cut along its outward side [-]."""
+"""Points at which room is looked for behind a handle [-]."""
+_JOINT = 1e-4
+"""Elements that are nearer to each other are one body [m]."""
 _MODELS = 1024
 """Parts whose handles are remembered [-]."""
 ROUND = 1.5
@@ -287,28 +289,54 @@ def _core(
 
     Bars, levers and lips are told apart by that room, and by what closes it at the ends.
     """
-    levels = np.linspace(half_out, -half_out - BEHIND, _LEVELS)
+    top = half_out + BEHIND
+    solid = _spans(group, center + top * out, -out)
+    covered = _spans(others, center + top * out, -out)
+    first = solid[:, 0].min(initial=np.inf)
+    if not np.isfinite(first):
+        return _Core(0.0, 2 * half_out, HandleKind.BAR)
+    last = first
+    for begin, end in solid[np.argsort(solid[:, 0])]:
+        last = max(last, end) if begin <= last + _JOINT else last
+    inside = covered[covered[:, 0] > first, 0].min(initial=np.inf)
+    depth = min(last - first, inside - first, HELD_DEPTH)
+    shift = top - first - depth / 2
+    kind = _room_behind(center, half_long, out, half_out, float(first), [*group, *others])
+    return _Core(float(shift), float(depth), kind)
+
+
+def _spans(
+    elements: list[Element], origin: Float[np.ndarray, "3"], direction: Float[np.ndarray, "3"]
+) -> Float[np.ndarray, "n 2"]:
+    """Where a line enters and leaves elements, those left out that it misses [m]."""
+    spans = [e.convex.span(origin, direction) for e in elements]
+    return np.array([span for span in spans if span[0] < span[1]]).reshape(-1, 2)
+
+
+def _room_behind(
+    center: Float[np.ndarray, "3"],
+    half_long: Float[np.ndarray, "3"],
+    out: Float[np.ndarray, "3"],
+    half_out: float,
+    first: float,
+    elements: list[Element],
+) -> HandleKind:
+    """Tell bars, levers and lips apart by the room behind their middle and their ends.
+
+    Args:
+        center, half_long, out, half_out: The whole of it.
+        first: Where it begins, from `BEHIND` outside of its outer side [m].
+        elements: All of the part.
+    """
+    levels = np.linspace(half_out + BEHIND - first, -half_out - BEHIND, _LEVELS)
+    step = float(levels[0] - levels[-1]) / (_LEVELS - 1)
     shares = np.array([-0.95, -0.5, 0.0, 0.5, 0.95])
     points = center + shares[:, None, None] * half_long + levels[:, None] * out
-    solid = _filled(group, points)
-    covered = _filled(others, points)
-    filled = solid | covered
-    middle = solid[2] & ~covered[2]  # what is inside the panel cannot be held
-    if not middle.any():
-        return _Core(0.0, 2 * half_out, HandleKind.BAR)
-    first = int(middle.argmax())
-    rest = np.flatnonzero(~middle[first:])
-    last = first + int(rest[0]) - 1 if len(rest) else len(levels) - 1
-    depth = min(levels[first] - levels[last], HELD_DEPTH)
-    shift = levels[first] - depth / 2
-    behind = ~filled[1:4, first:].all(0)
-    free = [bool((~filled[k, first:]).sum() * (levels[0] - levels[1]) >= BEHIND) for k in range(5)]
-    kind = HandleKind.BAR
-    if behind.sum() * (levels[0] - levels[1]) < BEHIND:
-        kind = HandleKind.LIP
-    elif free[0] != free[4]:
-        kind = HandleKind.LEVER
-    return _Core(float(shift), float(depth), kind)
+    free = ~_filled(elements, points)
+    if free[1:4].all(0).sum() * step < BEHIND:
+        return HandleKind.LIP
+    ends = free[[0, 4]].sum(1) * step >= BEHIND
+    return HandleKind.LEVER if ends[0] != ends[1] else HandleKind.BAR
 
 
 def _filled(elements: list[Element], points: Float[np.ndarray, "k n 3"]) -> Bool[np.ndarray, "k n"]:

@@ -225,7 +225,7 @@ def _closed(
     if not len(rows):
         return _none(_too_thick(robot, handle, what) or f"the open hand has no room at {what}")
     own = tuple(e for e, mine in zip(elements, held, strict=True) if mine)
-    contact = contact_of(hand, own, R[rows], p[rows], travel[rows])
+    contact = contact_of(hand, own, R[rows], p[rows], travel[rows], config.friction)
     pads = np.diff(hand.inner(1)[1], axis=0)[0]
     kept = (contact.area >= 1e-4 * config.pad_contact) & (contact.apart < pads.min())
     if not kept.any():
