@@ -20,6 +20,8 @@ BACK = 0.25
 """A hand that comes along a line is looked at from this far before its target [m]."""
 ROWS, COLUMNS = 20, 4
 """Points of a pad at which its contact is looked for, along and across the fingers [-]."""
+CONE = 2 / 3
+"""Of the friction cone, so much may be spent on staying where the pads are [-]."""
 NEAR = 0.0015
 """A pad touches what is this near to its face: rubber gives way [m]."""
 
@@ -165,10 +167,10 @@ def contact_of(
 ) -> Contact:
     """Where the pads of closed hands touch what they hold, by points on their faces.
 
-    Only surface within the friction cone about the closing axis counts: over the rest, as at the
-    sharp edge of a bar, pads slip.
+    Only surface well within the friction cone about the closing axis counts: pads slip over the
+    rest, as at the sharp edge of a bar or on a wedge.
     """
-    cone = np.cos(np.arctan(friction))
+    cone = np.cos(CONE * np.arctan(friction))
     axis = R @ hand.closing
     across = np.cross(hand.approach, hand.closing)
     areas, middles = [], []
