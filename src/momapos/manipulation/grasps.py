@@ -70,6 +70,8 @@ class Chosen:
     grasps: Grasps
     reason: str
     """Why none of them holds; "" where they do."""
+    passed_over: str
+    """Why a better handle is not held; "" where there is none."""
 
 
 def holding_grasps(
@@ -109,7 +111,7 @@ def holding_grasps(
     if pushed is not None and len(pushed[1].code):
         found.append(pushed)
     if found:
-        return _ordered(model, joint, found, torque, "")
+        return _ordered(model, joint, found, torque, "", reasons[0] if reasons else "")
     lines = lines_onto(robot, handles[0], config)
     none = np.full(len(lines.R), np.nan)
     bare = PartGrasps(
@@ -119,7 +121,7 @@ def holding_grasps(
     # A part without any handle has edges alone, and the first says as much as the second.
     named = [r for r, h in zip(reasons, handles, strict=True) if not h.edge] or reasons[:1]
     edges = "" if handles[0].edge else ", and no hand gets around its free edge"
-    return _ordered(model, joint, [(handles[0], bare)], torque, "; ".join(named[:1]) + edges)
+    return _ordered(model, joint, [(handles[0], bare)], torque, named[0] + edges, "")
 
 
 def _strong(
@@ -151,6 +153,7 @@ def _ordered(
     found: list[tuple[Handle, PartGrasps]],
     torque: float,
     reason: str,
+    passed_over: str,
 ) -> Chosen:
     """All grasps of some handles, the firmest first, and of those the plainest."""
     parts = [grasps for _, grasps in found]
@@ -166,7 +169,7 @@ def _ordered(
         capacity, need, tuple(h for h, _ in found), handle,
     )  # fmt: skip
     Ts = np.concatenate([g.Ts_part_tool for g in parts])
-    return Chosen(Ts[order], grasps.take(order), reason)
+    return Chosen(Ts[order], grasps.take(order), reason, passed_over)
 
 
 def lifting_grasps(

@@ -174,8 +174,7 @@ def find_handles(model: Articulated, joint: str, sign: float) -> tuple[Handle, .
     handles = [_of(HandleSource.NAME, group, model, joint, sign, own) for group in named]
     if own:
         known = {id(e) for group in named for e in group}
-        middle = corners(own).mean(0)
-        out = motion_direction(model, joint, sign, middle)
+        out = _panel_normal(own, model, joint, sign)
         shaped = protrusions(own, out) or protrusions((*own, *visual_elements(model, joint)), out)
         groups = [group for group in shaped if not known & {id(e) for e in group}]
         shown = [_of(HandleSource.SHAPE, group, model, joint, sign, own) for group in groups]
@@ -259,6 +258,17 @@ def _of(
         center, center + core.shift * out, long, out, length, thickness, core.depth,
         found, kind, _name_of(group), tuple(group),
     )  # fmt: skip
+
+
+def _panel_normal(
+    part: tuple[Element, ...], model: Articulated, joint: str, sign: float
+) -> Float[np.ndarray, "3"]:
+    """Unit normal of the front of a part, on the side to which it opens."""
+    opens = motion_direction(model, joint, sign, corners(part).mean(0))
+    center, rotation, _ = model.box_around(widest(part, opens).convex.vertices)
+    opens = motion_direction(model, joint, sign, center)
+    normal = rotation[:, int(np.argmax(np.abs(rotation.T @ opens)))]
+    return normal * np.sign(normal @ opens)
 
 
 def _name_of(group: list[Element]) -> str:

@@ -60,6 +60,8 @@ class TaskMotion:
     """How each grasp holds."""
     refusal: str
     """Why no grasp holds, wherever the base stands; "" where some do."""
+    passed_over: str = ""
+    """Why a better handle than that of the grasps is not held; "" where there is none."""
 
     def __repr__(self) -> str:
         grasps, steps = self.Ts_world_tool.shape[:2]
@@ -185,6 +187,7 @@ def _joint_motion(
         turning=turning_about(robot, chosen.grasps.handles[0], Ts_part_tool),
         grasps=chosen.grasps,
         refusal=chosen.reason,
+        passed_over=chosen.passed_over,
     )
 
 

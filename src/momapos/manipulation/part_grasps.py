@@ -210,7 +210,8 @@ def _closed(
     R, p, plain, obstacle = _deep_enough(hand, elements, lines, handle, config)
     if not len(R):
         name = elements[obstacle].link if obstacle >= 0 else handle.name
-        return _none(f"the hand has no room at {what}: {name} is in its way")
+        no_room = f"the hand has no room at {what}: {name} is in its way"
+        return _none(_too_thick(robot, handle, what) or no_room)
     closing = close(hand, elements, held, R, p, config.hand_clearance)
     met = np.isfinite(closing.travel).all(1)
     way = np.where(met[:, None], closing.travel, 0.0)
@@ -309,6 +310,9 @@ def _touching(
     else:
         origin = lines.target - hand.tip * (lines.R @ hand.approach)
     room = advance(hand, elements, lines.R, origin, config)
+    if not hooks:  # across the front they would slide along it
+        steep = lines.R @ hand.approach @ -handle.out < np.cos(np.arctan(config.friction))
+        room.travel[steep] = -np.inf
     travel = np.minimum(room.travel, 0.0) if hooks else room.travel + config.hand_clearance
     rows = np.flatnonzero(np.abs(travel) < hand.tip if hooks else np.abs(travel) < BITE)
     if not len(rows):
