@@ -13,11 +13,9 @@ from momapos.manipulation.feasibility import Feasibility
 from momapos.manipulation.tasks import slides
 from momapos.placement.area import (
     BaseStatus,
-    PlacementGeometry,
     base_pose_status,
     reachable_rectangle,
 )
-from momapos.placement.holding import score_grasps, score_turning
 from momapos.prepare import PreparedTask, prepare
 from momapos.protocols import ReachScorer
 from momapos.robots.robot import Robot
@@ -149,9 +147,9 @@ def _best_yaws(
 ) -> Int[np.ndarray, " c"]:
     """For each cell the first of its yaws, best reached first, that works; -1 where none does."""
     flat, geometry = poses.reshape(-1, 3), prepared.geometry
-    scores = np.zeros((len(flat), len(geometry.Ts_world_tool) + len(geometry.groups)), np.float32)
+    scores = np.zeros((len(flat), prepared.motion.turning.ways), np.float32)
     clear = np.flatnonzero(base_pose_status(geometry, flat)[0] == BaseStatus.CLEAR)
-    scores[clear] = _scores(reach, flat[clear], geometry)
+    scores[clear] = _scores(reach, flat[clear], prepared)
     best = scores.max(1, initial=0.0).reshape(poses.shape[:2])
     order = np.argsort(-best, axis=1, kind="stable")
     found = np.full(len(poses), -1)
@@ -172,11 +170,10 @@ def _best_yaws(
 
 
 def _scores(
-    reach: ReachScorer, poses: Float[np.ndarray, "n 3"], geometry: PlacementGeometry
+    reach: ReachScorer, poses: Float[np.ndarray, "n 3"], prepared: PreparedTask
 ) -> Float[np.ndarray, "n h"]:
     """Scores of all ways of holding; those that turn come after all grasps that do not."""
-    grasps = score_grasps(reach, poses, geometry)
-    if not len(geometry.groups):
+    grasps, *turning = (score(reach, poses).scores for score in prepared.ways)
+    if not turning:
         return grasps
-    turning = TURNING * score_turning(reach, poses, geometry)[:, grasps.shape[1] :]
-    return np.concatenate([grasps, turning], axis=1)
+    return np.concatenate([grasps, TURNING * turning[0][:, grasps.shape[1] :]], axis=1)

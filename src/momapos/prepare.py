@@ -123,7 +123,12 @@ def prepare(
     with watch.stage("exact model"):
         verifier = PlanVerifier(scene, robot, task)
         blocked = verifier.blocked(LIFT)
-    no_grasp = "" if has_room.any() else f"the hand hits {obstacle} in every grasp"
+    no_grasp = ""
+    if not has_room.any():
+        why = [motion.passed_over] if motion.passed_over else []
+        no_grasp = ", and ".join([*why, f"the hand hits {obstacle} in every grasp"])
+        if why and motion.handle is not None:
+            no_grasp += f" of {motion.handle}"
     geometry = placement_geometry(scene, robot, motion, clearance)
     reason = motion.refusal or blocked or no_grasp
     return PreparedTask(scene, robot, task, motion, world, geometry, verifier, reason)

@@ -10,14 +10,15 @@ import pytest
 
 from momapos.config import PipelineConfig
 from momapos.geometry.transforms import invert, rotation_angle
+from momapos.kinematics.articulated import Articulated
 from momapos.manipulation.motion import TaskMotion
 from momapos.manipulation.tasks import make_task
 from momapos.manipulation.turning import LEAST
-from momapos.placement.holding import score_grasps, score_turning
 from momapos.prepare import PreparedTask, prepare
 from momapos.reachability.store import load_reach_map
 from momapos.robots.robot import Robot, load_robot
 from momapos.scene.files import load_scene
+from momapos.scene.scene import SceneObject
 
 CONFIG = PipelineConfig()
 BASE = np.array([0.458, -1.39, 2.532])
@@ -29,9 +30,25 @@ def robot() -> Robot:
     return load_robot("segway_ur5e")
 
 
+def with_round_bars(item: SceneObject) -> SceneObject:
+    """The same object with cylinders where its handles are square bars along z."""
+    links = {}
+    for name, link in item.model.urdf.links.items():
+        shapes = tuple(
+            replace(s, kind="cylinder", size=(s.size[0] / 2, s.size[2]))
+            if "handle" in name and s.size[0] == s.size[1]
+            else s
+            for s in link.collisions
+        )
+        links[name] = replace(link, collisions=shapes, visuals=shapes)
+    return replace(item, model=Articulated(replace(item.model.urdf, links=links)))
+
+
 @pytest.fixture(scope="module")
 def fridge(robot: Robot) -> PreparedTask:
     scene = load_scene("kitchen_small")
+    objects = [with_round_bars(o) if o.name == "fridge" else o for o in scene.objects]
+    scene = replace(scene, objects=tuple(objects))
     task = make_task(scene, "open", "fridge", "door_hinge")
     return prepare(scene, robot, task, CONFIG, clearance=0.0)
 
@@ -100,9 +117,9 @@ def test_a_turning_hand_opens_what_a_rigid_one_cannot(
 ) -> None:
     reach = load_reach_map(robot, tmp_path)
     feasible = fridge.feasibility(CONFIG, seed=0)
-    geometry, poses = fridge.geometry, BASE[None]
-    rigid = feasible.screen(poses, score_grasps(reach, poses, geometry), None)
-    turning = feasible.screen(poses, score_turning(reach, poses, geometry), None)
+    poses = BASE[None]
+    rigid = feasible.screen(poses, fridge.ways[0](reach, poses).scores, None)
+    turning = feasible.screen(poses, fridge.ways[1](reach, poses).scores, None)
     assert rigid is not None
     assert turning is not None
     assert rigid[0].q is None

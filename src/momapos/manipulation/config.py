@@ -45,26 +45,26 @@ class GraspConfig:
     """Tilts along the handle [deg]."""
     points: tuple[float, ...] = (0.0, 0.6, -0.6)
     """Points along the handle, as shares of its half length [-]."""
-    standoffs: tuple[float, ...] = (0.0, 0.6)
+    standoffs: tuple[float, ...] = (0.0, 0.7)
     """How far the hand stays before the deepest place it can reach, as shares of the way from
     there to where only its fingertips hold [-]."""
     rolls: int = 8
     """Rolls about the approach for knobs and rigid objects [-]."""
     pregrasp: float = 0.08
     """Length of the straight approach [m]."""
-    clearance: float = 0.004
+    hand_clearance: float = 0.004
     """Distance that the open hand keeps from what it does not hold [m]."""
     friction: float = 0.6
     """Between pads and handles [-]."""
-    contact: float = 0.4
+    pad_contact: float = 0.4
     """Each pad touches what it holds over this area at least [cm^2]."""
-    margin: float = 1.3
+    grasp_margin: float = 1.3
     """A grasp transmits this many times what the part needs [-]."""
     resistance: ResistanceConfig = field(default_factory=ResistanceConfig)
 
     def __post_init__(self) -> None:
         refuse_below(self, 1, "rolls")
-        refuse_below(self, 0, "clearance", "friction", "contact", "margin")
+        refuse_below(self, 0, "hand_clearance", "friction", "pad_contact", "grasp_margin")
         refuse_below(self, 0.01, "pregrasp")
         for name in ("turns", "tilts", "points", "standoffs"):
             if not getattr(self, name):

@@ -20,6 +20,8 @@ BACK = 0.25
 """A hand that comes along a line is looked at from this far before its target [m]."""
 ROWS, COLUMNS = 20, 4
 """Points of a pad at which its contact is looked for, along and across the fingers [-]."""
+CONE = 2 / 3
+"""Of the friction cone, so much may be spent on staying where the pads are [-]."""
 NEAR = 0.0015
 """A pad touches what is this near to its face: rubber gives way [m]."""
 
@@ -67,7 +69,9 @@ def advance(
     travel = np.full(len(R), NEVER)
     obstacle = np.full(len(R), -1)
     for index, element in enumerate(elements):
-        touch = touches_hull(hand.boxes, element.convex, R, start, hand.approach, config.clearance)
+        touch = touches_hull(
+            hand.boxes, element.convex, R, start, hand.approach, config.hand_clearance
+        )
         # What lies behind the straight approach is not in the way.
         begin = np.where(touch.end < BACK - config.pregrasp, NEVER, touch.begin).min(
             1, initial=NEVER
@@ -88,7 +92,7 @@ def stands_clear(
     """Whether open hands touch nothing at their grasps and on the straight way there."""
     clear = np.ones(len(R), bool)
     for element, own in zip(elements, held, strict=True):
-        margin = config.clearance / 4 if own else config.clearance / 2
+        margin = config.hand_clearance / 4 if own else config.hand_clearance / 2
         touch = touches_hull(hand.boxes, element.convex, R, p, -hand.approach, margin)
         clear &= ~((touch.begin <= config.pregrasp) & (touch.end > 0)).any(1)
     return clear
@@ -159,8 +163,15 @@ def contact_of(
     R: Float[np.ndarray, "g 3 3"],
     p: Float[np.ndarray, "g 3"],
     travel: Float[np.ndarray, "g 2"],
+    friction: float,
 ) -> Contact:
-    """Where the pads of closed hands touch what they hold, by points on their faces."""
+    """Where the pads of closed hands touch what they hold, by points on their faces.
+
+    Only surface well within the friction cone about the closing axis counts: pads slip over the
+    rest, as at the sharp edge of a bar or on a wedge.
+    """
+    cone = np.cos(CONE * np.arctan(friction))
+    axis = R @ hand.closing
     across = np.cross(hand.approach, hand.closing)
     areas, middles = [], []
     for k, side in enumerate((1, -1)):
@@ -171,7 +182,10 @@ def contact_of(
         shift = face - side * (travel[:, k] + NEAR)
         local = grid[None] + shift[:, None, None] * hand.closing
         points = np.einsum("gij,gnj->gni", R, local) + p[:, None]
-        touching = np.stack([e.convex.depth(points) >= 0 for e in held]).any(0)
+        touching = np.zeros(points.shape[:2], bool)
+        for element in held:
+            depth, cosine = element.convex.surface(points, axis)
+            touching |= (depth >= 0) & (cosine >= cone)
         count = touching.sum(1)
         cell = (high - low).prod() / (ROWS * COLUMNS)
         areas.append(count * cell)

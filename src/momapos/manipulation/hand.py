@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 PAD_DEPTH = 0.03
 """Boxes of a finger that reach this close to its tip are its pad [m]."""
+INSIDE = 1e-3
+"""What stands farther in than the pads by less is level with them [m]."""
 FLAT = 0.98
 """A pad's inner face is perpendicular to the closing axis up to this cosine [-]."""
 
@@ -107,14 +109,17 @@ def _sorted_out(boxes: Boxes, finger: Bool[np.ndarray, " b"], robot: Robot) -> H
         pad |= (side == s) & flat & (along + reach[:, 0] > tip - PAD_DEPTH)
     inner = at - np.sign(at) * reach[:, 1]
     faces = [float((inner * s)[pad & (side == s)].min(initial=np.inf)) for s in (1, -1)]
-    ends = (along + reach[:, 0])[side != 0]
-    tip = float(ends.max()) if len(ends) else robot.finger_depth
+    tip = max(tips) if np.isfinite(max(tips)) else robot.finger_depth
     if not np.isfinite(faces).all():
         return Hand(boxes, side, pad, approach, closing, 0.0, 0.0, tip)
     spread = np.where(side > 0, robot.opening / 2 - faces[0], faces[1] - robot.opening / 2)
     center = boxes.center + np.where(side != 0, spread, 0.0)[:, None] * closing
-    low = float((along - reach[:, 0])[pad].min())
+    # What stands farther in than the pads, behind them, ends the room for what they hold.
+    front = np.where(side > 0, faces[0], np.where(side < 0, faces[1], -np.inf))
+    behind = (side != 0) & ~pad & (inner * side < front - INSIDE)
+    ends = (along + reach[:, 0])[behind]
+    low = max(float((along - reach[:, 0])[pad].min()), float(ends.max(initial=-np.inf)))
     return Hand(
         Boxes(center, boxes.rotation, boxes.half), side, pad, approach, closing,
-        robot.opening / 2, (low + tip) / 2, tip,
+        robot.opening / 2, (min(low, tip) + tip) / 2, tip,
     )  # fmt: skip

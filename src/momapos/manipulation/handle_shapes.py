@@ -36,6 +36,8 @@ class Element:
     link: str
     name: str
     convex: Convex
+    index: int | None
+    """Among the collision elements of its link; None for what is only drawn."""
 
     @property
     def low(self) -> Float[np.ndarray, "3"]:
@@ -77,9 +79,9 @@ def part_elements(model: Articulated, joint: str) -> tuple[Element, ...]:
     links = model.moved_by(joint)
     T_link = poses_in_part(model, joint, links)
     return tuple(
-        Element(link, hull.name or link, convex_of(hull, T_link[link]))
+        Element(link, hull.name or link, convex_of(hull, T_link[link]), index)
         for link in links
-        for hull in model.hulls[link]
+        for index, hull in enumerate(model.hulls[link])
     )
 
 
@@ -89,7 +91,7 @@ def visual_elements(model: Articulated, joint: str) -> tuple[Element, ...]:
     links = rigid_links(model, joint)
     T_link = poses_in_part(model, joint, links)
     return tuple(
-        Element(link, shape.name or link, convex_of(model.hull(link, shape), T_link[link]))
+        Element(link, shape.name or link, convex_of(model.hull(link, shape), T_link[link]), None)
         for link in links
         for shape in model.urdf.links[link].visuals
     )
@@ -110,7 +112,7 @@ def named_elements(model: Articulated, joint: str) -> tuple[Element, ...]:
         ]
         if not solid:
             convex = convex_of(model.hull(link, shape), T_link[link])
-            drawn = Element(link, shape.name or link, convex)
+            drawn = Element(link, shape.name or link, convex, None)
             solid = [e for e in by_link[link] if _inside(e, drawn)] or [drawn]
         found += [e for e in solid if not any(e is other for other in found)]
     return tuple(found)

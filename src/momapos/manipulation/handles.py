@@ -29,18 +29,24 @@ from momapos.manipulation.handle_shapes import (
 from momapos.scene.scene import SceneObject
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
+    from jaxtyping import Bool, Float
 
 _POINTS = 9
 """Points on the way of a handle [-]."""
 _LEVELS = 41
-"""Points at which a handle is cut along its outward side [-]."""
+"""Points at which room is looked for behind a handle [-]."""
+_JOINT = 1e-4
+"""Elements that are nearer to each other are one body [m]."""
 _MODELS = 1024
 """Parts whose handles are remembered [-]."""
 ROUND = 1.5
 """A handle less elongated than this is a knob: it can be turned about freely [-]."""
 FACE_INSIDE = 0.05
 """A door is pushed this far inside its free edge [m]."""
+HELD_DEPTH = 0.04
+"""Of what is deeper the outer end is held [m]."""
+RIM = 0.02
+"""Elements of a panel that end this near its edge make the edge [m]."""
 BEHIND = 0.008
 """Room behind a handle that a finger may use [m]."""
 
@@ -74,6 +80,9 @@ class Handle:
     """Something to hold, in the frame of the moving link."""
 
     center: Float[np.ndarray, "3"]
+    """Middle of all of it."""
+    grip: Float[np.ndarray, "3"]
+    """Middle of what a hand closes on: of the bar, without what fastens it."""
     long: Float[np.ndarray, "3"]
     """Unit vector along the handle."""
     out: Float[np.ndarray, "3"]
@@ -83,7 +92,7 @@ class Handle:
     thickness: float
     """Size across, which the fingers must span [m]."""
     depth: float
-    """Size along `out` [m]."""
+    """Size of what a hand closes on along `out` [m]."""
     found: HandleSource
     kind: HandleKind
     name: str
@@ -165,13 +174,14 @@ def find_handles(model: Articulated, joint: str, sign: float) -> tuple[Handle, .
     handles = [_of(HandleSource.NAME, group, model, joint, sign, own) for group in named]
     if own:
         known = {id(e) for group in named for e in group}
-        middle = corners(own).mean(0)
-        out = motion_direction(model, joint, sign, middle)
+        out = _panel_normal(own, model, joint, sign)
         shaped = protrusions(own, out) or protrusions((*own, *visual_elements(model, joint)), out)
         groups = [group for group in shaped if not known & {id(e) for e in group}]
         shown = [_of(HandleSource.SHAPE, group, model, joint, sign, own) for group in groups]
         handles += sorted(shown, key=lambda h: -h.half_length * _lever(model, joint, h.center))
-        handles += _free_edges(own, model, joint, sign)
+        taken = {id(e) for handle in handles for e in handle.elements}
+        bare = tuple(e for e in own if id(e) not in taken)
+        handles += _free_edges(bare or own, model, joint, sign)
     return tuple(handles)
 
 
@@ -243,10 +253,22 @@ def _of(
     others = [e for e in part if not any(e is mine for mine in group)]
     core = _core(center, long * length, out, float(half[out_axis]), group, others)
     kind = core.kind if length >= ROUND * half[side] else HandleKind.KNOB
+    thickness = 2 * float(min(half[side], half[along]))
     return Handle(
-        center + core.shift * out, long, out, length, 2 * float(min(half[side], half[along])),
-        core.depth, found, kind, _name_of(group), tuple(group),
+        center, center + core.shift * out, long, out, length, thickness, core.depth,
+        found, kind, _name_of(group), tuple(group),
     )  # fmt: skip
+
+
+def _panel_normal(
+    part: tuple[Element, ...], model: Articulated, joint: str, sign: float
+) -> Float[np.ndarray, "3"]:
+    """Unit normal of the front of a part, on the side to which it opens."""
+    opens = motion_direction(model, joint, sign, corners(part).mean(0))
+    center, rotation, _ = model.box_around(widest(part, opens).convex.vertices)
+    opens = motion_direction(model, joint, sign, center)
+    normal = rotation[:, int(np.argmax(np.abs(rotation.T @ opens)))]
+    return normal * np.sign(normal @ opens)
 
 
 def _name_of(group: list[Element]) -> str:
@@ -277,26 +299,62 @@ def _core(
 
     Bars, levers and lips are told apart by that room, and by what closes it at the ends.
     """
-    levels = np.linspace(half_out, -half_out - BEHIND, _LEVELS)
+    top = half_out + BEHIND
+    solid = _spans(group, center + top * out, -out)
+    covered = _spans(others, center + top * out, -out)
+    first = solid[:, 0].min(initial=np.inf)
+    if not np.isfinite(first):
+        return _Core(0.0, 2 * half_out, HandleKind.BAR)
+    last = first
+    for begin, end in solid[np.argsort(solid[:, 0])]:
+        last = max(last, end) if begin <= last + _JOINT else last
+    inside = covered[covered[:, 0] > first, 0].min(initial=np.inf)
+    depth = min(last - first, inside - first, HELD_DEPTH)
+    shift = top - first - depth / 2
+    kind = _room_behind(center, half_long, out, half_out, float(first), [*group, *others])
+    return _Core(float(shift), float(depth), kind)
+
+
+def _spans(
+    elements: list[Element], origin: Float[np.ndarray, "3"], direction: Float[np.ndarray, "3"]
+) -> Float[np.ndarray, "n 2"]:
+    """Where a line enters and leaves elements, those left out that it misses [m]."""
+    spans = [e.convex.span(origin, direction) for e in elements]
+    return np.array([span for span in spans if span[0] < span[1]]).reshape(-1, 2)
+
+
+def _room_behind(
+    center: Float[np.ndarray, "3"],
+    half_long: Float[np.ndarray, "3"],
+    out: Float[np.ndarray, "3"],
+    half_out: float,
+    first: float,
+    elements: list[Element],
+) -> HandleKind:
+    """Tell bars, levers and lips apart by the room behind their middle and their ends.
+
+    Args:
+        center, half_long, out, half_out: The whole of it.
+        first: Where it begins, from `BEHIND` outside of its outer side [m].
+        elements: All of the part.
+    """
+    levels = np.linspace(half_out + BEHIND - first, -half_out - BEHIND, _LEVELS)
+    step = float(levels[0] - levels[-1]) / (_LEVELS - 1)
     shares = np.array([-0.95, -0.5, 0.0, 0.5, 0.95])
     points = center + shares[:, None, None] * half_long + levels[:, None] * out
-    solid = np.stack([e.convex.depth(points) > -1e-6 for e in group]).any(axis=0)
-    filled = np.stack([e.convex.depth(points) > -1e-6 for e in [*group, *others]]).any(axis=0)
-    middle = solid[2]
-    if not middle.any():
-        return _Core(0.0, 2 * half_out, HandleKind.BAR)
-    first = int(middle.argmax())
-    rest = np.flatnonzero(~middle[first:])
-    last = first + int(rest[0]) - 1 if len(rest) else len(levels) - 1
-    shift, depth = (levels[first] + levels[last]) / 2, levels[first] - levels[last]
-    behind = ~filled[1:4, first:].all(0)
-    free = [bool((~filled[k, first:]).sum() * (levels[0] - levels[1]) >= BEHIND) for k in range(5)]
-    kind = HandleKind.BAR
-    if behind.sum() * (levels[0] - levels[1]) < BEHIND:
-        kind = HandleKind.LIP
-    elif free[0] != free[4]:
-        kind = HandleKind.LEVER
-    return _Core(float(shift), float(depth), kind)
+    free = ~_filled(elements, points)
+    if free[1:4].all(0).sum() * step < BEHIND:
+        return HandleKind.LIP
+    ends = free[[0, 4]].sum(1) * step >= BEHIND
+    return HandleKind.LEVER if ends[0] != ends[1] else HandleKind.BAR
+
+
+def _filled(elements: list[Element], points: Float[np.ndarray, "k n 3"]) -> Bool[np.ndarray, "k n"]:
+    """Which points lie in some element."""
+    filled = np.zeros(points.shape[:-1], bool)
+    for element in elements:
+        filled |= element.convex.depth(points) > -1e-6
+    return filled
 
 
 def _free_edges(
@@ -305,7 +363,8 @@ def _free_edges(
     """The edge of a panel that is farthest from the hinge, or both rims of a drawer's front."""
     record = model.joint(joint)
     opens = motion_direction(model, joint, sign, corners(part).mean(0))
-    panel = [widest(part, opens)]
+    # A drawer has a front, and a box behind it; a door may be a frame around a pane.
+    panel = [widest(part, opens)] if record.kind == "prismatic" else list(part)
     center, rotation, half = model.box_around(corners(panel))
     motion = motion_direction(model, joint, sign, center)
     normal = int(np.argmax(np.abs(rotation.T @ motion)))
@@ -320,14 +379,27 @@ def _free_edges(
     if record.kind != "prismatic":
         radial = center - record.axis * float(center @ record.axis)
         signs = [1.0 if far @ radial >= 0 else -1.0]
-    return [
-        Handle(
-            center + s * far * half[across], rotation[:, along], s * far, float(half[along]),
-            2 * float(half[normal]), 2 * float(half[across]), HandleSource.EDGE, HandleKind.EDGE,
-            _name_of(panel), tuple(panel),
-        )
-        for s in signs
-    ]  # fmt: skip
+    return [_edge(rotation[:, normal], rotation[:, along], s * far, panel) for s in signs]
+
+
+def _edge(
+    normal: Float[np.ndarray, "3"],
+    along: Float[np.ndarray, "3"],
+    far: Float[np.ndarray, "3"],
+    panel: list[Element],
+) -> Handle:
+    """The side of a panel that lies farthest in a direction."""
+    ends = np.array([(e.convex.vertices @ far).max() for e in panel])
+    rim = [e for e, end in zip(panel, ends, strict=True) if end > ends.max() - RIM]
+    points = corners(rim)
+    across, length, out = points @ normal, points @ along, points @ far
+    middle = [(x.min() + x.max()) / 2 for x in (across, length)]
+    where = middle[0] * normal + middle[1] * along + ends.max() * far
+    return Handle(
+        where, where, along, far,
+        float(np.ptp(length)) / 2, float(np.ptp(across)), float(np.ptp(out)),
+        HandleSource.EDGE, HandleKind.EDGE, _name_of(panel), tuple(rim),
+    )  # fmt: skip
 
 
 def front_face(model: Articulated, joint: str, sign: float) -> Handle | None:
@@ -337,16 +409,14 @@ def front_face(model: Articulated, joint: str, sign: float) -> Handle | None:
     if not part:
         return None
     edge = _free_edges(part, model, joint, sign)[0]
-    middle = edge.center - edge.out * min(edge.depth / 2, FACE_INSIDE)
-    if model.joint(joint).kind == "prismatic":
-        middle = edge.center - edge.out * edge.depth / 2
+    slides = model.joint(joint).kind == "prismatic"
+    middle = edge.center - edge.out * (edge.depth / 2 if slides else FACE_INSIDE)
     out = motion_direction(model, joint, sign, middle)
     out = out - (out @ edge.long) * edge.long
     out = out / np.linalg.norm(out)
-    front = middle + out * float(
-        max((e.convex.vertices @ out).max() for e in edge.elements) - middle @ out
-    )
+    tops = [float((e.convex.vertices @ out).max()) for e in edge.elements]
+    front = middle + out * (max(tops) - float(middle @ out))
     return Handle(
-        front, edge.long, out, edge.half_length, 0.0, edge.thickness, HandleSource.EDGE,
+        front, front, edge.long, out, edge.half_length, 0.0, edge.thickness, HandleSource.EDGE,
         HandleKind.FACE, edge.name, edge.elements,
     )  # fmt: skip

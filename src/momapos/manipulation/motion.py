@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -67,6 +68,8 @@ class TaskMotion:
     """Grasps between which the hand may turn."""
     release_step: int | None = None
     """Step after which the hand lets go of the part of a joint; None where it never does."""
+    passed_over: str = ""
+    """Why a better handle than that of the grasps is not held; "" where there is none."""
 
     def __repr__(self) -> str:
         grasps, steps = self.Ts_world_tool.shape[:2]
@@ -209,13 +212,15 @@ def _joint_motion(
             robot, target.model, joint.name, sign, torque,
             closes=task.verb == "close", config=config.grasps,
         )  # fmt: skip
-    Ts_part_tool, handle = chosen.Ts_part_tool, chosen.grasps.handles[0]
+    Ts_part_tool = chosen.Ts_part_tool
     poses = target.link_poses()
     T_world_joint = poses[joint.parent] @ joint.T_parent_joint
     Ts_world_part = T_world_joint @ joint_motion(joint, values)
     moved = target.model.moved_by(joint.name)
     Ts_part_link = {n: invert(poses[joint.child]) @ poses[n] for n in moved}
-    moving, moving_labels, grasped = _moving_boxes(target, Ts_world_part, Ts_part_link, handle)
+    moving, moving_labels, grasped = _moving_boxes(
+        target, Ts_world_part, Ts_part_link, _held_elements(chosen.grasps.handles)
+    )
     static, labels = _static_boxes(scene, target, set(moved))
     approach = _straight_approach(robot, Ts_world_part[0] @ Ts_part_tool, config.grasps)
     steps = approach.shape[1]
@@ -236,6 +241,7 @@ def _joint_motion(
         grasps=chosen.grasps,
         refusal=chosen.reason,
         turning=turning,
+        passed_over=chosen.passed_over,
     )
 
 
@@ -260,21 +266,24 @@ def _moving_boxes(
     target: SceneObject,
     Ts_world_part: Float[np.ndarray, "v 4 4"],
     T_part_link: dict[str, Float[np.ndarray, "4 4"]],
-    handle: Handle | None,
+    held: Mapping[str, Collection[int]] | None,
 ) -> tuple[MovingBoxes, list[str], Bool[np.ndarray, " m"]]:
-    """Boxes of the moving links at each value, and which of them the gripper may touch."""
+    """Boxes of the moving links at each value, and which of them the palm may touch.
+
+    Args:
+        target: The object.
+        Ts_world_part: Where the part is at each value.
+        T_part_link: Where the moving links are in it.
+        held: Collision elements that are held, by link; None for all.
+    """
     center, rotation, half, labels, near = [], [], [], [], []
     for link, T in T_part_link.items():
-        for boxes in target.model.boxes[link]:
-            local = boxes.center @ T[:3, :3].T + T[:3, 3]
-            axes = T[:3, :3] @ boxes.rotation
-            center.append(local)
-            rotation.append(axes)
+        for index, boxes in enumerate(target.model.boxes[link]):
+            center.append(boxes.center @ T[:3, :3].T + T[:3, 3])
+            rotation.append(T[:3, :3] @ boxes.rotation)
             half.append(boxes.half)
             labels += [f"{target.name}/{link}"] * len(boxes)
-            # A hull that the handle lies in is touched, whichever of its boxes it is.
-            touched = _near_handle(local, axes, boxes.half, handle).any()
-            near.append(np.full(len(boxes), touched))
+            near.append(np.full(len(boxes), held is None or index in held.get(link, ())))
     c, R, h = _stack(center, rotation, half)
     world = MovingBoxes(
         np.einsum("vij,mj->vmi", Ts_world_part[:, :3, :3], c) + Ts_world_part[:, None, :3, 3],
@@ -284,17 +293,13 @@ def _moving_boxes(
     return world, labels, np.concatenate(near) if near else np.zeros(0, bool)
 
 
-def _near_handle(
-    center: np.ndarray, rotation: np.ndarray, half: np.ndarray, handle: Handle | None
-) -> Bool[np.ndarray, " m"]:
-    """Boxes that the fingers touch when they hold: those that the handle itself lies in or at."""
-    if handle is None:
-        return np.ones(len(center), bool)
-    t = np.linspace(-1, 1, 9)[:, None] * handle.half_length
-    points = handle.center + t * handle.long
-    local = np.abs(np.einsum("mij,pmi->pmj", rotation, points[:, None] - center[None]))
-    gap = np.linalg.norm(np.maximum(local - half, 0.0), axis=-1)
-    return gap.min(0) < 0.01
+def _held_elements(handles: Iterable[Handle]) -> dict[str, set[int]]:
+    """The collision elements of handles, by link."""
+    held: dict[str, set[int]] = {}
+    for element in (e for handle in handles for e in handle.elements):
+        if element.index is not None:
+            held.setdefault(element.link, set()).add(element.index)
+    return held
 
 
 def _static_boxes(

@@ -33,6 +33,32 @@ class Convex:
         """How deep points lie inside, negative outside [m]."""
         return (self.offsets - points @ self.normals.T).min(-1)
 
+    def surface(
+        self, points: Float[np.ndarray, "g n 3"], direction: Float[np.ndarray, "g 3"]
+    ) -> tuple[Float[np.ndarray, "g n"], Float[np.ndarray, "g n"]]:
+        """How deep points lie inside [m], and the cosine between a direction and the nearest face.
+
+        Args:
+            points: In groups.
+            direction: Unit vector of each group.
+        """
+        inside = self.offsets - points @ self.normals.T
+        nearest = inside.argmin(-1)
+        depth = np.take_along_axis(inside, nearest[..., None], -1)[..., 0]
+        return depth, np.take_along_axis(np.abs(direction @ self.normals.T), nearest, 1)
+
+    def span(
+        self, origin: Float[np.ndarray, "3"], direction: Float[np.ndarray, "3"]
+    ) -> tuple[float, float]:
+        """Where a line enters and leaves it [m]; no end beyond the begin where it misses."""
+        rate, gap = self.normals @ direction, self.offsets - self.normals @ origin
+        facing, leaving = rate < -_STILL, rate > _STILL
+        if (gap[~facing & ~leaving] < 0).any():
+            return 0.0, 0.0
+        begin = (gap[facing] / rate[facing]).max(initial=-np.inf)
+        end = (gap[leaving] / rate[leaving]).min(initial=np.inf)
+        return float(begin), float(end)
+
 
 def convex_of(hull: Hull, T: Float[np.ndarray, "4 4"]) -> Convex:
     """A hull, placed."""

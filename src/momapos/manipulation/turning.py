@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.geometry.transforms import rotation_about
-from momapos.manipulation.grasps import FAMILIES, Chosen, Family
+from momapos.manipulation.grasps import Chosen
 from momapos.manipulation.handles import HandleKind
+from momapos.manipulation.part_grasps import FAMILIES, Family
 from momapos.robots.robot import Robot
 
 if TYPE_CHECKING:
@@ -89,7 +90,7 @@ def turning_about(robot: Robot, chosen: Chosen) -> Turning:
         return no_turning(count)
     approach = Ts[:, :3, :3] @ robot.approach_axis
     angles = np.arctan2(np.cross(-handle.out, approach) @ axis, approach @ -handle.out)
-    away = Ts[:, :3, 3] - handle.center
+    away = Ts[:, :3, 3] - handle.grip
     along = away @ axis
     beside = np.linalg.norm(away - along[:, None] * axis, axis=1)
     held = (chosen.grasps.handle == 0) & np.isin(chosen.grasps.code, _CLOSED)
