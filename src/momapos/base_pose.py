@@ -16,12 +16,14 @@ from momapos.manipulation.tasks import slides
 from momapos.navigation.global_path import plan_path
 from momapos.outcomes import PoseOutcome, PoseStatus
 from momapos.placement.area import BaseStatus, base_pose_status
+from momapos.placement.holding import LEAST_SCORE
 from momapos.placement.place import BASE_OUTCOMES, Search
 from momapos.placement_result import PlacementResult, plan_of
 from momapos.prepare import PreparedTask, driving_lengths, prepare, start_pose
 from momapos.protocols import Clock, ReachScorer
 from momapos.query import PlacementQuery
 from momapos.reachability.store import load_reach_map
+from momapos.regrasp import every_two_holds
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene
 from momapos.stopwatch import Stopwatch
@@ -31,8 +33,6 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 DEFAULT = PipelineConfig()
-LEAST_SCORE = 1e-6
-"""Score of grasps that the reachability map calls out of reach; those that turn come last [-]."""
 MOST_VALUES = 100
 """Values that are asked one by one at a pose; of more, only some at first [-]."""
 
@@ -203,7 +203,12 @@ def _attempt(query: PlacementQuery, base: Float[np.ndarray, "3"]) -> _Look:
     scores = np.concatenate([scores, turning], axis=1)
     screened = feasible.screen(base[None], scores, None)
     assert screened is not None
-    if screened[0].q is None:
-        return _Look(prepared, Attempt(None, screened[0].outcome))
-    order = np.argsort(-scores[0], kind="stable")
-    return _Look(prepared, feasible(base, screened[0], order))
+    attempt = Attempt(None, screened[0].outcome)
+    if screened[0].q is not None:
+        attempt = feasible(base, screened[0], np.argsort(-scores[0], kind="stable"))
+    ready = every_two_holds(prepared, query.config, query.seed) if attempt.motion is None else ()
+    for two in ready:
+        again = two.at(base, query.reach)
+        if again.motion is not None:
+            return _Look(prepared, again)
+    return _Look(prepared, attempt)

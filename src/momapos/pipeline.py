@@ -28,7 +28,7 @@ from momapos.prepare import driving_lengths, prepare, start_pose
 from momapos.protocols import Clock, ReachScorer
 from momapos.query import PlacementQuery
 from momapos.reachability.store import load_reach_map
-from momapos.regrasp import AJAR, two_holds
+from momapos.regrasp import every_two_holds, two_hold_searches
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene
 from momapos.stopwatch import Stopwatch
@@ -167,15 +167,14 @@ def _search(query: PlacementQuery, selection: Selection, motion: TaskMotion) -> 
     search_config = brief if selection.boxes else config.place
     with watch.stage("search"):
         found = search(problem, search_config, np.random.default_rng(query.seed))
-    for ajar in AJAR if found.is_no else ():
-        two = two_holds(prepared, config, query.seed, ajar, out_of_time=out_of_time, watch=watch)
-        if two is None:
-            continue
-        again = replace(two.problem(problem), attempt=drivable(two))
-        with watch.stage("search"):
-            found.join(search(again, search_config, np.random.default_rng(query.seed)))
-        if not found.is_no:
-            break
+    if found.is_no and not selection.boxes:
+        ready = every_two_holds(prepared, config, query.seed, out_of_time=out_of_time, watch=watch)
+        for two, place in two_hold_searches(ready, search_config):
+            again = replace(two.problem(problem), attempt=drivable(two))
+            with watch.stage("search"):
+                found.join(search(again, place, np.random.default_rng(query.seed)))
+            if not found.is_no:
+                break
     path = None if found.base is None else paths.get(found.base.tobytes())
     return PlacementResult(plan_of(query, found, start, path), prepared, found, start)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -12,14 +12,16 @@ from momapos.config import PipelineConfig
 from momapos.geometry.transforms import pose_planar
 from momapos.kinematics.opening import opening_of
 from momapos.kinematics.world import motion_checker
-from momapos.manipulation.feasibility import Feasibility
+from momapos.manipulation.feasibility import Feasibility, near_home
 from momapos.manipulation.motion import task_motion, with_retreat
 from momapos.manipulation.planner import RESOLUTION, interpolate, plan_motion
 from momapos.manipulation.resistance import stays
 from momapos.outcomes import PoseOutcome, PoseStatus
-from momapos.placement.holding import scores_of_two_holds
+from momapos.placement.config import PlaceConfig
+from momapos.placement.holding import LEAST_SCORE, ScoreWays, scores_of_two_holds
 from momapos.placement.place import Problem
 from momapos.prepare import PreparedTask, prepare
+from momapos.protocols import ReachScorer
 from momapos.stopwatch import Stopwatch
 from momapos.types import ArmPathResult, Attempt, Hold, Motion, Task
 
@@ -50,15 +52,30 @@ class TwoHolds:
         """Ways of the first hold: columns of scores that come before those of the second."""
         return len(self.first.motion.Ts_world_tool)
 
-    def problem(self, problem: Problem) -> Problem:
-        """The search's problem, for two holds."""
+    def at(self, base: Float[np.ndarray, "3"], reach: ReachScorer) -> Attempt:
+        """Try all ways of both holds at one base pose, the best reached first."""
+        score = self.ways[0](reach, base[None]).scores
+        scores = np.maximum(score, LEAST_SCORE)
+        screened = self.screen(base[None], scores, None)
+        if screened is None or screened[0].q is None:
+            return Attempt(None, PoseOutcome(PoseStatus.NO_GRASP_IN_REACH))
+        return self(base, screened[0], np.argsort(-scores[0], kind="stable"))
+
+    @property
+    def ways(self) -> tuple[ScoreWays, ...]:
+        """How base poses reach the ways of both holds, those of the first before."""
         first, second = self.first.motion, self.second.motion
         Ts = (m.Ts_world_tool[:, m.waypoint_steps] for m in (first, second))
-        pulling, pushing = (np.ascontiguousarray(T) for T in Ts)
+        return (scores_of_two_holds(*(np.ascontiguousarray(T) for T in Ts)),)
+
+    def problem(self, problem: Problem) -> Problem:
+        """The search's problem, for two holds."""
+        second = self.second.motion
+        pushing = np.ascontiguousarray(second.Ts_world_tool[:, second.waypoint_steps])
         return replace(
             problem,
             geometry=replace(problem.geometry, Ts_world_tool=pushing),
-            ways=(scores_of_two_holds(pulling, pushing),),
+            ways=self.ways,
             screen=self.screen,
             attempt=self,
         )
@@ -91,10 +108,12 @@ class TwoHolds:
         if pulled.motion is None:
             return pulled
         assert screened.q is not None
-        between = self._between(base, pulled.motion.q[-1], screened.q[0])
+        chain, start = self.second.robot.chain, pulled.motion.q[-1]
+        q = near_home(screened.q, start, chain.lower, chain.upper)
+        between = self._between(base, start, q[0])
         if between is None:
             return Attempt(None, PoseOutcome(PoseStatus.NO_APPROACH))
-        motion = self._joined(base, pulled.motion, between, screened)
+        motion = self._joined(base, pulled.motion, between, replace(screened, q=q))
         refusal = self.whole.violation(base, motion)
         if refusal is not None:
             return Attempt(None, PoseOutcome(PoseStatus.EXACT_CHECK, refusal))
@@ -134,12 +153,37 @@ class TwoHolds:
         return Motion(pulled.approach, q, object_q, Ts, holds=(*pulled.holds, hold))
 
 
-def two_holds(
+def every_two_holds(
+    whole: PreparedTask,
+    config: PipelineConfig,
+    seed: int,
+    *,
+    out_of_time: Callable[[], bool] = lambda: False,
+    watch: Stopwatch | None = None,
+) -> tuple[TwoHolds, ...]:
+    """Make a task ready to be done in two holds, for each value at which the hand may let go."""
+    watch = watch or Stopwatch(lambda: 0.0)
+    if whole.infeasible_reason:
+        return ()
+    ready = (_two_holds(whole, config, seed, ajar, out_of_time, watch) for ajar in AJAR)
+    return tuple(two for two in ready if two is not None)
+
+
+def two_hold_searches(
+    ready: tuple[TwoHolds, ...], place: PlaceConfig
+) -> Iterator[tuple[TwoHolds, PlaceConfig]]:
+    """Searches to be tried in turn: samples for every value first, the grids after them."""
+    rounds = (replace(place, grid=False), replace(place, rounds=0)) if place.grid else (place,)
+    for each in rounds:
+        for two in ready:
+            yield two, each
+
+
+def _two_holds(
     whole: PreparedTask,
     config: PipelineConfig,
     seed: int,
     ajar: float,
-    *,
     out_of_time: Callable[[], bool],
     watch: Stopwatch,
 ) -> TwoHolds | None:

@@ -57,7 +57,7 @@ class Family(StrEnum):
     """A cup on a front."""
 
 
-FAMILIES = tuple(Family)
+FAMILIES: tuple[Family, ...] = tuple(Family)
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,9 @@ from momapos.protocols import ReachScorer
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
+LEAST_SCORE = 1e-6
+"""Score of ways that the reachability map calls out of reach, where all are tried: they come last,
+those that turn after the others [-]."""
 _BLOCK = 4096
 """Poses whose scores at every waypoint are held at a time [-]."""
 
