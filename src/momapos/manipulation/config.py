@@ -45,7 +45,7 @@ class GraspConfig:
     """Tilts along the handle [deg]."""
     points: tuple[float, ...] = (0.0, 0.6, -0.6)
     """Points along the handle, as shares of its half length [-]."""
-    standoffs: tuple[float, ...] = (0.0, 0.7)
+    standoffs: tuple[float, ...] = (0.0, 0.5, 1.0)
     """How far the hand stays before the deepest place it can reach, as shares of the way from
     there to where only its fingertips hold [-]."""
     rolls: int = 8

@@ -21,7 +21,7 @@ from momapos.manipulation.grasp_hold import (
     stands_clear,
 )
 from momapos.manipulation.hand import Hand, hand_of
-from momapos.manipulation.handle_shapes import Element, part_elements
+from momapos.manipulation.handle_shapes import Element, corners, part_elements
 from momapos.manipulation.handles import (
     Handle,
     HandleKind,
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 HAND_REACH = 0.35
 """What is farther from a handle cannot meet the hand [m]."""
-BITE = 0.005
+BITE = 0.003
 """Fingertips reach at least this far beyond the near side of what they hold [m]."""
 HOOKED = 0.8
 """A grasp hooks where at least this share of the pull is along the closing axis [-]."""
@@ -276,13 +276,16 @@ def _deep_enough(
     blocked = room.obstacle[~fits & (room.obstacle >= 0)]
     worst = int(np.bincount(blocked).argmax()) if len(blocked) else -1
     # Where the tool's origin lies in a bar, the hand can turn about it on its way.
-    depths = [deepest + share * (shallow - deepest) for share in config.standoffs]
     at_origin = np.full(len(deepest), min(hand.pad_middle, 0.0))
+    turns = (at_origin <= deepest) & (at_origin >= shallow)
     R, p, plain = [], [], []
-    for index, travel in enumerate([*depths, at_origin]):
-        rows = fits & (travel <= deepest) & (travel >= shallow)
-        if index:
-            rows &= deepest - travel > BITE / 2
+    for share in (*config.standoffs, None):
+        if share is None:
+            travel, rows = at_origin, fits & turns
+        else:
+            travel = deepest + share * (shallow - deepest)
+            rows = fits & ~(turns & (np.abs(travel - at_origin) < BITE))
+            rows &= (share == config.standoffs[0]) | (deepest - travel > BITE / 2)
         R.append(lines.R[rows])
         p.append(origin[rows] + travel[rows, None] * (lines.R[rows] @ hand.approach))
         plain.append(lines.plainness[rows] + 10 * (-travel[rows]).clip(0))
@@ -343,7 +346,9 @@ def _none(reason: str) -> PartGrasps:
 
 def _too_thick(robot: Robot, handle: Handle, what: str) -> str:
     """That no way of closing spans a handle; "" where one does."""
-    least = min(handle.thickness, handle.depth, 2 * handle.half_length)
+    least = handle.thickness
+    if not handle.edge:
+        least = min(least, float(np.ptp(corners(handle.elements) @ handle.out)))
     if least < robot.opening:
         return ""
     return (
