@@ -83,6 +83,7 @@ def summary(answer: PlacementResult, out: Path | None) -> str:
             f"({answer.start[0]:.2f}, {answer.start[1]:.2f})",
             f"  move        {len(plan.motion.approach)} states to the grasp, then "
             f"{len(plan.motion.q)}{turn}",
+            f"  hold        {answer.hold}",
             "  checked     base, arm and moving part over the whole motion, exact geometry",
         ]
     else:
@@ -95,6 +96,7 @@ def summary(answer: PlacementResult, out: Path | None) -> str:
         lines.append(f"  smaller     to {value} {unit} it works: --to {value}{unit}")
     if plan.key_objects is not None:
         lines.append(f"  modeled     {_modeled(plan.key_objects)}")
+    lines += [f"  assumed     {text}" for text in answer.prepared.robot.assumed]
     lines.append(f"  time        {_times(plan.timing)}")
     lines += _rejections(answer)
     if out is not None:

@@ -54,6 +54,15 @@ class Grasps:
         """How each grasp holds."""
         return tuple(FAMILIES[code] for code in self.code)
 
+    def describe(self, grasp: int) -> str:
+        """What a grasp holds and how, in words."""
+        family, width = FAMILIES[self.code[grasp]], 100 * self.width[grasp]
+        what = f"{self.handles[self.handle[grasp]]}" if self.handles else "the object"
+        if family is Family.PUSH:
+            return f"{family} at {what}"
+        strong = f"{self.capacity[grasp]:.0f} N of {self.need[grasp]:.0f} N needed"
+        return f"{family} of {what}; {width:.1f} cm between the fingers, {strong}"
+
     def take(self, rows: Int[np.ndarray, " k"] | Bool[np.ndarray, " g"]) -> Grasps:
         """Some of the grasps."""
         return Grasps(
