@@ -56,7 +56,7 @@ class GraspConfig:
     """Distance that the open hand keeps from what it does not hold [m]."""
     friction: float = 0.6
     """Between pads and handles [-]."""
-    pad_contact: float = 0.4
+    pad_contact: float = 0.35
     """Each pad touches what it holds over this area at least [cm^2]."""
     grasp_margin: float = 1.3
     """A grasp transmits this many times what the part needs [-]."""
