@@ -36,6 +36,15 @@ class PlacementResult:
         """Whether the part slides [m]; it turns otherwise [rad]."""
         return slides(self.prepared.scene, self.plan.task)
 
+    @property
+    def hold(self) -> str:
+        """How the plan holds what it moves, and where that was found; "" where nothing is held."""
+        motion, found = self.prepared.motion, self.plan.motion
+        if found is None or motion.refusal:
+            return ""
+        away = np.abs(motion.Ts_world_tool[:, motion.grasp_step] - found.Ts_world_tool[0])
+        return motion.grasps.describe(int(away.sum((1, 2)).argmin()))
+
     def __repr__(self) -> str:
         task = self.plan.task
         what = task.object if task.joint is None else f"{task.object}/{task.joint}"

@@ -119,7 +119,7 @@ def prepare(
         world = collision_world(robot, motion, config)
         has_room, obstacle = collision_free_grasps(robot, world, motion)
         if has_room.any():
-            motion = motion.only(has_room)
+            motion = motion.only(motion.grasps.deepest(has_room))
     with watch.stage("exact model"):
         verifier = PlanVerifier(scene, robot, task)
         blocked = verifier.blocked(LIFT)

@@ -31,6 +31,9 @@ if TYPE_CHECKING:
 AJAR = (np.radians(30.0), np.radians(40.0), np.radians(50.0))
 """How far a door is pulled before it is pushed, the first that works [rad]."""
 
+BETWEEN = 0.1
+"""Time for the arm's way between the holds, of which most are easy or none [s]."""
+
 
 @dataclass(frozen=True)
 class TwoHolds:
@@ -130,7 +133,8 @@ class TwoHolds:
         )  # fmt: skip
         return plan_motion(
             start, goal, chain.lower, chain.upper, free,
-            config=self.config.planner, seed=self.seed,
+            config=replace(self.config.planner, budget=min(BETWEEN, self.config.planner.budget)),
+            seed=self.seed,
         )  # fmt: skip
 
     def _joined(

@@ -15,9 +15,9 @@ SAYS = {
     "01": "solved",
     "02": "infeasible",
     "03": "solved and valid",
-    "04": "(1.35, -1.01, 2.98) feasible",
+    "04": "(1.25, -1.0, 2.98) feasible",
     "05": "27.3%",
-    "06": "28.9 s",
+    "06": "18.6 s",
     "07": "fridge",
     "08": "solved",
 }

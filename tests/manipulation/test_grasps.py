@@ -300,3 +300,19 @@ def test_the_sharp_edge_of_a_bar_is_no_contact(robot: Robot, tmp_path: Path) -> 
         counts.append(len(grasps_of(robot, model, "hinge", 1.0, handle, config).code))
     assert counts[0] == 0
     assert counts[1] > 0
+
+
+def test_of_grasps_from_the_same_side_the_deepest_that_has_room_is_kept(
+    robot: Robot, tmp_path: Path
+) -> None:
+    motion = opened(changed(tmp_path), robot)
+    grasps = motion.grasps
+    for rows in (np.ones(len(grasps), bool), np.arange(len(grasps)) % 3 > 0):
+        kept = grasps.deepest(rows)
+        assert not (kept & ~rows).any()
+        assert set(grasps.line[kept]) == set(grasps.line[rows])
+        deep = motion.Ts_world_tool[:, motion.grasp_step]
+        into = np.einsum("gi,gi->g", deep[:, :3, :3] @ robot.approach_axis, deep[:, :3, 3])
+        for line in grasps.line[kept]:
+            same = rows & (grasps.line == line)
+            assert into[same].max() == pytest.approx(into[kept & same][0], abs=1e-9)

@@ -89,12 +89,14 @@ def summary(answer: PlacementResult, out: Path | None, *, most: bool = False) ->
             f"({answer.start[0]:.2f}, {answer.start[1]:.2f})",
             f"  move        {len(plan.motion.approach)} states to the grasp, then "
             f"{len(plan.motion.q)}{turn}",
+            f"  hold        {answer.hold}",
             "  checked     base, arm and moving part over the whole motion, exact geometry",
         ]
     else:
         lines.append(f"  {plan.status:<11} {_why_not(answer)}")
     if plan.key_objects is not None:
         lines.append(f"  modeled     {_modeled(plan.key_objects)}")
+    lines += [f"  assumed     {text}" for text in answer.prepared.robot.assumed]
     lines.append(f"  time        {_times(plan.timing)}")
     lines += _rejections(answer)
     if out is not None:

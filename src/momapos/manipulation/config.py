@@ -45,7 +45,7 @@ class GraspConfig:
     """Tilts along the handle [deg]."""
     points: tuple[float, ...] = (0.0, 0.6, -0.6)
     """Points along the handle, as shares of its half length [-]."""
-    standoffs: tuple[float, ...] = (0.0, 0.7)
+    standoffs: tuple[float, ...] = (0.0, 0.5, 1.0)
     """How far the hand stays before the deepest place it can reach, as shares of the way from
     there to where only its fingertips hold [-]."""
     rolls: int = 8
@@ -56,7 +56,7 @@ class GraspConfig:
     """Distance that the open hand keeps from what it does not hold [m]."""
     friction: float = 0.6
     """Between pads and handles [-]."""
-    pad_contact: float = 0.4
+    pad_contact: float = 0.35
     """Each pad touches what it holds over this area at least [cm^2]."""
     grasp_margin: float = 1.3
     """A grasp transmits this many times what the part needs [-]."""

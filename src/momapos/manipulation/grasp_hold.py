@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 BACK = 0.25
 """A hand that comes along a line is looked at from this far before its target [m]."""
-ROWS, COLUMNS = 20, 4
+ROWS, COLUMNS = 40, 3
 """Points of a pad at which its contact is looked for, along and across the fingers [-]."""
 CONE = 2 / 3
 """Of the friction cone, so much may be spent on staying where the pads are [-]."""
@@ -184,7 +184,7 @@ def contact_of(
         points = np.einsum("gij,gnj->gni", R, local) + p[:, None]
         touching = np.zeros(points.shape[:2], bool)
         for element in held:
-            depth, cosine = element.convex.surface(points, axis)
+            depth, cosine = element.convex.surface(points, side * axis)
             touching |= (depth >= 0) & (cosine >= cone)
         count = touching.sum(1)
         cell = (high - low).prod() / (ROWS * COLUMNS)

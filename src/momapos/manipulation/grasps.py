@@ -26,6 +26,8 @@ from momapos.robots.robot import Robot
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
+_LINES = 1_000_000
+"""Apart from each other by more than the lines onto one handle [-]."""
 ENOUGH = 2.5
 """Grasps that transmit more times what is needed are as good as each other [-]."""
 
@@ -46,6 +48,8 @@ class Grasps:
     """What is held; empty for rigid objects."""
     handle: Int[np.ndarray, " g"]
     """Index into `handles`."""
+    line: Int[np.ndarray, " g"]
+    """Grasps with the same number differ by their depth alone, the deepest first."""
 
     def __len__(self) -> int:
         return len(self.code)
@@ -55,11 +59,28 @@ class Grasps:
         """How each grasp holds."""
         return tuple(FAMILIES[code] for code in self.code)
 
+    def deepest(self, rows: Bool[np.ndarray, " g"]) -> Bool[np.ndarray, " g"]:
+        """Of some grasps, those that no other holds deeper from the same side."""
+        chosen = np.flatnonzero(rows)
+        _, first = np.unique(self.line[chosen], return_index=True)
+        kept = np.zeros(len(self), bool)
+        kept[chosen[first]] = True
+        return kept
+
+    def describe(self, grasp: int) -> str:
+        """What a grasp holds and how, in words."""
+        family, width = FAMILIES[self.code[grasp]], 100 * self.width[grasp]
+        what = f"{self.handles[self.handle[grasp]]}" if self.handles else "the object"
+        if family is Family.PUSH:
+            return f"{family} at {what}"
+        strong = f"{self.capacity[grasp]:.0f} N of {self.need[grasp]:.0f} N needed"
+        return f"{family} of {what}; {width:.1f} cm between the fingers, {strong}"
+
     def take(self, rows: Int[np.ndarray, " k"] | Bool[np.ndarray, " g"]) -> Grasps:
         """Some of the grasps."""
         return Grasps(
             self.code[rows], self.width[rows], self.capacity[rows], self.need[rows],
-            self.handles, self.handle[rows],
+            self.handles, self.handle[rows], self.line[rows],
         )  # fmt: skip
 
 
@@ -117,7 +138,8 @@ def holding_grasps(
     none = np.full(len(lines.R), np.nan)
     bare = PartGrasps(
         poses_of(lines.R, lines.target), np.zeros(len(none), np.int64), none,
-        np.zeros(len(none)), lines.target, lines.plainness, "",
+        np.zeros(len(none)), lines.target, lines.plainness,
+        np.arange(len(none)), "",
     )  # fmt: skip
     # A part without any handle has edges alone, and the first says as much as the second.
     named = [r for r, h in zip(reasons, handles, strict=True) if not h.edge] or reasons[:1]
@@ -168,6 +190,7 @@ def _ordered(
     grasps = Grasps(
         np.concatenate([g.code for g in parts]), np.concatenate([g.width for g in parts]),
         capacity, need, tuple(h for h, _ in found), handle,
+        np.concatenate([_LINES * k + g.line for k, g in enumerate(parts)]),
     )  # fmt: skip
     Ts = np.concatenate([g.Ts_part_tool for g in parts])
     return Chosen(Ts[order], grasps.take(order), reason, passed_over)
@@ -205,7 +228,7 @@ def lifting_grasps(
     firm = np.full(len(width), 2 * friction * robot.grip_force)
     code = np.full(len(width), FAMILIES.index(Family.PINCH))
     none = np.zeros(len(width), np.int64)
-    return Grasps(code, width, firm, np.full(len(width), weight), (), none)
+    return Grasps(code, width, firm, np.full(len(width), weight), (), none, np.arange(len(width)))
 
 
 def box_grasps(

@@ -411,9 +411,7 @@ def front_face(model: Articulated, joint: str, sign: float) -> Handle | None:
     edge = _free_edges(part, model, joint, sign)[0]
     slides = model.joint(joint).kind == "prismatic"
     middle = edge.center - edge.out * (edge.depth / 2 if slides else FACE_INSIDE)
-    out = motion_direction(model, joint, sign, middle)
-    out = out - (out @ edge.long) * edge.long
-    out = out / np.linalg.norm(out)
+    out = _panel_normal(part, model, joint, sign)
     tops = [float((e.convex.vertices @ out).max()) for e in edge.elements]
     front = middle + out * (max(tops) - float(middle @ out))
     return Handle(

@@ -21,7 +21,7 @@ from momapos.manipulation.grasp_hold import (
     stands_clear,
 )
 from momapos.manipulation.hand import Hand, hand_of
-from momapos.manipulation.handle_shapes import Element, part_elements
+from momapos.manipulation.handle_shapes import Element, corners, part_elements
 from momapos.manipulation.handles import (
     Handle,
     HandleKind,
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 HAND_REACH = 0.35
 """What is farther from a handle cannot meet the hand [m]."""
-BITE = 0.005
+BITE = 0.003
 """Fingertips reach at least this far beyond the near side of what they hold [m]."""
 HOOKED = 0.8
 """A grasp hooks where at least this share of the pull is along the closing axis [-]."""
@@ -73,6 +73,8 @@ class PartGrasps:
     """Middle of the contact in the part [m]."""
     plainness: Float[np.ndarray, " g"]
     """The less, the plainer [-]."""
+    line: Int[np.ndarray, " g"]
+    """Grasps with the same number differ by their depth alone."""
     reason: str
     """Why there is none; "" where there is one."""
 
@@ -80,7 +82,7 @@ class PartGrasps:
         """Some of the grasps."""
         return PartGrasps(
             self.Ts_part_tool[rows], self.code[rows], self.width[rows], self.capacity[rows],
-            self.point[rows], self.plainness[rows], self.reason,
+            self.point[rows], self.plainness[rows], self.line[rows], self.reason,
         )  # fmt: skip
 
 
@@ -190,8 +192,9 @@ def push_grasps(
     push = np.full(len(found.code), FAMILIES.index(Family.PUSH))
     firm = np.full(len(found.code), np.inf)
     return face, PartGrasps(
-        found.Ts_part_tool, push, found.width, firm, found.point, found.plainness, found.reason
-    )
+        found.Ts_part_tool, push, found.width, firm, found.point, found.plainness, found.line,
+        found.reason,
+    )  # fmt: skip
 
 
 def _closed(
@@ -207,7 +210,7 @@ def _closed(
     elements, held = _surroundings(model, joint, handle)
     lines = lines_onto(robot, handle, config)
     what = handle.name if handle.found is not HandleSource.EDGE else f"the edge of {handle.name}"
-    R, p, plain, obstacle = _deep_enough(hand, elements, lines, handle, config)
+    R, p, plain, line, obstacle = _deep_enough(hand, elements, lines, handle, config)
     if not len(R):
         name = elements[obstacle].link if obstacle >= 0 else handle.name
         no_room = f"the hand has no room at {what}: {name} is in its way"
@@ -237,7 +240,9 @@ def _closed(
     capacity = pinch_capacity(robot.grip_force, config.friction, lean)
     code = np.where(lean > HOOKED, FAMILIES.index(Family.HOOK), FAMILIES.index(Family.PINCH))
     width = robot.opening - 2 * travel[rows, 0]
-    return PartGrasps(poses_of(R[rows], p[rows]), code, width, capacity, point, plain[rows], "")
+    return PartGrasps(
+        poses_of(R[rows], p[rows]), code, width, capacity, point, plain[rows], line[rows], ""
+    )
 
 
 def _surroundings(
@@ -259,11 +264,18 @@ def _deep_enough(
     lines: Lines,
     handle: Handle,
     config: GraspConfig,
-) -> tuple[Float[np.ndarray, "g 3 3"], Float[np.ndarray, "g 3"], Float[np.ndarray, " g"], int]:
+) -> tuple[
+    Float[np.ndarray, "g 3 3"],
+    Float[np.ndarray, "g 3"],
+    Float[np.ndarray, " g"],
+    Int[np.ndarray, " g"],
+    int,
+]:
     """Tool poses where the pads are at the handle, as deep as there is room, and less deep.
 
     Returns:
-        Rotations, origins, plainness, and what is in the way of most lines that lead nowhere.
+        Rotations, origins, plainness, the line of each, and what is in the way of most lines that
+        lead nowhere.
     """
     origin = lines.target - hand.pad_middle * (lines.R @ hand.approach)
     room = advance(hand, elements, lines.R, origin, config)
@@ -276,17 +288,23 @@ def _deep_enough(
     blocked = room.obstacle[~fits & (room.obstacle >= 0)]
     worst = int(np.bincount(blocked).argmax()) if len(blocked) else -1
     # Where the tool's origin lies in a bar, the hand can turn about it on its way.
-    depths = [deepest + share * (shallow - deepest) for share in config.standoffs]
     at_origin = np.full(len(deepest), min(hand.pad_middle, 0.0))
-    R, p, plain = [], [], []
-    for index, travel in enumerate([*depths, at_origin]):
-        rows = fits & (travel <= deepest) & (travel >= shallow)
-        if index:
-            rows &= deepest - travel > BITE / 2
+    turns = (at_origin <= deepest) & (at_origin >= shallow)
+    R, p, plain, line = [], [], [], []
+    for share in (*config.standoffs, None):
+        if share is None:
+            travel, rows = at_origin, fits & turns
+        else:
+            travel = deepest + share * (shallow - deepest)
+            rows = fits & ~(turns & (np.abs(travel - at_origin) < BITE))
+            rows &= (share == config.standoffs[0]) | (deepest - travel > BITE / 2)
         R.append(lines.R[rows])
+        line.append(np.flatnonzero(rows) + (len(rows) if share is None else 0))
         p.append(origin[rows] + travel[rows, None] * (lines.R[rows] @ hand.approach))
         plain.append(lines.plainness[rows] + 10 * (-travel[rows]).clip(0))
-    return np.concatenate(R), np.concatenate(p), np.concatenate(plain), worst
+    return (
+        np.concatenate(R), np.concatenate(p), np.concatenate(plain), np.concatenate(line), worst,
+    )  # fmt: skip
 
 
 def _touching(
@@ -322,7 +340,8 @@ def _touching(
     count = len(rows)
     return PartGrasps(
         poses_of(lines.R[rows], p), np.full(count, code), np.full(count, robot.opening),
-        np.full(count, robot.grip_force), lines.target[rows], lines.plainness[rows], "",
+        np.full(count, robot.grip_force), lines.target[rows], lines.plainness[rows],
+        np.arange(count), "",
     )  # fmt: skip
 
 
@@ -337,13 +356,16 @@ def poses_of(
 def _none(reason: str) -> PartGrasps:
     none = np.zeros(0)
     return PartGrasps(
-        np.zeros((0, 4, 4)), np.zeros(0, np.int64), none, none, np.zeros((0, 3)), none, reason
-    )
+        np.zeros((0, 4, 4)), np.zeros(0, np.int64), none, none, np.zeros((0, 3)), none,
+        np.zeros(0, np.int64), reason,
+    )  # fmt: skip
 
 
 def _too_thick(robot: Robot, handle: Handle, what: str) -> str:
     """That no way of closing spans a handle; "" where one does."""
-    least = min(handle.thickness, handle.depth, 2 * handle.half_length)
+    least = handle.thickness
+    if not handle.edge:
+        least = min(least, float(np.ptp(corners(handle.elements) @ handle.out)))
     if least < robot.opening:
         return ""
     return (

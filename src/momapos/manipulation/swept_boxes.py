@@ -34,18 +34,25 @@ class Convex:
         return (self.offsets - points @ self.normals.T).min(-1)
 
     def surface(
-        self, points: Float[np.ndarray, "g n 3"], direction: Float[np.ndarray, "g 3"]
+        self, points: Float[np.ndarray, "g n 3"], outward: Float[np.ndarray, "g 3"]
     ) -> tuple[Float[np.ndarray, "g n"], Float[np.ndarray, "g n"]]:
-        """How deep points lie inside [m], and the cosine between a direction and the nearest face.
+        """How deep points lie inside [m], and how a line from them meets the surface.
 
         Args:
             points: In groups.
-            direction: Unit vector of each group.
+            outward: Unit direction of the line of each group.
+
+        Returns:
+            Depth, negative outside; cosine between the line and the normal of the face by which
+            it leaves.
         """
         inside = self.offsets - points @ self.normals.T
-        nearest = inside.argmin(-1)
-        depth = np.take_along_axis(inside, nearest[..., None], -1)[..., 0]
-        return depth, np.take_along_axis(np.abs(direction @ self.normals.T), nearest, 1)
+        rate = outward @ self.normals.T
+        ahead = np.where(rate > _STILL, rate, np.nan)[:, None]
+        with np.errstate(invalid="ignore"):
+            way = np.where(np.isnan(ahead), np.inf, inside / ahead)
+        face = way.argmin(-1)
+        return inside.min(-1), np.take_along_axis(rate, face, 1)
 
     def span(
         self, origin: Float[np.ndarray, "3"], direction: Float[np.ndarray, "3"]
