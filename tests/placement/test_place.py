@@ -14,6 +14,7 @@ from momapos.manipulation.tasks import make_task
 from momapos.outcomes import PoseOutcome, PoseStatus
 from momapos.placement.area import PlacementGeometry
 from momapos.placement.config import Method, PlaceConfig
+from momapos.placement.holding import ways_of_holding
 from momapos.placement.place import Problem, Search, search
 from momapos.robots.robot import Robot
 from momapos.types import ArmPathResult, Attempt, Motion
@@ -74,7 +75,8 @@ def find(
     def length(xy: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
         return np.linalg.norm(xy - START[:2], axis=1)
 
-    problem = Problem(geometry, Everywhere(), length, attempt, screen, START, lambda: False)
+    ways = ways_of_holding(geometry.Ts_world_tool, np.zeros((0, 1), int))
+    problem = Problem(geometry, Everywhere(), ways, length, attempt, screen, START, lambda: False)
     coarse = {"grid_cell": 0.2, "grid_turn": 45.0}
     config = PlaceConfig(method=method, **{**coarse, **changes})  # type: ignore[arg-type]
     return search(problem, config, np.random.default_rng(0))

@@ -210,7 +210,9 @@ def inside_grasps(
     count, order = len(Ts), np.argsort(plain, kind="stable")
     code = np.full(count, FAMILIES.index(Family.PUSH))
     wide, firm = np.full(count, robot.opening), np.full(count, np.inf)
-    grasps = Grasps(code, wide, firm, np.zeros(count), (back,), np.zeros(count, np.int64))
+    grasps = Grasps(
+        code, wide, firm, np.zeros(count), (back,), np.zeros(count, np.int64), np.arange(count)
+    )
     return Chosen(Ts[order], grasps, "", "")
 
 
