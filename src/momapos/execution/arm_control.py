@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 _DAMPING, _SINGULAR = 0.1, 0.12
 """Damping of the inverse at singular states of the arm, and the singular value where it begins:
 there the joints rather stay near the plan [-]."""
+_ROUNDS = 3
+"""How often joints at their limits are left out, and the others asked again [-]."""
 _NULL_RATE = 2.0
 """Joints that the tool's pose leaves free return to the plan at this rate [1/s]."""
 
@@ -70,8 +72,10 @@ class Reference:
     """Pose of the tool."""
     twist: Float[np.ndarray, "6"]
     """Its speed, linear and angular [m/s], [rad/s]."""
-    way: Float[np.ndarray, "3"] | None = None
-    """Unit vector along which the hand does not give way; None where it does in all."""
+    yields: Float[np.ndarray, "3 3"]
+    """Projects a force on the directions in which the hand gives way."""
+    loose: Float[np.ndarray, "3 3"]
+    """Projects an offset on the directions in which the hand makes it up slowly."""
 
 
 class CompliantArm:
@@ -117,18 +121,32 @@ class CompliantArm:
         config = self.config
         T, J = self.kinematics.at(self.q)
         off = twist_between(T, reference.T)
-        line = config.return_rate * off[:3] + self._wrench[:3] / config.damping
+        stiff = off[:3] - reference.loose @ off[:3]
+        line = config.follow_rate * stiff + config.return_rate * (off[:3] - stiff)
+        line += reference.yields @ self._wrench[:3] / config.damping
         turn = config.turn_return_rate * off[3:] + self._wrench[3:] / config.turn_damping
-        if reference.way is not None:
-            way = reference.way
-            line += ((config.follow_rate * off[:3] - line) @ way) * way
         twist = np.concatenate([_at_most(line, config.speed), _at_most(turn, config.turn_speed)])
-        twist += reference.twist
-        inverse = _damped_inverse(J)
         free = reference.v + _NULL_RATE * (reference.q - self.q)
-        v = free + inverse @ (twist - J @ free)
-        q = np.clip(self.q + self.step * v, self._low, self._high)
+        q = self._moved(J, reference.twist + twist, free)
         self.go(q, (q - self.q) / self.step)
+
+    def _moved(
+        self,
+        J: Float[np.ndarray, "6 n"],
+        twist: Float[np.ndarray, "6"],
+        free: Float[np.ndarray, " n"],
+    ) -> Float[np.ndarray, " n"]:
+        """The state after a step at a twist; joints that meet a limit leave it to the others."""
+        v, held = free, np.zeros(len(free), bool)
+        for _ in range(_ROUNDS):
+            v = np.where(held, 0.0, free)
+            v = v + _damped_inverse(np.where(held, 0.0, J)) @ (twist - J @ v)
+            q = self.q + self.step * v
+            over = (q < self._low) | (q > self._high)
+            if not (over & ~held).any():
+                break
+            held |= over
+        return np.clip(self.q + self.step * v, self._low, self._high)
 
 
 def _damped_inverse(J: Float[np.ndarray, "6 n"]) -> Float[np.ndarray, "n 6"]:

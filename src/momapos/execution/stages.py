@@ -35,6 +35,7 @@ GRASP_POSITION, GRASP_ANGLE = 0.03, np.radians(15.0)
 """The hand closes when the arm is this near its planned state there [m], [rad]."""
 LASTING = 5
 """A force counts that is above its limit for this many steps of the controller [-]."""
+_ALL, _NONE = np.eye(3), np.zeros((3, 3))
 
 
 @dataclass(frozen=True)
@@ -175,7 +176,7 @@ class ExecutionRun:
                 self.arm.go(q, v, a)
             else:
                 T, J = self.arm.kinematics.at(q)
-                self.arm.follow(Reference(q, v, T, J @ v))
+                self.arm.follow(Reference(q, v, T, J @ v, _ALL, _NONE))
             ending = self._tick(Stage.APPROACH)
             if ending is not None:
                 return ending
@@ -214,7 +215,9 @@ class ExecutionRun:
         grip, arm = self.config.gripper, self.arm
         q = self.motion.q[0]
         T, _ = arm.kinematics.at(q)
-        reference = Reference(q, np.zeros_like(q), T, np.zeros(6))
+        closing = T[:3, :3] @ self.world.hand.axis
+        across = np.outer(closing, closing)  # the fingers find what they hold along this alone
+        reference = Reference(q, np.zeros_like(q), T, np.zeros(6), _ALL, across)
         way = max(abs(f.closed - f.open) * f.lever for f in self.world.hand.fingers)
         enough, firm = grip.loaded * grip.force, 0
         for k in range(round((way / grip.speed + grip.patience) / self.step)):
@@ -278,13 +281,10 @@ class ExecutionRun:
             T, after = pose_at(k), pose_at(min(k + 1, last))
             here, _ = self.arm.kinematics.at(self.world.data.qpos[self.world.arm_q])
             estimate.see(here[:3, 3])
-            sign = np.sign(values[-1] - values[0])
-            self.arm.follow(
-                Reference(
-                    plan.q[k], plan.v[k], T, twist_between(T, after) / self.step,
-                    sign * estimate.axis.way_at(here[:3, 3]),
-                )
-            )  # fmt: skip
+            way = estimate.axis.way_at(here[:3, 3])
+            across = _ALL - np.outer(way, way)
+            twist = twist_between(T, after) / self.step
+            self.arm.follow(Reference(plan.q[k], plan.v[k], T, twist, across, across))
             ending = self._tick(Stage.MANIPULATE) or self._lost()
             if ending is not None:
                 return ending
