@@ -150,6 +150,10 @@ URDFS: dict[str, tuple[str, str]] = {
         linked(joint(FIXED), joint(FIXED, parent="b", child="c")),
         "two joints are named 'j'",
     ),
+    "joint to no link": (
+        linked(joint(FIXED), joint(FIXED, "k", "b", "c").replace('<child link="c"/>', "<child/>")),
+        "joint 'k': <child> has no link",
+    ),
     "two roots": (linked(joint(FIXED)), "not connected"),
     "two parents": (
         linked(joint(FIXED), joint(FIXED, "k", "c"), joint(FIXED, "l", "a", "c")),

@@ -11,6 +11,7 @@ import numpy as np
 from momapos.config import PipelineConfig
 from momapos.outcomes import PoseOutcome, PoseStatus
 from momapos.placement.area import BaseStatus, base_pose_status
+from momapos.placement.holding import score_grasps
 from momapos.placement.place import BASE_OUTCOMES
 from momapos.prepare import prepare
 from momapos.protocols import ReachScorer
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 
 DEFAULT = PipelineConfig()
 LEAST_SCORE = 1e-6
-"""Score of grasps that the reachability map calls out of reach: they come last [-]."""
+"""Score of grasps that the reachability map calls out of reach; those that turn come last [-]."""
 
 
 def check_base_pose(
@@ -71,8 +72,10 @@ def check_base_pose(
         reach = load_reach_map(robot, cache_dir)
     feasible = prepared.feasibility(config, seed)
     # The map is right for most poses, not for all: it orders the grasps and rules none out.
-    scores = reach.min_score(base[None], prepared.geometry.Ts_world_tool)
-    screened = feasible.screen(base[None], np.maximum(scores, LEAST_SCORE), None)
+    scores = np.maximum(score_grasps(reach, base[None], prepared.geometry), LEAST_SCORE)
+    turning = np.full((1, len(prepared.geometry.groups)), LEAST_SCORE / 2)
+    scores = np.concatenate([scores, turning], axis=1)
+    screened = feasible.screen(base[None], scores, None)
     assert screened is not None
     if screened[0].q is None:
         return Attempt(None, screened[0].outcome)

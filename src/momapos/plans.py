@@ -17,7 +17,7 @@ import numpy as np
 from momapos.cache import write_atomic
 from momapos.errors import FileFormatError, InputError
 from momapos.files import read_bytes_bounded
-from momapos.types import Candidates, KeyObjects, Motion, PlacementPlan, Status, Task, Verb
+from momapos.types import Candidates, Hold, KeyObjects, Motion, PlacementPlan, Status, Task, Verb
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -26,6 +26,8 @@ FORMAT, VERSION = "momapos-plan", 1
 MAX_BYTES = 20_000_000
 """A plan of 20,000 states, which is what the check takes, has some 10 MB."""
 MAX_HASHED_BYTES = 50_000_000
+UNIT = 1e-3
+"""A unit vector in a file is so long, to within this [-]."""
 MAX_PARENTS = 3
 """Files are named relative to the plan up to this many folders above it."""
 
@@ -65,6 +67,7 @@ def plan_to_dict(plan: PlacementPlan) -> dict[str, Any]:
             "object_q": motion.object_q.tolist(),
             "times": _times(motion.times),
             "T_world_tool": motion.Ts_world_tool.tolist(),
+            **_holds_to_dict(motion.holds),
         },
         "navigation_cost": plan.navigation_cost,
         "candidates": {
@@ -79,6 +82,16 @@ def plan_to_dict(plan: PlacementPlan) -> dict[str, Any]:
         "method": plan.method,
         "seed": plan.seed,
         "versions": dict(plan.versions),
+    }
+
+
+def _holds_to_dict(holds: tuple[Hold, ...]) -> dict[str, Any]:
+    """Ranges of states, and the axes about which the hand may turn; nothing where it never does."""
+    if not holds:
+        return {}
+    return {
+        "holds": [[hold.first, hold.last] for hold in holds],
+        "turn_axes": [hold.turn_axis for hold in holds],
     }
 
 
@@ -173,6 +186,8 @@ class _Manipulation(msgspec.Struct):
     object_q: list[float]
     T_world_tool: list[list[list[float]]]
     times: list[float] | None = None
+    holds: list[tuple[int, int]] = []
+    turn_axes: list[tuple[float, float, float] | None] = []
 
 
 class _Candidates(msgspec.Struct):
@@ -378,14 +393,45 @@ def _motion(data: _Plan, path: Path) -> Motion | None:
     if motion is None:
         return None
     approach = _array(data.approach, (n,), path, "approach")
+    q = _array(motion.q, (n,), path, "manipulation.q")
+    object_q = _array(motion.object_q, (), path, "manipulation.object_q")
+    Ts_world_tool = _array(motion.T_world_tool, (4, 4), path, "manipulation.T_world_tool")
+    if not len(q) == len(object_q) == len(Ts_world_tool):
+        raise FileFormatError(
+            f"{path}: manipulation has {len(q)} q, {len(object_q)} object_q and "
+            f"{len(Ts_world_tool)} T_world_tool; need one of each at every state"
+        )
     return Motion(
         approach=approach,
-        q=_array(motion.q, (n,), path, "manipulation.q"),
-        object_q=_array(motion.object_q, (), path, "manipulation.object_q"),
-        Ts_world_tool=_array(motion.T_world_tool, (4, 4), path, "manipulation.T_world_tool"),
+        q=q,
+        object_q=object_q,
+        Ts_world_tool=Ts_world_tool,
         approach_times=_read_times(data.approach_times, len(approach), path, "approach_times"),
         times=_read_times(motion.times, len(motion.q), path, "manipulation.times"),
+        holds=_holds(motion, path),
     )
+
+
+def _holds(motion: _Manipulation, path: Path) -> tuple[Hold, ...]:
+    """Ranges of states in order, within the manipulation, with unit axes or none."""
+    axes = motion.turn_axes or [None] * len(motion.holds)
+    bounds = [-1, *(state for hold in motion.holds for state in hold), len(motion.q)]
+    in_order = all(a < b for a, b in zip(bounds[:-1:2], bounds[1::2], strict=True)) and all(
+        first <= last for first, last in motion.holds
+    )
+    if not in_order:
+        raise FileFormatError(
+            f"{path}: manipulation.holds must be [first, last] of states 0 to {len(motion.q) - 1}, "
+            "in order, none in two"
+        )
+    if len(axes) != len(motion.holds) or not all(
+        axis is None or abs(math.hypot(*axis) - 1.0) < UNIT for axis in axes
+    ):
+        raise FileFormatError(
+            f"{path}: manipulation.turn_axes must be a unit vector or null for each of the "
+            f"{len(motion.holds)} holds"
+        )
+    return tuple(Hold(*hold, axis) for hold, axis in zip(motion.holds, axes, strict=True))
 
 
 def _read_times(

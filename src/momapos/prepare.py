@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
@@ -111,7 +111,7 @@ def prepare(
         world = collision_world(robot, motion, config)
         has_room, obstacle = collision_free_grasps(robot, world, motion)
         if has_room.any():
-            motion = replace(motion, Ts_world_tool=motion.Ts_world_tool[has_room])
+            motion = motion.only(has_room)
     with watch.stage("exact model"):
         verifier = PlanVerifier(scene, robot, task)
         blocked = verifier.blocked(LIFT)
@@ -132,6 +132,7 @@ def placement_geometry(
         sweep=motion.sweep(),
         floor_polygon=scene.floor_polygon,
         clearance=clearance,
+        groups=motion.turning.groups,
     )
 
 

@@ -162,6 +162,19 @@ class Task:
 
 
 @dataclass(frozen=True)
+class Hold:
+    """A stretch of a manipulation during which the hand holds the part."""
+
+    first: int
+    """Index of the state in which it takes hold."""
+    last: int
+    """Index of the last state in which it holds."""
+    turn_axis: tuple[float, float, float] | None = None
+    """Unit axis through the tool's origin, fixed in the moved link's frame, about which the hand
+    may turn; None where it may not."""
+
+
+@dataclass(frozen=True)
 class Motion:
     """What the robot does at one base pose."""
 
@@ -176,6 +189,9 @@ class Motion:
     """When the arm passes each state of the approach [s]; None where nobody has timed it."""
     times: Float[np.ndarray, " m"] | None = None
     """Likewise while it holds the object, from the grasp on [s]."""
+    holds: tuple[Hold, ...] = ()
+    """When the hand holds the part of a joint, in order; empty where it does so all along, and
+    does not turn. Between two holds the part stands still."""
 
     def __repr__(self) -> str:
         return f"<Motion: {len(self.approach)} states to the grasp, {len(self.q)} in it>"

@@ -58,7 +58,8 @@ def test_the_kernel_does_the_update_that_skip_gram_prescribes() -> None:
         change += step * v[other]
         v[other] += step * u[0]
     u[0] += change
-    embedding._learn(0, 1, vectors, outputs, table, 2, 0.1, state, np.empty(6))
+    known = embedding.Vectors(vectors, outputs, np.empty(6))
+    embedding._learn(0, 1, known, table, 2, 0.1, state)
     assert vectors == pytest.approx(u, abs=1e-5)
     assert outputs == pytest.approx(v, abs=1e-5)
 

@@ -198,7 +198,8 @@ def test_a_limited_first_joint_leaves_bearings_out() -> None:
 
 def _turned(Ts: np.ndarray, x: float, y: float, yaw: float) -> np.ndarray:
     """Poses turned about the vertical axis through (x, y)."""
-    return pose_planar((x, y, 0)) @ pose_planar((0, 0, yaw)) @ pose_planar((-x, -y, 0)) @ Ts
+    there, turn, back = pose_planar(np.array([[x, y, 0.0], [0.0, 0.0, yaw], [-x, -y, 0.0]]))
+    return there @ turn @ back @ Ts
 
 
 def _with_first_joint_between(robot: Robot, lower: float, upper: float) -> Robot:

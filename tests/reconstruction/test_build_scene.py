@@ -30,7 +30,7 @@ def found(
     name: str, center: tuple[float, ...], size: tuple[float, ...], yaw: float = 0.0
 ) -> Detection:
     """A thing with its box."""
-    box = UprightBox(np.array(center), np.array(size), yaw)
+    box = UprightBox(np.array(center, float), np.array(size, float), yaw)
     return Detection(name, name.rstrip("_0123456789"), 0.9, box, np.arange(3))
 
 

@@ -53,7 +53,7 @@ def prediction(*rows: tuple[str, tuple[int, int], tuple[int, int], int]) -> Pred
     return Prediction(names, np.array(start), np.array(end), np.array(parents), scores, "cabinet")
 
 
-def logits_of(shown: Prediction) -> Logits[np.ndarray]:
+def logits_of(shown: Prediction) -> Logits:
     """Build logits whose maxima are these, in the first slots."""
     rng = np.random.default_rng(0)
     out = Logits(
@@ -227,7 +227,7 @@ def mirror(box: Rectangle) -> Rectangle:
 def test_the_network_gets_the_boxes_that_the_other_predictor_found() -> None:
     asked: list[np.ndarray] = []
 
-    def network(image: np.ndarray, boxes: np.ndarray) -> Logits[np.ndarray]:
+    def network(image: np.ndarray, boxes: np.ndarray) -> Logits:
         assert image.shape == (3, 224, 224)
         assert image.dtype == boxes.dtype == np.float32
         asked.append(boxes)
@@ -244,7 +244,7 @@ def test_the_network_gets_the_boxes_that_the_other_predictor_found() -> None:
 
 
 def test_without_boxes_the_network_is_not_asked() -> None:
-    def network(_image: np.ndarray, _boxes: np.ndarray) -> Logits[np.ndarray]:
+    def network(_image: np.ndarray, _boxes: np.ndarray) -> Logits:
         raise AssertionError("asked")
 
     assert UrdformerPredictor(network, lambda _f, _l: Front(0.3, ()))(face(), "x") == Front(0.3, ())
@@ -252,7 +252,7 @@ def test_without_boxes_the_network_is_not_asked() -> None:
 
 
 def test_of_too_many_parts_the_best_are_asked_for() -> None:
-    def network(_image: np.ndarray, boxes: np.ndarray) -> Logits[np.ndarray]:
+    def network(_image: np.ndarray, boxes: np.ndarray) -> Logits:
         assert boxes[:, 3].min() > 0.0
         return logits_of(prediction(*[("drawer", (0, 0), (6, 6), -1)] * SLOTS))
 

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from momapos.geometry.transforms import invert, pose, pose_planar
+from momapos.geometry.transforms import invert, pose, pose_planar, rotation_about
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.chain import build_chain
 from momapos.kinematics.ik import build_ik, solve_ik
@@ -23,6 +23,7 @@ from momapos.kinematics.urdf import read_urdf
 JOINTS = ("pan", "lift", "elbow", "roll", "pitch", "twist")
 BASE = (-0.7, 0.15, 0.3)
 OPEN = 1.0
+UP = np.array([0.0, 0.0, 1.0])
 HINGE, HANDLE = (0.185, -0.29, 0.8), (-0.09, 0.54, 0.0)
 
 
@@ -102,26 +103,26 @@ def scene_dict() -> dict[str, Any]:
     }  # fmt: skip
 
 
-def tool_poses(values: np.ndarray) -> np.ndarray:
-    """Tool poses that hold the handle at angles of the door."""
+def tool_poses(values: np.ndarray, turns: np.ndarray | float = 0.0) -> np.ndarray:
+    """Tool poses that hold the handle at angles of the door, turned about its bar."""
     grip = np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])  # approach along +x
-    poses = []
-    for value in values:
-        c, s = np.cos(value), np.sin(value)
-        T_world_door = pose(HINGE, np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]))
-        poses.append(T_world_door @ pose(HANDLE, grip))
-    return np.array(poses)
+    R_door, R_turn = rotation_about(UP, values), rotation_about(UP, turns + 0.0 * values)
+    T_world_door = np.array([pose(HINGE, R) for R in R_door])
+    return T_world_door @ np.array([pose(HANDLE, R @ grip) for R in R_turn])
 
 
 @cache
-def arm_path() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Arm states on the way to the handle, along its arc, and the door's values there."""
+def arm_path(turn: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Arm states on the way to the handle, along its arc, and the door's values there.
+
+    On its way the hand turns about the bar by so much of the door's angle.
+    """
     with TemporaryDirectory() as folder:
         (Path(folder) / "robot.urdf").write_text(robot_urdf())
         model = Articulated(read_urdf(Path(folder) / "robot.urdf"))
     chain, _ = build_chain(model, "base", "tool", JOINTS)
     values = np.linspace(0.0, OPEN, 41)
-    held = tool_poses(values)
+    held = tool_poses(values, turn * values)
     before = held[:1] @ np.array([pose((0.0, 0.0, z)) for z in np.linspace(-0.1, 0.0, 11)])
     Ts = invert(pose_planar(np.array(BASE))) @ np.concatenate([before, held])
     solutions, counts = solve_ik(chain, build_ik(chain), Ts)
@@ -170,9 +171,9 @@ class Case:
         self.plan["manipulation"]["object_q"] = values.tolist()
 
 
-def make_case() -> Case:
-    """A valid plan and its files."""
-    approach, q, values = arm_path()
+def make_case(turn: float = 0.0) -> Case:
+    """A valid plan and its files; the hand turns about the bar by so much of the door's angle."""
+    approach, q, values = arm_path(turn)
     plan = {
         "format": "momapos-plan",
         "version": 1,
@@ -186,7 +187,7 @@ def make_case() -> Case:
         "manipulation": {
             "q": q.tolist(),
             "object_q": values.tolist(),
-            "T_world_tool": tool_poses(values).tolist(),
+            "T_world_tool": tool_poses(values, turn * values).tolist(),
         },
         "navigation_cost": 1.5,
         "candidates": {"sampled": 8, "checked": 2, "rejections": {"no path": 1}},

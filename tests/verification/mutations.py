@@ -169,11 +169,6 @@ def the_tool_is_far_from_the_part(case: Case) -> None:
 
 
 @mutation("same number (2 or more) of q, object_q, T_world_tool")
-def a_value_of_the_door_is_missing(case: Case) -> None:
-    held(case)["object_q"].pop()
-
-
-@mutation("same number (2 or more) of q, object_q, T_world_tool")
 def a_single_state(case: Case) -> None:
     for key in ("q", "object_q", "T_world_tool"):
         held(case)[key] = held(case)[key][:1]

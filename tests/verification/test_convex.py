@@ -123,7 +123,7 @@ def test_the_deepest_state_is_that_of_checking_every_state(seed: int, floor: flo
     Ts_a, Ts_b = a.placed(Ts[:, None]), b.placed(np.eye(4)[None, None])
     pairs = all_pairs(4, 5)
     depth, state = deepest(a, Ts_a, b, Ts_b, pairs, floor)
-    for (i, j), found, where in zip(pairs, depth, state, strict=True):
+    for (i, j), found, where in zip(pairs.tolist(), depth, state, strict=True):
         every = [overlap(a.core(i), b.core(j), invert(Ts_b[0, j]) @ T) for T in Ts_a[:, i]]
         assert found == pytest.approx(max(*every, floor), abs=2e-6)
         assert (where == -1) == (max(every) <= floor + 1e-6)

@@ -92,8 +92,7 @@ def test_a_spoilt_plan_is_refused_for_its_reason(name: str, tmp_path: Path) -> N
     spoil, reason = MUTATIONS[name]
     case = make_case()
     spoil(case)
-    with unchecked():  # one of them has fewer values than states
-        report = verify_files(case.write(tmp_path))
+    report = verify_files(case.write(tmp_path))
     assert reason in [check.name for check in report.violations]
 
 
@@ -147,6 +146,15 @@ def test_numbers_that_are_not_finite_are_refused(world: PlanVerifier, motion: Mo
             report = world.check(BASE, replace(motion, **{key: spoilt}))
             assert [check.name for check in report.violations] == ["numbers are finite"]
     assert not world.check((math.nan, 0.0, 0.0), motion).valid
+
+
+def test_a_motion_with_fewer_values_than_states_is_refused(
+    world: PlanVerifier, motion: Motion
+) -> None:
+    with unchecked():
+        report = world.check(BASE, replace(motion, object_q=motion.object_q[:-1]))
+    (found,) = report.violations
+    assert found.name == "same number (2 or more) of q, object_q, T_world_tool"
 
 
 def test_a_motion_too_long_to_check_is_refused(world: PlanVerifier, motion: Motion) -> None:

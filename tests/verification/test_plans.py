@@ -144,6 +144,9 @@ MALFORMED: dict[str, tuple[str, str]] = {
     "narrow q": (
         text(lambda d: d["manipulation"].update(q=[[0.0] * 5] * 41)), "need 6, one a joint",
     ),
+    "too few values of the door": (
+        text(lambda d: d["manipulation"]["object_q"].pop()), "41 q, 40 object_q and 41",
+    ),
     "too few times": (text(lambda d: d["manipulation"].update(times=[0.0])), "manipulation.times"),
     "narrow approach": (text(lambda d: d.update(approach=[[0.0]])), "approach"),
     "3x3 poses": (

@@ -1,8 +1,9 @@
 """Where the machine code of entries is kept: a pack that comes with a wheel, then a cache folder.
 
 Code is found by what it is made from: the entry's stamp (all functions that it calls), the exact
-versions of numba and llvmlite, Python's minor version, and the processor. Checksums find damage,
-not malice: who can write the cache folder can run code as its owner, as with Python's own caches.
+versions of numba, of `compiler.py` and of llvmlite, Python's minor version, and the processor.
+Checksums find damage, not malice: who can write the cache folder can run code as its owner, as with
+Python's own caches.
 """
 
 from __future__ import annotations
@@ -48,7 +49,8 @@ def compiler_version() -> list[str]:
     # package's metadata takes 40 ms to look up.
     numba = Path(package.origin).with_name("_version.py").read_bytes()
     python = f"{sys.implementation.name} {sys.version_info[0]}.{sys.version_info[1]}"
-    versions = [f"numba {content_key(numba)}", f"llvmlite {llvmlite.__version__}"]
+    ours = Path(__file__).with_name("compiler.py").read_bytes()
+    versions = [f"numba {content_key(numba, ours)}", f"llvmlite {llvmlite.__version__}"]
     return [*versions, python, sys.platform, platform.machine()]
 
 

@@ -60,7 +60,7 @@ def edge_normals(polygon: Float[np.ndarray, "*batch k 2"]) -> Float[np.ndarray, 
 
 
 def edge_distances(
-    points: Float[np.ndarray, "*batch n 2"], polygon: Float[np.ndarray, "*batch k 2"]
+    points: Float[np.ndarray, "*#batch n 2"], polygon: Float[np.ndarray, "*#batch k 2"]
 ) -> Float[np.ndarray, "*batch n"]:
     """Distance of points from the nearest edge of a polygon, on either side of it [m]."""
     edge = np.roll(polygon, -1, axis=-2) - polygon

@@ -126,7 +126,7 @@ def _quaternion_matrix(q: Float[np.ndarray, "*batch 4"]) -> Float[np.ndarray, "*
 
 
 def rotation_angle(
-    A: Float[np.ndarray, "*batch 3 3"], B: Float[np.ndarray, "*batch 3 3"]
+    A: Float[np.ndarray, "*#batch 3 3"], B: Float[np.ndarray, "*#batch 3 3"]
 ) -> np.float64 | Float[np.ndarray, " *batch"]:
     """Angle [rad] between rotations; exact for small angles, unlike arccos of the trace."""
     D = np.swapaxes(A, -1, -2) @ B

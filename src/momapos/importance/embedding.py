@@ -9,11 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from momapos.compiled import F2, I1, entry, kernel
+from momapos.compiled import F1, F2, I1, entry, kernel
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
@@ -77,10 +77,39 @@ def _skip_gram(
     share = np.cumsum(root * np.sqrt(root))
     table = np.searchsorted(share, (np.arange(_TABLE) + 0.5) / _TABLE * share[-1])
     _train(
-        tokens.astype(np.int64), start.astype(np.int64), table, vectors, np.zeros_like(vectors),
-        config.window, config.epochs, NEGATIVE, LEARNING_RATE, np.uint64(config.seed),
-    )  # fmt: skip
+        Text(tokens.astype(np.int64), start.astype(np.int64)),
+        table,
+        Vectors(vectors, np.zeros_like(vectors), np.empty(config.dimensions)),
+        Training(config.window, config.epochs, NEGATIVE, LEARNING_RATE),
+        np.uint64(config.seed),
+    )
     return vectors
+
+
+class Text(NamedTuple):
+    """Sentences, one after the other."""
+
+    tokens: I1
+    start: I1
+    """Where each sentence begins, and the end."""
+
+
+class Vectors(NamedTuple):
+    """What is learned of each word."""
+
+    words: F2
+    outputs: F2
+    change: F1
+    """Memory of one update."""
+
+
+class Training(NamedTuple):
+    """How it is learned, see `SkipGram`."""
+
+    window: int
+    epochs: int
+    negative: int
+    rate: float
 
 
 @kernel
@@ -115,9 +144,10 @@ def _dot(a, b):
 
 
 @kernel
-def _learn(word, company, vectors, outputs, table, negative, rate, state, change):
+def _learn(word, company, vectors, table, negative, rate, state):
     """One update: `word` shall predict `company`, and not the words that are drawn."""
-    mine = vectors[word]
+    words, outputs, change = vectors
+    mine = words[word]
     for k in range(len(change)):
         change[k] = 0.0
     for draw in range(negative + 1):
@@ -139,18 +169,14 @@ def _learn(word, company, vectors, outputs, table, negative, rate, state, change
 
 @entry
 def _train(
-    tokens: I1,
-    start: I1,
+    text: Text,
     table: I1,
-    vectors: F2,
-    outputs: F2,
-    window: int,
-    epochs: int,
-    negative: int,
-    rate: float,
+    vectors: Vectors,
+    training: Training,
     state: np.uint64,
 ) -> None:
-    change = np.empty(vectors.shape[1])
+    tokens, start = text
+    window, epochs, negative, rate = training
     seen, total = 0, epochs * len(tokens)
     for _ in range(epochs):
         for s in range(len(start) - 1):
@@ -164,9 +190,8 @@ def _train(
                 for there in range(first, last + 1):
                     if there != here:
                         state = _learn(
-                            tokens[there], tokens[here], vectors, outputs, table, negative, now,
-                            state, change,
-                        )  # fmt: skip
+                            tokens[there], tokens[here], vectors, table, negative, now, state
+                        )
 
 
 def cosine(vectors: Float[np.ndarray, "n d"], target: int) -> Float[np.ndarray, " n"]:

@@ -45,8 +45,15 @@ class BodyArrays(NamedTuple):
 
 
 @kernel
-def _span(x, y, z, dx, dy, dz, planes, first, last):
-    """Where the line p + t d lies in a convex body: (enters, leaves); leaves < enters if not."""
+def _span(point, direction, planes, first, last):
+    """Where a line lies in a convex body: (enters, leaves); leaves < enters if nowhere.
+
+    Args:
+        point, direction: x, y, z of each.
+        planes, first, last: The body's planes are those from first to last.
+    """
+    x, y, z = point
+    dx, dy, dz = direction
     enters, leaves = -np.inf, np.inf
     for k in range(first, last):
         rate = planes[k, 0] * dx + planes[k, 1] * dy + planes[k, 2] * dz
@@ -65,8 +72,9 @@ def _span(x, y, z, dx, dy, dz, planes, first, last):
 @kernel
 def _columns(i, j, bodies, contact):
     """Shares of what i stands on where j carries it, lies beneath it, and lies above it."""
-    low, high, base, articulated = bodies[:4]
-    hull_start, hull_low, hull_high, planes, plane_start = bodies[4:9]
+    low, high, base, articulated = bodies.low, bodies.high, bodies.base, bodies.articulated
+    hull_start, hull_low, hull_high = bodies.hull_start, bodies.hull_low, bodies.hull_high
+    planes, plane_start = bodies.planes, bodies.plane_start
     bottom, top = low[i, 2], high[i, 2]
     carried, below, roofed = 0, 0, 0
     for s in range(base.shape[1]):
@@ -77,9 +85,8 @@ def _columns(i, j, bodies, contact):
                 continue
             if y < hull_low[h, 1] or y > hull_high[h, 1]:
                 continue
-            enters, leaves = _span(
-                x, y, bottom, 0.0, 0.0, 1.0, planes, plane_start[h], plane_start[h + 1]
-            )
+            point, up = (x, y, bottom), (0.0, 0.0, 1.0)
+            enters, leaves = _span(point, up, planes, plane_start[h], plane_start[h + 1])
             if leaves < enters:
                 continue
             touches |= abs(leaves) <= contact
@@ -132,22 +139,20 @@ def _contained(i, g, upright, groups, low):
 @kernel
 def _walls(i, j, g, bodies, groups, height):
     """On how many of four sides j stands around i, along the axes of the group's box."""
-    base = bodies[2]
-    hull_start, planes, plane_start = bodies[4], bodies[7], bodies[8]
+    base, hull_start = bodies.base, bodies.hull_start
+    planes, plane_start = bodies.planes, bodies.plane_start
     x, y = base[i, :, 0].mean(), base[i, :, 1].mean()
     count = 0
     for axis in range(3):
-        dx, dy = groups[1][g, 0, axis], groups[1][g, 1, axis]
+        dx, dy = groups.rotation[g, 0, axis], groups.rotation[g, 1, axis]
         size = np.hypot(dx, dy)
         if size < 0.7:
             continue
         for side in (-1.0, 1.0):
             hit = False
             for h in range(hull_start[j], hull_start[j + 1]):
-                enters, leaves = _span(
-                    x, y, height, side * dx / size, side * dy / size, 0.0,
-                    planes, plane_start[h], plane_start[h + 1],
-                )  # fmt: skip
+                point, ahead = (x, y, height), (side * dx / size, side * dy / size, 0.0)
+                enters, leaves = _span(point, ahead, planes, plane_start[h], plane_start[h + 1])
                 if enters <= leaves and leaves > 0.0:
                     hit = True
                     break
@@ -164,8 +169,7 @@ def _hierarchy(
     contact: float,
 ) -> np.ndarray:
     """Find who is on, in or inside whom: rows of child, parent, kind."""
-    low, high = bodies[0], bodies[1]
-    base = bodies[2]
+    low, high, base = bodies.low, bodies.high, bodies.base
     n = len(low)
     found = np.empty((64, 3), np.int64)
     size = 0
@@ -192,7 +196,7 @@ def _hierarchy(
 
 @kernel
 def _kind(i, j, bodies, upright, groups, group_start, contact):
-    low, high = bodies[0], bodies[1]
+    low, high = bodies.low, bodies.high
     carried, below, roofed = _columns(i, j, bodies, contact)
     if below >= BENEATH:
         for g in range(group_start[j], group_start[j + 1]):

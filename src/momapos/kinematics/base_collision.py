@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from momapos.compiled import F2, entry, kernel
+from momapos.compiled import F1, F2, entry, kernel
 from momapos.kinematics.collision import FREE
 from momapos.kinematics.hulls import Boxes
 from momapos.kinematics.records import BoxArrays
@@ -15,9 +15,28 @@ if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
 
+class _Box(NamedTuple):
+    """An oriented box."""
+
+    center: F1
+    rotation: F2
+    half: F1
+
+
+class _Between(NamedTuple):
+    """Memory of `_separated`: a box as another sees it."""
+
+    offset: F1
+    rotation: F2
+    absolute: F2
+
+
 @kernel
-def _separated(ca, Ra, ha, cb, Rb, hb, t, C, A):
-    """Whether two oriented boxes are apart (Gottschalk 1996: 15 axes); t, C, A are scratch."""
+def _separated(part, boxes, b, scratch):
+    """Whether an oriented box and box b are apart (Gottschalk 1996: 15 axes)."""
+    ca, Ra, ha = part
+    cb, Rb, hb = boxes.center[b], boxes.rotation[b], boxes.half[b]
+    t, C, A = scratch
     for i in range(3):
         t[i] = (cb[0] - ca[0]) * Ra[0, i] + (cb[1] - ca[1]) * Ra[1, i] + (cb[2] - ca[2]) * Ra[2, i]
         for j in range(3):
@@ -69,7 +88,8 @@ def _hit(
         radius[a] = np.hypot(tall[a, 0], tall[a, 1]) + clearance
         reach = max(reach, np.hypot(base_center[a, 0], base_center[a, 1]) + radius[a])
     c0, R0, h0 = np.empty(3), np.empty((3, 3)), np.empty(3)
-    t, C, A = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
+    part = _Box(c0, R0, h0)
+    scratch = _Between(np.empty(3), np.empty((3, 3)), np.empty((3, 3)))
     for n in range(len(bases)):
         x, y = bases[n, 0], bases[n, 1]
         cos, sin = np.cos(bases[n, 2]), np.sin(bases[n, 2])
@@ -96,7 +116,7 @@ def _hit(
                     R0[1, k] = sin * base_rotation[a, 0, k] + cos * base_rotation[a, 1, k]
                     R0[2, k] = base_rotation[a, 2, k]
                     h0[k] = base_half[a, k] + clearance
-                if not _separated(c0, R0, h0, center[b], rotation[b], half[b], t, C, A):
+                if not _separated(part, boxes, b, scratch):
                     out[n] = b
                     break
             if out[n] != FREE:

@@ -95,17 +95,18 @@ def spherical(kind, h, o, c0, R06, c, out):
 
 
 @kernel
-def _free_turn(h1, h2, upper, lower, tip, foot, j, turned, sign):
+def _free_turn(h1, h2, offsets, foot, j, turned, sign):
     """A value of joint 6 that puts joint 4 in the middle of where the arm can have it.
 
     Args:
         h1, h2: Axes 1 and 2.
-        upper, lower, tip: Offsets from joint 2 to 3, 3 to 4, and 4 to the wrist, at zero.
+        offsets: From joint 2 to 3, 3 to 4, and 4 to the wrist, at zero.
         foot: The wrist as seen from joint 2.
         j: Which of the two values, 0 or 1.
         turned: Where h1 has been turned to about h2 when joint 6 is at zero.
         sign: Positive where axis 6 points along axis 2.
     """
+    upper, lower, tip = offsets
     a, b = _across(upper, h2), _across(lower, h2)
     c, d = _across(tip, h2), _across(foot, h2)
     reach = 0.5 * (max(abs(a - b), abs(c - d)) + min(a + b, c + d))
@@ -152,7 +153,7 @@ def three_parallel(h, o, c0, R06, c, out):
             if dot(across, across) < 1e-13:
                 # Axis 6 is parallel to the three, and any q6 will do that keeps joint 4 in reach.
                 turned = rot(h1, -q1, mul(R06, rot(h5, -q5, h1)))
-                q6 = _free_turn(h1, h2, upper, lower, tip, foot, j, turned, dot(x2, h6))
+                q6 = _free_turn(h1, h2, (upper, lower, tip), foot, j, turned, dot(x2, h6))
             else:
                 q6 = sp1(x2, mul_t(R06, rot(h1, q1, h2)), neg(h6))
             turned = rot(h1, -q1, mul(R06, rot(h6, -q6, rot(h5, -q5, h1))))

@@ -10,7 +10,7 @@ import numpy as np
 
 from momapos.compiled import F1, F2, F3, entry, kernel
 from momapos.kinematics.chain import forward
-from momapos.kinematics.records import ChainArrays, ObstacleArrays, SphereArrays
+from momapos.kinematics.records import ArmScratch, ChainArrays, ObstacleArrays, SphereArrays
 
 FREE = -1
 SELF = -2
@@ -206,8 +206,8 @@ def place_segments(
 
 @kernel
 def scratch_of(joints, spheres):
-    """Scratch for the checks: segment poses (n + 1, 3, 3), (n + 1, 3) and bounds (groups, 3)."""
-    return (
+    """Memory for the checks."""
+    return ArmScratch(
         np.empty((joints + 1, 3, 3)),
         np.empty((joints + 1, 3)),
         np.empty((len(spheres.segment), 3)),

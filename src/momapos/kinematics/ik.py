@@ -29,8 +29,8 @@ from momapos.kinematics.closed_forms import (
     spherical,
     three_parallel,
 )
-from momapos.kinematics.newton import newton
-from momapos.kinematics.records import ChainArrays, IkArrays, JointLimits
+from momapos.kinematics.newton import newton, newton_scratch
+from momapos.kinematics.records import ArmArrays, IkArrays, IkScratch, NewtonRule
 from momapos.kinematics.subproblems import mul, row, sub
 
 if TYPE_CHECKING:
@@ -223,13 +223,13 @@ def _hopeless(branch, active, lower, upper):
 
 
 @kernel
-def solve_sample(s, R_target, p_target, chain, limits, ik, enough, out, scratch):
+def solve_sample(s, R_target, p_target, arm, enough, out, scratch):
     """All configurations within limits at one sample of the locked joints (or from one seed).
 
     Args:
         s: Index of the sample.
         R_target, p_target: Tool pose in the base frame.
-        chain, limits, ik: `arrays(...)` of the arm.
+        arm: `ArmArrays`.
         enough: Squared residual that will do [m^2 + rad^2], `EXACT` or `COARSE`.
         out: (max, n) to be filled.
         scratch: `ik_scratch(n)`.
@@ -237,10 +237,11 @@ def solve_sample(s, R_target, p_target, chain, limits, ik, enough, out, scratch)
     Returns:
         Number of configurations written.
     """
+    chain, ik = arm.chain, arm.ik
     kind, active, samples = ik.kind, ik.active, ik.samples
     h, o, wrist, R_tool, p_tool = ik.h, ik.o, ik.wrist, ik.R_tool, ik.p_tool
-    branches, R06, R, p = scratch
-    lower, upper = limits
+    branches, R06 = scratch.branches, scratch.R06
+    lower, upper = arm.limits
     found = 1
     if kind != NUMERIC:
         for i in range(3):
@@ -259,6 +260,7 @@ def solve_sample(s, R_target, p_target, chain, limits, ik, enough, out, scratch)
             found = spherical(kind, h[s], o[s], c0, R06, c, branches)
     # From a seed Newton has far to go; after a closed form it only removes rounding.
     steps, damping = (30, 1.0) if kind == NUMERIC else (8, 1e-6)
+    rule = NewtonRule(steps, damping, enough)
     count = 0
     for b in range(found):
         for i in range(samples.shape[1]):
@@ -270,9 +272,7 @@ def solve_sample(s, R_target, p_target, chain, limits, ik, enough, out, scratch)
                 out[count, active[a]] = branches[b, a]
             if _hopeless(branches[b], active, lower, upper):
                 continue
-        residual = newton(
-            out[count], active, chain, R_target, p_target, steps, damping, enough, (R, p)
-        )
+        residual = newton(out[count], active, chain, R_target, p_target, rule, scratch.newton)
         if residual < max(enough, _TIGHT) and into_limits(
             out[count], lower, upper, chain.prismatic
         ):
@@ -282,33 +282,29 @@ def solve_sample(s, R_target, p_target, chain, limits, ik, enough, out, scratch)
 
 @kernel
 def ik_scratch(n):
-    """Scratch arrays for `solve_sample`."""
-    return (
-        np.empty((MAX_BRANCHES, 6)),
-        np.empty((3, 3)),
-        np.empty((n + 1, 3, 3)),
-        np.empty((n + 1, 3)),
-    )
+    """Memory for `solve_sample`."""
+    return IkScratch(np.empty((MAX_BRANCHES, 6)), np.empty((3, 3)), newton_scratch(n))
+
+
+@kernel
+def max_solutions(ik):
+    """Upper bound on the number of solutions for one pose."""
+    return len(ik.samples) * (1 if ik.kind == NUMERIC else MAX_BRANCHES)
 
 
 @entry
 def _solve_all(
     poses: F3,
-    chain: ChainArrays,
-    limits: JointLimits,
-    ik: IkArrays,
-    limit: int,
+    arm: ArmArrays,
 ) -> tuple[np.ndarray, np.ndarray]:
-    n = ik.samples.shape[1]
+    n = arm.ik.samples.shape[1]
     scratch = ik_scratch(n)
-    out = np.full((len(poses), limit, n), np.nan)
+    out = np.full((len(poses), max_solutions(arm.ik), n), np.nan)
     counts = np.zeros(len(poses), np.int64)
     for i in range(len(poses)):
         R, p = poses[i, :3, :3], poses[i, :3, 3]
-        for s in range(len(ik.samples)):
-            counts[i] += solve_sample(
-                s, R, p, chain, limits, ik, EXACT, out[i, counts[i] :], scratch
-            )
+        for s in range(len(arm.ik.samples)):
+            counts[i] += solve_sample(s, R, p, arm, EXACT, out[i, counts[i] :], scratch)
         # What was tried there and refused.
         out[i, counts[i] :] = np.nan
     return out, counts
@@ -319,6 +315,11 @@ def ik_arrays(ik: IkModel) -> IkArrays:
     return IkArrays(ik.kind, ik.active, ik.samples, ik.h, ik.o, ik.wrist, ik.R_tool, ik.p_tool)
 
 
+def arm_arrays(chain: Chain, ik: IkModel) -> ArmArrays:
+    """An arm as the kernels take it."""
+    return ArmArrays(chain_arrays(chain), chain_limits(chain), ik_arrays(ik))
+
+
 def solve_ik(
     chain: Chain, ik: IkModel, Ts_base_tool: Float[np.ndarray, "m 4 4"]
 ) -> tuple[Float[np.ndarray, "m b n"], Int[np.ndarray, " m"]]:
@@ -327,10 +328,4 @@ def solve_ik(
     Returns:
         Configurations, NaN beyond each pose's count, and the counts.
     """
-    return _solve_all(
-        np.ascontiguousarray(Ts_base_tool, float),
-        chain_arrays(chain),
-        chain_limits(chain),
-        ik_arrays(ik),
-        ik.max_solutions,
-    )
+    return _solve_all(np.ascontiguousarray(Ts_base_tool, float), arm_arrays(chain, ik))

@@ -6,6 +6,7 @@ import numpy as np
 
 from momapos.compiled import kernel
 from momapos.kinematics.chain import forward, stand_at_origin
+from momapos.kinematics.records import NewtonScratch
 from momapos.kinematics.subproblems import dot, mul
 
 
@@ -30,30 +31,28 @@ def _solve_spd(A, b):
 
 
 @kernel
-def newton(q, active, chain, R_target, p_target, steps, damping, enough, work):
+def newton(q, active, chain, R_target, p_target, rule, scratch):
     """Move the active joints of q until the tool stands at the target.
 
     Args:
         q: Configuration (n,), changed in place.
         active: Indices of the joints that may move.
-        chain: (h, d, prismatic, tool_offset, tool_rotation).
+        chain: `ChainArrays`.
         R_target, p_target: Target pose in the base frame.
-        steps: Maximum number of steps [-].
-        damping: Levenberg damping [-]; tiny near a solution, larger from far away.
-        enough: Squared residual at which to stop [m^2 + rad^2].
-        work: (R (n + 1, 3, 3), p (n + 1, 3)) scratch.
+        rule: `NewtonRule`.
+        scratch: `newton_scratch(n)`.
 
     Returns:
         Squared residual, position [m] and rotation [rad] together.
     """
-    h, d, prismatic, tool_offset, tool_rotation = chain
-    R, p = work
+    h, prismatic = chain.h, chain.prismatic
+    tool_offset, tool_rotation = chain.tool_offset, chain.tool_rotation
+    R, p, J, A, e = scratch
     n, m = len(q), len(active)
-    J, A, e = np.empty((6, m)), np.empty((6, 6)), np.empty(6)
     residual = np.inf
-    for step in range(steps + 1):
+    for step in range(rule.steps + 1):
         stand_at_origin(R, p)
-        forward(q, h, d, prismatic, R, p)
+        forward(q, h, chain.d, prismatic, R, p)
         tip = mul(R[n], (tool_offset[0], tool_offset[1], tool_offset[2]))
         tool = (p[n, 0] + tip[0], p[n, 1] + tip[1], p[n, 2] + tip[2])
         for k in range(3):
@@ -62,7 +61,7 @@ def newton(q, active, chain, R_target, p_target, steps, damping, enough, work):
         residual = 0.0
         for k in range(6):
             residual += e[k] * e[k]
-        if residual < enough or step == steps:
+        if residual < rule.enough or step == rule.steps:
             break
         for a in range(m):
             j = active[a]
@@ -84,7 +83,7 @@ def newton(q, active, chain, R_target, p_target, steps, damping, enough, work):
                 for a in range(m):
                     s += J[i, a] * J[k, a]
                 A[i, k] = s
-            A[i, i] += damping * (1e-6 + residual)
+            A[i, i] += rule.damping * (1e-6 + residual)
         _solve_spd(A, e)
         for a in range(m):
             s = 0.0
@@ -92,6 +91,18 @@ def newton(q, active, chain, R_target, p_target, steps, damping, enough, work):
                 s += J[k, a] * e[k]
             q[active[a]] += min(0.5, max(-0.5, s))
     return residual
+
+
+@kernel
+def newton_scratch(n):
+    """Memory for `newton`."""
+    return NewtonScratch(
+        np.empty((n + 1, 3, 3)),
+        np.empty((n + 1, 3)),
+        np.empty((6, n)),
+        np.empty((6, 6)),
+        np.empty(6),
+    )
 
 
 @kernel

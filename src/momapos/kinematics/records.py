@@ -41,6 +41,43 @@ class IkArrays(NamedTuple):
     p_tool: F2
 
 
+class ArmArrays(NamedTuple):
+    """What it takes to invert an arm."""
+
+    chain: ChainArrays
+    limits: JointLimits
+    ik: IkArrays
+
+
+class NewtonRule(NamedTuple):
+    """When Newton stops, see `newton`."""
+
+    steps: int
+    """Maximum number of steps [-]."""
+    damping: float
+    """Levenberg damping [-]; tiny near a solution, larger from far away."""
+    enough: float
+    """Squared residual at which to stop [m^2 + rad^2]."""
+
+
+class NewtonScratch(NamedTuple):
+    """Memory of `newton` for n joints."""
+
+    R: F3
+    p: F2
+    jacobian: F2
+    normal: F2
+    error: F1
+
+
+class IkScratch(NamedTuple):
+    """Memory of `solve_sample`."""
+
+    branches: F2
+    R06: F2
+    newton: NewtonScratch
+
+
 class SphereArrays(NamedTuple):
     """The spheres of an arm and the boxes of its base, see `Spheres`."""
 
@@ -77,6 +114,14 @@ class ObstacleArrays(NamedTuple):
     grasped: B1
 
 
+class ArmScratch(NamedTuple):
+    """Memory of the checks: segment poses (n + 1, 3, 3), (n + 1, 3) and bounds (groups, 3)."""
+
+    R: F3
+    p: F2
+    bounds: F2
+
+
 class WorldArrays(NamedTuple):
     """A room and what moves in it, see `World`."""
 
@@ -92,3 +137,21 @@ class WorldArrays(NamedTuple):
     grid_start: I1
     grid_index: I1
     filled: Counts
+
+
+class TaskState(NamedTuple):
+    """How far a task has come."""
+
+    value: int
+    """Index of the object's joint value."""
+    holding: bool
+    """Whether the gripper may touch what is grasped."""
+
+
+class CollisionArrays(NamedTuple):
+    """What an arm is checked with."""
+
+    spheres: SphereArrays
+    world: WorldArrays
+    margin: float
+    """Distance that the spheres keep [m]."""

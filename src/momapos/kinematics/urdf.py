@@ -227,9 +227,12 @@ def _check_part(part: Any, where: str) -> None:
             if key in ("size", "radius", "length") and min(values) <= 0:
                 raise UrdfError(f"{where}: {key}={text!r:.80} in <{element.tag}> must be > 0")
     if part.tag == "joint":
-        missing = [end for end in ("parent", "child") if part.find(end) is None]
-        if missing:
-            raise UrdfError(f"{where} has no <{missing[0]}>")
+        for end in ("parent", "child"):
+            element = part.find(end)
+            if element is None:
+                raise UrdfError(f"{where} has no <{end}>")
+            if not element.get("link"):
+                raise UrdfError(f"{where}: <{end}> has no link")
 
 
 def _check_geometry(geometry: Any, where: str) -> None:

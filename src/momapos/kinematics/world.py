@@ -29,7 +29,14 @@ from momapos.kinematics.collision import (
     scratch_of,
 )
 from momapos.kinematics.hulls import Boxes, MovingBoxes
-from momapos.kinematics.records import ChainArrays, ObstacleArrays, SphereArrays, WorldArrays
+from momapos.kinematics.records import (
+    ChainArrays,
+    CollisionArrays,
+    ObstacleArrays,
+    SphereArrays,
+    TaskState,
+    WorldArrays,
+)
 from momapos.kinematics.spheres import Spheres
 
 if TYPE_CHECKING:
@@ -214,25 +221,27 @@ def _hit_static(R, p, bounds, spheres, world, margin):
 
 
 @kernel
-def moving_boxes(world, value):
-    """The moving boxes at one value of the object's joint."""
-    return ObstacleArrays(
-        world.moving_center[value],
-        world.moving_rotation[value],
-        world.moving_half[value],
+def _hit_moving(R, p, bounds, state, room):
+    """First moving box that the arm hits, or FREE."""
+    spheres, world, margin = room
+    boxes = ObstacleArrays(
+        world.moving_center[state.value],
+        world.moving_rotation[state.value],
+        world.moving_half[state.value],
         world.grasped,
     )
+    return hit_boxes(R, p, bounds, spheres, boxes, state.holding, margin)
 
 
 @kernel
-def check_one(q, base, value, holding, chain, spheres, world, margin, scratch):
+def check_one(q, base, state, chain, room, scratch):
     """What one configuration hits first; scratch is `scratch_of(...)`."""
     R, p, bounds = scratch
+    spheres, world, margin = room
     place_arm(q, base, chain, spheres, scratch)
     if hit_floor(R, p, bounds, spheres) != FREE:
         return FLOOR
-    boxes = moving_boxes(world, value)
-    code = hit_boxes(R, p, bounds, spheres, boxes, holding, margin)
+    code = _hit_moving(R, p, bounds, state, room)
     if code != FREE:
         return code + len(world.center)
     code = _hit_static(R, p, bounds, spheres, world, margin)
@@ -246,16 +255,13 @@ def _check(
     value: I1,
     holding: B1,
     chain: ChainArrays,
-    spheres: SphereArrays,
-    world: WorldArrays,
-    margin: float,
+    room: CollisionArrays,
 ) -> np.ndarray:
-    scratch = scratch_of(q.shape[1], spheres)
+    scratch = scratch_of(q.shape[1], room.spheres)
     out = np.empty(len(q), np.int64)
     for i in range(len(q)):
-        out[i] = check_one(
-            q[i], bases[i], value[i], holding[i], chain, spheres, world, margin, scratch
-        )
+        state = TaskState(value[i], holding[i])
+        out[i] = check_one(q[i], bases[i], state, chain, room, scratch)
     return out
 
 
@@ -265,15 +271,12 @@ def _motion_free(
     b: F1,
     step: float,
     base: F1,
-    value: int,
-    holding: bool,
+    state: TaskState,
     chain: ChainArrays,
-    spheres: SphereArrays,
-    world: WorldArrays,
-    margin: float,
+    room: CollisionArrays,
 ) -> bool:
     n = len(a)
-    scratch = scratch_of(n, spheres)
+    scratch = scratch_of(n, room.spheres)
     q, longest = np.empty(n), 0.0
     for k in range(n):
         longest = max(longest, abs(b[k] - a[k]))
@@ -283,7 +286,7 @@ def _motion_free(
     for i in (count, 0):
         for k in range(n):
             q[k] = a[k] + (b[k] - a[k]) * (i / count)
-        if check_one(q, base, value, holding, chain, spheres, world, margin, scratch) != FREE:
+        if check_one(q, base, state, chain, room, scratch) != FREE:
             return False
     while stride > 1:
         half = (stride + 1) // 2
@@ -292,10 +295,15 @@ def _motion_free(
                 continue
             for k in range(n):
                 q[k] = a[k] + (b[k] - a[k]) * (i / count)
-            if check_one(q, base, value, holding, chain, spheres, world, margin, scratch) != FREE:
+            if check_one(q, base, state, chain, room, scratch) != FREE:
                 return False
         stride = half
     return True
+
+
+def collision_arrays(spheres: Spheres, world: CollisionWorld) -> CollisionArrays:
+    """What an arm is checked with, as the kernels take it."""
+    return CollisionArrays(spheres.arrays(), world.arrays(), world.clearance)
 
 
 def check(
@@ -321,9 +329,7 @@ def check(
         np.ascontiguousarray(value),
         np.ascontiguousarray(holding),
         chain_arrays(chain),
-        spheres.arrays(),
-        world.arrays(),
-        world.clearance,
+        collision_arrays(spheres, world),
     )
 
 
@@ -346,9 +352,12 @@ def motion_checker(
         step: Largest joint step between the states that are checked [rad] or [m].
     """
     fixed = (
-        step, np.array(base, float), value, holding,
-        chain_arrays(chain), spheres.arrays(), world.arrays(), world.clearance,
-    )  # fmt: skip
+        step,
+        np.array(base, float),
+        TaskState(value, holding),
+        chain_arrays(chain),
+        collision_arrays(spheres, world),
+    )
 
     def free(a: Float[np.ndarray, " n"], b: Float[np.ndarray, " n"]) -> bool:
         return bool(_motion_free(a, b, *fixed))
@@ -362,20 +371,19 @@ def _check_hand(
     p: F2,
     value: I1,
     holding: B1,
-    hand: SphereArrays,
-    world: WorldArrays,
-    margin: float,
+    room: CollisionArrays,
 ) -> np.ndarray:
+    hand, world, margin = room
     out = np.full(len(R), FREE, np.int64)
     bounds = np.empty((len(hand.segment), 3))
     for i in range(len(R)):
-        boxes = moving_boxes(world, value[i])
-        place_bounds(R[i : i + 1], p[i : i + 1], hand, bounds)
-        code = hit_boxes(R[i : i + 1], p[i : i + 1], bounds, hand, boxes, holding[i], margin)
+        Ri, pi = R[i : i + 1], p[i : i + 1]
+        place_bounds(Ri, pi, hand, bounds)
+        code = _hit_moving(Ri, pi, bounds, TaskState(value[i], holding[i]), room)
         if code != FREE:
             out[i] = code + len(world.center)
             continue
-        out[i] = _hit_static(R[i : i + 1], p[i : i + 1], bounds, hand, world, margin)
+        out[i] = _hit_static(Ri, pi, bounds, hand, world, margin)
     return out
 
 
@@ -415,7 +423,5 @@ def check_hand(
         np.ascontiguousarray(p),
         np.ascontiguousarray(value),
         np.ascontiguousarray(holding),
-        hand,
-        world.arrays(),
-        world.clearance,
+        CollisionArrays(hand, world.arrays(), world.clearance),
     )

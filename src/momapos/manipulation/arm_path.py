@@ -9,11 +9,10 @@ import numpy as np
 
 from momapos.compiled import B1, F1, F2, F3, I1, entry
 from momapos.geometry.transforms import invert, pose_planar
-from momapos.kinematics.chain import chain_arrays, chain_limits
 from momapos.kinematics.collision import FREE
-from momapos.kinematics.ik import EXACT
-from momapos.kinematics.newton import newton
-from momapos.kinematics.records import ChainArrays, JointLimits
+from momapos.kinematics.ik import EXACT, arm_arrays
+from momapos.kinematics.newton import newton, newton_scratch
+from momapos.kinematics.records import ArmArrays, NewtonRule
 from momapos.kinematics.world import CollisionWorld, check
 from momapos.manipulation.layers import (
     CUT_OFF,
@@ -32,6 +31,8 @@ if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
 UNREACHABLE, HIT, BROKEN, FOUND = 0, 1, 2, 3
+MAX_TURN = float(np.radians(25.0))
+"""Largest turn of the hand about a bar between waypoints [rad]."""
 MAX_DENSE_STEP = 0.25
 """Largest joint step between states [rad]; see `SLIDE` for sliding joints."""
 
@@ -57,17 +58,18 @@ def find_paths(
     world: CollisionWorld,
     motion: TaskMotion,
     bases: Float[np.ndarray, "j 3"],
-    grasps: Int[np.ndarray, " j"],
+    ways: Int[np.ndarray, " j"],
 ) -> list[ArmPath]:
-    """Look for an arm path for each pair of base pose and grasp.
+    """Look for an arm path for each pair of base pose and way of holding.
 
-    The ends and the middle of the motion are looked at first, since they fail most; a pair
-    that fails at one waypoint is not carried on.
+    A way is a grasp, or beyond their number one of the motion's turns, in which the hand goes from
+    grasp to grasp of a group. The ends and the middle of the motion are looked at first, since
+    they fail most; a pair that fails at one waypoint is not carried on.
     """
     count = len(motion.waypoint_steps)
-    paths: list[ArmPath | None] = [None] * len(grasps)
+    paths: list[ArmPath | None] = [None] * len(ways)
     layers: list[Layer] = []
-    alive = np.arange(len(grasps))
+    alive, grasps = np.arange(len(ways)), motion.turning.members(ways)
     for passed, w in enumerate(_ends_first(count)):
         layer = solve_layer(robot, world, motion, bases, grasps, alive, w, layers)
         failed = layer.counts == 0
@@ -80,7 +82,7 @@ def find_paths(
     layers.sort(key=lambda layer: layer.waypoint)
     for j in alive:
         nodes = [layer.nodes(int(j)) for layer in layers]
-        paths[j] = _connect(robot, world, motion, bases[j], int(grasps[j]), nodes)
+        paths[j] = _connect(robot, world, motion, bases[j], nodes)
     return [path for path in paths if path is not None]
 
 
@@ -106,32 +108,32 @@ def _connect(
     world: CollisionWorld,
     motion: TaskMotion,
     base: np.ndarray,
-    grasp: int,
-    nodes: list[Float[np.ndarray, "k n"]],
+    nodes: list[tuple[Float[np.ndarray, "_ n"], Int[np.ndarray, " _"]]],
 ) -> ArmPath:
     """Shortest path through the layers of one job, then every state between, checked."""
-    start = np.cumsum([0, *(len(k) for k in nodes)])
-    stacked = np.concatenate(nodes)
+    start = np.cumsum([0, *(len(q) for q, _ in nodes)])
+    stacked, grasps = (np.concatenate(parts) for parts in zip(*nodes, strict=True))
     chain = robot.chain
     full_turn, scale = full_turns(chain), joint_scale(chain)
     banned = np.zeros(len(stacked), bool)
-    targets = invert(pose_planar(base)) @ motion.Ts_world_tool[grasp]
+    # The turn of the hand is one more joint of the path.
+    states = np.column_stack([stacked, motion.turning.angles[grasps]])
+    free, steps = np.append(full_turn, False), np.append(scale, MAX_STEP / MAX_TURN)
     count = len(nodes)
     worst = ArmPath(BROKEN, 0, count, FREE)
     for _ in range(4):
         chosen = np.full(count, -1)
-        reached = _shortest(stacked, start, banned, full_turn, scale, chosen)
+        reached = _shortest(states, start, grasps, banned, free, steps, chosen)
         if reached < count:
             return worst if worst.obstacle != FREE else ArmPath(BROKEN, reached, count, FREE)
         q = _unwrap(stacked[chosen], full_turn, chain.lower, chain.upper)
+        targets = invert(pose_planar(base)) @ motion.tool_poses(grasps[chosen])
         dense = np.empty((len(motion.object_q), chain.size))
         bad = _track(
             q,
             motion.waypoint_steps,
             targets,
-            robot.ik.active,
-            chain_arrays(chain),
-            chain_limits(chain),
+            arm_arrays(chain, robot.ik),
             scale,
             dense,
         )
@@ -160,12 +162,16 @@ def _connect(
 def _shortest(
     q: F2,
     start: I1,
+    grasp: I1,
     banned: B1,
     full_turn: B1,
     scale: F1,
     chosen: I1,
 ) -> int:
-    """Path with the smallest sum of steps through the layers; returns the layers reached."""
+    """Path with the smallest sum of steps through the layers; returns the layers reached.
+
+    From the pre-grasp, the first layer, to the grasp itself the hand does not turn.
+    """
     count, layers = len(q), len(start) - 1
     cost, parent = np.full(count, np.inf), np.full(count, -1)
     for i in range(start[0], start[1]):
@@ -177,7 +183,7 @@ def _shortest(
             if banned[i]:
                 continue
             for j in range(start[w - 1], start[w]):
-                if cost[j] >= cost[i]:
+                if cost[j] >= cost[i] or (w == 1 and grasp[i] != grasp[j]):
                     continue
                 d = joint_step(q[j], q[i], full_turn, scale, MAX_STEP)
                 if d < MAX_STEP and cost[j] + d < cost[i]:
@@ -216,17 +222,16 @@ def _track(
     q: F2,
     coarse: I1,
     targets: F3,
-    active: I1,
-    chain: ChainArrays,
-    limits: JointLimits,
+    arm: ArmArrays,
     scale: F1,
     dense: F2,
 ) -> int:
     """Fill the states between waypoints by Newton steps; returns the step that fails, or -1."""
     n = q.shape[1]
-    most = np.int64(8)  # a literal would have Newton compiled once more
-    lower, upper = limits
-    R, p = np.empty((n + 1, 3, 3)), np.empty((n + 1, 3))
+    # A literal would have Newton compiled once more.
+    rule = NewtonRule(np.int64(8), 1e-6, EXACT)  # type: ignore[arg-type]
+    lower, upper = arm.limits
+    scratch = newton_scratch(n)
     for w in range(len(coarse)):
         first = coarse[w - 1] + 1 if w > 0 else 0
         for s in range(first, coarse[w] + 1):
@@ -235,14 +240,12 @@ def _track(
                 dense[s, k] = (1.0 - t) * q[max(w - 1, 0), k] + t * q[w, k]
             residual = newton(
                 dense[s],
-                active,
-                chain,
+                arm.ik.active,
+                arm.chain,
                 targets[s, :3, :3],
                 targets[s, :3, 3],
-                most,
-                1e-6,
-                EXACT,
-                (R, p),
+                rule,
+                scratch,
             )
             if residual > 1e-9:
                 return s

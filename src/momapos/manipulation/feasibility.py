@@ -55,7 +55,7 @@ class Feasibility:
         Args:
             base: Base pose x [m], y [m], yaw [rad].
             screened: An arm path there.
-            grasps: Grasps to be tried, best first, when that one cannot be completed.
+            grasps: Ways of holding to be tried, best first, when that one cannot be completed.
         """
         assert screened.q is not None
         motion, outcome = self._complete(base, screened.q, screened.grasp)
@@ -78,8 +78,8 @@ class Feasibility:
 
         Args:
             bases: Base poses that stand clear.
-            scores: Reachability of each grasp from each; only those above 0 are tried.
-            most: How many grasps are tried at one pose; None for all.
+            scores: Reachability of each way of holding from each; only those above 0 are tried.
+            most: How many ways are tried at one pose; None for all.
 
         Returns:
             What came of each, or None when the time was up before all had been tried.
@@ -111,7 +111,7 @@ class Feasibility:
     def _paths(
         self, bases: Float[np.ndarray, "j 3"], grasps: Int[np.ndarray, " j"]
     ) -> list[ArmPath] | None:
-        """Arm paths of pairs of base pose and grasp, on two threads; None when out of time."""
+        """Arm paths of pairs of base pose and way of holding; None when out of time."""
         pieces = np.array_split(np.arange(len(grasps)), max(_THREADS, len(grasps) // _BATCH))
 
         def work(part: Int[np.ndarray, " p"]) -> list[ArmPath] | None:
@@ -148,7 +148,9 @@ class Feasibility:
     ) -> tuple[Motion | None, PoseOutcome]:
         """Add the approach from home, and let the exact check decide."""
         chain, hold = self.robot.chain, self.motion.grasp_step
-        spheres = with_payload(self.robot, self.motion, self.motion.Ts_world_tool[grasp, 0], 0)
+        spheres = self.robot.spheres
+        if self._carrying:
+            spheres = with_payload(self.robot, self.motion, self.motion.Ts_world_tool[grasp, 0], 0)
         q = near_home(q, self.robot.home, chain.lower, chain.upper)
         free = motion_checker(
             self.world, chain, spheres, base, value=int(self.motion.value[0]),
@@ -167,8 +169,9 @@ class Feasibility:
             return None, PoseOutcome(PoseStatus.NO_APPROACH)
         approach = np.concatenate([interpolate(way), q[1 : hold + 1]])
         motion = Motion(
-            approach, q[hold:], self.motion.object_q[hold:], self._tools(q[hold:], base)
-        )
+            approach, q[hold:], self.motion.object_q[hold:], self._tools(q[hold:], base),
+            holds=self.motion.turning.holds(grasp, len(q) - hold),
+        )  # fmt: skip
         refusal = self.refuse(base, motion)
         if refusal is not None:
             return None, PoseOutcome(PoseStatus.EXACT_CHECK, refusal)

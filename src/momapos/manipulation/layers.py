@@ -10,12 +10,12 @@ import numpy as np
 
 from momapos.compiled import B1, F1, F2, F3, I1, entry, kernel
 from momapos.geometry.transforms import invert, pose_planar
-from momapos.kinematics.chain import Chain, chain_arrays, chain_limits
+from momapos.kinematics.chain import Chain
 from momapos.kinematics.closed_forms import MAX_BRANCHES
 from momapos.kinematics.collision import FREE, scratch_of
-from momapos.kinematics.ik import COARSE, ik_arrays, ik_scratch, solve_sample
-from momapos.kinematics.records import ChainArrays, IkArrays, JointLimits, SphereArrays, WorldArrays
-from momapos.kinematics.world import CollisionWorld, check_one
+from momapos.kinematics.ik import COARSE, arm_arrays, ik_scratch, max_solutions, solve_sample
+from momapos.kinematics.records import ArmArrays, CollisionArrays, TaskState
+from momapos.kinematics.world import CollisionWorld, check_one, collision_arrays
 from momapos.manipulation.motion import TaskMotion
 from momapos.robots.robot import Robot
 
@@ -41,11 +41,24 @@ class Layer:
     counts: Int[np.ndarray, " a"]
     codes: Int[np.ndarray, " a"]
     """What the first configuration hit, else NOWHERE or CUT_OFF; of use where the count is 0."""
+    grasps: Int[np.ndarray, "a b"]
+    """The grasp of each configuration."""
 
-    def nodes(self, job: int) -> Float[np.ndarray, "k n"]:
-        """The configurations of one job."""
+    def nodes(self, job: int) -> tuple[Float[np.ndarray, "k n"], Int[np.ndarray, " k"]]:
+        """The configurations of one job, and their grasps."""
         row = int(np.searchsorted(self.jobs, job))
-        return self.q[row, : self.counts[row]]
+        return self.q[row, : self.counts[row]], self.grasps[row, : self.counts[row]]
+
+
+class JointSteps(NamedTuple):
+    """How steps of n joints are measured."""
+
+    full_turn: B1
+    """Which joints turn fully, so that a step is taken the short way round."""
+    scale: F1
+    """What a step of each counts as [rad/rad] or [rad/m]."""
+    locked: F1
+    """The same of the joints that inverse kinematics does not solve for, 0 of the others."""
 
 
 class Neighbor(NamedTuple):
@@ -57,6 +70,13 @@ class Neighbor(NamedTuple):
     """Row of each job in the states."""
     limit: float
     """Largest joint step to it [rad]; infinite where there is no layer."""
+
+
+class Neighbors(NamedTuple):
+    """The known layers next to a waypoint."""
+
+    before: Neighbor
+    after: Neighbor
 
 
 def joint_scale(chain: Chain) -> Float[np.ndarray, " n"]:
@@ -74,7 +94,7 @@ def solve_layer(
     world: CollisionWorld,
     motion: TaskMotion,
     bases: Float[np.ndarray, "j 3"],
-    grasps: Int[np.ndarray, " j"],
+    grasps: Int[np.ndarray, "j k"],
     alive: Int[np.ndarray, " a"],
     waypoint: int,
     known: Sequence[Layer],
@@ -86,40 +106,72 @@ def solve_layer(
 
     Args:
         robot, world, motion: Whose arm, in which room, for what.
-        bases, grasps: The jobs.
+        bases: Base pose of each job.
+        grasps: Grasps that each job may have at this waypoint, -1 where it has fewer.
         alive: Indices of the jobs to be solved.
         waypoint: Index into the coarse waypoints.
         known: Layers that have been solved, for these jobs at least.
     """
     step, chain, ik = motion.waypoint_steps[waypoint], robot.chain, robot.ik
-    poses = invert(pose_planar(bases[alive])) @ motion.Ts_world_tool[grasps[alive], step]
+    job, column = np.nonzero(grasps[alive] >= 0)
+    row, grasp = alive[job], grasps[alive[job], column]
+    poses = invert(pose_planar(bases[row])) @ motion.Ts_world_tool[grasp, step]
     before = max((k for k in known if k.waypoint < waypoint), key=_waypoint, default=None)
     after = min((k for k in known if k.waypoint > waypoint), key=_waypoint, default=None)
     scale = joint_scale(chain)
     locked = scale.copy()
     locked[ik.active] = 0.0
+    around = Neighbors(
+        _neighbor(before, row, waypoint, chain.size),
+        _neighbor(after, row, waypoint, chain.size),
+    )
     q, counts, codes = _solve_layer(
-        np.ascontiguousarray(poses), bases[alive], int(motion.value[step]),
-        bool(motion.holding[step]), chain_limits(chain), chain_arrays(chain),
-        ik_arrays(ik), ik.max_solutions, robot.spheres.arrays(), world.arrays(), world.clearance,
-        full_turns(chain), scale, locked,
-        _neighbor(before, alive, waypoint, chain.size),
-        _neighbor(after, alive, waypoint, chain.size),
-    )  # fmt: skip
-    return Layer(waypoint, alive, q, counts, codes)
+        np.ascontiguousarray(poses),
+        bases[row],
+        TaskState(int(motion.value[step]), bool(motion.holding[step])),
+        arm_arrays(chain, ik),
+        collision_arrays(robot.spheres, world),
+        JointSteps(full_turns(chain), scale, locked),
+        around,
+    )
+    if grasps.shape[1] == 1:
+        return Layer(waypoint, alive, q, counts, codes, np.tile(grasp[:, None], (1, q.shape[1])))
+    return _merged(waypoint, alive, job, grasp, q, counts, codes)
+
+
+def _merged(
+    waypoint: int,
+    alive: Int[np.ndarray, " a"],
+    job: Int[np.ndarray, " r"],
+    grasp: Int[np.ndarray, " r"],
+    q: Float[np.ndarray, "r b n"],
+    counts: Int[np.ndarray, " r"],
+    codes: Int[np.ndarray, " r"],
+) -> Layer:
+    """One layer of what was found for every grasp of every job; `job` is sorted."""
+    total = np.bincount(job, counts, len(alive)).astype(np.int64)
+    row = np.repeat(np.arange(len(job)), counts)
+    within = np.arange(len(row)) - np.repeat(np.cumsum(counts) - counts, counts)
+    place = np.arange(len(row)) - (np.cumsum(total) - total)[job[row]]
+    states = np.empty((len(alive), int(total.max(initial=0)), q.shape[2]))
+    grasps = np.full(states.shape[:2], -1)
+    states[job[row], place], grasps[job[row], place] = q[row, within], grasp[row]
+    worst = np.full(len(alive), CUT_OFF)
+    np.maximum.at(worst, job, codes)
+    return Layer(waypoint, alive, states, total, worst, grasps)
 
 
 def _waypoint(layer: Layer) -> int:
     return layer.waypoint
 
 
-def _neighbor(layer: Layer | None, alive: np.ndarray, waypoint: int, n: int) -> Neighbor:
+def _neighbor(layer: Layer | None, jobs: np.ndarray, waypoint: int, n: int) -> Neighbor:
     """A known layer as the kernel takes it; the limit is infinite where there is none."""
     if layer is None:
         none = np.empty(0, np.int64)
         return Neighbor(np.empty((0, 0, n)), none, none, np.inf)
     limit = MAX_STEP * abs(waypoint - layer.waypoint)
-    return Neighbor(layer.q, layer.counts, np.searchsorted(layer.jobs, alive), float(limit))
+    return Neighbor(layer.q, layer.counts, np.searchsorted(layer.jobs, jobs), float(limit))
 
 
 @kernel
@@ -137,7 +189,15 @@ def joint_step(a, b, full_turn, scale, limit):
 
 
 @kernel
-def _joined(q, job, neighbor, full_turn, scale):
+def _joined(q, job, around, full_turn, scale):
+    """Whether some configuration of each neighboring layer is near enough."""
+    return _near(q, job, around.before, full_turn, scale) and _near(
+        q, job, around.after, full_turn, scale
+    )
+
+
+@kernel
+def _near(q, job, neighbor, full_turn, scale):
     """Whether some configuration of a neighboring layer is near enough."""
     states, counts, rows, limit = neighbor
     if limit == np.inf:
@@ -153,48 +213,32 @@ def _joined(q, job, neighbor, full_turn, scale):
 def _solve_layer(
     poses: F3,
     bases: F2,
-    value: int,
-    holding: bool,
-    limits: JointLimits,
-    chain: ChainArrays,
-    ik: IkArrays,
-    most: int,
-    spheres: SphereArrays,
-    world: WorldArrays,
-    margin: float,
-    full_turn: B1,
-    scale: F1,
-    locked: F1,
-    before: Neighbor,
-    after: Neighbor,
+    state: TaskState,
+    arm: ArmArrays,
+    room: CollisionArrays,
+    steps: JointSteps,
+    around: Neighbors,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    n = len(full_turn)
-    scratch = ik_scratch(n)
-    arm = scratch_of(n, spheres)
+    chain, samples = arm.chain, arm.ik.samples
+    full_turn, n = steps.full_turn, len(steps.full_turn)
+    scratch, placed = ik_scratch(n), scratch_of(n, room.spheres)
     solutions = np.empty((MAX_BRANCHES, n))
-    out = np.empty((len(poses), most, n))
+    out = np.empty((len(poses), max_solutions(arm.ik), n))
     counts, codes = np.zeros(len(poses), np.int64), np.full(len(poses), NOWHERE)
     for j in range(len(poses)):
-        for s in range(len(ik.samples)):
+        for s in range(len(samples)):
             # Locked joints are known beforehand, so most samples need no inverse kinematics.
-            if not (
-                _joined(ik.samples[s], j, before, full_turn, locked)
-                and _joined(ik.samples[s], j, after, full_turn, locked)
-            ):
+            if not _joined(samples[s], j, around, full_turn, steps.locked):
                 continue
-            found = solve_sample(
-                s, poses[j, :3, :3], poses[j, :3, 3], chain, limits, ik, COARSE, solutions, scratch
-            )
+            R, p = poses[j, :3, :3], poses[j, :3, 3]
+            found = solve_sample(s, R, p, arm, COARSE, solutions, scratch)
             for b in range(found):
                 q = solutions[b]
-                if not (
-                    _joined(q, j, before, full_turn, scale)
-                    and _joined(q, j, after, full_turn, scale)
-                ):
+                if not _joined(q, j, around, full_turn, steps.scale):
                     if codes[j] == NOWHERE:
                         codes[j] = CUT_OFF
                     continue
-                code = check_one(q, bases[j], value, holding, chain, spheres, world, margin, arm)
+                code = check_one(q, bases[j], state, chain, room, placed)
                 if code == FREE:
                     for k in range(n):
                         out[j, counts[j], k] = q[k]

@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.errors import TaskError
-from momapos.geometry.transforms import invert
+from momapos.geometry.transforms import invert, rotation_about
 from momapos.kinematics.articulated import joint_motion
 from momapos.kinematics.hulls import Boxes, MovingBoxes
 from momapos.kinematics.opening import opening_of
 from momapos.manipulation.config import GraspConfig, MotionConfig
 from momapos.manipulation.grasps import box_grasps, handle_grasps
 from momapos.manipulation.handles import Handle, find_handle
+from momapos.manipulation.turning import Turning, no_turning, turning_about
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene, SceneObject
 from momapos.types import Task
@@ -51,6 +52,8 @@ class TaskMotion:
     """Moving boxes that the gripper may touch."""
     labels: tuple[str, ...]
     """Names of the standing, then of the moving boxes."""
+    turning: Turning
+    """Grasps between which the hand may turn."""
 
     def __repr__(self) -> str:
         grasps, steps = self.Ts_world_tool.shape[:2]
@@ -61,6 +64,28 @@ class TaskMotion:
     def waypoints(self) -> Float[np.ndarray, "w 3"]:
         """Tool positions of the plainest grasp at the waypoints, pre-grasp left out [m]."""
         return self.Ts_world_tool[0, self.waypoint_steps[1:], :3, 3]
+
+    def only(self, grasps: Bool[np.ndarray, " g"]) -> TaskMotion:
+        """The same motion with some of its grasps alone."""
+        return replace(
+            self, Ts_world_tool=self.Ts_world_tool[grasps], turning=self.turning.only(grasps)
+        )
+
+    def tool_poses(self, grasps: Int[np.ndarray, " w"]) -> Float[np.ndarray, "d 4 4"]:
+        """Tool poses at every step, for the grasp that the hand has at each waypoint.
+
+        Between waypoints with different grasps it turns about the axis of `turning`.
+        """
+        first = grasps[0]
+        Ts = self.Ts_world_tool[first]
+        if (grasps == first).all():
+            return Ts
+        steps = np.arange(len(Ts))
+        turn = np.interp(steps, self.waypoint_steps, self.turning.angles[grasps])
+        axis = self.turning.axis @ self.turning.R_part_tool[first]
+        out = Ts.copy()
+        out[:, :3, :3] = Ts[:, :3, :3] @ rotation_about(axis, turn - self.turning.angles[first])
+        return out
 
     def sweep(self) -> Boxes:
         """The moving boxes at all values, as one set."""
@@ -123,6 +148,7 @@ def _joint_motion(
     static, labels = _static_boxes(scene, target, set(moved))
     approach = _straight_approach(robot, Ts_world_part[0] @ Ts_part_tool, config.grasps)
     steps = approach.shape[1]
+    turning = turning_about(robot, handle, Ts_part_tool)
     Ts_world_tool = np.concatenate([approach, Ts_world_part[None] @ Ts_part_tool[:, None]], axis=1)
     return TaskMotion(
         task=task,
@@ -136,6 +162,7 @@ def _joint_motion(
         value=np.concatenate([np.zeros(steps, np.int64), np.arange(len(values))]),
         grasped=grasped,
         labels=(*labels, *moving_labels),
+        turning=turning,
     )
 
 
@@ -278,6 +305,7 @@ def _rigid_motion(
         value=value,
         grasped=grasped,
         labels=(*labels, *moving_labels),
+        turning=no_turning(len(Ts)),
     )
 
 

@@ -64,7 +64,7 @@ class RobotPrisms:
 
     outlines: tuple[Float[np.ndarray, "_ 2"], ...]
     """From the floor up, convex and counterclockwise, in the base frame [m]."""
-    heights: Float[np.ndarray, " k+1"]
+    heights: Float[np.ndarray, " k_plus_1"]
     """Where each begins, and the top of the robot [m]."""
 
     @cached_property
@@ -98,7 +98,7 @@ class ConvexPolygons:
     """Outward, of the edge from each corner to the next."""
     level: Float[np.ndarray, " p"]
     """The edge lies where normal . x is this [m]."""
-    first: Int[np.ndarray, " o+1"]
+    first: Int[np.ndarray, " o_plus_1"]
     """Index of each polygon's first corner, and the number of corners."""
     layer: Int[np.ndarray, " o"]
     """Which prism of the robot each is in the way of, from the floor up."""
@@ -122,7 +122,7 @@ class ConvexPolygons:
 
 
 def pack(
-    polygons: Sequence[Float[np.ndarray, "k 2"]], layers: Sequence[int], names: Sequence[str]
+    polygons: Sequence[Float[np.ndarray, "_ 2"]], layers: Sequence[int], names: Sequence[str]
 ) -> ConvexPolygons:
     """Put polygons one after the other."""
     first = np.concatenate([[0], np.cumsum([len(p) for p in polygons])]).astype(np.int64)

@@ -100,7 +100,7 @@ def floor_plan(
     return FloorPlan(low, np.array(image, bool))
 
 
-def _outlines(boxes: Boxes, which: Int[np.ndarray, " k"]) -> list[Float[np.ndarray, "c 2"]]:
+def _outlines(boxes: Boxes, which: Int[np.ndarray, " k"]) -> list[Float[np.ndarray, "_ 2"]]:
     """Projections of boxes onto the floor, as convex polygons."""
     R, h, c = boxes.rotation[which], boxes.half[which], boxes.center[which, :2]
     if not len(which):

@@ -15,6 +15,7 @@ import numpy as np
 
 from momapos.compiled import F1, F2, entry, kernel
 from momapos.navigation.clearance import (
+    Scratch,
     Surroundings,
     gap,
     gaps,
@@ -95,6 +96,26 @@ class Hold(NamedTuple):
     """Gap at which the velocity is of no more interest [m]."""
 
 
+class Moving(NamedTuple):
+    """Moving obstacles."""
+
+    discs: F2
+    """x, y, vx, vy, radius (d, 5)."""
+    keep: F1
+    """Distance kept to each [m]."""
+    look: float
+    """How far ahead they are followed [s]."""
+
+
+class Near(NamedTuple):
+    """What gaps are measured to, see `gap`."""
+
+    surroundings: Surroundings
+    candidates: int
+    cap: float
+    scratch: Scratch
+
+
 @kernel
 def _carried(pose, v, t, out):
     """The pose after a time at a constant velocity in the base frame."""
@@ -138,22 +159,23 @@ def disc_separation(pose: F1, x: float, y: float, prisms: PrismArrays) -> float:
 
 
 @kernel
-def _meets(pose, v, held, braking, discs, prisms, look, keep, at):
+def _meets(pose, v, held, braking, moving, prisms, at):
     """Time at which a robot that holds a velocity, then brakes along its arc, meets a disc [s]."""
-    for step in range(1, int(look / 0.1) + 1):
+    discs = moving.discs
+    for step in range(1, int(moving.look / 0.1) + 1):
         t = 0.1 * step
         b = min(max(t - held, 0.0), braking)
         arc = min(t, held) + (b - b * b / (2 * braking) if braking > 0 else 0.0)
         _carried(pose, v, arc, at)
         for d in range(len(discs)):
             x, y = discs[d, 0] + t * discs[d, 2], discs[d, 1] + t * discs[d, 3]
-            if disc_separation(at, x, y, prisms) - discs[d, 4] < keep[d]:
+            if disc_separation(at, x, y, prisms) - discs[d, 4] < moving.keep[d]:
                 return t
     return np.inf
 
 
 @kernel
-def _held(pose, v, hold, surroundings, count, cap, scratch, at):
+def _held(pose, v, hold, near, at):
     """Smallest gap while a velocity is held [m], and when too small a gap is met [s].
 
     A velocity that is of no interest meets one at once.
@@ -161,10 +183,11 @@ def _held(pose, v, hold, surroundings, count, cap, scratch, at):
     Args:
         pose, v: See `rate`.
         hold: See `Hold`.
-        surroundings, count, cap, scratch: See `gap`.
+        near: See `gap`.
         at: Memory (3,).
     """
     need, stop = hold.needed_clearance, hold.stop
+    surroundings, count, cap, scratch = near
     # Most that cannot be stopped in time would touch where they stop.
     _carried(pose, v, stop, at)
     if gap(at[0], at[1], at[2], surroundings, count, cap, scratch) < need:
@@ -217,6 +240,7 @@ def rate(
     for d in range(len(discs)):
         now = disc_separation(pose, discs[d, 0], discs[d, 1], prisms) - discs[d, 4]
         keep[d] = min(weights.distance, now)
+    moving = Moving(discs, keep, look)
     worth = np.zeros(len(samples))
     for m in range(len(samples)):
         out[m] = -np.inf
@@ -236,15 +260,15 @@ def rate(
         count = select(pose[0], pose[1], points * end + prisms.radius + cap, bounds, scratch.near)
         dull = -np.inf if crowding <= 0 else preferred * (1 - (worth[m] - best) / crowding)
         hold = Hold(stop, horizon, end, points, weights.needed_clearance, dull)
-        least, met = _held(pose, v, hold, surroundings, count, cap, scratch, at)
+        least, met = _held(pose, v, hold, Near(surroundings, count, cap, scratch), at)
         most = worth[m] - crowding * max(0.0, 1 - least / preferred)
         if met <= stop:
             continue
         waits = 0.0
         if len(discs):
-            if _meets(pose, v, dt, braking, discs, prisms, look, keep, at) < np.inf:
+            if _meets(pose, v, dt, braking, moving, prisms, at) < np.inf:
                 continue
-            hit = _meets(pose, v, look, braking, discs, prisms, look, keep, at)
+            hit = _meets(pose, v, look, braking, moving, prisms, at)
             waits = max(0.0, 1 - hit / look)
         score = 0.0
         for share in (0.5, 1.0):

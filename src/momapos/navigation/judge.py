@@ -101,7 +101,7 @@ class FootprintCollisionChecker:
 
 
 def overlap(
-    a: Float[np.ndarray, "*batch k 2"], b: Float[np.ndarray, "*batch m 2"]
+    a: Float[np.ndarray, "*#batch k 2"], b: Float[np.ndarray, "*#batch m 2"]
 ) -> Bool[np.ndarray, " *batch"]:
     """Whether convex outlines have a point in common: no edge of either separates them."""
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import TYPE_CHECKING
 
@@ -42,6 +42,8 @@ class PlacementGeometry:
     floor_polygon: Float[np.ndarray, "k 2"] | None
     clearance: float
     """Distance that the base keeps from everything [m]."""
+    groups: Int[np.ndarray, "t k"] = field(default_factory=lambda: np.zeros((0, 1), np.int64))
+    """Grasps between which the hand may turn on its way, -1 where a group has fewer."""
 
     @property
     def shoulder(self) -> Float[np.ndarray, "3"]:

@@ -21,6 +21,7 @@ from momapos.placement.area import (
     task_frame,
 )
 from momapos.placement.config import PlaceConfig
+from momapos.placement.holding import ScoreWays, score_grasps, score_turning
 from momapos.placement.order import by_expected_cost, open_tours
 from momapos.placement.potential import attraction
 from momapos.protocols import ReachScorer, TravelCost
@@ -123,14 +124,21 @@ def search(problem: Problem, config: PlaceConfig, rng: np.random.Generator) -> S
         return found
     frame = task_frame(problem.geometry)
     for local, on_grid in _rounds(corners, config, rng):
-        shortlist = _cull(problem, compose(frame, local), found)
-        if on_grid:
-            _check_grid(problem, shortlist, config, found)
-        else:
-            _check_samples(problem, shortlist, config, found)
-        if found.motion is not None or found.timed_out:
-            break
+        clear = _cull(problem, compose(frame, local), found)
+        for score in _ways_of_holding(problem.geometry):
+            shortlist = clear.reached(score(problem.reach, clear.poses, problem.geometry))
+            if on_grid:
+                _check_grid(problem, shortlist, config, found)
+            else:
+                _check_samples(problem, shortlist, config, found)
+            if found.motion is not None or found.timed_out:
+                return found
     return found
+
+
+def _ways_of_holding(geometry: PlacementGeometry) -> tuple[ScoreWays, ...]:
+    """Grasps that stay as they are first; those that turn cost more."""
+    return (score_grasps, score_turning) if len(geometry.groups) else (score_grasps,)
 
 
 def _too_high(geometry: PlacementGeometry) -> str:
@@ -171,7 +179,8 @@ class _Shortlist:
     row: Int[np.ndarray, " n"]
     """Index of each into the round."""
     travel: Float[np.ndarray, " n"]
-    scores: Float[np.ndarray, "n g"]
+    scores: Float[np.ndarray, "n h"]
+    """Of the ways of holding."""
     outcomes: np.ndarray
 
     def keep(self, which: Bool[np.ndarray, " n"], otherwise: PoseStatus) -> None:
@@ -180,27 +189,34 @@ class _Shortlist:
         self.poses, self.row = self.poses[which], self.row[which]
         self.travel, self.scores = self.travel[which], self.scores[which]
 
-    def grasps(self, i: int) -> Int[np.ndarray, " k"]:
-        """Grasps within reach of pose i, the best reached first."""
+    def reached(self, scores: Float[np.ndarray, "n h"]) -> _Shortlist:
+        """Those from which some way of holding is within reach."""
+        which = scores.max(1, initial=0.0) > 0
+        beyond = self.row[~which]
+        untold = beyond[self.outcomes[beyond] == _NOT_TRIED]
+        self.outcomes[untold] = PoseOutcome(PoseStatus.OUT_OF_REACH)
+        return _Shortlist(
+            self.poses[which], self.row[which], self.travel[which], scores[which], self.outcomes
+        )
+
+    def ways(self, i: int) -> Int[np.ndarray, " k"]:
+        """Ways of holding within reach of pose i, the best reached first."""
         order = np.argsort(-self.scores[i], kind="stable")
         return order[self.scores[i, order] > 0]
 
 
 def _cull(problem: Problem, poses: Float[np.ndarray, "n 3"], found: Search) -> _Shortlist:
-    """Footprint first, then the way there, then the reach map."""
+    """Footprint first, then the way there."""
     status, _ = base_pose_status(problem.geometry, poses)
     outcomes = np.full(len(poses), _NOT_TRIED, object)
     for code, outcome in BASE_OUTCOMES.items():
         outcomes[status == code] = outcome
     row = np.flatnonzero(status == BaseStatus.CLEAR)
     travel = problem.travel_cost(poses[row, :2])
-    empty = np.zeros((len(row), len(problem.geometry.Ts_world_tool)), np.float32)
-    left = _Shortlist(poses[row], row, travel, empty, outcomes)
+    left = _Shortlist(poses[row], row, travel, np.zeros((len(row), 0), np.float32), outcomes)
     left.keep(np.isfinite(travel), PoseStatus.NO_ROUTE)
     if problem.pose_filter is not None:
         left.keep(~problem.pose_filter(left.poses), PoseStatus.FILTERED)
-    left.scores = problem.reach.min_score(left.poses, problem.geometry.Ts_world_tool)
-    left.keep(left.scores.max(1, initial=0.0) > 0, PoseStatus.OUT_OF_REACH)
     found.note(poses, outcomes)
     return left
 
@@ -234,7 +250,7 @@ def _complete(
         if problem.out_of_time():
             found.timed_out = True
             return
-        result = problem.attempt(left.poses[i], passed[i], left.grasps(i)[:most])
+        result = problem.attempt(left.poses[i], passed[i], left.ways(i)[:most])
         left.outcomes[left.row[i]] = result.outcome
         if result.motion is not None:
             found.base, found.motion, found.cost = left.poses[i], result.motion, left.travel[i]
@@ -290,6 +306,7 @@ def _order(problem: Problem, left: _Shortlist, config: PlaceConfig) -> Int[np.nd
             k_potential=config.k_potential,
         )
     # A pose that many grasps reach is worth more than one that a single grasp reaches well.
-    share = np.clip((left.scores > 0).mean(1) * 4, 0.0, 1.0)
+    asked = left.scores.shape[1] % len(geometry.Ts_world_tool) or len(geometry.Ts_world_tool)
+    share = np.clip((left.scores > 0).sum(1) / asked * 4, 0.0, 1.0)
     odds = np.clip(0.4 * best + 0.4 * share + 0.2 * np.sqrt(field_value), 0.0, 1.0)
     return by_expected_cost(left.travel, odds, miss=config.miss)

@@ -13,12 +13,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from momapos.compiled import F1, F2, I1, U1, entry, kernel
+from momapos.compiled import B1, F1, F2, I1, U1, entry, kernel
 from momapos.kinematics.chain import forward
 from momapos.kinematics.closed_forms import MAX_BRANCHES
 from momapos.kinematics.collision import FREE, hit_floor, hit_self, place_bounds, scratch_of
 from momapos.kinematics.ik import COARSE, ik_scratch, solve_sample
-from momapos.kinematics.records import ChainArrays, IkArrays, JointLimits, SphereArrays
+from momapos.kinematics.records import ArmArrays, ArmScratch, IkScratch, SphereArrays
 from momapos.reachability.base_contact import BEARINGS, StandingTable, touched
 from momapos.reachability.grid import oct_decode
 
@@ -39,6 +39,29 @@ class Arm(NamedTuple):
     table: StandingTable
 
 
+class Tool(NamedTuple):
+    """The tool, and the turns about its line that are tried."""
+
+    frame: F2
+    """(4, 3): axis, two vectors that complete it to a right-handed frame, and the line's point."""
+    rolls: F1
+    """Turns about the line that must all be reached [rad]."""
+    spins: F1
+    """What is added to the last joint after the arm is solved [rad]."""
+
+
+class MaskScratch(NamedTuple):
+    """Memory of `_line_mask`."""
+
+    R_tool: F2
+    p_tool: F1
+    solutions: F2
+    ik: IkScratch
+    placed: ArmScratch
+    works: B1
+    votes: U1
+
+
 class ShoulderSamples(NamedTuple):
     """By the value at which each sample locks the first joint."""
 
@@ -51,17 +74,16 @@ class ShoulderSamples(NamedTuple):
 
 
 @kernel
-def line_pose(r, z, u, v, roll, tool, R, p):
+def line_pose(line, roll, tool, R, p):
     """Tool pose whose last axis is the given line at azimuth 0, relative to the first axis.
 
     Args:
-        r, z, u, v: Coordinates of the line, see `grid`.
+        line: Coordinates z, r, u, v of the line, see `grid`.
         roll: Turn of the tool about the line [rad].
-        tool: (4, 3): axis, two vectors that complete it to a right-handed frame, and the line's
-            point, all in the tool frame.
+        tool: Frame of the tool, see `Tool`.
         R, p: Tool pose to be filled; p is relative to the foot of the first axis.
     """
-    x, y, w = oct_decode(u, v)
+    x, y, w = oct_decode(line[2], line[3])
     # A vector across the line: horizontal where the line is not vertical.
     n = math.hypot(x, y)
     if n > 1e-6:
@@ -78,8 +100,8 @@ def line_pose(r, z, u, v, roll, tool, R, p):
         R[2, k] = w * tool[0, k] + az * tool[1, k] + bz * tool[2, k]
     for i in range(3):
         p[i] = -(R[i, 0] * tool[3, 0] + R[i, 1] * tool[3, 1] + R[i, 2] * tool[3, 2])
-    p[0] += r
-    p[2] += z
+    p[0] += line[1]
+    p[2] += line[0]
 
 
 @entry
@@ -110,24 +132,25 @@ def _majority(votes):
 
 
 @kernel(inline="always")  # compiled once instead of twice: 3 s
-def _line_mask(R_tool, p_tool, closed, spins, arm, chain, limits, ik, shoulder_samples, work):
+def _line_mask(closed, spins, arm, freed, shoulder_samples, scratch):
     """Azimuths at which a tool pose is reachable, for at least half of the spins.
 
     Args:
-        R_tool, p_tool: Tool pose at azimuth 0, in the base frame.
         closed: Azimuths that are of no interest.
-        spins: What is added to the last joint after the arm is solved [rad].
-        arm: (first, turn, lower, upper, axis, turning, table), see `construct`.
-        chain, limits, ik: The arm with its first joint freed.
+        spins: See `Tool`.
+        arm: `Arm`.
+        freed: `ArmArrays` of the arm with its first joint freed.
         shoulder_samples: For each sample, by the value at which it locks the first joint: (arcs:
             what it can serve, 0 where it does not lock it; value: its index; step: the values this
             far to both sides are known before it, 0 for the first ones). A value between two that
             agree is not tried, nor one that can add nothing.
-        work: Scratch.
+        scratch: Memory, with the tool pose at azimuth 0 in the base frame.
     """
     first, turn, lower, upper, axis, turning, table = arm
     arcs, value, step = shoulder_samples
-    out, scratch, R, p, bounds, works, votes = work
+    R_tool, p_tool, out, ik, placed, works, votes = scratch
+    R, p, bounds = placed
+    chain = freed.chain
     works[:] = False
     votes[:] = closed
     done = closed
@@ -143,7 +166,7 @@ def _line_mask(R_tool, p_tool, closed, spins, arm, chain, limits, ik, shoulder_s
                 if left == works[(v + step[s]) % len(works)]:
                     works[v] = left
                     continue
-        count = solve_sample(s, R_tool, p_tool, chain, limits, ik, COARSE, out, scratch)
+        count = solve_sample(s, R_tool, p_tool, freed, COARSE, out, ik)
         for k in range(count):
             serves = arc if arc else arc_mask(out[k, first], turn, lower, upper)
             if serves & ~done == np.uint64(0):
@@ -173,13 +196,9 @@ def _line_mask(R_tool, p_tool, closed, spins, arm, chain, limits, ik, shoulder_s
 def line_masks(
     lines: F2,
     wanted: U1,
-    rolls: F1,
-    spins: F1,
-    tool: F2,
+    tool: Tool,
     arm: Arm,
-    chain: ChainArrays,
-    limits: JointLimits,
-    ik: IkArrays,
+    freed: ArmArrays,
     shoulder_samples: ShoulderSamples,
     masks: U1,
 ) -> None:
@@ -188,24 +207,25 @@ def line_masks(
     A line counts where every roll of the tool can be reached, each solved anew, with at least half
     of the spins.
     """
-    n = ik.samples.shape[1]
-    axis = arm.axis
-    work = (
+    n = freed.ik.samples.shape[1]
+    axis, rolls, spins = arm.axis, tool.rolls, tool.spins
+    R, p = np.empty((3, 3)), np.empty(3)
+    scratch = MaskScratch(
+        R,
+        p,
         np.empty((MAX_BRANCHES, n)),
         ik_scratch(n),
-        *scratch_of(n, arm.turning),
-        np.zeros(np.max(shoulder_samples[1]) + 1, np.bool_),
+        scratch_of(n, arm.turning),
+        np.zeros(np.max(shoulder_samples.value) + 1, np.bool_),
         np.empty(len(spins), np.uint64),
     )
-    R, p = np.empty((3, 3)), np.empty(3)
     for i in range(len(lines)):
         mask = wanted[i]
         for k in range(len(rolls)):
-            z, r = lines[i, 0], lines[i, 1]
-            line_pose(r, z, lines[i, 2], lines[i, 3], rolls[k], tool, R, p)
+            line_pose(lines[i], rolls[k], tool.frame, R, p)
             p[0] += axis[0]
             p[1] += axis[1]
-            mask = _line_mask(R, p, ~mask, spins, arm, chain, limits, ik, shoulder_samples, work)
+            mask = _line_mask(~mask, spins, arm, freed, shoulder_samples, scratch)
             if mask == np.uint64(0):
                 break
         masks[i] = mask

@@ -14,11 +14,11 @@ import numpy as np
 from momapos.errors import RobotError
 from momapos.kinematics.chain import Chain, chain_arrays, chain_limits
 from momapos.kinematics.hulls import Boxes
-from momapos.kinematics.records import SphereArrays
+from momapos.kinematics.records import ArmArrays, SphereArrays
 from momapos.kinematics.spheres import Spheres
 from momapos.reachability.arm_axes import ArmAxes, arm_frame
 from momapos.reachability.base_contact import BEARINGS, standing_table
-from momapos.reachability.build import EVERY, Arm, line_masks
+from momapos.reachability.build import EVERY, Arm, Tool, line_masks
 from momapos.reachability.grid import grid_points, pack_shape
 from momapos.reachability.map import ReachConfig, ReachMap
 from momapos.reachability.samples import Samples, locked_samples
@@ -160,11 +160,11 @@ class _Evaluator:
             self.waypoint_steps = locked_samples(free, frame, config.samples // 2, heights)
         self.progress = progress
         # A tool whose last joint turns fully reaches all rolls or none, but for what it touches.
-        self.rolls = np.zeros(1) if frame.full_roll else 2 * np.pi / ROLLS * np.arange(ROLLS)
+        rolls = np.zeros(1) if frame.full_roll else 2 * np.pi / ROLLS * np.arange(ROLLS)
         # Every second one is turned by half a turn more: spread evenly for any tool, and for one
         # that looks the same after half a turn, as grippers do.
         k = np.arange(config.spins if frame.full_roll else 1)
-        self.spins = np.pi * (k / len(k) + k % 2)
+        spins = np.pi * (k / len(k) + k % 2)
         arm = Arm(
             first,
             float(frame.turn),
@@ -174,12 +174,8 @@ class _Evaluator:
             _turning(robot.spheres, first),
             standing_table(robot.spheres, chain.d, first),
         )
-        self.arguments = (
-            np.ascontiguousarray(frame.tool),
-            arm,
-            chain_arrays(free),
-            chain_limits(free),
-        )
+        self.arm, self.chain, self.limits = arm, chain_arrays(free), chain_limits(free)
+        self.tool = Tool(np.ascontiguousarray(frame.tool), rolls, spins)
 
     def __call__(
         self,
@@ -190,8 +186,8 @@ class _Evaluator:
         samples: Samples | None = None,
     ) -> np.ndarray:
         """Which of the wanted azimuths (m,) lines (m, 4) serve; progress goes from begin to end."""
-        samples = samples or self.fine
-        fixed = self.rolls, self.spins, *self.arguments, *samples
+        ik, shoulder_samples = samples or self.fine
+        fixed = self.tool, self.arm, ArmArrays(self.chain, self.limits, ik), shoulder_samples
         masks = np.empty(len(lines), np.uint64)
 
         def block(lo: int, hi: int) -> None:

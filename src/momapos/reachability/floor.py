@@ -8,16 +8,17 @@ lattice point together; a base at some yaw then reads where its axis stands betw
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from momapos.compiled import F1, F2, I1, S2, ReadI8, entry, kernel
+from momapos.compiled import F1, F2, I1, S2, entry, kernel
 from momapos.reachability.grid import (
     LOW,
     ONE,
     OUTSIDE,
-    GridFrame,
-    GridShape,
+    MapArrays,
+    Point,
     relative_line,
     scored,
     turns_of,
@@ -27,8 +28,17 @@ SPACING = 0.06
 """Spacing of the lattice [m], or the map's cell where that is wider."""
 
 
+class FloorGrid(NamedTuple):
+    """Bases on a grid of the floor, each at some yaws."""
+
+    xs: F1
+    ys: F1
+    yaws: F2
+    """(k, 3): cosine, sine, and in [0, 1] [turns]."""
+
+
 @kernel(error_model="numpy", fastmath={"contract", "arcp", "nsz"})
-def _axis_lattice(line, yaws, values, rims, shape, frame, step, table):
+def _axis_lattice(line, yaws, grid, rims, step, table):
     """Values of a line for first axes on a square lattice around its point.
 
     Interpolates over the simplex of height, distance and direction, then linearly over the azimuth.
@@ -36,7 +46,7 @@ def _axis_lattice(line, yaws, values, rims, shape, frame, step, table):
     Args:
         line: Point over the floor and unit direction (6,).
         yaws: Yaws of the base (k, 3): cosine, sine, and in [0, 1] [turns].
-        values, rims, shape, frame: See `floor_scores`.
+        grid, rims: See `floor_scores`.
         step: Spacing of the lattice [cells].
         table: (n, k, n) to be filled: at [n // 2 + i, k, n // 2 + j] the axis stands j steps in x
             and i steps in y before the line's point. `OUTSIDE` beyond reach.
@@ -44,10 +54,10 @@ def _axis_lattice(line, yaws, values, rims, shape, frame, step, table):
     Returns:
         How many steps from the line's point all is `OUTSIDE`.
     """
-    nz, nr, nu, nv, nb = shape
+    nz, nr, nu, nv, nb = grid.shape
     half = len(table) // 2
     table[:] = OUTSIDE
-    fz = (line[2] - frame.low) * frame.per_meter
+    fz = (line[2] - grid.frame.low) * grid.frame.per_meter
     if fz < 0.0 or fz >= nz - 1:
         return 0
     iz = int(fz)
@@ -62,7 +72,7 @@ def _axis_lattice(line, yaws, values, rims, shape, frame, step, table):
             fu, fv = (u + 1.0) * (0.5 * (nu - 1)), (v + 1.0) * (0.5 * (nv - 1))
             ir, iu, iv = min(int(fr), nr - 2), min(int(fu), nu - 2), min(int(fv), nv - 2)
             at = ((iz * nr + ir) * nu + iu) * nv + iv
-            _all_bearings(at, fz - iz, fr - ir, fu - iu, fv - iv, values, shape, row)
+            _all_bearings(at, (fz - iz, fr - ir, fu - iu, fv - iv), grid, row)
             ahead = turns_of(float(i), float(j)) + 1.0
             for k in range(len(yaws)):
                 fb = np.float32((ahead - yaws[k, 2]) * nb)
@@ -73,16 +83,18 @@ def _axis_lattice(line, yaws, values, rims, shape, frame, step, table):
 
 
 @kernel(error_model="numpy", fastmath=True)
-def _all_bearings(at, fz, fr, fu, fv, values, shape, row):
+def _all_bearings(at, fractions, grid, row):
     """Values at all azimuths of two turns and a little more, into row (2 azimuths + 2,).
 
     Args:
         at: Index of the lowest corner among the points.
-        fz, fr, fu, fv: Fractions of a cell.
-        values, shape: The map, see `grid.lookup`.
+        fractions: Of a cell, along z, r, u and v.
+        grid: `MapArrays`.
         row: To be filled.
     """
-    _, nr, nu, nv, nb = shape
+    fz, fr, fu, fv = fractions
+    values = grid.values
+    _, nr, nu, nv, nb = grid.shape
     # Packed and sorted without branches, see `grid.lookup`; the network is Knuth's for four.
     a, b = (int(fz * ONE) << 32) + nr * nu * nv, (int(fr * ONE) << 32) + nu * nv
     c, d = (int(fu * ONE) << 32) + nv, (int(fv * ONE) << 32) + 1
@@ -112,40 +124,36 @@ def _all_bearings(at, fz, fr, fu, fv, values, shape, row):
 @entry(error_model="numpy", fastmath={"contract", "arcp", "nsz"})
 def floor_scores(
     line: F1,
-    xs: F1,
-    ys: F1,
-    yaws: F2,
-    axis_x: float,
-    axis_y: float,
-    values: ReadI8,
+    floor: FloorGrid,
+    axis: Point,
+    grid: MapArrays,
     rims: I1,
-    shape: GridShape,
-    frame: GridFrame,
     out: S2,
 ) -> None:
     """Best score over the yaws for bases on a grid of the floor, linear between lattice points.
 
     Args:
         line: Point over the floor and unit direction (6,).
-        xs, ys: Coordinates of the bases [m].
-        yaws: Yaws of the base (k, 3): cosine, sine, and in [0, 1] [turns].
-        axis_x, axis_y: The first axis in the base frame [m].
-        values, shape, frame: The map, see `grid.lookup`.
+        floor: The bases.
+        axis: The first axis in the base frame.
+        grid: The map.
         rims: For each height, the first r from which on all is `OUTSIDE` [cells].
         out: (len(ys), len(xs)) to be filled.
     """
+    xs, ys, yaws = floor
+    shape, frame = grid.shape, grid.frame
     step = max(1.0, SPACING * frame.per_meter)
     per_meter = frame.per_meter / step
     size = 2 * math.ceil(shape[1] / step) + 1
     table = np.empty((size, len(yaws), size), np.float32)
-    far = _axis_lattice(line, yaws, values, rims, shape, frame, step, table)
+    far = _axis_lattice(line, yaws, grid, rims, step, table)
     begin, end = size // 2 - far, size // 2 + far
     out[:] = OUTSIDE
     column, low = np.empty(len(xs), np.int64), np.empty(len(xs), np.int64)
     share, row = np.empty(len(xs), np.float32), np.empty(size, np.float32)
     for k in range(len(yaws)):
         c, s = yaws[k, 0], yaws[k, 1]
-        x, y = line[0] - c * axis_x + s * axis_y, line[1] - s * axis_x - c * axis_y
+        x, y = line[0] - c * axis.x + s * axis.y, line[1] - s * axis.x - c * axis.y
         count = 0
         for j in range(len(xs)):
             f = (x - xs[j]) * per_meter + size // 2

@@ -58,6 +58,33 @@ class GridFrame(NamedTuple):
     """Stored value above which a line can be reached."""
 
 
+class MapArrays(NamedTuple):
+    """A map as the kernels take it."""
+
+    values: ReadI8
+    """Stored values, flat."""
+    shape: GridShape
+    frame: GridFrame
+
+
+class Point(NamedTuple):
+    """A point of the floor plan [m]."""
+
+    x: float
+    y: float
+
+
+class Line(NamedTuple):
+    """A line: a point [m], x and y relative to the first axis, and its unit direction."""
+
+    x: float
+    y: float
+    z: float
+    ax: float
+    ay: float
+    az: float
+
+
 @kernel
 def oct_decode(u: float, v: float) -> tuple[float, float, float]:
     """Unit vector of a point on the octahedral square."""
@@ -106,23 +133,21 @@ def relative_line(x, y, ax, ay, az):
 
 
 @kernel(error_model="numpy", fastmath={"contract", "arcp", "nsz"})
-def lookup(x, y, z, ax, ay, az, yaw_turns, values, shape, frame):
+def lookup(line, yaw_turns, grid):
     """Interpolated value of a line.
 
     Args:
-        x, y: Point of the line relative to the first axis, in any frame with z up [m].
-        z: Height of the point over the floor [m].
-        ax, ay, az: Unit direction of the line in the same frame.
+        line: `Line`, in any frame with z up from the floor.
         yaw_turns: Yaw of the base in that frame [turns].
-        values: Stored values, flat, int8.
-        shape: Number of points along z, r, u, v, azimuth.
-        frame: (lowest height [m], 1 / cell [1/m], threshold [steps]).
+        grid: `MapArrays`.
 
     Returns:
         Value in stored steps; above the threshold where the line can be reached.
     """
-    nz, nr, nu, nv, nb = shape
-    z0, per_meter, _ = frame
+    x, y, z, ax, ay, az = line
+    values = grid.values
+    nz, nr, nu, nv, nb = grid.shape
+    z0, per_meter = grid.frame.low, grid.frame.per_meter
     square = x * x + y * y
     fz = (z - z0) * per_meter
     if square * (per_meter * per_meter) >= (nr - 1) * (nr - 1) or fz < 0.0 or fz >= nz - 1:
@@ -185,63 +210,47 @@ def scored(value, threshold):
 @entry
 def score_lines(
     lines: F2,
-    values: ReadI8,
-    shape: GridShape,
-    frame: GridFrame,
+    grid: MapArrays,
     out: F1,
 ) -> None:
     """S2 of lines (m, 6) given as x, y, z, direction, relative to the first axis."""
     for i in range(len(lines)):
-        v = lookup(
-            lines[i, 0],
-            lines[i, 1],
-            lines[i, 2],
-            lines[i, 3],
-            lines[i, 4],
-            lines[i, 5],
-            0.0,
-            values,
-            shape,
-            frame,
-        )
-        out[i] = scored(v, frame.threshold)
+        line = Line(lines[i, 0], lines[i, 1], lines[i, 2], lines[i, 3], lines[i, 4], lines[i, 5])
+        out[i] = scored(lookup(line, 0.0, grid), grid.frame.threshold)
 
 
 @entry
 def min_line_scores(
     bases: F2,
     lines: F3,
-    axis_x: float,
-    axis_y: float,
-    values: ReadI8,
-    shape: GridShape,
-    frame: GridFrame,
+    axis: Point,
+    grid: MapArrays,
     out: S2,
 ) -> None:
-    """Least score over the lines (g, w, 6) in the world, for every base (n, 3) and g."""
+    """Least score over the lines (g, w, 6) in the world, for every base (n, 3) and g.
+
+    The first axis stands at a point of the base frame.
+    """
+    threshold = grid.frame.threshold
     for i in range(len(bases)):
         c, s = math.cos(bases[i, 2]), math.sin(bases[i, 2])
-        x, y = bases[i, 0] + c * axis_x - s * axis_y, bases[i, 1] + s * axis_x + c * axis_y
+        x, y = bases[i, 0] + c * axis.x - s * axis.y, bases[i, 1] + s * axis.x + c * axis.y
         turns = bases[i, 2] / (2.0 * math.pi)
         for g in range(lines.shape[0]):
             least = float(DEPTH)
             for w in range(lines.shape[1]):
-                v = lookup(
+                line = Line(
                     lines[g, w, 0] - x,
                     lines[g, w, 1] - y,
                     lines[g, w, 2],
                     lines[g, w, 3],
                     lines[g, w, 4],
                     lines[g, w, 5],
-                    turns,
-                    values,
-                    shape,
-                    frame,
                 )
-                least = min(least, v)
-                if least <= frame.threshold:
+                least = min(least, lookup(line, turns, grid))
+                if least <= threshold:
                     break
-            out[i, g] = scored(least, frame.threshold)
+            out[i, g] = scored(least, threshold)
 
 
 def pack_shape(shape: tuple[int, ...]) -> GridShape:

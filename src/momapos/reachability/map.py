@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.reachability.floor import floor_scores
+from momapos.reachability.floor import FloorGrid, floor_scores
 from momapos.reachability.grid import (
     OUTSIDE,
     GridFrame,
-    GridShape,
+    MapArrays,
+    Point,
     min_line_scores,
     pack_shape,
     score_lines,
@@ -83,9 +84,12 @@ class ReachMap:
         """No tool's last axis point is farther from the first axis than this [m]."""
         return (self.values.shape[1] - 1) * self.cell
 
-    def _arrays(self) -> tuple[np.ndarray, GridShape, GridFrame]:
+    def _arrays(self) -> MapArrays:
         frame = GridFrame(float(self.low), 1.0 / float(self.cell), float(self.threshold))
-        return self.values.reshape(-1), pack_shape(self.values.shape), frame
+        return MapArrays(self.values.reshape(-1), pack_shape(self.values.shape), frame)
+
+    def _axis(self) -> Point:
+        return Point(float(self.axis_xy[0]), float(self.axis_xy[1]))
 
     def lines(self, Ts: Float[np.ndarray, "*batch 4 4"]) -> Float[np.ndarray, "*batch 6"]:
         """The last axis of tool poses: a point [m] and a direction, in the frame of the poses."""
@@ -105,7 +109,7 @@ class ReachMap:
         lines = np.ascontiguousarray(lines.reshape(-1, 6))
         lines[:, :2] -= self.axis_xy
         out = np.empty(len(lines))
-        score_lines(lines, *self._arrays(), out)
+        score_lines(lines, self._arrays(), out)
         return out.reshape(batch)
 
     def min_score(
@@ -120,8 +124,7 @@ class ReachMap:
         lines = np.ascontiguousarray(self.lines(Ts_world_tool))
         bases = np.ascontiguousarray(bases, float)
         out = np.empty((len(bases), len(lines)), np.float32)
-        x, y = float(self.axis_xy[0]), float(self.axis_xy[1])
-        min_line_scores(bases, lines, x, y, *self._arrays(), out)
+        min_line_scores(bases, lines, self._axis(), self._arrays(), out)
         return out
 
     def score_base_poses(
@@ -153,9 +156,8 @@ class ReachMap:
         line = self.lines(T_world_tool)
         xs, ys = np.ascontiguousarray(xs, float), np.ascontiguousarray(ys, float)
         out = np.empty((len(ys), len(xs)), np.float32)
-        x, y = float(self.axis_xy[0]), float(self.axis_xy[1])
-        values, shape, frame = self._arrays()
-        floor_scores(line, xs, ys, _YAWS, x, y, values, self._rims, shape, frame, out)
+        floor = FloorGrid(xs, ys, _YAWS)
+        floor_scores(line, floor, self._axis(), self._arrays(), self._rims, out)
         return out
 
     @cached_property

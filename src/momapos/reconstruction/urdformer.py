@@ -116,7 +116,7 @@ def load_urdformer(path: Path) -> Network:
 
     def network(
         image: Float32[np.ndarray, "3 h w"], boxes: Float32[np.ndarray, "slots 4"]
-    ) -> Logits[np.ndarray]:
+    ) -> Logits:
         with torch.inference_mode():
             said = net(torch.from_numpy(image), torch.from_numpy(boxes))
         return Logits(*(tensor.numpy() for tensor in said))
@@ -147,7 +147,7 @@ def boxes_of(front: Front) -> Float[np.ndarray, "n 4"]:
     return np.stack((top, left, bottom - top, right - left), axis=-1)
 
 
-def decode(logits: Logits[np.ndarray], count: int) -> Prediction:
+def decode(logits: Logits, count: int) -> Prediction:
     """Take the most likely entry of every output, for the first `count` slots."""
     part = logits.part[:count]
     odds = np.exp(part - part.max(axis=-1, keepdims=True))

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Generic, NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float, Float32
 
 from momapos.types import PartKind
 
 Rectangle = tuple[float, float, float, float]
 """Left, top, right, bottom as fractions of the face."""
-Array = TypeVar("Array")
 
 IMAGE = 224
 """Edge of the image [px]."""
@@ -40,24 +39,20 @@ HANDLES = ("handle", "knob")
 """What is held; all other classes have no counterpart here."""
 
 
-class Logits(NamedTuple, Generic[Array]):
-    """What the network says of one image, as tensors or arrays."""
+class Logits(NamedTuple):
+    """What the network says of one image."""
 
-    start: Array
-    """(slots, 3, steps): corner of each part along depth, width and height."""
-    end: Array
-    """(slots, 3, steps): the opposite corner."""
-    part: Array
-    """(slots, classes)"""
-    parent: Array
-    """(slots, 1 + slots, relations): the base first, then every slot."""
-    base: Array
-    """(base classes,)"""
+    start: Float[np.ndarray, "slots 3 steps"]
+    """Corner of each part along depth, width and height."""
+    end: Float[np.ndarray, "slots 3 steps"]
+    """The opposite corner."""
+    part: Float[np.ndarray, "slots classes"]
+    parent: Float[np.ndarray, "slots parents relations"]
+    """The base first, then every slot."""
+    base: Float[np.ndarray, " bases"]
 
 
-Network = Callable[
-    [Float32[np.ndarray, "3 h w"], Float32[np.ndarray, "slots 4"]], Logits[np.ndarray]
-]
+Network = Callable[[Float32[np.ndarray, "3 h w"], Float32[np.ndarray, "slots 4"]], Logits]
 """From a prepared image and boxes (top, left, height, width), zeros in unused slots."""
 
 

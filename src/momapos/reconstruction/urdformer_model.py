@@ -22,7 +22,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from momapos.reconstruction.urdformer_format import BASES, IMAGE, PARTS, STEPS, Logits
+from momapos.reconstruction.urdformer_format import BASES, IMAGE, PARTS, STEPS
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -139,8 +139,8 @@ class Urdformer(nn.Module):
 
     def forward(
         self, image: Float[Tensor, "3 h w"], boxes_yxhw: Float[Tensor, "slots 4"]
-    ) -> Logits[Tensor]:
-        """Say where and what the boxed parts are.
+    ) -> tuple[Tensor, ...]:
+        """Say where and what the boxed parts are; the members of `Logits`, in their order.
 
         Args:
             image: Square image of 224 pixels, normalized as for ImageNet.
@@ -153,13 +153,11 @@ class Urdformer(nn.Module):
         for block in self.blocks:
             x = block(x)
         x = self.norm_layer(x)[0]
-        return Logits(
-            start=torch.stack([self.get_submodule(f"position_head_{a}")(x) for a in "xyz"], 1),
-            end=torch.stack([self.get_submodule(f"position_end_{a}")(x) for a in "xyz"], 1),
-            part=self.mesh_head(x),
-            parent=self._parents(x),
-            base=self._base(cells),
+        start, end = (
+            torch.stack([self.get_submodule(f"position_{which}_{a}")(x) for a in "xyz"], 1)
+            for which in ("head", "end")
         )
+        return start, end, self.mesh_head(x), self._parents(x), self._base(cells)
 
     def _parents(self, x: Float[Tensor, "slots width"]) -> Float[Tensor, "slots parents relations"]:
         """Score every slot as the child of the base and of every other slot.

@@ -92,7 +92,7 @@ def _primitive(shape: Geometry) -> Float[np.ndarray, "n 3 3"]:
 # ------------------------------------------------------------------------------------------ meshes
 
 
-def _mesh(path: Path) -> list[tuple[Float[np.ndarray, "n 3 3"], Paint]]:
+def _mesh(path: Path) -> list[tuple[Float[np.ndarray, "_ 3 3"], Paint]]:
     data = mesh_bytes(path)
     if path.suffix.lower() == ".obj":
         found = _obj(path, data.decode(errors="replace"))
@@ -111,7 +111,7 @@ def _mesh(path: Path) -> list[tuple[Float[np.ndarray, "n 3 3"], Paint]]:
     return found
 
 
-def _obj(path: Path, text: str) -> list[tuple[Float[np.ndarray, "n 3 3"], Paint]]:
+def _obj(path: Path, text: str) -> list[tuple[Float[np.ndarray, "_ 3 3"], Paint]]:
     """Read the triangles of an OBJ file by material; what has textures counts as unpainted."""
     points: list[list[float]] = []
     faces: dict[str, list[list[int]]] = {}

@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from momapos.compiled import F2, entry, kernel
+from momapos.compiled import F1, F2, I2, entry, kernel
 
 TOLERANCE = 1e-6
 """Gap between the bounds at which a distance counts as exact [m]."""
@@ -248,9 +248,24 @@ def _first_points(a, b, T, p, work):
     return best
 
 
+class Polytope(NamedTuple):
+    """The growing hull of the points of A - B that are known, with room for more."""
+
+    p: F2
+    corners: I2
+    normals: F2
+    offsets: F1
+    edges: I2
+    """Those of the faces that are taken away."""
+    inside: F1
+    """A point within."""
+
+
 @kernel
-def _set_face(f, p, corners, normals, offsets, inside):
+def _set_face(f, polytope):
     """Compute the plane of face `f`, its normal away from `inside`; slivers are never chosen."""
+    p, corners, inside = polytope.p, polytope.corners, polytope.inside
+    normals, offsets = polytope.normals, polytope.offsets
     i, j, k = corners[f]
     n = normals[f]
     area = _normal(p[i], p[j], p[k], n)
@@ -282,11 +297,12 @@ def _depth(a, b, T, work):
     normals, offsets = np.empty((_MAX_FACES, 3)), np.empty(_MAX_FACES)
     edges = np.empty((_MAX_FACES, 2), np.int64)
     inside = np.empty(3)
+    polytope = Polytope(p, corners, normals, offsets, edges, inside)
     for k in range(3):
         inside[k] = (p[0, k] + p[1, k] + p[2, k] + p[3, k]) / 4.0
     for f in range(4):
         _set(corners[f], f, (f + 1) % 4, (f + 2) % 4)
-        _set_face(f, p, corners, normals, offsets, inside)
+        _set_face(f, polytope)
     faces, w = np.int64(4), work[8]
     for count in range(4, _MAX_POINTS):
         nearest = np.argmin(offsets[:faces])
@@ -294,18 +310,20 @@ def _depth(a, b, T, work):
         if best - offsets[nearest] <= TOLERANCE:
             return best
         _set(p[count], w[0], w[1], w[2])
-        faces = _expand(count, p, corners, normals, offsets, faces, edges, inside)
+        faces = _expand(count, polytope, faces)
         if faces < 0:
             return best
     return best
 
 
 @kernel
-def _expand(new, p, corners, normals, offsets, faces, edges, inside):
+def _expand(new, polytope, faces):
     """Replace the faces that see a new point by a fan around it; return the number of faces.
 
     -1 when there is no room.
     """
+    p, corners, edges = polytope.p, polytope.corners, polytope.edges
+    normals, offsets = polytope.normals, polytope.offsets
     open_edges, kept = np.int64(0), np.int64(0)
     for f in range(faces):
         if _dot(normals[f], p[new]) - offsets[f] > _FLAT:
@@ -323,7 +341,7 @@ def _expand(new, p, corners, normals, offsets, faces, edges, inside):
         return -1
     for e in range(open_edges):
         _set(corners[kept], edges[e, 0], edges[e, 1], new)
-        _set_face(kept, p, corners, normals, offsets, inside)
+        _set_face(kept, polytope)
         kept += 1
     return kept
 

@@ -81,6 +81,8 @@ class PlanVerifier:
         """
         checks = list(paths.number_checks(self.part, motion, base_pose))
         if all(check.ok for check in checks):
+            checks += paths.hold_checks(self.part, motion)
+        if all(check.ok for check in checks):
             # Before anything is allocated: a step of 1e6 would be cut into millions of states.
             states = paths.count_states(motion, self.limits.step)
             if self.part.joint is not None:
@@ -140,7 +142,7 @@ class PlanVerifier:
         checks += paths.object_checks(part, motion, limits)
         checks += paths.joint_checks(machine, motion, limits)
         checks += paths.tool_checks(Ts_planned, motion, limits)
-        checks += paths.grasp_checks(part, path, Ts_tool, limits)
+        checks += paths.grasp_checks(part, path, Ts_tool, paths.holds_of(motion), limits)
         checks.append(paths.reach_check(part, self.task.verb, motion, Ts_planned, limits))
         Ts_way, where = self._way(Ts_part, path)
         checks.append(self._part_check(Ts_way, where))
@@ -265,7 +267,7 @@ class _Overlaps:
         a: Shapes,
         Ts_a: Float[np.ndarray, "s a 4 4"],
         b: Shapes,
-        Ts_b: Float[np.ndarray, "s b 4 4"],
+        Ts_b: Float[np.ndarray, "#s b 4 4"],
         pairs: Int[np.ndarray, "p 2"],
         where: Callable[[int], str],
         *,
@@ -300,7 +302,7 @@ def _above_floor(
     extent = np.einsum("skj,kj->sk", np.abs(Ts_arm[..., 2, :3]), arm.half)
     low = Ts_arm[..., 2, 3] - extent
     worst, where, culprit = 0.0, "", ""
-    for state, index in np.argwhere(low < 0.0):
+    for state, index in np.argwhere(low < 0.0).tolist():
         if -low[state, index] <= worst:
             continue
         T = Ts_arm[state, index]

@@ -61,7 +61,7 @@ class MovedPart:
         least = np.linalg.norm(np.maximum(beyond, 0.0), axis=1)
         least = np.where(beyond.max(1) < 0.0, beyond.max(1), least)
         nearest, T = np.inf, np.eye(4)
-        for index in np.argsort(least):
+        for index in np.argsort(least).tolist():
             if least[index] >= nearest:
                 break
             T[:3, 3] = local[index]

@@ -68,7 +68,7 @@ class PartSweepCheck:
 
     def _first_state(self, pair: int, Ts: Float[np.ndarray, "s k 4 4"]) -> int:
         """The first of some states at which a pair is too deep; there is one."""
-        i, j = self.pairs[pair]
+        i, j = self.pairs[pair].tolist()
         a, b = self.part.shapes.core(i), self.fixed.core(j)
         allowed = self.limits.penetration + self.already[pair]
         Ts_b_a = invert(self.fixed.Ts_body_shape[j]) @ Ts[:, i]

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.geometry.transforms import invert, rotation_angle, wrap_angle
-from momapos.types import Motion
+from momapos.geometry.transforms import invert, rotation_about, rotation_angle, wrap_angle
+from momapos.types import Hold, Motion
 from momapos.verification.part import MovedPart
 from momapos.verification.report import Check, Limits, at_most, verdict
 from momapos.verification.robot_collision_model import RobotCollisionModel
@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
 STEP_BACK = 1e-6
+STILL = 1e-9
+"""A part that nothing holds moves by no more [rad] or [m]."""
 LARGEST = 1e6
 """Numbers from here on cannot be meant."""
 RIGID = 1e-3
@@ -189,24 +191,75 @@ def tool_checks(
     yield at_most("T_world_tool is a rigid transform", off, RIGID)
 
 
+def holds_of(motion: Motion) -> tuple[Hold, ...]:
+    """When the hand holds the part; all along, without turning, where the motion says nothing."""
+    return motion.holds or (Hold(0, len(motion.q) - 1),)
+
+
+def hold_checks(part: MovedPart, motion: Motion) -> Iterator[Check]:
+    """Whether the holds are ranges of states in order, and the part rests between them."""
+    if not motion.holds or part.joint is None:
+        return
+    ends = np.array([(hold.first, hold.last) for hold in motion.holds])
+    order = np.concatenate([[-1], ends.ravel(), [len(motion.q)]])
+    fits = (np.diff(order)[::2] > 0).all() and (ends[:, 0] <= ends[:, 1]).all()
+    axes = np.array([hold.turn_axis for hold in motion.holds if hold.turn_axis is not None], float)
+    unit = np.isfinite(axes).all() and np.allclose(np.linalg.norm(axes.reshape(-1, 3), axis=1), 1.0)
+    yield verdict("holds are ranges of states in order, with unit axes", bool(fits and unit))
+    if not fits:
+        return
+    held = np.zeros(max(len(motion.q) - 1, 0), bool)
+    for first, last in ends:
+        held[first:last] = True
+    loose = np.abs(np.diff(motion.object_q))[~held]
+    yield at_most("object moves while nothing holds it", loose.max(initial=0.0), STILL, "rad|m")
+
+
 def grasp_checks(
-    part: MovedPart, path: DensePath, Ts_world_tool: Float[np.ndarray, "s 4 4"], limits: Limits
+    part: MovedPart,
+    path: DensePath,
+    Ts_world_tool: Float[np.ndarray, "s 4 4"],
+    holds: tuple[Hold, ...],
+    limits: Limits,
 ) -> Iterator[Check]:
-    """Whether the tool keeps its place in the part it moves; tool poses are of the dense path."""
+    """Whether the tool keeps its place in the part while it holds it.
+
+    It may turn about the axis that the hold names, which is fixed in the part. Tool poses are of
+    the dense path.
+    """
     if part.joint is None:
         return
-    held = slice(path.approach, None)
-    T = invert(part.poses(path.object_q[held])) @ Ts_world_tool[held]
-    slip = np.linalg.norm(T[:, :3, 3] - T[0, :3, 3], axis=1)
-    turn = rotation_angle(T[:1, :3, :3], T[:, :3, :3])
+    states, slips, turns = [], [], []
+    for hold in holds:
+        inside = (path.at >= hold.first) & (path.at <= hold.last)
+        inside[: path.approach] = False
+        held = np.flatnonzero(inside)
+        T = invert(part.poses(path.object_q[held])) @ Ts_world_tool[held]
+        states.append(held)
+        slips.append(np.linalg.norm(T[:, :3, 3] - T[0, :3, 3], axis=1))
+        turns.append(_turn_beside(T[:, :3, :3], hold.turn_axis))
+    state, slip, turn = (np.concatenate(values) for values in (states, slips, turns))
     yield at_most(
         "grasp slips: translation in the moved part", 1000 * slip.max(),
-        1000 * limits.slip_position, "mm", path.where(path.approach + int(slip.argmax())),
+        1000 * limits.slip_position, "mm", path.where(int(state[slip.argmax()])),
     )  # fmt: skip
     yield at_most(
         "grasp slips: rotation in the moved part", math.degrees(turn.max()),
-        math.degrees(limits.slip_rotation), "deg", path.where(path.approach + int(turn.argmax())),
+        math.degrees(limits.slip_rotation), "deg", path.where(int(state[turn.argmax()])),
     )  # fmt: skip
+
+
+def _turn_beside(
+    R: Float[np.ndarray, "s 3 3"], axis: tuple[float, float, float] | None
+) -> Float[np.ndarray, " s"]:
+    """Angle from the first rotation to each, less what is about the axis (swing and twist)."""
+    if axis is None:
+        return np.asarray(rotation_angle(R[:1], R))
+    M, a = R @ R[0].T, np.array(axis)
+    sine = np.stack([M[:, 2, 1] - M[:, 1, 2], M[:, 0, 2] - M[:, 2, 0], M[:, 1, 0] - M[:, 0, 1]], 1)
+    # Half angles: w = cos(t / 2) and n sin(t / 2) of the quaternion, both times 4 w.
+    twist = 2.0 * np.arctan2(sine @ a, 1.0 + np.trace(M, axis1=1, axis2=2))
+    return np.asarray(rotation_angle(rotation_about(a, twist) @ R[0], R))
 
 
 def reach_check(
@@ -216,13 +269,13 @@ def reach_check(
     Ts_world_tool: Float[np.ndarray, "m 4 4"],
     limits: Limits,
 ) -> Check:
-    """Whether the tool is at the part where it holds it: all along, or at its end for a pick.
+    """Whether the tool is at the part while it holds it; at the end for a pick.
 
     A distance changes by no more than the point moves, so that few points are computed.
     """
-    states = np.arange(len(motion.q))
+    states = np.concatenate([np.arange(h.first, h.last + 1) for h in holds_of(motion)])
     if part.joint is None:
-        states = states[:1] if verb == "place" else states[-1:]
+        states = np.array([0 if verb == "place" else len(motion.q) - 1])
     T = invert(part.poses(motion.object_q[states]))
     points = (T @ Ts_world_tool[states])[:, :3, 3]
     bounds, worst, where = np.full(len(points), np.inf), -np.inf, 0

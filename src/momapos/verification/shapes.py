@@ -87,7 +87,7 @@ class Shapes:
 
     def take(self, index: Int[np.ndarray, " m"]) -> Shapes:
         """Some of the shapes."""
-        points = [self.core(i)[0] for i in index]
+        points = [self.core(i)[0] for i in index.tolist()]
         return replace(
             self,
             names=tuple(self.names[i] for i in index),

@@ -23,7 +23,7 @@ def deepest(
     a: Shapes,
     Ts_a: Float[np.ndarray, "s a 4 4"],
     b: Shapes,
-    Ts_b: Float[np.ndarray, "s b 4 4"],
+    Ts_b: Float[np.ndarray, "#s b 4 4"],
     pairs: Int[np.ndarray, "p 2"],
     floor: float,
 ) -> tuple[Float[np.ndarray, " p"], Int[np.ndarray, " p"]]:

@@ -169,7 +169,7 @@ def _draw_nodes(
             way = np.stack([centers[i], nodes[i]])
             axes.plot(*way.T, color=SOFT_INK, lw=0.5, zorder=_LEADER_LAYER)
         draw_node(
-            axes, nodes[i], str(place[i] + 1), chosen=bool(chosen[i]), target=place[i] == 0,
+            axes, nodes[i], str(place[i] + 1), chosen=bool(chosen[i]), target=bool(place[i] == 0),
             zorder=_NODE_LAYER + (len(place) - place[i]) * 1e-4,
         )  # fmt: skip
 

@@ -26,7 +26,7 @@ def outline(points: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "k 2"] | None
     return xy if signed_area(xy) > 0 else xy[::-1]
 
 
-def box_outlines(boxes: Boxes) -> list[Float[np.ndarray, "k 2"]]:
+def box_outlines(boxes: Boxes) -> list[Float[np.ndarray, "_ 2"]]:
     """The outline of each box [m]."""
     scaled = _CORNERS[None] * boxes.half[:, None]
     corners = np.einsum("bij,bcj->bci", boxes.rotation, scaled) + boxes.center[:, None]
@@ -57,7 +57,7 @@ def box_bounds(boxes: Boxes) -> Float[np.ndarray, "n 2"]:
     return np.concatenate([boxes.center[:, :2] - extent, boxes.center[:, :2] + extent])
 
 
-def union_path(polygons: Iterable[Float[np.ndarray, "k 2"]]) -> Any:
+def union_path(polygons: Iterable[Float[np.ndarray, "_ 2"]]) -> Any:
     """One path for polygons of one orientation; filled by winding it shows their union."""
     from matplotlib.path import Path
 
@@ -66,7 +66,7 @@ def union_path(polygons: Iterable[Float[np.ndarray, "k 2"]]) -> Any:
 
 def draw_union(
     axes: Any,
-    polygons: Sequence[Float[np.ndarray, "k 2"]],
+    polygons: Sequence[Float[np.ndarray, "_ 2"]],
     *,
     fill: str,
     edge: str | None = None,

@@ -184,7 +184,7 @@ def _draw_part(axes: Any, answer: PlacementResult) -> None:
         draw_union(axes, polygons, fill=fill, edge=PART_EDGE, width=0.6, zorder=_PART_LAYER + k)
 
 
-def _part(answer: PlacementResult, k: int) -> list[Float[np.ndarray, "c 2"]]:
+def _part(answer: PlacementResult, k: int) -> list[Float[np.ndarray, "_ 2"]]:
     """Outlines of the part at the k-th value of its joint."""
     return box_outlines(answer.prepared.motion.moving.at(k))
 

@@ -89,7 +89,9 @@ def _front_of(
         front = look_at(window, chosen, look, view.least)
         flat = solid(face_image(window, chosen, pixels=COARSE))
         if flat * door_evidence(front) >= view.least:
-            ends = (left > config.margin, left + wide < face.width - config.margin)
+            ends = (
+                bool(left > config.margin), bool(left + wide < face.width - config.margin)
+            )  # fmt: skip
             whole = _whole(front.parts, wide, ends, config.margin)
             whole = handles_seen_from(
                 whole, window, camera_position_of(window, chosen[0]), undo=True

@@ -1,0 +1,284 @@
+"""Real articulated objects, each alone in a small kitchen of its own, opened by contact.
+
+    python benchmarks/objects.py [--robots fetch ...] [--half tuned|measured] [--hold contact|weld]
+                                 [--tasks 40] [--seeds 3] [--verifier verify_plan.py] [--out DIR]
+
+The real data's fridges, ovens, dishwashers, microwaves, cabinets and drawers are scaled to the size
+that such things have, and stand against a wall, the small ones on a counter or on the wall. Every
+door and drawer is opened by every robot: planned, checked by an independent program where one is
+named, driven to and executed with noise. A hash of an object's name puts it into one of two halves:
+`tuned` may be looked at while building, `measured` is only counted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from momapos.cache import default_cache_dir
+from momapos.config import PipelineConfig
+from momapos.errors import MomaposError
+from momapos.execution.config import ExecutionConfig, FurnitureConfig
+from momapos.geometry.transforms import pose_planar
+from momapos.kinematics.articulated import Articulated
+from momapos.kinematics.urdf import Joint, read_urdf
+from momapos.manipulation.handles import has_handle, opening_direction
+from momapos.manipulation.tasks import make_task
+from momapos.pipeline import plan_base_placement
+from momapos.plans import write_plan
+from momapos.reachability.store import load_reach_map
+from momapos.robots.robot import Robot, load_robot
+from momapos.run_plan import run_plan
+from momapos.scene.copies import copied
+from momapos.scene.files import save_scene
+from momapos.scene.scene import Scene, SceneObject
+from momapos.types import PlacementPlan
+from placement import ROBOTS, machine, shared
+
+CONFIG = PipelineConfig(timeout=60.0)
+SPREAD = 0.3
+HALVES = ("tuned", "measured")
+LEAST_SIZE, LEAST_TRAVEL = 0.2, 0.1
+"""What is smaller or moves less is a knob or a button [m], [m] or [rad]."""
+MARGIN = 0.05
+"""Between an object's box and the wall [m]."""
+
+
+@dataclass(frozen=True)
+class Usual:
+    """How large a kind of furniture is, and how high it stands."""
+
+    height: float
+    """[m]"""
+    above: float
+    """Floor to its lower side [m]."""
+    counter: bool = False
+    """Whether it stands on something."""
+
+
+USUAL = {
+    "Fridge": Usual(1.75, 0.0),
+    "MiniFridge": Usual(1.0, 0.0),
+    "Dishwasher": Usual(0.85, 0.0),
+    "Oven": Usual(0.9, 0.0),
+    "Microwave": Usual(0.32, 0.9, counter=True),
+    "CabinetLower": Usual(0.9, 0.0),
+    "CabinetTall": Usual(2.0, 0.0),
+    "CabinetTop": Usual(0.7, 1.4),
+    "CabinetUpper": Usual(0.8, 1.3),
+    "CabinetAboeOven": Usual(0.5, 1.4),
+    "MiniFridgeBase": Usual(0.8, 0.0),
+    "DishwasherBox": Usual(0.85, 0.0),
+    "OvenCounter": Usual(0.9, 0.0),
+    "KitchenCounter": Usual(0.9, 0.0),
+    "SinkBase": Usual(0.9, 0.0),
+    "DiningTable": Usual(0.75, 0.0),
+    "Drawer": Usual(0.51, 0.0),
+    "Fridge_K": Usual(1.46, 0.0),
+    "Mic": Usual(0.25, 0.9, counter=True),
+}
+AS_THEY_ARE = Usual(0.0, 0.0)
+
+
+def half_of(name: str) -> str:
+    """Which half an object is in."""
+    return HALVES[hashlib.sha256(name.encode()).digest()[0] % 2]
+
+
+def objects() -> Iterator[tuple[str, Path, Usual]]:
+    """Articulated objects of the real data: name, URDF and usual size."""
+    root = shared() / "bestman" / "Asset" / "Scene"
+    if not root.is_dir():
+        sys.exit(f"{root} is not there; MOMAPOS_SHARED names the folder of the real data")
+    files = sorted(root.glob("Kitchen_models/models/*/*/mobility.urdf"))
+    files += sorted(root.glob("URDF_models/B512/*/*.urdf"))
+    files += sorted(root.glob("Kitchen_models/models*/*/urdf/*.urdf"))
+    for file in files:
+        kind = file.parts[-3] if file.name == "mobility.urdf" else file.parts[-2]
+        yield file.parent.relative_to(root).as_posix(), file, USUAL.get(kind, AS_THEY_ARE)
+
+
+def parts(model: Articulated) -> Iterator[Joint]:
+    """The doors and drawers of an object."""
+    for joint in model.joints.values():
+        points = [h.vertices for link in model.moved_by(joint.name) for h in model.hulls[link]]
+        size = np.ptp(np.concatenate(points), axis=0).max() if points else 0.0
+        if size > LEAST_SIZE and LEAST_TRAVEL < joint.upper - joint.lower < np.inf:
+            yield joint
+
+
+def room(name: str, file: Path, usual: Usual) -> Scene | None:
+    """A kitchen with one object, its front toward -x; None of things with no door or drawer."""
+    bare = Articulated(read_urdf(file))
+    if not list(parts(bare)) or (file.name == "mobility.urdf" and usual is AS_THEY_ARE):
+        return None
+    low, high = SceneObject(name, "", np.eye(4), bare).bounds
+    # What is in meters already has a usual size.
+    scale = usual.height / (high[2] - low[2]) if file.name == "mobility.urdf" else 1.0
+    item = SceneObject.from_urdf("object", file, (0.0, 0.0, 0.0), scale=scale, category=name)
+    item = replace(item, category=name.split("/")[-2].lower())
+    front = np.sum([opening_direction(item, j.name)[1] for j in parts(item.model)], axis=0)
+    yaw = np.round((np.pi - np.arctan2(front[1], front[0])) / (np.pi / 2)) * np.pi / 2
+    item = replace(item, T_world_object=pose_planar(np.array([0.0, 0.0, yaw])))
+    low, high = item.bounds
+    T = item.T_world_object.copy()
+    T[:3, 3] = [-high[0], -(low[1] + high[1]) / 2, usual.above - low[2]]
+    item = replace(item, T_world_object=T)
+    low, high = item.bounds
+    width = max(3.0, high[1] - low[1] + 1.0)
+    others = [SceneObject.box("wall", (0.1, width, 2.6), (0.05 + MARGIN, 0.0, 1.3))]
+    if usual.counter:
+        size = (high[0] - low[0] + 0.1, 2.0, usual.above - 0.005)
+        others.append(SceneObject.box("counter", size, (-size[0] / 2, 0.0, size[2] / 2)))
+    y = width / 2
+    floor = np.array([[-3.5, -y], [MARGIN, -y], [MARGIN, y], [-3.5, y]])
+    return Scene(name, (item, *others), floor_polygon=floor)
+
+
+def tasks(half: str | None, robots: list[str]) -> list[tuple[str, str, Scene, str]]:
+    """Robot, name of the object, room and joint of every opening, in a random order."""
+    found = []
+    for name, file, usual in objects():
+        if half in (None, half_of(name)):
+            scene = room(name, file, usual)
+            names = [] if scene is None else [j.name for j in parts(scene.object("object").model)]
+            found += [(robot, name, scene, joint) for robot in robots for joint in names]
+    return [found[i] for i in np.random.default_rng(0).permutation(len(found))]
+
+
+def measure(
+    robot: Robot, name: str, scene: Scene, joint: str, args: argparse.Namespace, folder: Path
+) -> dict[str, Any]:
+    """Plan one opening, check the plan, execute it."""
+    reach = load_reach_map(robot, default_cache_dir(), None)
+    model = scene.object("object").model
+    row: dict[str, Any] = {
+        "robot": robot.name, "object": name, "joint": joint, "half": half_of(name),
+        "named": has_handle(model, joint),
+    }  # fmt: skip
+    try:
+        file = folder / f"{robot.name}_{len(list(folder.iterdir()))}.json"
+        with copied(scene, file) as near:
+            scene = save_scene(near, file)
+        task = make_task(scene, "open", "object", joint)
+        begun = time.process_time()
+        plan = plan_base_placement(scene, robot, task, reach, config=CONFIG).plan
+        row |= {"status": plan.status, "seconds": time.process_time() - begun}
+    except MomaposError as error:
+        return {**row, "status": "refused", "reason": str(error)}
+    row["feasible_to"] = plan.feasible_to
+    if plan.status != "solved":
+        return {**row, "reason": max(plan.candidates.rejections.items(), key=_count, default="")}
+    if args.verifier is not None:
+        row["valid"], row["violations"] = independent(plan, args.verifier, folder)
+    row["runs"] = [execute(plan, scene, robot, reach, args.hold, s) for s in range(args.seeds)]
+    return row
+
+
+def _count(item: tuple[str, int]) -> int:
+    return item[1]
+
+
+def independent(plan: PlacementPlan, verifier: Path, folder: Path) -> tuple[bool, list[str]]:
+    """What another program says about a plan."""
+    file = folder / "plan.json"
+    write_plan(plan, file)
+    command = [sys.executable, str(verifier), str(file), "--scene-root", "/"]
+    done = subprocess.run(
+        [*command, "--allow-hinge-grasp"], capture_output=True, text=True, check=False
+    )
+    lines = [line.strip() for line in done.stdout.splitlines() if "VIOL" in line.upper()]
+    return done.returncode == 0, lines[:3] or done.stderr.splitlines()[-1:]
+
+
+def execute(
+    plan: PlacementPlan, scene: Scene, robot: Robot, reach: Any, hold: str, seed: int
+) -> dict[str, Any]:
+    """Drive to a base pose and open the part there, with noise."""
+    physics = ExecutionConfig(hold=hold, furniture=FurnitureConfig(spread=SPREAD))  # type: ignore[arg-type]
+    begun = time.process_time()
+    try:
+        record = run_plan(
+            plan, scene, robot, reach, seed=seed, physics=physics, clock=time.process_time
+        )
+    except MomaposError as error:
+        return {"seed": seed, "success": False, "reason": f"error: {error}"}
+    done = record.execution
+    row: dict[str, Any] = {
+        "seed": seed, "success": record.success, "reason": record.reason,
+        "seconds": time.process_time() - begun,
+    }  # fmt: skip
+    if done is None:
+        return row
+    hardest = done.collisions[0].force if done.collisions else 0.0
+    return {**row, "hardest": hardest, "reached": [done.start, done.asked, done.reached]}
+
+
+def report(rows: list[dict[str, Any]]) -> str:
+    """Summarize in words, each half by itself."""
+    lines = [f"machine: {machine()}"]
+    for half in HALVES:
+        mine = [r for r in rows if r["half"] == half]
+        if not mine:
+            continue
+        lines.append(f"{half}: {len(mine)} openings, {dict(Counter(r['status'] for r in mine))}")
+        if any("valid" in r for r in mine):
+            lines.append(f"  independently valid: {sum(r.get('valid', False) for r in mine)}")
+        for named in (True, False):
+            runs = [run for r in mine if r["named"] is named for run in r.get("runs", ())]
+            good = sum(run["success"] for run in runs)
+            hard = sum(run.get("hardest", 0.0) > 150 for run in runs)
+            kind = "a named handle" if named else "no named handle"
+            lines.append(f"  {kind}: {good} of {len(runs)} runs opened, {hard} touch above 150 N")
+        for robot in sorted({r["robot"] for r in mine}):
+            runs = [run for r in mine if r["robot"] == robot for run in r.get("runs", ())]
+            solved = [r for r in mine if r["robot"] == robot and r["status"] == "solved"]
+            count = sum(r["robot"] == robot for r in mine)
+            good = sum(run["success"] for run in runs)
+            lines.append(f"  {robot}: {len(solved)} of {count} planned; {good} of {len(runs)} runs")
+        seconds = np.array([r["seconds"] for r in mine if r["status"] == "solved"])
+        if len(seconds):
+            median, late = 1000 * np.percentile(seconds, (50, 95))
+            lines.append(f"  processor time of an answer: median {median:.0f}, 95 % {late:.0f} ms")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Run it."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--robots", nargs="+", default=list(ROBOTS))
+    parser.add_argument("--half", choices=HALVES, help="only the objects of one half")
+    parser.add_argument("--hold", choices=("contact", "weld"), default="contact")
+    parser.add_argument("--tasks", type=int, help="as many openings, drawn at random")
+    parser.add_argument("--seeds", type=int, default=3, help="runs of every plan")
+    parser.add_argument("--verifier", type=Path, help="independent check of plan files")
+    parser.add_argument("--out", type=Path, help="folder for objects.json")
+    args = parser.parse_args()
+    rows = []
+    robots = {name: load_robot(name) for name in args.robots}
+    with tempfile.TemporaryDirectory() as folder:
+        for robot, name, scene, joint in tasks(args.half, args.robots)[: args.tasks]:
+            row = measure(robots[robot], name, scene, joint, args, Path(folder))
+            rows.append(row)
+            shown = row if row["half"] == HALVES[0] else {**row, "runs": "", "violations": ""}
+            print(json.dumps(shown), flush=True)
+    print(report(rows))
+    if args.out is not None:
+        args.out.mkdir(parents=True, exist_ok=True)
+        (args.out / "objects.json").write_text(json.dumps(rows, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,105 @@
+"""Grasps that turn: a bar that two fingers hold turns in them about its long axis.
+
+Grasps that differ by such a turn alone are one group. On its way the hand may go from one to the
+next, so that the tool's angle about the bar is one more joint of the path over the waypoints.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from momapos.geometry.transforms import rotation_about
+from momapos.manipulation.handles import Handle
+from momapos.robots.robot import Robot
+from momapos.types import Hold
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
+
+OFF_AXIS = 0.002
+"""The tool's origin lies in the bar to within this [m]."""
+LEAST = 3
+"""A group has so many grasps at least [-]."""
+_DIGITS = 6
+
+
+@dataclass(frozen=True)
+class Turning:
+    """Groups of grasps that differ by a turn about one axis, which is fixed in the part."""
+
+    angles: Float[np.ndarray, " g"]
+    """Turn of each grasp [rad]; 0 of those in no group."""
+    groups: Int[np.ndarray, "t k"]
+    """Grasps of each group, -1 where it has fewer."""
+    axis: Float[np.ndarray, "3"]
+    """Unit axis of the turn, in the frame of the moved link."""
+    R_part_tool: Float[np.ndarray, "g 3 3"]
+    """Rotation of the tool in that frame, for each grasp."""
+
+    @property
+    def ways(self) -> int:
+        """Ways of holding: every grasp, then every group."""
+        return len(self.angles) + len(self.groups)
+
+    def members(self, ways: Int[np.ndarray, " j"]) -> Int[np.ndarray, "j k"]:
+        """Grasps of ways of holding: one of a grasp itself, all of a group."""
+        grasps = len(self.angles)
+        if (ways < grasps).all():
+            return ways[:, None]
+        alone = np.full((grasps, self.groups.shape[1]), -1)
+        alone[:, 0] = np.arange(grasps)
+        return np.concatenate([alone, self.groups])[ways]
+
+    def only(self, grasps: Bool[np.ndarray, " g"]) -> Turning:
+        """The groups of some grasps, by their numbers among these."""
+        number = np.append(np.where(grasps, np.cumsum(grasps) - 1, -1), -1)
+        groups = -np.sort(-number[self.groups], axis=1)
+        enough = (groups >= 0).sum(1) >= LEAST
+        return Turning(self.angles[grasps], groups[enough], self.axis, self.R_part_tool[grasps])
+
+    def holds(self, way: int, states: int) -> tuple[Hold, ...]:
+        """What a plan says of a way of holding: nothing of a grasp that stays as it is."""
+        if way < len(self.angles):
+            return ()
+        x, y, z = self.axis.tolist()
+        return (Hold(0, states - 1, (x, y, z)),)
+
+
+def no_turning(grasps: int) -> Turning:
+    """Of grasps that are all rigid."""
+    none, up = np.zeros((0, 1), np.int64), np.array([0.0, 0.0, 1.0])
+    return Turning(np.zeros(grasps), none, up, np.tile(np.eye(3), (grasps, 1, 1)))
+
+
+def turning_about(
+    robot: Robot, handle: Handle, Ts_part_tool: Float[np.ndarray, "g 4 4"]
+) -> Turning:
+    """Group the grasps of a bar that differ by a turn about it.
+
+    Args:
+        robot: Names the axes of its tool.
+        handle: What is held; only a bar lets the fingers turn.
+        Ts_part_tool: The grasps, in the frame of the moved link.
+    """
+    count, axis = len(Ts_part_tool), handle.long
+    if handle.knob or handle.edge:
+        return no_turning(count)
+    approach = Ts_part_tool[:, :3, :3] @ robot.approach_axis
+    angles = np.arctan2(np.cross(-handle.out, approach) @ axis, approach @ -handle.out)
+    away = Ts_part_tool[:, :3, 3] - handle.center
+    beside = np.linalg.norm(away - (away @ axis)[:, None] * axis, axis=1)
+    in_bar = np.flatnonzero(beside < OFF_AXIS)
+    unturned = rotation_about(axis, -angles[in_bar]) @ Ts_part_tool[in_bar, :3, :3]
+    along = away[in_bar] @ axis
+    keys = np.round(np.column_stack([unturned.reshape(-1, 9), along]), _DIGITS) + 0.0
+    _, group, counts = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
+    group = group.ravel()
+    width = int(counts.max(initial=0))
+    groups = np.full((len(counts), width), -1)
+    order = np.lexsort((angles[in_bar], group))
+    place = np.arange(len(order)) - np.repeat(np.cumsum(counts) - counts, counts)
+    groups[group[order], place] = in_bar[order]
+    return Turning(angles, groups[counts >= LEAST], axis, Ts_part_tool[:, :3, :3])
