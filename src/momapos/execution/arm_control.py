@@ -127,8 +127,8 @@ class CompliantArm:
         turn = config.turn_return_rate * off[3:] + self._wrench[3:] / config.turn_damping
         twist = np.concatenate([_at_most(line, config.speed), _at_most(turn, config.turn_speed)])
         free = reference.v + _NULL_RATE * (reference.q - self.q)
-        q = self._moved(J, reference.twist + twist, free)
-        self.go(q, (q - self.q) / self.step)
+        # The motors are led by the plan's speed alone: led by what the hand gives way they quiver.
+        self.go(self._moved(J, reference.twist + twist, free), reference.v)
 
     def _moved(
         self,

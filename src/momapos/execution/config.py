@@ -132,15 +132,15 @@ class ComplianceConfig:
     """The hand comes to the grasp slowly over this way [m]."""
     near_speed: float = 0.05
     """Its speed there [m/s]."""
-    damping: float = 200.0
+    damping: float = 400.0
     """Force that moves the hand at 1 m/s [Ns/m]."""
-    turn_damping: float = 10.0
+    turn_damping: float = 15.0
     """Torque that turns it at 1 rad/s [Nms/rad]."""
-    return_rate: float = 2.0
+    return_rate: float = 1.0
     """Share of an offset across the way that the hand makes up in a second [1/s]."""
-    turn_return_rate: float = 3.0
+    turn_return_rate: float = 2.0
     """Likewise of a turn [1/s]."""
-    follow_rate: float = 10.0
+    follow_rate: float = 6.0
     """Likewise along the way [1/s]."""
     speed: float = 0.08
     """The hand gives way and makes up at this speed at most [m/s]."""
