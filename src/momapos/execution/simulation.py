@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
 WELD = "hold"
+_NOSLIP = 5
+"""Rounds that take the creep out of friction, which soft contacts have [-]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,6 +189,7 @@ def _spec(config: ExecutionConfig) -> Any:
     option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
     if config.hold == "contact":
         option.cone, option.impratio = mujoco.mjtCone.mjCONE_ELLIPTIC, 10.0
+        option.noslip_iterations = _NOSLIP
     spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [0.45] * 3, [0.55] * 3
     spec.visual.global_.offwidth, spec.visual.global_.offheight = 1280, 960
     return spec
