@@ -18,9 +18,12 @@ from momapos.execution.simulation import Simulation
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-_DAMPING, _SINGULAR = 0.1, 0.12
+_DAMPING = _SINGULAR = 0.05
 """Damping of the inverse at singular states of the arm, and the singular value where it begins:
-there the joints rather stay near the plan [-]."""
+there the joints rather stay near the plan [m]."""
+_TURN = np.array([1.0, 1.0, 1.0, 0.2, 0.2, 0.2])
+"""A turn of the hand by 1 rad counts as this way: where the arm cannot do both, it rather turns
+than leave the part's way [m]."""
 _ROUNDS = 3
 """How often joints at their limits are left out, and the others asked again [-]."""
 _NULL_RATE = 2.0
@@ -138,6 +141,7 @@ class CompliantArm:
     ) -> Float[np.ndarray, " n"]:
         """The state after a step at a twist; joints that meet a limit leave it to the others."""
         v, held = free, np.zeros(len(free), bool)
+        J, twist = J * _TURN[:, None], twist * _TURN
         for _ in range(_ROUNDS):
             v = np.where(held, 0.0, free)
             v = v + _damped_inverse(np.where(held, 0.0, J)) @ (twist - J @ v)

@@ -128,10 +128,16 @@ class ComplianceConfig:
     It is stiff along the way that the part must go, and soft across it and in turning.
     """
 
-    near: float = 0.08
+    near: float = 0.1
     """The hand comes to the grasp slowly over this way [m]."""
     near_speed: float = 0.05
     """Its speed there [m/s]."""
+    bump: float = 25.0
+    """A push against its approach at which the hand draws back and comes in beside [N] ..."""
+    early: float = 0.012
+    """... while this much of its way is left at least [m]."""
+    aside: tuple[float, ...] = (0.012, 0.024, 0.0)
+    """How far beside, one time after the other; after the last it pushes on [m]."""
     damping: float = 400.0
     """Force that moves the hand at 1 m/s [Ns/m]."""
     turn_damping: float = 15.0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,6 +12,9 @@ from momapos.execution.dynamics import Mimic
 from momapos.geometry.transforms import apply, invert
 from momapos.kinematics.urdf import Joint
 from momapos.robots.robot import Robot
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 _STEP = 0.02
 """Share of a finger's way over which its speed at the pads is measured [-]."""
@@ -29,7 +33,7 @@ class Finger:
     """Way that all its pads close for a step of the joint [m/rad] or [-]."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Hand:
     """What a gripper holds with."""
 
@@ -40,8 +44,10 @@ class Hand:
     pads: Mapping[str, float]
     """The links that hold, with the side of the tool's middle that they are on: 1 or -1 along the
     closing axis; 0 for the tip of a hand in which nothing closes."""
-    axis: tuple[float, float, float]
+    axis: Float[np.ndarray, "3"]
     """That axis, in the tool's frame."""
+    approach: Float[np.ndarray, "3"]
+    """Where the hand points, in that frame."""
 
     @property
     def closes(self) -> bool:
@@ -78,10 +84,10 @@ def find_hand(robot: Robot, mimics: Mapping[str, Mimic]) -> Hand:
         for name in (*named, *followers)
         for link, side in _sides(robot, model.moved_by(name)).items()
     }
-    x, y, z = robot.closing_axis.tolist()
+    axes = robot.closing_axis, robot.approach_axis
     if {1.0, -1.0} <= set(pads.values()):
-        return Hand(tuple(found), followers, pads, (x, y, z))
-    return Hand((), {}, dict.fromkeys(_tip(robot), 0.0), (x, y, z))
+        return Hand(tuple(found), followers, pads, *axes)
+    return Hand((), {}, dict.fromkeys(_tip(robot), 0.0), *axes)
 
 
 def _moves_arm(robot: Robot, joint: Joint) -> bool:

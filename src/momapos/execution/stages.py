@@ -69,6 +69,9 @@ class ExecutionRun:
         self.estimate: JointEstimate | None = None
         self.touch = feel(world)
         self.held, self.strained, self.unloaded = False, 0, 0
+        self.aside, self.side, self.tries = 0.0, 0.0, 0
+        """How far along its closing axis the hand comes in beside the plan [m], on which side, and
+        how often it has tried anew [-]."""
         self.spent = dict.fromkeys(STAGES, 0)
         self.detail = ""
         """Figures that go with the ending, in words."""
@@ -170,27 +173,60 @@ class ExecutionRun:
         return None
 
     def _approach(self, plan: Trajectory) -> Ending | None:
-        """Go to the grasp; give way to what the hand meets there, if it is to move a part."""
-        for q, v, a in zip(plan.q, plan.v, plan.a, strict=True):
-            if self.belief is None or self._free(q):
-                self.arm.go(q, v, a)
+        """Go to the grasp; feel the way in where a part with a joint is to be held."""
+        feeling = self.belief is not None
+        compliance, k, pace = self.config.compliance, 0, 1
+        goal, _ = self.arm.kinematics.at(plan.q[-1])
+        while k < len(plan):
+            q, v = plan.q[k], pace * plan.v[k]
+            T, J = self.arm.kinematics.at(q) if feeling else (goal, np.zeros((6, len(q))))
+            left = float(np.linalg.norm(goal[:3, 3] - T[:3, 3]))
+            if not feeling or self._free(q):
+                self.arm.go(q, v, plan.a[k])
             else:
-                T, J = self.arm.kinematics.at(q)
-                self.arm.follow(Reference(q, v, T, J @ v, _ALL, _NONE))
+                self.arm.follow(Reference(q, v, self._aside(T), J @ v, _ALL, _NONE))
             ending = self._tick(Stage.APPROACH)
             if ending is not None:
                 return ending
+            if pace < 0 and (left > compliance.near / 2 or k == 0):
+                pace = 1
+            elif pace > 0 and compliance.early < left < compliance.near and self._bumped(T):
+                pace = -1
+            k += pace
         return None
+
+    def _aside(self, T: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
+        """A pose of the tool, moved aside by what the hand has learned on its way in."""
+        moved = T.copy()
+        moved[:3, 3] += self.aside * T[:3, :3] @ self.world.hand.axis
+        return moved
+
+    def _bumped(self, T: Float[np.ndarray, "4 4"]) -> bool:
+        """Whether a finger meets something ahead that should come between the fingers.
+
+        The torque of the push tells which finger; next time the hand comes in nearer to that side.
+        """
+        compliance, approach = self.config.compliance, T[:3, :3] @ self.world.hand.approach
+        force, torque = np.split(self.arm.wrench, 2)
+        push = float(-force @ approach)
+        if push < compliance.bump or self.tries >= len(compliance.aside):
+            return False
+        if not self.tries:
+            lever = torque @ np.cross(approach, T[:3, :3] @ self.world.hand.axis)
+            self.side = float(np.sign(lever))
+        self.aside = self.side * compliance.aside[self.tries]
+        self.tries += 1
+        return True
 
     def _free(self, q: Float[np.ndarray, " n"]) -> bool:
         """Whether the hand feels nothing, and the arm is where the plan has it."""
         near = np.abs(self.arm.q + self.step * self.arm.v - q).max() < 1e-3
-        return bool(near and np.abs(self.arm.wrench).max() < 0.1)
+        return bool(near and not self.aside and np.abs(self.arm.wrench).max() < 0.1)
 
     def _take_hold(self) -> Ending | None:
         """Weld, or close the fingers, where the arm is at the planned grasp."""
         T, _ = self.arm.kinematics.at(self.world.data.qpos[self.world.arm_q])
-        planned = self.motion.Ts_world_tool[0]
+        planned = self._aside(self.motion.Ts_world_tool[0])
         off = float(np.linalg.norm(T[:3, 3] - planned[:3, 3]))
         angle = float(rotation_angle(T[:3, :3], planned[:3, :3]))
         if off > GRASP_POSITION or angle > GRASP_ANGLE:
@@ -214,7 +250,7 @@ class ExecutionRun:
         """Close the fingers until the pads of both sides bear a load; the arm gives way."""
         grip, arm = self.config.gripper, self.arm
         q = self.motion.q[0]
-        T, _ = arm.kinematics.at(q)
+        T = self._aside(arm.kinematics.at(q)[0])
         closing = T[:3, :3] @ self.world.hand.axis
         across = np.outer(closing, closing)  # the fingers find what they hold along this alone
         reference = Reference(q, np.zeros_like(q), T, np.zeros(6), _ALL, across)
