@@ -79,6 +79,8 @@ class Reference:
     """Projects a force on the directions in which the hand gives way."""
     loose: Float[np.ndarray, "3 3"]
     """Projects an offset on the directions in which the hand makes it up slowly."""
+    here: Float[np.ndarray, "3"] | None = None
+    """Where the tool really is, by the joints; None where that makes no difference [m]."""
 
 
 class CompliantArm:
@@ -124,6 +126,9 @@ class CompliantArm:
         config = self.config
         T, J = self.kinematics.at(self.q)
         off = twist_between(T, reference.T)
+        if reference.here is not None:  # along the way the arm makes up what its motors lag behind
+            sure = np.eye(3) - reference.yields
+            off[:3] += sure @ (T[:3, 3] - reference.here)
         stiff = off[:3] - reference.loose @ off[:3]
         line = config.follow_rate * stiff + config.return_rate * (off[:3] - stiff)
         line += reference.yields @ self._wrench[:3] / config.damping

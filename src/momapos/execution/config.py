@@ -83,7 +83,7 @@ class ControlConfig:
 
     bandwidth: float = 60.0
     """Natural frequency of the critically damped position loops [rad/s]."""
-    stop_force: float = 30.0
+    stop_force: float = 20.0
     """The arm stops where the part, near the end of its way, resists it by this more [N]."""
     armature: float = 0.1
     """Inertia of a motor seen through its gear [kg m^2]; ten times as many kg for slides."""
@@ -144,7 +144,7 @@ class ComplianceConfig:
     """Torque that turns it at 1 rad/s [Nms/rad]."""
     return_rate: float = 1.0
     """Share of an offset across the way that the hand makes up in a second [1/s]."""
-    turn_return_rate: float = 2.0
+    turn_return_rate: float = 5.0
     """Likewise of a turn [1/s]."""
     follow_rate: float = 6.0
     """Likewise along the way [1/s]."""
@@ -204,7 +204,7 @@ class ExecutionConfig:
     grip: float = 0.3
     """Time in which the hand opens, or a weld takes hold [s]."""
     dwell: float = 0.4
-    """Time from the end of the motion to the verdict [s]."""
+    """Time to come to rest at the end of the motion, and from there to the verdict [s]."""
     tolerance: float = 0.05
     """How far a joint may stay from what is asked, as a share of the asked travel [-]."""
     slip: float = 0.03

@@ -45,7 +45,8 @@ def feel(world: Simulation) -> Touch:
 def pad_loads(world: Simulation) -> tuple[float, float]:
     """How hard things press on the pads of the two sides [N]: -1, then 1."""
     sides = world.pad_side[world.data.contact.geom]
-    rows = np.flatnonzero((sides != 0).any(1) & (world.data.contact.efc_address >= 0))
+    one = (sides != 0).sum(1) == 1  # two pads that meet hold nothing
+    rows = np.flatnonzero(one & (world.data.contact.efc_address >= 0))
     if not len(rows):
         return 0.0, 0.0
     axis = world.T_world_tool[:3, :3] @ world.hand.axis

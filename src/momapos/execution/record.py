@@ -17,7 +17,8 @@ from momapos.types import Task
 
 FORMAT, VERSION = "momapos-run", 1
 MAX_BYTES = 10_000_000
-Pose = Triple = tuple[float, float, float]
+Triple = tuple[float, float, float]
+Pose = tuple[float, float, float]
 
 
 @dataclass(frozen=True)

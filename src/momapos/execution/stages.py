@@ -313,14 +313,18 @@ class ExecutionRun:
         length = float(
             np.linalg.norm(np.diff(self.motion.Ts_world_tool[:, :3, 3], axis=0), axis=1).sum()
         )
-        for k in range(len(plan)):
+        extra = round(
+            self.config.dwell / self.step
+        )  # in which the arm makes up what it lags behind
+        for i in range(len(plan) + extra):
+            k = min(i, last)
             T, after = pose_at(k), pose_at(min(k + 1, last))
             here, _ = self.arm.kinematics.at(self.world.data.qpos[self.world.arm_q])
             estimate.see(here[:3, 3])
             way = estimate.axis.way_at(here[:3, 3])
             across = _ALL - np.outer(way, way)
             twist = twist_between(T, after) / self.step
-            self.arm.follow(Reference(plan.q[k], plan.v[k], T, twist, across, across))
+            self.arm.follow(Reference(plan.q[k], plan.v[k], T, twist, across, across, here[:3, 3]))
             ending = self._tick(Stage.MANIPULATE) or self._lost()
             if ending is not None:
                 return ending
