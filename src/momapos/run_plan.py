@@ -21,7 +21,8 @@ from momapos.config import PipelineConfig
 from momapos.errors import InputError, SceneError
 from momapos.execution.config import ExecutionConfig
 from momapos.execution.record import Execution, Pose, RunRecord, Visit
-from momapos.execution.run import Watch, execute
+from momapos.execution.run import execute
+from momapos.execution.stages import Watch
 from momapos.geometry.transforms import wrap_angle
 from momapos.manipulation.motion import task_motion
 from momapos.navigation.clearance import gaps

@@ -16,8 +16,9 @@ from momapos.errors import UrdfError
 from momapos.execution.config import ExecutionConfig
 from momapos.execution.dynamics import read_dynamics, volume
 from momapos.execution.furniture import Resistance
+from momapos.execution.hand import find_hand
 from momapos.execution.shapes import Kind, masks
-from momapos.execution.simulated_robot import body_of, find_fingers
+from momapos.execution.simulated_robot import body_of
 from momapos.execution.simulation import Simulation, build_simulation
 from momapos.geometry.transforms import invert, pose_planar
 from momapos.kinematics.urdf import Geometry
@@ -34,7 +35,10 @@ def world_of(robot: Robot, **options: object) -> Simulation:
     scene, task = load_scene("kitchen_small"), Task("open", "fridge", "door_hinge", 1.0)
     dynamics = read_dynamics(robot.model.urdf.path)  # type: ignore[arg-type]
     config = ExecutionConfig(**options)  # type: ignore[arg-type]
-    return build_simulation(scene, robot, BASE, robot.home[None], task, dynamics, LIGHT, config)
+    hand = find_hand(robot, dynamics.mimics)
+    return build_simulation(
+        scene, robot, BASE, robot.home[None], task, hand, dynamics, LIGHT, None, config
+    )
 
 
 def test_links_are_where_the_urdf_has_them(robot: Robot) -> None:
@@ -85,7 +89,7 @@ def test_masses_are_those_of_the_urdf(robot: Robot) -> None:
 
 
 def test_the_grippers_of_the_library_close_toward_their_middle(robot: Robot) -> None:
-    fingers = find_fingers(robot)
+    fingers = find_hand(robot, {}).fingers
     assert len(fingers) == 2
     assert all(f.closed != f.open for f in fingers)
     assert sum(abs(f.closed - f.open) for f in fingers) == pytest.approx(robot.opening, rel=0.05)
@@ -98,7 +102,7 @@ def test_kinds_meet_both_ways_or_not_at_all() -> None:
                 (type_a, with_a), (type_b, with_b) = (
                     masks(kind, touched=touched) for kind in (one, other)
                 )
-                if {one, other} != {Kind.GRIPPER, Kind.PART}:
+                if {one, other} != {Kind.PAD, Kind.PART}:
                     assert bool(type_a & with_b) == bool(type_b & with_a)
                 meet = bool(type_a & with_b) or bool(type_b & with_a)
                 assert meet or {one, other} != {Kind.ARM, Kind.ROOM}

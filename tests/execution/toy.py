@@ -54,6 +54,36 @@ def toy(folder: Path, case: Case | None = None) -> Toy:
     return Toy(load_scene(folder / "scene.json"), robot, plan.motion)
 
 
+def fingers(*, turning: bool = False) -> str:
+    """Two fingers on the palm, their pads 8 cm apart: they slide, or the second one turns after
+    the first."""
+    text = []
+    for name, side in (("left", 1), ("right", -1)):
+        y = 0.046 * side
+        text.append(
+            f'<link name="{name}"><collision><origin xyz="0 {0 if turning else y} '
+            f'{0.05 if turning else 0.14}"/><geometry><box size="0.02 0.012 '
+            f'{0.1 if turning else 0.06}"/></geometry></collision></link>'
+            f'<joint name="{name}_joint" type="{"revolute" if turning else "prismatic"}">'
+            f'<parent link="palm"/><child link="{name}"/>'
+            f'<origin xyz="0 {y if turning else 0} {0.08 if turning else 0}"/>'
+            f'<axis xyz="{f"{side} 0 0" if turning else f"0 {-side} 0"}"/>'
+            f'<limit lower="0" upper="{0.45 if turning else 0.04}" effort="50" velocity="1"/>'
+        )
+        follows = turning and side < 0
+        text.append('<mimic joint="left_joint"/></joint>' if follows else "</joint>")
+    return "".join(text)
+
+
+def gripping(folder: Path, case: Case | None = None, *, turning: bool = False) -> Toy:
+    """The toy with fingers."""
+    case = case or make_case()
+    case.robot = case.robot.replace("</robot>", fingers(turning=turning) + "</robot>")
+    plain = toy(folder, case)
+    links = ("palm", "left", "right", "tool")
+    return replace(plain, robot=replace(plain.robot, gripper_links=links))
+
+
 def asked(toy: Toy, value: float) -> Toy:
     """The same motion, judged by another value of the joint."""
     return replace(toy, task=replace(toy.task, to=value))

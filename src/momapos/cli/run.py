@@ -28,7 +28,7 @@ def run(
     scene_root: OptionalPath = None,
     robot: OptionalText = None,
     start: PoseArg = None,
-    hold: Literal["weld", "contact"] = "weld",
+    hold: Literal["contact", "weld"] = "contact",
     noise: bool = True,
     seed: int = 0,
     out: OptionalPath = None,
@@ -47,7 +47,8 @@ def run(
         scene_root: Folder for names not found beside the plan, and for a BestMan scene's models.
         robot: A library robot or a robot file; by default the one that the plan names.
         start: Where the robot is at first [m, m, rad or deg]; as the plan says by default.
-        hold: weld: a compliant, breakable weld at the grasp; contact: fingers and friction alone.
+        hold: contact: the fingers close and hold by friction; weld: a compliant, breakable weld at
+            the grasp, as for a robot without fingers.
         noise: Let the base believe to be where noisy sensors say, and draw how heavily the
             furniture moves; without it, both are as modeled.
         seed: Same seed, same run.
@@ -177,6 +178,13 @@ def summary(record: RunRecord) -> str:
         f"  base        yielded {1000 * max(done.base_shift[:2]):.1f} mm, "
         f"{math.degrees(done.base_shift[2]):.2f} deg",
     ]
+    if done.ending:
+        lines.append(f"  ended       {done.ending}")
+    if done.joint is not None:
+        lines.append(
+            f"  joint       found {100 * done.joint.shift:.1f} cm and "
+            f"{math.degrees(done.joint.tilt):.1f} deg from where it is modeled"
+        )
     if done.clearance is not None:
         lines.append(f"  clearance   {100 * done.clearance:.1f} cm")
     for hit in done.collisions[:MOST_COLLISIONS]:

@@ -6,9 +6,30 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Literal
 
+import numpy as np
+
 from momapos.trajectory import SpeedConfig
 
 Hold = Literal["weld", "contact"]
+
+
+class Ending(StrEnum):
+    """How a run ends; the words stand in records."""
+
+    DONE = "the motion was carried out"
+    STOPPED_AT_END = "the part stopped the arm near the end of its way"
+    ASTRAY = "the arm did not come to the grasp"
+    OUT_OF_REACH = "what should be held is not at the hand"
+    NOTHING_HELD = "nothing is between the fingers"
+    ONE_SIDED = "only one finger touches"
+    TOO_HARD = "the hand felt more than it may"
+    SLIPPED = "the hand lost its hold"
+    BROKE = "the weld broke"
+    DIVERGED = "the simulation diverged"
+
+
+GOOD = (Ending.DONE, Ending.STOPPED_AT_END)
+"""Endings of motions that were carried out."""
 
 
 class Stage(StrEnum):
@@ -45,11 +66,11 @@ class FurnitureConfig:
     slide_damping: float = 8.0
     """Of slides [Ns/m]."""
     seal_force: float = 30.0
-    """Pull at the handle that frees a door with a seal [N]."""
+    """Pull at the free edge that frees a door with a seal [N]."""
     latch_force: float = 6.0
-    """Pull at the handle that frees any other door or drawer, with a catch or a spring [N]."""
+    """Pull there that frees any other door or drawer, with a catch or a spring [N]."""
     seal_range: float = 0.01
-    """Way of the handle over which that pull fades [m]."""
+    """Way of the free edge over which that pull fades [m]."""
     sealed: tuple[str, ...] = ("fridge", "refrigerator", "freezer", "oven", "dishwasher")
     """Words in the category or name of objects whose doors have a seal."""
     spread: float = 0.0
@@ -62,7 +83,7 @@ class ControlConfig:
 
     bandwidth: float = 60.0
     """Natural frequency of the critically damped position loops [rad/s]."""
-    stop_force: float = 30.0
+    stop_force: float = 20.0
     """The arm stops where the part, near the end of its way, resists it by this more [N]."""
     armature: float = 0.1
     """Inertia of a motor seen through its gear [kg m^2]; ten times as many kg for slides."""
@@ -79,25 +100,101 @@ class GripConfig:
     force: float = 60.0
     """Of each finger [N]."""
     stiffness: float = 30_000.0
-    """Of a finger's position loop, below that force [N/m]."""
-    friction: float = 1.0
+    """Of a finger's position loop at its pad, below that force [N/m]."""
+    friction: float = 0.6
     """Between a finger's rubber and a handle [-]."""
+    speed: float = 0.03
+    """Of each pad while the hand closes [m/s]."""
+    loaded: float = 0.4
+    """The hand holds when the pads of both sides bear this share of the force [-]."""
+    patience: float = 0.6
+    """How long the hand waits for that after its fingers should be shut [s]."""
+    lost: float = 0.15
+    """The hold is lost when neither side bears anything for this long [s]."""
     reach: float = 0.02
     """The weld takes hold of what is this near to the gripper or to the tool's origin [m]."""
     time_constant: float = 0.01
     """Of the compliant weld [s]; smaller is stiffer."""
-    weld_force: float = 120.0
-    """The weld breaks above this: two fingers with friction 1 at the force above [N]."""
-    weld_torque: float = 20.0
+    weld_force: float = 150.0
+    """The weld breaks above this [N]."""
+    weld_torque: float = 25.0
     """The weld breaks above this [Nm]."""
+
+
+@dataclass(frozen=True)
+class ComplianceConfig:
+    """How the arm gives way to the force at its hand: as a damper that creeps back.
+
+    It is stiff along the way that the part must go, and soft across it and in turning.
+    """
+
+    near: float = 0.1
+    """The hand comes to the grasp slowly over this way [m]."""
+    near_speed: float = 0.05
+    """Its speed there [m/s]."""
+    bump: float = 25.0
+    """A push against its approach at which the hand draws back and comes in beside [N] ..."""
+    early: float = 0.012
+    """... while this much of its way is left at least [m]."""
+    aside: tuple[float, ...] = (0.012, 0.024, 0.0)
+    """How far beside, one time after the other; after the last it pushes on [m]."""
+    damping: float = 400.0
+    """Force that moves the hand at 1 m/s [Ns/m]."""
+    turn_damping: float = 15.0
+    """Torque that turns it at 1 rad/s [Nms/rad]."""
+    return_rate: float = 1.0
+    """Share of an offset across the way that the hand makes up in a second [1/s]."""
+    turn_return_rate: float = 5.0
+    """Likewise of a turn [1/s]."""
+    follow_rate: float = 6.0
+    """Likewise along the way [1/s]."""
+    speed: float = 0.08
+    """The hand gives way and makes up at this speed at most [m/s]."""
+    turn_speed: float = 0.4
+    """[rad/s]"""
+    filter_time: float = 0.02
+    """Of the low-pass filter of the force at the hand [s]."""
+    force: float = 120.0
+    """The run stops where the hand feels more than this [N]."""
+    torque: float = 20.0
+    """Likewise [Nm]."""
+    axis_error: float = 0.03
+    """How far a hinge may be from where it is modeled; the estimate's prior [m]."""
+    tilt_error: float = float(np.radians(5.0))
+    """Likewise how far its axis, or the direction of a slide, may turn [rad]."""
+    hand_error: float = 0.003
+    """How far the hand may stray on its part; the estimate's noise [m]."""
+
+
+@dataclass(frozen=True)
+class ModelErrorConfig:
+    """How far the world differs from the scene that the plan was made with.
+
+    Each is of the size given and in a random direction. With any of them the part meets the robot
+    alone: a door that hangs otherwise than modeled does so in a frame where it moves freely.
+    """
+
+    handle: float = 0.0
+    """Of the whole object, and with it of its handle [m]."""
+    axis: float = 0.0
+    """Of a hinge, across its axis [m]."""
+    tilt: float = 0.0
+    """Of the axis of a hinge or slide [rad]."""
+    resistance: float = 0.0
+    """Of mass, friction, damping and pull, each up or down, as a share [-]."""
+
+    @property
+    def any(self) -> bool:
+        """Whether the world differs at all."""
+        return bool(self.handle or self.axis or self.tilt or self.resistance)
 
 
 @dataclass(frozen=True)
 class ExecutionConfig:
     """How a motion is executed and judged."""
 
-    hold: Hold = "weld"
-    """weld: compliant and breakable, at the grasp; contact: fingers and friction alone."""
+    hold: Hold = "contact"
+    """contact: fingers and friction alone; weld: compliant and breakable, at the grasp."""
     timestep: float = 0.002
     """Of the physics [s]."""
     substeps: int = 2
@@ -105,18 +202,22 @@ class ExecutionConfig:
     settle: float = 0.3
     """Time before the arm moves [s]."""
     grip: float = 0.3
-    """Time to close the gripper [s]."""
+    """Time in which the hand opens, or a weld takes hold [s]."""
     dwell: float = 0.4
-    """Time from the end of the motion to the verdict [s]."""
+    """Time to come to rest at the end of the motion, and from there to the verdict [s]."""
     tolerance: float = 0.05
     """How far a joint may stay from what is asked, as a share of the asked travel [-]."""
     slip: float = 0.03
     """A lifted object has left the hand when it moved this far in it [m]."""
     touch: float = 1e-3
     """Parts of furniture this near each other at the beginning touch by design [m]."""
+    touch_force: float = 150.0
+    """A touch that is not the hold is a failure above this [N]."""
     near: float = 0.03
     """Up to here the distance from the robot to its surroundings is observed [m]."""
     furniture: FurnitureConfig = field(default_factory=FurnitureConfig)
     speed: SpeedConfig = field(default_factory=SpeedConfig)
     control: ControlConfig = field(default_factory=ControlConfig)
     gripper: GripConfig = field(default_factory=GripConfig)
+    compliance: ComplianceConfig = field(default_factory=ComplianceConfig)
+    errors: ModelErrorConfig = field(default_factory=ModelErrorConfig)

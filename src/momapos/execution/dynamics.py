@@ -35,6 +35,21 @@ class Inertia:
 
 
 @dataclass(frozen=True)
+class Mimic:
+    """A joint that follows another one."""
+
+    joint: str
+    """The one it follows."""
+    multiplier: float
+    offset: float
+    """[rad] or [m]"""
+
+    def at(self, value: float) -> float:
+        """Where it is when the other one is at a value."""
+        return self.multiplier * value + self.offset
+
+
+@dataclass(frozen=True)
 class Dynamics:
     """What a URDF says of masses and motors."""
 
@@ -42,6 +57,8 @@ class Dynamics:
     """By link; links that the file gives no mass for are left out."""
     efforts: Mapping[str, float]
     """Largest torque or force by joint [Nm] or [N]; joints without one are left out."""
+    mimics: Mapping[str, Mimic]
+    """By joint that follows."""
 
 
 def read_dynamics(path: Path) -> Dynamics:
@@ -56,15 +73,21 @@ def read_dynamics(path: Path) -> Dynamics:
         inertial = link.find("inertial")
         if inertial is not None and inertial.find("mass") is not None:
             inertias[link.get("name")] = _inertia(inertial, f"{path}: link {link.get('name')!r}")
-    efforts = {}
+    efforts, mimics = {}, {}
     for joint in root.iter("joint"):
+        mimic = joint.find("mimic")
+        if mimic is not None and mimic.get("joint"):
+            where = f"{path}: joint {joint.get('name')!r}: mimic"
+            factor = _number(mimic.get("multiplier", "1"), where)
+            offset = _number(mimic.get("offset", "0"), where)
+            mimics[joint.get("name")] = Mimic(mimic.get("joint"), factor, offset)
         limit = joint.find("limit")
         if limit is not None and limit.get("effort") is not None:
             where = f"{path}: joint {joint.get('name')!r}"
             effort = _number(limit.get("effort"), f"{where}: effort")
             if effort > 0:
                 efforts[joint.get("name")] = effort
-    return Dynamics(inertias, efforts)
+    return Dynamics(inertias, efforts, mimics)
 
 
 def _inertia(element: Any, where: str) -> Inertia:

@@ -15,7 +15,7 @@ import numpy as np
 
 from momapos.errors import InputError, require
 from momapos.execution.config import Stage
-from momapos.execution.shapes import Kind
+from momapos.execution.shapes import ROBOT, Kind
 from momapos.execution.simulation import Simulation
 from momapos.geometry.planar import local_points
 
@@ -33,7 +33,7 @@ _VIEWS = 24
 """Directions from which the camera may look [-]."""
 _BEFORE = (Stage.SETTLE, Stage.APPROACH)
 """Stages before the robot takes hold."""
-_SUBJECT = (Kind.BASE, Kind.ARM, Kind.GRIPPER, Kind.PART)
+_SUBJECT = (*ROBOT, Kind.PART)
 """What the pictures are of."""
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
@@ -12,10 +12,14 @@ import numpy as np
 from momapos.execution.config import ExecutionConfig, FurnitureConfig
 from momapos.execution.dynamics import volume
 from momapos.execution.shapes import Kind, add_shape, dress, place_body
-from momapos.geometry.transforms import invert
+from momapos.geometry.transforms import apply, invert, pose
+from momapos.kinematics.opening import opening_of
 from momapos.kinematics.urdf import Geometry, Joint
 from momapos.scene.scene import Scene, SceneObject
 from momapos.types import Task
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 PART = "part"
 """Name of the body that the task moves, and of its joint."""
@@ -33,7 +37,7 @@ class Resistance:
     damping: float
     """Of its joint [Nms/rad] or [Ns/m]; 0 for loose objects."""
     pull: float
-    """Force at the handle that frees it where it is closed [N]; 0 for loose objects."""
+    """Force at its free edge that frees it where it is closed [N]; 0 for loose objects."""
 
 
 def draw_resistance(
@@ -62,7 +66,70 @@ def draw_resistance(
     )
 
 
-def add_room(spec: Any, scene: Scene, task: Task) -> None:
+@dataclass(frozen=True, eq=False)
+class Deviation:
+    """How the task's object differs from the scene that the plan was made with."""
+
+    offset: Float[np.ndarray, "3"]
+    """Of the object, in the world [m]."""
+    shift: Float[np.ndarray, "3"]
+    """Of its joint, in that joint's frame [m]."""
+    axis: Float[np.ndarray, "3"]
+    """Of its joint, in that frame."""
+
+
+@dataclass(frozen=True)
+class Seal:
+    """What keeps a closed part closed."""
+
+    closed: float
+    """[rad] or [m]"""
+    outward: float
+    """Direction in which the joint opens, 1 or -1; 0 where nothing holds it."""
+    pull: float
+    """Torque or force at the joint when it is closed [Nm] or [N]."""
+    reach: float
+    """Travel over which it fades [rad] or [m]."""
+
+    def force(self, value: float) -> float:
+        """Torque or force at a value of the joint [Nm] or [N]."""
+        share = 1.0 - abs(value - self.closed) / self.reach
+        return -self.outward * self.pull * max(0.0, share)
+
+
+def seal_of(item: SceneObject, joint: Joint | None, pull: float, way: float) -> Seal:
+    """The seal of a part: a pull at its free edge, wherever it is held.
+
+    Args:
+        item: The object.
+        joint: The part's; None for loose objects, which have no seal.
+        pull: Force at the free edge [N].
+        way: Way of the free edge over which it fades [m].
+    """
+    if joint is None:
+        return Seal(0.0, 0.0, 0.0, 1.0)
+    opening = opening_of(item.model, joint.name)
+    lever = 1.0 if joint.kind == "prismatic" else _width(item, joint)
+    return Seal(opening.closed, opening.sign, pull * lever, way / lever)
+
+
+def _width(item: SceneObject, joint: Joint) -> float:
+    """Distance of a part's free edge from its hinge [m]."""
+    poses = item.link_poses()
+    back = invert(poses[joint.child])
+    hulls = [
+        apply(back @ poses[link], hull.vertices)
+        for link in item.model.moved_by(joint.name)
+        for hull in item.model.hulls[link]
+    ]
+    if not hulls:
+        return 1.0
+    points = np.concatenate(hulls)
+    arms = points - np.outer(points @ joint.axis, joint.axis)
+    return max(0.05, float(np.linalg.norm(arms, axis=1).max()))
+
+
+def add_room(spec: Any, scene: Scene, task: Task, deviation: Deviation | None) -> None:
     """Add all that stands still: a floor, and every element of every object but the part's.
 
     Each element is a body of its own, so that a single one can be left out against the part.
@@ -73,7 +140,7 @@ def add_room(spec: Any, scene: Scene, task: Task) -> None:
     dress(floor, Kind.FLOOR, touched=False)
     for item in scene.objects:
         moved = moved_links(item, task)
-        for link, T in item.link_poses().items():
+        for link, T in _poses(item, task, deviation).items():
             if link in moved:
                 continue
             for i, shape in enumerate(item.model.urdf.links[link].collisions):
@@ -90,25 +157,40 @@ def moved_links(item: SceneObject, task: Task) -> frozenset[str]:
     return frozenset(item.model.links if task.joint is None else item.model.moved_by(task.joint))
 
 
+def _poses(
+    item: SceneObject, task: Task, deviation: Deviation | None
+) -> dict[str, Float[np.ndarray, "4 4"]]:
+    """Where the links of an object are."""
+    poses = item.link_poses()
+    if deviation is None or item.name != task.object:
+        return poses
+    T = pose(deviation.offset)
+    return {link: T @ T_world_link for link, T_world_link in poses.items()}
+
+
 def add_part(
-    spec: Any, scene: Scene, task: Task, resistance: Resistance, config: ExecutionConfig
+    spec: Any,
+    scene: Scene,
+    task: Task,
+    resistance: Resistance,
+    deviation: Deviation | None,
+    config: ExecutionConfig,
 ) -> None:
     """Add what the task moves: the links beyond a joint on that joint, or an object, loose.
 
     Joints beyond the task's own are locked where the scene has them.
     """
     item = scene.object(task.object)
-    poses = item.link_poses()
+    poses = _poses(item, task, deviation)
     body = spec.worldbody.add_body(name=PART)
     if task.joint is None:
-        T_world_part = item.T_world_object
-        place_body(body, T_world_part).add_freejoint(name=PART)
-        T_world_at = T_world_part
+        T_world_at = poses[item.model.urdf.root]
+        place_body(body, T_world_at).add_freejoint(name=PART)
     else:
         joint = item.model.joint(task.joint)
-        place_body(body, poses[joint.parent] @ joint.T_parent_joint)
         T_world_at = poses[joint.child]
-        _add_joint(body, joint, resistance)
+        place_body(body, T_world_at)
+        _add_joint(body, joint, item.values()[task.joint], resistance, deviation)
     links = [link for link in item.model.links if link in moved_links(item, task)]
     shapes = [(link, i, s) for link in links for i, s in _numbered(item, link)]
     density = resistance.mass / max(sum(volume(shape) for _, _, shape in shapes), 1e-9)
@@ -123,10 +205,16 @@ def _numbered(item: SceneObject, link: str) -> list[tuple[int, Geometry]]:
     return list(enumerate(item.model.urdf.links[link].collisions))
 
 
-def _add_joint(body: Any, joint: Joint, resistance: Resistance) -> None:
+def _add_joint(
+    body: Any, joint: Joint, value: float, resistance: Resistance, deviation: Deviation | None
+) -> None:
+    """Add the part's joint to a body that is where it is at a value of the joint."""
     slides = joint.kind == "prismatic"
     kind = mujoco.mjtJoint.mjJNT_SLIDE if slides else mujoco.mjtJoint.mjJNT_HINGE
-    added = body.add_joint(name=PART, type=kind, axis=joint.axis)
+    axis = joint.axis if deviation is None else deviation.axis
+    added = body.add_joint(name=PART, type=kind, axis=axis, ref=value)
+    if deviation is not None:
+        added.pos = deviation.shift
     added.frictionloss, added.damping = resistance.friction, [resistance.damping, 0, 0]
     if math.isfinite(joint.lower) and math.isfinite(joint.upper):
         added.limited, added.range = 1, [joint.lower, joint.upper]

@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 
 from momapos.execution.config import ExecutionConfig
+from momapos.execution.feel import Touch
 from momapos.execution.record import Collision, Load, Slip, Tracking
 from momapos.execution.shapes import ROBOT, Kind
 from momapos.execution.simulation import Simulation
@@ -19,9 +20,9 @@ if TYPE_CHECKING:
 
 _FASTEST = 1e4
 """A joint that moves faster is the engine's error [rad/s] or [m/s]."""
-_HELD = Kind.GRIPPER | Kind.PART
+_HELD = Kind.PAD | Kind.PART
 _RESTS = (Kind.PART | Kind.ROOM, Kind.PART | Kind.FLOOR)
-_ROBOT_ROOM = [kind | Kind.ROOM for kind in ROBOT]
+_ROBOT_ROOM = np.array([kind | Kind.ROOM for kind in ROBOT])
 
 
 @dataclass
@@ -31,6 +32,8 @@ class Observer:
     world: Simulation
     config: ExecutionConfig
     collisions: dict[tuple[str, str], Collision] = field(default_factory=dict)
+    reaching: bool = True
+    """Whether the hand is on its way to what it will hold; from there on pads press on it."""
     clearance: float = np.inf
     slip: Slip = field(default_factory=Slip)
     load: Load = field(default_factory=Load)
@@ -61,20 +64,24 @@ class Observer:
         return Tracking(self._worst, rms, self._effort)
 
     def hold(self) -> None:
-        """Slip counts from now."""
+        """Slip counts from now, and pads press on what they hold."""
+        self.reaching = False
         self._T_part_tool = invert(self.world.T_world_part) @ self.world.T_world_tool
 
     def let_go(self) -> None:
         """Slip counts no more."""
         self._T_part_tool = None
 
-    def record_step(self, wanted: Float[np.ndarray, " n"], time: float, stage: str) -> None:
+    def record_step(
+        self, wanted: Float[np.ndarray, " n"], time: float, stage: str, touch: Touch
+    ) -> None:
         """Note the present state.
 
         Args:
             wanted: Where the arm should be [rad] or [m].
             time: Since the beginning of the run [s].
             stage: What the robot is doing.
+            touch: What its hand feels.
         """
         data, world = self.world.data, self.world
         error = np.abs(data.qpos[world.arm_q] - wanted)
@@ -87,14 +94,14 @@ class Observer:
         if data.ncon:
             self._note_contacts(time, stage)
         if self._T_part_tool is not None:
-            self._note_hold(self._T_part_tool)
+            self._note_hold(self._T_part_tool, touch)
 
-    def _note_hold(self, T_before: Float[np.ndarray, "4 4"]) -> None:
+    def _note_hold(self, T_before: Float[np.ndarray, "4 4"], touch: Touch) -> None:
         T = invert(self.world.T_world_part) @ self.world.T_world_tool
         moved = float(np.linalg.norm(T[:3, 3] - T_before[:3, 3]))
         angle = float(rotation_angle(T_before[:3, :3], T[:3, :3]))
         self.slip = Slip(max(self.slip.position, moved), max(self.slip.angle, angle))
-        force, torque = self.world.hold_load()
+        force, torque = touch.size
         self.load = Load(max(self.load.force, force), max(self.load.torque, torque))
 
     def _note_contacts(self, time: float, stage: str) -> None:
@@ -102,9 +109,9 @@ class Observer:
         contact, kinds = self.world.data.contact, self.world.kinds
         geoms, dist = contact.geom, contact.dist
         both = kinds[geoms[:, 0]] | kinds[geoms[:, 1]]
-        room = (both == _ROBOT_ROOM[0]) | (both == _ROBOT_ROOM[1]) | (both == _ROBOT_ROOM[2])
+        room = (both[:, None] == _ROBOT_ROOM).any(1)
         self.clearance = min(self.clearance, float(dist[room].min(initial=np.inf)))
-        pushing = (contact.efc_address >= 0) & (both != _HELD)
+        pushing = (contact.efc_address >= 0) & (self.reaching | (both != _HELD))
         if self._loose:  # it may rest on things
             pushing &= (both != _RESTS[0]) & (both != _RESTS[1])
         if not pushing.any():

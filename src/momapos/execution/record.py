@@ -17,6 +17,7 @@ from momapos.types import Task
 
 FORMAT, VERSION = "momapos-run", 1
 MAX_BYTES = 10_000_000
+Triple = tuple[float, float, float]
 Pose = tuple[float, float, float]
 
 
@@ -50,7 +51,7 @@ class Slip:
 
 @dataclass(frozen=True)
 class Load:
-    """The largest load while the tool held something; a weld's alone is known."""
+    """The largest load of the hand while it held something."""
 
     force: float = 0.0
     """[N]"""
@@ -68,6 +69,20 @@ class Tracking:
     """Root of the mean square over joints and time [rad] or [m]."""
     effort: float = 0.0
     """Largest share of a joint's effort limit that was used [-]; 0 where no limit is known."""
+
+
+@dataclass(frozen=True)
+class JointFound:
+    """Where the arm found the joint of the part that it moved."""
+
+    direction: Triple
+    """Of the axis, in the world."""
+    point: Triple
+    """On the axis of a hinge [m]."""
+    tilt: float
+    """Angle to the axis as modeled [rad]."""
+    shift: float
+    """Distance of a hinge from where it is modeled [m]."""
 
 
 @dataclass(frozen=True)
@@ -101,6 +116,10 @@ class Execution:
     """Simulated time in all [s]."""
     wall: float = 0.0
     """Time that the simulation took, without building the world [s]."""
+    ending: str = ""
+    """How the run ended, one of `Ending`."""
+    joint: JointFound | None = None
+    """None for loose objects, and where the hand took no hold."""
     notes: tuple[str, ...] = ()
     """What was left out or assumed, one line each."""
 

@@ -21,25 +21,31 @@ class Kind(IntEnum):
     BASE = 1
     ARM = 2
     GRIPPER = 4
+    """The palm, and whatever else of the hand does not close."""
     ROOM = 8
     PART = 16
     """The moved part or object."""
     FLOOR = 32
+    PAD = 64
+    """What holds: the fingers, or the tip of a hand that has none."""
 
 
-ROBOT = (Kind.BASE, Kind.ARM, Kind.GRIPPER)
+ROBOT = (Kind.BASE, Kind.ARM, Kind.GRIPPER, Kind.PAD)
+HAND = (Kind.GRIPPER, Kind.PAD)
 _MEETS = {
-    Kind.BASE: (Kind.ARM, Kind.GRIPPER, Kind.ROOM, Kind.PART),
-    Kind.ARM: (Kind.BASE, Kind.ARM, Kind.GRIPPER, Kind.ROOM, Kind.PART, Kind.FLOOR),
-    Kind.GRIPPER: (Kind.BASE, Kind.ARM, Kind.GRIPPER, Kind.ROOM, Kind.FLOOR),
-    Kind.ROOM: (Kind.BASE, Kind.ARM, Kind.GRIPPER, Kind.PART),
-    Kind.PART: (Kind.BASE, Kind.ARM, Kind.ROOM, Kind.FLOOR),
-    Kind.FLOOR: (Kind.ARM, Kind.GRIPPER, Kind.PART),
+    Kind.BASE: (Kind.ARM, *HAND, Kind.ROOM, Kind.PART),
+    Kind.ARM: (Kind.BASE, Kind.ARM, *HAND, Kind.ROOM, Kind.PART, Kind.FLOOR),
+    Kind.GRIPPER: (Kind.BASE, Kind.ARM, *HAND, Kind.ROOM, Kind.PART, Kind.FLOOR),
+    Kind.ROOM: (Kind.BASE, Kind.ARM, *HAND, Kind.PART),
+    Kind.PART: (Kind.BASE, Kind.ARM, Kind.GRIPPER, Kind.ROOM, Kind.FLOOR),
+    Kind.FLOOR: (Kind.ARM, *HAND, Kind.PART),
+    Kind.PAD: (Kind.BASE, Kind.ARM, *HAND, Kind.ROOM, Kind.FLOOR),
 }
 _COLORS = {
     Kind.BASE: (0.25, 0.27, 0.32, 1.0),
     Kind.ARM: (0.88, 0.42, 0.13, 1.0),
     Kind.GRIPPER: (0.15, 0.15, 0.17, 1.0),
+    Kind.PAD: (0.15, 0.15, 0.17, 1.0),
     Kind.ROOM: (0.78, 0.78, 0.76, 1.0),
     Kind.PART: (0.35, 0.58, 0.80, 1.0),
     Kind.FLOOR: (0.55, 0.52, 0.48, 1.0),
@@ -52,10 +58,10 @@ def masks(kind: Kind, *, touched: bool) -> tuple[int, int]:
 
     Args:
         kind: Of the geom.
-        touched: Whether the gripper meets the part that it holds.
+        touched: Whether the pads meet the part that they hold; a weld stands in their place.
     """
     others = list(_MEETS[kind])
-    if touched and kind is Kind.GRIPPER:
+    if touched and kind is Kind.PAD:
         others.append(Kind.PART)
     return int(kind), int(sum(others))
 

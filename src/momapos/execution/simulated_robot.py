@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
 
-from momapos.errors import RobotError
 from momapos.execution.config import ExecutionConfig
-from momapos.execution.dynamics import Dynamics, Inertia
+from momapos.execution.dynamics import Dynamics, Inertia, Mimic
+from momapos.execution.hand import Finger, Hand
 from momapos.execution.shapes import Kind, add_shape, dress, place_body
-from momapos.geometry.transforms import apply, invert, pose_planar
+from momapos.geometry.transforms import invert, pose_planar
 from momapos.kinematics.articulated import joint_motion
 from momapos.kinematics.urdf import Joint
 from momapos.robots.robot import Robot
@@ -27,87 +27,34 @@ UNKNOWN_DENSITY = 500.0
 """Of links whose URDF gives no mass [kg/m^3]."""
 
 
-@dataclass(frozen=True)
-class Finger:
-    """A finger that slides."""
-
-    joint: str
-    open: float
-    """Where the plan has it [m]."""
-    closed: float
-    """Its end nearest to the other fingers [m]."""
-
-
 def body_of(link: str) -> str:
     """Name of the body of a robot's link."""
     return f"robot/{link}"
-
-
-def find_fingers(robot: Robot) -> tuple[Finger, ...]:
-    """The sliding joints of a gripper, each with the end at which the gripper is closed."""
-    model = robot.model
-    hand = set(robot.gripper_links)
-    joints = [
-        joint
-        for joint in model.joints.values()
-        if joint.child in hand and joint.name not in robot.arm_joints and joint.kind == "prismatic"
-    ]
-    if len(joints) < 2 or not all(np.isfinite([j.lower, j.upper]).all() for j in joints):
-        return ()
-    return tuple(Finger(j.name, model.rest[j.name], _closed_end(robot, j, joints)) for j in joints)
-
-
-def _closed_end(robot: Robot, joint: Joint, fingers: list[Joint]) -> float:
-    """The end of a finger's joint that is nearer to the middle of all fingers."""
-    middle = np.mean([_finger_center(robot, j.child, {}) for j in fingers], axis=0)
-    ends = (joint.lower, joint.upper)
-    gaps = [
-        np.linalg.norm(_finger_center(robot, joint.child, {joint.name: end}) - middle)
-        for end in ends
-    ]
-    return ends[int(np.argmin(gaps))]
-
-
-def _finger_center(robot: Robot, link: str, values: dict[str, float]) -> Float[np.ndarray, "3"]:
-    model = robot.model
-    poses = model.link_poses(values)
-    points = [apply(poses[n], h.vertices) for n in model.links_below(link) for h in model.hulls[n]]
-    if not points:
-        return poses[link][:3, 3]
-    cloud = np.concatenate(points)
-    return (cloud.min(0) + cloud.max(0)) / 2
 
 
 def add_robot(
     spec: Any,
     robot: Robot,
     base_pose: tuple[float, float, float],
+    hand: Hand,
     dynamics: Dynamics,
     config: ExecutionConfig,
-) -> tuple[Finger, ...]:
+) -> None:
     """Add the robot to a world.
 
-    The arm's joints get motors; the fingers slide only where the hold is `contact`. All other
+    The arm's joints get motors; the fingers move only where the hold is `contact`. All other
     joints are locked where they rest. The engine's joints keep the URDF's names.
-
-    Returns:
-        The fingers that slide.
-
-    Raises:
-        RobotError: The hold is `contact`, and the gripper has no sliding fingers.
     """
-    fingers = find_fingers(robot) if config.hold == "contact" else ()
-    if config.hold == "contact" and not fingers:
-        raise RobotError(
-            f"{robot.name}: --hold contact needs a gripper with sliding fingers; use --hold weld"
-        )
+    fingers = hand.fingers if config.hold == "contact" else ()
+    followers = hand.followers if config.hold == "contact" else {}
     root = place_body(spec.worldbody.add_body(name="base"), pose_planar(np.array(base_pose)))
     slide, hinge = mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE
     for name, motion, axis in zip(BASE_JOINTS, (slide, slide, hinge), np.eye(3), strict=True):
         root.add_joint(name=name, type=motion, axis=axis)
     model, moving = robot.model, _arm_links(robot)
     T_root_base = model.rest_poses[robot.base_link]
-    free = {*robot.arm_joints, *(finger.joint for finger in fingers)}
+    driven = {finger.joint for finger in fingers}
+    free = {*robot.arm_joints, *driven, *followers}
     bodies: dict[str, Any] = {}
     for link in model.links:
         parent, T, joint = root, invert(T_root_base), _joint_to(robot, link)
@@ -118,18 +65,20 @@ def add_robot(
         body = place_body(parent.add_body(name=body_of(link), gravcomp=1.0), T)
         bodies[link] = body
         if joint is not None and joint.name in free:
-            _add_joint(body, joint, dynamics, config)
+            limit = dynamics.efforts.get(joint.name) if joint.name in robot.arm_joints else None
+            _add_joint(body, joint, limit, config)
         kind = Kind.BASE
         if link in moving:
             kind = Kind.GRIPPER if link in robot.gripper_links else Kind.ARM
+            kind = Kind.PAD if link in hand.pads else kind
         _add_link(spec, body, robot, link, kind, dynamics, config)
     bodies[robot.tool_link].add_geom(
         name=TOOL_POINT, type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[1e-3, 0, 0], density=0.0,
         contype=0, conaffinity=0, rgba=[0, 0, 0, 0],
     )  # fmt: skip
     _add_motors(spec, robot, fingers, config)
+    _add_couplings(spec, fingers, followers)
     _add_excludes(spec, robot)
-    return fingers
 
 
 def _arm_links(robot: Robot) -> set[str]:
@@ -140,14 +89,13 @@ def _joint_to(robot: Robot, link: str) -> Joint | None:
     return next((j for j in robot.model.urdf.joints if j.child == link), None)
 
 
-def _add_joint(body: Any, joint: Joint, dynamics: Dynamics, config: ExecutionConfig) -> None:
+def _add_joint(body: Any, joint: Joint, effort: float | None, config: ExecutionConfig) -> None:
     slides = joint.kind == "prismatic"
     kind = mujoco.mjtJoint.mjJNT_SLIDE if slides else mujoco.mjtJoint.mjJNT_HINGE
     added = body.add_joint(name=joint.name, type=kind, axis=joint.axis, actgravcomp=1)
     added.armature = config.control.armature * (10.0 if slides else 1.0)
     if np.isfinite(joint.lower) and np.isfinite(joint.upper):
         added.limited, added.range = 1, [joint.lower, joint.upper]
-    effort = dynamics.efforts.get(joint.name)
     if effort is not None:
         added.actfrclimited, added.actfrcrange = 1, [-effort, effort]
 
@@ -169,8 +117,9 @@ def _add_link(
         geom = add_shape(spec, body, shape, np.eye(4), f"{body.name}#{i}")
         dress(geom, kind, touched=touched)
         geom.density, geom.gap = UNKNOWN_DENSITY, config.near
-        if kind is Kind.GRIPPER:
+        if kind is Kind.PAD:
             geom.friction, geom.condim = [config.gripper.friction, 0.01, 1e-4], 4
+            geom.priority = 1  # else the larger friction of the two counts
 
 
 def _set_inertia(body: Any, inertia: Inertia) -> None:
@@ -195,8 +144,25 @@ def _add_motors(
         motor = spec.add_actuator(
             name=finger.joint, target=finger.joint, trntype=mujoco.mjtTrn.mjTRN_JOINT
         )
-        motor.forcelimited = 1
-        motor.forcerange = [-config.gripper.force, config.gripper.force]
+        force = config.gripper.force * finger.lever
+        motor.forcelimited, motor.forcerange = 1, [-force, force]
+
+
+def _add_couplings(spec: Any, fingers: tuple[Finger, ...], followers: Mapping[str, Mimic]) -> None:
+    """Joints that follow others; two fingers with motors of their own close alike, as the jaws of
+    a parallel gripper do, which share one motor."""
+    pairs = [(name, m.joint, m.offset, m.multiplier) for name, m in followers.items()]
+    if len(fingers) == 2:
+        one, other = fingers
+        factor = (other.closed - other.open) / (one.closed - one.open)
+        pairs.append((other.joint, one.joint, other.open - factor * one.open, factor))
+    for name, driver, offset, factor in pairs:
+        added = spec.add_equality(
+            name=f"{name} follows {driver}", type=mujoco.mjtEq.mjEQ_JOINT,
+            objtype=mujoco.mjtObj.mjOBJ_JOINT, active=True,
+        )  # fmt: skip
+        added.name1, added.name2 = name, driver
+        added.data[:2] = [offset, factor]
 
 
 def _add_excludes(spec: Any, robot: Robot) -> None:
@@ -224,11 +190,11 @@ def tune(
         model, data: The world; the state is left at the last of the arm's.
         robot: The robot in it.
         states: Of the arm; each joint is tuned for the one in which it moves most [rad] or [m].
-        fingers: The fingers that slide.
+        fingers: Those that move.
         config: Names the bandwidths.
     """
-    control, sliding = config.control, tuple(finger.joint for finger in fingers)
-    names = (*BASE_JOINTS, *robot.arm_joints, *sliding)
+    control, levers = config.control, {finger.joint: finger.lever for finger in fingers}
+    names = (*BASE_JOINTS, *robot.arm_joints, *levers)
     dofs = [int(model.joint(name).dofadr[0]) for name in names]
     arm_q = [int(model.joint(name).qposadr[0]) for name in robot.arm_joints]
     inertia, full = np.zeros(len(names)), np.zeros((model.nv, model.nv))
@@ -240,7 +206,8 @@ def tune(
     for name, mass in zip(names, inertia.tolist(), strict=True):
         motor, base = model.actuator(name).id, name in BASE_JOINTS
         w = control.base_bandwidth if base else control.bandwidth
-        stiffness = config.gripper.stiffness if name in sliding else mass * w**2
+        lever = levers.get(name)
+        stiffness = mass * w**2 if lever is None else config.gripper.stiffness * lever**2
         set_gains(model, motor, stiffness=stiffness, damping=2 * float(np.sqrt(mass * stiffness)))
         if base:
             limit = control.base_friction * 9.81 * float(inertia[0])

@@ -11,16 +11,10 @@ import numpy as np
 from momapos.errors import InputError
 from momapos.execution.config import ExecutionConfig
 from momapos.execution.dynamics import Dynamics
-from momapos.execution.furniture import PART, Resistance, add_part, add_room
-from momapos.execution.shapes import ROBOT, Kind, matrix_quat
-from momapos.execution.simulated_robot import (
-    BASE_JOINTS,
-    TOOL_POINT,
-    Finger,
-    add_robot,
-    body_of,
-    tune,
-)
+from momapos.execution.furniture import PART, Deviation, Resistance, add_part, add_room
+from momapos.execution.hand import Finger, Hand
+from momapos.execution.shapes import HAND, ROBOT, Kind, matrix_quat
+from momapos.execution.simulated_robot import BASE_JOINTS, TOOL_POINT, add_robot, body_of, tune
 from momapos.geometry.transforms import invert
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene, SceneObject
@@ -30,6 +24,8 @@ if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
 WELD = "hold"
+_NOSLIP = 5
+"""Rounds that take the creep out of friction, which soft contacts have [-]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,8 +50,13 @@ class Simulation:
     part_body: int
     tool_body: int
     weld: int
+    hand: Hand
+    hand_bodies: Int[np.ndarray, " b"]
+    """Bodies of the gripper."""
+    pad_side: Int[np.ndarray, " g"]
+    """On which side of the tool's middle the geom of a pad is, 1 or -1; 0 for all others."""
     fingers: tuple[tuple[Finger, int], ...]
-    """The fingers that slide, with their motors."""
+    """The fingers that move, with their motors."""
     loose: tuple[str, ...]
     """What touches the part in the scene, and is left out against it."""
 
@@ -77,7 +78,7 @@ class Simulation:
 
     def grip_gap(self, most: float) -> float:
         """Distance from the gripper, or the tool's origin, to the part [m]; at most `most`."""
-        hand = self.kinds == Kind.GRIPPER
+        hand = np.isin(self.kinds, HAND)
         hand[self.model.geom(TOOL_POINT).id] = True
         return min(
             float(mujoco.mj_geomDistance(self.model, self.data, one, other, most, None))
@@ -95,29 +96,14 @@ class Simulation:
         values[10] = 1.0
         self.data.eq_active[self.weld] = 1
 
+    @property
+    def welded(self) -> bool:
+        """Whether the weld is closed."""
+        return bool(self.data.eq_active[self.weld])
+
     def release(self) -> None:
         """Open the weld."""
         self.data.eq_active[self.weld] = 0
-
-    def push(self) -> Float[np.ndarray, "3"]:
-        """Force of the hand on the part, world frame [N]: in the weld, or of the fingers."""
-        if self.data.eq_active[self.weld]:
-            return np.array(-self.data.efc_force[:3])
-        total, wrench = np.zeros(3), np.empty(6)
-        kinds = self.kinds[self.data.contact.geom]
-        for i in np.flatnonzero((kinds[:, 0] | kinds[:, 1]) == (Kind.GRIPPER | Kind.PART)).tolist():
-            mujoco.mj_contactForce(self.model, self.data, i, wrench)
-            force = self.data.contact.frame[i].reshape(3, 3).T @ wrench[:3]  # on the second geom
-            total += force if kinds[i, 1] == Kind.PART else -force
-        return total
-
-    def hold_load(self) -> tuple[float, float]:
-        """Force [N] and torque [Nm] in the weld; zero where it is open."""
-        if not self.data.eq_active[self.weld]:
-            return 0.0, 0.0
-        load = self.data.efc_force[:6]  # the only equality, and those come first
-        # The engine measures turns by the vector part of a quaternion: half the angle.
-        return float(np.linalg.norm(load[:3])), float(np.linalg.norm(load[3:])) / 2
 
 
 def build_simulation(
@@ -126,8 +112,10 @@ def build_simulation(
     base_pose: tuple[float, float, float],
     states: Float[np.ndarray, "k n"],
     task: Task,
+    hand: Hand,
     dynamics: Dynamics,
     resistance: Resistance,
+    deviation: Deviation | None,
     config: ExecutionConfig,
 ) -> Simulation:
     """Build the world of a run, with the arm at the first of some states.
@@ -142,19 +130,21 @@ def build_simulation(
         base_pose: x [m], y [m], yaw [rad] of its base.
         states: Of the arm, for which its motors are tuned [rad] or [m].
         task: Names what moves.
+        hand: What the robot holds with.
         dynamics: Masses and efforts of the robot.
         resistance: Of the part.
+        deviation: How the task's object differs from the scene; None where it does not.
         config: How to model it.
 
     Raises:
         InputError: The engine refuses the model.
-        RobotError: The hold is `contact`, and the gripper has no sliding fingers.
     """
     spec = _spec(config)
-    add_room(spec, scene, task)
-    add_part(spec, scene, task, resistance, config)
-    fingers = add_robot(spec, robot, base_pose, dynamics, config)
+    add_room(spec, scene, task, deviation)
+    add_part(spec, scene, task, resistance, deviation, config)
+    add_robot(spec, robot, base_pose, hand, dynamics, config)
     _add_weld(spec, robot, config)
+    fingers = hand.fingers if config.hold == "contact" else ()
     item = scene.object(task.object)
     value = None if task.joint is None else item.values()[task.joint]
     try:
@@ -164,24 +154,28 @@ def build_simulation(
             closed = _values(model, {PART: item.model.rest[task.joint]})
             touching += _bearings(_touching(model, closed, config), item)
         touching = list(dict.fromkeys(touching))
-        for one, other in touching:
+        apart = touching
+        if deviation is not None and task.joint is not None:
+            # Where a joint is not as modeled, its true frame leaves the part free.
+            apart = list(dict.fromkeys([*touching, *((PART, name) for name in _standing(model))]))
+        for one, other in apart:
             spec.add_exclude(bodyname1=one, bodyname2=other)
         model = spec.compile()
     except ValueError as error:
         raise InputError(
             f"the physics engine refuses the model of {robot.name} in {scene.name}: {error}"
         ) from error
-    at = {
-        **{finger.joint: finger.open for finger in fingers},
-        **dict(zip(robot.arm_joints, states[0].tolist(), strict=True)),
-    }
-    tune(model, _values(model, {PART: value, **at}), robot, states, fingers, config)
-    data = _values(model, {PART: value, **at})
+    driven = {finger.joint: finger.open for finger in fingers}
+    at = {**driven, **dict(zip(robot.arm_joints, states[0].tolist(), strict=True))}
+    followers = {n: m.at(driven[m.joint]) for n, m in hand.followers.items() if m.joint in driven}
+    values = {PART: value, **at, **followers}
+    tune(model, _values(model, values), robot, states, fingers, config)
+    data = _values(model, values)
     for name, rest in at.items():
         data.ctrl[model.actuator(name).id] = rest
     loose = [one if other == PART else other for one, other in touching if PART in (one, other)]
     names = tuple(dict.fromkeys("floor" if n == "world" else n.split("#")[0] for n in loose))
-    return _index(model, data, robot, fingers, names)
+    return _index(model, data, robot, hand, fingers, names)
 
 
 def _spec(config: ExecutionConfig) -> Any:
@@ -195,6 +189,7 @@ def _spec(config: ExecutionConfig) -> Any:
     option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
     if config.hold == "contact":
         option.cone, option.impratio = mujoco.mjtCone.mjCONE_ELLIPTIC, 10.0
+        option.noslip_iterations = _NOSLIP
     spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [0.45] * 3, [0.55] * 3
     spec.visual.global_.offwidth, spec.visual.global_.offheight = 1280, 960
     return spec
@@ -257,6 +252,12 @@ def _gap(data: Any, one: int, other: int) -> float:
     return float(data.contact.dist[rows].min())
 
 
+def _standing(model: Any) -> list[str]:
+    """Names of the bodies that stand still."""
+    still = np.isin(kinds_of(model), (Kind.ROOM, Kind.FLOOR))
+    return [model.body(body).name for body in np.unique(model.geom_bodyid[still]).tolist()]
+
+
 def kinds_of(model: Any) -> Int[np.ndarray, " g"]:
     """Kind of each geom of a model."""
     return np.array(model.geom_contype, int)
@@ -266,6 +267,7 @@ def _index(
     model: Any,
     data: Any,
     robot: Robot,
+    hand: Hand,
     fingers: tuple[Finger, ...],
     loose: tuple[str, ...],
 ) -> Simulation:
@@ -276,6 +278,7 @@ def _index(
         return np.array([model.actuator(name).id for name in names])
 
     names = [model.geom(i).name.split("#")[0] for i in range(model.ngeom)]
+    sides = {body_of(link): int(side) for link, side in hand.pads.items()}
     return Simulation(
         model=model,
         data=data,
@@ -291,6 +294,9 @@ def _index(
         part_body=model.body(PART).id,
         tool_body=model.body(body_of(robot.tool_link)).id,
         weld=model.equality(WELD).id,
+        hand=hand,
+        hand_bodies=np.array([model.body(body_of(n)).id for n in robot.gripper_links], int),
+        pad_side=np.array([sides.get(name, 0) for name in names]),
         fingers=tuple((finger, model.actuator(finger.joint).id) for finger in fingers),
         loose=loose,
     )

@@ -9,6 +9,7 @@ import numpy as np
 
 from momapos.execution.config import ExecutionConfig
 from momapos.execution.observer import Observer
+from momapos.execution.record import Collision
 from momapos.execution.simulation import Simulation
 from momapos.geometry.transforms import rotation_angle
 from momapos.scene.scene import SceneObject
@@ -67,7 +68,7 @@ def judge(
     if not near or stopped:
         share = (reached - start) / (task.to - start) if task.to != start else 0.0
         reason = f"{task.joint} moved {100 * share:.0f} % of its way"
-    return _verdict(reason, stopped, observer, start, task.to, reached)
+    return _verdict(reason, stopped, observer, start, task.to, reached, config)
 
 
 def _loose(
@@ -97,15 +98,32 @@ def _loose(
             reason = f"{item.name} slipped {100 * observer.slip.position:.1f} cm in the hand"
         elif reached - start < (1 - config.tolerance) * lift:
             reason = f"{item.name} was lifted {100 * (reached - start):.1f} cm"
-    return _verdict(reason, stopped, observer, start, asked, reached)
+    return _verdict(reason, stopped, observer, start, asked, reached, config)
 
 
 def _verdict(
-    reason: str, stopped: str, observer: Observer, start: float, asked: float, reached: float
+    reason: str,
+    stopped: str,
+    observer: Observer,
+    start: float,
+    asked: float,
+    reached: float,
+    config: ExecutionConfig,
 ) -> TaskOutcome:
-    """Put the reasons together, and name what was hit hardest where that may be the cause."""
+    """Put the reasons together, and name what was hit hardest: a hard hit is one of its own.
+
+    Elements of one object do not count as hard: hulls of hollow things overlap where the things
+    pass each other.
+    """
     reasons = [text for text in (stopped, reason) if text]
-    hit = observer.hardest()[:1]
-    if reasons and hit:
+    hard = [c for c in observer.hardest() if c.force > config.touch_force and not _of_one(c)]
+    hit = (hard or observer.hardest())[:1]
+    if hit and (reasons or hard):
         reasons.append(f"{hit[0].one} pushed {hit[0].other} with {hit[0].force:.0f} N")
     return TaskOutcome(not reasons, "; ".join(reasons), start, asked, reached)
+
+
+def _of_one(hit: Collision) -> bool:
+    """Whether two elements belong to the same piece of furniture."""
+    one, other = hit.one.rpartition("/")[0], hit.other.rpartition("/")[0]
+    return one == other != ""

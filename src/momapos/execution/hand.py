@@ -1,0 +1,152 @@
+"""The hand: what closes, toward which end, and how hard its motors push."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from momapos.execution.dynamics import Mimic
+from momapos.geometry.transforms import apply, invert
+from momapos.kinematics.urdf import Joint
+from momapos.robots.robot import Robot
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+_STEP = 0.02
+"""Share of a finger's way over which its speed at the pads is measured [-]."""
+
+
+@dataclass(frozen=True)
+class Finger:
+    """A joint with a motor that closes a finger, or several that follow it."""
+
+    joint: str
+    open: float
+    """Where the plan has it [rad] or [m]."""
+    closed: float
+    """Its end at which the fingers are nearest to each other [rad] or [m]."""
+    lever: float
+    """Way that all its pads close for a step of the joint [m/rad] or [-]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Hand:
+    """What a gripper holds with."""
+
+    fingers: tuple[Finger, ...]
+    """The joints with motors; none where nothing closes."""
+    followers: Mapping[str, Mimic]
+    """The joints that follow one of these, as the URDF says."""
+    pads: Mapping[str, float]
+    """The links that hold, with the side of the tool's middle that they are on: 1 or -1 along the
+    closing axis; 0 for the tip of a hand in which nothing closes."""
+    axis: Float[np.ndarray, "3"]
+    """That axis, in the tool's frame."""
+    approach: Float[np.ndarray, "3"]
+    """Where the hand points, in that frame."""
+
+    @property
+    def closes(self) -> bool:
+        """Whether the hand can hold between its fingers."""
+        return bool(self.fingers)
+
+
+def find_hand(robot: Robot, mimics: Mapping[str, Mimic]) -> Hand:
+    """Find the fingers of a gripper: the joints that move links of it, sliding or turning.
+
+    Args:
+        robot: The robot.
+        mimics: Joints of its URDF that follow others.
+    """
+    model, links = robot.model, set(robot.gripper_links)
+    moving = {
+        joint.name: joint
+        for joint in model.joints.values()
+        if joint.name not in robot.arm_joints
+        and links & set(model.moved_by(joint.name))
+        and not _moves_arm(robot, joint)
+    }
+    followers = {n: m for n, m in mimics.items() if n in moving and m.joint in moving}
+    found = []
+    for joint in moving.values():
+        if joint.name not in followers and np.isfinite([joint.lower, joint.upper]).all():
+            finger = _finger(robot, joint, followers)
+            if finger is not None:
+                found.append(finger)
+    named = {finger.joint for finger in found}
+    followers = {n: m for n, m in followers.items() if m.joint in named}
+    pads = {
+        link: side
+        for name in (*named, *followers)
+        for link, side in _sides(robot, model.moved_by(name)).items()
+    }
+    axes = robot.closing_axis, robot.approach_axis
+    if {1.0, -1.0} <= set(pads.values()):
+        return Hand(tuple(found), followers, pads, *axes)
+    return Hand((), {}, dict.fromkeys(_tip(robot), 0.0), *axes)
+
+
+def _moves_arm(robot: Robot, joint: Joint) -> bool:
+    """Whether a joint carries the hand itself: it is no finger's."""
+    return robot.tool_link in robot.model.moved_by(joint.name)
+
+
+def _finger(robot: Robot, joint: Joint, followers: Mapping[str, Mimic]) -> Finger | None:
+    """A finger with its closed end; None where its joint closes nothing."""
+    rest = robot.model.rest[joint.name]
+    group = [joint.name, *(n for n, m in followers.items() if m.joint == joint.name)]
+    links = {link for name in group for link in robot.model.moved_by(name)}
+
+    def spread(value: float) -> float:
+        values = {joint.name: value}
+        values |= {n: followers[n].at(value) for n in group[1:]}
+        across = _across(robot, links, values)
+        sides = _sides(robot, links)
+        gaps = {side: [abs(across[n]) for n in links if sides.get(n) == side] for side in (1, -1)}
+        return sum(min(gap) for gap in gaps.values() if gap)
+
+    ends = (joint.lower, joint.upper)
+    gaps = [spread(end) for end in ends]
+    closed = ends[int(np.argmin(gaps))]
+    way = closed - rest
+    if abs(way) < 1e-6:
+        return None
+    step = _STEP * way
+    lever = abs(spread(rest + 0.5 * way + step) - spread(rest + 0.5 * way - step)) / abs(2 * step)
+    return Finger(joint.name, rest, closed, lever) if lever > 1e-6 else None
+
+
+def _sides(robot: Robot, links: Iterable[str]) -> dict[str, float]:
+    """On which side of the tool's middle links with a shape are, at rest."""
+    return {n: float(np.sign(v)) for n, v in _across(robot, set(links), {}).items() if v}
+
+
+def _across(robot: Robot, links: set[str], values: dict[str, float]) -> dict[str, float]:
+    """Where the middles of links are along the closing axis, from the tool's origin [m]."""
+    model = robot.model
+    poses = model.link_poses(values)
+    T = invert(poses[robot.tool_link])
+    middles = {}
+    for name in sorted(links):
+        points = [apply(T @ poses[name], hull.vertices) for hull in model.hulls[name]]
+        if points:
+            cloud = np.concatenate(points)
+            middles[name] = float((cloud.min(0) + cloud.max(0)) / 2 @ robot.closing_axis)
+    return middles
+
+
+def _tip(robot: Robot) -> tuple[str, ...]:
+    """The link of the gripper that reaches farthest along the approach."""
+    model = robot.model
+    poses = model.link_poses({})
+    T = invert(poses[robot.tool_link])
+    ends: dict[str, float] = {}
+    for name in robot.gripper_links:
+        points = [apply(T @ poses[name], hull.vertices) for hull in model.hulls[name]]
+        if points:
+            ends[name] = float((np.concatenate(points) @ robot.approach_axis).max())
+    return (max(ends, key=lambda name: ends[name]),) if ends else ()

@@ -1,0 +1,111 @@
+"""Where a part's joint really is, estimated from the way that the hand takes while it holds it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from momapos.execution.config import ComplianceConfig
+from momapos.geometry.transforms import orthonormal, pose, rotation_about, rotation_of
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+_ROUNDS = 3
+"""Gauss-Newton steps for each estimate, which begins at the last one [-]."""
+_SPACING = 0.005
+"""Way of the hand between two points that count [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Axis:
+    """Where a joint is, in the world."""
+
+    slides: bool
+    direction: Float[np.ndarray, "3"]
+    """Unit vector."""
+    point: Float[np.ndarray, "3"]
+    """On the axis of a hinge [m]."""
+
+    def moved(self, value: float) -> Float[np.ndarray, "4 4"]:
+        """How a joint moves what hangs on it, when it moves by a value [rad] or [m]."""
+        if self.slides:
+            return pose(value * self.direction)
+        R = rotation_about(self.direction, np.array(value))
+        return pose(self.point - R @ self.point, R)
+
+    def way_at(self, point: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+        """Unit vector along which a point moves when the joint's value rises."""
+        if self.slides:
+            return self.direction
+        way = np.cross(self.direction, point - self.point)
+        return np.asarray(way / max(float(np.linalg.norm(way)), 1e-9))
+
+
+class JointEstimate:
+    """The most likely joint: near the modeled one, and fit for the way that the hand took.
+
+    A Gaussian prior holds it near the model as long as the hand has not moved far. Points of the
+    hand on a hinge keep their distance from the axis and their height along it; on a slide they
+    stay on a line.
+    """
+
+    def __init__(
+        self, modeled: Axis, start: Float[np.ndarray, "3"], config: ComplianceConfig
+    ) -> None:
+        self.modeled, self.axis, self.config = modeled, modeled, config
+        self.points = [np.array(start)]
+        one = orthonormal(modeled.direction)
+        self._across = np.stack([one, np.cross(modeled.direction, one)])
+        self._x = np.zeros(2 if modeled.slides else 4)  # turns [rad], then shifts [m]
+
+    @property
+    def tilt(self) -> float:
+        """Angle between the estimated and the modeled axis [rad]."""
+        return float(np.linalg.norm(self._x[:2]))
+
+    @property
+    def shift(self) -> float:
+        """Distance of the estimated hinge from the modeled one, where the hand is [m]."""
+        return float(np.linalg.norm(self._x[2:]))
+
+    def see(self, point: Float[np.ndarray, "3"]) -> None:
+        """Take a position of the hand into account [m]."""
+        if np.linalg.norm(point - self.points[-1]) < _SPACING:
+            return
+        self.points.append(np.array(point))
+        for _ in range(_ROUNDS):
+            r, J = self._residuals()
+            self._x = self._x - np.linalg.lstsq(J, r, rcond=None)[0]
+        self.axis = self._axis(self._x)
+
+    def _axis(self, x: Float[np.ndarray, " k"]) -> Axis:
+        """The joint for its parameters; a hinge turns about the point nearest to the start."""
+        direction = rotation_of(x[:2] @ self._across) @ self.modeled.direction
+        if self.modeled.slides:
+            return Axis(True, direction, self.modeled.point)
+        along = (self.points[0] - self.modeled.point) @ self.modeled.direction
+        foot = self.modeled.point + along * self.modeled.direction
+        return Axis(False, direction, foot + x[2:] @ self._across)
+
+    def _residuals(self) -> tuple[Float[np.ndarray, " r"], Float[np.ndarray, "r k"]]:
+        """Prior and measurements, each over its standard deviation, and their derivatives."""
+        sigma = np.full(len(self._x), self.config.tilt_error)
+        sigma[2:] = self.config.axis_error
+        r, step = self._off(self._x), 1e-6
+        J = np.stack([(self._off(self._x + d) - r) / step for d in step * np.eye(len(self._x))], 1)
+        noise = self.config.hand_error
+        return np.append(self._x / sigma, r / noise), np.vstack([np.diag(1 / sigma), J / noise])
+
+    def _off(self, x: Float[np.ndarray, " k"]) -> Float[np.ndarray, " r"]:
+        """How far the points are off the way of the first one [m]."""
+        axis, points = self._axis(x), np.array(self.points)
+        away = points[1:] - points[0]
+        if axis.slides:
+            return (away - np.outer(away @ axis.direction, axis.direction)).ravel()
+        arms = points - axis.point
+        arms = arms - np.outer(arms @ axis.direction, axis.direction)
+        radius = np.linalg.norm(arms, axis=1)
+        return np.append(radius[1:] - radius[0], away @ axis.direction)
