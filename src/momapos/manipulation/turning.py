@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.geometry.transforms import rotation_about
-from momapos.manipulation.handles import Handle, HandleKind
+from momapos.manipulation.handle_core import HandleKind
+from momapos.manipulation.handles import Handle
 from momapos.robots.robot import Robot
 from momapos.types import Hold
 
