@@ -15,9 +15,9 @@ from momapos.manipulation.config import GraspConfig, MotionConfig, ResistanceCon
 from momapos.manipulation.grasp_hold import pinch_capacity
 from momapos.manipulation.grasps import Family, Grasps
 from momapos.manipulation.hand import hand_of
+from momapos.manipulation.handle_core import HandleKind
 from momapos.manipulation.handle_shapes import part_elements
 from momapos.manipulation.handles import (
-    HandleKind,
     HandleSource,
     find_handle,
     find_handles,

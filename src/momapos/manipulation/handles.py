@@ -13,6 +13,7 @@ from momapos.errors import TaskError
 from momapos.geometry.transforms import apply
 from momapos.kinematics.articulated import Articulated, joint_motion
 from momapos.kinematics.opening import opening_of
+from momapos.manipulation.handle_core import HandleKind, core_of
 from momapos.manipulation.handle_shapes import (
     Element,
     clusters,
@@ -29,26 +30,18 @@ from momapos.manipulation.handle_shapes import (
 from momapos.scene.scene import SceneObject
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Float
+    from jaxtyping import Float
 
 _POINTS = 9
 """Points on the way of a handle [-]."""
-_LEVELS = 41
-"""Points at which room is looked for behind a handle [-]."""
-_JOINT = 1e-4
-"""Elements that are nearer to each other are one body [m]."""
 _MODELS = 1024
 """Parts whose handles are remembered [-]."""
 ROUND = 1.5
 """A handle less elongated than this is a knob: it can be turned about freely [-]."""
 FACE_INSIDE = 0.05
 """A door is pushed this far inside its free edge [m]."""
-HELD_DEPTH = 0.04
-"""Of what is deeper the outer end is held [m]."""
 RIM = 0.02
 """Elements of a panel that end this near its edge make the edge [m]."""
-BEHIND = 0.008
-"""Room behind a handle that a finger may use [m]."""
 
 
 class HandleSource(StrEnum):
@@ -57,22 +50,6 @@ class HandleSource(StrEnum):
     NAME = "name"
     SHAPE = "shape"
     EDGE = "edge"
-
-
-class HandleKind(StrEnum):
-    """What a handle is like; the words stand in answers."""
-
-    BAR = "bar"
-    """Long, with room behind it."""
-    KNOB = "knob"
-    LEVER = "lever"
-    """A bar that hangs on one end."""
-    LIP = "lip"
-    """Long, without room behind it."""
-    EDGE = "edge"
-    """The free edge of a panel that has no handle."""
-    FACE = "face"
-    """The front of a panel, to be pushed or sucked."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,7 +228,7 @@ def _of(
     along = int(np.argmax(np.abs(rotation.T @ long)))
     length = float(half[along])
     others = [e for e in part if not any(e is mine for mine in group)]
-    core = _core(center, long * length, out, float(half[out_axis]), group, others)
+    core = core_of(center, long * length, out, float(half[out_axis]), group, others)
     kind = core.kind if length >= ROUND * half[side] else HandleKind.KNOB
     thickness = 2 * float(min(half[side], half[along]))
     return Handle(
@@ -274,87 +251,6 @@ def _panel_normal(
 def _name_of(group: list[Element]) -> str:
     """What a group is called: by its largest element."""
     return max(group, key=lambda e: float(np.ptp(e.convex.vertices, axis=0).max())).name
-
-
-@dataclass(frozen=True)
-class _Core:
-    """The part of a handle that hands hold, without what fastens it."""
-
-    shift: float
-    """From the middle of the whole toward the outside [m]."""
-    depth: float
-    """Size along the outside direction [m]."""
-    kind: HandleKind
-
-
-def _core(
-    center: Float[np.ndarray, "3"],
-    half_long: Float[np.ndarray, "3"],
-    out: Float[np.ndarray, "3"],
-    half_out: float,
-    group: list[Element],
-    others: list[Element],
-) -> _Core:
-    """Where a handle is solid from its outer side on, and whether there is room behind that.
-
-    Bars, levers and lips are told apart by that room, and by what closes it at the ends.
-    """
-    top = half_out + BEHIND
-    solid = _spans(group, center + top * out, -out)
-    covered = _spans(others, center + top * out, -out)
-    first = solid[:, 0].min(initial=np.inf)
-    if not np.isfinite(first):
-        return _Core(0.0, 2 * half_out, HandleKind.BAR)
-    last = first
-    for begin, end in solid[np.argsort(solid[:, 0])]:
-        last = max(last, end) if begin <= last + _JOINT else last
-    inside = covered[covered[:, 0] > first, 0].min(initial=np.inf)
-    depth = min(last - first, inside - first, HELD_DEPTH)
-    shift = top - first - depth / 2
-    kind = _room_behind(center, half_long, out, half_out, float(first), [*group, *others])
-    return _Core(float(shift), float(depth), kind)
-
-
-def _spans(
-    elements: list[Element], origin: Float[np.ndarray, "3"], direction: Float[np.ndarray, "3"]
-) -> Float[np.ndarray, "n 2"]:
-    """Where a line enters and leaves elements, those left out that it misses [m]."""
-    spans = [e.convex.span(origin, direction) for e in elements]
-    return np.array([span for span in spans if span[0] < span[1]]).reshape(-1, 2)
-
-
-def _room_behind(
-    center: Float[np.ndarray, "3"],
-    half_long: Float[np.ndarray, "3"],
-    out: Float[np.ndarray, "3"],
-    half_out: float,
-    first: float,
-    elements: list[Element],
-) -> HandleKind:
-    """Tell bars, levers and lips apart by the room behind their middle and their ends.
-
-    Args:
-        center, half_long, out, half_out: The whole of it.
-        first: Where it begins, from `BEHIND` outside of its outer side [m].
-        elements: All of the part.
-    """
-    levels = np.linspace(half_out + BEHIND - first, -half_out - BEHIND, _LEVELS)
-    step = float(levels[0] - levels[-1]) / (_LEVELS - 1)
-    shares = np.array([-0.95, -0.5, 0.0, 0.5, 0.95])
-    points = center + shares[:, None, None] * half_long + levels[:, None] * out
-    free = ~_filled(elements, points)
-    if free[1:4].all(0).sum() * step < BEHIND:
-        return HandleKind.LIP
-    ends = free[[0, 4]].sum(1) * step >= BEHIND
-    return HandleKind.LEVER if ends[0] != ends[1] else HandleKind.BAR
-
-
-def _filled(elements: list[Element], points: Float[np.ndarray, "k n 3"]) -> Bool[np.ndarray, "k n"]:
-    """Which points lie in some element."""
-    filled = np.zeros(points.shape[:-1], bool)
-    for element in elements:
-        filled |= element.convex.depth(points) > -1e-6
-    return filled
 
 
 def _free_edges(

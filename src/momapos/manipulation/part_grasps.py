@@ -21,10 +21,10 @@ from momapos.manipulation.grasp_hold import (
     stands_clear,
 )
 from momapos.manipulation.hand import Hand, hand_of
+from momapos.manipulation.handle_core import HandleKind
 from momapos.manipulation.handle_shapes import Element, corners, part_elements
 from momapos.manipulation.handles import (
     Handle,
-    HandleKind,
     HandleSource,
     front_face,
     motion_direction,

@@ -13,7 +13,7 @@ import numpy as np
 
 from momapos.geometry.transforms import rotation_about
 from momapos.manipulation.grasps import Chosen
-from momapos.manipulation.handles import HandleKind
+from momapos.manipulation.handle_core import HandleKind
 from momapos.manipulation.part_grasps import FAMILIES, Family
 from momapos.robots.robot import Robot
 
