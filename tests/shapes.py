@@ -33,7 +33,11 @@ _CHECK = "_check_shapes"
 
 @contextlib.contextmanager
 def unchecked() -> Iterator[None]:
-    """For calls that break an annotation on purpose, to see what the callee itself says."""
+    """For calls that break an annotation on purpose, to see what the callee itself says.
+
+    Also for those that are seen to draw no random numbers: the check draws them, from Python's own
+    generator, to choose the member of a list that it looks at.
+    """
     before = jaxtyping.config.jaxtyping_disable
     jaxtyping.config.update("jaxtyping_disable", True)
     try:
@@ -98,10 +102,9 @@ def _for_hints(node: ast.stmt) -> bool:
 class _Checks(ast.NodeTransformer):
     """Adds the check to all but kernels and functions inside functions."""
 
-    def visit_If(self, node: ast.If) -> ast.stmt:
-        if _for_hints(node):
-            node.test = ast.copy_location(ast.Constant(True), node.test)
-        return node
+    def visit_If(self, node: ast.If) -> ast.stmt | list[ast.stmt]:
+        """What is for type checkers only runs too, before what is there instead."""
+        return [*node.body, *node.orelse] if _for_hints(node) else node
 
     def visit_FunctionDef(self, node: ast.FunctionDef) -> ast.stmt:
         if not any(_name(decorator) in _KERNELS for decorator in node.decorator_list):

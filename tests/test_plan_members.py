@@ -104,6 +104,7 @@ def test_verify_finds_the_srdf_that_the_plan_names(plan: PlacementPlan, folder: 
         ("base_path", [[0, 0, 0], [0]], "base_path"),
         ("scene_joints", {"cabinet": 1}, "scene_joints"),
         ("feasible_to", "45deg", "feasible_to"),
+        ("feasible_from", [1.0, 2.0, 3.0], "feasible_from"),
     ],
 )
 def test_a_new_member_that_is_malformed_is_refused(
@@ -123,10 +124,13 @@ def test_a_plan_of_before_that_has_none_of_them_is_read(plan: PlacementPlan, fol
     path = folder / "old.json"
     write_plan(plan, path)
     data = json.loads(path.read_text())
-    for key in ("start", "base_path", "scene_joints", "feasible_to"):
+    for key in ("start", "base_path", "scene_joints", "feasible_to", "feasible_from"):
         del data[key]
+    del data["task"]["farthest"]
     del data["robot"]["file"]
     path.write_text(json.dumps(data))
     old = read_plan(path)
     assert (old.start, old.base_path, old.robot_file, old.feasible_to) == (None, None, None, None)
+    assert old.feasible_from is None
+    assert not old.task.farthest
     assert verify_files(path).valid

@@ -2,22 +2,30 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from momapos.config import PipelineConfig
+from momapos.farthest import from_the_top, values_before
+from momapos.manipulation.tasks import slides
+from momapos.navigation.global_path import plan_path
 from momapos.outcomes import PoseOutcome, PoseStatus
 from momapos.placement.area import BaseStatus, base_pose_status
 from momapos.placement.holding import score_grasps
-from momapos.placement.place import BASE_OUTCOMES
-from momapos.prepare import prepare
-from momapos.protocols import ReachScorer
+from momapos.placement.place import BASE_OUTCOMES, Search
+from momapos.placement_result import PlacementResult, plan_of
+from momapos.prepare import PreparedTask, driving_lengths, prepare, start_pose
+from momapos.protocols import Clock, ReachScorer
+from momapos.query import PlacementQuery
 from momapos.reachability.store import load_reach_map
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene
+from momapos.stopwatch import Stopwatch
 from momapos.types import Attempt, Task
 
 if TYPE_CHECKING:
@@ -26,6 +34,8 @@ if TYPE_CHECKING:
 DEFAULT = PipelineConfig()
 LEAST_SCORE = 1e-6
 """Score of grasps that the reachability map calls out of reach; those that turn come last [-]."""
+MOST_VALUES = 100
+"""Values that are asked one by one at a pose; of more, only some at first [-]."""
 
 
 def check_base_pose(
@@ -35,11 +45,12 @@ def check_base_pose(
     base_pose: Float[np.ndarray, "3"] | Sequence[float],
     reach: ReachScorer | None = None,
     *,
+    how_far: bool = True,
     config: PipelineConfig = DEFAULT,
     cache_dir: Path | None = None,
     seed: int = 0,
 ) -> Attempt:
-    """Plan the arm's motion at one base pose, or say why there is none.
+    """Plan the arm's motion at one base pose, or say why there is none and how far it goes.
 
     All grasps are tried, and every object of the room is modeled. Nothing is driven: whether a
     way leads to the pose does not count.
@@ -50,33 +61,151 @@ def check_base_pose(
         task: What is to be done, see `make_task`.
         base_pose: x [m], y [m], yaw [rad].
         reach: The robot's reachability map; None to load it, or to build it at the first use.
+        how_far: Whether to look for the farthest value of a joint that works, to a degree or a
+            centimeter, where the task's does not.
         config: How to plan.
         cache_dir: Where maps are kept; the user's cache folder by default.
         seed: Same seed, same motion.
 
     Returns:
-        A motion that the exact check accepts, or why there is none.
+        A motion that the exact check accepts, or why there is none; and the farthest value that
+        works. A task that asks for as far as possible has the motion to that value.
 
     Raises:
         TaskError: The gripper cannot hold the object.
         RobotError: The robot and the task do not fit together.
     """
-    base = np.asarray(base_pose, float)
-    prepared = prepare(scene, robot, task, config, clearance=0.0)
-    if prepared.infeasible_reason:
-        return Attempt(None, PoseOutcome(PoseStatus.TASK_INFEASIBLE, prepared.infeasible_reason))
-    status = BaseStatus(base_pose_status(prepared.geometry, base[None])[0][0])
-    if status != BaseStatus.CLEAR:
-        return Attempt(None, BASE_OUTCOMES[status])
     if reach is None:
         reach = load_reach_map(robot, cache_dir)
-    feasible = prepared.feasibility(config, seed)
+    watch = Stopwatch(lambda: 0.0)
+    query = PlacementQuery(scene, robot, task, reach, None, None, config, seed, watch)
+    return _look(query, np.asarray(base_pose, float), how_far=how_far).attempt
+
+
+def plan_at_base_pose(
+    scene: Scene,
+    robot: Robot,
+    task: Task,
+    base_pose: Float[np.ndarray, "3"] | Sequence[float],
+    reach: ReachScorer,
+    *,
+    start: Float[np.ndarray, "3"] | None = None,
+    config: PipelineConfig = DEFAULT,
+    seed: int = 0,
+    clock: Clock = time.perf_counter,
+) -> PlacementResult:
+    """Answer how the robot does a task from one base pose: drive there, move the arm.
+
+    Args:
+        scene: The room.
+        robot: The robot.
+        task: What is to be done, see `make_task`.
+        base_pose: x [m], y [m], yaw [rad].
+        reach: The robot's reachability map.
+        start: Where the base is now: x [m], y [m], yaw [rad]; the scene's start by default.
+        config: How to plan.
+        seed: Same seed, same motion.
+        clock: Measures the stages.
+
+    Returns:
+        The plan has this base pose, whether it is solved or not; where it is not, it says how far
+        the part can be moved from there.
+
+    Raises:
+        SceneError: The start is no free pose.
+        TaskError: The gripper cannot hold the object.
+        RobotError: The robot and the task do not fit together.
+    """
+    watch, base = Stopwatch(clock), np.asarray(base_pose, float)
+    query = PlacementQuery(scene, robot, task, reach, start, None, config, seed, watch)
+    with watch.stage("search"):
+        look = _look(query, base, how_far=True)
+    with watch.stage("drive"):
+        first = start_pose(scene, robot, look.prepared.motion, start, query.nav_map)
+        length = float(driving_lengths(look.prepared, first)(base[None, :2])[0])
+    with watch.stage("way"):
+        way = plan_path(query.nav_map, first, base) if np.isfinite(length) else None
+    attempt = look.attempt
+    if way is None:
+        gone = PoseOutcome(PoseStatus.NO_ROUTE_AT_HOME)
+        attempt = Attempt(None, attempt.outcome if attempt.motion is None else gone)
+    solved = attempt.motion is not None
+    found = Search(checked=1, base=base if solved else None, motion=attempt.motion, cost=length)
+    found.note(base[None], np.array([attempt.outcome], object))
+    pose = (float(base[0]), float(base[1]), float(base[2]))
+    answered = replace(look.prepared.task, farthest=task.farthest and solved)
+    plan = replace(
+        plan_of(replace(query, task=answered), found, first, way if solved else None),
+        base_pose=pose,
+        feasible_to=None if solved else attempt.farthest,
+        feasible_from=None if solved or attempt.farthest is None else pose,
+        timing={**watch.seconds, "total": watch.total},
+    )
+    return PlacementResult(plan, look.prepared, found, first)
+
+
+@dataclass(frozen=True)
+class _Look:
+    """What came of a base pose, and for which value of the joint that was."""
+
+    prepared: PreparedTask
+    attempt: Attempt
+
+
+def _look(query: PlacementQuery, base: Float[np.ndarray, "3"], *, how_far: bool) -> _Look:
+    """Check a base pose for the task, and where that fails for what comes before its value."""
+    task = query.task
+    look = _attempt(query, base)
+    if look.attempt.motion is not None:
+        attempt = replace(look.attempt, farthest=task.to)
+        return _Look(look.prepared, attempt)
+    farther = _farthest(query, base) if how_far and task.joint is not None else None
+    if farther is None:
+        return look
+    value = farther.prepared.task.to
+    if task.farthest:
+        return _Look(farther.prepared, replace(farther.attempt, farthest=value))
+    return _Look(look.prepared, replace(look.attempt, farthest=value))
+
+
+def _farthest(query: PlacementQuery, base: Float[np.ndarray, "3"]) -> _Look | None:
+    """The last value before the task's that works at a base pose."""
+    task = query.task
+    assert task.joint is not None
+    assert task.to is not None
+    begin = query.scene.object(task.object).values()[task.joint]
+    values = values_before(begin, task.to, slides=slides(query.scene, task))
+
+    def ask(index: int) -> _Look | None:
+        one = replace(task, to=float(values[index]))
+        look = _attempt(replace(query, task=one), base)
+        return look if look.attempt.motion is not None else None
+
+    # Most poses that fail are no good for any value. One pose may fail at a value among some that
+    # work, so that halving would pass by the last.
+    if not len(values) or ask(0) is None:
+        return None
+    return from_the_top(ask, len(values), stride=1 + len(values) // MOST_VALUES)
+
+
+def _attempt(query: PlacementQuery, base: Float[np.ndarray, "3"]) -> _Look:
+    """Check a base pose for the value of the task."""
+    prepared = prepare(query.scene, query.robot, query.task, query.config, clearance=0.0)
+    if prepared.infeasible_reason:
+        outcome = PoseOutcome(PoseStatus.TASK_INFEASIBLE, prepared.infeasible_reason)
+        return _Look(prepared, Attempt(None, outcome))
+    status = BaseStatus(base_pose_status(prepared.geometry, base[None])[0][0])
+    if status != BaseStatus.CLEAR:
+        return _Look(prepared, Attempt(None, BASE_OUTCOMES[status]))
+    feasible = prepared.feasibility(query.config, query.seed)
     # The map is right for most poses, not for all: it orders the grasps and rules none out.
-    scores = np.maximum(score_grasps(reach, base[None], prepared.geometry), LEAST_SCORE)
-    turning = np.full((1, len(prepared.geometry.groups)), LEAST_SCORE / 2)
+    geometry = prepared.geometry
+    scores = np.maximum(score_grasps(query.reach, base[None], geometry), LEAST_SCORE)
+    turning = np.full((1, len(geometry.groups)), LEAST_SCORE / 2)
     scores = np.concatenate([scores, turning], axis=1)
     screened = feasible.screen(base[None], scores, None)
     assert screened is not None
     if screened[0].q is None:
-        return Attempt(None, screened[0].outcome)
-    return feasible(base, screened[0], np.argsort(-scores[0], kind="stable"))
+        return _Look(prepared, Attempt(None, screened[0].outcome))
+    order = np.argsort(-scores[0], kind="stable")
+    return _Look(prepared, feasible(base, screened[0], order))

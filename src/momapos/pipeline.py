@@ -15,17 +15,16 @@ import numpy as np
 
 from momapos.config import PipelineConfig
 from momapos.expand_model import expand_model, first_selection
-from momapos.geometry.polygons import inscribed_radius
+from momapos.farthest import farthest_answer, values_before, values_per_waypoint
 from momapos.importance.key_objects import Selection
 from momapos.importance.rank import rank
 from momapos.manipulation.motion import TaskMotion, task_motion
-from momapos.manipulation.tasks import hand_path
-from momapos.navigation.cost_map import base_height, build_cost_map, floor_plan
+from momapos.manipulation.tasks import hand_path, slides
 from momapos.navigation.global_path import BasePath, plan_path
 from momapos.outcomes import PoseOutcome, PoseStatus
 from momapos.placement.place import PoseFilter, Problem, search
 from momapos.placement_result import PlacementResult, plan_of
-from momapos.prepare import prepare, start_pose
+from momapos.prepare import driving_lengths, prepare, start_pose
 from momapos.protocols import Clock, ReachScorer
 from momapos.query import PlacementQuery
 from momapos.reachability.store import load_reach_map
@@ -38,6 +37,8 @@ if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
 DEFAULT = PipelineConfig()
+LEAST_TIMEOUT = 0.001
+"""No search is begun with less time than this [s]."""
 
 
 def plan_base_placement(
@@ -57,6 +58,10 @@ def plan_base_placement(
 
     Objects that matter are modeled, all others are boxes; what turns out to matter later is
     modeled then. A "no" is given with everything modeled.
+
+    A task that asks for as far as possible is answered for the farthest value that works, to a
+    degree or a centimeter, and the plan's task names that value. Where the time runs out before all
+    beyond it are ruled out, the plan's task does not call it the farthest.
 
     Args:
         scene: The room.
@@ -78,9 +83,15 @@ def plan_base_placement(
     if reach is None:
         reach = load_reach_map(robot, cache_dir)
     query = PlacementQuery(scene, robot, task, reach, start, pose_filter, config, seed, watch)
+    return _as_far_as_possible(query) if task.farthest else _answer(query)
+
+
+def _answer(query: PlacementQuery) -> PlacementResult:
+    scene, robot, task, config = query.scene, query.robot, query.task, query.config
+    watch = query.watch
     with watch.stage("importance"):
         path = hand_path(scene, task.object, task.joint, task.to)
-        ranked = rank(scene, task.object, config.ranking, path=path, seed=seed)
+        ranked = rank(scene, task.object, config.ranking, path=path, seed=query.seed)
     with watch.stage("model"):
         motion = task_motion(scene.with_box_proxies({task.object}), robot, task, config.motion)
     selection = first_selection(query, ranked, motion)
@@ -108,10 +119,8 @@ def _search(query: PlacementQuery, selection: Selection, motion: TaskMotion) -> 
         modeled, robot, query.task, config, clearance=clearance, motion=motion, watch=watch
     )
     with watch.stage("drive"):
-        obstacles = prepared.motion.static_obstacles()
-        plan = floor_plan(obstacles, height=base_height(robot), floor_polygon=modeled.floor_polygon)
         start = start_pose(query.scene, robot, prepared.motion, query.start, query.nav_map)
-        cost = build_cost_map(plan, start[:2], radius=inscribed_radius(robot.footprint))
+        travel_cost = driving_lengths(prepared, start)
 
     # What is compiled and read before, once after installation, is not the search's time.
     left, begun = config.timeout - watch.seconds.get("search", 0.0), watch.clock()
@@ -138,7 +147,7 @@ def _search(query: PlacementQuery, selection: Selection, motion: TaskMotion) -> 
     problem = Problem(
         geometry=prepared.geometry,
         reach=query.reach,
-        travel_cost=cost.lengths,
+        travel_cost=travel_cost,
         attempt=attempt,
         screen=feasible.screen,
         infeasible_reason=prepared.infeasible_reason,
@@ -154,3 +163,75 @@ def _search(query: PlacementQuery, selection: Selection, motion: TaskMotion) -> 
         found = search(problem, search_config, np.random.default_rng(query.seed))
     path = None if found.base is None else paths.get(found.base.tobytes())
     return PlacementResult(plan_of(query, found, start, path), prepared, found, start)
+
+
+def _as_far_as_possible(query: PlacementQuery) -> PlacementResult:
+    """The answer for the farthest value up to the task's that has one."""
+    task, config, watch = query.task, query.config, query.watch
+    assert task.to is not None
+    at_once = answer_to(query, task.to, by_samples(config))
+    if at_once.plan.status == "solved":
+        best, sure = at_once, True
+    else:
+        values = np.append(values_short_of(query), task.to)
+        found, sure = farthest_plan(query, values, within=1, timeout=config.timeout)
+        left = max(config.timeout - watch.total, LEAST_TIMEOUT)
+        best = found or answer_to(query, task.to, replace(config, timeout=left))
+    known = replace(best.plan.task, farthest=sure and best.plan.status == "solved")
+    timing = {**watch.seconds, "total": watch.total}
+    return replace(best, plan=replace(best.plan, task=known, timing=timing))
+
+
+def farthest_plan(
+    query: PlacementQuery, values: Float[np.ndarray, " k"], *, within: int, timeout: float
+) -> tuple[PlacementResult | None, bool]:
+    """Find the farthest of some values for which there is a plan.
+
+    Args:
+        query: What is asked; the value of its task does not count.
+        values: The values, the nearest to where the part is first [rad] or [m].
+        within: The answer is at most so many values before one that the grid rules out [-].
+        timeout: Time for it, counted by the query's stopwatch from its beginning [s].
+
+    Returns:
+        The answer to that value, if any has one; and whether the time was enough.
+    """
+    config, in_time = query.config, True
+
+    def ask(value: float, thorough: bool) -> PlacementResult | None:
+        nonlocal in_time
+        left = timeout - query.watch.total
+        if left < LEAST_TIMEOUT:
+            in_time = False
+            return None
+        how = replace(config if thorough else by_samples(config), timeout=left)
+        result = answer_to(query, value, how)
+        in_time &= result.plan.status != "timeout"
+        return result if result.plan.status == "solved" else None
+
+    waypoint = values_per_waypoint(config.motion, slides=slides(query.scene, query.task))
+    return farthest_answer(ask, values, waypoint=waypoint, within=within), in_time
+
+
+def values_short_of(query: PlacementQuery) -> Float[np.ndarray, " k"]:
+    """Whole degrees or centimeters between where the part is and where it shall go [rad] or [m]."""
+    task = query.task
+    assert task.joint is not None
+    assert task.to is not None
+    begin = query.scene.object(task.object).values()[task.joint]
+    return values_before(begin, task.to, slides=slides(query.scene, task))
+
+
+def answer_to(query: PlacementQuery, value: float, config: PipelineConfig) -> PlacementResult:
+    """The answer to the same question about another value; its time is added to the query's."""
+    task = replace(query.task, to=float(value), farthest=False)
+    watch = Stopwatch(query.watch.clock)
+    result = _answer(replace(query, task=task, config=config, watch=watch))
+    for stage, seconds in watch.seconds.items():
+        query.watch.seconds[stage] = query.watch.seconds.get(stage, 0.0) + seconds
+    return result
+
+
+def by_samples(config: PipelineConfig) -> PipelineConfig:
+    """A quick search: one round of samples, and no grid where none of them works."""
+    return replace(config, place=replace(config.place, rounds=1, grid=False, method="ours"))

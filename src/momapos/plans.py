@@ -54,6 +54,7 @@ def plan_to_dict(plan: PlacementPlan) -> dict[str, Any]:
         "task": asdict(plan.task),
         "status": plan.status,
         "feasible_to": plan.feasible_to,
+        "feasible_from": _pose_to_dict(plan.feasible_from),
         "start": _pose_to_dict(plan.start),
         "base_pose": _pose_to_dict(plan.base_pose),
         "base_path": None if plan.base_path is None else plan.base_path.tolist(),
@@ -173,6 +174,7 @@ class _Task(msgspec.Struct):
     object: str
     joint: str | None = None
     to: float | None = None
+    farthest: bool = False
 
 
 class _Pose(msgspec.Struct):
@@ -212,6 +214,7 @@ class _Plan(msgspec.Struct):
     joints: list[str]
     scene_joints: dict[str, dict[str, float]] = {}
     feasible_to: float | None = None
+    feasible_from: _Pose | None = None
     start: _Pose | None = None
     base_pose: _Pose | None = None
     base_path: list[list[float]] | None = None
@@ -338,7 +341,7 @@ def _record(data: _Plan, path: Path) -> PlacementPlan:
         robot_urdf=_located(robot.urdf, folder),
         base_link=robot.base_link,
         tool_link=robot.tool_link,
-        task=Task(data.task.verb, data.task.object, data.task.joint, data.task.to),
+        task=Task(**msgspec.structs.asdict(data.task)),
         status=data.status,
         joints=tuple(data.joints),
         base_pose=_triple(data.base_pose),
@@ -359,6 +362,7 @@ def _record(data: _Plan, path: Path) -> PlacementPlan:
         robot_rest=robot.rest,
         scene_joints=data.scene_joints,
         feasible_to=data.feasible_to,
+        feasible_from=_triple(data.feasible_from),
     )
 
 

@@ -10,14 +10,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.config import PipelineConfig
+from momapos.geometry.polygons import inscribed_radius
 from momapos.kinematics.world import CollisionWorld, build_world
 from momapos.manipulation.feasibility import Feasibility, collision_free_grasps
 from momapos.manipulation.motion import LIFT, TaskMotion, in_room, room_boxes, task_motion
 from momapos.manipulation.tasks import in_front_of_parts
-from momapos.navigation.cost_map import base_height, floor_plan
+from momapos.navigation.cost_map import base_height, build_cost_map, floor_plan
 from momapos.navigation.footprint_map import NavigationMap
 from momapos.navigation.start import check_arm_at_home, check_base, find_start
 from momapos.placement.area import PlacementGeometry
+from momapos.protocols import TravelCost
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene
 from momapos.stopwatch import Stopwatch
@@ -146,6 +148,19 @@ def collision_world(robot: Robot, motion: TaskMotion, config: PipelineConfig) ->
         robot.spheres,
         clearance=config.arm_clearance,
     )
+
+
+def driving_lengths(prepared: PreparedTask, start: Float[np.ndarray, "3"]) -> TravelCost:
+    """How far it is to drive from a start, past everything as it is before the task begins.
+
+    Args:
+        prepared: The room, the robot and the task.
+        start: x [m], y [m], yaw [rad].
+    """
+    robot, obstacles = prepared.robot, prepared.motion.static_obstacles()
+    polygon = prepared.scene.floor_polygon
+    plan = floor_plan(obstacles, height=base_height(robot), floor_polygon=polygon)
+    return build_cost_map(plan, start[:2], radius=inscribed_radius(robot.footprint)).lengths
 
 
 def start_pose(

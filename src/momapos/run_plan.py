@@ -102,6 +102,8 @@ def run_plan(
     """
     if plan.status != "solved" or plan.base_pose is None:
         raise InputError(f"the plan is {plan.status!r}: there is nothing to execute")
+    # Planned anew from another pose, it must go as far as planned, no farther and no less far.
+    plan = replace(plan, task=replace(plan.task, farthest=False))
     of_drive, of_world = np.random.default_rng(seed).spawn(2)
     stopwatch = Stopwatch(clock, dict.fromkeys(STAGES, 0.0))
 
@@ -215,7 +217,7 @@ class _Trip:
     def _motion(self, pose: Float[np.ndarray, "3"]) -> Attempt:
         return check_base_pose(
             self.scene, self.ground.robot, self.plan.task, pose, self.reach,
-            config=self.config, seed=self.plan.seed,
+            how_far=False, config=self.config, seed=self.plan.seed,
         )  # fmt: skip
 
     def _another(self, pose: Float[np.ndarray, "3"]) -> PlacementPlan | None:

@@ -1,30 +1,26 @@
-"""How far a part can be opened where it cannot be opened as far as asked."""
+"""How far a part can be moved where it cannot be moved as far as asked."""
 
 from __future__ import annotations
 
-import math
 import time
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from momapos.config import PipelineConfig
+from momapos.farthest import values_per_waypoint
 from momapos.manipulation.tasks import slides
-from momapos.pipeline import plan_base_placement
+from momapos.pipeline import farthest_plan, values_short_of
 from momapos.protocols import Clock, ReachScorer
+from momapos.query import PlacementQuery
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene
-from momapos.types import PlacementPlan, Task
-
-if TYPE_CHECKING:
-    from jaxtyping import Float
+from momapos.stopwatch import Stopwatch
+from momapos.types import PlacementPlan
 
 DEFAULT = PipelineConfig()
-SHARES = (0.75, 0.5, 0.25)
-"""Of the way asked for; the first that works is the answer [-]."""
 TIMEOUT = 10.0
-"""Time for all of them [s]."""
+"""Time to find it [s]."""
 
 
 def smaller_opening(
@@ -36,13 +32,13 @@ def smaller_opening(
     config: PipelineConfig = DEFAULT,
     clock: Clock = time.perf_counter,
 ) -> PlacementPlan:
-    """Add to a plan that finds no way to open a part how far it can be opened, if it can.
+    """Add to a plan that finds no way to move a part how far it can be moved, and from where.
 
-    Three smaller values are tried, with one round of samples each: what works, works; that
-    nothing was found does not mean that nothing does.
+    The value is one for which there is a plan, in whole degrees or centimeters. Where the time is
+    enough, the grid has ruled out what lies a waypoint beyond it.
 
     Args:
-        plan: The plan; all but an infeasible one to open something comes back as it is.
+        plan: The plan; all but an infeasible one for a joint comes back as it is.
         scene: The room.
         robot: The robot.
         reach: Its reachability map.
@@ -50,39 +46,14 @@ def smaller_opening(
         clock: Measures the time.
     """
     task = plan.task
-    if plan.status != "infeasible" or task.verb != "open" or task.joint is None or task.to is None:
+    if plan.status != "infeasible" or task.joint is None:
         return plan
-    begin, began = scene.object(task.object).values()[task.joint], clock()
     start = None if plan.start is None else np.array(plan.start)
-    for share in SHARES:
-        to = rounded(begin + share * (task.to - begin), slides(scene, task))
-        left = TIMEOUT - (clock() - began)
-        if left <= 0 or abs(to - begin) < 1e-3:
-            break
-        if _works(scene, robot, replace(task, to=to), reach, start, config, plan.seed, left, clock):
-            return replace(plan, feasible_to=to)
-    return plan
-
-
-def _works(
-    scene: Scene,
-    robot: Robot,
-    task: Task,
-    reach: ReachScorer,
-    start: Float[np.ndarray, "3"] | None,
-    config: PipelineConfig,
-    seed: int,
-    timeout: float,
-    clock: Clock,
-) -> bool:
-    quick = replace(config.place, rounds=1, grid=False, method="ours")
-    some = replace(config, place=quick, timeout=timeout)
-    found = plan_base_placement(
-        scene, robot, task, reach, start=start, config=some, seed=seed, clock=clock
-    )
-    return found.plan.status == "solved"
-
-
-def rounded(value: float, slides: bool) -> float:
-    """A value that can be written in whole degrees or centimeters [rad] or [m]."""
-    return round(100 * value) / 100 if slides else math.radians(round(math.degrees(value)))
+    watch = Stopwatch(clock)
+    query = PlacementQuery(scene, robot, task, reach, start, None, config, plan.seed, watch)
+    waypoint = values_per_waypoint(config.motion, slides=slides(scene, task))
+    values = values_short_of(query)
+    best, _ = farthest_plan(query, values, within=waypoint, timeout=TIMEOUT)
+    if best is None:
+        return plan
+    return replace(plan, feasible_to=best.plan.task.to, feasible_from=best.plan.base_pose)

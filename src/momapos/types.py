@@ -159,6 +159,8 @@ class Task:
     """The joint that must move; None for pick and place."""
     to: float | None = None
     """The value the joint must reach [rad] or [m]."""
+    farthest: bool = False
+    """Whether it must go no farther than `to`, but as far up to there as it can."""
 
 
 @dataclass(frozen=True)
@@ -214,6 +216,9 @@ class Attempt:
 
     motion: Motion | None
     outcome: PoseOutcome
+    farthest: float | None = None
+    """The farthest value of the joint that was found to work there [rad] or [m]: the task's, or
+    where there is no motion one before it. None where none was found, or none was asked for."""
 
     @property
     def reason(self) -> str:
@@ -287,7 +292,9 @@ class PlacementPlan:
     scene_joints: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     """Joint values that differ from the scene file's, by object and joint [rad] or [m]."""
     feasible_to: float | None = None
-    """Where the value asked for is out of reach: one that is not [rad] or [m]."""
+    """Where the value asked for is out of reach: the farthest found that is not [rad] or [m]."""
+    feasible_from: tuple[float, float, float] | None = None
+    """The base pose from which that one is reached: x [m], y [m], yaw [rad]."""
 
     def __repr__(self) -> str:
         what = (

@@ -10,6 +10,8 @@ from momapos.errors import TaskError
 
 ANGLES = {"deg": math.pi / 180, "rad": 1.0}
 LENGTHS = {"cm": 0.01, "mm": 0.001, "m": 1.0}
+MAX = "max"
+"""What is written instead of a value to open a part as far as it can be opened."""
 EXAMPLES = "write it as 90deg, 1.2rad, 0.3m or 30cm"
 _QUANTITY = re.compile(r"\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*([a-z]*)\s*")
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from momapos.cli.main import COMMANDS, SHELLS, main
-from momapos.cli.place import parse_start
+from momapos.cli.place import parse_pose
 from momapos.errors import TaskError
 from momapos.units import parse_quantity
 
@@ -66,6 +66,24 @@ def test_every_shell_completes_every_command(
         (["place", "open", "kitchen_small", "microwave", "--to", "500deg"], "outside its limits"),
         (["place", "open", "kitchen_small", "microwave", "--to", "wide"], "no value"),
         (["place", "open", "kitchen_small", "microwave", "--start", "1,2"], "X,Y,YAW"),
+        (
+            ["place", "open", "kitchen_small", "microwave", "--at", "1,2"],
+            "--at '1,2' is not X,Y,YAW",
+        ),
+        (
+            [
+                "place",
+                "close",
+                "kitchen_small",
+                "microwave",
+                "--joint",
+                "microwave/door_hinge=60deg",
+                "--to",
+                "max",
+            ],
+            "close shuts it all the way",
+        ),
+        (["place", "pick", "kitchen_small", "cup", "--at", "1,2,90"], "did you mean 90deg"),
         (["place", "open", "kitchen_small", "microwave", "--timeout", "0"], "timeout"),
         (["verify", "no_such_plan.json"], "no_such_plan.json"),
     ],
@@ -122,7 +140,7 @@ def test_values_and_starts_take_units() -> None:
     assert parse_quantity("90deg").angle("a") == pytest.approx(math.pi / 2)
     assert parse_quantity("30cm").length("a") == pytest.approx(0.3)
     assert parse_quantity("-1.2").angle("a") == parse_quantity("-1.2").length("a") == -1.2
-    assert parse_start("1, 2.5, 180deg") == pytest.approx([1.0, 2.5, math.pi])
+    assert parse_pose("1, 2.5, 180deg", "start") == pytest.approx([1.0, 2.5, math.pi])
     for wrong in ("", "90 degrees", "nan", "1..2", "9m9"):
         with pytest.raises(TaskError):
             parse_quantity(wrong)
@@ -139,4 +157,4 @@ def test_values_and_starts_take_units() -> None:
 )
 def test_a_start_in_the_wrong_units_is_refused(start: str, words: str) -> None:
     with pytest.raises(TaskError, match=re.escape(words)):
-        parse_start(start)
+        parse_pose(start, "start")

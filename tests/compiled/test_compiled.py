@@ -149,7 +149,10 @@ def test_what_cannot_be_written_is_refused_where_it_would_be() -> None:
     assert not arrays.checker(F2)(X)
 
 
-def test_arguments_of_other_types_are_served_by_the_dispatcher() -> None:
+def test_arguments_of_other_types_are_served_by_the_dispatcher(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(stores, "store", Store(folder))
     strided = np.linspace(-1.0, 1.0, 9)[::2]
     np.testing.assert_array_equal(_along(LINE, strided, False), _along(LINE, X, False))
 
@@ -210,12 +213,16 @@ def test_returned_arrays_are_freed(folder: Path) -> None:
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 40_000  # KiB
 
 
-def test_threads_that_call_an_entry_first_at_once_get_the_same_answer() -> None:
+def test_threads_that_call_an_entry_first_at_once_get_the_same_answer(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(stores, "store", Store(tmp_path))
     fresh = Kernel(_careful.py_func, False, {})
     fresh.is_entry = True
     with ThreadPoolExecutor(4) as pool:
         answers = list(pool.map(lambda _: fresh(X, 2.0), range(8)))
     np.testing.assert_array_equal(answers, np.tile(X / 2.0, (8, 1)))
+    assert len(list(tmp_path.iterdir())) == 1
 
 
 def test_a_cache_folder_that_cannot_be_used_only_costs_compiling(tmp_path: Path) -> None:

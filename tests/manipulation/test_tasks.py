@@ -208,6 +208,26 @@ def test_ninety_degrees_are_a_limit_of_1_57(tmp_path: Path) -> None:
     assert make_task(scene, "open", "cabinet", "hinge", "90deg").to == 1.57
 
 
+def test_as_far_as_possible_ends_at_the_limit_and_is_no_way_to_close(tmp_path: Path) -> None:
+    scene = cabinet_room(tmp_path)
+    task = make_task(scene, "open", "cabinet", to="max")
+    assert (task.to, task.farthest) == (1.9, True)
+    assert not make_task(scene, "open", "cabinet", to="1.9rad").farthest
+    ajar = scene.with_joint("cabinet", "hinge", 1.0)
+    with pytest.raises(TaskError, match="close shuts it all the way"):
+        make_task(ajar, "close", "cabinet", to="max")
+    with pytest.raises(TaskError, match="nothing to open"):
+        make_task(scene.with_joint("cabinet", "hinge", 1.9), "open", "cabinet", to="max")
+
+
+def test_a_door_that_turns_without_end_is_opened_by_a_full_turn_at_most(tmp_path: Path) -> None:
+    cabinet_room(tmp_path)
+    text = (tmp_path / "cabinet.urdf").read_text().replace("revolute", "continuous")
+    (tmp_path / "cabinet.urdf").write_text(text)
+    scene = load_scene(tmp_path / "room.json")
+    assert make_task(scene, "open", "cabinet", to="max").to == pytest.approx(2 * np.pi)
+
+
 @pytest.mark.parametrize("shut", ["lower", "upper"])
 def test_a_door_whose_zero_is_halfway_can_be_opened_and_closed(tmp_path: Path, shut: str) -> None:
     """The joint's frame is turned, so that the door is shut at a limit and half open at zero."""

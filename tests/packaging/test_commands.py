@@ -27,6 +27,11 @@ def ci_commands() -> list[str]:
     return [line for line in lines if line and not line.startswith("#")]
 
 
+def development_commands() -> list[str]:
+    """The commands of DEVELOPMENT.md's table."""
+    return re.findall(r"^\| `([^`]*make [^`]*)` \|", read("DEVELOPMENT.md"), re.MULTILINE)
+
+
 def targets() -> set[str]:
     return set(re.findall(r"^([a-z-]+):", read("Makefile"), re.MULTILINE))
 
@@ -54,3 +59,9 @@ def test_ci_runs_what_the_readmes_commands_leave_out() -> None:
     assert len(left_out) > 3
     installed = [how for how in optional.GET.values() if how.startswith("apt-get")]
     assert all(how.removeprefix("apt-get install") in read(".ci/run") for how in installed)
+
+
+def test_ci_runs_every_command_of_the_developers_table_that_needs_no_data() -> None:
+    *commands, with_data = development_commands()
+    assert with_data == "MOMAPOS_SHARED=FOLDER make test"
+    assert commands == [line for line in ci_commands() if line.startswith("make test-")]

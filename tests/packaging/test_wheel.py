@@ -43,6 +43,17 @@ image, relief = np.full((96, 96, 3), 205, np.uint8), np.full((96, 96), np.nan, n
 print(type(FrontNetwork()(FaceImage(image, relief, 0.6, 0.6), "cabinet")).__name__)
 """
 
+KERNELS = """
+import json, sys
+from momapos.compiled.pack import every_entry
+from momapos.compiled.store import store
+
+entries = every_entry()
+unlike = [e.name for e in entries if store._packed.get(e.name) != e.stamp]
+damaged = [e.name for e in entries if not callable(store.native(e))]
+print(json.dumps([len(entries), unlike + damaged, "numba" in sys.modules]))
+"""
+
 pytestmark = optional.needs("a wheel", "MOMAPOS_WHEEL" in os.environ)
 
 
@@ -99,6 +110,14 @@ def test_every_file_of_the_package_is_in_the_wheel(installed: Installed) -> None
     assert wanted <= set(zipfile.ZipFile(installed.wheel).namelist())
 
 
+def test_every_kernel_comes_compiled_and_is_linked_without_numba(installed: Installed) -> None:
+    assert "momapos/compiled/kernels.zip" in zipfile.ZipFile(installed.wheel).namelist()
+    count, missing, imports_numba = json.loads(installed.run("python", "-c", KERNELS))
+    assert count > 20
+    assert missing == []
+    assert not imports_numba
+
+
 def test_robots_their_maps_and_kitchens_come_with_the_wheel(installed: Installed) -> None:
     found = json.loads(installed.run("python", "-c", EVERYTHING))
     assert Path(found["file"]).is_relative_to(installed.environment)
@@ -114,6 +133,9 @@ def test_the_question_of_the_demo_is_answered_and_the_plan_holds(installed: Inst
     assert installed.run("momapos", "verify", "plan.json").rstrip().endswith("VALID")
     assert (installed.folder / "plan.png").read_bytes().startswith(b"\x89PNG")
     assert " ".join(QUESTION) in (REPOSITORY / "Makefile").read_text()
+    # What is compiled at run is kept in the cache: nothing was.
+    cache = installed.folder / "home" / ".cache" / "momapos"
+    assert list(cache.glob("kernel-*")) == []
 
 
 def test_the_weights_of_the_front_network_come_with_the_wheel(installed: Installed) -> None:

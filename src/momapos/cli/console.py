@@ -70,10 +70,16 @@ def busy(title: str, limit: float | None = None) -> Iterator[None]:
             print("\r\033[K", end="", file=sys.stderr, flush=True)
 
 
-def summary(answer: PlacementResult, out: Path | None) -> str:
-    """The answer in a few lines: question, pose, motion, time, and why others were refused."""
+def summary(answer: PlacementResult, out: Path | None, *, most: bool = False) -> str:
+    """The answer in a few lines: question, pose, motion, time, and why others were refused.
+
+    Args:
+        answer: What the pipeline said.
+        out: Where the plan was written.
+        most: Whether the farthest value was asked for.
+    """
     plan = answer.plan
-    lines = [_question(answer), ""]
+    lines = [_question(answer, most), ""]
     if plan.base_pose is not None and plan.motion is not None:
         x, y, yaw = plan.base_pose
         turn = "" if plan.task.joint is None else f", holding {_span(answer)}"
@@ -86,13 +92,7 @@ def summary(answer: PlacementResult, out: Path | None) -> str:
             "  checked     base, arm and moving part over the whole motion, exact geometry",
         ]
     else:
-        word = {"infeasible": "there is no base pose", "timeout": "out of time"}[plan.status]
-        lines.append(f"  {plan.status:<11} {word}; the reasons are below")
-    if plan.feasible_to is not None:
-        unit = "cm" if answer.slides else "deg"
-        scale = 100.0 if answer.slides else 180 / math.pi
-        value = f"{scale * plan.feasible_to:.0f}"
-        lines.append(f"  smaller     to {value} {unit} it works: --to {value}{unit}")
+        lines.append(f"  {plan.status:<11} {_why_not(answer)}")
     if plan.key_objects is not None:
         lines.append(f"  modeled     {_modeled(plan.key_objects)}")
     lines.append(f"  time        {_times(plan.timing)}")
@@ -108,11 +108,33 @@ def _modeled(key: KeyObjects) -> str:
     return text + (f", checked again {again}" if key.rounds else "")
 
 
-def _question(answer: PlacementResult) -> str:
-    task = answer.plan.task
+def _why_not(answer: PlacementResult) -> str:
+    """Why there is no motion, and how far there is one instead."""
+    plan = answer.plan
+    if plan.status == "timeout":
+        return "out of time; the reasons are below"
+    task, smaller = plan.task, plan.feasible_to
+    if plan.base_pose is not None:
+        reason = next(iter(plan.candidates.rejections), "")
+        instead = "" if smaller is None else f"; to {_value(answer, smaller)} from there"
+        return f"from {_pose(plan.base_pose)}: {reason}{instead}"
+    if smaller is None or plan.feasible_from is None or task.to is None:
+        return "there is no base pose; the reasons are below"
+    asked = f"to {_value(answer, task.to)}"
+    return f"{asked}; to {_value(answer, smaller)} from {_pose(plan.feasible_from)}"
+
+
+def _pose(pose: tuple[float, float, float]) -> str:
+    return f"({pose[0]:.3f}, {pose[1]:.3f}, {math.degrees(pose[2]):.1f} deg)"
+
+
+def _question(answer: PlacementResult, most: bool) -> str:
+    plan, task = answer.plan, answer.plan.task
     what = task.object if task.joint is None else f"{task.object}/{task.joint}"
     to = "" if task.to is None else f" to {_value(answer, task.to)}"
-    return f"{answer.plan.robot_name}: {task.verb} {what}{to}: {answer.plan.status}"
+    if most and plan.status == "solved":
+        to += ", the farthest" if task.farthest else ", the farthest found in the time"
+    return f"{plan.robot_name}: {task.verb} {what}{to}: {plan.status}"
 
 
 def _value(answer: PlacementResult, value: float) -> str:

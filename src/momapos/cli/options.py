@@ -18,7 +18,7 @@ OptionalText = Optional[str]  # noqa: UP045
 OptionalNumber = Optional[float]  # noqa: UP045
 Target = Annotated[str, arg(metavar="OBJECT[/JOINT]")]
 Thing = Annotated[str, arg(metavar="OBJECT")]
-StartArg = Annotated[OptionalText, arg(metavar="X,Y,YAW")]
+PoseArg = Annotated[OptionalText, arg(metavar="X,Y,YAW")]
 ToArg = Annotated[OptionalText, arg(metavar="VALUE")]
 if TYPE_CHECKING:
     JointsArg = tuple[str, ...]

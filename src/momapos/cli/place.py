@@ -7,12 +7,12 @@ import sys
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Annotated
 
-from tyro.conf import OmitArgPrefixes, Positional
+from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from momapos.cli.options import (
     JointsArg,
     OptionalPath,
-    StartArg,
+    PoseArg,
     Target,
     Thing,
     ToArg,
@@ -23,10 +23,12 @@ from momapos.errors import TaskError
 from momapos.files import check_outputs
 from momapos.robots.names import find_robot
 from momapos.scene.names import find_scene, refuse_unknown_object
-from momapos.units import parse_quantity
+from momapos.units import MAX, parse_quantity
 from momapos.viewer.pictures import check_picture
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from momapos.placement_result import PlacementResult
 
 _STATUS = {"solved": 0, "infeasible": 3, "timeout": 4}
@@ -40,8 +42,10 @@ class Options:
     """A library robot or a robot file."""
     joint: JointsArg = ()
     """A joint that stands elsewhere than in the file, as fridge/door_hinge=60deg; repeatable."""
-    start: StartArg = None
+    start: PoseArg = None
     """Where the robot is now [m, m, rad or deg]; the scene's start by default."""
+    at: PoseArg = None
+    """Ask about this base pose alone [m, m, rad or deg]: feasible, or why not, and how far then."""
     seed: int = 0
     """Same seed, same answer."""
     out: OptionalPath = None
@@ -57,6 +61,7 @@ class Options:
 
 
 Shared = Annotated[Options, OmitArgPrefixes]
+MapArg = Annotated[OptionalPath, arg(name="map")]
 DEFAULT = Options()
 
 
@@ -66,6 +71,7 @@ def place_open(
     /,
     *,
     to: ToArg = None,
+    map_file: MapArg = None,
     options: Shared = DEFAULT,
 ) -> int:
     """Open a door, a drawer or a lid.
@@ -73,9 +79,10 @@ def place_open(
     Args:
         scene: A scene file or the name of a built-in kitchen.
         target: The object, and the joint where it has several.
-        to: How far, as 90deg, 1.2rad, 0.3m or 30cm; a quarter turn or the whole slide by default.
+        to: How far: 90deg, 1.2rad, 0.3m, 30cm or max; a quarter turn or the whole slide by default.
+        map_file: Draw how far it opens from everywhere (PNG, SVG or PDF); takes 5 s and more.
     """
-    return _answer("open", scene, target, to, options)
+    return _answer("open", scene, target, to, options, map_file)
 
 
 def place_close(
@@ -120,24 +127,38 @@ def place_place(
     return _answer("place", scene, target, None, options)
 
 
-def parse_start(text: str) -> list[float]:
-    """Read a base pose X,Y,YAW [m, m, rad], the yaw with a unit if it is not in radians."""
+def parse_pose(text: str, name: str) -> list[float]:
+    """Read a base pose X,Y,YAW [m, m, rad], the yaw with a unit if it is not in radians.
+
+    Args:
+        text: What was written.
+        name: What it is for, such as start.
+    """
     parts = text.split(",")
     if len(parts) != 3:
-        raise TaskError(f"start {text!r} is not X,Y,YAW; write it as 1.5,2.0,90deg")
+        raise TaskError(f"{name} {text!r} is not X,Y,YAW; write it as 1.5,2.0,90deg")
     x, y, yaw = map(parse_quantity, parts)
     if not yaw.unit and abs(yaw.value) > 2 * math.pi:
-        raise TaskError(f"start {text!r}: a yaw of {yaw.value:g} rad; did you mean {yaw.text}deg?")
-    return [x.length("start: X"), y.length("start: Y"), yaw.angle("start: YAW")]
+        raise TaskError(f"{name} {text!r}: a yaw of {yaw.value:g} rad; did you mean {yaw.text}deg?")
+    return [x.length(f"{name}: X"), y.length(f"{name}: Y"), yaw.angle(f"{name}: YAW")]
 
 
-def _answer(verb: str, scene_name: str, target: str, to: str | None, options: Options) -> int:
-    if to is not None:
+def _answer(
+    verb: str,
+    scene_name: str,
+    target: str,
+    to: str | None,
+    options: Options,
+    map_file: Path | None = None,
+) -> int:
+    if to is not None and to != MAX:
         parse_quantity(to)
-    begin = None if options.start is None else parse_start(options.start)
+    start = None if options.start is None else parse_pose(options.start, "start")
+    at = None if options.at is None else parse_pose(options.at, "--at")
     config = options.config
-    check_outputs([options.out, options.plot])
-    check_picture(options.plot)
+    check_outputs([options.out, options.plot, map_file])
+    for picture in (options.plot, map_file):
+        check_picture(picture)
     name, _, joint = target.partition("/")
     # A mistyped name is told before anything heavy is imported.
     find_robot(options.robot)
@@ -145,6 +166,7 @@ def _answer(verb: str, scene_name: str, target: str, to: str | None, options: Op
 
     import numpy as np
 
+    from momapos.base_pose import plan_at_base_pose
     from momapos.cache import user_cache
     from momapos.cli.compile import ANSWER, RANK, WALKS, compile_once
     from momapos.cli.console import busy, progress
@@ -164,26 +186,40 @@ def _answer(verb: str, scene_name: str, target: str, to: str | None, options: Op
     task = make_task(scene, verb, name, joint or None, to)
     with progress(f"reachability map of {robot.name}") as report:
         reach = load_reach_map(robot, cache.folder, report)
-    at = None if begin is None else np.array(begin)
+    begin = None if start is None else np.array(start)
     walks = (*RANK, *WALKS) if config.ranking.scorer == "deepwalk" else ()
     compile_once(tuple(dict.fromkeys((*ANSWER, *walks))))
     with busy(f"{robot.name}: searching", config.timeout):
-        answer = plan_base_placement(
-            scene, robot, task, reach, start=at,
-            config=config, seed=options.seed,
-        )  # fmt: skip
-        plan = smaller_opening(answer.plan, scene, robot, reach, config=config)
-        answer = replace(answer, plan=plan)
+        if at is None:
+            answer = plan_base_placement(
+                scene, robot, task, reach, start=begin, config=config, seed=options.seed
+            )
+            if not task.farthest:
+                plan = smaller_opening(answer.plan, scene, robot, reach, config=config)
+                answer = replace(answer, plan=plan)
+        else:
+            answer = plan_at_base_pose(
+                scene, robot, task, at, reach, start=begin, config=config, seed=options.seed
+            )
     # Files come first: who reads what is printed may stop reading at any line.
     if options.plot is not None:
         from momapos.viewer.plot import draw_answer
 
         draw_answer(scene, answer, reach, options.plot)
-    _deliver(answer, options)
+    if map_file is not None:
+        from momapos.opening_map import opening_map
+        from momapos.viewer.opening import draw_opening_map
+
+        with progress(f"{robot.name}: opening map") as report:
+            farthest = opening_map(
+                scene, robot, task, reach, config=config, seed=options.seed, report=report
+            )
+        draw_opening_map(scene, answer, farthest, map_file)
+    _deliver(answer, options, most=to == MAX)
     return _STATUS[answer.plan.status]
 
 
-def _deliver(answer: PlacementResult, options: Options) -> None:
+def _deliver(answer: PlacementResult, options: Options, *, most: bool) -> None:
     import json
 
     from momapos.cli.console import summary
@@ -198,4 +234,4 @@ def _deliver(answer: PlacementResult, options: Options) -> None:
     if options.json:
         print(json.dumps(plan_to_dict(answer.plan)))
     else:
-        print(summary(answer, options.out))
+        print(summary(answer, options.out, most=most))

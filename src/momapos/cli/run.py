@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Literal
 
 from tyro.conf import Positional
 
-from momapos.cli.options import OptionalPath, OptionalText, StartArg, check_seed
-from momapos.cli.place import parse_start
+from momapos.cli.options import OptionalPath, OptionalText, PoseArg, check_seed
+from momapos.cli.place import parse_pose
 from momapos.errors import FileFormatError
 from momapos.files import check_outputs
 
@@ -27,7 +27,7 @@ def run(
     *,
     scene_root: OptionalPath = None,
     robot: OptionalText = None,
-    start: StartArg = None,
+    start: PoseArg = None,
     hold: Literal["contact", "weld"] = "contact",
     noise: bool = True,
     seed: int = 0,
@@ -72,7 +72,7 @@ def run(
     from momapos.reachability.store import load_reach_map
     from momapos.verification.files import find_file, read_scene
 
-    begin = None if start is None else np.array(parse_start(start))
+    begin = None if start is None else np.array(parse_pose(start, "start"))
     content = read_plan(plan)
     if content.status != "solved":
         raise InputError(f"{plan}: the plan is {content.status!r}: there is nothing to execute")

@@ -20,7 +20,7 @@ def every_entry() -> list[Kernel]:
     """Import all modules that define entries; returns these by name."""
     package = Path(__file__).parents[1]
     for path in sorted(package.rglob("*.py")):
-        if "\n@entry\n" in path.read_text(encoding="utf-8"):
+        if "\n@entry" in path.read_text(encoding="utf-8"):
             parts = path.relative_to(package).with_suffix("").parts
             importlib.import_module(".".join(["momapos", *parts]))
     return [ENTRIES[name] for name in sorted(ENTRIES)]

@@ -161,3 +161,11 @@ def decode(data: bytes) -> Code:
 
 store = Store(default_cache_dir())
 """The one store of this process: code belongs to the process, as imported modules do."""
+
+
+def _after_fork() -> None:
+    """Renew the lock in a child: a thread that held it stayed in the parent."""
+    store._lock = threading.RLock()
+
+
+os.register_at_fork(after_in_child=_after_fork)

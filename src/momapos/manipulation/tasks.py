@@ -15,7 +15,7 @@ from momapos.manipulation.handles import handle_path, has_handle, opening_direct
 from momapos.scene.joints import joint_value
 from momapos.scene.scene import Scene, SceneObject
 from momapos.types import Task, Verb
-from momapos.units import ANGLES, LENGTHS, Quantity, parse_quantity
+from momapos.units import ANGLES, LENGTHS, MAX, Quantity, parse_quantity
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -48,7 +48,8 @@ def make_task(
         object_name: Which object.
         joint: Which of its joints; may be left out where only one part has a handle.
         to: Value to reach, as a number [rad] or [m] or as a text with its unit such as "90deg" or
-            "30cm"; a quarter turn or the whole slide by default.
+            "30cm"; a quarter turn or the whole slide by default. "max" to open it as far as it
+            can be opened: the answer says to which value.
 
     Raises:
         TaskError: The request makes no sense here; the message says what would.
@@ -65,12 +66,15 @@ def make_task(
         return Task(verb, object_name)  # type: ignore[arg-type]
     record = target.model.joint(joint) if joint else _only_joint(target)
     start = target.values()[record.name]
-    if to is None:
+    farthest = isinstance(to, str) and to.strip() == MAX
+    if farthest:
+        goal = _limit(target, record, verb, start)
+    elif to is None:
         goal = _goal(target.model, record, verb, start)
     else:
         goal = _within_limits(f"{target.name}/{record.name}", record, to)
     _check_goal(target, record, verb, start, goal)
-    return Task(verb, object_name, record.name, goal)  # type: ignore[arg-type]
+    return Task(verb, object_name, record.name, goal, farthest)  # type: ignore[arg-type]
 
 
 def openable(scene: Scene) -> list[tuple[str, str]]:
@@ -171,6 +175,18 @@ def _goal(model: Articulated, joint: Joint, verb: str, start: float) -> float:
     if joint.kind == "prismatic" or way.sign * (way.wide - wide) < 0:
         return way.wide
     return wide if way.sign * (wide - start) > ROUNDED or not math.isfinite(way.wide) else way.wide
+
+
+def _limit(target: SceneObject, joint: Joint, verb: str, start: float) -> float:
+    """The value at which a part is wide open, or as far as a task may move it from here."""
+    if verb == "close":
+        raise TaskError(
+            f"{target.name}/{joint.name}: --to {MAX} opens a part as far as it goes; "
+            "close shuts it all the way, leave --to out"
+        )
+    way = opening_of(target.model, joint.name)
+    longest = LONGEST_SLIDE if joint.kind == "prismatic" else LONGEST_TURN
+    return way.wide if abs(way.wide - start) <= longest else start + way.sign * longest
 
 
 def _within_limits(where: str, joint: Joint, to: float | str) -> float:

@@ -40,7 +40,7 @@ def _chain(points: F2) -> np.ndarray:
                 if abx * acy - aby * acx > 1e-10 * np.hypot(acx, acy):
                     break
                 count -= 1
-            kept[count] = c
+            kept[count, 0], kept[count, 1] = c[0], c[1]
             count += 1
         count -= 1  # the last corner is the first of the next chain
     return kept[:count].copy()

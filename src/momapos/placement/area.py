@@ -42,7 +42,7 @@ class PlacementGeometry:
     floor_polygon: Float[np.ndarray, "k 2"] | None
     clearance: float
     """Distance that the base keeps from everything [m]."""
-    groups: Int[np.ndarray, "t k"] = field(default_factory=lambda: np.zeros((0, 1), np.int64))
+    groups: Int[np.ndarray, "t members"] = field(default_factory=lambda: np.zeros((0, 1), np.int64))
     """Grasps between which the hand may turn on its way, -1 where a group has fewer."""
 
     @property
@@ -97,6 +97,15 @@ def sampling_box(geometry: PlacementGeometry) -> Float[np.ndarray, "2 2"] | None
     low = (plain - reach[:, None]).max(0)
     high = (plain + reach[:, None]).min(0)
     return None if (low >= high).any() else np.stack([low, high])
+
+
+def reachable_rectangle(geometry: PlacementGeometry) -> Float[np.ndarray, "2 2"] | None:
+    """The floor rectangle that holds every base within the arm's length of all waypoints [m]."""
+    reach = (arm_radius(geometry) + np.linalg.norm(geometry.shoulder[:2]))[:, None]
+    targets = geometry.Ts_world_tool[0, :, :2, 3]
+    low, high = (targets - reach).max(0), (targets + reach).min(0)
+    # NaN where a waypoint is out of reach at any distance: the comparison is then False.
+    return np.stack([low, high]) if (low < high).all() else None
 
 
 def within_reach(

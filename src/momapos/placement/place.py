@@ -75,8 +75,13 @@ class Search:
 
     def candidates(self) -> Candidates:
         """Counts for the plan."""
-        every = np.concatenate([np.zeros(0, object), *self.outcomes])
-        counts = Counter(o for o in every.tolist() if o.status not in _UNCOUNTED)
+        every = np.concatenate([np.zeros(0, object), *self.outcomes]).tolist()
+        # Most poses share an outcome: told apart by identity first, which needs no hashing of text.
+        shared = dict(zip(map(id, every), every, strict=True))
+        counts: Counter[PoseOutcome] = Counter()
+        for key, count in Counter(map(id, every)).items():
+            if shared[key].status not in _UNCOUNTED:
+                counts[shared[key]] += count
         words = {str(outcome): count for outcome, count in counts.most_common()}
         return Candidates(len(every), self.checked, words)
 

@@ -10,8 +10,8 @@ import numpy as np
 from momapos.placement.area import (
     BaseStatus,
     PlacementGeometry,
-    arm_radius,
     base_pose_status,
+    reachable_rectangle,
     within_reach,
 )
 from momapos.placement.potential import attraction
@@ -54,7 +54,7 @@ def potential_map(geometry: PlacementGeometry, reach: ReachScorer, *, cell: floa
     Returns:
         None where no position is within the arm's length of all waypoints.
     """
-    corners = _reachable(geometry)
+    corners = reachable_rectangle(geometry)
     if corners is None:
         return None
     low = np.floor(corners[0] / cell) * cell
@@ -76,12 +76,3 @@ def potential_map(geometry: PlacementGeometry, reach: ReachScorer, *, cell: floa
     field = attraction(geometry, xy[seen], np.array([geometry.shoulder[2]]))
     value[seen] = (best[seen] + field) / 2
     return Heat(value.reshape(rows, columns), low, cell)
-
-
-def _reachable(geometry: PlacementGeometry) -> Float[np.ndarray, "2 2"] | None:
-    """The floor rectangle that holds every base within the arm's length of all waypoints [m]."""
-    reach = (arm_radius(geometry) + np.linalg.norm(geometry.shoulder[:2]))[:, None]
-    targets = geometry.Ts_world_tool[0, :, :2, 3]
-    low, high = (targets - reach).max(0), (targets + reach).min(0)
-    # NaN where a waypoint is out of reach at any distance: the comparison is then False.
-    return np.stack([low, high]) if (low < high).all() else None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -25,6 +25,9 @@ from momapos.viewer.palette import (
     WAYPOINT,
 )
 from momapos.viewer.room import OVERHEAD, OVERHEAD_DASHES
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 _LETTERS = 38
 """Letters of a line in the column [-]."""
@@ -88,8 +91,25 @@ def question(answer: PlacementResult) -> tuple[str, str]:
     task, robot = plan.task, f"with {plan.robot_name}"
     if task.joint is None or task.to is None:
         return f"{task.verb} {task.object}", robot
-    value = f"{task.to:.2f} m" if answer.slides else f"{np.degrees(task.to):.0f}°"
+    value = value_text(answer, task.to)
     return f"{task.verb} {task.object}/{task.joint}", f"to {value} {robot}"
+
+
+def shown_base(answer: PlacementResult) -> Float[np.ndarray, "3"] | None:
+    """The base pose that is drawn: the plan's, or the one that goes farthest."""
+    pose = answer.plan.base_pose or answer.plan.feasible_from
+    return None if pose is None else np.array(pose)
+
+
+def reached_value(answer: PlacementResult) -> float | None:
+    """The value that is reached from there [rad] or [m]."""
+    plan = answer.plan
+    return plan.task.to if plan.status == "solved" else plan.feasible_to
+
+
+def value_text(answer: PlacementResult, value: float) -> str:
+    """A value of the task's joint, such as 90° or 0.30 m."""
+    return f"{value:.2f} m" if answer.slides else f"{np.degrees(value):.0f}°"
 
 
 def _question(panel: Panel, scene: Scene, answer: PlacementResult) -> None:
@@ -101,9 +121,10 @@ def _question(panel: Panel, scene: Scene, answer: PlacementResult) -> None:
 
 def _facts(panel: Panel, answer: PlacementResult) -> None:
     plan = answer.plan
+    here = plan.status == "infeasible" and plan.base_pose is not None
     word, color = {
         "solved": ("solved", GOOD),
-        "infeasible": ("infeasible: no base pose works", BAD),
+        "infeasible": (f"infeasible: {'not from here' if here else 'no base pose works'}", BAD),
         "timeout": ("out of time", BAD),
     }[plan.status]
     mark = "o" if plan.status == "solved" else "X"
@@ -113,6 +134,11 @@ def _facts(panel: Panel, answer: PlacementResult) -> None:
     if plan.base_pose is not None:
         x, y, yaw = plan.base_pose
         rows.append(("base pose", f"({x:.2f}, {y:.2f}) m, {np.degrees(yaw):.0f}°"))
+    if plan.feasible_to is not None and plan.feasible_from is not None:
+        rows.append(("works to", value_text(answer, plan.feasible_to)))
+        if plan.base_pose is None:
+            x, y, yaw = plan.feasible_from
+            rows.append(("from", f"({x:.2f}, {y:.2f}) m, {np.degrees(yaw):.0f}°"))
     if plan.navigation_cost is not None:
         rows.append(("driving length", f"{plan.navigation_cost:.2f} m"))
     if "total" in plan.timing:
@@ -199,8 +225,9 @@ def _legend(panel: Panel, answer: PlacementResult, highest: float) -> None:
 
     right = panel.width / 2 + 0.04
     box(0.0, "start", facecolor="white", edgecolor=INK, linewidth=1.0, linestyle=(0, (2.5, 1.5)))
-    if answer.plan.base_pose is not None:
-        box(right, "base and arm", facecolor="white", edgecolor=INK, linewidth=1.5)
+    if shown_base(answer) is not None:
+        words = "base and arm" if answer.plan.motion is not None else "base"
+        box(right, words, facecolor="white", edgecolor=INK, linewidth=1.5)
     panel.y -= 0.175
     box(0.0, "part before", facecolor=PART_BEFORE, edgecolor=PART_EDGE, linewidth=0.8)
     box(right, "part after", facecolor=PART, edgecolor=PART_EDGE, linewidth=0.8)

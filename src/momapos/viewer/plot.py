@@ -16,7 +16,7 @@ from momapos.viewer.candidate_markers import KINDS, Outcomes, outcomes, thin
 from momapos.viewer.heat import Heat, potential_map
 from momapos.viewer.outlines import box_bounds, box_outlines, draw_union
 from momapos.viewer.palette import INK, PART, PART_BEFORE, PART_EDGE, POTENTIAL, SOFT_INK, WAYPOINT
-from momapos.viewer.panel import draw_panel
+from momapos.viewer.panel import draw_panel, shown_base
 from momapos.viewer.pictures import check_picture, save_figure
 from momapos.viewer.robot import draw_arm, draw_footprint
 from momapos.viewer.room import name_objects, room, room_bounds
@@ -67,7 +67,7 @@ def _picture(scene: Scene, answer: PlacementResult, reach: ReachScorer, cell: fl
     heat = potential_map(answer.prepared.geometry, reach, cell=cell)
     view = _view(scene, answer, seen, heat)
     frame(axes, view)
-    room(axes, scene, target=answer.plan.task.object, moving=_moving_links(scene, answer))
+    room(axes, scene, target=answer.plan.task.object, moving=moving_links(scene, answer))
     highest = _draw_heat(axes, heat)
     _draw_part(axes, answer)
     _draw_candidates(axes, scene, seen, view)
@@ -90,8 +90,9 @@ def _view(
     target = scene.object(answer.plan.task.object)
     points = [target.bounds[:, :2], motion.waypoints[:, :2]]
     points.append(box_bounds(motion.sweep()))
-    bases = [answer.start] + ([] if answer.plan.base_pose is None else [answer.plan.base_pose])
-    points += list(place_points(np.array(bases, float), robot.footprint))
+    shown = shown_base(answer)
+    bases = np.array([answer.start] + ([] if shown is None else [shown]))
+    points += list(place_points(bases, robot.footprint))
     promising = [index for index, kind in enumerate(KINDS) if not kind.obvious]
     points.append(seen.poses[np.isin(seen.kind, promising), :2])
     if heat is not None:
@@ -129,7 +130,8 @@ def frame(axes: Any, view: Float[np.ndarray, "2 2"]) -> None:
         spine.set(color=SOFT_INK, linewidth=0.6)
 
 
-def _moving_links(scene: Scene, answer: PlacementResult) -> tuple[str, ...]:
+def moving_links(scene: Scene, answer: PlacementResult) -> tuple[str, ...]:
+    """Links of the target that the task moves."""
     task = answer.plan.task
     model = scene.object(task.object).model
     return model.links if task.joint is None else model.moved_by(task.joint)
@@ -137,11 +139,11 @@ def _moving_links(scene: Scene, answer: PlacementResult) -> tuple[str, ...]:
 
 def _keep_clear(answer: PlacementResult) -> list[Float[np.ndarray, "2 2"]]:
     """Rectangles around what names must not cover [m]."""
-    plan = answer.plan
     shapes = [answer.start[None, :2]]
-    robot = answer.prepared.robot
-    if plan.base_pose is not None:
-        shapes = list(place_points(np.array([answer.start, plan.base_pose]), robot.footprint))
+    shown = shown_base(answer)
+    if shown is not None:
+        robot = answer.prepared.robot
+        shapes = list(place_points(np.array([answer.start, shown]), robot.footprint))
     path = _waypoints(answer)[:, :2]
     shapes += [path[k : k + 2] for k in range(len(path))]
     shapes += _part(answer, 0) + _part(answer, -1)
@@ -221,6 +223,8 @@ def _draw_robot(axes: Any, answer: PlacementResult) -> None:
         draw_footprint(axes, robot, base)
         draw_arm(axes, robot, base, plan.motion.q[0], faint=True)
         draw_arm(axes, robot, base, plan.motion.q[-1])
+    elif (shown := shown_base(answer)) is not None:
+        draw_footprint(axes, robot, shown)
     axes.plot(
         *_waypoints(answer)[:, :2].T,
         color=WAYPOINT,

@@ -20,7 +20,12 @@ FOOTPRINT_LAYER, ARM_LAYER = 9.0, 13.0
 
 
 def draw_footprint(
-    axes: Any, robot: Robot, base: Float[np.ndarray, "3"], *, dashed: bool = False
+    axes: Any,
+    robot: Robot,
+    base: Float[np.ndarray, "3"],
+    *,
+    dashed: bool = False,
+    filled: bool = True,
 ) -> None:
     """Draw where the base stands, and which way it looks."""
     from matplotlib.patches import Polygon
@@ -28,8 +33,8 @@ def draw_footprint(
     xy = place_points(np.asarray(base, float)[None], robot.footprint)[0]
     opacity, width, dashes = (0.55, 1.0, (0, (3.5, 2))) if dashed else (0.72, 1.6, "solid")
     shape = Polygon(
-        xy, facecolor=(1, 1, 1, opacity), edgecolor=INK, linewidth=width, linestyle=dashes,
-        zorder=FOOTPRINT_LAYER,
+        xy, facecolor=(1, 1, 1, opacity if filled else 0.0), edgecolor=INK, linewidth=width,
+        linestyle=dashes, zorder=FOOTPRINT_LAYER,
     )  # fmt: skip
     axes.add_patch(shape)
     front = robot.footprint[:, 0].max()

@@ -1,0 +1,49 @@
+"""What the checked tests check: calls and records of the package, and nothing else."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).parents[1]
+BEFORE = """
+import numpy as np
+from tests import shapes
+from momapos.cli.options import JointsArg
+from momapos.geometry.transforms import pose
+from momapos.types import UprightBox
+"""
+
+
+def run(code: str) -> subprocess.CompletedProcess[str]:
+    """Run code in a fresh interpreter that checks what it imports of the package."""
+    return subprocess.run(
+        [sys.executable, "-c", BEFORE + code], capture_output=True, text=True, cwd=REPOSITORY,
+        env={**os.environ, "MOMAPOS_SHAPES": "1"},
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("call", "where"),
+    [
+        ("pose(np.zeros(1))", "transforms.pose"),
+        ("pose(np.zeros(3, int))", "transforms.pose"),
+        ("UprightBox(np.zeros(3), np.zeros(2), 0.0)", "UprightBox.__init__"),
+    ],
+)
+def test_a_wrong_shape_or_dtype_is_refused_unless_it_is_meant(call: str, where: str) -> None:
+    refused = run(call)
+    assert refused.returncode == 1
+    assert "jaxtyping.TypeCheckError" in refused.stderr
+    assert where in refused.stderr
+    meant = run(f"with shapes.unchecked(): {call}")
+    assert meant.returncode == 0, meant.stderr
+
+
+def test_what_runs_instead_of_what_type_checkers_see_still_runs() -> None:
+    done = run("assert JointsArg != tuple[str, ...], JointsArg")
+    assert done.returncode == 0, done.stderr
