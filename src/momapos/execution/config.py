@@ -97,16 +97,14 @@ class ControlConfig:
 class GripConfig:
     """How the gripper holds."""
 
-    force: float = 60.0
-    """Of each finger [N]."""
     stiffness: float = 30_000.0
-    """Of a finger's position loop at its pad, below that force [N/m]."""
+    """Of a finger's position loop at its pad, below the force of the robot's file [N/m]."""
     friction: float = 0.6
     """Between a finger's rubber and a handle [-]."""
     speed: float = 0.03
     """Of each pad while the hand closes [m/s]."""
     loaded: float = 0.4
-    """The hand holds when the pads of both sides bear this share of the force [-]."""
+    """The hand holds when the pads of both sides bear this share of its force [-]."""
     patience: float = 0.6
     """How long the hand waits for that after its fingers should be shut [s]."""
     lost: float = 0.15
@@ -152,6 +150,8 @@ class ComplianceConfig:
     """The hand gives way and makes up at this speed at most [m/s]."""
     turn_speed: float = 0.4
     """[rad/s]"""
+    home: float = 1.5
+    """Time in which a hand that let go returns to the plan [s]."""
     filter_time: float = 0.02
     """Of the low-pass filter of the force at the hand [s]."""
     force: float = 120.0

@@ -48,6 +48,8 @@ class Hand:
     """That axis, in the tool's frame."""
     approach: Float[np.ndarray, "3"]
     """Where the hand points, in that frame."""
+    force: float
+    """With which each finger closes [N]."""
 
     @property
     def closes(self) -> bool:
@@ -84,7 +86,7 @@ def find_hand(robot: Robot, mimics: Mapping[str, Mimic]) -> Hand:
         for name in (*named, *followers)
         for link, side in _sides(robot, model.moved_by(name)).items()
     }
-    axes = robot.closing_axis, robot.approach_axis
+    axes = robot.closing_axis, robot.approach_axis, robot.grip_force
     if {1.0, -1.0} <= set(pads.values()):
         return Hand(tuple(found), followers, pads, *axes)
     return Hand((), {}, dict.fromkeys(_tip(robot), 0.0), *axes)

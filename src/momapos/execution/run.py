@@ -17,14 +17,14 @@ from momapos.execution.joint_estimate import Axis, JointEstimate
 from momapos.execution.model_errors import draw_deviation, resisting
 from momapos.execution.record import Execution, JointFound
 from momapos.execution.simulation import build_simulation
-from momapos.execution.stages import Belief, ExecutionRun, Watch
+from momapos.execution.stages import Belief, ExecutionRun, Stretch, Watch
 from momapos.execution.verdict import TaskOutcome, judge
 from momapos.kinematics.urdf import Joint
 from momapos.protocols import Clock
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene, SceneObject
 from momapos.trajectory import Trajectory, joined, time_motion
-from momapos.types import Motion, Task
+from momapos.types import Hold, Motion, Task
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -87,12 +87,13 @@ def execute(
         scene, robot, base_pose, tuned, task, hand, dynamics, resistance, deviation, config
     )
     seal = seal_of(item, joint, resistance.pull, config.furniture.seal_range)
-    run = ExecutionRun(world, motion, task, config, seal, _belief(item, joint, motion), watch)
+    run = ExecutionRun(world, motion, task, config, seal, _belief(item, joint), watch)
     if task.verb == "place":
         run.carry(item)
     run.check_start()
     began = clock()
-    ending = run.go(*_timed(robot, motion, config, run.arm.kinematics))
+    approach = _timed_approach(robot, motion, config, run.arm.kinematics)
+    ending = run.go(approach, _stretches(robot, motion, config))
     wall = clock() - began
     stopped = "" if ending in GOOD else f"{ending}: {run.detail}" if run.detail else str(ending)
     verdict = judge(world, run.observer, task, item, run.first, motion, config, stopped)
@@ -102,24 +103,46 @@ def execute(
     return _outcome(run, ending, verdict, resistance, wall, notes)
 
 
-def _timed(
+def _stretches(robot: Robot, motion: Motion, config: ExecutionConfig) -> list[Stretch]:
+    """The motion cut where the hand takes hold and lets go."""
+    step = config.timestep * config.substeps
+    holds = motion.holds or (Hold(0, len(motion.q) - 1),)
+    cuts: list[tuple[int, int, Hold | None]] = []
+    for hold in holds:
+        if cuts:
+            cuts.append((cuts[-1][1], hold.first, None))
+        cuts.append((hold.first, hold.last, hold))
+    stretches = []
+    for first, last, held in cuts:
+        states = slice(first, last + 1)
+        part = replace(
+            motion, approach=motion.q[states], q=motion.q[states],
+            object_q=motion.object_q[states], Ts_world_tool=motion.Ts_world_tool[states],
+            approach_times=None, times=None, holds=(),
+        )  # fmt: skip
+        free, slow = time_motion(robot, part, config.speed, step)
+        stretches.append(Stretch(free if held is None else slow, part, held))
+    return stretches
+
+
+def _timed_approach(
     robot: Robot, motion: Motion, config: ExecutionConfig, kinematics: ArmKinematics
-) -> tuple[Trajectory, Trajectory]:
-    """The approach, slow where the hand comes near, and the motion with what it holds."""
+) -> Trajectory:
+    """The approach, slow where the hand comes near."""
     step, compliance = config.timestep * config.substeps, config.compliance
-    approach, hold = time_motion(robot, motion, config.speed, step)
+    approach, _ = time_motion(robot, motion, config.speed, step)
     path = motion.approach
     if len(path) < 3:
-        return approach, hold
+        return approach
     tool = np.array([kinematics.at(q)[0][:3, 3] for q in path])
     left = np.linalg.norm(np.diff(tool, axis=0), axis=1)[::-1].cumsum()[::-1]
     near = int(np.argmax(left <= compliance.near)) if left[-1] <= compliance.near else len(left) - 1
     speed = replace(config.speed, tool_speed=compliance.near_speed)
     slow = replace(motion, q=path[near:], Ts_world_tool=_poses(tool[near:]))
     if near == 0:
-        return time_motion(robot, slow, speed, step)[1], hold
+        return time_motion(robot, slow, speed, step)[1]
     away = time_motion(robot, replace(motion, approach=path[: near + 1]), config.speed, step)[0]
-    return joined([away, time_motion(robot, slow, speed, step)[1]])[0], hold
+    return joined([away, time_motion(robot, slow, speed, step)[1]])[0]
 
 
 def _poses(points: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "m 4 4"]:
@@ -128,13 +151,12 @@ def _poses(points: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "m 4 4"]:
     return Ts
 
 
-def _belief(item: SceneObject, joint: Joint | None, motion: Motion) -> Belief | None:
+def _belief(item: SceneObject, joint: Joint | None) -> Belief | None:
     """What the scene says of the part's joint."""
     if joint is None:
         return None
     T = item.link_poses()[joint.parent] @ joint.T_parent_joint
-    axis = Axis(joint.kind == "prismatic", T[:3, :3] @ joint.axis, T[:3, 3])
-    return Belief(axis, motion.object_q)
+    return Belief(Axis(joint.kind == "prismatic", T[:3, :3] @ joint.axis, T[:3, 3]))
 
 
 def _outcome(

@@ -76,7 +76,7 @@ def add_robot(
         name=TOOL_POINT, type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[1e-3, 0, 0], density=0.0,
         contype=0, conaffinity=0, rgba=[0, 0, 0, 0],
     )  # fmt: skip
-    _add_motors(spec, robot, fingers, config)
+    _add_motors(spec, robot, fingers)
     _add_couplings(spec, fingers, followers)
     _add_excludes(spec, robot)
 
@@ -134,9 +134,7 @@ def _set_inertia(body: Any, inertia: Inertia) -> None:
     body.fullinertia = [*np.diag(matrix), matrix[0, 1], matrix[0, 2], matrix[1, 2]]
 
 
-def _add_motors(
-    spec: Any, robot: Robot, fingers: tuple[Finger, ...], config: ExecutionConfig
-) -> None:
+def _add_motors(spec: Any, robot: Robot, fingers: tuple[Finger, ...]) -> None:
     """One position-controlled motor a joint; `tune` sets the gains when inertias are known."""
     for name in (*BASE_JOINTS, *robot.arm_joints):
         spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
@@ -144,7 +142,7 @@ def _add_motors(
         motor = spec.add_actuator(
             name=finger.joint, target=finger.joint, trntype=mujoco.mjtTrn.mjTRN_JOINT
         )
-        force = config.gripper.force * finger.lever
+        force = robot.grip_force * finger.lever
         motor.forcelimited, motor.forcerange = 1, [-force, force]
 
 

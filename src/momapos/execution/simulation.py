@@ -86,14 +86,14 @@ class Simulation:
             for other in np.flatnonzero(self.kinds == Kind.PART).tolist()
         )
 
-    def attach(self) -> None:
-        """Weld the part to the tool as they are now."""
+    def attach(self, *, turns: bool = False) -> None:
+        """Weld the part to the tool as they are now; one that turns holds the tool's origin alone."""
         T_tool_part = invert(self.T_world_tool) @ self.T_world_part
         values = self.model.eq_data[self.weld]
         values[:3] = invert(T_tool_part)[:3, 3]  # the tool's origin, in the part
         values[3:6] = 0.0  # and in the tool
         values[6:10] = matrix_quat(T_tool_part[:3, :3])
-        values[10] = 1.0
+        values[10] = 0.0 if turns else 1.0
         self.data.eq_active[self.weld] = 1
 
     @property

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -21,7 +21,7 @@ from momapos.execution.simulation import Simulation
 from momapos.geometry.transforms import invert, rotation_angle
 from momapos.scene.scene import SceneObject
 from momapos.trajectory import Trajectory
-from momapos.types import Motion, Task
+from momapos.types import Hold, Motion, Task
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -40,11 +40,30 @@ _ALL, _NONE = np.eye(3), np.zeros((3, 3))
 
 @dataclass(frozen=True)
 class Belief:
-    """What the plan says of the part: where its joint is, and its value along the motion."""
+    """What the plan says of the part: where its joint is."""
 
     axis: Axis
-    values: Float[np.ndarray, " m"]
-    """Of the joint at each state of the motion [rad] or [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """A part of the motion in which the hand holds all the time, or not at all."""
+
+    plan: Trajectory
+    motion: Motion
+    """Its states."""
+    hold: Hold | None
+    """None where the hand is free."""
+
+    @property
+    def pushes(self) -> bool:
+        """Whether the part is pushed, and not held."""
+        return self.hold is not None and self.hold.family == "push"
+
+    @property
+    def one_sided(self) -> bool:
+        """Whether one finger that bears a load is enough."""
+        return self.hold is not None and self.hold.family == "hook"
 
 
 class ExecutionRun:
@@ -107,7 +126,7 @@ class ExecutionRun:
                 one, other = sorted(world.names[g] for g in geoms)
                 raise SceneError(f"start in collision: {one} is {-1000 * dist:.0f} mm in {other}")
 
-    def go(self, approach: Trajectory, hold: Trajectory) -> Ending:
+    def go(self, approach: Trajectory, stretches: Sequence[Stretch]) -> Ending:
         """Carry out the motion, until it is done or makes no sense any more."""
         place = self.task.verb == "place"
         if place:
@@ -116,8 +135,10 @@ class ExecutionRun:
         if ending is None and place and self.config.hold == "contact":
             self.world.release()
         ending = ending or self._approach(approach)
-        ending = ending or (self._let_go() if place else self._take_hold())
-        ending = ending or self._move(hold)
+        for stretch in stretches:
+            free = place or (stretch.hold is None and self.belief is not None)
+            ending = ending or (self._let_go() if free else self._take_hold(stretch))
+            ending = ending or self._move(stretch)
         if ending not in (None, Ending.STOPPED_AT_END):
             return ending
         return self._rest(Stage.DWELL, self.config.dwell) or ending or Ending.DONE
@@ -223,10 +244,10 @@ class ExecutionRun:
         near = np.abs(self.arm.q + self.step * self.arm.v - q).max() < 1e-3
         return bool(near and not self.aside and np.abs(self.arm.wrench).max() < 0.1)
 
-    def _take_hold(self) -> Ending | None:
+    def _take_hold(self, stretch: Stretch) -> Ending | None:
         """Weld, or close the fingers, where the arm is at the planned grasp."""
         T, _ = self.arm.kinematics.at(self.world.data.qpos[self.world.arm_q])
-        planned = self._aside(self.motion.Ts_world_tool[0])
+        planned = self._aside(stretch.motion.Ts_world_tool[0])
         off = float(np.linalg.norm(T[:3, 3] - planned[:3, 3]))
         angle = float(rotation_angle(T[:3, :3], planned[:3, :3]))
         if off > GRASP_POSITION or angle > GRASP_ANGLE:
@@ -234,28 +255,31 @@ class ExecutionRun:
             return Ending.ASTRAY
         self.observer.reaching = False
         if self.config.hold == "contact":
-            ending = self._shut()
+            if stretch.pushes:
+                return None
+            ending = self._shut(stretch)
         else:
             gap = self.world.grip_gap(1.0)
             if gap > self.config.gripper.reach:
                 self.detail = f"the gripper is {100 * gap:.1f} cm from it"
                 return Ending.OUT_OF_REACH
-            self.world.attach()
+            turns = stretch.hold is not None and stretch.hold.turn_axis is not None
+            self.world.attach(turns=turns)
             ending = self._rest(Stage.GRIP, self.config.grip)
         self.held = True
         self.observer.hold()
         return ending
 
-    def _shut(self) -> Ending | None:
+    def _shut(self, stretch: Stretch) -> Ending | None:
         """Close the fingers until the pads of both sides bear a load; the arm gives way."""
         grip, arm = self.config.gripper, self.arm
-        q = self.motion.q[0]
+        q = stretch.motion.q[0]
         T = self._aside(arm.kinematics.at(q)[0])
         closing = T[:3, :3] @ self.world.hand.axis
         across = np.outer(closing, closing)  # the fingers find what they hold along this alone
         reference = Reference(q, np.zeros_like(q), T, np.zeros(6), _ALL, across)
         way = max(abs(f.closed - f.open) * f.lever for f in self.world.hand.fingers)
-        enough, firm = grip.loaded * grip.force, 0
+        enough, firm = grip.loaded * self.world.hand.force, 0
         for k in range(round((way / grip.speed + grip.patience) / self.step)):
             self._close(grip.speed * k * self.step)
             arm.follow(reference)
@@ -266,6 +290,8 @@ class ExecutionRun:
             if firm * self.step >= grip.patience / 2:
                 return None
         one = max(self.touch.pads) > enough
+        if one and stretch.one_sided:
+            return None
         return Ending.ONE_SIDED if one else Ending.NOTHING_HELD
 
     def _close(self, way: float) -> None:
@@ -273,7 +299,8 @@ class ExecutionRun:
         grip = self.config.gripper
         for finger, motor in self.world.fingers:
             sign = np.sign(finger.closed - finger.open)
-            most = abs(finger.closed - finger.open) + grip.force / grip.stiffness / finger.lever
+            press = self.world.hand.force / grip.stiffness / finger.lever
+            most = abs(finger.closed - finger.open) + press
             self.world.data.ctrl[motor] = finger.open + sign * min(way / finger.lever, most)
 
     def _let_go(self) -> Ending | None:
@@ -283,21 +310,24 @@ class ExecutionRun:
         self._close(0.0)
         return self._rest(Stage.GRIP, self.config.grip)
 
-    def _move(self, plan: Trajectory) -> Ending | None:
+    def _move(self, stretch: Stretch) -> Ending | None:
         """Move what is held along its planned way, or along the way that it turns out to take."""
-        if self.belief is None:
+        plan = stretch.plan
+        if self.belief is None or stretch.hold is None:
             offset = 0.0 if self.task.verb == "place" else self.arm.q - plan.q[0]
-            for q, v, a in zip(plan.q, plan.v, plan.a, strict=True):
-                self.arm.go(q + offset, v, a)
+            # A free hand returns to the plan; what is in the hand came into it as it did.
+            fade = self.step / self.config.compliance.home if self.belief is not None else 0.0
+            for k, (q, v, a) in enumerate(zip(plan.q, plan.v, plan.a, strict=True)):
+                self.arm.go(q + max(0.0, 1.0 - fade * k) * offset, v, a)
                 ending = self._tick(Stage.MANIPULATE) or self._lost()
                 if ending is not None:
                     return ending
             return None
-        return self._move_part(plan, self.belief)
+        return self._move_part(plan, stretch.motion, self.belief)
 
-    def _move_part(self, plan: Trajectory, belief: Belief) -> Ending | None:
+    def _move_part(self, plan: Trajectory, motion: Motion, belief: Belief) -> Ending | None:
         times = np.arange(len(plan)) * self.step
-        values = np.interp(times, plan.state_times, belief.values)
+        values = np.interp(times, plan.state_times, motion.object_q)
         T_held, _ = self.arm.kinematics.at(self.world.data.qpos[self.world.arm_q])
         T_first, _ = self.arm.kinematics.at(plan.q[0])
         shift = T_held @ invert(T_first)  # the grasp, from where it was planned
@@ -311,7 +341,7 @@ class ExecutionRun:
 
         last = len(plan) - 1
         length = float(
-            np.linalg.norm(np.diff(self.motion.Ts_world_tool[:, :3, 3], axis=0), axis=1).sum()
+            np.linalg.norm(np.diff(motion.Ts_world_tool[:, :3, 3], axis=0), axis=1).sum()
         )
         extra = round(
             self.config.dwell / self.step
