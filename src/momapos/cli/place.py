@@ -176,7 +176,6 @@ def _answer(
 
     import numpy as np
 
-    from momapos.base_pose import plan_at_base_pose
     from momapos.cache import user_cache
     from momapos.cli.compile import ANSWER, RANK, WALKS, compile_once
     from momapos.cli.console import busy, progress
@@ -208,6 +207,8 @@ def _answer(
                 plan = smaller_opening(answer.plan, scene, robot, reach, config=config)
                 answer = replace(answer, plan=plan)
         else:
+            from momapos.base_pose import plan_at_base_pose
+
             answer = plan_at_base_pose(
                 scene, robot, task, at, reach, start=begin, config=config, seed=options.seed
             )
