@@ -40,8 +40,10 @@ def processor_time(command: list[str], source: Path, cache: Path) -> float:
         subprocess.CalledProcessError: The command failed.
     """
     paths = [str(source), os.environ.get("PYTHONPATH", "")]
+    # Told not to keep byte code, Python would compile a hundred modules at every start.
+    kept = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
     environment = {
-        **os.environ,
+        **kept,
         "PYTHONPATH": os.pathsep.join(filter(None, paths)),
         "MOMAPOS_CACHE": str(cache),
     }

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
-from importlib import metadata
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,9 +14,13 @@ from momapos.prepare import PreparedTask
 from momapos.query import PlacementQuery
 from momapos.robots.robot import Robot
 from momapos.types import PlacementPlan
+from momapos.versions import version_of
 
 if TYPE_CHECKING:
     from jaxtyping import Float
+
+DEPENDS_ON = ("momapos", "numpy", "ompl")
+"""Packages that an answer depends on, beside its inputs."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +88,7 @@ def plan_of(
         candidates=found.candidates(),
         method=query.config.place.method,
         seed=query.seed,
-        versions=_versions(),
+        versions={name: version_of(name) for name in DEPENDS_ON},
     )
 
 
@@ -95,9 +97,3 @@ def _named_srdf(robot: Robot) -> str | None:
     urdf = robot.model.urdf.path
     beside = None if urdf is None else urdf.with_suffix(".srdf")
     return None if robot.srdf is None or robot.srdf == beside else str(robot.srdf)
-
-
-@cache
-def _versions() -> dict[str, str]:
-    """What the answer depends on, beside its inputs."""
-    return {name: metadata.version(name) for name in ("momapos", "numpy", "ompl")}

@@ -10,11 +10,9 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from importlib import metadata
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
-from jaxtyping import Bool, Float
 
 from momapos.base_pose import check_base_pose
 from momapos.config import PipelineConfig
@@ -37,6 +35,10 @@ from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene
 from momapos.stopwatch import Stopwatch
 from momapos.types import Attempt, Motion, PlacementPlan, Task
+from momapos.versions import version_of
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
 
 DEFAULT = PipelineConfig()
 PHYSICS = ExecutionConfig()
@@ -50,10 +52,10 @@ TURN = 0.3
 STAGES = ("drive", "plan", "execute")
 NONE_LEFT = "no other base pose is left"
 
-Drive = Callable[
-    [NavigationMap, Float[np.ndarray, "3"], Float[np.ndarray, "3"], np.random.Generator],
-    DriveRecord,
-]
+Drive: TypeAlias = (
+    "Callable[[NavigationMap, Float[np.ndarray, '3'], Float[np.ndarray, '3'],"
+    " np.random.Generator], DriveRecord]"
+)
 """Drives from a pose to a pose: x [m], y [m], yaw [rad]."""
 Trace: TypeAlias = "Callable[[Float[np.ndarray, ' t'], Float[np.ndarray, 't 3']], None]"
 """Called after every drive with its times [s] and true poses."""
@@ -140,7 +142,7 @@ def run_plan(
         seed=seed,
         noise=driving.noise != QUIET,
         time=stopwatch.seconds,
-        versions={name: metadata.version(name) for name in ("momapos", "mujoco", "toppra")},
+        versions={name: version_of(name) for name in ("momapos", "mujoco", "toppra")},
     )
 
 

@@ -98,6 +98,41 @@ def test_a_second_start_neither_parses_nor_covers_anything_again(
     assert not heavy & {"trimesh", "yourdfpy", "matplotlib", "jaxtyping", "numba"}
 
 
+def test_a_question_without_options_of_the_method_is_read_without_typeguard(tmp_path: Path) -> None:
+    place = ["place", "open", "kitchen_small", "fridg", "--robot", "fetch", "--to=30deg", "--json"]
+    code = (
+        "import sys\nfrom momapos.cli.main import main\n"
+        "assert main({!r}) == 2\nassert ('typeguard' in sys.modules) is {}"
+    )
+    imported(code.format(place, False), tmp_path)
+    imported(code.format([*place, "--timeout", "5"], True), tmp_path)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["place", "open", "kitchen_small", "microwave"],
+        ["place", "pick", "kitchen_small", "cup", "--robot=fetch", "--seed", "3", "--json"],
+        ["rank", "kitchen_small", "fridge", "--seed", "3", "--joint", "fridge/door_hinge=10deg"],
+    ],
+)
+def test_a_configuration_that_is_not_read_is_the_default_one(
+    words: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Options of the method make tyro read all of them; these give each its default."""
+    asked = []
+
+    def ask(*args: object, **named: object) -> int:
+        asked.append((args, named))
+        return 0
+
+    monkeypatch.setattr("momapos.cli.place._answer", ask)
+    monkeypatch.setattr("momapos.importance.rank.rank", lambda *args, **_: ask(args[2]) or exit(0))
+    for more in ([], ["--alpha", "0.45"]):
+        assert main([*words, *more]) == 0
+    assert asked[0] == asked[1]
+
+
 def test_lists_tell_what_the_models_hold(capsys: pytest.CaptureFixture[str]) -> None:
     for name in builtin_names():
         scene = load_scene(name)

@@ -112,7 +112,10 @@ def _run(args: list[str]) -> int:
         function, prog, rest = function[rest[0]], f"{prog} {rest[0]}", rest[1:]
     import tyro
 
-    return int(tyro.cli(_load(function), args=rest, prog=prog))
+    command = _load(function)
+    rules = getattr(sys.modules[command.__module__], "tyro_rules", None)
+    registry = None if rules is None else rules(rest)
+    return int(tyro.cli(command, args=rest, prog=prog, registry=registry))
 
 
 def _load(function: str) -> Callable[..., int]:

@@ -6,10 +6,12 @@ imports typeguard, which takes longer than all else that it does.
 
 from __future__ import annotations
 
+from collections.abc import Collection, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Optional
+from typing import TYPE_CHECKING, Annotated, NoReturn, Optional
 
 from tyro.conf import UseAppendAction, arg
+from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
 from momapos.errors import InputError
 
@@ -35,3 +37,40 @@ def check_seed(seed: int) -> None:
     """
     if not 0 <= seed <= MAX_SEED:
         raise InputError(f"--seed must be between 0 and {MAX_SEED}")
+
+
+def unread(kind: type, plain: Collection[str], words: Sequence[str]) -> ConstructorRegistry | None:
+    """A rule for tyro: what belongs to a configuration is no option where none of it is given.
+
+    tyro finds the help and the types of all options before it looks at the words, and imports
+    typeguard for those that are tuples of numbers; that takes longer than all else it does.
+
+    Args:
+        kind: The configuration.
+        plain: Names of all options of the command that are not in it.
+        words: What follows the command.
+
+    Returns:
+        The rule; None where a word may be one of its options, or asks for help about them.
+    """
+    if any(w.startswith("-") and w.partition("=")[0] not in plain for w in words):
+        return None
+    registry = ConstructorRegistry()
+
+    def whole(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[object] | None:
+        if info.type is not kind:
+            return None
+        return PrimitiveConstructorSpec(
+            nargs=1,
+            metavar=kind.__name__,
+            instance_from_str=_refuse,
+            is_instance=lambda value: isinstance(value, kind),
+            str_from_instance=lambda _: [kind.__name__],
+        )
+
+    registry.primitive_rule(whole)
+    return registry
+
+
+def _refuse(words: list[str]) -> NoReturn:
+    raise ValueError(f"{words} is no configuration")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import OmitArgPrefixes, Positional, arg
@@ -17,6 +17,7 @@ from momapos.cli.options import (
     Thing,
     ToArg,
     check_seed,
+    unread,
 )
 from momapos.config import PipelineConfig
 from momapos.errors import TaskError
@@ -27,7 +28,10 @@ from momapos.units import MAX, parse_quantity
 from momapos.viewer.pictures import check_picture
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
+
+    from tyro.constructors import ConstructorRegistry
 
     from momapos.placement_result import PlacementResult
 
@@ -63,6 +67,12 @@ class Options:
 Shared = Annotated[Options, OmitArgPrefixes]
 MapArg = Annotated[OptionalPath, arg(name="map")]
 DEFAULT = Options()
+_PLAIN = {f"--{item.name}" for item in fields(Options) if item.name != "config"} | {"--to", "--map"}
+
+
+def tyro_rules(words: Sequence[str]) -> ConstructorRegistry | None:
+    """How tyro reads the words of the commands below, see `unread`."""
+    return unread(PipelineConfig, _PLAIN, words)
 
 
 def place_open(
@@ -166,7 +176,6 @@ def _answer(
 
     import numpy as np
 
-    from momapos.base_pose import plan_at_base_pose
     from momapos.cache import user_cache
     from momapos.cli.compile import ANSWER, RANK, WALKS, compile_once
     from momapos.cli.console import busy, progress
@@ -198,6 +207,8 @@ def _answer(
                 plan = smaller_opening(answer.plan, scene, robot, reach, config=config)
                 answer = replace(answer, plan=plan)
         else:
+            from momapos.base_pose import plan_at_base_pose
+
             answer = plan_at_base_pose(
                 scene, robot, task, at, reach, start=begin, config=config, seed=options.seed
             )

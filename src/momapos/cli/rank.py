@@ -9,21 +9,31 @@ from typing import TYPE_CHECKING, Annotated, Any
 from tyro.conf import OmitArgPrefixes, Positional
 
 from momapos.cli.console import busy
-from momapos.cli.options import JointsArg, OptionalPath, Target, check_seed
+from momapos.cli.options import JointsArg, OptionalPath, Target, check_seed, unread
 from momapos.files import check_outputs
 from momapos.importance.config import ImportanceConfig
 from momapos.scene.names import find_scene, refuse_unknown_object
 from momapos.viewer.pictures import check_picture
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from tyro.constructors import ConstructorRegistry
+
     from momapos.importance.rank import Importance
     from momapos.scene.scene import Scene
 
 Shared = Annotated[ImportanceConfig, OmitArgPrefixes]
+_PLAIN = {"--joint", "--seed", "--plot", "--json"}
 _WORDS = {
     "": "", "near": "near it", "on": "on it", "in": "in it", "inside": "inside it",
     "carries": "carries it", "contains": "contains it",
 }  # fmt: skip
+
+
+def tyro_rules(words: Sequence[str]) -> ConstructorRegistry | None:
+    """How tyro reads the words of the command below, see `unread`."""
+    return unread(ImportanceConfig, _PLAIN, words)
 
 
 def rank_objects(

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -28,6 +28,37 @@ SIDE = 8  # voxels along a block
 VOXEL_RANGE = (0.001, 1.0)
 """Edge of a voxel [m]."""
 BYTES_PER_VOXEL = 24  # distance, two weights and three colors, four bytes each
+
+
+class Field(NamedTuple):
+    """The signed distances, block by block, as the kernels take them."""
+
+    distance: Float32[np.ndarray, "b v"]
+    """Signed distance at every voxel of every block [margin], in [-1, 1]."""
+    weight: Float32[np.ndarray, "b v"]
+    """How much has been seen of it; 0 where nothing is known."""
+    seen: Float32[np.ndarray, "b v"]
+    """The part of it from looks at a surface in the voxel."""
+    color: Float32[np.ndarray, "b v 3"]
+    blocks: Int[np.ndarray, "b 3"]
+    """Where each block is in the grid of blocks."""
+    block_at: Int[np.ndarray, "x y z"]
+    """The block at each place of that grid; -1 where none is."""
+    origin: Float[np.ndarray, "3"]
+    """Corner of that grid in the world [m]."""
+    voxel: float
+
+
+class Look(NamedTuple):
+    """One image as the kernels take it, with what `facing_of` and `deepest_of` tell of it."""
+
+    depth: Float32[np.ndarray, "h w"]
+    """0 where it is not trusted [m]."""
+    facing: Float32[np.ndarray, "h w"]
+    deepest: Float32[np.ndarray, "a b"]
+    color: UInt8[np.ndarray, "h w 3"]
+    K: Float[np.ndarray, "3 3"]
+    T_camera_world: Float[np.ndarray, "4 4"]
 
 
 @dataclass(frozen=True)
@@ -87,30 +118,33 @@ def fuse(
             )
     margin = config.truncation * voxel
     origin, index, count = _allocate(frames, voxel, margin, config)
-    distance = np.zeros((count, SIDE**3), np.float32)
-    weight = np.zeros((count, SIDE**3), np.float32)
-    seen = np.zeros((count, SIDE**3), np.float32)
-    color = np.zeros((count, SIDE**3, 3), np.float32)
-    blocks = np.zeros((count, 3), np.int64)
-    where = np.argwhere(index >= 0)
-    blocks[index[tuple(where.T)]] = where
+    field = _empty(index, count, origin, voxel)
     for frame in frames:
-        depth = _usable(frame, config)
-        K = np.asarray(frame.intrinsics, float)
-        T_camera_world = invert(np.asarray(frame.T_world_camera, float))
-        facing = facing_of(depth, K, config.edge, config.grazing)
-        deepest = deepest_of(depth)
-        _integrate(
-            distance, weight, seen, color, blocks, origin, voxel, margin,
-            depth, facing, deepest, frame.color, K, T_camera_world,
-        )  # fmt: skip
-    weight[seen < config.least_seen * weight] = 0.0
-    points, normals, colors = _extract(
-        distance, weight, color, blocks, index, origin, voxel, np.float32(config.least_weight)
-    )
+        _integrate(field, margin, _look(frame, config))
+    field.weight[field.seen < config.least_seen * field.weight] = 0.0
+    points, normals, colors = _extract(field, np.float32(config.least_weight))
     if not len(points):
         raise InputError("the frames agree on no surface: check poses and the unit of depth")
     return Cloud(points, normals, colors)
+
+
+def _empty(
+    index: Int[np.ndarray, "x y z"], count: int, origin: Float[np.ndarray, "3"], voxel: float
+) -> Field:
+    """The field before any image."""
+    where = np.argwhere(index >= 0)
+    where = where[np.argsort(index[tuple(where.T)])]
+    distance, weight, seen = np.zeros((3, count, SIDE**3), np.float32)
+    color = np.zeros((count, SIDE**3, 3), np.float32)
+    return Field(distance, weight, seen, color, where, index, origin, voxel)
+
+
+def _look(frame: Frame, config: FusionConfig) -> Look:
+    depth = _usable(frame, config)
+    K = np.asarray(frame.intrinsics, float)
+    facing = facing_of(depth, K, config.edge, config.grazing)
+    T_camera_world = invert(np.asarray(frame.T_world_camera, float))
+    return Look(depth, facing, deepest_of(depth), frame.color, K, T_camera_world)
 
 
 def _usable(frame: Frame, config: FusionConfig) -> Float32[np.ndarray, "h w"]:
@@ -215,32 +249,20 @@ def _hidden(
 
 
 @njit(cache=True, fastmath={"nsz", "arcp", "contract"})
-def _integrate(
-    distance: Float32[np.ndarray, "b v"],
-    weight: Float32[np.ndarray, "b v"],
-    seen: Float32[np.ndarray, "b v"],
-    color: Float32[np.ndarray, "b v 3"],
-    blocks: Int[np.ndarray, "b 3"],
-    origin: Float[np.ndarray, "3"],
-    voxel: float,
-    margin: float,
-    depth: Float32[np.ndarray, "h w"],
-    facing: Float32[np.ndarray, "h w"],
-    deepest: Float32[np.ndarray, "a b"],
-    image: UInt8[np.ndarray, "h w 3"],
-    K: Float[np.ndarray, "3 3"],
-    T_camera_world: Float[np.ndarray, "4 4"],
-) -> None:
-    """Move the field toward one image's surface, in place."""
+def _integrate(field: Field, margin: float, look: Look) -> None:
+    """Move the field toward one image's surface, in place; `margin` is the truncation [m]."""
+    distance, weight, seen, color = field.distance, field.weight, field.seen, field.color
+    depth, facing, K, T_camera_world = look.depth, look.facing, look.K, look.T_camera_world
+    voxel, image = field.voxel, look.color
     h, w = depth.shape
     R = np.ascontiguousarray(T_camera_world[:3, :3])
     size = SIDE * voxel
     radius = 0.5 * np.sqrt(3.0) * size
-    for b in range(len(blocks)):
-        corner = origin + blocks[b] * size + 0.5 * voxel
+    for b in range(len(field.blocks)):
+        corner = field.origin + field.blocks[b] * size + 0.5 * voxel
         start = R @ corner + T_camera_world[:3, 3]
         middle = R @ (corner + 0.5 * (size - voxel)) + T_camera_world[:3, 3]
-        if _hidden(middle, radius, margin, deepest, K):
+        if _hidden(middle, radius, margin, look.deepest, K):
             continue
         for i in range(SIDE):
             for j in range(SIDE):
@@ -316,23 +338,18 @@ def _gradient(
 
 @njit(cache=True)
 def _extract(
-    distance: Float32[np.ndarray, "b v"],
-    weight: Float32[np.ndarray, "b v"],
-    color: Float32[np.ndarray, "b v 3"],
-    blocks: Int[np.ndarray, "b 3"],
-    index: Int[np.ndarray, "x y z"],
-    origin: Float[np.ndarray, "3"],
-    voxel: float,
-    least: float,
+    field: Field, least: float
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"], UInt8[np.ndarray, "n 3"]]:
     """Points where the field changes sign between a cell and the next along x, y or z.
 
-    A cell whose field changes sign along several axes gives the mean of these points.
+    A cell whose field changes sign along several axes gives the mean of these points; voxels of
+    less weight than `least` give none.
     """
-    room = 4096
+    distance, weight, color = field.distance, field.weight, field.color
+    blocks, index = field.blocks, field.block_at
+    room, count = 4096, 0
     points, normals = np.empty((room, 3)), np.empty((room, 3))
     colors = np.empty((room, 3), np.uint8)
-    count = 0
     for b in range(len(blocks)):
         for n in range(SIDE**3):
             if weight[b, n] < least or abs(distance[b, n]) >= 1:
@@ -366,7 +383,7 @@ def _extract(
                 longer = np.empty((room, 3), np.uint8)
                 longer[:count] = colors
                 colors = longer
-            points[count] = origin + (point / crossings + 0.5) * voxel
+            points[count] = field.origin + (point / crossings + 0.5) * field.voxel
             normals[count] = normal / length
             for a in range(3):
                 colors[count, a] = np.uint8(min(255.0, max(0.0, tint[a] / crossings + 0.5)))

@@ -167,18 +167,17 @@ def prisms_of(robot: Robot) -> RobotPrisms:
     def area(begin: float, end: float) -> float:
         return float(signed_area(outline(begin, end)))
 
-    def volume(heights: np.ndarray) -> float:
-        return sum(area(begin, end) * (end - begin) for begin, end in pairwise(heights.tolist()))
+    def volume(heights: list[float]) -> float:
+        return sum(area(begin, end) * (end - begin) for begin, end in pairwise(heights))
 
     top = float(high.max(initial=0.3))
-    heights = np.array([0.0, top])
-    cuts = np.unique(np.round(np.concatenate([low, high]), 3))
-    cuts = cuts[(cuts > STEP) & (cuts < top - STEP)]
+    heights = [0.0, top]
+    at = np.unique(np.round(np.concatenate([low, high]), 3))
+    cuts = at[(at > STEP) & (at < top - STEP)].tolist()
     for _ in range(min(PRISMS - 1, len(cuts))):
-        choices = [np.unique(np.append(heights, cut)) for cut in cuts]
-        heights = min(choices, key=volume)
-    outlines = tuple(outline(begin, end) for begin, end in pairwise(heights.tolist()))
-    return RobotPrisms(outlines, heights)
+        heights = min((sorted({*heights, cut}) for cut in cuts), key=volume)
+    outlines = tuple(outline(begin, end) for begin, end in pairwise(heights))
+    return RobotPrisms(outlines, np.array(heights))
 
 
 def obstacles_of(scene: Scene, prisms: RobotPrisms) -> ConvexPolygons:

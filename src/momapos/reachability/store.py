@@ -11,7 +11,7 @@ import zlib
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -22,6 +22,9 @@ from momapos.reachability.construct import Progress, build_map, default_config
 from momapos.reachability.map import ReachConfig, ReachMap
 from momapos.robots.robot import MAX_REACH, Robot
 
+if TYPE_CHECKING:
+    from jaxtyping import Int8
+
 log = logging.getLogger(__name__)
 VERSION = 2
 """Changes whenever maps are built or stored differently."""
@@ -31,6 +34,8 @@ MAX_BYTES = 50_000_000
 _MAX_VALUES = 200_000_000
 _MAX_HEADER = 10_000
 _MAX_BEARINGS = 64
+_PART, _MOST_OF_PART = 1 << 14, 1 << 18
+"""Bytes of compressed values that are read at once, and what they become at most."""
 _FIELDS = ("low", "cell", "axis_xy", "line_tool", "threshold", "key", "build_seconds")
 
 
@@ -81,13 +86,26 @@ def decode(data: bytes) -> ReachMap:
             raise ValueError(f"it is not of version {VERSION}")
         shape = _shape(header)
         size = math.prod(shape)
-        inflate = zlib.decompressobj()
-        raw = inflate.decompress(data[begin + length :], size + 1)
-        if len(raw) != size or not inflate.eof:
-            raise ValueError("it does not hold as many values as its header says")
-        return _map(header, np.frombuffer(raw, np.int8).reshape(shape))
+        return _map(header, _inflated(memoryview(data)[begin + length :], size).reshape(shape))
     except (ValueError, RecursionError, struct.error, zlib.error) as error:
         raise FileFormatError(f"not a usable reachability map ({error})") from error
+
+
+def _inflated(packed: memoryview, size: int) -> Int8[np.ndarray, " size"]:
+    """Values from their compressed form, by parts that stay in the processor's cache."""
+    wrong = ValueError("it does not hold as many values as its header says")
+    out, inflate, done = np.empty(size, np.int8), zlib.decompressobj(), 0
+    for begin in range(0, len(packed), _PART):
+        rest: bytes | memoryview = packed[begin : begin + _PART]
+        while rest and not inflate.eof:
+            part = np.frombuffer(inflate.decompress(rest, _MOST_OF_PART), np.int8)
+            if done + len(part) > size:
+                raise wrong
+            out[done : done + len(part)] = part
+            done, rest = done + len(part), inflate.unconsumed_tail
+    if done != size or not inflate.eof:
+        raise wrong
+    return out
 
 
 def _shape(header: Mapping[str, Any]) -> tuple[int, ...]:

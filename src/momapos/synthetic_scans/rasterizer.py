@@ -7,13 +7,15 @@ They need no clipping, and give the distance that casting every ray by itself wo
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numba import njit
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Float32, Int32, UInt8
+
+    Triple = tuple[float, float, float]
 
 NEAREST = 0.02
 """What is nearer to the camera is not drawn [m]."""
@@ -31,14 +33,69 @@ SHADE = 0.75
 """How much darker a crevice is that is enclosed all around [-]."""
 
 
+class Buffers(NamedTuple):
+    """What `rasterize` finds along rays."""
+
+    inverse: Float32[np.ndarray, "h w"]
+    """1 / depth [1/m]; 0 where a ray meets nothing."""
+    nearest: Int32[np.ndarray, "h w"]
+    """The triangle's number; -1 where there is none."""
+
+
+class View(NamedTuple):
+    """An image before it has colors."""
+
+    xs: Float[np.ndarray, " w"]
+    ys: Float[np.ndarray, " h"]
+    """The rays (x, y, 1)."""
+    buffers: Buffers
+    """What they meet."""
+    rotation: Float[np.ndarray, "3 3"]
+    """Of the camera in the world."""
+    eye: Float[np.ndarray, "3"]
+    """Where the camera is in the world [m]."""
+
+
+class Surfaces(NamedTuple):
+    """What triangles look like."""
+
+    normals: Float[np.ndarray, "n 3"]
+    """Unit normals of the triangles."""
+    number: Int32[np.ndarray, " n"]
+    """The surface of each triangle."""
+    color: Float[np.ndarray, "s 3"]
+    """Linear color of each surface."""
+    grain: Float[np.ndarray, "s 4"]
+    """Strength [-] and frequency along x, y and z [1/m] of each surface's grain."""
+
+
+class Lamps(NamedTuple):
+    """Where light comes from, and where it does not reach."""
+
+    Ts_lamp_world: Float[np.ndarray, "k 4 4"]
+    strength: Float[np.ndarray, " k"]
+    scale: Float[np.ndarray, " k"]
+    """Texels of the shadow map per tangent [-]."""
+    maps: Float32[np.ndarray, "k m m"]
+    """Shadow maps, each 1 / depth [1/m]."""
+
+
+class Appearance(NamedTuple):
+    """All that colors come from."""
+
+    surfaces: Surfaces
+    lamps: Lamps
+    background: Float[np.ndarray, "3"]
+    """Linear color where there is nothing."""
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def rasterize(
     corners: Float[np.ndarray, "n 3 3"],
     one_sided: Bool[np.ndarray, " n"],
     xs: Float[np.ndarray, " w"],
     ys: Float[np.ndarray, " h"],
-    inverse: Float32[np.ndarray, "h w"],
-    nearest: Int32[np.ndarray, "h w"],
+    buffers: Buffers,
 ) -> None:
     """Find the first triangle along each ray (x, y, 1).
 
@@ -46,9 +103,9 @@ def rasterize(
         corners: Triangles in the camera's frame [m].
         one_sided: Triangles that are seen only from where they run counterclockwise.
         xs, ys: The rays; both are evenly spaced and grow.
-        inverse: Filled with 1 / depth [1/m]; 0 where a ray meets nothing.
-        nearest: Filled with the triangle's number, -1 where there is none.
+        buffers: Filled.
     """
+    inverse, nearest = buffers.inverse, buffers.nearest
     inverse[:] = 0.0
     nearest[:] = -1
     height, width = inverse.shape
@@ -122,10 +179,9 @@ def _grain(x: float, y: float, z: float) -> float:
 
 
 @njit(inline="always")
-def _crevice(
-    i: int, j: int, normal: tuple[float, float, float], xs: Any, ys: Any, inverse: Any
-) -> float:
+def _crevice(i: int, j: int, normal: Triple, view: View) -> float:
     """Share of the directions around a point in which something stands out beside it."""
+    xs, ys, inverse = view.xs, view.ys, view.buffers.inverse
     height, width = inverse.shape
     inv = inverse[i, j]
     step = int(min(max(CREVICE * inv / (xs[1] - xs[0]), 2.0), 8.0))
@@ -142,13 +198,13 @@ def _crevice(
 
 
 @njit(inline="always")
-def _lamp_light(p: tuple[float, float, float], n: tuple[float, float, float], lamps: Any) -> float:
+def _lamp_light(p: Triple, n: Triple, lamps: Lamps) -> float:
     """Light of all lamps that reach a point with this normal."""
-    Ts_lamp_world, strength, scale, maps = lamps
+    strength, scale, maps = lamps.strength, lamps.scale, lamps.maps
     size = maps.shape[1]
     light = 0.0
     for k in range(len(strength)):
-        T = Ts_lamp_world[k]
+        T = lamps.Ts_lamp_world[k]
         steep = -(T[2, 0] * n[0] + T[2, 1] * n[1] + T[2, 2] * n[2])
         if steep <= 0:
             continue
@@ -167,12 +223,12 @@ def _lamp_light(p: tuple[float, float, float], n: tuple[float, float, float], la
 
 @njit(inline="always")
 def _shade(
-    i: int, j: int, tri: int, rays: Any, inverse: Any, camera: Any, look: Any, lamps: Any, out: Any
+    i: int, j: int, tri: int, view: View, look: Appearance, out: Float[np.ndarray, "3"]
 ) -> None:
     """Linear color of the surface that one ray meets."""
-    xs, ys = rays
-    R, eye = camera
-    normals, surface, colors, grain = look
+    xs, ys, inverse = view.xs, view.ys, view.buffers.inverse
+    R, eye, normals = view.rotation, view.eye, look.surfaces.normals
+    colors, grain = look.surfaces.color, look.surfaces.grain
     z = 1 / inverse[i, j]
     x, y = xs[j] * z, ys[i] * z
     dx = R[0, 0] * x + R[0, 1] * y + R[0, 2] * z
@@ -188,10 +244,10 @@ def _shade(
         R[0, 2] * nx + R[1, 2] * ny + R[2, 2] * nz,
     )
     p = (eye[0] + dx, eye[1] + dy, eye[2] + dz)
-    light = AMBIENT * (0.85 + 0.15 * nz) + _lamp_light(p, (nx, ny, nz), lamps)
+    light = AMBIENT * (0.85 + 0.15 * nz) + _lamp_light(p, (nx, ny, nz), look.lamps)
     light += HEADLIGHT * facing / np.sqrt(x * x + y * y + z * z)
-    light *= 1 - SHADE * _crevice(i, j, n_camera, xs, ys, inverse)
-    s = surface[tri]
+    light *= 1 - SHADE * _crevice(i, j, n_camera, view)
+    s = look.surfaces.number[tri]
     if grain[s, 0] > 0:
         gx, gy, gz = p[0] * grain[s, 1], p[1] * grain[s, 2], p[2] * grain[s, 3]
         noise = 0.65 * _grain(gx, gy, gz) + 0.35 * _grain(2.7 * gx, 2.7 * gy, 2.7 * gz)
@@ -202,12 +258,8 @@ def _shade(
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
 def shade_image(
-    rays: tuple[Float[np.ndarray, " w2"], Float[np.ndarray, " h2"]],
-    buffers: tuple[Float32[np.ndarray, "h2 w2"], Int32[np.ndarray, "h2 w2"]],
-    camera: tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]],
-    look: Any,
-    lamps: Any,
-    background: Float[np.ndarray, "3"],
+    view: View,
+    look: Appearance,
     shown: UInt8[np.ndarray, " levels"],
     image: UInt8[np.ndarray, "h w 3"],
 ) -> None:
@@ -216,18 +268,13 @@ def shade_image(
     Each triangle that these rays meet is shaded once: between edges that is one of nine.
 
     Args:
-        rays: Twice as dense as the pixels; the pixel (i, j) has its center at (2i + 1, 2j + 1).
-        buffers: What `rasterize` found along them.
-        camera: Rotation and position in the world.
-        look: Unit normals (n, 3) and surface numbers (n,) of the triangles, then linear colors
-            (s, 3) and grain (s, 4): strength [-] and frequency [1/m] of the surfaces.
-        lamps: World to lamp (k, 4, 4), strengths (k,), texels per tangent (k,) and shadow maps
-            (k, m, m), each 1 / depth.
-        background: Linear color where there is nothing.
+        view: Its rays are twice as dense as the pixels; the pixel (i, j) has its center at
+            (2i + 1, 2j + 1).
+        look: See `Appearance`.
         shown: Colors on a screen for evenly spaced linear ones in [0, 1].
         image: Filled with them.
     """
-    inverse, nearest = buffers
+    nearest = view.buffers.nearest
     height, width, _ = image.shape
     seen, weight = np.empty(9, np.int64), np.empty(9)
     where = np.empty((9, 2), np.int64)
@@ -253,10 +300,10 @@ def shade_image(
             total[:] = 0.0
             for q in range(count):
                 if seen[q] < 0:
-                    color[:] = background
+                    color[:] = look.background
                 else:
                     a, b = where[q]
-                    _shade(a, b, seen[q], rays, inverse, camera, look, lamps, color)
+                    _shade(a, b, seen[q], view, look, color)
                 for k in range(3):
                     total[k] += weight[q] * color[k]
             for k in range(3):

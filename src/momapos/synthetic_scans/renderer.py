@@ -17,7 +17,15 @@ from momapos.geometry.polygons import signed_area
 from momapos.geometry.transforms import invert, pose
 from momapos.scene.scene import Scene, SceneObject
 from momapos.synthetic_scans.materials import Material, Palette, Role, linear
-from momapos.synthetic_scans.rasterizer import rasterize, shade_image
+from momapos.synthetic_scans.rasterizer import (
+    Appearance,
+    Buffers,
+    Lamps,
+    Surfaces,
+    View,
+    rasterize,
+    shade_image,
+)
 from momapos.synthetic_scans.surfaces import Patch, patches, urdf_paints
 from momapos.types import Frame
 
@@ -61,13 +69,13 @@ class RenderWorld:
         return np.divide(normals, length, out=np.zeros_like(normals), where=length > 0)
 
     @cached_property
-    def _look(self) -> tuple[np.ndarray, ...]:
+    def _surfaces(self) -> Surfaces:
         colors = linear(np.array([m.color for m in self.materials]))
         grain = np.array([(m.strength, *m.frequency) for m in self.materials])
-        return self.normals, self.surface.astype(np.int32), colors, grain
+        return Surfaces(self.normals, self.surface.astype(np.int32), colors, grain)
 
     @cached_property
-    def _lamps(self) -> tuple[np.ndarray, ...]:
+    def _lamps(self) -> Lamps:
         """Shadow maps of lamps high above that surround a main direction."""
         points = self.triangles.reshape(-1, 3)
         middle = (points.min(0) + points.max(0)) / 2
@@ -84,9 +92,9 @@ class RenderWorld:
         ids = np.empty((SHADOW_TEXELS, SHADOW_TEXELS), np.int32)
         Ts_lamp_world = invert(Ts_world_lamp)
         for T, image in zip(Ts_lamp_world, maps, strict=True):
-            rasterize(self._seen_from(T), self.closed, grid, grid, image, ids)
+            rasterize(self._seen_from(T), self.closed, grid, grid, Buffers(image, ids))
         strength = LAMP_LIGHT / LAMPS * np.linspace(1.4, 0.6, LAMPS)
-        return Ts_lamp_world, strength, np.full(LAMPS, scale), maps
+        return Lamps(Ts_lamp_world, strength, np.full(LAMPS, scale), maps)
 
     def _seen_from(self, T_camera_world: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "n 3 3"]:
         return self.triangles @ T_camera_world[:3, :3].T + T_camera_world[:3, 3]
@@ -96,13 +104,13 @@ class RenderWorld:
         T_world_camera: Float[np.ndarray, "4 4"],
         xs: Float[np.ndarray, " w"],
         ys: Float[np.ndarray, " h"],
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """What rays (x, y, 1) of a camera meet: 1 / depth (h, w), 0 for nothing; triangle or -1."""
-        inverse = np.empty((len(ys), len(xs)), np.float32)
-        nearest = np.empty((len(ys), len(xs)), np.int32)
+    ) -> Buffers:
+        """What rays (x, y, 1) of a camera meet."""
+        shape = len(ys), len(xs)
+        buffers = Buffers(np.empty(shape, np.float32), np.empty(shape, np.int32))
         corners = self._seen_from(invert(T_world_camera))
-        rasterize(corners, self.closed, xs, ys, inverse, nearest)
-        return inverse, nearest
+        rasterize(corners, self.closed, xs, ys, buffers)
+        return buffers
 
 
 def render_world(scene: Scene, rng: np.random.Generator, *, floor: bool = True) -> RenderWorld:
@@ -252,10 +260,9 @@ def render_frame(
     ys = (np.arange(2 * height + 1) / 2 - 0.5 - K[1, 2]) / K[1, 1]
     buffers = world.trace(T_world_camera, xs, ys)
     color = np.empty((height, width, 3), np.uint8)
-    camera = (np.ascontiguousarray(T_world_camera[:3, :3]), T_world_camera[:3, 3].copy())
-    background = linear(np.array(BACKGROUND))
-    look = (world._look, world._lamps, background, _TO_SCREEN)
-    shade_image((xs, ys), buffers, camera, *look, color)
-    inverse = buffers[0][1::2, 1::2]
+    rotation, eye = np.ascontiguousarray(T_world_camera[:3, :3]), T_world_camera[:3, 3].copy()
+    look = Appearance(world._surfaces, world._lamps, linear(np.array(BACKGROUND)))
+    shade_image(View(xs, ys, buffers, rotation, eye), look, _TO_SCREEN, color)
+    inverse = buffers.inverse[1::2, 1::2]
     depth = np.divide(1.0, inverse, out=np.zeros_like(inverse), where=inverse > 0)
     return Frame(name, color, depth, np.array(K, float), np.array(T_world_camera, float))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -123,9 +123,8 @@ def _shape(face: Face, pixels: int) -> tuple[int, int]:
     return max(8, round(face.height * scale)), max(8, round(face.width * scale))
 
 
-@dataclass(frozen=True, eq=False)
-class _View:
-    """What frames have shown of a face so far."""
+class _View(NamedTuple):
+    """What frames have shown of a face so far, as the kernel takes it."""
 
     color: UInt8[np.ndarray, "h w 3"]
     state: UInt8[np.ndarray, "h w"]
@@ -141,6 +140,17 @@ class _View:
         return _View(np.zeros((*shape, 3), np.uint8), np.zeros(shape, np.uint8), *sums)
 
 
+class _Photo(NamedTuple):
+    """One frame, seen from a face, as the kernel takes it."""
+
+    image: UInt8[np.ndarray, "h w 3"]
+    depth: Float32[np.ndarray, "h w"]
+    has_depth: bool
+    """Whether the depth was measured; it is not looked at otherwise."""
+    intrinsics: Float[np.ndarray, "3 3"]
+    T_camera_face: Float[np.ndarray, "4 4"]
+
+
 def _mean(sums: Float32[np.ndarray, "h w 2"]) -> Float32[np.ndarray, "h w"]:
     """Weighted mean; NaN where nothing was measured."""
     weight = sums[..., 1]
@@ -152,32 +162,25 @@ def _look(face: Face, frame: Frame, view: _View, weight: float) -> None:
     depth = np.zeros((1, 1), np.float32) if frame.depth is None else frame.depth
     T_camera_face = invert(frame.T_world_camera) @ face.T_world_face
     if T_camera_face[:3, 2] @ T_camera_face[:3, 3] < 0:  # the camera is on the outer side
-        _sample(
-            frame.color, depth, frame.depth is not None, np.ascontiguousarray(frame.intrinsics),
-            np.ascontiguousarray(T_camera_face), face.width, face.height, weight, view.color,
-            view.state, view.near, view.far,
-        )  # fmt: skip
+        intrinsics, T = map(np.ascontiguousarray, (frame.intrinsics, T_camera_face))
+        photo = _Photo(frame.color, depth, frame.depth is not None, intrinsics, T)
+        _sample(photo, face.width, face.height, weight, view)
 
 
 @njit(cache=True)
-def _sample(
-    image: np.ndarray,
-    depth: np.ndarray,
-    has_depth: bool,
-    intrinsics: np.ndarray,
-    T_camera_face: np.ndarray,
-    width: float,
-    height: float,
-    weight: float,
-    color: np.ndarray,
-    state: np.ndarray,
-    near: np.ndarray,
-    far: np.ndarray,
-) -> None:
-    """Look along the ray through every pixel of a face, and add to what is known of it."""
+def _sample(photo: _Photo, width: float, height: float, weight: float, view: _View) -> None:
+    """Look along the ray through every pixel of a face, and add to what is known of it.
+
+    Args:
+        photo: What is looked at.
+        width, height: Size of the face [m].
+        weight: By which its depth counts.
+        view: What is known, in place.
+    """
+    image, depth, intrinsics, T = photo.image, photo.depth, photo.intrinsics, photo.T_camera_face
+    color, state = view.color, view.state
     rows, columns = state.shape
     tall, wide = image.shape[:2]
-    T = T_camera_face
     fx, fy, cx, cy = intrinsics[0, 0], intrinsics[1, 1], intrinsics[0, 2], intrinsics[1, 2]
     for i in range(rows):
         y = height * (0.5 - (i + 0.5) / rows)
@@ -192,15 +195,15 @@ def _sample(
             if u < 0.0 or v < 0.0 or u > wide - 1.001 or v > tall - 1.001:
                 continue
             found = CLEAR
-            if has_depth:
+            if photo.has_depth:
                 z = depth[int(v + 0.5), int(u + 0.5)]
                 if z > 0.0:
                     # The measured point lies on the same ray, at z instead of pz.
                     out = T[0, 2] * px + T[1, 2] * py + T[2, 2] * pz
                     height_map = (z / pz - 1.0) * out
-                    sums = near
+                    sums = view.near
                     if abs(height_map) > APART:
-                        found, sums = HIDDEN, far
+                        found, sums = HIDDEN, view.far
                     sums[i, j, 0] += weight * height_map
                     sums[i, j, 1] += weight
             if found <= state[i, j]:
