@@ -87,7 +87,7 @@ class Simulation:
         )
 
     def attach(self, *, turns: bool = False) -> None:
-        """Weld the part to the tool as they are now; one that turns holds the tool's origin alone."""
+        """Weld the part to the tool as they are; where it turns, by the tool's origin alone."""
         T_tool_part = invert(self.T_world_tool) @ self.T_world_part
         values = self.model.eq_data[self.weld]
         values[:3] = invert(T_tool_part)[:3, 3]  # the tool's origin, in the part
