@@ -1,0 +1,109 @@
+"""Doors that no single hold opens: pulled ajar, then pushed on from behind."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from momapos.base_pose import check_base_pose
+from momapos.config import PipelineConfig
+from momapos.manipulation.tasks import make_task
+from momapos.pipeline import plan_base_placement
+from momapos.plans import read_plan, write_plan
+from momapos.prepare import PreparedTask, prepare
+from momapos.reachability.map import ReachMap
+from momapos.reachability.store import load_reach_map
+from momapos.regrasp import every_two_holds
+from momapos.robots.robot import Robot, load_robot
+from momapos.scene.files import load_scene
+from momapos.scene.scene import Scene
+from momapos.types import Motion, PlacementPlan
+from momapos.verification.files import verify_files
+
+CONFIG = PipelineConfig()
+
+
+@pytest.fixture(scope="module")
+def robot() -> Robot:
+    return load_robot("segway_ur5e")
+
+
+@pytest.fixture(scope="module")
+def reach(robot: Robot, tmp_path_factory: pytest.TempPathFactory) -> ReachMap:
+    return load_reach_map(robot, tmp_path_factory.mktemp("maps"))
+
+
+@pytest.fixture(scope="module")
+def kitchen() -> Scene:
+    return load_scene("kitchen_island")
+
+
+@pytest.fixture(scope="module")
+def plan(kitchen: Scene, robot: Robot, reach: ReachMap) -> PlacementPlan:
+    task = make_task(kitchen, "open", "cabinet_back", "door_hinge")
+    return plan_base_placement(kitchen, robot, task, reach).plan
+
+
+def motion_of(plan: PlacementPlan) -> Motion:
+    assert plan.motion is not None, plan.status
+    return plan.motion
+
+
+def ready(kitchen: Scene, robot: Robot, item: str, joint: str) -> PreparedTask:
+    task = make_task(kitchen, "open", item, joint)
+    return prepare(kitchen, robot, task, CONFIG, clearance=0.0)
+
+
+def test_a_door_is_pulled_ajar_and_pushed_open_from_one_base_pose(plan: PlacementPlan) -> None:
+    motion = motion_of(plan)
+    pull, push = motion.holds
+    assert (pull.family, push.family) == ("pinch", "push")
+    assert pull.first == 0
+    assert push.last == len(motion.q) - 1
+    between = motion.object_q[pull.last : push.first + 1]
+    assert np.ptp(between) == 0.0
+    assert 0.0 < between[0] < motion.object_q[-1]
+
+
+def test_the_hand_draws_back_before_it_goes_behind_the_door(plan: PlacementPlan) -> None:
+    motion = motion_of(plan)
+    pull, push = motion.holds
+    tool = motion.Ts_world_tool[pull.last : push.first + 1, :3, 3]
+    away = np.linalg.norm(tool - tool[0], axis=1)
+    assert away.max() > CONFIG.motion.grasps.pregrasp - 1e-6
+
+
+def test_both_holds_pass_the_check_of_files(plan: PlacementPlan, tmp_path: Path) -> None:
+    write_plan(plan, tmp_path / "plan.json")
+    report = verify_files(tmp_path / "plan.json")
+    assert not report.violations
+    names = {check.name for check in report.checks}
+    assert "object moves while nothing holds it" in names
+    assert read_plan(tmp_path / "plan.json").motion is not None
+
+
+def test_one_base_pose_is_asked_for_two_holds_as_well(
+    plan: PlacementPlan, kitchen: Scene, robot: Robot, reach: ReachMap
+) -> None:
+    assert plan.base_pose is not None
+    attempt = check_base_pose(kitchen, robot, plan.task, plan.base_pose, reach, how_far=False)
+    assert attempt.motion is not None
+    assert len(attempt.motion.holds) == 2
+
+
+def test_a_door_that_would_fall_is_not_let_go(kitchen: Scene, robot: Robot) -> None:
+    assert every_two_holds(ready(kitchen, robot, "dishwasher", "door_hinge"), CONFIG, 0) == ()
+
+
+def test_a_drawer_is_not_pushed_from_behind(kitchen: Scene, robot: Robot) -> None:
+    assert (
+        every_two_holds(ready(kitchen, robot, "cabinet_left", "drawer_top_slide"), CONFIG, 0) == ()
+    )
+
+
+def test_a_door_that_is_opened_a_little_needs_no_second_hold(kitchen: Scene, robot: Robot) -> None:
+    task = make_task(kitchen, "open", "cabinet_back", "door_hinge", "25deg")
+    prepared = prepare(kitchen, robot, task, CONFIG, clearance=0.0)
+    assert every_two_holds(prepared, CONFIG, 0) == ()
