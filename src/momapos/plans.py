@@ -14,10 +14,11 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import numpy as np
 
+from momapos import plan_members as members
 from momapos.cache import write_atomic
 from momapos.errors import FileFormatError, InputError
 from momapos.files import read_bytes_bounded
-from momapos.types import Candidates, Hold, KeyObjects, Motion, PlacementPlan, Status, Task, Verb
+from momapos.types import Candidates, Hold, KeyObjects, Motion, PlacementPlan, Task
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -160,87 +161,6 @@ def _portable(name: str, plan: Path, what: str) -> str:
 # ------------------------------------------------------------------------------------------ reading
 
 
-class _Robot(msgspec.Struct):
-    name: str
-    urdf: str
-    base_link: str
-    tool_link: str
-    file: str | None = None
-    srdf: str | None = None
-    rest: dict[str, float] = {}
-
-
-class _Task(msgspec.Struct):
-    verb: Verb
-    object: str
-    joint: str | None = None
-    to: float | None = None
-    farthest: bool = False
-
-
-class _Pose(msgspec.Struct):
-    x: float
-    y: float
-    yaw: float
-
-
-class _Manipulation(msgspec.Struct):
-    q: list[list[float]]
-    object_q: list[float]
-    T_world_tool: list[list[list[float]]]
-    times: list[float] | None = None
-    holds: list[tuple[int, int]] = []
-    turn_axes: list[tuple[float, float, float] | None] = []
-    families: list[str] = []
-
-
-class _Candidates(msgspec.Struct):
-    sampled: int = 0
-    checked: int = 0
-    rejections: dict[str, int] = {}
-
-
-class _Importance(msgspec.Struct):
-    scorer: str
-    alpha: float
-    names: list[str]
-    scores: dict[str, float]
-    rounds: int = 0
-
-
-class _Plan(msgspec.Struct):
-    scene: str
-    robot: _Robot
-    task: _Task
-    status: Status
-    joints: list[str]
-    scene_joints: dict[str, dict[str, float]] = {}
-    feasible_to: float | None = None
-    feasible_from: _Pose | None = None
-    start: _Pose | None = None
-    base_pose: _Pose | None = None
-    base_path: list[list[float]] | None = None
-    approach: list[list[float]] = []
-    approach_times: list[float] | None = None
-    manipulation: _Manipulation | None = None
-    navigation_cost: float | None = None
-    candidates: _Candidates = msgspec.field(default_factory=_Candidates)
-    importance: _Importance | None = None
-    timing: dict[str, float] = {}
-    method: str = ""
-    seed: int = 0
-    versions: dict[str, str] = {}
-
-
-class _Hashes(msgspec.Struct):
-    hashes: dict[str, str] = {}
-
-
-class _PlanHead(msgspec.Struct):
-    format: Any = None
-    version: Any = None
-
-
 def read_plan(path: Path) -> PlacementPlan:
     """Read a plan file.
 
@@ -250,7 +170,7 @@ def read_plan(path: Path) -> PlacementPlan:
         FileFormatError: It is no plan that can be used; one line says what is wrong and where.
     """
     content = _content(path)
-    head = _decode(content, _PlanHead, path)
+    head = _decode(content, members.PlanHead, path)
     if head.format != FORMAT:
         raise FileFormatError(
             f'{path}: not a plan; a plan has "format": {FORMAT!r}, this file has '
@@ -261,7 +181,7 @@ def read_plan(path: Path) -> PlacementPlan:
             f"{path}: version {head.version!r:.60} of the plan format; this momapos reads version "
             f"{VERSION}"
         )
-    data = _decode(content, _Plan, path)
+    data = _decode(content, members.Plan, path)
     _check(data, path)
     return _record(data, path)
 
@@ -280,7 +200,7 @@ def check_unchanged(path: Path, scene: Path, urdf: Path) -> None:
     Raises:
         InputError: One of them has changed since the plan was written.
     """
-    hashes = _decode(_content(path), _Hashes, path).hashes
+    hashes = _decode(_content(path), members.Hashes, path).hashes
     for what, file in (("scene", scene), ("robot", urdf)):
         if what in hashes and hashes[what] != _sha256(file):
             raise InputError(
@@ -306,7 +226,7 @@ def _decode(content: bytes, kind: type[Any], path: Path) -> Any:
         ) from error
 
 
-def _check(data: _Plan, path: Path) -> None:
+def _check(data: members.Plan, path: Path) -> None:
     """What the types do not say."""
 
     def need(met: bool, message: str) -> None:
@@ -334,7 +254,7 @@ def _check(data: _Plan, path: Path) -> None:
         need(data.manipulation is not None, "manipulation is missing; a solved plan has one")
 
 
-def _record(data: _Plan, path: Path) -> PlacementPlan:
+def _record(data: members.Plan, path: Path) -> PlacementPlan:
     robot = data.robot
     folder = path.resolve().parent
     return PlacementPlan(
@@ -368,7 +288,7 @@ def _record(data: _Plan, path: Path) -> PlacementPlan:
     )
 
 
-def _triple(pose: _Pose | None) -> tuple[float, float, float] | None:
+def _triple(pose: members.Pose | None) -> tuple[float, float, float] | None:
     return None if pose is None else (pose.x, pose.y, pose.yaw)
 
 
@@ -377,7 +297,7 @@ def _robot_file(name: str | None, folder: Path) -> str | None:
     return name if name is None or not name.endswith(".toml") else _located(name, folder)
 
 
-def _key_objects(data: _Importance | None) -> KeyObjects | None:
+def _key_objects(data: members.Importance | None) -> KeyObjects | None:
     if data is None:
         return None
     return KeyObjects(data.scorer, data.alpha, tuple(data.names), data.scores, data.rounds)
@@ -394,7 +314,7 @@ def _is_file(path: Path) -> bool:
         return False
 
 
-def _motion(data: _Plan, path: Path) -> Motion | None:
+def _motion(data: members.Plan, path: Path) -> Motion | None:
     motion, n = data.manipulation, len(data.joints)
     if motion is None:
         return None
@@ -418,7 +338,7 @@ def _motion(data: _Plan, path: Path) -> Motion | None:
     )
 
 
-def _holds(motion: _Manipulation, path: Path) -> tuple[Hold, ...]:
+def _holds(motion: members.Manipulation, path: Path) -> tuple[Hold, ...]:
     """Ranges of states in order, within the manipulation, with unit axes or none."""
     axes = motion.turn_axes or [None] * len(motion.holds)
     bounds = [-1, *(state for hold in motion.holds for state in hold), len(motion.q)]
