@@ -138,10 +138,12 @@ def _timed_approach(
     left = np.linalg.norm(np.diff(tool, axis=0), axis=1)[::-1].cumsum()[::-1]
     near = int(np.argmax(left <= compliance.near)) if left[-1] <= compliance.near else len(left) - 1
     speed = replace(config.speed, tool_speed=compliance.near_speed)
-    slow = replace(motion, q=path[near:], Ts_world_tool=_poses(tool[near:]))
+    slow = Motion(path[near:], path[near:], np.zeros(len(path) - near), _poses(tool[near:]))
     if near == 0:
         return time_motion(robot, slow, speed, step)[1]
-    away = time_motion(robot, replace(motion, approach=path[: near + 1]), config.speed, step)[0]
+    away = time_motion(
+        robot, replace(motion, approach=path[: near + 1], approach_times=None), config.speed, step
+    )[0]
     return joined([away, time_motion(robot, slow, speed, step)[1]])[0]
 
 
