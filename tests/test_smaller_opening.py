@@ -15,8 +15,9 @@ from momapos.base_pose import check_base_pose
 from momapos.cli.main import main
 from momapos.config import PipelineConfig
 from momapos.farthest import last_that_works
+from momapos.farthest_plan import farthest_plan
 from momapos.manipulation.tasks import make_task
-from momapos.pipeline import farthest_plan, plan_base_placement
+from momapos.pipeline import answer, plan_base_placement
 from momapos.placement.config import PlaceConfig
 from momapos.plans import read_plan
 from momapos.query import PlacementQuery
@@ -125,10 +126,10 @@ def test_a_search_for_the_farthest_says_whether_its_time_was_enough(tmp_path: Pa
     watch = Stopwatch(lambda: 0.0)
     query = PlacementQuery(room, robot, task, Everywhere(), None, None, config, 0, watch)
     values = np.radians([10.0])
-    none, enough = farthest_plan(query, values, within=1, timeout=0.0)
+    none, enough = farthest_plan(query, answer, values, within=1, timeout=0.0)
     assert none is None
     assert not enough
-    found, enough = farthest_plan(query, values, within=1, timeout=100.0)
+    found, enough = farthest_plan(query, answer, values, within=1, timeout=100.0)
     assert found is not None
     assert found.plan.task.to == values[0]
     assert enough

@@ -15,11 +15,11 @@ import numpy as np
 
 from momapos.config import PipelineConfig
 from momapos.expand_model import expand_model, first_selection
-from momapos.farthest import farthest_answer, values_before, values_per_waypoint
+from momapos.farthest_plan import as_far_as_possible
 from momapos.importance.key_objects import Selection
 from momapos.importance.rank import rank
 from momapos.manipulation.motion import TaskMotion, task_motion
-from momapos.manipulation.tasks import hand_path, slides
+from momapos.manipulation.tasks import hand_path
 from momapos.navigation.global_path import BasePath, plan_path
 from momapos.outcomes import PoseOutcome, PoseStatus
 from momapos.placement.place import AttemptPose, PoseFilter, Problem, search
@@ -38,8 +38,6 @@ if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
 DEFAULT = PipelineConfig()
-LEAST_TIMEOUT = 0.001
-"""No search is begun with less time than this [s]."""
 
 
 def plan_base_placement(
@@ -84,10 +82,11 @@ def plan_base_placement(
     if reach is None:
         reach = load_reach_map(robot, cache_dir)
     query = PlacementQuery(scene, robot, task, reach, start, pose_filter, config, seed, watch)
-    return _as_far_as_possible(query) if task.farthest else _answer(query)
+    return as_far_as_possible(query, answer) if task.farthest else answer(query)
 
 
-def _answer(query: PlacementQuery) -> PlacementResult:
+def answer(query: PlacementQuery) -> PlacementResult:
+    """The answer for the value that the task names."""
     scene, robot, task, config = query.scene, query.robot, query.task, query.config
     watch = query.watch
     with watch.stage("importance"):
@@ -177,75 +176,3 @@ def _search(query: PlacementQuery, selection: Selection, motion: TaskMotion) -> 
                 break
     path = None if found.base is None else paths.get(found.base.tobytes())
     return PlacementResult(plan_of(query, found, start, path), prepared, found, start)
-
-
-def _as_far_as_possible(query: PlacementQuery) -> PlacementResult:
-    """The answer for the farthest value up to the task's that has one."""
-    task, config, watch = query.task, query.config, query.watch
-    assert task.to is not None
-    at_once = answer_to(query, task.to, by_samples(config))
-    if at_once.plan.status == "solved":
-        best, sure = at_once, True
-    else:
-        values = np.append(values_short_of(query), task.to)
-        found, sure = farthest_plan(query, values, within=1, timeout=config.timeout)
-        left = max(config.timeout - watch.total, LEAST_TIMEOUT)
-        best = found or answer_to(query, task.to, replace(config, timeout=left))
-    known = replace(best.plan.task, farthest=sure and best.plan.status == "solved")
-    timing = {**watch.seconds, "total": watch.total}
-    return replace(best, plan=replace(best.plan, task=known, timing=timing))
-
-
-def farthest_plan(
-    query: PlacementQuery, values: Float[np.ndarray, " k"], *, within: int, timeout: float
-) -> tuple[PlacementResult | None, bool]:
-    """Find the farthest of some values for which there is a plan.
-
-    Args:
-        query: What is asked; the value of its task does not count.
-        values: The values, the nearest to where the part is first [rad] or [m].
-        within: The answer is at most so many values before one that the grid rules out [-].
-        timeout: Time for it, counted by the query's stopwatch from its beginning [s].
-
-    Returns:
-        The answer to that value, if any has one; and whether the time was enough.
-    """
-    config, in_time = query.config, True
-
-    def ask(value: float, thorough: bool) -> PlacementResult | None:
-        nonlocal in_time
-        left = timeout - query.watch.total
-        if left < LEAST_TIMEOUT:
-            in_time = False
-            return None
-        how = replace(config if thorough else by_samples(config), timeout=left)
-        result = answer_to(query, value, how)
-        in_time &= result.plan.status != "timeout"
-        return result if result.plan.status == "solved" else None
-
-    waypoint = values_per_waypoint(config.motion, slides=slides(query.scene, query.task))
-    return farthest_answer(ask, values, waypoint=waypoint, within=within), in_time
-
-
-def values_short_of(query: PlacementQuery) -> Float[np.ndarray, " k"]:
-    """Whole degrees or centimeters between where the part is and where it shall go [rad] or [m]."""
-    task = query.task
-    assert task.joint is not None
-    assert task.to is not None
-    begin = query.scene.object(task.object).values()[task.joint]
-    return values_before(begin, task.to, slides=slides(query.scene, task))
-
-
-def answer_to(query: PlacementQuery, value: float, config: PipelineConfig) -> PlacementResult:
-    """The answer to the same question about another value; its time is added to the query's."""
-    task = replace(query.task, to=float(value), farthest=False)
-    watch = Stopwatch(query.watch.clock)
-    result = _answer(replace(query, task=task, config=config, watch=watch))
-    for stage, seconds in watch.seconds.items():
-        query.watch.seconds[stage] = query.watch.seconds.get(stage, 0.0) + seconds
-    return result
-
-
-def by_samples(config: PipelineConfig) -> PipelineConfig:
-    """A quick search: one round of samples, and no grid where none of them works."""
-    return replace(config, place=replace(config.place, rounds=1, grid=False, method="ours"))

@@ -9,8 +9,9 @@ import numpy as np
 
 from momapos.config import PipelineConfig
 from momapos.farthest import values_per_waypoint
+from momapos.farthest_plan import farthest_plan, values_short_of
 from momapos.manipulation.tasks import slides
-from momapos.pipeline import farthest_plan, values_short_of
+from momapos.pipeline import answer
 from momapos.protocols import Clock, ReachScorer
 from momapos.query import PlacementQuery
 from momapos.robots.robot import Robot
@@ -53,7 +54,7 @@ def smaller_opening(
     query = PlacementQuery(scene, robot, task, reach, start, None, config, plan.seed, watch)
     waypoint = values_per_waypoint(config.motion, slides=slides(scene, task))
     values = values_short_of(query)
-    best, _ = farthest_plan(query, values, within=waypoint, timeout=TIMEOUT)
+    best, _ = farthest_plan(query, answer, values, within=waypoint, timeout=TIMEOUT)
     if best is None:
         return plan
     return replace(plan, feasible_to=best.plan.task.to, feasible_from=best.plan.base_pose)
