@@ -206,8 +206,9 @@ def _attempt(query: PlacementQuery, base: Float[np.ndarray, "3"]) -> _Look:
     attempt = Attempt(None, screened[0].outcome)
     if screened[0].q is not None:
         attempt = feasible(base, screened[0], np.argsort(-scores[0], kind="stable"))
-    ready = every_two_holds(prepared, query.config, query.seed) if attempt.motion is None else ()
-    for two in ready:
+    if attempt.motion is not None:
+        return _Look(prepared, attempt)
+    for two in every_two_holds(prepared, query.config, query.seed):
         again = two.at(base, query.reach)
         if again.motion is not None:
             return _Look(prepared, again)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -164,23 +164,29 @@ def every_two_holds(
     *,
     out_of_time: Callable[[], bool] = lambda: False,
     watch: Stopwatch | None = None,
-) -> tuple[TwoHolds, ...]:
-    """Make a task ready to be done in two holds, for each value at which the hand may let go."""
+) -> Iterator[TwoHolds]:
+    """Make a task ready to be done in two holds, for each value at which the hand may let go.
+
+    Each is made when it is asked for: mostly the first is enough.
+    """
     watch = watch or Stopwatch(lambda: 0.0)
-    if whole.infeasible_reason:
-        return ()
-    ready = (_two_holds(whole, config, seed, ajar, out_of_time, watch) for ajar in AJAR)
-    return tuple(two for two in ready if two is not None)
+    for ajar in () if whole.infeasible_reason else AJAR:
+        two = _two_holds(whole, config, seed, ajar, out_of_time, watch)
+        if two is not None:
+            yield two
 
 
 def two_hold_searches(
-    ready: tuple[TwoHolds, ...], place: PlaceConfig
+    ready: Iterable[TwoHolds], place: PlaceConfig
 ) -> Iterator[tuple[TwoHolds, PlaceConfig]]:
     """Searches to be tried in turn: samples for every value first, the grids after them."""
-    rounds = (replace(place, grid=False), replace(place, rounds=0)) if place.grid else (place,)
-    for each in rounds:
-        for two in ready:
-            yield two, each
+    sampled = []
+    for two in ready:
+        sampled.append(two)
+        yield two, replace(place, grid=False)
+    if place.grid:
+        for two in sampled:
+            yield two, replace(place, rounds=0)
 
 
 def _two_holds(

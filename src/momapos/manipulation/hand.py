@@ -62,6 +62,11 @@ class Hand:
         face = low[0] if side > 0 else high[0]
         return float(face), np.array([low[1:], high[1:]])
 
+    def finger_reach(self, axes: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " k"]:
+        """How far the fingers stick out of the tool's origin along axes of its frame [m]."""
+        reach = self.boxes.center @ axes.T + _reach(self.boxes, axes)
+        return reach[self.side != 0].max(0)
+
 
 def _reach(boxes: Boxes, axes: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "b k"]:
     """How far boxes stick out of their centers along axes [m]."""

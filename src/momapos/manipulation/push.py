@@ -11,6 +11,7 @@ from momapos.kinematics.articulated import Articulated
 from momapos.manipulation.config import GraspConfig
 from momapos.manipulation.hand import Hand, hand_of
 from momapos.manipulation.handles import Handle, front_face
+from momapos.manipulation.part_grasps import grasp_frames
 from momapos.robots.robot import Robot
 
 if TYPE_CHECKING:
@@ -51,15 +52,11 @@ def push_from_behind(
     )  # fmt: skip
     lean, tilt, point, roll = (g.ravel() for g in grid)
     # From along the panel the fingers lean into it, which is against its outward normal there.
-    R = _turned(np.cross(inward, -back.out), lean) @ _turned(back.out, tilt)
+    R = rotation_about(np.cross(inward, -back.out), lean) @ rotation_about(back.out, tilt)
     approach = R @ inward
     closing = np.einsum("gij,gj->gi", rotation_of(approach * roll[:, None]), R @ back.long)
-    axes = np.stack([approach, closing, np.cross(approach, closing)], axis=-1)
-    a, c = hand.approach, hand.closing
-    R_part_tool = axes @ np.stack([a, c, np.cross(a, c)])
-    p = _touching(hand, back, inward, R_part_tool) + point[:, None] * back.long
-    T = np.tile(np.eye(4), (len(p), 1, 1))
-    T[:, :3, :3], T[:, :3, 3] = R_part_tool, p
+    T = grasp_frames(robot, point[:, None] * back.long, approach, closing)
+    T[:, :3, 3] += _touching(hand, back, inward, T[:, :3, :3])
     return back, T, np.abs(lean - np.radians(LEANS[1])) + np.abs(tilt) + 5 * np.abs(point)
 
 
@@ -67,15 +64,5 @@ def _touching(
     hand: Hand, back: Handle, inward: Float[np.ndarray, "3"], R: Float[np.ndarray, "g 3 3"]
 ) -> Float[np.ndarray, "g 3"]:
     """Tool origins at which the fingers touch the back, their tips at its middle point."""
-    signs = np.stack(np.meshgrid(*[(-1, 1)] * 3, indexing="ij"), -1).reshape(-1, 3)
-    boxes = hand.boxes
-    corners = np.einsum("bij,bkj->bki", boxes.rotation, signs * boxes.half[:, None])
-    points = (boxes.center[:, None] + corners)[hand.side != 0].reshape(-1, 3)
-    fingers = points @ R.transpose(0, 2, 1)
-    reach = (fingers @ inward).max(1)
-    toward = (fingers @ -back.out).max(1)
+    reach, toward = hand.finger_reach(inward @ R), hand.finger_reach(-back.out @ R)
     return back.center - reach[:, None] * inward + toward[:, None] * back.out
-
-
-def _turned(axis: Float[np.ndarray, "3"], angle: Float[np.ndarray, " g"]) -> np.ndarray:
-    return np.asarray(rotation_about(axis / np.linalg.norm(axis), angle))
