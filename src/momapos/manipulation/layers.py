@@ -181,7 +181,7 @@ def joint_step(a, b, full_turn, scale, limit):
     for k in range(len(a)):
         d = b[k] - a[k]
         if full_turn[k]:
-            d -= 2.0 * np.pi * np.round(d / (2.0 * np.pi))
+            d -= 2.0 * np.pi * np.floor(d / (2.0 * np.pi) + 0.5)
         worst = max(worst, abs(d) * scale[k])
         if worst > limit:
             break
