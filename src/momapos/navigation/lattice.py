@@ -156,10 +156,10 @@ def astar(
     cost, parent = first.copy(), np.full(first.size, -1, np.int64)
     done = np.zeros(first.size, np.bool_)
     queue = [(np.inf, np.int64(-1))]
-    for state in range(first.size):
-        bound = ahead[(state % area) // columns, state % columns]
-        if np.isfinite(first[state]) and np.isfinite(bound):
-            heapq.heappush(queue, (first[state] + bound, state))
+    for attached in range(first.size):
+        bound = ahead[(attached % area) // columns, attached % columns]
+        if np.isfinite(first[attached]) and np.isfinite(bound):
+            heapq.heappush(queue, (first[attached] + bound, np.int64(attached)))
     best, end = np.inf, np.int64(-1)
     a, b = np.zeros(3), np.zeros(3)
     directions = turns if omni else 2
