@@ -20,22 +20,20 @@ from momapos.importance.key_objects import Selection
 from momapos.importance.rank import rank
 from momapos.manipulation.motion import TaskMotion, task_motion
 from momapos.manipulation.tasks import hand_path
-from momapos.navigation.global_path import BasePath, plan_path
-from momapos.outcomes import PoseOutcome, PoseStatus
-from momapos.placement.place import AttemptPose, PoseFilter, Problem, search
-from momapos.placement_result import PlacementResult, plan_of
-from momapos.prepare import driving_lengths, prepare, start_pose
+from momapos.placement.place import PoseFilter, search
+from momapos.placement_result import PlacementResult
 from momapos.protocols import Clock, ReachScorer
 from momapos.query import PlacementQuery
 from momapos.reachability.store import load_reach_map
-from momapos.regrasp import every_two_holds, two_hold_searches
+from momapos.ready_search import ready_search
+from momapos.regrasp import two_hold_searches
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene
 from momapos.stopwatch import Stopwatch
-from momapos.types import ArmPathResult, Attempt, Task
+from momapos.types import Task
 
 if TYPE_CHECKING:
-    from jaxtyping import Float, Int
+    from jaxtyping import Float
 
 DEFAULT = PipelineConfig()
 
@@ -112,67 +110,19 @@ def answer(query: PlacementQuery) -> PlacementResult:
 
 def _search(query: PlacementQuery, selection: Selection, motion: TaskMotion) -> PlacementResult:
     """Search base poses with the selected objects modeled."""
-    robot, config, watch = query.robot, query.config, query.watch
-    modeled = query.scene.with_box_proxies(selection.names)
-    clearance = config.place.clearance
-    prepared = prepare(
-        modeled, robot, query.task, config, clearance=clearance, motion=motion, watch=watch
-    )
-    with watch.stage("drive"):
-        start = start_pose(query.scene, robot, prepared.motion, query.start, query.nav_map)
-        travel_cost = driving_lengths(prepared, start)
-
-    # What is compiled and read before, once after installation, is not the search's time.
-    left, begun = config.timeout - watch.seconds.get("search", 0.0), watch.clock()
-
-    def out_of_time() -> bool:
-        return watch.clock() - begun > left
-
-    feasible = prepared.feasibility(config, query.seed, out_of_time=out_of_time, watch=watch)
-    paths: dict[bytes, BasePath | None] = {}
-
-    def drivable(check: AttemptPose) -> AttemptPose:
-        """A motion at a base pose that can be driven to with the arm at home."""
-
-        def attempt(
-            base: Float[np.ndarray, "3"], screened: ArmPathResult, ways: Int[np.ndarray, " k"]
-        ) -> Attempt:
-            found = check(base, screened, ways)
-            if found.motion is None:
-                return found
-            with watch.stage("way"):
-                path = paths[base.tobytes()] = plan_path(query.nav_map, start, base)
-            if path is None:
-                return Attempt(None, PoseOutcome(PoseStatus.NO_ROUTE_AT_HOME))
-            return found
-
-        return attempt
-
-    problem = Problem(
-        geometry=prepared.geometry,
-        reach=query.reach,
-        ways=prepared.ways,
-        travel_cost=travel_cost,
-        attempt=drivable(feasible),
-        screen=feasible.screen,
-        infeasible_reason=prepared.infeasible_reason,
-        start=start,
-        out_of_time=out_of_time,
-        pose_filter=query.pose_filter,
-    )
+    place, watch = query.config.place, query.watch
+    ready = ready_search(query, query.scene.with_box_proxies(selection.names), motion)
     # Only a room without stand-ins can tell that there is no base pose at all; in any other one
     # round of samples has to do.
-    brief = replace(config.place, grid=False, rounds=min(1, config.place.rounds))
-    search_config = brief if selection.boxes else config.place
+    brief = replace(place, grid=False, rounds=min(1, place.rounds))
+    config = brief if selection.boxes else place
     with watch.stage("search"):
-        found = search(problem, search_config, np.random.default_rng(query.seed))
+        found = search(ready.problem, config, np.random.default_rng(query.seed))
     if found.is_no and not selection.boxes:
-        ready = every_two_holds(prepared, config, query.seed, out_of_time=out_of_time, watch=watch)
-        for two, place in two_hold_searches(ready, search_config):
-            again = replace(two.problem(problem), attempt=drivable(two))
+        for two, again in two_hold_searches(ready.two_holds(), config):
+            problem = ready.in_two_holds(two)
             with watch.stage("search"):
-                found.join(search(again, place, np.random.default_rng(query.seed)))
+                found.join(search(problem, again, np.random.default_rng(query.seed)))
             if not found.is_no:
                 break
-    path = None if found.base is None else paths.get(found.base.tobytes())
-    return PlacementResult(plan_of(query, found, start, path), prepared, found, start)
+    return ready.result(found)

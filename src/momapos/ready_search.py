@@ -1,0 +1,125 @@
+"""A question made ready to be searched: what every way to choose base poses shares."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from momapos.manipulation.motion import TaskMotion
+from momapos.navigation.global_path import BasePath, plan_path
+from momapos.outcomes import PoseOutcome, PoseStatus
+from momapos.placement.place import AttemptPose, Problem, Search
+from momapos.placement_result import PlacementResult, plan_of
+from momapos.prepare import PreparedTask, driving_lengths, prepare, start_pose
+from momapos.query import PlacementQuery
+from momapos.regrasp import TwoHolds, every_two_holds
+from momapos.scene.scene import Scene
+from momapos.types import ArmPathResult, Attempt
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
+
+
+@dataclass(frozen=True)
+class ReadySearch:
+    """A question with its room modeled, and the checks of its base poses."""
+
+    query: PlacementQuery
+    prepared: PreparedTask
+    problem: Problem
+    """One hold, or one hand that turns about a bar."""
+    drives: Drives
+
+    def two_holds(self) -> Iterator[TwoHolds]:
+        """The task in two holds, for each value at which the hand may let go."""
+        query = self.query
+        return every_two_holds(
+            self.prepared, query.config, query.seed,
+            out_of_time=self.problem.out_of_time, watch=query.watch,
+        )  # fmt: skip
+
+    def in_two_holds(self, two: TwoHolds) -> Problem:
+        """The same problem, to be done in two holds."""
+        return replace(two.problem(self.problem), attempt=self.drives.drivable(two))
+
+    def result(self, found: Search) -> PlacementResult:
+        """The answer that a search leads to."""
+        start = self.problem.start
+        plan = plan_of(self.query, found, start, self.drives.path(found.base))
+        return PlacementResult(plan, self.prepared, found, start)
+
+
+@dataclass(frozen=True)
+class Drives:
+    """The ways to base poses with the arm at home."""
+
+    query: PlacementQuery
+    start: Float[np.ndarray, "3"]
+    _paths: dict[bytes, BasePath | None] = field(default_factory=dict)
+
+    def path(self, base: Float[np.ndarray, "3"] | None) -> BasePath | None:
+        """The way to a base pose that was checked, if there is one."""
+        return None if base is None else self._paths.get(base.tobytes())
+
+    def drivable(self, check: AttemptPose) -> AttemptPose:
+        """A check that asks for a way to the base pose as well."""
+
+        def attempt(
+            base: Float[np.ndarray, "3"], screened: ArmPathResult, ways: Int[np.ndarray, " k"]
+        ) -> Attempt:
+            found = check(base, screened, ways)
+            if found.motion is None:
+                return found
+            with self.query.watch.stage("way"):
+                path = self._paths[base.tobytes()] = plan_path(self.query.nav_map, self.start, base)
+            if path is None:
+                return Attempt(None, PoseOutcome(PoseStatus.NO_ROUTE_AT_HOME))
+            return found
+
+        return attempt
+
+
+def ready_search(query: PlacementQuery, modeled: Scene, motion: TaskMotion) -> ReadySearch:
+    """Make a question ready.
+
+    Args:
+        query: What is asked.
+        modeled: The room as it is to be modeled.
+        motion: The task's motion in any version of the room.
+
+    Raises:
+        SceneError: The start is no free pose.
+    """
+    robot, config, watch = query.robot, query.config, query.watch
+    clearance = config.place.clearance
+    prepared = prepare(
+        modeled, robot, query.task, config, clearance=clearance, motion=motion, watch=watch
+    )
+    with watch.stage("drive"):
+        start = start_pose(query.scene, robot, prepared.motion, query.start, query.nav_map)
+        travel_cost = driving_lengths(prepared, start)
+
+    # What is compiled and read before, once after installation, is not the search's time.
+    left, begun = config.timeout - watch.seconds.get("search", 0.0), watch.clock()
+
+    def out_of_time() -> bool:
+        return watch.clock() - begun > left
+
+    feasible = prepared.feasibility(config, query.seed, out_of_time=out_of_time, watch=watch)
+    drives = Drives(query, start)
+    problem = Problem(
+        geometry=prepared.geometry,
+        reach=query.reach,
+        ways=prepared.ways,
+        travel_cost=travel_cost,
+        attempt=drives.drivable(feasible),
+        screen=feasible.screen,
+        infeasible_reason=prepared.infeasible_reason,
+        start=start,
+        out_of_time=out_of_time,
+        pose_filter=query.pose_filter,
+    )
+    return ReadySearch(query, prepared, problem, drives)
