@@ -1,4 +1,5 @@
 from .base_pose import check_base_pose as check_base_pose
+from .baselines.answer import plan_by_method as plan_by_method
 from .config import PipelineConfig as PipelineConfig
 from .errors import MomaposError as MomaposError
 from .importance.config import ImportanceConfig as ImportanceConfig

@@ -4,10 +4,37 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
-from momapos.errors import refuse_below
-from momapos.importance.config import ImportanceConfig, ScorerName
+from momapos.errors import InputError, refuse_below
+from momapos.importance.config import ImportanceConfig, ScorerName, WeightsName
 from momapos.manipulation.config import MotionConfig, PlannerConfig
 from momapos.placement.config import PlaceConfig
+
+
+@dataclass(frozen=True)
+class PaperConfig:
+    """MoMa-Pos as printed (`--method paper`), sections III-C and III-D; see docs/paper.md.
+
+    k0 and alpha are those of importance.
+    """
+
+    samples: int = 100
+    """M: Latin Hypercube samples in the first batch (paper) [-]; each further has twice as many."""
+    batches: int = 4
+    """Batches before alpha is lowered (paper) [-]."""
+    group: int = 10
+    """T: candidates in one open tour (paper) [-]."""
+    k_distance: float = 5 / 6
+    """k1: weight of distance in the open tour (paper) [-]."""
+    k_potential: float = 1 / 6
+    """k1': weight of potential in the open tour (paper) [-]."""
+    heights: tuple[float, ...] = (0.4, 1.0, 1.4)
+    """z: heights from which the field looks at the target (paper) [m]."""
+
+    def __post_init__(self) -> None:
+        refuse_below(self, 1, "samples", "batches", "group")
+        refuse_below(self, 0, "k_distance", "k_potential")
+        if not self.heights:
+            raise InputError("heights must hold at least one number")
 
 
 @dataclass(frozen=True)
@@ -19,6 +46,7 @@ class PipelineConfig:
     """A plan that comes this near to a box has its object modeled, and is checked again [m]."""
     motion: MotionConfig = field(default_factory=MotionConfig)
     place: PlaceConfig = field(default_factory=PlaceConfig)
+    paper: PaperConfig = field(default_factory=PaperConfig)
     planner: PlannerConfig = field(default_factory=PlannerConfig)
     arm_clearance: float = 0.003
     """Distance that the arm's spheres keep from everything [m]."""
@@ -32,5 +60,7 @@ class PipelineConfig:
     @property
     def ranking(self) -> ImportanceConfig:
         """How importance is measured: as asked for, else as the method does."""
-        usual: ScorerName = "deepwalk" if self.place.method == "paper" else "reach"
-        return replace(self.importance, scorer=self.importance.scorer or usual)
+        printed = self.place.method == "paper"
+        scorer: ScorerName = self.importance.scorer or ("deepwalk" if printed else "reach")
+        weights: WeightsName = self.importance.weights or ("printed" if printed else "scaled")
+        return replace(self.importance, scorer=scorer, weights=weights)

@@ -14,12 +14,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.config import PipelineConfig
+from momapos.errors import InputError
 from momapos.expand_model import expand_model, first_selection
 from momapos.farthest_plan import as_far_as_possible
 from momapos.importance.key_objects import Selection
 from momapos.importance.rank import rank
 from momapos.manipulation.motion import TaskMotion, task_motion
 from momapos.manipulation.tasks import hand_path
+from momapos.placement.config import Method
 from momapos.placement.place import PoseFilter, search
 from momapos.placement_result import PlacementResult
 from momapos.protocols import Clock, ReachScorer
@@ -36,6 +38,8 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 DEFAULT = PipelineConfig()
+METHODS: tuple[Method, ...] = ("ours", "exhaustive")
+"""Ways to search that are ours; the others are baselines."""
 
 
 def plan_base_placement(
@@ -75,7 +79,13 @@ def plan_base_placement(
     Raises:
         SceneError: The start is no free pose.
         TaskError: The gripper cannot hold the object.
+        InputError: The configuration names a method that only `plan_by_method` knows.
     """
+    if config.place.method not in METHODS:
+        raise InputError(
+            f"plan_base_placement searches by {' or '.join(METHODS)}, not by "
+            f"{config.place.method!r}; plan_by_method knows the others"
+        )
     watch = Stopwatch(clock)
     if reach is None:
         reach = load_reach_map(robot, cache_dir)

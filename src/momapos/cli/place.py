@@ -176,11 +176,12 @@ def _answer(
 
     import numpy as np
 
+    from momapos.baselines.answer import plan_by_method
     from momapos.cache import user_cache
     from momapos.cli.compile import ANSWER, RANK, WALKS, compile_once
     from momapos.cli.console import busy, progress
     from momapos.manipulation.tasks import make_task
-    from momapos.pipeline import plan_base_placement
+    from momapos.pipeline import METHODS
     from momapos.reachability.store import load_reach_map
     from momapos.robots.robot import load_robot
     from momapos.scene.files import load_scene
@@ -200,10 +201,10 @@ def _answer(
     compile_once(tuple(dict.fromkeys((*ANSWER, *walks))))
     with busy(f"{robot.name}: searching", config.timeout):
         if at is None:
-            answer = plan_base_placement(
+            answer = plan_by_method(
                 scene, robot, task, reach, start=begin, config=config, seed=options.seed
             )
-            if not task.farthest:
+            if not task.farthest and config.place.method in METHODS:
                 plan = smaller_opening(answer.plan, scene, robot, reach, config=config)
                 answer = replace(answer, plan=plan)
         else:

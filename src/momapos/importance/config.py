@@ -12,6 +12,8 @@ MOST = 10_000
 """Bound of every count, so that a typing error does not run for hours [-]."""
 ScorerName = Literal["reach", "deepwalk", "distance", "size", "names"]
 
+WeightsName = Literal["scaled", "printed"]
+
 
 @dataclass(frozen=True)
 class GraphConfig:
@@ -45,6 +47,9 @@ class ImportanceConfig:
     """Objects with a score of at least this are in S, in [0, 1] [-]."""
     k0: float = 0.5
     """Weight of distance against size in the walks, in [0, 1] [-]."""
+    weights: Optional[WeightsName] = None  # noqa: UP045 (see cli.options)
+    """Weights of the walks. printed: k0 / distance + (1 - k0) size in meters, as the paper has it;
+    scaled: both terms in (0, 1]. None: printed for the paper's method of placement, else scaled."""
     walks: int = 15
     """Walks that begin at each object [-]."""
     length: int = 20
@@ -68,6 +73,10 @@ class ImportanceConfig:
             value = getattr(self, name)
             if not least <= value <= MOST:
                 raise InputError(f"{name} must be between {least} and {MOST}, not {value}")
+        if self.weights is not None and self.weights not in get_args(WeightsName):
+            raise InputError(
+                f"no weights {self.weights!r}; there are {', '.join(get_args(WeightsName))}"
+            )
         if self.scorer is not None and self.scorer not in get_args(ScorerName):
             raise InputError(
                 f"no scorer {self.scorer!r}; there are {', '.join(get_args(ScorerName))}"

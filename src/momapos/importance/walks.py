@@ -31,23 +31,24 @@ class Transitions:
         return matrix
 
 
-def transitions(graph: SceneGraph, *, k0: float) -> Transitions:
+def transitions(graph: SceneGraph, *, k0: float, printed: bool = False) -> Transitions:
     """Chances of the next object: P(i, j) = w(i, j) / sum over the neighbors u of w(i, u).
 
     MoMa-Pos, section III-A, prints w = k0 / dist_xy(i, j) + (1 - k0) size(j). The terms have
-    different units, so each is scaled to (0, 1] here, or k0 would mean nothing: the first by the
+    different units, so that k0 means little; scaled, each lies in (0, 1], the first by the
     closest pair of neighbors, the second by the largest object. Edges are walked both ways, or a
     cup on a table would be a dead end.
 
     Args:
         graph: Relations, distances and sizes.
         k0: Weight of the distance against the size, in [0, 1].
+        printed: Whether the terms are taken as they are, in 1/m and m.
     """
     edges = graph.adjacency
     edge = edges.data - 1
-    closest = graph.dist_xy.min(initial=np.inf)
-    near = closest / graph.dist_xy[edge]
-    large = graph.size[edges.indices] / graph.size.max()
+    closest = 1.0 if printed else graph.dist_xy.min(initial=np.inf)
+    largest = 1.0 if printed else graph.size.max()
+    near, large = closest / graph.dist_xy[edge], graph.size[edges.indices] / largest
     weight = k0 * near + (1 - k0) * large
     row = np.repeat(np.arange(len(graph)), np.diff(edges.indptr))
     total = np.bincount(row, weight, minlength=len(graph))

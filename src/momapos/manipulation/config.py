@@ -97,8 +97,9 @@ class MotionConfig:
 class PlannerConfig:
     """How the arm gets from home to the first waypoint."""
 
-    planner: Planner = "RRTConnect"
-    """OMPL's planner; RRTstar is the paper's and uses its whole budget."""
+    planner: Optional[Planner] = None  # noqa: UP045 (see cli.options)
+    """OMPL's planner; RRTstar uses its whole budget. None: RRTstar for the paper's method of
+    placement, else RRTConnect."""
     budget: float = 0.25
     """Time for one motion [s]."""
 

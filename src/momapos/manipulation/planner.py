@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
 RESOLUTION = 0.04
 """Largest joint step at which a motion is checked [rad] or [m]."""
+USUAL = "RRTConnect"
+"""OMPL's planner where none is named."""
 _UNBOUNDED = np.pi
 """Half range in which a joint without limits is sampled, about its start [rad]."""
 
@@ -112,11 +114,12 @@ def _ompl(
         for k in range(n):
             state[k] = float(q[k])
     setup.setStartAndGoalStates(ends[0], ends[1])
-    setup.setPlanner(getattr(og, config.planner)(info))
+    planner = config.planner or USUAL
+    setup.setPlanner(getattr(og, planner)(info))
     solved = setup.solve(config.budget)
     if not solved or "Approximate" in solved.asString():
         return None
-    if config.planner == "RRTConnect":
+    if planner == "RRTConnect":
         setup.simplifySolution(config.budget)
     path = setup.getSolutionPath()
     return np.array([[path.getState(i)[k] for k in range(n)] for i in range(path.getStateCount())])

@@ -7,7 +7,10 @@ from typing import Literal
 
 from momapos.errors import refuse_below
 
-Method = Literal["ours", "paper", "exhaustive"]
+Method = Literal[
+    "ours", "exhaustive",
+    "paper", "habitat", "m3", "reuleaux", "rm4d", "pycram", "behavior", "momagen",
+]  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -15,7 +18,8 @@ class PlaceConfig:
     """How base poses are sampled, ordered and checked."""
 
     method: Method = "ours"
-    """ours: by expected cost; paper: open tours over groups, as MoMa-Pos; exhaustive: a grid."""
+    """ours: by expected cost; exhaustive: a grid; paper: MoMa-Pos as printed; the others: as their
+    authors choose base poses, see docs/baselines.md."""
     count: int = 512
     """Latin Hypercube samples in the first round [-]; each further round has twice as many."""
     rounds: int = 3
@@ -28,12 +32,6 @@ class PlaceConfig:
     """Cheaper candidates that are looked at besides, once some have a path (ours) [-]."""
     miss: float = 2.0
     """Driving length that a certain miss is worth [m]."""
-    group: int = 10
-    """T: candidates in one open tour (paper) [-]."""
-    k_distance: float = 5 / 6
-    """k1: weight of distance in the open tour (paper) [-]."""
-    k_potential: float = 1 / 6
-    """k1': weight of potential in the open tour (paper) [-]."""
     grid_cell: float = 0.05
     """Cell of the exhaustive grid [m]."""
     grid_turn: float = 10.0
@@ -46,7 +44,7 @@ class PlaceConfig:
     """Distance that the base keeps from everything [m]."""
 
     def __post_init__(self) -> None:
-        refuse_below(self, 1, "count", "grasps", "together", "group")
-        refuse_below(self, 0, "rounds", "improve", "miss", "k_distance", "k_potential", "clearance")
+        refuse_below(self, 1, "count", "grasps", "together")
+        refuse_below(self, 0, "rounds", "improve", "miss", "clearance")
         refuse_below(self, 0.005, "grid_cell")
         refuse_below(self, 0.5, "grid_turn")

@@ -22,7 +22,7 @@ from momapos.placement.area import (
 )
 from momapos.placement.config import PlaceConfig
 from momapos.placement.holding import ScoreWays, WayScores
-from momapos.placement.order import by_expected_cost, open_tours
+from momapos.placement.order import by_expected_cost
 from momapos.placement.potential import attraction
 from momapos.protocols import ReachScorer, TravelCost
 from momapos.types import ArmPathResult, Attempt, Candidates, Motion
@@ -134,14 +134,10 @@ def search(problem: Problem, config: PlaceConfig, rng: np.random.Generator) -> S
     Returns:
         The best pose found, if any, and what became of all others.
     """
-    found = Search()
     corners = sampling_box(problem.geometry)
     if corners is None or problem.infeasible_reason:
-        outcome = PoseOutcome(PoseStatus.OUT_OF_REACH_ANYWHERE, _too_high(problem.geometry))
-        if problem.infeasible_reason:
-            outcome = PoseOutcome(PoseStatus.TASK_INFEASIBLE, problem.infeasible_reason)
-        found.note(np.zeros((1, 3)), np.array([outcome], object))
-        return found
+        return known_no(problem)
+    found = Search()
     frame = task_frame(problem.geometry)
     for local, on_grid in _rounds(corners, config, rng):
         clear = _cull(problem, compose(frame, local), found)
@@ -153,6 +149,47 @@ def search(problem: Problem, config: PlaceConfig, rng: np.random.Generator) -> S
                 _check_samples(problem, shortlist, config, found)
             if found.motion is not None or found.timed_out:
                 return found
+    return found
+
+
+def search_in_order(
+    problem: Problem, proposals: Iterator[Float[np.ndarray, "n 3"]], config: PlaceConfig
+) -> Search:
+    """Check base poses one after the other, in the order in which another method proposes them.
+
+    Args:
+        problem: Room, task, and the checks.
+        proposals: Base poses, some at a time.
+        config: How many grasps are tried at each.
+
+    Returns:
+        The first pose that works, if any, and what became of those before it.
+    """
+    if problem.infeasible_reason or sampling_box(problem.geometry) is None:
+        return known_no(problem)
+    found = Search()
+    for poses in proposals:
+        for i in range(len(poses)):
+            clear = _cull(problem, poses[i : i + 1], found)
+            for score in problem.ways:
+                left = clear.reached(score(problem.reach, clear.poses))
+                passed = _screen(problem, left, np.arange(len(left.poses)), config.grasps, found)
+                _complete(problem, left, passed, config.grasps, found)
+                if found.motion is not None or found.timed_out:
+                    return found
+        if problem.out_of_time():
+            found.timed_out = True
+            return found
+    return found
+
+
+def known_no(problem: Problem) -> Search:
+    """The search of a task that no base pose can help, with the reason."""
+    found = Search()
+    outcome = PoseOutcome(PoseStatus.OUT_OF_REACH_ANYWHERE, _too_high(problem.geometry))
+    if problem.infeasible_reason:
+        outcome = PoseOutcome(PoseStatus.TASK_INFEASIBLE, problem.infeasible_reason)
+    found.note(np.zeros((1, 3)), np.array([outcome], object))
     return found
 
 
@@ -281,8 +318,7 @@ def _complete(
 
 def _check_samples(problem: Problem, left: _Shortlist, config: PlaceConfig, found: Search) -> None:
     """Check a round's samples in order; where some pass, a few cheaper ones have their chance."""
-    ours = config.method == "ours"
-    together, improve = (config.together, config.improve) if ours else (1, 0)
+    together, improve = config.together, config.improve
     rest = _order(problem, left, config)
     while len(rest) and found.motion is None and not found.timed_out:
         block, rest = rest[:together], rest[together:]
@@ -318,15 +354,6 @@ def _order(problem: Problem, left: _Shortlist, config: PlaceConfig) -> Int[np.nd
         left.scores.max(1),
         attraction(geometry, xy, np.array([geometry.shoulder[2]])),
     )
-    if config.method == "paper":
-        return open_tours(
-            problem.start[:2],
-            xy,
-            best + field_value,
-            group=config.group,
-            k_distance=config.k_distance,
-            k_potential=config.k_potential,
-        )
     # A pose that many grasps reach is worth more than one that a single grasp reaches well.
     assert left.held is not None
     share = np.clip((left.scores > 0).sum(1) / left.held.asked * 4, 0.0, 1.0)

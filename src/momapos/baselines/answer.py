@@ -1,0 +1,152 @@
+"""One question, answered by any method: the same room, checks, arm motions and time for all."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from momapos.baselines.habitat import habitat
+from momapos.baselines.m3 import m3
+from momapos.baselines.maps import reuleaux, rm4d
+from momapos.baselines.paper import PaperPlacer
+from momapos.baselines.room import BasePlacer, Room
+from momapos.baselines.samplers import behavior, momagen, pycram
+from momapos.config import PipelineConfig
+from momapos.expand_model import first_selection
+from momapos.farthest_plan import as_far_as_possible
+from momapos.importance.rank import rank
+from momapos.manipulation.motion import TaskMotion, task_motion
+from momapos.pipeline import METHODS, plan_base_placement
+from momapos.placement.place import PoseFilter, Search, search_in_order
+from momapos.placement_result import PlacementResult
+from momapos.protocols import Clock, ReachScorer
+from momapos.query import PlacementQuery
+from momapos.reachability.store import load_reach_map
+from momapos.ready_search import ReadySearch, ready_search
+from momapos.robots.robot import Robot
+from momapos.scene.scene import Scene
+from momapos.stopwatch import Stopwatch
+from momapos.types import KeyObjects, Task
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+DEFAULT = PipelineConfig()
+PLACERS: dict[str, BasePlacer] = {
+    "habitat": habitat, "m3": m3, "reuleaux": reuleaux, "rm4d": rm4d, "pycram": pycram,
+    "behavior": behavior, "momagen": momagen,
+}  # fmt: skip
+"""Base placers that know the whole room and no importance."""
+
+
+def plan_by_method(
+    scene: Scene,
+    robot: Robot,
+    task: Task,
+    reach: ReachScorer | None = None,
+    *,
+    start: Float[np.ndarray, "3"] | None = None,
+    pose_filter: PoseFilter | None = None,
+    config: PipelineConfig = DEFAULT,
+    cache_dir: Path | None = None,
+    seed: int = 0,
+    clock: Clock = time.perf_counter,
+) -> PlacementResult:
+    """Answer as `plan_base_placement` does, by the method that `config.place.method` names.
+
+    The method says in which order base poses are tried; the same check decides about each, and
+    gives the motion. What others than ours answer with "infeasible" is that they gave up.
+
+    Args:
+        scene: The room.
+        robot: The mobile manipulator.
+        task: What is to be done, see `make_task`.
+        reach: The robot's reachability map; None to load it, or to build it at the first use.
+        start: Where the base is now: x [m], y [m], yaw [rad]; the scene's start by default.
+        pose_filter: Rules base poses out, such as those that were driven to in vain.
+        config: How to search.
+        cache_dir: Where maps are kept; the user's cache folder by default.
+        seed: Same seed, same answer.
+        clock: Measures the stages and the timeout.
+
+    Raises:
+        SceneError: The start is no free pose.
+        TaskError: The gripper cannot hold the object.
+    """
+    method = config.place.method
+    if method in METHODS:
+        return plan_base_placement(
+            scene, robot, task, reach, start=start, pose_filter=pose_filter, config=config,
+            cache_dir=cache_dir, seed=seed, clock=clock,
+        )  # fmt: skip
+    if reach is None:
+        reach = load_reach_map(robot, cache_dir)
+    query = PlacementQuery(
+        scene, robot, task, reach, start, pose_filter, config, seed, Stopwatch(clock)
+    )
+    answer = _as_printed if method == "paper" else _by_placer(PLACERS[method])
+    return as_far_as_possible(query, answer) if task.farthest else answer(query)
+
+
+def _by_placer(placer: BasePlacer) -> Callable[[PlacementQuery], PlacementResult]:
+    """Answers in the whole room, as it is."""
+
+    def answer(query: PlacementQuery) -> PlacementResult:
+        with query.watch.stage("model"):
+            motion = task_motion(query.scene, query.robot, query.task, query.config.motion)
+        ready = ready_search(query, query.scene, motion)
+        return _timed(ready.result(_search(ready, placer)), query, None)
+
+    return answer
+
+
+def _as_printed(query: PlacementQuery) -> PlacementResult:
+    """MoMa-Pos: key objects are modeled, more samples are drawn, then alpha falls."""
+    scene, task, config = query.scene, query.task, query.config
+    planner = config.planner.planner or "RRTstar"
+    query = replace(query, config=replace(config, planner=replace(config.planner, planner=planner)))
+    placer = PaperPlacer(config.paper)
+    with query.watch.stage("importance"):
+        ranked = rank(scene, task.object, config.ranking, seed=query.seed)
+    with query.watch.stage("model"):
+        boxed = scene.with_box_proxies({task.object})
+        motion: TaskMotion = task_motion(boxed, query.robot, task, config.motion)
+    selection = first_selection(query, ranked, motion)
+    while True:
+        ready = ready_search(query, scene.with_box_proxies(selection.names), motion)
+        result = ready.result(_search(ready, placer))
+        if result.plan.status != "infeasible" or not selection.boxes:
+            return _timed(result, query, selection.record())
+        selection = selection.relax_alpha()
+
+
+def _search(ready: ReadySearch, placer: BasePlacer) -> Search:
+    """Ask a placer for base poses and check them in its order; with two holds where one fails."""
+    query, problem = ready.query, ready.problem
+    place, watch = query.config.place, query.watch
+    room = Room(ready.prepared, query.reach, problem.travel_cost, problem.start, place.grasps)
+    with watch.stage("search"):
+        proposals = placer(room, np.random.default_rng(query.seed))
+        found = search_in_order(problem, proposals, place)
+    if found.is_no:
+        tried = np.concatenate(found.poses or [np.zeros((0, 3))])
+        for two in ready.two_holds():
+            again = ready.in_two_holds(two)
+            with watch.stage("search"):
+                found.join(search_in_order(again, iter([tried]), place))
+            if not found.is_no:
+                break
+    return found
+
+
+def _timed(
+    result: PlacementResult, query: PlacementQuery, key_objects: KeyObjects | None
+) -> PlacementResult:
+    """The result with the time that it took, and what was modeled."""
+    timing = {**query.watch.seconds, "total": query.watch.total}
+    return replace(result, plan=replace(result.plan, key_objects=key_objects, timing=timing))
