@@ -91,23 +91,6 @@ def test_an_opened_plan_closes_backwards(robots: Callable[[str], Robot], tmp_pat
     assert closing.status == "solved"
 
 
-@pytest.mark.parametrize("method", ["paper", "exhaustive"])
-def test_every_method_answers_with_a_plan_that_holds(
-    method: Method, robots: Callable[[str], Robot], tmp_path: Path
-) -> None:
-    scene, robot = cabinet_room(tmp_path), robots("segway_ur5e")
-    config = replace(QUICK, method=method, grid_cell=0.2, grid_turn=90.0, group=5)
-    task = make_task(scene, "open", "cabinet", to=1.2)
-    answer = plan_base_placement(
-        scene, robot, task, Everywhere(), config=PipelineConfig(place=config, timeout=120.0)
-    )
-    assert answer.plan.status == "solved"
-    assert answer.plan.method == method
-    assert answer.plan.motion is not None
-    assert answer.plan.base_pose is not None
-    assert PlanVerifier(scene, robot, task).check(answer.plan.base_pose, answer.plan.motion).valid
-
-
 def test_a_handle_above_all_arms_is_infeasible_with_the_reason(
     robot: Robot, tmp_path: Path
 ) -> None:

@@ -6,7 +6,6 @@ import re
 from pathlib import Path
 
 import numpy as np
-import pytest
 from tests.rooms import Everywhere, cabinet_room, move_scene
 
 from momapos.config import PipelineConfig
@@ -25,7 +24,7 @@ from momapos.placement.area import (
     task_frame,
     within_reach,
 )  # fmt: skip
-from momapos.placement.order import by_expected_cost, open_tours
+from momapos.placement.order import by_expected_cost
 from momapos.placement.potential import attraction
 from momapos.robots.robot import Robot
 from momapos.scene.files import load_scene
@@ -152,38 +151,6 @@ def test_candidates_come_in_the_order_of_expected_cost() -> None:
     odds = np.array([1.0, 0.0, 1.0, 1.0])
     assert by_expected_cost(travel, odds, miss=5.0).tolist() == [3, 0, 1]
     assert by_expected_cost(travel, np.ones(4), miss=5.0).tolist() == [1, 3, 0]
-
-
-@pytest.mark.parametrize("group", [4, 10, 13])
-def test_an_open_tour_visits_every_candidate_once(group: int) -> None:
-    rng = np.random.default_rng(2)
-    positions, potential = rng.uniform(0, 5, (23, 2)), rng.uniform(0, 1, 23)
-    order = open_tours(
-        np.zeros(2), positions, potential, group=group, k_distance=5 / 6, k_potential=1 / 6
-    )
-    assert sorted(order.tolist()) == list(range(23))
-    again = open_tours(
-        np.zeros(2), positions, potential, group=group, k_distance=5 / 6, k_potential=1 / 6
-    )
-    np.testing.assert_array_equal(order, again)
-
-
-def test_the_exact_open_tour_is_no_longer_than_any_other() -> None:
-    from itertools import permutations
-
-    rng = np.random.default_rng(3)
-    positions, potential = rng.uniform(0, 5, (6, 2)), rng.uniform(0, 1, 6)
-    k_d, k_p = 0.8, 0.2
-    order = open_tours(np.zeros(2), positions, potential, group=6, k_distance=k_d, k_potential=k_p)
-
-    def cost(tour: tuple[int, ...]) -> float:
-        points = np.vstack([np.zeros(2), positions[list(tour)]])
-        field = np.concatenate([[0.0], potential[list(tour)]])
-        length = np.linalg.norm(np.diff(points, axis=0), axis=1).sum()
-        return float(k_d * length + k_p * (field[-1] - field[0]))
-
-    best = min(cost(p) for p in permutations(range(6)))
-    assert cost(tuple(order.tolist())) == pytest.approx(best)
 
 
 def test_what_hangs_too_high_is_said_to_be_out_of_reach_in_height(

@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 
 _BLOCK = 512
 """Poses of the grid that are screened together [-]."""
+_CHUNK = 32
+"""Most poses whose reachability is looked up together where they come in a given order [-]."""
 BASE_OUTCOMES = {
     BaseStatus.BLOCKED: PoseOutcome(PoseStatus.BASE_BLOCKED),
     BaseStatus.OFF_FLOOR: PoseOutcome(PoseStatus.OFF_FLOOR),
@@ -167,20 +169,35 @@ def search_in_order(
     """
     if problem.infeasible_reason or sampling_box(problem.geometry) is None:
         return known_no(problem)
-    found = Search()
+    found, size = Search(), 1
     for poses in proposals:
-        for i in range(len(poses)):
-            clear = _cull(problem, poses[i : i + 1], found)
-            for score in problem.ways:
-                left = clear.reached(score(problem.reach, clear.poses))
-                passed = _screen(problem, left, np.arange(len(left.poses)), config.grasps, found)
-                _complete(problem, left, passed, config.grasps, found)
-                if found.motion is not None or found.timed_out:
-                    return found
+        first = 0
+        while first < len(poses):
+            _check_in_order(problem, poses[first : first + size], config, found)
+            if found.motion is not None or found.timed_out:
+                return found
+            first, size = first + size, min(2 * size, _CHUNK)
         if problem.out_of_time():
             found.timed_out = True
             return found
     return found
+
+
+def _check_in_order(
+    problem: Problem, poses: Float[np.ndarray, "n 3"], config: PlaceConfig, found: Search
+) -> None:
+    """Check base poses until one works; all ways of holding at one before the next."""
+    clear = _cull(problem, poses, found)
+    ways = [clear.reached(score(problem.reach, clear.poses)) for score in problem.ways]
+    for row in clear.row:
+        for left in ways:
+            which = np.flatnonzero(left.row == row)
+            if not len(which):
+                continue
+            passed = _screen(problem, left, which, config.grasps, found)
+            _complete(problem, left, passed, config.grasps, found)
+            if found.motion is not None or found.timed_out:
+                return
 
 
 def known_no(problem: Problem) -> Search:

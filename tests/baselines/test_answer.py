@@ -1,0 +1,92 @@
+"""Laws of every method: its plan holds, repeats, and is named."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+import pytest
+from tests.rooms import Everywhere, cabinet_room
+
+from momapos.baselines.answer import PLACERS, plan_by_method
+from momapos.config import PipelineConfig
+from momapos.errors import InputError
+from momapos.manipulation.tasks import make_task
+from momapos.pipeline import METHODS, plan_base_placement
+from momapos.placement.config import Method, PlaceConfig
+from momapos.placement_result import PlacementResult
+from momapos.plans import plan_to_dict
+from momapos.robots.robot import Robot
+from momapos.scene.scene import Scene
+from momapos.verification.exact import PlanVerifier
+
+
+def ask(scene: Scene, robot: Robot, method: Method, *, seed: int = 0) -> PlacementResult:
+    place = PlaceConfig(method=method, count=256, improve=1, grid_cell=0.2, grid_turn=90.0)
+    config = PipelineConfig(place=place, timeout=120.0)
+    task = make_task(scene, "open", "cabinet", to=0.8)
+    return plan_by_method(scene, robot, task, Everywhere(), config=config, seed=seed)
+
+
+def test_every_name_of_a_method_has_its_placer() -> None:
+    assert set(get_args(Method)) == {*METHODS, *PLACERS, "paper"}
+
+
+@pytest.mark.parametrize("method", get_args(Method))
+def test_every_method_answers_with_a_plan_that_holds_and_repeats(
+    method: Method, robots: Callable[[str], Robot], tmp_path: Path
+) -> None:
+    scene, robot = cabinet_room(tmp_path), robots("segway_ur5e")
+    first, second = ask(scene, robot, method), ask(scene, robot, method)
+    plan = first.plan
+    assert plan.status == "solved", plan.candidates
+    assert plan.method == method
+    assert plan.base_pose is not None
+    assert plan.motion is not None
+    assert PlanVerifier(scene, robot, plan.task).check(plan.base_pose, plan.motion).valid
+    records = [plan_to_dict(replace(one.plan, timing={})) for one in (first, second)]
+    assert records[0] == records[1]
+
+
+@pytest.mark.parametrize("method", [*PLACERS, "paper"])
+def test_no_method_moves_a_handle_above_all_arms(
+    method: Method, robots: Callable[[str], Robot], tmp_path: Path
+) -> None:
+    scene, robot = cabinet_room(tmp_path), robots("segway_ur5e")
+    cabinet = scene.object("cabinet")
+    T = cabinet.T_world_object.copy()
+    T[2, 3] = 2.5
+    plan = ask(replace(scene, objects=(replace(cabinet, T_world_object=T),)), robot, method).plan
+    assert plan.status == "infeasible"
+    assert any("reach" in reason for reason in plan.candidates.rejections)
+
+
+def test_the_pipeline_refuses_what_only_baselines_know(
+    robots: Callable[[str], Robot], tmp_path: Path
+) -> None:
+    scene = cabinet_room(tmp_path)
+    config = PipelineConfig(place=PlaceConfig(method="habitat"))
+    task = make_task(scene, "open", "cabinet")
+    with pytest.raises(InputError, match="'habitat'; plan_by_method"):
+        plan_base_placement(scene, robots("fetch"), task, Everywhere(), config=config)
+
+
+def test_poses_that_are_ruled_out_are_no_answer_of_a_baseline(
+    robots: Callable[[str], Robot], tmp_path: Path
+) -> None:
+    scene, robot = cabinet_room(tmp_path), robots("segway_ur5e")
+    config = PipelineConfig(place=PlaceConfig(method="rm4d"))
+    task = make_task(scene, "open", "cabinet", to=0.8)
+    free = plan_by_method(scene, robot, task, Everywhere(), config=config).plan
+    assert free.base_pose is not None
+    taken = np.array(free.base_pose[:2])
+
+    def near(poses: np.ndarray) -> np.ndarray:
+        return np.linalg.norm(poses[:, :2] - taken, axis=1) < 0.1
+
+    plan = plan_by_method(scene, robot, task, Everywhere(), config=config, pose_filter=near).plan
+    assert plan.base_pose is not None
+    assert np.linalg.norm(np.array(plan.base_pose[:2]) - taken) >= 0.1
