@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -119,28 +119,40 @@ def _as_printed(query: PlacementQuery) -> PlacementResult:
     selection = first_selection(query, ranked, motion)
     while True:
         ready = ready_search(query, scene.with_box_proxies(selection.names), motion)
-        result = ready.result(_search(ready, placer))
+        result = ready.result(_search(ready, placer, last=not selection.boxes))
         if result.plan.status != "infeasible" or not selection.boxes:
             return _timed(result, query, selection.record())
         selection = selection.relax_alpha()
 
 
-def _search(ready: ReadySearch, placer: BasePlacer) -> Search:
-    """Ask a placer for base poses and check them in its order; with two holds where one fails."""
+def _search(ready: ReadySearch, placer: BasePlacer, *, last: bool = True) -> Search:
+    """Ask a placer for base poses and check them in its order.
+
+    Args:
+        ready: The question and its checks.
+        placer: Who proposes the poses.
+        last: Whether two holds are tried at all of them where one hold works at none.
+    """
     query, problem = ready.query, ready.problem
     place, watch = query.config.place, query.watch
     room = Room(ready.prepared, query.reach, problem.travel_cost, problem.start, place.grasps)
+    proposed: list[Float[np.ndarray, "n 3"]] = []
+
+    def proposals() -> Iterator[Float[np.ndarray, "n 3"]]:
+        for poses in placer(room, np.random.default_rng(query.seed)):
+            proposed.append(poses)
+            yield poses
+
     with watch.stage("search"):
-        proposals = placer(room, np.random.default_rng(query.seed))
-        found = search_in_order(problem, proposals, place)
-    if found.is_no:
-        tried = np.concatenate(found.poses or [np.zeros((0, 3))])
-        for two in ready.two_holds():
-            again = ready.in_two_holds(two)
-            with watch.stage("search"):
-                found.join(search_in_order(again, iter([tried]), place))
-            if not found.is_no:
-                break
+        found = search_in_order(problem, proposals(), place)
+    for two in ready.two_holds() if last and found.is_no else ():
+        again = ready.in_two_holds(two)
+        with watch.stage("search"):
+            # Where no single hold can work, nobody has been asked yet.
+            poses = list(proposed) if proposed else proposals()
+            found.join(search_in_order(again, iter(poses), place))
+        if not found.is_no:
+            break
     return found
 
 
