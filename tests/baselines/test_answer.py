@@ -5,21 +5,23 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 import numpy as np
 import pytest
 from tests.rooms import Everywhere, cabinet_room
 
 from momapos.baselines.answer import PLACERS, plan_by_method
-from momapos.config import PipelineConfig
+from momapos.config import PaperConfig, PipelineConfig
 from momapos.errors import InputError
+from momapos.manipulation.planner import plan_motion
 from momapos.manipulation.tasks import make_task
 from momapos.pipeline import METHODS, plan_base_placement
 from momapos.placement.config import Method, PlaceConfig
 from momapos.placement_result import PlacementResult
 from momapos.plans import plan_to_dict
 from momapos.robots.robot import Robot
+from momapos.scene.files import load_scene
 from momapos.scene.scene import Scene
 from momapos.verification.exact import PlanVerifier
 
@@ -90,3 +92,53 @@ def test_poses_that_are_ruled_out_are_no_answer_of_a_baseline(
     plan = plan_by_method(scene, robot, task, Everywhere(), config=config, pose_filter=near).plan
     assert plan.base_pose is not None
     assert np.linalg.norm(np.array(plan.base_pose[:2]) - taken) >= 0.1
+
+
+def test_the_paper_models_what_its_walks_call_important_and_plans_with_rrt_star(
+    robots: Callable[[str], Robot], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from momapos.manipulation import feasibility
+
+    planners = []
+
+    def note(*args: Any, **kwargs: Any) -> Any:
+        planners.append(kwargs["config"].planner)
+        return plan_motion(*args, **kwargs)
+
+    monkeypatch.setattr(feasibility, "plan_motion", note)
+    extra = (
+        ', {"name": "pile", "category": "pile", "pose": {"xyz": [3, 2, 0.2],'
+        ' "wxyz": [1, 0, 0, 0]}, "box": [0.4, 0.4, 0.4]}'
+    )
+    scene = cabinet_room(tmp_path, extra=extra)
+    plan = ask(scene, robots("segway_ur5e"), "paper").plan
+    assert plan.key_objects is not None
+    assert plan.key_objects.scorer == "deepwalk"
+    assert set(planners) == {"RRTstar"}
+
+
+def test_the_paper_lowers_alpha_until_all_is_modeled_before_it_gives_up(
+    robots: Callable[[str], Robot], tmp_path: Path
+) -> None:
+    extra = (
+        ', {"name": "pile", "category": "pile", "pose": {"xyz": [0, -1.2, 0.2],'
+        ' "wxyz": [1, 0, 0, 0]}, "box": [6, 1.4, 0.4]}'
+    )
+    scene = cabinet_room(tmp_path, extra=extra)
+    config = PipelineConfig(
+        place=PlaceConfig(method="paper"), paper=PaperConfig(samples=8, batches=1)
+    )
+    task = make_task(scene, "open", "cabinet", to=0.8)
+    answer = plan_by_method(scene, robots("segway_ur5e"), task, Everywhere(), config=config)
+    assert answer.plan.status == "infeasible"
+    assert answer.plan.key_objects is not None
+    assert set(answer.plan.key_objects.names) == {"cabinet", "pile"}
+
+
+def test_a_baseline_is_asked_where_no_single_hold_can_work(robots: Callable[[str], Robot]) -> None:
+    scene, robot = load_scene("kitchen_island"), robots("segway_ur5e")
+    task = make_task(scene, "open", "sink", "door_left_hinge")
+    config = PipelineConfig(place=PlaceConfig(method="habitat"))
+    plan = plan_by_method(scene, robot, task, Everywhere(), config=config).plan
+    assert plan.motion is not None, plan.candidates
+    assert len(plan.motion.holds) == 2

@@ -44,12 +44,15 @@ def test_chances_sum_to_one_and_run_along_edges_both_ways(seed: int, k0: float) 
     assert P.sum(1) == pytest.approx(related.any(1).astype(float))
 
 
-def test_chances_are_the_formula_of_the_paper_with_both_terms_scaled() -> None:
+@pytest.mark.parametrize("printed", [True, False])
+def test_chances_are_the_formula_of_the_paper_as_printed_or_with_both_terms_scaled(
+    printed: bool,
+) -> None:
     graph, k0 = build_graph(load_scene("kitchen_small")), 0.3
-    P = transitions(graph, k0=k0).dense()
+    P = transitions(graph, k0=k0, printed=printed).dense()
     n = len(graph)
     w = np.zeros((n, n))
-    nearest, largest = graph.dist_xy.min(), graph.size.max()
+    nearest, largest = (1.0, 1.0) if printed else (graph.dist_xy.min(), graph.size.max())
     for child, parent, length in zip(graph.child, graph.parent, graph.dist_xy, strict=True):
         for i, j in ((child, parent), (parent, child)):
             w[i, j] = k0 * nearest / length + (1 - k0) * graph.size[j] / largest

@@ -67,7 +67,7 @@ def whole_boxes(room: Room) -> Boxes:
 
 def in_area(room: Room, boxes: Boxes, poses: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "k 3"]:
     """Those in A: on the floor, where the base overlaps no object's bounding box."""
-    poses = poses[room.on_floor(poses[:, :2])]
+    poses = poses[room.inside(poses)]
     return poses[base_hits(poses, room.robot.base, boxes, clearance=0.0) == FREE]
 
 

@@ -129,9 +129,7 @@ class Room:
         """Where the robot, with its arm at home, touches nothing that stands now."""
         prepared = self.prepared
         motion, geometry = prepared.motion, prepared.geometry
-        clear = np.ones(len(poses), bool)
-        if geometry.floor_polygon is not None:
-            clear = all_inside(geometry.floor_polygon, place_points(poses, self.robot.footprint))
+        clear = self.inside(poses)
         near = np.flatnonzero(clear)
         standing = motion.static_obstacles()
         hits = base_hits(poses[near], self.robot.base, standing, clearance=geometry.clearance)
@@ -146,6 +144,13 @@ class Room:
         )  # fmt: skip
         clear[near] = codes == FREE
         return clear
+
+    def inside(self, poses: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
+        """Where the whole base is in the room; everywhere where it has no known end."""
+        polygon = self.prepared.geometry.floor_polygon
+        if polygon is None:
+            return np.ones(len(poses), bool)
+        return all_inside(polygon, place_points(poses, self.robot.footprint))
 
     def on_floor(self, xy: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
         """Which positions are in the room; all where it has no known end."""
