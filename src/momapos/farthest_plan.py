@@ -11,6 +11,7 @@ import numpy as np
 from momapos.config import PipelineConfig
 from momapos.farthest import farthest_answer, values_before, values_per_waypoint
 from momapos.manipulation.tasks import slides
+from momapos.placement.config import Method
 from momapos.placement_result import PlacementResult
 from momapos.query import PlacementQuery
 from momapos.stopwatch import Stopwatch
@@ -30,7 +31,6 @@ def as_far_as_possible(query: PlacementQuery, answer: Answer) -> PlacementResult
         query: What is asked.
         answer: Answers it for the value that a task names.
     """
-    """The answer for the farthest value up to the task's that has one."""
     task, config, watch = query.task, query.config, query.watch
     assert task.to is not None
     at_once = _answer_to(query, answer, task.to, _by_samples(config))
@@ -106,4 +106,6 @@ def _answer_to(
 
 def _by_samples(config: PipelineConfig) -> PipelineConfig:
     """A quick search: one round of samples, and no grid where none of them works."""
-    return replace(config, place=replace(config.place, rounds=1, grid=False, method="ours"))
+    place = config.place
+    method: Method = "ours" if place.method == "exhaustive" else place.method
+    return replace(config, place=replace(place, rounds=1, grid=False, method=method))

@@ -21,7 +21,7 @@ from momapos.importance.key_objects import Selection
 from momapos.importance.rank import rank
 from momapos.manipulation.motion import TaskMotion, task_motion
 from momapos.manipulation.tasks import hand_path
-from momapos.placement.config import Method
+from momapos.placement.config import OURS
 from momapos.placement.place import PoseFilter, search
 from momapos.placement_result import PlacementResult
 from momapos.protocols import Clock, ReachScorer
@@ -38,8 +38,6 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 DEFAULT = PipelineConfig()
-METHODS: tuple[Method, ...] = ("ours", "exhaustive")
-"""Ways to search that are ours; the others are baselines."""
 
 
 def plan_base_placement(
@@ -81,9 +79,9 @@ def plan_base_placement(
         TaskError: The gripper cannot hold the object.
         InputError: The configuration names a method that only `plan_by_method` knows.
     """
-    if config.place.method not in METHODS:
+    if config.place.method not in OURS:
         raise InputError(
-            f"plan_base_placement searches by {' or '.join(METHODS)}, not by "
+            f"plan_base_placement searches by {' or '.join(OURS)}, not by "
             f"{config.place.method!r}; plan_by_method knows the others"
         )
     watch = Stopwatch(clock)

@@ -16,8 +16,8 @@ from momapos.config import PaperConfig, PipelineConfig
 from momapos.errors import InputError
 from momapos.manipulation.planner import plan_motion
 from momapos.manipulation.tasks import make_task
-from momapos.pipeline import METHODS, plan_base_placement
-from momapos.placement.config import Method, PlaceConfig
+from momapos.pipeline import plan_base_placement
+from momapos.placement.config import OURS, Method, PlaceConfig
 from momapos.placement_result import PlacementResult
 from momapos.plans import plan_to_dict
 from momapos.robots.robot import Robot
@@ -34,7 +34,7 @@ def ask(scene: Scene, robot: Robot, method: Method, *, seed: int = 0) -> Placeme
 
 
 def test_every_name_of_a_method_has_its_placer() -> None:
-    assert set(get_args(Method)) == {*METHODS, *PLACERS, "paper"}
+    assert set(get_args(Method)) == {*OURS, *PLACERS, "paper"}
 
 
 @pytest.mark.parametrize("method", get_args(Method))
@@ -142,3 +142,16 @@ def test_a_baseline_is_asked_where_no_single_hold_can_work(robots: Callable[[str
     plan = plan_by_method(scene, robot, task, Everywhere(), config=config).plan
     assert plan.motion is not None, plan.candidates
     assert len(plan.motion.holds) == 2
+
+
+def test_a_baseline_answers_how_far_a_part_can_be_moved_and_is_named(
+    robots: Callable[[str], Robot], tmp_path: Path
+) -> None:
+    scene, robot = cabinet_room(tmp_path), robots("segway_ur5e")
+    task = make_task(scene, "open", "cabinet", to="max")
+    config = PipelineConfig(place=PlaceConfig(method="habitat"), timeout=60.0)
+    plan = plan_by_method(scene, robot, task, Everywhere(), config=config).plan
+    assert plan.status == "solved"
+    assert plan.method == "habitat"
+    assert plan.task.to is not None
+    assert plan.task.to > 0.8

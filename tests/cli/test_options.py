@@ -58,5 +58,9 @@ def test_the_scorer_is_the_methods_own_unless_one_is_asked_for() -> None:
     assert PipelineConfig(place=paper).ranking.scorer == "deepwalk"
     asked = PipelineConfig(place=paper, importance=ImportanceConfig(scorer="size"))
     assert asked.ranking.scorer == "size"
+    assert PipelineConfig().ranking.weights == "scaled"
+    assert PipelineConfig(place=paper).ranking.weights == "printed"
+    scaled = ImportanceConfig(weights="scaled")
+    assert PipelineConfig(place=paper, importance=scaled).ranking.weights == "scaled"
     with pytest.raises(InputError, match="count"):
         PlaceConfig(count=-1)

@@ -21,7 +21,8 @@ from momapos.expand_model import first_selection
 from momapos.farthest_plan import as_far_as_possible
 from momapos.importance.rank import rank
 from momapos.manipulation.motion import TaskMotion, task_motion
-from momapos.pipeline import METHODS, plan_base_placement
+from momapos.pipeline import plan_base_placement
+from momapos.placement.config import OURS
 from momapos.placement.place import PoseFilter, Search, search_in_order
 from momapos.placement_result import PlacementResult
 from momapos.protocols import Clock, ReachScorer
@@ -79,7 +80,7 @@ def plan_by_method(
         TaskError: The gripper cannot hold the object.
     """
     method = config.place.method
-    if method in METHODS:
+    if method in OURS:
         return plan_base_placement(
             scene, robot, task, reach, start=start, pose_filter=pose_filter, config=config,
             cache_dir=cache_dir, seed=seed, clock=clock,

@@ -11,6 +11,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from momapos.placement.config import OURS
+
 if TYPE_CHECKING:
     from momapos.placement_result import PlacementResult
     from momapos.types import KeyObjects
@@ -94,6 +96,9 @@ def summary(answer: PlacementResult, out: Path | None, *, most: bool = False) ->
         ]
     else:
         lines.append(f"  {plan.status:<11} {_why_not(answer)}")
+    if plan.method not in OURS:
+        gave_up = "; it gave up, which proves nothing" if plan.motion is None else ""
+        lines.append(f"  method      {plan.method}{gave_up}")
     if plan.key_objects is not None:
         lines.append(f"  modeled     {_modeled(plan.key_objects)}")
     lines += [f"  assumed     {text}" for text in answer.prepared.robot.assumed]

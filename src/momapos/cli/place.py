@@ -22,6 +22,7 @@ from momapos.cli.options import (
 from momapos.config import PipelineConfig
 from momapos.errors import TaskError
 from momapos.files import check_outputs
+from momapos.placement.config import OURS
 from momapos.robots.names import find_robot
 from momapos.scene.names import find_scene, refuse_unknown_object
 from momapos.units import MAX, parse_quantity
@@ -181,7 +182,6 @@ def _answer(
     from momapos.cli.compile import ANSWER, RANK, WALKS, compile_once
     from momapos.cli.console import busy, progress
     from momapos.manipulation.tasks import make_task
-    from momapos.pipeline import METHODS
     from momapos.reachability.store import load_reach_map
     from momapos.robots.robot import load_robot
     from momapos.scene.files import load_scene
@@ -204,7 +204,7 @@ def _answer(
             answer = plan_by_method(
                 scene, robot, task, reach, start=begin, config=config, seed=options.seed
             )
-            if not task.farthest and config.place.method in METHODS:
+            if not task.farthest and config.place.method in OURS:
                 plan = smaller_opening(answer.plan, scene, robot, reach, config=config)
                 answer = replace(answer, plan=plan)
         else:

@@ -11,6 +11,8 @@ Method = Literal[
     "ours", "exhaustive",
     "paper", "habitat", "m3", "reuleaux", "rm4d", "pycram", "behavior", "momagen",
 ]  # fmt: skip
+OURS: tuple[Method, ...] = ("ours", "exhaustive")
+"""Methods of the pipeline, which end with a grid; the others are baselines, which give up."""
 
 
 @dataclass(frozen=True)
