@@ -16,6 +16,7 @@ from momapos.kinematics.collision import FREE, scratch_of
 from momapos.kinematics.ik import COARSE, arm_arrays, ik_scratch, max_solutions, solve_sample
 from momapos.kinematics.records import ArmArrays, CollisionArrays, TaskState
 from momapos.kinematics.world import CollisionWorld, check_one, collision_arrays
+from momapos.manipulation.hand_room import arm_spheres
 from momapos.manipulation.motion import TaskMotion
 from momapos.robots.robot import Robot
 
@@ -130,7 +131,7 @@ def solve_layer(
         bases[row],
         TaskState(int(motion.value[step]), bool(motion.holding[step])),
         arm_arrays(chain, ik),
-        collision_arrays(robot.spheres, world),
+        collision_arrays(arm_spheres(robot), world),
         JointSteps(full_turns(chain), scale, locked),
         around,
     )
