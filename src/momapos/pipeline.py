@@ -118,6 +118,8 @@ def _search(query: PlacementQuery, selection: Selection, motion: TaskMotion) -> 
     prepared = prepare(
         modeled, robot, query.task, config, clearance=clearance, motion=motion, watch=watch
     )
+    with watch.stage("exact model"):
+        infeasible_reason = prepared.infeasible_reason
     with watch.stage("drive"):
         start = start_pose(query.scene, robot, prepared.motion, query.start, query.nav_map)
         travel_cost = driving_lengths(prepared, start)
@@ -155,7 +157,7 @@ def _search(query: PlacementQuery, selection: Selection, motion: TaskMotion) -> 
         travel_cost=travel_cost,
         attempt=drivable(feasible),
         screen=feasible.screen,
-        infeasible_reason=prepared.infeasible_reason,
+        infeasible_reason=infeasible_reason,
         start=start,
         out_of_time=out_of_time,
         pose_filter=query.pose_filter,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -46,11 +46,18 @@ class PreparedTask:
     """The room as the arm's collision kernel wants it."""
     geometry: PlacementGeometry
     """The room and the task as placement wants them."""
-    verifier: PlanVerifier
-    blocked: str
-    """What the part runs into on its way, whoever moves it and however; "" where it is free."""
     no_grasp: str
     """Why no single grasp moves it all the way, wherever the base stands; "" where some may."""
+
+    @cached_property
+    def verifier(self) -> PlanVerifier:
+        """The exact check."""
+        return PlanVerifier(self.scene, self.robot, self.task)
+
+    @cached_property
+    def blocked(self) -> str:
+        """What the part runs into on its way, whoever moves it; "" where it is free."""
+        return self.verifier.blocked(LIFT) or ""
 
     @property
     def infeasible_reason(self) -> str:
@@ -128,9 +135,6 @@ def prepare(
         has_room, obstacle = collision_free_grasps(robot, world, motion)
         if has_room.any():
             motion = motion.only(motion.grasps.deepest(has_room))
-    with watch.stage("exact model"):
-        verifier = PlanVerifier(scene, robot, task)
-        blocked = verifier.blocked(LIFT) or ""
     no_grasp = motion.refusal
     if not no_grasp and not has_room.any():
         why = [motion.passed_over] if motion.passed_over else []
@@ -138,7 +142,7 @@ def prepare(
         if why and motion.handle is not None:
             no_grasp += f" of {motion.handle}"
     geometry = placement_geometry(scene, robot, motion, clearance)
-    return PreparedTask(scene, robot, task, motion, world, geometry, verifier, blocked, no_grasp)
+    return PreparedTask(scene, robot, task, motion, world, geometry, no_grasp)
 
 
 def placement_geometry(

@@ -236,7 +236,7 @@ def _two_holds(
     clearance = whole.geometry.clearance
     first = prepare(scene, robot, pull, config, clearance=clearance, motion=pulling, watch=watch)
     second = prepare(opened, robot, task, config, clearance=clearance, motion=pushing, watch=watch)
-    if first.infeasible_reason or second.infeasible_reason:
+    if first.no_grasp or second.no_grasp:
         return None
     one, other = (
         part.feasibility(config, seed, out_of_time=out_of_time, watch=watch)

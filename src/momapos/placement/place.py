@@ -195,6 +195,8 @@ class _Shortlist:
     """Index of each into the round."""
     travel: Float[np.ndarray, " n"]
     outcomes: np.ndarray
+    tried: Bool[np.ndarray, " m"]
+    """Of the whole round: those at which an arm path was looked for."""
     held: WayScores | None = None
     """Of the ways of holding; None before they are known."""
 
@@ -214,10 +216,9 @@ class _Shortlist:
         """Those from which some way of holding is within reach."""
         which = ways.scores.max(1, initial=0.0) > 0
         beyond = self.row[~which]
-        untold = beyond[self.outcomes[beyond] == _NOT_TRIED]
-        self.outcomes[untold] = PoseOutcome(PoseStatus.OUT_OF_REACH)
+        self.outcomes[beyond[~self.tried[beyond]]] = PoseOutcome(PoseStatus.OUT_OF_REACH)
         return _Shortlist(
-            self.poses[which], self.row[which], self.travel[which], self.outcomes,
+            self.poses[which], self.row[which], self.travel[which], self.outcomes, self.tried,
             WayScores(ways.scores[which], ways.asked),
         )  # fmt: skip
 
@@ -235,7 +236,7 @@ def _cull(problem: Problem, poses: Float[np.ndarray, "n 3"], found: Search) -> _
         outcomes[status == code] = outcome
     row = np.flatnonzero(status == BaseStatus.CLEAR)
     travel = problem.travel_cost(poses[row, :2])
-    left = _Shortlist(poses[row], row, travel, outcomes)
+    left = _Shortlist(poses[row], row, travel, outcomes, np.zeros(len(poses), bool))
     left.keep(np.isfinite(travel), PoseStatus.NO_ROUTE)
     if problem.pose_filter is not None:
         left.keep(~problem.pose_filter(left.poses), PoseStatus.FILTERED)
@@ -256,6 +257,7 @@ def _screen(
         found.timed_out = found.motion is None
         return {}
     found.checked += len(block)
+    left.tried[left.row[block]] = True
     left.outcomes[left.row[block]] = [one.outcome for one in screened]
     return {i: one for i, one in zip(block.tolist(), screened, strict=True) if one.q is not None}
 
