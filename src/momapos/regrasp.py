@@ -171,7 +171,8 @@ def every_two_holds(
     Each is made when it is asked for: mostly the first is enough.
     """
     watch = watch or Stopwatch(lambda: 0.0)
-    for ajar in () if whole.blocked else AJAR:
+    pushes = "push" in config.motion.grasps.families
+    for ajar in AJAR if pushes and not whole.blocked else ():
         two = _two_holds(whole, config, seed, ajar, out_of_time, watch)
         if two is not None:
             yield two

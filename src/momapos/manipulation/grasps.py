@@ -129,7 +129,8 @@ def holding_grasps(
             found.append((handle, strong))
             break
         reasons.append(reason)
-    pushed = push_grasps(robot, model, joint, sign, config) if closes else None
+    pushes = closes and Family.PUSH in config.families
+    pushed = push_grasps(robot, model, joint, sign, config) if pushes else None
     if pushed is not None and len(pushed[1].code):
         found.append(pushed)
     if found:
@@ -159,6 +160,9 @@ def _strong(
     """Those grasps that transmit what a part needs, and why there is none."""
     if not len(grasps.code):
         return grasps, grasps.reason
+    grasps = grasps.only(np.isin(grasps.code, [FAMILIES.index(Family(f)) for f in config.families]))
+    if not len(grasps.code):
+        return grasps, f"{robot.name} holds {handle.name} by other grasps than those allowed"
     need = torque / np.maximum(lever_arms(model, joint, grasps.point), 1e-3)
     strong = grasps.capacity >= config.grasp_margin * need
     if strong.any():

@@ -233,7 +233,8 @@ def _joint_motion(
     static, labels = static_boxes(scene, target, set(moved))
     approach = _straight_approach(robot, Ts_world_part[0] @ Ts_part_tool, config.grasps)
     steps = approach.shape[1]
-    turning = turning_about(robot, chosen)
+    held = len(chosen.Ts_part_tool)
+    turning = turning_about(robot, chosen) if config.grasps.turning else no_turning(held)
     Ts_world_tool = np.concatenate([approach, Ts_world_part[None] @ Ts_part_tool[:, None]], axis=1)
     return TaskMotion(
         task=task,

@@ -106,6 +106,8 @@ class Problem:
     geometry: PlacementGeometry
     reach: ReachScorer
     """The robot's reachability map."""
+    grid_reach: ReachScorer
+    """The same for the grid, whose "no" counts: it rules out only what is surely out of reach."""
     ways: tuple[ScoreWays, ...]
     """Ways of holding, each of which is tried where those before fail."""
     travel_cost: TravelCost
@@ -146,7 +148,8 @@ def search(problem: Problem, config: PlaceConfig, rng: np.random.Generator) -> S
     for local, on_grid in _rounds(corners, config, rng):
         clear = _cull(problem, compose(frame, local), found)
         for score in problem.ways:
-            shortlist = clear.reached(score(problem.reach, clear.poses))
+            reach = problem.grid_reach if on_grid else problem.reach
+            shortlist = clear.reached(score(reach, clear.poses))
             if on_grid:
                 _check_grid(problem, shortlist, config, found)
             else:
