@@ -49,6 +49,7 @@ class Manipulation(msgspec.Struct):
     holds: list[tuple[int, int]] = []
     turn_axes: list[tuple[float, float, float] | None] = []
     families: list[str] = []
+    hold_words: list[str] = []
 
 
 class Candidates(msgspec.Struct):

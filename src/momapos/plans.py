@@ -95,6 +95,7 @@ def _holds_to_dict(holds: tuple[Hold, ...]) -> dict[str, Any]:
         "holds": [[hold.first, hold.last] for hold in holds],
         "turn_axes": [hold.turn_axis for hold in holds],
         "families": [hold.family for hold in holds],
+        "hold_words": [hold.words for hold in holds],
     }
 
 
@@ -360,8 +361,11 @@ def _holds(motion: members.Manipulation, path: Path) -> tuple[Hold, ...]:
     families = motion.families or [""] * len(motion.holds)
     if len(families) != len(motion.holds) or any(len(name) > 40 for name in families):
         raise FileFormatError(f"{path}: manipulation.families must be a word for each hold")
-    holds = zip(motion.holds, axes, families, strict=True)
-    return tuple(Hold(*hold, axis, family) for hold, axis, family in holds)
+    words = motion.hold_words or [""] * len(motion.holds)
+    if len(words) != len(motion.holds) or any(len(text) > 400 for text in words):
+        raise FileFormatError(f"{path}: manipulation.hold_words must be a line for each hold")
+    holds = zip(motion.holds, axes, families, words, strict=True)
+    return tuple(Hold(*hold, axis, family, text) for hold, axis, family, text in holds)
 
 
 def _read_times(

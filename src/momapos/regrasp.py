@@ -23,7 +23,7 @@ from momapos.placement.place import Problem
 from momapos.prepare import PreparedTask, prepare
 from momapos.protocols import ReachScorer
 from momapos.stopwatch import Stopwatch
-from momapos.types import ArmPathResult, Attempt, Hold, Motion, Task
+from momapos.types import ArmPathResult, Attempt, Motion, Task
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
@@ -153,7 +153,7 @@ class TwoHolds:
         object_q = np.concatenate([pulled.object_q, ajar, second.object_q[1:]])
         begin = len(pulled.q) + len(way) - 1 + second.grasp_step
         (push,) = second.holds(pushed.grasp)
-        hold = Hold(begin, begin + push.last, push.turn_axis, push.family)
+        hold = replace(push, first=begin, last=begin + push.last)
         Ts = pose_planar(base) @ self.second.robot.chain.tool_poses(q)
         return Motion(pulled.approach, q, object_q, Ts, holds=(*pulled.holds, hold))
 

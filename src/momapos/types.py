@@ -176,6 +176,8 @@ class Hold:
     may turn; None where it may not."""
     family: str = ""
     """How it holds: pinch, hook, push or suction; "" where nobody says."""
+    words: str = ""
+    """What it holds and how, for people; "" where nobody says."""
 
 
 @dataclass(frozen=True)

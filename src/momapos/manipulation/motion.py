@@ -133,7 +133,11 @@ class TaskMotion:
         grasp = int(self.turning.members(np.array([way]))[0, 0])
         last = len(self.object_q) - 1 if self.release_step is None else self.release_step
         axis = self.turning.axis_of(way)
-        return (Hold(0, last - self.grasp_step, axis, str(self.grasps.family[grasp])),)
+        words = self.grasps.describe(grasp) + (
+            "" if axis is None else ", about which the hand turns"
+        )
+        family = str(self.grasps.family[grasp])
+        return (Hold(0, last - self.grasp_step, axis, family, words),)
 
     def sweep(self) -> Boxes:
         """The moving boxes at all values, as one set."""

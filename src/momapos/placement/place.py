@@ -85,6 +85,9 @@ class Search:
         self.timed_out = other.timed_out
         if other.motion is not None:
             self.base, self.motion, self.cost = other.base, other.motion, other.cost
+            assert other.base is not None
+            feasible = PoseOutcome(PoseStatus.FEASIBLE)
+            self.note(other.base[None], np.array([feasible], object))
 
     def candidates(self) -> Candidates:
         """Counts for the plan."""
