@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -105,6 +106,7 @@ def holding_grasps(
     *,
     closes: bool,
     config: GraspConfig,
+    passed: Collection[Handle] = (),
 ) -> Chosen:
     """The grasps of the first handle of a part by which the robot can move it.
 
@@ -115,11 +117,12 @@ def holding_grasps(
         torque: What the joint resists with [Nm] or [N].
         closes: Whether the part is to be shut: then its front may be pushed as well.
         config: What is tried.
+        passed: Handles that are passed over, of which there are more.
 
     Returns:
         Where none holds, those that the best handle would have, and why they do not.
     """
-    handles = find_handles(model, joint, sign)
+    handles = [h for h in find_handles(model, joint, sign) if h not in passed]
     found: list[tuple[Handle, PartGrasps]] = []
     reasons = []
     for handle in handles:
