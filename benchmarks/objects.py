@@ -62,6 +62,8 @@ FAMILIES: dict[str, GraspConfig] = {
     "two holds": GraspConfig(),
 }
 """Sets of families, each with all of the one before; the last is the default."""
+OBVIOUS = ("farther than the arm", "base blocked", "base off the floor")
+"""Why most poses of any grid are none; others say more."""
 HALVES = ("tuned", "measured")
 LEAST_SIZE, LEAST_TRAVEL = 0.2, 0.1
 """What is smaller or moves less is a knob or a button [m], [m] or [rad]."""
@@ -212,8 +214,8 @@ def first_family(robot: Robot, name: str, scene: Scene, joint: str) -> dict[str,
         plan = plan_base_placement(scene, robot, task, reach, config=config).plan
         if plan.status == "solved":
             return {**row, "family": family}
-    reasons = sorted(plan.candidates.rejections.items(), key=_count, reverse=True)
-    row |= {"status": plan.status, "reason": reasons[0][0] if reasons else "", "to": task.to}
+    told = [reason for reason in plan.candidates.rejections if reason not in OBVIOUS]
+    row |= {"status": plan.status, "reason": ", ".join(told[:2]), "to": task.to}
     farthest = smaller_opening(plan, scene, robot, reach, config=CONFIG)
     slides = scene.object("object").model.joint(joint).kind == "prismatic"
     return {**row, "slides": slides, "feasible_to": farthest.feasible_to}
@@ -228,17 +230,15 @@ def family_table(rows: list[dict[str, Any]]) -> str:
             mine = [r["family"] or "no" for r in rows if (r["half"], r["robot"]) == (half, robot)]
             counts = " | ".join(str(mine.count(name)) for name in names)
             lines.append(f"| {half} | {robot} | {len(mine)} | {counts} |")
-    lines += [
-        "",
-        "| robot | opening that is a no | asked | farthest | why |",
-        "|---|---|---|---|---|",
-    ]
-    lines += [
-        f"| {r['robot']} | {r['object']} {r['joint']} | {_opened(r, 'to')} | "
-        f"{_opened(r, 'feasible_to')} | {r['status']}: {r['reason']} |"
-        for r in sorted(rows, key=lambda r: (r["object"], r["joint"], r["robot"]))
-        if r["family"] is None and r["half"] == "tuned"
-    ]
+    lines += ["", "| opening that is a no | robots: farthest | asked | why |", "|---|---|---|---|"]
+    groups: dict[tuple[str, ...], list[str]] = {}
+    for row in sorted(rows, key=lambda r: (r["object"], r["joint"], r["robot"])):
+        if row["family"] is None and row["half"] == "tuned":
+            why = row["reason"].replace(row["robot"], "it").split(" (")[0]
+            why = why if row["status"] == "infeasible" else f"{row['status']}: {why}"
+            key = (f"{row['object']} {row['joint']}", _opened(row, "to"), why)
+            groups.setdefault(key, []).append(f"{row['robot']}: {_opened(row, 'feasible_to')}")
+    lines += [f"| {k[0]} | {'; '.join(each)} | {k[1]} | {k[2]} |" for k, each in groups.items()]
     return "\n".join(lines)
 
 

@@ -130,8 +130,8 @@ def report(rows: list[dict[str, Any]]) -> str:
     if len(done):
         lines += [
             f"all: {sum(r['status'] == 'solved' for r in done)} of {len(done)} solved; processor "
-            f"time, which other work on the machine stretches less, median {np.median(used):.0f} ms, "
-            f"95th percentile {np.percentile(used, 95):.0f} ms"
+            f"time, which other work stretches less, median {np.median(used):.0f} ms, 95th "
+            f"percentile {np.percentile(used, 95):.0f} ms"
         ]
     for name in dict.fromkeys(r["robot"] for r in done):
         mine = [r for r in done if r["robot"] == name]

@@ -299,6 +299,8 @@ class PlacementPlan:
     """Where the value asked for is out of reach: the farthest found that is not [rad] or [m]."""
     feasible_from: tuple[float, float, float] | None = None
     """The base pose from which that one is reached: x [m], y [m], yaw [rad]."""
+    feasible_sure: bool = False
+    """Whether the grid has ruled out what lies a waypoint beyond; else the time ended before."""
 
     def __repr__(self) -> str:
         what = (

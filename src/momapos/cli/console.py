@@ -136,7 +136,8 @@ def _why_not(answer: PlacementResult) -> str:
     if smaller is None or plan.feasible_from is None or task.to is None:
         return "there is no base pose; the reasons are below"
     asked = f"to {_value(answer, task.to)}"
-    return f"{asked}; to {_value(answer, smaller)} from {_pose(plan.feasible_from)}"
+    found = f"{asked}; to {_value(answer, smaller)} from {_pose(plan.feasible_from)}"
+    return found if plan.feasible_sure else f"{found}, and the time ended before more was ruled out"
 
 
 def _pose(pose: tuple[float, float, float]) -> str:
