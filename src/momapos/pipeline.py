@@ -26,7 +26,7 @@ from momapos.placement.place import PoseFilter, search
 from momapos.placement_result import PlacementResult
 from momapos.protocols import Clock, ReachScorer
 from momapos.query import PlacementQuery
-from momapos.reachability.store import load_reach_map
+from momapos.reachability.store import load_reach
 from momapos.ready_search import ready_search
 from momapos.regrasp import two_hold_searches
 from momapos.robots.robot import Robot
@@ -86,7 +86,7 @@ def plan_base_placement(
         )
     watch = Stopwatch(clock)
     if reach is None:
-        reach = load_reach_map(robot, cache_dir)
+        reach = load_reach(robot, cache_dir)
     query = PlacementQuery(scene, robot, task, reach, start, pose_filter, config, seed, watch)
     return as_far_as_possible(query, answer) if task.farthest else answer(query)
 

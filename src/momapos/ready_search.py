@@ -14,13 +14,18 @@ from momapos.outcomes import PoseOutcome, PoseStatus
 from momapos.placement.place import AttemptPose, Problem, Search
 from momapos.placement_result import PlacementResult, plan_of
 from momapos.prepare import PreparedTask, driving_lengths, prepare, start_pose
+from momapos.protocols import ReachScorer
 from momapos.query import PlacementQuery
+from momapos.reachability.map import ReachMap
 from momapos.regrasp import TwoHolds, every_two_holds
 from momapos.scene.scene import Scene
 from momapos.types import ArmPathResult, Attempt
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
+
+DOUBT = 1.0
+"""So many cells outside its boundary a map may be wrong: there the grid asks the arm [-]."""
 
 
 @dataclass(frozen=True)
@@ -98,6 +103,8 @@ def ready_search(query: PlacementQuery, modeled: Scene, motion: TaskMotion) -> R
     prepared = prepare(
         modeled, robot, query.task, config, clearance=clearance, motion=motion, watch=watch
     )
+    with watch.stage("exact model"):
+        infeasible_reason = prepared.infeasible_reason
     with watch.stage("drive"):
         start = start_pose(query.scene, robot, prepared.motion, query.start, query.nav_map)
         travel_cost = driving_lengths(prepared, start)
@@ -113,13 +120,21 @@ def ready_search(query: PlacementQuery, modeled: Scene, motion: TaskMotion) -> R
     problem = Problem(
         geometry=prepared.geometry,
         reach=query.reach,
+        grid_reach=_in_doubt(query.reach),
         ways=prepared.ways,
         travel_cost=travel_cost,
         attempt=drives.drivable(feasible),
         screen=feasible.screen,
-        infeasible_reason=prepared.infeasible_reason,
+        infeasible_reason=infeasible_reason,
         start=start,
         out_of_time=out_of_time,
         pose_filter=query.pose_filter,
     )
     return ReadySearch(query, prepared, problem, drives)
+
+
+def _in_doubt(reach: ReachScorer) -> ReachScorer:
+    """A map that calls reachable what may be: lines up to some cells outside the boundary."""
+    if isinstance(reach, ReachMap):
+        return replace(reach, threshold=reach.threshold - DOUBT)
+    return reach

@@ -27,7 +27,7 @@ from momapos.placement.place import PoseFilter, Search, search_in_order
 from momapos.placement_result import PlacementResult
 from momapos.protocols import Clock, ReachScorer
 from momapos.query import PlacementQuery
-from momapos.reachability.store import load_reach_map
+from momapos.reachability.store import load_reach
 from momapos.ready_search import ReadySearch, ready_search
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene
@@ -86,7 +86,7 @@ def plan_by_method(
             cache_dir=cache_dir, seed=seed, clock=clock,
         )  # fmt: skip
     if reach is None:
-        reach = load_reach_map(robot, cache_dir)
+        reach = load_reach(robot, cache_dir)
     query = PlacementQuery(
         scene, robot, task, reach, start, pose_filter, config, seed, Stopwatch(clock)
     )
