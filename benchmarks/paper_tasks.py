@@ -18,22 +18,21 @@ import time
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
+from momapos.baselines.answer import plan_by_method
 from momapos.cache import default_cache_dir
 from momapos.config import PipelineConfig
 from momapos.errors import MomaposError
 from momapos.geometry.transforms import pose, pose_planar
-from momapos.importance.config import ImportanceConfig
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.base_collision import base_hits
 from momapos.kinematics.collision import FREE
 from momapos.kinematics.urdf import box_urdf
 from momapos.manipulation.tasks import make_task
-from momapos.pipeline import plan_base_placement
-from momapos.placement.config import PlaceConfig
+from momapos.placement.config import Method, PlaceConfig
 from momapos.protocols import ReachScorer
 from momapos.reachability.store import load_reach_map
 from momapos.robots.robot import Robot, load_robot
@@ -64,6 +63,7 @@ TASKS = {
     "open fridge": ("open", "Fridge", "doorR1_to_base_link"),
     "open microwave": ("open", MICROWAVE, "doorL0_to_base_link"),
 }
+METHODS = tuple(method for method in get_args(Method) if method != "exhaustive")
 PAPER = (  # task, method, time [s], cost [m], success [%]: the main table of Shao et al.
     ("grasp apple", "MoMa-Pos", "13.5 +- 2.0", "3.2 +- 1.2", 100),
     ("grasp apple", "Habitat", "17.3 +- 0.2", "3.0 +- 0.0", 100),
@@ -157,17 +157,13 @@ def trial(
     scene: Scene, robot: Robot, reach: ReachScorer, task: Task, method: str, seed: int
 ) -> dict[str, object]:
     """Ask for a base pose, drive there, do it."""
-    ranking = ImportanceConfig(scorer="deepwalk") if method == "paper" else ImportanceConfig()
     config = PipelineConfig(
-        importance=ranking,
         place=PlaceConfig(method=method),  # type: ignore[arg-type]
         timeout=120.0,
     )
     clock = time.process_time
     try:
-        plan = plan_base_placement(
-            scene, robot, task, reach, config=config, seed=seed, clock=clock
-        ).plan
+        plan = plan_by_method(scene, robot, task, reach, config=config, seed=seed, clock=clock).plan
         row: dict[str, object] = {
             "status": plan.status, "place": plan.timing["total"], "cost": plan.navigation_cost
         }  # fmt: skip
@@ -192,7 +188,7 @@ def run(trials: int, methods: list[str], tasks: list[str], seed: int) -> list[di
     robot, room, small = load_robot(ROBOT), load_scene(shared() / "bestman" / ROOM), things()
     reach = load_reach_map(robot, default_cache_dir(), None)
     rows = []
-    plan_base_placement(
+    plan_by_method(
         room, robot, make_task(room, *TASKS["open microwave"]), reach
     )  # loads the kernels
     for number in range(trials):
@@ -238,7 +234,7 @@ def main() -> None:
     """Run and report."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--trials", type=int, default=50)
-    parser.add_argument("--methods", nargs="+", choices=("ours", "paper"), default=["ours"])
+    parser.add_argument("--methods", nargs="+", choices=METHODS, default=["ours"])
     parser.add_argument("--tasks", nargs="+", choices=tuple(TASKS), default=list(TASKS))
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, help="folder for paper_tasks.json")

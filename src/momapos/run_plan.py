@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 
 from momapos.base_pose import check_base_pose
+from momapos.baselines.answer import plan_by_method
 from momapos.config import PipelineConfig
 from momapos.errors import InputError, SceneError
 from momapos.execution.config import ExecutionConfig
@@ -28,7 +29,6 @@ from momapos.navigation.drive import DriveConfig, drive
 from momapos.navigation.drive_record import DriveRecord
 from momapos.navigation.footprint_map import NavigationMap, build_navigation_map
 from momapos.navigation.localization import NoiseConfig
-from momapos.pipeline import plan_base_placement
 from momapos.prepare import start_pose
 from momapos.protocols import Clock, ReachScorer
 from momapos.robots.robot import Robot
@@ -225,7 +225,7 @@ class _Trip:
     def _another(self, pose: Float[np.ndarray, "3"]) -> PlacementPlan | None:
         """The cheapest base pose seen from where the robot is, those that failed ruled out."""
         try:
-            result = plan_base_placement(
+            result = plan_by_method(
                 self.scene, self.ground.robot, self.plan.task, self.reach, start=pose,
                 pose_filter=self._ruled_out, config=self.config, seed=self.plan.seed,
             )  # fmt: skip
