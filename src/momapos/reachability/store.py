@@ -46,7 +46,12 @@ def map_key(robot: Robot, config: ReachConfig) -> str:
     so that a comment in a file changes nothing and a mesh on the disk does.
     """
     chain = robot.chain
-    *shapes, _, _ = robot.spheres.arrays()  # the last, bounds of the base, follow from its boxes
+    spheres = robot.spheres.arrays()
+    shapes = list(
+        spheres[: spheres._fields.index("base_bounds")]
+    )  # what follows, follows from them
+    if spheres.exact.any() or spheres.base_exact.any():
+        shapes += [*spheres.hulls, spheres.exact, spheres.base_exact]
     arrays = (
         chain.h, chain.d, chain.prismatic, chain.lower, chain.upper, chain.tool_offset,
         chain.tool_rotation, robot.approach_axis, *shapes,

@@ -22,6 +22,7 @@ from momapos.cache import write_atomic
 from momapos.errors import InputError, RobotError
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.chain import Chain, build_chain
+from momapos.kinematics.self_collision import arm_spheres
 from momapos.kinematics.spheres import Spheres, build_spheres
 from momapos.kinematics.urdf import read_urdf
 from momapos.robots.gripper import (
@@ -152,9 +153,9 @@ def derive_robot(
     chain, segments = build_chain(model, base_link, tool_link, joints)
     spheres = build_spheres(model, segments, known, gripper)
     q = sample_states(chain, np.random.default_rng(seed))
-    pairs = {} if known else inevitable_pairs(chain, spheres, q, model)
+    pairs = {} if known else inevitable_pairs(chain, spheres, q)
     disabled = known | {frozenset(pair) for pair in pairs}
-    spheres = build_spheres(model, segments, disabled, gripper)
+    spheres = arm_spheres(model, chain, segments, disabled, gripper)
     home = _home(chain, spheres, q, notes)
     grips = find_grips(model, last, fingers, notes)
     srdf_name = srdf_name or urdf.with_suffix(".srdf").name
@@ -187,9 +188,9 @@ def _at_rest(
     shared = [i for i in range(len(other)) if i not in own]
     q[:, shared] = q[0, shared]
     spheres = build_spheres(model, segments, known, [last])
-    pairs = {} if known else inevitable_pairs(chain, spheres, q, model)
+    pairs = {} if known else inevitable_pairs(chain, spheres, q)
     disabled = known | {frozenset(pair) for pair in pairs}
-    found = resting_state(chain, build_spheres(model, segments, disabled, [last]), q)
+    found = resting_state(chain, arm_spheres(model, chain, segments, disabled, [last]), q)
     if found is None:
         return model
     held = {other[i]: float(found[0][i]) for i in own}
