@@ -28,8 +28,8 @@ MORE = 0.03
 
 
 def segment_poses(chain: Chain, q: Float[np.ndarray, " n"]) -> Float[np.ndarray, "segments 4 4"]:
-    Ts = np.tile(np.eye(4), (chain.size + 1, 1, 1))
-    R, p = np.empty((chain.size + 1, 3, 3)), np.empty((chain.size + 1, 3))
+    Ts = np.tile(np.eye(4), (chain.last + 1, 1, 1))
+    R, p = np.empty((chain.last + 1, 3, 3)), np.empty((chain.last + 1, 3))
     place_segments(q, np.zeros(3), chain_arrays(chain), R, p)
     Ts[:, :3, :3], Ts[:, :3, 3] = R, p
     return Ts

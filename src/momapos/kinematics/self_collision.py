@@ -58,7 +58,7 @@ def _contacts(
     by_hulls: B2,
 ) -> None:
     """Fill the columns of `Contacts`; those of groups and boxes of the base are in `column`."""
-    scratch = scratch_of(q.shape[1], spheres)
+    scratch = scratch_of(len(chain.slides), spheres)
     R, p, bounds = scratch
     base, hulls = np.zeros(3), spheres.hulls
     for m in range(len(q)):

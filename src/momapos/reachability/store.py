@@ -47,13 +47,13 @@ def map_key(robot: Robot, config: ReachConfig) -> str:
     """
     chain = robot.chain
     spheres = robot.spheres.arrays()
-    shapes = list(
-        spheres[: spheres._fields.index("base_bounds")]
-    )  # what follows, follows from them
+    # Bounds of the base, left out, follow from its boxes; hulls matter where they decide.
+    shapes: list[np.ndarray] = list(spheres[:12])
     if spheres.exact.any() or spheres.base_exact.any():
         shapes += [*spheres.hulls, spheres.exact, spheres.base_exact]
+    coupling = (chain.dof, chain.ratio) if chain.coupled else ()
     arrays = (
-        chain.h, chain.d, chain.prismatic, chain.lower, chain.upper, chain.tool_offset,
+        chain.h, chain.d, chain.slides, *coupling, chain.lower, chain.upper, chain.tool_offset,
         chain.tool_rotation, robot.approach_axis, *shapes,
     )  # fmt: skip
     # A micrometer more or less is another machine's rounding, not another robot.
