@@ -24,6 +24,7 @@ from momapos.kinematics.ik import (
 )
 from momapos.kinematics.records import ArmArrays, CollisionArrays, TaskState
 from momapos.kinematics.world import CollisionWorld, check_one, collision_arrays
+from momapos.manipulation.hand_room import arm_spheres
 from momapos.manipulation.motion import TaskMotion
 from momapos.robots.robot import Robot
 
@@ -138,7 +139,7 @@ def solve_layer(
         bases[row],
         TaskState(int(motion.value[step]), bool(motion.holding[step])),
         arm_arrays(chain, ik),
-        collision_arrays(robot.spheres, world),
+        collision_arrays(arm_spheres(robot), world),
         JointSteps(full_turns(chain), scale, locked),
         around,
     )
@@ -189,7 +190,7 @@ def joint_step(a, b, full_turn, scale, limit):
     for k in range(len(a)):
         d = b[k] - a[k]
         if full_turn[k]:
-            d -= 2.0 * np.pi * np.round(d / (2.0 * np.pi))
+            d -= 2.0 * np.pi * np.floor(d / (2.0 * np.pi) + 0.5)
         worst = max(worst, abs(d) * scale[k])
         if worst > limit:
             break
