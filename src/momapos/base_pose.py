@@ -22,7 +22,7 @@ from momapos.placement_result import PlacementResult, plan_of
 from momapos.prepare import PreparedTask, driving_lengths, prepare, start_pose
 from momapos.protocols import Clock, ReachScorer
 from momapos.query import PlacementQuery
-from momapos.reachability.store import load_reach_map
+from momapos.reachability.store import load_reach
 from momapos.regrasp import every_two_holds
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene
@@ -75,7 +75,7 @@ def check_base_pose(
         RobotError: The robot and the task do not fit together.
     """
     if reach is None:
-        reach = load_reach_map(robot, cache_dir)
+        reach = load_reach(robot, cache_dir)
     watch = Stopwatch(lambda: 0.0)
     query = PlacementQuery(scene, robot, task, reach, None, None, config, seed, watch)
     return _look(query, np.asarray(base_pose, float), how_far=how_far).attempt

@@ -181,7 +181,7 @@ def _answer(
     from momapos.cli.console import busy, progress
     from momapos.manipulation.tasks import make_task
     from momapos.pipeline import plan_base_placement
-    from momapos.reachability.store import load_reach_map
+    from momapos.reachability.store import load_reach
     from momapos.robots.robot import load_robot
     from momapos.scene.files import load_scene
     from momapos.scene.joints import set_joints
@@ -194,7 +194,7 @@ def _answer(
         print(f"momapos: {warning}", file=sys.stderr)
     task = make_task(scene, verb, name, joint or None, to)
     with progress(f"reachability map of {robot.name}") as report:
-        reach = load_reach_map(robot, cache.folder, report)
+        reach = load_reach(robot, cache.folder, report)
     begin = None if start is None else np.array(start)
     walks = (*RANK, *WALKS) if config.ranking.scorer == "deepwalk" else ()
     compile_once(tuple(dict.fromkeys((*ANSWER, *walks))))
