@@ -540,9 +540,14 @@ def test_a_tool_without_fingers_that_is_named_so_holds_by_that(
     assert load_robot(write_robot(path)[0]).grips is grips
 
 
-def test_the_grippers_of_the_library_state_their_force() -> None:
+def test_the_grippers_of_the_library_state_their_force_where_one_is_published() -> None:
     robots = [load_robot(name) for name in library_names()]
-    assert all(robot.grips is Grip.FINGERS and not robot.assumed for robot in robots)
-    assert {robot.name: robot.grip_force for robot in robots} == {
-        "fetch": 60.0, "husky_ur5e": 100.0, "ranger_rm63": 100.0, "segway_ur5e": 100.0,
+    assert all(robot.grips is Grip.FINGERS for robot in robots)
+    assert {robot.name: robot.grip_force for robot in robots if not robot.assumed} == {
+        "fetch": 60.0, "husky_ur5e": 100.0, "mobile_panda": 70.0, "ranger_rm63": 100.0,
+        "segway_ur5e": 100.0,
     }  # fmt: skip
+    (tiago,) = (robot for robot in robots if robot.assumed)
+    assert tiago.name == "tiago"
+    assert len(tiago.assumed) == 1
+    assert "force" in tiago.assumed[0]
