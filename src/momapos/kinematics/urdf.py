@@ -11,7 +11,7 @@ import io
 import math
 import re
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -23,6 +23,7 @@ from momapos.cache import Cache
 from momapos.errors import UrdfError
 from momapos.files import parse_xml, read_text_bounded
 from momapos.kinematics.kept import once
+from momapos.kinematics.mesh_files import MeshFinder
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -37,7 +38,7 @@ MAX_SIZE = 1e4
 MAX_DEPTH = 50
 _COUNTS = {
     "xyz": (3,), "rpy": (3,), "size": (3,), "scale": (1, 3), "radius": (1,), "length": (1,),
-    "lower": (1,), "upper": (1,), "velocity": (1,),
+    "lower": (1,), "upper": (1,), "velocity": (1,), "effort": (1,),
 }  # fmt: skip
 """How many numbers an attribute holds."""
 _LENGTHS = {"xyz", "size", "radius", "length", "scale"}
@@ -96,6 +97,8 @@ class Joint:
     """Limits [rad] or [m]; infinite for continuous joints."""
     velocity: float
     """Speed limit [rad/s] or [m/s]; infinite when the file gives none."""
+    effort: float = math.inf
+    """Greatest torque or force [Nm] or [N]; infinite when the file gives none."""
 
     @property
     def movable(self) -> bool:
@@ -117,7 +120,13 @@ class Urdf:
 
 
 def read_urdf(
-    path: Path, *, root: Path | None = None, scale: float = 1.0, cache: Cache | None = None
+    path: Path,
+    *,
+    root: Path | None = None,
+    scale: float = 1.0,
+    cache: Cache | None = None,
+    text: str | None = None,
+    packages: Mapping[str, Path] | None = None,
 ) -> Urdf:
     """Read a URDF file.
 
@@ -127,18 +136,21 @@ def read_urdf(
             levels where None (packages keep meshes beside the `urdf` folder).
         scale: Uniform scale of all lengths [-].
         cache: Where what was parsed is kept, so that a file is parsed once.
+        text: What is read instead of the file's content, as one who changed it may have it.
+        packages: Folders of packages by name; meshes may come from these too.
 
     Raises:
         UrdfError: The file cannot be used; the message says where and why.
     """
     if not (math.isfinite(scale) and scale > 0):
         raise UrdfError(f"{path}: scale must be a number > 0, not {scale}")
-    text = read_text_bounded(path, MAX_URDF_BYTES, error=UrdfError)
+    if text is None:
+        text = read_text_bounded(path, MAX_URDF_BYTES, error=UrdfError)
     urdf, meshes = once(
         cache, "urdf", (text, scale), lambda: _parse(text, path, scale),
         (Urdf, Link, Joint, Geometry),
     )  # fmt: skip
-    return _with_meshes(urdf, path, iter(meshes), _Finder(path, root))
+    return _with_meshes(urdf, path, iter(meshes), MeshFinder(path, root, packages or {}))
 
 
 def box_urdf(name: str, size: tuple[float, float, float]) -> Urdf:
@@ -332,9 +344,12 @@ class _Reader:
             raise UrdfError(f"{where} has a zero axis")
         lower, upper = self.limits(where, kind, joint.limit)
         velocity = getattr(joint.limit, "velocity", None) or math.inf
+        effort = getattr(joint.limit, "effort", None) or math.inf
         unit = axis / length if length > 1e-9 else axis
         T = self.transform(joint.origin)
-        return Joint(joint.name, kind, joint.parent, joint.child, T, unit, lower, upper, velocity)
+        return Joint(
+            joint.name, kind, joint.parent, joint.child, T, unit, lower, upper, velocity, effort
+        )
 
     def limits(self, where: str, kind: str, limit: Any) -> tuple[float, float]:
         if kind == "fixed":
@@ -349,35 +364,7 @@ class _Reader:
         return lower, upper
 
 
-class _Finder:
-    """Finds the meshes that a URDF names."""
-
-    def __init__(self, path: Path, root: Path | None) -> None:
-        self.path = path
-        folder = path.resolve().parent
-        self.folders = [folder, *list(folder.parents)[:4]]
-        self.root = root.resolve() if root else self.folders[-1]
-
-    def find(self, filename: str) -> Path:
-        """Resolve a mesh name inside the root; `package://` is looked for in parent folders."""
-        relative = re.sub(r"^(package|file|model)://", "", filename)
-        try:
-            for folder in self.folders:
-                for name in (relative, relative.split("/", 1)[-1]):
-                    candidate = (folder / name).resolve()
-                    if candidate.is_relative_to(self.root) and candidate.is_file():
-                        return candidate
-            outside = not (self.folders[0] / relative).resolve().is_relative_to(self.root)
-        except (OSError, RuntimeError, ValueError) as error:  # too long, links in a circle, NUL
-            raise UrdfError(f"{self.path}: mesh {filename!r:.80} cannot be looked up") from error
-        if outside:
-            raise UrdfError(
-                f"{self.path}: mesh {filename!r} leaves {self.root}; keep meshes inside it"
-            )
-        raise UrdfError(f"{self.path}: mesh {filename!r} does not exist below {self.root}")
-
-
-def _with_meshes(urdf: Urdf, path: Path, names: Iterator[str], finder: _Finder) -> Urdf:
+def _with_meshes(urdf: Urdf, path: Path, names: Iterator[str], finder: MeshFinder) -> Urdf:
     """Put the files of a URDF and of its meshes, in the order they were parsed, into a record."""
 
     def found(shape: Geometry) -> Geometry:
