@@ -79,7 +79,7 @@ def plan_of(
         robot_srdf=_named_srdf(robot),
         robot_rest=robot.model.held,
         scene_joints=query.scene.joints_set,
-        joints=robot.arm_joints,
+        joints=robot.moved_joints,
         start=(float(start[0]), float(start[1]), float(start[2])),
         base_path=None if path is None else path.poses,
         base_pose=None if base is None else (float(base[0]), float(base[1]), float(base[2])),

@@ -31,7 +31,9 @@ from momapos.kinematics.urdf import read_urdf
 from momapos.robots.robot import Robot
 
 TURN = 2 * np.pi
-PER_JOINT = ("names", "h", "d", "prismatic", "lower", "upper", "velocity")
+PER_JOINT = (
+    "names", "joints", "dof", "ratio", "offset", "h", "d", "slides", "lower", "upper", "velocity",
+)  # fmt: skip
 KINDS = {
     "segway_ur5e": THREE_PARALLEL,
     "husky_ur5e": THREE_PARALLEL,
@@ -243,8 +245,10 @@ def test_a_long_rail_is_not_taken_for_an_angle(robots: Callable[[str], Robot]) -
     along = np.array([[1.0, 0.0, 0.0]])
     railed = replace(
         chain,
-        names=("rail", *chain.names), h=np.vstack([along, chain.h]),
-        d=np.vstack([0 * along, chain.d]), prismatic=np.r_[True, chain.prismatic],
+        names=("rail", *chain.names), joints=("rail", *chain.joints),
+        dof=np.arange(chain.size + 1), ratio=np.r_[1.0, chain.ratio],
+        offset=np.r_[0.0, chain.offset], h=np.vstack([along, chain.h]),
+        d=np.vstack([0 * along, chain.d]), slides=np.r_[True, chain.slides],
         lower=np.r_[0.0, chain.lower], upper=np.r_[8.0, chain.upper],
         velocity=np.r_[1.0, chain.velocity],
     )  # fmt: skip

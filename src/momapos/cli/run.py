@@ -141,7 +141,7 @@ def _robot(content: PlacementPlan, plan: Path, urdf: Path, given: str | None) ->
     else:
         raise RobotError(f"{plan}: there is no robot file {beside}; give --robot")
     named = (content.base_link, content.tool_link, content.joints)
-    if named != (robot.base_link, robot.tool_link, robot.arm_joints):
+    if named != (robot.base_link, robot.tool_link, robot.moved_joints):
         raise RobotError(
             f"{plan}: the plan is for {content.robot_name} with tool {content.tool_link!r} and "
             f"joints {', '.join(content.joints)}; {robot.path} describes another robot"

@@ -97,7 +97,7 @@ def execute(
     wall = clock() - began
     stopped = "" if ending in GOOD else f"{ending}: {run.detail}" if run.detail else str(ending)
     verdict = judge(world, run.observer, task, item, run.first, motion, config, stopped)
-    unknown = [name for name in robot.arm_joints if name not in dynamics.efforts]
+    unknown = [name for name in robot.moved_joints if name not in dynamics.efforts]
     if unknown:
         notes.append(f"no effort limit is known of {', '.join(unknown)}")
     return _outcome(run, ending, verdict, resistance, wall, notes)

@@ -166,7 +166,7 @@ def build_simulation(
             f"the physics engine refuses the model of {robot.name} in {scene.name}: {error}"
         ) from error
     driven = {finger.joint: finger.open for finger in fingers}
-    at = {**driven, **dict(zip(robot.arm_joints, states[0].tolist(), strict=True))}
+    at = {**driven, **dict(zip(robot.moved_joints, states[0].tolist(), strict=True))}
     followers = {n: m.at(driven[m.joint]) for n, m in hand.followers.items() if m.joint in driven}
     values = {PART: value, **at, **followers}
     tune(model, _values(model, values), robot, states, fingers, config)
@@ -284,9 +284,9 @@ def _index(
         data=data,
         kinds=kinds_of(model),
         names=tuple(name.removeprefix(body_of("")) for name in names),
-        arm_q=addresses(robot.arm_joints, "qposadr"),
-        arm_v=addresses(robot.arm_joints, "dofadr"),
-        arm_motor=motors(robot.arm_joints),
+        arm_q=addresses(robot.moved_joints, "qposadr"),
+        arm_v=addresses(robot.moved_joints, "dofadr"),
+        arm_motor=motors(robot.moved_joints),
         base_q=addresses(BASE_JOINTS, "qposadr"),
         base_motor=motors(BASE_JOINTS),
         part_q=int(model.joint(PART).qposadr[0]),

@@ -201,7 +201,7 @@ def place_segments(
     R[0, 1, 0], R[0, 1, 1], R[0, 1, 2] = s, c, 0.0
     R[0, 2, 0], R[0, 2, 1], R[0, 2, 2] = 0.0, 0.0, 1.0
     p[0, 0], p[0, 1], p[0, 2] = base[0], base[1], 0.0
-    forward(q, chain.h, chain.d, chain.prismatic, R, p)
+    forward(q, chain, R, p)
 
 
 @kernel
@@ -233,7 +233,7 @@ def check_states(
     margin: float,
 ) -> np.ndarray:
     """First thing that each configuration (m, n) hits: FREE, FLOOR, SELF or a box's index (m,)."""
-    scratch = scratch_of(q.shape[1], spheres)
+    scratch = scratch_of(len(chain.slides), spheres)
     R, p, bounds = scratch
     out = np.empty(len(q), np.int64)
     for i in range(len(q)):

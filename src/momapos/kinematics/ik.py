@@ -34,7 +34,7 @@ from momapos.kinematics.records import ArmArrays, IkArrays, IkScratch, NewtonRul
 from momapos.kinematics.subproblems import mul, row, sub
 
 if TYPE_CHECKING:
-    from jaxtyping import Float, Int
+    from jaxtyping import Bool, Float, Int
 
 _LOOSE = 5e-3
 """How far [m or rad] from the ideal geometry Newton may be asked to bridge."""
@@ -52,7 +52,9 @@ class IkModel:
 
     kind: int
     active: Int[np.ndarray, " a"]
-    """Indices of the joints that are solved for; the others are locked at a sample."""
+    """The degrees of freedom that are solved for; the others are locked at a sample."""
+    prismatic: Bool[np.ndarray, " n"]
+    """Which degrees of freedom slide."""
     samples: Float[np.ndarray, "s n"]
     """Full configurations that hold the locked values (numerical: the seeds)."""
     h: Float[np.ndarray, "s a 3"]
@@ -85,7 +87,8 @@ def build_ik(chain: Chain, *, samples_per_joint: int = 9, seeds: int = 48) -> Ik
             one (a torso) gets half as many.
         seeds: Number of seeds for arms without closed form [-].
     """
-    revolute = np.flatnonzero(~chain.prismatic)
+    alone = np.bincount(chain.dof, minlength=chain.size) == 1
+    revolute = np.flatnonzero(~chain.prismatic & alone)
     if len(revolute) >= 6:
         for active in _active_sets(revolute):
             model = _closed_form(chain, np.array(active), samples_per_joint)
@@ -123,19 +126,21 @@ def _closed_form(chain: Chain, active: np.ndarray, count: int) -> IkModel | None
     o = np.array([_points(kind, item[0], item[1]) for item in folded])
     wrist = np.array([_meeting(item[0][4:], item[1][4:])[0] for item in folded])
     R, p = np.array([item[2] for item in folded]), np.array([item[3] for item in folded])
-    return IkModel(kind, active.astype(np.int64), samples, h, o, wrist, R, p)
+    active = active.astype(np.int64)
+    return IkModel(kind, active, chain.prismatic, samples, h, o, wrist, R, p)
 
 
 def _fold(
     chain: Chain, sample: np.ndarray, active: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Axes, origins and tool pose of the active joints with the others in place."""
-    n = chain.size
+    n = chain.last
     R, p = np.empty((n + 1, 3, 3)), np.empty((n + 1, 3))
     stand_at_origin(R, p)
-    forward(sample, chain.h, chain.d, chain.prismatic, R, p)
-    h = np.einsum("aij,aj->ai", R[active], chain.h[active])
-    return h, p[active + 1], R[n] @ chain.tool_rotation, p[n] + R[n] @ chain.tool_offset
+    forward(sample, chain_arrays(chain), R, p)
+    joints = chain.leads[active]
+    h = np.einsum("aij,aj->ai", R[joints], chain.h[joints])
+    return h, p[joints + 1], R[n] @ chain.tool_rotation, p[n] + R[n] @ chain.tool_offset
 
 
 def _meeting(h: np.ndarray, o: np.ndarray) -> tuple[np.ndarray, float]:
@@ -182,7 +187,15 @@ def _numeric(chain: Chain, seeds: int) -> IkModel:
     every = np.arange(chain.size)
     empty, point = np.zeros((len(samples), chain.size, 3)), np.zeros((len(samples), 3))
     return IkModel(
-        NUMERIC, every, samples, empty, empty, point, np.zeros((len(samples), 3, 3)), point
+        NUMERIC,
+        every,
+        chain.prismatic,
+        samples,
+        empty,
+        empty,
+        point,
+        np.zeros((len(samples), 3, 3)),
+        point,
     )
 
 
@@ -232,7 +245,7 @@ def solve_sample(s, R_target, p_target, arm, enough, out, scratch):
         arm: `ArmArrays`.
         enough: Squared residual that will do [m^2 + rad^2], `EXACT` or `COARSE`.
         out: (max, n) to be filled.
-        scratch: `ik_scratch(n)`.
+        scratch: `ik_scratch(arm)`.
 
     Returns:
         Number of configurations written.
@@ -273,17 +286,16 @@ def solve_sample(s, R_target, p_target, arm, enough, out, scratch):
             if _hopeless(branches[b], active, lower, upper):
                 continue
         residual = newton(out[count], active, chain, R_target, p_target, rule, scratch.newton)
-        if residual < max(enough, _TIGHT) and into_limits(
-            out[count], lower, upper, chain.prismatic
-        ):
+        if residual < max(enough, _TIGHT) and into_limits(out[count], lower, upper, ik.prismatic):
             count += 1
     return count
 
 
 @kernel
-def ik_scratch(n):
+def ik_scratch(arm):
     """Memory for `solve_sample`."""
-    return IkScratch(np.empty((MAX_BRANCHES, 6)), np.empty((3, 3)), newton_scratch(n))
+    n = arm.ik.samples.shape[1]
+    return IkScratch(np.empty((MAX_BRANCHES, 6)), np.empty((3, 3)), newton_scratch(arm.chain, n))
 
 
 @kernel
@@ -298,7 +310,7 @@ def _solve_all(
     arm: ArmArrays,
 ) -> tuple[np.ndarray, np.ndarray]:
     n = arm.ik.samples.shape[1]
-    scratch = ik_scratch(n)
+    scratch = ik_scratch(arm)
     out = np.full((len(poses), max_solutions(arm.ik), n), np.nan)
     counts = np.zeros(len(poses), np.int64)
     for i in range(len(poses)):
@@ -312,7 +324,9 @@ def _solve_all(
 
 def ik_arrays(ik: IkModel) -> IkArrays:
     """The IK model as the kernels take it."""
-    return IkArrays(ik.kind, ik.active, ik.samples, ik.h, ik.o, ik.wrist, ik.R_tool, ik.p_tool)
+    return IkArrays(
+        ik.kind, ik.active, ik.prismatic, ik.samples, ik.h, ik.o, ik.wrist, ik.R_tool, ik.p_tool
+    )
 
 
 def arm_arrays(chain: Chain, ik: IkModel) -> ArmArrays:

@@ -36,47 +36,55 @@ def newton(q, active, chain, R_target, p_target, rule, scratch):
 
     Args:
         q: Configuration (n,), changed in place.
-        active: Indices of the joints that may move.
+        active: The degrees of freedom that may move.
         chain: `ChainArrays`.
         R_target, p_target: Target pose in the base frame.
         rule: `NewtonRule`.
-        scratch: `newton_scratch(n)`.
+        scratch: `newton_scratch(chain, n)`.
 
     Returns:
         Squared residual, position [m] and rotation [rad] together.
     """
-    h, prismatic = chain.h, chain.prismatic
+    h, slides, last = chain.h, chain.slides, len(chain.slides)
     tool_offset, tool_rotation = chain.tool_offset, chain.tool_rotation
-    R, p, J, A, e = scratch
-    n, m = len(q), len(active)
+    R, p, J, A, e, column = scratch
+    m = len(active)
+    for i in range(len(q)):
+        column[i] = -1
+    for a in range(m):
+        column[active[a]] = a
     residual = np.inf
     for step in range(rule.steps + 1):
         stand_at_origin(R, p)
-        forward(q, h, chain.d, prismatic, R, p)
-        tip = mul(R[n], (tool_offset[0], tool_offset[1], tool_offset[2]))
-        tool = (p[n, 0] + tip[0], p[n, 1] + tip[1], p[n, 2] + tip[2])
+        forward(q, chain, R, p)
+        tip = mul(R[last], (tool_offset[0], tool_offset[1], tool_offset[2]))
+        tool = (p[last, 0] + tip[0], p[last, 1] + tip[1], p[last, 2] + tip[2])
         for k in range(3):
             e[k] = p_target[k] - tool[k]
-        _rotation_error(R[n], tool_rotation, R_target, e)
+        _rotation_error(R[last], tool_rotation, R_target, e)
         residual = 0.0
         for k in range(6):
             residual += e[k] * e[k]
         if residual < rule.enough or step == rule.steps:
             break
         for a in range(m):
-            j = active[a]
-            axis = mul(R[j], (h[j, 0], h[j, 1], h[j, 2]))
-            if prismatic[j]:
+            for k in range(6):
+                J[k, a] = 0.0
+        for j in range(last):
+            a = column[chain.dof[j]]
+            if a < 0:
+                continue
+            axis, ratio = mul(R[j], (h[j, 0], h[j, 1], h[j, 2])), chain.ratio[j]
+            if slides[j]:
                 for k in range(3):
-                    J[k, a] = axis[k]
-                    J[k + 3, a] = 0.0
+                    J[k, a] += ratio * axis[k]
             else:
                 rx, ry, rz = tool[0] - p[j + 1, 0], tool[1] - p[j + 1, 1], tool[2] - p[j + 1, 2]
-                J[0, a] = axis[1] * rz - axis[2] * ry
-                J[1, a] = axis[2] * rx - axis[0] * rz
-                J[2, a] = axis[0] * ry - axis[1] * rx
+                J[0, a] += ratio * (axis[1] * rz - axis[2] * ry)
+                J[1, a] += ratio * (axis[2] * rx - axis[0] * rz)
+                J[2, a] += ratio * (axis[0] * ry - axis[1] * rx)
                 for k in range(3):
-                    J[k + 3, a] = axis[k]
+                    J[k + 3, a] += ratio * axis[k]
         for i in range(6):
             for k in range(i + 1):
                 s = 0.0
@@ -94,14 +102,16 @@ def newton(q, active, chain, R_target, p_target, rule, scratch):
 
 
 @kernel
-def newton_scratch(n):
-    """Memory for `newton`."""
+def newton_scratch(chain, n):
+    """Memory for `newton`: a chain with n degrees of freedom."""
+    last = len(chain.slides)
     return NewtonScratch(
-        np.empty((n + 1, 3, 3)),
-        np.empty((n + 1, 3)),
+        np.empty((last + 1, 3, 3)),
+        np.empty((last + 1, 3)),
         np.empty((6, n)),
         np.empty((6, 6)),
         np.empty(6),
+        np.empty(n, np.int64),
     )
 
 

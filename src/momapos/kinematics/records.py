@@ -12,11 +12,13 @@ Counts = Annotated[np.ndarray, Array(np.dtype("i4"), 3)]
 
 
 class ChainArrays(NamedTuple):
-    """A chain of n joints, see `Chain`."""
+    """A chain of m joints, see `Chain`."""
 
     h: F2
     d: F2
-    prismatic: B1
+    slides: B1
+    dof: I1
+    ratio: F1
     tool_offset: F1
     tool_rotation: F2
 
@@ -33,6 +35,7 @@ class IkArrays(NamedTuple):
 
     kind: int
     active: I1
+    prismatic: B1
     samples: F2
     h: F3
     o: F3
@@ -61,13 +64,15 @@ class NewtonRule(NamedTuple):
 
 
 class NewtonScratch(NamedTuple):
-    """Memory of `newton` for n joints."""
+    """Memory of `newton`."""
 
     R: F3
     p: F2
     jacobian: F2
     normal: F2
     error: F1
+    column: I1
+    """Where each degree of freedom stands among those that may move, or -1."""
 
 
 class IkScratch(NamedTuple):

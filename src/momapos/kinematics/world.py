@@ -257,7 +257,7 @@ def _check(
     chain: ChainArrays,
     room: CollisionArrays,
 ) -> np.ndarray:
-    scratch = scratch_of(q.shape[1], room.spheres)
+    scratch = scratch_of(len(chain.slides), room.spheres)
     out = np.empty(len(q), np.int64)
     for i in range(len(q)):
         state = TaskState(value[i], holding[i])
@@ -276,7 +276,7 @@ def _motion_free(
     room: CollisionArrays,
 ) -> bool:
     n = len(a)
-    scratch = scratch_of(n, room.spheres)
+    scratch = scratch_of(len(chain.slides), room.spheres)
     q, longest = np.empty(n), 0.0
     for k in range(n):
         longest = max(longest, abs(b[k] - a[k]))
@@ -400,7 +400,7 @@ def check_hand(
     Returns:
         FREE or an index into the labels.
     """
-    groups = np.flatnonzero(spheres.segment == chain.size)
+    groups = np.flatnonzero(spheres.segment == chain.last)
     if not len(groups):
         return np.full(len(Ts_world_tool), FREE)
     rows = [np.arange(spheres.start[g], spheres.start[g + 1]) for g in groups]

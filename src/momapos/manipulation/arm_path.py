@@ -231,7 +231,7 @@ def _track(
     # A literal would have Newton compiled once more.
     rule = NewtonRule(np.int64(8), 1e-6, EXACT)  # type: ignore[arg-type]
     lower, upper = arm.limits
-    scratch = newton_scratch(n)
+    scratch = newton_scratch(arm.chain, n)
     for w in range(len(coarse)):
         first = coarse[w - 1] + 1 if w > 0 else 0
         for s in range(first, coarse[w] + 1):

@@ -221,7 +221,7 @@ def _solve_layer(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     chain, samples = arm.chain, arm.ik.samples
     full_turn, n = steps.full_turn, len(steps.full_turn)
-    scratch, placed = ik_scratch(n), scratch_of(n, room.spheres)
+    scratch, placed = ik_scratch(arm), scratch_of(len(chain.slides), room.spheres)
     solutions = np.empty((MAX_BRANCHES, n))
     out = np.empty((len(poses), max_solutions(arm.ik), n))
     counts, codes = np.zeros(len(poses), np.int64), np.full(len(poses), NOWHERE)

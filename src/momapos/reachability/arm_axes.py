@@ -43,12 +43,14 @@ def arm_frame(chain: Chain, approach_axis: Float[np.ndarray, "3"]) -> ArmAxes:
         RobotError: The arm's first turning axis is not vertical.
     """
     origin = np.cumsum(chain.d, axis=0)
-    first = int(np.argmin(chain.prismatic))
+    first = chain.first_turn
     if not chain.upright:
         raise RobotError(
             f"the first axis of the arm, {chain.names[first]!r}, is not vertical; a reachability "
             "map needs an upright arm"
         )
+    if chain.coupled:
+        raise RobotError("joints of the arm follow others")
     last = chain.size - 1
     p_tool = origin[last] + chain.tool_offset
     axis, point, full = chain.h[last], origin[last], False

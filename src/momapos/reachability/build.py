@@ -177,7 +177,7 @@ def _line_mask(closed, spins, arm, freed, shoulder_samples, scratch):
                 if gain:
                     out[k, last] += spins[i]
                     R[0], p[0] = np.eye(3), 0.0
-                    forward(out[k], chain.h, chain.d, chain.prismatic, R, p)
+                    forward(out[k], chain, R, p)
                     out[k, last] -= spins[i]
                     place_bounds(R, p, turning, bounds)
                     if (
@@ -214,8 +214,8 @@ def line_masks(
         R,
         p,
         np.empty((MAX_BRANCHES, n)),
-        ik_scratch(n),
-        scratch_of(n, arm.turning),
+        ik_scratch(freed),
+        scratch_of(len(freed.chain.slides), arm.turning),
         np.zeros(np.max(shoulder_samples.value) + 1, np.bool_),
         np.empty(len(spins), np.uint64),
     )

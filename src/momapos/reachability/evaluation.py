@@ -73,9 +73,8 @@ def random_poses(
     lower = np.where(np.isfinite(chain.lower), chain.lower, -np.pi)
     upper = np.where(np.isfinite(chain.upper), chain.upper, np.pi)
     q = rng.uniform(lower, upper, (100_000, chain.size))
-    first = int(np.argmin(chain.prismatic))
-    middle = np.where(chain.prismatic, (lower + upper) / 2, 0.0)
-    shoulder = chain.d[: first + 1].sum(0) + (middle[:first, None] * chain.h[:first]).sum(0)
+    first = chain.first_turn
+    shoulder = chain.d[: first + 1].sum(0) + chain.middle[:first] @ chain.h[:first]
     radius = np.linalg.norm(chain.tool_poses(q)[:, :3, 3] - shoulder, axis=1).max()
     direction = rng.normal(size=(count, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)

@@ -47,8 +47,9 @@ def map_key(robot: Robot, config: ReachConfig) -> str:
     """
     chain = robot.chain
     *shapes, _, _ = robot.spheres.arrays()  # the last, bounds of the base, follow from its boxes
+    coupling = (chain.dof, chain.ratio) if chain.coupled else ()
     arrays = (
-        chain.h, chain.d, chain.prismatic, chain.lower, chain.upper, chain.tool_offset,
+        chain.h, chain.d, chain.slides, *coupling, chain.lower, chain.upper, chain.tool_offset,
         chain.tool_rotation, robot.approach_axis, *shapes,
     )  # fmt: skip
     # A micrometer more or less is another machine's rounding, not another robot.

@@ -113,6 +113,11 @@ class Robot:
         return self._parts[0]
 
     @property
+    def moved_joints(self) -> tuple[str, ...]:
+        """The joints of the arm and those that follow them, base to tool: what a plan names."""
+        return self.chain.joints
+
+    @property
     def segments(self) -> Segments:
         """Which link moves with which joint."""
         return self._parts[1]
@@ -163,10 +168,9 @@ class Robot:
     def reach(self) -> float:
         """Upper bound on the distance from the first revolute axis to the tool [m]."""
         links = np.linalg.norm(self.chain.d, axis=1)
-        travel = np.where(
-            self.chain.prismatic, np.maximum(abs(self.chain.lower), abs(self.chain.upper)), 0.0
-        )
-        first = int(np.argmin(self.chain.prismatic))
+        farthest = np.maximum(abs(self.chain.lower), abs(self.chain.upper))[self.chain.dof]
+        travel = np.where(self.chain.slides, abs(self.chain.ratio) * farthest, 0.0)
+        first = self.chain.first_turn
         tool = float(np.linalg.norm(self.chain.tool_offset))
         return float(links[first + 1 :].sum() + travel[first + 1 :].sum()) + tool
 

@@ -48,7 +48,7 @@ def _touches(
     floor: bool,
 ) -> np.ndarray:
     """Which of the states (m, n) touch the robot itself or, where asked, the floor."""
-    scratch = scratch_of(q.shape[1], spheres)
+    scratch = scratch_of(len(chain.slides), spheres)
     R, p, bounds = scratch
     base, out = np.zeros(3), np.empty(len(q), np.bool_)
     for i in range(len(q)):
@@ -138,7 +138,7 @@ def resting_state(
     if not len(free):
         return None
     own = _of_the_arm(chain, spheres)
-    R, p = np.empty((chain.size + 1, 3, 3)), np.empty((chain.size + 1, 3))
+    R, p = np.empty((chain.last + 1, 3, 3)), np.empty((chain.last + 1, 3))
     reach = np.empty(len(free))
     for row, i in enumerate(free):
         place_segments(q[i], np.zeros(3), chain_arrays(chain), R, p)
@@ -157,7 +157,7 @@ def resting_state(
 
 def _of_the_arm(chain: Chain, spheres: Spheres) -> Int[np.ndarray, " k"]:
     """Groups of spheres that the arm's first turning joint moves; all where there are none."""
-    first = int(np.argmin(chain.prismatic)) + 1
+    first = chain.first_turn + 1
     own = np.flatnonzero(spheres.segment >= first)
     return own if len(own) else np.arange(len(spheres.segment))
 

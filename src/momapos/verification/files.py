@@ -25,7 +25,7 @@ class UrdfArm:
     model: Articulated
     base_link: str
     tool_link: str
-    arm_joints: tuple[str, ...]
+    moved_joints: tuple[str, ...]
     disabled: frozenset[frozenset[str]]
 
 

@@ -221,8 +221,8 @@ def _draw_robot(axes: Any, answer: PlacementResult) -> None:
         base = np.array(plan.base_pose)
         _draw_way(axes, answer.start, base, plan.navigation_cost)
         draw_footprint(axes, robot, base)
-        draw_arm(axes, robot, base, plan.motion.q[0], faint=True)
-        draw_arm(axes, robot, base, plan.motion.q[-1])
+        draw_arm(axes, robot, base, robot.chain.freedom_values(plan.motion.q[0]), faint=True)
+        draw_arm(axes, robot, base, robot.chain.freedom_values(plan.motion.q[-1]))
     elif (shown := shown_base(answer)) is not None:
         draw_footprint(axes, robot, shown)
     axes.plot(

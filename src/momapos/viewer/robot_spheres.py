@@ -64,7 +64,7 @@ def sphere_centers(
     from momapos.kinematics.collision import place_segments
 
     chain, spheres = robot.chain, robot.spheres
-    R, p = np.empty((chain.size + 1, 3, 3)), np.empty((chain.size + 1, 3))
+    R, p = np.empty((chain.last + 1, 3, 3)), np.empty((chain.last + 1, 3))
     place_segments(np.asarray(q, float), np.zeros(3), chain_arrays(chain), R, p)
     count = np.diff(spheres.start)
     segment = np.repeat(spheres.segment, count)
