@@ -18,7 +18,9 @@ from momapos.cli.robot import robot_check, robot_export, robot_list, robot_show
 from momapos.errors import MomaposError, RobotError, UnknownNameError
 from momapos.kinematics.spheres import build_spheres
 from momapos.reachability.arm_axes import arm_frame
-from momapos.robots.derive import derive_robot, examine, write_robot
+from momapos.robots.derive import derive_robot
+from momapos.robots.examine import examine
+from momapos.robots.write import write_robot
 from momapos.robots.gripper import points_of
 from momapos.robots.names import library_names
 from momapos.robots.robot import ASSUMED_FORCE, Grip, load_robot, read_robot

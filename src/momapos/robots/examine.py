@@ -1,0 +1,43 @@
+"""What looks wrong about a robot whose file is consistent."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from momapos.robots.base import FLOOR_TOLERANCE, WHEELS_HIGH, base_links, outside
+from momapos.robots.gripper import points_of
+from momapos.robots.robot import Robot
+from momapos.robots.states import sample_states, touches
+
+
+def examine(robot: Robot, *, seed: int = 0) -> list[str]:
+    """Say what looks wrong about a robot whose file is consistent; mostly nothing."""
+    doubts: list[str] = []
+    if not robot.chain.upright:
+        doubts.append(
+            "the arm's first axis is not vertical: there is no reachability map for such an arm, "
+            "and 'momapos place' needs one"
+        )
+    body = base_links(robot.model, robot.arm_joints[:1])
+    points = points_of(robot.model, robot.base_link, body)
+    if not len(points):
+        return ["the base has no collision geometry: nothing that it could hit is checked"]
+    low = float(points[:, 2].min())
+    above = WHEELS_HIGH if robot.base_link == "base_footprint" else FLOOR_TOLERANCE
+    if not -FLOOR_TOLERANCE <= low <= above:
+        doubts.append(f"the base's lowest point is {low:.3f} m from the z = 0 of {robot.base_link}")
+    others = [joint for joint in robot.other_arms if joint not in robot.arm_joints]
+    body = base_links(robot.model, [robot.arm_joints[0], *others])
+    out = outside(points_of(robot.model, robot.base_link, body), robot.footprint)
+    if out > 0.02:
+        doubts.append(f"the base sticks {out:.2f} m out of its footprint")
+    if touches(robot.chain, robot.spheres, robot.home[None], floor=True)[0]:
+        doubts.append("the arm touches the robot or the floor at home")
+    states = sample_states(robot.chain, np.random.default_rng(seed))
+    share = touches(robot.chain, robot.spheres, states).mean()
+    if share > 0.9:
+        doubts.append(
+            f"the arm touches the robot in {100 * share:.0f} % of its states: are pairs of links "
+            "missing in the SRDF?"
+        )
+    return doubts
