@@ -63,6 +63,7 @@ def read_urdf(
     cache: Cache | None = None,
     text: str | None = None,
     find_mesh: FindMesh | None = None,
+    visuals: bool = True,
 ) -> Urdf:
     """Read a URDF file.
 
@@ -74,6 +75,7 @@ def read_urdf(
         cache: Where what was parsed is kept, so that a file is parsed once.
         text: What is read instead of the file's content, by one who changed it.
         find_mesh: Finds meshes instead of `MeshFinder`, for one who knows more folders.
+        visuals: Whether visual elements are read; where not, their meshes need not exist.
 
     Raises:
         UrdfError: The file cannot be used; the message says where and why.
@@ -85,7 +87,7 @@ def read_urdf(
         cache, "urdf", (content, scale), lambda: _parse(content, path, scale),
         (Urdf, Link, Joint, Geometry, Mimic),
     )  # fmt: skip
-    return _with_meshes(urdf, path, iter(meshes), find_mesh or MeshFinder(path, root).find)
+    return _with_meshes(urdf, path, iter(meshes), find_mesh or MeshFinder(path, root).find, visuals)
 
 
 def box_urdf(name: str, size: tuple[float, float, float]) -> Urdf:
@@ -199,14 +201,22 @@ class _Reader:
         return lower, upper
 
 
-def _with_meshes(urdf: Urdf, path: Path, names: Iterator[str], find: FindMesh) -> Urdf:
+def _with_meshes(
+    urdf: Urdf, path: Path, names: Iterator[str], find: FindMesh, visuals: bool
+) -> Urdf:
     """Put the files of a URDF and of its meshes, in the order they were parsed, into a record."""
 
-    def found(shape: Geometry) -> Geometry:
-        return replace(shape, mesh=find(next(names))) if shape.kind == "mesh" else shape
+    def found(shapes: tuple[Geometry, ...], wanted: bool = True) -> tuple[Geometry, ...]:
+        meshes = [next(names) if shape.kind == "mesh" else None for shape in shapes]
+        if not wanted:
+            return ()
+        return tuple(
+            shape if name is None else replace(shape, mesh=find(name))
+            for shape, name in zip(shapes, meshes, strict=True)
+        )
 
     links = {
-        name: Link(name, tuple(map(found, link.collisions)), tuple(map(found, link.visuals)))
+        name: Link(name, found(link.collisions), found(link.visuals, visuals))
         for name, link in urdf.links.items()
     }
     return replace(urdf, path=path, links=links)

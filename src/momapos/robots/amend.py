@@ -97,7 +97,7 @@ class Amendments:
         """
         text = self.text(urdf)
         if text is None:
-            return read_urdf(urdf, cache=cache)
+            return read_urdf(urdf, cache=cache, visuals=False)
         return read_urdf(urdf, cache=cache, text=text, find_mesh=Path)
 
     def _read(self, urdf: Path, content: str | None = None) -> Element:
@@ -107,6 +107,9 @@ class Amendments:
         )
         tree = read_tree(text, urdf)
         finder = MeshFinder(urdf, packages=self.packages)
+        for link in tree.iter("link"):
+            for visual in link.findall("visual"):  # not needed, and their meshes are often missing
+                link.remove(visual)
         for mesh in tree.iter("mesh"):
             mesh.set("filename", str(finder.find(mesh.get("filename", ""))))
         return tree
@@ -155,10 +158,9 @@ def _mounted(arm: Element, mount: Mount, read: Callable[[Path], Element]) -> Ele
 def _box(size: Triple) -> Element:
     base = Element("robot", name="box")
     link = SubElement(base, "link", name=BOX)
-    for kind in ("collision", "visual"):
-        shape = SubElement(link, kind)
-        SubElement(shape, "origin", xyz=_words((0.0, 0.0, size[2] / 2)), rpy="0 0 0")
-        SubElement(SubElement(shape, "geometry"), "box", size=_words(size))
+    shape = SubElement(link, "collision")
+    SubElement(shape, "origin", xyz=_words((0.0, 0.0, size[2] / 2)), rpy="0 0 0")
+    SubElement(SubElement(shape, "geometry"), "box", size=_words(size))
     return base
 
 

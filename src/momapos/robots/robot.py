@@ -242,7 +242,7 @@ def read_robot(path: Path, *, arm: str | None = None, cache: Cache | None = None
     urdf = beside(path, table.text("urdf"))
     text = amendments_of(table).text(urdf)
     amended = {} if text is None else {"text": text, "find_mesh": Path}
-    record = read_urdf(urdf, cache=cache, **amended)  # type: ignore[arg-type]
+    record = read_urdf(urdf, cache=cache, visuals=False, **amended)  # type: ignore[arg-type]
     follows = couplings_of(table)
     if follows:
         record = coupled(record, follows, f"{path}: coupled")

@@ -51,18 +51,19 @@ class _Path:
 def find_anchor(model: Articulated, notes: list[str]) -> str:
     """The link that carries the base: below the joints that stand for driving, as in Fetch's."""
     anchor, link = model.urdf.root, model.urdf.root
-    virtual: list[str] = []
+    run: list[Joint] = []
     while not model.urdf.links[link].collisions and len(joints_below(model, link)) == 1:
-        joint = joints_below(model, link)[0]
+        (joint,) = joints_below(model, link)
         upright = abs(joint.axis[2]) > 0.99
+        endless = joint.kind == "continuous" or joint.upper - joint.lower > 6
         slides = joint.kind == "prismatic" and abs(joint.axis[2]) < 0.01
-        turns = upright and (joint.kind == "continuous" or joint.upper - joint.lower > 6)
-        if joint.movable and not slides and not (virtual and turns):
+        if joint.movable and not slides and not (upright and endless):
             break
         link = joint.child
-        if joint.movable:
-            virtual.append(joint.name)
-            anchor = link
+        run += [joint] if joint.movable else []
+    virtual: list[str] = []
+    if any(joint.kind == "prismatic" for joint in run):
+        anchor, virtual = run[-1].child, [joint.name for joint in run]
     virtual += model.urdf.rigid
     if virtual:
         notes.append(f"{', '.join(virtual)} stand for driving: they are not joints of the arm")
