@@ -97,7 +97,8 @@ class Chain:
     @cached_property
     def middle(self) -> Float[np.ndarray, " m"]:
         """How far each joint is from zero in the middle of its range; 0 where it is endless."""
-        middle = np.where(np.isfinite(self.upper), self.lower + self.upper, 0.0) / 2
+        ends = np.stack([self.lower, self.upper])
+        middle = np.where(np.isfinite(ends), ends, 0.0).sum(0) / 2
         return self.ratio * middle[self.dof]
 
     @cached_property

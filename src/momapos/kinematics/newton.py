@@ -31,13 +31,14 @@ def _solve_spd(A, b):
 
 
 @kernel
-def newton(q, active, chain, R_target, p_target, rule, scratch):
+def newton(q, active, chain, limits, R_target, p_target, rule, scratch):
     """Move the active joints of q until the tool stands at the target.
 
     Args:
         q: Configuration (n,), changed in place.
         active: The degrees of freedom that may move.
         chain: `ChainArrays`.
+        limits: `JointLimits`, which count where the rule says so.
         R_target, p_target: Target pose in the base frame.
         rule: `NewtonRule`.
         scratch: `newton_scratch(chain, n)`.
@@ -97,7 +98,10 @@ def newton(q, active, chain, R_target, p_target, rule, scratch):
             s = 0.0
             for k in range(6):
                 s += J[k, a] * e[k]
-            q[active[a]] += min(0.5, max(-0.5, s))
+            j = active[a]
+            q[j] += min(0.5, max(-0.5, s))
+            if rule.within:
+                q[j] = min(max(q[j], limits.lower[j]), limits.upper[j])
     return residual
 
 

@@ -34,6 +34,7 @@ class IkArrays(NamedTuple):
     """How an arm is inverted, see `IkModel`."""
 
     kind: int
+    reverse: bool
     active: I1
     prismatic: B1
     samples: F2
@@ -42,6 +43,9 @@ class IkArrays(NamedTuple):
     wrist: F2
     R_tool: F3
     p_tool: F2
+    seeds: F2
+    seed_poses: F2
+    tries: int
 
 
 class ArmArrays(NamedTuple):
@@ -61,6 +65,8 @@ class NewtonRule(NamedTuple):
     """Levenberg damping [-]; tiny near a solution, larger from far away."""
     enough: float
     """Squared residual at which to stop [m^2 + rad^2]."""
+    within: bool
+    """Whether every step stays within the joints' limits."""
 
 
 class NewtonScratch(NamedTuple):
@@ -80,7 +86,27 @@ class IkScratch(NamedTuple):
 
     branches: F2
     R06: F2
+    every: I1
+    """All degrees of freedom."""
+    order: I1
+    """The seeds nearest to the pose, and their distances."""
+    distance: F1
+    solutions: F2
+    """What was found from seeds."""
+    state: I1
+    """(1,) how many of these there are; 1 where a sample gave a solution."""
     newton: NewtonScratch
+
+
+class HullArrays(NamedTuple):
+    """The collision shapes of a robot as convex hulls, see `LinkHulls`."""
+
+    vertices: F2
+    first: I1
+    center: F2
+    segment: I1
+    of_group: I1
+    of_base: I1
 
 
 class SphereArrays(NamedTuple):
@@ -100,6 +126,9 @@ class SphereArrays(NamedTuple):
     base_pairs: B2
     base_bounds: F2
     base_radius: F1
+    hulls: HullArrays
+    exact: B1
+    base_exact: B2
 
 
 class BoxArrays(NamedTuple):

@@ -7,7 +7,10 @@ are taken until nothing is left.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -30,6 +33,8 @@ MAX_CELLS = 200
 """Cells of one box; beyond, they grow [-]."""
 _LAYERS = ((0, 1), (3, 0), (4, 0), (5, 0), (6, 0), *((k, 1) for k in range(5, 17)))
 """How many spheres form a ring, and how many stand in its middle."""
+MANY_FACES = 200
+"""Faces of a hull, from which on those far from a cell are left out [-]."""
 _SIDE = 7
 _GRID = np.stack(np.meshgrid(*[np.linspace(-1, 1, _SIDE)] * 3, indexing="ij"), -1).reshape(-1, 3)
 _OUTER = _GRID[np.abs(_GRID).max(1) == 1]
@@ -68,6 +73,23 @@ def box_spheres(boxes: Boxes) -> tuple[Float[np.ndarray, "s 3"], Float[np.ndarra
 
 
 def _cover_shape(shape: Geometry, stick_out: float) -> _Cover:
+    if shape.mesh is None:
+        return _covered(shape, stick_out)
+    # The same mesh is covered for each arm of a robot, and again when its file is read.
+    T = shape.T_link_geometry
+    stamp = os.stat(shape.mesh).st_mtime_ns
+    return _mesh_cover(shape.mesh, stamp, shape.size, T.tobytes(), stick_out)
+
+
+@lru_cache(maxsize=256)
+def _mesh_cover(
+    mesh: Path, _stamp: int, size: tuple[float, ...], T: bytes, stick_out: float
+) -> _Cover:
+    shape = Geometry("mesh", size, np.frombuffer(T).reshape(4, 4), mesh=mesh)
+    return _covered(shape, stick_out)
+
+
+def _covered(shape: Geometry, stick_out: float) -> _Cover:
     if shape.kind == "sphere":
         center, size = shape.T_link_geometry[None, :3, 3], shape.size[0]
         return _Cover(center, np.array([size]), center + size * _DIRECTIONS)
@@ -180,11 +202,28 @@ def _planes(hull: Hull) -> tuple[Float[np.ndarray, "f 3"], Float[np.ndarray, " f
 
 
 def _into(points: np.ndarray, hull: Hull) -> np.ndarray:
-    """Move points outside of a hull to its surface, along the normals of faces."""
+    """Move points (cells, k, 3) outside of a hull to its surface, along the normals of faces."""
     normal, offset = _planes(hull)
+    if len(normal) > MANY_FACES:
+        return _into_many(points, normal, offset)
     for _ in range(3):
         out = points @ normal.T - offset
         points = points - np.maximum(0.0, out.max(-1))[..., None] * normal[out.argmax(-1)]
+    return points
+
+
+def _into_many(points: np.ndarray, normal: np.ndarray, offset: np.ndarray) -> np.ndarray:
+    """The same for a hull of very many faces: of them, only those near a cell are looked at."""
+    points = points.copy()
+    for _ in range(3):
+        middle = points.mean(1)
+        radius = np.linalg.norm(points - middle[:, None], axis=-1).max(1)
+        near = middle @ normal.T - offset > -radius[:, None]
+        for cell, faces in zip(points, near, strict=True):
+            if faces.any():
+                n = normal[faces]
+                out = cell @ n.T - offset[faces]
+                cell -= np.maximum(0.0, out.max(-1))[:, None] * n[out.argmax(-1)]
     return points
 
 

@@ -229,7 +229,7 @@ def _track(
     """Fill the states between waypoints by Newton steps; returns the step that fails, or -1."""
     n = q.shape[1]
     # A literal would have Newton compiled once more.
-    rule = NewtonRule(np.int64(8), 1e-6, EXACT)  # type: ignore[arg-type]
+    rule = NewtonRule(np.int64(8), 1e-6, EXACT, False)  # type: ignore[arg-type]
     lower, upper = arm.limits
     scratch = newton_scratch(arm.chain, n)
     for w in range(len(coarse)):
@@ -242,6 +242,7 @@ def _track(
                 dense[s],
                 arm.ik.active,
                 arm.chain,
+                arm.limits,
                 targets[s, :3, :3],
                 targets[s, :3, 3],
                 rule,

@@ -13,7 +13,15 @@ from momapos.geometry.transforms import invert, pose_planar
 from momapos.kinematics.chain import Chain
 from momapos.kinematics.closed_forms import MAX_BRANCHES
 from momapos.kinematics.collision import FREE, scratch_of
-from momapos.kinematics.ik import COARSE, arm_arrays, ik_scratch, max_solutions, solve_sample
+from momapos.kinematics.ik import (
+    COARSE,
+    arm_arrays,
+    begin_pose,
+    ik_scratch,
+    max_solutions,
+    sample_count,
+    solve_sample,
+)
 from momapos.kinematics.records import ArmArrays, CollisionArrays, TaskState
 from momapos.kinematics.world import CollisionWorld, check_one, collision_arrays
 from momapos.manipulation.motion import TaskMotion
@@ -226,11 +234,12 @@ def _solve_layer(
     out = np.empty((len(poses), max_solutions(arm.ik), n))
     counts, codes = np.zeros(len(poses), np.int64), np.full(len(poses), NOWHERE)
     for j in range(len(poses)):
-        for s in range(len(samples)):
+        R, p = poses[j, :3, :3], poses[j, :3, 3]
+        begin_pose(scratch)
+        for s in range(sample_count(arm.ik)):
             # Locked joints are known beforehand, so most samples need no inverse kinematics.
-            if not _joined(samples[s], j, around, full_turn, steps.locked):
+            if s < len(samples) and not _joined(samples[s], j, around, full_turn, steps.locked):
                 continue
-            R, p = poses[j, :3, :3], poses[j, :3, 3]
             found = solve_sample(s, R, p, arm, COARSE, solutions, scratch)
             for b in range(found):
                 q = solutions[b]

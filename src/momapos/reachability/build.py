@@ -17,7 +17,7 @@ from momapos.compiled import B1, F1, F2, I1, U1, entry, kernel
 from momapos.kinematics.chain import forward
 from momapos.kinematics.closed_forms import MAX_BRANCHES
 from momapos.kinematics.collision import FREE, hit_floor, hit_self, place_bounds, scratch_of
-from momapos.kinematics.ik import COARSE, ik_scratch, solve_sample
+from momapos.kinematics.ik import COARSE, begin_pose, ik_scratch, solve_sample
 from momapos.kinematics.records import ArmArrays, ArmScratch, IkScratch, SphereArrays
 from momapos.reachability.base_contact import BEARINGS, StandingTable, touched
 from momapos.reachability.grid import oct_decode
@@ -155,6 +155,7 @@ def _line_mask(closed, spins, arm, freed, shoulder_samples, scratch):
     votes[:] = closed
     done = closed
     last = out.shape[1] - 1
+    begin_pose(ik)
     for s in range(len(arcs)):
         arc, v = arcs[s], value[s]
         if arc:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -21,6 +21,7 @@ from momapos.errors import RobotError
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.chain import Chain, build_chain
 from momapos.kinematics.coupling import coupled
+from momapos.kinematics.self_collision import contacts, left_to_hulls
 from momapos.kinematics.spheres import Spheres, build_spheres
 from momapos.kinematics.urdf import Urdf
 from momapos.robots.amend import BOX, Amendments, Frame, Mount
@@ -249,16 +250,32 @@ def _settled(
     for index, joint in enumerate(text.joints):
         if joint in model.held:  # shared with an arm that has its home already
             q[:, index] = model.held[joint]
-    pairs = inevitable_pairs(chain, spheres, q, model)
-    disabled = srdf.disabled | {frozenset(pair) for pair in pairs}
+    pairs = inevitable_pairs(chain, spheres, q)
+    spheres = _without(spheres, pairs)
     mine: list[str] = []
-    home = _home(chain, build_spheres(model, segments, disabled, gripper), q, mine)
+    home = _home(chain, left_to_hulls(spheres, contacts(chain, spheres, q)), q, mine)
     notes += [_of_arm(note, name) for note in mine]
     held = dict(model.held)
     if len(arms) > 1:
         held |= dict(zip(text.joints, map(float, home), strict=True))
     settled = replace(arm, text=replace(text, home=home))
     return settled, _same_shapes(model.urdf, replace(model, held=held)), pairs
+
+
+def _without(spheres: Spheres, pairs: Collection[tuple[str, str]]) -> Spheres:
+    """The same robot with some pairs of links never checked against each other."""
+    never = {frozenset(pair) for pair in pairs}
+    links = spheres.links
+    keep = np.array([frozenset((links[i], links[j])) not in never for i, j in spheres.pairs], bool)
+    free = np.array(
+        [[frozenset((a, b)) in never for b in spheres.base_links] for a in links], bool
+    ).reshape(spheres.base_pairs.shape)
+    return replace(
+        spheres,
+        pairs=spheres.pairs[keep],
+        exact=spheres.exact[keep],
+        base_pairs=spheres.base_pairs & ~free,
+    )
 
 
 def _named_states(chain: Chain, srdf: Srdf) -> list[Float[np.ndarray, "1 n"]]:

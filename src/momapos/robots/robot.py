@@ -22,7 +22,8 @@ from momapos.kinematics.coupling import coupled
 from momapos.kinematics.hulls import Boxes
 from momapos.kinematics.ik import IkModel, build_ik
 from momapos.kinematics.kept import once
-from momapos.kinematics.spheres import Spheres, build_spheres
+from momapos.kinematics.self_collision import arm_spheres
+from momapos.kinematics.spheres import LinkHulls, Spheres
 from momapos.kinematics.urdf import read_urdf
 from momapos.robots.gripper import FINGER, HAND
 from momapos.robots.names import find_robot, library_file
@@ -155,10 +156,12 @@ class Robot:
         """Collision spheres of the arm, boxes of the base."""
         return self.model.kept(
             "spheres",
-            lambda: build_spheres(self.model, self.segments, self.disabled, self.gripper_links),
+            lambda: arm_spheres(
+                self.model, self.chain, self.segments, self.disabled, self.gripper_links
+            ),
             (self.base_link, self.tool_link, self.arm_joints, self.gripper_links),
             sorted(sorted(pair) for pair in self.disabled),
-            records=(Spheres,),
+            records=(Spheres, LinkHulls),
         )
 
     @property
