@@ -173,25 +173,20 @@ def _root(tree: Element) -> str:
 
 def _rename(base: Element, arm: Element) -> dict[str, str]:
     """Give links and joints of the base another name where the arm has one of that name."""
-    renamed: dict[str, str] = {}
+    renamed: dict[str, dict[str, str]] = {}
     for tag in ("link", "joint"):
         taken = {part.get("name") for part in arm.findall(tag)}
-        new = {
-            name: f"{_PREFIX}{name}"
-            for part in base.findall(tag)
-            if (name := part.get("name", "")) in taken
-        }
-        for part in base.findall(tag):
-            part.set("name", new.get(part.get("name", ""), part.get("name", "")))
-        key, places = ("link", ("joint/parent", "joint/child"))
-        if tag == "joint":
-            key, places = ("joint", ("joint/mimic",))
-        for place in places:
-            for element in base.findall(place):
-                element.set(key, new.get(element.get(key, ""), element.get(key, "")))
-        if tag == "link":
-            renamed = new
-    return renamed
+        names = [part.get("name", "") for part in base.findall(tag)]
+        renamed[tag] = {name: f"{_PREFIX}{name}" for name in names if name in taken}
+    places = (
+        ("link", "link", "name"), ("joint", "joint", "name"), ("link", "joint/parent", "link"),
+        ("link", "joint/child", "link"), ("joint", "joint/mimic", "joint"),
+    )  # fmt: skip
+    for tag, place, attribute in places:
+        for element in base.findall(place):
+            name = element.get(attribute, "")
+            element.set(attribute, renamed[tag].get(name, name))
+    return renamed["link"]
 
 
 def _fix(tree: Element, parent: str, child: str, xyz: Triple, rpy: Triple) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cached_property
@@ -31,6 +30,7 @@ from momapos.robots.robot_tables import (
     ANY,
     amendments_of,
     arm_tables,
+    at_rest,
     beside,
     check_version,
     choose_arms,
@@ -249,7 +249,7 @@ def read_robot(path: Path, *, arm: str | None = None, cache: Cache | None = None
     follows = couplings_of(table)
     if follows:
         record = coupled(record, follows, f"{path}: coupled")
-    model = _at_rest(Articulated(record, cache=cache), table, arms, chosen)
+    model = at_rest(Articulated(record, cache=cache), table, arms, chosen)
     base, tool = table.table("base"), own.table("tool")
     srdf = _srdf_of(table, urdf)
     grips = Grip(tool.choice("grips", tuple(Grip), Grip.FINGERS))
@@ -300,49 +300,6 @@ def _assumed(tool: Table, grips: Grip) -> tuple[str, ...]:
         for key in needed[grips]
         if key not in tool.data
     )
-
-
-def _at_rest(
-    model: Articulated, table: Table, arms: Mapping[str, Table], chosen: str
-) -> Articulated:
-    """The robot with what its table `rest` names where it rests, and its other arms at home.
-
-    Raises:
-        RobotError: A value is no number within the limits, or one of a joint of an arm.
-        UnknownNameError: There is no such joint.
-    """
-    held: dict[str, float] = {}
-    rest = table.table("rest") if "rest" in table.data else Table({}, table.path, "rest.")
-    joints = [joint for arm in arms.values() for joint in arm.texts("arm_joints")]
-    for name in rest.data:
-        if name in joints:
-            raise RobotError(
-                f"{table.path}: rest.{name} is a joint of the arm, which rests at home"
-            )
-        held[name] = _rest_value(model, name, rest.data[name], rest)
-    for other in (arm for name, arm in arms.items() if name != chosen):
-        names, home = other.texts("arm_joints"), other.vector("home")
-        if len(names) != len(home):
-            raise RobotError(
-                f"{table.path}: {other.prefix}home has {len(home)} values, arm_joints has "
-                f"{len(names)}"
-            )
-        for name, value in zip(names, home, strict=True):
-            if name not in arms[chosen].texts("arm_joints"):
-                held[name] = _rest_value(model, name, float(value), other)
-    return Articulated(model.urdf, held, model.cache) if held else model
-
-
-def _rest_value(model: Articulated, name: str, value: object, table: Table) -> float:
-    joint = model.joint(name)
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise RobotError(f"{table.path}: {table.prefix}{name} must be a number")
-    if not joint.lower - 1e-6 <= value <= joint.upper + 1e-6:
-        raise RobotError(
-            f"{table.path}: {table.prefix}{name} is {value:g}, its limits are {joint.lower:g} to "
-            f"{joint.upper:g}"
-        )
-    return float(value)
 
 
 def _srdf_of(table: Table, urdf: Path) -> Path | None:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 from momapos.errors import RobotError, unknown_name
+from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.urdf import Mimic
 from momapos.robots.amend import ZERO, Amendments, Frame, Mount, Triple
 from momapos.robots.table import Table
@@ -119,6 +121,49 @@ def choose_arms(arms: dict[str, Table], arm: str | None, path: Path) -> tuple[st
     if "" in arms:
         raise RobotError(f"{path}: the robot has one arm; leave out arm {arm!r:.40}")
     raise unknown_name("arm", arm, arms, str(path))
+
+
+def at_rest(
+    model: Articulated, table: Table, arms: Mapping[str, Table], chosen: str
+) -> Articulated:
+    """The robot with what its table `rest` names where it rests, and its other arms at home.
+
+    Raises:
+        RobotError: A value is no number within the limits, or one of a joint of an arm.
+        UnknownNameError: There is no such joint.
+    """
+    held: dict[str, float] = {}
+    rest = table.table("rest") if "rest" in table.data else Table({}, table.path, "rest.")
+    joints = [joint for arm in arms.values() for joint in arm.texts("arm_joints")]
+    for name in rest.data:
+        if name in joints:
+            raise RobotError(
+                f"{table.path}: rest.{name} is a joint of the arm, which rests at home"
+            )
+        held[name] = _rest_value(model, name, rest.data[name], rest)
+    for other in (arm for name, arm in arms.items() if name != chosen):
+        names, home = other.texts("arm_joints"), other.vector("home")
+        if len(names) != len(home):
+            raise RobotError(
+                f"{table.path}: {other.prefix}home has {len(home)} values, arm_joints has "
+                f"{len(names)}"
+            )
+        for name, value in zip(names, home, strict=True):
+            if name not in arms[chosen].texts("arm_joints"):
+                held[name] = _rest_value(model, name, float(value), other)
+    return Articulated(model.urdf, held, model.cache) if held else model
+
+
+def _rest_value(model: Articulated, name: str, value: object, table: Table) -> float:
+    joint = model.joint(name)
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise RobotError(f"{table.path}: {table.prefix}{name} must be a number")
+    if not joint.lower - 1e-6 <= value <= joint.upper + 1e-6:
+        raise RobotError(
+            f"{table.path}: {table.prefix}{name} is {value:g}, its limits are {joint.lower:g} to "
+            f"{joint.upper:g}"
+        )
+    return float(value)
 
 
 def beside(path: Path, name: str, key: str = "urdf") -> Path:

@@ -10,7 +10,7 @@ from momapos.errors import FileFormatError
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.urdf import read_urdf
 from momapos.plans import read_plan
-from momapos.robots.robot import read_srdf
+from momapos.robots.srdf import read_srdf
 from momapos.scene.files import load_scene
 from momapos.scene.scene import Scene
 from momapos.types import PlacementPlan
