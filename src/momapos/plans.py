@@ -15,9 +15,10 @@ import numpy as np
 
 from momapos import plan_members as members
 from momapos.errors import FileFormatError, InputError
-from momapos.files import read_bytes_bounded
+from momapos.files import read_bytes_bounded, read_text_bounded
 from momapos.plan_files import portable_name, sha256, sha256_of, write_text
 from momapos.robots.amend import portable
+from momapos.robots.srdf import MAX_SRDF_BYTES
 from momapos.types import Candidates, Hold, KeyObjects, Motion, PlacementPlan, Task
 
 if TYPE_CHECKING:
@@ -131,7 +132,8 @@ def write_plan(plan: PlacementPlan, path: Path) -> None:
     if plan.robot_file is not None and plan.robot_file.endswith(".toml"):
         data["robot"]["file"] = portable_name(plan.robot_file, path, "the robot file")
     if plan.robot_srdf is not None:
-        data["robot"]["srdf"] = portable_name(plan.robot_srdf, path, "the robot's SRDF")
+        srdf = portable_name(plan.robot_srdf, path, "the robot's SRDF")
+        data["robot"]["srdf"] = srdf if amended is None else amended.with_suffix(".srdf").name
     data["hashes"] = {"scene": sha256(Path(plan.scene)), "robot": digest}
     try:
         text = json.dumps(data, allow_nan=False)
@@ -139,6 +141,9 @@ def write_plan(plan: PlacementPlan, path: Path) -> None:
         raise InputError(f"{path}: the plan holds NaN or infinity and was not written") from error
     if amended is not None:
         write_text(amended, content)
+        if plan.robot_srdf is not None:  # where those look who know nothing of the robot file
+            srdf = read_text_bounded(Path(plan.robot_srdf), MAX_SRDF_BYTES, error=InputError)
+            write_text(amended.with_suffix(".srdf"), srdf)
     write_text(path, f"{text}\n")
 
 

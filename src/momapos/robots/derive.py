@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 MAX_LINKS = 500
+_SIDE = re.compile("left|right", re.I)
 Report = Callable[[float, str], None]
 """Takes the share of the work that is done, and what is at work."""
 
@@ -193,7 +194,7 @@ def _same_shapes(record: Urdf, model: Articulated) -> Articulated:
 
 
 def _arm_names(model: Articulated, chains: list[ArmChain]) -> list[str]:
-    """Names of arms: left and right by where they begin, y pointing to the left."""
+    """Names of arms: left and right by their joints' names, or where they begin, y to the left."""
     if len(chains) == 1:
         return [""]
     own = [
@@ -203,8 +204,12 @@ def _arm_names(model: Articulated, chains: list[ArmChain]) -> list[str]:
         for chain in chains
     ]
     aside = [float(model.rest_poses[model.joint(name).child][1, 3]) for name in own]
-    if len(chains) == 2 and min(aside) < -0.01 < 0.01 < max(aside):
-        return ["left" if y > 0 else "right" for y in aside]
+    if len(chains) == 2 and all(_SIDE.search(name) for name in own):
+        sides = ["left" if re.search("left", name, re.I) else "right" for name in own]
+        if sides[0] != sides[1]:
+            return sides
+    if len(chains) == 2 and abs(aside[0] - aside[1]) > 0.02:
+        return ["left" if y == max(aside) else "right" for y in aside]
     return [f"arm{index + 1}" for index in range(len(chains))]
 
 
