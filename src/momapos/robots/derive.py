@@ -170,7 +170,7 @@ def derive_robot(
         packages={name: _relative(folder, out) for name, folder in source.packages.items()},
     )
     known = dict(srdf.reasons) if pairs else {}
-    return Derived(text.text(), {**known, **pairs}, tuple(notes))
+    return Derived(text.text(), {**known, **pairs}, tuple(dict.fromkeys(notes)))
 
 
 def _fingers(model: Articulated, srdf: Srdf) -> set[str]:

@@ -34,6 +34,8 @@ _SUCTION, _HOOK = re.compile(r"suction|vacuum|magnet", re.I), re.compile(r"hook"
 _THUMB = re.compile("thumb", re.I)
 FORCES = (5.0, 400.0)
 """Closing forces that grippers have [N]; other effort limits are placeholders."""
+WEAK = 40.0
+"""A gripper that closes with less cannot hold against the seal of a fridge [N]."""
 ASIDE = 0.03
 """How far from the middle between the fingers the tool link may be [m]."""
 GUESS = 0.08
@@ -201,7 +203,11 @@ def find_force(model: Articulated, fingers: Sequence[str], notes: list[str]) -> 
         notes.append("force: no URDF limits say how strong the gripper is; give tool.force")
         return None
     name = min(usable, key=lambda key: usable[key])
-    notes.append(f"force: {usable[name]:.0f} N of each finger, from the effort limit of {name}")
+    weak = "; doors need more: what does the gripper's data sheet say?"
+    notes.append(
+        f"force: {usable[name]:.0f} N of each finger, from the effort limit of {name}"
+        f"{weak if usable[name] < WEAK else ''}"
+    )
     return round(usable[name], 1)
 
 

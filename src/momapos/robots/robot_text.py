@@ -101,7 +101,8 @@ class RobotText:
             if self.mount.box is not None:
                 lines += [f"box = {listed(np.array(self.mount.box))}"]
             else:
-                lines += [key("urdf", self.mount_urdf), key("link", self.mount.link)]
+                lines += [key("urdf", self.mount_urdf)]
+                lines += [key("link", self.mount.link)] if self.mount.link else []
             lines += [place, f"rpy = {listed(np.array(self.mount.rpy))}"]
         for frame in self.frames:
             lines += ["", f"[frames.{quoted(frame.name)}]", key("parent", frame.parent)]
