@@ -44,6 +44,8 @@ class Model:
     """The file that is checked, relative to the folder."""
     kind: str = "mobile"
     """mobile: a mobile manipulator; arm: one that stands nowhere; other: none of both."""
+    words: tuple[str, ...] = ()
+    """What else the command is given; {folder} stands for the folder."""
 
     @property
     def half(self) -> str:
@@ -75,7 +77,10 @@ MODELS = (
     Model("stretch_re1v0", f"{STRETCH}/RE1V0", f"{DESCRIPTION}_RE1V0_tool_stretch_dex_wrist.urdf"),
     Model("stretch_re2v0", f"{STRETCH}/RE2V0", f"{DESCRIPTION}_RE2V0_tool_stretch_dex_wrist.urdf"),
     Model("stretch_se3", f"{STRETCH}/SE3", f"{DESCRIPTION}_SE3_eoa_wrist_dw3_tool_sg3.urdf"),
-    Model("stretch4", "stretch4_urdf", "SE4.xacro"),
+    Model("stretch4", "stretch4_urdf", "SE4.xacro", words=(
+        "--xacro-arg", "batch=francis", "--xacro-arg", "pkg_path={folder}",
+        "--xacro-arg", "tool=eoa_wrist_dw4_tool_sg4",
+    )),
     # PAL, Willow Garage, Fetch
     Model("tiago", EXAMPLE, "tiago_description/robots/tiago.urdf"),
     Model("tiago_no_hand", EXAMPLE, "tiago_description/robots/tiago_no_hand.urdf"),
@@ -88,12 +93,13 @@ MODELS = (
     Model("mobile_panda_dual", MANI, "panda/mobile_panda_dual_arm.urdf"),
     Model("frankie", RTB, "qut_frankie_description/robots/frankie_arm_hand.urdf.xacro"),
     Model("frankie_omni", RTB, "qut_frankie_description/robots/frankieOmni_arm_hand.urdf.xacro"),
-    # humanoids on wheels
+    # humanoids on wheels, and one on a pedestal
     Model("vega", DEXMATE, "humanoid/vega_1/vega.urdf"),
     Model("vega_1u", DEXMATE, "humanoid/vega_1u/vega_1u.urdf"),
     Model("vega_1p", DEXMATE, "humanoid/vega_1p/vega_1p_f5d6.urdf"),
     Model("armar6", "armar/description", "urdf/armar6.urdf"),
     Model("centauro", EXAMPLE, "centauro_description/urdf/centauro.urdf"),
+    Model("baxter", EXAMPLE, "baxter_description/urdf/baxter.urdf"),
     # arms that stand nowhere
     Model("panda", EXAMPLE, "panda_description/urdf/panda.urdf", "arm"),
     Model("ur5", EXAMPLE, "ur_description/urdf/ur5_robot.urdf", "arm"),
@@ -108,7 +114,6 @@ MODELS = (
     Model("vx300s", RTB, "trossen_descriptions/urdf/vx300s.urdf.xacro", "arm"),
     Model("puma560", RTB, "unimation_puma560_description/urdf/puma560_robot.urdf.xacro", "arm"),
     Model("talos_arm", EXAMPLE, "talos_data/robots/talos_left_arm.urdf", "arm"),
-    Model("baxter", EXAMPLE, "baxter_description/urdf/baxter.urdf", "arm"),
     Model("ur5e_airo", "airo_models/arms/ur5e", "ur5e.urdf", "arm"),
     # neither
     Model("allegro_hand", EXAMPLE, f"{ALLEGRO}/urdf/allegro_right_hand.urdf", "other"),
@@ -161,7 +166,8 @@ def _resident(pid: int) -> float:
 def checked(model: Model, site: Path, folder: Path) -> list[tuple[str, Outcome]]:
     """Check a robot, and as much again as its kind asks for; what was run, and what it did."""
     urdf, out = site / model.folder / model.urdf, folder / f"{model.name}.toml"
-    words = ["robot", "check", str(urdf), "--out", str(out)]
+    more = [word.format(folder=site / model.folder) for word in model.words]
+    words = ["robot", "check", str(urdf), "--out", str(out), *more]
     done = [("check", run(words))]
     if model.kind == "arm" and done[0][1].status == 2:
         done.append(("on a box", run([*words, "--on-box", BOX])))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shutil
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,7 +24,7 @@ from momapos.robots.derive import derive_robot
 from momapos.robots.examine import examine
 from momapos.robots.gripper import points_of
 from momapos.robots.names import library_names
-from momapos.robots.robot import ASSUMED_FORCE, Grip, load_robot, read_robot
+from momapos.robots.robot import ASSUMED_FORCE, Grip, load_arms, load_robot, read_robot
 from momapos.robots.states import sample_states, touches
 from momapos.robots.write import write_robot
 
@@ -234,6 +235,12 @@ def test_the_library_is_listed_shown_and_exported(
     robot_list(json=True)
     names = [robot["name"] for robot in json.loads(capsys.readouterr().out)["robots"]]
     assert tuple(names) == library_names()
+    robot_list()
+    header, fetch = capsys.readouterr().out.splitlines()[:2]
+    assert header.split() == [
+        "name", "arms", "joints", "reach", "[m]", "payload", "[kg]", "drive", "map",
+    ]  # fmt: skip
+    assert fetch.split()[:5] == ["fetch", "1", "8", "1.11", "6"]
     for name in names[:1]:
         robot_show(name)
         assert name in capsys.readouterr().out
@@ -417,6 +424,15 @@ def test_a_tool_without_fingers_that_is_named_so_holds_by_that(
     text = mobile_manipulator(fingers=False).replace('"palm"', f'"{name}"')
     path.write_text(text)
     assert load_robot(write_robot(path)[0]).grips is grips
+
+
+@pytest.mark.parametrize("name", library_names())
+def test_the_library_states_how_far_its_robots_reach_and_what_they_carry(name: str) -> None:
+    for robot in load_arms(name):
+        data = tomllib.loads(robot.path.read_text())
+        stated = data["arms"][robot.arm] if robot.arm else data
+        assert stated["reach"] == pytest.approx(robot.reach, abs=0.01)
+        assert robot.payload is not None
 
 
 def test_the_grippers_of_the_library_state_their_force() -> None:

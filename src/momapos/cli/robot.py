@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from momapos.robots.robot import Robot
 
 SOLVED = 0
+_ROW = "{:<14} {:>4} {:>6} {:>9} {:>12}  {:<12} {}"
 DERIVED_FROM = (".urdf", ".xml", ".xacro")
 """Endings of files that a robot file is derived from."""
 
@@ -36,16 +37,28 @@ def robot_list(*, json: bool = False) -> int:
     if json:
         print(json_format.dumps({"robots": robots}, indent=1))
         return SOLVED
+    print(_ROW.format("name", "arms", "joints", "reach [m]", "payload [kg]", "drive", "map"))
     for robot in robots:
-        print(f"{robot['name']:14} {robot['joints']} arm joints, {robot['drive']} drive")
+        cells = {key: "-" if value is None else value for key, value in robot.items()}
+        print(_ROW.format(*(str(value) for value in cells.values())))
     print("Use a name as --robot, or a robot file; 'momapos robot check FILE.urdf' makes one.")
     return SOLVED
 
 
 def _in_short(name: str) -> dict[str, Any]:
     """What `robot list` tells of a library robot, from its robot file alone."""
-    data = tomllib.loads(find_robot(name).read_text(encoding="utf-8"))
-    return {"name": data["name"], "joints": len(data["arm_joints"]), "drive": data["base"]["drive"]}
+    file = find_robot(name)
+    data = tomllib.loads(file.read_text(encoding="utf-8"))
+    arms = list(data.get("arms", {"": data}).values())
+    return {
+        "name": data["name"],
+        "arms": len(arms),
+        "joints": len(arms[0]["arm_joints"]),
+        "reach": arms[0].get("reach"),
+        "payload": arms[0].get("payload"),
+        "drive": data["base"]["drive"],
+        "map": "built in" if any(file.parent.glob("*.reach")) else "at first use",
+    }
 
 
 def robot_show(name: str, /, *, json: bool = False) -> int:
@@ -103,7 +116,7 @@ def robot_check(
         if not folder.is_dir():
             raise RobotError(f"--package {name}={folder}: there is no such folder")
     from momapos.cache import user_cache
-    from momapos.robots.examine import examine
+    from momapos.robots.examine import blocking, examine
     from momapos.robots.robot import load_arms
 
     cache = user_cache()
@@ -121,24 +134,29 @@ def robot_check(
         arms = load_arms(file, cache=cache)
         report(0.95, "looking for what is wrong")
         doubts = [_of_arm(text, robot) for robot in arms for text in examine(robot)]
+        shares = [_of_arm(text, robot) for robot in arms for text in blocking(robot)]
     if plot is not None:
         from momapos.viewer.robot_spheres import draw_robot
 
-        draw_robot(arms[0], plot)
+        draw_robot(arms[0], plot, arms[1:])
     facts = {
         **describe(arms[0]), "written": bool(guesses), "assumptions": list(guesses),
-        "doubts": doubts, "plot": None if plot is None else str(plot),
+        "doubts": doubts, "self_collision": shares, "plot": None if plot is None else str(plot),
         "arms": {robot.arm: describe(robot) for robot in arms if robot.arm}, "next": _next(arms[0]),
     }  # fmt: skip
     if json:
         print(json_format.dumps(facts, indent=1))
         return SOLVED
-    _print_checked(arms, guesses, doubts, plot)
+    _print_checked(arms, guesses, doubts, shares, plot)
     return SOLVED
 
 
 def _print_checked(
-    arms: Sequence[Robot], guesses: Sequence[str], doubts: Sequence[str], plot: Path | None
+    arms: Sequence[Robot],
+    guesses: Sequence[str],
+    doubts: Sequence[str],
+    shares: Sequence[str],
+    plot: Path | None,
 ) -> None:
     first = [text for text in guesses if text.startswith("IMPORTANT")]
     if first:
@@ -148,6 +166,9 @@ def _print_checked(
     if guesses:
         print(f"\nwritten to {arms[0].path}; what was assumed, please check:")
         print("\n".join(f"  - {text}" for text in guesses if text not in first))
+    if shares:
+        print("\npairs of links that block most states of the arm:")
+        print("\n".join(f"  - {text}" for text in shares))
     if doubts:
         print("\nthis looks wrong:")
         print("\n".join(f"  - {text}" for text in doubts))
@@ -250,6 +271,7 @@ def describe(robot: Robot) -> dict[str, Any]:
         "gripper_links": list(robot.gripper_links),
         "joints": joints,
         "reach": round(robot.reach, 3),
+        "payload": robot.payload,
         "ik": robot.ik.name,
         "spheres": len(spheres.radius),
         "self_collision_pairs": len(spheres.pairs) + int(spheres.base_pairs.any(1).sum()),

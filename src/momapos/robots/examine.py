@@ -7,7 +7,23 @@ import numpy as np
 from momapos.robots.base import FLOOR_TOLERANCE, WHEELS_HIGH, base_links, outside
 from momapos.robots.gripper import points_of
 from momapos.robots.robot import Robot
-from momapos.robots.states import sample_states, touches
+from momapos.robots.states import sample_states, self_collision_shares, touches
+
+MOST_PAIRS, WORTH_TELLING = 5, 0.02
+"""How many pairs of links are told, and the share of the states that each blocks [-]."""
+
+
+def blocking(robot: Robot, *, seed: int = 0) -> list[str]:
+    """Say which pairs of links block how many states of the arm, by spheres and by hulls."""
+    states = sample_states(robot.chain, np.random.default_rng(seed))
+    shares = self_collision_shares(robot.chain, robot.spheres, states)
+    return [
+        f"{share.links[0]} and {share.links[1]}: {100 * share.by_spheres:.0f} % by spheres, "
+        f"{100 * share.by_hulls:.0f} % by hulls"
+        + (", which decide" if share.decided_by_hulls else "")
+        for share in shares[:MOST_PAIRS]
+        if share.by_spheres >= WORTH_TELLING
+    ]
 
 
 def examine(robot: Robot, *, seed: int = 0) -> list[str]:

@@ -118,11 +118,21 @@ def find_grip(
             f"{listed(closing)} is any across it, and the opening of {GUESS} m is a guess"
         )
         return Closing(approach, closing, GUESS)
-    one, other = _opposed([fingers[i] for i in shaped], [hands[i] for i in shaped], notes)
-    closing = _snap(one - other)
-    closing = closing * np.sign(closing[int(np.argmax(abs(closing)))])
+    if len(shaped) > 2:
+        notes.append(
+            f"IMPORTANT: a hand of {len(shaped)} fingers: it is planned for as a pinch of two "
+            "sides; how its fingers close together is not taken from the URDF"
+        )
+    one, other = _opposed(model, [fingers[i] for i in shaped], [hands[i] for i in shaped])
     middle = (one + other) / 2
-    ahead = middle - back[:3, 3]
+    if len(shaped) > 2:  # a thumb stands beside the others, and reaches less far than they
+        approach = _snap(other - back[:3, 3])
+        across = one - other - ((one - other) @ approach) * approach
+        closing = _snap(across) if np.linalg.norm(across) > 0.005 else orthonormal(approach)
+    else:
+        closing = _snap(one - other)
+    closing = closing * np.sign(closing[int(np.argmax(abs(closing)))])
+    ahead = (other if len(shaped) > 2 else middle) - back[:3, 3]
     ahead = ahead - (ahead @ closing) * closing
     approach = _snap(ahead) if np.linalg.norm(ahead) > 0.01 else orthonormal(closing)
     approach = approach - (approach @ closing) * closing
@@ -138,19 +148,16 @@ def find_grip(
 
 
 def _opposed(
-    fingers: Sequence[str], hands: Sequence[Float[np.ndarray, "n 3"]], notes: list[str]
+    model: Articulated, fingers: Sequence[str], hands: Sequence[Float[np.ndarray, "n 3"]]
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
     """Middles of what closes against each other: thumb and fingers, or the two farthest apart."""
     centers = [(points.min(0) + points.max(0)) / 2 for points in hands]
-    thumbs = [i for i, name in enumerate(fingers) if _THUMB.search(name)]
-    rest = [center for i, center in enumerate(centers) if i not in thumbs]
-    if len(fingers) > 2:
-        notes.append(
-            f"IMPORTANT: a hand of {len(fingers)} fingers: it is planned for as a pinch of two "
-            "sides; how its fingers close together is not taken from the URDF"
-        )
+    parts = [len(model.links_below(name)) for name in fingers]
+    long = [i for i, count in enumerate(parts) if 2 * count >= max(parts)]
+    thumbs = [centers[i] for i in long if _THUMB.search(fingers[i])]
+    rest = [centers[i] for i in long if not _THUMB.search(fingers[i])]
     if thumbs and rest:
-        return np.mean([centers[i] for i in thumbs], axis=0), np.mean(rest, axis=0)
+        return np.mean(thumbs, axis=0), np.mean(rest, axis=0)
     return max(combinations(centers, 2), key=lambda p: float(np.linalg.norm(p[0] - p[1])))
 
 
@@ -303,7 +310,9 @@ def _gap(
         for hull in model.hulls[link]
     ]
     tip = max(float(shape[:, 1].max()) for shape in shapes)
-    ends = [shape[:, 0] for shape in shapes if shape[:, 1].max() > tip - NEAR_TIP]
+    # Of a hand with a thumb, which is shorter, all counts.
+    near = NEAR_TIP if not any(map(_THUMB.search, inside)) else np.inf
+    ends = [shape[:, 0] for shape in shapes if shape[:, 1].max() > tip - near]
     above = [float(c.min()) for c in ends if c.min() + c.max() > 0]
     below = [float(c.max()) for c in ends if c.min() + c.max() <= 0]
     gap = min(above) - max(below) if above and below else 0.0
