@@ -191,3 +191,13 @@ def test_a_robot_of_a_library_name_is_called_otherwise(tmp_path: Path) -> None:
     made, derived = write_robot(path)
     assert load_robot(made).name == "mine"
     assert any("a robot of the library is called fetch" in text for text in derived.assumptions)
+
+
+def test_prefixes_that_a_urdf_does_not_declare_are_passed_over(tmp_path: Path) -> None:
+    path = tmp_path / "robot.urdf"
+    path.write_text(
+        mobile_manipulator().replace(
+            "</robot>", "<drake:pads drake:count='2' other:a='1'/></robot>"
+        )
+    )
+    assert load_robot(write_robot(path)[0]).tool_link == "tcp"

@@ -131,8 +131,19 @@ def _named_by_packages(
             used[package] = known[package] if package in known else _package(package, path)
             continue
         file = Path(os.path.normpath(path.resolve().parent / name.removeprefix("file://")))
-        own = (file.parent.name, file.parent)
-        package, folder = next((k for k in known.items() if file.is_relative_to(k[1])), own)
+        package, folder = _holding(file, {**known, **used})
         used[package] = folder
         mesh.set("filename", f"package://{package}/{file.relative_to(folder).as_posix()}")
     return tostring(tree, encoding="unicode"), used
+
+
+def _holding(file: Path, known: Mapping[str, Path]) -> tuple[str, Path]:
+    """A package that holds a file: one that is known, else its folder under a name of its own."""
+    for package, folder in known.items():
+        if file.is_relative_to(folder):
+            return package, folder
+    name, count = file.parent.name, 1
+    while name in known:
+        count += 1
+        name = f"{file.parent.name}_{count}"
+    return name, file.parent
