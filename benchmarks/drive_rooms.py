@@ -14,7 +14,7 @@ from scipy.sparse.csgraph import connected_components
 
 from momapos.geometry.polygons import inscribed_radius
 from momapos.geometry.transforms import wrap_angle
-from momapos.manipulation.motion import room_boxes
+from momapos.manipulation.task_boxes import room_boxes
 from momapos.navigation.clearance import gaps
 from momapos.navigation.cost_map import CELL, FloorPlan, base_height, build_cost_map, floor_plan
 from momapos.navigation.footprint_map import HEADINGS, NavigationMap

@@ -28,6 +28,8 @@ GET = {
     "every layout of kitchens": "make test-slow",
     "a wheel": "make test-wheel",
     "real data": f"{SHARED}, where FOLDER holds bestman/",
+    "robot descriptions": ".venv/bin/pip install --no-deps example-robot-data "
+    "hello-robot-stretch-urdf",
     "independent checker": f"{SHARED}, where FOLDER holds data/ and tools/",
 }
 """What may be missing, and the command that gets it or runs with it."""

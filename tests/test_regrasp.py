@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.rooms import cabinet_room
 
 from momapos.base_pose import check_base_pose
 from momapos.config import PipelineConfig
@@ -106,3 +107,21 @@ def test_a_door_that_is_opened_a_little_needs_no_second_hold(kitchen: Scene, rob
     task = make_task(kitchen, "open", "cabinet_back", "door_hinge", "25deg")
     prepared = prepare(kitchen, robot, task, CONFIG, clearance=0.0)
     assert not list(every_two_holds(prepared, CONFIG, 0))
+
+
+def test_a_door_beside_a_wall_is_pushed_where_no_hand_has_room_to_pull(
+    robot: Robot, reach: ReachMap, tmp_path: Path
+) -> None:
+    wall = (
+        ', {"name": "wall", "category": "wall", "box": [0.1, 0.4, 1.1],'
+        ' "pose": {"xyz": [0.41, -0.6, 0.85], "wxyz": [1, 0, 0, 0]}}'
+    )
+    scene = cabinet_room(tmp_path, extra=wall)
+    task = make_task(scene, "open", "cabinet", to=np.pi / 2)
+    prepared = prepare(scene, robot, task, CONFIG, clearance=0.0)
+    assert "wall" in prepared.no_grasp
+    assert prepared.blocked == ""
+    found = plan_base_placement(scene, robot, task, reach).plan
+    assert [hold.family for hold in motion_of(found).holds] == ["pinch", "push"]
+    assert found.base_pose is not None
+    assert check_base_pose(scene, robot, task, found.base_pose, reach).motion is not None

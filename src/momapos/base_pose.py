@@ -22,7 +22,7 @@ from momapos.placement_result import PlacementResult, plan_of
 from momapos.prepare import PreparedTask, driving_lengths, prepare, start_pose
 from momapos.protocols import Clock, ReachScorer
 from momapos.query import PlacementQuery
-from momapos.reachability.store import load_reach_map
+from momapos.reachability.store import load_reach
 from momapos.regrasp import every_two_holds
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene
@@ -75,7 +75,7 @@ def check_base_pose(
         RobotError: The robot and the task do not fit together.
     """
     if reach is None:
-        reach = load_reach_map(robot, cache_dir)
+        reach = load_reach(robot, cache_dir)
     watch = Stopwatch(lambda: 0.0)
     query = PlacementQuery(scene, robot, task, reach, None, None, config, seed, watch)
     return _look(query, np.asarray(base_pose, float), how_far=how_far).attempt
@@ -192,20 +192,12 @@ def _attempt(query: PlacementQuery, base: Float[np.ndarray, "3"]) -> _Look:
     prepared = prepare(query.scene, query.robot, query.task, query.config, clearance=0.0)
     if prepared.infeasible_reason:
         outcome = PoseOutcome(PoseStatus.TASK_INFEASIBLE, prepared.infeasible_reason)
-        return _Look(prepared, Attempt(None, outcome))
-    status = BaseStatus(base_pose_status(prepared.geometry, base[None])[0][0])
-    if status != BaseStatus.CLEAR:
-        return _Look(prepared, Attempt(None, BASE_OUTCOMES[status]))
-    feasible = prepared.feasibility(query.config, query.seed)
-    # The map is right for most poses, not for all: it orders the grasps and rules none out.
-    scores = np.maximum(prepared.ways[0](query.reach, base[None]).scores, LEAST_SCORE)
-    turning = np.full((1, len(prepared.motion.turning.groups)), LEAST_SCORE / 2)
-    scores = np.concatenate([scores, turning], axis=1)
-    screened = feasible.screen(base[None], scores, None)
-    assert screened is not None
-    attempt = Attempt(None, screened[0].outcome)
-    if screened[0].q is not None:
-        attempt = feasible(base, screened[0], np.argsort(-scores[0], kind="stable"))
+        attempt = Attempt(None, outcome)
+    else:
+        status = BaseStatus(base_pose_status(prepared.geometry, base[None])[0][0])
+        if status != BaseStatus.CLEAR:
+            return _Look(prepared, Attempt(None, BASE_OUTCOMES[status]))
+        attempt = _in_one_hold(query, prepared, base)
     if attempt.motion is not None:
         return _Look(prepared, attempt)
     for two in every_two_holds(prepared, query.config, query.seed):
@@ -213,3 +205,19 @@ def _attempt(query: PlacementQuery, base: Float[np.ndarray, "3"]) -> _Look:
         if again.motion is not None:
             return _Look(prepared, again)
     return _Look(prepared, attempt)
+
+
+def _in_one_hold(
+    query: PlacementQuery, prepared: PreparedTask, base: Float[np.ndarray, "3"]
+) -> Attempt:
+    """Try all ways of holding at a base pose that stands clear, the best reached first."""
+    feasible = prepared.feasibility(query.config, query.seed)
+    # The map is right for most poses, not for all: it orders the grasps and rules none out.
+    scores = np.maximum(prepared.ways[0](query.reach, base[None]).scores, LEAST_SCORE)
+    turning = np.full((1, len(prepared.motion.turning.groups)), LEAST_SCORE / 2)
+    scores = np.concatenate([scores, turning], axis=1)
+    screened = feasible.screen(base[None], scores, None)
+    assert screened is not None
+    if screened[0].q is None:
+        return Attempt(None, screened[0].outcome)
+    return feasible(base, screened[0], np.argsort(-scores[0], kind="stable"))

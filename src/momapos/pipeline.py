@@ -27,7 +27,7 @@ from momapos.placement_result import PlacementResult, plan_of
 from momapos.prepare import driving_lengths, prepare, start_pose
 from momapos.protocols import Clock, ReachScorer
 from momapos.query import PlacementQuery
-from momapos.reachability.store import load_reach_map
+from momapos.reachability.store import load_reach
 from momapos.regrasp import every_two_holds, two_hold_searches
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene
@@ -80,7 +80,7 @@ def plan_base_placement(
     """
     watch = Stopwatch(clock)
     if reach is None:
-        reach = load_reach_map(robot, cache_dir)
+        reach = load_reach(robot, cache_dir)
     query = PlacementQuery(scene, robot, task, reach, start, pose_filter, config, seed, watch)
     return as_far_as_possible(query, answer) if task.farthest else answer(query)
 

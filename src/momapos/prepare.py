@@ -13,7 +13,8 @@ from momapos.config import PipelineConfig
 from momapos.geometry.polygons import inscribed_radius
 from momapos.kinematics.world import CollisionWorld, build_world
 from momapos.manipulation.feasibility import Feasibility, collision_free_grasps
-from momapos.manipulation.motion import LIFT, TaskMotion, in_room, room_boxes, task_motion
+from momapos.manipulation.motion import LIFT, TaskMotion, in_room, task_motion
+from momapos.manipulation.task_boxes import room_boxes
 from momapos.manipulation.tasks import in_front_of_parts
 from momapos.navigation.cost_map import base_height, build_cost_map, floor_plan
 from momapos.navigation.footprint_map import NavigationMap
@@ -46,8 +47,15 @@ class PreparedTask:
     geometry: PlacementGeometry
     """The room and the task as placement wants them."""
     verifier: PlanVerifier
-    infeasible_reason: str
-    """Why no base pose can help, where that is known beforehand, else ""."""
+    blocked: str
+    """What the part runs into on its way, whoever moves it and however; "" where it is free."""
+    no_grasp: str
+    """Why no single grasp moves it all the way, wherever the base stands; "" where some may."""
+
+    @property
+    def infeasible_reason(self) -> str:
+        """Why one grasp helps at no base pose, where that is known beforehand, else ""."""
+        return self.blocked or self.no_grasp
 
     def violation(self, base_pose: Float[np.ndarray, "3"], motion: Motion) -> str | None:
         """What the exact check finds wrong with a motion; None where it holds.
@@ -122,16 +130,15 @@ def prepare(
             motion = motion.only(motion.grasps.deepest(has_room))
     with watch.stage("exact model"):
         verifier = PlanVerifier(scene, robot, task)
-        blocked = verifier.blocked(LIFT)
-    no_grasp = ""
-    if not has_room.any():
+        blocked = verifier.blocked(LIFT) or ""
+    no_grasp = motion.refusal
+    if not no_grasp and not has_room.any():
         why = [motion.passed_over] if motion.passed_over else []
         no_grasp = ", and ".join([*why, f"the hand hits {obstacle} in every grasp"])
         if why and motion.handle is not None:
             no_grasp += f" of {motion.handle}"
     geometry = placement_geometry(scene, robot, motion, clearance)
-    reason = motion.refusal or blocked or no_grasp
-    return PreparedTask(scene, robot, task, motion, world, geometry, verifier, reason)
+    return PreparedTask(scene, robot, task, motion, world, geometry, verifier, blocked, no_grasp)
 
 
 def placement_geometry(

@@ -81,6 +81,7 @@ class TwoHolds:
             ways=self.ways,
             screen=self.screen,
             attempt=self,
+            infeasible_reason="",
         )
 
     def screen(
@@ -174,7 +175,7 @@ def every_two_holds(
     Each is made when it is asked for: mostly the first is enough.
     """
     watch = watch or Stopwatch(lambda: 0.0)
-    for ajar in () if whole.infeasible_reason else AJAR:
+    for ajar in () if whole.blocked else AJAR:
         two = _two_holds(whole, config, seed, ajar, out_of_time, watch)
         if two is not None:
             yield two

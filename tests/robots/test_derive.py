@@ -19,7 +19,6 @@ from tests.urdf_parts import LIMIT, box, joint, link, mobile_manipulator
 from momapos.cli.robot import robot_check, robot_export, robot_list, robot_show
 from momapos.errors import MomaposError, RobotError, UnknownNameError
 from momapos.kinematics.spheres import build_spheres
-from momapos.reachability.arm_axes import arm_frame
 from momapos.robots.derive import derive_robot
 from momapos.robots.examine import examine
 from momapos.robots.gripper import points_of
@@ -321,19 +320,17 @@ def test_an_arm_without_a_base_is_asked_first_whether_it_is_a_mobile_robot(
     assert "is this a mobile robot?" in capsys.readouterr().out.splitlines()[0]
 
 
-def test_an_arm_that_no_reachability_map_can_be_made_of_is_told_when_it_is_checked(
-    tmp_path: Path,
-) -> None:
+def test_an_arm_of_five_joints_is_told_to_have_no_reachability_map(tmp_path: Path) -> None:
     text = mobile_manipulator()
-    mount = re.search(r'<joint name="j0".*?</joint>', text)
-    assert mount is not None
-    assert '<axis xyz="0 0 1"/>' in mount[0]
+    for name in ("lift", "j2"):
+        found = re.search(rf'<joint name="{name}".*?</joint>', text)
+        assert found is not None
+        text = text.replace(found[0], re.sub('type="[a-z]*"', 'type="fixed"', found[0]))
     path = tmp_path / "robot.urdf"
-    path.write_text(text.replace(mount[0], mount[0].replace("0 0 1", "0 1 0")))
+    path.write_text(text)
     robot = load_robot(write_robot(path)[0])
-    assert any("not vertical" in text for text in examine(robot))
-    with pytest.raises(RobotError, match="not vertical"):
-        arm_frame(robot.chain, robot.approach_axis)
+    assert len(robot.arm_joints) == 5
+    assert ["5 degrees of freedom" in text for text in examine(robot)] == [True]
 
 
 def two_armed() -> str:

@@ -14,6 +14,7 @@ import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
+from importlib import metadata
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -27,7 +28,7 @@ from tests.real import DATA
 
 LIBRARY = Path(__file__).parents[2] / "src" / "momapos" / "robots" / "library"
 SCENE_IO = DATA.parent / "tools" / "scene_io.py"
-ROBOTS = ("fetch", "husky_ur5e", "ranger_rm63", "segway_ur5e")
+ROBOTS = ("fetch", "husky_ur5e", "mobile_panda", "ranger_rm63", "segway_ur5e", "tiago")
 
 COVERED = 0.010
 """How far a vertex of the manufacturer's mesh may lie outside the shapes [m]."""
@@ -112,10 +113,15 @@ class Urdf:
         for item in self.links[link].findall(tag):
             geometry = item.find("geometry")[0]
             if geometry.tag == "mesh":
-                points = mesh_vertices(self.path.parent / geometry.get("filename"))
+                points = mesh_vertices(self.mesh(geometry.get("filename")))
                 points = points * np.array(geometry.get("scale", "1 1 1").split(), float)
                 clouds.append(transform(pose_of(item), points))
         return np.concatenate(clouds)
+
+    def mesh(self, name: str) -> Path:
+        """The file of a mesh; packages lie beside the folder of the URDF's own."""
+        inside = name.removeprefix("package://example-robot-data/robots/")
+        return self.path.parents[2] / inside if inside != name else self.path.parent / name
 
     def pose(self, link: str, base: str, q: Mapping[str, float]) -> np.ndarray:
         """Pose of a link in the frame of another, by pinocchio."""
@@ -228,6 +234,19 @@ PILLAR = BESTMAN / "base/ranger_mini_v3_with_pillar/urdf/ranger_mini_v3_with_pil
 SEGBOT = BESTMAN / "base/segbot/urdf/segbot.urdf"
 
 
+def installed(distribution: str, path: str) -> Path:
+    """A file of a package with robot descriptions; one that does not exist where it is missing."""
+    try:
+        return Path(str(metadata.distribution(distribution).locate_file(path)))
+    except metadata.PackageNotFoundError:
+        return Path(distribution) / "missing"
+
+
+EXAMPLES = installed("example-robot-data", "cmeel.prefix/share/example-robot-data/robots")
+PANDA = EXAMPLES / "panda_description" / "urdf" / "panda.urdf"
+TIAGO = EXAMPLES / "tiago_description" / "robots" / "tiago_no_hand.urdf"
+
+
 def moved(x: float = 0, y: float = 0, z: float = 0, yaw: float = 0) -> np.ndarray:
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = pin.rpy.rpyToMatrix(0, 0, yaw), (x, y, z)
@@ -275,6 +294,7 @@ _HUSKY = ["base_link", "top_plate_link", "user_rail_link", "front_bumper_link", 
 _HUSKY += [f"{end}_{side}_wheel_link" for end in ("front", "rear") for side in ("left", "right")]
 _SEGBOT = ["base_link", "plate_link", "base_caster_support_link", "caster_wheel_link"]
 _SEGBOT += ["left_wheel_link", "right_wheel_link"]
+_HAND = ("panda_hand", "panda_hand")
 PARTS = {
     "fetch": [
         Part(FETCH, [*_BASE, *(f"{name}_link" for name in _ARM)]),
@@ -289,6 +309,17 @@ PARTS = {
     ],
     # The Husky's own collision shapes are a box and cylinders; its meshes are the visual ones.
     "husky_ur5e": [Part(HUSKY, _HUSKY, "base_link", "chassis_link", tag="visual"), *_UR5E],
+    "mobile_panda": [
+        Part(SEGBOT, _SEGBOT, "base_link", "chassis_link"),
+        Part(PANDA, [*(f"panda_link{i}" for i in range(8)), "panda_hand"]),
+        # At zero their fingers are closed: each opens by 0.04 m.
+        Part(PANDA, ["panda_leftfinger"], *_HAND, moved(y=0.04), "visual"),
+        Part(PANDA, ["panda_rightfinger"], *_HAND, moved(y=-0.04), "visual"),
+    ],
+    "tiago": [
+        Part(TIAGO, ["base_link", "torso_lift_link", "head_1_link", "head_2_link"]),
+        Part(TIAGO, [f"arm_{i}_link" for i in range(1, 7)]),
+    ],
     "ranger_rm63": [
         Part(RANGER, ["base_link"], ours="chassis_link", T_ours_anchor=moved(z=0.14)),
         Part(PILLAR, ["arm_base", "front_lidar", "head_Link", "head_camera", "Link7"]),
@@ -305,7 +336,7 @@ PARTS = {
 
 @lru_cache
 def manufacturer(path: Path) -> Urdf:
-    return Urdf(optional.there(path))
+    return Urdf(optional.there(path, "real data" if DATA in path.parents else "robot descriptions"))
 
 
 def random_states(robot: Robot, count: int) -> list[dict[str, float]]:
@@ -334,6 +365,23 @@ def test_fetch_moves_its_gripper_as_the_manufacturer_says() -> None:
     for q in random_states(ours, 200):
         pair = [u.pose("gripper_link", "base_link", q) for u in (ours.urdf, theirs)]
         assert_same_pose(*pair)
+
+
+@pytest.mark.parametrize(
+    ("name", "file", "base", "flange"),
+    [
+        ("mobile_panda", PANDA, "panda_link0", "panda_hand_tcp"),
+        ("tiago", TIAGO, "base_footprint", "wrist_ft_tool_link"),
+    ],
+)
+def test_arms_of_installed_descriptions_move_as_those_say(
+    name: str, file: Path, base: str, flange: str
+) -> None:
+    ours, theirs = robot_named(name), manufacturer(file)
+    for q in random_states(ours, 200):
+        assert_same_pose(ours.urdf.pose(flange, base, q), theirs.pose(flange, base, q))
+    for joint in ours.arm:
+        assert limits_of(ours.urdf.joints[joint]) == limits_of(theirs.joints[joint])
 
 
 @pytest.mark.parametrize("name", ["segway_ur5e", "husky_ur5e"])

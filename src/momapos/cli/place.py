@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from tyro.constructors import ConstructorRegistry
 
     from momapos.placement_result import PlacementResult
+    from momapos.reachability.arm_length import ArmLength
     from momapos.reachability.map import ReachMap
 
 _STATUS = {"solved": 0, "infeasible": 3, "timeout": 4}
@@ -185,7 +186,7 @@ def _answer(
     from momapos.manipulation.tasks import make_task
     from momapos.pipeline import plan_base_placement
     from momapos.placement_result import cheapest
-    from momapos.reachability.store import load_reach_map
+    from momapos.reachability.store import load_reach
     from momapos.robots.robot import Robot, load_arms
     from momapos.scene.files import load_scene
     from momapos.scene.joints import set_joints
@@ -198,12 +199,12 @@ def _answer(
         print(f"momapos: {warning}", file=sys.stderr)
     task = make_task(scene, verb, name, joint or None, to)
     with progress(f"reachability map of {arms[0].name}") as report:
-        maps = [load_reach_map(robot, cache.folder, report) for robot in arms]
+        maps = [load_reach(robot, cache.folder, report) for robot in arms]
     begin = None if start is None else np.array(start)
     walks = (*RANK, *WALKS) if config.ranking.scorer == "deepwalk" else ()
     compile_once(tuple(dict.fromkeys((*ANSWER, *walks))))
 
-    def ask(robot: Robot, reach: ReachMap) -> PlacementResult:
+    def ask(robot: Robot, reach: ReachMap | ArmLength) -> PlacementResult:
         if at is None:
             return plan_base_placement(
                 scene, robot, task, reach, start=begin, config=config, seed=options.seed

@@ -69,7 +69,7 @@ def run(
     from momapos.cli.console import progress
     from momapos.errors import InputError, require
     from momapos.plans import check_unchanged, read_plan
-    from momapos.reachability.store import load_reach_map
+    from momapos.reachability.store import load_reach
     from momapos.verification.files import find_file, read_scene
 
     begin = None if start is None else np.array(parse_pose(start, "start"))
@@ -95,7 +95,7 @@ def run(
         print(f"momapos: {warning}", file=sys.stderr)
     film = Film() if record is not None else None
     with progress(f"reachability map of {machine.name}") as report:
-        reach = load_reach_map(machine, default_cache_dir(), report)
+        reach = load_reach(machine, default_cache_dir(), report)
     result = run_plan(
         content, scene, machine, reach, start=begin, seed=seed,
         driving=DriveConfig() if noise else DriveConfig(noise=QUIET),

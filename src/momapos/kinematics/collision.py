@@ -21,8 +21,8 @@ FLOOR = -3
 APART, NEAR, MEET = 0, 1, 2
 """How spheres stand to each other. They may leave `MARGIN` of a shape uncovered: what is within
 that is near."""
-OTHER, PALM, FINGER = 0, 1, 2
-"""What a link is to a grasp."""
+OTHER, PALM, FINGER, KNOWN = 0, 1, 2, 3
+"""What a link is to a grasp; of one that is KNOWN the caller knows that it is free of boxes."""
 
 
 @kernel
@@ -63,6 +63,8 @@ def hit_boxes(R, p, bounds, spheres, boxes, skip_gripper, margin):
     segment, bound_radius, gripper = spheres.segment, spheres.bound_radius, spheres.gripper
     box_center, box_rotation, box_half, grasped = boxes
     for g in range(len(segment)):
+        if gripper[g] == KNOWN:
+            continue
         c = (bounds[g, 0], bounds[g, 1], bounds[g, 2])
         far = bound_radius[g] + margin
         for b in range(len(box_center)):
@@ -199,7 +201,7 @@ def hit_floor(R, p, bounds, spheres):
     center, radius, start = spheres.center, spheres.radius, spheres.start
     segment, bound_radius = spheres.segment, spheres.bound_radius
     for g in range(len(segment)):
-        if bounds[g, 2] > bound_radius[g]:
+        if bounds[g, 2] > bound_radius[g] or spheres.gripper[g] == KNOWN:
             continue
         for s in range(start[g], start[g + 1]):
             if moved(R, p, segment[g], center[s])[2] < radius[s]:

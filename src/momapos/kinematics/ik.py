@@ -70,7 +70,7 @@ def _hopeless(branch, active, lower, upper):
         low, high = lower[active[a]], upper[active[a]]
         if high - low < turn:
             off = branch[a] - 0.5 * (low + high)
-            off -= turn * np.round(off / turn)
+            off -= turn * np.floor(off / turn + 0.5)
             if abs(off) > 0.5 * (high - low) + _SLACK:
                 return True
     return False

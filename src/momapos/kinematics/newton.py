@@ -11,7 +11,7 @@ from momapos.kinematics.subproblems import dot, mul
 
 
 @kernel
-def _solve_spd(A, b):
+def solve_spd(A, b):
     """Solve A x = b in place for a small positive definite A (Cholesky)."""
     n = len(b)
     for i in range(n):
@@ -46,7 +46,7 @@ def newton(q, active, chain, limits, R_target, p_target, rule, scratch):
     Returns:
         Squared residual, position [m] and rotation [rad] together.
     """
-    h, slides, last = chain.h, chain.slides, len(chain.slides)
+    last = len(chain.slides)
     tool_offset, tool_rotation = chain.tool_offset, chain.tool_rotation
     R, p, J, A, e, column = scratch
     m = len(active)
@@ -68,24 +68,7 @@ def newton(q, active, chain, limits, R_target, p_target, rule, scratch):
             residual += e[k] * e[k]
         if residual < rule.enough or step == rule.steps:
             break
-        for a in range(m):
-            for k in range(6):
-                J[k, a] = 0.0
-        for j in range(last):
-            a = column[chain.dof[j]]
-            if a < 0:
-                continue
-            axis, ratio = mul(R[j], (h[j, 0], h[j, 1], h[j, 2])), chain.ratio[j]
-            if slides[j]:
-                for k in range(3):
-                    J[k, a] += ratio * axis[k]
-            else:
-                rx, ry, rz = tool[0] - p[j + 1, 0], tool[1] - p[j + 1, 1], tool[2] - p[j + 1, 2]
-                J[0, a] += ratio * (axis[1] * rz - axis[2] * ry)
-                J[1, a] += ratio * (axis[2] * rx - axis[0] * rz)
-                J[2, a] += ratio * (axis[0] * ry - axis[1] * rx)
-                for k in range(3):
-                    J[k + 3, a] += ratio * axis[k]
+        jacobian(chain, R, p, tool, column, m, J)
         for i in range(6):
             for k in range(i + 1):
                 s = 0.0
@@ -93,7 +76,7 @@ def newton(q, active, chain, limits, R_target, p_target, rule, scratch):
                     s += J[i, a] * J[k, a]
                 A[i, k] = s
             A[i, i] += rule.damping * (1e-6 + residual)
-        _solve_spd(A, e)
+        solve_spd(A, e)
         for a in range(m):
             s = 0.0
             for k in range(6):
@@ -103,6 +86,39 @@ def newton(q, active, chain, limits, R_target, p_target, rule, scratch):
             if rule.within:
                 q[j] = min(max(q[j], limits.lower[j]), limits.upper[j])
     return residual
+
+
+@kernel
+def jacobian(chain, R, p, tool, column, m, J):
+    """How a point and the orientation of the last segment move with the degrees of freedom.
+
+    Args:
+        chain: `ChainArrays`.
+        R, p: As `forward` leaves them.
+        tool: The point, in the same frame.
+        column: For each degree of freedom its column, or -1 (n,).
+        m: Number of columns.
+        J: (6, at least m) to be filled: velocity, then angular velocity.
+    """
+    h = chain.h
+    for a in range(m):
+        for k in range(6):
+            J[k, a] = 0.0
+    for j in range(len(chain.slides)):
+        a = column[chain.dof[j]]
+        if a < 0:
+            continue
+        axis, ratio = mul(R[j], (h[j, 0], h[j, 1], h[j, 2])), chain.ratio[j]
+        if chain.slides[j]:
+            for k in range(3):
+                J[k, a] += ratio * axis[k]
+        else:
+            rx, ry, rz = tool[0] - p[j + 1, 0], tool[1] - p[j + 1, 1], tool[2] - p[j + 1, 2]
+            J[0, a] += ratio * (axis[1] * rz - axis[2] * ry)
+            J[1, a] += ratio * (axis[2] * rx - axis[0] * rz)
+            J[2, a] += ratio * (axis[0] * ry - axis[1] * rx)
+            for k in range(3):
+                J[k + 3, a] += ratio * axis[k]
 
 
 @kernel

@@ -31,10 +31,12 @@ BULKY = 0.06
 """Shapes whose half thickness is more than this are treated as bodies [m]."""
 MAX_CELLS = 200
 """Cells of one box; beyond, they grow [-]."""
+MAX_PLANES = 500
+"""Planes that stand for the surface of a hull [-]."""
+AT_ONCE = 4_000_000
+"""Distances of points to faces that are held at once [-]."""
 _LAYERS = ((0, 1), (3, 0), (4, 0), (5, 0), (6, 0), *((k, 1) for k in range(5, 17)))
 """How many spheres form a ring, and how many stand in its middle."""
-MANY_FACES = 200
-"""Faces of a hull, from which on those far from a cell are left out [-]."""
 _SIDE = 7
 _GRID = np.stack(np.meshgrid(*[np.linspace(-1, 1, _SIDE)] * 3, indexing="ij"), -1).reshape(-1, 3)
 _OUTER = _GRID[np.abs(_GRID).max(1) == 1]
@@ -191,7 +193,13 @@ def _count(half: np.ndarray, stick_out: float) -> np.ndarray:
 
 
 def _planes(hull: Hull) -> tuple[Float[np.ndarray, "f 3"], Float[np.ndarray, " f"]]:
-    """Outward unit normals of a hull's faces and their offsets."""
+    """Outward unit normals of planes that bound a hull, and their offsets.
+
+    Those of its faces; of a hull with very many, as many planes that touch it all around.
+    """
+    if len(hull.faces) > MAX_PLANES:
+        normal = _around(MAX_PLANES)
+        return normal, (hull.vertices @ normal.T).max(0)
     a, b, c = (hull.vertices[hull.faces[:, k]] for k in range(3))
     normal = np.cross(b - a, c - a)
     length = np.linalg.norm(normal, axis=1)
@@ -201,30 +209,25 @@ def _planes(hull: Hull) -> tuple[Float[np.ndarray, "f 3"], Float[np.ndarray, " f
     return planes[:, :3], planes[:, 3]
 
 
-def _into(points: np.ndarray, hull: Hull) -> np.ndarray:
-    """Move points (cells, k, 3) outside of a hull to its surface, along the normals of faces."""
+def _around(count: int) -> Float[np.ndarray, "count 3"]:
+    """Unit vectors spread evenly over the sphere, on a spiral."""
+    z = (2 * np.arange(count) + 1) / count - 1
+    angle = np.pi * (np.sqrt(5) - 1) * np.arange(count)
+    r = np.sqrt(1 - z**2)
+    return np.stack([r * np.cos(angle), r * np.sin(angle), z], -1)
+
+
+def _into(points: Float[np.ndarray, "*n 3"], hull: Hull) -> Float[np.ndarray, "*n 3"]:
+    """Move points outside of a hull to its surface, along the normals of faces."""
     normal, offset = _planes(hull)
-    if len(normal) > MANY_FACES:
-        return _into_many(points, normal, offset)
-    for _ in range(3):
-        out = points @ normal.T - offset
-        points = points - np.maximum(0.0, out.max(-1))[..., None] * normal[out.argmax(-1)]
-    return points
-
-
-def _into_many(points: np.ndarray, normal: np.ndarray, offset: np.ndarray) -> np.ndarray:
-    """The same for a hull of very many faces: of them, only those near a cell are looked at."""
-    points = points.copy()
-    for _ in range(3):
-        middle = points.mean(1)
-        radius = np.linalg.norm(points - middle[:, None], axis=-1).max(1)
-        near = middle @ normal.T - offset > -radius[:, None]
-        for cell, faces in zip(points, near, strict=True):
-            if faces.any():
-                n = normal[faces]
-                out = cell @ n.T - offset[faces]
-                cell -= np.maximum(0.0, out.max(-1))[:, None] * n[out.argmax(-1)]
-    return points
+    moved = points.reshape(-1, 3).copy()
+    size = max(1, AT_ONCE // len(normal))
+    for first in range(0, len(moved), size):
+        part = moved[first : first + size]
+        for _ in range(3):
+            out = part @ normal.T - offset
+            part -= np.maximum(0.0, out.max(-1))[..., None] * normal[out.argmax(-1)]
+    return moved.reshape(points.shape)
 
 
 def _needed(cover: _Cover) -> Bool[np.ndarray, " s"]:

@@ -18,13 +18,13 @@ from momapos.kinematics.chain import Chain, chain_arrays
 from momapos.kinematics.collision import (
     FLOOR,
     FREE,
+    KNOWN,
     SELF,
     box_gap,
     hit_boxes,
     hit_floor,
     hit_self,
     place_arm,
-    place_bounds,
     scratch_of,
 )
 from momapos.kinematics.hulls import Boxes, MovingBoxes
@@ -33,7 +33,6 @@ from momapos.kinematics.records import (
     ChainArrays,
     CollisionArrays,
     ObstacleArrays,
-    SphereArrays,
     TaskState,
     WorldArrays,
 )
@@ -202,6 +201,8 @@ def _hit_static(R, p, bounds, spheres, world, margin):
     low, shape = world.grid_origin, world.grid_shape
     grid_start, grid_index = world.grid_start, world.grid_index
     for g in range(len(segment)):
+        if spheres.gripper[g] == KNOWN:
+            continue
         if not _any_filled(bounds[g], bound_radius[g], low, shape, world.filled):
             continue
         for s in range(start[g], start[g + 1]):
@@ -363,65 +364,3 @@ def motion_checker(
         return bool(_motion_free(a, b, *fixed))
 
     return free
-
-
-@entry
-def _check_hand(
-    R: F3,
-    p: F2,
-    value: I1,
-    holding: B1,
-    room: CollisionArrays,
-) -> np.ndarray:
-    hand, world, margin = room
-    out = np.full(len(R), FREE, np.int64)
-    bounds = np.empty((len(hand.segment), 3))
-    for i in range(len(R)):
-        Ri, pi = R[i : i + 1], p[i : i + 1]
-        place_bounds(Ri, pi, hand, bounds)
-        code = _hit_moving(Ri, pi, bounds, TaskState(value[i], holding[i]), room)
-        if code != FREE:
-            out[i] = code + len(world.center)
-            continue
-        out[i] = _hit_static(Ri, pi, bounds, hand, world, margin)
-    return out
-
-
-def check_hand(
-    world: CollisionWorld,
-    chain: Chain,
-    spheres: Spheres,
-    Ts_world_tool: Float[np.ndarray, "m 4 4"],
-    value: Int[np.ndarray, " m"],
-    holding: Bool[np.ndarray, " m"],
-) -> Int[np.ndarray, " m"]:
-    """What the hand alone hits at tool poses, whatever arm and base are behind it.
-
-    Returns:
-        FREE or an index into the labels.
-    """
-    groups = np.flatnonzero(spheres.segment == chain.last)
-    if not len(groups):
-        return np.full(len(Ts_world_tool), FREE)
-    rows = [np.arange(spheres.start[g], spheres.start[g + 1]) for g in groups]
-    index = np.concatenate(rows)
-    arrays = spheres.arrays()
-    hand = SphereArrays(
-        spheres.center[index],
-        spheres.radius[index],
-        np.cumsum([0, *map(len, rows)]),
-        np.zeros(len(groups), np.int64),
-        spheres.bound_center[groups],
-        spheres.bound_radius[groups],
-        spheres.gripper[groups],
-        *arrays[7:],
-    )
-    R = Ts_world_tool[:, :3, :3] @ chain.tool_rotation.T
-    p = Ts_world_tool[:, :3, 3] - R @ chain.tool_offset
-    return _check_hand(
-        np.ascontiguousarray(R),
-        np.ascontiguousarray(p),
-        np.ascontiguousarray(value),
-        np.ascontiguousarray(holding),
-        CollisionArrays(hand, world.arrays(), world.clearance),
-    )

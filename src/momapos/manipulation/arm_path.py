@@ -14,6 +14,7 @@ from momapos.kinematics.ik import EXACT, arm_arrays
 from momapos.kinematics.newton import newton, newton_scratch
 from momapos.kinematics.records import ArmArrays, NewtonRule
 from momapos.kinematics.world import CollisionWorld, check
+from momapos.manipulation.hand_room import arm_spheres, hits_on_the_way
 from momapos.manipulation.layers import (
     CUT_OFF,
     MAX_STEP,
@@ -25,7 +26,7 @@ from momapos.manipulation.layers import (
     solve_layer,
 )
 from momapos.manipulation.motion import TaskMotion
-from momapos.robots.robot import Robot
+from momapos.manipulation.turning_arm import Arm, hand_poses, robot_of
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
@@ -54,7 +55,7 @@ class ArmPath:
 
 
 def find_paths(
-    robot: Robot,
+    robot: Arm,
     world: CollisionWorld,
     motion: TaskMotion,
     bases: Float[np.ndarray, "j 3"],
@@ -104,7 +105,7 @@ def _ends_first(count: int) -> list[int]:
 
 
 def _connect(
-    robot: Robot,
+    robot: Arm,
     world: CollisionWorld,
     motion: TaskMotion,
     base: np.ndarray,
@@ -127,7 +128,8 @@ def _connect(
         if reached < count:
             return worst if worst.obstacle != FREE else ArmPath(BROKEN, reached, count, FREE)
         q = _unwrap(stacked[chosen], full_turn, chain.lower, chain.upper)
-        targets = invert(pose_planar(base)) @ motion.tool_poses(grasps[chosen])
+        tools = motion.tool_poses(grasps[chosen])
+        targets = invert(pose_planar(base)) @ tools
         dense = np.empty((len(motion.object_q), chain.size))
         bad = _track(
             q,
@@ -139,14 +141,19 @@ def _connect(
         )
         if bad < 0:
             codes = check(
-                world,
-                chain,
-                robot.spheres,
-                dense,
-                np.tile(base, (len(dense), 1)),
-                motion.value,
-                motion.holding,
-            )
+                world, chain, arm_spheres(robot_of(robot)), dense, np.tile(base, (len(dense), 1)),
+                motion.value, motion.holding,
+            )  # fmt: skip
+            if (codes == FREE).all():
+                width = np.full(len(dense), motion.grasps.width[grasps[chosen[0]]])
+                codes = hits_on_the_way(
+                    robot_of(robot),
+                    world,
+                    motion,
+                    hand_poses(robot, base, dense, tools),
+                    np.arange(len(dense)),
+                    width,
+                )
             hit = np.flatnonzero(codes != FREE)
             if not len(hit):
                 return ArmPath(FOUND, count, count, FREE, dense)

@@ -11,11 +11,13 @@ import numpy as np
 
 from momapos.geometry.transforms import apply, invert, pose_planar
 from momapos.kinematics.chain import chain_arrays
-from momapos.kinematics.collision import FREE, place_segments
+from momapos.kinematics.collision import FLOOR, FREE, place_segments
 from momapos.kinematics.spheres import Spheres, box_spheres, carry
-from momapos.kinematics.world import CollisionWorld, check, check_hand, motion_checker
+from momapos.kinematics.world import CollisionWorld, check, motion_checker
 from momapos.manipulation.arm_path import FOUND, HIT, UNREACHABLE, ArmPath, find_paths
 from momapos.manipulation.config import PlannerConfig
+from momapos.manipulation.free_turn import FULL, find_turning_paths
+from momapos.manipulation.hand_room import hits_on_the_way
 from momapos.manipulation.motion import TaskMotion
 from momapos.manipulation.planner import RESOLUTION, interpolate, plan_motion
 from momapos.outcomes import PoseOutcome, PoseStatus
@@ -117,7 +119,8 @@ class Feasibility:
         def work(part: Int[np.ndarray, " p"]) -> list[ArmPath] | None:
             if self.out_of_time():
                 return None
-            return find_paths(self.robot, self.world, self.motion, bases[part], grasps[part])
+            find = find_paths if self.robot.chain.size >= FULL else find_turning_paths
+            return find(self.robot, self.world, self.motion, bases[part], grasps[part])
 
         with ThreadPoolExecutor(_THREADS) as pool:
             found = list(pool.map(work, pieces))
@@ -243,13 +246,13 @@ def collision_free_grasps(
     # Most that fail do so at the grasp itself; only the others are looked at farther on.
     for steps in (motion.waypoint_steps[1:2], np.delete(motion.waypoint_steps, 1)):
         Ts = motion.Ts_world_tool[alive[:, None], steps].reshape(-1, 4, 4)
-        value, holding = (np.tile(v[steps], len(alive)) for v in (motion.value, motion.holding))
-        codes = check_hand(world, robot.chain, robot.spheres, Ts, value, holding)
+        width = np.repeat(motion.grasps.width[alive], len(steps))
+        codes = hits_on_the_way(robot, world, motion, Ts, np.tile(steps, len(alive)), width)
         hits.append(codes[codes != FREE])
         alive = alive[(codes.reshape(len(alive), len(steps)) == FREE).all(1)]
     free = np.isin(np.arange(len(motion.Ts_world_tool)), alive)
-    counts = np.bincount(np.concatenate(hits))
-    obstacle = world.reason(int(counts.argmax())) if len(counts) else ""
+    counts = np.bincount(np.concatenate(hits) - FLOOR)
+    obstacle = world.reason(int(counts.argmax()) + FLOOR) if len(counts) else ""
     if motion.task.verb == "place" and free.any():
         touched = touched_at_home(robot, motion)
         free &= touched < 0

@@ -41,6 +41,8 @@ class Hand:
     """Where the middle of the pads lies along the approach [m]."""
     tip: float
     """Where the fingers end along the approach [m]."""
+    rest: float
+    """How far a finger stands from wide open where the gripper is at rest [m]."""
 
     @property
     def closes(self) -> bool:
@@ -116,7 +118,7 @@ def _sorted_out(boxes: Boxes, finger: Bool[np.ndarray, " b"], robot: Robot) -> H
     faces = [float((inner * s)[pad & (side == s)].min(initial=np.inf)) for s in (1, -1)]
     tip = max(tips) if np.isfinite(max(tips)) else robot.finger_depth
     if not np.isfinite(faces).all():
-        return Hand(boxes, side, pad, approach, closing, 0.0, 0.0, tip)
+        return Hand(boxes, side, pad, approach, closing, 0.0, 0.0, tip, 0.0)
     spread = np.where(side > 0, robot.opening / 2 - faces[0], faces[1] - robot.opening / 2)
     center = boxes.center + np.where(side != 0, spread, 0.0)[:, None] * closing
     # What stands farther in than the pads, behind them, ends the room for what they hold.
@@ -126,5 +128,5 @@ def _sorted_out(boxes: Boxes, finger: Bool[np.ndarray, " b"], robot: Robot) -> H
     low = max(float((along - reach[:, 0])[pad].min()), float(ends.max(initial=-np.inf)))
     return Hand(
         Boxes(center, boxes.rotation, boxes.half), side, pad, approach, closing,
-        robot.opening / 2, (min(low, tip) + tip) / 2, tip,
+        robot.opening / 2, (min(low, tip) + tip) / 2, tip, robot.opening / 2 - sum(faces) / 2,
     )  # fmt: skip

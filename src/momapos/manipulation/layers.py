@@ -24,8 +24,9 @@ from momapos.kinematics.ik import (
 )
 from momapos.kinematics.records import ArmArrays, CollisionArrays, TaskState
 from momapos.kinematics.world import CollisionWorld, check_one, collision_arrays
+from momapos.manipulation.hand_room import arm_spheres
 from momapos.manipulation.motion import TaskMotion
-from momapos.robots.robot import Robot
+from momapos.manipulation.turning_arm import Arm, robot_of
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
@@ -98,7 +99,7 @@ def full_turns(chain: Chain) -> Bool[np.ndarray, " n"]:
 
 
 def solve_layer(
-    robot: Robot,
+    robot: Arm,
     world: CollisionWorld,
     motion: TaskMotion,
     bases: Float[np.ndarray, "j 3"],
@@ -138,7 +139,7 @@ def solve_layer(
         bases[row],
         TaskState(int(motion.value[step]), bool(motion.holding[step])),
         arm_arrays(chain, ik),
-        collision_arrays(robot.spheres, world),
+        collision_arrays(arm_spheres(robot_of(robot)), world),
         JointSteps(full_turns(chain), scale, locked),
         around,
     )
@@ -189,7 +190,7 @@ def joint_step(a, b, full_turn, scale, limit):
     for k in range(len(a)):
         d = b[k] - a[k]
         if full_turn[k]:
-            d -= 2.0 * np.pi * np.round(d / (2.0 * np.pi))
+            d -= 2.0 * np.pi * np.floor(d / (2.0 * np.pi) + 0.5)
         worst = max(worst, abs(d) * scale[k])
         if worst > limit:
             break

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -23,6 +22,7 @@ from momapos.manipulation.grasps import (
 )
 from momapos.manipulation.handles import Handle, find_handle, lever_arms
 from momapos.manipulation.resistance import resistance_of, weight_of
+from momapos.manipulation.task_boxes import held_elements, moving_boxes, static_boxes
 from momapos.manipulation.turning import Turning, no_turning, turning_about
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene, SceneObject
@@ -89,6 +89,20 @@ class TaskMotion:
             grasps=self.grasps.take(rows),
             turning=self.turning.only(rows),
         )
+
+    @property
+    def closed(self) -> Bool[np.ndarray, " d"]:
+        """At which steps the fingers are closed about what they hold, if they close at all."""
+        steps = np.arange(len(self.object_q))
+        if self.task.verb == "place":
+            return steps <= self.grasp_step
+        last = steps[-1] if self.release_step is None else self.release_step
+        return (self.grasp_step <= steps) & (steps <= last)
+
+    @property
+    def free_ends(self) -> tuple[int, ...]:
+        """Steps at which the arm comes from a motion of its own choice, or goes on with one."""
+        return (0,) if self.release_step is None else (0, len(self.object_q) - 1)
 
     @property
     def handle(self) -> Handle | None:
@@ -167,7 +181,7 @@ def with_retreat(motion: TaskMotion, robot: Robot, config: GraspConfig) -> TaskM
         Ts_world_tool=np.concatenate([motion.Ts_world_tool, back], axis=1),
         object_q=np.append(motion.object_q, np.repeat(motion.object_q[-1], steps)),
         waypoint_steps=np.append(motion.waypoint_steps, held + steps - 1),
-        holding=np.append(motion.holding, np.ones(steps, bool)),
+        holding=np.append(motion.holding, np.arange(steps) < steps - 1),
         value=np.append(motion.value, np.repeat(motion.value[-1], steps)),
         release_step=held - 1,
     )
@@ -178,13 +192,8 @@ def in_room(motion: TaskMotion, scene: Scene) -> TaskMotion:
     target = scene.object(motion.task.object)
     joint = motion.task.joint
     moved = target.model.links if joint is None else target.model.moved_by(joint)
-    static, labels = _static_boxes(scene, target, set(moved))
+    static, labels = static_boxes(scene, target, set(moved))
     return replace(motion, static=static, labels=(*labels, *motion.labels[len(motion.static) :]))
-
-
-def room_boxes(scene: Scene) -> Boxes:
-    """All boxes of a room."""
-    return _static_boxes(scene, None, set())[0]
 
 
 def _joint_motion(
@@ -218,10 +227,10 @@ def _joint_motion(
     Ts_world_part = T_world_joint @ joint_motion(joint, values)
     moved = target.model.moved_by(joint.name)
     Ts_part_link = {n: invert(poses[joint.child]) @ poses[n] for n in moved}
-    moving, moving_labels, grasped = _moving_boxes(
-        target, Ts_world_part, Ts_part_link, _held_elements(chosen.grasps.handles)
+    moving, moving_labels, grasped = moving_boxes(
+        target, Ts_world_part, Ts_part_link, held_elements(chosen.grasps.handles)
     )
-    static, labels = _static_boxes(scene, target, set(moved))
+    static, labels = static_boxes(scene, target, set(moved))
     approach = _straight_approach(robot, Ts_world_part[0] @ Ts_part_tool, config.grasps)
     steps = approach.shape[1]
     turning = turning_about(robot, chosen)
@@ -232,7 +241,7 @@ def _joint_motion(
         object_q=np.concatenate([np.full(steps, start), values]),
         waypoint_steps=np.concatenate([[0], steps + np.arange(count) * config.substeps]),
         grasp_step=steps,
-        holding=np.ones(steps + len(values), bool),
+        holding=np.arange(steps + len(values)) > 0,
         static=static,
         moving=moving,
         value=np.concatenate([np.zeros(steps, np.int64), np.arange(len(values))]),
@@ -262,70 +271,6 @@ def _straight_approach(
     return T
 
 
-def _moving_boxes(
-    target: SceneObject,
-    Ts_world_part: Float[np.ndarray, "v 4 4"],
-    T_part_link: dict[str, Float[np.ndarray, "4 4"]],
-    held: Mapping[str, Collection[int]] | None,
-) -> tuple[MovingBoxes, list[str], Bool[np.ndarray, " m"]]:
-    """Boxes of the moving links at each value, and which of them the palm may touch.
-
-    Args:
-        target: The object.
-        Ts_world_part: Where the part is at each value.
-        T_part_link: Where the moving links are in it.
-        held: Collision elements that are held, by link; None for all.
-    """
-    center, rotation, half, labels, near = [], [], [], [], []
-    for link, T in T_part_link.items():
-        for index, boxes in enumerate(target.model.boxes[link]):
-            center.append(boxes.center @ T[:3, :3].T + T[:3, 3])
-            rotation.append(T[:3, :3] @ boxes.rotation)
-            half.append(boxes.half)
-            labels += [f"{target.name}/{link}"] * len(boxes)
-            near.append(np.full(len(boxes), held is None or index in held.get(link, ())))
-    c, R, h = _stack(center, rotation, half)
-    world = MovingBoxes(
-        np.einsum("vij,mj->vmi", Ts_world_part[:, :3, :3], c) + Ts_world_part[:, None, :3, 3],
-        np.einsum("vij,mjk->vmik", Ts_world_part[:, :3, :3], R),
-        np.broadcast_to(h, (len(Ts_world_part), *h.shape)).copy(),
-    )
-    return world, labels, np.concatenate(near) if near else np.zeros(0, bool)
-
-
-def _held_elements(handles: Iterable[Handle]) -> dict[str, set[int]]:
-    """The collision elements of handles, by link."""
-    held: dict[str, set[int]] = {}
-    for element in (e for handle in handles for e in handle.elements):
-        if element.index is not None:
-            held.setdefault(element.link, set()).add(element.index)
-    return held
-
-
-def _static_boxes(
-    scene: Scene, target: SceneObject | None, moved: set[str]
-) -> tuple[Boxes, list[str]]:
-    center, rotation, half, labels = [], [], [], []
-    for item in scene.objects:
-        for link, T in item.link_poses().items():
-            if item is target and link in moved:
-                continue
-            for boxes in item.model.boxes[link]:
-                center.append(boxes.center @ T[:3, :3].T + T[:3, 3])
-                rotation.append(T[:3, :3] @ boxes.rotation)
-                half.append(boxes.half)
-                labels += [f"{item.name}/{link}"] * len(boxes)
-    return Boxes(*_stack(center, rotation, half)), labels
-
-
-def _stack(
-    center: list[np.ndarray], rotation: list[np.ndarray], half: list[np.ndarray]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    if not center:
-        return np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3))
-    return np.concatenate(center), np.concatenate(rotation), np.concatenate(half)
-
-
 def _rigid_motion(
     scene: Scene, robot: Robot, task: Task, target: SceneObject, config: MotionConfig
 ) -> TaskMotion:
@@ -347,8 +292,8 @@ def _rigid_motion(
     Ts_world_object = np.tile(T_object, (len(lifts), 1, 1))
     Ts_world_object[:, 2, 3] += lifts
     T_object_link = {n: invert(T_object) @ T for n, T in target.link_poses().items()}
-    moving, moving_labels, grasped = _moving_boxes(target, Ts_world_object, T_object_link, None)
-    static, labels = _static_boxes(scene, target, set(target.model.links))
+    moving, moving_labels, grasped = moving_boxes(target, Ts_world_object, T_object_link, None)
+    static, labels = static_boxes(scene, target, set(target.model.links))
     approach = _straight_approach(robot, T_object @ Ts_object_tool, config.grasps)
     steps = approach.shape[1]
     if task.verb == "pick":
@@ -369,7 +314,7 @@ def _rigid_motion(
         object_q=np.zeros(Ts.shape[1]),
         waypoint_steps=waypoint_steps,
         grasp_step=first,
-        holding=np.ones(Ts.shape[1], bool),
+        holding=(np.arange(Ts.shape[1]) > 0) | (task.verb == "place"),
         static=static,
         moving=moving,
         value=value,

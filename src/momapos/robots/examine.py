@@ -29,10 +29,10 @@ def blocking(robot: Robot, *, seed: int = 0) -> list[str]:
 def examine(robot: Robot, *, seed: int = 0) -> list[str]:
     """Say what looks wrong about a robot whose file is consistent; mostly nothing."""
     doubts: list[str] = []
-    if not robot.chain.upright:
+    if robot.chain.size < 6:
         doubts.append(
-            "the arm's first axis is not vertical: there is no reachability map for such an arm, "
-            "and 'momapos place' needs one"
+            f"the arm has {robot.chain.size} degrees of freedom: it reaches few tool poses "
+            "exactly, and has no reachability map; answers take longer"
         )
     body = base_links(robot.model, robot.arm_joints[:1])
     points = points_of(robot.model, robot.base_link, body)
