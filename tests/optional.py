@@ -23,6 +23,7 @@ SHARED = "MOMAPOS_SHARED=FOLDER make test"
 GET = {
     "torch": "make test-torch",
     "eaik": ".venv/bin/pip install eaik",
+    "xacrodoc": ".venv/bin/pip install xacrodoc",
     "EGL": "apt-get install libegl1 libgl1-mesa-dri",
     "every layout of kitchens": "make test-slow",
     "a wheel": "make test-wheel",

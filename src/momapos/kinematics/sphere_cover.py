@@ -7,7 +7,10 @@ are taken until nothing is left.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -72,6 +75,23 @@ def box_spheres(boxes: Boxes) -> tuple[Float[np.ndarray, "s 3"], Float[np.ndarra
 
 
 def _cover_shape(shape: Geometry, stick_out: float) -> _Cover:
+    if shape.mesh is None:
+        return _covered(shape, stick_out)
+    # The same mesh is covered for each arm of a robot, and again when its file is read.
+    T = shape.T_link_geometry
+    stamp = os.stat(shape.mesh).st_mtime_ns
+    return _mesh_cover(shape.mesh, stamp, shape.size, T.tobytes(), stick_out)
+
+
+@lru_cache(maxsize=256)
+def _mesh_cover(
+    mesh: Path, _stamp: int, size: tuple[float, ...], T: bytes, stick_out: float
+) -> _Cover:
+    shape = Geometry("mesh", size, np.frombuffer(T).reshape(4, 4), mesh=mesh)
+    return _covered(shape, stick_out)
+
+
+def _covered(shape: Geometry, stick_out: float) -> _Cover:
     if shape.kind == "sphere":
         center, size = shape.T_link_geometry[None, :3, 3], shape.size[0]
         return _Cover(center, np.array([size]), center + size * _DIRECTIONS)
