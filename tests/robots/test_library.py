@@ -28,7 +28,7 @@ from tests.real import DATA
 
 LIBRARY = Path(__file__).parents[2] / "src" / "momapos" / "robots" / "library"
 SCENE_IO = DATA.parent / "tools" / "scene_io.py"
-ROBOTS = ("fetch", "husky_ur5e", "mobile_panda", "ranger_rm63", "segway_ur5e", "tiago")
+ROBOTS = ("fetch", "husky_ur5e", "mobile_panda", "ranger_rm63", "segway_ur5e", "stretch", "tiago")
 
 COVERED = 0.010
 """How far a vertex of the manufacturer's mesh may lie outside the shapes [m]."""
@@ -86,6 +86,14 @@ class Urdf:
     @cached_property
     def model(self) -> pin.Model:
         return pin.buildModelFromXML(ET.tostring(self.root, encoding="unicode"))
+
+    def leader(self, joint: str) -> str:
+        """The joint that a joint follows one to one; none where it is empty."""
+        mimic = self.joints[joint].find("mimic")
+        if mimic is None:
+            return ""
+        assert (mimic.get("multiplier", "1"), mimic.get("offset", "0")) == ("1", "0")
+        return mimic.get("joint", "")
 
     def parent(self, link: str) -> str:
         return self.above[link].find("parent").get("link")
@@ -172,8 +180,17 @@ class Robot:
             frozenset((e.get("link1", ""), e.get("link2", ""))): e.get("reason", "")
             for e in srdf.iter("disable_collisions")
         }
-        self.arm: list[str] = self.table["arm_joints"]
-        self.home = dict(zip(self.arm, self.table["home"], strict=True))
+        self.leaders: list[str] = self.table["arm_joints"]
+        self.arm = [
+            name
+            for name in self.urdf.joints
+            if name in self.leaders or self.urdf.leader(name) in self.leaders
+        ]
+        self.home = self.state(dict(zip(self.leaders, self.table["home"], strict=True)))
+
+    def state(self, q: Mapping[str, float]) -> dict[str, float]:
+        """Values of all joints of the arm: others follow those that the robot file names."""
+        return {name: q.get(name, q.get(self.urdf.leader(name), 0.0)) for name in self.arm}
 
     def body(self, link: str) -> str:
         """The link that a link is fixed to, with wheels, casters and fingers held at zero."""
@@ -245,6 +262,10 @@ def installed(distribution: str, path: str) -> Path:
 EXAMPLES = installed("example-robot-data", "cmeel.prefix/share/example-robot-data/robots")
 PANDA = EXAMPLES / "panda_description" / "urdf" / "panda.urdf"
 TIAGO = EXAMPLES / "tiago_description" / "robots" / "tiago_no_hand.urdf"
+STRETCH = installed(
+    "hello-robot-stretch-urdf",
+    "stretch_urdf/SE3/stretch_description_SE3_eoa_wrist_dw3_tool_sg3.urdf",
+)
 
 
 def moved(x: float = 0, y: float = 0, z: float = 0, yaw: float = 0) -> np.ndarray:
@@ -294,6 +315,13 @@ _HUSKY = ["base_link", "top_plate_link", "user_rail_link", "front_bumper_link", 
 _HUSKY += [f"{end}_{side}_wheel_link" for end in ("front", "rear") for side in ("left", "right")]
 _SEGBOT = ["base_link", "plate_link", "base_caster_support_link", "caster_wheel_link"]
 _SEGBOT += ["left_wheel_link", "right_wheel_link"]
+_SG3 = ("link_gripper_s3_body", "link_gripper_s3_body")
+
+
+def both_tips(side: str) -> list[str]:
+    return [f"link_gripper_finger_{side}", f"link_gripper_fingertip_{side}"]
+
+
 _HAND = ("panda_hand", "panda_hand")
 PARTS = {
     "fetch": [
@@ -315,6 +343,16 @@ PARTS = {
         # At zero their fingers are closed: each opens by 0.04 m.
         Part(PANDA, ["panda_leftfinger"], *_HAND, moved(y=0.04), "visual"),
         Part(PANDA, ["panda_rightfinger"], *_HAND, moved(y=-0.04), "visual"),
+    ],
+    "stretch": [
+        Part(STRETCH, ["base_link", "link_right_wheel", "link_left_wheel", "laser", "link_mast"]),
+        Part(STRETCH, ["link_head", "link_head_pan", "link_head_tilt", "link_head_nav_cam"]),
+        Part(STRETCH, ["link_lift", *(f"link_arm_l{i}" for i in range(5)), "link_wrist_yaw"]),
+        Part(STRETCH, ["link_wrist_yaw_bottom", "link_wrist_pitch", "link_wrist_roll"]),
+        Part(STRETCH, ["link_gripper_s3_body"]),
+        # At zero their fingers are closed: each opens by 0.06 m.
+        Part(STRETCH, both_tips("left"), *_SG3, moved(x=0.06)),
+        Part(STRETCH, both_tips("right"), *_SG3, moved(x=-0.06)),
     ],
     "tiago": [
         Part(TIAGO, ["base_link", "torso_lift_link", "head_1_link", "head_2_link"]),
@@ -341,9 +379,9 @@ def manufacturer(path: Path) -> Urdf:
 
 def random_states(robot: Robot, count: int) -> list[dict[str, float]]:
     rng = np.random.default_rng(0)
-    limits = [limits_of(robot.urdf.joints[name]) for name in robot.arm]
+    limits = {name: limits_of(robot.urdf.joints[name]) for name in robot.leaders}
     return [
-        {name: rng.uniform(*limit) for name, limit in zip(robot.arm, limits, strict=True)}
+        robot.state({name: rng.uniform(*limit) for name, limit in limits.items()})
         for _ in range(count)
     ]
 
@@ -371,6 +409,7 @@ def test_fetch_moves_its_gripper_as_the_manufacturer_says() -> None:
     ("name", "file", "base", "flange"),
     [
         ("mobile_panda", PANDA, "panda_link0", "panda_hand_tcp"),
+        ("stretch", STRETCH, "base_link", "link_gripper_s3_body"),
         ("tiago", TIAGO, "base_footprint", "wrist_ft_tool_link"),
     ],
 )
@@ -594,7 +633,7 @@ def test_the_independent_checker_loads_the_robot_and_agrees_about_it(robot: Robo
     assert {names[i] for i in theirs.base_geoms} == {n for n in names if robot.on_base(n)}
     last = {names[i] for i in theirs.gripper}
     assert {n for n in table["gripper_links"] if robot.urdf.shapes(n)} <= last
-    _, poses = theirs.place(table["home"], np.eye(4))
+    _, poses = theirs.place(list(robot.home.values()), np.eye(4))
     geoms = theirs.art.geoms
     for i, j in theirs.self_pairs:
         gap = reader.signed_distance(geoms[i].shape, *poses[i], geoms[j].shape, *poses[j])
