@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,6 +19,7 @@ from momapos.expand_model import expand_model, first_selection
 from momapos.farthest_plan import as_far_as_possible
 from momapos.importance.key_objects import Selection
 from momapos.importance.rank import rank
+from momapos.manipulation.free_turn import fitted_bases
 from momapos.manipulation.motion import TaskMotion, task_motion
 from momapos.manipulation.tasks import hand_path
 from momapos.navigation.global_path import BasePath, plan_path
@@ -172,6 +174,7 @@ def _search(query: PlacementQuery, selection: Selection, motion: TaskMotion) -> 
         start=start,
         out_of_time=out_of_time,
         pose_filter=query.pose_filter,
+        fit=partial(fitted_bases, query.robot, prepared.motion),
     )
     # Only a room without stand-ins can tell that there is no base pose at all; in any other one
     # round of samples has to do.
