@@ -24,6 +24,9 @@ class Touch:
     """Likewise about the tool's origin [Nm]."""
     pads: tuple[float, float]
     """How hard things press on the pads of the two sides, against their closing [N]."""
+    arm: Float[np.ndarray, " n"]
+    """Load of the arm's joints that neither its motion nor the hand explains: what its links meet
+    [Nm] or [N]."""
 
     @property
     def size(self) -> tuple[float, float]:
@@ -39,7 +42,12 @@ def feel(world: Simulation) -> Touch:
     center = data.subtree_com[model.body_rootid[world.tool_body]]
     force = wrench[3:].copy()
     torque = wrench[:3] + np.cross(center - data.xpos[world.tool_body], force)
-    return Touch(force, torque, pad_loads(world))
+    jacobian = np.zeros((6, model.nv))
+    mujoco.mj_jacBody(model, data, jacobian[:3], jacobian[3:], world.tool_body)
+    of_hand = np.concatenate([force, torque]) @ jacobian
+    return Touch(
+        force, torque, pad_loads(world), (data.qfrc_constraint - of_hand)[world.arm_v]
+    )
 
 
 def pad_loads(world: Simulation) -> tuple[float, float]:

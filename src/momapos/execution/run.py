@@ -8,22 +8,23 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from momapos.execution.approach import PacedTrajectory, paced
 from momapos.execution.arm_control import ArmKinematics
 from momapos.execution.config import GOOD, Ending, ExecutionConfig
 from momapos.execution.dynamics import read_dynamics
-from momapos.execution.furniture import Resistance, draw_resistance, seal_of
+from momapos.execution.furniture import Deviation, Resistance, draw_resistance, seal_of
 from momapos.execution.hand import find_hand
 from momapos.execution.joint_estimate import Axis, JointEstimate
 from momapos.execution.model_errors import draw_deviation, resisting
 from momapos.execution.record import Execution, JointFound
-from momapos.execution.simulation import build_simulation
+from momapos.execution.simulation import Simulation, build_simulation
 from momapos.execution.stages import Belief, ExecutionRun, Stretch, Watch
 from momapos.execution.verdict import TaskOutcome, judge
 from momapos.kinematics.urdf import Joint
 from momapos.protocols import Clock
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene, SceneObject
-from momapos.trajectory import Trajectory, joined, time_motion
+from momapos.trajectory import time_motion
 from momapos.types import Hold, Motion, Task
 
 if TYPE_CHECKING:
@@ -83,16 +84,21 @@ def execute(
         deviation = draw_deviation(axis, config.errors, rng)
     states = np.concatenate([motion.approach, motion.q])
     tuned = states[np.linspace(0, len(states) - 1, _STATES).astype(int)]
-    world = build_simulation(
-        scene, robot, base_pose, tuned, task, hand, dynamics, resistance, deviation, config
-    )
+
+    def build(deviation: Deviation | None) -> Simulation:
+        return build_simulation(
+            scene, robot, base_pose, tuned, task, hand, dynamics, resistance, deviation, config
+        )
+
+    world = build(deviation)
+    known = world if deviation is None else build(None)
     seal = seal_of(item, joint, resistance.pull, config.furniture.seal_range)
-    run = ExecutionRun(world, motion, task, config, seal, _belief(item, joint), watch)
+    run = ExecutionRun(world, motion, task, config, seal, _belief(item, joint), known, watch)
     if task.verb == "place":
         run.carry(item)
     run.check_start()
     began = clock()
-    approach = _timed_approach(robot, motion, config, run.arm.kinematics)
+    approach = _approach(robot, motion, config, known)
     ending = run.go(approach, _stretches(robot, motion, config))
     wall = clock() - began
     stopped = "" if ending in GOOD else f"{ending}: {run.detail}" if run.detail else str(ending)
@@ -125,32 +131,15 @@ def _stretches(robot: Robot, motion: Motion, config: ExecutionConfig) -> list[St
     return stretches
 
 
-def _timed_approach(
-    robot: Robot, motion: Motion, config: ExecutionConfig, kinematics: ArmKinematics
-) -> Trajectory:
-    """The approach, slow where the hand comes near."""
-    step, compliance = config.timestep * config.substeps, config.compliance
-    approach, _ = time_motion(robot, motion, config.speed, step)
-    path = motion.approach
-    if len(path) < 3:
-        return approach
+def _approach(
+    robot: Robot, motion: Motion, config: ExecutionConfig, room: Simulation
+) -> PacedTrajectory:
+    """The approach, slow where the arm is near what the robot knows of the room."""
+    plan, _ = time_motion(robot, motion, config.speed, config.timestep * config.substeps)
+    path = motion.approach if len(motion.approach) else motion.q[:1]
+    kinematics = ArmKinematics(room)
     tool = np.array([kinematics.at(q)[0][:3, 3] for q in path])
-    left = np.linalg.norm(np.diff(tool, axis=0), axis=1)[::-1].cumsum()[::-1]
-    near = int(np.argmax(left <= compliance.near)) if left[-1] <= compliance.near else len(left) - 1
-    speed = replace(config.speed, tool_speed=compliance.near_speed)
-    slow = Motion(path[near:], path[near:], np.zeros(len(path) - near), _poses(tool[near:]))
-    if near == 0:
-        return time_motion(robot, slow, speed, step)[1]
-    away = time_motion(
-        robot, replace(motion, approach=path[: near + 1], approach_times=None), config.speed, step
-    )[0]
-    return joined([away, time_motion(robot, slow, speed, step)[1]])[0]
-
-
-def _poses(points: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "m 4 4"]:
-    Ts = np.tile(np.eye(4), (len(points), 1, 1))
-    Ts[:, :3, 3] = points
-    return Ts
+    return paced(plan, path, tool, room, config)
 
 
 def _belief(item: SceneObject, joint: Joint | None) -> Belief | None:

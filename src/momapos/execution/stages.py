@@ -10,7 +10,9 @@ import mujoco
 import numpy as np
 
 from momapos.errors import SceneError
+from momapos.execution.approach import PacedTrajectory
 from momapos.execution.arm_control import CompliantArm, Reference, twist_between
+from momapos.execution.avoidance import Bounds, Surroundings
 from momapos.execution.config import Ending, ExecutionConfig, Stage
 from momapos.execution.feel import feel
 from momapos.execution.furniture import Seal
@@ -35,6 +37,8 @@ GRASP_POSITION, GRASP_ANGLE = 0.03, np.radians(15.0)
 """The hand closes when the arm is this near its planned state there [m], [rad]."""
 LASTING = 5
 """A force counts that is above its limit for this many steps of the controller [-]."""
+_LOOK = 4
+"""Steps of the controller between two looks at what is near the arm [-]."""
 _ALL, _NONE = np.eye(3), np.zeros((3, 3))
 
 
@@ -77,6 +81,7 @@ class ExecutionRun:
         config: ExecutionConfig,
         seal: Seal,
         belief: Belief | None,
+        known: Simulation,
         watch: Watch | None,
     ) -> None:
         self.world, self.motion, self.task, self.config = world, motion, task, config
@@ -85,12 +90,15 @@ class ExecutionRun:
         self.observer = Observer(world, config)
         self.first = world.T_world_part
         self.arm = CompliantArm(world, config.compliance, self.step)
+        self.surroundings = Surroundings(known, config.compliance)
         self.estimate: JointEstimate | None = None
         self.touch = feel(world)
         self.held, self.strained, self.unloaded = False, 0, 0
         self.aside, self.side, self.tries = 0.0, 0.0, 0
         """How far along its closing axis the hand comes in beside the plan [m], on which side, and
         how often it has tried anew [-]."""
+        self.passed = 0.0
+        """How far along the approach the arm is, in samples [-]."""
         self.spent = dict.fromkeys(STAGES, 0)
         self.detail = ""
         """Figures that go with the ending, in words."""
@@ -126,7 +134,7 @@ class ExecutionRun:
                 one, other = sorted(world.names[g] for g in geoms)
                 raise SceneError(f"start in collision: {one} is {-1000 * dist:.0f} mm in {other}")
 
-    def go(self, approach: Trajectory, stretches: Sequence[Stretch]) -> Ending:
+    def go(self, approach: PacedTrajectory, stretches: Sequence[Stretch]) -> Ending:
         """Carry out the motion, until it is done or makes no sense any more."""
         place = self.task.verb == "place"
         if place:
@@ -176,9 +184,13 @@ class ExecutionRun:
                 return Ending.BROKE
             return None
         force, torque = (float(np.linalg.norm(v)) for v in np.split(self.arm.wrench, 2))
-        self.strained = self.strained + 1 if force > most.force or torque > most.torque else 0
+        hard, blocked = force > most.force or torque > most.torque, self.arm.load > 1.0
+        self.strained = self.strained + 1 if hard or blocked else 0
         if self.strained < LASTING:
             return None
+        if blocked:
+            self.detail = f"a joint bears {100 * self.arm.load:.0f} % of what it may"
+            return Ending.BLOCKED
         self.detail = (
             f"{force:.0f} N and {torque:.1f} Nm, at most {most.force:g} N and {most.torque:g} Nm"
         )
@@ -193,28 +205,45 @@ class ExecutionRun:
                 return ending
         return None
 
-    def _approach(self, plan: Trajectory) -> Ending | None:
+    def _approach(self, way: PacedTrajectory) -> Ending | None:
         """Go to the grasp; feel the way in where a part with a joint is to be held."""
-        feeling = self.belief is not None
-        compliance, k, pace = self.config.compliance, 0, 1
-        goal, _ = self.arm.kinematics.at(plan.q[-1])
-        while k < len(plan):
-            q, v = plan.q[k], pace * plan.v[k]
-            T, J = self.arm.kinematics.at(q) if feeling else (goal, np.zeros((6, len(q))))
-            left = float(np.linalg.norm(goal[:3, 3] - T[:3, 3]))
-            if not feeling or self._free(q):
-                self.arm.go(q, v, plan.a[k])
-            else:
-                self.arm.follow(Reference(q, v, self._aside(T), J @ v, _ALL, _NONE))
+        compliance, sign = self.config.compliance, 1.0
+        self.passed = 0.0
+        while True:
+            pace = sign * float(way.pace[round(self.passed)]) * self._easing()
+            q, v, a = way.at(self.passed, pace)
+            T = self._go_along(q, v, a)
             ending = self._tick(Stage.APPROACH)
             if ending is not None:
                 return ending
-            if pace < 0 and (left > compliance.near / 2 or k == 0):
-                pace = 1
-            elif pace > 0 and compliance.early < left < compliance.near and self._bumped(T):
-                pace = -1
-            k += pace
-        return None
+            left = float(way.left[round(self.passed)])
+            near = left < compliance.near
+            if not near and np.linalg.norm(self.arm.wrench[:3]) > compliance.way_force:
+                return Ending.BLOCKED
+            if sign < 0 and (left > compliance.near / 2 or self.passed == 0.0):
+                sign = 1.0
+            elif sign > 0 and near and left > compliance.early and self._bumped(T):
+                sign = -1.0
+            elif sign > 0 and self.passed >= way.last:
+                return None
+            self.passed = float(np.clip(self.passed + pace, 0.0, way.last))
+
+    def _go_along(
+        self, q: Float[np.ndarray, " n"], v: Float[np.ndarray, " n"], a: Float[np.ndarray, " n"]
+    ) -> Float[np.ndarray, "4 4"]:
+        """Be at a state of the way in, or beside it as the hand feels; the tool's pose there."""
+        T, J = self.arm.kinematics.at(q)
+        if self.belief is None or self._free(q):
+            self.arm.go(q, v, a)
+        else:
+            self.arm.follow(Reference(q, v, self._aside(T), J @ v, _ALL, _NONE))
+        return T
+
+    def _easing(self) -> float:
+        """Share of its speed at which the arm comes on, the less the more it feels."""
+        compliance = self.config.compliance
+        felt = float(np.linalg.norm(self.arm.wrench[:3])) / compliance.bump
+        return max(compliance.slowest, 1.0 - max(felt, self.arm.load))
 
     def _aside(self, T: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
         """A pose of the tool, moved aside by what the hand has learned on its way in."""
@@ -346,15 +375,20 @@ class ExecutionRun:
         extra = round(
             self.config.dwell / self.step
         )  # in which the arm makes up what it lags behind
+        bounds: Bounds | None = None
         for i in range(len(plan) + extra):
             k = min(i, last)
+            if i % _LOOK == 0:
+                bounds = self.surroundings.bounds(self.arm.q, float(values[k]))
             T, after = pose_at(k), pose_at(min(k + 1, last))
             here, _ = self.arm.kinematics.at(self.world.data.qpos[self.world.arm_q])
             estimate.see(here[:3, 3])
             way = estimate.axis.way_at(here[:3, 3])
             across = _ALL - np.outer(way, way)
             twist = twist_between(T, after) / self.step
-            self.arm.follow(Reference(plan.q[k], plan.v[k], T, twist, across, across, here[:3, 3]))
+            self.arm.follow(
+                Reference(plan.q[k], plan.v[k], T, twist, across, across, here[:3, 3], bounds)
+            )
             ending = self._tick(Stage.MANIPULATE) or self._lost()
             if ending is not None:
                 return ending
