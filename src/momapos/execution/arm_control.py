@@ -27,6 +27,8 @@ _TURN = np.array([1.0, 1.0, 1.0, 0.2, 0.2, 0.2])
 than leave the part's way [m]."""
 _ROUNDS = 4
 """How often bounds that are met are kept, and what they leave is asked again [-]."""
+_SAME = 1e-5
+"""Damping of the inverse of bounds [-]."""
 _NULL_RATE = 2.0
 """Joints that the tool's pose leaves free return to the plan at this rate [1/s]."""
 
@@ -168,7 +170,7 @@ class CompliantArm:
         v, met = free, np.zeros(len(rows), bool)
         J, twist = J * _TURN[:, None], twist * _TURN
         for _ in range(_ROUNDS):
-            kept = np.linalg.pinv(rows[met])
+            kept = _kept(rows[met])
             rest = np.eye(count) - kept @ rows[met]
             v = kept @ least[met] + rest @ free
             v = v + _damped_inverse(J @ rest) @ (twist - J @ v)
@@ -177,6 +179,12 @@ class CompliantArm:
                 break
             met |= over
         return np.clip(self.q + self.step * v, self._low, self._high)
+
+
+def _kept(rows: Float[np.ndarray, "c n"]) -> Float[np.ndarray, "n c"]:
+    """Inverse of the rows of bounds that are met, damped where they say almost the same."""
+    gram = rows @ rows.T + _SAME * np.eye(len(rows))
+    return np.asarray(np.linalg.solve(gram, rows).T)
 
 
 def _damped_inverse(J: Float[np.ndarray, "6 n"]) -> Float[np.ndarray, "n 6"]:

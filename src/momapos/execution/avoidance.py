@@ -15,6 +15,8 @@ from momapos.execution.simulation import Simulation
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
+_LEVER = 0.03
+"""Change of a distance with the joints, below which they are no way to keep it [m/rad]."""
 _MOST = 3
 """Pairs that are kept apart at a time, the nearest ones [-]."""
 
@@ -60,7 +62,10 @@ class Surroundings:
         _, first = np.unique(data.contact.geom[near], axis=0, return_index=True)
         chosen = near[np.sort(first)[:_MOST]]
         rows = np.array([self._row(i) for i in chosen.tolist()]).reshape(-1, len(q))
-        return Bounds(rows, -config.avoid_rate * (data.contact.dist[chosen] - config.apart))
+        speed = -config.avoid_rate * (data.contact.dist[chosen] - config.apart)
+        size = np.linalg.norm(rows, axis=1)
+        able = size > _LEVER  # else no joint does much about it
+        return Bounds(rows[able] / size[able, None], speed[able] / size[able])
 
     def _counts(self) -> Bool[np.ndarray, " c"]:
         """Which of the near pairs are of the arm with something that it must not touch."""

@@ -212,12 +212,12 @@ class ExecutionRun:
         while True:
             pace = sign * float(way.pace[round(self.passed)]) * self._easing()
             q, v, a = way.at(self.passed, pace)
-            T = self._go_along(q, v, a)
+            left = float(way.left[round(self.passed)])
+            near = left < compliance.near
+            T = self._go_along(q, v, a, stiff=near)
             ending = self._tick(Stage.APPROACH)
             if ending is not None:
                 return ending
-            left = float(way.left[round(self.passed)])
-            near = left < compliance.near
             if not near and np.linalg.norm(self.arm.wrench[:3]) > compliance.way_force:
                 return Ending.BLOCKED
             if sign < 0 and (left > compliance.near / 2 or self.passed == 0.0):
@@ -229,14 +229,29 @@ class ExecutionRun:
             self.passed = float(np.clip(self.passed + pace, 0.0, way.last))
 
     def _go_along(
-        self, q: Float[np.ndarray, " n"], v: Float[np.ndarray, " n"], a: Float[np.ndarray, " n"]
+        self,
+        q: Float[np.ndarray, " n"],
+        v: Float[np.ndarray, " n"],
+        a: Float[np.ndarray, " n"],
+        *,
+        stiff: bool,
     ) -> Float[np.ndarray, "4 4"]:
-        """Be at a state of the way in, or beside it as the hand feels; the tool's pose there."""
+        """Be at a state of the way in, or beside it as the hand feels.
+
+        Args:
+            q, v, a: State [rad] or [m], speed and acceleration.
+            stiff: Whether the hand pushes ahead; else it slides along what it meets.
+
+        Returns:
+            Pose of the tool at the state.
+        """
         T, J = self.arm.kinematics.at(q)
         if self.belief is None or self._free(q):
             self.arm.go(q, v, a)
-        else:
-            self.arm.follow(Reference(q, v, self._aside(T), J @ v, _ALL, _NONE))
+            return T
+        ahead = T[:3, :3] @ self.world.hand.approach
+        loose = _ALL - np.outer(ahead, ahead) if stiff else _ALL
+        self.arm.follow(Reference(q, v, self._aside(T), J @ v, _ALL, loose))
         return T
 
     def _easing(self) -> float:
