@@ -44,14 +44,14 @@ class Surroundings:
     """
 
     def __init__(self, known: Simulation, config: ComplianceConfig) -> None:
-        self._known, self._config = known, config
+        self.known, self._config = known, config
         self._data = mujoco.MjData(known.model)
         self._data.qpos[:] = known.data.qpos
         self._jacobians = np.zeros((2, 3, known.model.nv))
 
     def bounds(self, q: Float[np.ndarray, " n"], value: float) -> Bounds:
         """Bounds at a state of the arm, with the part's joint at a value."""
-        known, model, data, config = self._known, self._known.model, self._data, self._config
+        known, model, data, config = self.known, self.known.model, self._data, self._config
         data.qpos[known.arm_q] = q
         data.qpos[known.part_q] = value
         mujoco.mj_kinematics(model, data)
@@ -69,16 +69,16 @@ class Surroundings:
 
     def _counts(self) -> Bool[np.ndarray, " c"]:
         """Which of the near pairs are of the arm with something that it must not touch."""
-        kinds: Int[np.ndarray, "c 2"] = self._known.kinds[self._data.contact.geom]
+        kinds: Int[np.ndarray, "c 2"] = self.known.kinds[self._data.contact.geom]
         own = np.isin(kinds, ROBOT).all(1)
         things = np.isin(kinds, (Kind.ROOM, Kind.PART)).any(1)
         return np.asarray(own | (things & (kinds == Kind.ARM).any(1)))
 
     def _row(self, i: int) -> Float[np.ndarray, " n"]:
         """How the distance of a near pair changes with the arm's joints."""
-        model, data = self._known.model, self._data
+        model, data = self.known.model, self._data
         contact = data.contact
         for J, geom in zip(self._jacobians, contact.geom[i].tolist(), strict=True):
             mujoco.mj_jac(model, data, J, None, contact.pos[i], int(model.geom_bodyid[geom]))
         away = contact.frame[i, :3] @ (self._jacobians[1] - self._jacobians[0])
-        return np.asarray(away[self._known.arm_v])
+        return np.asarray(away[self.known.arm_v])

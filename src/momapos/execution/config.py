@@ -25,12 +25,20 @@ class Ending(StrEnum):
     TOO_HARD = "the hand felt more than it may"
     BLOCKED = "something is in the arm's way"
     SLIPPED = "the hand lost its hold"
+    SLIPPED_AT_END = "the hand lost its hold near the end of its way"
     BROKE = "the weld broke"
     DIVERGED = "the simulation diverged"
 
 
-GOOD = (Ending.DONE, Ending.STOPPED_AT_END)
+AT_END = (Ending.STOPPED_AT_END, Ending.SLIPPED_AT_END)
+GOOD = (Ending.DONE, *AT_END)
 """Endings of motions that were carried out."""
+
+RECOVERABLE = (
+    Ending.ASTRAY, Ending.OUT_OF_REACH, Ending.NOTHING_HELD, Ending.ONE_SIDED, Ending.TOO_HARD,
+    Ending.BLOCKED, Ending.SLIPPED, Ending.BROKE,
+)  # fmt: skip
+"""Endings after which the robot may try anew."""
 
 
 class Stage(StrEnum):
@@ -41,6 +49,7 @@ class Stage(StrEnum):
     GRIP = "grip"
     MANIPULATE = "manipulate"
     DWELL = "dwell"
+    RETREAT = "retreat"
 
 
 @dataclass(frozen=True)
@@ -167,9 +176,9 @@ class ComplianceConfig:
     """Likewise [Nm]."""
     avoid: float = 0.02
     """Things nearer to the arm than this slow its way toward them [m]."""
-    apart: float = 0.004
+    apart: float = 0.003
     """It comes no nearer to them than this [m]."""
-    avoid_rate: float = 5.0
+    avoid_rate: float = 20.0
     """Speed toward them for the distance that is left [1/s]."""
     way_force: float = 60.0
     """Something is in the way where the hand feels more than this before it comes near [N]."""

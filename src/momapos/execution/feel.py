@@ -45,9 +45,16 @@ def feel(world: Simulation) -> Touch:
     jacobian = np.zeros((6, model.nv))
     mujoco.mj_jacBody(model, data, jacobian[:3], jacobian[3:], world.tool_body)
     of_hand = np.concatenate([force, torque]) @ jacobian
-    return Touch(
-        force, torque, pad_loads(world), (data.qfrc_constraint - of_hand)[world.arm_v]
-    )
+    return Touch(force, torque, pad_loads(world), (_outside(world) - of_hand)[world.arm_v])
+
+
+def _outside(world: Simulation) -> Float[np.ndarray, " v"]:
+    """Load of all joints by contacts and couplings, not by their own limits [Nm] or [N]."""
+    data, load = world.data, np.zeros(world.model.nv)
+    if data.nefc:
+        own = data.efc_type == mujoco.mjtConstraint.mjCNSTR_LIMIT_JOINT
+        mujoco.mj_mulJacTVec(world.model, data, load, np.where(own, 0.0, data.efc_force))
+    return load
 
 
 def pad_loads(world: Simulation) -> tuple[float, float]:

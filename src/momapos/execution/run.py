@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import time
-from dataclasses import asdict, replace
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from momapos.execution.approach import PacedTrajectory, paced
 from momapos.execution.arm_control import ArmKinematics
-from momapos.execution.config import GOOD, Ending, ExecutionConfig
+from momapos.execution.config import AT_END, GOOD, RECOVERABLE, Ending, ExecutionConfig
 from momapos.execution.dynamics import read_dynamics
 from momapos.execution.furniture import Deviation, Resistance, draw_resistance, seal_of
 from momapos.execution.hand import find_hand
-from momapos.execution.joint_estimate import Axis, JointEstimate
+from momapos.execution.joint_estimate import Axis, JointEstimate, Learned
 from momapos.execution.model_errors import draw_deviation, resisting
-from momapos.execution.record import Execution, JointFound
+from momapos.execution.record import Collision, Execution, JointFound, Pose
+from momapos.execution.retreat import WayHome, retreat
 from momapos.execution.simulation import Simulation, build_simulation
 from momapos.execution.stages import Belief, ExecutionRun, Stretch, Watch
 from momapos.execution.verdict import TaskOutcome, judge
@@ -28,7 +30,7 @@ from momapos.trajectory import time_motion
 from momapos.types import Hold, Motion, Task
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
+    pass
 
 DEFAULT = ExecutionConfig()
 _STATES = 5
@@ -36,10 +38,47 @@ _STATES = 5
 _WELD_INSTEAD = "the fingers of {} do not close on anything: a weld stands for its hold"
 
 
+@dataclass(frozen=True, eq=False)
+class Again:
+    """What another try begins with."""
+
+    scene: Scene
+    """The room as the robot believes it to be, for which the motion is planned."""
+    value: float
+    """Where the part's joint truly is [rad] or [m]."""
+    collisions: Mapping[tuple[str, str], Collision]
+    """All touches of the tries before."""
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What came of a motion, and what may follow."""
+
+    execution: Execution
+    ending: Ending
+    learned: Learned | None
+    """Where the hand had the part last; None where it did not move it."""
+    value: float
+    """Where the part's joint truly is, which it does not know [rad] or [m]."""
+    collisions: Mapping[tuple[str, str], Collision]
+    at_home: bool
+    """Whether the motion failed and the arm is home again, so that another may be tried."""
+
+    @property
+    def in_the_way(self) -> bool:
+        """Whether the arm could not follow the part from where the base stands."""
+        return self.learned is not None and self.ending in (Ending.BLOCKED, Ending.TOO_HARD)
+
+    @property
+    def nothing_there(self) -> bool:
+        """Whether the hand found nothing where it closed."""
+        return self.learned is None and self.ending is Ending.NOTHING_HELD
+
+
 def execute(
     scene: Scene,
     robot: Robot,
-    base_pose: tuple[float, float, float],
+    base_pose: Pose,
     motion: Motion,
     task: Task,
     config: ExecutionConfig = DEFAULT,
@@ -68,6 +107,37 @@ def execute(
         SceneError: The robot stands in something at the beginning.
         InputError: The motion cannot be timed, or the engine refuses the model.
     """
+    return attempt(
+        scene, robot, base_pose, motion, task, config, rng, watch=watch, clock=clock
+    ).execution
+
+
+def attempt(
+    scene: Scene,
+    robot: Robot,
+    base_pose: Pose,
+    motion: Motion,
+    task: Task,
+    config: ExecutionConfig = DEFAULT,
+    rng: np.random.Generator | None = None,
+    *,
+    again: Again | None = None,
+    way_home: WayHome | None = None,
+    watch: Watch | None = None,
+    clock: Clock = time.perf_counter,
+) -> Outcome:
+    """Execute a motion; where it fails, let go and bring the arm home.
+
+    Args:
+        scene, robot, base_pose, motion, task, config, rng, watch, clock: See `execute`. The scene
+            is the one that the run began with.
+        again: What earlier tries left; None for the first one.
+        way_home: Plans the arm's way home from where a motion failed; None to stay there.
+
+    Raises:
+        SceneError: The robot stands in something at the beginning.
+        InputError: The motion cannot be timed, or the engine refuses the model.
+    """
     item = scene.object(task.object)
     joint = None if task.joint is None else item.model.joint(task.joint)
     assert robot.model.urdf.path is not None
@@ -85,28 +155,38 @@ def execute(
     states = np.concatenate([motion.approach, motion.q])
     tuned = states[np.linspace(0, len(states) - 1, _STATES).astype(int)]
 
-    def build(deviation: Deviation | None) -> Simulation:
+    def build(room: Scene, deviation: Deviation | None, begin: float | None) -> Simulation:
         return build_simulation(
-            scene, robot, base_pose, tuned, task, hand, dynamics, resistance, deviation, config
-        )
+            room, robot, base_pose, tuned, task, hand, dynamics, resistance, deviation, config,
+            begin=begin,
+        )  # fmt: skip
 
-    world = build(deviation)
-    known = world if deviation is None else build(None)
+    world = build(scene, deviation, None if again is None else again.value)
+    believed = scene if again is None else again.scene
+    as_known = deviation is None and again is None
+    known = world if as_known else build(believed, None, None)
     seal = seal_of(item, joint, resistance.pull, config.furniture.seal_range)
-    run = ExecutionRun(world, motion, task, config, seal, _belief(item, joint), known, watch)
+    belief = _belief(believed.object(task.object), joint)
+    touched = {} if again is None else again.collisions
+    run = ExecutionRun(world, motion, task, config, seal, belief, known, watch, touched)
     if task.verb == "place":
         run.carry(item)
     run.check_start()
     began = clock()
     approach = _approach(robot, motion, config, known)
     ending = run.go(approach, _stretches(robot, motion, config))
+    at_home = False
+    if way_home is not None and belief is not None and ending in RECOVERABLE:
+        at_home = retreat(run, robot, approach, way_home)
     wall = clock() - began
     stopped = "" if ending in GOOD else f"{ending}: {run.detail}" if run.detail else str(ending)
     verdict = judge(world, run.observer, task, item, run.first, motion, config, stopped)
     unknown = [name for name in robot.arm_joints if name not in dynamics.efforts]
     if unknown:
         notes.append(f"no effort limit is known of {', '.join(unknown)}")
-    return _outcome(run, ending, verdict, resistance, wall, notes)
+    execution = _outcome(run, base_pose, ending, verdict, resistance, wall, notes)
+    value = float(world.data.qpos[world.part_q])
+    return Outcome(execution, ending, run.learned, value, run.observer.collisions, at_home)
 
 
 def _stretches(robot: Robot, motion: Motion, config: ExecutionConfig) -> list[Stretch]:
@@ -152,6 +232,7 @@ def _belief(item: SceneObject, joint: Joint | None) -> Belief | None:
 
 def _outcome(
     run: ExecutionRun,
+    base_pose: Pose,
     ending: Ending,
     verdict: TaskOutcome,
     resistance: Resistance,
@@ -163,8 +244,8 @@ def _outcome(
     if run.world.loose:
         names = ", ".join(run.world.loose)
         notes.append(f"touch the moved part in the scene, and are left out against it: {names}")
-    if ending is Ending.STOPPED_AT_END:
-        notes.append(f"{ending}: {run.detail}")
+    if ending in AT_END:
+        notes.append(f"{ending}: {run.detail}" if run.detail else str(ending))
     shift = observer.base_shift.tolist()
     return Execution(
         success=verdict.success,
@@ -185,6 +266,7 @@ def _outcome(
         wall=wall,
         ending=str(ending),
         joint=_joint_found(run.estimate),
+        base_pose=base_pose,
         notes=tuple(notes),
     )
 

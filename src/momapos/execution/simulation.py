@@ -117,6 +117,8 @@ def build_simulation(
     resistance: Resistance,
     deviation: Deviation | None,
     config: ExecutionConfig,
+    *,
+    begin: float | None = None,
 ) -> Simulation:
     """Build the world of a run, with the arm at the first of some states.
 
@@ -135,6 +137,7 @@ def build_simulation(
         resistance: Of the part.
         deviation: How the task's object differs from the scene; None where it does not.
         config: How to model it.
+        begin: Value of the part's joint, where that is no longer the scene's [rad] or [m].
 
     Raises:
         InputError: The engine refuses the model.
@@ -168,7 +171,7 @@ def build_simulation(
     driven = {finger.joint: finger.open for finger in fingers}
     at = {**driven, **dict(zip(robot.arm_joints, states[0].tolist(), strict=True))}
     followers = {n: m.at(driven[m.joint]) for n, m in hand.followers.items() if m.joint in driven}
-    values = {PART: value, **at, **followers}
+    values = {PART: value if begin is None else begin, **at, **followers}
     tune(model, _values(model, values), robot, states, fingers, config)
     data = _values(model, values)
     for name, rest in at.items():

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -171,6 +171,10 @@ def with_retreat(motion: TaskMotion, robot: Robot, config: GraspConfig) -> TaskM
         value=np.append(motion.value, np.repeat(motion.value[-1], steps)),
         release_step=held - 1,
     )
+
+
+GraspFilter: TypeAlias = "Callable[[TaskMotion], Bool[np.ndarray, ' g']]"
+"""Which grasps of a task may be used."""
 
 
 def in_room(motion: TaskMotion, scene: Scene) -> TaskMotion:
