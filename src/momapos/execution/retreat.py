@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -27,6 +28,8 @@ WayHome: TypeAlias = "Callable[[Float[np.ndarray, ' n'], Learned], Float[np.ndar
 """Plans the arm's states from one back to home, with the part where it was left; None where it
 finds no way."""
 _ALL = np.eye(3)
+_MORE = 1.2
+"""On its way back the arm stops where it bears so many times more than when it let go [-]."""
 _ARRIVED = 0.05
 """The arm is back when no joint is farther from home than this [rad] or [m]."""
 
@@ -38,9 +41,10 @@ def retreat(run: ExecutionRun, robot: Robot, way: PacedTrajectory, way_home: Way
     part, against its approach, and asks for a way.
     """
     run.arm.stop()
-    run.wary = False
+    run.bearable = np.inf
     if run.let_go() is not None:
         return False
+    run.bearable = max(1.0, _MORE * run.arm.load)
     if run.learned is None:
         return go_back(run, way) is None and _at_home(run, robot)
     if _draw_back(run, run.learned.value) is not None:
@@ -50,14 +54,17 @@ def retreat(run: ExecutionRun, robot: Robot, way: PacedTrajectory, way_home: Way
         return False
     tool = np.array([run.arm.kinematics.at(q)[0] for q in path])
     back = Motion(path, path[-1:], np.zeros(1), tool[-1:])
-    plan, _ = time_motion(robot, back, run.config.speed, run.step)
+    slow = replace(run.config.speed, approach_speed=run.config.speed.approach_speed / 2)
+    plan, _ = time_motion(robot, back, slow, run.step)
     home = paced(plan, path, tool[:, :3, 3], run.surroundings.known, run.config)
     run.passed = 0.0
     while run.passed < home.last:
         pace = float(home.pace[round(run.passed)])
         q, v, a = home.at(run.passed, pace)
         run.arm.go(q, v, a)
-        if run.tick(Stage.RETREAT) is not None:
+        felt = float(np.linalg.norm(run.arm.wrench[:3]))
+        if run.tick(Stage.RETREAT) is not None or felt > run.config.compliance.way_force:
+            run.arm.stop()
             return False
         run.passed += pace
     return _at_home(run, robot)

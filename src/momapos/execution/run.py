@@ -175,15 +175,18 @@ def attempt(
     began = clock()
     approach = _approach(robot, motion, config, known)
     ending = run.go(approach, _stretches(robot, motion, config))
-    at_home = False
+    detail, at_home = run.detail, False
     if way_home is not None and belief is not None and ending in RECOVERABLE:
         at_home = retreat(run, robot, approach, way_home)
     wall = clock() - began
-    stopped = "" if ending in GOOD else f"{ending}: {run.detail}" if run.detail else str(ending)
+    how = f"{ending}: {detail}" if detail else str(ending)
+    stopped = "" if ending in GOOD else how
     verdict = judge(world, run.observer, task, item, run.first, motion, config, stopped)
     unknown = [name for name in robot.arm_joints if name not in dynamics.efforts]
     if unknown:
         notes.append(f"no effort limit is known of {', '.join(unknown)}")
+    if ending in AT_END:
+        notes.append(how)
     execution = _outcome(run, base_pose, ending, verdict, resistance, wall, notes)
     value = float(world.data.qpos[world.part_q])
     return Outcome(execution, ending, run.learned, value, run.observer.collisions, at_home)
@@ -244,8 +247,6 @@ def _outcome(
     if run.world.loose:
         names = ", ".join(run.world.loose)
         notes.append(f"touch the moved part in the scene, and are left out against it: {names}")
-    if ending in AT_END:
-        notes.append(f"{ending}: {run.detail}" if run.detail else str(ending))
     shift = observer.base_shift.tolist()
     return Execution(
         success=verdict.success,

@@ -99,8 +99,8 @@ class ExecutionRun:
         self.aside, self.side, self.tries = 0.0, 0.0, 0
         """How far along its closing axis the hand comes in beside the plan [m], on which side, and
         how often it has tried anew [-]."""
-        self.wary = True
-        """Whether the arm stops where it feels much."""
+        self.bearable = 1.0
+        """Share of what its joints may bear by what is in the way, at which the arm stops [-]."""
         self.learned: Learned | None = None
         """None where the hand has not moved the part."""
         self.passed = 0.0
@@ -175,7 +175,7 @@ class ExecutionRun:
         self.touch = feel(world)
         self.arm.feel(self.touch)
         self.observer.record_step(self.arm.q, self.time, stage, self.touch)
-        return self._strain() if self.wary else None
+        return self._strain()
 
     def _strain(self) -> Ending | None:
         """Break the weld, or stop the arm, where the hand feels too much for long."""
@@ -190,7 +190,8 @@ class ExecutionRun:
                 return Ending.BROKE
             return None
         force, torque = (float(np.linalg.norm(v)) for v in np.split(self.arm.wrench, 2))
-        hard, blocked = force > most.force or torque > most.torque, self.arm.load > 1.0
+        hard = force > most.force or torque > most.torque
+        blocked = self.arm.load > self.bearable
         self.strained = self.strained + 1 if hard or blocked else 0
         if self.strained < LASTING:
             return None
