@@ -166,6 +166,8 @@ class ComplianceConfig:
     """The hand gives way and makes up at this speed at most [m/s]."""
     turn_speed: float = 0.4
     """[rad/s]"""
+    push_speed: float = 0.1
+    """The tool pushes at this speed at most: what is pushed is not held back, and runs on [m/s]."""
     home: float = 1.5
     """Time in which a hand that let go returns to the plan [s]."""
     filter_time: float = 0.02

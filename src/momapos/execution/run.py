@@ -209,7 +209,11 @@ def _stretches(robot: Robot, motion: Motion, config: ExecutionConfig) -> list[St
             object_q=motion.object_q[states], Ts_world_tool=motion.Ts_world_tool[states],
             approach_times=None, times=None, holds=(),
         )  # fmt: skip
-        free, slow = time_motion(robot, part, config.speed, step)
+        speed = config.speed
+        if held is not None and held.family == "push":
+            most = min(speed.tool_speed, config.compliance.push_speed)
+            speed = replace(speed, tool_speed=most)
+        free, slow = time_motion(robot, part, speed, step)
         stretches.append(Stretch(free if held is None else slow, part, held))
     return stretches
 
