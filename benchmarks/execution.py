@@ -6,9 +6,9 @@
 The base drives from its start to the base pose of every plan, and the arm is planned anew there:
 once with exact sensors, once with noisy ones and furniture that moves up to 30 % more or less
 easily. With --there it stands at the base poses from the beginning, and all is executed once, in
-such furniture. With --errors the world also differs from the scene: handle 1 cm, hinge 3 cm and 5 degrees,
-mass and friction 50 %. Closing begins where opening ends. Prints, and writes as JSON, what came of
-each; failures with their reasons.
+such furniture. With --errors the world also differs from the scene: handle 1 cm, hinge 3 cm and 5
+degrees, mass and friction 50 %. Closing begins where opening ends. Prints, and writes as JSON, what
+came of each; failures with their reasons.
 """
 
 from __future__ import annotations

@@ -254,8 +254,11 @@ def _bearings(
     }
     own = {f"{item.name}/{link}" for link in item.model.links if link not in moved}
     record = item.model.joint(joint)
-    ends = np.clip([record.lower, record.upper], rest[joint] - np.pi, rest[joint] + np.pi)
-    way = [rest[joint], *np.linspace(*ends, _VALUES).tolist()]
+    low, high = (
+        float(np.clip(end, rest[joint] - np.pi, rest[joint] + np.pi))
+        for end in (record.lower, record.upper)
+    )
+    way = [rest[joint], *np.linspace(low, high, _VALUES).tolist()]
     pairs = [p for v in way for p in _touching(model, _values(model, {PART: v}), config)]
     return [
         pair for pair in pairs if PART in pair and any(n.rpartition("#")[0] in own for n in pair)
