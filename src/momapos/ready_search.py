@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from momapos.manipulation.free_turn import fitted_bases
 from momapos.manipulation.motion import TaskMotion
 from momapos.navigation.global_path import BasePath, plan_path
 from momapos.outcomes import PoseOutcome, PoseStatus
@@ -129,6 +131,7 @@ def ready_search(query: PlacementQuery, modeled: Scene, motion: TaskMotion) -> R
         start=start,
         out_of_time=out_of_time,
         pose_filter=query.pose_filter,
+        fit=partial(fitted_bases, query.robot, prepared.motion),
     )
     return ReadySearch(query, prepared, problem, drives)
 

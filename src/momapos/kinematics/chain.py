@@ -11,7 +11,7 @@ of both; a telescope is one degree of freedom in several joints.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import TYPE_CHECKING
@@ -203,6 +203,32 @@ def build_chain(
         tool_rotation=zero[tool_link][:3, :3].copy(),
     )
     return chain, _segments(model, zero, joints, origin)
+
+
+def with_tool_turn(chain: Chain, axis: Float[np.ndarray, "3"], lower: float, upper: float) -> Chain:
+    """The chain with one more degree of freedom: a turn about an axis through the tool's origin.
+
+    Args:
+        chain: The chain.
+        axis: Direction of the axis, in the tool frame.
+        lower, upper: Limits of the turn [rad].
+    """
+    h = chain.tool_rotation @ axis
+    return replace(
+        chain,
+        names=(*chain.names, "hand turn"),
+        joints=(*chain.joints, "hand turn"),
+        dof=np.append(chain.dof, chain.size),
+        ratio=np.append(chain.ratio, 1.0),
+        offset=np.append(chain.offset, 0.0),
+        h=np.vstack([chain.h, h / np.linalg.norm(h)]),
+        d=np.vstack([chain.d, chain.tool_offset]),
+        slides=np.append(chain.slides, False),
+        lower=np.append(chain.lower, lower),
+        upper=np.append(chain.upper, upper),
+        velocity=np.append(chain.velocity, np.inf),
+        tool_offset=np.zeros(3),
+    )
 
 
 def _between(model: Articulated, tool_link: str, names: Sequence[str]) -> list[Joint]:

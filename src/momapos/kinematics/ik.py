@@ -117,7 +117,7 @@ def solve_sample(s, R_target, p_target, arm, enough, out, scratch):
         if ik.kind != NUMERIC and state[0] > 0:
             return 0
         if s == first:
-            _nearest_seeds(R_target, p_target, ik, scratch.order, scratch.distance)
+            nearest_seeds(R_target, p_target, ik, scratch.order, scratch.distance)
         active, found = scratch.every, 1
         # From a seed Newton has far to go; after a closed form it only removes rounding.
         rule = NewtonRule(30, 1.0, enough, True)
@@ -184,7 +184,7 @@ def _branches(s, R_target, p_target, ik, branches, R06):
 
 
 @kernel
-def _nearest_seeds(R, p, ik, order, distance):
+def nearest_seeds(R, p, ik, order, distance):
     """Fill order with the seeds whose tool poses are nearest, the nearest first."""
     poses, most = ik.seed_poses, len(order)
     distance[:] = np.inf

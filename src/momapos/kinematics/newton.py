@@ -62,7 +62,7 @@ def newton(q, active, chain, limits, R_target, p_target, rule, scratch):
         tool = (p[last, 0] + tip[0], p[last, 1] + tip[1], p[last, 2] + tip[2])
         for k in range(3):
             e[k] = p_target[k] - tool[k]
-        _rotation_error(R[last], tool_rotation, R_target, e)
+        rotation_error(R[last], tool_rotation, R_target, e)
         residual = 0.0
         for k in range(6):
             residual += e[k] * e[k]
@@ -136,7 +136,7 @@ def newton_scratch(chain, n):
 
 
 @kernel
-def _rotation_error(R_last, tool_rotation, R_target, e):
+def rotation_error(R_last, tool_rotation, R_target, e):
     """Rotation vector from the tool's orientation to the target's, into e[3:]."""
     x, y, z, trace = 0.0, 0.0, 0.0, 0.0
     for i in range(3):

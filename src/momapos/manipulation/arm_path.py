@@ -26,7 +26,7 @@ from momapos.manipulation.layers import (
     solve_layer,
 )
 from momapos.manipulation.motion import TaskMotion
-from momapos.robots.robot import Robot
+from momapos.manipulation.turning_arm import Arm, hand_poses, robot_of
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
@@ -55,7 +55,7 @@ class ArmPath:
 
 
 def find_paths(
-    robot: Robot,
+    robot: Arm,
     world: CollisionWorld,
     motion: TaskMotion,
     bases: Float[np.ndarray, "j 3"],
@@ -105,7 +105,7 @@ def _ends_first(count: int) -> list[int]:
 
 
 def _connect(
-    robot: Robot,
+    robot: Arm,
     world: CollisionWorld,
     motion: TaskMotion,
     base: np.ndarray,
@@ -141,12 +141,19 @@ def _connect(
         )
         if bad < 0:
             codes = check(
-                world, chain, arm_spheres(robot), dense, np.tile(base, (len(dense), 1)),
+                world, chain, arm_spheres(robot_of(robot)), dense, np.tile(base, (len(dense), 1)),
                 motion.value, motion.holding,
             )  # fmt: skip
             if (codes == FREE).all():
                 width = np.full(len(dense), motion.grasps.width[grasps[chosen[0]]])
-                codes = hits_on_the_way(robot, world, motion, tools, np.arange(len(dense)), width)
+                codes = hits_on_the_way(
+                    robot_of(robot),
+                    world,
+                    motion,
+                    hand_poses(robot, base, dense, tools),
+                    np.arange(len(dense)),
+                    width,
+                )
             hit = np.flatnonzero(codes != FREE)
             if not len(hit):
                 return ArmPath(FOUND, count, count, FREE, dense)

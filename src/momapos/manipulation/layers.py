@@ -26,7 +26,7 @@ from momapos.kinematics.records import ArmArrays, CollisionArrays, TaskState
 from momapos.kinematics.world import CollisionWorld, check_one, collision_arrays
 from momapos.manipulation.hand_room import arm_spheres
 from momapos.manipulation.motion import TaskMotion
-from momapos.robots.robot import Robot
+from momapos.manipulation.turning_arm import Arm, robot_of
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
@@ -99,7 +99,7 @@ def full_turns(chain: Chain) -> Bool[np.ndarray, " n"]:
 
 
 def solve_layer(
-    robot: Robot,
+    robot: Arm,
     world: CollisionWorld,
     motion: TaskMotion,
     bases: Float[np.ndarray, "j 3"],
@@ -139,7 +139,7 @@ def solve_layer(
         bases[row],
         TaskState(int(motion.value[step]), bool(motion.holding[step])),
         arm_arrays(chain, ik),
-        collision_arrays(arm_spheres(robot), world),
+        collision_arrays(arm_spheres(robot_of(robot)), world),
         JointSteps(full_turns(chain), scale, locked),
         around,
     )
