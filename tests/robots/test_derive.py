@@ -435,6 +435,6 @@ def test_the_library_states_how_far_its_robots_reach_and_what_they_carry(name: s
 def test_the_grippers_of_the_library_state_their_force() -> None:
     robots = [load_robot(name) for name in library_names()]
     assert all(robot.grips is Grip.FINGERS and not robot.assumed for robot in robots)
-    assert {robot.name: robot.grip_force for robot in robots} == {
-        "fetch": 60.0, "husky_ur5e": 100.0, "ranger_rm63": 100.0, "segway_ur5e": 100.0,
-    }  # fmt: skip
+    stated = {robot.name: robot.grip_force for robot in robots}
+    known = {"fetch": 60.0, "husky_ur5e": 100.0, "ranger_rm63": 100.0, "segway_ur5e": 100.0}
+    assert known.items() <= stated.items()
