@@ -180,7 +180,10 @@ def test_the_library_robots_are_what_their_urdf_alone_says(name: str) -> None:
     assert f'base_link = "{robot.base_link}"' in derived.toml
     assert f'tool_link = "{robot.tool_link}"' in derived.toml
     assert f'drive = "{robot.drive}"' in derived.toml or robot.drive == "omni"
-    assert examine(robot) == []
+    doubts = examine(robot)
+    if robot.chain.size < 6:
+        assert "no reachability map" in doubts.pop()
+    assert doubts == []
 
 
 @optional.needs("real data", FETCH.is_dir())
