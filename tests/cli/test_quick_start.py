@@ -11,7 +11,7 @@ import pytest
 
 from momapos.cli.main import main
 from momapos.robots.names import library_names
-from momapos.robots.robot import load_robot
+from momapos.robots.robot import load_arms
 from momapos.scene.files import load_scene
 from momapos.scene.names import builtin_names, builtin_size
 
@@ -140,5 +140,6 @@ def test_lists_tell_what_the_models_hold(capsys: pytest.CaptureFixture[str]) -> 
         assert builtin_size(name) == (len(scene.objects), joints)
     assert main(["robot", "list", "--json"]) == 0
     listed = json.loads(capsys.readouterr().out)["robots"]
-    robots = [load_robot(name) for name in library_names()]
-    assert listed == [{"name": r.name, "joints": r.chain.size, "drive": r.drive} for r in robots]
+    robots = [load_arms(name)[0] for name in library_names()]
+    facts = [{"name": r.name, "drive": r.drive, "arms": max(1, len(r.arms))} for r in robots]
+    assert [{key: one[key] for key in facts[0]} for one in listed] == facts

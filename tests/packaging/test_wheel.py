@@ -25,11 +25,12 @@ import momapos
 from momapos.reachability.construct import default_config
 from momapos.reachability.store import map_key, shipped
 from momapos.robots.names import library_names
-from momapos.robots.robot import load_robot
+from momapos.robots.robot import load_arms
 from momapos.scene.files import load_scene
 from momapos.scene.names import builtin_names
 
-robots = {name: load_robot(name) for name in library_names()}
+arms = [arm for name in library_names() for arm in load_arms(name)]
+robots = {arm.name + arm.arm: arm for arm in arms if arm.chain.size >= 6}
 maps = {n: shipped(r, map_key(r, default_config(r))) is not None for n, r in robots.items()}
 boxes = {n: sum(len(item.bounds) for item in load_scene(n).objects) for n in builtin_names()}
 print(json.dumps({"file": momapos.__file__, "maps": maps, "kitchens": boxes}))

@@ -173,8 +173,11 @@ def _map(header: Mapping[str, Any], values: np.ndarray) -> ReachMap:
 
 
 def shipped(robot: Robot, key: str) -> ReachMap | None:
-    """The map that lies beside a robot's file, where there is one and it is of this robot."""
-    path = robot.path.with_suffix(".reach")
+    """The map that lies beside a robot's file, where there is one and it is of this robot.
+
+    That of one arm of several is named so: `NAME.ARM.reach`.
+    """
+    path = robot.path.with_suffix(f".{robot.arm}.reach" if robot.arm else ".reach")
     if not os.path.lexists(path):
         return None
     try:

@@ -1,0 +1,49 @@
+"""How many random states of each arm touch the robot itself: by hulls, by spheres, as decided.
+
+    python benchmarks/self_collision.py [ROBOT ...]
+
+The figures stand in docs/robots.md. Processor time, of one thread.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Sequence
+
+import numpy as np
+
+from momapos.kinematics.self_collision import contacts, decided_by_hulls
+from momapos.robots.names import library_names
+from momapos.robots.robot import Robot, load_arms
+from momapos.robots.states import sample_states, touches
+
+REPEATS = 5
+
+
+def row(robot: Robot) -> str:
+    """One line of the table."""
+    chain, spheres = robot.chain, robot.spheres
+    q = sample_states(chain, np.random.default_rng(5))
+    found = contacts(chain, spheres, q)
+    decided = touches(chain, spheres, q).mean()
+    begin = time.process_time()
+    for _ in range(REPEATS):
+        touches(chain, spheres, q)
+    each = (time.process_time() - begin) / REPEATS / len(q)
+    shares = (found.by_hulls.any(1).mean(), found.by_spheres.any(1).mean(), decided)
+    name = " ".join(filter(None, (robot.name, robot.arm)))
+    percent = " | ".join(f"{100 * share:.1f}" for share in shares)
+    return f"| {name} | {percent} | {len(decided_by_hulls(spheres))} | {1e6 * each:.1f} |"
+
+
+def main(names: Sequence[str]) -> None:
+    """Print the table for some robots, or for all of the library."""
+    print("| states blocked [%] | by hulls | by spheres alone | as decided | pairs left to hulls |")
+    for name in names or library_names():
+        for robot in load_arms(name):
+            print(row(robot))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
