@@ -27,8 +27,8 @@ from placement import machine
 
 HALVES = ("tuned", "measured")
 COMMAND = "from momapos.cli.main import entry; entry()"
-LIMIT = 180.0
-"""What a command may take [s]."""
+LIMIT = 180
+"""Processor time that a command may take [s]."""
 BOX = "0.6x0.5x0.7"
 QUESTION = ("place", "open", "kitchen_small", "fridge/door_hinge")
 
@@ -137,7 +137,10 @@ def run(words: list[str]) -> Outcome:
     before, began = resource.getrusage(resource.RUSAGE_CHILDREN), time.monotonic()
     with tempfile.TemporaryFile("w+") as out:
         child = subprocess.Popen(
-            [sys.executable, "-c", COMMAND, *words], stdout=out, stderr=subprocess.STDOUT
+            [sys.executable, "-c", COMMAND, *words],
+            stdout=out,
+            stderr=subprocess.STDOUT,
+            preexec_fn=_limit,
         )
         most, status = 0.0, None
         while status is None:
@@ -145,13 +148,15 @@ def run(words: list[str]) -> Outcome:
                 status = child.wait(0.2)
             except subprocess.TimeoutExpired:
                 most = max(most, _resident(child.pid))
-                if time.monotonic() - began > LIMIT:
-                    child.kill()
         out.seek(0)
         lines = [line.rstrip() for line in out if line.strip()]
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     used = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     return Outcome(status, used, time.monotonic() - began, most, lines[-1] if lines else "")
+
+
+def _limit() -> None:
+    resource.setrlimit(resource.RLIMIT_CPU, (LIMIT, LIMIT))
 
 
 def _resident(pid: int) -> float:

@@ -12,6 +12,7 @@ from tests.urdf_parts import LIMIT, box, joint, link, mobile_manipulator, telesc
 from momapos.errors import MomaposError, RobotError, UnknownNameError
 from momapos.robots.derive import derive_robot
 from momapos.robots.examine import examine
+from momapos.robots.names import find_named_robot, library_file
 from momapos.robots.robot import load_arms, load_robot
 from momapos.robots.states import touches
 from momapos.robots.write import write_robot
@@ -170,3 +171,25 @@ def test_the_closing_force_is_that_of_the_urdf_where_it_can_be(tmp_path: Path) -
     assert strong != text
     path.write_text(strong)
     assert "\nforce = 35\n" in derive_robot(path).toml
+
+
+def test_a_tool_that_no_arm_moves_is_refused_in_one_line(tmp_path: Path) -> None:
+    path = tmp_path / "robot.urdf"
+    path.write_text(mobile_manipulator())
+    made, _ = write_robot(path)
+    made.write_text(made.read_text().replace('tool_link = "tcp"', 'tool_link = "head_pan"'))
+    with pytest.raises(RobotError, match=r"robot\.toml: .*'head_pan' does not move with") as caught:
+        load_robot(made)
+    assert "\n" not in str(caught.value)
+
+
+def test_two_robots_of_one_name_are_told_apart(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert find_named_robot("fetch") == library_file("fetch")
+    (tmp_path / "fetch.toml").write_text("")
+    with pytest.raises(RobotError, match="two robots are called 'fetch'") as caught:
+        find_named_robot("fetch")
+    assert str(library_file("fetch")) in str(caught.value)
+    assert find_named_robot("./fetch.toml") == Path("fetch.toml")

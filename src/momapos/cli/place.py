@@ -23,7 +23,7 @@ from momapos.config import PipelineConfig
 from momapos.errors import TaskError
 from momapos.files import check_outputs
 from momapos.placement.config import OURS
-from momapos.robots.names import find_robot
+from momapos.robots.names import find_named_robot
 from momapos.scene.names import find_scene, refuse_unknown_object
 from momapos.units import MAX, parse_quantity
 from momapos.viewer.pictures import check_picture
@@ -176,7 +176,7 @@ def _answer(
         check_picture(picture)
     name, _, joint = target.partition("/")
     # A mistyped name is told before anything heavy is imported.
-    find_robot(options.robot)
+    find_named_robot(options.robot)
     refuse_unknown_object(find_scene(scene_name), name)
 
     import numpy as np

@@ -5,7 +5,7 @@ from __future__ import annotations
 from tyro.conf import Positional
 
 from momapos.cli.options import OptionalPath
-from momapos.robots.names import find_robot
+from momapos.robots.names import find_named_robot
 
 
 def reach_build(
@@ -24,7 +24,7 @@ def reach_build(
         out: Build it afresh into this file; NAME.reach beside NAME.toml is found by itself.
         json: Print one JSON object.
     """
-    find_robot(robot)  # a mistyped name is told before anything heavy is imported
+    find_named_robot(robot)  # a mistyped name is told before anything heavy is imported
     import json as encoder
     import time
 
@@ -67,7 +67,7 @@ def reach_eval(
         cache: Folder of the cache.
         json: Print one JSON object.
     """
-    find_robot(robot)
+    find_named_robot(robot)
     import json as encoder
     from dataclasses import asdict
 

@@ -13,7 +13,7 @@ from momapos.cli.console import progress
 from momapos.cli.options import BoxArg, OptionalPath, PackagesArg, XacroArg
 from momapos.errors import RobotError, unknown_name
 from momapos.files import check_outputs
-from momapos.robots.names import LIBRARY, find_robot, library_names
+from momapos.robots.names import LIBRARY, find_named_robot, library_file, library_names
 from momapos.viewer.pictures import check_picture
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ def robot_list(*, json: bool = False) -> int:
 
 def _in_short(name: str) -> dict[str, Any]:
     """What `robot list` tells of a library robot, from its robot file alone."""
-    file = find_robot(name)
+    file = library_file(name)
     data = tomllib.loads(file.read_text(encoding="utf-8"))
     arms = list(data.get("arms", {"": data}).values())
     return {
@@ -68,7 +68,7 @@ def robot_show(name: str, /, *, json: bool = False) -> int:
         name: Name of a robot in the library, or a robot file.
         json: Print one JSON object instead of text.
     """
-    find_robot(name)  # a mistyped name is told before anything heavy is imported
+    find_named_robot(name)  # a mistyped name is told before anything heavy is imported
     from momapos.cache import user_cache
     from momapos.robots.robot import load_robot
 

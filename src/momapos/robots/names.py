@@ -38,3 +38,18 @@ def find_robot(source: str | Path) -> Path:
             f"{path}: is a URDF; run 'momapos robot check {path}' once, it writes the robot file"
         )
     return path
+
+
+def find_named_robot(source: str) -> Path:
+    """What `find_robot` finds for a name that was typed, if it can mean but one robot.
+
+    Raises:
+        UnknownNameError, RobotError: As for `find_robot`; or two robots are called so.
+    """
+    path, own = find_robot(source), Path(f"{source}.toml")
+    if source in library_names() and own.is_file():
+        raise RobotError(
+            f"two robots are called {source!r}: one of the library, {path}, and {own.absolute()}; "
+            "give the file that is meant"
+        )
+    return path

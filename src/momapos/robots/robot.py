@@ -317,7 +317,10 @@ def _srdf_of(table: Table, urdf: Path) -> Path | None:
 
 
 def _check(robot: Robot) -> None:
-    chain = robot.chain
+    try:
+        chain = robot.chain
+    except RobotError as error:  # a tool that no arm moves, joints out of order
+        raise RobotError(f"{robot.path}: {error}") from error
     if robot.reach > MAX_REACH:
         raise RobotError(
             f"{robot.path}: the arm reaches {robot.reach:.3g} m; at most {MAX_REACH:g} m are "
