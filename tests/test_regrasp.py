@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,14 +13,16 @@ from tests.rooms import cabinet_room
 from momapos.base_pose import check_base_pose
 from momapos.cli.console import summary
 from momapos.config import PipelineConfig
+from momapos.manipulation.config import GraspConfig, MotionConfig
 from momapos.manipulation.tasks import make_task
 from momapos.pipeline import plan_base_placement
+from momapos.placement.config import PlaceConfig
 from momapos.placement_result import PlacementResult
 from momapos.plans import read_plan, write_plan
 from momapos.prepare import PreparedTask, prepare
 from momapos.reachability.map import ReachMap
 from momapos.reachability.store import load_reach_map
-from momapos.regrasp import every_two_holds
+from momapos.regrasp import every_two_holds, two_hold_searches
 from momapos.robots.robot import Robot, load_robot
 from momapos.scene.files import load_scene
 from momapos.scene.scene import Scene
@@ -152,3 +156,39 @@ def test_an_answer_tells_and_draws_both_holds(answer: PlacementResult, tmp_path:
         o for outcomes in answer.search.outcomes for o in outcomes if o.status.value == "feasible"
     ]
     assert len(feasible) == 1
+
+
+@pytest.mark.parametrize("in_reach", [True, False])
+def test_values_are_asked_in_turn_while_some_base_pose_reaches_both_holds(in_reach: bool) -> None:
+    made = []
+
+    def ready() -> Iterator[SimpleNamespace]:
+        for value in range(3):
+            made.append(value)
+            yield SimpleNamespace(in_reach=in_reach, value=value)
+
+    searches = [
+        (two.value, "grid" if place.grid else "samples", place.rounds)
+        for two, place in two_hold_searches(ready(), PlaceConfig(rounds=2))  # type: ignore[arg-type]
+    ]
+    if in_reach:
+        samples = [(value, "samples", 2) for value in range(3)]
+        assert searches == samples + [(value, "grid", 0) for value in range(3)]
+    else:
+        assert searches == [(0, "samples", 2), (0, "grid", 0)]
+        assert made == [0]
+
+
+def test_without_pushing_there_is_no_second_hold_and_no_other_family(
+    kitchen: Scene, robot: Robot
+) -> None:
+    grasps = GraspConfig(families=("pinch",), turning=False)
+    config = PipelineConfig(motion=MotionConfig(grasps=grasps))
+    task = make_task(kitchen, "open", "cabinet_back", "door_hinge")
+    prepared = prepare(kitchen, robot, task, config, clearance=0.0)
+    assert set(prepared.motion.grasps.family) == {"pinch"}
+    assert not len(prepared.motion.turning.groups)
+    assert not list(every_two_holds(prepared, config, 0))
+    hooks = PipelineConfig(motion=MotionConfig(grasps=GraspConfig(families=("suction",))))
+    refused = prepare(kitchen, robot, task, hooks, clearance=0.0)
+    assert "by other grasps than those allowed" in refused.no_grasp

@@ -49,6 +49,9 @@ class TwoHolds:
     seed: int
     _pulled: dict[bytes, ArmPathResult] = field(default_factory=dict)
     """Arm paths of the first hold, by base pose."""
+    _in_reach: list[int] = field(default_factory=list)
+    """From how many of the base poses that were asked for the first hold and the end of the second
+    are within reach."""
 
     @property
     def _pulls(self) -> int:
@@ -69,7 +72,14 @@ class TwoHolds:
         """How base poses reach the ways of both holds, those of the first before."""
         first, second = self.first.motion, self.second.motion
         Ts = (m.Ts_world_tool[:, m.waypoint_steps] for m in (first, second))
-        return (scores_of_two_holds(*(np.ascontiguousarray(T) for T in Ts)),)
+        one, other = (np.ascontiguousarray(T) for T in Ts)
+        return (scores_of_two_holds(one, other, self._in_reach.append),)
+
+    @property
+    def in_reach(self) -> bool:
+        """Whether the first hold and the end of the second are within reach of any base pose that
+        was asked for."""
+        return any(self._in_reach)
 
     def problem(self, problem: Problem) -> Problem:
         """The search's problem, for two holds."""
@@ -185,14 +195,22 @@ def every_two_holds(
 def two_hold_searches(
     ready: Iterable[TwoHolds], place: PlaceConfig
 ) -> Iterator[tuple[TwoHolds, PlaceConfig]]:
-    """Searches to be tried in turn: samples for every value first, the grids after them."""
-    sampled = []
+    """Searches to be tried in turn: samples for every value first, the grids after them.
+
+    Where no base pose reaches both the pull to the first value and the end of the push, none does
+    for the values that follow: they are farther to pull to, and the end is the same.
+    """
+    sampled: list[TwoHolds] = []
     for two in ready:
-        sampled.append(two)
         yield two, replace(place, grid=False)
-    if place.grid:
-        for two in sampled:
+        if place.grid and not sampled and not two.in_reach:
             yield two, replace(place, rounds=0)
+            if not two.in_reach:
+                return
+        else:
+            sampled.append(two)
+    for two in sampled if place.grid else ():
+        yield two, replace(place, rounds=0)
 
 
 def _two_holds(

@@ -65,7 +65,7 @@ def placed(robot: Robot, T: np.ndarray, travel: float) -> Boxes:
 def test_arm_and_hand_are_free_where_the_robot_as_a_whole_is(robot: Robot) -> None:
     rng = np.random.default_rng(0)
     world = world_of(robot, random_boxes(12, rng, (-1.0, -1.0, 0.0), (1.0, 1.0, 1.8)))
-    q = random_states(robot.chain, 4000, rng)
+    q = random_states(robot.chain, 2000, rng)
     bases = rng.uniform((-1.0, -1.0, -np.pi), (1.0, 1.0, np.pi), (len(q), 3))
     state = np.zeros(len(q), np.int64), np.ones(len(q), bool)
     whole = check(world, robot.chain, robot.spheres, q, bases, *state)
@@ -88,25 +88,25 @@ def test_the_boxes_of_the_gripper_decide_where_its_spheres_touch(
         rng.uniform((-0.3, -0.3, 0.7), (0.3, 0.3, 1.3), (60, 3)), rotations(60, rng), half
     )
     world = world_of(robot, boxes)
-    Ts = tool_poses(1500, rng)
+    Ts = tool_poses(600, rng)
     travel = closed * hand_of(robot).travel
     near, exact = (hits(robot, world, Ts, exact=e, travel=travel) != FREE for e in (False, True))
     touched = np.array(
         [base_hits(ORIGIN, placed(robot, T, travel), boxes, clearance=GAP)[0] for T in Ts]
     )
     touched = touched != FREE
-    assert (near & ~exact).sum() > 10
+    assert (near & ~exact).sum() > 4
     assert not (exact & ~near).any()
     assert not (exact & ~touched & ~by_wrist(robot, world, Ts)).any()
     # Spheres find all that is deeper in a box than they leave of the gripper's shapes uncovered.
     deep = np.array([deepest(placed(robot, T, travel), boxes) > MARGIN for T in Ts])
-    assert deep.sum() > 100
+    assert deep.sum() > 40
     assert not (deep & ~exact).any()
 
 
 def deepest(hand: Boxes, boxes: Boxes) -> float:
     """How deep points of a hand's boxes are in any other box at most [m]."""
-    t = np.linspace(-1, 1, 5)
+    t = np.linspace(-1, 1, 3)
     grid = np.stack(np.meshgrid(t, t, t, indexing="ij"), -1).reshape(-1, 3)
     points = (
         np.einsum("bij,bnj->bni", hand.rotation, grid * hand.half[:, None]) + hand.center[:, None]

@@ -119,28 +119,6 @@ def _touches(g, b, hand, placed, query, memory):
 
 
 @kernel
-def _hits_floor(hand, placed, query, memory):
-    """Whether the hand dips below z = 0."""
-    spheres, part = hand.spheres, memory[0]
-    for g in range(len(spheres.segment)):
-        if placed.bounds[g, 2] > spheres.bound_radius[g]:
-            continue
-        segment, low = spheres.segment[g], False
-        for s in range(spheres.start[g], spheres.start[g + 1]):
-            low |= moved(placed.R, placed.p, segment, spheres.center[s])[2] < spheres.radius[s]
-        if low and (not query.exact or hand.start[g] == hand.start[g + 1]):
-            return True
-        for k in range(hand.start[g], hand.start[g + 1] if low else hand.start[g]):
-            _box_of(k, segment, hand, placed, 0.0, part)
-            extent = 0.0
-            for j in range(3):
-                extent += abs(part.rotation[2, j]) * part.half[j]
-            if part.center[2] < extent:
-                return True
-    return False
-
-
-@kernel
 def _hits_moving(hand, placed, query, memory, grasped, holding):
     """First moving box that the hand hits, or FREE; while it holds it may touch some."""
     spheres = hand.spheres
@@ -225,8 +203,6 @@ def _hand_hits(
             continue
         query = _Query(standing, cleared, margin, exact[i])
         out[i] = _hits_static(hand, placed, query, memory, world, i)
-        if out[i] == FREE and _hits_floor(hand, placed, query, memory):
-            out[i] = FLOOR
     return out
 
 
@@ -321,9 +297,10 @@ def hand_hits(
     hand = _hand_arrays(robot)
     if len(hand.start) == 1:
         return np.full(len(Ts_world_tool), FREE)
-    return _hand_hits(
+    travel = np.zeros(len(Ts_world_tool)) if travel is None else np.ascontiguousarray(travel, float)
+    codes = _hand_hits(
         np.ascontiguousarray(Ts_world_tool),
-        np.zeros(len(Ts_world_tool)) if travel is None else np.ascontiguousarray(travel, float),
+        travel,
         np.ascontiguousarray(value),
         np.ascontiguousarray(holding),
         np.ascontiguousarray(exact),
@@ -331,6 +308,30 @@ def hand_hits(
         world.arrays(),
         world.clearance,
     )
+    low = np.where(exact, *_lowest(hand, Ts_world_tool, travel))
+    codes[(codes == FREE) & (low < 0.0)] = FLOOR
+    return codes
+
+
+def _lowest(
+    hand: HandArrays, Ts_world_tool: Float[np.ndarray, "m 4 4"], travel: Float[np.ndarray, " m"]
+) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " m"]]:
+    """How high the lowest points of the gripper's boxes and of its spheres are over the floor [m].
+
+    What is no gripper belongs to the arm, for which the arm's kernels ask.
+    """
+    down, height = Ts_world_tool[:, 2, :3], Ts_world_tool[:, 2, 3, None]
+    inward = (travel * (down @ hand.closing))[:, None] * np.array([0.0, -1.0, 1.0])
+    spheres, (center, rotation, half) = hand.spheres, hand.boxes
+    gripper = spheres.gripper != OTHER
+    side = np.repeat(spheres.segment, np.diff(hand.start))
+    reach = np.einsum("mij,ij->mi", np.abs(np.einsum("mk,ikj->mij", down, rotation)), half)
+    boxes = down @ center.T + inward[:, side] - reach
+    count = np.diff(spheres.start)
+    mine = np.repeat(gripper, count)
+    side = np.repeat(spheres.segment, count)[mine]
+    balls = down @ spheres.center[mine].T + inward[:, side] - spheres.radius[mine]
+    return (height + boxes).min(1, initial=np.inf), (height + balls).min(1, initial=np.inf)
 
 
 def hits_on_the_way(

@@ -79,14 +79,24 @@ def ways_of_holding(
 
 
 def scores_of_two_holds(
-    first: Float[np.ndarray, "g w 4 4"], second: Float[np.ndarray, "h v 4 4"]
+    first: Float[np.ndarray, "g w 4 4"],
+    second: Float[np.ndarray, "h v 4 4"],
+    tell: Callable[[int], None] = lambda _: None,
 ) -> ScoreWays:
-    """Score the grasps of two holds, side by side; 0 where one of the two is out of reach."""
+    """Score the grasps of two holds, side by side; 0 where one of the two is out of reach.
+
+    Args:
+        first, second: Tool poses of the grasps at the waypoints.
+        tell: Is told from how many poses the first hold and the end of the second are within reach.
+    """
+    end = np.ascontiguousarray(second[:, -1:])
 
     def score(reach: ReachScorer, poses: Float[np.ndarray, "n 3"]) -> WayScores:
         scores = np.zeros((len(poses), len(first) + len(second)), np.float32)
         one = reach.min_score(poses, first)
         rows = np.flatnonzero(one.max(1, initial=0.0) > 0)
+        rows = rows[reach.min_score(poses[rows], end).max(1, initial=0.0) > 0]
+        tell(len(rows))
         other = reach.min_score(poses[rows], second)
         both = other.max(1, initial=0.0) > 0
         scores[rows[both]] = np.concatenate([one[rows[both]], other[both]], axis=1)
