@@ -2,12 +2,16 @@
 
     python benchmarks/objects.py [--robots fetch ...] [--half tuned|measured] [--hold contact|weld]
                                  [--tasks 40] [--seeds 3] [--verifier verify_plan.py] [--out DIR]
+                                 [--families]
 
 The real data's fridges, ovens, dishwashers, microwaves, cabinets and drawers are scaled to the size
 that such things have, and stand against a wall, the small ones on a counter or on the wall. Every
 door and drawer is opened by every robot: planned, checked by an independent program where one is
 named, driven to and executed with noise. A hash of an object's name puts it into one of two halves:
 `tuned` may be looked at while building, `measured` is only counted.
+
+With --families nothing is executed: each opening is asked of ever more families of grasps, until
+one opens it, and those that none opens are told with the farthest opening.
 """
 
 from __future__ import annotations
@@ -34,6 +38,7 @@ from momapos.execution.config import ExecutionConfig, FurnitureConfig
 from momapos.geometry.transforms import pose_planar
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.urdf import Joint, read_urdf
+from momapos.manipulation.config import GraspConfig
 from momapos.manipulation.handles import has_handle, opening_direction
 from momapos.manipulation.tasks import make_task
 from momapos.pipeline import plan_base_placement
@@ -44,11 +49,21 @@ from momapos.run_plan import run_plan
 from momapos.scene.copies import copied
 from momapos.scene.files import save_scene
 from momapos.scene.scene import Scene, SceneObject
+from momapos.smaller_opening import smaller_opening
 from momapos.types import PlacementPlan
 from placement import ROBOTS, machine, shared
 
 CONFIG = PipelineConfig(timeout=60.0)
 SPREAD = 0.3
+FAMILIES: dict[str, GraspConfig] = {
+    "pinch": GraspConfig(families=("pinch",), turning=False),
+    "hook": GraspConfig(families=("pinch", "hook"), turning=False),
+    "turning": GraspConfig(families=("pinch", "hook")),
+    "two holds": GraspConfig(),
+}
+"""Sets of families, each with all of the one before; the last is the default."""
+OBVIOUS = ("farther than the arm", "base blocked", "base off the floor")
+"""Why most poses of any grid are none; others say more."""
 HALVES = ("tuned", "measured")
 LEAST_SIZE, LEAST_TRAVEL = 0.2, 0.1
 """What is smaller or moves less is a knob or a button [m], [m] or [rad]."""
@@ -187,6 +202,53 @@ def measure(
     return row
 
 
+def first_family(robot: Robot, name: str, scene: Scene, joint: str) -> dict[str, Any]:
+    """By which family of grasps an opening is first opened, and how far where by none."""
+    reach = load_reach_map(robot, default_cache_dir(), None)
+    task = make_task(scene, "open", "object", joint)
+    row: dict[str, Any] = {
+        "robot": robot.name, "object": name, "joint": joint, "half": half_of(name), "family": None,
+    }  # fmt: skip
+    for family, grasps in FAMILIES.items():
+        config = replace(CONFIG, motion=replace(CONFIG.motion, grasps=grasps))
+        plan = plan_base_placement(scene, robot, task, reach, config=config).plan
+        if plan.status == "solved":
+            return {**row, "family": family}
+    told = [reason for reason in plan.candidates.rejections if reason not in OBVIOUS]
+    row |= {"status": plan.status, "reason": ", ".join(told[:2]), "to": task.to}
+    farthest = smaller_opening(plan, scene, robot, reach, config=CONFIG)
+    slides = scene.object("object").model.joint(joint).kind == "prismatic"
+    return {**row, "slides": slides, "feasible_to": farthest.feasible_to}
+
+
+def family_table(rows: list[dict[str, Any]]) -> str:
+    """Count by family, for each half and robot, as Markdown; of the tuned half every "no"."""
+    names = (*FAMILIES, "no")
+    lines = [f"| half | robot | openings | {' | '.join(names)} |", "|---" * (len(names) + 3) + "|"]
+    for half in HALVES:
+        for robot in sorted({r["robot"] for r in rows if r["half"] == half}):
+            mine = [r["family"] or "no" for r in rows if (r["half"], r["robot"]) == (half, robot)]
+            counts = " | ".join(str(mine.count(name)) for name in names)
+            lines.append(f"| {half} | {robot} | {len(mine)} | {counts} |")
+    lines += ["", "| opening that is a no | robots: farthest | asked | why |", "|---|---|---|---|"]
+    groups: dict[tuple[str, ...], list[str]] = {}
+    for row in sorted(rows, key=lambda r: (r["object"], r["joint"], r["robot"])):
+        if row["family"] is None and row["half"] == "tuned":
+            why = row["reason"].replace(row["robot"], "it").split(" (")[0]
+            why = why if row["status"] == "infeasible" else f"{row['status']}: {why}"
+            key = (f"{row['object']} {row['joint']}", _opened(row, "to"), why)
+            groups.setdefault(key, []).append(f"{row['robot']}: {_opened(row, 'feasible_to')}")
+    lines += [f"| {k[0]} | {'; '.join(each)} | {k[1]} | {k[2]} |" for k, each in groups.items()]
+    return "\n".join(lines)
+
+
+def _opened(row: dict[str, Any], key: str) -> str:
+    """A value of a joint in words."""
+    if row[key] is None:
+        return "not at all"
+    return f"{100 * row[key]:.0f} cm" if row["slides"] else f"{np.degrees(row[key]):.0f} deg"
+
+
 def _count(item: tuple[str, int]) -> int:
     return item[1]
 
@@ -263,6 +325,7 @@ def main() -> None:
     parser.add_argument("--hold", choices=("contact", "weld"), default="contact")
     parser.add_argument("--tasks", type=int, help="as many openings, drawn at random")
     parser.add_argument("--seeds", type=int, default=3, help="runs of every plan")
+    parser.add_argument("--families", action="store_true", help="by which grasps they open")
     parser.add_argument("--verifier", type=Path, help="independent check of plan files")
     parser.add_argument("--out", type=Path, help="folder for objects.json")
     args = parser.parse_args()
@@ -270,14 +333,19 @@ def main() -> None:
     robots = {name: load_robot(name) for name in args.robots}
     with tempfile.TemporaryDirectory() as folder:
         for robot, name, scene, joint in tasks(args.half, args.robots)[: args.tasks]:
+            if args.families:
+                rows.append(first_family(robots[robot], name, scene, joint))
+                continue
             row = measure(robots[robot], name, scene, joint, args, Path(folder))
             rows.append(row)
             shown = row if row["half"] == HALVES[0] else {**row, "runs": "", "violations": ""}
             print(json.dumps(shown), flush=True)
-    print(report(rows))
+    print(family_table(rows) if args.families else report(rows))
     if args.out is not None:
         args.out.mkdir(parents=True, exist_ok=True)
-        (args.out / "objects.json").write_text(json.dumps(rows, indent=1) + "\n")
+        (args.out / ("families.json" if args.families else "objects.json")).write_text(
+            json.dumps(rows, indent=1) + "\n"
+        )
 
 
 if __name__ == "__main__":

@@ -19,6 +19,8 @@ RUNS = (
     ["execution.py", "--out", "bench_out"],
     ["objects.py", "--out", "bench_out"],
     ["mutations.py", "--out", "bench_out"],
+    ["objects.py", "--families", "--out", "bench_out"],
+    ["completeness.py", "--out", "bench_out"],
     ["paper_tasks.py", "--methods", "ours", "paper", "--out", "bench_out"],
     ["drive.py"],
     ["boxes.py", "bench_out/boxes", "--count", "6", "--shared"],

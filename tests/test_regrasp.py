@@ -9,9 +9,11 @@ import pytest
 from tests.rooms import cabinet_room
 
 from momapos.base_pose import check_base_pose
+from momapos.cli.console import summary
 from momapos.config import PipelineConfig
 from momapos.manipulation.tasks import make_task
 from momapos.pipeline import plan_base_placement
+from momapos.placement_result import PlacementResult
 from momapos.plans import read_plan, write_plan
 from momapos.prepare import PreparedTask, prepare
 from momapos.reachability.map import ReachMap
@@ -22,6 +24,7 @@ from momapos.scene.files import load_scene
 from momapos.scene.scene import Scene
 from momapos.types import Motion, PlacementPlan
 from momapos.verification.files import verify_files
+from momapos.viewer.plot import waypoints_by_hold
 
 CONFIG = PipelineConfig()
 
@@ -42,9 +45,14 @@ def kitchen() -> Scene:
 
 
 @pytest.fixture(scope="module")
-def plan(kitchen: Scene, robot: Robot, reach: ReachMap) -> PlacementPlan:
+def answer(kitchen: Scene, robot: Robot, reach: ReachMap) -> PlacementResult:
     task = make_task(kitchen, "open", "cabinet_back", "door_hinge")
-    return plan_base_placement(kitchen, robot, task, reach).plan
+    return plan_base_placement(kitchen, robot, task, reach)
+
+
+@pytest.fixture(scope="module")
+def plan(answer: PlacementResult) -> PlacementPlan:
+    return answer.plan
 
 
 def motion_of(plan: PlacementPlan) -> Motion:
@@ -125,3 +133,22 @@ def test_a_door_beside_a_wall_is_pushed_where_no_hand_has_room_to_pull(
     assert [hold.family for hold in motion_of(found).holds] == ["pinch", "push"]
     assert found.base_pose is not None
     assert check_base_pose(scene, robot, task, found.base_pose, reach).motion is not None
+
+
+def test_an_answer_tells_and_draws_both_holds(answer: PlacementResult, tmp_path: Path) -> None:
+    motion = motion_of(answer.plan)
+    words = summary(answer, None)
+    assert "  hold        pinch of bar 'door_handle', by its name;" in words
+    assert "  then        from 40 deg, push at the face of 'door'" in words
+    write_plan(answer.plan, tmp_path / "plan.json")
+    assert motion_of(read_plan(tmp_path / "plan.json")).holds == motion.holds
+    drawn = waypoints_by_hold(answer)
+    assert len(drawn) == len(motion.holds)
+    for points, hold in zip(drawn, motion.holds, strict=True):
+        held = motion.Ts_world_tool[hold.first : hold.last + 1, :3, 3]
+        np.testing.assert_array_equal(points[[0, -1]], held[[0, -1]])
+        assert len(points) == 1 + np.ceil((len(held) - 1) / 4)
+    feasible = [
+        o for outcomes in answer.search.outcomes for o in outcomes if o.status.value == "feasible"
+    ]
+    assert len(feasible) == 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 from dataclasses import replace
@@ -19,7 +20,7 @@ from momapos.farthest_plan import farthest_plan
 from momapos.manipulation.tasks import make_task
 from momapos.pipeline import answer, plan_base_placement
 from momapos.placement.config import PlaceConfig
-from momapos.plans import read_plan
+from momapos.plans import read_plan, write_plan
 from momapos.query import PlacementQuery
 from momapos.reachability.store import load_reach_map
 from momapos.robots.robot import Robot, load_robot
@@ -78,6 +79,21 @@ def test_words_say_to_which_value_it_is_infeasible_and_to_which_from_where(
     to = f"{math.degrees(refused.feasible_to):.0f} deg"
     pose = f"({x:.3f}, {y:.3f}, {math.degrees(yaw):.1f} deg)"
     assert f"infeasible  to 90 deg; to {to} from {pose}\n" in capsys.readouterr().out
+
+
+def test_an_answer_says_whether_the_time_was_enough_to_rule_out_more(
+    kitchen: Scene, fetch: Robot, refused: PlacementPlan, tmp_path: Path
+) -> None:
+    reach, found = load_reach_map(fetch), {}
+    for tick in (0.001, 0.1):
+        ticks = itertools.count()
+        plan = smaller_opening(
+            refused, kitchen, fetch, reach, clock=lambda tick=tick, ticks=ticks: tick * next(ticks)
+        )
+        write_plan(plan, tmp_path / "plan.json")
+        assert read_plan(tmp_path / "plan.json").feasible_sure == plan.feasible_sure
+        found[plan.feasible_sure] = plan.feasible_to
+    assert found[False] < found[True]
 
 
 def test_the_base_pose_that_is_named_opens_to_the_value_that_is_named(
@@ -168,7 +184,8 @@ def test_one_base_pose_is_answered_with_its_plan_or_with_the_reason(
     assert verify_files(path).valid
     capsys.readouterr()
     assert main([*LID, "--at", "0.6,-0.3,90deg"]) == 3
-    assert "from (0.600, -0.300, 90.0 deg): farther than the arm\n" in capsys.readouterr().out
+    said = "from (0.600, -0.300, 90.0 deg): the hand hits the floor in every grasp\n"
+    assert said in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("last", range(-1, 20))

@@ -138,6 +138,7 @@ def plan_at_base_pose(
         base_pose=pose,
         feasible_to=None if solved else attempt.farthest,
         feasible_from=None if solved or attempt.farthest is None else pose,
+        feasible_sure=not solved and attempt.farthest is not None,
         timing={**watch.seconds, "total": watch.total},
     )
     return PlacementResult(plan, look.prepared, found, first)

@@ -26,7 +26,7 @@ class PoseStatus(Enum):
     WAYPOINT_OUT_OF_REACH = "out of reach at {where}"
     ARM_COLLISION = "arm hits {detail} at {where}"
     NO_CONTINUOUS_PATH = "no continuous branch"
-    NO_APPROACH = "no approach from home"
+    NO_APPROACH = "no approach from home found within the arm planner's time"
     EXACT_CHECK = "exact check: {detail}"
 
 

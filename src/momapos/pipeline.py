@@ -29,6 +29,7 @@ from momapos.placement_result import PlacementResult, plan_of
 from momapos.prepare import driving_lengths, prepare, start_pose
 from momapos.protocols import Clock, ReachScorer
 from momapos.query import PlacementQuery
+from momapos.reachability.map import ReachMap
 from momapos.reachability.store import load_reach
 from momapos.regrasp import every_two_holds, two_hold_searches
 from momapos.robots.robot import Robot
@@ -40,6 +41,8 @@ if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
 DEFAULT = PipelineConfig()
+DOUBT = 1.0
+"""So many cells outside its boundary a map may be wrong: there the grid asks the arm [-]."""
 
 
 def plan_base_placement(
@@ -112,6 +115,13 @@ def answer(query: PlacementQuery) -> PlacementResult:
     return replace(result, plan=plan)
 
 
+def _in_doubt(reach: ReachScorer) -> ReachScorer:
+    """A map that calls reachable what may be: lines up to some cells outside the boundary."""
+    if isinstance(reach, ReachMap):
+        return replace(reach, threshold=reach.threshold - DOUBT)
+    return reach
+
+
 def _search(query: PlacementQuery, selection: Selection, motion: TaskMotion) -> PlacementResult:
     """Search base poses with the selected objects modeled."""
     robot, config, watch = query.robot, query.config, query.watch
@@ -120,6 +130,8 @@ def _search(query: PlacementQuery, selection: Selection, motion: TaskMotion) -> 
     prepared = prepare(
         modeled, robot, query.task, config, clearance=clearance, motion=motion, watch=watch
     )
+    with watch.stage("exact model"):
+        infeasible_reason = prepared.infeasible_reason
     with watch.stage("drive"):
         start = start_pose(query.scene, robot, prepared.motion, query.start, query.nav_map)
         travel_cost = driving_lengths(prepared, start)
@@ -153,11 +165,12 @@ def _search(query: PlacementQuery, selection: Selection, motion: TaskMotion) -> 
     problem = Problem(
         geometry=prepared.geometry,
         reach=query.reach,
+        grid_reach=_in_doubt(query.reach),
         ways=prepared.ways,
         travel_cost=travel_cost,
         attempt=drivable(feasible),
         screen=feasible.screen,
-        infeasible_reason=prepared.infeasible_reason,
+        infeasible_reason=infeasible_reason,
         start=start,
         out_of_time=out_of_time,
         pose_filter=query.pose_filter,

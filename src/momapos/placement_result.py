@@ -39,13 +39,15 @@ class PlacementResult:
         return slides(self.prepared.scene, self.plan.task)
 
     @property
-    def hold(self) -> str:
-        """How the plan holds what it moves, and where that was found; "" where nothing is held."""
+    def holds(self) -> tuple[str, ...]:
+        """How the plan holds what it moves, one hold after the other, and where that was found."""
         motion, found = self.prepared.motion, self.plan.motion
-        if found is None or motion.refusal:
-            return ""
+        if found is None:
+            return ()
+        if found.holds:
+            return tuple(hold.words for hold in found.holds)
         away = np.abs(motion.Ts_world_tool[:, motion.grasp_step] - found.Ts_world_tool[0])
-        return motion.grasps.describe(int(away.sum((1, 2)).argmin()))
+        return (motion.grasps.describe(int(away.sum((1, 2)).argmin())),)
 
     def __repr__(self) -> str:
         task = self.plan.task

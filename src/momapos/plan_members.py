@@ -49,6 +49,7 @@ class Manipulation(msgspec.Struct):
     holds: list[tuple[int, int]] = []
     turn_axes: list[tuple[float, float, float] | None] = []
     families: list[str] = []
+    hold_words: list[str] = []
 
 
 class Candidates(msgspec.Struct):
@@ -80,6 +81,7 @@ class Plan(msgspec.Struct):
     scene_joints: dict[str, dict[str, float]] = {}
     feasible_to: float | None = None
     feasible_from: Pose | None = None
+    feasible_sure: bool = False
     start: Pose | None = None
     base_pose: Pose | None = None
     base_path: list[list[float]] | None = None

@@ -18,7 +18,8 @@ from momapos import plan_members as members
 from momapos.cache import write_atomic
 from momapos.errors import FileFormatError, InputError
 from momapos.files import read_bytes_bounded
-from momapos.types import Candidates, Hold, KeyObjects, Motion, PlacementPlan, Task
+from momapos.plan_holds import holds_to_dict, read_holds
+from momapos.types import Candidates, KeyObjects, Motion, PlacementPlan, Task
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -27,8 +28,6 @@ FORMAT, VERSION = "momapos-plan", 1
 MAX_BYTES = 20_000_000
 """A plan of 20,000 states, which is what the check takes, has some 10 MB."""
 MAX_HASHED_BYTES = 50_000_000
-UNIT = 1e-3
-"""A unit vector in a file is so long, to within this [-]."""
 MAX_PARENTS = 3
 """Files are named relative to the plan up to this many folders above it."""
 
@@ -56,6 +55,7 @@ def plan_to_dict(plan: PlacementPlan) -> dict[str, Any]:
         "status": plan.status,
         "feasible_to": plan.feasible_to,
         "feasible_from": _pose_to_dict(plan.feasible_from),
+        "feasible_sure": plan.feasible_sure,
         "start": _pose_to_dict(plan.start),
         "base_pose": _pose_to_dict(plan.base_pose),
         "base_path": None if plan.base_path is None else plan.base_path.tolist(),
@@ -69,7 +69,7 @@ def plan_to_dict(plan: PlacementPlan) -> dict[str, Any]:
             "object_q": motion.object_q.tolist(),
             "times": _times(motion.times),
             "T_world_tool": motion.Ts_world_tool.tolist(),
-            **_holds_to_dict(motion.holds),
+            **holds_to_dict(motion.holds),
         },
         "navigation_cost": plan.navigation_cost,
         "candidates": {
@@ -84,17 +84,6 @@ def plan_to_dict(plan: PlacementPlan) -> dict[str, Any]:
         "method": plan.method,
         "seed": plan.seed,
         "versions": dict(plan.versions),
-    }
-
-
-def _holds_to_dict(holds: tuple[Hold, ...]) -> dict[str, Any]:
-    """Ranges of states, and the axes about which the hand may turn; nothing where it never does."""
-    if not holds:
-        return {}
-    return {
-        "holds": [[hold.first, hold.last] for hold in holds],
-        "turn_axes": [hold.turn_axis for hold in holds],
-        "families": [hold.family for hold in holds],
     }
 
 
@@ -285,6 +274,7 @@ def _record(data: members.Plan, path: Path) -> PlacementPlan:
         scene_joints=data.scene_joints,
         feasible_to=data.feasible_to,
         feasible_from=_triple(data.feasible_from),
+        feasible_sure=data.feasible_sure,
     )
 
 
@@ -334,34 +324,8 @@ def _motion(data: members.Plan, path: Path) -> Motion | None:
         Ts_world_tool=Ts_world_tool,
         approach_times=_read_times(data.approach_times, len(approach), path, "approach_times"),
         times=_read_times(motion.times, len(motion.q), path, "manipulation.times"),
-        holds=_holds(motion, path),
+        holds=read_holds(motion, path),
     )
-
-
-def _holds(motion: members.Manipulation, path: Path) -> tuple[Hold, ...]:
-    """Ranges of states in order, within the manipulation, with unit axes or none."""
-    axes = motion.turn_axes or [None] * len(motion.holds)
-    bounds = [-1, *(state for hold in motion.holds for state in hold), len(motion.q)]
-    in_order = all(a < b for a, b in zip(bounds[:-1:2], bounds[1::2], strict=True)) and all(
-        first <= last for first, last in motion.holds
-    )
-    if not in_order:
-        raise FileFormatError(
-            f"{path}: manipulation.holds must be [first, last] of states 0 to {len(motion.q) - 1}, "
-            "in order, none in two"
-        )
-    if len(axes) != len(motion.holds) or not all(
-        axis is None or abs(math.hypot(*axis) - 1.0) < UNIT for axis in axes
-    ):
-        raise FileFormatError(
-            f"{path}: manipulation.turn_axes must be a unit vector or null for each of the "
-            f"{len(motion.holds)} holds"
-        )
-    families = motion.families or [""] * len(motion.holds)
-    if len(families) != len(motion.holds) or any(len(name) > 40 for name in families):
-        raise FileFormatError(f"{path}: manipulation.families must be a word for each hold")
-    holds = zip(motion.holds, axes, families, strict=True)
-    return tuple(Hold(*hold, axis, family) for hold, axis, family in holds)
 
 
 def _read_times(

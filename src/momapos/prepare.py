@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,7 +14,8 @@ from momapos.geometry.polygons import inscribed_radius
 from momapos.kinematics.world import CollisionWorld, build_world
 from momapos.manipulation.feasibility import Feasibility, collision_free_grasps
 from momapos.manipulation.free_turn import FULL
-from momapos.manipulation.motion import LIFT, TaskMotion, in_room, task_motion
+from momapos.manipulation.handles import Handle
+from momapos.manipulation.motion import LIFT, TaskMotion, by_another_handle, in_room, task_motion
 from momapos.manipulation.task_boxes import room_boxes
 from momapos.manipulation.tasks import in_front_of_parts
 from momapos.navigation.cost_map import base_height, build_cost_map, floor_plan
@@ -47,11 +48,18 @@ class PreparedTask:
     """The room as the arm's collision kernel wants it."""
     geometry: PlacementGeometry
     """The room and the task as placement wants them."""
-    verifier: PlanVerifier
-    blocked: str
-    """What the part runs into on its way, whoever moves it and however; "" where it is free."""
     no_grasp: str
     """Why no single grasp moves it all the way, wherever the base stands; "" where some may."""
+
+    @cached_property
+    def verifier(self) -> PlanVerifier:
+        """The exact check."""
+        return PlanVerifier(self.scene, self.robot, self.task)
+
+    @cached_property
+    def blocked(self) -> str:
+        """What the part runs into on its way, whoever moves it; "" where it is free."""
+        return self.verifier.blocked(LIFT) or ""
 
     @property
     def infeasible_reason(self) -> str:
@@ -127,21 +135,38 @@ def prepare(
             motion = task_motion(scene, robot, task, config.motion)
         else:
             motion = in_room(motion, scene)
-        world = collision_world(robot, motion, config)
-        has_room, obstacle = collision_free_grasps(robot, world, motion)
-        if has_room.any():
-            motion = motion.only(motion.grasps.deepest(has_room))
-    with watch.stage("exact model"):
-        verifier = PlanVerifier(scene, robot, task)
-        blocked = verifier.blocked(LIFT) or ""
-    no_grasp = motion.refusal
-    if not no_grasp and not has_room.any():
-        why = [motion.passed_over] if motion.passed_over else []
-        no_grasp = ", and ".join([*why, f"the hand hits {obstacle} in every grasp"])
-        if why and motion.handle is not None:
-            no_grasp += f" of {motion.handle}"
+        motion, world, no_grasp = _with_room(scene, robot, motion, config)
     geometry = placement_geometry(scene, robot, motion, clearance)
-    return PreparedTask(scene, robot, task, motion, world, geometry, verifier, blocked, no_grasp)
+    return PreparedTask(scene, robot, task, motion, world, geometry, no_grasp)
+
+
+def _with_room(
+    scene: Scene, robot: Robot, motion: TaskMotion, config: PipelineConfig
+) -> tuple[TaskMotion, CollisionWorld, str]:
+    """A motion by the first handle that holds and at which the hand has room, and its world.
+
+    Where it has no room at any, the motion as it is given, and why no grasp helps.
+    """
+    found: list[tuple[TaskMotion, CollisionWorld, str]] = []
+    passed: list[Handle] = []
+    other: TaskMotion | None = motion
+    while other is not None:
+        world = collision_world(robot, other, config)
+        has_room, obstacle = collision_free_grasps(robot, world, other)
+        if has_room.any():
+            return other.only(other.grasps.deepest(has_room)), world, other.refusal
+        found.append((other, world, other.refusal or _no_room(other, obstacle)))
+        passed += other.grasps.handles
+        other = by_another_handle(motion, scene, robot, config.motion, passed)
+    return found[0]
+
+
+def _no_room(motion: TaskMotion, obstacle: str) -> str:
+    """That the hand has room for no grasp."""
+    hits = f"the hand hits {obstacle} in every grasp"
+    if not motion.passed_over or motion.handle is None:
+        return hits
+    return f"{motion.passed_over}, and {hits} of {motion.handle}"
 
 
 def placement_geometry(

@@ -23,7 +23,7 @@ from momapos.placement.place import Problem
 from momapos.prepare import PreparedTask, prepare
 from momapos.protocols import ReachScorer
 from momapos.stopwatch import Stopwatch
-from momapos.types import ArmPathResult, Attempt, Hold, Motion, Task
+from momapos.types import ArmPathResult, Attempt, Motion, Task
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
@@ -155,7 +155,7 @@ class TwoHolds:
         object_q = np.concatenate([pulled.object_q, ajar, second.object_q[1:]])
         begin = len(pulled.q) + len(way) - 1 + second.grasp_step
         (push,) = second.holds(pushed.grasp)
-        hold = Hold(begin, begin + push.last, push.turn_axis, push.family)
+        hold = replace(push, first=begin, last=begin + push.last)
         Ts = pose_planar(base) @ chain.tool_poses(q)
         return Motion(
             pulled.approach, chain.joint_values(q), object_q, Ts, holds=(*pulled.holds, hold)
@@ -175,7 +175,8 @@ def every_two_holds(
     Each is made when it is asked for: mostly the first is enough.
     """
     watch = watch or Stopwatch(lambda: 0.0)
-    for ajar in () if whole.blocked else AJAR:
+    pushes = "push" in config.motion.grasps.families
+    for ajar in AJAR if pushes and not whole.blocked else ():
         two = _two_holds(whole, config, seed, ajar, out_of_time, watch)
         if two is not None:
             yield two
@@ -240,7 +241,7 @@ def _two_holds(
     clearance = whole.geometry.clearance
     first = prepare(scene, robot, pull, config, clearance=clearance, motion=pulling, watch=watch)
     second = prepare(opened, robot, task, config, clearance=clearance, motion=pushing, watch=watch)
-    if first.infeasible_reason or second.infeasible_reason:
+    if first.no_grasp or second.no_grasp:
         return None
     one, other = (
         part.feasibility(config, seed, out_of_time=out_of_time, watch=watch)

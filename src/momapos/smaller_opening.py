@@ -54,7 +54,9 @@ def smaller_opening(
     query = PlacementQuery(scene, robot, task, reach, start, None, config, plan.seed, watch)
     waypoint = values_per_waypoint(config.motion, slides=slides(scene, task))
     values = values_short_of(query)
-    best, _ = farthest_plan(query, answer, values, within=waypoint, timeout=TIMEOUT)
+    best, sure = farthest_plan(query, answer, values, within=waypoint, timeout=TIMEOUT)
     if best is None:
         return plan
-    return replace(plan, feasible_to=best.plan.task.to, feasible_from=best.plan.base_pose)
+    return replace(
+        plan, feasible_to=best.plan.task.to, feasible_from=best.plan.base_pose, feasible_sure=sure
+    )

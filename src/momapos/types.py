@@ -176,6 +176,8 @@ class Hold:
     may turn; None where it may not."""
     family: str = ""
     """How it holds: pinch, hook, push or suction; "" where nobody says."""
+    words: str = ""
+    """What it holds and how, for people; "" where nobody says."""
 
 
 @dataclass(frozen=True)
@@ -297,6 +299,8 @@ class PlacementPlan:
     """Where the value asked for is out of reach: the farthest found that is not [rad] or [m]."""
     feasible_from: tuple[float, float, float] | None = None
     """The base pose from which that one is reached: x [m], y [m], yaw [rad]."""
+    feasible_sure: bool = False
+    """Whether the grid has ruled out what lies a waypoint beyond; else the time ended before."""
 
     def __repr__(self) -> str:
         what = (

@@ -316,3 +316,31 @@ def test_of_grasps_from_the_same_side_the_deepest_that_has_room_is_kept(
         for line in grasps.line[kept]:
             same = rows & (grasps.line == line)
             assert into[same].max() == pytest.approx(into[kept & same][0], abs=1e-9)
+
+
+def test_the_next_handle_is_held_where_the_hand_has_no_room_at_the_best(
+    robot: Robot, tmp_path: Path
+) -> None:
+    wall = (
+        ', {"name": "wall", "category": "wall", "box": [0.1, 0.22, 1.1],'
+        ' "pose": {"xyz": [0.41, -0.36, 0.85], "wxyz": [1, 0, 0, 0]}}'
+    )
+    cabinet_room(tmp_path, extra=wall)
+    long_bar = (
+        '<link name="long_handle"><collision><geometry><box size="0.016 0.016 0.3"/></geometry>'
+        '</collision></link><joint name="long" type="fixed"><parent link="door"/>'
+        '<child link="long_handle"/><origin xyz="-0.1 -0.065 0"/></joint></robot>'
+    )
+    file = tmp_path / "cabinet.urdf"
+    file.write_text(file.read_text().replace("</robot>", long_bar))
+    scene = load_scene(tmp_path / "room.json")
+
+    def held(to: float) -> str:
+        task = make_task(scene, "open", "cabinet", to=to)
+        ready = prepare(scene, robot, task, PipelineConfig(), clearance=0.0)
+        assert ready.no_grasp == ""
+        assert ready.motion.handle is not None
+        return ready.motion.handle.name
+
+    assert held(0.6) == "long_handle"
+    assert held(np.pi / 2) == "door_handle"

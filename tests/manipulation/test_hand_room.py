@@ -121,7 +121,8 @@ def by_wrist(robot: Robot, world: CollisionWorld, Ts: np.ndarray) -> np.ndarray:
     """Whether spheres of what moves with the hand, and is no gripper, touch a box."""
     chain, spheres = robot.chain, robot.spheres
     found = np.zeros(len(Ts), bool)
-    for g in np.flatnonzero((spheres.segment == chain.size) & (spheres.gripper == OTHER)):
+    last = robot.segments.of_link[robot.tool_link]
+    for g in np.flatnonzero((spheres.segment == last) & (spheres.gripper == OTHER)):
         rows = slice(*spheres.start[g : g + 2])
         local = (spheres.center[rows] - chain.tool_offset) @ chain.tool_rotation
         points = np.einsum("mij,sj->msi", Ts[:, :3, :3], local) + Ts[:, None, :3, 3]

@@ -76,7 +76,9 @@ def find(
         return np.linalg.norm(xy - START[:2], axis=1)
 
     ways = ways_of_holding(geometry.Ts_world_tool, np.zeros((0, 1), int))
-    problem = Problem(geometry, Everywhere(), ways, length, attempt, screen, START, lambda: False)
+    problem = Problem(
+        geometry, Everywhere(), Everywhere(), ways, length, attempt, screen, START, lambda: False
+    )
     coarse = {"grid_cell": 0.2, "grid_turn": 45.0}
     config = PlaceConfig(method=method, **{**coarse, **changes})  # type: ignore[arg-type]
     return search(problem, config, np.random.default_rng(0))

@@ -89,7 +89,7 @@ def summary(answer: PlacementResult, out: Path | None, *, most: bool = False) ->
             f"({answer.start[0]:.2f}, {answer.start[1]:.2f})",
             f"  move        {len(plan.motion.approach)} states to the grasp, then "
             f"{len(plan.motion.q)}{turn}",
-            f"  hold        {answer.hold}",
+            *_holds(answer),
             "  checked     base, arm and moving part over the whole motion, exact geometry",
         ]
     else:
@@ -102,6 +102,19 @@ def summary(answer: PlacementResult, out: Path | None, *, most: bool = False) ->
     if out is not None:
         lines.append(f"  plan        {out}")
     return "\n".join(lines)
+
+
+def _holds(answer: PlacementResult) -> list[str]:
+    """A line for each hold; those after the first say where the part is then."""
+    motion = answer.plan.motion
+    lines = [f"  hold        {words}" for words in answer.holds[:1]]
+    if motion is not None:
+        later = zip(motion.holds[1:], answer.holds[1:], strict=True)
+        lines += [
+            f"  then        from {_value(answer, motion.object_q[hold.first])}, {words}"
+            for hold, words in later
+        ]
+    return lines
 
 
 def _modeled(key: KeyObjects) -> str:
@@ -123,7 +136,8 @@ def _why_not(answer: PlacementResult) -> str:
     if smaller is None or plan.feasible_from is None or task.to is None:
         return "there is no base pose; the reasons are below"
     asked = f"to {_value(answer, task.to)}"
-    return f"{asked}; to {_value(answer, smaller)} from {_pose(plan.feasible_from)}"
+    found = f"{asked}; to {_value(answer, smaller)} from {_pose(plan.feasible_from)}"
+    return found if plan.feasible_sure else f"{found}, and the time ended before more was ruled out"
 
 
 def _pose(pose: tuple[float, float, float]) -> str:

@@ -10,13 +10,11 @@ from tyro.conf import Positional
 
 from momapos.cli.options import OptionalPath, OptionalText, PoseArg, check_seed
 from momapos.cli.place import parse_pose
-from momapos.errors import FileFormatError
+from momapos.cli.plan_files import open_plan
 from momapos.files import check_outputs
 
 if TYPE_CHECKING:
     from momapos.execution.record import RunRecord
-    from momapos.robots.robot import Robot
-    from momapos.types import PlacementPlan
 
 MOST_COLLISIONS = 5
 
@@ -59,25 +57,19 @@ def run(
     # Told before anything heavy is imported.
     check_seed(seed)
     check_outputs([out, record])
-    if not plan.exists():
-        raise FileFormatError(f"{plan}: no such plan file")
     from json import dumps
 
     import numpy as np
 
-    from momapos.cache import default_cache_dir, user_cache
+    from momapos.cache import default_cache_dir
     from momapos.cli.console import progress
     from momapos.errors import InputError, require
-    from momapos.plans import check_unchanged, read_plan
     from momapos.reachability.store import load_reach
-    from momapos.verification.files import find_file, read_scene
 
     begin = None if start is None else np.array(parse_pose(start, "start"))
-    content = read_plan(plan)
-    if content.status != "solved":
-        raise InputError(f"{plan}: the plan is {content.status!r}: there is nothing to execute")
     if record is not None and record.suffix.lower() != ".png":
         raise InputError(f"--record {record}: a filmstrip is a PNG; name it so")
+    content, scene, machine = open_plan(plan, scene_root, robot, "to execute")
     with require("physics"):
         from momapos.execution.config import ExecutionConfig, FurnitureConfig
         from momapos.execution.film import Film
@@ -85,14 +77,6 @@ def run(
         from momapos.navigation.drive import DriveConfig
         from momapos.run_plan import QUIET, run_plan
 
-    folders = [plan.resolve().parent, *([scene_root] if scene_root else []), Path()]
-    scene_file = find_file("scene", content.scene, folders, plan)
-    urdf = find_file("robot.urdf", content.robot_urdf, folders, plan)
-    check_unchanged(plan, scene_file, urdf)
-    scene = read_scene(scene_file, scene_root, cache=user_cache()).with_joints(content.scene_joints)
-    machine = _robot(content, plan, urdf, robot)
-    for warning in scene.warnings:
-        print(f"momapos: {warning}", file=sys.stderr)
     film = Film() if record is not None else None
     with progress(f"reachability map of {machine.name}") as report:
         reach = load_reach(machine, default_cache_dir(), report)
@@ -111,42 +95,6 @@ def run(
             film.write(record)
     print(dumps(run_to_dict(result)) if json else summary(result))
     return 0 if result.success else 1
-
-
-def _robot(content: PlacementPlan, plan: Path, urdf: Path, given: str | None) -> Robot:
-    """The robot file that goes with the URDF of a plan.
-
-    Raises:
-        RobotError: There is none, or it describes another robot.
-    """
-    from momapos.cache import user_cache
-    from momapos.errors import InputError, RobotError
-    from momapos.robots.names import library_names
-    from momapos.robots.robot import load_robot
-
-    beside = urdf.with_suffix(".toml")
-    if given is not None:
-        robot = load_robot(given, cache=user_cache())
-    elif content.robot_file is not None:
-        try:
-            robot = load_robot(content.robot_file, cache=user_cache())
-        except InputError as error:
-            raise RobotError(
-                f"{plan}: its robot file cannot be used: {error}; give --robot"
-            ) from error
-    elif beside.is_file():
-        robot = load_robot(beside, cache=user_cache())
-    elif content.robot_name in library_names():
-        robot = load_robot(content.robot_name, cache=user_cache())
-    else:
-        raise RobotError(f"{plan}: there is no robot file {beside}; give --robot")
-    named = (content.base_link, content.tool_link, content.joints)
-    if named != (robot.base_link, robot.tool_link, robot.moved_joints):
-        raise RobotError(
-            f"{plan}: the plan is for {content.robot_name} with tool {content.tool_link!r} and "
-            f"joints {', '.join(content.joints)}; {robot.path} describes another robot"
-        )
-    return robot
 
 
 def summary(record: RunRecord) -> str:

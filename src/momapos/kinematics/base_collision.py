@@ -135,9 +135,27 @@ def base_hits(
         boxes: The room in the world frame.
         clearance: Distance to keep [m].
     """
-    return _hit(
-        np.ascontiguousarray(bases, float),
+    bases = np.ascontiguousarray(bases, float)
+    near = _near(bases, base, boxes, clearance)
+    hits = _hit(
+        bases,
         BoxArrays(base.center, base.rotation, base.half),
-        BoxArrays(boxes.center, boxes.rotation, boxes.half),
+        BoxArrays(boxes.center[near], boxes.rotation[near], boxes.half[near]),
         clearance,
     )
+    return np.append(near, FREE)[hits]
+
+
+def _near(
+    bases: Float[np.ndarray, "n 3"], base: Boxes, boxes: Boxes, clearance: float
+) -> Int[np.ndarray, " k"]:
+    """Boxes that the base can touch from some of its poses: most hang higher or stand elsewhere."""
+    if not len(bases) or not len(base):
+        return np.zeros(0, np.int64)
+    spread = np.einsum("bij,bj->bi", np.abs(boxes.rotation), boxes.half)
+    own = np.einsum("bij,bj->bi", np.abs(base.rotation), base.half) + clearance
+    reach = (np.hypot(*base.center[:, :2].T) + np.hypot(*own[:, :2].T)).max()
+    low = np.append(bases[:, :2].min(0) - reach, (base.center[:, 2] - own[:, 2]).min())
+    high = np.append(bases[:, :2].max(0) + reach, (base.center[:, 2] + own[:, 2]).max())
+    meets = (boxes.center + spread >= low) & (boxes.center - spread <= high)
+    return np.flatnonzero(meets.all(1))

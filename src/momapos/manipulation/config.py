@@ -7,6 +7,7 @@ from typing import Literal, Optional
 
 from momapos.errors import InputError, refuse_below
 
+GraspFamily = Literal["pinch", "hook", "push", "suction"]
 Planner = Literal["RRTConnect", "RRTstar", "BITstar"]
 
 
@@ -39,6 +40,10 @@ class ResistanceConfig:
 class GraspConfig:
     """Which ways of holding a thing are tried, and when one holds."""
 
+    families: tuple[GraspFamily, ...] = ("pinch", "hook", "push", "suction")
+    """Families of grasps that are tried; without push no door is opened in two holds."""
+    turning: bool = True
+    """Whether hands turn about bars."""
     turns: tuple[float, ...] = (0.0, 20.0, -20.0, 40.0, -40.0, 60.0, -60.0, 90.0, -90.0)
     """Turns about the handle's long axis [deg]."""
     tilts: tuple[float, ...] = (0.0, 25.0, -25.0)
@@ -66,9 +71,9 @@ class GraspConfig:
         refuse_below(self, 1, "rolls")
         refuse_below(self, 0, "hand_clearance", "friction", "pad_contact", "grasp_margin")
         refuse_below(self, 0.01, "pregrasp")
-        for name in ("turns", "tilts", "points", "standoffs"):
+        for name in ("families", "turns", "tilts", "points", "standoffs"):
             if not getattr(self, name):
-                raise InputError(f"{name} must hold at least one number")
+                raise InputError(f"{name} must hold at least one value")
 
 
 @dataclass(frozen=True)

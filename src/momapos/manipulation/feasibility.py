@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cache
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
@@ -122,8 +123,7 @@ class Feasibility:
             find = find_paths if self.robot.chain.size >= FULL else find_turning_paths
             return find(self.robot, self.world, self.motion, bases[part], grasps[part])
 
-        with ThreadPoolExecutor(_THREADS) as pool:
-            found = list(pool.map(work, pieces))
+        found = list(_threads().map(work, pieces))
         done = [paths for paths in found if paths is not None]
         return [path for paths in done for path in paths] if len(done) == len(found) else None
 
@@ -199,6 +199,12 @@ class Feasibility:
             obstacle = self.world.reason(path.obstacle)
             return PoseOutcome(PoseStatus.ARM_COLLISION, obstacle, where)
         return PoseOutcome(PoseStatus.NO_CONTINUOUS_PATH)
+
+
+@cache
+def _threads() -> ThreadPoolExecutor:
+    """Threads for arm paths: to start one takes as long as some paths."""
+    return ThreadPoolExecutor(_THREADS, "arm paths")
 
 
 def with_payload(

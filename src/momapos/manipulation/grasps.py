@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -105,6 +106,7 @@ def holding_grasps(
     *,
     closes: bool,
     config: GraspConfig,
+    passed: Collection[Handle] = (),
 ) -> Chosen:
     """The grasps of the first handle of a part by which the robot can move it.
 
@@ -115,11 +117,12 @@ def holding_grasps(
         torque: What the joint resists with [Nm] or [N].
         closes: Whether the part is to be shut: then its front may be pushed as well.
         config: What is tried.
+        passed: Handles that are passed over, of which there are more.
 
     Returns:
         Where none holds, those that the best handle would have, and why they do not.
     """
-    handles = find_handles(model, joint, sign)
+    handles = [h for h in find_handles(model, joint, sign) if h not in passed]
     found: list[tuple[Handle, PartGrasps]] = []
     reasons = []
     for handle in handles:
@@ -129,7 +132,8 @@ def holding_grasps(
             found.append((handle, strong))
             break
         reasons.append(reason)
-    pushed = push_grasps(robot, model, joint, sign, config) if closes else None
+    pushes = closes and Family.PUSH in config.families
+    pushed = push_grasps(robot, model, joint, sign, config) if pushes else None
     if pushed is not None and len(pushed[1].code):
         found.append(pushed)
     if found:
@@ -159,6 +163,9 @@ def _strong(
     """Those grasps that transmit what a part needs, and why there is none."""
     if not len(grasps.code):
         return grasps, grasps.reason
+    grasps = grasps.only(np.isin(grasps.code, [FAMILIES.index(Family(f)) for f in config.families]))
+    if not len(grasps.code):
+        return grasps, f"{robot.name} holds {handle.name} by other grasps than those allowed"
     need = torque / np.maximum(lever_arms(model, joint, grasps.point), 1e-3)
     strong = grasps.capacity >= config.grasp_margin * need
     if strong.any():

@@ -237,15 +237,15 @@ def arm_spheres(robot: Robot) -> Spheres:
     Whether hand and arm touch each other is.
     """
     spheres = robot.spheres
-    known = (spheres.segment == robot.chain.last) & (spheres.gripper != OTHER)
+    known = (spheres.segment == _last_segment(robot)) & (spheres.gripper != OTHER)
     return replace(spheres, gripper=np.where(known, KNOWN, spheres.gripper))
 
 
 @lru_cache(maxsize=64)
 def _hand_arrays(robot: Robot) -> HandArrays:
     """The gripper, and what else the arm's last joint moves."""
-    spheres, chain = robot.spheres, robot.chain
-    groups = np.flatnonzero(spheres.segment == chain.last)
+    spheres = robot.spheres
+    groups = np.flatnonzero(spheres.segment == _last_segment(robot))
     boxes = [_boxes_of(robot, int(g)) for g in groups]
     aside = np.array([(b.center @ robot.closing_axis).sum() for b in boxes])
     segment = np.where(spheres.gripper[groups] == FINGER, np.where(aside >= 0, *_SIDES), _PALM)
@@ -270,6 +270,11 @@ def _hand_arrays(robot: Robot) -> HandArrays:
         np.cumsum([0, *map(len, boxes)]),
         np.ascontiguousarray(robot.closing_axis, float),
     )
+
+
+def _last_segment(robot: Robot) -> int:
+    """The segment that the tool belongs to."""
+    return robot.segments.of_link[robot.tool_link]
 
 
 def _in_tool(robot: Robot, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -20,7 +21,8 @@ from momapos.manipulation.grasps import (
     inside_grasps,
     lifting_grasps,
 )
-from momapos.manipulation.handles import Handle, find_handle, lever_arms
+from momapos.manipulation.handle_core import HandleKind
+from momapos.manipulation.handles import Handle, find_handle, find_handles, lever_arms
 from momapos.manipulation.resistance import resistance_of, weight_of
 from momapos.manipulation.task_boxes import held_elements, moving_boxes, static_boxes
 from momapos.manipulation.turning import Turning, no_turning, turning_about
@@ -133,7 +135,11 @@ class TaskMotion:
         grasp = int(self.turning.members(np.array([way]))[0, 0])
         last = len(self.object_q) - 1 if self.release_step is None else self.release_step
         axis = self.turning.axis_of(way)
-        return (Hold(0, last - self.grasp_step, axis, str(self.grasps.family[grasp])),)
+        words = self.grasps.describe(grasp) + (
+            "" if axis is None else ", about which the hand turns"
+        )
+        family = str(self.grasps.family[grasp])
+        return (Hold(0, last - self.grasp_step, axis, family, words),)
 
     def sweep(self) -> Boxes:
         """The moving boxes at all values, as one set."""
@@ -187,6 +193,23 @@ def with_retreat(motion: TaskMotion, robot: Robot, config: GraspConfig) -> TaskM
     )
 
 
+def by_another_handle(
+    motion: TaskMotion, scene: Scene, robot: Robot, config: MotionConfig, passed: list[Handle]
+) -> TaskMotion | None:
+    """The same motion by a handle that is not passed over; None where none of them holds."""
+    task, target = motion.task, scene.object(motion.task.object)
+    if task.joint is None or motion.handle is None or motion.handle.kind is HandleKind.FACE:
+        return None
+    sign = opening_of(target.model, task.joint).sign
+    if all(handle in passed for handle in find_handles(target.model, task.joint, sign)):
+        return None
+    other = _joint_motion(scene, robot, task, target, config, inside=False, passed=passed)
+    if other.refusal:
+        return None
+    retreats = motion.release_step is not None
+    return with_retreat(other, robot, config.grasps) if retreats else other
+
+
 def in_room(motion: TaskMotion, scene: Scene) -> TaskMotion:
     """The same motion of the same object, among what stands in another version of its room."""
     target = scene.object(motion.task.object)
@@ -204,6 +227,7 @@ def _joint_motion(
     config: MotionConfig,
     *,
     inside: bool,
+    passed: Collection[Handle] = (),
 ) -> TaskMotion:
     assert task.joint is not None
     assert task.to is not None
@@ -219,7 +243,7 @@ def _joint_motion(
     if chosen is None:
         chosen = holding_grasps(
             robot, target.model, joint.name, sign, torque,
-            closes=task.verb == "close", config=config.grasps,
+            closes=task.verb == "close", config=config.grasps, passed=passed,
         )  # fmt: skip
     Ts_part_tool = chosen.Ts_part_tool
     poses = target.link_poses()
@@ -233,7 +257,8 @@ def _joint_motion(
     static, labels = static_boxes(scene, target, set(moved))
     approach = _straight_approach(robot, Ts_world_part[0] @ Ts_part_tool, config.grasps)
     steps = approach.shape[1]
-    turning = turning_about(robot, chosen)
+    held = len(chosen.Ts_part_tool)
+    turning = turning_about(robot, chosen) if config.grasps.turning else no_turning(held)
     Ts_world_tool = np.concatenate([approach, Ts_world_part[None] @ Ts_part_tool[:, None]], axis=1)
     return TaskMotion(
         task=task,

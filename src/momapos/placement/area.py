@@ -118,10 +118,17 @@ def within_reach(
     geometry: PlacementGeometry, poses: Float[np.ndarray, "n 3"]
 ) -> Bool[np.ndarray, " n"]:
     """Whether every waypoint is within the arm's length of its axis (dist_xy <= Delta_r)."""
-    axis = place_points(poses, geometry.shoulder[None, :2])[:, 0]
-    plain = geometry.Ts_world_tool[0, :, :2, 3]
-    distance = np.linalg.norm(axis[:, None] - plain[None], axis=-1)
-    return (distance <= arm_radius(geometry)).all(1)
+    x, y = geometry.shoulder[:2]
+    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    axis = np.stack([poses[:, 0] + c * x - s * y, poses[:, 1] + s * x + c * y], -1)
+    targets, radius = geometry.Ts_world_tool[0, :, :2, 3], arm_radius(geometry)
+    within = np.ones(len(poses), bool)
+    # The ends of the motion rule most poses out.
+    for some in ([0, -1], slice(1, -1)):
+        left = np.flatnonzero(within)
+        away = axis[left, None] - targets[some]
+        within[left] = ((away**2).sum(-1) <= radius[some] ** 2).all(1)
+    return within & ~np.isnan(radius).any()
 
 
 def base_pose_status(

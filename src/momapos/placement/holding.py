@@ -49,16 +49,22 @@ def scores_of_turning(
     Single grasps, which come before the groups, get 0.
     """
     grasps, waypoints = Ts_world_tool.shape[:2]
-    each = np.ascontiguousarray(Ts_world_tool.reshape(-1, 1, 4, 4))
+    turning, index = np.unique(groups, return_inverse=True)
+    member, held = index.reshape(groups.shape), groups >= 0
+    each = np.ascontiguousarray(Ts_world_tool[turning].reshape(-1, 1, 4, 4))
+    last = np.ascontiguousarray(Ts_world_tool[turning, -1:])
 
     def score(reach: ReachScorer, poses: Float[np.ndarray, "n 3"]) -> WayScores:
         scores = np.zeros((len(poses), grasps + len(groups)), np.float32)
         for first in range(0, len(poses), _BLOCK):
             block = slice(first, first + _BLOCK)
-            at = reach.min_score(poses[block], each).reshape(-1, grasps, waypoints)
+            # From most poses no grasp of any group reaches the end of the motion.
+            ends = reach.min_score(poses[block], last).max(1)
+            rows = first + np.flatnonzero(ends > 0)
+            at = reach.min_score(poses[rows], each).reshape(-1, len(turning), waypoints)
             at[:, :, 1] = np.minimum(at[:, :, 0], at[:, :, 1])
-            members = at[:, groups, 1:] * (groups >= 0)[None, :, :, None]
-            scores[block, grasps:] = members.max(2, initial=0.0).min(2)
+            members = at[:, member, 1:] * held[None, :, :, None]
+            scores[rows, grasps:] = members.max(2, initial=0.0).min(2)
         return WayScores(scores, len(groups))
 
     return score
@@ -78,9 +84,12 @@ def scores_of_two_holds(
     """Score the grasps of two holds, side by side; 0 where one of the two is out of reach."""
 
     def score(reach: ReachScorer, poses: Float[np.ndarray, "n 3"]) -> WayScores:
-        one, other = reach.min_score(poses, first), reach.min_score(poses, second)
-        both = (one.max(1, initial=0.0) > 0) & (other.max(1, initial=0.0) > 0)
-        scores = np.concatenate([one, other], axis=1) * both[:, None]
+        scores = np.zeros((len(poses), len(first) + len(second)), np.float32)
+        one = reach.min_score(poses, first)
+        rows = np.flatnonzero(one.max(1, initial=0.0) > 0)
+        other = reach.min_score(poses[rows], second)
+        both = other.max(1, initial=0.0) > 0
+        scores[rows[both]] = np.concatenate([one[rows[both]], other[both]], axis=1)
         return WayScores(scores, scores.shape[1])
 
     return score

@@ -17,6 +17,7 @@ POTENTIAL = ("#cfe6f7", "#7ab6e0", "#2a7ab8")
 """Low, middle, high."""
 PART_BEFORE, PART, PART_EDGE = "#fbe0a6", "#e69f00", "#946000"
 WAYPOINT = "#cc3311"
+HANDLE = "#aa4499"
 ARM = "#2b3a48"
 GOOD, BAD = "#008060", "#a5371e"
 

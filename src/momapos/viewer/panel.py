@@ -16,6 +16,7 @@ from momapos.viewer.palette import (
     FAINT,
     FURNITURE_EDGE,
     GOOD,
+    HANDLE,
     INK,
     PART,
     PART_BEFORE,
@@ -237,10 +238,18 @@ def _legend(panel: Panel, answer: PlacementResult, highest: float) -> None:
         [right, right + 0.085, right + 0.17], [panel.y + 0.035] * 3, color=WAYPOINT,
         linewidth=0.8, marker="D", markersize=2.8, markeredgecolor="white", markeredgewidth=0.3,
     )  # fmt: skip
-    panel.text("waypoints", x=right + 0.24, size=7)
+    later = answer.plan.motion is not None and len(answer.plan.motion.holds) > 1
+    words = "waypoints, hollow: 2nd" if later else "waypoints"
+    panel.text(words, x=right + 0.24, size=7, fit=panel.width - right - 0.24)
     panel.y -= 0.175
     dashed = {"linestyle": OVERHEAD_DASHES, "edgecolor": FURNITURE_EDGE, "linewidth": 0.7}
     box(0.0, f"above {OVERHEAD:g} m", fill=False, **dashed)
+    if answer.plan.task.joint is not None:
+        panel.axes.plot(
+            [right + 0.03, right + 0.14], [panel.y + 0.035] * 2, color=HANDLE, linewidth=2.0,
+            marker="o", markersize=4.0, markeredgecolor="white", markeredgewidth=0.3,
+        )  # fmt: skip
+        panel.text("handle", x=right + 0.24, size=7)
     panel.y -= 0.2
     if highest > 0:
         _gradient(panel, highest)

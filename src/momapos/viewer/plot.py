@@ -9,13 +9,25 @@ import numpy as np
 
 from momapos.geometry.planar import place_points
 from momapos.geometry.polygons import contains
+from momapos.geometry.transforms import apply
+from momapos.kinematics.articulated import joint_motion
 from momapos.placement_result import PlacementResult
 from momapos.protocols import ReachScorer
 from momapos.scene.scene import Scene
+from momapos.types import Hold
 from momapos.viewer.candidate_markers import KINDS, Outcomes, outcomes, thin
 from momapos.viewer.heat import Heat, potential_map
 from momapos.viewer.outlines import box_bounds, box_outlines, draw_union
-from momapos.viewer.palette import INK, PART, PART_BEFORE, PART_EDGE, POTENTIAL, SOFT_INK, WAYPOINT
+from momapos.viewer.palette import (
+    HANDLE,
+    INK,
+    PART,
+    PART_BEFORE,
+    PART_EDGE,
+    POTENTIAL,
+    SOFT_INK,
+    WAYPOINT,
+)
 from momapos.viewer.panel import draw_panel, shown_base
 from momapos.viewer.pictures import check_picture, save_figure
 from momapos.viewer.robot import draw_arm, draw_footprint
@@ -34,7 +46,8 @@ SMALL_ROOM = 5.0
 _MAP = (0.058, 0.07, 0.625, 0.91)
 _COLUMN = (0.715, 0.03, 0.27, 0.95)
 _HEAT_LAYER, _OBVIOUS_LAYER, _SWEEP_LAYER, _CANDIDATE_LAYER = 1.0, 1.5, 4.0, 5.0
-_PART_LAYER, _WAY_LAYER, _FEASIBLE_LAYER, _WAYPOINT_LAYER = 7.0, 10.0, 11.0, 15.0
+_PART_LAYER, _WAY_LAYER, _FEASIBLE_LAYER = 7.0, 10.0, 11.0
+_HANDLE_LAYER, _WAYPOINT_LAYER = 14.5, 15.0
 
 
 def draw_answer(
@@ -70,6 +83,7 @@ def _picture(scene: Scene, answer: PlacementResult, reach: ReachScorer, cell: fl
     room(axes, scene, target=answer.plan.task.object, moving=moving_links(scene, answer))
     highest = _draw_heat(axes, heat)
     _draw_part(axes, answer)
+    _draw_handle(axes, scene, answer)
     _draw_candidates(axes, scene, seen, view)
     _draw_robot(axes, answer)
     name_objects(axes, scene, target=answer.plan.task.object, keep_clear=_keep_clear(answer))
@@ -144,8 +158,8 @@ def _keep_clear(answer: PlacementResult) -> list[Float[np.ndarray, "2 2"]]:
     if shown is not None:
         robot = answer.prepared.robot
         shapes = list(place_points(np.array([answer.start, shown]), robot.footprint))
-    path = _waypoints(answer)[:, :2]
-    shapes += [path[k : k + 2] for k in range(len(path))]
+    for path in waypoints_by_hold(answer):
+        shapes += [path[k : k + 2, :2] for k in range(len(path))]
     shapes += _part(answer, 0) + _part(answer, -1)
     return [np.stack([xy.min(0), xy.max(0)]) for xy in shapes]
 
@@ -186,6 +200,23 @@ def _draw_part(axes: Any, answer: PlacementResult) -> None:
         draw_union(axes, polygons, fill=fill, edge=PART_EDGE, width=0.6, zorder=_PART_LAYER + k)
 
 
+def _draw_handle(axes: Any, scene: Scene, answer: PlacementResult) -> None:
+    """Draw what is held, where it is before and after; a bar that stands upright is a dot."""
+    task, handle = answer.plan.task, answer.prepared.motion.handle
+    if task.joint is None or task.to is None or handle is None:
+        return
+    item = scene.object(task.object)
+    joint = item.model.joint(task.joint)
+    values = np.array([item.values()[task.joint], task.to])
+    T = item.link_poses()[joint.parent] @ joint.T_parent_joint @ joint_motion(joint, values)
+    ends = handle.center + np.outer((-1, 1), handle.half_length * handle.long)
+    for points in apply(T, ends):
+        axes.plot(
+            *points[:, :2].T, color=HANDLE, linewidth=2.4, marker="o", markersize=6.5,
+            markeredgecolor="white", markeredgewidth=0.5, zorder=_HANDLE_LAYER,
+        )  # fmt: skip
+
+
 def _part(answer: PlacementResult, k: int) -> list[Float[np.ndarray, "_ 2"]]:
     """Outlines of the part at the k-th value of its joint."""
     return box_outlines(answer.prepared.motion.moving.at(k))
@@ -221,28 +252,33 @@ def _draw_robot(axes: Any, answer: PlacementResult) -> None:
         base = np.array(plan.base_pose)
         _draw_way(axes, answer.start, base, plan.navigation_cost)
         draw_footprint(axes, robot, base)
-        draw_arm(axes, robot, base, robot.chain.freedom_values(plan.motion.q[0]), faint=True)
-        draw_arm(axes, robot, base, robot.chain.freedom_values(plan.motion.q[-1]))
+        states = robot.chain.freedom_values(plan.motion.q)
+        for hold in plan.motion.holds or (Hold(0, 0),):
+            draw_arm(axes, robot, base, states[hold.first], faint=True)
+        draw_arm(axes, robot, base, states[-1])
     elif (shown := shown_base(answer)) is not None:
         draw_footprint(axes, robot, shown)
-    axes.plot(
-        *_waypoints(answer)[:, :2].T,
-        color=WAYPOINT,
-        linewidth=0.8,
-        marker="D",
-        markersize=3.4,
-        markeredgecolor="white",
-        markeredgewidth=0.4,
-        zorder=_WAYPOINT_LAYER,
-    )
+    for later, points in enumerate(waypoints_by_hold(answer)):
+        fill, edge = ("white", WAYPOINT) if later else (WAYPOINT, "white")
+        axes.plot(
+            *points[:, :2].T, color=WAYPOINT, linewidth=0.8, marker="D", markersize=3.4,
+            markerfacecolor=fill, markeredgecolor=edge, markeredgewidth=0.4 + 0.3 * later,
+            zorder=_WAYPOINT_LAYER,
+        )  # fmt: skip
 
 
-def _waypoints(answer: PlacementResult) -> Float[np.ndarray, "w 3"]:
-    """Where the tool goes: as planned, or as the plainest grasp would have it [m]."""
+def waypoints_by_hold(answer: PlacementResult) -> list[Float[np.ndarray, "w 3"]]:
+    """Where the tool goes, hold by hold: as planned, or as the plainest grasp would have it [m]."""
     motion, planned = answer.prepared.motion, answer.plan.motion
     if planned is None:
-        return motion.waypoints
-    return planned.Ts_world_tool[motion.waypoint_steps[1:] - motion.grasp_step, :3, 3]
+        return [motion.waypoints]
+    if not planned.holds:
+        return [planned.Ts_world_tool[motion.waypoint_steps[1:] - motion.grasp_step, :3, 3]]
+    stride = int(np.diff(motion.waypoint_steps)[-1])
+    return [
+        planned.Ts_world_tool[np.append(np.arange(h.first, h.last, stride), h.last), :3, 3]
+        for h in planned.holds
+    ]
 
 
 def _draw_way(

@@ -1,0 +1,112 @@
+"""Is anything called infeasible that the grid with all families of grasps can solve?
+
+    python benchmarks/completeness.py [--robots fetch ...] [--half tuned|measured] [--tasks 40]
+                                      [--cells 4] [--out DIR]
+
+Every door and drawer of the kitchens of placement.py and of the objects of objects.py that is
+called infeasible is asked of the whole grid again, with all families, without a limit of time that
+matters, and with a reachability map that rules out only what is so many of its cells beyond the
+boundary. What that solves was wrongly called infeasible. Answers that ran out of time are counted
+apart.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from momapos.cache import default_cache_dir
+from momapos.config import PipelineConfig
+from momapos.errors import MomaposError
+from momapos.manipulation.tasks import make_task, openable
+from momapos.pipeline import plan_base_placement
+from momapos.placement.config import PlaceConfig
+from momapos.reachability.map import ReachMap
+from momapos.reachability.store import load_reach_map
+from momapos.robots.robot import Robot, load_robot
+from momapos.scene.scene import Scene
+from objects import HALVES, half_of, tasks
+from placement import ROBOTS, SCENES, machine, scene_of
+
+CONFIG = PipelineConfig(timeout=120.0)
+GRID = PipelineConfig(place=PlaceConfig(method="exhaustive"), timeout=3600.0)
+
+
+def openings(half: str | None, robots: list[str]) -> Iterator[tuple[str, str, Scene, str, str]]:
+    """Robot, name, room, object and joint of every opening: those of the kitchens first."""
+    scenes = {name: scene_of(name) for name in SCENES}
+    for robot in robots:
+        for name, scene in scenes.items():
+            for item, joint in openable(scene):
+                yield robot, Path(name).stem, scene, item, joint
+    for robot, name, scene, joint in tasks(half, robots):
+        yield robot, name, scene, "object", joint
+
+
+def ask(
+    robot: Robot, reach: ReachMap, name: str, scene: Scene, item: str, joint: str, cells: float
+) -> dict[str, Any]:
+    """The answer, and what the grid says where that is a "no"."""
+    row: dict[str, Any] = {"robot": robot.name, "scene": name, "task": f"{item}/{joint}"}
+    try:
+        task = make_task(scene, "open", item, joint)
+        plan = plan_base_placement(scene, robot, task, reach, config=CONFIG).plan
+    except MomaposError as error:
+        return {**row, "status": "refused", "reason": str(error)}
+    row["status"] = plan.status
+    if plan.status != "infeasible":
+        return row
+    generous = replace(reach, threshold=reach.threshold - cells)
+    found = plan_base_placement(scene, robot, task, generous, config=GRID).plan
+    return {**row, "grid": found.status, "base_pose": found.base_pose}
+
+
+def report(rows: list[dict[str, Any]]) -> str:
+    """Count by robot, as Markdown."""
+    lines = [
+        f"machine: {machine()}", "",
+        "| robot | openings | solved | infeasible | wrongly | out of time |",
+        "|---|---|---|---|---|---|",
+    ]  # fmt: skip
+    for robot in dict.fromkeys(row["robot"] for row in rows):
+        mine = [row for row in rows if row["robot"] == robot]
+        count = {
+            s: sum(r["status"] == s for r in mine) for s in ("solved", "infeasible", "timeout")
+        }
+        wrong = sum(row.get("grid") == "solved" for row in mine)
+        lines.append(
+            f"| {robot} | {len(mine)} | {count['solved']} | {count['infeasible']} | {wrong} | "
+            f"{count['timeout']} |"
+        )
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Run it."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--robots", nargs="+", default=list(ROBOTS))
+    parser.add_argument("--half", choices=HALVES, default=HALVES[0])
+    parser.add_argument("--tasks", type=int, help="as many openings, from the first")
+    parser.add_argument("--cells", type=float, default=4.0, help="doubt in the map [cells]")
+    parser.add_argument("--out", type=Path, help="folder for completeness.json")
+    args = parser.parse_args()
+    rows: list[dict[str, Any]] = []
+    robots = {name: load_robot(name) for name in args.robots}
+    maps = {n: load_reach_map(r, default_cache_dir(), None) for n, r in robots.items()}
+    for robot, name, scene, item, joint in list(openings(args.half, args.robots))[: args.tasks]:
+        rows.append(ask(robots[robot], maps[robot], name, scene, item, joint, args.cells))
+        wrong = rows[-1].get("grid") == "solved"
+        if wrong and (item != "object" or half_of(name) == HALVES[0]):
+            print(json.dumps(rows[-1]), flush=True)
+    print(report(rows))
+    if args.out is not None:
+        args.out.mkdir(parents=True, exist_ok=True)
+        (args.out / "completeness.json").write_text(json.dumps(rows, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
