@@ -50,7 +50,7 @@ def default_config(robot: Robot) -> ReachConfig:
     rounded outwards as well, where either of two spins and half a step of the first joint count.
     """
     if not arm_frame(robot.chain, robot.approach_axis).turns_alike:
-        return ReachConfig(cell=0.05, directions=13, threshold=-1.9)
+        return ReachConfig(cell=0.05, directions=13, threshold=-1.75)
     if robot.chain.size > 6:
         return ReachConfig(cell=0.05, directions=13, spins=2, threshold=0.0)
     return ReachConfig()
