@@ -62,10 +62,10 @@ def _robot(content: PlacementPlan, plan: Path, urdf: Path, given: str | None) ->
 
     beside = urdf.with_suffix(".toml")
     if given is not None:
-        robot = load_robot(given, cache=user_cache())
+        robot = load_robot(given, arm=content.robot_arm, cache=user_cache())
     elif content.robot_file is not None:
         try:
-            robot = load_robot(content.robot_file, cache=user_cache())
+            robot = load_robot(content.robot_file, arm=content.robot_arm, cache=user_cache())
         except InputError as error:
             raise RobotError(
                 f"{plan}: its robot file cannot be used: {error}; give --robot"

@@ -11,6 +11,7 @@ from tyro.conf import Positional
 from momapos.cli.options import OptionalPath, OptionalText, PoseArg, check_seed
 from momapos.cli.place import parse_pose
 from momapos.cli.plan_files import open_plan
+from momapos.errors import InputError
 from momapos.files import check_outputs
 
 if TYPE_CHECKING:
@@ -28,6 +29,7 @@ def run(
     start: PoseArg = None,
     hold: Literal["contact", "weld"] = "contact",
     noise: bool = True,
+    tries: int = 3,
     seed: int = 0,
     out: OptionalPath = None,
     record: OptionalPath = None,
@@ -36,7 +38,8 @@ def run(
     """Drive there and do it: carry a plan out in a physics engine, and say what came of it.
 
     The arm is planned anew where the base really arrives; where it cannot, or the base does not
-    arrive, the next base pose is driven to, three at most.
+    arrive, the next base pose is driven to, three at most. Where a motion fails, the arm comes home
+    and another grasp or base pose is tried.
 
     Exit status: 0 the task was done, 1 it was not, 2 a file or the start cannot be used.
 
@@ -49,6 +52,7 @@ def run(
             the grasp, as for a robot without fingers.
         noise: Let the base believe to be where noisy sensors say, and draw how heavily the
             furniture moves; without it, both are as modeled.
+        tries: Motions that are executed at most, each after one that failed.
         seed: Same seed, same run.
         out: Write the record here (JSON).
         record: Draw a filmstrip here (PNG).
@@ -57,13 +61,15 @@ def run(
     # Told before anything heavy is imported.
     check_seed(seed)
     check_outputs([out, record])
+    if tries < 1:
+        raise InputError(f"--tries {tries}: at least one motion must be tried")
     from json import dumps
 
     import numpy as np
 
     from momapos.cache import default_cache_dir
     from momapos.cli.console import progress
-    from momapos.errors import InputError, require
+    from momapos.errors import require
     from momapos.reachability.store import load_reach
 
     begin = None if start is None else np.array(parse_pose(start, "start"))
@@ -81,7 +87,7 @@ def run(
     with progress(f"reachability map of {machine.name}") as report:
         reach = load_reach(machine, default_cache_dir(), report)
     result = run_plan(
-        content, scene, machine, reach, start=begin, seed=seed,
+        content, scene, machine, reach, start=begin, tries=tries, seed=seed,
         driving=DriveConfig() if noise else DriveConfig(noise=QUIET),
         physics=ExecutionConfig(hold=hold, furniture=FurnitureConfig(spread=0.3 if noise else 0.0)),
         trace=film.drive if film is not None else None, watch=film,
@@ -114,6 +120,10 @@ def summary(record: RunRecord) -> str:
             f"{100 * off:.1f} cm off the planned pose"
             + (f": {visit.reason}" if visit.reason else "")
         )
+    lines += [
+        f"  try {k}       {failed.ending}, at {failed.reached:.3f} of {failed.asked:.3f}"
+        for k, failed in enumerate(record.failed, 1)
+    ]
     done = record.execution
     if done is None:
         return "\n".join(lines)

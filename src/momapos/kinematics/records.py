@@ -98,6 +98,17 @@ class IkScratch(NamedTuple):
     newton: NewtonScratch
 
 
+class HullArrays(NamedTuple):
+    """The collision shapes of a robot as convex hulls, see `LinkHulls`."""
+
+    vertices: F2
+    first: I1
+    center: F2
+    segment: I1
+    of_group: I1
+    of_base: I1
+
+
 class SphereArrays(NamedTuple):
     """The spheres of an arm and the boxes of its base, see `Spheres`."""
 
@@ -115,6 +126,9 @@ class SphereArrays(NamedTuple):
     base_pairs: B2
     base_bounds: F2
     base_radius: F1
+    hulls: HullArrays
+    exact: B1
+    base_exact: B2
 
 
 class BoxArrays(NamedTuple):

@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import io
 import math
-import re
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,6 +23,7 @@ from momapos.errors import UrdfError
 from momapos.files import read_text_bounded
 from momapos.kinematics.coupling import follow
 from momapos.kinematics.kept import once
+from momapos.kinematics.mesh_files import MeshFinder
 from momapos.kinematics.urdf_records import Geometry, Joint, JointKind, Link, Mimic, Urdf
 from momapos.kinematics.urdf_tree import (
     MAX_LINKS,
@@ -51,8 +51,19 @@ __all__ = [
 ]
 
 
+FindMesh = Callable[[str], Path]
+"""Finds the file of a mesh that a URDF names."""
+
+
 def read_urdf(
-    path: Path, *, root: Path | None = None, scale: float = 1.0, cache: Cache | None = None
+    path: Path,
+    *,
+    root: Path | None = None,
+    scale: float = 1.0,
+    cache: Cache | None = None,
+    text: str | None = None,
+    find_mesh: FindMesh | None = None,
+    visuals: bool = True,
 ) -> Urdf:
     """Read a URDF file.
 
@@ -62,18 +73,21 @@ def read_urdf(
             levels where None (packages keep meshes beside the `urdf` folder).
         scale: Uniform scale of all lengths [-].
         cache: Where what was parsed is kept, so that a file is parsed once.
+        text: What is read instead of the file's content, by one who changed it.
+        find_mesh: Finds meshes instead of `MeshFinder`, for one who knows more folders.
+        visuals: Whether visual elements are read; where not, their meshes need not exist.
 
     Raises:
         UrdfError: The file cannot be used; the message says where and why.
     """
     if not (math.isfinite(scale) and scale > 0):
         raise UrdfError(f"{path}: scale must be a number > 0, not {scale}")
-    text = read_text_bounded(path, MAX_URDF_BYTES, error=UrdfError)
+    content = read_text_bounded(path, MAX_URDF_BYTES, error=UrdfError) if text is None else text
     urdf, meshes = once(
-        cache, "urdf", (text, scale), lambda: _parse(text, path, scale),
+        cache, "urdf", (content, scale), lambda: _parse(content, path, scale),
         (Urdf, Link, Joint, Geometry, Mimic),
     )  # fmt: skip
-    return _with_meshes(urdf, path, iter(meshes), _Finder(path, root))
+    return _with_meshes(urdf, path, iter(meshes), find_mesh or MeshFinder(path, root).find, visuals)
 
 
 def box_urdf(name: str, size: tuple[float, float, float]) -> Urdf:
@@ -168,9 +182,11 @@ class _Reader:
             raise UrdfError(f"{where} has a zero axis")
         lower, upper = self.limits(where, kind, joint.limit)
         velocity = getattr(joint.limit, "velocity", None) or math.inf
+        effort = getattr(joint.limit, "effort", None) or math.inf
         unit = axis / length if length > 1e-9 else axis
         T = self.transform(joint.origin)
-        return Joint(joint.name, kind, joint.parent, joint.child, T, unit, lower, upper, velocity)
+        ends = joint.parent, joint.child
+        return Joint(joint.name, kind, *ends, T, unit, lower, upper, velocity, effort=effort)
 
     def limits(self, where: str, kind: str, limit: Any) -> tuple[float, float]:
         if kind == "fixed":
@@ -185,42 +201,22 @@ class _Reader:
         return lower, upper
 
 
-class _Finder:
-    """Finds the meshes that a URDF names."""
-
-    def __init__(self, path: Path, root: Path | None) -> None:
-        self.path = path
-        folder = path.resolve().parent
-        self.folders = [folder, *list(folder.parents)[:4]]
-        self.root = root.resolve() if root else self.folders[-1]
-
-    def find(self, filename: str) -> Path:
-        """Resolve a mesh name inside the root; `package://` is looked for in parent folders."""
-        relative = re.sub(r"^(package|file|model)://", "", filename)
-        try:
-            for folder in self.folders:
-                for name in (relative, relative.split("/", 1)[-1]):
-                    candidate = (folder / name).resolve()
-                    if candidate.is_relative_to(self.root) and candidate.is_file():
-                        return candidate
-            outside = not (self.folders[0] / relative).resolve().is_relative_to(self.root)
-        except (OSError, RuntimeError, ValueError) as error:  # too long, links in a circle, NUL
-            raise UrdfError(f"{self.path}: mesh {filename!r:.80} cannot be looked up") from error
-        if outside:
-            raise UrdfError(
-                f"{self.path}: mesh {filename!r} leaves {self.root}; keep meshes inside it"
-            )
-        raise UrdfError(f"{self.path}: mesh {filename!r} does not exist below {self.root}")
-
-
-def _with_meshes(urdf: Urdf, path: Path, names: Iterator[str], finder: _Finder) -> Urdf:
+def _with_meshes(
+    urdf: Urdf, path: Path, names: Iterator[str], find: FindMesh, visuals: bool
+) -> Urdf:
     """Put the files of a URDF and of its meshes, in the order they were parsed, into a record."""
 
-    def found(shape: Geometry) -> Geometry:
-        return replace(shape, mesh=finder.find(next(names))) if shape.kind == "mesh" else shape
+    def found(shapes: tuple[Geometry, ...], wanted: bool = True) -> tuple[Geometry, ...]:
+        meshes = [next(names) if shape.kind == "mesh" else None for shape in shapes]
+        if not wanted:
+            return ()
+        return tuple(
+            shape if name is None else replace(shape, mesh=find(name))
+            for shape, name in zip(shapes, meshes, strict=True)
+        )
 
     links = {
-        name: Link(name, tuple(map(found, link.collisions)), tuple(map(found, link.visuals)))
+        name: Link(name, found(link.collisions), found(link.visuals, visuals))
         for name, link in urdf.links.items()
     }
     return replace(urdf, path=path, links=links)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -70,6 +71,8 @@ class Joint:
     """Speed limit [rad/s] or [m/s]; infinite when the file gives none."""
     mimic: Mimic | None = None
     """What it follows; None where it moves by itself."""
+    effort: float = math.inf
+    """Greatest torque [Nm] or force [N]; infinite when the file gives none."""
 
     @property
     def movable(self) -> bool:

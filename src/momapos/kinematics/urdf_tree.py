@@ -21,7 +21,7 @@ MAX_SIZE = 1e4
 MAX_DEPTH = 50
 _COUNTS = {
     "xyz": (3,), "rpy": (3,), "size": (3,), "scale": (1, 3), "radius": (1,), "length": (1,),
-    "lower": (1,), "upper": (1,), "velocity": (1,),
+    "lower": (1,), "upper": (1,), "velocity": (1,), "effort": (1,),
 }  # fmt: skip
 """How many numbers an attribute holds."""
 _LENGTHS = {"xyz", "size", "radius", "length", "scale"}
@@ -38,6 +38,8 @@ _PARTS: dict[str, tuple[str, ...]] = {
 """The elements that are used, by the one that holds them."""
 _ATTRIBUTES = {*_COUNTS, "name", "type", "link", "filename"}
 """The attributes that are used."""
+_PREFIXES = re.compile(r"[<\s]([A-Za-z]\w{0,30}):(?=[A-Za-z])")
+_DECLARED = re.compile(r"\bxmlns:(\w+)\s*=")
 _OPTENV = re.compile(r"\$\(optenv\s([^()]{0,1000}+)\)")
 
 
@@ -47,11 +49,18 @@ def read_tree(text: str, path: Path) -> Element:
     Raises:
         UrdfError: It cannot be used.
     """
-    tree: Element = parse_xml(_OPTENV.sub(_default, text), path, error=UrdfError)
+    tree: Element = parse_xml(_declared(_OPTENV.sub(_default, text)), path, error=UrdfError)
     if tree.tag != "robot":
         raise UrdfError(f"{path}: the root element is <{tree.tag}>, a URDF has <robot>")
     _check_tree(path, tree)
     return tree
+
+
+def _declared(text: str) -> str:
+    """Declare prefixes that a file uses undeclared, as `drake:`; ROS does not mind them."""
+    unknown = set(_PREFIXES.findall(text)) - set(_DECLARED.findall(text)) - {"xmlns", "xml"}
+    names = "".join(f' xmlns:{prefix}="{prefix}"' for prefix in sorted(unknown))
+    return re.sub(r"<robot(?=[\s>])", f"<robot{names}", text, count=1) if names else text
 
 
 def _default(optenv: re.Match[str]) -> str:

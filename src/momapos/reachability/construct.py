@@ -203,10 +203,17 @@ class _Evaluator:
 def _turning(spheres: Spheres, first: int) -> SphereArrays:
     """The spheres with only those pairs that both turn with the first joint, and no base."""
     stays = spheres.segment <= first
-    pairs = spheres.pairs[~stays[spheres.pairs].any(1)]
+    kept = ~stays[spheres.pairs].any(1)
     nothing = Boxes(np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3)))
     no_pairs = np.zeros((len(stays), 0), bool)
-    return replace(spheres, pairs=pairs, base=nothing, base_pairs=no_pairs).arrays()
+    return replace(
+        spheres,
+        pairs=spheres.pairs[kept],
+        exact=spheres.exact[kept],
+        base=nothing,
+        base_pairs=no_pairs,
+        base_exact=no_pairs,
+    ).arrays()
 
 
 def _bearing_free(masks: np.ndarray) -> bool:

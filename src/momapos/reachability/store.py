@@ -52,7 +52,11 @@ def map_key(robot: Robot, config: ReachConfig) -> str:
     so that a comment in a file changes nothing and a mesh on the disk does.
     """
     chain = robot.chain
-    *shapes, _, _ = robot.spheres.arrays()  # the last, bounds of the base, follow from its boxes
+    spheres = robot.spheres.arrays()
+    # Bounds of the base, left out, follow from its boxes; hulls matter where they decide.
+    shapes: list[np.ndarray] = list(spheres[:12])
+    if spheres.exact.any() or spheres.base_exact.any():
+        shapes += [*spheres.hulls, spheres.exact, spheres.base_exact]
     coupling = (chain.dof, chain.ratio) if chain.coupled else ()
     arrays = (
         chain.h, chain.d, chain.slides, *coupling, chain.lower, chain.upper, chain.tool_offset,
