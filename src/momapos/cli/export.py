@@ -8,7 +8,7 @@ from typing import Literal
 from tyro.conf import Positional
 
 from momapos.cli.options import OptionalPath, OptionalText
-from momapos.cli.plan_files import open_plan
+from momapos.cli.plan_files import check_plan_file, open_plan
 from momapos.errors import InputError
 from momapos.files import check_outputs
 
@@ -56,6 +56,7 @@ def export(
         check_outputs(files)
     if not frame:
         raise InputError("--frame must not be empty")
+    check_plan_file(plan)
     content, scene, machine = open_plan(plan, scene_root, robot, "to export")
     from momapos.export.phases import phases_of
 

@@ -14,6 +14,16 @@ if TYPE_CHECKING:
     from momapos.types import PlacementPlan
 
 
+def check_plan_file(plan: Path) -> None:
+    """Make sure that there is a file, before anything heavy is imported.
+
+    Raises:
+        FileFormatError: There is none.
+    """
+    if not plan.exists():
+        raise FileFormatError(f"{plan}: no such plan file")
+
+
 def open_plan(
     plan: Path, scene_root: Path | None, robot: str | None, purpose: str
 ) -> tuple[PlacementPlan, Scene, Robot]:
@@ -33,8 +43,6 @@ def open_plan(
     from momapos.plans import check_unchanged, read_plan
     from momapos.verification.files import find_file, read_scene
 
-    if not plan.exists():
-        raise FileFormatError(f"{plan}: no such plan file")
     content = read_plan(plan)
     if content.status != "solved":
         raise InputError(f"{plan}: the plan is {content.status!r}: there is nothing {purpose}")

@@ -10,7 +10,7 @@ from tyro.conf import Positional
 
 from momapos.cli.options import OptionalPath, OptionalText, PoseArg, check_seed
 from momapos.cli.place import parse_pose
-from momapos.cli.plan_files import open_plan
+from momapos.cli.plan_files import check_plan_file, open_plan
 from momapos.errors import InputError
 from momapos.files import check_outputs
 
@@ -61,6 +61,7 @@ def run(
     # Told before anything heavy is imported.
     check_seed(seed)
     check_outputs([out, record])
+    check_plan_file(plan)
     if tries < 1:
         raise InputError(f"--tries {tries}: at least one motion must be tried")
     from json import dumps

@@ -7,7 +7,7 @@ from pathlib import Path
 from tyro.conf import Positional
 
 from momapos.cli.options import OptionalPath
-from momapos.errors import FileFormatError
+from momapos.cli.plan_files import check_plan_file
 
 
 def verify(
@@ -26,8 +26,7 @@ def verify(
         scene_root: Folder for names not found beside the plan, and for a BestMan scene's models.
         json: Print the report as one JSON object and nothing else.
     """
-    if not plan.exists():  # told before anything heavy is imported
-        raise FileFormatError(f"{plan}: no such plan file")
+    check_plan_file(plan)
     from json import dumps
 
     from momapos.cache import user_cache

@@ -1,0 +1,81 @@
+"""What arms of fewer than six degrees of freedom can do."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from momapos.config import PipelineConfig
+from momapos.geometry.transforms import invert, pose_planar
+from momapos.manipulation.free_turn import fitted_bases
+from momapos.manipulation.tasks import make_task
+from momapos.pipeline import plan_base_placement
+from momapos.prepare import prepare
+from momapos.robots.robot import Robot, load_robot
+from momapos.scene.files import load_scene
+from momapos.scene.scene import Scene
+
+CONFIG = PipelineConfig()
+CONFIG = replace(CONFIG, place=replace(CONFIG.place, grid=False, rounds=2))
+
+
+@pytest.fixture(scope="module")
+def kitchen() -> Scene:
+    return load_scene("kitchen_small")
+
+
+@pytest.fixture(scope="module")
+def short_arm() -> Robot:
+    """A UR5e whose last joint is stiff."""
+    robot = load_robot("husky_ur5e")
+    return replace(robot, arm_joints=robot.arm_joints[:-1], home=robot.home[:-1])
+
+
+@pytest.mark.parametrize(
+    ("name", "joint", "to"),
+    [("fridge", "door_hinge", 0.3), ("cabinet_right", "drawer_top_slide", 0.2)],
+)
+def test_an_arm_of_five_joints_opens_a_door_and_a_drawer(
+    kitchen: Scene, short_arm: Robot, name: str, joint: str, to: float
+) -> None:
+    task = make_task(kitchen, "open", name, joint, to)
+    plan = plan_base_placement(kitchen, short_arm, task, config=CONFIG).plan
+    assert plan.status == "solved"
+    assert plan.motion is not None
+    assert plan.motion.q.shape[1] == len(plan.joints) == 5
+    # What the plan says of the tool is where the arm's states have it.
+    Ts = pose_planar(np.array(plan.base_pose)) @ short_arm.chain.tool_poses(plan.motion.q)
+    np.testing.assert_allclose(Ts, plan.motion.Ts_world_tool, atol=1e-9)
+
+
+def test_a_hand_that_turns_stays_on_the_bar(kitchen: Scene, short_arm: Robot) -> None:
+    task = make_task(kitchen, "open", "fridge", "door_hinge", 0.3)
+    plan = plan_base_placement(kitchen, short_arm, task, config=CONFIG).plan
+    assert plan.motion is not None
+    (hold,) = plan.motion.holds
+    assert hold.turn_axis is not None
+    part = [
+        kitchen.object("fridge").link_poses({"door_hinge": float(v)})["door"]
+        for v in plan.motion.object_q
+    ]
+    T_part_tool = invert(np.array(part)) @ plan.motion.Ts_world_tool
+    slip = T_part_tool[:, :3, 3] - T_part_tool[0, :3, 3]
+    assert np.abs(slip).max() < 1e-3
+    # It turns about the hold's axis alone.
+    along = np.array(hold.turn_axis) @ T_part_tool[:, :3, :3]
+    np.testing.assert_allclose(along, along[:1].repeat(len(along), 0), atol=1e-3)
+
+
+def test_only_arms_of_few_joints_have_their_base_poses_fitted(
+    kitchen: Scene, short_arm: Robot
+) -> None:
+    task = make_task(kitchen, "open", "cabinet_right", "drawer_top_slide", 0.2)
+    long_arm = load_robot("husky_ur5e")
+    poses = np.random.default_rng(0).uniform((1.5, -2.5, -3), (2.8, -1.2, 3), (40, 3))
+    for robot, moves in ((long_arm, False), (short_arm, True)):
+        motion = prepare(kitchen, robot, task, CONFIG, clearance=0.02).motion
+        again = fitted_bases(robot, motion, poses)
+        assert (np.abs(again - poses).max() > 0) == moves
+        assert again.shape == poses.shape
