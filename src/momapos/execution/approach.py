@@ -59,6 +59,8 @@ def paced(
     tool: Float[np.ndarray, "m 3"],
     room: Simulation,
     config: ExecutionConfig,
+    *,
+    careful: bool = False,
 ) -> PacedTrajectory:
     """Slow a trajectory down where the arm is near things, and where it comes to the grasp.
 
@@ -68,6 +70,7 @@ def paced(
         tool: Positions of the tool at these [m].
         room: The room as the robot knows it.
         config: How slow.
+        careful: Whether what the robot knows of the room may be wrong, so that it is nowhere fast.
     """
     step, compliance = config.timestep * config.substeps, config.compliance
     times = np.arange(len(plan)) * step
@@ -77,7 +80,7 @@ def paced(
     left = np.linalg.norm(points - points[-1], axis=1)
     share = np.clip(gap / config.near, 0.0, 1.0)
     most = compliance.near_speed + share * (compliance.beside_speed - compliance.near_speed)
-    most = np.where(share < 1.0, most, np.inf)
+    most = np.where(share < 1.0, most, compliance.beside_speed if careful else np.inf)
     # Where the tool passes near its end and away again, only the last time counts.
     coming = np.maximum.accumulate(left[::-1])[::-1] <= compliance.near
     most = np.where(coming, np.minimum(most, compliance.near_speed), most)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -9,7 +10,7 @@ import mujoco
 import numpy as np
 
 from momapos.execution.config import ComplianceConfig
-from momapos.execution.shapes import ROBOT, Kind
+from momapos.execution.shapes import ROBOT, Kind, matrix_quat
 from momapos.execution.simulation import Simulation
 
 if TYPE_CHECKING:
@@ -45,13 +46,33 @@ class Surroundings:
 
     def __init__(self, known: Simulation, config: ComplianceConfig) -> None:
         self.known, self._config = known, config
-        self._data = mujoco.MjData(known.model)
+        self._model = copy(known.model)
+        self._data = mujoco.MjData(self._model)
         self._data.qpos[:] = known.data.qpos
+        self._T_world_part = np.eye(4)  # of the body of the part, its joint where the model has it
+        mujoco.mju_quat2Mat(rotation := np.empty(9), known.model.body_quat[known.part_body])
+        self._T_world_part[:3, :3] = rotation.reshape(3, 3)
+        self._T_world_part[:3, 3] = known.model.body_pos[known.part_body]
         self._jacobians = np.zeros((2, 3, known.model.nv))
 
-    def bounds(self, q: Float[np.ndarray, " n"], value: float) -> Bounds:
-        """Bounds at a state of the arm, with the part's joint at a value."""
-        known, model, data, config = self.known, self.known.model, self._data, self._config
+    def bounds(
+        self,
+        q: Float[np.ndarray, " n"],
+        value: float,
+        T_off: Float[np.ndarray, "4 4"] | None = None,
+    ) -> Bounds:
+        """Bounds at a state of the arm.
+
+        Args:
+            q: The state [rad] or [m].
+            value: Of the part's joint there [rad] or [m].
+            T_off: Moves the part from where it is modeled to where the hand found it; None for
+                where it is modeled.
+        """
+        known, model, data, config = self.known, self._model, self._data, self._config
+        T = self._T_world_part if T_off is None else T_off @ self._T_world_part
+        model.body_pos[known.part_body] = T[:3, 3]
+        model.body_quat[known.part_body] = matrix_quat(T[:3, :3])
         data.qpos[known.arm_q] = q
         data.qpos[known.part_q] = value
         mujoco.mj_kinematics(model, data)
@@ -76,7 +97,7 @@ class Surroundings:
 
     def _row(self, i: int) -> Float[np.ndarray, " n"]:
         """How the distance of a near pair changes with the arm's joints."""
-        model, data = self.known.model, self._data
+        model, data = self._model, self._data
         contact = data.contact
         for J, geom in zip(self._jacobians, contact.geom[i].tolist(), strict=True):
             mujoco.mj_jac(model, data, J, None, contact.pos[i], int(model.geom_bodyid[geom]))

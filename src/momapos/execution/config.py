@@ -152,6 +152,10 @@ class ComplianceConfig:
     """... while this much of its way is left at least [m]."""
     aside: tuple[float, ...] = (0.012, 0.024, 0.0)
     """How far beside, one time after the other; after the last it pushes on [m]."""
+    search: float = 0.03
+    """Where nothing is between the fingers, the hand looks for it so much farther ahead [m] ..."""
+    search_back: float = 0.003
+    """... and takes hold so much before what it met there [m]."""
     damping: float = 400.0
     """Force that moves the hand at 1 m/s [Ns/m]."""
     turn_damping: float = 15.0

@@ -41,6 +41,36 @@ def come_in(run: ExecutionRun, way: PacedTrajectory) -> Ending | None:
         run.passed = float(np.clip(run.passed + pace, 0.0, way.last))
 
 
+def reach_on(run: ExecutionRun, q: Float[np.ndarray, " n"]) -> Ending | None:
+    """Move the hand ahead until it feels something, or as far as it may search, and a little back.
+
+    What was not between the fingers may be farther in than planned.
+
+    Args:
+        run: Under way, the fingers open.
+        q: State of the arm at the planned grasp [rad] or [m].
+    """
+    compliance = run.config.compliance
+    T, _ = run.arm.kinematics.at(run.world.data.qpos[run.world.arm_q])
+    ahead, still = T[:3, :3] @ run.world.hand.approach, np.zeros(len(q))
+    loose, gone, sign = _ALL - np.outer(ahead, ahead), 0.0, 1.0
+    speed, most = compliance.near_speed / 2, compliance.search
+    while sign > 0 or gone > most:
+        gone += sign * speed * run.step
+        there = T.copy()
+        there[:3, 3] += gone * ahead
+        twist = np.concatenate([sign * speed * ahead, np.zeros(3)])
+        run.arm.follow(Reference(q, still, there, twist, _ALL, loose))
+        ending = run.tick(Stage.GRIP)
+        if ending is not None:
+            return ending
+        met = float(-run.arm.wrench[:3] @ ahead) > compliance.bump / 2
+        if sign > 0 and (met or gone >= most):
+            sign, most = -1.0, gone - compliance.search_back
+    run.ahead = gone * ahead
+    return None
+
+
 def go_back(run: ExecutionRun, way: PacedTrajectory) -> Ending | None:
     """Go back along a way from where the arm is on it, giving way to what the hand feels."""
     while True:

@@ -35,11 +35,18 @@ def follow_part(
     shift = T_held @ invert(T_first)  # the grasp, from where it was planned
     run.estimate = estimate = JointEstimate(belief.axis, T_held[:3, 3], config.compliance)
 
+    planned = values - values[0]
+    more = _missing(belief, T_held, T_first) if run.again else 0.0
+    whole = planned[-1] if planned[-1] else 1.0
+
+    def off_at(k: int) -> Float[np.ndarray, "4 4"]:
+        """Moves what is planned of tool and part to where the estimated joint has it."""
+        moved = planned[k] + more * planned[k] / whole
+        return estimate.axis.moved(moved) @ shift @ belief.axis.moved(-planned[k])
+
     def pose_at(k: int) -> Float[np.ndarray, "4 4"]:
         """Where the tool is when the part moves about the estimated joint as planned."""
-        T, _ = run.arm.kinematics.at(plan.q[k])
-        moved = values[k] - values[0]
-        return estimate.axis.moved(moved) @ shift @ belief.axis.moved(-moved) @ T
+        return off_at(k) @ run.arm.kinematics.at(plan.q[k])[0]
 
     last = len(plan) - 1
     length = float(np.linalg.norm(np.diff(motion.Ts_world_tool[:, :3, 3], axis=0), axis=1).sum())
@@ -48,7 +55,7 @@ def follow_part(
     for i in range(len(plan) + extra):
         k = min(i, last)
         if i % _LOOK == 0:
-            bounds = run.surroundings.bounds(run.arm.q, float(values[k]))
+            bounds = run.surroundings.bounds(run.arm.q, float(values[k]), off_at(k))
         T, after = pose_at(k), pose_at(min(k + 1, last))
         here, _ = run.arm.kinematics.at(run.world.data.qpos[run.world.arm_q])
         estimate.see(here[:3, 3])
@@ -60,7 +67,7 @@ def follow_part(
         )
         ending = run.tick(Stage.MANIPULATE) or run.lost()
         if max(run.touch.pads) > 1.0 or run.world.welded:
-            value = values[0] + estimate.value_at(here[:3, 3])
+            value = values[0] - more + estimate.value_at(here[:3, 3])
             expected = belief.axis.moved(value - values[0]) @ T_first
             run.learned = Learned(value, here[:3, 3] - expected[:3, 3])
         if ending is Ending.SLIPPED and _left(here, pose_at(last)) <= config.tolerance * length:
@@ -71,6 +78,18 @@ def follow_part(
             run.arm.stop()
             return Ending.STOPPED_AT_END
     return None
+
+
+def _missing(
+    belief: Belief, T_held: Float[np.ndarray, "4 4"], T_planned: Float[np.ndarray, "4 4"]
+) -> float:
+    """How much farther a part that was moved before must go than planned [rad] or [m].
+
+    What the hand holds farther back on the part's way than planned has not come so far as believed.
+    """
+    point, axis = T_planned[:3, 3], belief.axis
+    along = float((T_held[:3, 3] - point) @ axis.way_at(point))
+    return -along / axis.lever_at(point)
 
 
 def _at_stop(

@@ -36,6 +36,12 @@ class Axis:
         R = rotation_about(self.direction, np.array(value))
         return pose(self.point - R @ self.point, R)
 
+    def lever_at(self, point: Float[np.ndarray, "3"]) -> float:
+        """Way of a point when the joint moves by 1 [m/rad] or [-]."""
+        if self.slides:
+            return 1.0
+        return max(float(np.linalg.norm(np.cross(self.direction, point - self.point))), 1e-3)
+
     def way_at(self, point: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
         """Unit vector along which a point moves when the joint's value rises."""
         if self.slides:

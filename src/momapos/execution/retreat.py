@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -45,6 +44,7 @@ def retreat(run: ExecutionRun, robot: Robot, way: PacedTrajectory, way_home: Way
     if run.let_go() is not None:
         return False
     run.bearable = max(1.0, _MORE * run.arm.load)
+    run.aside, run.ahead = 0.0, np.zeros(3)
     if run.learned is None:
         return go_back(run, way) is None and _at_home(run, robot)
     if _draw_back(run, run.learned.value) is not None:
@@ -54,9 +54,9 @@ def retreat(run: ExecutionRun, robot: Robot, way: PacedTrajectory, way_home: Way
         return False
     tool = np.array([run.arm.kinematics.at(q)[0] for q in path])
     back = Motion(path, path[-1:], np.zeros(1), tool[-1:])
-    slow = replace(run.config.speed, approach_speed=run.config.speed.approach_speed / 2)
-    plan, _ = time_motion(robot, back, slow, run.step)
-    home = paced(plan, path, tool[:, :3, 3], run.surroundings.known, run.config)
+    plan, _ = time_motion(robot, back, run.config.speed, run.step)
+    known = run.surroundings.known
+    home = paced(plan, path, tool[:, :3, 3], known, run.config, careful=True)
     run.passed = 0.0
     while run.passed < home.last:
         pace = float(home.pace[round(run.passed)])

@@ -167,13 +167,13 @@ def attempt(
     known = world if as_known else build(believed, None, None)
     seal = seal_of(item, joint, resistance.pull, config.furniture.seal_range)
     belief = _belief(believed.object(task.object), joint)
-    touched = {} if again is None else again.collisions
+    touched = None if again is None else again.collisions
     run = ExecutionRun(world, motion, task, config, seal, belief, known, watch, touched)
     if task.verb == "place":
         run.carry(item)
     run.check_start()
     began = clock()
-    approach = _approach(robot, motion, config, known)
+    approach = _approach(robot, motion, config, known, careful=again is not None)
     ending = run.go(approach, _stretches(robot, motion, config))
     detail, at_home = run.detail, False
     if way_home is not None and belief is not None and ending in RECOVERABLE:
@@ -219,14 +219,14 @@ def _stretches(robot: Robot, motion: Motion, config: ExecutionConfig) -> list[St
 
 
 def _approach(
-    robot: Robot, motion: Motion, config: ExecutionConfig, room: Simulation
+    robot: Robot, motion: Motion, config: ExecutionConfig, room: Simulation, *, careful: bool
 ) -> PacedTrajectory:
     """The approach, slow where the arm is near what the robot knows of the room."""
     plan, _ = time_motion(robot, motion, config.speed, config.timestep * config.substeps)
     path = motion.approach if len(motion.approach) else motion.q[:1]
     kinematics = ArmKinematics(room)
     tool = np.array([kinematics.at(q)[0][:3, 3] for q in path])
-    return paced(plan, path, tool, room, config)
+    return paced(plan, path, tool, room, config, careful=careful)
 
 
 def _belief(item: SceneObject, joint: Joint | None) -> Belief | None:

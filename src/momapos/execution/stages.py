@@ -14,7 +14,7 @@ from momapos.execution.approach import PacedTrajectory
 from momapos.execution.arm_control import CompliantArm, Reference
 from momapos.execution.avoidance import Surroundings
 from momapos.execution.config import AT_END, Ending, ExecutionConfig, Stage
-from momapos.execution.entering import come_in
+from momapos.execution.entering import come_in, reach_on
 from momapos.execution.feel import feel
 from momapos.execution.following import follow_part
 from momapos.execution.furniture import Seal
@@ -86,6 +86,8 @@ class ExecutionRun:
         watch: Watch | None,
         touched: Mapping[tuple[str, str], Collision] | None = None,
     ) -> None:
+        """`touched` holds the touches of tries before; None for the first one."""
+        self.again = touched is not None
         self.world, self.motion, self.task, self.config = world, motion, task, config
         self.seal, self.belief, self.watch = seal, belief, watch
         self.step = config.timestep * config.substeps
@@ -103,6 +105,8 @@ class ExecutionRun:
         """Share of what its joints may bear by what is in the way, at which the arm stops [-]."""
         self.learned: Learned | None = None
         """None where the hand has not moved the part."""
+        self.ahead = np.zeros(3)
+        """How far the hand went on from the planned grasp to look for what it should hold [m]."""
         self.passed = 0.0
         """How far along the approach the arm is, in samples [-]."""
         self.spent = dict.fromkeys(STAGES, 0)
@@ -215,7 +219,7 @@ class ExecutionRun:
     def beside(self, T: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
         """A pose of the tool, moved aside by what the hand has learned on its way in."""
         moved = T.copy()
-        moved[:3, 3] += self.aside * T[:3, :3] @ self.world.hand.axis
+        moved[:3, 3] += self.aside * T[:3, :3] @ self.world.hand.axis + self.ahead
         return moved
 
     def _take_hold(self, stretch: Stretch) -> Ending | None:
@@ -232,6 +236,10 @@ class ExecutionRun:
             if stretch.pushes:
                 return None
             ending = self._shut(stretch)
+            if ending is Ending.NOTHING_HELD and self.belief is not None:
+                self.close(0.0)
+                ending = self.rest(Stage.GRIP, self.config.grip)
+                ending = ending or reach_on(self, stretch.motion.q[0]) or self._shut(stretch)
         else:
             gap = self.world.grip_gap(1.0)
             if gap > self.config.gripper.reach:
