@@ -1,13 +1,14 @@
 """Plans executed in physics: openings of five real and two built-in kitchens, for four robots.
 
     python benchmarks/execution.py [--robots fetch ...] [--tasks 20] [--verb close] [--hold weld]
-                                   [--errors] [--rooms built-in] [--out bench_out]
+                                   [--errors] [--there] [--rooms built-in] [--out bench_out]
 
 The base drives from its start to the base pose of every plan, and the arm is planned anew there:
 once with exact sensors, once with noisy ones and furniture that moves up to 30 % more or less
-easily. With --errors the world also differs from the scene: handle 1 cm, hinge 3 cm and 5 degrees,
-mass and friction 50 %. Closing begins where opening ends. Prints, and writes as JSON, what came of
-each; failures with their reasons.
+easily. With --there it stands at the base poses from the beginning, and all is executed once, in
+such furniture. With --errors the world also differs from the scene: handle 1 cm, hinge 3 cm and 5
+degrees, mass and friction 50 %. Closing begins where opening ends. Prints, and writes as JSON, what
+came of each; failures with their reasons.
 """
 
 from __future__ import annotations
@@ -80,7 +81,7 @@ def chosen(
 def measure(
     robot: Robot, scene: Scene, item: str, joint: str, args: argparse.Namespace
 ) -> list[dict[str, object]]:
-    """Plan once, execute twice."""
+    """Plan once, execute twice, or once where the base stands there from the beginning."""
     base = {"robot": robot.name, "scene": scene.name, "task": f"{item}/{joint}", "hold": args.hold}
     errors = ERRORS if args.errors else ModelErrorConfig()
     reach = load_reach_map(robot, default_cache_dir(), None)
@@ -97,13 +98,14 @@ def measure(
         return [{**base, "status": "refused", "reason": str(error)}]
     if plan.status != "solved":
         return [{**base, "status": plan.status}]
-    for noise in (False, True):
+    for noise in (True,) if args.there else (False, True):
         furniture = FurnitureConfig(spread=SPREAD if noise else 0.0)
         row: dict[str, object] = {**base, "status": "solved", "noise": noise}
         try:
             record = run_plan(
                 plan, scene, robot, reach, seed=args.seed,
-                driving=DriveConfig() if noise else DriveConfig(noise=QUIET),
+                start=np.array(plan.base_pose) if args.there else None,
+                driving=DriveConfig(noise=QUIET) if args.there or not noise else DriveConfig(),
                 physics=ExecutionConfig(hold=args.hold, furniture=furniture, errors=errors),
                 clock=time.process_time,
             )  # fmt: skip
@@ -112,7 +114,8 @@ def measure(
             continue
         row |= {
             "success": record.success, "reason": record.reason, "seconds": dict(record.time),
-            "visits": [asdict(visit) for visit in record.visits],
+            "visits": [asdict(visit) for visit in record.visits], "tries": 1 + len(record.failed),
+            "first": [done.ending for done in record.failed],
         }  # fmt: skip
         if record.execution is not None:
             done = record.execution
@@ -138,13 +141,17 @@ def measure(
 def report(rows: list[dict[str, Any]]) -> str:
     """Summarize in words."""
     lines = [f"machine: {platform.machine()}, {len(os.sched_getaffinity(0))} cores"]
-    lines.append(f"plans: {dict(Counter(r['status'] for r in rows if not r.get('noise')))}")
+    plans = {(r["robot"], r["scene"], r["task"]): r["status"] for r in rows}
+    lines.append(f"plans: {dict(Counter(plans.values()))}")
     for noise in (False, True):
         mine = [r for r in rows if r.get("noise") is noise]
+        if not mine:
+            continue
         good = sum(r["success"] for r in mine)
         touched = sum(bool(r.get("collisions")) for r in mine)
         lines.append(
-            f"noise {'on' if noise else 'off'}: {good} of {len(mine)} executed with success; "
+            f"noise {'on' if noise else 'off'}: {good} of {len(mine)} executed with success, "
+            f"{sum(r['success'] and r.get('tries') == 1 for r in mine)} at the first try; "
             f"{touched} with a collision"
         )
         lines += [f"  {n} times: {ending}" for ending, n in _endings(mine)]
@@ -209,6 +216,7 @@ def main() -> None:
     parser.add_argument("--rooms", choices=("all", "built-in"), default="all")
     parser.add_argument("--hold", choices=("contact", "weld"), default="contact")
     parser.add_argument("--errors", action="store_true", help="the world is not as modeled")
+    parser.add_argument("--there", action="store_true", help="begin at the base poses")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, help="folder for execution.json")
     args = parser.parse_args()

@@ -74,7 +74,7 @@ def row(robot: Robot, count: int) -> str:
     began = time.perf_counter()
     reach = decode(content)
     loaded = time.perf_counter() - began
-    exact = build_ik(robot.chain, samples_per_joint=33)
+    exact = build_ik(robot.chain, samples_per_joint=33, most_samples=1000)
     found = evaluate(reach, robot, np.random.default_rng(0), count, exact)
     weakest, floor = speeds(reach, robot)
     cells = [

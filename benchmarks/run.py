@@ -18,6 +18,7 @@ RUNS = (
     ["placement.py", "--exhaustive", "--out", "bench_out/grid"],
     ["execution.py", "--out", "bench_out"],
     ["objects.py", "--out", "bench_out"],
+    ["mutations.py", "--out", "bench_out"],
     ["objects.py", "--families", "--out", "bench_out"],
     ["completeness.py", "--out", "bench_out"],
     ["paper_tasks.py", "--methods", "ours", "paper", "--out", "bench_out"],

@@ -23,10 +23,13 @@ SHARED = "MOMAPOS_SHARED=FOLDER make test"
 GET = {
     "torch": "make test-torch",
     "eaik": ".venv/bin/pip install eaik",
+    "xacrodoc": ".venv/bin/pip install xacrodoc",
     "EGL": "apt-get install libegl1 libgl1-mesa-dri",
     "every layout of kitchens": "make test-slow",
     "a wheel": "make test-wheel",
     "real data": f"{SHARED}, where FOLDER holds bestman/",
+    "robot descriptions": ".venv/bin/pip install --no-deps example-robot-data "
+    "hello-robot-stretch-urdf",
     "independent checker": f"{SHARED}, where FOLDER holds data/ and tools/",
 }
 """What may be missing, and the command that gets it or runs with it."""

@@ -12,6 +12,7 @@ import numpy as np
 
 from momapos.config import PipelineConfig
 from momapos.farthest import from_the_top, values_before
+from momapos.manipulation.motion import GraspFilter, task_motion
 from momapos.manipulation.tasks import slides
 from momapos.navigation.global_path import plan_path
 from momapos.outcomes import PoseOutcome, PoseStatus
@@ -22,7 +23,7 @@ from momapos.placement_result import PlacementResult, plan_of
 from momapos.prepare import PreparedTask, driving_lengths, prepare, start_pose
 from momapos.protocols import Clock, ReachScorer
 from momapos.query import PlacementQuery
-from momapos.reachability.store import load_reach_map
+from momapos.reachability.store import load_reach
 from momapos.regrasp import every_two_holds
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 DEFAULT = PipelineConfig()
+NO_OTHER_GRASP = "there is no other grasp"
 MOST_VALUES = 100
 """Values that are asked one by one at a pose; of more, only some at first [-]."""
 
@@ -45,6 +47,7 @@ def check_base_pose(
     reach: ReachScorer | None = None,
     *,
     how_far: bool = True,
+    grasp_filter: GraspFilter | None = None,
     config: PipelineConfig = DEFAULT,
     cache_dir: Path | None = None,
     seed: int = 0,
@@ -62,6 +65,7 @@ def check_base_pose(
         reach: The robot's reachability map; None to load it, or to build it at the first use.
         how_far: Whether to look for the farthest value of a joint that works, to a degree or a
             centimeter, where the task's does not.
+        grasp_filter: Rules grasps out, such as those that failed; all are tried by default.
         config: How to plan.
         cache_dir: Where maps are kept; the user's cache folder by default.
         seed: Same seed, same motion.
@@ -75,9 +79,9 @@ def check_base_pose(
         RobotError: The robot and the task do not fit together.
     """
     if reach is None:
-        reach = load_reach_map(robot, cache_dir)
+        reach = load_reach(robot, cache_dir)
     watch = Stopwatch(lambda: 0.0)
-    query = PlacementQuery(scene, robot, task, reach, None, None, config, seed, watch)
+    query = PlacementQuery(scene, robot, task, reach, None, None, config, seed, watch, grasp_filter)
     return _look(query, np.asarray(base_pose, float), how_far=how_far).attempt
 
 
@@ -190,10 +194,16 @@ def _farthest(query: PlacementQuery, base: Float[np.ndarray, "3"]) -> _Look | No
 
 def _attempt(query: PlacementQuery, base: Float[np.ndarray, "3"]) -> _Look:
     """Check a base pose for the value of the task."""
-    prepared = prepare(query.scene, query.robot, query.task, query.config, clearance=0.0)
-    if prepared.infeasible_reason:
-        outcome = PoseOutcome(PoseStatus.TASK_INFEASIBLE, prepared.infeasible_reason)
-        attempt = Attempt(None, outcome)
+    scene, robot, task, config = query.scene, query.robot, query.task, query.config
+    motion, reason = None, ""
+    if query.grasp_filter is not None:
+        motion = task_motion(scene, robot, task, config.motion)
+        rows = query.grasp_filter(motion)
+        motion, reason = (motion.only(rows), "") if rows.any() else (motion, NO_OTHER_GRASP)
+    prepared = prepare(scene, robot, task, config, clearance=0.0, motion=motion)
+    reason = reason or prepared.infeasible_reason
+    if reason:
+        attempt = Attempt(None, PoseOutcome(PoseStatus.TASK_INFEASIBLE, reason))
     else:
         status = BaseStatus(base_pose_status(prepared.geometry, base[None])[0][0])
         if status != BaseStatus.CLEAR:
@@ -201,7 +211,7 @@ def _attempt(query: PlacementQuery, base: Float[np.ndarray, "3"]) -> _Look:
         attempt = _in_one_hold(query, prepared, base)
     if attempt.motion is not None:
         return _Look(prepared, attempt)
-    for two in every_two_holds(prepared, query.config, query.seed):
+    for two in every_two_holds(prepared, config, query.seed):
         again = two.at(base, query.reach)
         if again.motion is not None:
             return _Look(prepared, again)

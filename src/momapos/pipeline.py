@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,6 +19,7 @@ from momapos.expand_model import expand_model, first_selection
 from momapos.farthest_plan import as_far_as_possible
 from momapos.importance.key_objects import Selection
 from momapos.importance.rank import rank
+from momapos.manipulation.free_turn import fitted_bases
 from momapos.manipulation.motion import TaskMotion, task_motion
 from momapos.manipulation.tasks import hand_path
 from momapos.navigation.global_path import BasePath, plan_path
@@ -28,7 +30,7 @@ from momapos.prepare import driving_lengths, prepare, start_pose
 from momapos.protocols import Clock, ReachScorer
 from momapos.query import PlacementQuery
 from momapos.reachability.map import ReachMap
-from momapos.reachability.store import load_reach_map
+from momapos.reachability.store import load_reach
 from momapos.regrasp import every_two_holds, two_hold_searches
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene
@@ -83,7 +85,7 @@ def plan_base_placement(
     """
     watch = Stopwatch(clock)
     if reach is None:
-        reach = load_reach_map(robot, cache_dir)
+        reach = load_reach(robot, cache_dir)
     query = PlacementQuery(scene, robot, task, reach, start, pose_filter, config, seed, watch)
     return as_far_as_possible(query, answer) if task.farthest else answer(query)
 
@@ -172,6 +174,7 @@ def _search(query: PlacementQuery, selection: Selection, motion: TaskMotion) -> 
         start=start,
         out_of_time=out_of_time,
         pose_filter=query.pose_filter,
+        fit=partial(fitted_bases, query.robot, prepared.motion),
     )
     # Only a room without stand-ins can tell that there is no base pose at all; in any other one
     # round of samples has to do.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -56,6 +57,22 @@ class PlacementResult:
         return f"<PlacementResult of {name}: {task.verb} {what}: {status}>"
 
 
+def cheapest(results: Sequence[PlacementResult]) -> PlacementResult:
+    """The answer of several arms: the shortest drive that solves the task, else the farthest part.
+
+    Args:
+        results: One for each arm, at least one; the first wins where they are equal.
+    """
+
+    def rank(result: PlacementResult) -> tuple[int, float, float]:
+        plan = result.plan
+        order = ("solved", "timeout", "infeasible").index(plan.status)
+        moved = 0.0 if plan.feasible_to is None else abs(plan.feasible_to)
+        return order, plan.navigation_cost or 0.0, -moved
+
+    return min(results, key=rank)
+
+
 def plan_of(
     query: PlacementQuery, found: Search, start: Float[np.ndarray, "3"], path: BasePath | None
 ) -> PlacementPlan:
@@ -80,8 +97,10 @@ def plan_of(
         robot_file=robot.source,
         robot_srdf=_named_srdf(robot),
         robot_rest=robot.model.held,
+        robot_arm=robot.arm or None,
+        robot_amended=robot.amended,
         scene_joints=query.scene.joints_set,
-        joints=robot.arm_joints,
+        joints=robot.moved_joints,
         start=(float(start[0]), float(start[1]), float(start[2])),
         base_path=None if path is None else path.poses,
         base_pose=None if base is None else (float(base[0]), float(base[1]), float(base[2])),
@@ -98,4 +117,6 @@ def _named_srdf(robot: Robot) -> str | None:
     """The SRDF, where it is not the one that everybody finds beside the URDF."""
     urdf = robot.model.urdf.path
     beside = None if urdf is None else urdf.with_suffix(".srdf")
-    return None if robot.srdf is None or robot.srdf == beside else str(robot.srdf)
+    # A URDF that the robot file adds to is written beside the plan, where nobody finds the SRDF.
+    found = robot.amended is None and robot.srdf == beside
+    return None if robot.srdf is None or found else str(robot.srdf)

@@ -19,6 +19,7 @@ class Robot(msgspec.Struct):
     file: str | None = None
     srdf: str | None = None
     rest: dict[str, float] = {}
+    arm: str | None = None
 
 
 class Task(msgspec.Struct):

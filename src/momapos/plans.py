@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 import os
@@ -15,10 +14,12 @@ import msgspec
 import numpy as np
 
 from momapos import plan_members as members
-from momapos.cache import write_atomic
 from momapos.errors import FileFormatError, InputError
-from momapos.files import read_bytes_bounded
+from momapos.files import read_bytes_bounded, read_text_bounded
+from momapos.plan_files import portable_name, sha256, sha256_of, write_text
 from momapos.plan_holds import holds_to_dict, read_holds
+from momapos.robots.amend import portable
+from momapos.robots.srdf import MAX_SRDF_BYTES
 from momapos.types import Candidates, KeyObjects, Motion, PlacementPlan, Task
 
 if TYPE_CHECKING:
@@ -27,9 +28,6 @@ if TYPE_CHECKING:
 FORMAT, VERSION = "momapos-plan", 1
 MAX_BYTES = 20_000_000
 """A plan of 20,000 states, which is what the check takes, has some 10 MB."""
-MAX_HASHED_BYTES = 50_000_000
-MAX_PARENTS = 3
-"""Files are named relative to the plan up to this many folders above it."""
 
 # ------------------------------------------------------------------------------------------ writing
 
@@ -50,6 +48,7 @@ def plan_to_dict(plan: PlacementPlan) -> dict[str, Any]:
             "file": plan.robot_file,
             "srdf": plan.robot_srdf,
             "rest": dict(plan.robot_rest),
+            "arm": plan.robot_arm,
         },
         "task": asdict(plan.task),
         "status": plan.status,
@@ -98,6 +97,9 @@ def _pose_to_dict(pose: tuple[float, float, float] | None) -> dict[str, float] |
 def write_plan(plan: PlacementPlan, path: Path) -> None:
     """Write a plan, the whole file or nothing.
 
+    Where the robot file adds to the URDF, as a base that carries the arm, the URDF with it is
+    written beside the plan, as NAME.robot.urdf.
+
     The scene and the URDF are named relative to the plan's folder where they are near, so that
     the folders can be moved together, and by absolute paths elsewhere.
 
@@ -107,44 +109,31 @@ def write_plan(plan: PlacementPlan, path: Path) -> None:
     """
     data = plan_to_dict(plan)
     path.parent.mkdir(parents=True, exist_ok=True)
-    data["scene"] = _portable(plan.scene, path, "the scene")
-    data["robot"]["urdf"] = _portable(plan.robot_urdf, path, "the robot's URDF")
+    data["scene"] = portable_name(plan.scene, path, "the scene")
+    amended = None
+    if plan.robot_amended is None:
+        data["robot"]["urdf"] = portable_name(plan.robot_urdf, path, "the robot's URDF")
+        digest = sha256(Path(plan.robot_urdf))
+    else:
+        amended = path.with_name(f"{path.stem}.robot.urdf")
+        content = portable(plan.robot_amended, path.parent, str(path))
+        data["robot"]["urdf"], digest = amended.name, sha256_of(content.encode())
     if plan.robot_file is not None and plan.robot_file.endswith(".toml"):
-        data["robot"]["file"] = _portable(plan.robot_file, path, "the robot file")
+        data["robot"]["file"] = portable_name(plan.robot_file, path, "the robot file")
     if plan.robot_srdf is not None:
-        data["robot"]["srdf"] = _portable(plan.robot_srdf, path, "the robot's SRDF")
-    data["hashes"] = {
-        "scene": _sha256(Path(plan.scene)), "robot": _sha256(Path(plan.robot_urdf)),
-    }  # fmt: skip
+        srdf = portable_name(plan.robot_srdf, path, "the robot's SRDF")
+        data["robot"]["srdf"] = srdf if amended is None else amended.with_suffix(".srdf").name
+    data["hashes"] = {"scene": sha256(Path(plan.scene)), "robot": digest}
     try:
         text = json.dumps(data, allow_nan=False)
     except ValueError as error:
         raise InputError(f"{path}: the plan holds NaN or infinity and was not written") from error
-    try:
-        write_atomic(path, f"{text}\n".encode())
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror})") from error
-
-
-def _sha256(path: Path) -> str:
-    data = read_bytes_bounded(path, MAX_HASHED_BYTES, error=InputError)
-    return hashlib.sha256(data).hexdigest()
-
-
-def _portable(name: str, plan: Path, what: str) -> str:
-    target, folder = Path(os.path.abspath(name)), plan.resolve().parent
-    if not target.is_file():
-        raise InputError(
-            f"{plan}: the plan names {what} as {name!r}, which does not exist; "
-            "load it from a file, so that the plan can be verified"
-        )
-    near = [folder, *list(folder.parents)[:MAX_PARENTS]]
-    shared = [parent for parent in near if parent.parent != parent]
-    if any(target.is_relative_to(parent) for parent in shared):
-        relative = Path(os.path.relpath(target, folder))
-        if (folder / relative).exists() and (folder / relative).samefile(target):
-            return relative.as_posix()
-    return str(target)
+    if amended is not None:
+        write_text(amended, content)
+        if plan.robot_srdf is not None:  # where those look who know nothing of the robot file
+            srdf = read_text_bounded(Path(plan.robot_srdf), MAX_SRDF_BYTES, error=InputError)
+            write_text(amended.with_suffix(".srdf"), srdf)
+    write_text(path, f"{text}\n")
 
 
 # ------------------------------------------------------------------------------------------ reading
@@ -191,7 +180,7 @@ def check_unchanged(path: Path, scene: Path, urdf: Path) -> None:
     """
     hashes = _decode(_content(path), members.Hashes, path).hashes
     for what, file in (("scene", scene), ("robot", urdf)):
-        if what in hashes and hashes[what] != _sha256(file):
+        if what in hashes and hashes[what] != sha256(file):
             raise InputError(
                 f"{path}: the {what} ({file}) has changed since the plan was written; plan again"
             )
@@ -271,6 +260,7 @@ def _record(data: members.Plan, path: Path) -> PlacementPlan:
         robot_file=_robot_file(robot.file, folder),
         robot_srdf=None if robot.srdf is None else _located(robot.srdf, folder),
         robot_rest=robot.rest,
+        robot_arm=robot.arm,
         scene_joints=data.scene_joints,
         feasible_to=data.feasible_to,
         feasible_from=_triple(data.feasible_from),

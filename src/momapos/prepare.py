@@ -13,6 +13,7 @@ from momapos.config import PipelineConfig
 from momapos.geometry.polygons import inscribed_radius
 from momapos.kinematics.world import CollisionWorld, build_world
 from momapos.manipulation.feasibility import Feasibility, collision_free_grasps
+from momapos.manipulation.free_turn import FULL
 from momapos.manipulation.handles import Handle
 from momapos.manipulation.motion import LIFT, TaskMotion, by_another_handle, in_room, task_motion
 from momapos.manipulation.task_boxes import room_boxes
@@ -78,7 +79,9 @@ class PreparedTask:
     @property
     def ways(self) -> tuple[ScoreWays, ...]:
         """How base poses reach the ways of holding."""
-        return ways_of_holding(self.geometry.Ts_world_tool, self.motion.turning.groups)
+        ways = ways_of_holding(self.geometry.Ts_world_tool, self.motion.turning.groups)
+        # What holds still is beyond an arm of few joints, see `free_turn`.
+        return ways if self.robot.chain.size >= FULL else ways[1:] or ways
 
     def feasibility(
         self,

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.config import PipelineConfig
+from momapos.manipulation.motion import GraspFilter
 from momapos.navigation.footprint_map import NavigationMap, build_navigation_map
 from momapos.placement.place import PoseFilter
 from momapos.protocols import ReachScorer
@@ -34,6 +35,8 @@ class PlacementQuery:
     config: PipelineConfig
     seed: int
     watch: Stopwatch
+    grasp_filter: GraspFilter | None = None
+    """Which grasps may be used; None for all."""
 
     @cached_property
     def nav_map(self) -> NavigationMap:

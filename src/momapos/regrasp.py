@@ -122,7 +122,8 @@ class TwoHolds:
         if pulled.motion is None:
             return pulled
         assert screened.q is not None
-        chain, start = self.second.robot.chain, pulled.motion.q[-1]
+        chain = self.second.robot.chain
+        start = chain.freedom_values(pulled.motion.q[-1])
         q = near_home(screened.q, start, chain.lower, chain.upper)
         between = self._between(base, start, q[0])
         if between is None:
@@ -158,14 +159,17 @@ class TwoHolds:
         """One motion of both holds; the door rests between them."""
         assert pushed.q is not None
         way, second = interpolate(between)[1:], self.second.motion
-        q = np.concatenate([pulled.q, way, pushed.q[1:]])
+        chain = self.second.robot.chain
+        q = np.concatenate([chain.freedom_values(pulled.q), way, pushed.q[1:]])
         ajar = np.repeat(pulled.object_q[-1], len(way))
         object_q = np.concatenate([pulled.object_q, ajar, second.object_q[1:]])
         begin = len(pulled.q) + len(way) - 1 + second.grasp_step
         (push,) = second.holds(pushed.grasp)
         hold = replace(push, first=begin, last=begin + push.last)
-        Ts = pose_planar(base) @ self.second.robot.chain.tool_poses(q)
-        return Motion(pulled.approach, q, object_q, Ts, holds=(*pulled.holds, hold))
+        Ts = pose_planar(base) @ chain.tool_poses(q)
+        return Motion(
+            pulled.approach, chain.joint_values(q), object_q, Ts, holds=(*pulled.holds, hold)
+        )
 
 
 def every_two_holds(

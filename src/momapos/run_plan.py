@@ -18,16 +18,19 @@ from momapos.base_pose import check_base_pose
 from momapos.config import PipelineConfig
 from momapos.errors import InputError, SceneError
 from momapos.execution.config import ExecutionConfig
+from momapos.execution.joint_estimate import Learned
 from momapos.execution.record import Execution, Pose, RunRecord, Visit
-from momapos.execution.run import execute
+from momapos.execution.retreat import WayHome
+from momapos.execution.run import Again, Outcome, attempt
 from momapos.execution.stages import Watch
 from momapos.geometry.transforms import wrap_angle
-from momapos.manipulation.motion import task_motion
+from momapos.manipulation.motion import GraspFilter, task_motion
 from momapos.navigation.clearance import gaps
 from momapos.navigation.drive import DriveConfig, drive
 from momapos.navigation.drive_record import DriveRecord
 from momapos.navigation.footprint_map import NavigationMap, build_navigation_map
 from momapos.navigation.localization import NoiseConfig
+from momapos.next_try import arm_way_home, believed_scene, grasp_in_part, other_grasps
 from momapos.pipeline import plan_base_placement
 from momapos.prepare import start_pose
 from momapos.protocols import Clock, ReachScorer
@@ -69,6 +72,7 @@ def run_plan(
     *,
     start: Float[np.ndarray, "3"] | None = None,
     attempts: int = 3,
+    tries: int = 3,
     config: PipelineConfig = DEFAULT,
     driving: DriveConfig = DRIVING,
     physics: ExecutionConfig = PHYSICS,
@@ -86,7 +90,9 @@ def run_plan(
         robot: The robot.
         reach: The robot's reachability map, for planning anew.
         start: Where the base is at first; as the plan says by default, else as for `place`.
-        attempts: Base poses that are driven to at most [-].
+        attempts: Base poses that are driven to for one motion at most [-].
+        tries: Motions that are executed at most, one after the other, each after one that failed
+            and after which the arm came home [-].
         config: How to plan anew.
         driving: How the base drives, and how wrong its sensors are.
         physics: How to model and judge.
@@ -106,7 +112,7 @@ def run_plan(
         raise InputError(f"the plan is {plan.status!r}: there is nothing to execute")
     # Planned anew from another pose, it must go as far as planned, no farther and no less far.
     plan = replace(plan, task=replace(plan.task, farthest=False))
-    of_drive, of_world = np.random.default_rng(seed).spawn(2)
+    of_drive, of_world = np.random.SeedSequence(seed).spawn(2)
     stopwatch = Stopwatch(clock, dict.fromkeys(STAGES, 0.0))
 
     def by_window(
@@ -121,24 +127,39 @@ def run_plan(
         ground = build_navigation_map(scene, robot)
     if start is None and plan.start is not None:
         start = np.array(plan.start)
-    trip = _Trip(ground, scene, plan, reach, go or by_window, config, trace or _unseen, stopwatch)
-    here, motion = trip.go(_begin(ground, scene, plan.task, start, config), attempts, of_drive)
-    outcome: Execution | None = None
-    if motion is not None:
+    begin = _begin(ground, scene, plan.task, start, config)
+    trip = _Trip(
+        ground, scene, plan, reach, go or by_window, config, trace or _unseen, stopwatch,
+        np.random.default_rng(of_drive),
+    )  # fmt: skip
+    here, motion = trip.go(begin, plan, attempts)
+    executions: list[Execution] = []
+    again: Again | None = None
+    while motion is not None:
         try:
             with stopwatch.stage("execute"):
-                outcome = execute(
-                    scene, robot, _triple(here), motion, plan.task, physics, of_world,
+                outcome = attempt(
+                    scene, robot, _triple(here), motion, plan.task, physics,
+                    np.random.default_rng(of_world), again=again,
+                    way_home=trip.way_home(here) if len(executions) + 1 < tries else None,
                     watch=watch, clock=clock,
                 )  # fmt: skip
         except SceneError as error:  # by the exact shapes of the physics, which nothing before uses
             trip.visits[-1] = replace(trip.visits[-1], reason=str(error))
+            break
+        executions.append(outcome.execution)
+        if not outcome.at_home:
+            break
+        trip.learn(scene, motion, outcome)
+        again = Again(trip.scene, outcome.value, outcome.collisions)
+        here, motion = trip.try_anew(here, attempts, elsewhere=outcome.in_the_way)
     return RunRecord(
         scene=plan.scene,
         robot=robot.name,
         task=plan.task,
         visits=tuple(trip.visits),
-        execution=outcome,
+        execution=executions[-1] if executions else None,
+        failed=tuple(executions[:-1]),
         seed=seed,
         noise=driving.noise != QUIET,
         time=stopwatch.seconds,
@@ -169,7 +190,7 @@ def _begin(
 
 @dataclass
 class _Trip:
-    """Drives to base poses until the arm finds a motion at one."""
+    """Drives to base poses until the arm finds a motion at one; anew where that motion fails."""
 
     ground: NavigationMap
     scene: Scene
@@ -179,25 +200,87 @@ class _Trip:
     config: PipelineConfig
     trace: Trace
     stopwatch: Stopwatch
+    rng: np.random.Generator
     visits: list[Visit] = field(default_factory=list)
     failed: list[Float[np.ndarray, "3"]] = field(default_factory=list)
     """Base poses that were no good."""
+    grasps: list[Float[np.ndarray, "4 4"]] = field(default_factory=list)
+    """Grasps that did not hold: the tool in the part's frame."""
+
+    def learn(self, whole: Scene, motion: Motion, outcome: Outcome) -> None:
+        """Take in how a motion failed: its grasp, and where the hand left the part.
+
+        Args:
+            whole: The room as the run began.
+            motion: What was executed.
+            outcome: What came of it.
+        """
+        task = self.plan.task
+        self.grasps.append(grasp_in_part(self.scene, task, motion))
+        if outcome.learned is not None:
+            value, offset = outcome.learned.value, outcome.learned.offset
+            known = self.scene.object(task.object).T_world_object[:3, 3]
+            offset = offset + known - whole.object(task.object).T_world_object[:3, 3]
+            self._believe(believed_scene(whole, task, value, offset))
+        elif outcome.nothing_there:  # it moved on alone: most parts fall shut
+            self._believe(whole)
+
+    def _believe(self, scene: Scene) -> None:
+        if scene is not self.scene:
+            self.scene = scene
+            with self.stopwatch.stage("drive"):
+                self.ground = build_navigation_map(scene, self.ground.robot)
+
+    def try_anew(
+        self, here: Float[np.ndarray, "3"], attempts: int, *, elsewhere: bool
+    ) -> tuple[Float[np.ndarray, "3"], Motion | None]:
+        """Another grasp at the same base pose, else another base pose.
+
+        Args:
+            here: Where the base stands: x [m], y [m], yaw [rad].
+            attempts: Base poses that are driven to at most [-].
+            elsewhere: Whether something was in the arm's way, so that this pose is no good.
+
+        Returns:
+            The pose reached last, and the motion found there, if any.
+        """
+        self.failed.append(here)
+        if not elsewhere:
+            others = other_grasps(self.scene, self.plan.task, self.grasps)
+            with self.stopwatch.stage("plan"):
+                found = self._motion(here, others).motion
+            if found is not None:
+                return here, found
+        with self.stopwatch.stage("plan"):
+            plan = self._another(here)
+        return (here, None) if plan is None else self.go(here, plan, attempts)
+
+    def way_home(self, base: Float[np.ndarray, "3"]) -> WayHome:
+        """Plans the arm's way home at a base pose, with the part where the hand left it."""
+
+        def plan(q: Float[np.ndarray, " n"], learned: Learned) -> Float[np.ndarray, "k n"] | None:
+            task = self.plan.task
+            scene = believed_scene(self.scene, task, learned.value, learned.offset)
+            return arm_way_home(
+                scene, self.ground.robot, task, base, q, config=self.config, seed=self.plan.seed
+            )
+
+        return plan
 
     def go(
-        self, here: Float[np.ndarray, "3"], attempts: int, rng: np.random.Generator
+        self, here: Float[np.ndarray, "3"], plan: PlacementPlan | None, attempts: int
     ) -> tuple[Float[np.ndarray, "3"], Motion | None]:
         """Drive, plan anew, and ask for the next base pose where that fails.
 
         Returns:
             The pose reached last, and the motion found there, if any.
         """
-        plan: PlacementPlan | None = self.plan
-        motion = None
-        while plan is not None and len(self.visits) < attempts:
+        motion, most = None, len(self.visits) + attempts
+        while plan is not None and len(self.visits) < most:
             assert plan.base_pose is not None
             goal = np.array(plan.base_pose)
             with self.stopwatch.stage("drive"):
-                driven = self.drive(self.ground, here, goal, rng)
+                driven = self.drive(self.ground, here, goal, self.rng)
             self.trace(driven.times, driven.poses)
             here, reason, plan = driven.pose, driven.reason, None
             if driven.arrived:
@@ -208,7 +291,7 @@ class _Trip:
             self.failed.append(goal)
             self.visits.append(_visit(goal, driven, reason))
             # A base that touched something is not driven on: that is an accident, no detour.
-            if motion is None and not driven.hit and len(self.visits) < attempts:
+            if motion is None and not driven.hit and len(self.visits) < most:
                 with self.stopwatch.stage("plan"):
                     plan = self._another(here)
                 if plan is None:
@@ -216,10 +299,10 @@ class _Trip:
                     self.visits[-1] = replace(self.visits[-1], reason=reason)
         return here, motion
 
-    def _motion(self, pose: Float[np.ndarray, "3"]) -> Attempt:
+    def _motion(self, pose: Float[np.ndarray, "3"], grasps: GraspFilter | None = None) -> Attempt:
         return check_base_pose(
             self.scene, self.ground.robot, self.plan.task, pose, self.reach,
-            how_far=False, config=self.config, seed=self.plan.seed,
+            how_far=False, grasp_filter=grasps, config=self.config, seed=self.plan.seed,
         )  # fmt: skip
 
     def _another(self, pose: Float[np.ndarray, "3"]) -> PlacementPlan | None:

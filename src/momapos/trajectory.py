@@ -107,7 +107,7 @@ def time_plan(
         raise InputError(f"the plan is {plan.status!r}: it holds no motion to be timed")
     approach, manipulation = time_motion(robot, plan.motion, config, step)
     return TimedTrajectory(
-        joints=robot.arm_joints,
+        joints=robot.moved_joints,
         times=np.arange(len(approach) + len(manipulation)) * step,
         positions=np.concatenate([approach.q, manipulation.q]),
         velocities=np.concatenate([approach.v, manipulation.v]),
@@ -142,7 +142,7 @@ def time_motion(
         config: How fast.
         step: Time between samples [s].
     """
-    joints = [robot.model.joint(name) for name in robot.arm_joints]
+    joints = [robot.model.joint(name) for name in robot.moved_joints]
     speed = np.array([joint.velocity for joint in joints])
     speed = np.where(np.isfinite(speed), speed, config.default_speed)
     slides = np.array([joint.kind == "prismatic" for joint in joints])

@@ -293,6 +293,10 @@ class PlacementPlan:
     """The SRDF whose pairs of links are not checked; None for the one beside the URDF, if any."""
     robot_rest: Mapping[str, float] = field(default_factory=dict)
     """Where joints beside the arm's rest that do not rest at zero [rad] or [m]."""
+    robot_arm: str | None = None
+    """Which arm it is for, of a robot with several; the others rest."""
+    robot_amended: str | None = field(default=None, repr=False)
+    """The URDF where the robot file adds to it; it is written beside the plan."""
     scene_joints: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     """Joint values that differ from the scene file's, by object and joint [rad] or [m]."""
     feasible_to: float | None = None

@@ -88,6 +88,13 @@ def test_a_plan_for_the_small_kitchen_opens_its_fridge_and_the_record_says_so(
     assert "open fridge/door_hinge: done" in summary(record)
 
 
+def test_no_tries_at_all_are_refused(
+    plan: PlacementPlan, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_plan(plan, tmp_path / "plan.json")
+    refused([str(tmp_path / "plan.json"), "--tries", "0"], "--tries 0", capsys)
+
+
 def test_with_noise_the_arm_is_planned_anew_where_the_base_really_stands(
     plan: PlacementPlan, kitchen: Scene
 ) -> None:

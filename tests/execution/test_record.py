@@ -41,6 +41,19 @@ def test_a_record_that_is_written_is_read_again(tmp_path: Path) -> None:
     assert read_run(tmp_path / "run.json") == RECORD
 
 
+def test_tries_that_failed_stand_in_the_record_and_one_without_them_is_read(
+    tmp_path: Path,
+) -> None:
+    tried = replace(RECORD, failed=(replace(DONE, base_pose=(1.0, 2.0, 0.5)),))
+    write_run(tried, tmp_path / "run.json")
+    assert read_run(tmp_path / "run.json") == tried
+    data = json.loads((tmp_path / "run.json").read_text())
+    del data["failed"]
+    del data["execution"]["base_pose"]
+    (tmp_path / "old.json").write_text(json.dumps(data))
+    assert read_run(tmp_path / "old.json") == RECORD
+
+
 def test_a_run_that_never_came_to_the_object_is_a_failure_with_its_reason(tmp_path: Path) -> None:
     visit = Visit((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 1.0, 2.0, "out of reach at waypoint 3")
     record = replace(RECORD, visits=(visit,), execution=None)

@@ -116,6 +116,25 @@ def test_furniture_that_touches_the_door_in_the_scene_does_not_hold_it(tmp_path:
     assert done.success
 
 
+def test_an_element_of_its_own_object_on_its_way_does_not_hold_a_door_and_another_object_does(
+    tmp_path: Path,
+) -> None:
+    """As the hull of a hollow frame, into which a door swings a little before it comes out."""
+    size, place = "0.06 0.06 0.3", "-0.42 -0.15 -0.2"
+    own = make_case()
+    lump = (
+        f'<collision><origin xyz="{place}"/><geometry><box size="{size}"/></geometry></collision>'
+    )
+    own.cupboard = own.cupboard.replace('<link name="body">', f'<link name="body">{lump}')
+    free = toy(tmp_path / "own", own).run()
+    assert free.success, free.reason
+    assert any("cupboard/body" in note for note in free.notes)
+    other = make_case()
+    at = np.array(place.split(), float) + np.array([0.4, 0.0, 0.8])  # where the cupboard stands
+    other.obstacle([float(v) for v in size.split()], at.tolist())
+    assert not toy(tmp_path / "other", other).run().success
+
+
 @pytest.mark.parametrize(
     ("shape", "mesh"),
     [

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 from jaxtyping import Float
 
+from momapos.geometry.transforms import invert
 from momapos.kinematics.chain import Chain
 from momapos.kinematics.hulls import Boxes
+from momapos.kinematics.spheres import Spheres
 from momapos.kinematics.urdf import Geometry
 from momapos.robots.robot import Robot
+from momapos.verification.convex import Body, overlap
 
 
 def signed_distance(shape: Geometry, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
@@ -81,3 +86,25 @@ def link_spheres(robot: Robot, link: str) -> tuple[np.ndarray, np.ndarray]:
     of_link = slice(*spheres.start[group : group + 2])
     T = robot.segments.T_segment_link[link]
     return (spheres.center[of_link] - T[:3, 3]) @ T[:3, :3], spheres.radius[of_link]
+
+
+def hull_pairs(spheres: Spheres) -> list[tuple[int, int]]:
+    """Pairs of hulls whose overlap is contact of the robot with itself."""
+    of = [range(*ends) for ends in itertools.pairwise(spheres.hulls.of_group)]
+    arm = [(a, b) for i, j in spheres.pairs for a in of[i] for b in of[j]]
+    against = np.argwhere(spheres.base_pairs)
+    base = [(a, int(spheres.hulls.of_base[b])) for g, b in against for a in of[g]]
+    return [*arm, *dict.fromkeys(base)]
+
+
+def hulls_meet(
+    spheres: Spheres, Ts: Float[np.ndarray, "segments 4 4"], pair: tuple[int, int]
+) -> bool:
+    """Whether two hulls overlap where the segments are, as the exact check computes it."""
+    hulls = spheres.hulls
+    bodies = [
+        (Body(hulls.vertices[hulls.first[h] : hulls.first[h + 1]], 0.0, 0.0), hulls.segment[h])
+        for h in pair
+    ]
+    (a, m), (b, n) = bodies
+    return overlap(a, b, np.ascontiguousarray(invert(Ts[n]) @ Ts[m])) > 0.0

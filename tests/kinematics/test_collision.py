@@ -7,7 +7,7 @@ from collections.abc import Callable
 import coal
 import numpy as np
 import pytest
-from exact_shapes import random_boxes, random_states, rotations
+from exact_shapes import hull_pairs, hulls_meet, random_boxes, random_states, rotations
 from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
@@ -102,20 +102,25 @@ class Twin:
                 out[i] = len(w.static) + int(first.argmax())
             elif static.any():
                 out[i] = int(static[static.any(1)][0].argmax())
-            elif self.touches_itself(p, Ts[i, 0]):
+            elif self.touches_itself(p, Ts[i]):
                 out[i] = SELF
         return out
 
-    def touches_itself(self, p: Float[np.ndarray, "s 3"], T_world_base: np.ndarray) -> bool:
+    def touches_itself(
+        self, p: Float[np.ndarray, "s 3"], Ts: Float[np.ndarray, "segments 4 4"]
+    ) -> bool:
+        """Spheres meet, and are not too coarse for the pair; or hulls overlap."""
         s = self.spheres
         near = np.linalg.norm(p[:, None] - p[None], axis=-1) < s.radius[:, None] + s.radius
-        for a, b in s.pairs:
-            if near[np.ix_(self.group == a, self.group == b)].any():
+        for (a, b), exact in zip(s.pairs, s.exact, strict=True):
+            if not exact and near[np.ix_(self.group == a, self.group == b)].any():
                 return True
-        back = invert(T_world_base)
+        back = invert(Ts[0])
         in_base = p @ back[:3, :3].T + back[:3, 3]
         hit = gaps(in_base, s.base.center, s.base.rotation, s.base.half) < s.radius[:, None]
-        return bool((hit & s.base_pairs[self.group]).any())
+        return bool((hit & (s.base_pairs & ~s.base_exact)[self.group]).any()) or any(
+            hulls_meet(s, Ts, pair) for pair in hull_pairs(s)
+        )
 
 
 def situations(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,23 +14,21 @@ from jaxtyping import Float
 from numpy.testing import assert_allclose
 from tests import optional
 
-from momapos.errors import RobotError
 from momapos.geometry.transforms import rotation_angle, wrap_angle
-from momapos.kinematics.articulated import Articulated
-from momapos.kinematics.chain import Chain, build_chain
+from momapos.kinematics.chain import Chain
 from momapos.kinematics.closed_forms import (
     MAX_BRANCHES,
-    NUMERIC,
     THREE_PARALLEL,
     WRIST_MEETING,
     WRIST_PARALLEL,
 )
 from momapos.kinematics.ik import IkModel, build_ik, into_limits, solve_ik
-from momapos.kinematics.urdf import read_urdf
 from momapos.robots.robot import Robot
 
 TURN = 2 * np.pi
-PER_JOINT = ("names", "h", "d", "prismatic", "lower", "upper", "velocity")
+PER_JOINT = (
+    "names", "joints", "dof", "ratio", "offset", "h", "d", "slides", "lower", "upper", "velocity",
+)  # fmt: skip
 KINDS = {
     "segway_ur5e": THREE_PARALLEL,
     "husky_ur5e": THREE_PARALLEL,
@@ -199,52 +196,16 @@ def axes_of(
     return np.array(origins), chain.tool_poses(sample)
 
 
-@pytest.fixture
-def skew_arm(tmp_path: Path) -> Chain:
-    """Six revolute joints, no two axes of which are parallel or meet."""
-    rng = np.random.default_rng(7)
-    links, joints = ['<link name="l0"/>'], []
-    for i in range(6):
-        axis, xyz = directions(1, rng)[0], rng.uniform(0.08, 0.25, 3) * rng.choice([-1, 1], 3)
-        links.append(f'<link name="l{i + 1}"/>')
-        joints.append(
-            f'<joint name="j{i}" type="revolute"><parent link="l{i}"/><child link="l{i + 1}"/>'
-            f'<origin xyz="{xyz[0]} {xyz[1]} {abs(xyz[2])}"/>'
-            f'<axis xyz="{axis[0]} {axis[1]} {axis[2]}"/>'
-            '<limit lower="-2.6" upper="2.6" effort="1" velocity="1"/></joint>'
-        )
-    path = tmp_path / "skew.urdf"
-    path.write_text(f'<robot name="skew">{"".join(links + joints)}</robot>')
-    model = Articulated(read_urdf(path))
-    return build_chain(model, "l0", "l6", [f"j{i}" for i in range(6)])[0]
-
-
-def test_an_arm_without_closed_form_is_solved_from_seeds(skew_arm: Chain) -> None:
-    ik = build_ik(skew_arm)
-    assert ik.kind == NUMERIC
-    Ts = skew_arm.tool_poses(random_states(skew_arm, 100, np.random.default_rng(5)))
-    q, counts = solve_ik(skew_arm, ik, Ts)
-    assert (counts > 0).mean() >= 0.6
-    valid = np.arange(q.shape[1]) < counts[:, None]
-    again, wanted = skew_arm.tool_poses(q[valid]), Ts[np.nonzero(valid)[0]]
-    assert_allclose(again, wanted, atol=1e-6)
-    assert (np.abs(q[valid]) <= 2.6 + 1e-8).all()
-
-
-def test_an_arm_of_five_joints_is_refused(skew_arm: Chain) -> None:
-    short = replace(skew_arm, **{k: getattr(skew_arm, k)[:5] for k in PER_JOINT})
-    with pytest.raises(RobotError, match="5 joints; at least 6"):
-        build_ik(short)
-
-
 def test_a_long_rail_is_not_taken_for_an_angle(robots: Callable[[str], Robot]) -> None:
     """A rail's values beyond pi meters are distances, and never turned round."""
     chain = robots("segway_ur5e").chain
     along = np.array([[1.0, 0.0, 0.0]])
     railed = replace(
         chain,
-        names=("rail", *chain.names), h=np.vstack([along, chain.h]),
-        d=np.vstack([0 * along, chain.d]), prismatic=np.r_[True, chain.prismatic],
+        names=("rail", *chain.names), joints=("rail", *chain.joints),
+        dof=np.arange(chain.size + 1), ratio=np.r_[1.0, chain.ratio],
+        offset=np.r_[0.0, chain.offset], h=np.vstack([along, chain.h]),
+        d=np.vstack([0 * along, chain.d]), slides=np.r_[True, chain.slides],
         lower=np.r_[0.0, chain.lower], upper=np.r_[8.0, chain.upper],
         velocity=np.r_[1.0, chain.velocity],
     )  # fmt: skip

@@ -78,7 +78,7 @@ def test_a_second_start_computes_nothing(tmp_path: Path, monkeypatch: pytest.Mon
 
     for name in ("articulated.hull_of", "articulated.cover_shape", "urdf._parse"):
         monkeypatch.setattr(f"momapos.kinematics.{name}", never)
-    monkeypatch.setattr("momapos.robots.robot.build_spheres", never)
+    monkeypatch.setattr("momapos.robots.robot.arm_spheres", never)
     assert_same(load_robot("fetch", cache=cache).spheres, spheres)
 
 

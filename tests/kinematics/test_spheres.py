@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import tracemalloc
+from pathlib import Path
+
 import numpy as np
 import pytest
+import trimesh
 from exact_shapes import directions, link_spheres, rotations, signed_distance, surface_points
 from jaxtyping import Float
 from tests.real import furniture
@@ -142,3 +146,22 @@ def test_boxes_to_carry_are_covered() -> None:
     for c, R, h in zip(boxes.center, boxes.rotation, boxes.half, strict=True):
         shape = Geometry("box", tuple(2 * h), pose(c, R))
         assert uncovered(surface_points(shape, 2000, rng), center, radius) < MARGIN + 1e-6
+
+
+def test_a_mesh_of_many_faces_is_covered_as_tightly_and_in_little_memory(tmp_path: Path) -> None:
+    """An egg of 20,000 faces: its grid points times its faces would fill gigabytes."""
+    egg = trimesh.creation.icosphere(5)
+    egg.apply_scale((0.05, 0.07, 0.12))
+    egg.export(tmp_path / "egg.stl")
+    shape = Geometry("mesh", (1.0, 1.0, 1.0), np.eye(4), mesh=tmp_path / "egg.stl")
+    tracemalloc.start()
+    center, radius = cover_shapes([shape], ARM)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    points = np.asarray(egg.vertices)
+    assert uncovered(points, center, radius) < MARGIN + 1e-3
+    # How far spheres stick out, by supporting planes of the egg.
+    normal = directions(500, np.random.default_rng(0))
+    reach = ((center @ normal.T) + radius[:, None]).max(0) - (points @ normal.T).max(0)
+    assert reach.max() < BODY
+    assert peak < 200e6

@@ -33,7 +33,9 @@ def test_turned_samples_are_those_that_inverse_kinematics_would_hold(name: str) 
     frame = arm_frame(robot.chain, robot.approach_axis)
     chain = _freed(robot, frame.first)
     count, heights = 4, 3
-    (_, _, samples, *found), (arcs, value, step) = locked_samples(chain, frame, count, heights)
+    turned, (arcs, value, step) = locked_samples(chain, frame, count, heights)
+    samples = turned.samples
+    found = (turned.h, turned.o, turned.wrist, turned.R_tool, turned.p_tool)
     values = count << HALVINGS
     assert len(samples) == len(arcs) == len(value) == len(step)
     assert set(value.tolist()) == set(range(values))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shutil
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,102 +14,20 @@ import pytest
 from numpy.testing import assert_allclose
 from tests import optional
 from tests.real import DATA
+from tests.urdf_parts import LIMIT, box, joint, link, mobile_manipulator
 
 from momapos.cli.robot import robot_check, robot_export, robot_list, robot_show
 from momapos.errors import MomaposError, RobotError, UnknownNameError
 from momapos.kinematics.spheres import build_spheres
-from momapos.reachability.arm_axes import arm_frame
-from momapos.robots.derive import derive_robot, examine, write_robot
+from momapos.robots.derive import derive_robot
+from momapos.robots.examine import examine
 from momapos.robots.gripper import points_of
 from momapos.robots.names import library_names
-from momapos.robots.robot import ASSUMED_FORCE, Grip, load_robot, read_robot
+from momapos.robots.robot import ASSUMED_FORCE, Grip, load_arms, load_robot, read_robot
 from momapos.robots.states import sample_states, touches
+from momapos.robots.write import write_robot
 
 FETCH = DATA / "robots" / "fetch"
-LIMIT = '<limit lower="{}" upper="{}" effort="1" velocity="1"/>'
-
-
-def link(name: str, shape: str = "", xyz: str = "0 0 0", rpy: str = "0 0 0") -> str:
-    if not shape:
-        return f'<link name="{name}"/>'
-    return (
-        f'<link name="{name}"><collision><origin xyz="{xyz}" rpy="{rpy}"/>'
-        f"<geometry>{shape}</geometry></collision></link>"
-    )
-
-
-def joint(
-    name: str, kind: str, parent: str, child: str, xyz: str, axis: str = "", limit: str = ""
-) -> str:
-    return (
-        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
-        f'<origin xyz="{xyz}"/>{f"<axis xyz={chr(34)}{axis}{chr(34)}/>" if axis else ""}'
-        f"{limit}</joint>"
-    )
-
-
-def box(x: float, y: float, z: float) -> str:
-    return f'<box size="{x} {y} {z}"/>'
-
-
-def mobile_manipulator(
-    *, base_z: float = 0.0, tool: bool = True, fingers: bool = True, floating: bool = False
-) -> str:
-    """A wheeled base, a torso lift, a head, six turning joints and a gripper.
-
-    Args:
-        base_z: Height of base_link above the floor [m].
-        tool: Whether there is a tool frame between the finger tips.
-        fingers: Whether the gripper has fingers.
-        floating: Whether virtual joints drive the base, as in simulators.
-    """
-    parts = [
-        link("base_link", box(0.6, 0.4, 0.3), f"0 0 {0.17 - base_z}"),
-        link("wheel_left", '<cylinder radius="0.08" length="0.04"/>', rpy="1.5708 0 0"),
-        joint("a", "continuous", "base_link", "wheel_left", f"0 0.21 {0.08 - base_z}", "0 1 0"),
-        link("torso", box(0.15, 0.2, 0.6), "0 0 0.35"),
-        joint(
-            "lift", "prismatic", "base_link", "torso", f"-0.15 0 {0.33 - base_z}", "0 0 1",
-            LIMIT.format(0, 0.3),
-        ),
-        link("head_pan", box(0.1, 0.1, 0.1), "0 0 0.1"),
-        joint(
-            "head_joint", "revolute", "torso", "head_pan", "0 0 0.7", "0 0 1", LIMIT.format(-1, 1)
-        ),
-    ]  # fmt: skip
-    previous, axes = "torso", ["0 0 1", "0 1 0", "0 1 0", "1 0 0", "0 1 0", "1 0 0"]
-    for index, axis in enumerate(axes):
-        name = f"arm_{index}"
-        length = 0.3 if index in (1, 2) else 0.1
-        xyz = "0.15 0 0.5" if index == 0 else f"{0.3 if index in (2, 3) else 0.1} 0 0"
-        parts += [
-            link(name, box(length - 0.04, 0.06, 0.06), f"{length / 2} 0 0"),
-            joint(f"j{index}", "revolute", previous, name, xyz, axis, LIMIT.format(-2.5, 2.5)),
-        ]
-        previous = name
-    parts += [
-        link("palm", box(0.06, 0.12, 0.05), "0.03 0 0"),
-        joint("mount", "fixed", previous, "palm", "0.1 0 0"),
-    ]
-    if fingers:
-        for side, sign in (("left", 1), ("right", -1)):
-            parts += [
-                link(f"{side}_finger", box(0.06, 0.01, 0.02), f"0.03 {sign * 0.005} 0"),
-                joint(
-                    f"{side}_finger_joint", "prismatic", "palm", f"{side}_finger", "0.06 0 0",
-                    f"0 {sign} 0", LIMIT.format(0, 0.045),
-                ),
-            ]  # fmt: skip
-    if tool:
-        parts += [link("tcp"), joint("tcp_joint", "fixed", "palm", "tcp", "0.1 0 0")]
-    if floating:
-        parts += [
-            link("world"), link("w1"), link("w2"),
-            joint("drive_x", "prismatic", "world", "w1", "0 0 0", "1 0 0", LIMIT.format(-9, 9)),
-            joint("drive_y", "prismatic", "w1", "w2", "0 0 0", "0 1 0", LIMIT.format(-9, 9)),
-            joint("drive_yaw", "continuous", "w2", "base_link", "0 0 0", "0 0 1"),
-        ]  # fmt: skip
-    return f'<robot name="test robot">{"".join(parts)}</robot>'
 
 
 @pytest.fixture
@@ -116,13 +35,6 @@ def urdf(tmp_path: Path) -> Path:
     path = tmp_path / "robot.urdf"
     path.write_text(mobile_manipulator())
     return path
-
-
-def snippet(text: str) -> str:
-    """The piece of URDF that a message says to add."""
-    found = re.search(r"add to the URDF: (<.*</joint>)", text)
-    assert found, text
-    return found[1]
 
 
 def test_the_arm_starts_with_the_lift_and_leaves_out_wheels_head_and_fingers(urdf: Path) -> None:
@@ -170,29 +82,26 @@ def test_virtual_driving_joints_are_not_part_of_the_arm(tmp_path: Path) -> None:
     assert "drive_x, drive_y, drive_yaw stand for driving" in derived.assumptions[0]
 
 
-def test_a_base_above_the_floor_is_refused_with_the_link_to_add(tmp_path: Path) -> None:
+def test_a_base_above_the_floor_gets_a_frame_there(tmp_path: Path) -> None:
     path = tmp_path / "robot.urdf"
-    text = mobile_manipulator(base_z=0.2)
-    path.write_text(text)
-    with pytest.raises(RobotError, match=r"z = -0\.20\d m in 'base_link'") as caught:
-        write_robot(path)
-    assert list(tmp_path.iterdir()) == [path]
-    path.write_text(text.replace("</robot>", f"{snippet(str(caught.value))}</robot>"))
+    path.write_text(mobile_manipulator(base_z=0.2))
     robot = load_robot(write_robot(path)[0])
-    assert robot.base_link == "base_footprint"
+    assert robot.base_link == "base_floor"
+    low = points_of(robot.model, "base_floor", ["base_link", "wheel_left"])[:, 2].min()
+    assert low == pytest.approx(0.0, abs=1e-4)
     assert examine(robot) == []
 
 
-def test_a_tool_frame_behind_the_fingers_is_noticed_with_the_link_to_add(tmp_path: Path) -> None:
+def test_a_tool_link_behind_the_fingers_gets_a_frame_between_them(tmp_path: Path) -> None:
     path = tmp_path / "robot.urdf"
-    text = mobile_manipulator(tool=False)
-    path.write_text(text)
-    (note,) = (text for text in derive_robot(path).assumptions if "IMPORTANT" in text)
-    assert "behind the finger tips" in note
-    path.write_text(text.replace("</robot>", f"{snippet(note)}</robot>"))
-    derived = derive_robot(path)
-    assert not any("IMPORTANT" in text for text in derived.assumptions)
-    assert 'tool_link = "grasp_link"' in derived.toml
+    path.write_text(mobile_manipulator(tool=False))
+    made, derived = write_robot(path)
+    assert any("behind the finger tips" in text for text in derived.assumptions)
+    robot = load_robot(made)
+    assert robot.tool_link == "grasp_frame"
+    fingers = points_of(robot.model, "grasp_frame", ["left_finger", "right_finger"])
+    assert fingers[:, 0].max() == pytest.approx(0.02, abs=1e-4)
+    assert_allclose((fingers.min(0) + fingers.max(0))[1:], 0.0, atol=1e-4)
 
 
 def test_a_gripper_without_fingers_points_where_the_arm_does(tmp_path: Path) -> None:
@@ -282,8 +191,6 @@ def test_the_fetch_of_its_maker_is_understood(tmp_path: Path) -> None:
     assert len(robot.arm_joints) == 8
     assert (robot.base_link, robot.tool_link) == ("base_link", "gripper_link")
     assert robot.opening == pytest.approx(0.1, abs=0.01)
-    # What its maker disables, and what FACTS found to touch in a fifth of all states.
-    assert frozenset(("torso_lift_link", "shoulder_lift_link")) in robot.disabled
     assert examine(robot) == []
 
 
@@ -294,7 +201,8 @@ def test_checking_a_urdf_prints_what_was_assumed(
     assert robot_check(urdf, plot=picture) == 0
     text = capsys.readouterr().out
     assert "written to" in text
-    assert "arm_joints: the longest chain" in text
+    assert "arm_joints: a chain that ends in a hand" in text
+    assert text.splitlines()[-1].startswith("next: momapos place open ")
     assert picture.read_bytes().startswith(b"\x89PNG")
     assert robot_check(urdf.with_suffix(".toml"), json=True) == 0
     facts = json.loads(capsys.readouterr().out)
@@ -326,6 +234,12 @@ def test_the_library_is_listed_shown_and_exported(
     robot_list(json=True)
     names = [robot["name"] for robot in json.loads(capsys.readouterr().out)["robots"]]
     assert tuple(names) == library_names()
+    robot_list()
+    header, fetch = capsys.readouterr().out.splitlines()[:2]
+    assert header.split() == [
+        "name", "arms", "joints", "reach", "[m]", "payload", "[kg]", "drive", "map",
+    ]  # fmt: skip
+    assert fetch.split()[:5] == ["fetch", "1", "8", "1.11", "6"]
     for name in names[:1]:
         robot_show(name)
         assert name in capsys.readouterr().out
@@ -363,10 +277,11 @@ def test_what_cannot_be_read_back_leaves_nothing_and_can_be_tried_again(
     urdf: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def broken(path: Path) -> None:
+        assert path.exists()
         raise RobotError(f"{path}: is no good")
 
     with monkeypatch.context() as patch:
-        patch.setattr("momapos.robots.derive.read_robot", broken)
+        patch.setattr("momapos.robots.write.read_robot", broken)
         with pytest.raises(RobotError, match=r"robot\.toml: is no good"):
             write_robot(urdf)
     assert list(urdf.parent.iterdir()) == [urdf]
@@ -405,19 +320,17 @@ def test_an_arm_without_a_base_is_asked_first_whether_it_is_a_mobile_robot(
     assert "is this a mobile robot?" in capsys.readouterr().out.splitlines()[0]
 
 
-def test_an_arm_that_no_reachability_map_can_be_made_of_is_told_when_it_is_checked(
-    tmp_path: Path,
-) -> None:
+def test_an_arm_of_five_joints_is_told_to_have_no_reachability_map(tmp_path: Path) -> None:
     text = mobile_manipulator()
-    mount = re.search(r'<joint name="j0".*?</joint>', text)
-    assert mount is not None
-    assert '<axis xyz="0 0 1"/>' in mount[0]
+    for name in ("lift", "j2"):
+        found = re.search(rf'<joint name="{name}".*?</joint>', text)
+        assert found is not None
+        text = text.replace(found[0], re.sub('type="[a-z]*"', 'type="fixed"', found[0]))
     path = tmp_path / "robot.urdf"
-    path.write_text(text.replace(mount[0], mount[0].replace("0 0 1", "0 1 0")))
+    path.write_text(text)
     robot = load_robot(write_robot(path)[0])
-    assert any("not vertical" in text for text in examine(robot))
-    with pytest.raises(RobotError, match="not vertical"):
-        arm_frame(robot.chain, robot.approach_axis)
+    assert len(robot.arm_joints) == 5
+    assert ["5 degrees of freedom" in text for text in examine(robot)] == [True]
 
 
 def two_armed() -> str:
@@ -449,36 +362,6 @@ def test_home_keeps_away_from_the_limits_of_turning_joints(urdf: Path) -> None:
     robot = load_robot(write_robot(urdf)[0])
     gap = np.minimum(robot.home - robot.chain.lower, robot.chain.upper - robot.home)
     assert gap[~robot.chain.prismatic].min() > 0.1
-
-
-def twin_armed() -> str:
-    """The mobile manipulator with a second arm like the first, half a meter to its side."""
-    text = mobile_manipulator()
-    begin = text.index('<link name="arm_0">')
-    arm = text[begin : text.index("</robot>")]
-    other = re.sub(r'(name|link)="(?!torso)', r'\1="b_', arm)
-    other = other.replace('xyz="0.15 0 0.5"', 'xyz="0.15 0.5 0.5"', 1)
-    return text.replace("</robot>", other + "</robot>")
-
-
-def test_the_other_arm_of_two_gets_a_compact_state_of_its_own(tmp_path: Path) -> None:
-    path = tmp_path / "robot.urdf"
-    path.write_text(twin_armed())
-    made, derived = write_robot(path)
-    assert any("there is another arm" in text for text in derived.assumptions)
-    assert len([text for text in derived.assumptions if text.startswith("rest: ")]) == 1
-    robot = load_robot(made)
-    assert len(robot.model.held) == 6
-    assert not set(robot.model.held) & set(robot.arm_joints)
-    beside = [name for name in robot.model.links if name.startswith("b_")]
-    arm = beside if robot.arm_joints[-1] == "j5" else [name[2:] for name in beside]
-
-    def reach(values: dict[str, float]) -> float:
-        poses = robot.model.link_poses(values)
-        return max(float(np.hypot(*poses[name][:2, 3])) for name in arm)
-
-    assert reach({}) < reach(dict.fromkeys(robot.model.held, 0.0)) - 0.3
-    assert examine(robot) == []
 
 
 @pytest.mark.parametrize(
@@ -540,9 +423,23 @@ def test_a_tool_without_fingers_that_is_named_so_holds_by_that(
     assert load_robot(write_robot(path)[0]).grips is grips
 
 
-def test_the_grippers_of_the_library_state_their_force() -> None:
+@pytest.mark.parametrize("name", library_names())
+def test_the_library_states_how_far_its_robots_reach_and_what_they_carry(name: str) -> None:
+    for robot in load_arms(name):
+        data = tomllib.loads(robot.path.read_text())
+        stated = data["arms"][robot.arm] if robot.arm else data
+        assert stated["reach"] == pytest.approx(robot.reach, abs=0.01)
+        assert robot.payload is not None
+
+
+def test_the_grippers_of_the_library_state_their_force_where_one_is_published() -> None:
     robots = [load_robot(name) for name in library_names()]
-    assert all(robot.grips is Grip.FINGERS and not robot.assumed for robot in robots)
-    assert {robot.name: robot.grip_force for robot in robots} == {
-        "fetch": 60.0, "husky_ur5e": 100.0, "ranger_rm63": 100.0, "segway_ur5e": 100.0,
+    assert all(robot.grips is Grip.FINGERS for robot in robots)
+    assert {robot.name: robot.grip_force for robot in robots if not robot.assumed} == {
+        "fetch": 60.0, "husky_ur5e": 100.0, "mobile_panda": 70.0, "ranger_rm63": 100.0,
+        "segway_ur5e": 100.0,
     }  # fmt: skip
+    (tiago,) = (robot for robot in robots if robot.assumed)
+    assert tiago.name == "tiago"
+    assert len(tiago.assumed) == 1
+    assert "force" in tiago.assumed[0]

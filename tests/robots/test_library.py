@@ -14,6 +14,7 @@ import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
+from importlib import metadata
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -27,7 +28,7 @@ from tests.real import DATA
 
 LIBRARY = Path(__file__).parents[2] / "src" / "momapos" / "robots" / "library"
 SCENE_IO = DATA.parent / "tools" / "scene_io.py"
-ROBOTS = ("fetch", "husky_ur5e", "ranger_rm63", "segway_ur5e")
+ROBOTS = ("fetch", "husky_ur5e", "mobile_panda", "ranger_rm63", "segway_ur5e", "stretch", "tiago")
 
 COVERED = 0.010
 """How far a vertex of the manufacturer's mesh may lie outside the shapes [m]."""
@@ -86,6 +87,14 @@ class Urdf:
     def model(self) -> pin.Model:
         return pin.buildModelFromXML(ET.tostring(self.root, encoding="unicode"))
 
+    def leader(self, joint: str) -> str:
+        """The joint that a joint follows one to one; none where it is empty."""
+        mimic = self.joints[joint].find("mimic")
+        if mimic is None:
+            return ""
+        assert (mimic.get("multiplier", "1"), mimic.get("offset", "0")) == ("1", "0")
+        return mimic.get("joint", "")
+
     def parent(self, link: str) -> str:
         return self.above[link].find("parent").get("link")
 
@@ -112,10 +121,15 @@ class Urdf:
         for item in self.links[link].findall(tag):
             geometry = item.find("geometry")[0]
             if geometry.tag == "mesh":
-                points = mesh_vertices(self.path.parent / geometry.get("filename"))
+                points = mesh_vertices(self.mesh(geometry.get("filename")))
                 points = points * np.array(geometry.get("scale", "1 1 1").split(), float)
                 clouds.append(transform(pose_of(item), points))
         return np.concatenate(clouds)
+
+    def mesh(self, name: str) -> Path:
+        """The file of a mesh; packages lie beside the folder of the URDF's own."""
+        inside = name.removeprefix("package://example-robot-data/robots/")
+        return self.path.parents[2] / inside if inside != name else self.path.parent / name
 
     def pose(self, link: str, base: str, q: Mapping[str, float]) -> np.ndarray:
         """Pose of a link in the frame of another, by pinocchio."""
@@ -166,8 +180,17 @@ class Robot:
             frozenset((e.get("link1", ""), e.get("link2", ""))): e.get("reason", "")
             for e in srdf.iter("disable_collisions")
         }
-        self.arm: list[str] = self.table["arm_joints"]
-        self.home = dict(zip(self.arm, self.table["home"], strict=True))
+        self.leaders: list[str] = self.table["arm_joints"]
+        self.arm = [
+            name
+            for name in self.urdf.joints
+            if name in self.leaders or self.urdf.leader(name) in self.leaders
+        ]
+        self.home = self.state(dict(zip(self.leaders, self.table["home"], strict=True)))
+
+    def state(self, q: Mapping[str, float]) -> dict[str, float]:
+        """Values of all joints of the arm: others follow those that the robot file names."""
+        return {name: q.get(name, q.get(self.urdf.leader(name), 0.0)) for name in self.arm}
 
     def body(self, link: str) -> str:
         """The link that a link is fixed to, with wheels, casters and fingers held at zero."""
@@ -228,6 +251,23 @@ PILLAR = BESTMAN / "base/ranger_mini_v3_with_pillar/urdf/ranger_mini_v3_with_pil
 SEGBOT = BESTMAN / "base/segbot/urdf/segbot.urdf"
 
 
+def installed(distribution: str, path: str) -> Path:
+    """A file of a package with robot descriptions; one that does not exist where it is missing."""
+    try:
+        return Path(str(metadata.distribution(distribution).locate_file(path)))
+    except metadata.PackageNotFoundError:
+        return Path(distribution) / "missing"
+
+
+EXAMPLES = installed("example-robot-data", "cmeel.prefix/share/example-robot-data/robots")
+PANDA = EXAMPLES / "panda_description" / "urdf" / "panda.urdf"
+TIAGO = EXAMPLES / "tiago_description" / "robots" / "tiago_no_hand.urdf"
+STRETCH = installed(
+    "hello-robot-stretch-urdf",
+    "stretch_urdf/SE3/stretch_description_SE3_eoa_wrist_dw3_tool_sg3.urdf",
+)
+
+
 def moved(x: float = 0, y: float = 0, z: float = 0, yaw: float = 0) -> np.ndarray:
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = pin.rpy.rpyToMatrix(0, 0, yaw), (x, y, z)
@@ -275,6 +315,14 @@ _HUSKY = ["base_link", "top_plate_link", "user_rail_link", "front_bumper_link", 
 _HUSKY += [f"{end}_{side}_wheel_link" for end in ("front", "rear") for side in ("left", "right")]
 _SEGBOT = ["base_link", "plate_link", "base_caster_support_link", "caster_wheel_link"]
 _SEGBOT += ["left_wheel_link", "right_wheel_link"]
+_SG3 = ("link_gripper_s3_body", "link_gripper_s3_body")
+
+
+def both_tips(side: str) -> list[str]:
+    return [f"link_gripper_finger_{side}", f"link_gripper_fingertip_{side}"]
+
+
+_HAND = ("panda_hand", "panda_hand")
 PARTS = {
     "fetch": [
         Part(FETCH, [*_BASE, *(f"{name}_link" for name in _ARM)]),
@@ -289,6 +337,27 @@ PARTS = {
     ],
     # The Husky's own collision shapes are a box and cylinders; its meshes are the visual ones.
     "husky_ur5e": [Part(HUSKY, _HUSKY, "base_link", "chassis_link", tag="visual"), *_UR5E],
+    "mobile_panda": [
+        Part(SEGBOT, _SEGBOT, "base_link", "chassis_link"),
+        Part(PANDA, [*(f"panda_link{i}" for i in range(8)), "panda_hand"]),
+        # At zero their fingers are closed: each opens by 0.04 m.
+        Part(PANDA, ["panda_leftfinger"], *_HAND, moved(y=0.04), "visual"),
+        Part(PANDA, ["panda_rightfinger"], *_HAND, moved(y=-0.04), "visual"),
+    ],
+    "stretch": [
+        Part(STRETCH, ["base_link", "link_right_wheel", "link_left_wheel", "laser", "link_mast"]),
+        Part(STRETCH, ["link_head", "link_head_pan", "link_head_tilt", "link_head_nav_cam"]),
+        Part(STRETCH, ["link_lift", *(f"link_arm_l{i}" for i in range(5)), "link_wrist_yaw"]),
+        Part(STRETCH, ["link_wrist_yaw_bottom", "link_wrist_pitch", "link_wrist_roll"]),
+        Part(STRETCH, ["link_gripper_s3_body"]),
+        # At zero their fingers are closed: each opens by 0.06 m.
+        Part(STRETCH, both_tips("left"), *_SG3, moved(x=0.06)),
+        Part(STRETCH, both_tips("right"), *_SG3, moved(x=-0.06)),
+    ],
+    "tiago": [
+        Part(TIAGO, ["base_link", "torso_lift_link", "head_1_link", "head_2_link"]),
+        Part(TIAGO, [f"arm_{i}_link" for i in range(1, 7)]),
+    ],
     "ranger_rm63": [
         Part(RANGER, ["base_link"], ours="chassis_link", T_ours_anchor=moved(z=0.14)),
         Part(PILLAR, ["arm_base", "front_lidar", "head_Link", "head_camera", "Link7"]),
@@ -305,14 +374,14 @@ PARTS = {
 
 @lru_cache
 def manufacturer(path: Path) -> Urdf:
-    return Urdf(optional.there(path))
+    return Urdf(optional.there(path, "real data" if DATA in path.parents else "robot descriptions"))
 
 
 def random_states(robot: Robot, count: int) -> list[dict[str, float]]:
     rng = np.random.default_rng(0)
-    limits = [limits_of(robot.urdf.joints[name]) for name in robot.arm]
+    limits = {name: limits_of(robot.urdf.joints[name]) for name in robot.leaders}
     return [
-        {name: rng.uniform(*limit) for name, limit in zip(robot.arm, limits, strict=True)}
+        robot.state({name: rng.uniform(*limit) for name, limit in limits.items()})
         for _ in range(count)
     ]
 
@@ -334,6 +403,24 @@ def test_fetch_moves_its_gripper_as_the_manufacturer_says() -> None:
     for q in random_states(ours, 200):
         pair = [u.pose("gripper_link", "base_link", q) for u in (ours.urdf, theirs)]
         assert_same_pose(*pair)
+
+
+@pytest.mark.parametrize(
+    ("name", "file", "base", "flange"),
+    [
+        ("mobile_panda", PANDA, "panda_link0", "panda_hand_tcp"),
+        ("stretch", STRETCH, "base_link", "link_gripper_s3_body"),
+        ("tiago", TIAGO, "base_footprint", "wrist_ft_tool_link"),
+    ],
+)
+def test_arms_of_installed_descriptions_move_as_those_say(
+    name: str, file: Path, base: str, flange: str
+) -> None:
+    ours, theirs = robot_named(name), manufacturer(file)
+    for q in random_states(ours, 200):
+        assert_same_pose(ours.urdf.pose(flange, base, q), theirs.pose(flange, base, q))
+    for joint in ours.arm:
+        assert limits_of(ours.urdf.joints[joint]) == limits_of(theirs.joints[joint])
 
 
 @pytest.mark.parametrize("name", ["segway_ur5e", "husky_ur5e"])
@@ -546,7 +633,7 @@ def test_the_independent_checker_loads_the_robot_and_agrees_about_it(robot: Robo
     assert {names[i] for i in theirs.base_geoms} == {n for n in names if robot.on_base(n)}
     last = {names[i] for i in theirs.gripper}
     assert {n for n in table["gripper_links"] if robot.urdf.shapes(n)} <= last
-    _, poses = theirs.place(table["home"], np.eye(4))
+    _, poses = theirs.place(list(robot.home.values()), np.eye(4))
     geoms = theirs.art.geoms
     for i, j in theirs.self_pairs:
         gap = reader.signed_distance(geoms[i].shape, *poses[i], geoms[j].shape, *poses[j])

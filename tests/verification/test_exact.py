@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 import pytest
 from door_case import BASE, JOINTS, OPEN, arm_path, make_case, tool_poses
-from mutations import MUTATIONS
 from tests import optional
 from tests.real import TOOLS
 from tests.shapes import unchecked
@@ -32,6 +31,7 @@ from momapos.verification.link_bodies import bodies_of, body_poses
 from momapos.verification.report import Limits
 from momapos.verification.robot_collision_model import robot_collision_model
 from momapos.verification.sweep import deepest
+from mutations import MUTATIONS
 
 RUN_THE_OTHER = """
 import json, sys, types

@@ -70,13 +70,16 @@ def busy(title: str, limit: float | None = None) -> Iterator[None]:
             print("\r\033[K", end="", file=sys.stderr, flush=True)
 
 
-def summary(answer: PlacementResult, out: Path | None, *, most: bool = False) -> str:
+def summary(
+    answer: PlacementResult, out: Path | None, *, most: bool = False, tried: str = ""
+) -> str:
     """The answer in a few lines: question, pose, motion, time, and why others were refused.
 
     Args:
         answer: What the pipeline said.
         out: Where the plan was written.
         most: Whether the farthest value was asked for.
+        tried: What became of each arm, where several were tried.
     """
     plan = answer.plan
     lines = [_question(answer, most), ""]
@@ -94,6 +97,8 @@ def summary(answer: PlacementResult, out: Path | None, *, most: bool = False) ->
         ]
     else:
         lines.append(f"  {plan.status:<11} {_why_not(answer)}")
+    if plan.robot_arm is not None:
+        lines.append(f"  arm         {plan.robot_arm}" + (f" ({tried})" if tried else ""))
     if plan.key_objects is not None:
         lines.append(f"  modeled     {_modeled(plan.key_objects)}")
     lines += [f"  assumed     {text}" for text in answer.prepared.robot.assumed]

@@ -34,6 +34,8 @@ if TYPE_CHECKING:
     from tyro.constructors import ConstructorRegistry
 
     from momapos.placement_result import PlacementResult
+    from momapos.reachability.arm_length import ArmLength
+    from momapos.reachability.map import ReachMap
 
 _STATUS = {"solved": 0, "infeasible": 3, "timeout": 4}
 
@@ -44,6 +46,8 @@ class Options:
 
     robot: str = "fetch"
     """A library robot or a robot file."""
+    arm: str = "any"
+    """Which arm of a robot that has several, as left; any: the one with the cheapest answer."""
     joint: JointsArg = ()
     """A joint that stands elsewhere than in the file, as fridge/door_hinge=60deg; repeatable."""
     start: PoseArg = None
@@ -181,37 +185,50 @@ def _answer(
     from momapos.cli.console import busy, progress
     from momapos.manipulation.tasks import make_task
     from momapos.pipeline import plan_base_placement
-    from momapos.reachability.store import load_reach_map
-    from momapos.robots.robot import load_robot
+    from momapos.placement_result import cheapest
+    from momapos.reachability.store import load_reach
+    from momapos.robots.robot import Robot, load_arms
     from momapos.scene.files import load_scene
     from momapos.scene.joints import set_joints
     from momapos.smaller_opening import smaller_opening
 
     cache = user_cache()
-    robot = load_robot(options.robot, cache=cache)
+    arms = load_arms(options.robot, options.arm, cache=cache)
     scene = set_joints(load_scene(scene_name, cache=cache), options.joint)
     for warning in scene.warnings:
         print(f"momapos: {warning}", file=sys.stderr)
     task = make_task(scene, verb, name, joint or None, to)
-    with progress(f"reachability map of {robot.name}") as report:
-        reach = load_reach_map(robot, cache.folder, report)
+    with progress(f"reachability map of {arms[0].name}") as report:
+        maps = [load_reach(robot, cache.folder, report) for robot in arms]
     begin = None if start is None else np.array(start)
     walks = (*RANK, *WALKS) if config.ranking.scorer == "deepwalk" else ()
     compile_once(tuple(dict.fromkeys((*ANSWER, *walks))))
-    with busy(f"{robot.name}: searching", config.timeout):
+
+    def ask(robot: Robot, reach: ReachMap | ArmLength) -> PlacementResult:
         if at is None:
-            answer = plan_base_placement(
+            return plan_base_placement(
                 scene, robot, task, reach, start=begin, config=config, seed=options.seed
             )
-            if not task.farthest:
-                plan = smaller_opening(answer.plan, scene, robot, reach, config=config)
-                answer = replace(answer, plan=plan)
-        else:
-            from momapos.base_pose import plan_at_base_pose
+        from momapos.base_pose import plan_at_base_pose
 
-            answer = plan_at_base_pose(
-                scene, robot, task, at, reach, start=begin, config=config, seed=options.seed
-            )
+        return plan_at_base_pose(
+            scene, robot, task, at, reach, start=begin, config=config, seed=options.seed
+        )
+
+    with busy(f"{arms[0].name}: searching", len(arms) * config.timeout):
+        answers = [ask(robot, reach) for robot, reach in zip(arms, maps, strict=True)]
+        solved = any(answer.plan.status == "solved" for answer in answers)
+        if at is None and not task.farthest and not solved:
+            smaller = [
+                smaller_opening(answer.plan, scene, robot, reach, config=config)
+                for answer, robot, reach in zip(answers, arms, maps, strict=True)
+            ]
+            answers = [
+                replace(answer, plan=plan) for answer, plan in zip(answers, smaller, strict=True)
+            ]
+        answer = cheapest(answers)
+    chosen = next(i for i, one in enumerate(answers) if one is answer)
+    robot, reach = arms[chosen], maps[chosen]
     # Files come first: who reads what is printed may stop reading at any line.
     if options.plot is not None:
         from momapos.viewer.plot import draw_answer
@@ -226,11 +243,12 @@ def _answer(
                 scene, robot, task, reach, config=config, seed=options.seed, report=report
             )
         draw_opening_map(scene, answer, farthest, map_file)
-    _deliver(answer, options, most=to == MAX)
+    tried = [f"{one.arm}: {given.plan.status}" for one, given in zip(arms, answers, strict=True)]
+    _deliver(answer, options, most=to == MAX, tried=", ".join(tried) if len(arms) > 1 else "")
     return _STATUS[answer.plan.status]
 
 
-def _deliver(answer: PlacementResult, options: Options, *, most: bool) -> None:
+def _deliver(answer: PlacementResult, options: Options, *, most: bool, tried: str) -> None:
     import json
 
     from momapos.cli.console import summary
@@ -245,4 +263,4 @@ def _deliver(answer: PlacementResult, options: Options, *, most: bool) -> None:
     if options.json:
         print(json.dumps(plan_to_dict(answer.plan)))
     else:
-        print(summary(answer, options.out, most=most))
+        print(summary(answer, options.out, most=most, tried=tried))

@@ -3,22 +3,28 @@
 from __future__ import annotations
 
 import json as json_format
+import shlex
 import shutil
 import tomllib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from momapos.cli.console import busy
-from momapos.cli.options import OptionalPath
+from momapos.cli.console import progress
+from momapos.cli.options import BoxArg, OptionalPath, PackagesArg, XacroArg
 from momapos.errors import RobotError, unknown_name
 from momapos.files import check_outputs
 from momapos.robots.names import LIBRARY, find_robot, library_names
 from momapos.viewer.pictures import check_picture
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from momapos.robots.robot import Robot
 
 SOLVED = 0
+_ROW = "{:<14} {:>4} {:>6} {:>9} {:>12}  {:<12} {}"
+DERIVED_FROM = (".urdf", ".xml", ".xacro")
+"""Endings of files that a robot file is derived from."""
 
 
 def robot_list(*, json: bool = False) -> int:
@@ -31,16 +37,28 @@ def robot_list(*, json: bool = False) -> int:
     if json:
         print(json_format.dumps({"robots": robots}, indent=1))
         return SOLVED
+    print(_ROW.format("name", "arms", "joints", "reach [m]", "payload [kg]", "drive", "map"))
     for robot in robots:
-        print(f"{robot['name']:14} {robot['joints']} arm joints, {robot['drive']} drive")
+        cells = {key: "-" if value is None else value for key, value in robot.items()}
+        print(_ROW.format(*(str(value) for value in cells.values())))
     print("Use a name as --robot, or a robot file; 'momapos robot check FILE.urdf' makes one.")
     return SOLVED
 
 
 def _in_short(name: str) -> dict[str, Any]:
     """What `robot list` tells of a library robot, from its robot file alone."""
-    data = tomllib.loads(find_robot(name).read_text(encoding="utf-8"))
-    return {"name": data["name"], "joints": len(data["arm_joints"]), "drive": data["base"]["drive"]}
+    file = find_robot(name)
+    data = tomllib.loads(file.read_text(encoding="utf-8"))
+    arms = list(data.get("arms", {"": data}).values())
+    return {
+        "name": data["name"],
+        "arms": len(arms),
+        "joints": len(arms[0]["arm_joints"]),
+        "reach": arms[0].get("reach"),
+        "payload": arms[0].get("payload"),
+        "drive": data["base"]["drive"],
+        "map": "built in" if any(file.parent.glob("*.reach")) else "at first use",
+    }
 
 
 def robot_show(name: str, /, *, json: bool = False) -> int:
@@ -60,59 +78,140 @@ def robot_show(name: str, /, *, json: bool = False) -> int:
 
 
 def robot_check(
-    file: Path, /, *, out: OptionalPath = None, plot: OptionalPath = None, json: bool = False
+    file: Path,
+    /,
+    *,
+    out: OptionalPath = None,
+    on_box: BoxArg = None,
+    package: PackagesArg = (),
+    xacro_arg: XacroArg = (),
+    plot: OptionalPath = None,
+    json: bool = False,
 ) -> int:
-    """Check a robot file, or derive one from a URDF alone.
+    """Check a robot file, or derive one from a URDF or xacro file alone.
 
-    From a URDF, the base, the arm, the tool, a home state and the pairs of links that cannot help
-    touching are guessed; every guess is printed, and the robot file is written for you to correct.
+    From a URDF, the base, the arms, their tools, a home state and the pairs of links that cannot
+    help touching are guessed; every guess is printed, and the robot file is written for you to
+    correct.
 
     Args:
-        file: A robot file (TOML), or a URDF.
+        file: A robot file (TOML), a URDF or a xacro file.
         out: The robot file to write; where not given, the URDF's name with .toml.
-        plot: Draw the robot at home, with its collision spheres, into this file (PNG, SVG, PDF).
+        on_box: Put an arm that has no base on a box that drives, LENGTHxWIDTHxHEIGHT [m].
+        package: Where a package lies that the file names, as NAME=DIR; repeatable.
+        xacro_arg: Value of an argument of a xacro file, as NAME=VALUE; repeatable.
+        plot: Draw the robot at home, from above and from its right, into this file (PNG, SVG, PDF).
         json: Print one JSON object instead of text.
     """
     check_outputs([out, plot])
     check_picture(plot)
+    packages = {name: Path(folder) for name, folder in _pairs(package, "--package").items()}
+    args, box = _pairs(xacro_arg, "--xacro-arg"), _box(on_box)
+    derives = file.suffix.lower() in DERIVED_FROM
+    if not derives and (out, on_box, package, xacro_arg) != (None, None, (), ()):
+        raise RobotError(
+            f"--out, --on-box, --package and --xacro-arg are for a URDF; {file} is a robot file"
+        )
+    for name, folder in packages.items():
+        if not folder.is_dir():
+            raise RobotError(f"--package {name}={folder}: there is no such folder")
     from momapos.cache import user_cache
-    from momapos.robots.derive import examine, write_robot
-    from momapos.robots.robot import load_robot
+    from momapos.robots.examine import blocking, examine
+    from momapos.robots.robot import load_arms
 
+    cache = user_cache()
     guesses: tuple[str, ...] = ()
-    if file.suffix.lower() in (".urdf", ".xml"):
-        with busy(f"robot check {file.name}"):
-            file, derived = write_robot(file, out)
-        guesses = derived.assumptions
-    elif out is not None:
-        raise RobotError(f"--out is for a URDF; {file} is a robot file already")
-    robot = load_robot(file, cache=user_cache())
-    with busy(f"robot check {file.name}"):
-        doubts = examine(robot)
+    with progress(f"robot check {file.name}") as report:
+        if derives:
+            from momapos.robots.amend import Mount
+            from momapos.robots.derive import Source
+            from momapos.robots.write import write_robot
+
+            mount = None if box is None else Mount((0.0, 0.0, box[2]), box=box)
+            source = Source(file, mount, packages)
+            file, derived = write_robot(source, out, args=args, cache=cache, report=report)
+            guesses = derived.assumptions
+        arms = load_arms(file, cache=cache)
+        report(0.95, "looking for what is wrong")
+        doubts = [_of_arm(text, robot) for robot in arms for text in examine(robot)]
+        shares = [_of_arm(text, robot) for robot in arms for text in blocking(robot)]
     if plot is not None:
         from momapos.viewer.robot_spheres import draw_robot
 
-        draw_robot(robot, plot)
+        draw_robot(arms[0], plot, arms[1:])
     facts = {
-        **describe(robot), "written": bool(guesses), "assumptions": list(guesses),
-        "doubts": doubts, "plot": None if plot is None else str(plot),
+        **describe(arms[0]), "written": bool(guesses), "assumptions": list(guesses),
+        "doubts": doubts, "self_collision": shares, "plot": None if plot is None else str(plot),
+        "arms": {robot.arm: describe(robot) for robot in arms if robot.arm}, "next": _next(arms[0]),
     }  # fmt: skip
     if json:
         print(json_format.dumps(facts, indent=1))
         return SOLVED
+    _print_checked(arms, guesses, doubts, shares, plot)
+    return SOLVED
+
+
+def _print_checked(
+    arms: Sequence[Robot],
+    guesses: Sequence[str],
+    doubts: Sequence[str],
+    shares: Sequence[str],
+    plot: Path | None,
+) -> None:
     first = [text for text in guesses if text.startswith("IMPORTANT")]
     if first:
         print("\n".join(first) + "\n")
-    print(as_text(facts))
+    for robot in arms:
+        print(as_text(describe(robot)))
     if guesses:
-        print(f"\nwritten to {file}; what was assumed, please check:")
+        print(f"\nwritten to {arms[0].path}; what was assumed, please check:")
         print("\n".join(f"  - {text}" for text in guesses if text not in first))
+    if shares:
+        print("\npairs of links that block most states of the arm:")
+        print("\n".join(f"  - {text}" for text in shares))
     if doubts:
         print("\nthis looks wrong:")
         print("\n".join(f"  - {text}" for text in doubts))
     if plot is not None:
         print(f"\ndrawn in {plot}")
-    return SOLVED
+    print(f"\nnext: {_next(arms[0])}")
+
+
+def _next(robot: Robot) -> str:
+    """The one line to run next."""
+    return f"momapos place open kitchen_small fridge/door_hinge --robot {shlex.quote(robot.source)}"
+
+
+def _of_arm(text: str, robot: Robot) -> str:
+    return f"{robot.arm}: {text}" if robot.arm else text
+
+
+def _pairs(words: Sequence[str], option: str) -> dict[str, str]:
+    """What stands before and after the equals sign of each word."""
+    pairs = {}
+    for word in words:
+        name, _, value = word.partition("=")
+        if not name or not value:
+            raise RobotError(f"{option} {word!r:.80} is not NAME=VALUE")
+        pairs[name] = value
+    return pairs
+
+
+def _box(text: str | None) -> tuple[float, float, float] | None:
+    """The edges of a box, written as 0.6x0.5x0.9 [m]."""
+    if text is None:
+        return None
+    words = text.removesuffix("m").split("x")
+    try:
+        edges = [float(word) for word in words]
+    except ValueError:
+        edges = []
+    if len(edges) != 3 or not all(0.05 <= edge <= 3 for edge in edges):
+        raise RobotError(
+            f"--on-box {text!r:.80}: give length x width x height in m, each 0.05 to 3, as "
+            "0.6x0.5x0.9"
+        )
+    return (edges[0], edges[1], edges[2])
 
 
 def robot_export(name: str, dir: Path, /) -> int:
@@ -164,6 +263,7 @@ def describe(robot: Robot) -> dict[str, Any]:
     ]
     return {
         "name": robot.name,
+        "arm": robot.arm,
         "path": str(robot.path),
         "urdf": str(robot.model.urdf.path),
         "base_link": robot.base_link,
@@ -171,6 +271,7 @@ def describe(robot: Robot) -> dict[str, Any]:
         "gripper_links": list(robot.gripper_links),
         "joints": joints,
         "reach": round(robot.reach, 3),
+        "payload": robot.payload,
         "ik": robot.ik.name,
         "spheres": len(spheres.radius),
         "self_collision_pairs": len(spheres.pairs) + int(spheres.base_pairs.any(1).sum()),
@@ -191,8 +292,9 @@ def describe(robot: Robot) -> dict[str, Any]:
 def as_text(facts: dict[str, Any]) -> str:
     """The facts about a robot, for people."""
     length, width = facts["base_size"]
+    arm = f", arm {facts['arm']}" if facts["arm"] else ""
     lines = [
-        f"{facts['name']} ({facts['path']})",
+        f"{facts['name']}{arm} ({facts['path']})",
         f"  base      {facts['base_link']}, {length:.2f} x {width:.2f} m, {facts['drive']} drive, "
         f"{facts['max_speed']:g} m/s, {facts['max_yaw_rate']:g} rad/s",
         f"  tool      {facts['tool_link']}, opens {facts['opening']:.3f} m, "

@@ -10,13 +10,12 @@ from tyro.conf import Positional
 
 from momapos.cli.options import OptionalPath, OptionalText, PoseArg, check_seed
 from momapos.cli.place import parse_pose
-from momapos.errors import FileFormatError
+from momapos.cli.plan_files import open_plan
+from momapos.errors import InputError
 from momapos.files import check_outputs
 
 if TYPE_CHECKING:
     from momapos.execution.record import RunRecord
-    from momapos.robots.robot import Robot
-    from momapos.types import PlacementPlan
 
 MOST_COLLISIONS = 5
 
@@ -30,6 +29,7 @@ def run(
     start: PoseArg = None,
     hold: Literal["contact", "weld"] = "contact",
     noise: bool = True,
+    tries: int = 3,
     seed: int = 0,
     out: OptionalPath = None,
     record: OptionalPath = None,
@@ -38,7 +38,8 @@ def run(
     """Drive there and do it: carry a plan out in a physics engine, and say what came of it.
 
     The arm is planned anew where the base really arrives; where it cannot, or the base does not
-    arrive, the next base pose is driven to, three at most.
+    arrive, the next base pose is driven to, three at most. Where a motion fails, the arm comes home
+    and another grasp or base pose is tried.
 
     Exit status: 0 the task was done, 1 it was not, 2 a file or the start cannot be used.
 
@@ -51,6 +52,7 @@ def run(
             the grasp, as for a robot without fingers.
         noise: Let the base believe to be where noisy sensors say, and draw how heavily the
             furniture moves; without it, both are as modeled.
+        tries: Motions that are executed at most, each after one that failed.
         seed: Same seed, same run.
         out: Write the record here (JSON).
         record: Draw a filmstrip here (PNG).
@@ -59,25 +61,21 @@ def run(
     # Told before anything heavy is imported.
     check_seed(seed)
     check_outputs([out, record])
-    if not plan.exists():
-        raise FileFormatError(f"{plan}: no such plan file")
+    if tries < 1:
+        raise InputError(f"--tries {tries}: at least one motion must be tried")
     from json import dumps
 
     import numpy as np
 
-    from momapos.cache import default_cache_dir, user_cache
+    from momapos.cache import default_cache_dir
     from momapos.cli.console import progress
-    from momapos.errors import InputError, require
-    from momapos.plans import check_unchanged, read_plan
-    from momapos.reachability.store import load_reach_map
-    from momapos.verification.files import find_file, read_scene
+    from momapos.errors import require
+    from momapos.reachability.store import load_reach
 
     begin = None if start is None else np.array(parse_pose(start, "start"))
-    content = read_plan(plan)
-    if content.status != "solved":
-        raise InputError(f"{plan}: the plan is {content.status!r}: there is nothing to execute")
     if record is not None and record.suffix.lower() != ".png":
         raise InputError(f"--record {record}: a filmstrip is a PNG; name it so")
+    content, scene, machine = open_plan(plan, scene_root, robot, "to execute")
     with require("physics"):
         from momapos.execution.config import ExecutionConfig, FurnitureConfig
         from momapos.execution.film import Film
@@ -85,19 +83,11 @@ def run(
         from momapos.navigation.drive import DriveConfig
         from momapos.run_plan import QUIET, run_plan
 
-    folders = [plan.resolve().parent, *([scene_root] if scene_root else []), Path()]
-    scene_file = find_file("scene", content.scene, folders, plan)
-    urdf = find_file("robot.urdf", content.robot_urdf, folders, plan)
-    check_unchanged(plan, scene_file, urdf)
-    scene = read_scene(scene_file, scene_root, cache=user_cache()).with_joints(content.scene_joints)
-    machine = _robot(content, plan, urdf, robot)
-    for warning in scene.warnings:
-        print(f"momapos: {warning}", file=sys.stderr)
     film = Film() if record is not None else None
     with progress(f"reachability map of {machine.name}") as report:
-        reach = load_reach_map(machine, default_cache_dir(), report)
+        reach = load_reach(machine, default_cache_dir(), report)
     result = run_plan(
-        content, scene, machine, reach, start=begin, seed=seed,
+        content, scene, machine, reach, start=begin, tries=tries, seed=seed,
         driving=DriveConfig() if noise else DriveConfig(noise=QUIET),
         physics=ExecutionConfig(hold=hold, furniture=FurnitureConfig(spread=0.3 if noise else 0.0)),
         trace=film.drive if film is not None else None, watch=film,
@@ -111,42 +101,6 @@ def run(
             film.write(record)
     print(dumps(run_to_dict(result)) if json else summary(result))
     return 0 if result.success else 1
-
-
-def _robot(content: PlacementPlan, plan: Path, urdf: Path, given: str | None) -> Robot:
-    """The robot file that goes with the URDF of a plan.
-
-    Raises:
-        RobotError: There is none, or it describes another robot.
-    """
-    from momapos.cache import user_cache
-    from momapos.errors import InputError, RobotError
-    from momapos.robots.names import library_names
-    from momapos.robots.robot import load_robot
-
-    beside = urdf.with_suffix(".toml")
-    if given is not None:
-        robot = load_robot(given, cache=user_cache())
-    elif content.robot_file is not None:
-        try:
-            robot = load_robot(content.robot_file, cache=user_cache())
-        except InputError as error:
-            raise RobotError(
-                f"{plan}: its robot file cannot be used: {error}; give --robot"
-            ) from error
-    elif beside.is_file():
-        robot = load_robot(beside, cache=user_cache())
-    elif content.robot_name in library_names():
-        robot = load_robot(content.robot_name, cache=user_cache())
-    else:
-        raise RobotError(f"{plan}: there is no robot file {beside}; give --robot")
-    named = (content.base_link, content.tool_link, content.joints)
-    if named != (robot.base_link, robot.tool_link, robot.arm_joints):
-        raise RobotError(
-            f"{plan}: the plan is for {content.robot_name} with tool {content.tool_link!r} and "
-            f"joints {', '.join(content.joints)}; {robot.path} describes another robot"
-        )
-    return robot
 
 
 def summary(record: RunRecord) -> str:
@@ -166,6 +120,10 @@ def summary(record: RunRecord) -> str:
             f"{100 * off:.1f} cm off the planned pose"
             + (f": {visit.reason}" if visit.reason else "")
         )
+    lines += [
+        f"  try {k}       {failed.ending}, at {failed.reached:.3f} of {failed.asked:.3f}"
+        for k, failed in enumerate(record.failed, 1)
+    ]
     done = record.execution
     if done is None:
         return "\n".join(lines)

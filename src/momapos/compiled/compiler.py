@@ -178,8 +178,9 @@ class _Part(JITCodeLibrary):
 
 @contextlib.contextmanager
 def _optimized_once(entry: str) -> Iterator[None]:
-    """Have numba make parts of all functions but the entry."""
-    codegen = cpu_target.target_context.codegen()
+    """Have numba make parts of all functions but the entry, and no wrappers by which C calls."""
+    context = cpu_target.target_context
+    codegen = context.codegen()
 
     def library(owner: Any, name: str) -> JITCodeLibrary:
         return (JITCodeLibrary if name == entry else _Part)(owner, name)
@@ -188,11 +189,15 @@ def _optimized_once(entry: str) -> Iterator[None]:
         if codegen._engine.is_symbol_defined(name):
             type(codegen).set_env(codegen, name, environment)
 
+    def no_wrapper(*_: Any) -> None:
+        pass
+
     codegen._library_class, codegen.set_env = library, set_env
+    context.create_cfunc_wrapper = no_wrapper
     try:
         yield
     finally:
-        del codegen._library_class, codegen.set_env
+        del codegen._library_class, codegen.set_env, context.create_cfunc_wrapper
 
 
 @contextlib.contextmanager

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
+from momapos.execution.avoidance import Bounds, no_bounds
 from momapos.execution.config import ComplianceConfig
 from momapos.execution.feel import Touch
 from momapos.execution.simulation import Simulation
@@ -24,8 +25,10 @@ there the joints rather stay near the plan [m]."""
 _TURN = np.array([1.0, 1.0, 1.0, 0.2, 0.2, 0.2])
 """A turn of the hand by 1 rad counts as this way: where the arm cannot do both, it rather turns
 than leave the part's way [m]."""
-_ROUNDS = 3
-"""How often joints at their limits are left out, and the others asked again [-]."""
+_ROUNDS = 4
+"""How often bounds that are met are kept, and what they leave is asked again [-]."""
+_SAME = 1e-5
+"""Damping of the inverse of bounds [-]."""
 _NULL_RATE = 2.0
 """Joints that the tool's pose leaves free return to the plan at this rate [1/s]."""
 
@@ -81,6 +84,8 @@ class Reference:
     """Projects an offset on the directions in which the hand makes it up slowly."""
     here: Float[np.ndarray, "3"] | None = None
     """Where the tool really is, by the joints; None where that makes no difference [m]."""
+    bounds: Bounds | None = None
+    """Of the joints' speeds; None for none but the joints' limits."""
 
 
 class CompliantArm:
@@ -96,17 +101,25 @@ class CompliantArm:
         limits = world.model.jnt_range[joints]
         self._low = np.where(limited, limits[:, 0], -np.inf)
         self._high = np.where(limited, limits[:, 1], np.inf)
-        self._wrench = np.zeros(6)
+        slides = world.model.jnt_type[joints] == mujoco.mjtJoint.mjJNT_SLIDE
+        self._bears = np.where(slides, config.arm_force, config.arm_torque)
+        self._wrench, self._load = np.zeros(6), np.zeros(len(self.q))
 
     def feel(self, touch: Touch) -> None:
         """Take in the force at the hand, through a low-pass filter."""
         share = self.step / (self.config.filter_time + self.step)
         self._wrench += share * (np.concatenate([touch.force, touch.torque]) - self._wrench)
+        self._load += share * (touch.arm - self._load)
 
     @property
     def wrench(self) -> Float[np.ndarray, "6"]:
         """Filtered force [N] and torque about the tool's origin [Nm] on the hand, in the world."""
         return self._wrench
+
+    @property
+    def load(self) -> float:
+        """Load of the joints that the hand does not explain, as a share of what they may bear."""
+        return float((np.abs(self._load) / self._bears).max())
 
     def go(
         self,
@@ -136,26 +149,42 @@ class CompliantArm:
         twist = np.concatenate([_at_most(line, config.speed), _at_most(turn, config.turn_speed)])
         free = reference.v + _NULL_RATE * (reference.q - self.q)
         # The motors are led by the plan's speed alone: led by what the hand gives way they quiver.
-        self.go(self._moved(J, reference.twist + twist, free), reference.v)
+        self.go(self._moved(J, reference.twist + twist, free, reference.bounds), reference.v)
 
     def _moved(
         self,
         J: Float[np.ndarray, "6 n"],
         twist: Float[np.ndarray, "6"],
         free: Float[np.ndarray, " n"],
+        bounds: Bounds | None,
     ) -> Float[np.ndarray, " n"]:
-        """The state after a step at a twist; joints that meet a limit leave it to the others."""
-        v, held = free, np.zeros(len(free), bool)
+        """The state after a step at a twist, as near as the bounds of the joints' speeds allow.
+
+        A bound that is met is kept exactly, and what it leaves does the rest.
+        """
+        count = len(free)
+        bounds = bounds or no_bounds(count)
+        rows = np.concatenate([np.eye(count), -np.eye(count), bounds.rows])
+        to_limits = (self._low - self.q, self.q - self._high)
+        least = np.concatenate([*np.minimum(to_limits, 0.0) / self.step, bounds.least])
+        v, met = free, np.zeros(len(rows), bool)
         J, twist = J * _TURN[:, None], twist * _TURN
         for _ in range(_ROUNDS):
-            v = np.where(held, 0.0, free)
-            v = v + _damped_inverse(np.where(held, 0.0, J)) @ (twist - J @ v)
-            q = self.q + self.step * v
-            over = (q < self._low) | (q > self._high)
-            if not (over & ~held).any():
+            kept = _kept(rows[met])
+            rest = np.eye(count) - kept @ rows[met]
+            v = kept @ least[met] + rest @ free
+            v = v + _damped_inverse(J @ rest) @ (twist - J @ v)
+            over = rows @ v < least - 1e-9
+            if not (over & ~met).any():
                 break
-            held |= over
+            met |= over
         return np.clip(self.q + self.step * v, self._low, self._high)
+
+
+def _kept(rows: Float[np.ndarray, "c n"]) -> Float[np.ndarray, "n c"]:
+    """Inverse of the rows of bounds that are met, damped where they say almost the same."""
+    gram = rows @ rows.T + _SAME * np.eye(len(rows))
+    return np.asarray(np.linalg.solve(gram, rows).T)
 
 
 def _damped_inverse(J: Float[np.ndarray, "6 n"]) -> Float[np.ndarray, "n 6"]:

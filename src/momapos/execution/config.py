@@ -23,13 +23,22 @@ class Ending(StrEnum):
     NOTHING_HELD = "nothing is between the fingers"
     ONE_SIDED = "only one finger touches"
     TOO_HARD = "the hand felt more than it may"
+    BLOCKED = "something is in the arm's way"
     SLIPPED = "the hand lost its hold"
+    SLIPPED_AT_END = "the hand lost its hold near the end of its way"
     BROKE = "the weld broke"
     DIVERGED = "the simulation diverged"
 
 
-GOOD = (Ending.DONE, Ending.STOPPED_AT_END)
+AT_END = (Ending.STOPPED_AT_END, Ending.SLIPPED_AT_END)
+GOOD = (Ending.DONE, *AT_END)
 """Endings of motions that were carried out."""
+
+RECOVERABLE = (
+    Ending.ASTRAY, Ending.OUT_OF_REACH, Ending.NOTHING_HELD, Ending.ONE_SIDED, Ending.TOO_HARD,
+    Ending.BLOCKED, Ending.SLIPPED, Ending.BROKE,
+)  # fmt: skip
+"""Endings after which the robot may try anew."""
 
 
 class Stage(StrEnum):
@@ -40,6 +49,7 @@ class Stage(StrEnum):
     GRIP = "grip"
     MANIPULATE = "manipulate"
     DWELL = "dwell"
+    RETREAT = "retreat"
 
 
 @dataclass(frozen=True)
@@ -129,7 +139,13 @@ class ComplianceConfig:
     near: float = 0.1
     """The hand comes to the grasp slowly over this way [m]."""
     near_speed: float = 0.05
-    """Its speed there [m/s]."""
+    """Its speed there [m/s], and where the arm would touch what is as modeled."""
+    beside_speed: float = 0.25
+    """Its speed where the arm is as far from its surroundings as clearance is observed [m/s]."""
+    pace_rate: float = 4.0
+    """By how much its speed changes in a second, as a share of the planned one [1/s]."""
+    slowest: float = 0.2
+    """Share of its speed that is left when it feels much [-]."""
     bump: float = 25.0
     """A push against its approach at which the hand draws back and comes in beside [N] ..."""
     early: float = 0.012
@@ -150,6 +166,8 @@ class ComplianceConfig:
     """The hand gives way and makes up at this speed at most [m/s]."""
     turn_speed: float = 0.4
     """[rad/s]"""
+    push_speed: float = 0.1
+    """The tool pushes at this speed at most: what is pushed is not held back, and runs on [m/s]."""
     home: float = 1.5
     """Time in which a hand that let go returns to the plan [s]."""
     filter_time: float = 0.02
@@ -158,6 +176,18 @@ class ComplianceConfig:
     """The run stops where the hand feels more than this [N]."""
     torque: float = 20.0
     """Likewise [Nm]."""
+    avoid: float = 0.02
+    """Things nearer to the arm than this slow its way toward them [m]."""
+    apart: float = 0.003
+    """It comes no nearer to them than this [m]."""
+    avoid_rate: float = 20.0
+    """Speed toward them for the distance that is left [1/s]."""
+    way_force: float = 60.0
+    """Something is in the way where the hand feels more than this before it comes near [N]."""
+    arm_torque: float = 12.0
+    """Something is in the arm's way where a joint bears more than the hand explains [Nm] ..."""
+    arm_force: float = 60.0
+    """... or, where it slides [N]."""
     axis_error: float = 0.03
     """How far a hinge may be from where it is modeled; the estimate's prior [m]."""
     tilt_error: float = float(np.radians(5.0))

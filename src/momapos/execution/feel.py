@@ -24,6 +24,9 @@ class Touch:
     """Likewise about the tool's origin [Nm]."""
     pads: tuple[float, float]
     """How hard things press on the pads of the two sides, against their closing [N]."""
+    arm: Float[np.ndarray, " n"]
+    """Load of the arm's joints that neither its motion nor the hand explains: what its links meet
+    [Nm] or [N]."""
 
     @property
     def size(self) -> tuple[float, float]:
@@ -39,7 +42,19 @@ def feel(world: Simulation) -> Touch:
     center = data.subtree_com[model.body_rootid[world.tool_body]]
     force = wrench[3:].copy()
     torque = wrench[:3] + np.cross(center - data.xpos[world.tool_body], force)
-    return Touch(force, torque, pad_loads(world))
+    jacobian = np.zeros((6, model.nv))
+    mujoco.mj_jacBody(model, data, jacobian[:3], jacobian[3:], world.tool_body)
+    of_hand = np.concatenate([force, torque]) @ jacobian
+    return Touch(force, torque, pad_loads(world), (_outside(world) - of_hand)[world.arm_v])
+
+
+def _outside(world: Simulation) -> Float[np.ndarray, " v"]:
+    """Load of all joints by contacts and couplings, not by their own limits [Nm] or [N]."""
+    data, load = world.data, np.zeros(world.model.nv)
+    if data.nefc:
+        own = data.efc_type == mujoco.mjtConstraint.mjCNSTR_LIMIT_JOINT
+        mujoco.mj_mulJacTVec(world.model, data, load, np.where(own, 0.0, data.efc_force))
+    return load
 
 
 def pad_loads(world: Simulation) -> tuple[float, float]:

@@ -68,7 +68,7 @@ def find_hand(robot: Robot, mimics: Mapping[str, Mimic]) -> Hand:
     moving = {
         joint.name: joint
         for joint in model.joints.values()
-        if joint.name not in robot.arm_joints
+        if joint.name not in robot.moved_joints
         and links & set(model.moved_by(joint.name))
         and not _moves_arm(robot, joint)
     }

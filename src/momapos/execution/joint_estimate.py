@@ -44,6 +44,16 @@ class Axis:
         return np.asarray(way / max(float(np.linalg.norm(way)), 1e-9))
 
 
+@dataclass(frozen=True, eq=False)
+class Learned:
+    """What the hand has learned of the part."""
+
+    value: float
+    """Where the hand has its joint, or had it last [rad] or [m]."""
+    offset: Float[np.ndarray, "3"]
+    """How far it is from where the plan has it [m]."""
+
+
 class JointEstimate:
     """The most likely joint: near the modeled one, and fit for the way that the hand took.
 
@@ -70,6 +80,16 @@ class JointEstimate:
     def shift(self) -> float:
         """Distance of the estimated hinge from the modeled one, where the hand is [m]."""
         return float(np.linalg.norm(self._x[2:]))
+
+    def value_at(self, point: Float[np.ndarray, "3"]) -> float:
+        """How far the joint has moved since the start, by where the hand is [rad] or [m]."""
+        axis, start = self.axis, self.points[0]
+        if axis.slides:
+            return float((point - start) @ axis.direction)
+        arms = np.stack([start, point]) - axis.point
+        sine = np.cross(arms[0], arms[1]) @ axis.direction
+        along = arms @ axis.direction
+        return float(np.arctan2(sine, arms[0] @ arms[1] - along[0] * along[1]))
 
     def see(self, point: Float[np.ndarray, "3"]) -> None:
         """Take a position of the hand into account [m]."""

@@ -118,6 +118,8 @@ class Execution:
     """Time that the simulation took, without building the world [s]."""
     ending: str = ""
     """How the run ended, one of `Ending`."""
+    base_pose: Pose | None = None
+    """Where the base stood: x [m], y [m], yaw [rad]; None in records of before."""
     joint: JointFound | None = None
     """None for loose objects, and where the hand took no hold."""
     notes: tuple[str, ...] = ()
@@ -155,9 +157,11 @@ class RunRecord:
     robot: str
     task: Task
     visits: tuple[Visit, ...]
-    """All drives; the last is the one that led to an execution, if any."""
+    """All drives; where something was executed after one, `Execution.base_pose` says."""
     execution: Execution | None
-    """None where no arm motion was found at any pose reached."""
+    """The last one; None where no arm motion was found at any pose reached."""
+    failed: tuple[Execution, ...] = ()
+    """Those before, which failed and after which the arm came home, in order."""
     seed: int = 0
     noise: bool = False
     time: Mapping[str, float] = field(default_factory=dict)

@@ -3,31 +3,34 @@
 from __future__ import annotations
 
 import time
-from dataclasses import asdict, replace
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from momapos.execution.approach import PacedTrajectory, paced
 from momapos.execution.arm_control import ArmKinematics
-from momapos.execution.config import GOOD, Ending, ExecutionConfig
+from momapos.execution.config import AT_END, GOOD, RECOVERABLE, Ending, ExecutionConfig
 from momapos.execution.dynamics import read_dynamics
-from momapos.execution.furniture import Resistance, draw_resistance, seal_of
+from momapos.execution.furniture import Deviation, Resistance, draw_resistance, seal_of
 from momapos.execution.hand import find_hand
-from momapos.execution.joint_estimate import Axis, JointEstimate
+from momapos.execution.joint_estimate import Axis, JointEstimate, Learned
 from momapos.execution.model_errors import draw_deviation, resisting
-from momapos.execution.record import Execution, JointFound
-from momapos.execution.simulation import build_simulation
+from momapos.execution.record import Collision, Execution, JointFound, Pose
+from momapos.execution.retreat import WayHome, retreat
+from momapos.execution.simulation import Simulation, build_simulation
 from momapos.execution.stages import Belief, ExecutionRun, Stretch, Watch
 from momapos.execution.verdict import TaskOutcome, judge
 from momapos.kinematics.urdf import Joint
 from momapos.protocols import Clock
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene, SceneObject
-from momapos.trajectory import Trajectory, joined, time_motion
+from momapos.trajectory import time_motion
 from momapos.types import Hold, Motion, Task
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
+    pass
 
 DEFAULT = ExecutionConfig()
 _STATES = 5
@@ -35,10 +38,47 @@ _STATES = 5
 _WELD_INSTEAD = "the fingers of {} do not close on anything: a weld stands for its hold"
 
 
+@dataclass(frozen=True, eq=False)
+class Again:
+    """What another try begins with."""
+
+    scene: Scene
+    """The room as the robot believes it to be, for which the motion is planned."""
+    value: float
+    """Where the part's joint truly is [rad] or [m]."""
+    collisions: Mapping[tuple[str, str], Collision]
+    """All touches of the tries before."""
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What came of a motion, and what may follow."""
+
+    execution: Execution
+    ending: Ending
+    learned: Learned | None
+    """Where the hand had the part last; None where it did not move it."""
+    value: float
+    """Where the part's joint truly is, which it does not know [rad] or [m]."""
+    collisions: Mapping[tuple[str, str], Collision]
+    at_home: bool
+    """Whether the motion failed and the arm is home again, so that another may be tried."""
+
+    @property
+    def in_the_way(self) -> bool:
+        """Whether the arm could not follow the part from where the base stands."""
+        return self.learned is not None and self.ending in (Ending.BLOCKED, Ending.TOO_HARD)
+
+    @property
+    def nothing_there(self) -> bool:
+        """Whether the hand found nothing where it closed."""
+        return self.learned is None and self.ending is Ending.NOTHING_HELD
+
+
 def execute(
     scene: Scene,
     robot: Robot,
-    base_pose: tuple[float, float, float],
+    base_pose: Pose,
     motion: Motion,
     task: Task,
     config: ExecutionConfig = DEFAULT,
@@ -67,6 +107,37 @@ def execute(
         SceneError: The robot stands in something at the beginning.
         InputError: The motion cannot be timed, or the engine refuses the model.
     """
+    return attempt(
+        scene, robot, base_pose, motion, task, config, rng, watch=watch, clock=clock
+    ).execution
+
+
+def attempt(
+    scene: Scene,
+    robot: Robot,
+    base_pose: Pose,
+    motion: Motion,
+    task: Task,
+    config: ExecutionConfig = DEFAULT,
+    rng: np.random.Generator | None = None,
+    *,
+    again: Again | None = None,
+    way_home: WayHome | None = None,
+    watch: Watch | None = None,
+    clock: Clock = time.perf_counter,
+) -> Outcome:
+    """Execute a motion; where it fails, let go and bring the arm home.
+
+    Args:
+        scene, robot, base_pose, motion, task, config, rng, watch, clock: See `execute`. The scene
+            is the one that the run began with.
+        again: What earlier tries left; None for the first one.
+        way_home: Plans the arm's way home from where a motion failed; None to stay there.
+
+    Raises:
+        SceneError: The robot stands in something at the beginning.
+        InputError: The motion cannot be timed, or the engine refuses the model.
+    """
     item = scene.object(task.object)
     joint = None if task.joint is None else item.model.joint(task.joint)
     assert robot.model.urdf.path is not None
@@ -83,24 +154,42 @@ def execute(
         deviation = draw_deviation(axis, config.errors, rng)
     states = np.concatenate([motion.approach, motion.q])
     tuned = states[np.linspace(0, len(states) - 1, _STATES).astype(int)]
-    world = build_simulation(
-        scene, robot, base_pose, tuned, task, hand, dynamics, resistance, deviation, config
-    )
+
+    def build(room: Scene, deviation: Deviation | None, begin: float | None) -> Simulation:
+        return build_simulation(
+            room, robot, base_pose, tuned, task, hand, dynamics, resistance, deviation, config,
+            begin=begin,
+        )  # fmt: skip
+
+    world = build(scene, deviation, None if again is None else again.value)
+    believed = scene if again is None else again.scene
+    as_known = deviation is None and again is None
+    known = world if as_known else build(believed, None, None)
     seal = seal_of(item, joint, resistance.pull, config.furniture.seal_range)
-    run = ExecutionRun(world, motion, task, config, seal, _belief(item, joint), watch)
+    belief = _belief(believed.object(task.object), joint)
+    touched = {} if again is None else again.collisions
+    run = ExecutionRun(world, motion, task, config, seal, belief, known, watch, touched)
     if task.verb == "place":
         run.carry(item)
     run.check_start()
     began = clock()
-    approach = _timed_approach(robot, motion, config, run.arm.kinematics)
+    approach = _approach(robot, motion, config, known)
     ending = run.go(approach, _stretches(robot, motion, config))
+    detail, at_home = run.detail, False
+    if way_home is not None and belief is not None and ending in RECOVERABLE:
+        at_home = retreat(run, robot, approach, way_home)
     wall = clock() - began
-    stopped = "" if ending in GOOD else f"{ending}: {run.detail}" if run.detail else str(ending)
+    how = f"{ending}: {detail}" if detail else str(ending)
+    stopped = "" if ending in GOOD else how
     verdict = judge(world, run.observer, task, item, run.first, motion, config, stopped)
-    unknown = [name for name in robot.arm_joints if name not in dynamics.efforts]
+    unknown = [name for name in robot.moved_joints if name not in dynamics.efforts]
     if unknown:
         notes.append(f"no effort limit is known of {', '.join(unknown)}")
-    return _outcome(run, ending, verdict, resistance, wall, notes)
+    if ending in AT_END:
+        notes.append(how)
+    execution = _outcome(run, base_pose, ending, verdict, resistance, wall, notes)
+    value = float(world.data.qpos[world.part_q])
+    return Outcome(execution, ending, run.learned, value, run.observer.collisions, at_home)
 
 
 def _stretches(robot: Robot, motion: Motion, config: ExecutionConfig) -> list[Stretch]:
@@ -120,37 +209,24 @@ def _stretches(robot: Robot, motion: Motion, config: ExecutionConfig) -> list[St
             object_q=motion.object_q[states], Ts_world_tool=motion.Ts_world_tool[states],
             approach_times=None, times=None, holds=(),
         )  # fmt: skip
-        free, slow = time_motion(robot, part, config.speed, step)
+        speed = config.speed
+        if held is not None and held.family == "push":
+            most = min(speed.tool_speed, config.compliance.push_speed)
+            speed = replace(speed, tool_speed=most)
+        free, slow = time_motion(robot, part, speed, step)
         stretches.append(Stretch(free if held is None else slow, part, held))
     return stretches
 
 
-def _timed_approach(
-    robot: Robot, motion: Motion, config: ExecutionConfig, kinematics: ArmKinematics
-) -> Trajectory:
-    """The approach, slow where the hand comes near."""
-    step, compliance = config.timestep * config.substeps, config.compliance
-    approach, _ = time_motion(robot, motion, config.speed, step)
-    path = motion.approach
-    if len(path) < 3:
-        return approach
+def _approach(
+    robot: Robot, motion: Motion, config: ExecutionConfig, room: Simulation
+) -> PacedTrajectory:
+    """The approach, slow where the arm is near what the robot knows of the room."""
+    plan, _ = time_motion(robot, motion, config.speed, config.timestep * config.substeps)
+    path = motion.approach if len(motion.approach) else motion.q[:1]
+    kinematics = ArmKinematics(room)
     tool = np.array([kinematics.at(q)[0][:3, 3] for q in path])
-    left = np.linalg.norm(np.diff(tool, axis=0), axis=1)[::-1].cumsum()[::-1]
-    near = int(np.argmax(left <= compliance.near)) if left[-1] <= compliance.near else len(left) - 1
-    speed = replace(config.speed, tool_speed=compliance.near_speed)
-    slow = Motion(path[near:], path[near:], np.zeros(len(path) - near), _poses(tool[near:]))
-    if near == 0:
-        return time_motion(robot, slow, speed, step)[1]
-    away = time_motion(
-        robot, replace(motion, approach=path[: near + 1], approach_times=None), config.speed, step
-    )[0]
-    return joined([away, time_motion(robot, slow, speed, step)[1]])[0]
-
-
-def _poses(points: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "m 4 4"]:
-    Ts = np.tile(np.eye(4), (len(points), 1, 1))
-    Ts[:, :3, 3] = points
-    return Ts
+    return paced(plan, path, tool, room, config)
 
 
 def _belief(item: SceneObject, joint: Joint | None) -> Belief | None:
@@ -163,6 +239,7 @@ def _belief(item: SceneObject, joint: Joint | None) -> Belief | None:
 
 def _outcome(
     run: ExecutionRun,
+    base_pose: Pose,
     ending: Ending,
     verdict: TaskOutcome,
     resistance: Resistance,
@@ -174,8 +251,6 @@ def _outcome(
     if run.world.loose:
         names = ", ".join(run.world.loose)
         notes.append(f"touch the moved part in the scene, and are left out against it: {names}")
-    if ending is Ending.STOPPED_AT_END:
-        notes.append(f"{ending}: {run.detail}")
     shift = observer.base_shift.tolist()
     return Execution(
         success=verdict.success,
@@ -196,6 +271,7 @@ def _outcome(
         wall=wall,
         ending=str(ending),
         joint=_joint_found(run.estimate),
+        base_pose=base_pose,
         notes=tuple(notes),
     )
 

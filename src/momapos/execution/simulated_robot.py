@@ -54,7 +54,7 @@ def add_robot(
     model, moving = robot.model, _arm_links(robot)
     T_root_base = model.rest_poses[robot.base_link]
     driven = {finger.joint for finger in fingers}
-    free = {*robot.arm_joints, *driven, *followers}
+    free = {*robot.moved_joints, *driven, *followers}
     bodies: dict[str, Any] = {}
     for link in model.links:
         parent, T, joint = root, invert(T_root_base), _joint_to(robot, link)
@@ -65,7 +65,7 @@ def add_robot(
         body = place_body(parent.add_body(name=body_of(link), gravcomp=1.0), T)
         bodies[link] = body
         if joint is not None and joint.name in free:
-            limit = dynamics.efforts.get(joint.name) if joint.name in robot.arm_joints else None
+            limit = dynamics.efforts.get(joint.name) if joint.name in robot.moved_joints else None
             _add_joint(body, joint, limit, config)
         kind = Kind.BASE
         if link in moving:
@@ -82,7 +82,7 @@ def add_robot(
 
 
 def _arm_links(robot: Robot) -> set[str]:
-    return {link for joint in robot.arm_joints for link in robot.model.moved_by(joint)}
+    return {link for joint in robot.moved_joints for link in robot.model.moved_by(joint)}
 
 
 def _joint_to(robot: Robot, link: str) -> Joint | None:
@@ -136,7 +136,7 @@ def _set_inertia(body: Any, inertia: Inertia) -> None:
 
 def _add_motors(spec: Any, robot: Robot, fingers: tuple[Finger, ...]) -> None:
     """One position-controlled motor a joint; `tune` sets the gains when inertias are known."""
-    for name in (*BASE_JOINTS, *robot.arm_joints):
+    for name in (*BASE_JOINTS, *robot.moved_joints):
         spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
     for finger in fingers:
         motor = spec.add_actuator(
@@ -192,9 +192,9 @@ def tune(
         config: Names the bandwidths.
     """
     control, levers = config.control, {finger.joint: finger.lever for finger in fingers}
-    names = (*BASE_JOINTS, *robot.arm_joints, *levers)
+    names = (*BASE_JOINTS, *robot.moved_joints, *levers)
     dofs = [int(model.joint(name).dofadr[0]) for name in names]
-    arm_q = [int(model.joint(name).qposadr[0]) for name in robot.arm_joints]
+    arm_q = [int(model.joint(name).qposadr[0]) for name in robot.moved_joints]
     inertia, full = np.zeros(len(names)), np.zeros((model.nv, model.nv))
     for q in states:
         data.qpos[arm_q] = q

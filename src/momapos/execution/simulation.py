@@ -24,6 +24,10 @@ if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
 WELD = "hold"
+_VALUES = 30
+"""Values of the part's joint at which it is looked at what touches it [-]."""
+_AT_REST = 1e-3
+"""A joint rests where it is this near to its value at rest [rad] or [m]."""
 _NOSLIP = 5
 """Rounds that take the creep out of friction, which soft contacts have [-]."""
 
@@ -117,12 +121,14 @@ def build_simulation(
     resistance: Resistance,
     deviation: Deviation | None,
     config: ExecutionConfig,
+    *,
+    begin: float | None = None,
 ) -> Simulation:
     """Build the world of a run, with the arm at the first of some states.
 
     Furniture that touches the part in the scene, elements of the part's own object that touch it
-    where it is closed, and links of the robot that touch where its joints rest, do so by design or
-    for want of exact models: these pairs are left out.
+    anywhere on its way while all else of the object is closed, and links of the robot that touch
+    where its joints rest, do so by design or for want of exact models: these pairs are left out.
 
     Args:
         scene: The room.
@@ -135,6 +141,7 @@ def build_simulation(
         resistance: Of the part.
         deviation: How the task's object differs from the scene; None where it does not.
         config: How to model it.
+        begin: Value of the part's joint, where that is no longer the scene's [rad] or [m].
 
     Raises:
         InputError: The engine refuses the model.
@@ -151,8 +158,7 @@ def build_simulation(
         model = spec.compile()
         touching = _touching(model, _values(model, {PART: value}), config)
         if task.joint is not None:
-            closed = _values(model, {PART: item.model.rest[task.joint]})
-            touching += _bearings(_touching(model, closed, config), item)
+            touching += _bearings(model, item, task.joint, config)
         touching = list(dict.fromkeys(touching))
         apart = touching
         if deviation is not None and task.joint is not None:
@@ -166,9 +172,9 @@ def build_simulation(
             f"the physics engine refuses the model of {robot.name} in {scene.name}: {error}"
         ) from error
     driven = {finger.joint: finger.open for finger in fingers}
-    at = {**driven, **dict(zip(robot.arm_joints, states[0].tolist(), strict=True))}
+    at = {**driven, **dict(zip(robot.moved_joints, states[0].tolist(), strict=True))}
     followers = {n: m.at(driven[m.joint]) for n, m in hand.followers.items() if m.joint in driven}
-    values = {PART: value, **at, **followers}
+    values = {PART: value if begin is None else begin, **at, **followers}
     tune(model, _values(model, values), robot, states, fingers, config)
     data = _values(model, values)
     for name, rest in at.items():
@@ -231,9 +237,29 @@ def _touching(model: Any, data: Any, config: ExecutionConfig) -> list[tuple[str,
     return list(dict.fromkeys(pairs))
 
 
-def _bearings(pairs: list[tuple[str, str]], item: SceneObject) -> list[tuple[str, str]]:
-    """Those pairs that are of the part and an element of its own object."""
-    own = {f"{item.name}/{link}" for link in item.model.links}
+def _bearings(
+    model: Any, item: SceneObject, joint: str, config: ExecutionConfig
+) -> list[tuple[str, str]]:
+    """The part and those elements of its own object that touch it somewhere on its way.
+
+    A door moves freely in its frame; the hull of a hollow frame does not let it. What another joint
+    of the object has moved from where it rests may really be in the way, and counts.
+    """
+    values, rest = item.values(), item.model.rest
+    moved = {
+        link
+        for name in item.model.joints
+        if name != joint and abs(values[name] - rest[name]) > _AT_REST
+        for link in item.model.moved_by(name)
+    }
+    own = {f"{item.name}/{link}" for link in item.model.links if link not in moved}
+    record = item.model.joint(joint)
+    low, high = (
+        float(np.clip(end, rest[joint] - np.pi, rest[joint] + np.pi))
+        for end in (record.lower, record.upper)
+    )
+    way = [rest[joint], *np.linspace(low, high, _VALUES).tolist()]
+    pairs = [p for v in way for p in _touching(model, _values(model, {PART: v}), config)]
     return [
         pair for pair in pairs if PART in pair and any(n.rpartition("#")[0] in own for n in pair)
     ]
@@ -284,9 +310,9 @@ def _index(
         data=data,
         kinds=kinds_of(model),
         names=tuple(name.removeprefix(body_of("")) for name in names),
-        arm_q=addresses(robot.arm_joints, "qposadr"),
-        arm_v=addresses(robot.arm_joints, "dofadr"),
-        arm_motor=motors(robot.arm_joints),
+        arm_q=addresses(robot.moved_joints, "qposadr"),
+        arm_v=addresses(robot.moved_joints, "dofadr"),
+        arm_motor=motors(robot.moved_joints),
         base_q=addresses(BASE_JOINTS, "qposadr"),
         base_motor=motors(BASE_JOINTS),
         part_q=int(model.joint(PART).qposadr[0]),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -10,12 +10,17 @@ import mujoco
 import numpy as np
 
 from momapos.errors import SceneError
-from momapos.execution.arm_control import CompliantArm, Reference, twist_between
-from momapos.execution.config import Ending, ExecutionConfig, Stage
+from momapos.execution.approach import PacedTrajectory
+from momapos.execution.arm_control import CompliantArm, Reference
+from momapos.execution.avoidance import Surroundings
+from momapos.execution.config import AT_END, Ending, ExecutionConfig, Stage
+from momapos.execution.entering import come_in
 from momapos.execution.feel import feel
+from momapos.execution.following import follow_part
 from momapos.execution.furniture import Seal
-from momapos.execution.joint_estimate import Axis, JointEstimate
+from momapos.execution.joint_estimate import Axis, JointEstimate, Learned
 from momapos.execution.observer import Observer
+from momapos.execution.record import Collision
 from momapos.execution.shapes import ROBOT, matrix_quat
 from momapos.execution.simulation import Simulation
 from momapos.geometry.transforms import invert, rotation_angle
@@ -35,7 +40,7 @@ GRASP_POSITION, GRASP_ANGLE = 0.03, np.radians(15.0)
 """The hand closes when the arm is this near its planned state there [m], [rad]."""
 LASTING = 5
 """A force counts that is above its limit for this many steps of the controller [-]."""
-_ALL, _NONE = np.eye(3), np.zeros((3, 3))
+_ALL = np.eye(3)
 
 
 @dataclass(frozen=True)
@@ -77,20 +82,29 @@ class ExecutionRun:
         config: ExecutionConfig,
         seal: Seal,
         belief: Belief | None,
+        known: Simulation,
         watch: Watch | None,
+        touched: Mapping[tuple[str, str], Collision] | None = None,
     ) -> None:
         self.world, self.motion, self.task, self.config = world, motion, task, config
         self.seal, self.belief, self.watch = seal, belief, watch
         self.step = config.timestep * config.substeps
-        self.observer = Observer(world, config)
+        self.observer = Observer(world, config, dict(touched or {}))
         self.first = world.T_world_part
         self.arm = CompliantArm(world, config.compliance, self.step)
+        self.surroundings = Surroundings(known, config.compliance)
         self.estimate: JointEstimate | None = None
         self.touch = feel(world)
         self.held, self.strained, self.unloaded = False, 0, 0
         self.aside, self.side, self.tries = 0.0, 0.0, 0
         """How far along its closing axis the hand comes in beside the plan [m], on which side, and
         how often it has tried anew [-]."""
+        self.bearable = 1.0
+        """Share of what its joints may bear by what is in the way, at which the arm stops [-]."""
+        self.learned: Learned | None = None
+        """None where the hand has not moved the part."""
+        self.passed = 0.0
+        """How far along the approach the arm is, in samples [-]."""
         self.spent = dict.fromkeys(STAGES, 0)
         self.detail = ""
         """Figures that go with the ending, in words."""
@@ -111,7 +125,7 @@ class ExecutionRun:
         world.data.qpos[world.part_q : world.part_q + 7] = pose
         mujoco.mj_forward(world.model, world.data)
         world.attach()
-        self._close(np.inf)
+        self.close(np.inf)
         self.held = True
 
     def check_start(self) -> None:
@@ -126,24 +140,24 @@ class ExecutionRun:
                 one, other = sorted(world.names[g] for g in geoms)
                 raise SceneError(f"start in collision: {one} is {-1000 * dist:.0f} mm in {other}")
 
-    def go(self, approach: Trajectory, stretches: Sequence[Stretch]) -> Ending:
+    def go(self, approach: PacedTrajectory, stretches: Sequence[Stretch]) -> Ending:
         """Carry out the motion, until it is done or makes no sense any more."""
         place = self.task.verb == "place"
         if place:
             self.observer.hold()
-        ending = self._rest(Stage.SETTLE, self.config.settle)
+        ending = self.rest(Stage.SETTLE, self.config.settle)
         if ending is None and place and self.config.hold == "contact":
             self.world.release()
-        ending = ending or self._approach(approach)
+        ending = ending or come_in(self, approach)
         for stretch in stretches:
             free = place or (stretch.hold is None and self.belief is not None)
-            ending = ending or (self._let_go() if free else self._take_hold(stretch))
+            ending = ending or (self.let_go() if free else self._take_hold(stretch))
             ending = ending or self._move(stretch)
-        if ending not in (None, Ending.STOPPED_AT_END):
+        if ending not in (None, *AT_END):
             return ending
-        return self._rest(Stage.DWELL, self.config.dwell) or ending or Ending.DONE
+        return self.rest(Stage.DWELL, self.config.dwell) or ending or Ending.DONE
 
-    def _tick(self, stage: Stage) -> Ending | None:
+    def tick(self, stage: Stage) -> Ending | None:
         """Let one step of the controller pass; why the run ends with it, if it does."""
         world, w = self.world, self.config.control.bandwidth
         # The motors push in proportion to the error; this lead makes them follow without lag.
@@ -176,78 +190,38 @@ class ExecutionRun:
                 return Ending.BROKE
             return None
         force, torque = (float(np.linalg.norm(v)) for v in np.split(self.arm.wrench, 2))
-        self.strained = self.strained + 1 if force > most.force or torque > most.torque else 0
+        hard = force > most.force or torque > most.torque
+        blocked = self.arm.load > self.bearable
+        self.strained = self.strained + 1 if hard or blocked else 0
         if self.strained < LASTING:
             return None
+        if blocked:
+            self.detail = f"a joint bears {100 * self.arm.load:.0f} % of what it may"
+            return Ending.BLOCKED
         self.detail = (
             f"{force:.0f} N and {torque:.1f} Nm, at most {most.force:g} N and {most.torque:g} Nm"
         )
         return Ending.TOO_HARD
 
-    def _rest(self, stage: Stage, seconds: float) -> Ending | None:
+    def rest(self, stage: Stage, seconds: float) -> Ending | None:
         """Stay as the arm is."""
         self.arm.go(self.arm.q, np.zeros_like(self.arm.q))
         for _ in range(max(1, round(seconds / self.step))):
-            ending = self._tick(stage)
+            ending = self.tick(stage)
             if ending is not None:
                 return ending
         return None
 
-    def _approach(self, plan: Trajectory) -> Ending | None:
-        """Go to the grasp; feel the way in where a part with a joint is to be held."""
-        feeling = self.belief is not None
-        compliance, k, pace = self.config.compliance, 0, 1
-        goal, _ = self.arm.kinematics.at(plan.q[-1])
-        while k < len(plan):
-            q, v = plan.q[k], pace * plan.v[k]
-            T, J = self.arm.kinematics.at(q) if feeling else (goal, np.zeros((6, len(q))))
-            left = float(np.linalg.norm(goal[:3, 3] - T[:3, 3]))
-            if not feeling or self._free(q):
-                self.arm.go(q, v, plan.a[k])
-            else:
-                self.arm.follow(Reference(q, v, self._aside(T), J @ v, _ALL, _NONE))
-            ending = self._tick(Stage.APPROACH)
-            if ending is not None:
-                return ending
-            if pace < 0 and (left > compliance.near / 2 or k == 0):
-                pace = 1
-            elif pace > 0 and compliance.early < left < compliance.near and self._bumped(T):
-                pace = -1
-            k += pace
-        return None
-
-    def _aside(self, T: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
+    def beside(self, T: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
         """A pose of the tool, moved aside by what the hand has learned on its way in."""
         moved = T.copy()
         moved[:3, 3] += self.aside * T[:3, :3] @ self.world.hand.axis
         return moved
 
-    def _bumped(self, T: Float[np.ndarray, "4 4"]) -> bool:
-        """Whether a finger meets something ahead that should come between the fingers.
-
-        The torque of the push tells which finger; next time the hand comes in nearer to that side.
-        """
-        compliance, approach = self.config.compliance, T[:3, :3] @ self.world.hand.approach
-        force, torque = np.split(self.arm.wrench, 2)
-        push = float(-force @ approach)
-        if push < compliance.bump or self.tries >= len(compliance.aside):
-            return False
-        if not self.tries:
-            lever = torque @ np.cross(approach, T[:3, :3] @ self.world.hand.axis)
-            self.side = float(np.sign(lever))
-        self.aside = self.side * compliance.aside[self.tries]
-        self.tries += 1
-        return True
-
-    def _free(self, q: Float[np.ndarray, " n"]) -> bool:
-        """Whether the hand feels nothing, and the arm is where the plan has it."""
-        near = np.abs(self.arm.q + self.step * self.arm.v - q).max() < 1e-3
-        return bool(near and not self.aside and np.abs(self.arm.wrench).max() < 0.1)
-
     def _take_hold(self, stretch: Stretch) -> Ending | None:
         """Weld, or close the fingers, where the arm is at the planned grasp."""
         T, _ = self.arm.kinematics.at(self.world.data.qpos[self.world.arm_q])
-        planned = self._aside(stretch.motion.Ts_world_tool[0])
+        planned = self.beside(stretch.motion.Ts_world_tool[0])
         off = float(np.linalg.norm(T[:3, 3] - planned[:3, 3]))
         angle = float(rotation_angle(T[:3, :3], planned[:3, :3]))
         if off > GRASP_POSITION or angle > GRASP_ANGLE:
@@ -265,7 +239,7 @@ class ExecutionRun:
                 return Ending.OUT_OF_REACH
             turns = stretch.hold is not None and stretch.hold.turn_axis is not None
             self.world.attach(turns=turns)
-            ending = self._rest(Stage.GRIP, self.config.grip)
+            ending = self.rest(Stage.GRIP, self.config.grip)
         self.held = True
         self.observer.hold()
         return ending
@@ -274,16 +248,16 @@ class ExecutionRun:
         """Close the fingers until the pads of both sides bear a load; the arm gives way."""
         grip, arm = self.config.gripper, self.arm
         q = stretch.motion.q[0]
-        T = self._aside(arm.kinematics.at(q)[0])
+        T = self.beside(arm.kinematics.at(q)[0])
         closing = T[:3, :3] @ self.world.hand.axis
         across = np.outer(closing, closing)  # the fingers find what they hold along this alone
         reference = Reference(q, np.zeros_like(q), T, np.zeros(6), _ALL, across)
         way = max(abs(f.closed - f.open) * f.lever for f in self.world.hand.fingers)
         enough, firm = grip.loaded * self.world.hand.force, 0
         for k in range(round((way / grip.speed + grip.patience) / self.step)):
-            self._close(grip.speed * k * self.step)
+            self.close(grip.speed * k * self.step)
             arm.follow(reference)
-            ending = self._tick(Stage.GRIP)
+            ending = self.tick(Stage.GRIP)
             if ending is not None:
                 return ending
             firm = firm + 1 if min(self.touch.pads) > enough else 0
@@ -294,7 +268,7 @@ class ExecutionRun:
             return None
         return Ending.ONE_SIDED if one else Ending.NOTHING_HELD
 
-    def _close(self, way: float) -> None:
+    def close(self, way: float) -> None:
         """Let each pad close by a way from where it was open [m]; inf to press with all force."""
         grip = self.config.gripper
         for finger, motor in self.world.fingers:
@@ -303,12 +277,12 @@ class ExecutionRun:
             most = abs(finger.closed - finger.open) + press
             self.world.data.ctrl[motor] = finger.open + sign * min(way / finger.lever, most)
 
-    def _let_go(self) -> Ending | None:
+    def let_go(self) -> Ending | None:
         self.held = False
         self.observer.let_go()
         self.world.release()
-        self._close(0.0)
-        return self._rest(Stage.GRIP, self.config.grip)
+        self.close(0.0)
+        return self.rest(Stage.GRIP, self.config.grip)
 
     def _move(self, stretch: Stretch) -> Ending | None:
         """Move what is held along its planned way, or along the way that it turns out to take."""
@@ -319,74 +293,15 @@ class ExecutionRun:
             fade = self.step / self.config.compliance.home if self.belief is not None else 0.0
             for k, (q, v, a) in enumerate(zip(plan.q, plan.v, plan.a, strict=True)):
                 self.arm.go(q + max(0.0, 1.0 - fade * k) * offset, v, a)
-                ending = self._tick(Stage.MANIPULATE) or self._lost()
+                ending = self.tick(Stage.MANIPULATE) or self.lost()
                 if ending is not None:
                     return ending
             return None
-        return self._move_part(plan, stretch.motion, self.belief)
+        return follow_part(self, plan, stretch, self.belief)
 
-    def _move_part(self, plan: Trajectory, motion: Motion, belief: Belief) -> Ending | None:
-        times = np.arange(len(plan)) * self.step
-        values = np.interp(times, plan.state_times, motion.object_q)
-        T_held, _ = self.arm.kinematics.at(self.world.data.qpos[self.world.arm_q])
-        T_first, _ = self.arm.kinematics.at(plan.q[0])
-        shift = T_held @ invert(T_first)  # the grasp, from where it was planned
-        self.estimate = estimate = JointEstimate(belief.axis, T_held[:3, 3], self.config.compliance)
-
-        def pose_at(k: int) -> Float[np.ndarray, "4 4"]:
-            """Where the tool is when the part moves about the estimated joint as planned."""
-            T, _ = self.arm.kinematics.at(plan.q[k])
-            moved = values[k] - values[0]
-            return estimate.axis.moved(moved) @ shift @ belief.axis.moved(-moved) @ T
-
-        last = len(plan) - 1
-        length = float(
-            np.linalg.norm(np.diff(motion.Ts_world_tool[:, :3, 3], axis=0), axis=1).sum()
-        )
-        extra = round(
-            self.config.dwell / self.step
-        )  # in which the arm makes up what it lags behind
-        for i in range(len(plan) + extra):
-            k = min(i, last)
-            T, after = pose_at(k), pose_at(min(k + 1, last))
-            here, _ = self.arm.kinematics.at(self.world.data.qpos[self.world.arm_q])
-            estimate.see(here[:3, 3])
-            way = estimate.axis.way_at(here[:3, 3])
-            across = _ALL - np.outer(way, way)
-            twist = twist_between(T, after) / self.step
-            self.arm.follow(Reference(plan.q[k], plan.v[k], T, twist, across, across, here[:3, 3]))
-            ending = self._tick(Stage.MANIPULATE) or self._lost()
-            if ending is not None:
-                return ending
-            if self._at_stop(here, pose_at(last), length):
-                self.arm.go(
-                    self.world.data.qpos[self.world.arm_q].copy(), np.zeros_like(self.arm.q)
-                )
-                return Ending.STOPPED_AT_END
-        return None
-
-    def _lost(self) -> Ending | None:
+    def lost(self) -> Ending | None:
         """Whether what was held is in the hand no more: nothing presses on the pads."""
         if not self.held or self.config.hold != "contact":
             return None
         self.unloaded = self.unloaded + 1 if max(self.touch.pads) < 1.0 else 0
         return Ending.SLIPPED if self.unloaded * self.step > self.config.gripper.lost else None
-
-    def _at_stop(
-        self, here: Float[np.ndarray, "4 4"], goal: Float[np.ndarray, "4 4"], length: float
-    ) -> bool:
-        """Whether a part resists the hand's push where its way should end.
-
-        The arm feels it by the force at its hand alone; where the part is, it does not know.
-        """
-        left = goal[:3, 3] - here[:3, 3]
-        distance = float(np.linalg.norm(left))
-        if not 0.0 < distance <= self.config.tolerance * length:
-            return False
-        push = float(-self.touch.force @ left) / distance
-        if self.usual_push is None:  # weight and friction, which resist all along
-            self.usual_push = max(0.0, push)
-        if push - self.usual_push < self.config.control.stop_force:
-            return False
-        self.detail = f"{1000 * distance:.0f} mm were left"
-        return True

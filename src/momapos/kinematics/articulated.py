@@ -60,11 +60,32 @@ class Articulated:
 
     @cached_property
     def rest(self) -> dict[str, float]:
-        """Where it is held or zero, or the limit nearest to that, for every movable joint."""
-        return {
+        """Where it is held or zero, or the limit nearest to that, for every movable joint; what
+        follows another is where that one has it."""
+        rest = {
             name: float(np.clip(self.held.get(name, 0.0), joint.lower, joint.upper))
             for name, joint in self.joints.items()
         }
+        return rest | {
+            name: joint.mimic.at(rest[joint.mimic.joint])
+            for name, joint in self.joints.items()
+            if joint.mimic is not None
+        }
+
+    def followers(self, joint: str) -> tuple[Joint, ...]:
+        """The joints that follow one."""
+        return tuple(j for j in self.joints.values() if j.mimic and j.mimic.joint == joint)
+
+    def settled(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Where all movable joints are: as named or at rest, what follows others after them."""
+        return {name: self.value_of(joint, values) for name, joint in self.joints.items()}
+
+    def value_of(self, joint: Joint, values: Mapping[str, float]) -> float:
+        """Where a joint is: as the one that it follows has it, as named, or at rest."""
+        if joint.mimic is not None:
+            leader = joint.mimic.joint
+            return joint.mimic.at(values.get(leader, self.rest[leader]))
+        return values.get(joint.name, self.rest[joint.name])
 
     def link_poses(self, values: Mapping[str, float]) -> dict[str, Float[np.ndarray, "4 4"]]:
         """Poses of all links in the root's frame; joints not named are at rest."""
@@ -72,8 +93,7 @@ class Articulated:
         for joint in self.urdf.joints:
             T = poses[joint.parent] @ joint.T_parent_joint
             if joint.movable:
-                value = values.get(joint.name, self.rest[joint.name])
-                T = T @ joint_motion(joint, value)
+                T = T @ joint_motion(joint, self.value_of(joint, values))
             poses[joint.child] = T
         return poses
 
@@ -99,8 +119,10 @@ class Articulated:
         return tuple(name for name in self.links if name in below)
 
     def moved_by(self, joint: str) -> tuple[str, ...]:
-        """Names of the links that move when the joint does."""
-        return self.links_below(self.joint(joint).child)
+        """Names of the links that move when the joint does, and what follows it."""
+        moving = (self.joint(joint), *self.followers(joint))
+        below = {link for one in moving for link in self.links_below(one.child)}
+        return tuple(name for name in self.links if name in below)
 
     @cached_property
     def hulls(self) -> dict[str, tuple[Hull, ...]]:

@@ -3,37 +3,52 @@
 At the zero configuration every frame is aligned with the base, so that a chain is three arrays:
 unit axes `h`, offsets `d` from joint to joint, and a joint kind. Segment 0 is the base, segment
 i moves with joint i. Source: Lynch and Park, Modern Robotics, chapter 4.
+
+Each of the m joints moves by a ratio times one of the n degrees of freedom. Most arms have as many
+of both; a telescope is one degree of freedom in several joints.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.compiled import B1, F1, F2, F3, entry, kernel
+from momapos.compiled import F1, F2, F3, entry, kernel
 from momapos.errors import RobotError
 from momapos.geometry.transforms import invert
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.records import ChainArrays, JointLimits
+from momapos.kinematics.urdf_records import Joint, Mimic
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Float
+    from jaxtyping import Bool, Float, Int
 
 
 @dataclass(frozen=True)
 class Chain:
-    """A serial chain in the base frame."""
+    """A serial chain in the base frame: m joints with n degrees of freedom."""
 
     names: tuple[str, ...]
-    h: Float[np.ndarray, "n 3"]
+    """The joint that stands for each degree of freedom, base to tool."""
+    joints: tuple[str, ...]
+    """All joints that move, base to tool."""
+    dof: Int[np.ndarray, " m"]
+    """The degree of freedom that each joint follows."""
+    ratio: Float[np.ndarray, " m"]
+    """How far each joint moves with it [-]; 1 for the one that stands for it."""
+    offset: Float[np.ndarray, " m"]
+    """Where each joint is when its degree of freedom is at zero [rad] or [m]."""
+    h: Float[np.ndarray, "m 3"]
     """Unit joint axes at zero, in the base frame."""
-    d: Float[np.ndarray, "n 3"]
+    d: Float[np.ndarray, "m 3"]
     """Offset of each joint from the one before it (the base's origin for the first) [m]."""
-    prismatic: Bool[np.ndarray, " n"]
+    slides: Bool[np.ndarray, " m"]
+    """Which joints are prismatic."""
     lower: Float[np.ndarray, " n"]
     upper: Float[np.ndarray, " n"]
     """Limits [rad] or [m]; infinite for continuous joints."""
@@ -45,25 +60,68 @@ class Chain:
 
     @property
     def size(self) -> int:
-        """Number of joints."""
+        """Number of degrees of freedom."""
         return len(self.names)
+
+    @property
+    def last(self) -> int:
+        """The segment that the tool belongs to: the number of joints."""
+        return len(self.joints)
+
+    @cached_property
+    def leads(self) -> Int[np.ndarray, " n"]:
+        """The joint that stands for each degree of freedom."""
+        return np.array([self.joints.index(name) for name in self.names], np.int64)
+
+    @cached_property
+    def prismatic(self) -> Bool[np.ndarray, " n"]:
+        """Which degrees of freedom slide."""
+        return self.slides[self.leads]
+
+    @property
+    def coupled(self) -> bool:
+        """Whether a joint follows another."""
+        return self.last > self.size
 
     @property
     def upright(self) -> bool:
         """Whether the first turning axis, and what slides below it, are vertical."""
-        first = int(np.argmin(self.prismatic))
-        return bool(np.abs(self.h[: first + 1, 2]).min() >= 1 - 1e-4)
+        first = self.first_turn
+        return first < self.last and bool(np.abs(self.h[: first + 1, 2]).min() >= 1 - 1e-4)
+
+    @property
+    def first_turn(self) -> int:
+        """The first joint that turns; the number of joints where all slide."""
+        return int(np.argmin(np.append(self.slides, False)))
+
+    @cached_property
+    def middle(self) -> Float[np.ndarray, " m"]:
+        """How far each joint is from zero in the middle of its range; 0 where it is endless."""
+        ends = np.stack([self.lower, self.upper])
+        middle = np.where(np.isfinite(ends), ends, 0.0).sum(0) / 2
+        return self.ratio * middle[self.dof]
+
+    @cached_property
+    def half_travel(self) -> Float[np.ndarray, " m"]:
+        """Half the range of each joint [rad] or [m]."""
+        return np.abs(self.ratio) * (self.upper - self.lower)[self.dof] / 2
+
+    def joint_values(self, q: Float[np.ndarray, "*batch n"]) -> Float[np.ndarray, "*batch m"]:
+        """Values of all joints, from those of the degrees of freedom."""
+        return np.asarray(q, float)[..., self.dof] * self.ratio + self.offset
+
+    def freedom_values(
+        self, values: Float[np.ndarray, "*batch m"]
+    ) -> Float[np.ndarray, "*batch n"]:
+        """Values of the degrees of freedom, from those of all joints."""
+        return np.asarray(values, float)[..., self.leads]
 
     def tool_poses(self, q: Float[np.ndarray, "*batch n"]) -> Float[np.ndarray, "*batch 4 4"]:
         """Tool poses in the base frame."""
         q = np.asarray(q, float)
         flat = tool_poses(
             q.reshape(-1, self.size),
-            self.h,
-            self.d,
-            self.prismatic,
-            self.tool_offset,
-            self.tool_rotation,
+            chain_arrays(self),
         )
         return flat.reshape(*q.shape[:-1], 4, 4)
 
@@ -79,49 +137,118 @@ class Segments:
 
 def chain_arrays(chain: Chain) -> ChainArrays:
     """The chain as the kernels take it."""
-    return ChainArrays(chain.h, chain.d, chain.prismatic, chain.tool_offset, chain.tool_rotation)
+    return ChainArrays(
+        chain.h,
+        chain.d,
+        chain.slides,
+        chain.dof,
+        chain.ratio,
+        chain.tool_offset,
+        chain.tool_rotation,
+    )
 
 
 def chain_limits(chain: Chain) -> JointLimits:
-    """The limits of its joints as the kernels take them."""
+    """The limits of its degrees of freedom as the kernels take them."""
     return JointLimits(chain.lower, chain.upper)
 
 
 def build_chain(
-    model: Articulated, base_link: str, tool_link: str, joints: Sequence[str]
+    model: Articulated, base_link: str, tool_link: str, names: Sequence[str]
 ) -> tuple[Chain, Segments]:
-    """Cut the arm out of a robot; all other joints stay at rest.
+    """Cut the arm out of a robot; all joints but its own and those that follow these stay at rest.
+
+    Args:
+        model: The robot.
+        base_link: Where the chain begins.
+        tool_link: Where it ends.
+        names: The joints that stand for its degrees of freedom, base to tool.
 
     Raises:
-        RobotError: The joints do not form a chain from base to tool, in this order.
+        RobotError: The joints do not form a chain from base to tool, in this order, or one of them
+            follows another.
     """
     for link in (base_link, tool_link):
         if link not in model.urdf.links:
             from momapos.errors import unknown_name
 
             raise unknown_name("link", link, model.urdf.links, model.urdf.name)
-    records = [model.joint(name) for name in joints]
-    _check_order(model, base_link, tool_link, joints)
-    zero = _poses_at_zero(model, base_link, joints)
+    leaders = [model.joint(name) for name in names]
+    _check_order(model, base_link, tool_link, names)
+    records = _between(model, tool_link, names)
+    zero = _poses_at_zero(model, base_link, names)
     origins = []
     axes = []
     for joint in records:
+        # At zero a follower stands at its offset, which is what its child's frame holds.
         T = zero[joint.parent] @ joint.T_parent_joint
-        origins.append(T[:3, 3])
+        origins.append(T[:3, 3] if joint.kind != "prismatic" else zero[joint.child][:3, 3])
         axes.append(T[:3, :3] @ joint.axis)
     origin = np.array(origins)
+    followed = [joint.mimic or Mimic(joint.name) for joint in records]
+    joints = tuple(joint.name for joint in records)
     chain = Chain(
-        names=tuple(joints),
+        names=tuple(names),
+        joints=joints,
+        dof=np.array([list(names).index(mimic.joint) for mimic in followed], np.int64),
+        ratio=np.array([mimic.ratio for mimic in followed], float),
+        offset=np.array([mimic.offset for mimic in followed], float),
         h=np.array(axes),
         d=np.diff(origin, axis=0, prepend=np.zeros((1, 3))),
-        prismatic=np.array([j.kind == "prismatic" for j in records]),
-        lower=np.array([j.lower for j in records]),
-        upper=np.array([j.upper for j in records]),
-        velocity=np.array([j.velocity for j in records]),
+        slides=np.array([j.kind == "prismatic" for j in records]),
+        lower=np.array([j.lower for j in leaders]),
+        upper=np.array([j.upper for j in leaders]),
+        velocity=np.array([j.velocity for j in leaders]),
         tool_offset=zero[tool_link][:3, 3] - origin[-1],
         tool_rotation=zero[tool_link][:3, :3].copy(),
     )
     return chain, _segments(model, zero, joints, origin)
+
+
+def with_tool_turn(chain: Chain, axis: Float[np.ndarray, "3"], lower: float, upper: float) -> Chain:
+    """The chain with one more degree of freedom: a turn about an axis through the tool's origin.
+
+    Args:
+        chain: The chain.
+        axis: Direction of the axis, in the tool frame.
+        lower, upper: Limits of the turn [rad].
+    """
+    h = chain.tool_rotation @ axis
+    return replace(
+        chain,
+        names=(*chain.names, "hand turn"),
+        joints=(*chain.joints, "hand turn"),
+        dof=np.append(chain.dof, chain.size),
+        ratio=np.append(chain.ratio, 1.0),
+        offset=np.append(chain.offset, 0.0),
+        h=np.vstack([chain.h, h / np.linalg.norm(h)]),
+        d=np.vstack([chain.d, chain.tool_offset]),
+        slides=np.append(chain.slides, False),
+        lower=np.append(chain.lower, lower),
+        upper=np.append(chain.upper, upper),
+        velocity=np.append(chain.velocity, np.inf),
+        tool_offset=np.zeros(3),
+    )
+
+
+def _between(model: Articulated, tool_link: str, names: Sequence[str]) -> list[Joint]:
+    """The joints that move with the given ones, base to tool.
+
+    Raises:
+        RobotError: One of them does not carry the tool.
+    """
+    found = [
+        joint
+        for joint in model.joints.values()
+        if (joint.mimic.joint if joint.mimic else joint.name) in names
+    ]
+    for joint in found:
+        if tool_link not in model.links_below(joint.child):
+            raise RobotError(
+                f"{model.urdf.name}: joint {joint.name!r} follows one of the arm but does not "
+                f"carry {tool_link!r}; only joints between base and tool may follow the arm's"
+            )
+    return found
 
 
 def _poses_at_zero(
@@ -137,13 +264,20 @@ def _check_order(model: Articulated, base_link: str, tool_link: str, joints: Seq
         raise RobotError(f"{model.urdf.name}: arm_joints is empty; name the joints base to tool")
     if len(set(joints)) != len(joints):
         raise RobotError(f"{model.urdf.name}: arm_joints names a joint twice")
-    if tool_link not in model.moved_by(joints[-1]):
+    for name in joints:
+        mimic = model.joint(name).mimic
+        if mimic is not None:
+            raise RobotError(
+                f"{model.urdf.name}: joint {name!r} follows {mimic.joint!r}; arm_joints names only "
+                "joints that move by themselves"
+            )
+    if tool_link not in model.links_below(model.joint(joints[-1]).child):
         raise RobotError(
             f"{model.urdf.name}: tool link {tool_link!r} does not move with {joints[-1]!r}; "
             "arm_joints must be the chain from base to tool"
         )
     for before, after in pairwise(joints):
-        if model.joint(after).child not in model.moved_by(before) or before == after:
+        if model.joint(after).child not in model.links_below(model.joint(before).child):
             raise RobotError(
                 f"{model.urdf.name}: joint {after!r} does not follow {before!r}; "
                 "arm_joints must be a chain, base first"
@@ -159,11 +293,11 @@ def _segments(
     model: Articulated,
     zero: Mapping[str, Float[np.ndarray, "4 4"]],
     joints: Sequence[str],
-    origin: Float[np.ndarray, "n 3"],
+    origin: Float[np.ndarray, "m 3"],
 ) -> Segments:
     of_link = dict.fromkeys(model.links, 0)
     for index, name in enumerate(joints):
-        for link in model.moved_by(name):
+        for link in model.links_below(model.joint(name).child):
             of_link[link] = index + 1
     shift = np.vstack([np.zeros((1, 3)), origin])
     local = {}
@@ -205,45 +339,40 @@ def stand_at_origin(
 @entry
 def forward(
     q: F1,
-    h: F2,
-    d: F2,
-    prismatic: B1,
+    chain: ChainArrays,
     R: F3,
     p: F2,
 ) -> None:
-    """Fill rotations R (n + 1, 3, 3) and origins p (n + 1, 3); entry 0 is the base's pose."""
-    for i in range(len(q)):
+    """Fill rotations R (m + 1, 3, 3) and origins p (m + 1, 3) for values (n,) of the degrees of
+    freedom; entry 0 is the base's pose."""
+    h, d, slides = chain.h, chain.d, chain.slides
+    for i in range(len(slides)):
+        value = chain.ratio[i] * q[chain.dof[i]]
         for k in range(3):
             p[i + 1, k] = (
                 p[i, k] + R[i, k, 0] * d[i, 0] + R[i, k, 1] * d[i, 1] + R[i, k, 2] * d[i, 2]
             )
-        if prismatic[i]:
+        if slides[i]:
             for k in range(3):
-                p[i + 1, k] += q[i] * (
+                p[i + 1, k] += value * (
                     R[i, k, 0] * h[i, 0] + R[i, k, 1] * h[i, 1] + R[i, k, 2] * h[i, 2]
                 )
                 for j in range(3):
                     R[i + 1, k, j] = R[i, k, j]
         else:
-            rotate_by(R[i], h[i], q[i], R[i + 1])
+            rotate_by(R[i], h[i], value, R[i + 1])
 
 
 @entry
-def tool_poses(
-    q: F2,
-    h: F2,
-    d: F2,
-    prismatic: B1,
-    tool_offset: F1,
-    tool_rotation: F2,
-) -> np.ndarray:
-    """Tool poses (m, 4, 4) of configurations (m, n), in the base frame."""
-    count, n = q.shape
+def tool_poses(q: F2, chain: ChainArrays) -> np.ndarray:
+    """Tool poses (k, 4, 4) of configurations (k, n), in the base frame."""
+    count, n = len(q), len(chain.slides)
+    tool_offset, tool_rotation = chain.tool_offset, chain.tool_rotation
     out = np.zeros((count, 4, 4))
     R, p = np.empty((n + 1, 3, 3)), np.empty((n + 1, 3))
     stand_at_origin(R, p)
     for m in range(count):
-        forward(q[m], h, d, prismatic, R, p)
+        forward(q[m], chain, R, p)
         for i in range(3):
             out[m, i, 3] = p[n, i]
             for k in range(3):

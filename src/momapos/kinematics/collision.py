@@ -1,7 +1,8 @@
 """Batched collision kernels: robot spheres against oriented boxes, and against each other.
 
-Whole links are culled by a bounding sphere first. The result of a check is a code, so that the
-caller can say what was hit: FREE, SELF, or the index of a box.
+Whole links are culled by a bounding sphere first. Where the spheres of two links of the robot
+almost touch, or are too coarse for this pair, the links' hulls decide. The result of a check is a
+code, so that the caller can say what was hit: FREE, SELF, or the index of a box.
 """
 
 from __future__ import annotations
@@ -10,11 +11,16 @@ import numpy as np
 
 from momapos.compiled import F1, F2, F3, entry, kernel
 from momapos.kinematics.chain import forward
+from momapos.kinematics.overlap import hulls_overlap, moved
 from momapos.kinematics.records import ArmScratch, ChainArrays, ObstacleArrays, SphereArrays
+from momapos.kinematics.sphere_cover import MARGIN
 
 FREE = -1
 SELF = -2
 FLOOR = -3
+APART, NEAR, MEET = 0, 1, 2
+"""How spheres stand to each other. They may leave `MARGIN` of a shape uncovered: what is within
+that is near."""
 OTHER, PALM, FINGER, KNOWN = 0, 1, 2, 3
 """What a link is to a grasp; of one that is KNOWN the caller knows that it is free of boxes."""
 
@@ -33,30 +39,11 @@ def box_gap(c, r, center, rotation, half, b):
 
 
 @kernel
-def _moved(R, p, segment, local):
-    """A point of a segment in the frame of the chain's base pose."""
-    return (
-        p[segment, 0]
-        + R[segment, 0, 0] * local[0]
-        + R[segment, 0, 1] * local[1]
-        + R[segment, 0, 2] * local[2],
-        p[segment, 1]
-        + R[segment, 1, 0] * local[0]
-        + R[segment, 1, 1] * local[1]
-        + R[segment, 1, 2] * local[2],
-        p[segment, 2]
-        + R[segment, 2, 0] * local[0]
-        + R[segment, 2, 1] * local[1]
-        + R[segment, 2, 2] * local[2],
-    )
-
-
-@kernel
 def place_bounds(R, p, spheres, bounds):
     """Put the centers of the links' bounding spheres into bounds (groups, 3)."""
     segment, bound_center = spheres.segment, spheres.bound_center
     for g in range(len(segment)):
-        bounds[g, 0], bounds[g, 1], bounds[g, 2] = _moved(R, p, segment[g], bound_center[g])
+        bounds[g, 0], bounds[g, 1], bounds[g, 2] = moved(R, p, segment[g], bound_center[g])
 
 
 @kernel
@@ -86,7 +73,7 @@ def hit_boxes(R, p, bounds, spheres, boxes, skip_gripper, margin):
             if box_gap(c, far, box_center, box_rotation, box_half, b) > 0.0:
                 continue
             for s in range(start[g], start[g + 1]):
-                m = _moved(R, p, segment[g], center[s])
+                m = moved(R, p, segment[g], center[s])
                 if box_gap(m, radius[s] + margin, box_center, box_rotation, box_half, b) < 0.0:
                     return b
     return FREE
@@ -106,22 +93,40 @@ def hit_self(R, p, bounds, spheres):
 @kernel
 def _links_touch(R, p, bounds, spheres):
     """Whether links of the arm touch each other."""
-    center, radius, start = spheres.center, spheres.radius, spheres.start
-    segment, bound_radius, pairs = spheres.segment, spheres.bound_radius, spheres.pairs
+    pairs, exact, hulls = spheres.pairs, spheres.exact, spheres.hulls
     for k in range(len(pairs)):
         i, j = pairs[k, 0], pairs[k, 1]
-        b = (bounds[j, 0], bounds[j, 1], bounds[j, 2])
-        if _apart((bounds[i, 0], bounds[i, 1], bounds[i, 2]), b, bound_radius[i] + bound_radius[j]):
-            continue
-        for s in range(start[i], start[i + 1]):
-            a = _moved(R, p, segment[i], center[s])
-            if _apart(a, b, radius[s] + bound_radius[j]):
-                continue
-            for t in range(start[j], start[j + 1]):
-                c = _moved(R, p, segment[j], center[t])
-                if not _apart(a, c, radius[s] + radius[t]):
-                    return True
+        found = meeting(R, p, bounds, spheres, i, j)
+        if found == MEET and not exact[k]:
+            return True
+        if found != APART and hulls_overlap(
+            R, p, hulls, i, hulls.of_group[j], hulls.of_group[j + 1]
+        ):
+            return True
     return False
+
+
+@kernel
+def meeting(R, p, bounds, spheres, i, j):
+    """Whether spheres of two groups MEET, are NEAR each other, or APART."""
+    center, radius, start = spheres.center, spheres.radius, spheres.start
+    segment, bound_radius = spheres.segment, spheres.bound_radius
+    b = (bounds[j, 0], bounds[j, 1], bounds[j, 2])
+    far, found = bound_radius[j] + MARGIN, APART
+    if _apart((bounds[i, 0], bounds[i, 1], bounds[i, 2]), b, bound_radius[i] + far):
+        return found
+    for s in range(start[i], start[i + 1]):
+        a = moved(R, p, segment[i], center[s])
+        if _apart(a, b, radius[s] + far):
+            continue
+        for t in range(start[j], start[j + 1]):
+            c = moved(R, p, segment[j], center[t])
+            if _apart(a, c, radius[s] + radius[t] + MARGIN):
+                continue
+            if not _apart(a, c, radius[s] + radius[t]):
+                return MEET
+            found = NEAR
+    return found
 
 
 @kernel
@@ -134,34 +139,49 @@ def _apart(a, b, distance):
 @kernel
 def _base_touched(R, p, bounds, spheres):
     """Whether a link of the arm touches the base."""
-    center, radius, start = spheres.center, spheres.radius, spheres.start
     segment, bound_radius = spheres.segment, spheres.bound_radius
+    base_pairs, base_bounds, exact = spheres.base_pairs, spheres.base_bounds, spheres.base_exact
+    for g in range(len(segment)):
+        c = _into_base(R, p, (bounds[g, 0], bounds[g, 1], bounds[g, 2]))
+        r, far = bound_radius[g] + MARGIN, False
+        for k in range(3):
+            far |= c[k] + r < base_bounds[0, k] or c[k] - r > base_bounds[1, k]
+        if far:
+            continue
+        for b in range(base_pairs.shape[1]):
+            if not base_pairs[g, b]:
+                continue
+            found = meeting_base(R, p, bounds, spheres, g, b)
+            if found == MEET and not exact[g, b]:
+                return True
+            h = spheres.hulls.of_base[b]
+            if found != APART and hulls_overlap(R, p, spheres.hulls, g, h, h + 1):
+                return True
+    return False
+
+
+@kernel
+def meeting_base(R, p, bounds, spheres, g, b):
+    """Whether spheres of a group MEET box b of the base, are NEAR it, or APART."""
+    center, radius, start = spheres.center, spheres.radius, spheres.start
     base_center, base_rotation, base_half = (
         spheres.base_center,
         spheres.base_rotation,
         spheres.base_half,
     )
-    base_pairs, base_bounds = spheres.base_pairs, spheres.base_bounds
-    base_radius = spheres.base_radius
-    for g in range(len(segment)):
-        c = _into_base(R, p, (bounds[g, 0], bounds[g, 1], bounds[g, 2]))
-        r, far = bound_radius[g], False
-        for k in range(3):
-            far |= c[k] + r < base_bounds[0, k] or c[k] - r > base_bounds[1, k]
-        if far:
-            continue
-        for b in range(len(base_center)):
-            if not base_pairs[g, b]:
-                continue
-            if _apart(c, base_center[b], r + base_radius[b]):
-                continue
-            if box_gap(c, r, base_center, base_rotation, base_half, b) > 0.0:
-                continue
-            for s in range(start[g], start[g + 1]):
-                m = _into_base(R, p, _moved(R, p, segment[g], center[s]))
-                if box_gap(m, radius[s], base_center, base_rotation, base_half, b) < 0.0:
-                    return True
-    return False
+    c = _into_base(R, p, (bounds[g, 0], bounds[g, 1], bounds[g, 2]))
+    r, found = spheres.bound_radius[g] + MARGIN, APART
+    if _apart(c, base_center[b], r + spheres.base_radius[b]):
+        return found
+    if box_gap(c, r, base_center, base_rotation, base_half, b) > 0.0:
+        return found
+    for s in range(start[g], start[g + 1]):
+        m = _into_base(R, p, moved(R, p, spheres.segment[g], center[s]))
+        if box_gap(m, radius[s] + MARGIN, base_center, base_rotation, base_half, b) < 0.0:
+            if box_gap(m, radius[s], base_center, base_rotation, base_half, b) < 0.0:
+                return MEET
+            found = NEAR
+    return found
 
 
 @kernel
@@ -184,7 +204,7 @@ def hit_floor(R, p, bounds, spheres):
         if bounds[g, 2] > bound_radius[g] or spheres.gripper[g] == KNOWN:
             continue
         for s in range(start[g], start[g + 1]):
-            if _moved(R, p, segment[g], center[s])[2] < radius[s]:
+            if moved(R, p, segment[g], center[s])[2] < radius[s]:
                 return FLOOR
     return FREE
 
@@ -203,7 +223,7 @@ def place_segments(
     R[0, 1, 0], R[0, 1, 1], R[0, 1, 2] = s, c, 0.0
     R[0, 2, 0], R[0, 2, 1], R[0, 2, 2] = 0.0, 0.0, 1.0
     p[0, 0], p[0, 1], p[0, 2] = base[0], base[1], 0.0
-    forward(q, chain.h, chain.d, chain.prismatic, R, p)
+    forward(q, chain, R, p)
 
 
 @kernel
@@ -235,7 +255,7 @@ def check_states(
     margin: float,
 ) -> np.ndarray:
     """First thing that each configuration (m, n) hits: FREE, FLOOR, SELF or a box's index (m,)."""
-    scratch = scratch_of(q.shape[1], spheres)
+    scratch = scratch_of(len(chain.slides), spheres)
     R, p, bounds = scratch
     out = np.empty(len(q), np.int64)
     for i in range(len(q)):

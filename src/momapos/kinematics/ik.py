@@ -1,189 +1,43 @@
-"""Inverse kinematics: every branch in closed form where the arm allows it.
+"""Inverse kinematics: every branch in closed form where the arm allows it, else by Newton steps.
 
-Closed forms exist here for six revolute joints with a spherical wrist (axes 4, 5, 6 meet) whose
-second and third axes are parallel or whose first two meet, and for three parallel axes (2, 3, 4)
-with 5 and 6 meeting (Universal Robots). Longer arms get their extra joints locked at sampled
-values. Whatever the closed form leaves as an error (published URDFs round pi/2) Newton removes.
-All other arms are solved by damped Newton steps from seeds.
+Whatever a closed form leaves as an error (published URDFs round pi/2) Newton removes. Where joints
+are locked at samples and none of these gives a solution, and for arms without closed form, Newton
+begins at the seeds whose tool poses are nearest; see `ik_model`.
 """
 
 from __future__ import annotations
 
-import itertools
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from momapos.compiled import F3, entry, kernel
-from momapos.errors import RobotError
-from momapos.geometry.samples import halton
-from momapos.kinematics.chain import Chain, chain_arrays, chain_limits, forward, stand_at_origin
+from momapos.kinematics.chain import Chain, chain_arrays, chain_limits
 from momapos.kinematics.closed_forms import (
     MAX_BRANCHES,
-    NAMES,
     NUMERIC,
     THREE_PARALLEL,
-    WRIST_MEETING,
-    WRIST_PARALLEL,
     spherical,
     three_parallel,
 )
+from momapos.kinematics.ik_model import SEED_LENGTH, IkModel, build_ik, ik_arrays
 from momapos.kinematics.newton import newton, newton_scratch
-from momapos.kinematics.records import ArmArrays, IkArrays, IkScratch, NewtonRule
-from momapos.kinematics.subproblems import mul, row, sub
+from momapos.kinematics.records import ArmArrays, IkScratch, NewtonRule
+from momapos.kinematics.subproblems import mul, mul_t, row, sub
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
-_LOOSE = 5e-3
-"""How far [m or rad] from the ideal geometry Newton may be asked to bridge."""
+__all__ = ["IkModel", "build_ik", "ik_arrays", "solve_ik"]
+
 _SLACK = 0.05
 """How far outside its limits a joint may be before Newton has removed rounding [rad]."""
 EXACT, COARSE = 1e-16, 1e-8
 """Squared residuals at which Newton stops: a solution, or one to 0.1 mm, for a map or a graph."""
 _TIGHT = 1e-12
 """Squared residual at which a solution counts as exact [m^2 + rad^2]."""
-
-
-@dataclass(frozen=True)
-class IkModel:
-    """How to invert one arm."""
-
-    kind: int
-    active: Int[np.ndarray, " a"]
-    """Indices of the joints that are solved for; the others are locked at a sample."""
-    samples: Float[np.ndarray, "s n"]
-    """Full configurations that hold the locked values (numerical: the seeds)."""
-    h: Float[np.ndarray, "s a 3"]
-    """Axes of the active joints with the locked ones in place."""
-    o: Float[np.ndarray, "s a 3"]
-    """Points on those axes that the closed forms want, in the base frame [m]."""
-    wrist: Float[np.ndarray, "s 3"]
-    """The point where the last axes meet [m]."""
-    R_tool: Float[np.ndarray, "s 3 3"]
-    p_tool: Float[np.ndarray, "s 3"]
-    """Tool pose with the active joints at zero."""
-
-    @property
-    def name(self) -> str:
-        """What kind of solution this is, in words."""
-        return NAMES[self.kind]
-
-    @property
-    def max_solutions(self) -> int:
-        """Upper bound on the number of solutions for one pose."""
-        return len(self.samples) * (1 if self.kind == NUMERIC else MAX_BRANCHES)
-
-
-def build_ik(chain: Chain, *, samples_per_joint: int = 9, seeds: int = 48) -> IkModel:
-    """Find the closed form that fits an arm, or fall back to seeded Newton steps.
-
-    Args:
-        chain: The arm.
-        samples_per_joint: Values at which a redundant revolute joint is locked [-]; a prismatic
-            one (a torso) gets half as many.
-        seeds: Number of seeds for arms without closed form [-].
-    """
-    revolute = np.flatnonzero(~chain.prismatic)
-    if len(revolute) >= 6:
-        for active in _active_sets(revolute):
-            model = _closed_form(chain, np.array(active), samples_per_joint)
-            if model is not None:
-                return model
-    return _numeric(chain, seeds)
-
-
-def _active_sets(revolute: np.ndarray) -> list[tuple[int, ...]]:
-    """Sets of six revolute joints to solve for; the joints nearest the base are locked first."""
-    sets = itertools.combinations(revolute.tolist(), 6)
-    return sorted(sets, key=lambda active: -sum(active))
-
-
-def locked_values(chain: Chain, joint: int, count: int) -> Float[np.ndarray, " k"]:
-    """Values at which a redundant joint is held: the whole range, ends included."""
-    lower, upper = chain.lower[joint], chain.upper[joint]
-    if chain.prismatic[joint]:
-        return np.linspace(lower, upper, max(2, (count + 1) // 2))
-    if not np.isfinite(upper - lower) or upper - lower >= 2 * np.pi:
-        return np.linspace(-np.pi, np.pi, count, endpoint=False)
-    return np.linspace(lower, upper, count)
-
-
-def _closed_form(chain: Chain, active: np.ndarray, count: int) -> IkModel | None:
-    locked = [j for j in range(chain.size) if j not in set(active.tolist())]
-    grid = list(itertools.product(*(locked_values(chain, j, count) for j in locked)))
-    samples = np.zeros((len(grid), chain.size))
-    samples[:, locked] = np.array(grid).reshape(len(grid), len(locked))
-    folded = [_fold(chain, sample, active) for sample in samples]
-    kinds = {_classify(h, o) for h, o, _, _ in folded}
-    if len(kinds) != 1 or (kind := kinds.pop()) is None:
-        return None
-    h = np.array([item[0] for item in folded])
-    o = np.array([_points(kind, item[0], item[1]) for item in folded])
-    wrist = np.array([_meeting(item[0][4:], item[1][4:])[0] for item in folded])
-    R, p = np.array([item[2] for item in folded]), np.array([item[3] for item in folded])
-    return IkModel(kind, active.astype(np.int64), samples, h, o, wrist, R, p)
-
-
-def _fold(
-    chain: Chain, sample: np.ndarray, active: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Axes, origins and tool pose of the active joints with the others in place."""
-    n = chain.size
-    R, p = np.empty((n + 1, 3, 3)), np.empty((n + 1, 3))
-    stand_at_origin(R, p)
-    forward(sample, chain.h, chain.d, chain.prismatic, R, p)
-    h = np.einsum("aij,aj->ai", R[active], chain.h[active])
-    return h, p[active + 1], R[n] @ chain.tool_rotation, p[n] + R[n] @ chain.tool_offset
-
-
-def _meeting(h: np.ndarray, o: np.ndarray) -> tuple[np.ndarray, float]:
-    """Point nearest to several lines, and how far the worst line misses it [m]."""
-    P = np.eye(3) - h[:, :, None] * h[:, None, :]
-    point = np.linalg.lstsq(P.sum(0), np.einsum("nij,nj->i", P, o), rcond=None)[0]
-    gaps = np.einsum("nij,nj->ni", P, point - o)
-    return point, float(np.linalg.norm(gaps, axis=1).max())
-
-
-def _classify(h: np.ndarray, o: np.ndarray) -> int | None:
-    def parallel(i: int, j: int) -> bool:
-        return bool(np.linalg.norm(np.cross(h[i], h[j])) < _LOOSE)
-
-    if parallel(4, 5):
-        return None
-    if parallel(1, 2) and parallel(2, 3) and not parallel(0, 1):
-        return THREE_PARALLEL if _meeting(h[4:], o[4:])[1] < _LOOSE else None
-    if parallel(3, 4) or _meeting(h[3:], o[3:])[1] > _LOOSE:
-        return None
-    if parallel(1, 2) and not parallel(0, 1):
-        return WRIST_PARALLEL
-    if not parallel(0, 1) and _meeting(h[:2], o[:2])[1] < _LOOSE:
-        return WRIST_MEETING
-    return None
-
-
-def _points(kind: int, h: np.ndarray, o: np.ndarray) -> np.ndarray:
-    if kind == WRIST_MEETING:
-        o = o.copy()
-        o[:2] = _meeting(h[:2], o[:2])[0]
-    return o
-
-
-def _numeric(chain: Chain, seeds: int) -> IkModel:
-    if chain.size < 6:
-        raise RobotError(
-            f"the arm has {chain.size} joints; at least 6 are needed to reach a full tool pose"
-        )
-    lower = np.where(np.isfinite(chain.lower), chain.lower, -np.pi)
-    upper = np.where(np.isfinite(chain.upper), chain.upper, np.pi)
-    unit = halton(seeds + 1, chain.size)[1:]
-    samples = np.ascontiguousarray(lower + unit * (upper - lower))
-    every = np.arange(chain.size)
-    empty, point = np.zeros((len(samples), chain.size, 3)), np.zeros((len(samples), 3))
-    return IkModel(
-        NUMERIC, every, samples, empty, empty, point, np.zeros((len(samples), 3, 3)), point
-    )
+_SAME = 1e-2
+"""Solutions nearer than this in every joint are one [rad] or [m]."""
 
 
 @kernel
@@ -216,80 +70,176 @@ def _hopeless(branch, active, lower, upper):
         low, high = lower[active[a]], upper[active[a]]
         if high - low < turn:
             off = branch[a] - 0.5 * (low + high)
-            off -= turn * np.round(off / turn)
+            off -= turn * np.floor(off / turn + 0.5)
             if abs(off) > 0.5 * (high - low) + _SLACK:
                 return True
     return False
 
 
 @kernel
+def begin_pose(scratch):
+    """Forget the solutions of the pose before; to be called before the first `solve_sample`."""
+    scratch.state[0] = 0
+
+
+@kernel
+def sample_count(ik):
+    """How many samples `solve_sample` takes: of the locked joints, then of the seeds."""
+    return len(ik.samples) + ik.tries
+
+
+@kernel
 def solve_sample(s, R_target, p_target, arm, enough, out, scratch):
     """All configurations within limits at one sample of the locked joints (or from one seed).
 
+    Seeds are tried where no sample has given a solution of this pose.
+
     Args:
-        s: Index of the sample.
+        s: Index of the sample, below `sample_count`; the samples of a pose are asked in order.
         R_target, p_target: Tool pose in the base frame.
         arm: `ArmArrays`.
         enough: Squared residual that will do [m^2 + rad^2], `EXACT` or `COARSE`.
-        out: (max, n) to be filled.
-        scratch: `ik_scratch(n)`.
+        out: (MAX_BRANCHES, n) to be filled.
+        scratch: `ik_scratch(arm)`.
 
     Returns:
         Number of configurations written.
     """
-    chain, ik = arm.chain, arm.ik
-    kind, active, samples = ik.kind, ik.active, ik.samples
-    h, o, wrist, R_tool, p_tool = ik.h, ik.o, ik.wrist, ik.R_tool, ik.p_tool
-    branches, R06 = scratch.branches, scratch.R06
+    ik, state = arm.ik, scratch.state
+    active, first = ik.active, len(ik.samples)
+    branches = scratch.branches
     lower, upper = arm.limits
-    found = 1
-    if kind != NUMERIC:
-        for i in range(3):
-            for j in range(3):
-                R06[i, j] = (
-                    R_target[i, 0] * R_tool[s, j, 0]
-                    + R_target[i, 1] * R_tool[s, j, 1]
-                    + R_target[i, 2] * R_tool[s, j, 2]
-                )
-        c0 = row(wrist, s)
-        shift = mul(R06, sub(c0, row(p_tool, s)))
-        c = (p_target[0] + shift[0], p_target[1] + shift[1], p_target[2] + shift[2])
-        if kind == THREE_PARALLEL:
-            found = three_parallel(h[s], o[s], c0, R06, c, branches)
-        else:
-            found = spherical(kind, h[s], o[s], c0, R06, c, branches)
-    # From a seed Newton has far to go; after a closed form it only removes rounding.
-    steps, damping = (30, 1.0) if kind == NUMERIC else (8, 1e-6)
-    rule = NewtonRule(steps, damping, enough)
+    closed = s < first
+    if closed:
+        found = _branches(s, R_target, p_target, ik, branches, scratch.R06)
+        rule = NewtonRule(8, 1e-6, enough, False)
+    else:
+        if ik.kind != NUMERIC and state[0] > 0:
+            return 0
+        if s == first:
+            nearest_seeds(R_target, p_target, ik, scratch.order, scratch.distance)
+        active, found = scratch.every, 1
+        # From a seed Newton has far to go; after a closed form it only removes rounding.
+        rule = NewtonRule(30, 1.0, enough, True)
     count = 0
     for b in range(found):
-        for i in range(samples.shape[1]):
-            out[count, i] = samples[s, i]
-        if kind != NUMERIC:
+        if closed:
+            for i in range(len(lower)):
+                out[count, i] = ik.samples[s, i]
             if np.isnan(branches[b, 4]):
                 continue
             for a in range(6):
                 out[count, active[a]] = branches[b, a]
             if _hopeless(branches[b], active, lower, upper):
                 continue
-        residual = newton(out[count], active, chain, R_target, p_target, rule, scratch.newton)
-        if residual < max(enough, _TIGHT) and into_limits(
-            out[count], lower, upper, chain.prismatic
-        ):
+        else:
+            for i in range(len(lower)):
+                out[count, i] = ik.seeds[scratch.order[s - first], i]
+        residual = newton(
+            out[count], active, arm.chain, arm.limits, R_target, p_target, rule, scratch.newton
+        )
+        if residual < max(enough, _TIGHT) and into_limits(out[count], lower, upper, ik.prismatic):
+            if not closed and _known(out[count], scratch.solutions, state[0]):
+                continue
+            if not closed:
+                for i in range(len(lower)):
+                    scratch.solutions[state[0], i] = out[count, i]
+            if not closed or state[0] == 0:
+                state[0] += 1
             count += 1
     return count
 
 
 @kernel
-def ik_scratch(n):
+def _branches(s, R_target, p_target, ik, branches, R06):
+    """All branches of the closed form at a sample; returns their number."""
+    kind, h, o, R_tool = ik.kind, ik.h, ik.o, ik.R_tool
+    for i in range(3):
+        for j in range(3):
+            R06[i, j] = (
+                R_target[i, 0] * R_tool[s, j, 0]
+                + R_target[i, 1] * R_tool[s, j, 1]
+                + R_target[i, 2] * R_tool[s, j, 2]
+            )
+    c0 = row(ik.wrist, s)
+    if ik.reverse:
+        # From the tool the arm does the inverse: p -> R06^T (p - shift).
+        shift = sub((p_target[0], p_target[1], p_target[2]), mul(R06, row(ik.p_tool, s)))
+        c = mul_t(R06, sub(c0, shift))
+        for i in range(3):
+            for j in range(i):
+                R06[i, j], R06[j, i] = R06[j, i], R06[i, j]
+    else:
+        shift = mul(R06, sub(c0, row(ik.p_tool, s)))
+        c = (p_target[0] + shift[0], p_target[1] + shift[1], p_target[2] + shift[2])
+    if kind == THREE_PARALLEL:
+        found = three_parallel(h[s], o[s], c0, R06, c, branches)
+    else:
+        found = spherical(kind, h[s], o[s], c0, R06, c, branches)
+    if ik.reverse:
+        for b in range(found):
+            for a in range(6):
+                branches[b, a] = -branches[b, a]
+    return found
+
+
+@kernel
+def nearest_seeds(R, p, ik, order, distance):
+    """Fill order with the seeds whose tool poses are nearest, the nearest first."""
+    poses, most = ik.seed_poses, len(order)
+    distance[:] = np.inf
+    order[:] = 0
+    for i in range(len(poses)):
+        s = 0.0
+        for k in range(3):
+            d = poses[i, k] - p[k] / SEED_LENGTH
+            s += d * d
+        if s >= distance[most - 1]:
+            continue
+        for k in range(3):
+            d, e = poses[i, 3 + k] - R[k, 0], poses[i, 6 + k] - R[k, 1]
+            s += d * d + e * e
+        j = most - 1
+        if s >= distance[j]:
+            continue
+        while j > 0 and distance[j - 1] > s:
+            distance[j], order[j] = distance[j - 1], order[j - 1]
+            j -= 1
+        distance[j], order[j] = s, i
+
+
+@kernel
+def _known(q, solutions, count):
+    """Whether a configuration is one of those found before."""
+    for i in range(count):
+        worst = 0.0
+        for k in range(len(q)):
+            worst = max(worst, abs(q[k] - solutions[i, k]))
+        if worst < _SAME:
+            return True
+    return False
+
+
+@kernel
+def ik_scratch(arm):
     """Memory for `solve_sample`."""
-    return IkScratch(np.empty((MAX_BRANCHES, 6)), np.empty((3, 3)), newton_scratch(n))
+    n, tries = len(arm.limits.lower), max(1, arm.ik.tries)
+    return IkScratch(
+        np.empty((MAX_BRANCHES, 6)),
+        np.empty((3, 3)),
+        np.arange(n),
+        np.zeros(tries, np.int64),
+        np.empty(tries),
+        np.empty((tries, n)),
+        np.zeros(1, np.int64),
+        newton_scratch(arm.chain, n),
+    )
 
 
 @kernel
 def max_solutions(ik):
     """Upper bound on the number of solutions for one pose."""
-    return len(ik.samples) * (1 if ik.kind == NUMERIC else MAX_BRANCHES)
+    return max(len(ik.samples) * MAX_BRANCHES, ik.tries)
 
 
 @entry
@@ -297,22 +247,19 @@ def _solve_all(
     poses: F3,
     arm: ArmArrays,
 ) -> tuple[np.ndarray, np.ndarray]:
-    n = arm.ik.samples.shape[1]
-    scratch = ik_scratch(n)
-    out = np.full((len(poses), max_solutions(arm.ik), n), np.nan)
+    n, most = len(arm.limits.lower), max_solutions(arm.ik)
+    scratch = ik_scratch(arm)
+    # Room for one more pose's branches: what is tried there is dropped.
+    out = np.full((len(poses), most + MAX_BRANCHES, n), np.nan)
     counts = np.zeros(len(poses), np.int64)
     for i in range(len(poses)):
         R, p = poses[i, :3, :3], poses[i, :3, 3]
-        for s in range(len(arm.ik.samples)):
+        begin_pose(scratch)
+        for s in range(sample_count(arm.ik)):
             counts[i] += solve_sample(s, R, p, arm, EXACT, out[i, counts[i] :], scratch)
         # What was tried there and refused.
         out[i, counts[i] :] = np.nan
-    return out, counts
-
-
-def ik_arrays(ik: IkModel) -> IkArrays:
-    """The IK model as the kernels take it."""
-    return IkArrays(ik.kind, ik.active, ik.samples, ik.h, ik.o, ik.wrist, ik.R_tool, ik.p_tool)
+    return out[:, :most], counts
 
 
 def arm_arrays(chain: Chain, ik: IkModel) -> ArmArrays:

@@ -11,7 +11,7 @@ from momapos.kinematics.subproblems import dot, mul
 
 
 @kernel
-def _solve_spd(A, b):
+def solve_spd(A, b):
     """Solve A x = b in place for a small positive definite A (Cholesky)."""
     n = len(b)
     for i in range(n):
@@ -31,52 +31,44 @@ def _solve_spd(A, b):
 
 
 @kernel
-def newton(q, active, chain, R_target, p_target, rule, scratch):
+def newton(q, active, chain, limits, R_target, p_target, rule, scratch):
     """Move the active joints of q until the tool stands at the target.
 
     Args:
         q: Configuration (n,), changed in place.
-        active: Indices of the joints that may move.
+        active: The degrees of freedom that may move.
         chain: `ChainArrays`.
+        limits: `JointLimits`, which count where the rule says so.
         R_target, p_target: Target pose in the base frame.
         rule: `NewtonRule`.
-        scratch: `newton_scratch(n)`.
+        scratch: `newton_scratch(chain, n)`.
 
     Returns:
         Squared residual, position [m] and rotation [rad] together.
     """
-    h, prismatic = chain.h, chain.prismatic
+    last = len(chain.slides)
     tool_offset, tool_rotation = chain.tool_offset, chain.tool_rotation
-    R, p, J, A, e = scratch
-    n, m = len(q), len(active)
+    R, p, J, A, e, column = scratch
+    m = len(active)
+    for i in range(len(q)):
+        column[i] = -1
+    for a in range(m):
+        column[active[a]] = a
     residual = np.inf
     for step in range(rule.steps + 1):
         stand_at_origin(R, p)
-        forward(q, h, chain.d, prismatic, R, p)
-        tip = mul(R[n], (tool_offset[0], tool_offset[1], tool_offset[2]))
-        tool = (p[n, 0] + tip[0], p[n, 1] + tip[1], p[n, 2] + tip[2])
+        forward(q, chain, R, p)
+        tip = mul(R[last], (tool_offset[0], tool_offset[1], tool_offset[2]))
+        tool = (p[last, 0] + tip[0], p[last, 1] + tip[1], p[last, 2] + tip[2])
         for k in range(3):
             e[k] = p_target[k] - tool[k]
-        _rotation_error(R[n], tool_rotation, R_target, e)
+        rotation_error(R[last], tool_rotation, R_target, e)
         residual = 0.0
         for k in range(6):
             residual += e[k] * e[k]
         if residual < rule.enough or step == rule.steps:
             break
-        for a in range(m):
-            j = active[a]
-            axis = mul(R[j], (h[j, 0], h[j, 1], h[j, 2]))
-            if prismatic[j]:
-                for k in range(3):
-                    J[k, a] = axis[k]
-                    J[k + 3, a] = 0.0
-            else:
-                rx, ry, rz = tool[0] - p[j + 1, 0], tool[1] - p[j + 1, 1], tool[2] - p[j + 1, 2]
-                J[0, a] = axis[1] * rz - axis[2] * ry
-                J[1, a] = axis[2] * rx - axis[0] * rz
-                J[2, a] = axis[0] * ry - axis[1] * rx
-                for k in range(3):
-                    J[k + 3, a] = axis[k]
+        jacobian(chain, R, p, tool, column, m, J)
         for i in range(6):
             for k in range(i + 1):
                 s = 0.0
@@ -84,29 +76,67 @@ def newton(q, active, chain, R_target, p_target, rule, scratch):
                     s += J[i, a] * J[k, a]
                 A[i, k] = s
             A[i, i] += rule.damping * (1e-6 + residual)
-        _solve_spd(A, e)
+        solve_spd(A, e)
         for a in range(m):
             s = 0.0
             for k in range(6):
                 s += J[k, a] * e[k]
-            q[active[a]] += min(0.5, max(-0.5, s))
+            j = active[a]
+            q[j] += min(0.5, max(-0.5, s))
+            if rule.within:
+                q[j] = min(max(q[j], limits.lower[j]), limits.upper[j])
     return residual
 
 
 @kernel
-def newton_scratch(n):
-    """Memory for `newton`."""
+def jacobian(chain, R, p, tool, column, m, J):
+    """How a point and the orientation of the last segment move with the degrees of freedom.
+
+    Args:
+        chain: `ChainArrays`.
+        R, p: As `forward` leaves them.
+        tool: The point, in the same frame.
+        column: For each degree of freedom its column, or -1 (n,).
+        m: Number of columns.
+        J: (6, at least m) to be filled: velocity, then angular velocity.
+    """
+    h = chain.h
+    for a in range(m):
+        for k in range(6):
+            J[k, a] = 0.0
+    for j in range(len(chain.slides)):
+        a = column[chain.dof[j]]
+        if a < 0:
+            continue
+        axis, ratio = mul(R[j], (h[j, 0], h[j, 1], h[j, 2])), chain.ratio[j]
+        if chain.slides[j]:
+            for k in range(3):
+                J[k, a] += ratio * axis[k]
+        else:
+            rx, ry, rz = tool[0] - p[j + 1, 0], tool[1] - p[j + 1, 1], tool[2] - p[j + 1, 2]
+            J[0, a] += ratio * (axis[1] * rz - axis[2] * ry)
+            J[1, a] += ratio * (axis[2] * rx - axis[0] * rz)
+            J[2, a] += ratio * (axis[0] * ry - axis[1] * rx)
+            for k in range(3):
+                J[k + 3, a] += ratio * axis[k]
+
+
+@kernel
+def newton_scratch(chain, n):
+    """Memory for `newton`: a chain with n degrees of freedom."""
+    last = len(chain.slides)
     return NewtonScratch(
-        np.empty((n + 1, 3, 3)),
-        np.empty((n + 1, 3)),
+        np.empty((last + 1, 3, 3)),
+        np.empty((last + 1, 3)),
         np.empty((6, n)),
         np.empty((6, 6)),
         np.empty(6),
+        np.empty(n, np.int64),
     )
 
 
 @kernel
-def _rotation_error(R_last, tool_rotation, R_target, e):
+def rotation_error(R_last, tool_rotation, R_target, e):
     """Rotation vector from the tool's orientation to the target's, into e[3:]."""
     x, y, z, trace = 0.0, 0.0, 0.0, 0.0
     for i in range(3):

@@ -12,11 +12,13 @@ Counts = Annotated[np.ndarray, Array(np.dtype("i4"), 3)]
 
 
 class ChainArrays(NamedTuple):
-    """A chain of n joints, see `Chain`."""
+    """A chain of m joints, see `Chain`."""
 
     h: F2
     d: F2
-    prismatic: B1
+    slides: B1
+    dof: I1
+    ratio: F1
     tool_offset: F1
     tool_rotation: F2
 
@@ -32,13 +34,18 @@ class IkArrays(NamedTuple):
     """How an arm is inverted, see `IkModel`."""
 
     kind: int
+    reverse: bool
     active: I1
+    prismatic: B1
     samples: F2
     h: F3
     o: F3
     wrist: F2
     R_tool: F3
     p_tool: F2
+    seeds: F2
+    seed_poses: F2
+    tries: int
 
 
 class ArmArrays(NamedTuple):
@@ -58,16 +65,20 @@ class NewtonRule(NamedTuple):
     """Levenberg damping [-]; tiny near a solution, larger from far away."""
     enough: float
     """Squared residual at which to stop [m^2 + rad^2]."""
+    within: bool
+    """Whether every step stays within the joints' limits."""
 
 
 class NewtonScratch(NamedTuple):
-    """Memory of `newton` for n joints."""
+    """Memory of `newton`."""
 
     R: F3
     p: F2
     jacobian: F2
     normal: F2
     error: F1
+    column: I1
+    """Where each degree of freedom stands among those that may move, or -1."""
 
 
 class IkScratch(NamedTuple):
@@ -75,7 +86,27 @@ class IkScratch(NamedTuple):
 
     branches: F2
     R06: F2
+    every: I1
+    """All degrees of freedom."""
+    order: I1
+    """The seeds nearest to the pose, and their distances."""
+    distance: F1
+    solutions: F2
+    """What was found from seeds."""
+    state: I1
+    """(1,) how many of these there are; 1 where a sample gave a solution."""
     newton: NewtonScratch
+
+
+class HullArrays(NamedTuple):
+    """The collision shapes of a robot as convex hulls, see `LinkHulls`."""
+
+    vertices: F2
+    first: I1
+    center: F2
+    segment: I1
+    of_group: I1
+    of_base: I1
 
 
 class SphereArrays(NamedTuple):
@@ -95,6 +126,9 @@ class SphereArrays(NamedTuple):
     base_pairs: B2
     base_bounds: F2
     base_radius: F1
+    hulls: HullArrays
+    exact: B1
+    base_exact: B2
 
 
 class BoxArrays(NamedTuple):

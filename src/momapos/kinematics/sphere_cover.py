@@ -7,7 +7,10 @@ are taken until nothing is left.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -28,6 +31,10 @@ BULKY = 0.06
 """Shapes whose half thickness is more than this are treated as bodies [m]."""
 MAX_CELLS = 200
 """Cells of one box; beyond, they grow [-]."""
+MAX_PLANES = 500
+"""Planes that stand for the surface of a hull [-]."""
+AT_ONCE = 4_000_000
+"""Distances of points to faces that are held at once [-]."""
 _LAYERS = ((0, 1), (3, 0), (4, 0), (5, 0), (6, 0), *((k, 1) for k in range(5, 17)))
 """How many spheres form a ring, and how many stand in its middle."""
 _SIDE = 7
@@ -68,6 +75,23 @@ def box_spheres(boxes: Boxes) -> tuple[Float[np.ndarray, "s 3"], Float[np.ndarra
 
 
 def _cover_shape(shape: Geometry, stick_out: float) -> _Cover:
+    if shape.mesh is None:
+        return _covered(shape, stick_out)
+    # The same mesh is covered for each arm of a robot, and again when its file is read.
+    T = shape.T_link_geometry
+    stamp = os.stat(shape.mesh).st_mtime_ns
+    return _mesh_cover(shape.mesh, stamp, shape.size, T.tobytes(), stick_out)
+
+
+@lru_cache(maxsize=256)
+def _mesh_cover(
+    mesh: Path, _stamp: int, size: tuple[float, ...], T: bytes, stick_out: float
+) -> _Cover:
+    shape = Geometry("mesh", size, np.frombuffer(T).reshape(4, 4), mesh=mesh)
+    return _covered(shape, stick_out)
+
+
+def _covered(shape: Geometry, stick_out: float) -> _Cover:
     if shape.kind == "sphere":
         center, size = shape.T_link_geometry[None, :3, 3], shape.size[0]
         return _Cover(center, np.array([size]), center + size * _DIRECTIONS)
@@ -169,7 +193,13 @@ def _count(half: np.ndarray, stick_out: float) -> np.ndarray:
 
 
 def _planes(hull: Hull) -> tuple[Float[np.ndarray, "f 3"], Float[np.ndarray, " f"]]:
-    """Outward unit normals of a hull's faces and their offsets."""
+    """Outward unit normals of planes that bound a hull, and their offsets.
+
+    Those of its faces; of a hull with very many, as many planes that touch it all around.
+    """
+    if len(hull.faces) > MAX_PLANES:
+        normal = _around(MAX_PLANES)
+        return normal, (hull.vertices @ normal.T).max(0)
     a, b, c = (hull.vertices[hull.faces[:, k]] for k in range(3))
     normal = np.cross(b - a, c - a)
     length = np.linalg.norm(normal, axis=1)
@@ -179,13 +209,25 @@ def _planes(hull: Hull) -> tuple[Float[np.ndarray, "f 3"], Float[np.ndarray, " f
     return planes[:, :3], planes[:, 3]
 
 
-def _into(points: np.ndarray, hull: Hull) -> np.ndarray:
+def _around(count: int) -> Float[np.ndarray, "count 3"]:
+    """Unit vectors spread evenly over the sphere, on a spiral."""
+    z = (2 * np.arange(count) + 1) / count - 1
+    angle = np.pi * (np.sqrt(5) - 1) * np.arange(count)
+    r = np.sqrt(1 - z**2)
+    return np.stack([r * np.cos(angle), r * np.sin(angle), z], -1)
+
+
+def _into(points: Float[np.ndarray, "*n 3"], hull: Hull) -> Float[np.ndarray, "*n 3"]:
     """Move points outside of a hull to its surface, along the normals of faces."""
     normal, offset = _planes(hull)
-    for _ in range(3):
-        out = points @ normal.T - offset
-        points = points - np.maximum(0.0, out.max(-1))[..., None] * normal[out.argmax(-1)]
-    return points
+    moved = points.reshape(-1, 3).copy()
+    size = max(1, AT_ONCE // len(normal))
+    for first in range(0, len(moved), size):
+        part = moved[first : first + size]
+        for _ in range(3):
+            out = part @ normal.T - offset
+            part -= np.maximum(0.0, out.max(-1))[..., None] * normal[out.argmax(-1)]
+    return moved.reshape(points.shape)
 
 
 def _needed(cover: _Cover) -> Bool[np.ndarray, " s"]:

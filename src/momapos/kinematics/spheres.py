@@ -18,13 +18,36 @@ from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.chain import Segments
 from momapos.kinematics.collision import FINGER, OTHER, PALM
 from momapos.kinematics.hulls import Boxes
-from momapos.kinematics.records import SphereArrays
+from momapos.kinematics.records import HullArrays, SphereArrays
 from momapos.kinematics.sphere_cover import ARM, BODY, GRIPPER, MARGIN, box_spheres, cover_shapes
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
 __all__ = ["MARGIN", "Spheres", "box_spheres", "build_spheres", "carry"]
+
+
+@dataclass(frozen=True)
+class LinkHulls:
+    """Convex hulls of the links' shapes, each relative to the joint origin of its segment."""
+
+    vertices: Float[np.ndarray, "v 3"]
+    """Of all hulls, one hull after the other [m]."""
+    first: Int[np.ndarray, " hulls_plus_1"]
+    """Vertices of hull h are first[h]:first[h + 1]."""
+    center: Float[np.ndarray, "hulls 3"]
+    """A point within each [m]."""
+    segment: Int[np.ndarray, " hulls"]
+    of_group: Int[np.ndarray, " groups_plus_1"]
+    """Hulls of group g are of_group[g]:of_group[g + 1]."""
+    of_base: Int[np.ndarray, " b"]
+    """The hull that each box of the base covers."""
+
+    def arrays(self) -> HullArrays:
+        """The hulls as the kernels take them."""
+        return HullArrays(
+            self.vertices, self.first, self.center, self.segment, self.of_group, self.of_base
+        )
 
 
 @dataclass(frozen=True)
@@ -50,6 +73,14 @@ class Spheres:
     """The links that do not move with the arm, as boxes in the base frame."""
     base_pairs: Bool[np.ndarray, "groups b"]
     """Which group is checked against which box of the base."""
+    base_links: tuple[str, ...]
+    """Link of each box of the base."""
+    hulls: LinkHulls
+    """The shapes themselves."""
+    exact: Bool[np.ndarray, " pairs"]
+    """Which pairs their hulls decide, spheres being too coarse."""
+    base_exact: Bool[np.ndarray, "groups b"]
+    """The same for groups and boxes of the base."""
 
     def arrays(self) -> SphereArrays:
         """The spheres as the kernels take them."""
@@ -68,6 +99,9 @@ class Spheres:
             self.base_pairs,
             self.base_bounds,
             np.linalg.norm(self.base.half, axis=1),
+            self.hulls.arrays(),
+            self.exact,
+            self.base_exact,
         )
 
     @cached_property
@@ -118,6 +152,7 @@ def build_spheres(
         and checked(moving[i], moving[j])
     ]
     against = np.array([[checked(a, b) for b in base_links] for a in moving], bool)
+    against = against.reshape(len(moving), len(base))
     return Spheres(
         center=np.concatenate([center for center, _ in groups]),
         radius=np.concatenate([radius for _, radius in groups]),
@@ -129,7 +164,11 @@ def build_spheres(
         gripper=np.array([_role(model, link, set(gripper_links)) for link in moving], np.int64),
         pairs=np.array(pairs, np.int64).reshape(-1, 2),
         base=base,
-        base_pairs=against.reshape(len(moving), len(base)),
+        base_pairs=against,
+        base_links=tuple(base_links),
+        hulls=_hulls(model, segments, moving),
+        exact=np.zeros(len(pairs), bool),
+        base_exact=np.zeros_like(against),
     )
 
 
@@ -162,6 +201,7 @@ def carry(
     middle, bound = _bound(center, radius)
     others = np.flatnonzero(spheres.segment < segment)
     pairs = np.stack([others, np.full(len(others), len(spheres.segment))], -1)
+    of_group = spheres.hulls.of_group
     return replace(
         spheres,
         pairs=np.concatenate([spheres.pairs, pairs]),
@@ -174,6 +214,9 @@ def carry(
         links=(*spheres.links, "carried object"),
         gripper=np.append(spheres.gripper, FINGER),
         base_pairs=np.vstack([spheres.base_pairs, np.ones((1, len(spheres.base)), bool)]),
+        hulls=replace(spheres.hulls, of_group=np.append(of_group, of_group[-1])),
+        exact=np.append(spheres.exact, np.zeros(len(others), bool)),
+        base_exact=np.vstack([spheres.base_exact, np.zeros((1, len(spheres.base)), bool)]),
     )
 
 
@@ -206,19 +249,38 @@ def _neighbors(model: Articulated) -> Callable[[str, str], bool]:
 
 
 def _base_boxes(model: Articulated, segments: Segments) -> tuple[Boxes, list[str]]:
-    center, rotation, half, names = [], [], [], []
-    for link in model.links:
-        if segments.of_link[link] > 0:
-            continue
+    center, rotation, half = [np.zeros((0, 3))], [np.zeros((0, 3, 3))], [np.zeros((0, 3))]
+    names: list[str] = []
+    for link in _standing(model, segments):
         T = segments.T_segment_link[link]
         for boxes in model.boxes[link]:
             center.append(apply(T, boxes.center))
             rotation.append(T[:3, :3] @ boxes.rotation)
             half.append(boxes.half)
             names += [link] * len(boxes)
-    if not names:
-        return Boxes(np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3))), []
     return Boxes(np.concatenate(center), np.concatenate(rotation), np.concatenate(half)), names
+
+
+def _hulls(model: Articulated, segments: Segments, moving: Sequence[str]) -> LinkHulls:
+    """Hulls of the links that move, then those of the base."""
+    standing = _standing(model, segments)
+    links = [(link, hull) for link in (*moving, *standing) for hull in model.hulls[link]]
+    vertices = [apply(segments.T_segment_link[link], hull.vertices) for link, hull in links]
+    counts = [len(model.hulls[link]) for link in moving]
+    boxes = [len(boxes) for link in standing for boxes in model.boxes[link]]
+    return LinkHulls(
+        vertices=np.concatenate([np.zeros((0, 3)), *vertices]),
+        first=np.cumsum([0, *map(len, vertices)]),
+        center=np.array([points.mean(0) for points in vertices]).reshape(-1, 3),
+        segment=np.array([segments.of_link[link] for link, _ in links], np.int64),
+        of_group=np.cumsum([0, *counts]),
+        of_base=np.repeat(sum(counts) + np.arange(len(boxes)), boxes),
+    )
+
+
+def _standing(model: Articulated, segments: Segments) -> list[str]:
+    """Links that do not move with the arm."""
+    return [link for link in model.links if segments.of_link[link] == 0]
 
 
 def _bound(center: np.ndarray, radius: np.ndarray) -> tuple[np.ndarray, float]:

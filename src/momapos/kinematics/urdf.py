@@ -1,7 +1,7 @@
 """Read URDF files that come from strangers.
 
-yourdfpy parses; this module guards what goes in (no entities, bounded size, no path out of the
-root folder) and what comes out (a tree, finite numbers, ordered limits), and hands on frozen
+yourdfpy parses; `urdf_tree` guards what goes in, this module which files it names (no path out of
+the root folder) and what comes out (a tree, finite numbers, ordered limits), and hands on frozen
 records with everything scaled to meters.
 """
 
@@ -9,115 +9,61 @@ from __future__ import annotations
 
 import io
 import math
-import re
 from collections import Counter
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 from xml.etree.ElementTree import Element, tostring
 
 import numpy as np
 
 from momapos.cache import Cache
 from momapos.errors import UrdfError
-from momapos.files import parse_xml, read_text_bounded
+from momapos.files import read_text_bounded
+from momapos.kinematics.coupling import follow
 from momapos.kinematics.kept import once
+from momapos.kinematics.mesh_files import MeshFinder
+from momapos.kinematics.urdf_records import Geometry, Joint, JointKind, Link, Mimic, Urdf
+from momapos.kinematics.urdf_tree import (
+    MAX_LINKS,
+    MAX_URDF_BYTES,
+    fix_root_joints,
+    mimics,
+    needed,
+    read_tree,
+)
 
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-JointKind = Literal["revolute", "continuous", "prismatic", "fixed"]
-MAX_URDF_BYTES = 20_000_000
-MAX_LINKS = 5_000
-MAX_SHAPES = 2_000
-"""Collision elements of a URDF, and visual ones [-]; detailed furniture has some 150."""
-MAX_SIZE = 1e4
-"""Edge, radius or length of a shape may be this at most [m]; distances too."""
-MAX_DEPTH = 50
-_COUNTS = {
-    "xyz": (3,), "rpy": (3,), "size": (3,), "scale": (1, 3), "radius": (1,), "length": (1,),
-    "lower": (1,), "upper": (1,), "velocity": (1,),
-}  # fmt: skip
-"""How many numbers an attribute holds."""
-_LENGTHS = {"xyz", "size", "radius", "length", "scale"}
-_SHAPES = {
-    "box": ("size",), "cylinder": ("radius", "length"), "sphere": ("radius",),
-    "mesh": ("filename",),
-}  # fmt: skip
-"""The shapes of a URDF and the attributes that each must have."""
-_PARTS: dict[str, tuple[str, ...]] = {
-    "robot": ("link", "joint"), "link": ("collision", "visual"),
-    "collision": ("origin", "geometry"), "visual": ("origin", "geometry"),
-    "geometry": tuple(_SHAPES), "joint": ("parent", "child", "origin", "axis", "limit"),
-}  # fmt: skip
-"""The elements that are used, by the one that holds them."""
-_ATTRIBUTES = {*_COUNTS, "name", "type", "link", "filename"}
-"""The attributes that are used."""
-_OPTENV = re.compile(r"\$\(optenv\s([^()]{0,1000}+)\)")
+__all__ = [
+    "MAX_LINKS",
+    "MAX_URDF_BYTES",
+    "Geometry",
+    "Joint",
+    "JointKind",
+    "Link",
+    "Mimic",
+    "Urdf",
+    "box_urdf",
+    "read_urdf",
+]
 
 
-@dataclass(frozen=True)
-class Geometry:
-    """One shape of a link."""
-
-    kind: Literal["box", "cylinder", "sphere", "mesh"]
-    size: tuple[float, ...]
-    """box: edges; cylinder: radius, length; sphere: radius [m]; mesh: scale per axis [-]."""
-    T_link_geometry: Float[np.ndarray, "4 4"]
-    """Pose in the link frame; cylinders lie along z."""
-    name: str = ""
-    """Name of the `collision` or `visual` element, often empty."""
-    mesh: Path | None = None
-
-
-@dataclass(frozen=True)
-class Link:
-    """A rigid body."""
-
-    name: str
-    collisions: tuple[Geometry, ...]
-    visuals: tuple[Geometry, ...]
-
-
-@dataclass(frozen=True)
-class Joint:
-    """A joint between two links."""
-
-    name: str
-    kind: JointKind
-    parent: str
-    child: str
-    T_parent_joint: Float[np.ndarray, "4 4"]
-    axis: Float[np.ndarray, "3"]
-    """Unit axis in the joint frame."""
-    lower: float
-    upper: float
-    """Limits [rad] or [m]; infinite for continuous joints."""
-    velocity: float
-    """Speed limit [rad/s] or [m/s]; infinite when the file gives none."""
-
-    @property
-    def movable(self) -> bool:
-        """Whether the joint moves at all."""
-        return self.kind != "fixed"
-
-
-@dataclass(frozen=True)
-class Urdf:
-    """A tree of links and joints, parents before children."""
-
-    name: str
-    path: Path | None
-    root: str
-    links: dict[str, Link]
-    joints: tuple[Joint, ...]
-    scale: float = 1.0
-    """What all lengths of the file were multiplied by [-]."""
+FindMesh = Callable[[str], Path]
+"""Finds the file of a mesh that a URDF names."""
 
 
 def read_urdf(
-    path: Path, *, root: Path | None = None, scale: float = 1.0, cache: Cache | None = None
+    path: Path,
+    *,
+    root: Path | None = None,
+    scale: float = 1.0,
+    cache: Cache | None = None,
+    text: str | None = None,
+    find_mesh: FindMesh | None = None,
+    visuals: bool = True,
 ) -> Urdf:
     """Read a URDF file.
 
@@ -127,18 +73,21 @@ def read_urdf(
             levels where None (packages keep meshes beside the `urdf` folder).
         scale: Uniform scale of all lengths [-].
         cache: Where what was parsed is kept, so that a file is parsed once.
+        text: What is read instead of the file's content, by one who changed it.
+        find_mesh: Finds meshes instead of `MeshFinder`, for one who knows more folders.
+        visuals: Whether visual elements are read; where not, their meshes need not exist.
 
     Raises:
         UrdfError: The file cannot be used; the message says where and why.
     """
     if not (math.isfinite(scale) and scale > 0):
         raise UrdfError(f"{path}: scale must be a number > 0, not {scale}")
-    text = read_text_bounded(path, MAX_URDF_BYTES, error=UrdfError)
+    content = read_text_bounded(path, MAX_URDF_BYTES, error=UrdfError) if text is None else text
     urdf, meshes = once(
-        cache, "urdf", (text, scale), lambda: _parse(text, path, scale),
-        (Urdf, Link, Joint, Geometry),
+        cache, "urdf", (content, scale), lambda: _parse(content, path, scale),
+        (Urdf, Link, Joint, Geometry, Mimic),
     )  # fmt: skip
-    return _with_meshes(urdf, path, iter(meshes), _Finder(path, root))
+    return _with_meshes(urdf, path, iter(meshes), find_mesh or MeshFinder(path, root).find, visuals)
 
 
 def box_urdf(name: str, size: tuple[float, float, float]) -> Urdf:
@@ -149,7 +98,9 @@ def box_urdf(name: str, size: tuple[float, float, float]) -> Urdf:
 
 def _parse(text: str, path: Path, scale: float) -> tuple[Urdf, tuple[str, ...]]:
     """A checked URDF, its meshes without their files, and how it names these, in order."""
-    robot = _with_yourdfpy(_read_tree(text, path), path)
+    tree = read_tree(text, path)
+    rigid, follows = fix_root_joints(tree), mimics(tree, path, scale)
+    robot = _with_yourdfpy(tree, path)
     reader = _Reader(path, scale)
     links = {link.name: reader.link(link) for link in robot.links}
     if len(links) != len(robot.links):
@@ -159,107 +110,18 @@ def _parse(text: str, path: Path, scale: float) -> tuple[Urdf, tuple[str, ...]]:
     if twin is not None:
         raise UrdfError(f"{path}: two joints are named {twin!r}; names must be unique")
     root_link, ordered = _order(path, links, joints)
-    return Urdf(robot.name or path.stem, None, root_link, links, ordered, scale), tuple(
-        reader.meshes
-    )
-
-
-def _read_tree(text: str, path: Path) -> Element:
-    tree = parse_xml(_OPTENV.sub(_default, text), path, error=UrdfError)
-    if tree.tag != "robot":
-        raise UrdfError(f"{path}: the root element is <{tree.tag}>, a URDF has <robot>")
-    _check_tree(path, tree)
-    return tree
-
-
-def _default(optenv: re.Match[str]) -> str:
-    """What `$(optenv NAME DEFAULT)` says where NAME is not set, which here it never is."""
-    words = optenv[1].split(None, 1)
-    return words[1] if len(words) == 2 else ""
-
-
-def _check_tree(path: Path, tree: Element) -> None:
-    """Refuse what a parser would choke on or, worse, take in silence."""
-    if not tree.get("name"):
-        raise UrdfError(f"{path}: <robot> has no name")
-    if len(tree.findall("link")) > MAX_LINKS or len(tree.findall("joint")) > MAX_LINKS:
-        raise UrdfError(f"{path}: more than {MAX_LINKS} links")
-    for kind in ("collision", "visual"):
-        if len(tree.findall(f"link/{kind}")) > MAX_SHAPES:
-            raise UrdfError(f"{path}: more than {MAX_SHAPES} {kind} elements; use simpler shapes")
-    level = [tree]
-    for _ in range(MAX_DEPTH):
-        level = [child for element in level for child in element]
-    if level:
-        raise UrdfError(f"{path}: elements are nested deeper than {MAX_DEPTH}")
-    for part in tree:
-        if not isinstance(part.tag, str):
-            continue
-        if "xacro" in part.tag:
-            raise UrdfError(f"{path}: holds xacro macros; expand it first: xacro IN > OUT.urdf")
-        if part.tag in ("link", "joint"):
-            name = part.get("name", "")
-            if not name.strip() or not name.isprintable() or len(name) > 500:
-                raise UrdfError(f"{path}: a {part.tag} has no usable name: {name!r:.60}")
-            _check_part(part, f"{path}: {part.tag} {name!r}")
-
-
-def _check_part(part: Any, where: str) -> None:
-    """Check the numbers and shapes of a link or joint; commas stand for spaces."""
-    for element in part.iter():
-        if element.tag == "geometry":
-            _check_geometry(element, where)
-        if element.tag in ("collision", "visual") and element.find("geometry") is None:
-            raise UrdfError(f"{where}: a <{element.tag}> has no <geometry>")
-        for key in _COUNTS.keys() & set(element.keys()):
-            if element.tag in ("texture", "color"):
-                continue
-            text = element.get(key)
-            values = [_float(word) for word in text.replace(",", " ").split()]
-            if len(values) not in _COUNTS[key] or not all(map(math.isfinite, values)):
-                count = " or ".join(map(str, _COUNTS[key]))
-                raise UrdfError(
-                    f"{where}: {key}={text!r:.80} in <{element.tag}> must be {count} finite "
-                    f"number{'s' * (count != '1')}"
-                )
-            if key in _LENGTHS and max(map(abs, values)) > MAX_SIZE:
-                raise UrdfError(f"{where}: {key}={text!r:.80} is larger than {MAX_SIZE:g}")
-            if key in ("size", "radius", "length") and min(values) <= 0:
-                raise UrdfError(f"{where}: {key}={text!r:.80} in <{element.tag}> must be > 0")
-    if part.tag == "joint":
-        for end in ("parent", "child"):
-            element = part.find(end)
-            if element is None:
-                raise UrdfError(f"{where} has no <{end}>")
-            if not element.get("link"):
-                raise UrdfError(f"{where}: <{end}> has no link")
-
-
-def _check_geometry(geometry: Any, where: str) -> None:
-    tags = [child.tag for child in geometry]
-    if len(tags) != 1 or tags[0] not in _SHAPES:
-        found, shapes = ", ".join(map(str, tags)) or "nothing", ", ".join(_SHAPES)
-        raise UrdfError(f"{where}: <geometry> holds {found:.80}; it must be one of {shapes}")
-    for key in _SHAPES[tags[0]]:
-        if not geometry[0].get(key):
-            raise UrdfError(f"{where}: <{tags[0]}> has no {key}")
-
-
-def _float(word: str) -> float:
-    try:
-        return float(word)
-    except ValueError:
-        return math.nan
+    movable = {joint.name for joint in ordered if joint.movable}
+    # A joint that follows one that cannot move is left to itself.
+    follows = {n: m for n, m in follows.items() if n in movable and m.joint in movable}
+    ordered = follow(ordered, follows, str(path), UrdfError)
+    urdf = Urdf(robot.name or path.stem, None, root_link, links, ordered, scale, rigid)
+    return urdf, tuple(reader.meshes)
 
 
 def _with_yourdfpy(tree: Element, path: Path) -> Any:
     import yourdfpy
 
-    robot = Element("robot", name=tree.get("name", ""))
-    for part in tree:
-        if part.tag in _PARTS["robot"]:
-            robot.append(_needed(part))
-    text = tostring(robot)
+    text = tostring(needed(tree))
     try:
         urdf = yourdfpy.URDF.load(io.BytesIO(text), build_scene_graph=False, load_meshes=False)
     except Exception as error:  # yourdfpy raises whatever its parser met
@@ -267,18 +129,6 @@ def _with_yourdfpy(tree: Element, path: Path) -> Any:
     if not urdf.robot.links:
         raise UrdfError(f"{path}: has no links")
     return urdf.robot
-
-
-def _needed(element: Element) -> Element:
-    """A part of the tree with what is needed alone, so that no parser meets the rest."""
-    found = Element(element.tag)
-    for key, value in element.items():
-        if key in _ATTRIBUTES:
-            found.set(key, value.replace(",", " ") if key in _COUNTS else value)
-    for child in element:
-        if child.tag in _PARTS.get(element.tag, ()):
-            found.append(_needed(child))
-    return found
 
 
 class _Reader:
@@ -332,9 +182,11 @@ class _Reader:
             raise UrdfError(f"{where} has a zero axis")
         lower, upper = self.limits(where, kind, joint.limit)
         velocity = getattr(joint.limit, "velocity", None) or math.inf
+        effort = getattr(joint.limit, "effort", None) or math.inf
         unit = axis / length if length > 1e-9 else axis
         T = self.transform(joint.origin)
-        return Joint(joint.name, kind, joint.parent, joint.child, T, unit, lower, upper, velocity)
+        ends = joint.parent, joint.child
+        return Joint(joint.name, kind, *ends, T, unit, lower, upper, velocity, effort=effort)
 
     def limits(self, where: str, kind: str, limit: Any) -> tuple[float, float]:
         if kind == "fixed":
@@ -349,42 +201,22 @@ class _Reader:
         return lower, upper
 
 
-class _Finder:
-    """Finds the meshes that a URDF names."""
-
-    def __init__(self, path: Path, root: Path | None) -> None:
-        self.path = path
-        folder = path.resolve().parent
-        self.folders = [folder, *list(folder.parents)[:4]]
-        self.root = root.resolve() if root else self.folders[-1]
-
-    def find(self, filename: str) -> Path:
-        """Resolve a mesh name inside the root; `package://` is looked for in parent folders."""
-        relative = re.sub(r"^(package|file|model)://", "", filename)
-        try:
-            for folder in self.folders:
-                for name in (relative, relative.split("/", 1)[-1]):
-                    candidate = (folder / name).resolve()
-                    if candidate.is_relative_to(self.root) and candidate.is_file():
-                        return candidate
-            outside = not (self.folders[0] / relative).resolve().is_relative_to(self.root)
-        except (OSError, RuntimeError, ValueError) as error:  # too long, links in a circle, NUL
-            raise UrdfError(f"{self.path}: mesh {filename!r:.80} cannot be looked up") from error
-        if outside:
-            raise UrdfError(
-                f"{self.path}: mesh {filename!r} leaves {self.root}; keep meshes inside it"
-            )
-        raise UrdfError(f"{self.path}: mesh {filename!r} does not exist below {self.root}")
-
-
-def _with_meshes(urdf: Urdf, path: Path, names: Iterator[str], finder: _Finder) -> Urdf:
+def _with_meshes(
+    urdf: Urdf, path: Path, names: Iterator[str], find: FindMesh, visuals: bool
+) -> Urdf:
     """Put the files of a URDF and of its meshes, in the order they were parsed, into a record."""
 
-    def found(shape: Geometry) -> Geometry:
-        return replace(shape, mesh=finder.find(next(names))) if shape.kind == "mesh" else shape
+    def found(shapes: tuple[Geometry, ...], wanted: bool = True) -> tuple[Geometry, ...]:
+        meshes = [next(names) if shape.kind == "mesh" else None for shape in shapes]
+        if not wanted:
+            return ()
+        return tuple(
+            shape if name is None else replace(shape, mesh=find(name))
+            for shape, name in zip(shapes, meshes, strict=True)
+        )
 
     links = {
-        name: Link(name, tuple(map(found, link.collisions)), tuple(map(found, link.visuals)))
+        name: Link(name, found(link.collisions), found(link.visuals, visuals))
         for name, link in urdf.links.items()
     }
     return replace(urdf, path=path, links=links)

@@ -20,7 +20,6 @@ from momapos.kinematics.collision import (
     FREE,
     KNOWN,
     SELF,
-    _moved,
     box_gap,
     hit_boxes,
     hit_floor,
@@ -29,6 +28,7 @@ from momapos.kinematics.collision import (
     scratch_of,
 )
 from momapos.kinematics.hulls import Boxes, MovingBoxes
+from momapos.kinematics.overlap import moved
 from momapos.kinematics.records import (
     ChainArrays,
     CollisionArrays,
@@ -206,7 +206,7 @@ def _hit_static(R, p, bounds, spheres, world, margin):
         if not _any_filled(bounds[g], bound_radius[g], low, shape, world.filled):
             continue
         for s in range(start[g], start[g + 1]):
-            m = _moved(R, p, segment[g], center[s])
+            m = moved(R, p, segment[g], center[s])
             i = int(np.floor((m[0] - low[0]) / CELL))
             j = int(np.floor((m[1] - low[1]) / CELL))
             k = int(np.floor((m[2] - low[2]) / CELL))
@@ -258,7 +258,7 @@ def _check(
     chain: ChainArrays,
     room: CollisionArrays,
 ) -> np.ndarray:
-    scratch = scratch_of(q.shape[1], room.spheres)
+    scratch = scratch_of(len(chain.slides), room.spheres)
     out = np.empty(len(q), np.int64)
     for i in range(len(q)):
         state = TaskState(value[i], holding[i])
@@ -277,7 +277,7 @@ def _motion_free(
     room: CollisionArrays,
 ) -> bool:
     n = len(a)
-    scratch = scratch_of(n, room.spheres)
+    scratch = scratch_of(len(chain.slides), room.spheres)
     q, longest = np.empty(n), 0.0
     for k in range(n):
         longest = max(longest, abs(b[k] - a[k]))

@@ -26,7 +26,7 @@ from momapos.manipulation.layers import (
     solve_layer,
 )
 from momapos.manipulation.motion import TaskMotion
-from momapos.robots.robot import Robot
+from momapos.manipulation.turning_arm import Arm, hand_poses, robot_of
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
@@ -55,7 +55,7 @@ class ArmPath:
 
 
 def find_paths(
-    robot: Robot,
+    robot: Arm,
     world: CollisionWorld,
     motion: TaskMotion,
     bases: Float[np.ndarray, "j 3"],
@@ -105,7 +105,7 @@ def _ends_first(count: int) -> list[int]:
 
 
 def _connect(
-    robot: Robot,
+    robot: Arm,
     world: CollisionWorld,
     motion: TaskMotion,
     base: np.ndarray,
@@ -141,12 +141,19 @@ def _connect(
         )
         if bad < 0:
             codes = check(
-                world, chain, arm_spheres(robot), dense, np.tile(base, (len(dense), 1)),
+                world, chain, arm_spheres(robot_of(robot)), dense, np.tile(base, (len(dense), 1)),
                 motion.value, motion.holding,
             )  # fmt: skip
             if (codes == FREE).all():
                 width = np.full(len(dense), motion.grasps.width[grasps[chosen[0]]])
-                codes = hits_on_the_way(robot, world, motion, tools, np.arange(len(dense)), width)
+                codes = hits_on_the_way(
+                    robot_of(robot),
+                    world,
+                    motion,
+                    hand_poses(robot, base, dense, tools),
+                    np.arange(len(dense)),
+                    width,
+                )
             hit = np.flatnonzero(codes != FREE)
             if not len(hit):
                 return ArmPath(FOUND, count, count, FREE, dense)
@@ -229,9 +236,9 @@ def _track(
     """Fill the states between waypoints by Newton steps; returns the step that fails, or -1."""
     n = q.shape[1]
     # A literal would have Newton compiled once more.
-    rule = NewtonRule(np.int64(8), 1e-6, EXACT)  # type: ignore[arg-type]
+    rule = NewtonRule(np.int64(8), 1e-6, EXACT, False)  # type: ignore[arg-type]
     lower, upper = arm.limits
-    scratch = newton_scratch(n)
+    scratch = newton_scratch(arm.chain, n)
     for w in range(len(coarse)):
         first = coarse[w - 1] + 1 if w > 0 else 0
         for s in range(first, coarse[w] + 1):
@@ -242,6 +249,7 @@ def _track(
                 dense[s],
                 arm.ik.active,
                 arm.chain,
+                arm.limits,
                 targets[s, :3, :3],
                 targets[s, :3, 3],
                 rule,

@@ -17,6 +17,7 @@ from momapos.kinematics.spheres import Spheres, box_spheres, carry
 from momapos.kinematics.world import CollisionWorld, check, motion_checker
 from momapos.manipulation.arm_path import FOUND, HIT, UNREACHABLE, ArmPath, find_paths
 from momapos.manipulation.config import PlannerConfig
+from momapos.manipulation.free_turn import FULL, find_turning_paths
 from momapos.manipulation.hand_room import hits_on_the_way
 from momapos.manipulation.motion import TaskMotion
 from momapos.manipulation.planner import RESOLUTION, interpolate, plan_motion
@@ -119,7 +120,8 @@ class Feasibility:
         def work(part: Int[np.ndarray, " p"]) -> list[ArmPath] | None:
             if self.out_of_time():
                 return None
-            return find_paths(self.robot, self.world, self.motion, bases[part], grasps[part])
+            find = find_paths if self.robot.chain.size >= FULL else find_turning_paths
+            return find(self.robot, self.world, self.motion, bases[part], grasps[part])
 
         found = list(_threads().map(work, pieces))
         done = [paths for paths in found if paths is not None]
@@ -170,7 +172,8 @@ class Feasibility:
             return None, PoseOutcome(PoseStatus.NO_APPROACH)
         approach = np.concatenate([interpolate(way), q[1 : hold + 1]])
         motion = Motion(
-            approach, q[hold:], self.motion.object_q[hold:], self._tools(q[hold:], base),
+            chain.joint_values(approach), chain.joint_values(q[hold:]),
+            self.motion.object_q[hold:], self._tools(q[hold:], base),
             holds=self.motion.holds(grasp),
         )  # fmt: skip
         refusal = self.refuse(base, motion)
@@ -221,7 +224,7 @@ def with_payload(
     center, radius = _object_spheres(motion, step)
     in_tool = apply(invert(T_world_tool), center)
     return carry(
-        robot.spheres, chain.size, chain.tool_offset + in_tool @ chain.tool_rotation.T, radius
+        robot.spheres, chain.last, chain.tool_offset + in_tool @ chain.tool_rotation.T, radius
     )
 
 
@@ -280,10 +283,10 @@ def touched_at_home(robot: Robot, motion: TaskMotion) -> Int[np.ndarray, " g"]:
     Ts = chain.tool_poses(robot.home[None])[0] @ in_tool
     points = np.einsum("gij,kj->gki", Ts[:, :3, :3], center) + Ts[:, None, :3, 3]
     touched = np.full(len(points), -1)
-    R, p = np.empty((chain.size + 1, 3, 3)), np.empty((chain.size + 1, 3))
+    R, p = np.empty((chain.last + 1, 3, 3)), np.empty((chain.last + 1, 3))
     place_segments(robot.home, np.zeros(3), chain_arrays(chain), R, p)
     for k, segment in enumerate(spheres.segment):
-        if segment == chain.size:
+        if segment == chain.last:
             continue
         rows = slice(spheres.start[k], spheres.start[k + 1])
         links = spheres.center[rows] @ R[segment].T + p[segment]

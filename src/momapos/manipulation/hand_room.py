@@ -24,11 +24,11 @@ from momapos.kinematics.collision import (
     KNOWN,
     OTHER,
     PALM,
-    _moved,
     box_gap,
     place_bounds,
 )
 from momapos.kinematics.hulls import Boxes
+from momapos.kinematics.overlap import moved
 from momapos.kinematics.records import BoxArrays, SphereArrays, WorldArrays
 from momapos.kinematics.spheres import Spheres
 from momapos.kinematics.world import CELL, CollisionWorld, _any_filled
@@ -133,7 +133,7 @@ def _hits_moving(hand, placed, query, memory, grasped, holding):
             if box_gap(bound, far, center, rotation, half, b) > 0.0:
                 continue
             for s in range(spheres.start[g], spheres.start[g + 1]):
-                m = _moved(placed.R, placed.p, segment, spheres.center[s])
+                m = moved(placed.R, placed.p, segment, spheres.center[s])
                 r = spheres.radius[s] + query.margin
                 if box_gap(m, r, center, rotation, half, b) < 0.0:
                     if _touches(g, b, hand, placed, query, memory):
@@ -153,7 +153,7 @@ def _hits_static(hand, placed, query, memory, world, stamp):
             continue
         mark = stamp * len(spheres.segment) + g
         for s in range(spheres.start[g], spheres.start[g + 1]):
-            m = _moved(placed.R, placed.p, spheres.segment[g], spheres.center[s])
+            m = moved(placed.R, placed.p, spheres.segment[g], spheres.center[s])
             i = int(np.floor((m[0] - low[0]) / CELL))
             j = int(np.floor((m[1] - low[1]) / CELL))
             k = int(np.floor((m[2] - low[2]) / CELL))

@@ -13,12 +13,20 @@ from momapos.geometry.transforms import invert, pose_planar
 from momapos.kinematics.chain import Chain
 from momapos.kinematics.closed_forms import MAX_BRANCHES
 from momapos.kinematics.collision import FREE, scratch_of
-from momapos.kinematics.ik import COARSE, arm_arrays, ik_scratch, max_solutions, solve_sample
+from momapos.kinematics.ik import (
+    COARSE,
+    arm_arrays,
+    begin_pose,
+    ik_scratch,
+    max_solutions,
+    sample_count,
+    solve_sample,
+)
 from momapos.kinematics.records import ArmArrays, CollisionArrays, TaskState
 from momapos.kinematics.world import CollisionWorld, check_one, collision_arrays
 from momapos.manipulation.hand_room import arm_spheres
 from momapos.manipulation.motion import TaskMotion
-from momapos.robots.robot import Robot
+from momapos.manipulation.turning_arm import Arm, robot_of
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
@@ -91,7 +99,7 @@ def full_turns(chain: Chain) -> Bool[np.ndarray, " n"]:
 
 
 def solve_layer(
-    robot: Robot,
+    robot: Arm,
     world: CollisionWorld,
     motion: TaskMotion,
     bases: Float[np.ndarray, "j 3"],
@@ -131,7 +139,7 @@ def solve_layer(
         bases[row],
         TaskState(int(motion.value[step]), bool(motion.holding[step])),
         arm_arrays(chain, ik),
-        collision_arrays(arm_spheres(robot), world),
+        collision_arrays(arm_spheres(robot_of(robot)), world),
         JointSteps(full_turns(chain), scale, locked),
         around,
     )
@@ -182,7 +190,7 @@ def joint_step(a, b, full_turn, scale, limit):
     for k in range(len(a)):
         d = b[k] - a[k]
         if full_turn[k]:
-            d -= 2.0 * np.pi * np.round(d / (2.0 * np.pi))
+            d -= 2.0 * np.pi * np.floor(d / (2.0 * np.pi) + 0.5)
         worst = max(worst, abs(d) * scale[k])
         if worst > limit:
             break
@@ -222,16 +230,17 @@ def _solve_layer(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     chain, samples = arm.chain, arm.ik.samples
     full_turn, n = steps.full_turn, len(steps.full_turn)
-    scratch, placed = ik_scratch(n), scratch_of(n, room.spheres)
+    scratch, placed = ik_scratch(arm), scratch_of(len(chain.slides), room.spheres)
     solutions = np.empty((MAX_BRANCHES, n))
     out = np.empty((len(poses), max_solutions(arm.ik), n))
     counts, codes = np.zeros(len(poses), np.int64), np.full(len(poses), NOWHERE)
     for j in range(len(poses)):
-        for s in range(len(samples)):
+        R, p = poses[j, :3, :3], poses[j, :3, 3]
+        begin_pose(scratch)
+        for s in range(sample_count(arm.ik)):
             # Locked joints are known beforehand, so most samples need no inverse kinematics.
-            if not _joined(samples[s], j, around, full_turn, steps.locked):
+            if s < len(samples) and not _joined(samples[s], j, around, full_turn, steps.locked):
                 continue
-            R, p = poses[j, :3, :3], poses[j, :3, 3]
             found = solve_sample(s, R, p, arm, COARSE, solutions, scratch)
             for b in range(found):
                 q = solutions[b]

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -208,6 +208,10 @@ def by_another_handle(
         return None
     retreats = motion.release_step is not None
     return with_retreat(other, robot, config.grasps) if retreats else other
+
+
+GraspFilter: TypeAlias = "Callable[[TaskMotion], Bool[np.ndarray, ' g']]"
+"""Which grasps of a task may be used."""
 
 
 def in_room(motion: TaskMotion, scene: Scene) -> TaskMotion:

@@ -66,7 +66,7 @@ def scratch_for(surroundings):
     """Memory for the kernels below."""
     near = np.empty(len(surroundings.obstacles.layer), np.int64)
     edges = np.empty((len(surroundings.prisms.corner), 5))
-    return Scratch(near, edges, np.zeros(len(surroundings.prisms.first) - 1, np.bool_))
+    return Scratch(near, edges, np.empty(len(surroundings.prisms.first) - 1, np.bool_))
 
 
 @kernel

@@ -57,7 +57,8 @@ def _clearance(blocked: B2) -> np.ndarray:
             out[i, j] = min(out[i, j], out[i + 1, j] + 1)
     line = np.empty(columns)
     for i in range(rows):
-        line[:] = out[i]
+        for j in range(columns):
+            line[j] = out[i, j]
         for j in range(columns):
             best = line[j] ** 2
             for d in range(1, columns):

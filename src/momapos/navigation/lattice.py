@@ -63,9 +63,11 @@ def standable(inside: B2, lattice: Lattice, model: PathModel) -> np.ndarray:
     prisms, obstacles = surroundings.prisms, surroundings.obstacles
     origin, cell = lattice.origin, lattice.cell
     # A circle about the origin within a prism is clear of what the prism is clear of.
-    inner = np.zeros(len(prisms.first) - 1)
+    inner = np.empty(len(prisms.first) - 1)
     for layer in range(len(inner)):
-        inner[layer] = prisms.level[prisms.first[layer] : prisms.first[layer + 1]].min()
+        inner[layer] = np.inf
+        for e in range(prisms.first[layer], prisms.first[layer + 1]):
+            inner[layer] = min(inner[layer], prisms.level[e])
     scratch = scratch_for(surroundings)
     out = np.zeros(inside.shape, np.bool_)
     for i in range(inside.shape[0]):
@@ -154,10 +156,10 @@ def astar(
     cost, parent = first.copy(), np.full(first.size, -1, np.int64)
     done = np.zeros(first.size, np.bool_)
     queue = [(np.inf, np.int64(-1))]
-    for state in np.flatnonzero(np.isfinite(first)):
-        bound = ahead[(state % area) // columns, state % columns]
-        if np.isfinite(bound):
-            heapq.heappush(queue, (first[state] + bound, state))
+    for attached in range(first.size):
+        bound = ahead[(attached % area) // columns, attached % columns]
+        if np.isfinite(first[attached]) and np.isfinite(bound):
+            heapq.heappush(queue, (first[attached] + bound, np.int64(attached)))
     best, end = np.inf, np.int64(-1)
     a, b = np.zeros(3), np.zeros(3)
     directions = turns if omni else 2

@@ -47,17 +47,25 @@ class PlacementGeometry:
     def shoulder(self) -> Float[np.ndarray, "3"]:
         """Where the arm's first turning axis meets its height range's middle, base frame [m]."""
         chain = self.robot.chain
-        first = int(np.argmin(chain.prismatic))
-        point = chain.d[: first + 1].sum(0)
-        middle = (chain.lower[:first] + chain.upper[:first]) / 2
-        return point + middle @ chain.h[:first]
+        first = chain.first_turn
+        return chain.d[: first + 1].sum(0) + chain.middle[:first] @ chain.h[:first]
 
     @property
     def lift(self) -> float:
         """Half the travel of a torso before that axis [m]."""
+        return self._travel(upright=True)
+
+    @property
+    def telescope(self) -> float:
+        """Half the travel of what slides along the floor before that axis [m]."""
+        return self._travel(upright=False)
+
+    def _travel(self, *, upright: bool) -> float:
+        """Half the travel of what slides upwards, or along the floor, before that axis [m]."""
         chain = self.robot.chain
-        first = int(np.argmin(chain.prismatic))
-        return float((chain.upper[:first] - chain.lower[:first]).sum() / 2)
+        first = chain.first_turn
+        along = (np.abs(chain.h[:first, 2]) > 0.5) == upright
+        return float(chain.half_travel[:first][along].sum())
 
 
 def arm_radius(geometry: PlacementGeometry) -> Float[np.ndarray, " w"]:
@@ -67,7 +75,7 @@ def arm_radius(geometry: PlacementGeometry) -> Float[np.ndarray, " w"]:
     """
     plain = geometry.Ts_world_tool[0, :, :3, 3]
     spread = np.linalg.norm(geometry.Ts_world_tool[..., :3, 3] - plain, axis=-1).max(0)
-    reach = geometry.robot.reach + spread
+    reach = geometry.robot.reach + geometry.telescope + spread
     dz = np.maximum(np.abs(plain[:, 2] - geometry.shoulder[2]) - geometry.lift, 0.0)
     with np.errstate(invalid="ignore"):
         return np.sqrt(reach**2 - dz**2)

@@ -47,6 +47,7 @@ ScreenPoses: TypeAlias = (
 )
 """Look for an arm path at each of many base poses, from the scores of all grasps and the number
 of grasps to be tried; None: out of time."""
+FitPoses: TypeAlias = "Callable[[Float[np.ndarray, 'n 3']], Float[np.ndarray, 'n 3']]"
 PoseFilter: TypeAlias = "Callable[[Float[np.ndarray, 'n 3']], Bool[np.ndarray, ' n']]"
 """Which of some base poses are no candidates, for reasons that this stage does not know."""
 AttemptPose: TypeAlias = (
@@ -126,6 +127,8 @@ class Problem:
     """Why no base pose can help, where that is known beforehand."""
     pose_filter: PoseFilter | None = None
     """Rules base poses out."""
+    fit: FitPoses | None = None
+    """Moves samples to base poses beside them from which an arm of few joints can do the task."""
 
 
 def search(problem: Problem, config: PlaceConfig, rng: np.random.Generator) -> Search:
@@ -149,7 +152,10 @@ def search(problem: Problem, config: PlaceConfig, rng: np.random.Generator) -> S
         return found
     frame = task_frame(problem.geometry)
     for local, on_grid in _rounds(corners, config, rng):
-        clear = _cull(problem, compose(frame, local), found)
+        poses = compose(frame, local)
+        if problem.fit is not None and not on_grid:
+            poses = problem.fit(poses)
+        clear = _cull(problem, poses, found)
         for score in problem.ways:
             reach = problem.grid_reach if on_grid else problem.reach
             shortlist = clear.reached(score(reach, clear.poses))

@@ -33,9 +33,10 @@ def _sees(
     half: F2,
 ) -> np.ndarray:
     """Whether the segment from each source to each target misses all boxes."""
-    out = np.ones((len(sources), len(targets)), np.bool_)
+    out = np.empty((len(sources), len(targets)), np.bool_)
     for n in range(len(sources)):
         for w in range(len(targets)):
+            out[n, w] = True
             dx = targets[w, 0] - sources[n, 0]
             dy = targets[w, 1] - sources[n, 1]
             dz = targets[w, 2] - sources[n, 2]

@@ -10,6 +10,7 @@ import numpy as np
 from momapos.errors import RobotError
 from momapos.geometry.transforms import orthonormal
 from momapos.kinematics.chain import Chain
+from momapos.robots.robot import Robot
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -23,7 +24,10 @@ class ArmAxes:
     """Where the first and the last axis of an arm are."""
 
     first: int
-    """Index of the first revolute joint; only vertical prismatic joints come before it."""
+    """The first joint that turns."""
+    turns_alike: bool
+    """Whether turning it turns all that the arm reaches about a vertical axis, and turning the last
+    joint changes nothing."""
     turn: float
     """1 where the first joint turns counterclockwise seen from above, else -1."""
     limits: tuple[float, float]
@@ -36,33 +40,41 @@ class ArmAxes:
     """Whether the last joint turns fully."""
 
 
+def no_map(robot: Robot) -> str:
+    """Why an arm can have no reachability map; empty where it can."""
+    if robot.chain.size < 6:
+        return (
+            f"its arm has {robot.chain.size} degrees of freedom, so that it reaches few tool poses "
+            "exactly"
+        )
+    return ""
+
+
 def arm_frame(chain: Chain, approach_axis: Float[np.ndarray, "3"]) -> ArmAxes:
     """Find the first and the last axis of an arm.
 
     Raises:
-        RobotError: The arm's first turning axis is not vertical.
+        RobotError: No joint of the arm turns.
     """
     origin = np.cumsum(chain.d, axis=0)
-    first = int(np.argmin(chain.prismatic))
-    if not chain.upright:
-        raise RobotError(
-            f"the first axis of the arm, {chain.names[first]!r}, is not vertical; a reachability "
-            "map needs an upright arm"
-        )
-    last = chain.size - 1
+    first = chain.first_turn
+    if first == chain.last:
+        raise RobotError("no joint of the arm turns; a reachability map needs one that does")
+    last = chain.last - 1
     p_tool = origin[last] + chain.tool_offset
     axis, point, full = chain.h[last], origin[last], False
-    if chain.prismatic[last]:
+    if chain.slides[last]:
         axis, point = chain.tool_rotation @ approach_axis, p_tool
     else:
-        full = bool(chain.upper[last] - chain.lower[last] >= FULL_TURN)
+        full = bool(chain.upper[-1] - chain.lower[-1] >= FULL_TURN)
         point = _nearest(origin[last], axis, origin[last - 1], chain.h[last - 1])
     across = orthonormal(axis)
     rows = np.stack([axis, across, np.cross(axis, across), point - p_tool])
     foot = np.array([origin[first, 0], origin[first, 1], 0.0])
-    turn = float(np.sign(chain.h[first, 2]))
-    limits = float(chain.lower[first]), float(chain.upper[first])
-    return ArmAxes(first, turn, limits, foot, rows @ chain.tool_rotation, full)
+    turn, dof = float(np.sign(chain.h[first, 2])), chain.dof[first]
+    limits = float(chain.lower[dof]), float(chain.upper[dof])
+    alike = chain.upright and full and not chain.coupled
+    return ArmAxes(first, alike, turn, limits, foot, rows @ chain.tool_rotation, full)
 
 
 def _nearest(o: np.ndarray, h: np.ndarray, other: np.ndarray, k: np.ndarray) -> np.ndarray:

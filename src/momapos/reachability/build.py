@@ -17,7 +17,7 @@ from momapos.compiled import B1, F1, F2, I1, U1, entry, kernel
 from momapos.kinematics.chain import forward
 from momapos.kinematics.closed_forms import MAX_BRANCHES
 from momapos.kinematics.collision import FREE, hit_floor, hit_self, place_bounds, scratch_of
-from momapos.kinematics.ik import COARSE, ik_scratch, solve_sample
+from momapos.kinematics.ik import COARSE, begin_pose, ik_scratch, solve_sample
 from momapos.kinematics.records import ArmArrays, ArmScratch, IkScratch, SphereArrays
 from momapos.reachability.base_contact import BEARINGS, StandingTable, touched
 from momapos.reachability.grid import oct_decode
@@ -155,6 +155,7 @@ def _line_mask(closed, spins, arm, freed, shoulder_samples, scratch):
     votes[:] = closed
     done = closed
     last = out.shape[1] - 1
+    begin_pose(ik)
     for s in range(len(arcs)):
         arc, v = arcs[s], value[s]
         if arc:
@@ -177,7 +178,7 @@ def _line_mask(closed, spins, arm, freed, shoulder_samples, scratch):
                 if gain:
                     out[k, last] += spins[i]
                     R[0], p[0] = np.eye(3), 0.0
-                    forward(out[k], chain.h, chain.d, chain.prismatic, R, p)
+                    forward(out[k], chain, R, p)
                     out[k, last] -= spins[i]
                     place_bounds(R, p, turning, bounds)
                     if (
@@ -214,8 +215,8 @@ def line_masks(
         R,
         p,
         np.empty((MAX_BRANCHES, n)),
-        ik_scratch(n),
-        scratch_of(n, arm.turning),
+        ik_scratch(freed),
+        scratch_of(len(freed.chain.slides), arm.turning),
         np.zeros(np.max(shoulder_samples.value) + 1, np.bool_),
         np.empty(len(spins), np.uint64),
     )

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import logging
-import os
 import time
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -19,6 +16,7 @@ from momapos.kinematics.spheres import Spheres
 from momapos.reachability.arm_axes import ArmAxes, arm_frame
 from momapos.reachability.base_contact import BEARINGS, standing_table
 from momapos.reachability.build import EVERY, Arm, Tool, line_masks
+from momapos.reachability.general import flooded_map
 from momapos.reachability.grid import grid_points, pack_shape
 from momapos.reachability.map import ReachConfig, ReachMap
 from momapos.reachability.samples import Samples, locked_samples
@@ -29,10 +27,10 @@ from momapos.reachability.signed_distance import (
     nearby,
     uneven_edges,
 )
+from momapos.reachability.threads import Progress, in_threads, silent
 from momapos.robots.robot import Robot
 
 log = logging.getLogger(__name__)
-Progress = Callable[[float], None]
 BLOCK = 1024
 """Lines a thread takes at once."""
 UNEVEN = 6
@@ -51,6 +49,8 @@ def default_config(robot: Robot) -> ReachConfig:
     Longer arms cost thirty times more per line, and direction matters less to them. Their set is
     rounded outwards as well, where either of two spins and half a step of the first joint count.
     """
+    if not arm_frame(robot.chain, robot.approach_axis).turns_alike:
+        return ReachConfig(cell=0.05, directions=13, threshold=-1.75)
     if robot.chain.size > 6:
         return ReachConfig(cell=0.05, directions=13, spins=2, threshold=0.0)
     return ReachConfig()
@@ -78,7 +78,9 @@ def build_map(
     chain = robot.chain
     frame = arm_frame(chain, robot.approach_axis)
     low, shape = _extent(chain, frame, config)
-    evaluate = _Evaluator(robot, frame, config, progress or _silent)
+    if not frame.turns_alike:
+        return flooded_map(robot, frame, (low, shape), config, progress or silent, key)
+    evaluate = _Evaluator(robot, frame, config, progress or silent)
     zs, rs, us, vs = grid_points(shape, low, config.cell)
     points = np.stack(np.meshgrid(zs, rs, us, vs, indexing="ij"), -1).reshape(-1, 4)
     every = np.full(len(points), EVERY)
@@ -95,13 +97,12 @@ def build_map(
     rows, interior = _look_between(masks, points, shape, config, evaluate)
     t2 = time.perf_counter()
     values = np.empty((len(points), shape[4]), np.int8)
-    _threaded(
+    in_threads(
         lambda lo, hi: near_signed_distances(
             lo, hi, masks, pack_shape(shape), rows, interior, values
         ),
         len(points),
         8 * BLOCK,
-        _silent,
     )
     values = values.reshape(shape)
     close_seam(values)
@@ -193,7 +194,7 @@ class _Evaluator:
         def block(lo: int, hi: int) -> None:
             line_masks(lines[lo:hi], wanted[lo:hi], *fixed, masks[lo:hi])
 
-        _threaded(
+        in_threads(
             block, len(lines), BLOCK, lambda share: self.progress(begin + share * (end - begin))
         )
         return masks
@@ -202,22 +203,17 @@ class _Evaluator:
 def _turning(spheres: Spheres, first: int) -> SphereArrays:
     """The spheres with only those pairs that both turn with the first joint, and no base."""
     stays = spheres.segment <= first
-    pairs = spheres.pairs[~stays[spheres.pairs].any(1)]
+    kept = ~stays[spheres.pairs].any(1)
     nothing = Boxes(np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3)))
     no_pairs = np.zeros((len(stays), 0), bool)
-    return replace(spheres, pairs=pairs, base=nothing, base_pairs=no_pairs).arrays()
-
-
-def _silent(_share: float) -> None:
-    """Nobody wants to know."""
-
-
-def _threaded(work: Callable[[int, int], None], count: int, block: int, done: Progress) -> None:
-    """Run work(lo, hi) over blocks on two threads; the kernels hold no lock."""
-    ranges = [(lo, min(lo + block, count)) for lo in range(0, count, block)]
-    with ThreadPoolExecutor(min(2, os.cpu_count() or 1)) as pool:
-        for i, _ in enumerate(pool.map(lambda r: work(*r), ranges)):
-            done((i + 1) / len(ranges))
+    return replace(
+        spheres,
+        pairs=spheres.pairs[kept],
+        exact=spheres.exact[kept],
+        base=nothing,
+        base_pairs=no_pairs,
+        base_exact=no_pairs,
+    ).arrays()
 
 
 def _bearing_free(masks: np.ndarray) -> bool:

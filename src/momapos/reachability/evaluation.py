@@ -10,12 +10,16 @@ import numpy as np
 from momapos.kinematics.chain import chain_arrays
 from momapos.kinematics.collision import FREE, check_states
 from momapos.kinematics.ik import IkModel, solve_ik
+from momapos.kinematics.ik_model import bounded
 from momapos.reachability.map import ReachMap
 from momapos.reachability.store import encode
 from momapos.robots.robot import Robot
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
+
+NEAR, NEAR_TURN = 0.17, 0.3
+"""How far poses near reach are off those that the arm takes, along each axis [m], [rad]."""
 
 
 @dataclass(frozen=True)
@@ -70,12 +74,10 @@ def random_poses(
     from scipy.spatial.transform import Rotation
 
     chain = robot.chain
-    lower = np.where(np.isfinite(chain.lower), chain.lower, -np.pi)
-    upper = np.where(np.isfinite(chain.upper), chain.upper, np.pi)
+    lower, upper = bounded(chain)
     q = rng.uniform(lower, upper, (100_000, chain.size))
-    first = int(np.argmin(chain.prismatic))
-    middle = np.where(chain.prismatic, (lower + upper) / 2, 0.0)
-    shoulder = chain.d[: first + 1].sum(0) + (middle[:first, None] * chain.h[:first]).sum(0)
+    first = chain.first_turn
+    shoulder = chain.d[: first + 1].sum(0) + chain.middle[:first] @ chain.h[:first]
     radius = np.linalg.norm(chain.tool_poses(q)[:, :3, 3] - shoulder, axis=1).max()
     direction = rng.normal(size=(count, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
@@ -86,12 +88,32 @@ def random_poses(
     return Ts
 
 
+def poses_near_reach(
+    robot: Robot, rng: np.random.Generator, count: int
+) -> Float[np.ndarray, "count 4 4"]:
+    """Tool poses beside those that the arm takes: up to 30 cm and half a radian off.
+
+    About half of them can be reached, so that a map that is wrong at the boundary cannot hide
+    behind poses that are far from it.
+    """
+    from scipy.spatial.transform import Rotation
+
+    lower, upper = bounded(robot.chain)
+    Ts = robot.chain.tool_poses(rng.uniform(lower, upper, (count, robot.chain.size)))
+    Ts[:, :3, 3] += rng.uniform(-NEAR, NEAR, (count, 3))
+    turn = Rotation.from_rotvec(rng.uniform(-NEAR_TURN, NEAR_TURN, (count, 3)))
+    Ts[:, :3, :3] = turn.as_matrix() @ Ts[:, :3, :3]
+    return Ts
+
+
 def evaluate(
     reach_map: ReachMap,
     robot: Robot,
     rng: np.random.Generator,
     count: int = 20_000,
     ik: IkModel | None = None,
+    *,
+    near: bool = False,
 ) -> ReachEvaluation:
     """Compare a map with exact inverse kinematics, self-collision and floor included.
 
@@ -101,8 +123,9 @@ def evaluate(
         rng: Draws the poses.
         count: Number of poses [-].
         ik: What counts as exact; the robot's own IK where None.
+        near: Whether the poses are those near reach, not all in the ball around the shoulder.
     """
-    Ts = random_poses(robot, rng, count)
+    Ts = (poses_near_reach if near else random_poses)(robot, rng, count)
     truth, told = reachable(robot, Ts, ik), reach_map.score(Ts) > 0
     both = float((truth & told).sum())
     return ReachEvaluation(

@@ -30,6 +30,8 @@ OUTSIDE = -12
 """Stored value of points that are far from anything reachable."""
 
 
+TURN_AT = 0.375
+"""Where the first of the turns that are told apart is, between 0 and the second."""
 ONE = 1 << 24
 """Fractions of a cell are kept as integers, this for 1."""
 LOW = (1 << 32) - 1
@@ -62,9 +64,11 @@ class MapArrays(NamedTuple):
     """A map as the kernels take it."""
 
     values: ReadI8
-    """Stored values, flat."""
+    """Stored values, flat; those of one turn of the tool after those of another."""
     shape: GridShape
     frame: GridFrame
+    turns: int
+    """How many turns of the tool about its line are told apart; 1 where they make no difference."""
 
 
 class Point(NamedTuple):
@@ -133,13 +137,36 @@ def relative_line(x, y, ax, ay, az):
 
 
 @kernel(error_model="numpy", fastmath={"contract", "arcp", "nsz"})
-def lookup(line, yaw_turns, grid):
-    """Interpolated value of a line.
+def lookup(line, yaw_turns, turn, grid):
+    """Interpolated value of a line and a turn of the tool about it.
 
     Args:
         line: `Line`, in any frame with z up from the floor.
         yaw_turns: Yaw of the base in that frame [turns].
+        turn: Turn of the tool about the line, see `turn_about` [turns].
         grid: `MapArrays`.
+
+    Returns:
+        Value in stored steps; above the threshold where the line can be reached.
+    """
+    if grid.turns == 1:
+        return _line_value(line, yaw_turns, 0, grid)
+    size = grid.shape.z * grid.shape.r * grid.shape.u * grid.shape.v * grid.shape.azimuth
+    f = turn * grid.turns - TURN_AT + grid.turns
+    i = int(f)
+    f -= i
+    one = _line_value(line, yaw_turns, (i % grid.turns) * size, grid)
+    other = _line_value(line, yaw_turns, ((i + 1) % grid.turns) * size, grid)
+    return one + f * (other - one)
+
+
+@kernel(error_model="numpy", fastmath={"contract", "arcp", "nsz"})
+def _line_value(line, yaw_turns, first, grid):
+    """Interpolated value of a line.
+
+    Args:
+        line, yaw_turns, grid: See `lookup`.
+        first: Where the values begin.
 
     Returns:
         Value in stored steps; above the threshold where the line can be reached.
@@ -159,7 +186,7 @@ def lookup(line, yaw_turns, grid):
     su = sv * nv
     sr = su * nu
     sz = sr * nr
-    at = iz * sz + ir * sr + iu * su + iv * sv
+    at = first + iz * sz + ir * sr + iu * su + iv * sv
     fb, sb = 0.0, 0
     if nb > 1:
         turns = turns_of(y, x) - yaw_turns
@@ -210,26 +237,29 @@ def scored(value, threshold):
 @entry
 def score_lines(
     lines: F2,
+    turn: F1,
     grid: MapArrays,
     out: F1,
 ) -> None:
-    """S2 of lines (m, 6) given as x, y, z, direction, relative to the first axis."""
+    """Scores of lines (m, 6) given as x, y, z, direction, relative to the first axis, and of the
+    tool's turns about them (m,)."""
     for i in range(len(lines)):
         line = Line(lines[i, 0], lines[i, 1], lines[i, 2], lines[i, 3], lines[i, 4], lines[i, 5])
-        out[i] = scored(lookup(line, 0.0, grid), grid.frame.threshold)
+        out[i] = scored(lookup(line, 0.0, turn[i], grid), grid.frame.threshold)
 
 
 @entry
 def min_line_scores(
     bases: F2,
     lines: F3,
+    turn: F2,
     axis: Point,
     grid: MapArrays,
     out: S2,
 ) -> None:
     """Least score over the lines (g, w, 6) in the world, for every base (n, 3) and g.
 
-    The first axis stands at a point of the base frame.
+    The first axis stands at a point of the base frame; the tool is turned about each line (g, w).
     """
     threshold = grid.frame.threshold
     for i in range(len(bases)):
@@ -247,7 +277,7 @@ def min_line_scores(
                     lines[g, w, 4],
                     lines[g, w, 5],
                 )
-                least = min(least, lookup(line, turns, grid))
+                least = min(least, lookup(line, turns, turn[g, w], grid))
                 if least <= threshold:
                     break
             out[i, g] = scored(least, threshold)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -50,6 +50,9 @@ class ReachConfig:
     spins: int = 4
     """Turns of the tool about its last axis that vote on a line: tools are not round, and half of
     them must be free of collision [-]."""
+    states: int = 2_000_000
+    """Random arm states that the map of an arm begins with whose first axis is not vertical, or
+    whose last joint does not turn fully [-]."""
 
 
 @dataclass(frozen=True)
@@ -74,6 +77,11 @@ class ReachMap:
     key: str = ""
     """Content key of what the map was built from."""
     build_seconds: float = 0.0
+    turned: Int8[np.ndarray, "k z r u v azimuth"] | None = None
+    """The same for k turns of the tool about the line, where these make a difference; `values` are
+    then the best of them."""
+    across_tool: Float[np.ndarray, "3"] | None = None
+    """Unit vector across the line whose angle about it is the turn, in the tool frame."""
 
     def __repr__(self) -> str:
         size = " x ".join(map(str, self.values.shape))
@@ -86,7 +94,28 @@ class ReachMap:
 
     def _arrays(self) -> MapArrays:
         frame = GridFrame(float(self.low), 1.0 / float(self.cell), float(self.threshold))
-        return MapArrays(self.values.reshape(-1), pack_shape(self.values.shape), frame)
+        shape = pack_shape(self.values.shape)
+        if self.turned is None:
+            return MapArrays(self.values.reshape(-1), shape, frame, 1)
+        return MapArrays(self.turned.reshape(-1), shape, frame, len(self.turned))
+
+    def turns(self, Ts: Float[np.ndarray, "*batch 4 4"]) -> Float[np.ndarray, " *batch"]:
+        """Turn of the tool about its last axis [turns]; 0 where it makes no difference.
+
+        It counts from the level direction across the axis, so that it is the same for every base.
+        """
+        Ts = np.asarray(Ts, float)
+        if self.across_tool is None:
+            return np.zeros(Ts.shape[:-2])
+        direction, across = Ts[..., :3, :3] @ self.line_tool[0], Ts[..., :3, :3] @ self.across_tool
+        level = np.stack([-direction[..., 1], direction[..., 0], 0 * direction[..., 2]], -1)
+        upwards = np.cross(direction, level)
+        turn = np.arctan2((across * upwards).sum(-1), (across * level).sum(-1))
+        return np.asarray(turn / (2 * np.pi) % 1.0)
+
+    def _any_turn(self) -> MapArrays:
+        """The map in which the best turn of the tool counts."""
+        return replace(self, turned=None)._arrays()
 
     def _axis(self) -> Point:
         return Point(float(self.axis_xy[0]), float(self.axis_xy[1]))
@@ -109,7 +138,7 @@ class ReachMap:
         lines = np.ascontiguousarray(lines.reshape(-1, 6))
         lines[:, :2] -= self.axis_xy
         out = np.empty(len(lines))
-        score_lines(lines, self._arrays(), out)
+        score_lines(lines, self.turns(Ts_base_tool).reshape(-1), self._arrays(), out)
         return out.reshape(batch)
 
     def min_score(
@@ -124,7 +153,8 @@ class ReachMap:
         lines = np.ascontiguousarray(self.lines(Ts_world_tool))
         bases = np.ascontiguousarray(bases, float)
         out = np.empty((len(bases), len(lines)), np.float32)
-        min_line_scores(bases, lines, self._axis(), self._arrays(), out)
+        turn = np.ascontiguousarray(self.turns(Ts_world_tool))
+        min_line_scores(bases, lines, turn, self._axis(), self._arrays(), out)
         return out
 
     def score_base_poses(
@@ -157,7 +187,7 @@ class ReachMap:
         xs, ys = np.ascontiguousarray(xs, float), np.ascontiguousarray(ys, float)
         out = np.empty((len(ys), len(xs)), np.float32)
         floor = FloorGrid(xs, ys, _YAWS)
-        floor_scores(line, floor, self._axis(), self._arrays(), self._rims, out)
+        floor_scores(line, floor, self._axis(), self._any_turn(), self._rims, out)
         return out
 
     @cached_property

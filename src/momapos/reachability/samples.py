@@ -41,7 +41,9 @@ def locked_samples(chain: Chain, frame: ArmAxes, count: int, heights: int) -> Sa
     ik = build_ik(chain, samples_per_joint=2 * heights - 1)
     if ik.kind == NUMERIC or first in ik.active:
         ik = build_ik(chain, samples_per_joint=count)
-        zero = np.zeros(len(ik.samples), np.int64)
+        # One solution is enough for a map: seeds are left to arms that have nothing else.
+        ik = ik if ik.kind == NUMERIC else replace(ik, tries=0)
+        zero = np.zeros(len(ik.samples) + ik.tries, np.int64)
         return ik_arrays(ik), ShoulderSamples(zero.astype(np.uint64), zero, zero)
     values = count << HALVINGS
     # Straight ahead is 0; the spacing at which a value is the first to be tried tells its turn.
@@ -49,7 +51,7 @@ def locked_samples(chain: Chain, frame: ArmAxes, count: int, heights: int) -> Sa
     step = np.where(offset % (1 << HALVINGS) == 0, 0, offset & -offset)
     pan = offset * (2 * np.pi / values)
     order = np.lexsort((pan, np.where(offset == 0, -np.inf, -np.abs(pan)), -step, step > 0))
-    ik, repeat = _turned(ik, frame, pan[order])
+    ik, repeat = _turned(replace(ik, tries=0), frame, pan[order])
     order = np.repeat(order, repeat)
     return ik_arrays(ik), ShoulderSamples(
         _arcs(pan[order], frame, np.pi / values), order, step[order]

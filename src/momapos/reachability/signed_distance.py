@@ -122,6 +122,58 @@ def near_signed_distances(
 
 
 @entry
+def flood_signed_distances(
+    lo: int,
+    hi: int,
+    state: C1,
+    middles: C2,
+    turn_gap: C1,
+    shape: GridShape,
+    out: C1,
+) -> None:
+    """Signed distances next to the boundary from one answer at each line, for lines lo to hi.
+
+    Args:
+        lo, hi: Range of lines.
+        state: Whether each is reached, 0 or 1.
+        middles: (5, lines) the answer half-way to the next line along each axis, or -1.
+        turn_gap: Quarters of a step of the tool's turn to where the answer changes, or 0.
+        shape: Number of lines along z, r, u, v, azimuth.
+        out: (lines,) to be filled.
+    """
+    nz, nr, nu, nv, nb = shape
+    stride = (nr * nu * nv * nb, nu * nv * nb, nv * nb, nb, 1)
+    count = (nz, nr, nu, nv, nb)
+    for i in range(lo, hi):
+        total = 0.0
+        for a in range(5):
+            at = (i // stride[a]) % count[a]
+            t = 9.0
+            for way in (1, -1):
+                to = at + way
+                if a == 4:
+                    to %= count[a]
+                if not 0 <= to < count[a]:
+                    continue
+                j = i + (to - at) * stride[a]
+                middle = middles[a, i if way == 1 else j]
+                if middle >= 0 and middle != state[i]:
+                    t = min(t, 0.25)
+                elif state[j] != state[i]:
+                    t = min(t, 0.75 if middle >= 0 else 0.5)
+            if t < 9.0:
+                total += 1.0 / (t * t)
+        if turn_gap[i] > 0:
+            t = (turn_gap[i] - 0.5) / 4.0
+            total += 1.0 / (t * t)
+        if total == 0.0:
+            out[i] = DEPTH if state[i] else OUTSIDE
+        else:
+            d = max(1.0, round(STEPS / math.sqrt(total)))
+            out[i] = d if state[i] else -d
+
+
+@entry
 def deepen(
     values: C1,
     shape: GridShape,

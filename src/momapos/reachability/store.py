@@ -18,8 +18,11 @@ import numpy as np
 from momapos.cache import Cache, content_key, default_cache_dir
 from momapos.errors import FileFormatError
 from momapos.files import read_bytes_bounded
-from momapos.reachability.construct import Progress, build_map, default_config
+from momapos.reachability.arm_axes import arm_frame, no_map
+from momapos.reachability.arm_length import ArmLength, arm_length
+from momapos.reachability.construct import build_map, default_config
 from momapos.reachability.map import ReachConfig, ReachMap
+from momapos.reachability.threads import Progress
 from momapos.robots.robot import MAX_REACH, Robot
 
 if TYPE_CHECKING:
@@ -36,7 +39,10 @@ _MAX_HEADER = 10_000
 _MAX_BEARINGS = 64
 _PART, _MOST_OF_PART = 1 << 14, 1 << 18
 """Bytes of compressed values that are read at once, and what they become at most."""
-_FIELDS = ("low", "cell", "axis_xy", "line_tool", "threshold", "key", "build_seconds")
+_FIELDS = (
+    "low", "cell", "axis_xy", "line_tool", "threshold", "key", "build_seconds", "across_tool",
+)  # fmt: skip
+_MAX_TURNS = 64
 
 
 def map_key(robot: Robot, config: ReachConfig) -> str:
@@ -46,23 +52,33 @@ def map_key(robot: Robot, config: ReachConfig) -> str:
     so that a comment in a file changes nothing and a mesh on the disk does.
     """
     chain = robot.chain
-    *shapes, _, _ = robot.spheres.arrays()  # the last, bounds of the base, follow from its boxes
+    spheres = robot.spheres.arrays()
+    # Bounds of the base, left out, follow from its boxes; hulls matter where they decide.
+    shapes: list[np.ndarray] = list(spheres[:12])
+    if spheres.exact.any() or spheres.base_exact.any():
+        shapes += [*spheres.hulls, spheres.exact, spheres.base_exact]
+    coupling = (chain.dof, chain.ratio) if chain.coupled else ()
     arrays = (
-        chain.h, chain.d, chain.prismatic, chain.lower, chain.upper, chain.tool_offset,
+        chain.h, chain.d, chain.slides, *coupling, chain.lower, chain.upper, chain.tool_offset,
         chain.tool_rotation, robot.approach_axis, *shapes,
     )  # fmt: skip
     # A micrometer more or less is another machine's rounding, not another robot.
     rounded = (np.round(a, 6) + 0.0 if a.dtype.kind == "f" else a for a in arrays)
-    return content_key("reach", VERSION, sorted(asdict(config).items()), *rounded)
+    settings = asdict(config)
+    if arm_frame(chain, robot.approach_axis).turns_alike:
+        del settings["states"]
+    return content_key("reach", VERSION, sorted(settings.items()), *rounded)
 
 
 def encode(reach_map: ReachMap) -> bytes:
     """A map as bytes: magic, length of the header, header (JSON), values (int8, zlib)."""
     header = {name: getattr(reach_map, name) for name in _FIELDS}
     header = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in header.items()}
-    header |= {"version": VERSION, "shape": reach_map.values.shape}
+    stored = reach_map.values if reach_map.turned is None else reach_map.turned
+    header = {k: v for k, v in header.items() if v is not None}
+    header |= {"version": VERSION, "shape": stored.shape}
     text = json.dumps(header).encode()
-    values = zlib.compress(reach_map.values.tobytes(), 6)
+    values = zlib.compress(stored.tobytes(), 6)
     return _MAGIC + struct.pack("<I", len(text)) + text + values
 
 
@@ -112,10 +128,11 @@ def _shape(header: Mapping[str, Any]) -> tuple[int, ...]:
     shape = header.get("shape")
     if (
         not isinstance(shape, list)
-        or len(shape) != 5
+        or len(shape) not in (5, 6)
         or not all(type(n) is int and 1 <= n <= _MAX_VALUES for n in shape)
-        or min(shape[:4]) < 2
-        or shape[4] > _MAX_BEARINGS
+        or min(shape[-5:-1]) < 2
+        or shape[-1] > _MAX_BEARINGS
+        or (len(shape) == 6 and not 2 <= shape[0] <= _MAX_TURNS)
         or math.prod(shape) > _MAX_VALUES
     ):
         raise ValueError(f"it cannot have the shape {shape!r:.80}")
@@ -138,8 +155,11 @@ def _map(header: Mapping[str, Any], values: np.ndarray) -> ReachMap:
     key = header.get("key")
     if not isinstance(key, str):
         raise ValueError("its key is no text")
+    across = numbers("across_tool", (3,), 1.0 + 1e-6) if values.ndim == 6 else None
+    if across is not None and abs(np.linalg.norm(across) - 1.0) > 1e-6:
+        raise ValueError("its across_tool is no usable number")
     return ReachMap(
-        values,
+        values if across is None else values.max(0),
         float(numbers("low", (), 2 * MAX_REACH)),
         cell,
         numbers("axis_xy", (2,), 2 * MAX_REACH),
@@ -147,6 +167,8 @@ def _map(header: Mapping[str, Any], values: np.ndarray) -> ReachMap:
         float(numbers("threshold", (), 1000.0)),
         key,
         float(numbers("build_seconds", (), 1e9)),
+        values if across is not None else None,
+        across,
     )
 
 
@@ -161,6 +183,20 @@ def shipped(robot: Robot, key: str) -> ReachMap | None:
         log.warning("%s: %s; it is not used", path, error)
         return None
     return found if found.key == key else None
+
+
+def load_reach(
+    robot: Robot,
+    cache_dir: Path | None = None,
+    progress: Progress | None = None,
+) -> ReachMap | ArmLength:
+    """The map of a robot as `load_reach_map` has it, or its arm's length where it can have none."""
+    why = no_map(robot)
+    if why:
+        stand_in = arm_length(robot, why)
+        log.warning("%s", stand_in.note)
+        return stand_in
+    return load_reach_map(robot, cache_dir, progress)
 
 
 def load_reach_map(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from itertools import combinations
 from typing import TYPE_CHECKING
 
@@ -30,6 +31,13 @@ _TOOLS = tuple(
 )  # fmt: skip
 """Names of tool frames, the best first."""
 _SUCTION, _HOOK = re.compile(r"suction|vacuum|magnet", re.I), re.compile(r"hook", re.I)
+_THUMB = re.compile("thumb", re.I)
+FORCES = (5.0, 400.0)
+"""Closing forces that grippers have [N]; other effort limits are placeholders."""
+WEAK = 40.0
+"""A gripper that closes with less cannot hold against the seal of a fridge [N]."""
+ASIDE = 0.03
+"""How far from the middle between the fingers the tool link may be [m]."""
 GUESS = 0.08
 """How far a gripper opens when its geometry does not tell [m]."""
 NEAR_TIP = 0.03
@@ -81,41 +89,133 @@ def find_tool(model: Articulated, last: str, notes: list[str]) -> tuple[str, lis
     return tool, gripper, fingers
 
 
+@dataclass(frozen=True)
+class Closing:
+    """How a gripper approaches and closes, in the frame of its tool link."""
+
+    approach: Float[np.ndarray, "3"]
+    closing: Float[np.ndarray, "3"]
+    opening: float
+    """Widest thing that fits [m]."""
+    grasp: Float[np.ndarray, "3"] | None = None
+    """Where things are held [m]; None where the tool link is there."""
+
+
 def find_grip(
     model: Articulated, last: str, tool: str, fingers: Sequence[str], notes: list[str]
-) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"], float]:
-    """Find how the gripper approaches and closes, in the tool frame, and how far it opens [m]."""
-    poses = model.link_poses({})
-    back = invert(poses[tool]) @ poses[last]
+) -> Closing:
+    """Find how the gripper approaches and closes, and how far it opens."""
+    back = invert(model.rest_poses[tool]) @ model.rest_poses[last]
     hands = [points_of(model, tool, model.links_below(name)) for name in fingers]
-    hands = [points for points in hands if len(points)]
-    if len(hands) < 2:
+    shaped = [i for i, points in enumerate(hands) if len(points)]
+    if len(shaped) == 1:
+        return _one_jaw(model, last, tool, fingers[shaped[0]], notes)
+    if not shaped:
         approach = _snap(-back[:3, 3] if np.linalg.norm(back[:3, 3]) > 0.01 else back[:3, 0])
         closing = orthonormal(approach)
         notes.append(
             f"no fingers: approach_axis {listed(approach)} is where the arm points, closing_axis "
             f"{listed(closing)} is any across it, and the opening of {GUESS} m is a guess"
         )
-        return approach, closing, GUESS
-    centers = [(points.min(0) + points.max(0)) / 2 for points in hands]
-    one, other = max(combinations(centers, 2), key=lambda p: float(np.linalg.norm(p[0] - p[1])))
-    closing = _snap(one - other)
-    closing = closing * np.sign(closing[int(np.argmax(abs(closing)))])
+        return Closing(approach, closing, GUESS)
+    if len(shaped) > 2:
+        notes.append(
+            f"IMPORTANT: a hand of {len(shaped)} fingers: it is planned for as a pinch of two "
+            "sides; how its fingers close together is not taken from the URDF"
+        )
+    one, other = _opposed(model, [fingers[i] for i in shaped], [hands[i] for i in shaped])
     middle = (one + other) / 2
-    ahead = middle - back[:3, 3]
+    if len(shaped) > 2:  # a thumb stands beside the others, and reaches less far than they
+        approach = _snap(other - back[:3, 3])
+        across = one - other - ((one - other) @ approach) * approach
+        closing = _snap(across) if np.linalg.norm(across) > 0.005 else orthonormal(approach)
+    else:
+        closing = _snap(one - other)
+    closing = closing * np.sign(closing[int(np.argmax(abs(closing)))])
+    ahead = (other if len(shaped) > 2 else middle) - back[:3, 3]
     ahead = ahead - (ahead @ closing) * closing
     approach = _snap(ahead) if np.linalg.norm(ahead) > 0.01 else orthonormal(closing)
     approach = approach - (approach @ closing) * closing
+    approach /= np.linalg.norm(approach)
     opening = _opening(model, tool, fingers, np.stack([closing, approach]), middle)
     words = "measured at the finger tips" if opening else "a guess: the gap is not clear"
     notes.append(
         f"approach_axis {listed(approach)} points along the fingers, closing_axis "
         f"{listed(closing)} across them; opening {opening or GUESS:g} m, {words}"
     )
-    tip = max(float((points @ approach).max()) for points in hands)
-    if not -0.02 <= tip <= 0.1:
-        _note_tool(tool, middle + (tip - 0.02 - middle @ approach) * approach, tip, notes)
-    return approach, closing, opening or GUESS
+    tip = max(float((hands[i] @ approach).max()) for i in shaped)
+    return Closing(approach, closing, opening or GUESS, _grasp(tool, middle, tip, approach, notes))
+
+
+def _opposed(
+    model: Articulated, fingers: Sequence[str], hands: Sequence[Float[np.ndarray, "n 3"]]
+) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+    """Middles of what closes against each other: thumb and fingers, or the two farthest apart."""
+    centers = [(points.min(0) + points.max(0)) / 2 for points in hands]
+    parts = [len(model.links_below(name)) for name in fingers]
+    long = [i for i, count in enumerate(parts) if 2 * count >= max(parts)]
+    thumbs = [centers[i] for i in long if _THUMB.search(fingers[i])]
+    rest = [centers[i] for i in long if not _THUMB.search(fingers[i])]
+    if thumbs and rest:
+        return np.mean(thumbs, axis=0), np.mean(rest, axis=0)
+    return max(combinations(centers, 2), key=lambda p: float(np.linalg.norm(p[0] - p[1])))
+
+
+def _one_jaw(model: Articulated, last: str, tool: str, finger: str, notes: list[str]) -> Closing:
+    """A gripper of which one jaw moves, against the hand."""
+    T_tool_root = invert(model.rest_poses[tool])
+    joint = next(j for j in model.urdf.joints if j.child == finger)
+    T = T_tool_root @ model.rest_poses[finger]
+    axis, origin = T[:3, :3] @ joint.axis, T[:3, 3]
+    back = (T_tool_root @ model.rest_poses[last])[:3, 3]
+    points = points_of(model, tool, model.links_below(finger))
+    tip = points[int(np.argmax(np.linalg.norm(points - back, axis=1)))]
+    way = axis if joint.kind == "prismatic" else np.cross(axis, tip - origin)
+    closing = _snap(way)
+    closing = closing * np.sign(closing[int(np.argmax(abs(closing)))])
+    ahead = tip - back
+    approach = _snap(ahead - (ahead @ closing) * closing)
+    approach = approach - (approach @ closing) * closing
+    approach /= np.linalg.norm(approach)
+    span = joint.upper - joint.lower
+    radius = float(np.linalg.norm(way))
+    travel = span if joint.kind == "prismatic" else 2 * radius * np.sin(min(span, np.pi) / 2)
+    opening = round(float(travel), 3) if 0.005 < travel < 0.5 else GUESS
+    notes.append(
+        f"one jaw moves, {finger}: approach_axis {listed(approach)}, closing_axis "
+        f"{listed(closing)}; opening {opening:g} m, as far as its tip goes"
+    )
+    ahead_of_tool = float(tip @ approach)
+    grasp = _grasp(tool, tip - (tip @ closing) * closing, ahead_of_tool, approach, notes)
+    return Closing(approach, closing, opening, grasp)
+
+
+def find_force(model: Articulated, fingers: Sequence[str], notes: list[str]) -> float | None:
+    """The force that each finger closes with, by the effort limits of their joints [N].
+
+    Returns:
+        None where the URDF gives none that a gripper could have.
+    """
+    found: dict[str, float] = {}
+    for joint in model.urdf.joints:
+        free = joint.movable and joint.mimic is None and np.isfinite(joint.effort)
+        if joint.child in fingers and free:
+            points = points_of(model, joint.child, model.links_below(joint.child))
+            across = points - np.outer(points @ joint.axis, joint.axis)
+            lever = float(np.linalg.norm(across, axis=1).max(initial=0.0))
+            turning = joint.kind != "prismatic"
+            found[joint.name] = joint.effort / max(lever, 0.01) if turning else joint.effort
+    usable = {name: force for name, force in found.items() if FORCES[0] <= force <= FORCES[1]}
+    if not usable:
+        notes.append("force: no URDF limits say how strong the gripper is; give tool.force")
+        return None
+    name = min(usable, key=lambda key: usable[key])
+    weak = "; doors need more: what does the gripper's data sheet say?"
+    notes.append(
+        f"force: {usable[name]:.0f} N of each finger, from the effort limit of {name}"
+        f"{weak if usable[name] < WEAK else ''}"
+    )
+    return round(usable[name], 1)
 
 
 def find_grips(model: Articulated, last: str, fingers: Sequence[str], notes: list[str]) -> str:
@@ -127,6 +227,7 @@ def find_grips(model: Articulated, last: str, fingers: Sequence[str], notes: lis
     shaped = [name for name in fingers if any(model.hulls[n] for n in model.links_below(name))]
     moving = len(shaped) >= 2
     grips = "fingers"
+    moving = moving or len(shaped) == 1
     if not moving and _SUCTION.search(names):
         grips = "suction"
     elif not moving and _HOOK.search(names):
@@ -134,19 +235,30 @@ def find_grips(model: Articulated, last: str, fingers: Sequence[str], notes: lis
     why = "by its name" if grips != "fingers" else "which close"
     if grips == "fingers" and not moving:
         why = "for want of a better guess: none was found that moves"
-    notes.append(f"grips: {grips}, {why}; with what force no URDF says: give tool.force")
+    notes.append(f"grips: {grips}, {why}")
     return grips
 
 
-def _note_tool(tool: str, grasp: Float[np.ndarray, "3"], tip: float, notes: list[str]) -> None:
-    """Say that the tool frame is not where things are held, and what to add."""
-    xyz = " ".join(f"{v:.4f}" for v in grasp + 0.0)
+def _grasp(
+    tool: str,
+    middle: Float[np.ndarray, "3"],
+    tip: float,
+    approach: Float[np.ndarray, "3"],
+    notes: list[str],
+) -> Float[np.ndarray, "3"] | None:
+    """Where things are held, in the tool's frame [m], if that is not where the tool link is."""
+    aside = float(np.linalg.norm(middle - (middle @ approach) * approach))
+    if -0.02 <= tip <= 0.1 and aside < ASIDE:
+        return None
+    where = f"{abs(tip):.2f} m {'behind' if tip > 0 else 'beyond'} the finger tips"
+    if -0.02 <= tip <= 0.1:
+        where = f"{aside:.2f} m beside the fingers"
+    grasp = middle + (tip - 0.02 - middle @ approach) * approach
     notes.append(
-        f"IMPORTANT: {tool} lies {abs(tip):.2f} m {'behind' if tip > 0 else 'beyond'} the finger "
-        f"tips, but the tool frame must be where things are held; add to the URDF: "
-        f'<link name="grasp_link"/><joint name="grasp_joint" type="fixed"><parent link="{tool}"/>'
-        f'<child link="grasp_link"/><origin xyz="{xyz}"/></joint>'
+        f"{tool} lies {where}, but the tool frame must be where things are held: the robot file "
+        f"adds one at {listed(grasp)} in {tool}"
     )
+    return grasp
 
 
 def _snap(v: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
@@ -170,20 +282,38 @@ def _opening(
 ) -> float:
     """The widest gap between the finger tips over the ends of their joints [m]; 0 if unclear."""
     inside = {link for name in fingers for link in model.links_below(name)}
-    movers = [j for j in model.joints.values() if j.child in inside and np.isfinite(j.upper)]
-    widest = 0.0
-    for end in ("lower", "upper"):
-        poses = model.link_poses({j.name: float(getattr(j, end)) for j in movers})
-        T = invert(poses[tool])
-        shapes = [
-            (apply(T @ poses[link], hull.vertices) - middle) @ axes.T
-            for link in inside
-            for hull in model.hulls[link]
-        ]
-        tip = max(float(shape[:, 1].max()) for shape in shapes)
-        ends = [shape[:, 0] for shape in shapes if shape[:, 1].max() > tip - NEAR_TIP]
-        above = [float(c.min()) for c in ends if c.min() + c.max() > 0]
-        below = [float(c.max()) for c in ends if c.min() + c.max() <= 0]
-        if above and below:
-            widest = max(widest, min(above) - max(below))
-    return round(widest, 3) if 0.005 < widest < 0.5 else 0.0
+    movers = [
+        j
+        for j in model.joints.values()
+        if j.child in inside and j.mimic is None and np.isfinite(j.upper)
+    ]
+    ends = [{j.name: float(getattr(j, end)) for j in movers} for end in ("lower", "upper")]
+    # Fingers whose limits have opposite signs open at different ends.
+    mixed = {j.name: max((j.lower, j.upper), key=abs) for j in movers}
+    return max(_gap(model, tool, inside, values, axes, middle) for values in (*ends, mixed))
+
+
+def _gap(
+    model: Articulated,
+    tool: str,
+    inside: Iterable[str],
+    values: dict[str, float],
+    axes: Float[np.ndarray, "2 3"],
+    middle: Float[np.ndarray, "3"],
+) -> float:
+    """The gap between the finger tips at values of their joints [m]; 0 if unclear."""
+    poses = model.link_poses(values)
+    T = invert(poses[tool])
+    shapes = [
+        (apply(T @ poses[link], hull.vertices) - middle) @ axes.T
+        for link in inside
+        for hull in model.hulls[link]
+    ]
+    tip = max(float(shape[:, 1].max()) for shape in shapes)
+    # Of a hand with a thumb, which is shorter, all counts.
+    near = NEAR_TIP if not any(map(_THUMB.search, inside)) else np.inf
+    ends = [shape[:, 0] for shape in shapes if shape[:, 1].max() > tip - near]
+    above = [float(c.min()) for c in ends if c.min() + c.max() > 0]
+    below = [float(c.max()) for c in ends if c.min() + c.max() <= 0]
+    gap = min(above) - max(below) if above and below else 0.0
+    return round(gap, 3) if 0.005 < gap < 0.5 else 0.0

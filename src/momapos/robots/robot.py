@@ -13,17 +13,31 @@ import numpy as np
 
 from momapos.cache import Cache
 from momapos.errors import FileFormatError, RobotError, unknown_name
-from momapos.files import read_bytes_bounded, read_xml
+from momapos.files import read_bytes_bounded
 from momapos.geometry.transforms import apply, invert
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.chain import Chain, Segments, build_chain
+from momapos.kinematics.coupling import coupled
 from momapos.kinematics.hulls import Boxes
 from momapos.kinematics.ik import IkModel, build_ik
 from momapos.kinematics.kept import once
-from momapos.kinematics.spheres import Spheres, build_spheres
+from momapos.kinematics.self_collision import arm_spheres
+from momapos.kinematics.spheres import LinkHulls, Spheres
 from momapos.kinematics.urdf import read_urdf
 from momapos.robots.gripper import FINGER, HAND
 from momapos.robots.names import find_robot, library_file
+from momapos.robots.robot_tables import (
+    ANY,
+    amendments_of,
+    arm_tables,
+    at_rest,
+    beside,
+    check_version,
+    choose_arms,
+    couplings_of,
+)
+from momapos.robots.srdf import beside as srdf_beside
+from momapos.robots.srdf import read_srdf
 from momapos.robots.table import Table
 
 if TYPE_CHECKING:
@@ -31,7 +45,6 @@ if TYPE_CHECKING:
 
 MAX_TOML_BYTES = 20_000
 """A robot file has a page; the time that a parser takes for dotted keys grows with their square."""
-MAX_SRDF_BYTES = 5_000_000
 MAX_OUTLINE = 1_000
 """Corners of a footprint [-]."""
 MAX_REACH = 5.0
@@ -92,6 +105,17 @@ class Robot:
     """Closing force of each finger, or pull of a suction cup [N]."""
     assumed: tuple[str, ...] = ()
     """What the robot's file leaves out about the gripper, and what is taken instead, in words."""
+    arm: str = ""
+    """Which of its arms this is; empty where it has one."""
+    arms: tuple[str, ...] = ()
+    """Names of all its arms; none where it has one. The others rest at their homes."""
+    other_arms: tuple[str, ...] = ()
+    """Joints of the other arms."""
+    payload: float | None = None
+    """What the arm can carry [kg]; None where the file does not say."""
+    amended: str | None = None
+    """The URDF with what the robot file adds to it, meshes by absolute names; None where it is used
+    as it is."""
 
     @property
     def source(self) -> str:
@@ -99,9 +123,9 @@ class Robot:
         return self.name if self.path == library_file(self.name) else str(self.path)
 
     def __repr__(self) -> str:
-        return (
-            f"<Robot {self.name!r}: {len(self.arm_joints)} arm joints, {self.drive}, {self.path}>"
-        )
+        arm = f" ({self.arm})" if self.arm else ""
+        joints = f"{len(self.arm_joints)} arm joints"
+        return f"<Robot {self.name!r}{arm}: {joints}, {self.drive}, {self.path}>"
 
     @cached_property
     def _parts(self) -> tuple[Chain, Segments]:
@@ -111,6 +135,11 @@ class Robot:
     def chain(self) -> Chain:
         """The arm."""
         return self._parts[0]
+
+    @property
+    def moved_joints(self) -> tuple[str, ...]:
+        """The joints of the arm and those that follow them, base to tool: what a plan names."""
+        return self.chain.joints
 
     @property
     def segments(self) -> Segments:
@@ -127,10 +156,12 @@ class Robot:
         """Collision spheres of the arm, boxes of the base."""
         return self.model.kept(
             "spheres",
-            lambda: build_spheres(self.model, self.segments, self.disabled, self.gripper_links),
+            lambda: arm_spheres(
+                self.model, self.chain, self.segments, self.disabled, self.gripper_links
+            ),
             (self.base_link, self.tool_link, self.arm_joints, self.gripper_links),
             sorted(sorted(pair) for pair in self.disabled),
-            records=(Spheres,),
+            records=(Spheres, LinkHulls),
         )
 
     @property
@@ -163,34 +194,63 @@ class Robot:
     def reach(self) -> float:
         """Upper bound on the distance from the first revolute axis to the tool [m]."""
         links = np.linalg.norm(self.chain.d, axis=1)
-        travel = np.where(
-            self.chain.prismatic, np.maximum(abs(self.chain.lower), abs(self.chain.upper)), 0.0
-        )
-        first = int(np.argmin(self.chain.prismatic))
+        farthest = np.maximum(abs(self.chain.lower), abs(self.chain.upper))[self.chain.dof]
+        travel = np.where(self.chain.slides, abs(self.chain.ratio) * farthest, 0.0)
+        first = self.chain.first_turn
         tool = float(np.linalg.norm(self.chain.tool_offset))
         return float(links[first + 1 :].sum() + travel[first + 1 :].sum()) + tool
 
 
-def load_robot(source: str | Path, *, cache: Cache | None = None) -> Robot:
+def load_robot(source: str | Path, *, arm: str | None = None, cache: Cache | None = None) -> Robot:
     """Load a robot by library name or from a TOML file.
 
     Args:
         source: The name or the file.
+        arm: Which arm, of a robot with several; the first one where None.
         cache: Where its geometry is kept, so that it is computed once.
 
     Raises:
         RobotError, FileFormatError, UnknownNameError: It cannot be used; one line says why.
     """
-    return read_robot(find_robot(source), cache=cache)
+    return read_robot(find_robot(source), arm=arm, cache=cache)
 
 
-def read_robot(path: Path, *, cache: Cache | None = None) -> Robot:
-    """Read a robot file; docs/robots.md tells its format."""
-    data = _read_toml(path)
-    table = Table(data, path)
-    urdf = _beside(path, table.text("urdf"))
-    model = _at_rest(Articulated(read_urdf(urdf, cache=cache), cache=cache), table)
-    base, tool = table.table("base"), table.table("tool")
+def load_arms(
+    source: str | Path, arm: str = ANY, *, cache: Cache | None = None
+) -> tuple[Robot, ...]:
+    """Load a robot once for each of its arms, or for the one that is named.
+
+    Raises:
+        RobotError, FileFormatError, UnknownNameError: It cannot be used; one line says why.
+    """
+    path = find_robot(source)
+    table = Table(_read_toml(path), path)
+    names = choose_arms(arm_tables(table), arm, path)
+    return tuple(read_robot(path, arm=name or None, cache=cache) for name in names)
+
+
+def read_robot(path: Path, *, arm: str | None = None, cache: Cache | None = None) -> Robot:
+    """Read a robot file; docs/robots.md tells its format.
+
+    Args:
+        path: The file.
+        arm: Which arm, of a robot with several; the first one where None.
+        cache: Where its geometry is kept, so that it is computed once.
+    """
+    table = Table(_read_toml(path), path)
+    check_version(table)
+    arms = arm_tables(table)
+    (chosen,) = choose_arms(arms, arm, path)
+    own = arms[chosen]
+    urdf = beside(path, table.text("urdf"))
+    text = amendments_of(table).text(urdf)
+    amended = {} if text is None else {"text": text, "find_mesh": Path}
+    record = read_urdf(urdf, cache=cache, visuals=False, **amended)  # type: ignore[arg-type]
+    follows = couplings_of(table)
+    if follows:
+        record = coupled(record, follows, f"{path}: coupled")
+    model = at_rest(Articulated(record, cache=cache), table, arms, chosen)
+    base, tool = table.table("base"), own.table("tool")
     srdf = _srdf_of(table, urdf)
     grips = Grip(tool.choice("grips", tuple(Grip), Grip.FINGERS))
     robot = Robot(
@@ -198,10 +258,10 @@ def read_robot(path: Path, *, cache: Cache | None = None) -> Robot:
         path=path,
         model=model,
         base_link=table.text("base_link"),
-        tool_link=table.text("tool_link"),
-        arm_joints=tuple(table.texts("arm_joints")),
-        gripper_links=tuple(table.texts("gripper_links")),
-        home=table.vector("home"),
+        tool_link=own.text("tool_link"),
+        arm_joints=tuple(own.texts("arm_joints")),
+        gripper_links=tuple(own.texts("gripper_links")),
+        home=own.vector("home"),
         footprint=_footprint(base, path, cache),
         drive=base.choice("drive", ("differential", "omni")),  # type: ignore[arg-type]
         max_speed=base.positive("max_speed", 0.5),
@@ -216,6 +276,16 @@ def read_robot(path: Path, *, cache: Cache | None = None) -> Robot:
         assumed=_assumed(tool, grips),
         disabled=frozenset() if srdf is None else read_srdf(srdf),
         srdf=srdf,
+        arm=chosen,
+        arms=() if "" in arms else tuple(arms),
+        other_arms=tuple(
+            joint
+            for name, other in arms.items()
+            if name != chosen
+            for joint in other.texts("arm_joints")
+        ),
+        payload=own.positive("payload", 0.0) if "payload" in own.data else None,
+        amended=text,
     )
     _check(robot)
     return robot
@@ -232,43 +302,6 @@ def _assumed(tool: Table, grips: Grip) -> tuple[str, ...]:
     )
 
 
-def _beside(path: Path, name: str, key: str = "urdf") -> Path:
-    """A file that a robot file names."""
-    try:
-        return (path.parent / name).resolve()
-    except (OSError, RuntimeError, ValueError) as error:  # too long, links in a circle, a NUL
-        raise RobotError(f"{path}: {key} {name!r:.80} cannot be looked up") from error
-
-
-def _at_rest(model: Articulated, table: Table) -> Articulated:
-    """The robot with the joints of its table `rest`, if it has one, where they rest.
-
-    Raises:
-        RobotError: A value is no number within the limits, or one of a joint of the arm.
-        UnknownNameError: There is no such joint.
-    """
-    if "rest" not in table.data:
-        return model
-    held = {}
-    rest = table.table("rest")
-    for name in rest.data:
-        joint = model.joint(name)
-        value = rest.data[name]
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise RobotError(f"{table.path}: rest.{name} must be a number")
-        if name in table.texts("arm_joints"):
-            raise RobotError(
-                f"{table.path}: rest.{name} is a joint of the arm, which rests at home"
-            )
-        if not joint.lower - 1e-6 <= value <= joint.upper + 1e-6:
-            raise RobotError(
-                f"{table.path}: rest.{name} is {value:g}, its limits are {joint.lower:g} to "
-                f"{joint.upper:g}"
-            )
-        held[name] = float(value)
-    return Articulated(model.urdf, held)
-
-
 def _srdf_of(table: Table, urdf: Path) -> Path | None:
     """The SRDF that a robot file names, or the one of the URDF's name beside it, if any.
 
@@ -276,9 +309,8 @@ def _srdf_of(table: Table, urdf: Path) -> Path | None:
         RobotError: The one that is named does not exist.
     """
     if "srdf" not in table.data:
-        beside = urdf.with_suffix(".srdf")
-        return beside if beside.is_file() else None
-    named = _beside(table.path, table.text("srdf"), "srdf")
+        return srdf_beside(urdf)
+    named = beside(table.path, table.text("srdf"), "srdf")
     if not named.is_file():
         raise RobotError(f"{table.path}: srdf names {named}, which does not exist")
     return named
@@ -307,18 +339,6 @@ def _check(robot: Robot) -> None:
         )
     if abs(float(robot.approach_axis @ robot.closing_axis)) > 1e-3:
         raise RobotError(f"{robot.path}: approach_axis and closing_axis must be perpendicular")
-
-
-def read_srdf(path: Path) -> frozenset[frozenset[str]]:
-    """Pairs of links that an SRDF disables; none where there is no such file."""
-    try:
-        if not path.exists():
-            return frozenset()
-    except OSError as error:  # too long, or links in a circle
-        raise RobotError(f"{path}: cannot be looked up ({error.strerror})") from error
-    root = read_xml(path, MAX_SRDF_BYTES, error=RobotError)
-    pairs = [(e.get("link1"), e.get("link2")) for e in root.iter("disable_collisions")]
-    return frozenset(frozenset((a, b)) for a, b in pairs if a is not None and b is not None)
 
 
 def _read_toml(path: Path) -> dict[str, Any]:

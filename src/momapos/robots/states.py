@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from momapos.compiled import F2, entry
-from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.chain import Chain, chain_arrays
 from momapos.kinematics.collision import (
     FREE,
@@ -19,6 +18,7 @@ from momapos.kinematics.collision import (
     scratch_of,
 )
 from momapos.kinematics.records import ChainArrays, SphereArrays
+from momapos.kinematics.self_collision import contacts, decided_by_hulls
 from momapos.kinematics.spheres import Spheres
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ def _touches(
     floor: bool,
 ) -> np.ndarray:
     """Which of the states (m, n) touch the robot itself or, where asked, the floor."""
-    scratch = scratch_of(q.shape[1], spheres)
+    scratch = scratch_of(len(chain.slides), spheres)
     R, p, bounds = scratch
     base, out = np.zeros(3), np.empty(len(q), np.bool_)
     for i in range(len(q)):
@@ -80,46 +80,63 @@ def sample_states(chain: Chain, rng: np.random.Generator) -> Float[np.ndarray, "
 
 
 def inevitable_pairs(
-    chain: Chain, spheres: Spheres, q: Float[np.ndarray, "m n"], model: Articulated
+    chain: Chain, spheres: Spheres, q: Float[np.ndarray, "m n"]
 ) -> dict[tuple[str, str], str]:
     """Pairs of links that touch in (almost) every state, or in the first and many as neighbors.
+
+    Their hulls decide: spheres of links that pass closely by each other always touch.
 
     Returns:
         The reason by pair, in MoveIt's words: "Always", or "Default" for two links at most two
         joints apart.
     """
     found: dict[tuple[str, str], str] = {}
-    base_links = [
-        link
-        for link in model.links
-        for _ in range(sum(len(b) for b in model.boxes[link]))
-        if link not in spheres.links
-    ]
-    none = np.zeros_like(spheres.base_pairs)
-    for i, j in spheres.pairs:
-        one = _only(spheres, np.array([[i, j]]), none)
-        near = abs(int(spheres.segment[i]) - int(spheres.segment[j])) <= 2
-        _judge(found, touches(chain, one, q), (spheres.links[i], spheres.links[j]), near)
-    for g, link in enumerate(spheres.links):
-        for name in dict.fromkeys(base_links):
-            mask = none.copy()
-            mask[g] = spheres.base_pairs[g] & (np.array(base_links) == name)
-            one = _only(spheres, np.zeros((0, 2), np.int64), mask)
-            _judge(found, touches(chain, one, q), (name, link), bool(spheres.segment[g] <= 2))
+    segment = dict(zip(spheres.links, spheres.segment.tolist(), strict=True))
+    touching = contacts(chain, spheres, q)
+    for (a, b), hit in zip(touching.pairs, touching.by_hulls.T, strict=True):
+        if hit.mean() >= ALWAYS:
+            found[a, b] = "Always"
+        elif abs(segment[a] - segment.get(b, 0)) <= 2 and hit[0] and hit.mean() >= OFTEN:
+            found[a, b] = "Default"
     return found
 
 
-def _only(spheres: Spheres, pairs: np.ndarray, base_pairs: np.ndarray) -> Spheres:
-    return replace(spheres, pairs=pairs, base_pairs=base_pairs)
+@dataclass(frozen=True)
+class SelfCollisionShare:
+    """How often a pair of links touches in sampled states of the arm."""
+
+    links: tuple[str, str]
+    by_spheres: float
+    """Share of the states in which their spheres touch [-]."""
+    by_hulls: float
+    """Share of the states in which their hulls do [-]."""
+    decided_by_hulls: bool
+    """Whether the planner asks the hulls, the spheres being too coarse for this pair."""
 
 
-def _judge(
-    found: dict[tuple[str, str], str], hit: np.ndarray, pair: tuple[str, str], near: bool
-) -> None:
-    if hit.mean() >= ALWAYS:
-        found[pair] = "Always"
-    elif near and hit[0] and hit.mean() >= OFTEN:
-        found[pair] = "Default"
+def self_collision_shares(
+    chain: Chain, spheres: Spheres, q: Float[np.ndarray, "m n"]
+) -> tuple[SelfCollisionShare, ...]:
+    """Tell which pairs of links block how many states, those that block most first.
+
+    Args:
+        chain: The arm.
+        spheres: Its collision spheres.
+        q: States, such as `sample_states` draws.
+
+    Returns:
+        The pairs that touch in any of the states.
+    """
+    touching = contacts(chain, spheres, q)
+    exact = decided_by_hulls(spheres)
+    shares = [
+        SelfCollisionShare(pair, float(seen.mean()), float(true.mean()), pair in exact)
+        for pair, seen, true in zip(
+            touching.pairs, touching.by_spheres.T, touching.by_hulls.T, strict=True
+        )
+        if seen.any()
+    ]
+    return tuple(sorted(shares, key=lambda share: (-share.by_spheres, share.links)))
 
 
 def resting_state(
@@ -138,7 +155,7 @@ def resting_state(
     if not len(free):
         return None
     own = _of_the_arm(chain, spheres)
-    R, p = np.empty((chain.size + 1, 3, 3)), np.empty((chain.size + 1, 3))
+    R, p = np.empty((chain.last + 1, 3, 3)), np.empty((chain.last + 1, 3))
     reach = np.empty(len(free))
     for row, i in enumerate(free):
         place_segments(q[i], np.zeros(3), chain_arrays(chain), R, p)
@@ -157,7 +174,7 @@ def resting_state(
 
 def _of_the_arm(chain: Chain, spheres: Spheres) -> Int[np.ndarray, " k"]:
     """Groups of spheres that the arm's first turning joint moves; all where there are none."""
-    first = int(np.argmin(chain.prismatic)) + 1
+    first = chain.first_turn + 1
     own = np.flatnonzero(spheres.segment >= first)
     return own if len(own) else np.arange(len(spheres.segment))
 

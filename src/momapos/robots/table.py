@@ -31,8 +31,17 @@ class Table:
     def table(self, key: str) -> Table:
         value = self._take(key)
         if not isinstance(value, dict):
-            raise RobotError(f"{self.path}: [{key}] must be a table")
-        return Table(value, self.path, f"{key}.")
+            raise RobotError(f"{self.path}: [{self.prefix}{key}] must be a table")
+        return Table(value, self.path, f"{self.prefix}{key}.")
+
+    def tables(self, key: str, most: int = 100) -> dict[str, Table]:
+        """The tables within a table by name; none where there is no such table."""
+        if key not in self.data:
+            return {}
+        outer = self.table(key)
+        if len(outer.data) > most:
+            raise RobotError(f"{self.path}: [{self.prefix}{key}] holds more than {most} tables")
+        return {name: outer.table(name) for name in outer.data}
 
     def text(self, key: str) -> str:
         value = self._take(key)
@@ -58,6 +67,12 @@ class Table:
         value = self.data.get(key, default)
         if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < 1e6:
             raise RobotError(f"{self.path}: {self.prefix}{key} must be a number > 0 and < 1e6")
+        return float(value)
+
+    def number(self, key: str, default: float = 0.0) -> float:
+        value = self.data.get(key, default)
+        if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < 1e6:
+            raise RobotError(f"{self.path}: {self.prefix}{key} must be a number")
         return float(value)
 
     def _numbers(self, key: str) -> Float[np.ndarray, "..."]:

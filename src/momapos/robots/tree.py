@@ -1,92 +1,155 @@
-"""Which joints of a URDF are an arm: the tree of links, and what its names say."""
+"""Which joints of a URDF are arms: the tree of links, and what its names say."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
 
 from momapos.errors import RobotError
 from momapos.kinematics.articulated import Articulated
-from momapos.kinematics.urdf import Joint
-from momapos.robots.gripper import FINGER, HAND, joints_below
+from momapos.kinematics.urdf import Joint, Mimic
+from momapos.robots.gripper import FINGER, HAND, fixed_to, joints_below
 
-WHEEL = re.compile(r"wheel|caster|castor|track", re.I)
-_HEAD = re.compile(r"head|neck|camera|kinect|lidar|laser", re.I)
+WHEEL = re.compile(r"wheel|caster|castor|track(?!ing)|roller", re.I)
+_HEAD = re.compile(r"head|neck|camera|kinect|lidar|laser|antenna|suspension", re.I)
+_LEG = re.compile(
+    r"(^|_)(leg|hip|knee|ankle|foot|thigh|calf|shank|hfe|kfe|haa)s?(_|\d|$)|leg_", re.I
+)
+_GRIPPER = re.compile(r"gripper|hand", re.I)
+_TURNS = re.compile(r"wrist|roll|yaw|pitch|flex|rotat|lift", re.I)
+LEAST = 4
+"""Joints that an arm has at least [-]."""
+HAND_SIZE = 0.35
+"""What forks and is smaller than this is a hand, what is larger a body with two arms [m]."""
 
 
-def _named(pattern: re.Pattern[str], joint: Joint) -> bool:
-    return bool(pattern.search(joint.name) or pattern.search(joint.child))
+@dataclass(frozen=True)
+class ArmChain:
+    """An arm of a robot."""
+
+    joints: tuple[str, ...]
+    """Base to tool; those that follow another are left out."""
+    last: str
+    """The link that the last of them moves."""
+    coupled: tuple[tuple[str, Mimic], ...] = ()
+    """Stages of a telescope, which follow its first."""
+
+
+@dataclass(frozen=True)
+class _Path:
+    """A way from the base to where movable joints end, or a hand begins."""
+
+    joints: tuple[Joint, ...]
+    hand: bool
+    """Whether something like a hand is there."""
 
 
 def find_anchor(model: Articulated, notes: list[str]) -> str:
     """The link that carries the base: below the joints that stand for driving, as in Fetch's."""
     anchor, link = model.urdf.root, model.urdf.root
-    virtual: list[str] = []
+    run: list[Joint] = []
     while not model.urdf.links[link].collisions and len(joints_below(model, link)) == 1:
-        joint = joints_below(model, link)[0]
+        (joint,) = joints_below(model, link)
         upright = abs(joint.axis[2]) > 0.99
+        endless = joint.kind == "continuous" or joint.upper - joint.lower > 6
         slides = joint.kind == "prismatic" and abs(joint.axis[2]) < 0.01
-        turns = upright and (joint.kind == "continuous" or joint.upper - joint.lower > 6)
-        if joint.movable and not slides and not (virtual and turns):
+        if joint.movable and not slides and not (upright and endless):
             break
         link = joint.child
-        if joint.movable:
-            virtual.append(joint.name)
-            anchor = link
+        run += [joint] if joint.movable else []
+    virtual: list[str] = []
+    if any(joint.kind == "prismatic" for joint in run):
+        anchor, virtual = run[-1].child, [joint.name for joint in run]
+    virtual += model.urdf.rigid
     if virtual:
         notes.append(f"{', '.join(virtual)} stand for driving: they are not joints of the arm")
     return anchor
 
 
 def find_arms(
-    model: Articulated, anchor: str, notes: list[str]
-) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-    """The longest chain of movable joints that ends in something like a hand, and its equals."""
-    best: tuple[tuple[bool, int], tuple[str, ...]] = ((False, 0), ())
-    rivals: list[tuple[str, ...]] = []
+    model: Articulated, anchor: str, fingers: Collection[str], notes: list[str]
+) -> list[ArmChain]:
+    """All arms of a robot: chains of joints that end where a hand begins.
+
+    Args:
+        model: The robot.
+        anchor: The link that carries the base.
+        fingers: Links that belong to hands, as an SRDF says.
+        notes: Gets the guesses, in words.
+
+    Raises:
+        RobotError: It has none; the message says what it is instead, and what would help.
+    """
+    paths = _paths(model, anchor, fingers)
+    legs = [path for path in paths if any(map(_is_leg, path.joints))]
+    arms = [path for path in paths if path not in legs and len(_leaders(path.joints)) >= LEAST]
+    wheels = any(_named(WHEEL, joint) for joint in model.urdf.joints)
+    if len(legs) > 1 and not wheels:
+        raise RobotError(_walks(model, legs, arms))
+    if not arms:
+        raise RobotError(_no_arm(model, paths, wheels))
+    named = [path for path in arms if path.hand]
+    longest = max(len(path.joints) for path in arms)
+    chosen = named or [path for path in arms if len(path.joints) == longest]
+    chains = [_chain(model, path.joints, notes) for path in _distinct(chosen)]
+    for chain in chains:
+        notes.append(f"arm_joints: a chain that ends in a hand, {', '.join(chain.joints)}")
+    if not named:
+        notes[-1] = notes[-1].replace("a chain that ends in a hand", "the longest chain")
+        notes.append("nothing is named like a hand or tool; the arm is just the longest chain")
+    return chains
+
+
+def _paths(model: Articulated, anchor: str, fingers: Collection[str]) -> list[_Path]:
+    found: list[_Path] = []
     stack: list[tuple[str, tuple[Joint, ...]]] = [(anchor, ())]
     while stack:
-        link, path = stack.pop()
-        children = joints_below(model, link)
-        stack += [(joint.child, (*path, joint)) for joint in reversed(children)]
-        if children:
-            continue
-        joints, tail = _arm_of(model, path)
-        names = tuple(joint.name for joint in joints)
-        hand = len(joints) > 1 and any(HAND.search(n) or FINGER.search(n) for n in tail)
-        key = (hand, len(joints))
-        if key > best[0]:
-            best, rivals = (key, names), []
-        elif names and key == best[0] and names[-1] != best[1][-1] and names not in rivals:
-            rivals.append(names)  # a hand's fingers end the same arm
-    if not best[1]:
-        raise RobotError(
-            f"{model.urdf.path}: no chain of movable joints that could be an arm; write the "
-            "robot file by hand (see docs/robots.md)"
-        )
-    notes.append(f"arm_joints: the longest chain that ends in a hand, {', '.join(best[1])}")
-    if rivals:
-        notes.append(f"there is another arm, which ends in {rivals[0][-1]}; it stays at rest")
-    if not best[0][0]:
-        notes.append("nothing is named like a hand or tool; the arm is just the longest chain")
-    return best[1], rivals
+        link, joints = stack.pop()
+        body = fixed_to(model, link)
+        below = [
+            joint
+            for name in body
+            for joint in joints_below(model, name)
+            if joint.movable and not _named(WHEEL, joint) and not _named(_HEAD, joint)
+        ]
+        begins = bool(below) and _is_hand(model, joints, below, fingers)
+        if below and not begins:
+            stack += [(joint.child, (*joints, joint)) for joint in reversed(below)]
+        elif joints:
+            own = [joints[-1].child, *(name for name in body if name != link)]
+            hand = begins or any(HAND.search(name) or FINGER.search(name) for name in own)
+            found.append(_Path(joints, hand))
+    return found
 
 
-def _arm_of(model: Articulated, path: Sequence[Joint]) -> tuple[list[Joint], list[str]]:
-    """Joints of the arm on a way from base to tip, and the names of what comes after them."""
-    joints: list[Joint] = []
-    for index, joint in enumerate(path):
-        if not joint.movable:
-            continue
-        if _named(WHEEL, joint) or _named(_HEAD, joint):
-            return [], []
-        movable = [child for child in joints_below(model, joint.parent) if child.movable]
-        forks = len(joints) > 2 and len(movable) > 1
-        if _named(FINGER, joint) or (forks and _depth(model, joint) <= 3):
-            return joints, [n for j in path[index - 1 :] for n in (j.child, j.name)]
-        joints.append(joint)
-    last = path.index(joints[-1]) if joints else 0
-    return joints, [n for j in path[last:] for n in (j.child, j.name)]
+def _is_hand(
+    model: Articulated, joints: Sequence[Joint], below: Sequence[Joint], fingers: Collection[str]
+) -> bool:
+    """Whether what hangs from a body is a hand's fingers."""
+    if any(joint.child in fingers or _is_finger(model, joint) for joint in below):
+        return True
+    return len(joints) >= LEAST and len(below) > 1 and _size(model, below) < HAND_SIZE
+
+
+def _is_finger(model: Articulated, joint: Joint) -> bool:
+    if _named(FINGER, joint):
+        return True
+    text = f"{joint.name} {joint.child}"
+    return bool(_GRIPPER.search(text)) and not _TURNS.search(text) and _depth(model, joint) <= 8
+
+
+def _size(model: Articulated, below: Sequence[Joint]) -> float:
+    """How far links lie from where joints begin that one body carries [m]."""
+    poses = model.rest_poses
+    return max(
+        float(np.linalg.norm(poses[link][:3, 3] - poses[joint.parent][:3, 3]))
+        for joint in below
+        for link in model.links_below(joint.child)
+    )
 
 
 def _depth(model: Articulated, joint: Joint) -> int:
@@ -98,3 +161,84 @@ def _depth(model: Articulated, joint: Joint) -> int:
         deepest = max(deepest, depth)
         stack += [(below, depth) for below in joints_below(model, current.child)]
     return deepest
+
+
+def _named(pattern: re.Pattern[str], joint: Joint) -> bool:
+    return bool(pattern.search(joint.name) or pattern.search(joint.child))
+
+
+def _is_leg(joint: Joint) -> bool:
+    return bool(_LEG.search(joint.name) or _LEG.search(joint.child))
+
+
+def _leaders(joints: Sequence[Joint]) -> list[Joint]:
+    return [joint for joint in joints if joint.mimic is None]
+
+
+def _distinct(paths: Sequence[_Path]) -> list[_Path]:
+    """The paths that no other one goes on from, and each end but once."""
+    ends = {path.joints[-1].name: path for path in paths}
+    inner = {joint.name for path in paths for joint in path.joints[:-1]}
+    return [path for name, path in ends.items() if name not in inner]
+
+
+def _chain(model: Articulated, joints: Sequence[Joint], notes: list[str]) -> ArmChain:
+    """An arm with its telescopes as one joint each."""
+    coupled: list[tuple[str, Mimic]] = []
+    names = [joint.name for joint in _leaders(joints)]
+    poses = model.rest_poses
+    for before, after in pairwise(joints):
+        if after.mimic is None and _stage(before, after, poses):
+            follows = dict(coupled).get(before.name)
+            leader = before.name if follows is None else follows.joint
+            coupled.append((after.name, Mimic(leader)))
+            names.remove(after.name)
+    if coupled:
+        stages = [coupled[0][1].joint, *(name for name, _ in coupled)]
+        notes.append(f"coupled: {', '.join(stages)} are the stages of a telescope: one joint")
+    return ArmChain(tuple(names), joints[-1].child, tuple(coupled))
+
+
+def _stage(before: Joint, after: Joint, poses: dict[str, np.ndarray]) -> bool:
+    """Whether two joints in a row slide along one line, by as much."""
+    if not before.kind == after.kind == "prismatic":
+        return False
+    axes = [poses[joint.child][:3, :3] @ joint.axis for joint in (before, after)]
+    ends = np.array([[joint.lower, joint.upper] for joint in (before, after)])
+    return float(axes[0] @ axes[1]) > 0.999 and bool(np.allclose(ends[0], ends[1], atol=1e-4))
+
+
+def _walks(model: Articulated, legs: Sequence[_Path], arms: Sequence[_Path]) -> str:
+    names = ", ".join(path.joints[0].name for path in legs[:4])
+    arm = "" if arms else ", and it has no arm"
+    return (
+        f"{model.urdf.path}: it walks on {len(legs)} legs ({names}){arm}; momapos plans for bases "
+        "that drive. "
+        + (
+            'To use its arm as if it drove: make the joints of the legs type="fixed" in the URDF, '
+            "as it stands"
+            if arms
+            else "An arm is needed, on a base that drives"
+        )
+    )
+
+
+def _no_arm(model: Articulated, paths: Sequence[_Path], wheels: bool) -> str:
+    path = model.urdf.path
+    hands = any(way.hand for way in paths) or any(_named(FINGER, j) for j in model.urdf.joints)
+    most = max((len(_leaders(way.joints)) for way in paths), default=0)
+    if wheels:
+        return (
+            f"{path}: a base without an arm: no chain of movable joints ends in a hand; put an arm "
+            "on it with the table [mount] of a robot file (see docs/robots.md)"
+        )
+    if hands and most < LEAST:
+        return (
+            f"{path}: a hand alone: it has fingers, but no arm with {LEAST} joints or more; "
+            "give the URDF of the arm that carries it"
+        )
+    return (
+        f"{path}: no chain of movable joints that could be an arm: the longest has {most}, an arm "
+        f"needs {LEAST}; give the URDF of the whole robot, or write the robot file by hand (see "
+        "docs/robots.md)"
+    )

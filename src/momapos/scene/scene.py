@@ -105,7 +105,7 @@ class SceneObject:
 
     def values(self, change: Mapping[str, float] | None = None) -> dict[str, float]:
         """All joint values, with some of them changed."""
-        return {**self.model.rest, **self.joints, **(change or {})}
+        return self.model.settled({**self.joints, **(change or {})})
 
     def link_poses(
         self, change: Mapping[str, float] | None = None

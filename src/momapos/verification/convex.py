@@ -305,7 +305,10 @@ def _depth(a, b, T, work):
         _set_face(f, polytope)
     faces, w = np.int64(4), work[8]
     for count in range(4, _MAX_POINTS):
-        nearest = np.argmin(offsets[:faces])
+        nearest = 0
+        for f in range(1, faces):
+            if offsets[f] < offsets[nearest]:
+                nearest = f
         best = min(best, _support(a, b, T, normals[nearest], w, work))
         if best - offsets[nearest] <= TOLERANCE:
             return best

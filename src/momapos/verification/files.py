@@ -10,7 +10,7 @@ from momapos.errors import FileFormatError
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.urdf import read_urdf
 from momapos.plans import read_plan
-from momapos.robots.robot import read_srdf
+from momapos.robots.srdf import read_srdf
 from momapos.scene.files import load_scene
 from momapos.scene.scene import Scene
 from momapos.types import PlacementPlan
@@ -25,7 +25,7 @@ class UrdfArm:
     model: Articulated
     base_link: str
     tool_link: str
-    arm_joints: tuple[str, ...]
+    moved_joints: tuple[str, ...]
     disabled: frozenset[frozenset[str]]
 
 
@@ -97,5 +97,5 @@ def read_scene(path: Path, scene_root: Path | None, cache: Cache | None = None) 
 
 def _arm(plan: PlacementPlan, urdf: Path, srdf: Path | None, cache: Cache | None) -> UrdfArm:
     disabled = read_srdf(srdf or urdf.with_suffix(".srdf"))
-    model = Articulated(read_urdf(urdf, cache=cache), plan.robot_rest, cache)
+    model = Articulated(read_urdf(urdf, cache=cache, visuals=False), plan.robot_rest, cache)
     return UrdfArm(model, plan.base_link, plan.tool_link, plan.joints, disabled)

@@ -90,10 +90,19 @@ def body_poses(
     for body in range(1, len(bodies)):
         joint = bodies.joints[body]
         assert joint is not None
-        value = np.atleast_1d(np.asarray(values.get(joint.name, bodies.rest[joint.name]), float))
+        value = np.atleast_1d(np.asarray(_value(joint, values, bodies), float))
         T = poses[bodies.parent[body]]
         poses.append(T @ bodies.Ts_parent_joint[body] @ joint_motions(joint, value))
     return np.stack([np.broadcast_to(T, (count, 4, 4)) for T in poses], axis=1)
+
+
+def _value(joint: Joint, values: Values, bodies: LinkBodies) -> float | np.ndarray:
+    """Where a joint is: as named, as the one that it follows has it, or at rest."""
+    if joint.name in values:
+        return values[joint.name]
+    if joint.mimic is not None and joint.mimic.joint in values:
+        return joint.mimic.ratio * np.asarray(values[joint.mimic.joint]) + joint.mimic.offset
+    return bodies.rest[joint.name]
 
 
 def joint_motions(joint: Joint, values: Float[np.ndarray, " s"]) -> Float[np.ndarray, "s 4 4"]:

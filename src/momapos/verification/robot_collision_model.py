@@ -30,7 +30,7 @@ class Arm(Protocol):
     @property
     def tool_link(self) -> str: ...
     @property
-    def arm_joints(self) -> tuple[str, ...]: ...
+    def moved_joints(self) -> tuple[str, ...]: ...
     @property
     def disabled(self) -> frozenset[frozenset[str]]: ...
 
@@ -76,7 +76,7 @@ def robot_collision_model(arm: Arm) -> RobotCollisionModel:
         UnknownNameError, RobotError: The robot has no such link or joint, or a joint twice.
     """
     return _robot_collision_model(
-        arm.model, arm.base_link, arm.tool_link, tuple(arm.arm_joints), arm.disabled
+        arm.model, arm.base_link, arm.tool_link, tuple(arm.moved_joints), arm.disabled
     )
 
 

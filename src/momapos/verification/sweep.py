@@ -154,7 +154,10 @@ def _search(a, b, Ts, bounds, half, floor):
     radius = _radius(half)
     best, where = floor, np.int64(-1)
     while True:
-        s = np.argmax(bounds)
+        s = np.int64(0)
+        for other in range(1, len(bounds)):
+            if bounds[other] > bounds[s]:
+                s = np.int64(other)
         if bounds[s] <= best + TOLERANCE:
             return best, where
         depth = overlap(a, b, Ts[s])

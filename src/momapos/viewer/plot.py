@@ -252,9 +252,10 @@ def _draw_robot(axes: Any, answer: PlacementResult) -> None:
         base = np.array(plan.base_pose)
         _draw_way(axes, answer.start, base, plan.navigation_cost)
         draw_footprint(axes, robot, base)
+        states = robot.chain.freedom_values(plan.motion.q)
         for hold in plan.motion.holds or (Hold(0, 0),):
-            draw_arm(axes, robot, base, plan.motion.q[hold.first], faint=True)
-        draw_arm(axes, robot, base, plan.motion.q[-1])
+            draw_arm(axes, robot, base, states[hold.first], faint=True)
+        draw_arm(axes, robot, base, states[-1])
     elif (shown := shown_base(answer)) is not None:
         draw_footprint(axes, robot, shown)
     for later, points in enumerate(waypoints_by_hold(answer)):

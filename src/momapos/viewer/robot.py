@@ -8,7 +8,7 @@ import numpy as np
 
 from momapos.geometry.planar import place_points
 from momapos.geometry.transforms import apply, pose, pose_planar
-from momapos.kinematics.chain import forward, stand_at_origin
+from momapos.kinematics.chain import chain_arrays, forward, stand_at_origin
 from momapos.robots.robot import Robot
 from momapos.viewer.outlines import draw_union, outline
 from momapos.viewer.palette import ARM, INK
@@ -75,9 +75,9 @@ def arm_frames(
 ) -> tuple[dict[str, Float[np.ndarray, "4 4"]], Float[np.ndarray, "k 2"]]:
     """World poses of the links that the arm moves, and the line from joint to joint to tool [m]."""
     chain, segments = robot.chain, robot.segments
-    R, p = np.empty((chain.size + 1, 3, 3)), np.empty((chain.size + 1, 3))
+    R, p = np.empty((chain.last + 1, 3, 3)), np.empty((chain.last + 1, 3))
     stand_at_origin(R, p)
-    forward(np.ascontiguousarray(q, float), chain.h, chain.d, chain.prismatic, R, p)
+    forward(np.ascontiguousarray(q, float), chain_arrays(chain), R, p)
     T_world_base = pose_planar(np.asarray(base, float))
     poses = {
         link: T_world_base @ pose(p[s], R[s]) @ segments.T_segment_link[link]

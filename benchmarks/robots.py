@@ -1,0 +1,220 @@
+"""Robots that people have, as their makers publish them: is `robot check` enough to use them?
+
+    pip install --no-deps --target SITE example-robot-data hello-robot-stretch-urdf \\
+        hello-robot-stretch4-urdf dexmate-urdf armar mani-skill rtb-data airo-models
+    python benchmarks/robots.py SITE [--half tuned|measured] [--only NAME ...] [--place]
+
+No file is edited, and none written beside the makers'. A mobile manipulator must get a robot file;
+an arm that stands nowhere must get a reason and then, with `--on-box`, a robot file; what is
+neither must get a reason. With `--place` each that got one opens a fridge. A hash of the robot's
+name puts it into one of two halves: `tuned` may be looked at while building, `measured` is only
+counted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from placement import machine
+
+HALVES = ("tuned", "measured")
+COMMAND = "from momapos.cli.main import entry; entry()"
+LIMIT = 180.0
+"""What a command may take [s]."""
+BOX = "0.6x0.5x0.7"
+QUESTION = ("place", "open", "kitchen_small", "fridge/door_hinge")
+
+
+@dataclass(frozen=True)
+class Model:
+    """A robot of a package."""
+
+    name: str
+    folder: str
+    """Below the folder with all packages."""
+    urdf: str
+    """The file that is checked, relative to the folder."""
+    kind: str = "mobile"
+    """mobile: a mobile manipulator; arm: one that stands nowhere; other: none of both."""
+    words: tuple[str, ...] = ()
+    """What else the command is given; {folder} stands for the folder."""
+
+    @property
+    def half(self) -> str:
+        """Whether it may be looked at."""
+        return HALVES[hashlib.sha256(self.name.encode()).digest()[0] % 2]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a command did."""
+
+    status: int
+    seconds: float
+    """Processor time [s]."""
+    wall: float
+    """[s]"""
+    memory: float
+    """Most memory at once [GB]."""
+    last: str
+    """The last line that it printed."""
+
+
+EXAMPLE = "cmeel.prefix/share/example-robot-data/robots"
+STRETCH, DESCRIPTION, DEXMATE = "stretch_urdf", "stretch_description", "dexmate_urdf/robots"
+ALLEGRO, ANYMAL = "allegro_hand_description", "anymal_b_simple_description"
+MANI, RTB = "mani_skill/assets/robots", "rtbdata/xacro"
+MODELS = (
+    # Hello Robot
+    Model("stretch_re1v0", f"{STRETCH}/RE1V0", f"{DESCRIPTION}_RE1V0_tool_stretch_dex_wrist.urdf"),
+    Model("stretch_re2v0", f"{STRETCH}/RE2V0", f"{DESCRIPTION}_RE2V0_tool_stretch_dex_wrist.urdf"),
+    Model("stretch_se3", f"{STRETCH}/SE3", f"{DESCRIPTION}_SE3_eoa_wrist_dw3_tool_sg3.urdf"),
+    Model("stretch4", "stretch4_urdf", "SE4.xacro", words=(
+        "--xacro-arg", "batch=francis", "--xacro-arg", "pkg_path={folder}",
+        "--xacro-arg", "tool=eoa_wrist_dw4_tool_sg4",
+    )),
+    # PAL, Willow Garage, Fetch
+    Model("tiago", EXAMPLE, "tiago_description/robots/tiago.urdf"),
+    Model("tiago_no_hand", EXAMPLE, "tiago_description/robots/tiago_no_hand.urdf"),
+    Model("tiago_dual", EXAMPLE, "tiago_description/robots/tiago_dual.urdf"),
+    Model("tiago_pro", EXAMPLE, "tiago_pro_description/robots/tiago_pro.urdf"),
+    Model("pr2", EXAMPLE, "pr2_description/urdf/pr2.urdf"),
+    Model("fetch_maniskill", MANI, "fetch/fetch.urdf"),
+    # a Panda on a base
+    Model("mobile_panda_single", MANI, "panda/mobile_panda_single_arm.urdf"),
+    Model("mobile_panda_dual", MANI, "panda/mobile_panda_dual_arm.urdf"),
+    Model("frankie", RTB, "qut_frankie_description/robots/frankie_arm_hand.urdf.xacro"),
+    Model("frankie_omni", RTB, "qut_frankie_description/robots/frankieOmni_arm_hand.urdf.xacro"),
+    # humanoids on wheels, and one on a pedestal
+    Model("vega", DEXMATE, "humanoid/vega_1/vega.urdf"),
+    Model("vega_1u", DEXMATE, "humanoid/vega_1u/vega_1u.urdf"),
+    Model("vega_1p", DEXMATE, "humanoid/vega_1p/vega_1p_f5d6.urdf"),
+    Model("armar6", "armar/description", "urdf/armar6.urdf"),
+    Model("centauro", EXAMPLE, "centauro_description/urdf/centauro.urdf"),
+    Model("baxter", EXAMPLE, "baxter_description/urdf/baxter.urdf"),
+    # arms that stand nowhere
+    Model("panda", EXAMPLE, "panda_description/urdf/panda.urdf", "arm"),
+    Model("ur5", EXAMPLE, "ur_description/urdf/ur5_robot.urdf", "arm"),
+    Model("ur10", EXAMPLE, "ur_description/urdf/ur10_robot.urdf", "arm"),
+    Model("kinova", EXAMPLE, "kinova_description/robots/kinova.urdf", "arm"),
+    Model("z1", EXAMPLE, "z1_description/urdf/z1.urdf", "arm"),
+    Model("xarm7", MANI, "xarm7/xarm7.urdf", "arm"),
+    Model("xarm7_ability", MANI, "xarm7/xarm7_ability_right_hand.urdf", "arm"),
+    Model("xarm6", "rtbdata/armer_xarm/data/xacro", "robots/xarm6/xarm6.xacro", "arm"),
+    Model("so101", EXAMPLE, "so_arm_description/urdf/so101.urdf", "arm"),
+    Model("iiwa14", RTB, "kuka_description/kuka_lbr_iiwa/urdf/lbr_iiwa_14_r820.urdf", "arm"),
+    Model("vx300s", RTB, "trossen_descriptions/urdf/vx300s.urdf.xacro", "arm"),
+    Model("puma560", RTB, "unimation_puma560_description/urdf/puma560_robot.urdf.xacro", "arm"),
+    Model("talos_arm", EXAMPLE, "talos_data/robots/talos_left_arm.urdf", "arm"),
+    Model("ur5e_airo", "airo_models/arms/ur5e", "ur5e.urdf", "arm"),
+    # neither
+    Model("allegro_hand", EXAMPLE, f"{ALLEGRO}/urdf/allegro_right_hand.urdf", "other"),
+    Model("inspire_hand", MANI, "inspire_hand/RH56DFX-2LR/urdf/inspire_hand_right.urdf", "other"),
+    Model("f5d6_hand", DEXMATE, "hands/f5d6_hand/f5d6_right.urdf", "other"),
+    Model("anymal", EXAMPLE, f"{ANYMAL}/robots/anymal.urdf", "other"),
+    Model("hyq", EXAMPLE, "hyq_description/robots/hyq_no_sensors.urdf", "other"),
+    Model("go2", EXAMPLE, "go2_description/urdf/go2.urdf", "other"),
+    Model("a1", EXAMPLE, "a1_description/urdf/a1.urdf", "other"),
+    Model("iris", EXAMPLE, "iris_description/robots/iris.urdf", "other"),
+    Model("ridgeback", RTB, "clearpath_ridgeback_description/urdf/ridgeback.urdf.xacro", "other"),
+    Model("talos", EXAMPLE, "talos_data/robots/talos_full_v2.urdf", "other"),
+    Model("g1", EXAMPLE, "g1_description/urdf/g1_29dof_with_hand_rev_1_0.urdf", "other"),
+    Model("anymal_kinova", EXAMPLE, f"{ANYMAL}/robots/anymal-kinova.urdf", "other"),
+    Model("b1_z1", EXAMPLE, "b1_description/urdf/b1-z1.urdf", "other"),
+)  # fmt: skip
+
+
+def run(words: list[str]) -> Outcome:
+    """Run a momapos command in a process of its own."""
+    before, began = resource.getrusage(resource.RUSAGE_CHILDREN), time.monotonic()
+    with tempfile.TemporaryFile("w+") as out:
+        child = subprocess.Popen(
+            [sys.executable, "-c", COMMAND, *words], stdout=out, stderr=subprocess.STDOUT
+        )
+        most, status = 0.0, None
+        while status is None:
+            try:
+                status = child.wait(0.2)
+            except subprocess.TimeoutExpired:
+                most = max(most, _resident(child.pid))
+                if time.monotonic() - began > LIMIT:
+                    child.kill()
+        out.seek(0)
+        lines = [line.rstrip() for line in out if line.strip()]
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    used = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    return Outcome(status, used, time.monotonic() - began, most, lines[-1] if lines else "")
+
+
+def _resident(pid: int) -> float:
+    """Most memory that a running process has had at once [GB]; 0 where the system does not say."""
+    try:
+        lines = Path(f"/proc/{pid}/status").read_text().splitlines()
+    except OSError:
+        return 0.0
+    return max((int(x.split()[1]) / 1e6 for x in lines if x.startswith("VmHWM")), default=0.0)
+
+
+def checked(model: Model, site: Path, folder: Path) -> list[tuple[str, Outcome]]:
+    """Check a robot, and as much again as its kind asks for; what was run, and what it did."""
+    urdf, out = site / model.folder / model.urdf, folder / f"{model.name}.toml"
+    more = [word.format(folder=site / model.folder) for word in model.words]
+    words = ["robot", "check", str(urdf), "--out", str(out), *more]
+    done = [("check", run(words))]
+    if model.kind == "arm" and done[0][1].status == 2:
+        done.append(("on a box", run([*words, "--on-box", BOX])))
+    return done
+
+
+def understood(model: Model, done: list[tuple[str, Outcome]]) -> bool:
+    """Whether the command did what it must for a robot of this kind."""
+    statuses = [outcome.status for _, outcome in done]
+    return statuses == {"mobile": [0], "arm": [2, 0], "other": [2]}[model.kind]
+
+
+def main() -> None:
+    """Print a row for each robot, and what is counted."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("site", type=Path)
+    parser.add_argument("--half", choices=HALVES)
+    parser.add_argument("--only", nargs="*", default=[])
+    parser.add_argument("--place", action="store_true")
+    args = parser.parse_args()
+    models = [
+        model
+        for model in MODELS
+        if args.half in (None, model.half) and (not args.only or model.name in args.only)
+    ]
+    print(machine())
+    print("| robot | half | what | status | processor [s] | wall [s] | memory [GB] | last line |")
+    print("|---|---|---|---|---|---|---|---|")
+    right = 0
+    for model in models:
+        with tempfile.TemporaryDirectory(prefix="robots-") as folder:
+            done = checked(model, args.site, Path(folder))
+            good = understood(model, done)
+            right += good
+            if args.place and good and done[-1][1].status == 0:
+                file = str(Path(folder) / f"{model.name}.toml")
+                done.append(("place", run([*QUESTION, "--robot", file])))
+            for what, it in done:
+                # What is said of the measured half is not read while building.
+                last = it.last[:100] if model.half == "tuned" else ""
+                print(
+                    f"| {model.name} | {model.half} | {what} | {it.status} | {it.seconds:.1f} | "
+                    f"{it.wall:.1f} | {it.memory:.2f} | {last} |",
+                    flush=True,
+                )
+    print(f"\n{right} of {len(models)} as they must be")
+
+
+if __name__ == "__main__":
+    main()

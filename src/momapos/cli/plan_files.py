@@ -1,0 +1,85 @@
+"""What a plan file names: its scene and its robot."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from momapos.errors import FileFormatError
+
+if TYPE_CHECKING:
+    from momapos.robots.robot import Robot
+    from momapos.scene.scene import Scene
+    from momapos.types import PlacementPlan
+
+
+def open_plan(
+    plan: Path, scene_root: Path | None, robot: str | None, purpose: str
+) -> tuple[PlacementPlan, Scene, Robot]:
+    """Read a solved plan, its scene as the plan left it, and its robot.
+
+    Args:
+        plan: The plan file.
+        scene_root: Folder for names not found beside the plan.
+        robot: A library robot or a robot file; None for the one that the plan names.
+        purpose: What there is nothing for where the plan is not solved, such as "to execute".
+
+    Raises:
+        MomaposError: A file cannot be used, or the plan is not solved.
+    """
+    from momapos.cache import user_cache
+    from momapos.errors import InputError
+    from momapos.plans import check_unchanged, read_plan
+    from momapos.verification.files import find_file, read_scene
+
+    if not plan.exists():
+        raise FileFormatError(f"{plan}: no such plan file")
+    content = read_plan(plan)
+    if content.status != "solved":
+        raise InputError(f"{plan}: the plan is {content.status!r}: there is nothing {purpose}")
+    folders = [plan.resolve().parent, *([scene_root] if scene_root else []), Path()]
+    scene_file = find_file("scene", content.scene, folders, plan)
+    urdf = find_file("robot.urdf", content.robot_urdf, folders, plan)
+    check_unchanged(plan, scene_file, urdf)
+    scene = read_scene(scene_file, scene_root, cache=user_cache()).with_joints(content.scene_joints)
+    machine = _robot(content, plan, urdf, robot)
+    for warning in scene.warnings:
+        print(f"momapos: {warning}", file=sys.stderr)
+    return content, scene, machine
+
+
+def _robot(content: PlacementPlan, plan: Path, urdf: Path, given: str | None) -> Robot:
+    """The robot file that goes with the URDF of a plan.
+
+    Raises:
+        RobotError: There is none, or it describes another robot.
+    """
+    from momapos.cache import user_cache
+    from momapos.errors import InputError, RobotError
+    from momapos.robots.names import library_names
+    from momapos.robots.robot import load_robot
+
+    beside = urdf.with_suffix(".toml")
+    if given is not None:
+        robot = load_robot(given, arm=content.robot_arm, cache=user_cache())
+    elif content.robot_file is not None:
+        try:
+            robot = load_robot(content.robot_file, arm=content.robot_arm, cache=user_cache())
+        except InputError as error:
+            raise RobotError(
+                f"{plan}: its robot file cannot be used: {error}; give --robot"
+            ) from error
+    elif beside.is_file():
+        robot = load_robot(beside, cache=user_cache())
+    elif content.robot_name in library_names():
+        robot = load_robot(content.robot_name, cache=user_cache())
+    else:
+        raise RobotError(f"{plan}: there is no robot file {beside}; give --robot")
+    named = (content.base_link, content.tool_link, content.joints)
+    if named != (robot.base_link, robot.tool_link, robot.moved_joints):
+        raise RobotError(
+            f"{plan}: the plan is for {content.robot_name} with tool {content.tool_link!r} and "
+            f"joints {', '.join(content.joints)}; {robot.path} describes another robot"
+        )
+    return robot

@@ -1,0 +1,108 @@
+"""The hand's way to what it will hold, felt as it goes, and the same way back."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from momapos.execution.approach import PacedTrajectory
+from momapos.execution.arm_control import Reference
+from momapos.execution.config import Ending, Stage
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+    from momapos.execution.stages import ExecutionRun
+
+_ALL = np.eye(3)
+
+
+def come_in(run: ExecutionRun, way: PacedTrajectory) -> Ending | None:
+    """Go to the grasp; feel the way in where a part with a joint is to be held."""
+    compliance, sign = run.config.compliance, 1.0
+    run.passed = 0.0
+    while True:
+        left = float(way.left[round(run.passed)])
+        near = left < compliance.near
+        pace = sign * float(way.pace[round(run.passed)]) * _easing(run)
+        T = _go_along(run, way, pace, stiff=near)
+        ending = run.tick(Stage.APPROACH)
+        if ending is not None:
+            return ending
+        if not near and np.linalg.norm(run.arm.wrench[:3]) > compliance.way_force:
+            return Ending.BLOCKED
+        if sign < 0 and (left > compliance.near / 2 or run.passed == 0.0):
+            sign = 1.0
+        elif sign > 0 and near and left > compliance.early and _bumped(run, T):
+            sign = -1.0
+        elif sign > 0 and run.passed >= way.last:
+            return None
+        run.passed = float(np.clip(run.passed + pace, 0.0, way.last))
+
+
+def go_back(run: ExecutionRun, way: PacedTrajectory) -> Ending | None:
+    """Go back along a way from where the arm is on it, giving way to what the hand feels."""
+    while True:
+        pace = -float(way.pace[round(run.passed)])
+        _go_along(run, way, pace, stiff=False)
+        ending = run.tick(Stage.RETREAT)
+        if ending is not None or run.passed <= 0.0:
+            return ending
+        run.passed = max(0.0, run.passed + pace)
+
+
+def _go_along(
+    run: ExecutionRun, way: PacedTrajectory, pace: float, *, stiff: bool
+) -> Float[np.ndarray, "4 4"]:
+    """Be at a state of the way, or beside it as the hand feels.
+
+    Args:
+        run: Under way.
+        way: Where to.
+        pace: Samples that pass in a step.
+        stiff: Whether the hand pushes ahead; else it slides along what it meets.
+
+    Returns:
+        Pose of the tool at the state.
+    """
+    q, v, a = way.at(run.passed, pace)
+    T, J = run.arm.kinematics.at(q)
+    if run.belief is None or _free(run, q):
+        run.arm.go(q, v, a)
+        return T
+    ahead = T[:3, :3] @ run.world.hand.approach
+    loose = _ALL - np.outer(ahead, ahead) if stiff else _ALL
+    run.arm.follow(Reference(q, v, run.beside(T), J @ v, _ALL, loose))
+    return T
+
+
+def _free(run: ExecutionRun, q: Float[np.ndarray, " n"]) -> bool:
+    """Whether the hand feels nothing, and the arm is where the plan has it."""
+    near = np.abs(run.arm.q + run.step * run.arm.v - q).max() < 1e-3
+    return bool(near and not run.aside and np.abs(run.arm.wrench).max() < 0.1)
+
+
+def _easing(run: ExecutionRun) -> float:
+    """Share of its speed at which the arm comes on, the less the more it feels."""
+    compliance = run.config.compliance
+    felt = float(np.linalg.norm(run.arm.wrench[:3])) / compliance.bump
+    return max(compliance.slowest, 1.0 - max(felt, run.arm.load))
+
+
+def _bumped(run: ExecutionRun, T: Float[np.ndarray, "4 4"]) -> bool:
+    """Whether a finger meets something ahead that should come between the fingers.
+
+    The torque of the push tells which finger; next time the hand comes in nearer to that side.
+    """
+    compliance, approach = run.config.compliance, T[:3, :3] @ run.world.hand.approach
+    force, torque = np.split(run.arm.wrench, 2)
+    push = float(-force @ approach)
+    if push < compliance.bump or run.tries >= len(compliance.aside):
+        return False
+    if not run.tries:
+        lever = torque @ np.cross(approach, T[:3, :3] @ run.world.hand.axis)
+        run.side = float(np.sign(lever))
+    run.aside = run.side * compliance.aside[run.tries]
+    run.tries += 1
+    return True

@@ -1,0 +1,95 @@
+"""After a motion that failed: let go, draw back, and bring the arm home for another try."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from momapos.execution.approach import PacedTrajectory, paced
+from momapos.execution.arm_control import Reference
+from momapos.execution.config import Ending, Stage
+from momapos.execution.entering import go_back
+from momapos.robots.robot import Robot
+from momapos.trajectory import time_motion
+from momapos.types import Motion
+
+if TYPE_CHECKING:
+    from typing import TypeAlias
+
+    from jaxtyping import Float
+
+    from momapos.execution.joint_estimate import Learned
+    from momapos.execution.stages import ExecutionRun
+
+WayHome: TypeAlias = "Callable[[Float[np.ndarray, ' n'], Learned], Float[np.ndarray, 'k n'] | None]"
+"""Plans the arm's states from one back to home, with the part where it was left; None where it
+finds no way."""
+_ALL = np.eye(3)
+_MORE = 1.2
+"""On its way back the arm stops where it bears so many times more than when it let go [-]."""
+_ARRIVED = 0.05
+"""The arm is back when no joint is farther from home than this [rad] or [m]."""
+
+
+def retreat(run: ExecutionRun, robot: Robot, way: PacedTrajectory, way_home: WayHome) -> bool:
+    """Let go and bring the arm home; whether it is there.
+
+    Before the part has moved, the hand goes back the way that it came. Later it draws back from the
+    part, against its approach, and asks for a way.
+    """
+    run.arm.stop()
+    run.bearable = np.inf
+    if run.let_go() is not None:
+        return False
+    run.bearable = max(1.0, _MORE * run.arm.load)
+    if run.learned is None:
+        return go_back(run, way) is None and _at_home(run, robot)
+    if _draw_back(run, run.learned.value) is not None:
+        return False
+    path = way_home(run.world.data.qpos[run.world.arm_q].copy(), run.learned)
+    if path is None:
+        return False
+    tool = np.array([run.arm.kinematics.at(q)[0] for q in path])
+    back = Motion(path, path[-1:], np.zeros(1), tool[-1:])
+    slow = replace(run.config.speed, approach_speed=run.config.speed.approach_speed / 2)
+    plan, _ = time_motion(robot, back, slow, run.step)
+    home = paced(plan, path, tool[:, :3, 3], run.surroundings.known, run.config)
+    run.passed = 0.0
+    while run.passed < home.last:
+        pace = float(home.pace[round(run.passed)])
+        q, v, a = home.at(run.passed, pace)
+        run.arm.go(q, v, a)
+        felt = float(np.linalg.norm(run.arm.wrench[:3]))
+        if run.tick(Stage.RETREAT) is not None or felt > run.config.compliance.way_force:
+            run.arm.stop()
+            return False
+        run.passed += pace
+    return _at_home(run, robot)
+
+
+def _draw_back(run: ExecutionRun, value: float) -> Ending | None:
+    """Draw the hand back against its approach, as far as it came in slowly."""
+    compliance = run.config.compliance
+    T, _ = run.arm.kinematics.at(run.arm.q)
+    back = -T[:3, :3] @ run.world.hand.approach
+    q, still = run.arm.q.copy(), np.zeros_like(run.arm.q)
+    twist = np.concatenate([compliance.near_speed * back, np.zeros(3)])
+    count = round(compliance.near / compliance.near_speed / run.step)
+    for _ in range(count):
+        T = T.copy()
+        T[:3, 3] += run.step * twist[:3]
+        bounds = run.surroundings.bounds(run.arm.q, value)
+        run.arm.follow(Reference(q, still, T, twist, _ALL, _ALL, None, bounds))
+        ending = run.tick(Stage.RETREAT)
+        if ending is not None:
+            return ending
+    return run.rest(Stage.RETREAT, run.config.settle)
+
+
+def _at_home(run: ExecutionRun, robot: Robot) -> bool:
+    run.rest(Stage.RETREAT, run.config.settle)
+    off = run.world.data.qpos[run.world.arm_q] - robot.home
+    return bool(np.abs(off).max() < _ARRIVED)

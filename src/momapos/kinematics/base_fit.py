@@ -1,0 +1,142 @@
+"""Base poses from which an arm takes several tool poses exactly, beside given ones.
+
+An arm of few degrees of freedom has such base poses on a curve or a surface only, which no sample
+meets. Levenberg-Marquardt steps move the base and the arm's states together until all tool poses
+are met. Source: Nocedal and Wright, Numerical Optimization (2006), chapter 10.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from momapos.compiled import B1, F2, F3, entry, kernel
+from momapos.kinematics.chain import Chain, forward, stand_at_origin
+from momapos.kinematics.ik import arm_arrays, ik_scratch, nearest_seeds
+from momapos.kinematics.ik_model import IkModel
+from momapos.kinematics.newton import jacobian, rotation_error, solve_spd
+from momapos.kinematics.records import ArmArrays
+from momapos.kinematics.subproblems import mul
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
+
+STEPS = 40
+"""Steps from a base pose [-]."""
+MET = 1e-12
+"""Squared residual of all tool poses together that counts as met [m^2 + rad^2]."""
+NEAR, NEAR_TURN = 0.15, 0.5
+"""Largest step of the base [m] and of its yaw or a joint [rad]."""
+
+
+@kernel
+def _target(base, T, R, p):
+    """A tool pose in the frame of a base, into R and p."""
+    c, s = np.cos(base[2]), np.sin(base[2])
+    x, y = T[0, 3] - base[0], T[1, 3] - base[1]
+    p[0], p[1], p[2] = c * x + s * y, c * y - s * x, T[2, 3]
+    for j in range(3):
+        R[0, j] = c * T[0, j] + s * T[1, j]
+        R[1, j] = c * T[1, j] - s * T[0, j]
+        R[2, j] = T[2, j]
+
+
+@entry
+def _fit(
+    bases: F2,
+    poses: F3,
+    arm: ArmArrays,
+    met: B1,
+) -> None:
+    """Move base poses (k, 3), in place, until the arm takes all poses (w, 4, 4); met (k,)."""
+    chain, lower, upper = arm.chain, arm.limits.lower, arm.limits.upper
+    n, w, last = len(lower), len(poses), len(arm.chain.slides)
+    size = 3 + w * n
+    scratch = ik_scratch(arm)
+    R, p, J, _, e, column = scratch.newton
+    for k in range(n):
+        column[k] = k
+    R_to, p_to = np.empty((3, 3)), np.empty(3)
+    q, A, g = np.empty((w, n)), np.empty((size, size)), np.empty(size)
+    full = np.empty((6, size))
+    for i in range(len(bases)):
+        base = bases[i]
+        for m in range(w):
+            _target(base, poses[m], R_to, p_to)
+            nearest_seeds(R_to, p_to, arm.ik, scratch.order, scratch.distance)
+            for k in range(n):
+                q[m, k] = arm.ik.seeds[scratch.order[0], k]
+        met[i] = False
+        for step in range(STEPS + 1):
+            residual = 0.0
+            for a in range(size):
+                g[a] = 0.0
+                for b in range(size):
+                    A[a, b] = 0.0
+            stand_at_origin(R, p)
+            for m in range(w):
+                _target(base, poses[m], R_to, p_to)
+                forward(q[m], chain, R, p)
+                tip = mul(
+                    R[last], (chain.tool_offset[0], chain.tool_offset[1], chain.tool_offset[2])
+                )
+                tool = (p[last, 0] + tip[0], p[last, 1] + tip[1], p[last, 2] + tip[2])
+                for k in range(3):
+                    e[k] = p_to[k] - tool[k]
+                rotation_error(R[last], chain.tool_rotation, R_to, e)
+                jacobian(chain, R, p, tool, column, n, J)
+                for r in range(6):
+                    residual += e[r] * e[r]
+                    for a in range(size):
+                        full[r, a] = 0.0
+                    for k in range(n):
+                        full[r, 3 + m * n + k] = J[r, k]
+                c, s = np.cos(base[2]), np.sin(base[2])
+                full[0, 0], full[1, 0] = c, -s
+                full[0, 1], full[1, 1] = s, c
+                full[0, 2], full[1, 2], full[5, 2] = -tool[1], tool[0], 1.0
+                for r in range(6):
+                    for a in range(size):
+                        if full[r, a] == 0.0:
+                            continue
+                        g[a] += full[r, a] * e[r]
+                        for b in range(a + 1):
+                            A[a, b] += full[r, a] * full[r, b]
+            if residual < MET:
+                met[i] = True
+                break
+            if step == STEPS or not np.isfinite(residual):
+                break
+            for a in range(size):
+                A[a, a] += 1e-9 + 0.01 * min(residual, 1.0)
+            solve_spd(A, g)
+            for k in range(3):
+                most = NEAR if k < 2 else NEAR_TURN
+                base[k] += min(most, max(-most, g[k]))
+            for m in range(w):
+                for k in range(n):
+                    v = q[m, k] + min(NEAR_TURN, max(-NEAR_TURN, g[3 + m * n + k]))
+                    q[m, k] = min(max(v, lower[k]), upper[k])
+
+
+def fit_bases(
+    chain: Chain,
+    ik: IkModel,
+    bases: Float[np.ndarray, "k 3"],
+    Ts_world_tool: Float[np.ndarray, "w 4 4"],
+) -> tuple[Float[np.ndarray, "k 3"], Bool[np.ndarray, " k"]]:
+    """Base poses beside given ones from which an arm takes all of some tool poses.
+
+    Args:
+        chain, ik: The arm, which has seeds.
+        bases: x, y [m], yaw [rad] to begin at.
+        Ts_world_tool: The tool poses.
+
+    Returns:
+        Where each has come to, and whether all tool poses are met there.
+    """
+    moved, met = np.array(bases, float), np.zeros(len(bases), bool)
+    _fit(moved, np.ascontiguousarray(Ts_world_tool, float), arm_arrays(chain, ik), met)
+    moved[:, 2] = (moved[:, 2] + np.pi) % (2 * np.pi) - np.pi
+    return moved, met

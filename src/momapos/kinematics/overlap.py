@@ -1,0 +1,130 @@
+"""Whether links overlap, by their convex hulls: for pairs that spheres are too coarse for.
+
+GJK: a simplex of points of the difference of two hulls moves toward the origin. It ends when a
+direction separates the hulls, or when the simplex holds the origin. Where rounding keeps it from
+ending, the hulls count as overlapping: an error is on the safe side.
+
+Source: van den Bergen, Collision Detection in Interactive 3D Environments (2003), chapter 4.
+"""
+
+from __future__ import annotations
+
+import math
+
+from momapos.compiled import kernel
+
+TRIES = 40
+"""Directions that are tried; 3 are enough as a rule [-]."""
+
+
+@kernel
+def hulls_overlap(R, p, hulls, i, first, last):
+    """Whether a hull of a link overlaps one of the hulls first:last.
+
+    Args:
+        R, p: Segment poses (n + 1, 3, 3), (n + 1, 3).
+        hulls: `HullArrays`.
+        i: The link's group of spheres.
+        first, last: Indices of hulls.
+    """
+    for a in range(hulls.of_group[i], hulls.of_group[i + 1]):
+        for b in range(first, last):
+            if _overlap(R, p, hulls, a, b):
+                return True
+    return False
+
+
+@kernel
+def _overlap(R, p, hulls, h, k):
+    """Whether no direction is found that separates two hulls."""
+    m, n = hulls.segment[h], hulls.segment[k]
+    toward = _minus(moved(R, p, n, hulls.center[k]), moved(R, p, m, hulls.center[h]))
+    a = b = c = d = toward
+    size = 0
+    for _ in range(TRIES):
+        b, c, d = a, b, c
+        a = _minus(
+            moved(R, p, m, hulls.vertices[_outermost(R, m, hulls, h, toward, 1.0)]),
+            moved(R, p, n, hulls.vertices[_outermost(R, n, hulls, k, toward, -1.0)]),
+        )
+        if _dot(a, toward) < 0.0:
+            return False
+        size += 1
+        ab, ac, ad = _minus(b, a), _minus(c, a), _minus(d, a)
+        # From a tetrahedron to the face, to the edge, to the point that the origin is beyond.
+        if size == 4:
+            if _dot(_cross(ab, ac), a) < 0.0:
+                size = 3
+            elif _dot(_cross(ac, ad), a) < 0.0:
+                size, b, c, ab, ac = 3, c, d, ac, ad
+            elif _dot(_cross(ad, ab), a) < 0.0:
+                size, b, c, ab, ac = 3, d, b, ad, ab
+            else:
+                return True
+        if size == 3:
+            toward = _cross(ab, ac)
+            if _dot(_cross(toward, ac), a) < 0.0:
+                size = 2
+                if _dot(ac, a) < 0.0:
+                    b, ab = c, ac
+            elif _dot(_cross(ab, toward), a) < 0.0:
+                size = 2
+            elif _dot(toward, a) > 0.0:
+                b, c, toward = c, b, _cross(ac, ab)
+        if size == 2:
+            toward = _cross(_cross(a, ab), ab)
+            if _dot(ab, a) >= 0.0:
+                size = 1
+        if size == 1:
+            toward = (-a[0], -a[1], -a[2])
+    return True
+
+
+@kernel
+def _outermost(R, segment, hulls, h, toward, sign):
+    """Index of the vertex of a hull that lies farthest along a direction, or against it."""
+    T, vertices = R[segment], hulls.vertices
+    x, y, z = sign * toward[0], sign * toward[1], sign * toward[2]
+    i = T[0, 0] * x + T[1, 0] * y + T[2, 0] * z
+    j = T[0, 1] * x + T[1, 1] * y + T[2, 1] * z
+    k = T[0, 2] * x + T[1, 2] * y + T[2, 2] * z
+    best, farthest = hulls.first[h], -math.inf
+    for v in range(hulls.first[h], hulls.first[h + 1]):
+        along = vertices[v, 0] * i + vertices[v, 1] * j + vertices[v, 2] * k
+        if along > farthest:
+            best, farthest = v, along
+    return best
+
+
+@kernel
+def _minus(a, b):
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+@kernel
+def _dot(a, b):
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@kernel
+def _cross(a, b):
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@kernel
+def moved(R, p, segment, local):
+    """A point of a segment in the frame of the chain's base pose."""
+    return (
+        p[segment, 0]
+        + R[segment, 0, 0] * local[0]
+        + R[segment, 0, 1] * local[1]
+        + R[segment, 0, 2] * local[2],
+        p[segment, 1]
+        + R[segment, 1, 0] * local[0]
+        + R[segment, 1, 1] * local[1]
+        + R[segment, 1, 2] * local[2],
+        p[segment, 2]
+        + R[segment, 2, 0] * local[0]
+        + R[segment, 2, 1] * local[1]
+        + R[segment, 2, 2] * local[2],
+    )

@@ -1,0 +1,126 @@
+"""What a robot tries next where a motion failed: the way home, another grasp, the room as it is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from momapos.config import PipelineConfig
+from momapos.errors import TaskError
+from momapos.geometry.transforms import invert, rotation_angle
+from momapos.kinematics.world import CheckMotion, motion_checker
+from momapos.manipulation.motion import GraspFilter, TaskMotion, task_motion
+from momapos.manipulation.planner import RESOLUTION, interpolate, plan_motion
+from momapos.prepare import collision_world
+from momapos.robots.robot import Robot
+from momapos.scene.scene import Scene
+from momapos.types import Motion, Task
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
+
+OTHER_POSITION, OTHER_ANGLE = 0.02, np.radians(20.0)
+"""A grasp is another one when it is this far from those that failed [m], [rad]."""
+_NEAR, _SAMPLES = 0.15, 300
+"""How far beside a state that is too near to something the way home begins [rad] or [m], and how
+many states are looked at [-]."""
+
+
+def believed_scene(scene: Scene, task: Task, value: float, offset: Float[np.ndarray, "3"]) -> Scene:
+    """The room as the hand left it: the part at another value, its object elsewhere [m]."""
+    assert task.joint is not None
+    joint = scene.object(task.object).model.joint(task.joint)
+    moved = scene.with_joint(
+        task.object, task.joint, float(np.clip(value, joint.lower, joint.upper))
+    )
+    item = moved.object(task.object)
+    T = item.T_world_object.copy()
+    T[:3, 3] += offset
+    shifted = replace(item, T_world_object=T)
+    return replace(moved, objects=tuple(shifted if o is item else o for o in moved.objects))
+
+
+def grasp_in_part(scene: Scene, task: Task, motion: Motion) -> Float[np.ndarray, "4 4"]:
+    """Where a motion takes hold of its part: the tool in the part's frame."""
+    return invert(_part_pose(scene, task)) @ motion.Ts_world_tool[0]
+
+
+def other_grasps(
+    scene: Scene, task: Task, failed: Sequence[Float[np.ndarray, "4 4"]]
+) -> GraspFilter:
+    """Accepts the grasps that differ from those that failed, given as the tool in the part."""
+    back = invert(_part_pose(scene, task))
+
+    def accept(motion: TaskMotion) -> Bool[np.ndarray, " g"]:
+        Ts = back @ motion.Ts_world_tool[:, motion.grasp_step]
+        accepted = np.ones(len(Ts), bool)
+        for T in failed:
+            away = np.linalg.norm(Ts[:, :3, 3] - T[:3, 3], axis=-1)
+            angle = rotation_angle(Ts[:, :3, :3], np.broadcast_to(T[:3, :3], Ts[:, :3, :3].shape))
+            accepted &= (away > OTHER_POSITION) | (angle > OTHER_ANGLE)
+        return accepted
+
+    return accept
+
+
+def _part_pose(scene: Scene, task: Task) -> Float[np.ndarray, "4 4"]:
+    item = scene.object(task.object)
+    assert task.joint is not None
+    return item.link_poses()[item.model.joint(task.joint).child]
+
+
+def arm_way_home(
+    scene: Scene,
+    robot: Robot,
+    task: Task,
+    base_pose: Float[np.ndarray, "3"],
+    q: Float[np.ndarray, " n"],
+    *,
+    config: PipelineConfig,
+    seed: int,
+) -> Float[np.ndarray, "k n"] | None:
+    """States of the arm from one back to home, close together; None where no way is found.
+
+    Args:
+        scene: The room as the hand left it.
+        robot: The robot.
+        task: What it was about.
+        base_pose: x [m], y [m], yaw [rad].
+        q: Where the arm is [rad] or [m].
+        config: How to plan.
+        seed: Same seed, same way.
+    """
+    try:
+        motion = task_motion(scene, robot, task, config.motion)
+    except TaskError:  # what is left of the way is too short to be planned
+        return None
+    world = collision_world(robot, motion, replace(config, arm_clearance=0.0))
+    chain = robot.chain
+    free = motion_checker(
+        world, chain, robot.spheres, base_pose, value=int(motion.value[0]), holding=False,
+        step=RESOLUTION,
+    )  # fmt: skip
+    begin = _free_state(q, chain.lower, chain.upper, free, np.random.default_rng(seed))
+    if begin is None:
+        return None
+    way = plan_motion(
+        begin, robot.home, chain.lower, chain.upper, free, config=config.planner, seed=seed
+    )
+    return None if way is None else interpolate(np.concatenate([q[None], way]))
+
+
+def _free_state(
+    q: Float[np.ndarray, " n"],
+    lower: Float[np.ndarray, " n"],
+    upper: Float[np.ndarray, " n"],
+    free: CheckMotion,
+    rng: np.random.Generator,
+) -> Float[np.ndarray, " n"] | None:
+    """A free state near one that may be too near to something: spheres hold more than the arm."""
+    away = rng.uniform(-_NEAR, _NEAR, (_SAMPLES, len(q)))
+    away = away[np.argsort(np.abs(away).max(1))]
+    states = np.clip(q + np.concatenate([np.zeros((1, len(q))), away]), lower, upper)
+    return next((state for state in states if free(state, state)), None)

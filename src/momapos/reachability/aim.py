@@ -1,0 +1,258 @@
+"""One line of the last axis at a time: bring an arm onto it from a state near by, and tell which
+turns of the tool about it are free.
+
+The last joint turns the tool about the line and moves nothing else of it, so that one state serves
+an arc of turns: a word of `TURNS` bits.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from momapos.compiled import F1, F2, I1, S2, U1, entry, kernel
+from momapos.kinematics.chain import forward, stand_at_origin
+from momapos.kinematics.collision import FREE, hit_floor, hit_self, place_bounds, scratch_of
+from momapos.kinematics.newton import jacobian, newton_scratch, solve_spd
+from momapos.kinematics.records import ChainArrays, JointLimits, SphereArrays
+from momapos.kinematics.subproblems import cross, dot, mul
+from momapos.reachability.grid import oct_decode, relative_line, turns_of
+
+TURNS = 32
+"""Turns of the tool about its line that are told apart [-]."""
+SPAN = 8
+"""Turns that one check for collision stands for [-]."""
+ALL = np.uint64((1 << TURNS) - 1)
+STEPS, ENOUGH = 8, 1e-7
+"""Newton steps from a neighbor's state, and the squared residual that will do [m^2 + rad^2]."""
+
+
+class LineTool(NamedTuple):
+    """Where the line is on the last segment."""
+
+    direction: F1
+    across: F1
+    """A unit vector across it, whose angle about the line is the tool's turn."""
+    point: F1
+
+
+class AimedArm(NamedTuple):
+    """An arm, its line and what it may touch: itself and the floor."""
+
+    chain: ChainArrays
+    limits: JointLimits
+    line: LineTool
+    turns: bool
+    """Whether the last joint turns about the line; else the tool's turn is that of the state."""
+    spheres: SphereArrays
+    foot: F1
+    """Foot of the axis that the grid stands around, in the base frame [m]."""
+
+
+class LineGrid(NamedTuple):
+    """The grid of lines, see `grid`."""
+
+    low: float
+    cell: float
+    directions: int
+    azimuths: int
+
+
+@kernel
+def line_at(place, grid):
+    """Point relative to the foot, and direction, of a line in the base frame.
+
+    Args:
+        place: z, r, u, v and azimuth in steps of the grid; fractions lie between its points.
+        grid: `LineGrid`.
+    """
+    half = 0.5 * (grid.directions - 1)
+    x, y, w = oct_decode(place[2] / half - 1.0, place[3] / half - 1.0)
+    angle = 2.0 * math.pi * place[4] / grid.azimuths
+    c, s = math.cos(angle), math.sin(angle)
+    r = place[1] * grid.cell
+    point = (r * c, r * s, grid.low + place[0] * grid.cell)
+    return point, (c * x - s * y, s * x + c * y, w)
+
+
+@kernel
+def horizontal_across(d):
+    """Unit vector across a direction and level, from which the tool's turn is counted."""
+    n = math.hypot(d[0], d[1])
+    return (-d[1] / n, d[0] / n, 0.0) if n > 1e-6 else (0.0, 1.0, 0.0)
+
+
+@kernel
+def _aim(q, active, point, direction, arm, scratch):
+    """Bring the line of the arm onto a line; True where it gets there within the limits."""
+    chain, lower, upper = arm.chain, arm.limits.lower, arm.limits.upper
+    R, p, J, A, e, column = scratch
+    last, m = len(chain.slides), len(active)
+    for i in range(len(q)):
+        column[i] = -1
+    for a in range(m):
+        column[active[a]] = a
+    stand_at_origin(R, p)
+    for step in range(STEPS + 1):
+        forward(q, chain, R, p)
+        d = mul(R[last], (arm.line.direction[0], arm.line.direction[1], arm.line.direction[2]))
+        t = mul(R[last], (arm.line.point[0], arm.line.point[1], arm.line.point[2]))
+        tool = (p[last, 0] + t[0], p[last, 1] + t[1], p[last, 2] + t[2])
+        w = cross(d, direction)
+        residual = 0.0
+        for k in range(3):
+            e[k] = point[k] + arm.foot[k] - tool[k]
+            e[k + 3] = w[k]
+            residual += e[k] * e[k] + w[k] * w[k]
+        if dot(d, direction) < 0.0:
+            residual += 1.0
+        if residual < ENOUGH:
+            return True
+        if step == STEPS:
+            return False
+        jacobian(chain, R, p, tool, column, m, J)
+        for a in range(m):
+            # Turns about the line change nothing.
+            about = J[3, a] * d[0] + J[4, a] * d[1] + J[5, a] * d[2]
+            for k in range(3):
+                J[k + 3, a] -= about * d[k]
+        for i in range(6):
+            for k in range(i + 1):
+                s = 0.0
+                for a in range(m):
+                    s += J[i, a] * J[k, a]
+                A[i, k] = s
+            A[i, i] += 1e-7 + 0.1 * residual
+        solve_spd(A, e)
+        for a in range(m):
+            s = 0.0
+            for k in range(6):
+                s += J[k, a] * e[k]
+            j = active[a]
+            q[j] = min(max(q[j] + min(0.5, max(-0.5, s)), lower[j]), upper[j])
+    return False
+
+
+@kernel
+def _turn_of(R, direction, arm):
+    """The tool's turn about its line [turns], in [0, 1)."""
+    a = mul(R, (arm.line.across[0], arm.line.across[1], arm.line.across[2]))
+    e = horizontal_across(direction)
+    f = cross(direction, e)
+    turn = math.atan2(dot(a, f), dot(a, e)) / (2.0 * math.pi)
+    return turn - math.floor(turn)
+
+
+@kernel
+def _free_turns(q, known, direction, arm, R, p, bounds):
+    """Turns that this state serves beyond the known ones: a word.
+
+    Args:
+        q: State (n,) on the line, whose last joint is turned.
+        known: The turns that are known.
+        direction: Of the line.
+        arm: `AimedArm`.
+        R, p, bounds: Memory.
+    """
+    chain, spheres = arm.chain, arm.spheres
+    last, n = len(chain.slides), len(q) - 1
+    stand_at_origin(R, p)
+    forward(q, chain, R, p)
+    now, held = _turn_of(R[last], direction, arm), q[n]
+    lower, upper = arm.limits.lower[n], arm.limits.upper[n]
+    word = np.uint64(0)
+    for group in range(TURNS // SPAN):
+        wanted, middle, count = np.uint64(0), 0.0, 0
+        for i in range(group * SPAN, (group + 1) * SPAN):
+            bit = np.uint64(1) << np.uint64(i)
+            if known & bit:
+                continue
+            off = (i + 0.5) / TURNS - now
+            if not arm.turns:
+                if abs(off - math.floor(off + 0.5)) > 0.5 / TURNS + 1e-9:
+                    continue
+                value = held
+            else:
+                value = held + 2.0 * math.pi * off
+                if not math.isinf(lower):
+                    value -= 2.0 * math.pi * math.floor((value - lower) / (2.0 * math.pi))
+                if value > upper:
+                    continue
+            wanted |= bit
+            # Any one of them will do; the last that is wanted stands for all.
+            middle = value
+            count += 1
+        if count:
+            q[n] = middle
+            forward(q, chain, R, p)
+            place_bounds(R, p, spheres, bounds)
+            if hit_floor(R, p, bounds, spheres) == FREE and hit_self(R, p, bounds, spheres) == FREE:
+                word |= wanted
+    q[n] = held
+    return word
+
+
+@entry
+def aim_all(
+    places: F2,
+    starts: S2,
+    sources: I1,
+    known: U1,
+    arm: AimedArm,
+    grid: LineGrid,
+    words: U1,
+    states: S2,
+) -> None:
+    """Bring an arm onto lines, each from one state.
+
+    Args:
+        places: Lines (k, 5): z, r, u, v, azimuth in steps of the grid.
+        starts: S2 (s, n).
+        sources: For each line the state to begin at (k,).
+        known: Turns of each that need no look (k,).
+        arm: The arm.
+        grid: The grid.
+        words: New turns of each, to be filled (k,).
+        states: The state on each line, to be filled (k, n).
+    """
+    n = starts.shape[1]
+    newton, placed = newton_scratch(arm.chain, n), scratch_of(len(arm.chain.slides), arm.spheres)
+    R, p, bounds = placed
+    active = np.arange(n - 1 if arm.turns else n)
+    q = np.empty(n)
+    for i in range(len(places)):
+        for k in range(n):
+            q[k] = starts[sources[i], k]
+        point, direction = line_at(places[i], grid)
+        words[i] = np.uint64(0)
+        if _aim(q, active, point, direction, arm, newton):
+            words[i] = _free_turns(q, known[i], direction, arm, R, p, bounds)
+        for k in range(n):
+            states[i, k] = q[k]
+
+
+@entry
+def lines_of(
+    q: F2,
+    arm: AimedArm,
+    grid: LineGrid,
+    places: F2,
+) -> None:
+    """The lines of states (k, n), as places (k, 5) of the grid; see `line_at`."""
+    last = len(arm.chain.slides)
+    R, p = np.empty((last + 1, 3, 3)), np.empty((last + 1, 3))
+    stand_at_origin(R, p)
+    half = 0.5 * (grid.directions - 1)
+    for i in range(len(q)):
+        forward(q[i], arm.chain, R, p)
+        d = mul(R[last], (arm.line.direction[0], arm.line.direction[1], arm.line.direction[2]))
+        t = mul(R[last], (arm.line.point[0], arm.line.point[1], arm.line.point[2]))
+        x = p[last, 0] + t[0] - arm.foot[0]
+        y = p[last, 1] + t[1] - arm.foot[1]
+        r, u, v = relative_line(x, y, d[0], d[1], d[2])
+        places[i, 0] = (p[last, 2] + t[2] - arm.foot[2] - grid.low) / grid.cell
+        places[i, 1] = r / grid.cell
+        places[i, 2], places[i, 3] = (u + 1.0) * half, (v + 1.0) * half
+        places[i, 4] = turns_of(y, x) * grid.azimuths

@@ -1,0 +1,24 @@
+"""Work over many rows on two threads; the kernels hold no lock."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
+Progress = Callable[[float], None]
+"""Told the share that is done, in [0, 1]."""
+
+
+def silent(_share: float) -> None:
+    """Nobody wants to know."""
+
+
+def in_threads(
+    work: Callable[[int, int], None], count: int, block: int, done: Progress = silent
+) -> None:
+    """Run work(lo, hi) over blocks of rows."""
+    ranges = [(lo, min(lo + block, count)) for lo in range(0, count, block)]
+    with ThreadPoolExecutor(min(2, os.cpu_count() or 1)) as pool:
+        for i, _ in enumerate(pool.map(lambda r: work(*r), ranges)):
+            done((i + 1) / len(ranges))

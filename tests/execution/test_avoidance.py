@@ -1,0 +1,130 @@
+"""Laws of keeping the arm apart from what is near it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from tests.execution.test_contact import hand_of
+from tests.execution.toy import Toy, gripping
+from tests.verification.door_case import BASE, make_case
+
+from momapos.execution.approach import paced
+from momapos.execution.arm_control import CompliantArm, Reference
+from momapos.execution.avoidance import Surroundings
+from momapos.execution.config import ComplianceConfig, ExecutionConfig
+from momapos.execution.dynamics import read_dynamics
+from momapos.execution.furniture import Resistance
+from momapos.execution.simulation import Simulation, build_simulation
+from momapos.trajectory import time_motion
+
+CONFIG = ExecutionConfig()
+STEP = CONFIG.timestep * CONFIG.substeps
+BESIDE = 0.012
+"""From the upper arm at the grasp to a post beside it [m]."""
+
+
+def world_of(case: Toy) -> Simulation:
+    """The world of a toy, the arm at its grasp."""
+    path = case.robot.model.urdf.path
+    assert path is not None
+    return build_simulation(
+        case.scene, case.robot, BASE, case.motion.q, case.task, hand_of(case),
+        read_dynamics(path), Resistance(5.0, 0.1, 0.1, 0.0), None, CONFIG,
+    )  # fmt: skip
+
+
+def gap(world: Simulation, q: np.ndarray) -> float:
+    """Distance of the forearm from the post [m]."""
+    data = mujoco.MjData(world.model)
+    data.qpos[:] = world.data.qpos
+    data.qpos[world.arm_q] = q
+    mujoco.mj_kinematics(world.model, data)
+    fore, post = (world.names.index(name) for name in ("fore", "post/box"))
+    return float(mujoco.mj_geomDistance(world.model, data, fore, post, 0.1, None))
+
+
+@pytest.fixture
+def beside(tmp_path: Path) -> tuple[Toy, Simulation]:
+    """A toy that holds the handle, a post close beside its forearm."""
+    bare = world_of(gripping(tmp_path / "bare"))
+    elbow = bare.data.xpos[bare.model.body("robot/fore").id]
+    ahead = bare.data.xmat[bare.model.body("robot/fore").id].reshape(3, 3) @ [0.0, 0.0, 0.18]
+    case = make_case()
+    size = 0.04
+    away = np.array([0.0, 0.035 + BESIDE + size / 2, 0.0])
+    case.obstacle([size] * 3, (elbow + ahead + away).tolist())
+    toy = gripping(tmp_path / "beside", case)
+    return toy, world_of(toy)
+
+
+def test_bounds_are_the_change_of_the_distance_with_the_joints(
+    beside: tuple[Toy, Simulation],
+) -> None:
+    toy, world = beside
+    q = toy.motion.q[0]
+    bounds = Surroundings(world, CONFIG.compliance).bounds(q, 0.0)
+    assert len(bounds.rows) == 1
+    step = 1e-4
+    moved = q + step * np.concatenate([np.zeros((1, 6)), np.eye(6)])
+    distance = np.array([gap(world, state) for state in moved])
+    slope = (distance[1:] - distance[0]) / step
+    np.testing.assert_allclose(bounds.rows[0], slope / np.linalg.norm(slope), atol=0.02)
+
+
+def test_an_arm_that_follows_a_reference_into_a_post_stays_apart_from_it(
+    beside: tuple[Toy, Simulation],
+) -> None:
+    toy, world = beside
+    arm = CompliantArm(world, CONFIG.compliance, STEP)
+    near = Surroundings(world, CONFIG.compliance)
+    q, least = toy.motion.q[0], []
+    for bounded in (False, True):
+        arm.go(q.copy(), np.zeros(6))
+        T, _ = arm.kinematics.at(q)
+        for _ in range(250):
+            T = T.copy()
+            T[1, 3] += 0.05 * STEP
+            bounds = near.bounds(arm.q, 0.0) if bounded else None
+            twist = np.array([0.0, 0.05, 0.0, 0.0, 0.0, 0.0])
+            arm.follow(
+                Reference(arm.q, np.zeros(6), T, twist, np.zeros((3, 3)), np.zeros((3, 3)),
+                          None, bounds)
+            )  # fmt: skip
+        least.append(gap(world, arm.q))
+    assert least[0] < 0.0
+    assert least[1] > CONFIG.compliance.apart / 2
+
+
+def test_a_paced_approach_is_slow_near_things_and_never_faster_than_planned(
+    beside: tuple[Toy, Simulation],
+) -> None:
+    toy, world = beside
+    plan, _ = time_motion(toy.robot, toy.motion, CONFIG.speed, STEP)
+    tool = np.array([CompliantArm(world, ComplianceConfig(), STEP).kinematics.at(q)[0][:3, 3]
+                     for q in toy.motion.approach])  # fmt: skip
+    way = paced(plan, toy.motion.approach, tool, world, CONFIG)
+    speed = np.linalg.norm(np.gradient(np.stack([np.interp(
+        np.arange(len(plan)), plan.state_times / STEP, tool[:, i]) for i in range(3)], 1),
+        axis=0), axis=1) / STEP  # fmt: skip
+    assert way.pace.max() <= 1.0
+    coming = way.left < CONFIG.compliance.near / 2
+    assert (way.pace * speed)[coming].max() < 1.2 * CONFIG.compliance.near_speed
+    change = np.abs(np.diff(way.pace**2)) / 2
+    assert change.max() < 1.01 * CONFIG.compliance.pace_rate * STEP
+
+
+def test_a_link_that_meets_something_stops_the_arm_before_it_presses_hard(tmp_path: Path) -> None:
+    plain = gripping(tmp_path / "plain")
+    seen: list[np.ndarray] = []
+    plain.run(watch=lambda world, *_: seen.append(world.data.geom("robot/fore#0").xpos.copy()))
+    case = make_case()
+    case.obstacle([0.05] * 3, seen[-1].tolist())  # where the forearm ends
+    config = ExecutionConfig(compliance=ComplianceConfig(avoid=0.0))  # it does not look
+    done = gripping(tmp_path / "post", case).run(config=config)
+    assert not done.success
+    assert "in the arm's way" in done.reason
+    assert {done.collisions[0].one, done.collisions[0].other} == {"fore", "post/box"}
+    assert done.collisions[0].force < config.touch_force

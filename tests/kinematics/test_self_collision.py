@@ -1,0 +1,138 @@
+"""Contact of a robot with itself: what spheres say is held to the hulls of its shapes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from exact_shapes import hull_pairs, hulls_meet, random_states
+from jaxtyping import Float
+
+from momapos.kinematics.articulated import Articulated
+from momapos.kinematics.chain import Chain, build_chain, chain_arrays
+from momapos.kinematics.collision import place_segments
+from momapos.kinematics.self_collision import arm_spheres, contacts, decided_by_hulls
+from momapos.kinematics.spheres import Spheres
+from momapos.kinematics.urdf import read_urdf
+from momapos.robots.robot import Robot
+from momapos.robots.states import (
+    inevitable_pairs,
+    sample_states,
+    self_collision_shares,
+    touches,
+)
+
+MORE = 0.03
+"""Share of the states that the planner may call contact where hulls are apart [-]."""
+
+
+def segment_poses(chain: Chain, q: Float[np.ndarray, " n"]) -> Float[np.ndarray, "segments 4 4"]:
+    Ts = np.tile(np.eye(4), (chain.last + 1, 1, 1))
+    R, p = np.empty((chain.last + 1, 3, 3)), np.empty((chain.last + 1, 3))
+    place_segments(q, np.zeros(3), chain_arrays(chain), R, p)
+    Ts[:, :3, :3], Ts[:, :3, 3] = R, p
+    return Ts
+
+
+def close_robot(folder: Path, gap: float) -> tuple[Articulated, tuple[str, ...]]:
+    """An arm whose third link turns beside the first, a few millimeters from it.
+
+    The second link holds the third at the side of the first; both turn about one axis.
+    """
+
+    def link(name: str, size: str, xyz: str) -> str:
+        return (
+            f'<link name="{name}"><collision><origin xyz="{xyz}"/>'
+            f'<geometry><box size="{size}"/></geometry></collision></link>'
+        )
+
+    def joint(name: str, parent: str, child: str, xyz: str, axis: str) -> str:
+        return (
+            f'<joint name="{name}" type="revolute"><parent link="{parent}"/><child link="{child}"/>'
+            f'<origin xyz="{xyz}"/><axis xyz="{axis}"/>'
+            '<limit lower="-3" upper="3" effort="1" velocity="1"/></joint>'
+        )
+
+    beside = 0.1 + gap
+    parts = [
+        link("base_link", "0.4 0.4 0.3", "0 0 0.15"),
+        joint("pan", "base_link", "first", "0 0 0.5", "0 0 1"),
+        link("first", "0.1 0.1 0.3", "0 0 0"),
+        joint("second_joint", "first", "second", "0 0 0.2", "0 1 0"),
+        link("second", "0.02 0.02 0.02", "0 0 0.3"),
+        joint("third_joint", "second", "third", f"0 {beside} 0", "0 1 0"),
+        link("third", "0.2 0.1 0.3", "0 0 0"),
+    ]
+    file = folder / "close.urdf"
+    file.write_text(f'<robot name="close">{"".join(parts)}</robot>')
+    return Articulated(read_urdf(file)), ("pan", "second_joint", "third_joint")
+
+
+def arm_of(model: Articulated, joints: tuple[str, ...]) -> tuple[Chain, Spheres]:
+    chain, segments = build_chain(model, "base_link", "third", joints)
+    return chain, arm_spheres(model, chain, segments, frozenset(), ["third"])
+
+
+def test_links_overlap_where_the_exact_check_says_so(robot: Robot) -> None:
+    q = random_states(robot.chain, 60, np.random.default_rng(0))
+    found = contacts(robot.chain, robot.spheres, q).by_hulls.any(1)
+    expected = []
+    for state in q:
+        Ts = segment_poses(robot.chain, state)
+        expected.append(any(hulls_meet(robot.spheres, Ts, p) for p in hull_pairs(robot.spheres)))
+    np.testing.assert_array_equal(found, expected)
+    assert 0.05 < found.mean() < 0.8
+
+
+def test_no_contact_of_hulls_is_overlooked_and_few_states_are_blocked_without_one(
+    robot: Robot,
+) -> None:
+    q = sample_states(robot.chain, np.random.default_rng(1))
+    blocked = touches(robot.chain, robot.spheres, q)
+    true = contacts(robot.chain, robot.spheres, q).by_hulls.any(1)
+    assert not (true & ~blocked).any()
+    assert (blocked & ~true).mean() <= MORE
+
+
+@pytest.mark.parametrize("gap", [0.002, 0.005, 0.02])
+def test_links_that_pass_closely_by_each_other_are_left_to_their_hulls(
+    tmp_path: Path, gap: float
+) -> None:
+    chain, spheres = arm_of(*close_robot(tmp_path, gap))
+    q = sample_states(chain, np.random.default_rng(2))
+    found = contacts(chain, spheres, q)
+    column = found.pairs.index(("first", "third"))
+    assert found.by_spheres[:, column].mean() > found.by_hulls[:, column].mean() + MORE
+    assert ("first", "third") in decided_by_hulls(spheres)
+    blocked, true = touches(chain, spheres, q), found.by_hulls.any(1)
+    assert not (true & ~blocked).any()
+    assert (blocked & ~true).mean() <= MORE
+    assert not true.all()
+
+
+def test_links_that_pass_closely_by_each_other_stay_checked(tmp_path: Path) -> None:
+    """Spheres touch in nearly all states, hulls in few: no reason to disable the pair."""
+    chain, spheres = arm_of(*close_robot(tmp_path, 0.002))
+    q = sample_states(chain, np.random.default_rng(3))
+    assert ("first", "third") not in inevitable_pairs(chain, spheres, q)
+
+
+def test_links_whose_hulls_always_overlap_are_disabled(tmp_path: Path) -> None:
+    chain, spheres = arm_of(*close_robot(tmp_path, -0.03))
+    q = sample_states(chain, np.random.default_rng(3))
+    assert inevitable_pairs(chain, spheres, q)["first", "third"] == "Always"
+
+
+def test_shares_tell_what_each_pair_blocks_both_ways(tmp_path: Path) -> None:
+    chain, spheres = arm_of(*close_robot(tmp_path, 0.005))
+    q = sample_states(chain, np.random.default_rng(4))
+    shares = {share.links: share for share in self_collision_shares(chain, spheres, q)}
+    close = shares["first", "third"]
+    assert close.decided_by_hulls
+    assert close.by_hulls < close.by_spheres <= 1.0
+    assert all(share.by_hulls <= share.by_spheres for share in shares.values())
+    found = contacts(chain, spheres, q)
+    assert close.by_hulls == found.by_hulls[:, found.pairs.index(("first", "third"))].mean()
+    order = [share.by_spheres for share in self_collision_shares(chain, spheres, q)]
+    assert order == sorted(order, reverse=True)

@@ -1,0 +1,161 @@
+"""Maps of arms that lean, and of arms whose last joint does not turn fully."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from test_store import LINE, MAP, VALUES
+
+from momapos.geometry.transforms import invert, pose_planar
+from momapos.kinematics.chain import chain_arrays
+from momapos.kinematics.ik import build_ik
+from momapos.kinematics.spheres import Spheres
+from momapos.reachability import ReachConfig, ReachMap, build_map, evaluate
+from momapos.reachability.aim import ALL, TURNS, LineGrid, aim_all, lines_of
+from momapos.reachability.arm_axes import arm_frame, no_map
+from momapos.reachability.evaluation import poses_near_reach
+from momapos.reachability.general import _aimed
+from momapos.reachability.map import OUTSIDE
+from momapos.reachability.store import decode, encode, map_key
+from momapos.robots.robot import Robot, load_robot
+
+COARSE = ReachConfig(cell=0.1, directions=9, azimuths=16, states=200_000, threshold=-1.5)
+
+
+def leaning(name: str, angle: float, last: float) -> Robot:
+    """A robot whose arm leans to the side, and whose last joint turns this far both ways."""
+    robot = load_robot(name)
+    chain, segments = robot._parts
+    R = Rotation.from_rotvec([angle, 0, 0]).as_matrix()
+    d = np.vstack([chain.d[:1], chain.d[1:] @ R.T])
+    lower, upper = chain.lower.copy(), chain.upper.copy()
+    lower[-1], upper[-1] = -last, last
+    turned = replace(
+        chain, h=chain.h @ R.T, d=d, lower=lower, upper=upper,
+        tool_offset=R @ chain.tool_offset, tool_rotation=R @ chain.tool_rotation,
+    )  # fmt: skip
+    changed = replace(robot)
+    spheres: Spheres = replace(
+        robot.spheres, center=robot.spheres.center @ R.T,
+        bound_center=robot.spheres.bound_center @ R.T,
+    )  # fmt: skip
+    changed.__dict__["_parts"], changed.__dict__["spheres"] = (turned, segments), spheres
+    changed.__dict__["ik"] = build_ik(turned)
+    return changed
+
+
+@pytest.fixture(scope="module")
+def robot() -> Robot:
+    return leaning("husky_ur5e", 0.9, 2.0)
+
+
+@pytest.fixture(scope="module")
+def reach(robot: Robot) -> ReachMap:
+    return build_map(robot, COARSE)
+
+
+def test_a_leaning_arm_has_a_map_that_agrees_with_inverse_kinematics(
+    robot: Robot, reach: ReachMap
+) -> None:
+    assert not robot.chain.upright
+    found = evaluate(reach, robot, np.random.default_rng(0), 2000, near=True)
+    assert 0.2 < found.reachable < 0.8
+    assert found.misses < 0.08
+    assert found.false_positives < 0.15
+
+
+def test_a_turn_of_the_tool_that_the_last_joint_cannot_make_is_out_of_reach(
+    robot: Robot, reach: ReachMap
+) -> None:
+    assert reach.turned is not None
+    np.testing.assert_array_equal(reach.turned.max(0), reach.values)
+    q = np.random.default_rng(1).uniform(-1.5, 1.5, (400, 6))
+    q[:, -1] = 0.0
+    Ts = robot.chain.tool_poses(q)
+    deep = Ts[(reach.score(Ts) > 0.1)]
+    assert len(deep) > 20
+    # Of all turns of a tool some are out of reach, but the score changes with nothing else.
+    about = np.linspace(0, 2 * np.pi, 16, endpoint=False)[:, None] * reach.line_tool[0]
+    turns = np.tile(np.eye(4), (16, 1, 1))
+    turns[:, :3, :3] = Rotation.from_rotvec(about).as_matrix()
+    turns[:, :3, 3] = reach.line_tool[1] - turns[:, :3, :3] @ reach.line_tool[1]
+    each = reach.score(deep[:, None] @ turns)
+    assert ((each > 0).any(1) & (each == 0).any(1)).mean() > 0.1
+    every = replace(reach, turned=None).score(deep[:, None] @ turns)
+    np.testing.assert_allclose(every, every[:, :1].repeat(16, 1), atol=1e-5)
+    assert (each <= every + 1e-5).all()
+
+
+def test_the_turn_of_a_tool_is_the_same_for_every_base(robot: Robot, reach: ReachMap) -> None:
+    Ts = poses_near_reach(robot, np.random.default_rng(2), 300)
+    moved = pose_planar(np.array([0.3, -0.2, 1.3])) @ Ts
+    gap = (reach.turns(moved) - reach.turns(Ts) + 0.5) % 1 - 0.5
+    np.testing.assert_allclose(gap, 0, atol=1e-9)
+    bases = np.random.default_rng(3).uniform(-0.5, 0.5, (20, 3))
+    expected = reach.score(invert(pose_planar(bases))[:, None] @ Ts[None])
+    np.testing.assert_allclose(reach.min_score(bases, Ts[:, None]), expected, atol=1e-3)
+
+
+def test_an_aimed_state_is_on_its_line_and_makes_its_turns(robot: Robot) -> None:
+    chain, frame = robot.chain, arm_frame(robot.chain, robot.approach_axis)
+    arm, grid = _aimed(robot, frame), LineGrid(-0.1, 0.05, 13, 32)
+    q = np.random.default_rng(4).uniform(-1.5, 1.5, (500, 6))
+    places = np.empty((500, 5))
+    lines_of(q, arm, grid, places)
+    rng = np.random.default_rng(5)
+    asked = places + rng.uniform(-0.4, 0.4, places.shape)
+    asked[:, 2:4] = np.clip(asked[:, 2:4], 0, 12)
+    words, states = np.empty(500, np.uint64), np.empty((500, 6), np.float32)
+    starts, sources = q.astype(np.float32), np.arange(500)
+    known = np.zeros(500, np.uint64)
+    aim_all(asked, starts, sources, known, arm, grid, words, states)
+    got = np.flatnonzero(words)
+    assert len(got) > 100
+    back = np.empty((len(got), 5))
+    lines_of(states[got].astype(float), arm, grid, back)
+    off = back - asked[got]
+    off[:, 4] = (off[:, 4] + 16) % 32 - 16
+    # Beside the axis azimuths, and on the octahedron's border directions, are told twice.
+    clear = (asked[got, 1] > 2) & (np.abs(asked[got, 2:4] - 6).max(1) < 5.5)
+    assert np.abs(off[clear]).max() < 0.05
+    # The last joint at its limits spans the turns that are told, where nothing is touched.
+    assert (words & ~ALL == 0).all()
+    assert np.bitwise_count(words).max() <= TURNS * 4.0 / (2 * np.pi) + 1
+    assert chain_arrays(chain).h.shape == (6, 3)
+
+
+def test_a_map_with_turns_is_kept_and_read_again() -> None:
+    turned = np.stack([VALUES, VALUES[::-1]])
+    across = np.array([1.0, 0.0, 0.0])
+    kept = replace(MAP, values=turned.max(0), turned=turned, across_tool=across)
+    again = decode(encode(kept))
+    assert again.turned is not None
+    np.testing.assert_array_equal(again.turned, turned)
+    np.testing.assert_array_equal(again.values, turned.max(0))
+    np.testing.assert_array_equal(again.across_tool, across)
+    np.testing.assert_array_equal(again.line_tool, LINE)
+
+
+def test_states_to_begin_with_belong_to_the_key_of_maps_that_need_them(robot: Robot) -> None:
+    upright = load_robot("husky_ur5e")
+    for one, same in ((upright, True), (robot, False)):
+        keys = {map_key(one, replace(COARSE, states=n)) for n in (1000, 2000)}
+        assert (len(keys) == 1) == same
+
+
+def test_what_is_far_from_a_leaning_arm_is_out_of_reach(reach: ReachMap) -> None:
+    far = np.eye(4)
+    far[:3, 3] = 0.0, 0.0, 3.0
+    assert reach.score(far) == 0.0
+    assert (reach.values[-1] == OUTSIDE).any()
+
+
+def test_an_arm_of_few_joints_has_no_map(robot: Robot) -> None:
+    assert no_map(robot) == ""
+    chain, segments = robot._parts
+    short = replace(robot)
+    short.__dict__["_parts"] = (replace(chain, names=chain.names[:5]), segments)
+    assert "5 degrees of freedom" in no_map(short)
