@@ -7,9 +7,8 @@ The figures stand in docs/robots.md. Processor time, of one thread.
 
 from __future__ import annotations
 
-import sys
+import argparse
 import time
-from collections.abc import Sequence
 
 import numpy as np
 
@@ -37,13 +36,16 @@ def row(robot: Robot) -> str:
     return f"| {name} | {percent} | {len(decided_by_hulls(spheres))} | {1e6 * each:.1f} |"
 
 
-def main(names: Sequence[str]) -> None:
+def main() -> None:
     """Print the table for some robots, or for all of the library."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("robots", nargs="*", default=library_names(), metavar="ROBOT")
+    args = parser.parse_args()
     print("| states blocked [%] | by hulls | by spheres alone | as decided | pairs left to hulls |")
-    for name in names or library_names():
+    for name in args.robots:
         for robot in load_arms(name):
             print(row(robot))
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    main()

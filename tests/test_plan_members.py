@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from tests.rooms import Everywhere, cabinet_room
 
-from momapos.cli.run import _robot
+from momapos.cli.plan_files import _robot
 from momapos.config import PipelineConfig
 from momapos.errors import FileFormatError, RobotError
 from momapos.manipulation.tasks import make_task

@@ -31,7 +31,7 @@ print(json.dumps(found))
 """
 SMALLEST = {
     "placement.py --robots segway_ur5e --scenes kitchen_small --out out": "segway_ur5e: ",
-    "execution.py --robots segway_ur5e --tasks 1 --out out": "noise off: ",
+    "execution.py --robots segway_ur5e --tasks 2 --out out": "noise off: ",
     "drive.py --robots segway_ur5e --drives 1 --layouts 0": "arrived: within",
     "parts.py --drawn 1 --shared nowhere --pictures out": "fronts told: ",
     "importance.py --repeats 1": "| kitchen_small | 17 |",

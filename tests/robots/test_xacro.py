@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -71,7 +72,7 @@ def test_arguments_reach_the_file(tmp_path: Path) -> None:
 def test_without_the_program_that_expands_it_says_how_to_get_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(xacro, "find_spec", lambda _name: None)
+    monkeypatch.setitem(sys.modules, "xacrodoc", None)
     path = tmp_path / "robot.xacro"
     path.write_text(HEAD + "</robot>")
     with pytest.raises(MomaposError, match=r"pip install 'momapos\[xacro\]'"):

@@ -8,10 +8,10 @@ import re
 import subprocess
 import sys
 from collections.abc import Mapping
-from importlib.util import find_spec
+from importlib import import_module
 from pathlib import Path
 
-from momapos.errors import InputError, RobotError
+from momapos.errors import RobotError, require
 from momapos.files import parse_xml
 from momapos.kinematics.mesh_files import PARENTS
 
@@ -56,10 +56,10 @@ def expand_xacro(
 
     Raises:
         RobotError: It cannot be expanded; the message says why, and which package was not found.
-        InputError: The program that expands is not installed.
+        MissingExtraError: The program that expands is not installed.
     """
-    if find_spec("xacrodoc") is None:
-        raise InputError(f"{path}: to expand xacro files: pip install 'momapos[xacro]'")
+    with require("xacro"):
+        import_module("xacrodoc")
     if not path.is_file():
         raise RobotError(f"{path}: no such file")
     known = {name: folder.resolve() for name, folder in packages.items()}
