@@ -14,7 +14,7 @@ $(VENV)/.core: pyproject.toml
 	touch $@
 
 $(VENV)/.dev: $(VENV)/.core
-	$(INSTALL) --editable '.[dev,kitchens,physics,scan]'
+	$(INSTALL) --editable '.[dev,kitchens,physics,scan,xacro]'
 	touch $@
 
 $(VENV)/.torch: $(VENV)/.dev
