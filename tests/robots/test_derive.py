@@ -442,8 +442,8 @@ def test_the_grippers_of_the_library_state_their_force_where_one_is_published() 
     assert all(robot.grips is Grip.FINGERS for robot in robots)
     assert {robot.name: robot.grip_force for robot in robots if not robot.assumed} == {
         "fetch": 60.0, "husky_ur5e": 100.0, "mobile_panda": 70.0, "ranger_rm63": 100.0,
-        "segway_ur5e": 100.0,
+        "segway_ur5e": 100.0, "tiago": 28.0, "tiago_dual": 28.0,
     }  # fmt: skip
     assumed = {robot.name: robot.assumed for robot in robots if robot.assumed}
-    assert set(assumed) == {"stretch", "tiago", "tiago_dual"}
+    assert set(assumed) == {"stretch"}
     assert all(len(texts) == 1 and "force" in texts[0] for texts in assumed.values())
