@@ -122,8 +122,10 @@ def test_every_kernel_comes_compiled_and_is_linked_without_numba(installed: Inst
 def test_robots_their_maps_and_kitchens_come_with_the_wheel(installed: Installed) -> None:
     found = json.loads(installed.run("python", "-c", EVERYTHING))
     assert Path(found["file"]).is_relative_to(installed.environment)
-    assert len(found["maps"]) >= 4
-    assert all(found["maps"].values())
+    # Stretch's arm can have none, and those of two arms are built at the first use.
+    without = {name for name, there in found["maps"].items() if not there}
+    assert without == {"stretch", "tiago_dual"}
+    assert len(found["maps"]) - len(without) >= 4
     assert all(found["kitchens"].values())
     assert set(found["kitchens"]) == {"kitchen_small", "kitchen_island"}
 
