@@ -30,7 +30,7 @@ from momapos.scene.files import load_scene
 from momapos.scene.names import builtin_names
 
 arms = [arm for name in library_names() for arm in load_arms(name)]
-robots = {arm.name + arm.arm: arm for arm in arms if arm.chain.size >= 6}
+robots = {f"{arm.name} {arm.arm}".strip(): arm for arm in arms if arm.chain.size >= 6}
 maps = {n: shipped(r, map_key(r, default_config(r))) is not None for n, r in robots.items()}
 boxes = {n: sum(len(item.bounds) for item in load_scene(n).objects) for n in builtin_names()}
 print(json.dumps({"file": momapos.__file__, "maps": maps, "kitchens": boxes}))
@@ -122,9 +122,9 @@ def test_every_kernel_comes_compiled_and_is_linked_without_numba(installed: Inst
 def test_robots_their_maps_and_kitchens_come_with_the_wheel(installed: Installed) -> None:
     found = json.loads(installed.run("python", "-c", EVERYTHING))
     assert Path(found["file"]).is_relative_to(installed.environment)
-    # Stretch's arm can have none, and those of two arms are built at the first use.
+    # Those of a robot with two arms are built at the first use.
     without = {name for name, there in found["maps"].items() if not there}
-    assert without == {"stretch", "tiago_dual"}
+    assert without == {"tiago_dual left", "tiago_dual right"}
     assert len(found["maps"]) - len(without) >= 4
     assert all(found["kitchens"].values())
     assert set(found["kitchens"]) == {"kitchen_small", "kitchen_island"}
