@@ -4,8 +4,8 @@
 as it is imported: beartype compares the types, jaxtyping the shapes and dtypes of arrays, and that
 axes of one name are of one length within a call. What the package imports for type checkers only is
 imported too. Kernels stay as they are: numba compiles them, and their entries check their own
-arguments. So do modules with types of a package that is not installed, which is torch, and the
-processes that a test starts.
+arguments. So do modules with types of a package that is not installed, which is torch, modules with
+types of a neighbor that imports them, and the processes that a test starts.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from collections.abc import Callable, Iterator, Sequence
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
 from importlib.util import find_spec
+from pathlib import Path
 from types import CodeType, ModuleType
 from typing import Any
 
@@ -75,7 +76,8 @@ class _Loader(SourceFileLoader):
         """The module with checks, which is not kept among Python's compiled modules."""
         path = self.get_filename(fullname)
         tree = ast.parse(self.get_data(path), path)
-        if all(find_spec(package) for package in _needed_by_hints(tree)):
+        whole = all(find_spec(package) for package in _needed_by_hints(tree))
+        if whole and not _in_a_circle(tree, fullname, Path(path).parent):
             tree = _Checks().visit(tree)
         return compile(ast.fix_missing_locations(tree), path, "exec", dont_inherit=True)
 
@@ -93,6 +95,18 @@ def _needed_by_hints(tree: ast.Module) -> set[str]:
     """Packages that are imported for type checkers only."""
     imports = (node for block in tree.body if _for_hints(block) for node in ast.walk(block))
     return {node.module.split(".")[0] for node in imports if isinstance(node, ast.ImportFrom)}
+
+
+def _in_a_circle(tree: ast.Module, fullname: str, folder: Path) -> bool:
+    """Whether a neighbor that is imported for type checkers only imports this module itself."""
+    beside = fullname.rpartition(".")[0] + "."
+    for block in tree.body:
+        for node in ast.walk(block) if _for_hints(block) else ():
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith(beside):
+                neighbor = folder / f"{(node.module or '').removeprefix(beside)}.py"
+                if neighbor.is_file() and f"from {fullname} import" in neighbor.read_text():
+                    return True
+    return False
 
 
 def _for_hints(node: ast.stmt) -> bool:

@@ -308,8 +308,9 @@ def test_links_that_touch_only_where_the_arm_is_folded_at_rest_stay_checked(tmp_
     q = sample_states(robot.chain, np.random.default_rng(0))
     for i, j in spheres.pairs:
         only = replace(
-            spheres, pairs=np.array([[i, j]]), base_pairs=np.zeros_like(spheres.base_pairs)
-        )
+            spheres, pairs=np.array([[i, j]]), exact=np.zeros(1, bool),
+            base_pairs=np.zeros_like(spheres.base_pairs),
+        )  # fmt: skip
         pair = frozenset((spheres.links[i], spheres.links[j]))
         shares[pair] = touches(robot.chain, only, q).mean()
     assert all(shares.get(frozenset(pair), 1.0) >= 0.1 for pair in pairs)
