@@ -57,20 +57,30 @@ class PlacementResult:
         return f"<PlacementResult of {name}: {task.verb} {what}: {status}>"
 
 
-def cheapest(results: Sequence[PlacementResult]) -> PlacementResult:
+def cheapest(results: Sequence[PlacementResult], *, farthest: bool = False) -> PlacementResult:
     """The answer of several arms: the shortest drive that solves the task, else the farthest part.
 
     Args:
         results: One for each arm, at least one; the first wins where they are equal.
+        farthest: Whether the task asks for as far as possible, which then comes before the drive.
     """
 
     def rank(result: PlacementResult) -> tuple[int, float, float]:
         plan = result.plan
         order = ("solved", "timeout", "infeasible").index(plan.status)
-        moved = 0.0 if plan.feasible_to is None else abs(plan.feasible_to)
-        return order, plan.navigation_cost or 0.0, -moved
+        solved_to = plan.task.to if farthest else None
+        to = solved_to if plan.status == "solved" else plan.feasible_to
+        return order, -_moved(result, to), plan.navigation_cost or 0.0
 
     return min(results, key=rank)
+
+
+def _moved(result: PlacementResult, to: float | None) -> float:
+    """How far the part goes from where the scene has it, to a value [rad] or [m]."""
+    task = result.plan.task
+    if task.joint is None or to is None:
+        return 0.0
+    return abs(to - result.prepared.scene.object(task.object).values()[task.joint])
 
 
 def plan_of(

@@ -227,7 +227,7 @@ def _answer(
             answers = [
                 replace(answer, plan=plan) for answer, plan in zip(answers, smaller, strict=True)
             ]
-        answer = cheapest(answers)
+        answer = cheapest(answers, farthest=task.farthest)
     chosen = next(i for i, one in enumerate(answers) if one is answer)
     robot, reach = arms[chosen], maps[chosen]
     # Files come first: who reads what is printed may stop reading at any line.

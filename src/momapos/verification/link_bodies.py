@@ -11,6 +11,7 @@ import numpy as np
 from momapos.geometry.transforms import rotation_about
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.urdf import Joint
+from momapos.kinematics.urdf_records import Mimic
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -40,8 +41,9 @@ class LinkBodies:
         return len(self.parent)
 
     def moved_by(self, joint: str) -> frozenset[int]:
-        """The bodies that move when a joint does."""
+        """The bodies that move when a joint does, and those that follow it."""
         moved = {self.of_joint[joint]}
+        moved |= {body for body, other in enumerate(self.joints) if _leader(other) == joint}
         for body, parent in enumerate(self.parent):
             if parent in moved:
                 moved.add(body)
@@ -101,8 +103,17 @@ def _value(joint: Joint, values: Values, bodies: LinkBodies) -> float | np.ndarr
     if joint.name in values:
         return values[joint.name]
     if joint.mimic is not None and joint.mimic.joint in values:
-        return joint.mimic.ratio * np.asarray(values[joint.mimic.joint]) + joint.mimic.offset
+        return following(joint.mimic, np.asarray(values[joint.mimic.joint]))
     return bodies.rest[joint.name]
+
+
+def following(mimic: Mimic, leader: Float[np.ndarray, "*s"]) -> Float[np.ndarray, "*s"]:
+    """Where a joint must be that follows another, by the other's values [rad] or [m]."""
+    return mimic.ratio * leader + mimic.offset
+
+
+def _leader(joint: Joint | None) -> str | None:
+    return None if joint is None or joint.mimic is None else joint.mimic.joint
 
 
 def joint_motions(joint: Joint, values: Float[np.ndarray, " s"]) -> Float[np.ndarray, "s 4 4"]:

@@ -11,6 +11,7 @@ import numpy as np
 
 from momapos.geometry.transforms import invert, rotation_about, rotation_angle, wrap_angle
 from momapos.types import Hold, Motion
+from momapos.verification.link_bodies import following
 from momapos.verification.part import MovedPart
 from momapos.verification.report import Check, Limits, at_most, verdict
 from momapos.verification.robot_collision_model import RobotCollisionModel
@@ -154,6 +155,7 @@ def joint_checks(machine: RobotCollisionModel, motion: Motion, limits: Limits) -
     yield at_most(
         "joint limits (excess)", max(0.0, excess.max()), limits.joint, "rad|m", worst, worst
     )
+    yield from _follower_checks(machine, both, limits)
     if len(motion.q) > 1:
         steps = np.abs(np.diff(motion.q, axis=0))
         state, joint = np.unravel_index(int(steps.argmax()), steps.shape)
@@ -165,6 +167,25 @@ def joint_checks(machine: RobotCollisionModel, motion: Motion, limits: Limits) -
     if len(motion.approach):
         gap = np.abs(motion.approach[-1] - motion.q[0]).max()
         yield at_most("approach ends where the manipulation starts", gap, limits.join, "rad|m")
+
+
+def _follower_checks(
+    machine: RobotCollisionModel, states: Float[np.ndarray, "m n"], limits: Limits
+) -> Iterator[Check]:
+    """Whether joints that the URDF has follow others do so in the plan."""
+    column = {name: i for i, name in enumerate(machine.joints)}
+    errors: dict[str, float] = {}
+    for joint in machine.bodies.joints:
+        if joint is None or joint.mimic is None or joint.name not in column:
+            continue
+        if joint.mimic.joint in column:
+            there = following(joint.mimic, states[:, column[joint.mimic.joint]])
+            errors[joint.name] = float(np.abs(states[:, column[joint.name]] - there).max())
+    if errors:
+        worst = max(errors, key=errors.__getitem__)
+        yield at_most(
+            "joints follow as in the URDF", errors[worst], limits.joint, "rad|m", worst, worst
+        )
 
 
 def tool_checks(
