@@ -138,7 +138,7 @@ def one_hold_for_all(plan: dict[str, Any], rng: np.random.Generator) -> bool:
         return False
     motion["holds"] = [[0, len(motion["q"]) - 1]]
     kept = int(rng.integers(2))
-    for key in ("turn_axes", "families"):
+    for key in ("turn_axes", "families", "hold_words"):
         motion[key] = [motion[key][kept]]
     return True
 

@@ -40,7 +40,7 @@ from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.urdf import Joint, read_urdf
 from momapos.manipulation.config import GraspConfig
 from momapos.manipulation.handles import has_handle, opening_direction
-from momapos.manipulation.tasks import make_task
+from momapos.manipulation.tasks import make_task, slides
 from momapos.pipeline import plan_base_placement
 from momapos.plans import write_plan
 from momapos.reachability.store import load_reach_map
@@ -217,8 +217,7 @@ def first_family(robot: Robot, name: str, scene: Scene, joint: str) -> dict[str,
     told = [reason for reason in plan.candidates.rejections if reason not in OBVIOUS]
     row |= {"status": plan.status, "reason": ", ".join(told[:2]), "to": task.to}
     farthest = smaller_opening(plan, scene, robot, reach, config=CONFIG)
-    slides = scene.object("object").model.joint(joint).kind == "prismatic"
-    return {**row, "slides": slides, "feasible_to": farthest.feasible_to}
+    return {**row, "slides": slides(scene, task), "feasible_to": farthest.feasible_to}
 
 
 def family_table(rows: list[dict[str, Any]]) -> str:

@@ -271,3 +271,20 @@ def test_what_cannot_be_exported_is_told_in_one_line(
     there = ("--to", "mcap", "--out", str(tmp_path))
     refused(capsys, str(plan_file), *there, because="exists already")
     assert not list(tmp_path.glob(".momapos-*"))
+
+
+def test_a_plan_that_begins_at_the_grasp_is_exported(plan: PlacementPlan, robot: Robot) -> None:
+    motion = plan.motion
+    assert motion is not None
+    there = replace(motion, approach=motion.approach[:0])
+    phases = phases_of(replace(plan, motion=there, base_path=None), robot)
+    assert kinds(phases) == ["close_gripper", "arm", "open_gripper"]
+    assert np.allclose(phases[0].positions, motion.q[0])
+
+
+def test_a_scene_does_not_overwrite_an_srdf(
+    plan_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = ("--to", "moveit", "--out", str(tmp_path / "room.srdf"))
+    refused(capsys, str(plan_file), *out, because="name the scene's with --out")
+    assert not (tmp_path / "room.srdf").exists()

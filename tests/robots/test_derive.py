@@ -281,12 +281,12 @@ def test_with_out_nothing_is_written_beside_the_urdf(tmp_path: Path) -> None:
 def test_what_cannot_be_read_back_leaves_nothing_and_can_be_tried_again(
     urdf: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def broken(path: Path) -> None:
+    def broken(path: Path, **_: object) -> None:
         assert path.exists()
         raise RobotError(f"{path}: is no good")
 
     with monkeypatch.context() as patch:
-        patch.setattr("momapos.robots.write.read_robot", broken)
+        patch.setattr("momapos.robots.write.load_arms", broken)
         with pytest.raises(RobotError, match=r"robot\.toml: is no good"):
             write_robot(urdf)
     assert list(urdf.parent.iterdir()) == [urdf]

@@ -56,8 +56,12 @@ def export(
         check_outputs(files)
     if not frame:
         raise InputError("--frame must not be empty")
+    if to == "moveit" and target.suffix == ".srdf":
+        raise InputError(f"{target}: is the name of the robot's file; name the scene's with --out")
     check_plan_file(plan)
     content, scene, machine = open_plan(plan, scene_root, robot, "to export")
+    if machine.srdf is not None and any(file.resolve() == machine.srdf.resolve() for file in files):
+        raise InputError(f"{machine.srdf}: is the robot's own; give another name with --out")
     from momapos.export.phases import phases_of
 
     if to == "moveit":

@@ -72,14 +72,15 @@ def phases_of(
         raise InputError(f"the plan is {plan.status!r}: it holds no motion to export")
     motion, base = plan.motion, np.array(plan.base_pose)
     phases = [] if plan.base_path is None else [_drive(plan.base_path, motion, robot, step)]
+    q, value = _first(motion), float(motion.object_q[0])
     if plan.task.verb == "place":
-        phases.append(_gripper(PhaseKind.CLOSE, base, _first(motion), float(motion.object_q[0])))
+        phases.append(_gripper(PhaseKind.CLOSE, base, q, value))
     for part in _parts(plan.task.verb, motion):
         if isinstance(part, PhaseKind):
-            last = phases[-1]
-            phases.append(_gripper(part, base, last.positions[-1], float(last.object_q[-1])))
+            phases.append(_gripper(part, base, q, value))
         else:
             phases.append(_arm(part, base, robot, speeds, step))
+            q, value = phases[-1].positions[-1], float(phases[-1].object_q[-1])
     return tuple(phases)
 
 

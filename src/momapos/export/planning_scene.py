@@ -18,6 +18,7 @@ from momapos.cache import write_atomic
 from momapos.kinematics.hulls import Hull
 from momapos.kinematics.urdf_records import Geometry
 from momapos.robots.robot import Robot
+from momapos.robots.srdf import disable_lines
 from momapos.scene.scene import Scene, SceneObject
 
 if TYPE_CHECKING:
@@ -82,6 +83,7 @@ def _numbers(values: Float[np.ndarray, " n"]) -> str:
 def write_srdf(robot: Robot, path: Path) -> None:
     """Write an SRDF: the arm as a group with its home, the hand, and pairs that are not checked."""
     hand = [name for name in robot.gripper_links if name in robot.model.urdf.links]
+    pairs = sorted((min(pair), max(pair)) for pair in robot.disabled if len(pair) == 2)
     base, tool = quoteattr(robot.base_link), quoteattr(robot.tool_link)
     values = robot.chain.joint_values(robot.home).tolist()
     lines = [
@@ -100,10 +102,7 @@ def write_srdf(robot: Robot, path: Path) -> None:
         ),
         "  </group_state>",
         f'  <end_effector name="hand" group="gripper" parent_link={tool}/>',
-        *(
-            f'  <disable_collisions link1={quoteattr(a)} link2={quoteattr(b)} reason="Never"/>'
-            for a, b in sorted(sorted(pair) for pair in robot.disabled if len(pair) == 2)
-        ),
+        *disable_lines(dict.fromkeys(pairs, "User")),
         "</robot>",
         "",
     ]

@@ -19,6 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from momapos.errors import InputError, require
 from momapos.export.phases import Phase, PhaseKind, Samples, samples_of
+from momapos.export.ros2 import stamp
 from momapos.geometry.transforms import pose_planar
 from momapos.kinematics.hulls import Hull
 from momapos.robots.robot import Robot
@@ -49,13 +50,11 @@ class _Messages:
 
     def time(self, seconds: float) -> Any:
         """A stamp."""
-        whole, rest = divmod(round(seconds * 1e9), 1_000_000_000)
-        return self.make("builtin_interfaces/msg/Time", sec=whole, nanosec=rest)
+        return self.make("builtin_interfaces/msg/Time", **stamp(seconds))
 
     def duration(self, seconds: float) -> Any:
         """A duration."""
-        whole, rest = divmod(round(seconds * 1e9), 1_000_000_000)
-        return self.make("builtin_interfaces/msg/Duration", sec=whole, nanosec=rest)
+        return self.make("builtin_interfaces/msg/Duration", **stamp(seconds))
 
     def header(self, seconds: float, frame: str) -> Any:
         """A header."""
@@ -162,8 +161,10 @@ def _fill(
     """Everything that does not change first, then what moves."""
     target = scene.object(plan.task.object)
     moving = () if plan.task.joint is None else target.model.moved_by(plan.task.joint)
-    if robot.model.urdf.path is not None:
+    text = robot.amended
+    if text is None and robot.model.urdf.path is not None:
         text = robot.model.urdf.path.read_text(encoding="utf-8", errors="replace")
+    if text is not None:
         kind = "std_msgs/msg/String"
         send("/robot_description", kind, 0.0, make.make(kind, data=text))
     _send_scene(make, send, scene, target, moving, frame)

@@ -21,11 +21,8 @@ FORMAT, VERSION = "momapos-ros2", 1
 
 def stamp(seconds: float) -> dict[str, int]:
     """A `builtin_interfaces` Time or Duration."""
-    whole = math.floor(seconds)
-    nanoseconds = round((seconds - whole) * 1e9)
-    if nanoseconds == 1_000_000_000:
-        whole, nanoseconds = whole + 1, 0
-    return {"sec": whole, "nanosec": nanoseconds}
+    whole, rest = divmod(round(seconds * 1e9), 1_000_000_000)
+    return {"sec": whole, "nanosec": rest}
 
 
 def pose_stamped(pose: Sequence[float], frame: str) -> dict[str, Any]:

@@ -134,7 +134,8 @@ def derive_robot(
     frames = [frame for frame in (floor, *(arm.frame for arm in arms.values())) if frame]
     amendments = replace(amendments, frames=tuple(frames))
     record = amendments.read(urdf, cache)
-    model = _same_shapes(coupled(record, couplings, str(urdf)) if couplings else record, model)
+    record = coupled(record, couplings, str(urdf)) if couplings else record
+    model = _same_shapes(record, model, model.held)
     footprint = find_footprint(model, base_link, firsts, notes)
     drive = find_drive(model, anchor, boxed, notes)
     pairs: dict[tuple[str, str], str] = {}
@@ -184,9 +185,9 @@ def _fingers(model: Articulated, srdf: Srdf) -> set[str]:
     }
 
 
-def _same_shapes(record: Urdf, model: Articulated) -> Articulated:
-    """A model with other joints and frames, that keeps the shapes of its links."""
-    again = Articulated(record, model.held, model.cache)
+def _same_shapes(record: Urdf, model: Articulated, held: Mapping[str, float]) -> Articulated:
+    """A model with other joints, frames and rest, that keeps the shapes of its links."""
+    again = Articulated(record, held, model.cache)
     for what in ("hulls", "boxes"):
         if what in vars(model):
             vars(again)[what] = {name: getattr(model, what).get(name, ()) for name in again.links}
@@ -264,7 +265,7 @@ def _settled(
     if len(arms) > 1:
         held |= dict(zip(text.joints, map(float, home), strict=True))
     settled = replace(arm, text=replace(text, home=home))
-    return settled, _same_shapes(model.urdf, replace(model, held=held)), pairs
+    return settled, _same_shapes(model.urdf, model, held), pairs
 
 
 def _without(spheres: Spheres, pairs: Collection[tuple[str, str]]) -> Spheres:

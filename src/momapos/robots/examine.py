@@ -37,7 +37,7 @@ def examine(robot: Robot, *, seed: int = 0) -> list[str]:
     body = base_links(robot.model, robot.arm_joints[:1])
     points = points_of(robot.model, robot.base_link, body)
     if not len(points):
-        return ["the base has no collision geometry: nothing that it could hit is checked"]
+        return [*doubts, "the base has no collision geometry: nothing that it could hit is checked"]
     low = float(points[:, 2].min())
     above = WHEELS_HIGH if robot.base_link == "base_footprint" else FLOOR_TOLERANCE
     if not -FLOOR_TOLERANCE <= low <= above:

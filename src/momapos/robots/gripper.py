@@ -59,7 +59,7 @@ def fixed_to(model: Articulated, link: str) -> list[str]:
 
 def points_of(model: Articulated, frame: str, links: Iterable[str]) -> Float[np.ndarray, "n 3"]:
     """Hull vertices of links at rest, in the frame of a link [m]."""
-    poses = model.link_poses({})
+    poses = model.rest_poses
     T = invert(poses[frame])
     points = [apply(T @ poses[name], h.vertices) for name in links for h in model.hulls[name]]
     return np.concatenate(points) if points else np.zeros((0, 3))
@@ -225,9 +225,8 @@ def find_grips(model: Articulated, last: str, fingers: Sequence[str], notes: lis
     """
     names = " ".join(fixed_to(model, last))
     shaped = [name for name in fingers if any(model.hulls[n] for n in model.links_below(name))]
-    moving = len(shaped) >= 2
+    moving = bool(shaped)
     grips = "fingers"
-    moving = moving or len(shaped) == 1
     if not moving and _SUCTION.search(names):
         grips = "suction"
     elif not moving and _HOOK.search(names):

@@ -128,8 +128,15 @@ def srdf_text(name: str, pairs: Mapping[tuple[str, str], str]) -> str:
     """Write an SRDF that disables pairs of links, each with its reason."""
     from xml.sax.saxutils import quoteattr
 
-    lines = [
+    lines = disable_lines(pairs)
+    return "\n".join([f"<robot name={quoteattr(name)}>", *lines, "</robot>", ""])
+
+
+def disable_lines(pairs: Mapping[tuple[str, str], str]) -> list[str]:
+    """The lines of an SRDF that disable pairs of links, each with its reason."""
+    from xml.sax.saxutils import quoteattr
+
+    return [
         f"  <disable_collisions link1={quoteattr(a)} link2={quoteattr(b)} reason={quoteattr(why)}/>"
         for (a, b), why in pairs.items()
     ]
-    return "\n".join([f"<robot name={quoteattr(name)}>", *lines, "</robot>", ""])

@@ -183,12 +183,3 @@ def _at_limits(chain: Chain, q: Float[np.ndarray, "m n"]) -> Float[np.ndarray, "
     """How near the turning joint nearest to a limit is to it, 0 (away) to 1 (at it)."""
     gap = np.where(chain.prismatic, np.inf, np.minimum(q - chain.lower, chain.upper - q))
     return np.clip(1.0 - gap.min(1) / NEAR_LIMIT, 0.0, 1.0)
-
-
-def srdf_text(name: str, pairs: dict[tuple[str, str], str]) -> str:
-    """Write an SRDF that disables pairs of links, each with its reason."""
-    lines = [
-        f'  <disable_collisions link1="{a}" link2="{b}" reason="{why}"/>'
-        for (a, b), why in pairs.items()
-    ]
-    return "\n".join([f'<robot name="{name}">', *lines, "</robot>", ""])

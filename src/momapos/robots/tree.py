@@ -85,7 +85,7 @@ def find_arms(
         RobotError: It has none; the message says what it is instead, and what would help.
     """
     paths = _paths(model, anchor, fingers)
-    legs = [path for path in paths if any(map(_is_leg, path.joints))]
+    legs = [path for path in paths if any(_named(_LEG, joint) for joint in path.joints)]
     arms = [path for path in paths if path not in legs and len(_leaders(path.joints)) >= LEAST]
     wheels = any(_named(WHEEL, joint) for joint in model.urdf.joints)
     if len(legs) > 1 and not wheels:
@@ -165,10 +165,6 @@ def _depth(model: Articulated, joint: Joint) -> int:
 
 def _named(pattern: re.Pattern[str], joint: Joint) -> bool:
     return bool(pattern.search(joint.name) or pattern.search(joint.child))
-
-
-def _is_leg(joint: Joint) -> bool:
-    return bool(_LEG.search(joint.name) or _LEG.search(joint.child))
 
 
 def _leaders(joints: Sequence[Joint]) -> list[Joint]:

@@ -9,7 +9,7 @@ from pathlib import Path
 from momapos.cache import Cache, write_atomic
 from momapos.errors import RobotError
 from momapos.robots.derive import Derived, Report, Source, derive_robot
-from momapos.robots.robot import read_robot
+from momapos.robots.robot import load_arms
 from momapos.robots.srdf import srdf_text
 from momapos.robots.xacro import expand_xacro, is_xacro
 
@@ -61,7 +61,7 @@ def write_robot(
         srdf = out.with_suffix(".srdf")
         _refuse_existing(srdf)
         files[srdf] = srdf_text(out.stem, derived.pairs)
-    _write({**files, out: derived.toml}, out)
+    _write({**files, out: derived.toml}, out, cache)
     return out, derived
 
 
@@ -70,7 +70,7 @@ def _refuse_existing(path: Path) -> None:
         raise RobotError(f"{path}: exists already; remove it, or choose another file with --out")
 
 
-def _write(files: Mapping[Path, str], out: Path) -> None:
+def _write(files: Mapping[Path, str], out: Path, cache: Cache | None) -> None:
     """Write files; the robot file last, and none of them stays if it cannot be read back."""
     written: list[Path] = []
     folders = [folder for folder in (out.parent, *out.parent.parents) if not folder.exists()]
@@ -78,7 +78,7 @@ def _write(files: Mapping[Path, str], out: Path) -> None:
         for path, text in files.items():
             write_atomic(path, text.encode())
             written.append(path)
-        read_robot(out)
+        load_arms(out, cache=cache)
     except BaseException as error:  # also when it is interrupted
         for path in written:
             path.unlink(missing_ok=True)
