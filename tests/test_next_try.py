@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from tests.rooms import Everywhere
 
-from momapos.base_pose import NO_OTHER_GRASP, check_base_pose
+from momapos.base_pose import check_base_pose
 from momapos.config import PipelineConfig
 from momapos.execution.config import ExecutionConfig
 from momapos.execution.simulation import Simulation
@@ -22,6 +22,7 @@ from momapos.next_try import (
     other_grasps,
 )
 from momapos.pipeline import plan_base_placement
+from momapos.prepare import NO_OTHER_GRASP
 from momapos.robots.robot import Robot, load_robot
 from momapos.run_plan import run_plan
 from momapos.scene.files import load_scene
@@ -135,3 +136,29 @@ def test_where_the_hand_loses_its_hold_another_grasp_does_the_task(
     assert record.success, record.reason
     assert record.execution is not None
     assert record.execution.start == pytest.approx(0.0)
+
+
+def test_an_arm_with_a_telescope_finds_home_in_all_its_joints(kitchen: Scene) -> None:
+    stretch = load_robot("stretch")
+    task = make_task(kitchen, "open", "cabinet_right", "drawer_top_slide")
+    home = stretch.chain.joint_values(stretch.home)
+    away = stretch.home.copy()
+    away[1] += 0.1
+    base = np.array([1.9, -1.6, 1.5708])
+    way = arm_way_home(
+        kitchen, stretch, task, base, stretch.chain.joint_values(away), config=CONFIG, seed=0
+    )
+    assert way is not None
+    assert way.shape[1] == len(stretch.moved_joints) > stretch.chain.size
+    assert np.allclose(way[-1], home)
+
+
+def test_base_poses_of_an_arm_of_few_joints_are_answered(kitchen: Scene) -> None:
+    task = make_task(kitchen, "open", "fridge", "door_hinge", 0.2)
+    stretch = load_robot("stretch")
+    there, beside = (
+        check_base_pose(kitchen, stretch, task, pose, Everywhere(), how_far=False)
+        for pose in ((0.4, -1.3, np.pi), (0.7, -1.0, np.pi))
+    )
+    assert there.motion is not None
+    assert beside.reason == "out of reach at waypoint 1"

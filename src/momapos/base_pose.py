@@ -12,7 +12,7 @@ import numpy as np
 
 from momapos.config import PipelineConfig
 from momapos.farthest import from_the_top, values_before
-from momapos.manipulation.motion import GraspFilter, task_motion
+from momapos.manipulation.motion import GraspFilter
 from momapos.manipulation.tasks import slides
 from momapos.navigation.global_path import plan_path
 from momapos.outcomes import PoseOutcome, PoseStatus
@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 DEFAULT = PipelineConfig()
-NO_OTHER_GRASP = "there is no other grasp"
 MOST_VALUES = 100
 """Values that are asked one by one at a pose; of more, only some at first [-]."""
 
@@ -143,7 +142,7 @@ def plan_at_base_pose(
         feasible_to=None if solved else attempt.farthest,
         feasible_from=None if solved or attempt.farthest is None else pose,
         feasible_sure=not solved and attempt.farthest is not None,
-        timing={**watch.seconds, "total": watch.total},
+        timing=watch.timing,
     )
     return PlacementResult(plan, look.prepared, found, first)
 
@@ -195,15 +194,11 @@ def _farthest(query: PlacementQuery, base: Float[np.ndarray, "3"]) -> _Look | No
 def _attempt(query: PlacementQuery, base: Float[np.ndarray, "3"]) -> _Look:
     """Check a base pose for the value of the task."""
     scene, robot, task, config = query.scene, query.robot, query.task, query.config
-    motion, reason = None, ""
-    if query.grasp_filter is not None:
-        motion = task_motion(scene, robot, task, config.motion)
-        rows = query.grasp_filter(motion)
-        motion, reason = (motion.only(rows), "") if rows.any() else (motion, NO_OTHER_GRASP)
-    prepared = prepare(scene, robot, task, config, clearance=0.0, motion=motion)
-    reason = reason or prepared.infeasible_reason
-    if reason:
-        attempt = Attempt(None, PoseOutcome(PoseStatus.TASK_INFEASIBLE, reason))
+    allowed = query.grasp_filter
+    prepared = prepare(scene, robot, task, config, clearance=0.0, grasp_filter=allowed)
+    if prepared.infeasible_reason:
+        outcome = PoseOutcome(PoseStatus.TASK_INFEASIBLE, prepared.infeasible_reason)
+        attempt = Attempt(None, outcome)
     else:
         status = BaseStatus(base_pose_status(prepared.geometry, base[None])[0][0])
         if status != BaseStatus.CLEAR:
@@ -211,7 +206,7 @@ def _attempt(query: PlacementQuery, base: Float[np.ndarray, "3"]) -> _Look:
         attempt = _in_one_hold(query, prepared, base)
     if attempt.motion is not None:
         return _Look(prepared, attempt)
-    for two in every_two_holds(prepared, config, query.seed):
+    for two in every_two_holds(prepared, config, query.seed, grasp_filter=allowed):
         again = two.at(base, query.reach)
         if again.motion is not None:
             return _Look(prepared, again)
@@ -225,7 +220,7 @@ def _in_one_hold(
     feasible = prepared.feasibility(query.config, query.seed)
     # The map is right for most poses, not for all: it orders the grasps and rules none out.
     scores = np.maximum(prepared.ways[0](query.reach, base[None]).scores, LEAST_SCORE)
-    turning = np.full((1, len(prepared.motion.turning.groups)), LEAST_SCORE / 2)
+    turning = np.full((1, prepared.motion.turning.ways - scores.shape[1]), LEAST_SCORE / 2)
     scores = np.concatenate([scores, turning], axis=1)
     screened = feasible.screen(base[None], scores, None)
     assert screened is not None

@@ -58,6 +58,13 @@ class PipelineConfig:
         refuse_below(self, 0.001, "timeout")
 
     @property
+    def arm_planner(self) -> PlannerConfig:
+        """How the arm gets to the first waypoint: as asked for, else as the method does."""
+        if self.planner.planner is None and self.place.method == "paper":
+            return replace(self.planner, planner="RRTstar")
+        return self.planner
+
+    @property
     def ranking(self) -> ImportanceConfig:
         """How importance is measured: as asked for, else as the method does."""
         printed = self.place.method == "paper"

@@ -42,7 +42,7 @@ def as_far_as_possible(query: PlacementQuery, answer: Answer) -> PlacementResult
         left = max(config.timeout - watch.total, LEAST_TIMEOUT)
         best = found or _answer_to(query, answer, task.to, replace(config, timeout=left))
     known = replace(best.plan.task, farthest=sure and best.plan.status == "solved")
-    timing = {**watch.seconds, "total": watch.total}
+    timing = watch.timing
     return replace(best, plan=replace(best.plan, task=known, timing=timing))
 
 

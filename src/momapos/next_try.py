@@ -89,7 +89,7 @@ def arm_way_home(
         robot: The robot.
         task: What it was about.
         base_pose: x [m], y [m], yaw [rad].
-        q: Where the arm is [rad] or [m].
+        q: Where the joints that the arm moves are [rad] or [m].
         config: How to plan.
         seed: Same seed, same way.
     """
@@ -103,13 +103,16 @@ def arm_way_home(
         world, chain, robot.spheres, base_pose, value=int(motion.value[0]), holding=False,
         step=RESOLUTION,
     )  # fmt: skip
+    q = chain.freedom_values(q)
     begin = _free_state(q, chain.lower, chain.upper, free, np.random.default_rng(seed))
     if begin is None:
         return None
     way = plan_motion(
-        begin, robot.home, chain.lower, chain.upper, free, config=config.planner, seed=seed
+        begin, robot.home, chain.lower, chain.upper, free, config=config.arm_planner, seed=seed
     )
-    return None if way is None else interpolate(np.concatenate([q[None], way]))
+    if way is None:
+        return None
+    return chain.joint_values(interpolate(np.concatenate([q[None], way])))
 
 
 def _free_state(

@@ -111,7 +111,7 @@ def answer(query: PlacementQuery) -> PlacementResult:
             break
         else:
             selection = selection.relax_alpha()
-    timing = {**watch.seconds, "total": watch.total}
+    timing = watch.timing
     plan = replace(result.plan, key_objects=selection.record(), timing=timing)
     return replace(result, plan=plan)
 

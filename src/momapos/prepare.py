@@ -15,7 +15,14 @@ from momapos.kinematics.world import CollisionWorld, build_world
 from momapos.manipulation.feasibility import Feasibility, collision_free_grasps
 from momapos.manipulation.free_turn import FULL
 from momapos.manipulation.handles import Handle
-from momapos.manipulation.motion import LIFT, TaskMotion, by_another_handle, in_room, task_motion
+from momapos.manipulation.motion import (
+    LIFT,
+    GraspFilter,
+    TaskMotion,
+    by_another_handle,
+    in_room,
+    task_motion,
+)
 from momapos.manipulation.task_boxes import room_boxes
 from momapos.manipulation.tasks import in_front_of_parts
 from momapos.navigation.cost_map import base_height, build_cost_map, floor_plan
@@ -32,6 +39,8 @@ from momapos.verification.exact import PlanVerifier
 
 if TYPE_CHECKING:
     from jaxtyping import Float
+
+NO_OTHER_GRASP = "there is no other grasp"
 
 
 @dataclass(frozen=True)
@@ -100,7 +109,7 @@ class PreparedTask:
                 return self.violation(base_pose, motion)
 
         return Feasibility(
-            self.robot, self.world, self.motion, config.planner, violation, seed, out_of_time
+            self.robot, self.world, self.motion, config.arm_planner, violation, seed, out_of_time
         )
 
 
@@ -112,6 +121,7 @@ def prepare(
     *,
     clearance: float,
     motion: TaskMotion | None = None,
+    grasp_filter: GraspFilter | None = None,
     watch: Stopwatch | None = None,
 ) -> PreparedTask:
     """Make a scene, a robot and a task ready.
@@ -123,6 +133,7 @@ def prepare(
         config: How to plan.
         clearance: Distance that the base keeps from everything [m].
         motion: The task's motion in another version of the room, where that is known.
+        grasp_filter: Rules grasps out, such as those that failed; all are tried by default.
         watch: Counts the stages.
 
     Raises:
@@ -135,17 +146,22 @@ def prepare(
             motion = task_motion(scene, robot, task, config.motion)
         else:
             motion = in_room(motion, scene)
-        motion, world, no_grasp = _with_room(scene, robot, motion, config)
+        motion, world, no_grasp = _with_room(scene, robot, motion, config, grasp_filter)
     geometry = placement_geometry(scene, robot, motion, clearance)
     return PreparedTask(scene, robot, task, motion, world, geometry, no_grasp)
 
 
 def _with_room(
-    scene: Scene, robot: Robot, motion: TaskMotion, config: PipelineConfig
+    scene: Scene,
+    robot: Robot,
+    motion: TaskMotion,
+    config: PipelineConfig,
+    grasp_filter: GraspFilter | None,
 ) -> tuple[TaskMotion, CollisionWorld, str]:
     """A motion by the first handle that holds and at which the hand has room, and its world.
 
-    Where it has no room at any, the motion as it is given, and why no grasp helps.
+    Where it has no room at any, or none is allowed, the motion as it is given, and why no grasp
+    helps.
     """
     found: list[tuple[TaskMotion, CollisionWorld, str]] = []
     passed: list[Handle] = []
@@ -153,9 +169,11 @@ def _with_room(
     while other is not None:
         world = collision_world(robot, other, config)
         has_room, obstacle = collision_free_grasps(robot, world, other)
-        if has_room.any():
-            return other.only(other.grasps.deepest(has_room)), world, other.refusal
-        found.append((other, world, other.refusal or _no_room(other, obstacle)))
+        allowed = has_room if grasp_filter is None else has_room & grasp_filter(other)
+        if allowed.any():
+            return other.only(other.grasps.deepest(allowed)), world, other.refusal
+        why = NO_OTHER_GRASP if has_room.any() else _no_room(other, obstacle)
+        found.append((other, world, other.refusal or why))
         passed += other.grasps.handles
         other = by_another_handle(motion, scene, robot, config.motion, passed)
     return found[0]

@@ -13,7 +13,8 @@ from momapos.geometry.transforms import pose_planar
 from momapos.kinematics.opening import opening_of
 from momapos.kinematics.world import motion_checker
 from momapos.manipulation.feasibility import Feasibility, near_home
-from momapos.manipulation.motion import task_motion, with_retreat
+from momapos.manipulation.free_turn import FULL
+from momapos.manipulation.motion import GraspFilter, task_motion, with_retreat
 from momapos.manipulation.planner import RESOLUTION, interpolate, plan_motion
 from momapos.manipulation.resistance import stays
 from momapos.outcomes import PoseOutcome, PoseStatus
@@ -143,10 +144,10 @@ class TwoHolds:
             self.second.world, chain, self.second.robot.spheres, base,
             value=int(self.second.motion.value[0]), holding=False, step=RESOLUTION,
         )  # fmt: skip
+        planner = self.config.arm_planner
         return plan_motion(
             start, goal, chain.lower, chain.upper, free,
-            config=replace(self.config.planner, budget=min(BETWEEN, self.config.planner.budget)),
-            seed=self.seed,
+            config=replace(planner, budget=min(BETWEEN, planner.budget)), seed=self.seed,
         )  # fmt: skip
 
     def _joined(
@@ -177,17 +178,19 @@ def every_two_holds(
     config: PipelineConfig,
     seed: int,
     *,
+    grasp_filter: GraspFilter | None = None,
     out_of_time: Callable[[], bool] = lambda: False,
     watch: Stopwatch | None = None,
 ) -> Iterator[TwoHolds]:
     """Make a task ready to be done in two holds, for each value at which the hand may let go.
 
-    Each is made when it is asked for: mostly the first is enough.
+    Each is made when it is asked for: mostly the first is enough. An arm that needs the turn of its
+    hand to reach at all holds nothing twice.
     """
     watch = watch or Stopwatch(lambda: 0.0)
-    pushes = "push" in config.motion.grasps.families
+    pushes = "push" in config.motion.grasps.families and whole.robot.chain.size >= FULL
     for ajar in AJAR if pushes and not whole.blocked else ():
-        two = _two_holds(whole, config, seed, ajar, out_of_time, watch)
+        two = _two_holds(whole, config, seed, ajar, grasp_filter, out_of_time, watch)
         if two is not None:
             yield two
 
@@ -218,6 +221,7 @@ def _two_holds(
     config: PipelineConfig,
     seed: int,
     ajar: float,
+    grasp_filter: GraspFilter | None,
     out_of_time: Callable[[], bool],
     watch: Stopwatch,
 ) -> TwoHolds | None:
@@ -228,6 +232,7 @@ def _two_holds(
         config: How to plan.
         seed: Same seed, same motion.
         ajar: How far the door is pulled, from where it is shut [rad].
+        grasp_filter: Rules grasps out by which it might be pulled.
         out_of_time: Asked between steps of the work.
         watch: Counts the stages.
 
@@ -257,7 +262,10 @@ def _two_holds(
         )
         pushing = task_motion(opened, robot, task, config.motion, inside=True)
     clearance = whole.geometry.clearance
-    first = prepare(scene, robot, pull, config, clearance=clearance, motion=pulling, watch=watch)
+    first = prepare(
+        scene, robot, pull, config, clearance=clearance, motion=pulling,
+        grasp_filter=grasp_filter, watch=watch,
+    )  # fmt: skip
     second = prepare(opened, robot, task, config, clearance=clearance, motion=pushing, watch=watch)
     if first.no_grasp or second.no_grasp:
         return None

@@ -32,6 +32,11 @@ class Stopwatch:
             self.seconds[name] = self.seconds.get(name, 0.0) + self.clock() - began
 
     @property
+    def timing(self) -> dict[str, float]:
+        """Seconds by stage, and "total"."""
+        return {**self.seconds, "total": self.total}
+
+    @property
     def total(self) -> float:
         """Seconds since it was made [s]."""
         return self.clock() - self.began

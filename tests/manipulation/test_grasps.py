@@ -23,14 +23,14 @@ from momapos.manipulation.handles import (
     find_handles,
     motion_direction,
 )
-from momapos.manipulation.motion import TaskMotion, task_motion
+from momapos.manipulation.motion import TaskMotion, by_another_handle, task_motion
 from momapos.manipulation.part_grasps import grasps_of, push_grasps
 from momapos.manipulation.resistance import resistance_of
 from momapos.manipulation.tasks import make_task, openable
 from momapos.prepare import prepare
-from momapos.robots.robot import Grip, Robot
+from momapos.robots.robot import Grip, Robot, load_robot
 from momapos.scene.files import load_scene
-from momapos.scene.scene import Scene
+from momapos.scene.scene import Scene, SceneObject
 
 CONFIG = GraspConfig()
 DEEP = 1e-3
@@ -344,3 +344,22 @@ def test_the_next_handle_is_held_where_the_hand_has_no_room_at_the_best(
 
     assert held(0.6) == "long_handle"
     assert held(np.pi / 2) == "door_handle"
+
+
+def test_handles_that_no_hand_can_take_are_passed_over_once(tmp_path: Path) -> None:
+    """The edge of a door to be closed is too thick for any gripper: after the bar comes a push."""
+    text = (Path(__file__).parents[2] / "examples" / "cupboard.urdf").read_text()
+    path = tmp_path / "cupboard.urdf"
+    thick = text.replace('size="0.02 0.59 0.88"', 'size="0.12 0.59 0.88"')
+    path.write_text(thick.replace('xyz="-0.05 0.53 0.25"', 'xyz="-0.12 0.53 0.25"'))
+    item = SceneObject.from_urdf("cupboard", path, (0.0, 0.0, 0.0), joints={"hinge": 1.2})
+    scene, robot = Scene("room", (item,)), load_robot("fetch")
+    motion = task_motion(scene, robot, make_task(scene, "close", "cupboard"), MotionConfig())
+    passed: list[Handle] = []
+    other: TaskMotion | None = motion
+    for _ in range(10):
+        if other is None:
+            return
+        passed += other.grasps.handles
+        other = by_another_handle(motion, scene, robot, MotionConfig(), passed)
+    raise AssertionError("handles are passed over again and again")

@@ -109,8 +109,6 @@ def _by_placer(placer: BasePlacer) -> Callable[[PlacementQuery], PlacementResult
 def _as_printed(query: PlacementQuery) -> PlacementResult:
     """MoMa-Pos: key objects are modeled, more samples are drawn, then alpha falls."""
     scene, task, config = query.scene, query.task, query.config
-    planner = config.planner.planner or "RRTstar"
-    query = replace(query, config=replace(config, planner=replace(config.planner, planner=planner)))
     placer = PaperPlacer(config.paper)
     with query.watch.stage("importance"):
         ranked = rank(scene, task.object, config.ranking, seed=query.seed)
@@ -161,5 +159,5 @@ def _timed(
     result: PlacementResult, query: PlacementQuery, key_objects: KeyObjects | None
 ) -> PlacementResult:
     """The result with the time that it took, and what was modeled."""
-    timing = {**query.watch.seconds, "total": query.watch.total}
+    timing = query.watch.timing
     return replace(result, plan=replace(result.plan, key_objects=key_objects, timing=timing))

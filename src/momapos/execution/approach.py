@@ -76,7 +76,9 @@ def paced(
     times = np.arange(len(plan)) * step
     gap = np.interp(times, plan.state_times, clearances(room, path, config.near))
     points = np.column_stack([np.interp(times, plan.state_times, tool[:, i]) for i in range(3)])
-    speed = np.linalg.norm(np.gradient(points, axis=0), axis=1) / step if len(plan) > 1 else gap
+    speed = np.zeros(len(plan))
+    if len(plan) > 1:
+        speed = np.linalg.norm(np.gradient(points, axis=0), axis=1) / step
     left = np.linalg.norm(points - points[-1], axis=1)
     share = np.clip(gap / config.near, 0.0, 1.0)
     most = compliance.near_speed + share * (compliance.beside_speed - compliance.near_speed)

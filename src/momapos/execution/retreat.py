@@ -91,5 +91,6 @@ def _draw_back(run: ExecutionRun, value: float) -> Ending | None:
 
 def _at_home(run: ExecutionRun, robot: Robot) -> bool:
     run.rest(Stage.RETREAT, run.config.settle)
-    off = run.world.data.qpos[run.world.arm_q] - robot.home
+    home = robot.model.settled(dict(zip(robot.arm_joints, robot.home.tolist(), strict=True)))
+    off = run.world.data.qpos[run.world.arm_q] - [home[name] for name in robot.moved_joints]
     return bool(np.abs(off).max() < _ARRIVED)

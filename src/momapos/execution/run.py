@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -28,9 +27,6 @@ from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene, SceneObject
 from momapos.trajectory import time_motion
 from momapos.types import Hold, Motion, Task
-
-if TYPE_CHECKING:
-    pass
 
 DEFAULT = ExecutionConfig()
 _STATES = 5

@@ -204,7 +204,8 @@ def by_another_handle(
     if all(handle in passed for handle in find_handles(target.model, task.joint, sign)):
         return None
     other = _joint_motion(scene, robot, task, target, config, inside=False, passed=passed)
-    if other.refusal:
+    # The push comes where no handle holds, and was tried with the first.
+    if other.refusal or other.handle is None or other.handle.kind is HandleKind.FACE:
         return None
     retreats = motion.release_step is not None
     return with_retreat(other, robot, config.grasps) if retreats else other
