@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -160,23 +159,30 @@ def test_an_answer_tells_and_draws_both_holds(answer: PlacementResult, tmp_path:
 
 @pytest.mark.parametrize("in_reach", [True, False])
 def test_values_are_asked_in_turn_while_some_base_pose_reaches_both_holds(in_reach: bool) -> None:
-    made = []
-
-    def ready() -> Iterator[SimpleNamespace]:
-        for value in range(3):
-            made.append(value)
-            yield SimpleNamespace(in_reach=in_reach, value=value)
-
-    searches = [
-        (two.value, "grid" if place.grid else "samples", place.rounds)
-        for two, place in two_hold_searches(ready(), PlaceConfig(rounds=2))  # type: ignore[arg-type]
-    ]
+    searches = asked(in_reach, ends=[{b"a"}, {b"a"}, {b"a"}])
     if in_reach:
         samples = [(value, "samples", 2) for value in range(3)]
         assert searches == samples + [(value, "grid", 0) for value in range(3)]
     else:
         assert searches == [(0, "samples", 2), (0, "grid", 0)]
-        assert made == [0]
+
+
+def test_a_value_that_adds_an_end_is_asked_though_the_one_before_is_out_of_reach() -> None:
+    assert asked(False, ends=[{b"a"}, {b"a", b"b"}, {b"b"}]) == [
+        (0, "samples", 2), (0, "grid", 0), (1, "samples", 2), (1, "grid", 0),
+    ]  # fmt: skip
+
+
+def asked(in_reach: bool, ends: list[set[bytes]]) -> list[tuple[int, str, int]]:
+    """Value, kind and rounds of the searches for values whose second holds have these ends."""
+    ready = (
+        SimpleNamespace(in_reach=in_reach, value=value, ends=frozenset(end))
+        for value, end in enumerate(ends)
+    )
+    return [
+        (two.value, "grid" if place.grid else "samples", place.rounds)  # type: ignore[attr-defined]
+        for two, place in two_hold_searches(ready, PlaceConfig(rounds=2))  # type: ignore[arg-type]
+    ]
 
 
 def test_without_pushing_there_is_no_second_hold_and_no_other_family(

@@ -82,6 +82,12 @@ class TwoHolds:
         was asked for."""
         return any(self._in_reach)
 
+    @property
+    def ends(self) -> frozenset[bytes]:
+        """Where the hand can be when the second hold is over, to the micrometer."""
+        Ts = np.round(self.second.motion.Ts_world_tool[:, -1], 6) + 0.0
+        return frozenset(T.tobytes() for T in Ts)
+
     def problem(self, problem: Problem) -> Problem:
         """The search's problem, for two holds."""
         second = self.second.motion
@@ -200,18 +206,21 @@ def two_hold_searches(
 ) -> Iterator[tuple[TwoHolds, PlaceConfig]]:
     """Searches to be tried in turn: samples for every value first, the grids after them.
 
-    Where no base pose reaches both the pull to the first value and the end of the push, none does
-    for the values that follow: they are farther to pull to, and the end is the same.
+    Where no base pose reaches both the pull to a value and an end of the push, none does for the
+    values that follow, which are farther to pull to; only what they add to the ends is asked for.
     """
     sampled: list[TwoHolds] = []
+    beyond: frozenset[bytes] = frozenset()
     for two in ready:
+        if two.ends <= beyond:
+            continue
         yield two, replace(place, grid=False)
         if place.grid and not sampled and not two.in_reach:
             yield two, replace(place, rounds=0)
             if not two.in_reach:
-                return
-        else:
-            sampled.append(two)
+                beyond |= two.ends
+                continue
+        sampled.append(two)
     for two in sampled if place.grid else ():
         yield two, replace(place, rounds=0)
 
