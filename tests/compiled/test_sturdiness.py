@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import gc
 import os
+import re
 import resource
 import subprocess
 import sys
@@ -14,6 +15,7 @@ from typing import NamedTuple, NoReturn
 
 import numpy as np
 import pytest
+from numba.core.codegen import JITCodeLibrary
 from numba.core.registry import cpu_target
 
 from momapos import cache
@@ -44,6 +46,30 @@ def _shifted(x):
     for k in range(len(x)):
         out[k] = x[k] + 1.0
     return out
+
+
+@kernel
+def _beside(pair, k):
+    both = Pair(pair.a[k:], pair.b[k:])
+    out = np.empty(len(both.a))
+    for i in range(len(both.a)):
+        out[i] = both.a[i] + 1.0
+    return out
+
+
+@entry
+def _either(pair: Pair, k: int) -> np.ndarray:
+    """An array of the argument, an own one, or one of a record that holds both."""
+    one = _shifted(pair.b)
+    if k == 0:
+        one = pair.a
+    elif k == 1:
+        both = Pair(one, pair.a)
+        one, other = both.b, both.a
+        for i in range(len(one)):
+            other[i] = one[i]
+        one = other
+    return one
 
 
 @entry
@@ -178,16 +204,36 @@ def test_a_child_that_is_forked_while_a_thread_compiles_can_load() -> None:
     assert os.waitstatus_to_exitcode(status) == 0
 
 
-def test_a_kernel_counts_references_only_if_it_owns_arrays() -> None:
-    assert not _counts(_half, (Pair, int))
-    assert _counts(_shifted, (F1,))
+def test_a_kernel_counts_references_only_of_arrays_that_it_owns() -> None:
+    assert _counted(_half, (Pair, int)) == 0
+    assert _counted(_shifted, (F1,)) > 0
+    assert _counted(_beside, (Pair, int)) == _counted(_shifted, (F1,))
 
 
-def _counts(one: Kernel, hints: tuple[object, ...]) -> bool:
-    """Whether a kernel is compiled with numba's counting of references."""
-    one._inner.compile(tuple(compiler.numba_type(hint) for hint in hints))
-    (result,) = one._inner.overloads.values()
-    return bool(result.target_context.enable_nrt)
+def _counted(one: Kernel, hints: tuple[object, ...]) -> int:
+    """How often a kernel counts references, before LLVM's optimization."""
+    lowered: list[str] = []
+    add = JITCodeLibrary.add_ir_module
+
+    def keep(self: JITCodeLibrary, module: object) -> None:
+        lowered.append(str(module))
+        add(self, module)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(JITCodeLibrary, "add_ir_module", keep)
+        compiler.inner(one).compile(tuple(compiler.numba_type(hint) for hint in hints))
+    calls = re.compile(r"call void @\W?NRT_(incref|decref)")
+    return sum(len(calls.findall(text)) for text in lowered if one.py_func.__name__ in text)
+
+
+@pytest.mark.parametrize("k", [0, 1, 2])
+def test_what_is_borrowed_or_owned_is_alive_after_it_is_returned(tmp_path: Path, k: int) -> None:
+    native = Store(tmp_path).native(_either)
+    for _ in range(50):
+        got = native(Pair(X * 1.0, X + 2.0), k)
+        more = [np.full(5, np.nan) for _ in range(20)]
+        np.testing.assert_array_equal(got, _either.py_func(Pair(X, X + 2.0), k))
+        assert len(more) == 20
 
 
 def test_arrays_that_kernels_get_from_kernels_are_freed(tmp_path: Path) -> None:

@@ -14,14 +14,16 @@ from typing import TYPE_CHECKING, Any
 
 import numba
 import numpy as np
-from numba.core import ir, types
+from numba.core import types
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
-from numba.core.compiler_machinery import FunctionPass, register_pass
+from numba.core.datamodel.models import StructModel
+from numba.core.datamodel.packer import ArgPacker
 from numba.core.registry import cpu_target
-from numba.core.typed_passes import NoPythonSupportedFeatureValidation
+from numba.core.typed_passes import NativeLowering
 
 from momapos.compiled import arrays
+from momapos.compiled.borrowing import BorrowingLowering
 from momapos.compiled.native import Code
 
 if TYPE_CHECKING:
@@ -62,13 +64,21 @@ def dispatcher(kernel: Kernel) -> Any:
 
 
 def inner(kernel: Kernel) -> Any:
-    """A dispatcher for other kernels: without the wrappers by which Python calls it."""
-    return _compiled(kernel, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+    """A dispatcher for other kernels: without the wrapper by which Python calls it."""
+    made = _compiled(kernel, _Compiler)
+    template_of = made.get_call_template
+
+    def get_call_template(args: Any, kws: Any) -> Any:
+        # numba compiles anew for each constant that it is called with.
+        return template_of([types.unliteral(arg) for arg in args], kws)  # type: ignore[attr-defined]
+
+    made.get_call_template = get_call_template
+    return made
 
 
 def compile_entry(kernel: Kernel) -> Code:
     """Compile an entry for its annotated types."""
-    outer = _compiled(kernel, no_cfunc_wrapper=True)
+    outer = _compiled(kernel, _EntryCompiler)
     signature = tuple(numba_type(hint) for hint in kernel.types)
     with _optimized_once(kernel.py_func.__qualname__), _no_collector():
         outer.compile(signature)
@@ -92,64 +102,59 @@ def _dtypes(environment: Any) -> tuple[str, ...]:
     return tuple(const.str for const in environment.consts)
 
 
-def _compiled(kernel: Kernel, **options: bool) -> Any:
-    """A dispatcher whose code counts references only where there is something to free."""
-    make = numba.njit(nogil=True, pipeline_class=_Compiler, **kernel.options, **options)
-    return make(kernel.py_func)
+def _compiled(kernel: Kernel, pipeline: type[CompilerBase]) -> Any:
+    """A dispatcher that compiles with a compiler below."""
+    # Entries get their wrapper later: what numba compiles for one, it keeps for callers alike.
+    options = {**kernel.options, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+    return numba.njit(nogil=True, pipeline_class=pipeline, **options)(kernel.py_func)
 
 
 class _Compiler(CompilerBase):
-    """numba's compiler with one more pass."""
+    """numba's compiler, which counts references only where there is something to free."""
 
     def define_pipelines(self) -> list[Any]:
         passes = DefaultPassBuilder.define_nopython_pipeline(self.state)
-        passes.add_pass_after(_BorrowArrays, NoPythonSupportedFeatureValidation)
+        passes.passes = [
+            (BorrowingLowering if made is NativeLowering else made, what)
+            for made, what in passes.passes
+        ]
         passes.finalize()
         return [passes]
 
 
-@register_pass(mutates_CFG=False, analysis_only=False)
-class _BorrowArrays(FunctionPass):
-    """Leave out the counting of references in a function that only borrows its arrays.
+class _EntryCompiler(_Compiler):
+    """The same, with a wrapper by which Python calls it."""
 
-    It allocates none, gets none from what it calls, and returns none: all are its arguments, which
-    the caller holds, or views of them. Counting is atomic, and LLVM removes only a part of it: with
-    it `_solve_layer` takes half as long again.
+    def define_pipelines(self) -> list[Any]:
+        self.state.flags.no_cpython_wrapper = False
+        return super().define_pipelines()
+
+
+class _Whole:
+    """How a record or array is passed: in one piece.
+
+    numba passes each number in it by itself, 7 for a vector: to take records apart for each call,
+    and to put them together again, is a sixth of all instructions.
     """
 
-    _name = "borrow_arrays"
+    def __init__(self, model: StructModel) -> None:
+        self.get_argument_type = model.get_value_type
 
-    def __init__(self) -> None:
-        FunctionPass.__init__(self)
+    def as_argument(self, builder: Any, value: Any) -> Any:  # noqa: ARG002, numba's signature
+        return value
 
-    def run_pass(self, state: Any) -> bool:
-        models = state.targetctx.data_model_manager
-
-        def counted(kind: Any) -> bool:
-            return bool(models[kind].contains_nrt_meminfo())
-
-        made = (
-            signature
-            for expression, signature in state.calltypes.items()
-            if signature is not None and not _only_views(expression, signature, state.typemap)
-        )
-        if not counted(state.return_type) and not any(counted(s.return_type) for s in made):
-            state.targetctx = state.targetctx.subtarget(enable_nrt=False)
-        return False
+    from_argument = as_argument
 
 
-def _only_views(expression: Any, signature: Any, kinds: Any) -> bool:
-    """Whether an expression can only be a view of an array, or a record or member of such."""
-    if not isinstance(expression, ir.Expr):
-        return False
-    if expression.op == "call":
-        return isinstance(kinds[expression.func.name], types.NamedTupleClass)
-    if expression.op not in ("getitem", "static_getitem"):
-        return False
-    index = signature.args[1]
-    parts = index if isinstance(index, types.BaseTuple) else [index]  # type: ignore[attr-defined]
-    plain = types.Integer | types.SliceType  # type: ignore[attr-defined]
-    return all(isinstance(part, plain) for part in parts)
+class _WholeModels:
+    """numba's models of types, but for how values are passed."""
+
+    def __init__(self, models: Any) -> None:
+        self._models = models
+
+    def lookup(self, kind: Any) -> Any:
+        model = self._models[kind]
+        return _Whole(model) if isinstance(model, StructModel) and model.field_count else model
 
 
 class _Part(JITCodeLibrary):
@@ -192,12 +197,17 @@ def _optimized_once(entry: str) -> Iterator[None]:
     def no_wrapper(*_: Any) -> None:
         pass
 
+    def whole(kinds: Any) -> ArgPacker:
+        return ArgPacker(_WholeModels(context.data_model_manager), kinds)
+
     codegen._library_class, codegen.set_env = library, set_env
     context.create_cfunc_wrapper = no_wrapper
+    context.get_arg_packer = whole
     try:
         yield
     finally:
-        del codegen._library_class, codegen.set_env, context.create_cfunc_wrapper
+        del codegen._library_class, codegen.set_env
+        del context.create_cfunc_wrapper, context.get_arg_packer
 
 
 @contextlib.contextmanager

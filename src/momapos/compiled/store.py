@@ -1,7 +1,7 @@
 """Where the machine code of entries is kept: a pack that comes with a wheel, then a cache folder.
 
 Code is found by what it is made from: the entry's stamp (all functions that it calls), the exact
-versions of numba, of `compiler.py` and of llvmlite, Python's minor version, and the processor.
+versions of numba, of our compiler and of llvmlite, Python's minor version, and the processor.
 Checksums find damage, not malice: who can write the cache folder can run code as its owner, as with
 Python's own caches.
 """
@@ -38,6 +38,7 @@ PACK_FEATURES = ("avx", "avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe", 
 """What the processor must have for the code of a pack."""
 _NUMBA_SETTINGS = ("NUMBA_CPU_", "NUMBA_OPT", "NUMBA_LOOP_", "NUMBA_SLP_", "NUMBA_BOUNDS")
 Report = Callable[[int, int], None]
+_COMPILER = ("borrowing.py", "compiler.py")
 
 
 def compiler_version() -> list[str]:
@@ -49,8 +50,8 @@ def compiler_version() -> list[str]:
     # package's metadata takes 40 ms to look up.
     numba = Path(package.origin).with_name("_version.py").read_bytes()
     python = f"{sys.implementation.name} {sys.version_info[0]}.{sys.version_info[1]}"
-    ours = Path(__file__).with_name("compiler.py").read_bytes()
-    versions = [f"numba {content_key(numba, ours)}", f"llvmlite {llvmlite.__version__}"]
+    ours = [Path(__file__).with_name(name).read_bytes() for name in _COMPILER]
+    versions = [f"numba {content_key(numba, *ours)}", f"llvmlite {llvmlite.__version__}"]
     return [*versions, python, sys.platform, platform.machine()]
 
 
