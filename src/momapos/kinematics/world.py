@@ -250,56 +250,38 @@ def check_one(q, base, state, chain, room, scratch):
 
 
 @entry
-def _check(
-    q: F2,
+def _first_hits(
+    a: F2,
+    b: F2,
+    step: float,
     bases: F2,
     value: I1,
     holding: B1,
     chain: ChainArrays,
     room: CollisionArrays,
 ) -> np.ndarray:
+    """What each straight motion hits first, or FREE; one that ends where it begins is a state."""
     scratch = scratch_of(len(chain.slides), room.spheres)
-    out = np.empty(len(q), np.int64)
-    for i in range(len(q)):
-        state = TaskState(value[i], holding[i])
-        out[i] = check_one(q[i], bases[i], state, chain, room, scratch)
+    q, out = np.empty(a.shape[1]), np.empty(len(a), np.int64)
+    for m in range(len(a)):
+        state, longest = TaskState(value[m], holding[m]), 0.0
+        for k in range(len(q)):
+            longest = max(longest, abs(b[m, k] - a[m, k]))
+        count = int(np.ceil(longest / step - 1e-9))
+        # The end, the start, the middle, then ever finer: what hits is found early.
+        stride, half, hit = 0, max(count, 1), FREE
+        while hit == FREE and half > 0:
+            for i in range(count // half * half, -1, -half):
+                if stride > 0 and (i % stride == 0 or i == count):
+                    continue
+                for k in range(len(q)):
+                    q[k] = a[m, k] + (b[m, k] - a[m, k]) * (i / max(count, 1))
+                hit = check_one(q, bases[m], state, chain, room, scratch)
+                if hit != FREE:
+                    break
+            stride, half = half, (half + 1) // 2 if half > 1 else 0
+        out[m] = hit
     return out
-
-
-@entry
-def _motion_free(
-    a: F1,
-    b: F1,
-    step: float,
-    base: F1,
-    state: TaskState,
-    chain: ChainArrays,
-    room: CollisionArrays,
-) -> bool:
-    n = len(a)
-    scratch = scratch_of(len(chain.slides), room.spheres)
-    q, longest = np.empty(n), 0.0
-    for k in range(n):
-        longest = max(longest, abs(b[k] - a[k]))
-    count = max(1, int(np.ceil(longest / step - 1e-9)))
-    # The end, the start, the middle, then ever finer: what hits is found early.
-    stride = count
-    for i in (count, 0):
-        for k in range(n):
-            q[k] = a[k] + (b[k] - a[k]) * (i / count)
-        if check_one(q, base, state, chain, room, scratch) != FREE:
-            return False
-    while stride > 1:
-        half = (stride + 1) // 2
-        for i in range(half, count, half):
-            if i % stride == 0:
-                continue
-            for k in range(n):
-                q[k] = a[k] + (b[k] - a[k]) * (i / count)
-            if check_one(q, base, state, chain, room, scratch) != FREE:
-                return False
-        stride = half
-    return True
 
 
 def collision_arrays(spheres: Spheres, world: CollisionWorld) -> CollisionArrays:
@@ -324,8 +306,11 @@ def check(
         value: Index of the object's joint value at each.
         holding: Whether the gripper may touch what is grasped.
     """
-    return _check(
-        np.ascontiguousarray(q),
+    q = np.ascontiguousarray(q)
+    return _first_hits(
+        q,
+        q,
+        1.0,
         np.ascontiguousarray(bases),
         np.ascontiguousarray(value),
         np.ascontiguousarray(holding),
@@ -354,13 +339,14 @@ def motion_checker(
     """
     fixed = (
         step,
-        np.array(base, float),
-        TaskState(value, holding),
+        np.array([base], float),
+        np.array([value]),
+        np.array([holding]),
         chain_arrays(chain),
         collision_arrays(spheres, world),
     )
 
     def free(a: Float[np.ndarray, " n"], b: Float[np.ndarray, " n"]) -> bool:
-        return bool(_motion_free(a, b, *fixed))
+        return bool(_first_hits(a[None], b[None], *fixed)[0] == FREE)
 
     return free

@@ -149,13 +149,13 @@ def lookup(line, yaw_turns, turn, grid):
     Returns:
         Value in stored steps; above the threshold where the line can be reached.
     """
-    if grid.turns == 1:
-        return _line_value(line, yaw_turns, 0, grid)
     size = grid.shape.z * grid.shape.r * grid.shape.u * grid.shape.v * grid.shape.azimuth
     f = turn * grid.turns - TURN_AT + grid.turns
     i = int(f)
     f -= i
     one = _line_value(line, yaw_turns, (i % grid.turns) * size, grid)
+    if grid.turns == 1:
+        return one
     other = _line_value(line, yaw_turns, ((i + 1) % grid.turns) * size, grid)
     return one + f * (other - one)
 
