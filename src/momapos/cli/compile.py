@@ -9,7 +9,6 @@ from momapos.compiled.kernel import ENTRIES
 from momapos.compiled.store import store
 
 ANSWER = (
-    "momapos.importance.relations._gaps_to",
     "momapos.kinematics.base_collision._hit",
     "momapos.kinematics.chain.forward",
     "momapos.kinematics.chain.stand_at_origin",
@@ -43,7 +42,6 @@ VERIFY = (
 )
 """Those that checking a plan needs."""
 RANK = (
-    "momapos.importance.relations._gaps_to",
     "momapos.importance.relations._hierarchy",
     "momapos.importance.relations._nearest",
 )

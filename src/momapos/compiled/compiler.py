@@ -8,7 +8,6 @@ every function that calls it, and makes machine code of each.
 from __future__ import annotations
 
 import contextlib
-import gc
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
@@ -17,8 +16,6 @@ import numpy as np
 from numba.core import types
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
-from numba.core.datamodel.models import StructModel
-from numba.core.datamodel.packer import ArgPacker
 from numba.core.registry import cpu_target
 from numba.core.typed_passes import NativeLowering
 
@@ -80,7 +77,7 @@ def compile_entry(kernel: Kernel) -> Code:
     """Compile an entry for its annotated types."""
     outer = _compiled(kernel, _EntryCompiler)
     signature = tuple(numba_type(hint) for hint in kernel.types)
-    with _optimized_once(kernel.py_func.__qualname__), _no_collector():
+    with _optimized_once(kernel.py_func.__qualname__):
         outer.compile(signature)
     (result,) = outer.overloads.values()
     main = result.target_context.get_env_name(result.fndesc)
@@ -130,31 +127,11 @@ class _EntryCompiler(_Compiler):
         return super().define_pipelines()
 
 
-class _Whole:
-    """How a record or array is passed: in one piece.
+class _Whole(JITCodeLibrary):
+    """An entry with all that it calls, which is optimized as a whole."""
 
-    numba passes each number in it by itself, 7 for a vector: to take records apart for each call,
-    and to put them together again, is a sixth of all instructions.
-    """
-
-    def __init__(self, model: StructModel) -> None:
-        self.get_argument_type = model.get_value_type
-
-    def as_argument(self, builder: Any, value: Any) -> Any:  # noqa: ARG002, numba's signature
-        return value
-
-    from_argument = as_argument
-
-
-class _WholeModels:
-    """numba's models of types, but for how values are passed."""
-
-    def __init__(self, models: Any) -> None:
-        self._models = models
-
-    def lookup(self, kind: Any) -> Any:
-        model = self._models[kind]
-        return _Whole(model) if isinstance(model, StructModel) and model.field_count else model
+    def _optimize_functions(self, ll_module: Any) -> None:
+        ll_module.data_layout = self._codegen._data_layout
 
 
 class _Part(JITCodeLibrary):
@@ -188,7 +165,7 @@ def _optimized_once(entry: str) -> Iterator[None]:
     codegen = context.codegen()
 
     def library(owner: Any, name: str) -> JITCodeLibrary:
-        return (JITCodeLibrary if name == entry else _Part)(owner, name)
+        return (_Whole if name == entry else _Part)(owner, name)
 
     def set_env(name: str, environment: Any) -> None:
         if codegen._engine.is_symbol_defined(name):
@@ -197,26 +174,9 @@ def _optimized_once(entry: str) -> Iterator[None]:
     def no_wrapper(*_: Any) -> None:
         pass
 
-    def whole(kinds: Any) -> ArgPacker:
-        return ArgPacker(_WholeModels(context.data_model_manager), kinds)
-
     codegen._library_class, codegen.set_env = library, set_env
     context.create_cfunc_wrapper = no_wrapper
-    context.get_arg_packer = whole
     try:
         yield
     finally:
-        del codegen._library_class, codegen.set_env
-        del context.create_cfunc_wrapper, context.get_arg_packer
-
-
-@contextlib.contextmanager
-def _no_collector() -> Iterator[None]:
-    """Keep Python from looking for dead cycles among numba's many objects: a tenth of the time."""
-    enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if enabled:
-            gc.enable()
+        del codegen._library_class, codegen.set_env, context.create_cfunc_wrapper

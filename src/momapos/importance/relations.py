@@ -26,6 +26,7 @@ WALLS_INSIDE, WALLS_IN = 3, 4
 """Sides, of four, on which the container must stand around the object [-]."""
 SAME = 1e-4
 """Gaps are rounded to this, so that touching cabinets tie however the room is turned [m]."""
+_CORNERS = np.array([[-1.0, -1.0], [-1.0, 1.0], [1.0, -1.0], [1.0, 1.0]])
 _POINTS = 4
 """Points along each edge of the box that is tested for being contained [-]."""
 
@@ -286,19 +287,6 @@ def _nearest(
     return index
 
 
-@entry
-def _gaps_to(
-    target: int,
-    center: F2,
-    rotation: F3,
-    half: F2,
-) -> np.ndarray:
-    out = np.empty(len(center))
-    for i in range(len(center)):
-        out[i] = _outline_gap(i, target, center, rotation, half)
-    return out
-
-
 def hierarchy(bodies: ObjectBodies, *, contact: float) -> Int[np.ndarray, "e 3"]:
     """Find every on, in and inside: rows of child, parent, index into KINDS.
 
@@ -338,4 +326,15 @@ def neighbors(box: Boxes, *, count: int, reach: float) -> Int[np.ndarray, "e 2"]
 
 def outline_gaps(box: Boxes, target: int) -> Float[np.ndarray, " n"]:
     """Horizontal distance of every object's upright box to the target's [m]."""
-    return _gaps_to(target, box.center, box.rotation, box.half)
+    center, rotation, half = box.center[:, :2], box.rotation[:, :2, :2], box.half[:, :2]
+    corners = center[:, None] + np.einsum("nij,nkj->nki", rotation, _CORNERS * half[:, None])
+    # The corners of each in the target's frame, and the target's in the frame of each.
+    inside = (corners - center[target]) @ rotation[target]
+    around = np.einsum("nki,nij->nkj", corners[target] - center[:, None], rotation)
+    apart = np.zeros(len(center), bool)
+    nearest = np.full(len(center), np.inf)
+    for local, edge in ((inside, half[target]), (around, half)):
+        apart |= ((local.min(1) > edge) | (local.max(1) < -edge)).any(-1)
+        beyond = np.maximum(np.abs(local) - edge[..., None, :], 0.0)
+        nearest = np.minimum(nearest, np.linalg.norm(beyond, axis=-1).min(1))
+    return np.where(apart, nearest, 0.0)
