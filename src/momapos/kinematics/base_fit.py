@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.compiled import B1, F2, F3, entry, kernel
+from momapos.geometry.transforms import wrap_angle
 from momapos.kinematics.chain import Chain, forward, stand_at_origin
 from momapos.kinematics.ik import arm_arrays, ik_scratch, nearest_seeds
 from momapos.kinematics.ik_model import IkModel
@@ -129,7 +130,7 @@ def fit_bases(
     """Base poses beside given ones from which an arm takes all of some tool poses.
 
     Args:
-        chain, ik: The arm, which has seeds.
+        chain, ik: The arm.
         bases: x, y [m], yaw [rad] to begin at.
         Ts_world_tool: The tool poses.
 
@@ -138,5 +139,5 @@ def fit_bases(
     """
     moved, met = np.array(bases, float), np.zeros(len(bases), bool)
     _fit(moved, np.ascontiguousarray(Ts_world_tool, float), arm_arrays(chain, ik), met)
-    moved[:, 2] = (moved[:, 2] + np.pi) % (2 * np.pi) - np.pi
+    moved[:, 2] = wrap_angle(moved[:, 2])
     return moved, met
