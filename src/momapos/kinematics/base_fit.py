@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 STEPS = 40
 """Steps from a base pose [-]."""
+PATIENCE = 5
+"""Steps within which the residual must be halved, or the fit is given up [-]."""
 MET = 1e-12
 """Squared residual of all tool poses together that counts as met [m^2 + rad^2]."""
 NEAR, NEAR_TURN = 0.15, 0.5
@@ -63,12 +65,13 @@ def _fit(
     full = np.empty((6, size))
     for i in range(len(bases)):
         base = bases[i]
+        # All states begin at one, from which the steps lead them apart.
+        _target(base, poses[0], R_to, p_to)
+        nearest_seeds(R_to, p_to, arm.ik, scratch.order, scratch.distance)
         for m in range(w):
-            _target(base, poses[m], R_to, p_to)
-            nearest_seeds(R_to, p_to, arm.ik, scratch.order, scratch.distance)
             for k in range(n):
                 q[m, k] = arm.ik.seeds[scratch.order[0], k]
-        met[i] = False
+        met[i], before = False, np.inf
         for step in range(STEPS + 1):
             residual = 0.0
             for a in range(size):
@@ -109,6 +112,10 @@ def _fit(
                 break
             if step == STEPS or not np.isfinite(residual):
                 break
+            if step % PATIENCE == 0:
+                if residual > 0.5 * before:
+                    break
+                before = residual
             for a in range(size):
                 A[a, a] += 1e-9 + 0.01 * min(residual, 1.0)
             solve_spd(A, g)

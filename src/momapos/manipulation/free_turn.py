@@ -3,7 +3,9 @@
 Such an arm takes few tool poses exactly, so that a hand that holds still can hardly be carried
 along an arc. A hand that may turn about the bar that it holds can: the turn joins the arm's chain
 as a joint without links, inverse kinematics finds it like all others, and what remains of a
-solution without it is a state of the arm whose hand has turned that far.
+solution without it is a state of the arm whose hand has turned that far. Along a straight line a
+hand that holds still can be carried as well, but from base poses on a curve only: samples are
+moved to some beside them.
 """
 
 from __future__ import annotations
@@ -15,9 +17,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.kinematics.base_fit import fit_bases
-from momapos.kinematics.chain import with_tool_turn
+from momapos.kinematics.chain import Chain, with_tool_turn
 from momapos.kinematics.collision import FREE
-from momapos.kinematics.ik import build_ik
+from momapos.kinematics.ik import IkModel, build_ik
 from momapos.kinematics.world import CollisionWorld
 from momapos.manipulation.arm_path import UNREACHABLE, ArmPath, find_paths
 from momapos.manipulation.motion import TaskMotion
@@ -32,11 +34,13 @@ FULL = 6
 """Degrees of freedom from which on an arm takes any tool pose within reach [-]."""
 MOST_WAYS = 4
 """Ways of holding that a base pose is fitted to, until one fits [-]."""
+_SPREAD = 0.5 * (5.0**0.5 - 1.0)
+"""Multiples of the golden ratio are spread evenly, however many are taken [-]."""
 _DIGITS = 6
 """Axes and angles that agree so far are the same [-]."""
 
 
-def find_turning_paths(
+def find_short_paths(
     robot: Robot,
     world: CollisionWorld,
     motion: TaskMotion,
@@ -45,13 +49,19 @@ def find_turning_paths(
 ) -> list[ArmPath]:
     """Look for an arm path for each pair of base pose and way of holding, see `find_paths`.
 
-    Only ways in which the hand turns are looked at: for the others such an arm is too short of
+    A hand that holds still is carried along straight lines alone: else such an arm is too short of
     joints wherever it stands, but for places of no size.
     """
     paths = [ArmPath(UNREACHABLE, 0, 0, FREE)] * len(ways)
-    for way in np.unique(ways[ways >= len(motion.turning.angles)]).tolist():
+    grasps = len(motion.turning.angles)
+    rigid = np.flatnonzero(ways < grasps)
+    if len(rigid) and _straight(motion):
+        found = find_paths(robot, world, motion, bases[rigid], ways[rigid])
+        for row, path in zip(rigid.tolist(), found, strict=True):
+            paths[row] = path
+    for way in np.unique(ways[ways >= grasps]).tolist():
         arm, grasp = _turning_arm(robot, motion, way)
-        chosen = np.arange(len(motion.Ts_world_tool)) == grasp
+        chosen = np.arange(grasps) == grasp
         still = replace(motion.only(chosen), turning=no_turning(1))
         rows = np.flatnonzero(ways == way)
         found = find_paths(arm, world, still, bases[rows], np.zeros(len(rows), np.int64))
@@ -62,30 +72,52 @@ def find_turning_paths(
 
 def fitted_bases(
     robot: Robot, motion: TaskMotion, poses: Float[np.ndarray, "n 3"]
-) -> Float[np.ndarray, "n 3"]:
-    """Base poses beside given ones from which a turning hand follows the motion, where there are.
+) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, " n"]]:
+    """Base poses beside given ones from which an arm of few joints follows the motion.
 
-    The ways in which the hand turns are tried one after the other; poses for which nothing is found
-    stay as they are. An arm of six degrees of freedom or more needs none of this.
+    Each is fitted to a few ways of holding, one after the other, until one fits; all ways get
+    their share of the poses.
+
+    Returns:
+        Where each has come to, and the way by which the arm follows the motion there; -1 where none
+        was found, and the pose stays as it is.
     """
-    groups = len(motion.turning.groups)
-    if robot.chain.size >= FULL or not groups:
-        return poses
-    poses, left = poses.copy(), np.arange(len(poses))
-    steps = motion.waypoint_steps[[1, len(motion.waypoint_steps) // 2, -1]]
-    # Every pose begins with another way, so that all of them get their share.
-    for turn in range(min(groups, MOST_WAYS)):
-        ways = (left + turn) % groups
-        done = np.zeros(len(left), bool)
-        for group in np.unique(ways).tolist():
-            arm, grasp = _turning_arm(robot, motion, len(motion.turning.angles) + group)
-            rows = np.flatnonzero(ways == group)
-            Ts = motion.Ts_world_tool[grasp, steps]
-            moved, met = fit_bases(arm.chain, arm.ik, poses[left[rows]], Ts)
-            poses[left[rows[met]]] = moved[met]
-            done[rows[met]] = True
-        left = left[~done]
-    return poses
+    ways = _short_ways(motion)
+    poses, found = poses.copy(), np.full(len(poses), -1)
+    if not len(ways):
+        return poses, found
+    steps = motion.waypoint_steps[[0, 1, len(motion.waypoint_steps) // 2, -1]]
+    first, tries = _SPREAD * np.arange(len(poses)), min(len(ways), MOST_WAYS)
+    for turn in range(tries):
+        left = np.flatnonzero(found < 0)
+        share = (first[left] + turn / tries) % 1.0
+        chosen = ways[(share * len(ways)).astype(np.int64)]
+        for way in np.unique(chosen).tolist():
+            rows = left[chosen == way]
+            chain, ik, grasp = _arm_of(robot, motion, way)
+            moved, met = fit_bases(chain, ik, poses[rows], motion.Ts_world_tool[grasp, steps])
+            poses[rows[met]], found[rows[met]] = moved[met], way
+    return poses, found
+
+
+def _short_ways(motion: TaskMotion) -> Int[np.ndarray, " w"]:
+    """The ways of holding by which an arm of few joints may follow a motion."""
+    turning = motion.turning
+    return np.arange(0 if _straight(motion) else len(turning.angles), turning.ways)
+
+
+def _straight(motion: TaskMotion) -> bool:
+    """Whether a hand that holds still is carried along straight lines, without a turn."""
+    R = motion.Ts_world_tool[0, :, :3, :3]
+    return bool(np.allclose(R, R[:1], atol=1e-9))
+
+
+def _arm_of(robot: Robot, motion: TaskMotion, way: int) -> tuple[Chain, IkModel, int]:
+    """What is solved for a way of holding, and the grasp whose tool poses are asked for."""
+    if way < len(motion.turning.angles):
+        return robot.chain, robot.ik, way
+    arm, grasp = _turning_arm(robot, motion, way)
+    return arm.chain, arm.ik, grasp
 
 
 def _turning_arm(robot: Robot, motion: TaskMotion, way: int) -> tuple[TurningArm, int]:

@@ -19,6 +19,7 @@ from momapos.placement.area import (
     base_pose_status,
     sampling_box,
     task_frame,
+    within_reach,
 )
 from momapos.placement.config import PlaceConfig
 from momapos.placement.holding import ScoreWays, WayScores
@@ -49,7 +50,11 @@ ScreenPoses: TypeAlias = (
 )
 """Look for an arm path at each of many base poses, from the scores of all grasps and the number
 of grasps to be tried; None: out of time."""
-FitPoses: TypeAlias = "Callable[[Float[np.ndarray, 'n 3']], Float[np.ndarray, 'n 3']]"
+FitPoses: TypeAlias = (
+    "Callable[[Float[np.ndarray, 'n 3']], tuple[Float[np.ndarray, 'n 3'], Int[np.ndarray, ' n']]]"
+)
+"""Move base poses to some beside them, and tell by which way of holding the task can be done from
+each; -1: none was found."""
 PoseFilter: TypeAlias = "Callable[[Float[np.ndarray, 'n 3']], Bool[np.ndarray, ' n']]"
 """Which of some base poses are no candidates, for reasons that this stage does not know."""
 AttemptPose: TypeAlias = (
@@ -130,7 +135,7 @@ class Problem:
     pose_filter: PoseFilter | None = None
     """Rules base poses out."""
     fit: FitPoses | None = None
-    """Moves samples to base poses beside them from which an arm of few joints can do the task."""
+    """Finds base poses beside given ones from which an arm of few joints can do the task."""
 
 
 def search(problem: Problem, config: PlaceConfig, rng: np.random.Generator) -> Search:
@@ -151,12 +156,17 @@ def search(problem: Problem, config: PlaceConfig, rng: np.random.Generator) -> S
     frame = task_frame(problem.geometry)
     for local, on_grid in _rounds(corners, config, rng):
         poses = compose(frame, local)
-        if problem.fit is not None and not on_grid:
-            poses = problem.fit(poses)
+        poses, own = _fitted(problem, poses)
+        if found.motion is None and problem.fit is not None and problem.out_of_time():
+            found.timed_out = True
+            return found
         clear = _cull(problem, poses, found)
         for score in problem.ways:
             reach = problem.grid_reach if on_grid else problem.reach
-            shortlist = clear.reached(score(reach, clear.poses))
+            scores = score(reach, clear.poses)
+            if own is not None:
+                scores = scores.of_way(own[clear.row])
+            shortlist = clear.reached(scores)
             if on_grid:
                 _check_grid(problem, shortlist, config, found)
             else:
@@ -164,6 +174,22 @@ def search(problem: Problem, config: PlaceConfig, rng: np.random.Generator) -> S
             if found.motion is not None or found.timed_out:
                 return found
     return found
+
+
+def _fitted(
+    problem: Problem, poses: Float[np.ndarray, "n 3"]
+) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, " n"] | None]:
+    """Poses beside these from which an arm of few joints can do the task, and the way of each."""
+    if problem.fit is None:
+        return poses, None
+    poses, own = poses.copy(), np.full(len(poses), -1)
+    near = np.flatnonzero(within_reach(problem.geometry, poses))
+    for first in range(0, len(near), _BLOCK):
+        if problem.out_of_time():
+            break
+        rows = near[first : first + _BLOCK]
+        poses[rows], own[rows] = problem.fit(poses[rows])
+    return poses, own
 
 
 def search_in_order(
