@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from momapos.base_pose import check_base_pose
 from momapos.config import PipelineConfig
 from momapos.geometry.transforms import invert, pose_planar
 from momapos.manipulation.arm_path import FOUND, HIT
@@ -14,6 +15,7 @@ from momapos.manipulation.free_turn import find_short_paths, fitted_bases
 from momapos.manipulation.tasks import make_task
 from momapos.pipeline import plan_base_placement
 from momapos.prepare import prepare
+from momapos.reachability.store import load_reach
 from momapos.robots.robot import Robot, load_robot
 from momapos.scene.files import load_scene
 from momapos.scene.scene import Scene
@@ -91,3 +93,22 @@ def test_from_a_fitted_base_pose_the_arm_follows_the_motion_by_the_way_that_is_t
     # What is left is contact, and what lies between the waypoints that are fitted.
     assert sum(path.status in (FOUND, HIT) for path in paths) >= 0.5 * len(paths) > 3
     assert any(path.status == FOUND for path in paths)
+
+
+def test_a_drive_that_ends_some_millimeters_away_leaves_the_answer_good(kitchen: Scene) -> None:
+    robot = load_robot("stretch")
+    task = make_task(kitchen, "open", "cabinet_right", "drawer_top_slide")
+    reach = load_reach(robot)
+    plan = plan_base_placement(kitchen, robot, task, reach, config=CONFIG).plan
+    assert plan.base_pose is not None
+    for off in ((0.004, 0.0, 0.006), (-0.003, 0.003, -0.006), (0.0, -0.004, 0.0)):
+        again = check_base_pose(kitchen, robot, task, np.add(plan.base_pose, off), reach)
+        assert again.motion is not None
+        # What the plan says is where the arm has the hand from there.
+        there = again.motion
+        Ts = pose_planar(np.add(plan.base_pose, off)) @ robot.chain.tool_poses(
+            robot.chain.freedom_values(there.q)
+        )
+        np.testing.assert_allclose(Ts, there.Ts_world_tool, atol=1e-9)
+    far = check_base_pose(kitchen, robot, task, np.add(plan.base_pose, (0.05, 0, 0.1)), reach)
+    assert far.motion is None

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 STEPS = 40
 """Steps from a base pose [-]."""
+STAND = 5
+"""Steps in which the arm comes as near as it can before the base moves [-]."""
 PATIENCE = 5
 """Steps within which the residual must be halved, or the fit is given up [-]."""
 MET = 1e-12
@@ -97,9 +99,10 @@ def _fit(
                     for k in range(n):
                         full[r, 3 + m * n + k] = J[r, k]
                 c, s = np.cos(base[2]), np.sin(base[2])
-                full[0, 0], full[1, 0] = c, -s
-                full[0, 1], full[1, 1] = s, c
-                full[0, 2], full[1, 2], full[5, 2] = -tool[1], tool[0], 1.0
+                if step >= STAND:
+                    full[0, 0], full[1, 0] = c, -s
+                    full[0, 1], full[1, 1] = s, c
+                    full[0, 2], full[1, 2], full[5, 2] = -tool[1], tool[0], 1.0
                 for r in range(6):
                     for a in range(size):
                         if full[r, a] == 0.0:
@@ -112,7 +115,7 @@ def _fit(
                 break
             if step == STEPS or not np.isfinite(residual):
                 break
-            if step % PATIENCE == 0:
+            if step >= STAND and (step - STAND) % PATIENCE == 0:
                 if residual > 0.5 * before:
                     break
                 before = residual

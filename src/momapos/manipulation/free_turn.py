@@ -16,22 +16,25 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from momapos.geometry.transforms import wrap_angle
 from momapos.kinematics.base_fit import fit_bases
-from momapos.kinematics.chain import Chain, with_tool_turn
+from momapos.kinematics.chain import with_tool_turn
 from momapos.kinematics.collision import FREE
-from momapos.kinematics.ik import IkModel, build_ik
+from momapos.kinematics.ik import build_ik
 from momapos.kinematics.world import CollisionWorld
 from momapos.manipulation.arm_path import UNREACHABLE, ArmPath, find_paths
 from momapos.manipulation.motion import TaskMotion
 from momapos.manipulation.turning import no_turning
-from momapos.manipulation.turning_arm import TurningArm
+from momapos.manipulation.turning_arm import Arm, TurningArm
 from momapos.robots.robot import Robot
 
 if TYPE_CHECKING:
-    from jaxtyping import Float, Int
+    from jaxtyping import Bool, Float, Int
 
 FULL = 6
 """Degrees of freedom from which on an arm takes any tool pose within reach [-]."""
+GIVE, LEAN = 0.008, float(np.radians(0.8))
+"""So far a base may be from one where the arm follows exactly [m], [rad]: a drive ends so near."""
 MOST_WAYS = 4
 """Ways of holding that a base pose is fitted to, until one fits [-]."""
 _SPREAD = 0.5 * (5.0**0.5 - 1.0)
@@ -50,23 +53,24 @@ def find_short_paths(
     """Look for an arm path for each pair of base pose and way of holding, see `find_paths`.
 
     A hand that holds still is carried along straight lines alone: else such an arm is too short of
-    joints wherever it stands, but for places of no size.
+    joints wherever it stands, but for places of no size. Base poses that are some millimeters from
+    one where the arm follows exactly get its states: the pads and the grip's play take up the rest,
+    and the exact check tells how far the hand then slips.
     """
     paths = [ArmPath(UNREACHABLE, 0, 0, FREE)] * len(ways)
-    grasps = len(motion.turning.angles)
-    rigid = np.flatnonzero(ways < grasps)
-    if len(rigid) and _straight(motion):
-        found = find_paths(robot, world, motion, bases[rigid], ways[rigid])
-        for row, path in zip(rigid.tolist(), found, strict=True):
-            paths[row] = path
-    for way in np.unique(ways[ways >= grasps]).tolist():
-        arm, grasp = _turning_arm(robot, motion, way)
-        chosen = np.arange(grasps) == grasp
+    asked = np.flatnonzero(np.isin(ways, _short_ways(motion)))
+    for way in np.unique(ways[asked]).tolist():
+        rows = asked[ways[asked] == way]
+        near, met = _beside(robot, motion, way, bases[rows])
+        away = near - bases[rows]
+        met &= (np.hypot(away[:, 0], away[:, 1]) <= GIVE) & (abs(wrap_angle(away[:, 2])) <= LEAN)
+        arm, grasp = _held(robot, motion, way)
+        chosen = np.arange(len(motion.Ts_world_tool)) == grasp
         still = replace(motion.only(chosen), turning=no_turning(1))
-        rows = np.flatnonzero(ways == way)
-        found = find_paths(arm, world, still, bases[rows], np.zeros(len(rows), np.int64))
-        for row, path in zip(rows.tolist(), found, strict=True):
-            paths[row] = path if path.q is None else replace(path, q=path.q[:, :-1].copy())
+        found = find_paths(arm, world, still, near[met], np.zeros(met.sum(), np.int64))
+        for row, path in zip(rows[met].tolist(), found, strict=True):
+            n = robot.chain.size
+            paths[row] = path if path.q is None else replace(path, q=path.q[:, :n].copy())
     return paths
 
 
@@ -86,7 +90,6 @@ def fitted_bases(
     poses, found = poses.copy(), np.full(len(poses), -1)
     if not len(ways):
         return poses, found
-    steps = motion.waypoint_steps[[0, 1, len(motion.waypoint_steps) // 2, -1]]
     first, tries = _SPREAD * np.arange(len(poses)), min(len(ways), MOST_WAYS)
     for turn in range(tries):
         left = np.flatnonzero(found < 0)
@@ -94,8 +97,7 @@ def fitted_bases(
         chosen = ways[(share * len(ways)).astype(np.int64)]
         for way in np.unique(chosen).tolist():
             rows = left[chosen == way]
-            chain, ik, grasp = _arm_of(robot, motion, way)
-            moved, met = fit_bases(chain, ik, poses[rows], motion.Ts_world_tool[grasp, steps])
+            moved, met = _beside(robot, motion, way, poses[rows])
             poses[rows[met]], found[rows[met]] = moved[met], way
     return poses, found
 
@@ -112,12 +114,21 @@ def _straight(motion: TaskMotion) -> bool:
     return bool(np.allclose(R, R[:1], atol=1e-9))
 
 
-def _arm_of(robot: Robot, motion: TaskMotion, way: int) -> tuple[Chain, IkModel, int]:
-    """What is solved for a way of holding, and the grasp whose tool poses are asked for."""
+def _beside(
+    robot: Robot, motion: TaskMotion, way: int, poses: Float[np.ndarray, "n 3"]
+) -> tuple[Float[np.ndarray, "n 3"], Bool[np.ndarray, " n"]]:
+    """Base poses beside given ones from which an arm takes the tool poses of a way of holding at
+    the ends and in the middle, and whether there are any."""
+    arm, grasp = _held(robot, motion, way)
+    steps = motion.waypoint_steps[[0, 1, len(motion.waypoint_steps) // 2, -1]]
+    return fit_bases(arm.chain, arm.ik, poses, motion.Ts_world_tool[grasp, steps])
+
+
+def _held(robot: Robot, motion: TaskMotion, way: int) -> tuple[Arm, int]:
+    """The arm that a way of holding is solved for, and the grasp whose tool poses it takes."""
     if way < len(motion.turning.angles):
-        return robot.chain, robot.ik, way
-    arm, grasp = _turning_arm(robot, motion, way)
-    return arm.chain, arm.ik, grasp
+        return robot, way
+    return _turning_arm(robot, motion, way)
 
 
 def _turning_arm(robot: Robot, motion: TaskMotion, way: int) -> tuple[TurningArm, int]:
