@@ -71,3 +71,21 @@ def test_an_arm_with_a_closed_form_is_fitted_like_others() -> None:
     for base in moved[met]:
         _, counts = solve_ik(chain, ik, invert(pose_planar(base)) @ Ts)
         assert (counts > 0).all()
+
+
+def test_the_base_moves_no_farther_than_it_must() -> None:
+    """Beside a pose that fits, the pull's own direction is the telescope's to make up for."""
+    ik, rng = build_ik(CHAIN), np.random.default_rng(3)
+    states = np.tile([0.2, 0.0, 0.0, 0.0, 0.1], (3, 1))
+    states[:, 1] = [0.1, 0.25, 0.4]
+    there = np.array([0.7, -0.4, 2.1])
+    Ts = pose_planar(there) @ CHAIN.tool_poses(states)
+    begin = there + rng.uniform(-0.01, 0.01, (40, 3))
+    moved, met = fit_bases(CHAIN, ik, begin, Ts, tries=8)
+    assert met.all()
+    pull = Ts[1, :2, 3] - Ts[0, :2, 3]
+    along = (moved - begin)[:, :2] @ (pull / np.linalg.norm(pull))
+    across = (moved - begin)[:, :2] @ np.array([-pull[1], pull[0]]) / np.linalg.norm(pull)
+    assert np.abs(along).max() < 2e-3
+    assert np.abs(across).max() > 5e-3
+    assert np.abs(moved - begin).max() < 0.03

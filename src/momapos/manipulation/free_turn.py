@@ -35,6 +35,11 @@ FULL = 6
 """Degrees of freedom from which on an arm takes any tool pose within reach [-]."""
 GIVE, LEAN = 0.008, float(np.radians(0.8))
 """So far a base may be from one where the arm follows exactly [m], [rad]: a drive ends so near."""
+TRIES = 8
+"""States of the arm from which a base pose is looked for that is so near [-]."""
+ROUNDED = 0.002
+"""So far beyond their limits the joints of a hand that turns are solved for [rad], to be brought
+back afterwards: files that say 3.14 mean half a turn."""
 MOST_WAYS = 4
 """Ways of holding that a base pose is fitted to, until one fits [-]."""
 _SPREAD = 0.5 * (5.0**0.5 - 1.0)
@@ -61,7 +66,7 @@ def find_short_paths(
     asked = np.flatnonzero(np.isin(ways, _short_ways(motion)))
     for way in np.unique(ways[asked]).tolist():
         rows = asked[ways[asked] == way]
-        near, met = _beside(robot, motion, way, bases[rows])
+        near, met = _beside(robot, motion, way, bases[rows], TRIES)
         away = near - bases[rows]
         met &= (np.hypot(away[:, 0], away[:, 1]) <= GIVE) & (abs(wrap_angle(away[:, 2])) <= LEAN)
         arm, grasp = _held(robot, motion, way)
@@ -69,8 +74,7 @@ def find_short_paths(
         still = replace(motion.only(chosen), turning=no_turning(1))
         found = find_paths(arm, world, still, near[met], np.zeros(met.sum(), np.int64))
         for row, path in zip(rows[met].tolist(), found, strict=True):
-            n = robot.chain.size
-            paths[row] = path if path.q is None else replace(path, q=path.q[:, :n].copy())
+            paths[row] = path if path.q is None else replace(path, q=_own(robot, path.q))
     return paths
 
 
@@ -115,13 +119,19 @@ def _straight(motion: TaskMotion) -> bool:
 
 
 def _beside(
-    robot: Robot, motion: TaskMotion, way: int, poses: Float[np.ndarray, "n 3"]
+    robot: Robot, motion: TaskMotion, way: int, poses: Float[np.ndarray, "n 3"], tries: int = 1
 ) -> tuple[Float[np.ndarray, "n 3"], Bool[np.ndarray, " n"]]:
     """Base poses beside given ones from which an arm takes the tool poses of a way of holding at
     the ends and in the middle, and whether there are any."""
     arm, grasp = _held(robot, motion, way)
     steps = motion.waypoint_steps[[0, 1, len(motion.waypoint_steps) // 2, -1]]
-    return fit_bases(arm.chain, arm.ik, poses, motion.Ts_world_tool[grasp, steps])
+    return fit_bases(arm.chain, arm.ik, poses, motion.Ts_world_tool[grasp, steps], tries=tries)
+
+
+def _own(robot: Robot, q: Float[np.ndarray, "d m"]) -> Float[np.ndarray, "d n"]:
+    """States of the arm itself, within its limits."""
+    chain = robot.chain
+    return np.clip(q[:, : chain.size], chain.lower, chain.upper)
 
 
 def _held(robot: Robot, motion: TaskMotion, way: int) -> tuple[Arm, int]:
@@ -152,5 +162,7 @@ def _rounded(values: np.ndarray) -> tuple[float, ...]:
 
 @lru_cache(maxsize=64)
 def _arm_about(robot: Robot, axis: tuple[float, ...], ends: tuple[float, ...]) -> TurningArm:
-    chain = with_tool_turn(robot.chain, np.array(axis), ends[0], ends[1])
+    beyond = np.where(robot.chain.prismatic, 0.0, ROUNDED)
+    wider = replace(robot.chain, lower=robot.chain.lower - beyond, upper=robot.chain.upper + beyond)
+    chain = with_tool_turn(wider, np.array(axis), ends[0], ends[1])
     return TurningArm(robot, chain, build_ik(chain))

@@ -19,9 +19,9 @@ from momapos.placement.area import (
     base_pose_status,
     sampling_box,
     task_frame,
-    within_reach,
 )
 from momapos.placement.config import PlaceConfig
+from momapos.placement.fitting import FitPoses, fitted
 from momapos.placement.holding import ScoreWays, WayScores
 from momapos.placement.order import by_expected_cost
 from momapos.placement.potential import attraction
@@ -50,11 +50,6 @@ ScreenPoses: TypeAlias = (
 )
 """Look for an arm path at each of many base poses, from the scores of all grasps and the number
 of grasps to be tried; None: out of time."""
-FitPoses: TypeAlias = (
-    "Callable[[Float[np.ndarray, 'n 3']], tuple[Float[np.ndarray, 'n 3'], Int[np.ndarray, ' n']]]"
-)
-"""Move base poses to some beside them, and tell by which way of holding the task can be done from
-each; -1: none was found."""
 PoseFilter: TypeAlias = "Callable[[Float[np.ndarray, 'n 3']], Bool[np.ndarray, ' n']]"
 """Which of some base poses are no candidates, for reasons that this stage does not know."""
 AttemptPose: TypeAlias = (
@@ -156,17 +151,18 @@ def search(problem: Problem, config: PlaceConfig, rng: np.random.Generator) -> S
     frame = task_frame(problem.geometry)
     for local, on_grid in _rounds(corners, config, rng):
         poses = compose(frame, local)
-        poses, own = _fitted(problem, poses)
-        if found.motion is None and problem.fit is not None and problem.out_of_time():
+        near = fitted(problem.fit, problem.geometry, poses, problem.out_of_time)
+        if near is None:
             found.timed_out = True
             return found
+        poses, own = near
         clear = _cull(problem, poses, found)
+        if own is not None:
+            clear.keep(own[clear.row] >= 0, PoseStatus.TOO_FEW_JOINTS)
         for score in problem.ways:
             reach = problem.grid_reach if on_grid else problem.reach
             scores = score(reach, clear.poses)
-            if own is not None:
-                scores = scores.of_way(own[clear.row])
-            shortlist = clear.reached(scores)
+            shortlist = clear.reached(scores if own is None else scores.of_way(own[clear.row]))
             if on_grid:
                 _check_grid(problem, shortlist, config, found)
             else:
@@ -174,22 +170,6 @@ def search(problem: Problem, config: PlaceConfig, rng: np.random.Generator) -> S
             if found.motion is not None or found.timed_out:
                 return found
     return found
-
-
-def _fitted(
-    problem: Problem, poses: Float[np.ndarray, "n 3"]
-) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, " n"] | None]:
-    """Poses beside these from which an arm of few joints can do the task, and the way of each."""
-    if problem.fit is None:
-        return poses, None
-    poses, own = poses.copy(), np.full(len(poses), -1)
-    near = np.flatnonzero(within_reach(problem.geometry, poses))
-    for first in range(0, len(near), _BLOCK):
-        if problem.out_of_time():
-            break
-        rows = near[first : first + _BLOCK]
-        poses[rows], own[rows] = problem.fit(poses[rows])
-    return poses, own
 
 
 def search_in_order(
