@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from momapos.cli.bounds import bounded
+from momapos.cli.bounds import within_bounds
 from momapos.errors import InputError
 
 
@@ -33,13 +33,13 @@ def test_work_on_much_memory_is_stopped() -> None:
 
 
 def run(work: Callable[[], object], **bounds: Any) -> None:
-    with bounded("robot.urdf", **bounds):
+    with within_bounds("robot.urdf", **bounds):
         work()
 
 
 def test_what_ends_in_time_changes_nothing() -> None:
     handler, limits = signal.getsignal(signal.SIGPROF), resource.getrlimit(resource.RLIMIT_DATA)
-    with bounded("robot.urdf"):
+    with within_bounds("robot.urdf"):
         done = np.ones(1000).sum()
     assert done == 1000
     assert signal.getsignal(signal.SIGPROF) == handler
@@ -48,5 +48,5 @@ def test_what_ends_in_time_changes_nothing() -> None:
 
 
 def test_other_errors_pass_through() -> None:
-    with pytest.raises(KeyError), bounded("robot.urdf"):
+    with pytest.raises(KeyError), within_bounds("robot.urdf"):
         raise KeyError("name")

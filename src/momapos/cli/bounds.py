@@ -20,7 +20,7 @@ class _TooLong(BaseException):
 
 
 @contextmanager
-def bounded(what: str, seconds: float = SECONDS, memory: int = MEMORY) -> Iterator[None]:
+def within_bounds(what: str, seconds: float = SECONDS, memory: int = MEMORY) -> Iterator[None]:
     """Do work within bounds, where the system can watch them and no other thread asks.
 
     Args:
