@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 YAWS = 12
 """Yaws that `base_scores` tries."""
 MAX_VALUES = 100_000_000
-"""Values that a map may hold [-]: each takes up to 20 bytes while the map is built."""
+"""Values that a map may hold [-]; building it takes several bytes for each."""
 _TURNS = np.arange(YAWS) / YAWS
 _YAWS = np.stack([np.cos(2 * np.pi * _TURNS), np.sin(2 * np.pi * _TURNS), _TURNS], -1)
 
