@@ -19,10 +19,10 @@ import tyro
 
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.chain import Chain, build_chain
-from momapos.kinematics.coupling import coupled
 from momapos.kinematics.ik import build_ik, solve_ik
 from momapos.kinematics.ik_model import bounded
-from momapos.kinematics.urdf import Mimic, read_urdf
+from momapos.kinematics.urdf import Mimic
+from momapos.robots.amend import Amendments
 from momapos.robots.names import library_names
 from momapos.robots.robot import load_robot
 
@@ -108,10 +108,8 @@ def main(folder: tyro.conf.Positional[Path | None] = None, count: int = 4_000) -
 
 def chain_of(arm: Arm, folder: Path) -> Chain:
     """Cut an arm out of its URDF."""
-    urdf = read_urdf(folder / arm.urdf)
-    if arm.follows:
-        follows = {name: Mimic(leader) for name, leader in arm.follows}
-        urdf = coupled(urdf, follows, "benchmarks/inverse.py")
+    follows = {name: Mimic(leader) for name, leader in arm.follows}
+    urdf, _ = Amendments(coupled=follows).read(folder / arm.urdf)
     return build_chain(Articulated(urdf), arm.base, arm.tool, arm.joints)[0]
 
 

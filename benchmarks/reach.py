@@ -25,6 +25,7 @@ from momapos.geometry.transforms import pose
 from momapos.kinematics.chain import chain_arrays
 from momapos.kinematics.collision import FREE, check_states
 from momapos.kinematics.ik import build_ik
+from momapos.kinematics.ik_model import one_turn
 from momapos.reachability import ReachConfig, ReachMap, build_map, evaluate
 from momapos.reachability.evaluation import random_poses
 from momapos.reachability.store import decode, encode, load_reach_map
@@ -113,8 +114,7 @@ def row(robot: Robot, count: int, ready: bool) -> str:
 def marked(reach: ReachMap, robot: Robot, count: int = 5_000) -> float:
     """Share of random arm states free of collision whose tool pose the map calls reachable."""
     chain, rng = robot.chain, np.random.default_rng(1)
-    lower, upper = np.maximum(chain.lower, -np.pi), np.minimum(chain.upper, np.pi)
-    q = rng.uniform(lower, upper, (10 * count, chain.size))
+    q = rng.uniform(*one_turn(chain), (10 * count, chain.size))
     boxes = (np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3)), np.zeros(0, bool))
     codes = check_states(
         q, np.zeros(3), chain_arrays(chain), robot.spheres.arrays(), boxes, False, 0.0

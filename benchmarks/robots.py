@@ -2,35 +2,39 @@
 
     pip install --no-deps --target SITE example-robot-data hello-robot-stretch-urdf \\
         hello-robot-stretch4-urdf dexmate-urdf armar mani-skill rtb-data airo-models
-    python benchmarks/robots.py SITE [--half tuned|measured] [--only NAME ...] [--place]
+    python benchmarks/robots.py SITE [--half tuned|measured] [--only NAME ...] [--place 2]
 
 No file is edited, and none written beside the makers'. A mobile manipulator must get a robot file;
 an arm that stands nowhere must get a reason and then, with `--on-box`, a robot file; what is
-neither must get a reason. With `--place` each that got one opens a fridge. A hash of the robot's
-name puts it into one of two halves: `tuned` may be looked at while building, `measured` is only
-counted.
+neither must get a reason. With `--place` each that got one is asked for some openings of each of
+five kitchens (`robot_openings.py`), which a second table counts. A hash of the robot's name puts it
+into one of two halves: `tuned` may be looked at while building, `measured` is only counted.
 """
 
 from __future__ import annotations
 
 import argparse
 import hashlib
+import json
 import resource
 import subprocess
 import sys
 import tempfile
 import time
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+
+import numpy as np
 
 from placement import machine
 
 HALVES = ("tuned", "measured")
 COMMAND = "from momapos.cli.main import entry; entry()"
-LIMIT = 180
-"""Processor time that a command may take [s]."""
+OPENINGS = Path(__file__).with_name("robot_openings.py")
+LIMIT, LIMIT_OPENINGS = 180, 900
+"""Processor time that a command may take, and all openings of a robot [s]."""
 BOX = "0.6x0.5x0.7"
-QUESTION = ("place", "open", "kitchen_small", "fridge/door_hinge")
 
 
 @dataclass(frozen=True)
@@ -132,15 +136,15 @@ MODELS = (
 )  # fmt: skip
 
 
-def run(words: list[str]) -> Outcome:
-    """Run a momapos command in a process of its own."""
+def run(words: list[str], limit: int = LIMIT) -> Outcome:
+    """Run Python in a process of its own."""
     before, began = resource.getrusage(resource.RUSAGE_CHILDREN), time.monotonic()
     with tempfile.TemporaryFile("w+") as out:
         child = subprocess.Popen(
-            [sys.executable, "-c", COMMAND, *words],
+            [sys.executable, *words],
             stdout=out,
             stderr=subprocess.STDOUT,
-            preexec_fn=_limit,
+            preexec_fn=partial(_limit, limit),
         )
         most, status = 0.0, None
         while status is None:
@@ -155,8 +159,8 @@ def run(words: list[str]) -> Outcome:
     return Outcome(status, used, time.monotonic() - began, most, lines[-1] if lines else "")
 
 
-def _limit() -> None:
-    resource.setrlimit(resource.RLIMIT_CPU, (LIMIT, LIMIT))
+def _limit(seconds: int) -> None:
+    resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds))
 
 
 def _resident(pid: int) -> float:
@@ -172,7 +176,7 @@ def checked(model: Model, site: Path, folder: Path) -> list[tuple[str, Outcome]]
     """Check a robot, and as much again as its kind asks for; what was run, and what it did."""
     urdf, out = site / model.folder / model.urdf, folder / f"{model.name}.toml"
     more = [word.format(folder=site / model.folder) for word in model.words]
-    words = ["robot", "check", str(urdf), "--out", str(out), *more]
+    words = ["-c", COMMAND, "robot", "check", str(urdf), "--out", str(out), *more]
     done = [("check", run(words))]
     if model.kind == "arm" and done[0][1].status == 2:
         done.append(("on a box", run([*words, "--on-box", BOX])))
@@ -185,13 +189,35 @@ def understood(model: Model, done: list[tuple[str, Outcome]]) -> bool:
     return statuses == {"mobile": [0], "arm": [2, 0], "other": [2]}[model.kind]
 
 
+def openings_row(model: Model, did: Outcome) -> str:
+    """What `robot_openings.py` has measured, as a row."""
+    if did.status != 0:
+        return f"| {model.name} | {model.half} | ended with status {did.status} |"
+    found = json.loads(did.last)
+    answers, runs = found["answers"], found["runs"]
+    count = {name: sum(a["status"] == name for a in answers) for name in ("solved", "timeout")}
+    seconds = [a["seconds"] for a in answers if "seconds" in a]
+    share = [
+        f"{100 * found[key]:.1f} %" if key in found else "-"
+        for key in ("misses", "false_positives")
+    ]
+    cells = [
+        model.name, model.half, found["joints"], f"{found['built']:.0f}",
+        f"{found['megabytes']:.1f}" if "megabytes" in found else "-", *share,
+        f"{count['solved']} of {len(answers)}", len(answers) - sum(count.values()),
+        count["timeout"], f"{np.median(seconds):.1f}" if seconds else "-",
+        f"{sum(runs)} of {len(runs)}",
+    ]  # fmt: skip
+    return f"| {' | '.join(map(str, cells))} |"
+
+
 def main() -> None:
     """Print a row for each robot, and what is counted."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("site", type=Path)
     parser.add_argument("--half", choices=HALVES)
     parser.add_argument("--only", nargs="*", default=[])
-    parser.add_argument("--place", action="store_true")
+    parser.add_argument("--place", type=int, default=0, help="openings of each kitchen")
     args = parser.parse_args()
     models = [
         model
@@ -201,7 +227,7 @@ def main() -> None:
     print(machine())
     print("| robot | half | what | status | processor [s] | wall [s] | memory [GB] | last line |")
     print("|---|---|---|---|---|---|---|---|")
-    right = 0
+    right, opened = 0, []
     for model in models:
         with tempfile.TemporaryDirectory(prefix="robots-") as folder:
             done = checked(model, args.site, Path(folder))
@@ -209,7 +235,10 @@ def main() -> None:
             right += good
             if args.place and good and done[-1][1].status == 0:
                 file = str(Path(folder) / f"{model.name}.toml")
-                done.append(("place", run([*QUESTION, "--robot", file])))
+                words = [str(OPENINGS), file, "--most", str(args.place)]
+                did = run(words, LIMIT_OPENINGS)
+                done.append(("openings", did))
+                opened.append(openings_row(model, did))
             for what, it in done:
                 # What is said of the measured half is not read while building.
                 last = it.last[:100] if model.half == "tuned" else ""
@@ -219,6 +248,12 @@ def main() -> None:
                     flush=True,
                 )
     print(f"\n{right} of {len(models)} as they must be")
+    if opened:
+        print(
+            "\n| robot | half | degrees of freedom | map [s] | map [MB] | misses | false positives "
+            "| solved | no | out of time | median [s] | executed |"
+        )
+        print("|" + "---|" * 12, *opened, sep="\n")
 
 
 if __name__ == "__main__":

@@ -19,6 +19,7 @@ class PoseStatus(Enum):
     NO_ROUTE = "no way to drive there"
     NO_ROUTE_AT_HOME = "no way to drive there with the arm at home"
     OUT_OF_REACH = "out of reach"
+    TOO_FEW_JOINTS = "the arm has too few joints to follow the motion from there"
     OUT_OF_REACH_ANYWHERE = "out of reach{detail} at any distance"
     TASK_INFEASIBLE = "{detail}"
     NO_GRASP_IN_REACH = "no grasp within reach"

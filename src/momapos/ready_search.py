@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.manipulation.free_turn import fitted_bases
+from momapos.manipulation.free_turn import FULL, fitted_bases
 from momapos.manipulation.motion import TaskMotion
 from momapos.navigation.global_path import BasePath, plan_path
 from momapos.outcomes import PoseOutcome, PoseStatus
@@ -131,7 +131,7 @@ def ready_search(query: PlacementQuery, modeled: Scene, motion: TaskMotion) -> R
         start=start,
         out_of_time=out_of_time,
         pose_filter=query.pose_filter,
-        fit=partial(fitted_bases, query.robot, prepared.motion),
+        fit=None if robot.chain.size >= FULL else partial(fitted_bases, robot, prepared.motion),
     )
     return ReadySearch(query, prepared, problem, drives)
 

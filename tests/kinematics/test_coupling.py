@@ -11,9 +11,9 @@ from numpy.testing import assert_allclose
 from momapos.errors import MomaposError, RobotError, UrdfError
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.chain import build_chain
-from momapos.kinematics.coupling import coupled
 from momapos.kinematics.ik import build_ik, solve_ik
 from momapos.kinematics.urdf import Mimic, read_urdf
+from momapos.robots.amend import Amendments
 
 HEAD = '<robot name="r"><link name="base"/>'
 
@@ -108,10 +108,17 @@ def test_inverse_kinematics_of_a_chain_with_followers_finds_its_poses(model: Art
         assert (states[:count] <= chain.upper + 1e-8).all()
 
 
+FOLLOWS = {"s1": Mimic("s0"), "s2": Mimic("s1", 0.5, 0.01)}
+
+
+def tied_model(text: str, folder: Path, follows: dict[str, Mimic]) -> Articulated:
+    path = folder / "r.urdf"
+    path.write_text(text)
+    return Articulated(Amendments(coupled=follows).read(path)[0])
+
+
 def test_a_robot_file_couples_what_the_urdf_leaves_free(tmp_path: Path) -> None:
-    free = model_of(telescope(mimics=False), tmp_path)
-    follows = {"s1": Mimic("s0"), "s2": Mimic("s1", 0.5, 0.01)}
-    tied = Articulated(coupled(free.urdf, follows, "r.toml: coupled"))
+    tied = tied_model(telescope(mimics=False), tmp_path, FOLLOWS)
     assert tied.joint("s2").mimic == Mimic("s0", 0.5, 0.01)
     assert tied.rest["s2"] == 0.01
     assert "l4" in tied.moved_by("s0")
@@ -121,8 +128,31 @@ def test_a_robot_file_couples_what_the_urdf_leaves_free(tmp_path: Path) -> None:
     )
 
 
+def test_a_joint_that_follows_another_one_than_its_urdf_says_leaves_that_one_alone(
+    tmp_path: Path,
+) -> None:
+    """The URDF has s2 <= 0.05 follow s0 at half its travel, which leaves s0 0.08 of 0.13."""
+    tied = tied_model(telescope(mimics=True), tmp_path, {"s2": Mimic("lift", 0.1)})
+    assert tied.joint("s2").mimic == Mimic("lift", 0.1)
+    assert tied.joint("s0").upper == pytest.approx(0.13)
+    assert tied.joint("lift").upper == pytest.approx(0.5)
+
+
+def test_an_amended_urdf_says_what_follows_what(tmp_path: Path) -> None:
+    path = tmp_path / "r.urdf"
+    path.write_text(telescope(mimics=False))
+    text = Amendments(coupled=FOLLOWS).text(path)
+    assert text is not None
+    path.write_text(text)
+    again = read_urdf(path)
+    tied = tied_model(telescope(mimics=False), tmp_path, FOLLOWS)
+    for joint in again.joints:
+        other = tied.joint(joint.name)
+        assert (joint.mimic, joint.lower, joint.upper) == (other.mimic, other.lower, other.upper)
+    assert sum(joint.mimic is not None for joint in again.joints) == 3
+
+
 def test_what_cannot_follow_is_refused_in_one_line(tmp_path: Path, model: Articulated) -> None:
-    free = model_of(telescope(mimics=False), tmp_path).urdf
     wrong = {
         "follows itself": {"s1": Mimic("s2"), "s2": Mimic("s1")},
         "no movable joint 's9'": {"s1": Mimic("s9")},
@@ -131,7 +161,7 @@ def test_what_cannot_follow_is_refused_in_one_line(tmp_path: Path, model: Articu
     }
     for words, follows in wrong.items():
         with pytest.raises(MomaposError, match=words) as caught:
-            coupled(free, follows, "r.toml: coupled")
+            tied_model(telescope(mimics=False), tmp_path, follows)
         assert "\n" not in str(caught.value)
     with pytest.raises(RobotError, match="'s1' follows 's0'"):
         build_chain(model, "base", "tool", ["turn", "s1", "yaw"])

@@ -35,10 +35,13 @@ def segment_poses(chain: Chain, q: Float[np.ndarray, " n"]) -> Float[np.ndarray,
     return Ts
 
 
-def close_robot(folder: Path, gap: float) -> tuple[Articulated, tuple[str, ...]]:
+def close_robot(
+    folder: Path, gap: float, limits: tuple[float, float] = (-3.0, 3.0)
+) -> tuple[Articulated, tuple[str, ...]]:
     """An arm whose third link turns beside the first, a few millimeters from it.
 
-    The second link holds the third at the side of the first; both turn about one axis.
+    The second link holds the third at the side of the first; both turn about one axis. The limits
+    are those of the third joint.
     """
 
     def link(name: str, size: str, xyz: str) -> str:
@@ -47,11 +50,13 @@ def close_robot(folder: Path, gap: float) -> tuple[Articulated, tuple[str, ...]]
             f'<geometry><box size="{size}"/></geometry></collision></link>'
         )
 
-    def joint(name: str, parent: str, child: str, xyz: str, axis: str) -> str:
+    def joint(
+        name: str, parent: str, child: str, xyz: str, axis: str, ends: tuple[float, float] = (-3, 3)
+    ) -> str:
         return (
             f'<joint name="{name}" type="revolute"><parent link="{parent}"/><child link="{child}"/>'
             f'<origin xyz="{xyz}"/><axis xyz="{axis}"/>'
-            '<limit lower="-3" upper="3" effort="1" velocity="1"/></joint>'
+            f'<limit lower="{ends[0]}" upper="{ends[1]}" effort="1" velocity="1"/></joint>'
         )
 
     beside = 0.1 + gap
@@ -61,7 +66,7 @@ def close_robot(folder: Path, gap: float) -> tuple[Articulated, tuple[str, ...]]
         link("first", "0.1 0.1 0.3", "0 0 0"),
         joint("second_joint", "first", "second", "0 0 0.2", "0 1 0"),
         link("second", "0.02 0.02 0.02", "0 0 0.3"),
-        joint("third_joint", "second", "third", f"0 {beside} 0", "0 1 0"),
+        joint("third_joint", "second", "third", f"0 {beside} 0", "0 1 0", limits),
         link("third", "0.2 0.1 0.3", "0 0 0"),
     ]
     file = folder / "close.urdf"
@@ -136,3 +141,24 @@ def test_shares_tell_what_each_pair_blocks_both_ways(tmp_path: Path) -> None:
     assert close.by_hulls == found.by_hulls[:, found.pairs.index(("first", "third"))].mean()
     order = [share.by_spheres for share in self_collision_shares(chain, spheres, q)]
     assert order == sorted(order, reverse=True)
+
+
+@pytest.mark.parametrize("limits", [(-1.0, 4.5), (3.5, 5.0), (1.0, 9.0), (-9.0, 9.0)])
+def test_states_are_drawn_from_the_whole_range_of_a_joint_or_one_turn(
+    tmp_path: Path, limits: tuple[float, float]
+) -> None:
+    chain, _ = arm_of(*close_robot(tmp_path, 0.02, limits))
+    drawn = sample_states(chain, np.random.default_rng(5))[:, 2]
+    assert limits[0] <= drawn.min() <= drawn.max() <= limits[1]
+    assert np.ptp(drawn) == pytest.approx(min(limits[1] - limits[0], 2 * np.pi), abs=0.05)
+    assert abs(drawn).max() <= max(abs(limits[0]), 2 * np.pi + limits[0], np.pi)
+
+
+def test_an_arm_that_nothing_is_checked_against_has_no_pair_for_hulls(tmp_path: Path) -> None:
+    model, joints = close_robot(tmp_path, 0.02)
+    chain, segments = build_chain(model, "base_link", "third", joints)
+    links = [*model.links]
+    pairs = {frozenset((a, b)) for a in links for b in links if a != b}
+    spheres = arm_spheres(model, chain, segments, pairs, ["third"])
+    assert decided_by_hulls(spheres) == frozenset()
+    assert not touches(chain, spheres, np.zeros((1, 3))).any()

@@ -7,12 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from momapos.base_pose import check_base_pose
 from momapos.config import PipelineConfig
 from momapos.geometry.transforms import invert, pose_planar
-from momapos.manipulation.free_turn import fitted_bases
+from momapos.manipulation.arm_path import FOUND, HIT
+from momapos.manipulation.free_turn import find_short_paths, fitted_bases
 from momapos.manipulation.tasks import make_task
 from momapos.pipeline import plan_base_placement
 from momapos.prepare import prepare
+from momapos.reachability.store import load_reach
 from momapos.robots.robot import Robot, load_robot
 from momapos.scene.files import load_scene
 from momapos.scene.scene import Scene
@@ -68,14 +71,44 @@ def test_a_hand_that_turns_stays_on_the_bar(kitchen: Scene, short_arm: Robot) ->
     np.testing.assert_allclose(along, along[:1].repeat(len(along), 0), atol=1e-3)
 
 
-def test_only_arms_of_few_joints_have_their_base_poses_fitted(
-    kitchen: Scene, short_arm: Robot
+@pytest.mark.parametrize(
+    ("name", "joint", "to"),
+    [("fridge", "door_hinge", 0.3), ("cabinet_right", "drawer_top_slide", 0.4)],
+)
+def test_from_a_fitted_base_pose_the_arm_follows_the_motion_by_the_way_that_is_told(
+    kitchen: Scene, name: str, joint: str, to: float
 ) -> None:
-    task = make_task(kitchen, "open", "cabinet_right", "drawer_top_slide", 0.2)
-    long_arm = load_robot("husky_ur5e")
-    poses = np.random.default_rng(0).uniform((1.5, -2.5, -3), (2.8, -1.2, 3), (40, 3))
-    for robot, moves in ((long_arm, False), (short_arm, True)):
-        motion = prepare(kitchen, robot, task, CONFIG, clearance=0.02).motion
-        again = fitted_bases(robot, motion, poses)
-        assert (np.abs(again - poses).max() > 0) == moves
-        assert again.shape == poses.shape
+    robot = load_robot("stretch")
+    task = make_task(kitchen, "open", name, joint, to)
+    prepared = prepare(kitchen, robot, task, CONFIG, clearance=0.01)
+    motion, rng = prepared.motion, np.random.default_rng(0)
+    middle = motion.waypoints[:, :2].mean(0)
+    poses = np.column_stack([middle + rng.uniform(-1, 1, (400, 2)), rng.uniform(-3, 3, 400)])
+    moved, ways = fitted_bases(robot, motion, poses)
+    met = ways >= 0
+    np.testing.assert_array_equal(moved[~met], poses[~met])
+    rigid = ways[met] < len(motion.Ts_world_tool)
+    assert rigid.all() if joint == "drawer_top_slide" else not rigid.any()
+    paths = find_short_paths(robot, prepared.world, motion, moved[met], ways[met])
+    # What is left is contact, and what lies between the waypoints that are fitted.
+    assert sum(path.status in (FOUND, HIT) for path in paths) >= 0.5 * len(paths) > 3
+    assert any(path.status == FOUND for path in paths)
+
+
+def test_a_drive_that_ends_some_millimeters_away_leaves_the_answer_good(kitchen: Scene) -> None:
+    robot = load_robot("stretch")
+    task = make_task(kitchen, "open", "cabinet_right", "drawer_top_slide")
+    reach = load_reach(robot)
+    plan = plan_base_placement(kitchen, robot, task, reach, config=CONFIG).plan
+    assert plan.base_pose is not None
+    for off in ((0.004, 0.0, 0.006), (-0.003, 0.003, -0.006), (0.0, -0.004, 0.0)):
+        again = check_base_pose(kitchen, robot, task, np.add(plan.base_pose, off), reach)
+        assert again.motion is not None
+        # What the plan says is where the arm has the hand from there.
+        there = again.motion
+        Ts = pose_planar(np.add(plan.base_pose, off)) @ robot.chain.tool_poses(
+            robot.chain.freedom_values(there.q)
+        )
+        np.testing.assert_allclose(Ts, there.Ts_world_tool, atol=1e-9)
+    far = check_base_pose(kitchen, robot, task, np.add(plan.base_pose, (0.05, 0, 0.1)), reach)
+    assert far.motion is None

@@ -127,6 +127,28 @@ def test_an_aimed_state_is_on_its_line_and_makes_its_turns(robot: Robot) -> None
     assert chain_arrays(chain).h.shape == (6, 3)
 
 
+@pytest.mark.parametrize(
+    ("dof", "turns"),
+    [((0, 1, 2, 3, 4, 5), True), ((0, 1, 2, 3, 5, 4), True), ((0, 1, 2, 3, 4, 4), False),
+     ((0, 1, 2, 3, 5, 3), False)],
+)  # fmt: skip
+def test_a_last_joint_turns_the_tool_alone_where_no_other_moves_with_it(
+    dof: tuple[int, ...], turns: bool
+) -> None:
+    """Degrees of freedom are told apart from joints: the last of one is not that of the other."""
+    chain = load_robot("husky_ur5e").chain
+    limits = np.where(np.arange(6) == dof[-1], 4.0, 1.0)
+    chain = replace(chain, dof=np.array(dof), lower=-limits, upper=limits)
+    frame = arm_frame(chain, np.array([1.0, 0.0, 0.0]))
+    q = np.tile(np.random.default_rng(0).uniform(-1, 1, 6), (2, 1))
+    q[1, dof[-1]] += 0.5
+    Ts = chain.tool_poses(q)
+    points = Ts[:, :3, :3] @ frame.tool[3] + Ts[:, :3, 3]
+    axes = Ts[:, :3, :3] @ frame.tool[0]
+    stays = bool(np.allclose(points[0], points[1]) and np.allclose(axes[0], axes[1]))
+    assert (stays, chain.ends_turning, frame.full_roll) == (turns, turns, turns)
+
+
 def test_a_map_with_turns_is_kept_and_read_again() -> None:
     turned = np.stack([VALUES, VALUES[::-1]])
     across = np.array([1.0, 0.0, 0.0])

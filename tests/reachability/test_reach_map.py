@@ -8,10 +8,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from momapos.errors import RobotError
 from momapos.geometry.transforms import invert, pose_planar
 from momapos.kinematics.chain import chain_arrays
 from momapos.kinematics.collision import FREE, check_states
-from momapos.reachability import ReachConfig, ReachMap, build_map, evaluate, load_reach_map, store
+from momapos.reachability import (
+    ReachConfig,
+    ReachMap,
+    build_map,
+    construct,
+    evaluate,
+    load_reach_map,
+    store,
+)
+from momapos.reachability.construct import default_config
 from momapos.reachability.evaluation import random_poses
 from momapos.reachability.floor import SPACING
 from momapos.reachability.grid import oct_decode, turns_of
@@ -183,6 +193,19 @@ def test_what_a_map_is_built_from_makes_its_key(robot: Robot) -> None:
     }
     assert len(keys) == 5
     assert map_key(load_robot("husky_ur5e"), TINY) in keys
+
+
+def test_a_map_that_is_too_large_to_be_kept_gets_larger_cells(
+    robot: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    least = 1_000_000
+    for module in (construct, store):
+        monkeypatch.setattr(module, "MAX_VALUES", 2 * least)
+    built = build_map(robot)
+    assert least < built.values.size <= 2 * least
+    np.testing.assert_array_equal(decode(encode(built)).values, built.values)
+    with pytest.raises(RobotError, match="choose larger cells"):
+        build_map(robot, replace(default_config(robot), cell=built.cell / 2))
 
 
 def test_a_limited_first_joint_leaves_bearings_out() -> None:

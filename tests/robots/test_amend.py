@@ -130,7 +130,10 @@ def test_meshes_that_are_only_seen_need_not_exist(tmp_path: Path) -> None:
 def test_the_amended_urdf_is_the_same_robot_with_more_frames(tmp_path: Path) -> None:
     path = tmp_path / "robot.urdf"
     path.write_text(mobile_manipulator())
-    plain, more = read_urdf(path), Amendments((Frame("tip", "palm", (0.1, 0.0, 0.02)),)).read(path)
+    plain, more = (
+        read_urdf(path),
+        Amendments((Frame("tip", "palm", (0.1, 0.0, 0.02)),)).read(path)[0],
+    )
     assert set(more.links) == {*plain.links, "tip"}
     assert len(more.joints) == len(plain.joints) + 1
     assert_allclose(more.joints[-1].T_parent_joint[:3, 3], [0.1, 0.0, 0.02])

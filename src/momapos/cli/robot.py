@@ -9,6 +9,7 @@ import tomllib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from momapos.cli.bounds import within_bounds
 from momapos.cli.console import progress
 from momapos.cli.options import BoxArg, OptionalPath, PackagesArg, XacroArg
 from momapos.errors import RobotError, unknown_name
@@ -121,7 +122,8 @@ def robot_check(
 
     cache = user_cache()
     guesses: tuple[str, ...] = ()
-    with progress(f"robot check {file.name}") as report:
+    what = f"{file}: checking it, with its meshes,"
+    with progress(f"robot check {file.name}") as report, within_bounds(what):
         if derives:
             from momapos.robots.amend import Mount
             from momapos.robots.derive import Source

@@ -84,6 +84,12 @@ class Chain:
         return self.last > self.size
 
     @property
+    def ends_turning(self) -> bool:
+        """Whether the last joint turns and no other moves with it, so that the rest can stay."""
+        alone = np.count_nonzero(self.dof == self.dof[-1]) == 1
+        return bool(alone and not self.slides[-1])
+
+    @property
     def upright(self) -> bool:
         """Whether the first turning axis, and what slides below it, are vertical."""
         first = self.first_turn

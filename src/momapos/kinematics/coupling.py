@@ -2,46 +2,36 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 from momapos.errors import RobotError, unknown_name
 from momapos.kinematics.urdf_records import Joint, Mimic, Urdf
 
 
-def coupled(urdf: Urdf, follows: Mapping[str, Mimic], where: str) -> Urdf:
-    """The same model with more joints that follow others.
+def check_coupled(urdf: Urdf, names: Iterable[str], where: str) -> None:
+    """Refuse joints that were made to follow others and cannot.
 
     Args:
-        urdf: The model.
-        follows: By the name of the joint that follows; the one that it follows may follow a third.
-        where: Begins the messages: the file and table that this comes from.
+        urdf: The model in which they follow.
+        names: The joints.
+        where: Begins the messages: what the couplings come from.
 
     Raises:
-        UnknownNameError: A joint does not exist or cannot move.
-        RobotError: Joints follow each other in a circle, a
-            number is no use, or the limits leave a joint no way to go.
+        UnknownNameError: One of them, or what it follows, cannot move.
+        RobotError: The limits leave what is followed no way to go.
     """
     moving = {joint.name: joint for joint in urdf.joints if joint.movable}
-    for name, given in follows.items():
-        for joint in (name, given.joint):
-            if joint not in moving:
-                raise unknown_name("movable joint", joint, moving, f"{urdf.name} ({where})")
-        if not (math.isfinite(given.ratio) and given.ratio and math.isfinite(given.offset)):
-            raise RobotError(f"{where}: {name!r} needs a ratio other than 0 and a finite offset")
-    known = {joint.name: joint.mimic for joint in urdf.joints if joint.mimic is not None}
-    joints = follow(urdf.joints, {**known, **follows}, where, RobotError)
-    after = {joint.name: joint for joint in joints}
-    for name in follows:
-        mimic = after[name].mimic
-        assert mimic is not None
-        if not _shared(after[mimic.joint], moving[name], mimic):
+    for name in names:
+        joint = moving.get(name)
+        if joint is None or joint.mimic is None:
+            raise unknown_name("movable joint", name, moving, where)
+        mimic = joint.mimic
+        if not _shared(moving[mimic.joint], joint, mimic):
             raise RobotError(
                 f"{where}: the limits of {name!r} leave {mimic.joint!r} no way to go; is the ratio "
                 f"{mimic.ratio:g} or the offset {mimic.offset:g} wrong?"
             )
-    return replace(urdf, joints=joints)
 
 
 def follow(
@@ -61,15 +51,15 @@ def follow(
         where: Begins the messages.
         error: What to raise where joints follow each other in a circle.
     """
-    leaders = {name: _leader(name, follows, where, error) for name in follows}
+    leaders = {name: leader_of(name, follows, where, error) for name in follows}
     narrowed = {joint.name: joint for joint in joints}
     for name, mimic in leaders.items():
         narrowed[mimic.joint] = _narrowed(narrowed[mimic.joint], narrowed[name], mimic)
     return tuple(replace(narrowed[joint.name], mimic=leaders.get(joint.name)) for joint in joints)
 
 
-def _leader(name: str, follows: Mapping[str, Mimic], where: str, error: type[Exception]) -> Mimic:
-    """What a joint follows in the end."""
+def leader_of(name: str, follows: Mapping[str, Mimic], where: str, error: type[Exception]) -> Mimic:
+    """What a joint follows in the end; an error where that is itself, see `follow`."""
     mimic, seen = follows[name], {name}
     while mimic.joint in follows:
         if mimic.joint in seen:

@@ -92,7 +92,8 @@ def sample_count(ik):
 def solve_sample(s, R_target, p_target, arm, enough, out, scratch):
     """All configurations within limits at one sample of the locked joints (or from one seed).
 
-    Seeds are tried where no sample has given a solution of this pose.
+    Of an arm with a closed form, seeds are tried one after the other until a solution of this pose
+    is known; of one without, all of them.
 
     Args:
         s: Index of the sample, below `sample_count`; the samples of a pose are asked in order.

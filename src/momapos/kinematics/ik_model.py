@@ -68,7 +68,7 @@ class IkModel:
     p_tool: Float[np.ndarray, "s 3"]
     """Tool pose with the active joints at zero."""
     seeds: Float[np.ndarray, "k n"]
-    """Configurations spread over all that the arm can take."""
+    """Configurations spread over all that the arm can take; every model has some."""
     seed_poses: Float[np.ndarray, "k 9"]
     """Their tool poses, as `pose_features` compares them."""
     tries: int
@@ -132,6 +132,19 @@ def bounded(chain: Chain) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " 
     return lower, np.where(np.isfinite(chain.upper), chain.upper, np.pi)
 
 
+def one_turn(chain: Chain) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """Limits of the degrees of freedom, for one that turns farther the full turn nearest to zero.
+
+    What lies in them is all that the arm can look like, each posture once.
+    """
+    lower, upper = bounded(chain)
+    more = ~chain.prismatic & (upper - lower > 2 * np.pi)
+    half = np.where(more, np.pi, (upper - lower) / 2)
+    middle = np.where(more, 0.0, (lower + upper) / 2)
+    middle = np.clip(middle, lower + half, upper - half)
+    return middle - half, middle + half
+
+
 def _seeds(chain: Chain, count: int) -> tuple[np.ndarray, np.ndarray]:
     lower, upper = bounded(chain)
     seeds = np.ascontiguousarray(lower + halton(count + 1, chain.size)[1:] * (upper - lower))
@@ -182,8 +195,7 @@ def _closed_form(chain: Chain, active: np.ndarray, count: int, most: int) -> IkM
     turned = [(h[::-1], o[::-1]) if reverse else (h, o) for h, o, _, _ in folded]
     if any(_classify(h, o) != kind for h, o in turned):
         return None
-    none = np.zeros((0, chain.size)), np.zeros((0, 9))
-    seeds, poses = _seeds(chain, SPARE_SEEDS) if locked else none
+    seeds, poses = _seeds(chain, SPARE_SEEDS)
     return IkModel(
         kind=kind,
         reverse=reverse,

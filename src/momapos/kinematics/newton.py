@@ -69,23 +69,42 @@ def newton(q, active, chain, limits, R_target, p_target, rule, scratch):
         if residual < rule.enough or step == rule.steps:
             break
         jacobian(chain, R, p, tool, column, m, J)
-        for i in range(6):
-            for k in range(i + 1):
-                s = 0.0
-                for a in range(m):
-                    s += J[i, a] * J[k, a]
-                A[i, k] = s
-            A[i, i] += rule.damping * (1e-6 + residual)
-        solve_spd(A, e)
-        for a in range(m):
-            s = 0.0
-            for k in range(6):
-                s += J[k, a] * e[k]
-            j = active[a]
-            q[j] += min(0.5, max(-0.5, s))
-            if rule.within:
-                q[j] = min(max(q[j], limits.lower[j]), limits.upper[j])
+        damping = rule.damping * (1e-6 + residual)
+        step_toward(q, active, limits, J, A, e, damping, rule.within)
     return residual
+
+
+@kernel
+def step_toward(q, active, limits, J, A, e, damping, within):
+    """Take the damped step of least norm: J^T (J J^T + damping)^-1 e, half a radian at most.
+
+    Args:
+        q: Configuration (n,), changed in place.
+        active: The degrees of freedom that move (m,).
+        limits: `JointLimits`.
+        J: (6, at least m), a column for each of them.
+        A: Memory (6, 6).
+        e: Error (6,), overwritten.
+        damping: What is added to the diagonal of J J^T.
+        within: Whether the limits count.
+    """
+    m = len(active)
+    for i in range(6):
+        for k in range(i + 1):
+            s = 0.0
+            for a in range(m):
+                s += J[i, a] * J[k, a]
+            A[i, k] = s
+        A[i, i] += damping
+    solve_spd(A, e)
+    for a in range(m):
+        s = 0.0
+        for k in range(6):
+            s += J[k, a] * e[k]
+        j = active[a]
+        q[j] += min(0.5, max(-0.5, s))
+        if within:
+            q[j] = min(max(q[j], limits.lower[j]), limits.upper[j])
 
 
 @kernel

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 
 from momapos.compiled import kernel
+from momapos.kinematics.subproblems import cross, dot, sub
 
 TRIES = 40
 """Directions that are tried; 3 are enough as a rule [-]."""
@@ -38,42 +39,42 @@ def hulls_overlap(R, p, hulls, i, first, last):
 def _overlap(R, p, hulls, h, k):
     """Whether no direction is found that separates two hulls."""
     m, n = hulls.segment[h], hulls.segment[k]
-    toward = _minus(moved(R, p, n, hulls.center[k]), moved(R, p, m, hulls.center[h]))
+    toward = sub(moved(R, p, n, hulls.center[k]), moved(R, p, m, hulls.center[h]))
     a = b = c = d = toward
     size = 0
     for _ in range(TRIES):
         b, c, d = a, b, c
-        a = _minus(
+        a = sub(
             moved(R, p, m, hulls.vertices[_outermost(R, m, hulls, h, toward, 1.0)]),
             moved(R, p, n, hulls.vertices[_outermost(R, n, hulls, k, toward, -1.0)]),
         )
-        if _dot(a, toward) < 0.0:
+        if dot(a, toward) < 0.0:
             return False
         size += 1
-        ab, ac, ad = _minus(b, a), _minus(c, a), _minus(d, a)
+        ab, ac, ad = sub(b, a), sub(c, a), sub(d, a)
         # From a tetrahedron to the face, to the edge, to the point that the origin is beyond.
         if size == 4:
-            if _dot(_cross(ab, ac), a) < 0.0:
+            if dot(cross(ab, ac), a) < 0.0:
                 size = 3
-            elif _dot(_cross(ac, ad), a) < 0.0:
+            elif dot(cross(ac, ad), a) < 0.0:
                 size, b, c, ab, ac = 3, c, d, ac, ad
-            elif _dot(_cross(ad, ab), a) < 0.0:
+            elif dot(cross(ad, ab), a) < 0.0:
                 size, b, c, ab, ac = 3, d, b, ad, ab
             else:
                 return True
         if size == 3:
-            toward = _cross(ab, ac)
-            if _dot(_cross(toward, ac), a) < 0.0:
+            toward = cross(ab, ac)
+            if dot(cross(toward, ac), a) < 0.0:
                 size = 2
-                if _dot(ac, a) < 0.0:
+                if dot(ac, a) < 0.0:
                     b, ab = c, ac
-            elif _dot(_cross(ab, toward), a) < 0.0:
+            elif dot(cross(ab, toward), a) < 0.0:
                 size = 2
-            elif _dot(toward, a) > 0.0:
-                b, c, toward = c, b, _cross(ac, ab)
+            elif dot(toward, a) > 0.0:
+                b, c, toward = c, b, cross(ac, ab)
         if size == 2:
-            toward = _cross(_cross(a, ab), ab)
-            if _dot(ab, a) >= 0.0:
+            toward = cross(cross(a, ab), ab)
+            if dot(ab, a) >= 0.0:
                 size = 1
         if size == 1:
             toward = (-a[0], -a[1], -a[2])
@@ -94,21 +95,6 @@ def _outermost(R, segment, hulls, h, toward, sign):
         if along > farthest:
             best, farthest = v, along
     return best
-
-
-@kernel
-def _minus(a, b):
-    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
-
-
-@kernel
-def _dot(a, b):
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-@kernel
-def _cross(a, b):
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 @kernel

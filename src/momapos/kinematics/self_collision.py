@@ -24,6 +24,7 @@ from momapos.kinematics.collision import (
     place_arm,
     scratch_of,
 )
+from momapos.kinematics.ik_model import one_turn
 from momapos.kinematics.overlap import hulls_overlap
 from momapos.kinematics.records import ChainArrays, SphereArrays
 from momapos.kinematics.spheres import Spheres, build_spheres
@@ -120,8 +121,7 @@ def arm_spheres(
         gripper_links: Links that may touch what is grasped.
     """
     spheres = build_spheres(model, segments, disabled, gripper_links)
-    lower, upper = np.maximum(chain.lower, -np.pi), np.minimum(chain.upper, np.pi)
-    q = np.random.default_rng(0).uniform(lower, upper, (SAMPLES, chain.size))
+    q = np.random.default_rng(0).uniform(*one_turn(chain), (SAMPLES, chain.size))
     return left_to_hulls(spheres, contacts(chain, spheres, q))
 
 
@@ -141,8 +141,9 @@ def left_to_hulls(spheres: Spheres, found: Contacts) -> Spheres:
         coarsest = free.sum(0).argmax()
         exact[coarsest], free[:, coarsest] = True, False
     _, column = _with_base(spheres)
-    count = len(spheres.pairs)
-    return replace(spheres, exact=exact[:count], base_exact=(column >= 0) & exact[column])
+    # What is never checked has column -1, the last one.
+    of_base = np.append(exact, False)[column]
+    return replace(spheres, exact=exact[: len(spheres.pairs)], base_exact=of_base)
 
 
 def decided_by_hulls(spheres: Spheres) -> frozenset[tuple[str, str]]:

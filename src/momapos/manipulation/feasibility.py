@@ -17,7 +17,7 @@ from momapos.kinematics.spheres import Spheres, box_spheres, carry
 from momapos.kinematics.world import CollisionWorld, check, motion_checker
 from momapos.manipulation.arm_path import FOUND, HIT, UNREACHABLE, ArmPath, find_paths
 from momapos.manipulation.config import PlannerConfig
-from momapos.manipulation.free_turn import FULL, find_turning_paths
+from momapos.manipulation.free_turn import FULL, find_short_paths
 from momapos.manipulation.hand_room import hits_on_the_way
 from momapos.manipulation.motion import TaskMotion
 from momapos.manipulation.planner import RESOLUTION, interpolate, plan_motion
@@ -120,7 +120,7 @@ class Feasibility:
         def work(part: Int[np.ndarray, " p"]) -> list[ArmPath] | None:
             if self.out_of_time():
                 return None
-            find = find_paths if self.robot.chain.size >= FULL else find_turning_paths
+            find = find_paths if self.robot.chain.size >= FULL else find_short_paths
             return find(self.robot, self.world, self.motion, bases[part], grasps[part])
 
         found = list(_threads().map(work, pieces))

@@ -27,6 +27,11 @@ class WayScores(NamedTuple):
     asked: int
     """How many ways are asked for [-]."""
 
+    def of_way(self, own: Int[np.ndarray, " n"]) -> WayScores:
+        """The same with 0 for all but one way of each pose; -1 stands for none."""
+        ways = np.arange(self.scores.shape[1])
+        return WayScores(np.where(ways == own[:, None], self.scores, 0.0), self.asked)
+
 
 ScoreWays: TypeAlias = "Callable[[ReachScorer, Float[np.ndarray, 'n 3']], WayScores]"
 

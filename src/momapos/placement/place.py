@@ -21,6 +21,7 @@ from momapos.placement.area import (
     task_frame,
 )
 from momapos.placement.config import PlaceConfig
+from momapos.placement.fitting import FitPoses, fitted
 from momapos.placement.holding import ScoreWays, WayScores
 from momapos.placement.order import by_expected_cost
 from momapos.placement.potential import attraction
@@ -49,7 +50,6 @@ ScreenPoses: TypeAlias = (
 )
 """Look for an arm path at each of many base poses, from the scores of all grasps and the number
 of grasps to be tried; None: out of time."""
-FitPoses: TypeAlias = "Callable[[Float[np.ndarray, 'n 3']], Float[np.ndarray, 'n 3']]"
 PoseFilter: TypeAlias = "Callable[[Float[np.ndarray, 'n 3']], Bool[np.ndarray, ' n']]"
 """Which of some base poses are no candidates, for reasons that this stage does not know."""
 AttemptPose: TypeAlias = (
@@ -130,7 +130,7 @@ class Problem:
     pose_filter: PoseFilter | None = None
     """Rules base poses out."""
     fit: FitPoses | None = None
-    """Moves samples to base poses beside them from which an arm of few joints can do the task."""
+    """Finds base poses beside given ones from which an arm of few joints can do the task."""
 
 
 def search(problem: Problem, config: PlaceConfig, rng: np.random.Generator) -> Search:
@@ -151,12 +151,18 @@ def search(problem: Problem, config: PlaceConfig, rng: np.random.Generator) -> S
     frame = task_frame(problem.geometry)
     for local, on_grid in _rounds(corners, config, rng):
         poses = compose(frame, local)
-        if problem.fit is not None and not on_grid:
-            poses = problem.fit(poses)
+        near = fitted(problem.fit, problem.geometry, poses, problem.out_of_time)
+        if near is None:
+            found.timed_out = True
+            return found
+        poses, own = near
         clear = _cull(problem, poses, found)
+        if own is not None:
+            clear.keep(own[clear.row] >= 0, PoseStatus.TOO_FEW_JOINTS)
         for score in problem.ways:
             reach = problem.grid_reach if on_grid else problem.reach
-            shortlist = clear.reached(score(reach, clear.poses))
+            scores = score(reach, clear.poses)
+            shortlist = clear.reached(scores if own is None else scores.of_way(own[clear.row]))
             if on_grid:
                 _check_grid(problem, shortlist, config, found)
             else:

@@ -15,13 +15,11 @@ import numpy as np
 from momapos.compiled import F1, F2, I1, S2, U1, entry, kernel
 from momapos.kinematics.chain import forward, stand_at_origin
 from momapos.kinematics.collision import FREE, hit_floor, hit_self, place_bounds, scratch_of
-from momapos.kinematics.newton import jacobian, newton_scratch, solve_spd
+from momapos.kinematics.newton import jacobian, newton_scratch, step_toward
 from momapos.kinematics.records import ChainArrays, JointLimits, SphereArrays
 from momapos.kinematics.subproblems import cross, dot, mul
-from momapos.reachability.grid import oct_decode, relative_line, turns_of
+from momapos.reachability.grid import TURNS, oct_decode, relative_line, turns_of
 
-TURNS = 32
-"""Turns of the tool about its line that are told apart [-]."""
 SPAN = 8
 """Turns that one check for collision stands for [-]."""
 ALL = np.uint64((1 << TURNS) - 1)
@@ -87,7 +85,7 @@ def horizontal_across(d):
 @kernel
 def _aim(q, active, point, direction, arm, scratch):
     """Bring the line of the arm onto a line; True where it gets there within the limits."""
-    chain, lower, upper = arm.chain, arm.limits.lower, arm.limits.upper
+    chain, limits = arm.chain, arm.limits
     R, p, J, A, e, column = scratch
     last, m = len(chain.slides), len(active)
     for i in range(len(q)):
@@ -118,20 +116,7 @@ def _aim(q, active, point, direction, arm, scratch):
             about = J[3, a] * d[0] + J[4, a] * d[1] + J[5, a] * d[2]
             for k in range(3):
                 J[k + 3, a] -= about * d[k]
-        for i in range(6):
-            for k in range(i + 1):
-                s = 0.0
-                for a in range(m):
-                    s += J[i, a] * J[k, a]
-                A[i, k] = s
-            A[i, i] += 1e-7 + 0.1 * residual
-        solve_spd(A, e)
-        for a in range(m):
-            s = 0.0
-            for k in range(6):
-                s += J[k, a] * e[k]
-            j = active[a]
-            q[j] = min(max(q[j] + min(0.5, max(-0.5, s)), lower[j]), upper[j])
+        step_toward(q, active, limits, J, A, e, 1e-7 + 0.1 * residual, True)
     return False
 
 

@@ -37,7 +37,7 @@ class ArmAxes:
     tool: Float[np.ndarray, "4 3"]
     """Direction of the last axis, two vectors across it and a point on it, in the tool frame."""
     full_roll: bool
-    """Whether the last joint turns fully."""
+    """Whether the last joint turns fully, and moves no other."""
 
 
 def no_map(robot: Robot) -> str:
@@ -66,7 +66,7 @@ def arm_frame(chain: Chain, approach_axis: Float[np.ndarray, "3"]) -> ArmAxes:
     if chain.slides[last]:
         axis, point = chain.tool_rotation @ approach_axis, p_tool
     else:
-        full = bool(chain.upper[-1] - chain.lower[-1] >= FULL_TURN)
+        full = chain.ends_turning and bool(2 * chain.half_travel[last] >= FULL_TURN)
         point = _nearest(origin[last], axis, origin[last - 1], chain.h[last - 1])
     across = orthonormal(axis)
     rows = np.stack([axis, across, np.cross(axis, across), point - p_tool])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import time
 from dataclasses import replace
 
@@ -11,14 +12,15 @@ import numpy as np
 from momapos.errors import RobotError
 from momapos.kinematics.chain import Chain, chain_arrays, chain_limits
 from momapos.kinematics.hulls import Boxes
+from momapos.kinematics.ik_model import bounded
 from momapos.kinematics.records import ArmArrays, SphereArrays
 from momapos.kinematics.spheres import Spheres
 from momapos.reachability.arm_axes import ArmAxes, arm_frame
 from momapos.reachability.base_contact import BEARINGS, standing_table
 from momapos.reachability.build import EVERY, Arm, Tool, line_masks
 from momapos.reachability.general import flooded_map
-from momapos.reachability.grid import grid_points, pack_shape
-from momapos.reachability.map import ReachConfig, ReachMap
+from momapos.reachability.grid import TOLD_APART, grid_points, pack_shape
+from momapos.reachability.map import MAX_VALUES, ReachConfig, ReachMap
 from momapos.reachability.samples import Samples, locked_samples
 from momapos.reachability.signed_distance import (
     close_seam,
@@ -48,12 +50,16 @@ def default_config(robot: Robot) -> ReachConfig:
 
     Longer arms cost thirty times more per line, and direction matters less to them. Their set is
     rounded outwards as well, where either of two spins and half a step of the first joint count.
+    An arm of several meters has larger cells, so that the map keeps within `MAX_VALUES`.
     """
-    if not arm_frame(robot.chain, robot.approach_axis).turns_alike:
-        return ReachConfig(cell=0.05, directions=13, threshold=-1.75)
-    if robot.chain.size > 6:
-        return ReachConfig(cell=0.05, directions=13, spins=2, threshold=0.0)
-    return ReachConfig()
+    frame = arm_frame(robot.chain, robot.approach_axis)
+    if not frame.turns_alike:
+        config = ReachConfig(cell=0.05, directions=13, threshold=-1.75)
+    elif robot.chain.size > 6:
+        config = ReachConfig(cell=0.05, directions=13, spins=2, threshold=0.0)
+    else:
+        config = ReachConfig()
+    return _within_memory(robot, frame, config)
 
 
 def build_map(
@@ -77,7 +83,13 @@ def build_map(
         raise RobotError("reach: azimuths must divide 64 and directions must be odd")
     chain = robot.chain
     frame = arm_frame(chain, robot.approach_axis)
-    low, shape = _extent(chain, frame, config)
+    low, shape = _grid(_extent(chain, frame), config)
+    count = _value_count(shape, frame)
+    if count > MAX_VALUES:
+        raise RobotError(
+            f"reach: cells of {config.cell:g} m make a map of {count:,} values, more than "
+            f"{MAX_VALUES:,}; choose larger cells or fewer directions"
+        )
     if not frame.turns_alike:
         return flooded_map(robot, frame, (low, shape), config, progress or silent, key)
     evaluate = _Evaluator(robot, frame, config, progress or silent)
@@ -123,22 +135,47 @@ def build_map(
     return ReachMap(values, low, config.cell, axis, line, config.threshold, key, seconds)
 
 
-def _extent(
-    chain: Chain, frame: ArmAxes, config: ReachConfig
-) -> tuple[float, tuple[int, int, int, int, int]]:
-    """Lowest height and shape of a grid that holds every line, by random arm states."""
+Extent = tuple[float, float, float]
+"""Lowest and highest point of what an arm can reach, and its distance from the axis [m]."""
+
+
+def _extent(chain: Chain, frame: ArmAxes) -> Extent:
+    """Where the points are that an arm can bring its last axis to, by random arm states."""
     rng = np.random.default_rng(0)
-    lower = np.where(np.isfinite(chain.lower), chain.lower, -np.pi)
-    upper = np.where(np.isfinite(chain.upper), chain.upper, np.pi)
-    T = chain.tool_poses(rng.uniform(lower, upper, (100_000, chain.size)))
+    T = chain.tool_poses(rng.uniform(*bounded(chain), (100_000, chain.size)))
     points = T[:, :3, :3] @ frame.tool[3] + T[:, :3, 3] - frame.axis
     r = float(np.hypot(points[:, 0], points[:, 1]).max())
-    bottom, top = float(points[:, 2].min()), float(points[:, 2].max())
+    return float(points[:, 2].min()), float(points[:, 2].max()), r
+
+
+def _grid(extent: Extent, config: ReachConfig) -> tuple[float, tuple[int, int, int, int, int]]:
+    """Lowest height and shape of a grid that holds every line."""
+    bottom, top, r = extent
     # Random states stop a little short of a stretched arm.
     slack = 0.03 * r + config.cell
     low = max(bottom - slack, -config.cell)
     nz, nr = int(np.ceil((top + slack - low) / config.cell)) + 1, int((r + slack) / config.cell) + 2
     return low, (nz, nr, config.directions, config.directions, config.azimuths)
+
+
+def _value_count(shape: tuple[int, ...], frame: ArmAxes) -> int:
+    """Values of a map; of one that is flooded, those of all turns of the tool."""
+    return math.prod(shape) * (1 if frame.turns_alike else TOLD_APART)
+
+
+def _within_memory(robot: Robot, frame: ArmAxes, config: ReachConfig) -> ReachConfig:
+    """The same resolution with cells so large that the map has no more than `MAX_VALUES`."""
+    chain, first = robot.chain, frame.first
+    below = chain.middle[:first] @ chain.h[:first], chain.half_travel[:first].sum()
+    far = robot.reach + float(np.linalg.norm(frame.tool[3]) + np.linalg.norm(below[0]) + below[1])
+    height = float(chain.d[: first + 1, 2].sum())
+    # The sum of all lengths is no less than the extent, which takes many states to tell.
+    if _value_count(_grid((height - far, height + far, far), config)[1], frame) <= MAX_VALUES:
+        return config
+    extent = _extent(chain, frame)
+    while (count := _value_count(_grid(extent, config)[1], frame)) > MAX_VALUES:
+        config = replace(config, cell=config.cell * max(1.01, math.sqrt(count / MAX_VALUES)))
+    return config
 
 
 class _Evaluator:

@@ -9,10 +9,10 @@ import numpy as np
 
 from momapos.kinematics.chain import chain_arrays, chain_limits
 from momapos.kinematics.records import JointLimits
-from momapos.reachability.aim import TURNS, AimedArm, LineGrid, LineTool
+from momapos.reachability.aim import ALL, AimedArm, LineGrid, LineTool
 from momapos.reachability.arm_axes import FULL_TURN, ArmAxes
 from momapos.reachability.flood import Flood, between, flood
-from momapos.reachability.grid import pack_shape
+from momapos.reachability.grid import FIRST_TURN, TOLD_APART, TURNS, pack_shape
 from momapos.reachability.map import ReachConfig, ReachMap
 from momapos.reachability.signed_distance import close_seam, deepen, flood_signed_distances
 from momapos.reachability.threads import Progress
@@ -21,8 +21,6 @@ from momapos.robots.robot import Robot
 if TYPE_CHECKING:
     from jaxtyping import Bool, Int8, UInt64
 
-TOLD_APART = 8
-"""Turns of the tool that a map tells apart, where they make a difference [-]."""
 _EACH = TURNS // TOLD_APART
 
 
@@ -81,7 +79,7 @@ def _aimed(robot: Robot, frame: ArmAxes) -> AimedArm:
     R = chain.tool_rotation
     line = LineTool(R @ frame.tool[0], R @ frame.tool[1], chain.tool_offset + R @ frame.tool[3])
     lower, upper = chain_limits(chain)
-    turns = not chain.prismatic[-1] and chain.dof[-1] == chain.size - 1
+    turns = chain.ends_turning
     if turns and upper[-1] - lower[-1] >= FULL_TURN:
         # A last joint that turns fully has every turn of the tool.
         lower, upper = lower.copy(), upper.copy()
@@ -97,9 +95,8 @@ def _close_poles(found: Flood) -> None:
     """
     words = found.words.reshape(found.shape)
     middle = found.shape[2] // 2
-    every = np.uint64((1 << TURNS) - 1)
     for u, v in ((middle, middle), (0, 0), (0, -1), (-1, 0), (-1, -1)):
-        words[:, :, u, v] = np.where(words[:, :, u, v] > 0, every, np.uint64(0))
+        words[:, :, u, v] = np.where(words[:, :, u, v] > 0, ALL, np.uint64(0))
 
 
 def _values(
@@ -113,7 +110,7 @@ def _values(
         middles[axis, low] = _reached(words, turn)
     out = np.empty(len(state), np.int8)
     gap = np.zeros(len(state), np.int8) if turn is None else _turn_gap(found.words, turn)
-    flood_signed_distances(0, len(state), state, middles, gap, shape, out)
+    flood_signed_distances(state, middles, gap, shape, out)
     values = out.reshape(found.shape)
     close_seam(values)
     deepen(values.reshape(-1), shape)
@@ -123,7 +120,7 @@ def _values(
 def _reached(words: UInt64[np.ndarray, " k"], turn: int | None) -> Bool[np.ndarray, " k"]:
     if turn is None:
         return np.bitwise_count(words) * 2 >= TURNS
-    return (words >> np.uint64(_EACH * turn + 1)) & np.uint64(1) > 0
+    return (words >> np.uint64(_EACH * turn + FIRST_TURN)) & np.uint64(1) > 0
 
 
 def _turn_gap(words: UInt64[np.ndarray, " k"], turn: int) -> Int8[np.ndarray, " k"]:
@@ -132,6 +129,6 @@ def _turn_gap(words: UInt64[np.ndarray, " k"], turn: int) -> Int8[np.ndarray, " 
     gap = np.zeros(len(words), np.int8)
     for step in range(_EACH, 0, -1):
         for way in (step, -step):
-            bit = np.uint64((_EACH * turn + 1 + way) % TURNS)
+            bit = np.uint64((_EACH * turn + FIRST_TURN + way) % TURNS)
             gap[((words >> bit) & np.uint64(1) > 0) != own] = step
     return gap

@@ -1,9 +1,10 @@
 """Coordinates of a reachability map, and the kernels that look values up.
 
 A tool pose is reduced to the line of the arm's last axis: turning the tool about that line costs
-nothing. The line is described around the vertical first axis of the arm: distance `r` and height
-`z` of a point on it, its direction relative to the radius, and the azimuth of the point, which
-counts only where the first joint or the base is in the way. Source: Rudorfer, RM4D: a combined
+nothing, where that joint turns fully. The line is described around a vertical axis through the foot
+of the arm's first one: distance `r` and height `z` of a point on it, its direction relative to the
+radius, and the azimuth of the point, which counts where that first axis leans, or where its limits
+or the base are in the way. Source: Rudorfer, RM4D: a combined
 reachability and inverse reachability map for common 6-/7-axis robot arms by dimensionality
 reduction to 4D (ICRA 2025).
 
@@ -28,10 +29,13 @@ DEPTH = 32
 """Stored value from which on the score is 1: four cells from the boundary."""
 OUTSIDE = -12
 """Stored value of points that are far from anything reachable."""
-
-
-TURN_AT = 0.375
-"""Where the first of the turns that are told apart is, between 0 and the second."""
+TURNS = 32
+"""Turns of the tool about its line that are asked for where they make a difference [-]."""
+TOLD_APART, FIRST_TURN = 8, 1
+"""How many of them a map keeps, evenly, and the first of these [-]."""
+TURN_AT = (FIRST_TURN + 0.5) * TOLD_APART / TURNS
+"""Where the first turn that is kept is, as a share of the way from one to the next: each of
+`TURNS` stands in the middle of its part of the circle."""
 ONE = 1 << 24
 """Fractions of a cell are kept as integers, this for 1."""
 LOW = (1 << 32) - 1
@@ -143,7 +147,7 @@ def lookup(line, yaw_turns, turn, grid):
     Args:
         line: `Line`, in any frame with z up from the floor.
         yaw_turns: Yaw of the base in that frame [turns].
-        turn: Turn of the tool about the line, see `turn_about` [turns].
+        turn: Turn of the tool about the line, as `ReachMap.turns` has it [turns].
         grid: `MapArrays`.
 
     Returns:

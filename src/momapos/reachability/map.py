@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 YAWS = 12
 """Yaws that `base_scores` tries."""
+MAX_VALUES = 100_000_000
+"""Values that a map may hold [-]; building it takes several bytes for each."""
 _TURNS = np.arange(YAWS) / YAWS
 _YAWS = np.stack([np.cos(2 * np.pi * _TURNS), np.sin(2 * np.pi * _TURNS), _TURNS], -1)
 
@@ -69,7 +71,7 @@ class ReachMap:
     cell: float
     """Spacing in height and distance [m]."""
     axis_xy: Float[np.ndarray, "2"]
-    """Where the vertical first axis stands in the base frame [m]."""
+    """Foot of the first axis in the base frame, which the grid stands around [m]."""
     line_tool: Float[np.ndarray, "2 3"]
     """Direction of the last axis and a point on it [m], in the tool frame."""
     threshold: float = 0.0

@@ -75,7 +75,7 @@ def near_signed_distances(
     interior: U2,
     out: C2,
 ) -> None:
-    """Signed signed distances next to the boundary, for points lo to hi.
+    """Signed distances next to the boundary, for points lo to hi.
 
     Args:
         lo, hi: Range of points.
@@ -123,18 +123,15 @@ def near_signed_distances(
 
 @entry
 def flood_signed_distances(
-    lo: int,
-    hi: int,
     state: C1,
     middles: C2,
     turn_gap: C1,
     shape: GridShape,
     out: C1,
 ) -> None:
-    """Signed distances next to the boundary from one answer at each line, for lines lo to hi.
+    """Signed distances next to the boundary from one answer at each line.
 
     Args:
-        lo, hi: Range of lines.
         state: Whether each is reached, 0 or 1.
         middles: (5, lines) the answer half-way to the next line along each axis, or -1.
         turn_gap: Quarters of a step of the tool's turn to where the answer changes, or 0.
@@ -144,7 +141,7 @@ def flood_signed_distances(
     nz, nr, nu, nv, nb = shape
     stride = (nr * nu * nv * nb, nu * nv * nb, nv * nb, nb, 1)
     count = (nz, nr, nu, nv, nb)
-    for i in range(lo, hi):
+    for i in range(len(state)):
         total = 0.0
         for a in range(5):
             at = (i // stride[a]) % count[a]

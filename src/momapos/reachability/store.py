@@ -21,7 +21,7 @@ from momapos.files import read_bytes_bounded
 from momapos.reachability.arm_axes import arm_frame, no_map
 from momapos.reachability.arm_length import ArmLength, arm_length
 from momapos.reachability.construct import build_map, default_config
-from momapos.reachability.map import ReachConfig, ReachMap
+from momapos.reachability.map import MAX_VALUES, ReachConfig, ReachMap
 from momapos.reachability.threads import Progress
 from momapos.robots.robot import MAX_REACH, Robot
 
@@ -30,11 +30,10 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 VERSION = 2
-"""Changes whenever maps are built or stored differently."""
+"""Of maps: where it is raised, those that were built or stored before are not used."""
 _MAGIC = b"momapos-reach\n"
 MAX_BYTES = 50_000_000
 """Maps of arms have some 1 MB."""
-_MAX_VALUES = 200_000_000
 _MAX_HEADER = 10_000
 _MAX_BEARINGS = 64
 _PART, _MOST_OF_PART = 1 << 14, 1 << 18
@@ -129,11 +128,11 @@ def _shape(header: Mapping[str, Any]) -> tuple[int, ...]:
     if (
         not isinstance(shape, list)
         or len(shape) not in (5, 6)
-        or not all(type(n) is int and 1 <= n <= _MAX_VALUES for n in shape)
+        or not all(type(n) is int and 1 <= n <= MAX_VALUES for n in shape)
         or min(shape[-5:-1]) < 2
         or shape[-1] > _MAX_BEARINGS
         or (len(shape) == 6 and not 2 <= shape[0] <= _MAX_TURNS)
-        or math.prod(shape) > _MAX_VALUES
+        or math.prod(shape) > MAX_VALUES
     ):
         raise ValueError(f"it cannot have the shape {shape!r:.80}")
     return tuple(shape)

@@ -1,7 +1,9 @@
-"""A URDF as a robot file amends it: more frames, an arm on a base, packages that lie elsewhere."""
+"""A URDF as a robot file amends it: more frames, an arm on a base, packages that lie elsewhere,
+joints that follow others."""
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -11,9 +13,10 @@ from xml.etree.ElementTree import Element, SubElement, tostring
 from momapos.cache import Cache
 from momapos.errors import RobotError, UrdfError, unknown_name
 from momapos.files import parse_xml, read_text_bounded
+from momapos.kinematics.coupling import check_coupled, leader_of
 from momapos.kinematics.mesh_files import PARENTS, MeshFinder
-from momapos.kinematics.urdf import MAX_URDF_BYTES, Urdf, read_urdf
-from momapos.kinematics.urdf_tree import fix_root_joints, read_tree
+from momapos.kinematics.urdf import MAX_URDF_BYTES, Mimic, Urdf, read_urdf
+from momapos.kinematics.urdf_tree import fix_root_joints, mimics, read_tree
 
 Triple = tuple[float, float, float]
 ZERO: Triple = (0.0, 0.0, 0.0)
@@ -57,21 +60,25 @@ class Amendments:
     mount: Mount | None = None
     packages: Mapping[str, Path] = field(default_factory=dict)
     """Folders of packages by name."""
+    coupled: Mapping[str, Mimic] = field(default_factory=dict)
+    """Joints that follow others, by name, whatever the URDF says that they follow."""
     content: str | None = None
     """The URDF itself, where it is in no file yet."""
 
     @property
     def none(self) -> bool:
         """Whether the URDF is used as it is."""
-        return not (self.frames or self.mount or self.packages or self.content)
+        return not (self.frames or self.mount or self.packages or self.coupled or self.content)
 
     def text(self, urdf: Path) -> str | None:
         """The URDF with all of it, meshes by their absolute names; None where it is used as it is.
 
         Raises:
             UrdfError: A file cannot be used, or names a mesh that is not found.
-            UnknownNameError: A frame or the mount names a link that does not exist.
-            RobotError: Something has a name that is taken.
+            UnknownNameError: A frame or the mount names a link that does not exist, or a coupling a
+                joint.
+            RobotError: Something has a name that is taken, a joint follows itself, or a ratio or
+                an offset is of no use.
         """
         if self.none:
             return None
@@ -87,18 +94,24 @@ class Amendments:
             tree.append(Element("link", name=frame.name))
             _fix(tree, frame.parent, frame.name, frame.xyz, frame.rpy)
             links.append(frame.name)
+        _couple(tree, self.coupled, urdf)
         return tostring(tree, encoding="unicode")
 
-    def read(self, urdf: Path, cache: Cache | None = None) -> Urdf:
+    def read(self, urdf: Path, cache: Cache | None = None) -> tuple[Urdf, str | None]:
         """Read a URDF with all of it.
+
+        Returns:
+            The model, and its `text`.
 
         Raises:
             UrdfError, UnknownNameError, RobotError: As for `text`, and `read_urdf`.
         """
         text = self.text(urdf)
         if text is None:
-            return read_urdf(urdf, cache=cache, visuals=False)
-        return read_urdf(urdf, cache=cache, text=text, find_mesh=Path)
+            return read_urdf(urdf, cache=cache, visuals=False), None
+        model = read_urdf(urdf, cache=cache, text=text, find_mesh=Path)
+        check_coupled(model, self.coupled, f"{urdf} (coupled)")
+        return model, text
 
     def _read(self, urdf: Path, content: str | None = None) -> Element:
         """The tree of a URDF, meshes by their absolute names."""
@@ -113,6 +126,25 @@ class Amendments:
         for mesh in tree.iter("mesh"):
             mesh.set("filename", str(finder.find(mesh.get("filename", ""))))
         return tree
+
+
+def _couple(tree: Element, follows: Mapping[str, Mimic], urdf: Path) -> None:
+    """Let joints follow others: URDF's `mimic` elements."""
+    where = f"{urdf} (coupled)"
+    movable = {j.get("name", ""): j for j in tree.findall("joint") if j.get("type") != "fixed"}
+    for name, mimic in follows.items():
+        for joint in (name, mimic.joint):
+            if joint not in movable:
+                raise unknown_name("movable joint", joint, movable, where)
+        if not (math.isfinite(mimic.ratio) and mimic.ratio and math.isfinite(mimic.offset)):
+            raise RobotError(f"{where}: {name!r} needs a ratio other than 0 and a finite offset")
+        for element in movable[name].findall("mimic"):
+            movable[name].remove(element)
+        numbers = {"multiplier": f"{mimic.ratio:.17g}", "offset": f"{mimic.offset:.17g}"}
+        SubElement(movable[name], "mimic", {"joint": mimic.joint, **numbers})
+    every = mimics(tree, urdf, 1.0)
+    for name in follows:
+        leader_of(name, every, where, RobotError)
 
 
 def portable(text: str, folder: Path, what: str) -> str:

@@ -20,7 +20,6 @@ from momapos.cache import Cache
 from momapos.errors import RobotError
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.chain import Chain, build_chain
-from momapos.kinematics.coupling import coupled
 from momapos.kinematics.self_collision import contacts, left_to_hulls
 from momapos.kinematics.spheres import Spheres, build_spheres
 from momapos.kinematics.urdf import Urdf
@@ -111,8 +110,8 @@ def derive_robot(
         source = Source(source)
     urdf, out = source.urdf, out or source.urdf.with_suffix(".toml")
     report(0.0, "reading")
-    amendments = Amendments((), source.mount, source.packages, source.content)
-    model = Articulated(amendments.read(urdf, cache), cache=cache)
+    amendments = Amendments(mount=source.mount, packages=source.packages, content=source.content)
+    model = Articulated(amendments.read(urdf, cache)[0], cache=cache)
     if len(model.links) > MAX_LINKS:
         raise RobotError(f"{urdf}: {len(model.links)} links; a robot has at most {MAX_LINKS}")
     notes: list[str] = []
@@ -132,9 +131,7 @@ def derive_robot(
         name: _tool(model, chain, name, notes) for name, chain in zip(names, chains, strict=True)
     }
     frames = [frame for frame in (floor, *(arm.frame for arm in arms.values())) if frame]
-    amendments = replace(amendments, frames=tuple(frames))
-    record = amendments.read(urdf, cache)
-    record = coupled(record, couplings, str(urdf)) if couplings else record
+    record, _ = replace(amendments, frames=tuple(frames), coupled=couplings).read(urdf, cache)
     model = _same_shapes(record, model, model.held)
     footprint = find_footprint(model, base_link, firsts, notes)
     drive = find_drive(model, anchor, boxed, notes)

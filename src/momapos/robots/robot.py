@@ -17,13 +17,11 @@ from momapos.files import read_bytes_bounded
 from momapos.geometry.transforms import apply, invert
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.chain import Chain, Segments, build_chain
-from momapos.kinematics.coupling import coupled
 from momapos.kinematics.hulls import Boxes
 from momapos.kinematics.ik import IkModel, build_ik
 from momapos.kinematics.kept import once
 from momapos.kinematics.self_collision import arm_spheres
 from momapos.kinematics.spheres import LinkHulls, Spheres
-from momapos.kinematics.urdf import read_urdf
 from momapos.robots.gripper import FINGER, HAND
 from momapos.robots.names import find_robot, library_file
 from momapos.robots.robot_tables import (
@@ -34,7 +32,6 @@ from momapos.robots.robot_tables import (
     beside,
     check_version,
     choose_arms,
-    couplings_of,
 )
 from momapos.robots.srdf import beside as srdf_beside
 from momapos.robots.srdf import read_srdf
@@ -243,12 +240,7 @@ def read_robot(path: Path, *, arm: str | None = None, cache: Cache | None = None
     (chosen,) = choose_arms(arms, arm, path)
     own = arms[chosen]
     urdf = beside(path, table.text("urdf"))
-    text = amendments_of(table).text(urdf)
-    amended = {} if text is None else {"text": text, "find_mesh": Path}
-    record = read_urdf(urdf, cache=cache, visuals=False, **amended)  # type: ignore[arg-type]
-    follows = couplings_of(table)
-    if follows:
-        record = coupled(record, follows, f"{path}: coupled")
+    record, text = amendments_of(table).read(urdf, cache)
     model = at_rest(Articulated(record, cache=cache), table, arms, chosen)
     base, tool = table.table("base"), own.table("tool")
     srdf = _srdf_of(table, urdf)

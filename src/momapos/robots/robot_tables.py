@@ -33,8 +33,8 @@ def check_version(table: Table) -> None:
 
 
 def amendments_of(table: Table) -> Amendments:
-    """What a robot file changes about its URDF: the tables frames, mount and packages."""
-    return Amendments(_frames(table), _mount(table), _packages(table))
+    """What a robot file changes about its URDF: the tables frames, mount, packages and coupled."""
+    return Amendments(_frames(table), _mount(table), _packages(table), _couplings(table))
 
 
 def _frames(table: Table) -> tuple[Frame, ...]:
@@ -80,8 +80,7 @@ def _packages(table: Table) -> dict[str, Path]:
     return found
 
 
-def couplings_of(table: Table) -> dict[str, Mimic]:
-    """Joints that follow others: the table coupled."""
+def _couplings(table: Table) -> dict[str, Mimic]:
     return {
         name: Mimic(follows.text("joint"), follows.number("ratio", 1.0), follows.number("offset"))
         for name, follows in table.tables("coupled").items()

@@ -17,6 +17,7 @@ from momapos.kinematics.collision import (
     place_segments,
     scratch_of,
 )
+from momapos.kinematics.ik_model import one_turn
 from momapos.kinematics.records import ChainArrays, SphereArrays
 from momapos.kinematics.self_collision import contacts, decided_by_hulls
 from momapos.kinematics.spheres import Spheres
@@ -72,7 +73,7 @@ def sample_states(chain: Chain, rng: np.random.Generator) -> Float[np.ndarray, "
     They are multiples of a milliradian or millimeter that lie within the limits, so that a file
     can hold them.
     """
-    lower, upper = np.maximum(chain.lower, -np.pi), np.minimum(chain.upper, np.pi)
+    lower, upper = one_turn(chain)
     middle = (lower + upper) / 2
     lower, upper = np.minimum(lower + 1e-3, middle), np.maximum(upper - 1e-3, middle)
     ends = np.stack([np.clip(0.0, lower, upper), middle])

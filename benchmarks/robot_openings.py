@@ -1,0 +1,101 @@
+"""What a robot of a robot file does in real kitchens: its map, its answers, and physics.
+
+    python benchmarks/robot_openings.py FILE [--scenes Kitchen.json ...] [--most 2] [--run 2]
+
+Prints one JSON object. Of each kitchen some openings are asked for, spread over it, by the robot's
+first arm; where samples find nothing the grid of base poses decides, so that a "no" is the grid's.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from momapos.cache import user_cache
+from momapos.errors import MomaposError
+from momapos.manipulation.tasks import make_task, openable
+from momapos.pipeline import plan_base_placement
+from momapos.protocols import ReachScorer
+from momapos.reachability.evaluation import evaluate
+from momapos.reachability.map import ReachMap
+from momapos.reachability.store import encode, load_reach
+from momapos.robots.robot import Robot, load_robot
+from momapos.run_plan import run_plan
+from momapos.types import PlacementPlan
+from placement import CONFIG, SCENES, scene_of
+
+POSES = 1_000
+"""Tool poses near reach that a map is held against [-]."""
+
+
+def main() -> None:
+    """Print what was measured."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("file", type=Path)
+    parser.add_argument("--scenes", nargs="*", default=SCENES)
+    parser.add_argument("--most", type=int, default=2, help="openings of each scene")
+    parser.add_argument("--run", type=int, default=2, help="answers that are executed")
+    parser.add_argument("--timeout", type=float, default=30.0, help="for one opening [s]")
+    args = parser.parse_args()
+    robot = load_robot(args.file, cache=user_cache())
+    began = time.process_time()
+    reach = load_reach(robot)
+    built = time.process_time() - began
+    found: dict[str, Any] = {"robot": robot.name, "joints": robot.chain.size, "built": built}
+    found |= of_map(reach, robot)
+    rows, solved = [], []
+    for name in args.scenes:
+        scene = scene_of(name)
+        doors = openable(scene)
+        for item, joint in doors[:: max(1, len(doors) // args.most)][: args.most]:
+            row, plan = answered(robot, reach, name, item, joint, args.timeout)
+            rows.append(row)
+            print(row, file=sys.stderr, flush=True)
+            if plan is not None and plan.status == "solved":
+                solved.append((name, plan))
+    found["answers"] = rows
+    found["runs"] = [executed(robot, reach, *pair) for pair in solved[: args.run]]
+    print(json.dumps(found))
+
+
+def of_map(reach: ReachScorer, robot: Robot) -> dict[str, float]:
+    """What the map misses and invents near reach [-], and its size [MB]; nothing without one."""
+    if not isinstance(reach, ReachMap):
+        return {}
+    near = evaluate(reach, robot, np.random.default_rng(0), POSES, near=True)
+    size = len(encode(reach)) / 1e6
+    return {"misses": near.misses, "false_positives": near.false_positives, "megabytes": size}
+
+
+def answered(
+    robot: Robot, reach: ReachScorer, scene: str, item: str, joint: str, timeout: float
+) -> tuple[dict[str, Any], PlacementPlan | None]:
+    """The answer for one opening, and its processor time."""
+    row: dict[str, Any] = {"task": f"{Path(scene).stem} {item}/{joint}"}
+    room = scene_of(scene)
+    began = time.process_time()
+    try:
+        task = make_task(room, "open", item, joint)
+        config = replace(CONFIG, timeout=timeout)
+        plan = plan_base_placement(room, robot, task, reach, config=config).plan
+    except MomaposError as error:
+        return row | {"status": "refused", "why": str(error)[:100]}, None
+    most = max(plan.candidates.rejections.items(), key=lambda one: one[1], default=("", 0))
+    row |= {"status": plan.status, "seconds": time.process_time() - began, "to": plan.feasible_to}
+    return row | {"why": "" if plan.status == "solved" else most[0][:100]}, plan
+
+
+def executed(robot: Robot, reach: ReachScorer, scene: str, plan: PlacementPlan) -> bool:
+    """Whether physics carries an answer out."""
+    return run_plan(plan, scene_of(scene), robot, reach).success
+
+
+if __name__ == "__main__":
+    main()
