@@ -12,6 +12,7 @@ import numpy as np
 from momapos.cache import Cache
 from momapos.errors import unknown_name
 from momapos.geometry.transforms import rotation_about
+from momapos.kinematics.convex_pieces import pieces_of
 from momapos.kinematics.hulls import Boxes, Hull, cover_shape, fit_box, hull_of
 from momapos.kinematics.kept import freeze, once
 from momapos.kinematics.meshes import mesh_digest
@@ -150,6 +151,19 @@ class Articulated:
             }
 
         return self.kept("boxes", compute)
+
+    def pieces(self, link: str) -> tuple[tuple[Hull, ...], ...]:
+        """Convex pieces of each collision element of a link, see `convex_pieces`.
+
+        Raises:
+            UrdfError: The faces of a mesh cannot be read.
+        """
+
+        def compute() -> tuple[tuple[Hull, ...], ...]:
+            shapes = zip(self.urdf.links[link].collisions, self.hulls[link], strict=True)
+            return tuple(pieces_of(shape, hull) for shape, hull in shapes)
+
+        return self.kept("pieces", compute, link)
 
     def hull(self, link: str, shape: Geometry) -> Hull:
         """The hull of a shape of a link, visual or for collision."""

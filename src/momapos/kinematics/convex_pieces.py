@@ -14,14 +14,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.kinematics.hulls import fit_box
+from momapos.geometry.transforms import apply
+from momapos.kinematics.hulls import Hull, fit_box, hull_around
+from momapos.kinematics.meshes import mesh_triangles
+from momapos.kinematics.urdf import Geometry
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
 HOLLOW = 3e-6
 """A hull that holds more room than this is cut: a fingertip takes as much [m^3]."""
-DEEP = 0.004
+DEEP = 0.005
 """Room counts where its middle is so deep in the hull [m]."""
 MAX_TRIANGLES = 20_000
 """Meshes with more stay one hull: cutting them would take seconds [-]."""
@@ -34,9 +37,12 @@ FLATS = 8
 BESIDE = 2e-4
 """A cut is this far beside a flat face, on both sides of it [m]."""
 LEAST_SLAB = 0.003
-"""No other slab is thinner [m]."""
+"""Flat faces that are nearer to each other end one slab [m]."""
+LEAST_EVEN = 0.012
+"""No slab of those of the same thickness is thinner [m]."""
 GAIN = 0.98
-"""A cut is worth it where what is still hollow is no larger than this share of the whole [-]."""
+"""A cut is worth it where at most this share of the room, or of the volume that holds any, is left
+[-]."""
 NEAR = 8
 """Pieces of one slab that another is compared with [-]."""
 _WELD = 1e-5
@@ -87,6 +93,22 @@ class _Piece:
         return self.room > HOLLOW
 
 
+def pieces_of(geometry: Geometry, hull: Hull) -> tuple[Hull, ...]:
+    """The convex pieces of a shape, in the link frame: its hull, or those of a hollow mesh.
+
+    Raises:
+        UrdfError: As for `mesh_triangles`.
+    """
+    if geometry.kind != "mesh":
+        return (hull,)
+    assert geometry.mesh is not None
+    triangles = mesh_triangles(geometry.mesh) * np.array(geometry.size)
+    pieces = convex_pieces(apply(geometry.T_link_geometry, triangles))
+    if len(pieces) == 1:
+        return (hull,)
+    return tuple(hull_around(points, hull.name) for points in pieces)
+
+
 def convex_pieces(triangles: Float[np.ndarray, "t 3 3"]) -> list[Float[np.ndarray, "n 3"]]:
     """Corners of pieces whose hulls hold all of a surface, and little of the room around it.
 
@@ -101,12 +123,11 @@ def convex_pieces(triangles: Float[np.ndarray, "t 3 3"]) -> list[Float[np.ndarra
         return [points]
     rotation = fit_box(points)[1]
     surface = _closed(triangles) @ rotation
-    room = _room_around(surface).inside(_hull(surface), DEEP)
-    queue = [_piece(surface, room)]
-    done: list[_Piece] = []
+    queue, done = [_piece(surface, _room_in(surface, surface))], []
     while queue:
         piece = queue.pop()
-        parts = _cut(piece, room) if piece.hollow else []
+        room = _room_in(piece.triangles, surface).inside(piece.hull, DEEP)
+        parts = _cut(_piece(piece.triangles, room), room)
         if not parts or len(queue) + len(done) + len(parts) > MAX_PIECES:
             done.append(piece)
         else:
@@ -146,12 +167,16 @@ def _both(a: _Piece, b: _Piece, room: _Room) -> _Piece:
 
 
 def _cut(piece: _Piece, room: _Room) -> list[_Piece]:
-    """The pieces across the axis that leaves the least of it hollow, and the fewest."""
-    ways = [_across(piece, axis, room) for axis in range(3)]
-    left = [sum(p.hull.volume for p in parts if p.hollow) for parts in ways]
-    kept = [k for k in range(3) if left[k] <= GAIN * piece.hull.volume and len(ways[k]) > 1]
-    best = sorted(kept, key=lambda k: (round(left[k] / piece.hull.volume, 2), len(ways[k])))
-    return ways[best[0]] if best else []
+    """The pieces across the axis that leaves the least room in them; none where that is no use."""
+    if not piece.hollow:
+        return []
+
+    def left(parts: list[_Piece]) -> tuple[float, float, int]:
+        hollow = sum(p.hull.volume for p in parts if p.hollow) / piece.hull.volume
+        return round(sum(p.room for p in parts) / piece.room, 1), hollow, len(parts)
+
+    best = min((_across(piece, axis, room) for axis in range(3)), key=left)
+    return best if len(best) > 1 and min(left(best)[:2]) <= GAIN else []
 
 
 def _across(piece: _Piece, axis: int, room: _Room) -> list[_Piece]:
@@ -247,7 +272,7 @@ def _flat_levels(triangles: Float[np.ndarray, "t 3 3"], axis: int) -> list[float
 
 def _even_levels(low: float, high: float, flats: list[float]) -> list[float]:
     """Ends of slabs of the same thickness, but those beside flat faces."""
-    count = min(SLABS, int((high - low) / LEAST_SLAB))
+    count = min(SLABS, int((high - low) / LEAST_EVEN))
     levels = np.linspace(low, high, count + 1)[1:-1] if count > 1 else []
     return [float(x) for x in levels if all(abs(x - y) > LEAST_SLAB for y in flats)]
 
@@ -264,19 +289,21 @@ def _slab_edges(
     return ends[order], np.append(closes_flat[order], False)
 
 
-def _room_around(triangles: Float[np.ndarray, "t 3 3"]) -> _Room:
-    """Cells between flat faces and even steps, those that a line along an axis reaches."""
-    low, high = triangles.min((0, 1)), triangles.max((0, 1))
+def _room_in(
+    piece: Float[np.ndarray, "k 3 3"], surface: Float[np.ndarray, "t 3 3"]
+) -> _Room:
+    """Cells between the flat faces and even steps of a piece that the whole surface does not hide."""
+    low, high = piece.min((0, 1)), piece.max((0, 1))
     edges = []
     for axis in range(3):
-        flats = _flat_levels(triangles, axis)
+        flats = _flat_levels(piece, axis)
         even = _even_levels(float(low[axis]), float(high[axis]), flats)
         edges.append(np.array(sorted([low[axis], *flats, *even, high[axis]])))
     middle = [(e[1:] + e[:-1]) / 2 for e in edges]
     free = np.zeros([len(m) for m in middle], bool)
     for axis in range(3):
         u, v = [k for k in range(3) if k != axis]
-        first, last = _hits(triangles, axis, middle[u], middle[v])
+        first, last = _hits(surface, axis, middle[u], middle[v])
         z = middle[axis]
         seen = (z < first[..., None]) | (z > last[..., None])
         free |= np.moveaxis(seen, -1, axis)
@@ -299,10 +326,10 @@ def _hits(
     point = np.stack([u[i], v[j]], -1)
     area = _turn(b - a, c - a)
     weight = np.stack([_turn(b - point, c - point), _turn(c - point, a - point)], -1)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        weight = weight / area[:, None]
+    upright = np.abs(area) < _SLIVER  # seen on edge: lines pass beside it
+    weight = weight / np.where(upright, 1.0, area)[:, None]
     weight = np.column_stack([weight, 1.0 - weight.sum(1)])
-    met = (np.abs(area) > _SLIVER) & (weight >= -1e-9).all(1)
+    met = ~upright & (weight >= -1e-9).all(1)
     z = (weight[met] * triangles[which[met], :, axis]).sum(1)
     np.minimum.at(first, (i[met], j[met]), z)
     np.maximum.at(last, (i[met], j[met]), z)

@@ -86,6 +86,21 @@ def part_elements(model: Articulated, joint: str) -> tuple[Element, ...]:
 
 
 @lru_cache(maxsize=_MODELS)
+def part_pieces(model: Articulated, joint: str) -> tuple[Element, ...]:
+    """The same, meshes that are not convex as their convex pieces."""
+    links = model.moved_by(joint)
+    T_link = poses_in_part(model, joint, links)
+    known = {(e.link, e.index): e for e in part_elements(model, joint)}
+    found: list[Element] = []
+    for link in links:
+        for index, pieces in enumerate(model.pieces(link)):
+            whole = known[link, index]
+            placed = [Element(link, whole.name, convex_of(p, T_link[link]), index) for p in pieces]
+            found += placed if len(pieces) > 1 else [whole]
+    return tuple(found)
+
+
+@lru_cache(maxsize=_MODELS)
 def visual_elements(model: Articulated, joint: str) -> tuple[Element, ...]:
     """The visual elements of what a joint moves rigidly, each as its convex hull."""
     links = rigid_links(model, joint)
