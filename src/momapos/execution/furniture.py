@@ -10,8 +10,8 @@ import mujoco
 import numpy as np
 
 from momapos.execution.config import ExecutionConfig, FurnitureConfig
-from momapos.execution.dynamics import volume
-from momapos.execution.shapes import Kind, add_shape, dress, place_body
+from momapos.execution.dynamics import hull_volume, volume
+from momapos.execution.shapes import Kind, add_hull, add_shape, dress, place_body
 from momapos.geometry.transforms import apply, invert, pose
 from momapos.kinematics.opening import opening_of
 from momapos.kinematics.urdf import Geometry, Joint
@@ -178,7 +178,8 @@ def add_part(
 ) -> None:
     """Add what the task moves: the links beyond a joint on that joint, or an object, loose.
 
-    Joints beyond the task's own are locked where the scene has them.
+    Joints beyond the task's own are locked where the scene has them. Meshes that are not convex are
+    cut into convex pieces: the hand reaches behind a handle that is part of its panel's mesh.
     """
     item = scene.object(task.object)
     poses = _poses(item, task, deviation)
@@ -196,9 +197,15 @@ def add_part(
     density = resistance.mass / max(sum(volume(shape) for _, _, shape in shapes), 1e-9)
     for link, i, shape in shapes:
         T = invert(T_world_at) @ poses[link]
-        geom = add_shape(spec, body, shape, T, f"{item.name}/{link}#{i}")
-        dress(geom, Kind.PART, touched=config.hold == "contact", handle=_is_handle(link, shape))
-        geom.density = density
+        name, pieces = f"{item.name}/{link}#{i}", item.model.pieces(link)[i]
+        if len(pieces) == 1:
+            geoms, fuller = [add_shape(spec, body, shape, T, name)], 1.0
+        else:
+            geoms = [add_hull(spec, body, h, T, f"{name}.{k}") for k, h in enumerate(pieces)]
+            fuller = volume(shape) / sum(map(hull_volume, pieces))
+        for geom in geoms:
+            dress(geom, Kind.PART, touched=config.hold == "contact", handle=_is_handle(link, shape))
+            geom.density = density * fuller
 
 
 def _numbered(item: SceneObject, link: str) -> list[tuple[int, Geometry]]:

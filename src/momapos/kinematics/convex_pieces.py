@@ -119,7 +119,7 @@ def convex_pieces(triangles: Float[np.ndarray, "t 3 3"]) -> list[Float[np.ndarra
         Points of each piece; of a surface that is nearly convex, or of too many triangles, all.
     """
     points = triangles.reshape(-1, 3)
-    if len(triangles) > MAX_TRIANGLES or not _folds_in(triangles):
+    if not 0 < len(triangles) <= MAX_TRIANGLES or not _folds_in(triangles):
         return [points]
     rotation = fit_box(points)[1]
     surface = _closed(triangles) @ rotation

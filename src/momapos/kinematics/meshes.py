@@ -78,20 +78,20 @@ def _vertices(path: Path, data: bytes) -> Float[np.ndarray, "n 3"]:
 
 
 def mesh_triangles(path: Path) -> Float[np.ndarray, "t 3 3"]:
-    """Read the surface of a mesh; polygons are divided into fans.
+    """Read the surface of a mesh; polygons are divided into fans, and points alone have none.
 
     Raises:
-        UrdfError: As for `mesh_points`, or it has no faces, or one that names no corner.
+        UrdfError: As for `mesh_points`, or a face names a corner that is not there.
     """
     points = mesh_points(path)
     if path.suffix.lower() == ".obj":
         faces = _obj_faces(path, len(points))
     else:
         faces = np.array(parse_mesh(path, mesh_bytes(path)).faces, np.int64).reshape(-1, 3)
-    if not len(faces):
-        raise UrdfError(f"{path}: the mesh has no faces")
-    if faces.min() < 0 or faces.max() >= len(points):
-        raise UrdfError(f"{path}: a face names a corner that the mesh does not have")
+    wrong = (faces < 0) | (faces >= len(points))
+    if wrong.any():
+        worst = int(faces[wrong][0]) + 1
+        raise UrdfError(f"{path}: a face names corner {worst}, and the mesh has {len(points)}")
     return points[faces]
 
 

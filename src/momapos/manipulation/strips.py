@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 NARROW = 0.06
-"""What is thicker is not held between two fingers [m]."""
+"""What is larger across its long axis is no strip [m]."""
 LEAST_LENGTH = 0.02
 """A shorter strip is none [m]."""
 FINGER = 0.008
@@ -63,13 +63,15 @@ def _ways(piece: Element, front: Float[np.ndarray, "3"]) -> list[Strip]:
     """The sides from which fingers may come: across its long axis, not from behind."""
     center, rotation, half = fit_box(piece.convex.vertices)
     order = np.argsort(half)
+    if 2 * half[order[1]] > NARROW or 2 * half[order[2]] < LEAST_LENGTH:
+        return []
     long = rotation[:, order[2]]
     ways = []
     for out_axis, between in ((order[0], order[1]), (order[1], order[0])):
         for side in (1.0, -1.0):
             out = side * rotation[:, out_axis]
             thick, depth = 2 * float(half[between]), 2 * float(half[out_axis])
-            if thick < NARROW and half[order[2]] > LEAST_LENGTH / 2 and out @ front > -_STRAIGHT:
+            if out @ front > -_STRAIGHT:
                 end = center + depth / 2 * out
                 ways.append(Strip(piece, end, long, out, float(half[order[2]]), thick, depth))
     return ways
