@@ -152,18 +152,21 @@ class Articulated:
 
         return self.kept("boxes", compute)
 
-    def pieces(self, link: str) -> tuple[tuple[Hull, ...], ...]:
-        """Convex pieces of each collision element of a link, see `convex_pieces`.
+    def pieces(self, link: str, element: int) -> tuple[Hull, ...]:
+        """Convex pieces of a collision element of a link, made once; see `convex_pieces`.
 
         Raises:
-            UrdfError: The faces of a mesh cannot be read.
+            UrdfError: The faces of its mesh cannot be read.
         """
+        key = link, element
+        if key not in self._pieces:
+            shape, hull = self.urdf.links[link].collisions[element], self.hulls[link][element]
+            self._pieces[key] = self.kept("pieces", lambda: pieces_of(shape, hull), link, element)
+        return self._pieces[key]
 
-        def compute() -> tuple[tuple[Hull, ...], ...]:
-            shapes = zip(self.urdf.links[link].collisions, self.hulls[link], strict=True)
-            return tuple(pieces_of(shape, hull) for shape, hull in shapes)
-
-        return self.kept("pieces", compute, link)
+    @cached_property
+    def _pieces(self) -> dict[tuple[str, int], tuple[Hull, ...]]:
+        return {}
 
     def hull(self, link: str, shape: Geometry) -> Hull:
         """The hull of a shape of a link, visual or for collision."""

@@ -167,13 +167,16 @@ def _both(a: _Piece, b: _Piece, room: _Room) -> _Piece:
 
 
 def _cut(piece: _Piece, room: _Room) -> list[_Piece]:
-    """The pieces across the axis that leaves the least room in them; none where that is no use."""
+    """The pieces across the axis that leaves the least room in them; none where it is no use."""
     if not piece.hollow:
         return []
 
-    def left(parts: list[_Piece]) -> tuple[float, float, int]:
-        hollow = sum(p.hull.volume for p in parts if p.hollow) / piece.hull.volume
-        return round(sum(p.room for p in parts) / piece.room, 1), hollow, len(parts)
+    def left(parts: list[_Piece]) -> tuple[float, float, float]:
+        hollow = sum(p.hull.volume for p in parts if p.hollow)
+        # Of cuts as good as each other the one that leaves the body whole, and its handle apart.
+        body = max(p.hull.volume for p in parts)
+        shares = round(hollow / piece.hull.volume, 2), -body / piece.hull.volume
+        return round(sum(p.room for p in parts) / piece.room, 1), *shares
 
     best = min((_across(piece, axis, room) for axis in range(3)), key=left)
     return best if len(best) > 1 and min(left(best)[:2]) <= GAIN else []
@@ -289,10 +292,8 @@ def _slab_edges(
     return ends[order], np.append(closes_flat[order], False)
 
 
-def _room_in(
-    piece: Float[np.ndarray, "k 3 3"], surface: Float[np.ndarray, "t 3 3"]
-) -> _Room:
-    """Cells between the flat faces and even steps of a piece that the whole surface does not hide."""
+def _room_in(piece: Float[np.ndarray, "k 3 3"], surface: Float[np.ndarray, "t 3 3"]) -> _Room:
+    """Cells between flat faces and even steps of a piece that the surface does not hide."""
     low, high = piece.min((0, 1)), piece.max((0, 1))
     edges = []
     for axis in range(3):

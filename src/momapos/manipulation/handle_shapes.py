@@ -90,13 +90,13 @@ def part_pieces(model: Articulated, joint: str) -> tuple[Element, ...]:
     """The same, meshes that are not convex as their convex pieces."""
     links = model.moved_by(joint)
     T_link = poses_in_part(model, joint, links)
-    known = {(e.link, e.index): e for e in part_elements(model, joint)}
     found: list[Element] = []
-    for link in links:
-        for index, pieces in enumerate(model.pieces(link)):
-            whole = known[link, index]
-            placed = [Element(link, whole.name, convex_of(p, T_link[link]), index) for p in pieces]
-            found += placed if len(pieces) > 1 else [whole]
+    for whole in part_elements(model, joint):
+        assert whole.index is not None
+        pieces = model.pieces(whole.link, whole.index)
+        T, name = T_link[whole.link], whole.name
+        cut = [Element(whole.link, name, convex_of(piece, T), whole.index) for piece in pieces]
+        found += cut if len(cut) > 1 else [whole]
     return tuple(found)
 
 

@@ -195,8 +195,11 @@ def handles_by_pieces(model: Articulated, joint: str, sign: float) -> tuple[Hand
     of_cut = {id(e) for e in cut}
     groups = [g for g in protrusions(own, out) if of_cut & {id(e) for e in g}]
     handles = _by_shape(groups, model, joint, sign, own)
-    strips = strips_of(own, tuple(cut), out)
-    handles += [_of_strip(strip) for strip in strips]
+    told = {id(e) for h in handles if h.kind is not HandleKind.LIP for e in h.elements}
+    stands_out = {id(e) for group in groups for e in group}
+    for strip in strips_of(own, tuple(e for e in cut if id(e) not in told), out):
+        out_of_front = id(strip.element) in stands_out
+        handles.append(_of_strip(strip, HandleKind.LIP if out_of_front else HandleKind.RECESS))
     return tuple(replace(handle, in_pieces=True) for handle in handles)
 
 
@@ -218,13 +221,13 @@ def _by_shape(
     return sorted(shown, key=lambda h: -h.half_length * _lever(model, joint, h.center))
 
 
-def _of_strip(strip: Strip) -> Handle:
+def _of_strip(strip: Strip, kind: HandleKind) -> Handle:
     """A narrow piece of a front, held from one side of it."""
     depth = min(strip.depth, HELD_DEPTH)
     center = strip.end - strip.depth / 2 * strip.out
     return Handle(
         center, strip.end - depth / 2 * strip.out, strip.long, strip.out, strip.half_length,
-        strip.thickness, depth, HandleSource.SHAPE, HandleKind.LIP, strip.element.name,
+        strip.thickness, depth, HandleSource.SHAPE, kind, strip.element.name,
         (strip.element,),
     )  # fmt: skip
 
