@@ -1,4 +1,4 @@
-"""Arms of fewer than six degrees of freedom: the turn of the hand about a bar is one more.
+"""Arms of fewer than six degrees of freedom: the turn of the hand about what it holds is one more.
 
 Such an arm takes few tool poses exactly, so that a hand that holds still can hardly be carried
 along an arc. A hand that may turn about the bar that it holds can: the turn joins the arm's chain
@@ -21,6 +21,7 @@ from momapos.kinematics.ik import build_ik
 from momapos.kinematics.world import CollisionWorld
 from momapos.manipulation.arm_path import UNREACHABLE, ArmPath, find_paths
 from momapos.manipulation.motion import TaskMotion
+from momapos.manipulation.turning import FULL as FULL
 from momapos.manipulation.turning import no_turning
 from momapos.manipulation.turning_arm import TurningArm
 from momapos.robots.robot import Robot
@@ -28,8 +29,6 @@ from momapos.robots.robot import Robot
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
-FULL = 6
-"""Degrees of freedom from which on an arm takes any tool pose within reach [-]."""
 MOST_WAYS = 4
 """Ways of holding that a base pose is fitted to, until one fits [-]."""
 _DIGITS = 6
