@@ -135,6 +135,17 @@ def test_a_recessed_pull_is_held_by_a_finger_in_the_pocket(robot: Robot, tmp_pat
     assert ((tips[:, 1] > low[1]) & (np.abs(tips[:, 0]) < high[0])).any()
 
 
+def test_a_door_is_not_pulled_at_a_strip_beside_its_hinge(tmp_path: Path) -> None:
+    """Two slots leave a strip at the hinge and one at the free edge: the latter alone is held."""
+    plates = (((0.0, 0.04), 0.3), ((0.1, 0.46), 0.3), ((0.52, 0.56), 0.3))
+    front = tuple(((x[0], -0.03, -z), (x[1], -0.01, z)) for x, z in plates)
+    back = ((0.0, -0.01, -0.3), (0.56, 0.0, 0.3))
+    model = part(tmp_path, (back, *front), slides=False)
+    found = [h for h in handles_in_turn(model, "j", 1.0) if h.kind is HandleKind.RECESS]
+    assert found
+    assert all(h.center[0] > 0.5 for h in found)
+
+
 def test_a_solid_front_shows_no_handle(tmp_path: Path) -> None:
     model = part(tmp_path, (given.PANEL,), slides=False)
     assert all(h.edge for h in handles_in_turn(model, "j", 1.0))

@@ -43,6 +43,11 @@ ROUND = 1.5
 """A handle less elongated than this is a knob: it can be turned about freely [-]."""
 FACE_INSIDE = 0.05
 """A door is pushed this far inside its free edge [m]."""
+MOST_STRIPS = 4
+"""Strips of a part that are tried, the longest ones [-]."""
+LEAST_LEVER = 0.5
+"""A front is pulled at no strip that is nearer to its hinge than this share of its width: what the
+hand is off there moves the front by far more at its free edge [-]."""
 RIM = 0.02
 """Elements of a panel that end this near its edge make the edge [m]."""
 
@@ -197,7 +202,11 @@ def handles_by_pieces(model: Articulated, joint: str, sign: float) -> tuple[Hand
     handles = _by_shape(groups, model, joint, sign, own)
     told = {id(e) for h in handles if h.kind is not HandleKind.LIP for e in h.elements}
     stands_out = {id(e) for group in groups for e in group}
-    for strip in strips_of(own, tuple(e for e in cut if id(e) not in told), out):
+    least = LEAST_LEVER * lever_arms(model, joint, corners(own)).max()
+    found = strips_of(own, tuple(e for e in cut if id(e) not in told), out)
+    levers = [_lever(model, joint, strip.end) for strip in found]
+    strips = [s for s, lever in zip(found, levers, strict=True) if lever >= least]
+    for strip in sorted(strips, key=lambda s: -s.half_length)[:MOST_STRIPS]:
         out_of_front = id(strip.element) in stands_out
         handles.append(_of_strip(strip, HandleKind.LIP if out_of_front else HandleKind.RECESS))
     return tuple(replace(handle, in_pieces=True) for handle in handles)

@@ -21,8 +21,6 @@ FINGER = 0.008
 """Room that a finger needs beside a strip, and its tip behind the strip's near side [m]."""
 WAY = 0.06
 """Fingers come straight from this far outside [m]."""
-MOST = 4
-"""Strips of a part, the longest ones [-]."""
 _SHARES = np.array([-0.5, 0.0, 0.5])
 _LEVELS = 9
 _STRAIGHT = 0.9
@@ -48,15 +46,14 @@ class Strip:
 def strips_of(
     elements: tuple[Element, ...], pieces: tuple[Element, ...], front: Float[np.ndarray, "3"]
 ) -> list[Strip]:
-    """The narrow pieces of a part beside which there is room for two fingers, the longest first.
+    """The narrow pieces of a part beside which there is room for two fingers.
 
     Args:
         elements: All of the part.
         pieces: Those of them that may be held.
         front: Unit normal of the part's front; from behind no hand comes.
     """
-    found = [s for piece in pieces for s in _ways(piece, front) if _has_room(s, elements)]
-    return sorted(found, key=lambda s: -s.half_length)[:MOST]
+    return [s for piece in pieces for s in _ways(piece, front) if _has_room(s, elements)]
 
 
 def _ways(piece: Element, front: Float[np.ndarray, "3"]) -> list[Strip]:
