@@ -6,8 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import tests.meshes as given
 from tests.execution.toy import Toy, gripping
-from tests.verification.door_case import OPEN, cupboard_urdf, make_case
+from tests.verification.door_case import HANDLE, OPEN, cupboard_urdf, make_case
 
 from momapos.execution.config import (
     ComplianceConfig,
@@ -134,3 +135,22 @@ def hand_of(case: Toy) -> Hand:
     path = case.robot.model.urdf.path
     assert path is not None
     return find_hand(case.robot, read_dynamics(path).mimics)
+
+
+def test_a_handle_that_is_part_of_its_doors_mesh_is_gripped_where_it_is(tmp_path: Path) -> None:
+    """The hull of door and bow fills the room in which the fingers close."""
+    case = make_case()
+    (x, y, _), bar, door = HANDLE, 0.01, ((-0.01, 0.0, -0.39), (0.01, 0.58, 0.39))
+    ends = [((x + bar, y - bar, z - 0.01), (-0.01, y + bar, z + 0.01)) for z in (-0.11, 0.11)]
+    bow = (((x - bar, y - bar, -0.12), (x + bar, y + bar, 0.12)), *ends)
+    given.write_obj(tmp_path / "door.obj", given.triangles_of((door, *bow)))
+    first, last = (case.cupboard.index(f'<link name="{name}">') for name in ("door", "handle"))
+    mesh = '<collision><geometry><mesh filename="door.obj"/></geometry></collision>'
+    case.cupboard = (
+        f'{case.cupboard[:first]}<link name="door">{mesh}</link>'
+        f'<link name="handle"/>{case.cupboard[case.cupboard.index("<joint name=") :]}'
+    )
+    assert last > first
+    done = gripping(tmp_path, case).run()
+    assert done.success, done.reason
+    assert done.ending == Ending.DONE

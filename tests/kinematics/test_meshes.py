@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from momapos.errors import UrdfError
-from momapos.kinematics.meshes import MAX_MESH_BYTES, mesh_points
+from momapos.kinematics.meshes import MAX_MESH_BYTES, mesh_points, mesh_triangles
 
 TRIANGLE = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]], np.float32)
 
@@ -157,3 +157,35 @@ def test_what_is_no_mesh_file_is_refused_unopened(tmp_path: Path, kind: str) -> 
             file.truncate(MAX_MESH_BYTES + 1)
     with pytest.raises(UrdfError, match=r"a\.stl"):
         mesh_points(path)
+
+
+def test_the_faces_of_an_obj_file_are_those_that_trimesh_reads(tmp_path: Path) -> None:
+    import trimesh
+
+    file = tmp_path / "mesh.obj"
+    file.write_text(
+        "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1/1/1 2//2 3/3 4\n"
+        "v 0 0 1\nv 1 0 1\nf -2 -1 1\nf 5 6 2\n"
+    )
+    known = trimesh.load(file, force="mesh", process=False).triangles
+    mine = mesh_triangles(file)
+    assert mine.shape == (4, 3, 3)
+
+    def keys(triangles: np.ndarray) -> set[tuple[float, ...]]:
+        return {tuple(np.sort(t.reshape(3, 3) @ [1.0, 3.0, 9.0]).tolist()) for t in triangles}
+
+    assert keys(mine[2:]) == keys(known[2:])
+    area = np.linalg.norm(np.cross(mine[:, 1] - mine[:, 0], mine[:, 2] - mine[:, 0]), axis=1)
+    assert area.sum() / 2 == pytest.approx(trimesh.triangles.area(known).sum())
+
+
+def test_a_mesh_of_points_alone_has_no_surface(tmp_path: Path) -> None:
+    (tmp_path / "cloud.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\n")
+    assert mesh_triangles(tmp_path / "cloud.obj").shape == (0, 3, 3)
+
+
+@pytest.mark.parametrize("face", ["f 1 2 4", "f 1 2 -4", "f 1 2 0"])
+def test_a_face_that_names_no_corner_is_refused_with_its_number(face: str, tmp_path: Path) -> None:
+    (tmp_path / "damaged.obj").write_text(f"v 0 0 0\nv 1 0 0\nv 0 1 0\n{face}\n")
+    with pytest.raises(UrdfError, match=r"damaged.obj: a face names corner -?\d"):
+        mesh_triangles(tmp_path / "damaged.obj")

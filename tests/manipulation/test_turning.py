@@ -9,16 +9,18 @@ import numpy as np
 import pytest
 
 from momapos.config import PipelineConfig
-from momapos.geometry.transforms import invert, rotation_angle
+from momapos.geometry.transforms import invert, rotation_about, rotation_angle
 from momapos.kinematics.articulated import Articulated
-from momapos.manipulation.motion import TaskMotion
+from momapos.manipulation.config import GraspConfig, MotionConfig
+from momapos.manipulation.motion import TaskMotion, task_motion
 from momapos.manipulation.tasks import make_task
 from momapos.manipulation.turning import LEAST
+from momapos.pipeline import plan_base_placement
 from momapos.prepare import PreparedTask, prepare
 from momapos.reachability.store import load_reach_map
 from momapos.robots.robot import Robot, load_robot
 from momapos.scene.files import load_scene
-from momapos.scene.scene import SceneObject
+from momapos.scene.scene import Scene, SceneObject
 
 CONFIG = PipelineConfig()
 BASE = np.array([0.458, -1.39, 2.532])
@@ -129,3 +131,69 @@ def test_a_turning_hand_opens_what_a_rigid_one_cannot(
     assert found.holds[0].turn_axis is not None
     assert fridge.violation(BASE, found) is None
     assert "rotation" in (fridge.violation(BASE, replace(found, holds=())) or "")
+
+
+def knob_drawer(folder: Path, shape: str) -> Scene:
+    """A drawer that a knob of its own opens."""
+    (folder / "drawer.urdf").write_text(
+        '<robot name="drawer"><link name="body"/><link name="front"><collision>'
+        '<origin xyz="0 0 0.7"/><geometry><box size="0.02 0.5 0.2"/></geometry></collision></link>'
+        '<link name="handle"><collision><origin xyz="0 0 0" rpy="0 1.5707963 0"/>'
+        f'<geometry>{shape}</geometry></collision></link><joint name="post" type="fixed">'
+        '<parent link="front"/><child link="handle"/><origin xyz="-0.045 0 0.7"/></joint>'
+        '<joint name="slide" type="prismatic"><parent link="body"/><child link="front"/>'
+        '<axis xyz="-1 0 0"/><limit lower="0" upper="0.3" effort="1" velocity="1"/></joint></robot>'
+    )
+    item = SceneObject.from_urdf("drawer", folder / "drawer.urdf", (0.0, 0.0, 0.0))
+    floor = np.array([[-3.0, -2.0], [0.5, -2.0], [0.5, 2.0], [-3.0, 2.0]])
+    return Scene("knob", (item,), floor_polygon=floor)
+
+
+ROUND_KNOB = '<cylinder radius="0.015" length="0.02"/>'
+
+
+def test_a_short_arm_turns_about_a_round_knob_and_opens_what_no_rigid_grasp_does(
+    tmp_path: Path,
+) -> None:
+    scene, stretch = knob_drawer(tmp_path, ROUND_KNOB), load_robot("stretch")
+    task = make_task(scene, "open", "drawer")
+    plan = plan_base_placement(scene, stretch, task).plan
+    assert plan.status == "solved"
+    assert plan.motion is not None
+    (hold,) = plan.motion.holds
+    np.testing.assert_allclose(np.abs(hold.turn_axis), [1, 0, 0], atol=1e-9)
+    assert hold.words.endswith(", about which the hand turns")
+    still = replace(CONFIG, motion=MotionConfig(grasps=GraspConfig(turning=False)))
+    assert plan_base_placement(scene, stretch, task, config=still).plan.status == "infeasible"
+
+
+def test_a_hand_turns_about_a_knob_only_where_it_is_round_and_its_arm_is_short(
+    robot: Robot, tmp_path: Path
+) -> None:
+    stretch = load_robot("stretch")
+    for name, shape, arm, turns in (
+        ("round", ROUND_KNOB, stretch, True),
+        ("square", '<box size="0.03 0.03 0.02"/>', stretch, False),
+        ("full", ROUND_KNOB, robot, False),
+    ):
+        (tmp_path / name).mkdir()
+        scene = knob_drawer(tmp_path / name, shape)
+        motion = task_motion(scene, arm, make_task(scene, "open", "drawer"), MotionConfig())
+        assert not motion.refusal
+        assert motion.handle is not None
+        assert motion.handle.knob
+        assert bool(len(motion.turning.groups)) is turns, name
+
+
+def test_grasps_of_one_group_of_a_knob_differ_by_a_turn_about_its_own_axis(tmp_path: Path) -> None:
+    scene, stretch = knob_drawer(tmp_path, ROUND_KNOB), load_robot("stretch")
+    motion = task_motion(scene, stretch, make_task(scene, "open", "drawer"), MotionConfig())
+    turning = motion.turning
+    np.testing.assert_allclose(turning.axis, [-1, 0, 0], atol=1e-6)
+    for group in turning.groups:
+        members = group[group >= 0]
+        R, angles = turning.R_part_tool[members], turning.angles[members]
+        for k, turn in enumerate(angles - angles[0]):
+            np.testing.assert_allclose(rotation_about(turning.axis, turn) @ R[0], R[k], atol=1e-6)
+        held = motion.Ts_world_tool[members, motion.grasp_step, :3, 3]
+        assert np.ptp(held, axis=0).max() < 1e-9

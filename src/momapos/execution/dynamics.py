@@ -13,7 +13,7 @@ import numpy as np
 from momapos.errors import UrdfError
 from momapos.files import read_xml
 from momapos.geometry.transforms import pose_rpy
-from momapos.kinematics.hulls import hull_of
+from momapos.kinematics.hulls import Hull, hull_of
 from momapos.kinematics.urdf import MAX_URDF_BYTES, Geometry
 
 if TYPE_CHECKING:
@@ -131,6 +131,10 @@ def volume(shape: Geometry) -> float:
         return math.pi * shape.size[0] ** 2 * shape.size[1]
     if shape.kind == "sphere":
         return 4 / 3 * math.pi * shape.size[0] ** 3
-    hull = hull_of(shape)
+    return hull_volume(hull_of(shape))
+
+
+def hull_volume(hull: Hull) -> float:
+    """Volume of a convex hull [m^3]."""
     a, b, c = (hull.vertices[hull.faces[:, k]] for k in range(3))
     return float(np.einsum("fi,fi->", np.cross(a, b), c)) / 6

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -10,13 +11,13 @@ import mujoco
 import numpy as np
 
 from momapos.execution.config import ExecutionConfig, FurnitureConfig
-from momapos.execution.dynamics import volume
-from momapos.execution.shapes import Kind, add_shape, dress, place_body
+from momapos.execution.dynamics import hull_volume, volume
+from momapos.execution.shapes import Kind, add_hull, add_shape, dress, place_body
 from momapos.geometry.transforms import apply, invert, pose
 from momapos.kinematics.opening import opening_of
 from momapos.kinematics.urdf import Geometry, Joint
 from momapos.scene.scene import Scene, SceneObject
-from momapos.types import Task
+from momapos.types import Hold, Motion, Task
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
 PART = "part"
 """Name of the body that the task moves, and of its joint."""
 WORD = "handle"
+HAND_REACH = 0.1
+"""Elements that are nearer to the tool where it takes hold meet the hand [m]."""
 
 
 @dataclass(frozen=True)
@@ -175,10 +178,13 @@ def add_part(
     resistance: Resistance,
     deviation: Deviation | None,
     config: ExecutionConfig,
+    reached: Collection[tuple[str, int]] = (),
 ) -> None:
     """Add what the task moves: the links beyond a joint on that joint, or an object, loose.
 
-    Joints beyond the task's own are locked where the scene has them.
+    Joints beyond the task's own are locked where the scene has them. Meshes that are not convex are
+    cut into convex pieces where they are `reached`, as (link, number of the element): the hand goes
+    behind a handle that is part of its panel's mesh.
     """
     item = scene.object(task.object)
     poses = _poses(item, task, deviation)
@@ -196,9 +202,31 @@ def add_part(
     density = resistance.mass / max(sum(volume(shape) for _, _, shape in shapes), 1e-9)
     for link, i, shape in shapes:
         T = invert(T_world_at) @ poses[link]
-        geom = add_shape(spec, body, shape, T, f"{item.name}/{link}#{i}")
-        dress(geom, Kind.PART, touched=config.hold == "contact", handle=_is_handle(link, shape))
-        geom.density = density
+        name = f"{item.name}/{link}#{i}"
+        pieces = item.model.pieces(link, i) if (link, i) in reached else ()
+        if len(pieces) < 2:
+            geoms, fuller = [add_shape(spec, body, shape, T, name)], 1.0
+        else:
+            geoms = [add_hull(spec, body, h, T, f"{name}.{k}") for k, h in enumerate(pieces)]
+            fuller = volume(shape) / sum(map(hull_volume, pieces))
+        for geom in geoms:
+            dress(geom, Kind.PART, touched=config.hold == "contact", handle=_is_handle(link, shape))
+            geom.density = density * fuller
+
+
+def reached_elements(item: SceneObject, joint: str, motion: Motion) -> set[tuple[str, int]]:
+    """The elements of a part near which a motion takes hold of it, as (link, number)."""
+    found = set()
+    for hold in motion.holds or (Hold(0, len(motion.q) - 1),):
+        poses = item.link_poses({joint: float(motion.object_q[hold.first])})
+        tool = motion.Ts_world_tool[hold.first, :3, 3]
+        for link in item.model.moved_by(joint):
+            at = apply(invert(poses[link]), tool[None])[0]
+            for i, hull in enumerate(item.model.hulls[link]):
+                beyond = np.maximum(hull.vertices.min(0) - at, at - hull.vertices.max(0))
+                if np.linalg.norm(np.maximum(beyond, 0.0)) < HAND_REACH:
+                    found.add((link, i))
+    return found
 
 
 def _numbered(item: SceneObject, link: str) -> list[tuple[int, Geometry]]:

@@ -12,7 +12,13 @@ from momapos.execution.approach import PacedTrajectory, paced
 from momapos.execution.arm_control import ArmKinematics
 from momapos.execution.config import AT_END, GOOD, RECOVERABLE, Ending, ExecutionConfig
 from momapos.execution.dynamics import read_dynamics
-from momapos.execution.furniture import Deviation, Resistance, draw_resistance, seal_of
+from momapos.execution.furniture import (
+    Deviation,
+    Resistance,
+    draw_resistance,
+    reached_elements,
+    seal_of,
+)
 from momapos.execution.hand import find_hand
 from momapos.execution.joint_estimate import Axis, JointEstimate, Learned
 from momapos.execution.model_errors import draw_deviation, resisting
@@ -150,11 +156,12 @@ def attempt(
         deviation = draw_deviation(axis, config.errors, rng)
     states = np.concatenate([motion.approach, motion.q])
     tuned = states[np.linspace(0, len(states) - 1, _STATES).astype(int)]
+    reached = set() if task.joint is None else reached_elements(item, task.joint, motion)
 
     def build(room: Scene, deviation: Deviation | None, begin: float | None) -> Simulation:
         return build_simulation(
             room, robot, base_pose, tuned, task, hand, dynamics, resistance, deviation, config,
-            begin=begin,
+            begin=begin, reached=reached,
         )  # fmt: skip
 
     world = build(scene, deviation, None if again is None else again.value)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import mujoco
 import numpy as np
 
-from momapos.kinematics.hulls import hull_of
+from momapos.kinematics.hulls import Hull, hull_of
 from momapos.kinematics.urdf import Geometry
 
 if TYPE_CHECKING:
@@ -83,17 +83,11 @@ def add_shape(
     spec: Any, body: Any, shape: Geometry, T_body_link: Float[np.ndarray, "4 4"], name: str
 ) -> Any:
     """Add a collision element: a primitive as it is, a mesh as its convex hull."""
+    if shape.kind == "mesh":
+        return add_hull(spec, body, hull_of(shape), T_body_link, name)
     geom = body.add_geom(name=name)
     T = T_body_link @ shape.T_link_geometry
-    if shape.kind == "mesh":
-        spec.add_mesh(
-            name=name,
-            uservert=hull_of(shape).vertices.astype(np.float32).ravel(),
-            inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX,
-        )
-        geom.type, geom.meshname = mujoco.mjtGeom.mjGEOM_MESH, name
-        T = T_body_link
-    elif shape.kind == "box":
+    if shape.kind == "box":
         geom.type, geom.size = mujoco.mjtGeom.mjGEOM_BOX, np.array(shape.size) / 2
     elif shape.kind == "cylinder":
         radius, length = shape.size
@@ -101,6 +95,20 @@ def add_shape(
     else:
         geom.type, geom.size = mujoco.mjtGeom.mjGEOM_SPHERE, [shape.size[0], 0, 0]
     return place_body(geom, T)
+
+
+def add_hull(
+    spec: Any, body: Any, hull: Hull, T_body_link: Float[np.ndarray, "4 4"], name: str
+) -> Any:
+    """Add a convex hull."""
+    spec.add_mesh(
+        name=name,
+        uservert=hull.vertices.astype(np.float32).ravel(),
+        inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX,
+    )
+    geom = body.add_geom(name=name)
+    geom.type, geom.meshname = mujoco.mjtGeom.mjGEOM_MESH, name
+    return place_body(geom, T_body_link)
 
 
 def dress(geom: Any, kind: Kind, *, touched: bool, handle: bool = False) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -123,6 +124,7 @@ def build_simulation(
     config: ExecutionConfig,
     *,
     begin: float | None = None,
+    reached: Collection[tuple[str, int]] = (),
 ) -> Simulation:
     """Build the world of a run, with the arm at the first of some states.
 
@@ -142,13 +144,14 @@ def build_simulation(
         deviation: How the task's object differs from the scene; None where it does not.
         config: How to model it.
         begin: Value of the part's joint, where that is no longer the scene's [rad] or [m].
+        reached: Elements of the part that the hand meets, see `add_part`.
 
     Raises:
         InputError: The engine refuses the model.
     """
     spec = _spec(config)
     add_room(spec, scene, task, deviation)
-    add_part(spec, scene, task, resistance, deviation, config)
+    add_part(spec, scene, task, resistance, deviation, config, reached)
     add_robot(spec, robot, base_pose, hand, dynamics, config)
     _add_weld(spec, robot, config)
     fingers = hand.fingers if config.hold == "contact" else ()

@@ -12,6 +12,7 @@ import numpy as np
 from momapos.cache import Cache
 from momapos.errors import unknown_name
 from momapos.geometry.transforms import rotation_about
+from momapos.kinematics.convex_pieces import pieces_of
 from momapos.kinematics.hulls import Boxes, Hull, cover_shape, fit_box, hull_of
 from momapos.kinematics.kept import freeze, once
 from momapos.kinematics.meshes import mesh_digest
@@ -150,6 +151,22 @@ class Articulated:
             }
 
         return self.kept("boxes", compute)
+
+    def pieces(self, link: str, element: int) -> tuple[Hull, ...]:
+        """Convex pieces of a collision element of a link, made once; see `convex_pieces`.
+
+        Raises:
+            UrdfError: The faces of its mesh cannot be read.
+        """
+        key = link, element
+        if key not in self._pieces:
+            shape, hull = self.urdf.links[link].collisions[element], self.hulls[link][element]
+            self._pieces[key] = self.kept("pieces", lambda: pieces_of(shape, hull), link, element)
+        return self._pieces[key]
+
+    @cached_property
+    def _pieces(self) -> dict[tuple[str, int], tuple[Hull, ...]]:
+        return {}
 
     def hull(self, link: str, shape: Geometry) -> Hull:
         """The hull of a shape of a link, visual or for collision."""

@@ -110,6 +110,11 @@ def hull_of(geometry: Geometry, link: str = "") -> Hull:
     return Hull(apply(geometry.T_link_geometry, vertices), faces, geometry.name or link)
 
 
+def hull_around(points: Float[np.ndarray, "n 3"], name: str) -> Hull:
+    """Return the convex hull of points; flat ones get 1 mm of thickness."""
+    return Hull(*_convex(points, None), name)
+
+
 def _primitive_points(geometry: Geometry) -> Float[np.ndarray, "n 3"]:
     if geometry.kind == "box":
         corners = np.array(np.meshgrid([-0.5, 0.5], [-0.5, 0.5], [-0.5, 0.5])).reshape(3, -1).T

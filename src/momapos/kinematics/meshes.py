@@ -16,6 +16,7 @@ import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from functools import lru_cache
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,7 +26,7 @@ from momapos.errors import UrdfError
 from momapos.files import read_bytes_bounded
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
+    from jaxtyping import Float, Int
 
 MAX_MESH_BYTES = 50_000_000
 """A collision mesh of a robot or of furniture has some megabytes."""
@@ -74,6 +75,41 @@ def _vertices(path: Path, data: bytes) -> Float[np.ndarray, "n 3"]:
         return np.array(rows, float).reshape(-1, 3)
     except ValueError as error:
         raise UrdfError(f"{path}: not a usable OBJ mesh ({error})") from error
+
+
+def mesh_triangles(path: Path) -> Float[np.ndarray, "t 3 3"]:
+    """Read the surface of a mesh; polygons are divided into fans, and points alone have none.
+
+    Raises:
+        UrdfError: As for `mesh_points`, or a face names a corner that is not there.
+    """
+    points = mesh_points(path)
+    if path.suffix.lower() == ".obj":
+        faces = _obj_faces(path, len(points))
+    else:
+        faces = np.array(parse_mesh(path, mesh_bytes(path)).faces, np.int64).reshape(-1, 3)
+    wrong = (faces < 0) | (faces >= len(points))
+    if wrong.any():
+        worst = int(faces[wrong][0]) + 1
+        raise UrdfError(f"{path}: a face names corner {worst}, and the mesh has {len(points)}")
+    return points[faces]
+
+
+def _obj_faces(path: Path, count: int) -> Int[np.ndarray, "t 3"]:
+    """Corners of the faces of an OBJ file, from 0; relative numbers count back from their line."""
+    seen, faces = 0, []
+    try:
+        for line in mesh_bytes(path).decode(errors="replace").splitlines():
+            if line.startswith("v "):
+                seen += 1
+            elif line.startswith("f "):
+                named = [int(word.split("/")[0]) for word in line.split()[1:]]
+                corners = [k - 1 if k > 0 else seen + k for k in named]
+                faces += [(corners[0], a, b) for a, b in pairwise(corners[1:])]
+    except ValueError as error:
+        raise UrdfError(f"{path}: not a usable OBJ mesh ({error})") from error
+    _refuse_more(0, count + 3 * len(faces))
+    return np.array(faces, np.int64).reshape(-1, 3)
 
 
 def mesh_digest(path: Path) -> bytes:

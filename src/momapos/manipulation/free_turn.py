@@ -1,4 +1,4 @@
-"""Arms of fewer than six degrees of freedom: the turn of the hand about a bar is one more.
+"""Arms of fewer than six degrees of freedom: the turn of the hand about what it holds is one more.
 
 Such an arm takes few tool poses exactly, so that a hand that holds still can hardly be carried
 along an arc. A hand that may turn about the bar that it holds can: the turn joins the arm's chain
@@ -24,6 +24,7 @@ from momapos.kinematics.ik import build_ik
 from momapos.kinematics.world import CollisionWorld
 from momapos.manipulation.arm_path import UNREACHABLE, ArmPath, find_paths
 from momapos.manipulation.motion import TaskMotion
+from momapos.manipulation.turning import FULL as FULL
 from momapos.manipulation.turning import no_turning
 from momapos.manipulation.turning_arm import Arm, TurningArm
 from momapos.robots.robot import Robot
@@ -31,8 +32,6 @@ from momapos.robots.robot import Robot
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
-FULL = 6
-"""Degrees of freedom from which on an arm takes any tool pose within reach [-]."""
 GIVE, LEAN = 0.008, float(np.radians(0.8))
 """So far a base may be from one where the arm follows exactly [m], [rad]: a drive ends so near."""
 TRIES = 8

@@ -10,7 +10,7 @@ import numpy as np
 
 from momapos.kinematics.articulated import Articulated
 from momapos.manipulation.config import GraspConfig
-from momapos.manipulation.handles import Handle, find_handles, lever_arms
+from momapos.manipulation.handles import Handle, handles_in_turn, lever_arms
 from momapos.manipulation.part_grasps import (
     FAMILIES,
     Family,
@@ -122,10 +122,13 @@ def holding_grasps(
     Returns:
         Where none holds, those that the best handle would have, and why they do not.
     """
-    handles = [h for h in find_handles(model, joint, sign) if h not in passed]
     found: list[tuple[Handle, PartGrasps]] = []
-    reasons = []
-    for handle in handles:
+    handles: list[Handle] = []
+    reasons: list[str] = []
+    for handle in handles_in_turn(model, joint, sign):
+        if handle in passed:
+            continue
+        handles.append(handle)
         grasps = grasps_of(robot, model, joint, sign, handle, config)
         strong, reason = _strong(robot, model, joint, grasps, torque, handle, config)
         if len(strong.code):

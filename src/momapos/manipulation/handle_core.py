@@ -33,6 +33,8 @@ class HandleKind(StrEnum):
     """A bar that hangs on one end."""
     LIP = "lip"
     """Long, without room behind it."""
+    RECESS = "recessed pull"
+    """A strip of the front itself, beside a pocket or a groove."""
     EDGE = "edge"
     """The free edge of a panel that has no handle."""
     FACE = "face"

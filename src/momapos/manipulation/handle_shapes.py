@@ -86,6 +86,21 @@ def part_elements(model: Articulated, joint: str) -> tuple[Element, ...]:
 
 
 @lru_cache(maxsize=_MODELS)
+def part_pieces(model: Articulated, joint: str) -> tuple[Element, ...]:
+    """The same, meshes that are not convex as their convex pieces."""
+    links = model.moved_by(joint)
+    T_link = poses_in_part(model, joint, links)
+    found: list[Element] = []
+    for whole in part_elements(model, joint):
+        assert whole.index is not None
+        pieces = model.pieces(whole.link, whole.index)
+        T, name = T_link[whole.link], whole.name
+        cut = [Element(whole.link, name, convex_of(piece, T), whole.index) for piece in pieces]
+        found += cut if len(cut) > 1 else [whole]
+    return tuple(found)
+
+
+@lru_cache(maxsize=_MODELS)
 def visual_elements(model: Articulated, joint: str) -> tuple[Element, ...]:
     """The visual elements of what a joint moves rigidly, each as its convex hull."""
     links = rigid_links(model, joint)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import lru_cache
 from typing import TYPE_CHECKING
@@ -13,7 +14,7 @@ from momapos.errors import TaskError
 from momapos.geometry.transforms import apply
 from momapos.kinematics.articulated import Articulated, joint_motion
 from momapos.kinematics.opening import opening_of
-from momapos.manipulation.handle_core import HandleKind, core_of
+from momapos.manipulation.handle_core import HELD_DEPTH, HandleKind, core_of
 from momapos.manipulation.handle_shapes import (
     Element,
     clusters,
@@ -21,12 +22,14 @@ from momapos.manipulation.handle_shapes import (
     named_elements,
     named_shapes,
     part_elements,
+    part_pieces,
     poses_in_part,
     protrusions,
     rigid_links,
     visual_elements,
     widest,
 )
+from momapos.manipulation.strips import Strip, strips_of
 from momapos.scene.scene import SceneObject
 
 if TYPE_CHECKING:
@@ -40,6 +43,11 @@ ROUND = 1.5
 """A handle less elongated than this is a knob: it can be turned about freely [-]."""
 FACE_INSIDE = 0.05
 """A door is pushed this far inside its free edge [m]."""
+MOST_STRIPS = 4
+"""Strips of a part that are tried, the longest ones [-]."""
+LEAST_LEVER = 0.5
+"""A front is pulled at no strip that is nearer to its hinge than this share of its width: what the
+hand is off there moves the front by far more at its free edge [-]."""
 RIM = 0.02
 """Elements of a panel that end this near its edge make the edge [m]."""
 
@@ -76,6 +84,8 @@ class Handle:
     """Of its link or shape, or of the panel that has none."""
     elements: tuple[Element, ...]
     """What the pads may touch."""
+    in_pieces: bool = False
+    """Whether hands meet the part's meshes cut into convex pieces there, and not their hulls."""
 
     @property
     def knob(self) -> bool:
@@ -132,7 +142,8 @@ def find_handles(model: Articulated, joint: str, sign: float) -> tuple[Handle, .
     """Find what to hold on the part that a joint moves, the best guess first.
 
     What is named "handle" comes first, the largest group of it; then what sticks out of the part's
-    panel, seen in its collision elements, else in what is drawn; then the panel's free edges.
+    panel, seen in its collision elements, else in what is drawn; of a part that shows neither, what
+    the pieces of its meshes show; then the panel's free edges.
 
     Args:
         model: The object.
@@ -142,24 +153,92 @@ def find_handles(model: Articulated, joint: str, sign: float) -> tuple[Handle, .
     Raises:
         TaskError: The part has no geometry at all.
     """
-    solid = part_elements(model, joint)
-    named = clusters(named_elements(model, joint))[:1]
-    links = rigid_links(model, joint)
-    own = tuple(e for e in solid if e.link in links)
-    if not own and not named:
+    own = _own(part_elements(model, joint), model, joint)
+    known = handles_by_hulls(model, joint, sign)
+    if not own and not known:
         raise TaskError(f"joint {joint!r} moves nothing that has a shape")
+    if not own:
+        return known
+    taken = {id(e) for handle in known for e in handle.elements}
+    bare = tuple(e for e in own if id(e) not in taken)
+    edges = _free_edges(bare or own, model, joint, sign)
+    return (*(known or handles_by_pieces(model, joint, sign)), *edges)
+
+
+def handles_in_turn(model: Articulated, joint: str, sign: float) -> Iterator[Handle]:
+    """What to hold, the best guess first; meshes are cut into pieces when it comes to them."""
+    found = find_handles(model, joint, sign)
+    yield from (h for h in found if not h.edge)
+    yield from (h for h in handles_by_pieces(model, joint, sign) if h not in found)
+    yield from (h for h in found if h.edge)
+
+
+@lru_cache(maxsize=_MODELS)
+def handles_by_hulls(model: Articulated, joint: str, sign: float) -> tuple[Handle, ...]:
+    """What is named "handle", and what sticks out of the panel as an element of its own."""
+    own = _own(part_elements(model, joint), model, joint)
+    named = clusters(named_elements(model, joint))[:1]
     handles = [_of(HandleSource.NAME, group, model, joint, sign, own) for group in named]
     if own:
         known = {id(e) for group in named for e in group}
         out = _panel_normal(own, model, joint, sign)
         shaped = protrusions(own, out) or protrusions((*own, *visual_elements(model, joint)), out)
         groups = [group for group in shaped if not known & {id(e) for e in group}]
-        shown = [_of(HandleSource.SHAPE, group, model, joint, sign, own) for group in groups]
-        handles += sorted(shown, key=lambda h: -h.half_length * _lever(model, joint, h.center))
-        taken = {id(e) for handle in handles for e in handle.elements}
-        bare = tuple(e for e in own if id(e) not in taken)
-        handles += _free_edges(bare or own, model, joint, sign)
+        handles += _by_shape(groups, model, joint, sign, own)
     return tuple(handles)
+
+
+@lru_cache(maxsize=_MODELS)
+def handles_by_pieces(model: Articulated, joint: str, sign: float) -> tuple[Handle, ...]:
+    """What sticks out of the panel where meshes are cut into convex pieces, then strips of them."""
+    whole = part_elements(model, joint)
+    own = _own(part_pieces(model, joint), model, joint)
+    cut = [e for e in own if not any(e is other for other in whole)]
+    if not cut:
+        return ()
+    out = _panel_normal(own, model, joint, sign)
+    of_cut = {id(e) for e in cut}
+    groups = [g for g in protrusions(own, out) if of_cut & {id(e) for e in g}]
+    handles = _by_shape(groups, model, joint, sign, own)
+    told = {id(e) for h in handles if h.kind is not HandleKind.LIP for e in h.elements}
+    stands_out = {id(e) for group in groups for e in group}
+    least = LEAST_LEVER * lever_arms(model, joint, corners(own)).max()
+    found = strips_of(own, tuple(e for e in cut if id(e) not in told), out)
+    levers = [_lever(model, joint, strip.end) for strip in found]
+    strips = [s for s, lever in zip(found, levers, strict=True) if lever >= least]
+    for strip in sorted(strips, key=lambda s: -s.half_length)[:MOST_STRIPS]:
+        out_of_front = id(strip.element) in stands_out
+        handles.append(_of_strip(strip, HandleKind.LIP if out_of_front else HandleKind.RECESS))
+    return tuple(replace(handle, in_pieces=True) for handle in handles)
+
+
+def _own(elements: tuple[Element, ...], model: Articulated, joint: str) -> tuple[Element, ...]:
+    """Those elements that a joint moves rigidly."""
+    links = rigid_links(model, joint)
+    return tuple(e for e in elements if e.link in links)
+
+
+def _by_shape(
+    groups: list[list[Element]],
+    model: Articulated,
+    joint: str,
+    sign: float,
+    own: tuple[Element, ...],
+) -> list[Handle]:
+    """Handles of what sticks out, the long ones far from the hinge first."""
+    shown = [_of(HandleSource.SHAPE, group, model, joint, sign, own) for group in groups]
+    return sorted(shown, key=lambda h: -h.half_length * _lever(model, joint, h.center))
+
+
+def _of_strip(strip: Strip, kind: HandleKind) -> Handle:
+    """A narrow piece of a front, held from one side of it."""
+    depth = min(strip.depth, HELD_DEPTH)
+    center = strip.end - strip.depth / 2 * strip.out
+    return Handle(
+        center, strip.end - depth / 2 * strip.out, strip.long, strip.out, strip.half_length,
+        strip.thickness, depth, HandleSource.SHAPE, kind, strip.element.name,
+        (strip.element,),
+    )  # fmt: skip
 
 
 def handle_path(item: SceneObject, joint: str, to: float) -> Float[np.ndarray, "k 3"]:

@@ -22,7 +22,7 @@ from momapos.manipulation.grasps import (
     lifting_grasps,
 )
 from momapos.manipulation.handle_core import HandleKind
-from momapos.manipulation.handles import Handle, find_handle, find_handles, lever_arms
+from momapos.manipulation.handles import Handle, find_handle, handles_in_turn, lever_arms
 from momapos.manipulation.resistance import resistance_of, weight_of
 from momapos.manipulation.task_boxes import held_elements, moving_boxes, static_boxes
 from momapos.manipulation.turning import Turning, no_turning, turning_about
@@ -201,7 +201,7 @@ def by_another_handle(
     if task.joint is None or motion.handle is None or motion.handle.kind is HandleKind.FACE:
         return None
     sign = opening_of(target.model, task.joint).sign
-    if all(handle in passed for handle in find_handles(target.model, task.joint, sign)):
+    if all(handle in passed for handle in handles_in_turn(target.model, task.joint, sign)):
         return None
     other = _joint_motion(scene, robot, task, target, config, inside=False, passed=passed)
     # The push comes where no handle holds, and was tried with the first.

@@ -22,7 +22,7 @@ from momapos.manipulation.grasp_hold import (
 )
 from momapos.manipulation.hand import Hand, hand_of
 from momapos.manipulation.handle_core import HandleKind
-from momapos.manipulation.handle_shapes import Element, corners, part_elements
+from momapos.manipulation.handle_shapes import Element, corners, part_elements, part_pieces
 from momapos.manipulation.handles import (
     Handle,
     HandleSource,
@@ -249,9 +249,8 @@ def _surroundings(
     model: Articulated, joint: str, handle: Handle
 ) -> tuple[tuple[Element, ...], Bool[np.ndarray, " e"]]:
     """The elements near a handle, and which of them the pads may touch."""
-    near = near_elements(
-        part_elements(model, joint), handle.center, HAND_REACH + handle.half_length
-    )
+    part = part_pieces(model, joint) if handle.in_pieces else part_elements(model, joint)
+    near = near_elements(part, handle.center, HAND_REACH + handle.half_length)
     own = {id(e) for e in handle.elements}
     extra = tuple(e for e in handle.elements if not any(e is other for other in near))
     elements = (*near, *extra)
