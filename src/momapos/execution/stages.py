@@ -129,7 +129,6 @@ class ExecutionRun:
         world.data.qpos[world.part_q : world.part_q + 7] = pose
         mujoco.mj_forward(world.model, world.data)
         world.attach()
-        self.close(np.inf)
         self.held = True
 
     def check_start(self) -> None:
@@ -150,7 +149,8 @@ class ExecutionRun:
         if place:
             self.observer.hold()
         ending = self.rest(Stage.SETTLE, self.config.settle)
-        if ending is None and place and self.config.hold == "contact":
+        if place and self.config.hold == "contact":
+            ending = ending or self._shut(self.arm.q, gives=False)
             self.world.release()
         ending = ending or come_in(self, approach)
         for stretch in stretches:
@@ -235,11 +235,12 @@ class ExecutionRun:
         if self.config.hold == "contact":
             if stretch.pushes:
                 return None
-            ending = self._shut(stretch)
+            q, one_sided = stretch.motion.q[0], stretch.one_sided
+            ending = self._shut(q, one_sided=one_sided)
             if ending is Ending.NOTHING_HELD and self.belief is not None:
                 self.close(0.0)
                 ending = self.rest(Stage.GRIP, self.config.grip)
-                ending = ending or reach_on(self, stretch.motion.q[0]) or self._shut(stretch)
+                ending = ending or reach_on(self, q) or self._shut(q, one_sided=one_sided)
         else:
             gap = self.world.grip_gap(1.0)
             if gap > self.config.gripper.reach:
@@ -252,19 +253,29 @@ class ExecutionRun:
         self.observer.hold()
         return ending
 
-    def _shut(self, stretch: Stretch) -> Ending | None:
-        """Close the fingers until the pads of both sides bear a load; the arm gives way."""
-        grip, arm = self.config.gripper, self.arm
-        q = stretch.motion.q[0]
+    def _shut(
+        self, q: Float[np.ndarray, " n"], *, one_sided: bool = False, gives: bool = True
+    ) -> Ending | None:
+        """Close the fingers until the pads of both sides bear a load.
+
+        Args:
+            q: State of the arm [rad] or [m].
+            one_sided: Whether one finger that bears a load is enough.
+            gives: Whether the arm gives way along the closing axis.
+        """
+        grip, arm, still = self.config.gripper, self.arm, np.zeros_like(q)
         T = self.beside(arm.kinematics.at(q)[0])
         closing = T[:3, :3] @ self.world.hand.axis
         across = np.outer(closing, closing)  # the fingers find what they hold along this alone
-        reference = Reference(q, np.zeros_like(q), T, np.zeros(6), _ALL, across)
+        reference = Reference(q, still, T, np.zeros(6), _ALL, across)
         way = max(abs(f.closed - f.open) * f.lever for f in self.world.hand.fingers)
         enough, firm = grip.loaded * self.world.hand.force, 0
         for k in range(round((way / grip.speed + grip.patience) / self.step)):
             self.close(grip.speed * k * self.step)
-            arm.follow(reference)
+            if gives:
+                arm.follow(reference)
+            else:
+                arm.go(q, still)
             ending = self.tick(Stage.GRIP)
             if ending is not None:
                 return ending
@@ -272,7 +283,7 @@ class ExecutionRun:
             if firm * self.step >= grip.patience / 2:
                 return None
         one = max(self.touch.pads) > enough
-        if one and stretch.one_sided:
+        if one and one_sided:
             return None
         return Ending.ONE_SIDED if one else Ending.NOTHING_HELD
 

@@ -34,6 +34,8 @@ PITCHES = (90.0, 75.0, 60.0, 45.0, 30.0, 15.0, 0.0)
 """How steeply hands come down [deg]."""
 RIM = 0.015
 """The middle of the pads stays this far inside the ends of what they hold [m]."""
+CONTACT = 0.25
+"""Grasps whose pads touch a smaller share of what they could touch elsewhere are left out [-]."""
 _OBJECTS = 512
 """Objects whose grasps are remembered [-]."""
 _DIGITS = 9
@@ -57,12 +59,6 @@ class _Lines:
     width: Float[np.ndarray, " g"]
     """Its width along the closing axis [m]."""
     plainness: Float[np.ndarray, " g"]
-
-    def only(self, rows: Bool[np.ndarray, " g"] | Int[np.ndarray, " g"]) -> _Lines:
-        return _Lines(
-            self.R[rows], self.target[rows], self.near[rows], self.width[rows],
-            self.plainness[rows],
-        )  # fmt: skip
 
 
 def holding_object(
@@ -161,15 +157,9 @@ def _pinched(
     carried: bool,
 ) -> Chosen:
     """Grasps of two fingers that touch nothing but with their pads, and carry the weight."""
-    narrow = lines.width < robot.opening
-    if not narrow.any():
-        least = float(lines.width.min())
-        return _none(
-            lines, need, f"it is {100 * (least - robot.opening):.1f} cm too wide for the gripper "
-            f"of {robot.name} ({100 * least:.1f} cm, opens {100 * robot.opening:.1f} cm)",
-        )  # fmt: skip
-    fits, held = lines.only(narrow), np.ones(len(elements), bool)
-    R, p, row = _depths(hand, elements, fits, config)
+    held = np.ones(len(elements), bool)
+    wide = _too_wide(robot, lines, config)
+    R, p, row = _depths(hand, elements, lines, config)
     closing = close(hand, elements, held, R, p, config.hand_clearance)
     met = np.isfinite(closing.travel).all(1)
     way = np.where(met[:, None], closing.travel, 0.0)
@@ -178,17 +168,18 @@ def _pinched(
     met &= (travel[:, 0] > 0) & (travel[:, 0] < hand.travel)
     met &= (closing.cosine >= np.cos(np.arctan(config.friction))).all(1)
     if not met.any():
-        return _none(lines, need, f"the fingers of {robot.name} cannot close on it")
+        return _none(lines, need, wide or f"the fingers of {robot.name} cannot close on it")
     R, p, row, travel = R[met], p[met], row[met], travel[met]
     clear = stands_clear(hand, elements, held, R, p, config)
     if not clear.any():
-        return _none(lines, need, f"the open hand of {robot.name} has no room at it")
+        return _none(lines, need, wide or f"the open hand of {robot.name} has no room at it")
     R, p, row, travel = R[clear], p[clear], row[clear], travel[clear]
     contact = contact_of(hand, elements, R, p, travel, config.friction)
     pads = np.diff(hand.inner(1)[1], axis=0)[0]
     firm = (contact.area >= 1e-4 * config.pad_contact) & (contact.apart < pads.min())
     if not firm.any():
         return _none(lines, need, f"the pads of {robot.name} touch too little of it")
+    firm &= contact.area >= CONTACT * contact.area[firm].max()
     width = robot.opening - 2 * travel[:, 0]
     capacity = lifting_capacity(
         robot.grip_force, config.friction, contact, R @ hand.closing, width, center,
@@ -201,8 +192,19 @@ def _pinched(
             f"{config.grasp_margin * need:.1f} N are needed",
         )  # fmt: skip
     code = np.full(len(R), FAMILIES.index(Family.PINCH))
-    plain = fits.plainness[row] + 10 * np.linalg.norm(contact.point - center, axis=1)
+    plain = lines.plainness[row] + 10 * np.linalg.norm(contact.point - center, axis=1)
     return _ordered(poses_of(R, p), code, width, capacity, row, plain, need, strong)
+
+
+def _too_wide(robot: Robot, lines: _Lines, config: GraspConfig) -> str:
+    """That no closing axis leaves room beside an object; "" where one does."""
+    least, beside = float(lines.width.min()), config.hand_clearance
+    if least + 2 * beside <= robot.opening:
+        return ""
+    return (
+        f"it is {100 * least:.1f} cm wide, and the gripper of {robot.name} opens "
+        f"{100 * robot.opening:.1f} cm and needs {100 * beside:.1f} cm beside each finger"
+    )
 
 
 def _depths(
