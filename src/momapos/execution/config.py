@@ -180,6 +180,8 @@ class ComplianceConfig:
     """Time in which a hand that let go returns to the plan [s]."""
     filter_time: float = 0.02
     """Of the low-pass filter of the force at the hand [s]."""
+    weight_time: float = 0.15
+    """Likewise of the weight that the hand carries [s]."""
     force: float = 120.0
     """The run stops where the hand feels more than this [N]."""
     torque: float = 20.0

@@ -20,6 +20,7 @@ from momapos.execution.following import follow_part
 from momapos.execution.furniture import Seal
 from momapos.execution.joint_estimate import Axis, JointEstimate, Learned
 from momapos.execution.observer import Observer
+from momapos.execution.payload import Payload
 from momapos.execution.record import Collision
 from momapos.execution.shapes import ROBOT, matrix_quat
 from momapos.execution.simulation import Simulation
@@ -95,6 +96,7 @@ class ExecutionRun:
         self.first = world.T_world_part
         self.arm = CompliantArm(world, config.compliance, self.step)
         self.surroundings = Surroundings(known, config.compliance)
+        self.payload = Payload(world, config.compliance.weight_time, self.step)
         self.estimate: JointEstimate | None = None
         self.touch = feel(world)
         self.held, self.strained, self.unloaded = False, 0, 0
@@ -165,7 +167,8 @@ class ExecutionRun:
         """Let one step of the controller pass; why the run ends with it, if it does."""
         world, w = self.world, self.config.control.bandwidth
         # The motors push in proportion to the error; this lead makes them follow without lag.
-        world.data.ctrl[world.arm_motor] = self.arm.q + 2 / w * self.arm.v + self.arm.a / w**2
+        lead = 2 / w * self.arm.v + self.arm.a / w**2 + self.payload.lead()
+        world.data.ctrl[world.arm_motor] = self.arm.q + lead
         if self.seal.outward:
             value = float(world.data.qpos[world.part_q])
             world.data.qfrc_applied[world.part_v] = self.seal.force(value)
@@ -177,7 +180,7 @@ class ExecutionRun:
             self.detail = f"after {self.time:.2f} s"
             return Ending.DIVERGED
         self.touch = feel(world)
-        self.arm.feel(self.touch)
+        self.arm.feel(self.payload.see(self.touch, carried=self.held and self.belief is None))
         self.observer.record_step(self.arm.q, self.time, stage, self.touch)
         return self._strain()
 
@@ -307,7 +310,7 @@ class ExecutionRun:
         """Move what is held along its planned way, or along the way that it turns out to take."""
         plan = stretch.plan
         if self.belief is None or stretch.hold is None:
-            offset = 0.0 if self.task.verb == "place" else self.arm.q - plan.q[0]
+            offset = self.arm.q - plan.q[0]
             # A free hand returns to the plan; what is in the hand came into it as it did.
             fade = self.step / self.config.compliance.home if self.belief is not None else 0.0
             for k, (q, v, a) in enumerate(zip(plan.q, plan.v, plan.a, strict=True)):
