@@ -47,7 +47,7 @@ class SpeedConfig:
     slide_acceleration: float = 0.5
     """Limit for joints that slide [m/s^2]."""
     carry_acceleration: float = 1.0
-    """Limit of the tool in each direction while it carries an object: friction holds that [m/s^2]."""
+    """Limit of the tool in each direction while it carries an object by friction [m/s^2]."""
     default_speed: float = 1.5
     """Limit of joints whose URDF gives none [rad/s] or [m/s]."""
 

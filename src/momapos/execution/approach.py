@@ -89,7 +89,9 @@ def paced(
     # Where the tool passes near its end and away again, only the last time counts.
     coming = np.maximum.accumulate(left[::-1])[::-1] <= compliance.near
     most = np.where(coming, np.minimum(most, compliance.near_speed), most)
-    return PacedTrajectory(plan, _smooth(most / np.maximum(speed, 1e-9), compliance, step), left, gap)
+    return PacedTrajectory(
+        plan, _smooth(most / np.maximum(speed, 1e-9), compliance, step), left, gap
+    )
 
 
 def _smooth(

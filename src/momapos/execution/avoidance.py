@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from momapos.execution.config import ComplianceConfig
-from momapos.execution.shapes import ROBOT, Kind, matrix_quat
+from momapos.execution.shapes import HAND, ROBOT, Kind, matrix_quat
 from momapos.execution.simulation import Simulation
 
 if TYPE_CHECKING:
@@ -64,6 +64,8 @@ class Surroundings:
         q: Float[np.ndarray, " n"],
         value: float,
         T_off: Float[np.ndarray, "4 4"] | None = None,
+        *,
+        hand: bool = False,
     ) -> Bounds:
         """Bounds at a state of the arm.
 
@@ -73,6 +75,8 @@ class Surroundings:
                 out: it gives way, or is in the hand.
             T_off: Moves the part from where it is modeled to where the hand found it; None for
                 where it is modeled.
+            hand: Whether the hand, too, keeps apart from the room: where it is not near what it
+                will hold.
         """
         known, model, data, config = self.known, self._model, self._data, self._config
         data.qpos[known.arm_q] = q
@@ -84,7 +88,7 @@ class Surroundings:
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         mujoco.mj_collision(model, data)
-        near = np.flatnonzero(self._counts() & (data.contact.dist < config.avoid))
+        near = np.flatnonzero(self._counts(hand) & (data.contact.dist < config.avoid))
         near = near[np.argsort(data.contact.dist[near], kind="stable")]
         _, first = np.unique(data.contact.geom[near], axis=0, return_index=True)
         chosen = near[np.sort(first)[:_MOST]]
@@ -94,13 +98,14 @@ class Surroundings:
         able = size > _LEVER  # else no joint does much about it
         return Bounds(rows[able] / size[able, None], speed[able] / size[able])
 
-    def _counts(self) -> Bool[np.ndarray, " c"]:
+    def _counts(self, hand: bool) -> Bool[np.ndarray, " c"]:
         """Which of the near pairs are of the arm with something that it must not touch."""
         kinds: Int[np.ndarray, "c 2"] = self.known.kinds[self._data.contact.geom]
         own = np.isin(kinds, ROBOT).all(1)
         kind = Kind.ROOM if self._loose else (Kind.ROOM, Kind.PART)
         things = np.isin(kinds, kind).any(1)
-        return np.asarray(own | (things & (kinds == Kind.ARM).any(1)))
+        arm = np.isin(kinds, (Kind.ARM, *HAND) if hand else Kind.ARM).any(1)
+        return np.asarray(own | (things & arm))
 
     def _row(self, i: int) -> Float[np.ndarray, " n"]:
         """How the distance of a near pair changes with the arm's joints."""

@@ -29,7 +29,7 @@ def come_in(run: ExecutionRun, way: PacedTrajectory) -> Ending | None:
         pace = sign * float(way.pace[round(run.passed)]) * _easing(run)
         if steps % LOOK == 0:
             close = way.gap[round(run.passed)] < compliance.avoid
-            bounds = run.surroundings.bounds(run.arm.q, begin) if close else None
+            bounds = run.surroundings.bounds(run.arm.q, begin, hand=not near) if close else None
         T, steps = _go_along(run, way, pace, bounds, stiff=near), steps + 1
         ending = run.tick(Stage.APPROACH) or run.lost()
         if ending is not None:

@@ -188,9 +188,7 @@ def attempt(
     return Outcome(execution, ending, run.learned, value, run.observer.collisions, at_home)
 
 
-def _stretches(
-    robot: Robot, motion: Motion, task: Task, config: ExecutionConfig
-) -> list[Stretch]:
+def _stretches(robot: Robot, motion: Motion, task: Task, config: ExecutionConfig) -> list[Stretch]:
     """The motion cut where the hand takes hold and lets go."""
     step = config.timestep * config.substeps
     holds = motion.holds or (Hold(0, len(motion.q) - 1),)
@@ -211,7 +209,8 @@ def _stretches(
         if held is not None and held.family == "push":
             most = min(speed.tool_speed, config.compliance.push_speed)
             speed = replace(speed, tool_speed=most)
-        verb = "pick" if task.verb == "pick" else None  # what is placed is let go at once
+        # What is placed is let go before: there is nothing to carry.
+        verb = None if task.verb == "place" else task.verb
         free, slow = time_motion(robot, part, speed, step, verb=verb)
         stretches.append(Stretch(free if held is None else slow, part, held))
     return stretches

@@ -306,9 +306,7 @@ def _rigid_motion(
             "gripper_links name nothing beyond the arm's own links"
         )
     T_object = _upright_frame(target)
-    chosen = holding_object(
-        robot, target, T_object, config.grasps, carried=task.verb == "place"
-    )
+    chosen = holding_object(robot, target, T_object, config.grasps, carried=task.verb == "place")
     Ts_object_tool = chosen.Ts_part_tool
     lifts = np.linspace(0.0, LIFT, config.substeps + 1)
     Ts_world_object = np.tile(T_object, (len(lifts), 1, 1))

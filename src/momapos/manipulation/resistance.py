@@ -78,9 +78,7 @@ def _mass(
     return _mass_of_links(model, poses_in_part(model, joint, model.moved_by(joint)), config)
 
 
-def mass_of(
-    model: Articulated, config: ResistanceConfig
-) -> tuple[float, Float[np.ndarray, "3"]]:
+def mass_of(model: Articulated, config: ResistanceConfig) -> tuple[float, Float[np.ndarray, "3"]]:
     """Mass [kg] and center of mass [m] of a whole object at rest, in the frame of its root."""
     return _mass_of_links(model, model.rest_poses, config)
 

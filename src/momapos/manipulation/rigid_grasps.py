@@ -82,7 +82,9 @@ def holding_object(
         Where none holds, all that were looked at, and why they do not.
     """
     T = invert(T_world_upright) @ item.T_world_object
-    return _holding(robot, item.model, tuple(np.round(T, _DIGITS).ravel().tolist()), config, carried)
+    return _holding(
+        robot, item.model, tuple(np.round(T, _DIGITS).ravel().tolist()), config, carried
+    )
 
 
 @lru_cache(maxsize=_OBJECTS)
@@ -240,8 +242,9 @@ def _sucked(
     approach = lines.R @ hand.approach
     p = lines.target - (hand.tip + lines.near)[:, None] * approach
     room = advance(hand, elements, lines.R, p, config)
-    met = np.flatnonzero(room.obstacle >= 0)
-    p = p[met] + (room.travel[met] + config.hand_clearance)[:, None] * approach[met]
+    way = room.travel + config.hand_clearance
+    met = np.flatnonzero((room.obstacle >= 0) & (np.abs(way) < BITE))
+    p = p[met] + way[met, None] * approach[met]
     square = np.zeros(len(met))
     for index, element in enumerate(elements):
         rows = room.obstacle[met] == index
@@ -283,5 +286,7 @@ def _none(lines: _Lines, need: float, reason: str) -> Chosen:
     """The lines themselves, and why no grasp along them holds."""
     count = len(lines.R)
     none, unknown = np.zeros(count, np.int64), np.full(count, np.nan)
-    grasps = Grasps(none, unknown, np.zeros(count), np.full(count, need), (), none, np.arange(count))
+    grasps = Grasps(
+        none, unknown, np.zeros(count), np.full(count, need), (), none, np.arange(count)
+    )
     return Chosen(poses_of(lines.R, lines.target), grasps, reason, "")
