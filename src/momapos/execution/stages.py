@@ -228,8 +228,11 @@ class ExecutionRun:
     def _take_hold(self, stretch: Stretch) -> Ending | None:
         """Weld, or close the fingers, where the arm is at the planned grasp."""
         T, _ = self.arm.kinematics.at(self.world.data.qpos[self.world.arm_q])
-        planned = self.beside(stretch.motion.Ts_world_tool[0])
-        off = float(np.linalg.norm(T[:3, 3] - planned[:3, 3]))
+        planned = stretch.motion.Ts_world_tool[0]
+        # The hand comes in beside the plan for a first hold; for later ones it is back on it, and
+        # fingers that close move it aside once more: the part is still where it was found.
+        goals = planned[:3, 3], self.beside(planned)[:3, 3]
+        off = float(min(np.linalg.norm(T[:3, 3] - goal) for goal in goals))
         angle = float(rotation_angle(T[:3, :3], planned[:3, :3]))
         if off > GRASP_POSITION or angle > GRASP_ANGLE:
             self.detail = f"it is {100 * off:.1f} cm and {np.degrees(angle):.0f} deg off"
