@@ -1,13 +1,15 @@
 """Plans executed in physics: openings of five real and two built-in kitchens, for four robots.
 
-    python benchmarks/execution.py [--robots fetch ...] [--tasks 20] [--verb close] [--hold weld]
+    python benchmarks/execution.py [--robots fetch ...] [--tasks 20] [--hold weld]
+                                   [--verb open|close|pick|place]
                                    [--errors] [--there] [--rooms built-in] [--out bench_out]
 
 The base drives from its start to the base pose of every plan, and the arm is planned anew there:
 once with exact sensors, once with noisy ones and furniture that moves up to 30 % more or less
 easily. With --there it stands at the base poses from the beginning, and all is executed once, in
 such furniture. With --errors the world also differs from the scene: handle 1 cm, hinge 3 cm and 5
-degrees, mass and friction 50 %. Closing begins where opening ends. Prints, and writes as JSON, what
+degrees, mass and friction 50 %. Closing begins where opening ends. What is picked and placed is
+every object without joints that is no longer than 40 cm. Prints, and writes as JSON, what
 came of each; failures with their reasons.
 """
 
@@ -48,6 +50,9 @@ REAL = (
 )
 BUILT_IN = ("kitchen_small", "kitchen_island")
 ROBOTS = ("fetch", "segway_ur5e", "husky_ur5e", "ranger_rm63")
+RIGID = ("pick", "place")
+SMALL = 0.4
+"""What is longer in any direction is left out: counters, walls [m]."""
 SPREAD = 0.3
 ERRORS = ModelErrorConfig(handle=0.01, axis=0.03, tilt=float(np.radians(5.0)), resistance=0.5)
 
@@ -63,33 +68,44 @@ def scenes(rooms: str) -> list[Scene]:
     return [*(load_scene(name) for name in BUILT_IN), *real]
 
 
+def loose(scene: Scene) -> list[tuple[str, None]]:
+    """Every object without joints that somebody might want to lift with one hand."""
+    return [
+        (item.name, None)
+        for item in scene.objects
+        if not item.model.joints and np.ptp(item.bounds, axis=0).max() < SMALL
+    ]
+
+
 def chosen(
-    robots: tuple[str, ...], most: int | None, seed: int, where: str
-) -> list[tuple[Robot, Scene, str, str]]:
-    """All openings for all robots, or as many; in random order, so that a part is a fair sample."""
+    verb: str, robots: tuple[str, ...], most: int | None, seed: int, where: str
+) -> list[tuple[Robot, Scene, str, str | None]]:
+    """All tasks for all robots, or as many; in random order, so that a part is a fair sample."""
     rooms = scenes(where)
     every = [
         (robot, scene, item, joint)
         for robot in map(load_robot, robots)
         for scene in rooms
-        for item, joint in openable(scene)
+        for item, joint in (loose(scene) if verb in RIGID else openable(scene))
     ]
     order = np.random.default_rng(seed).permutation(len(every))
     return [every[i] for i in order[:most]]
 
 
 def measure(
-    robot: Robot, scene: Scene, item: str, joint: str, args: argparse.Namespace
+    robot: Robot, scene: Scene, item: str, joint: str | None, args: argparse.Namespace
 ) -> list[dict[str, object]]:
     """Plan once, execute twice, or once where the base stands there from the beginning."""
-    base = {"robot": robot.name, "scene": scene.name, "task": f"{item}/{joint}", "hold": args.hold}
+    what = item if joint is None else f"{item}/{joint}"
+    base = {"robot": robot.name, "scene": scene.name, "task": what, "hold": args.hold}
     errors = ERRORS if args.errors else ModelErrorConfig()
     reach = load_reach_map(robot, default_cache_dir(), None)
     rows: list[dict[str, object]] = []
     try:
-        task = make_task(scene, "open", item, joint)
+        task = make_task(scene, args.verb if args.verb in RIGID else "open", item, joint)
         if args.verb == "close":
             assert task.to is not None
+            assert joint is not None
             scene = scene.with_joint(item, joint, task.to)
             task = make_task(scene, args.verb, item, joint)
         config = PipelineConfig(timeout=120.0)
@@ -97,7 +113,7 @@ def measure(
     except MomaposError as error:
         return [{**base, "status": "refused", "reason": str(error)}]
     if plan.status != "solved":
-        return [{**base, "status": plan.status}]
+        return [{**base, "status": plan.status, "rejections": dict(plan.candidates.rejections)}]
     for noise in (True,) if args.there else (False, True):
         furniture = FurnitureConfig(spread=SPREAD if noise else 0.0)
         row: dict[str, object] = {**base, "status": "solved", "noise": noise}
@@ -212,7 +228,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--robots", nargs="+", default=list(ROBOTS))
     parser.add_argument("--tasks", type=int, help="as many openings, drawn at random")
-    parser.add_argument("--verb", choices=("open", "close"), default="open")
+    parser.add_argument("--verb", choices=("open", "close", *RIGID), default="open")
     parser.add_argument("--rooms", choices=("all", "built-in"), default="all")
     parser.add_argument("--hold", choices=("contact", "weld"), default="contact")
     parser.add_argument("--errors", action="store_true", help="the world is not as modeled")
@@ -221,8 +237,9 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="folder for execution.json")
     args = parser.parse_args()
     rows = []
-    for robot, scene, item, joint in chosen(tuple(args.robots), args.tasks, args.seed, args.rooms):
-        for row in measure(robot, scene, item, joint, args):
+    robots = tuple(args.robots)
+    for chosen_task in chosen(args.verb, robots, args.tasks, args.seed, args.rooms):
+        for row in measure(*chosen_task, args):
             rows.append(row)
             print(json.dumps(row), flush=True)
     print(report(rows))

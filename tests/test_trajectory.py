@@ -58,6 +58,15 @@ def test_the_tool_keeps_its_own_speed_limit() -> None:
     assert 0.08 < speed.max() < 0.102
 
 
+def test_the_tool_keeps_its_own_limit_of_acceleration_in_each_direction() -> None:
+    q, scale = wavy(np.random.default_rng(1)), np.array([0.3, 0.6, 0.2])
+    free = time_path(q, SPEED, ACCELERATION, STEP, tool=q * scale)
+    most = np.abs(free.a * scale).max() / 4
+    timed = time_path(q, SPEED, ACCELERATION, STEP, tool=q * scale, tool_acceleration=most)
+    reached = np.abs(timed.a * scale).max()
+    assert 0.9 * most < reached < 1.05 * most
+
+
 def test_repeated_states_and_single_ones_are_no_trouble() -> None:
     q = np.repeat(wavy(np.random.default_rng(2)), 2, axis=0)
     assert len(time_path(q, SPEED, ACCELERATION, STEP)) > 10

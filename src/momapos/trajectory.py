@@ -15,7 +15,7 @@ import numpy as np
 from momapos.cache import write_atomic
 from momapos.errors import InputError
 from momapos.robots.robot import Robot
-from momapos.types import Motion, PlacementPlan
+from momapos.types import Motion, PlacementPlan, Verb
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
@@ -23,6 +23,10 @@ if TYPE_CHECKING:
 CORNER = np.radians(10.0)
 """The arm stops where its path turns by more than this in joint space [rad]."""
 _SAME = 1e-9
+_STILL = 1e-6
+"""A tool that moves less has no limits [m]."""
+_NO_LIMIT = 1e3
+"""Stands for infinity where numbers are wanted [m/s] or [m/s^2]."""
 _GRID = 400
 """Points of a piece at which the limits are met, at least [-]."""
 
@@ -42,6 +46,8 @@ class SpeedConfig:
     """Limit for joints that turn [rad/s^2]."""
     slide_acceleration: float = 0.5
     """Limit for joints that slide [m/s^2]."""
+    carry_acceleration: float = 1.0
+    """Limit of the tool in each direction while it carries an object by friction [m/s^2]."""
     default_speed: float = 1.5
     """Limit of joints whose URDF gives none [rad/s] or [m/s]."""
 
@@ -105,7 +111,7 @@ def time_plan(
     """
     if plan.motion is None:
         raise InputError(f"the plan is {plan.status!r}: it holds no motion to be timed")
-    approach, manipulation = time_motion(robot, plan.motion, config, step)
+    approach, manipulation = time_motion(robot, plan.motion, config, step, verb=plan.task.verb)
     return TimedTrajectory(
         joints=robot.moved_joints,
         times=np.arange(len(approach) + len(manipulation)) * step,
@@ -121,7 +127,7 @@ def with_times(
     """The same plan with a time for each of its arm states, see `time_plan`; unsolved as it is."""
     if plan.motion is None:
         return plan
-    approach, manipulation = time_motion(robot, plan.motion, config, step)
+    approach, manipulation = time_motion(robot, plan.motion, config, step, verb=plan.task.verb)
     times = manipulation.state_times
     motion = replace(
         plan.motion,
@@ -132,7 +138,7 @@ def with_times(
 
 
 def time_motion(
-    robot: Robot, motion: Motion, config: SpeedConfig, step: float
+    robot: Robot, motion: Motion, config: SpeedConfig, step: float, *, verb: Verb | None = None
 ) -> tuple[Trajectory, Trajectory]:
     """The approach and the manipulation of a motion, each from rest to rest.
 
@@ -141,6 +147,8 @@ def time_motion(
         motion: What the arm does.
         config: How fast.
         step: Time between samples [s].
+        verb: What it is for: to pick an object the hand carries it in the manipulation, to place
+            one in the approach.
     """
     joints = [robot.model.joint(name) for name in robot.moved_joints]
     speed = np.array([joint.velocity for joint in joints])
@@ -148,12 +156,20 @@ def time_motion(
     slides = np.array([joint.kind == "prismatic" for joint in joints])
     acceleration = np.where(slides, config.slide_acceleration, config.acceleration)
     approach = motion.approach if len(motion.approach) else motion.q[:1]
-    return (
-        time_path(approach, config.approach_speed * speed, acceleration, step),
-        time_path(
-            motion.q, config.manipulation_speed * speed, acceleration, step,
-            tool=motion.Ts_world_tool[:, :3, 3], tool_speed=config.tool_speed,
-        ),
+    carry = config.carry_acceleration
+    held = config.manipulation_speed * speed
+    if verb == "place":
+        tool = robot.chain.tool_poses(robot.chain.freedom_values(approach))[:, :3, 3]
+        way = time_path(
+            approach, held, acceleration, step,
+            tool=tool, tool_speed=config.tool_speed, tool_acceleration=carry,
+        )  # fmt: skip
+    else:
+        way = time_path(approach, config.approach_speed * speed, acceleration, step)
+    return way, time_path(
+        motion.q, held, acceleration, step,
+        tool=motion.Ts_world_tool[:, :3, 3], tool_speed=config.tool_speed,
+        tool_acceleration=carry if verb == "pick" else np.inf,
     )  # fmt: skip
 
 
@@ -171,6 +187,7 @@ def time_path(
     *,
     tool: Float[np.ndarray, "m 3"] | None = None,
     tool_speed: float = np.inf,
+    tool_acceleration: float = np.inf,
 ) -> Trajectory:
     """Follow a path as fast as limits allow (Pham and Pham, TOPP-RA, 2018).
 
@@ -184,6 +201,7 @@ def time_path(
         step: Time between samples [s].
         tool: Positions of the tool at the states [m], where its speed is limited too.
         tool_speed: That limit [m/s].
+        tool_acceleration: Its limit in each direction [m/s^2].
 
     Raises:
         InputError: No trajectory meets the limits, or a state is not finite.
@@ -195,13 +213,18 @@ def time_path(
     state = np.cumsum(keep) - 1
     if len(q) < 2:
         return replace(still(q[0], 1), state_times=np.zeros(len(state)))
-    length = None if tool is None else _along(tool[keep])
+    # The tool's way is one more coordinate with a limit, and each direction of it another.
+    more = None if tool is None else np.column_stack([_along(tool[keep]), tool[keep]])
+    limits = (
+        np.append(speed, [tool_speed, *[np.inf] * 3]),
+        np.append(acceleration, [np.inf, *[tool_acceleration] * 3]),
+    )
     ends = np.flatnonzero(_corners(q))
     pieces = []
     for first, last in pairwise(ends):
         part = slice(first, last + 1)
-        traveled = None if length is None else length[part] - length[first]
-        pieces.append(_piece(q[part], traveled, speed, acceleration, tool_speed, step))
+        whole = q[part] if more is None else np.column_stack([q[part], more[part]])
+        pieces.append(_piece(whole, q.shape[1], *limits, step))
     timed, _ = joined(pieces)
     begin = np.cumsum([0, *map(len, pieces[:-1])]) * step
     passed = [t + piece.state_times[1:] for t, piece in zip(begin, pieces, strict=True)]
@@ -222,25 +245,27 @@ def _corners(q: Float[np.ndarray, "m n"]) -> Bool[np.ndarray, " m"]:
 
 
 def _piece(
-    q: Float[np.ndarray, "m n"],
-    traveled: Float[np.ndarray, " m"] | None,
-    speed: Float[np.ndarray, " n"],
-    acceleration: Float[np.ndarray, " n"],
-    tool_speed: float,
+    path: Float[np.ndarray, "m c"],
+    n: int,
+    speed: Float[np.ndarray, " d"],
+    acceleration: Float[np.ndarray, " d"],
     step: float,
 ) -> Trajectory:
-    """A smooth piece from rest to rest; the tool's way is one more coordinate with its limit."""
+    """A smooth piece from rest to rest along the first n coordinates, the joints.
+
+    The others only have limits, as far as they have some and move at all.
+    """
     import toppra
     from toppra import algorithm, constraint
 
     logging.getLogger("toppra").setLevel(logging.ERROR)
-    n = q.shape[1]
-    path = q
-    if traveled is not None and traveled[-1] > 1e-6:
-        path = np.column_stack([q, traveled])
-        speed, acceleration = np.append(speed, tool_speed), np.append(acceleration, 1e3)
-    s = _along_max(q)
-    spline = toppra.SplineInterpolator(s, path)
+    speed, acceleration = speed[: path.shape[1]], acceleration[: path.shape[1]]
+    bounded = np.isfinite(speed) | np.isfinite(acceleration)
+    counts = (np.arange(path.shape[1]) < n) | (bounded & (np.ptp(path, axis=0) > _STILL))
+    speed = np.minimum(speed[counts], _NO_LIMIT)
+    acceleration = np.minimum(acceleration[counts], _NO_LIMIT)
+    s = _along_max(path[:, :n])
+    spline = toppra.SplineInterpolator(s, path[:, counts])
     limits = [
         constraint.JointVelocityConstraint(np.stack([-speed, speed], 1)),
         constraint.JointAccelerationConstraint(np.stack([-acceleration, acceleration], 1)),

@@ -2,17 +2,29 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
+from tests.execution.toy import gripping
+from tests.verification.door_case import BASE
 
+from momapos.execution.approach import PacedTrajectory
 from momapos.execution.config import Ending, ExecutionConfig, Hold
+from momapos.execution.dynamics import read_dynamics
+from momapos.execution.furniture import Resistance, Seal
+from momapos.execution.hand import find_hand
 from momapos.execution.run import execute
+from momapos.execution.simulation import build_simulation
+from momapos.execution.stages import ExecutionRun, Stretch
 from momapos.manipulation.tasks import make_task
 from momapos.pipeline import plan_base_placement
 from momapos.reachability.store import load_reach_map
 from momapos.robots.robot import load_robot
 from momapos.scene.files import load_scene
 from momapos.scene.scene import Scene
+from momapos.trajectory import still
+from momapos.types import Hold as Held
 from momapos.types import PlacementPlan
 
 
@@ -50,3 +62,22 @@ def test_a_door_opens_in_two_holds_and_about_a_bar(
     assert done.success, done.reason
     assert done.ending in (Ending.DONE, Ending.STOPPED_AT_END)
     assert done.hold == hold
+
+
+def test_a_hand_that_found_a_handle_beside_the_plan_pushes_from_the_plan_later(
+    tmp_path: Path,
+) -> None:
+    toy, config = gripping(tmp_path), ExecutionConfig()
+    assert toy.robot.model.urdf.path is not None
+    dynamics, q = read_dynamics(toy.robot.model.urdf.path), toy.motion.q[0]
+    hand = find_hand(toy.robot, dynamics.mimics)
+    light = Resistance(mass=5.0, friction=0.1, damping=0.1, pull=0.0)
+    world = build_simulation(
+        toy.scene, toy.robot, BASE, q[None], toy.task, hand, dynamics, light, None, config
+    )
+    free = Seal(0.0, 0.0, 0.0, 1.0)
+    run = ExecutionRun(world, toy.motion, toy.task, config, free, None, world, None)
+    run.aside, run.ahead = 0.024, np.array([0.03, 0.0, 0.0])  # as it was found by the first hold
+    there = PacedTrajectory(still(q, 1), np.ones(1), np.zeros(1), np.ones(1))
+    push = Stretch(still(q, 1), toy.motion, Held(0, 0, None, "push"))
+    assert run.go(there, [push]) is Ending.DONE

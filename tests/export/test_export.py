@@ -112,11 +112,11 @@ def test_a_hand_that_takes_hold_twice_opens_in_between(plan: PlacementPlan, robo
 @pytest.mark.parametrize(
     ("verb", "expected"),
     [
-        ("pick", ["drive", "arm", "arm", "close_gripper"]),
+        ("pick", ["drive", "arm", "close_gripper", "arm"]),
         ("place", ["drive", "close_gripper", "arm", "open_gripper", "arm"]),
     ],
 )
-def test_what_is_picked_is_held_at_the_end_and_what_is_placed_at_first(
+def test_what_is_picked_is_held_before_it_is_lifted_and_what_is_placed_from_the_start(
     verb: Any, expected: list[str], plan: PlacementPlan, robot: Robot
 ) -> None:
     task = replace(plan.task, verb=verb, joint=None, to=None)

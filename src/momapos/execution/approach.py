@@ -29,6 +29,9 @@ class PacedTrajectory:
     """Share of the timed speed at which each sample is passed at most [-]."""
     left: Float[np.ndarray, " t"]
     """Distance of the tool from where it ends, at each sample [m]."""
+    gap: Float[np.ndarray, " t"]
+    """Distance of the arm from its surroundings as far as the robot knows them, at each sample [m];
+    large ones are not told apart."""
 
     @property
     def last(self) -> int:
@@ -86,7 +89,9 @@ def paced(
     # Where the tool passes near its end and away again, only the last time counts.
     coming = np.maximum.accumulate(left[::-1])[::-1] <= compliance.near
     most = np.where(coming, np.minimum(most, compliance.near_speed), most)
-    return PacedTrajectory(plan, _smooth(most / np.maximum(speed, 1e-9), compliance, step), left)
+    return PacedTrajectory(
+        plan, _smooth(most / np.maximum(speed, 1e-9), compliance, step), left, gap
+    )
 
 
 def _smooth(

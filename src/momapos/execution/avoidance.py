@@ -10,12 +10,14 @@ import mujoco
 import numpy as np
 
 from momapos.execution.config import ComplianceConfig
-from momapos.execution.shapes import ROBOT, Kind, matrix_quat
+from momapos.execution.shapes import HAND, ROBOT, Kind, matrix_quat
 from momapos.execution.simulation import Simulation
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
+LOOK = 4
+"""Steps of the controller between two looks at what is near the arm [-]."""
 _LEVER = 0.03
 """Change of a distance with the joints, below which they are no way to keep it [m/rad]."""
 _MOST = 3
@@ -54,31 +56,39 @@ class Surroundings:
         self._T_world_part[:3, :3] = rotation.reshape(3, 3)
         self._T_world_part[:3, 3] = known.model.body_pos[known.part_body]
         self._jacobians = np.zeros((2, 3, known.model.nv))
+        joint = known.model.body_jntadr[known.part_body]
+        self._loose = known.model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE
 
     def bounds(
         self,
         q: Float[np.ndarray, " n"],
         value: float,
         T_off: Float[np.ndarray, "4 4"] | None = None,
+        *,
+        hand: bool = False,
     ) -> Bounds:
         """Bounds at a state of the arm.
 
         Args:
             q: The state [rad] or [m].
-            value: Of the part's joint there [rad] or [m].
+            value: Of the part's joint there [rad] or [m]; any for a loose object, which is left
+                out: it gives way, or is in the hand.
             T_off: Moves the part from where it is modeled to where the hand found it; None for
                 where it is modeled.
+            hand: Whether the hand, too, keeps apart from the room: where it is not near what it
+                will hold.
         """
         known, model, data, config = self.known, self._model, self._data, self._config
-        T = self._T_world_part if T_off is None else T_off @ self._T_world_part
-        model.body_pos[known.part_body] = T[:3, 3]
-        model.body_quat[known.part_body] = matrix_quat(T[:3, :3])
         data.qpos[known.arm_q] = q
-        data.qpos[known.part_q] = value
+        if not self._loose:
+            T = self._T_world_part if T_off is None else T_off @ self._T_world_part
+            model.body_pos[known.part_body] = T[:3, 3]
+            model.body_quat[known.part_body] = matrix_quat(T[:3, :3])
+            data.qpos[known.part_q] = value
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         mujoco.mj_collision(model, data)
-        near = np.flatnonzero(self._counts() & (data.contact.dist < config.avoid))
+        near = np.flatnonzero(self._counts(hand) & (data.contact.dist < config.avoid))
         near = near[np.argsort(data.contact.dist[near], kind="stable")]
         _, first = np.unique(data.contact.geom[near], axis=0, return_index=True)
         chosen = near[np.sort(first)[:_MOST]]
@@ -88,12 +98,14 @@ class Surroundings:
         able = size > _LEVER  # else no joint does much about it
         return Bounds(rows[able] / size[able, None], speed[able] / size[able])
 
-    def _counts(self) -> Bool[np.ndarray, " c"]:
+    def _counts(self, hand: bool) -> Bool[np.ndarray, " c"]:
         """Which of the near pairs are of the arm with something that it must not touch."""
         kinds: Int[np.ndarray, "c 2"] = self.known.kinds[self._data.contact.geom]
         own = np.isin(kinds, ROBOT).all(1)
-        things = np.isin(kinds, (Kind.ROOM, Kind.PART)).any(1)
-        return np.asarray(own | (things & (kinds == Kind.ARM).any(1)))
+        kind = Kind.ROOM if self._loose else (Kind.ROOM, Kind.PART)
+        things = np.isin(kinds, kind).any(1)
+        arm = np.isin(kinds, (Kind.ARM, *HAND) if hand else Kind.ARM).any(1)
+        return np.asarray(own | (things & arm))
 
     def _row(self, i: int) -> Float[np.ndarray, " n"]:
         """How the distance of a near pair changes with the arm's joints."""

@@ -117,6 +117,10 @@ class GripConfig:
     """The hand holds when the pads of both sides bear this share of its force [-]."""
     patience: float = 0.6
     """How long the hand waits for that after its fingers should be shut [s]."""
+    pad_time: float = 0.005
+    """Time constant of the contact of a pad with a loose object [s]. The engine's contacts are the
+    softer the lighter what they touch: by its own value pads sink 6 mm into an apple, and it
+    creeps out of the hand."""
     lost: float = 0.15
     """The hold is lost when neither side bears anything for this long [s]."""
     reach: float = 0.02
@@ -176,6 +180,8 @@ class ComplianceConfig:
     """Time in which a hand that let go returns to the plan [s]."""
     filter_time: float = 0.02
     """Of the low-pass filter of the force at the hand [s]."""
+    weight_time: float = 0.15
+    """Likewise of the weight that the hand carries [s]."""
     force: float = 120.0
     """The run stops where the hand feels more than this [N]."""
     torque: float = 20.0

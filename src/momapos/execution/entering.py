@@ -1,4 +1,4 @@
-"""The hand's way to what it will hold, felt as it goes, and the same way back."""
+"""The hand's way to what it will hold or let go, felt as it goes, and the same way back."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 
 from momapos.execution.approach import PacedTrajectory
 from momapos.execution.arm_control import Reference
+from momapos.execution.avoidance import LOOK, Bounds
 from momapos.execution.config import Ending, Stage
 
 if TYPE_CHECKING:
@@ -19,22 +20,27 @@ _ALL = np.eye(3)
 
 
 def come_in(run: ExecutionRun, way: PacedTrajectory) -> Ending | None:
-    """Go to the grasp; feel the way in where a part with a joint is to be held."""
+    """Go to the grasp and feel the way in, or carry an object to where it is let go."""
     compliance, sign = run.config.compliance, 1.0
-    run.passed = 0.0
+    run.passed, steps, begin = 0.0, 0, float(run.motion.object_q[0])
     while True:
         left = float(way.left[round(run.passed)])
         near = left < compliance.near
         pace = sign * float(way.pace[round(run.passed)]) * _easing(run)
-        T = _go_along(run, way, pace, stiff=near)
-        ending = run.tick(Stage.APPROACH)
+        if steps % LOOK == 0:
+            close = way.gap[round(run.passed)] < compliance.avoid
+            bounds = run.surroundings.bounds(run.arm.q, begin, hand=not near) if close else None
+        T, steps = _go_along(run, way, pace, bounds, stiff=near), steps + 1
+        ending = run.tick(Stage.APPROACH) or run.lost()
         if ending is not None:
             return ending
+        if run.held and near and run.arm.wrench[2] > run.config.control.stop_force:
+            return None  # what is carried stands on something
         if not near and np.linalg.norm(run.arm.wrench[:3]) > compliance.way_force:
             return Ending.BLOCKED
         if sign < 0 and (left > compliance.near / 2 or run.passed == 0.0):
             sign = 1.0
-        elif sign > 0 and near and left > compliance.early and _bumped(run, T):
+        elif sign > 0 and near and left > compliance.early and not run.held and _bumped(run, T):
             sign = -1.0
         elif sign > 0 and run.passed >= way.last:
             return None
@@ -75,7 +81,7 @@ def go_back(run: ExecutionRun, way: PacedTrajectory) -> Ending | None:
     """Go back along a way from where the arm is on it, giving way to what the hand feels."""
     while True:
         pace = -float(way.pace[round(run.passed)])
-        _go_along(run, way, pace, stiff=False)
+        _go_along(run, way, pace, None, stiff=False)
         ending = run.tick(Stage.RETREAT)
         if ending is not None or run.passed <= 0.0:
             return ending
@@ -83,7 +89,7 @@ def go_back(run: ExecutionRun, way: PacedTrajectory) -> Ending | None:
 
 
 def _go_along(
-    run: ExecutionRun, way: PacedTrajectory, pace: float, *, stiff: bool
+    run: ExecutionRun, way: PacedTrajectory, pace: float, bounds: Bounds | None, *, stiff: bool
 ) -> Float[np.ndarray, "4 4"]:
     """Be at a state of the way, or beside it as the hand feels.
 
@@ -91,6 +97,7 @@ def _go_along(
         run: Under way.
         way: Where to.
         pace: Samples that pass in a step.
+        bounds: Of the joints' speeds, that keep the arm apart from what is near; None for none.
         stiff: Whether the hand pushes ahead; else it slides along what it meets.
 
     Returns:
@@ -98,12 +105,12 @@ def _go_along(
     """
     q, v, a = way.at(run.passed, pace)
     T, J = run.arm.kinematics.at(q)
-    if run.belief is None or _free(run, q):
+    if bounds is None and _free(run, q):
         run.arm.go(q, v, a)
         return T
     ahead = T[:3, :3] @ run.world.hand.approach
     loose = _ALL - np.outer(ahead, ahead) if stiff else _ALL
-    run.arm.follow(Reference(q, v, run.beside(T), J @ v, _ALL, loose))
+    run.arm.follow(Reference(q, v, run.beside(T), J @ v, _ALL, loose, bounds=bounds))
     return T
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.execution.arm_control import Reference, twist_between
-from momapos.execution.avoidance import Bounds
+from momapos.execution.avoidance import LOOK, Bounds
 from momapos.execution.config import Ending, Stage
 from momapos.execution.joint_estimate import JointEstimate, Learned
 from momapos.geometry.transforms import invert
@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
     from momapos.execution.stages import Belief, ExecutionRun, Stretch
 
-_LOOK = 4
-"""Steps of the controller between two looks at what is near the arm [-]."""
 _ALL = np.eye(3)
 
 
@@ -54,7 +52,7 @@ def follow_part(
     bounds: Bounds | None = None
     for i in range(len(plan) + extra):
         k = min(i, last)
-        if i % _LOOK == 0:
+        if i % LOOK == 0:
             bounds = run.surroundings.bounds(run.arm.q, float(values[k]), off_at(k))
         T, after = pose_at(k), pose_at(min(k + 1, last))
         here, _ = run.arm.kinematics.at(run.world.data.qpos[run.world.arm_q])

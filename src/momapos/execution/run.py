@@ -176,8 +176,8 @@ def attempt(
         run.carry(item)
     run.check_start()
     began = clock()
-    approach = _approach(robot, motion, config, known, careful=again is not None)
-    ending = run.go(approach, _stretches(robot, motion, config))
+    approach = _approach(robot, motion, task, config, known, careful=again is not None)
+    ending = run.go(approach, _stretches(robot, motion, task, config))
     detail, at_home = run.detail, False
     if way_home is not None and belief is not None and ending in RECOVERABLE:
         at_home = retreat(run, robot, approach, way_home)
@@ -195,7 +195,7 @@ def attempt(
     return Outcome(execution, ending, run.learned, value, run.observer.collisions, at_home)
 
 
-def _stretches(robot: Robot, motion: Motion, config: ExecutionConfig) -> list[Stretch]:
+def _stretches(robot: Robot, motion: Motion, task: Task, config: ExecutionConfig) -> list[Stretch]:
     """The motion cut where the hand takes hold and lets go."""
     step = config.timestep * config.substeps
     holds = motion.holds or (Hold(0, len(motion.q) - 1),)
@@ -216,16 +216,25 @@ def _stretches(robot: Robot, motion: Motion, config: ExecutionConfig) -> list[St
         if held is not None and held.family == "push":
             most = min(speed.tool_speed, config.compliance.push_speed)
             speed = replace(speed, tool_speed=most)
-        free, slow = time_motion(robot, part, speed, step)
+        # What is placed is let go before: there is nothing to carry.
+        verb = None if task.verb == "place" else task.verb
+        free, slow = time_motion(robot, part, speed, step, verb=verb)
         stretches.append(Stretch(free if held is None else slow, part, held))
     return stretches
 
 
 def _approach(
-    robot: Robot, motion: Motion, config: ExecutionConfig, room: Simulation, *, careful: bool
+    robot: Robot,
+    motion: Motion,
+    task: Task,
+    config: ExecutionConfig,
+    room: Simulation,
+    *,
+    careful: bool,
 ) -> PacedTrajectory:
     """The approach, slow where the arm is near what the robot knows of the room."""
-    plan, _ = time_motion(robot, motion, config.speed, config.timestep * config.substeps)
+    step = config.timestep * config.substeps
+    plan, _ = time_motion(robot, motion, config.speed, step, verb=task.verb)
     path = motion.approach if len(motion.approach) else motion.q[:1]
     kinematics = ArmKinematics(room)
     tool = np.array([kinematics.at(q)[0][:3, 3] for q in path])

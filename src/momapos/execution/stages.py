@@ -20,6 +20,7 @@ from momapos.execution.following import follow_part
 from momapos.execution.furniture import Seal
 from momapos.execution.joint_estimate import Axis, JointEstimate, Learned
 from momapos.execution.observer import Observer
+from momapos.execution.payload import Payload
 from momapos.execution.record import Collision
 from momapos.execution.shapes import ROBOT, matrix_quat
 from momapos.execution.simulation import Simulation
@@ -95,6 +96,7 @@ class ExecutionRun:
         self.first = world.T_world_part
         self.arm = CompliantArm(world, config.compliance, self.step)
         self.surroundings = Surroundings(known, config.compliance)
+        self.payload = Payload(world, config.compliance.weight_time, self.step)
         self.estimate: JointEstimate | None = None
         self.touch = feel(world)
         self.held, self.strained, self.unloaded = False, 0, 0
@@ -129,7 +131,6 @@ class ExecutionRun:
         world.data.qpos[world.part_q : world.part_q + 7] = pose
         mujoco.mj_forward(world.model, world.data)
         world.attach()
-        self.close(np.inf)
         self.held = True
 
     def check_start(self) -> None:
@@ -150,7 +151,8 @@ class ExecutionRun:
         if place:
             self.observer.hold()
         ending = self.rest(Stage.SETTLE, self.config.settle)
-        if ending is None and place and self.config.hold == "contact":
+        if place and self.config.hold == "contact":
+            ending = ending or self._shut(self.arm.q, gives=False)
             self.world.release()
         ending = ending or come_in(self, approach)
         for stretch in stretches:
@@ -165,7 +167,8 @@ class ExecutionRun:
         """Let one step of the controller pass; why the run ends with it, if it does."""
         world, w = self.world, self.config.control.bandwidth
         # The motors push in proportion to the error; this lead makes them follow without lag.
-        world.data.ctrl[world.arm_motor] = self.arm.q + 2 / w * self.arm.v + self.arm.a / w**2
+        lead = 2 / w * self.arm.v + self.arm.a / w**2 + self.payload.lead()
+        world.data.ctrl[world.arm_motor] = self.arm.q + lead
         if self.seal.outward:
             value = float(world.data.qpos[world.part_q])
             world.data.qfrc_applied[world.part_v] = self.seal.force(value)
@@ -177,7 +180,7 @@ class ExecutionRun:
             self.detail = f"after {self.time:.2f} s"
             return Ending.DIVERGED
         self.touch = feel(world)
-        self.arm.feel(self.touch)
+        self.arm.feel(self.payload.see(self.touch, carried=self.held and self.belief is None))
         self.observer.record_step(self.arm.q, self.time, stage, self.touch)
         return self._strain()
 
@@ -225,8 +228,11 @@ class ExecutionRun:
     def _take_hold(self, stretch: Stretch) -> Ending | None:
         """Weld, or close the fingers, where the arm is at the planned grasp."""
         T, _ = self.arm.kinematics.at(self.world.data.qpos[self.world.arm_q])
-        planned = self.beside(stretch.motion.Ts_world_tool[0])
-        off = float(np.linalg.norm(T[:3, 3] - planned[:3, 3]))
+        planned = stretch.motion.Ts_world_tool[0]
+        # The hand comes in beside the plan for a first hold; for later ones it is back on it, and
+        # fingers that close move it aside once more: the part is still where it was found.
+        goals = planned[:3, 3], self.beside(planned)[:3, 3]
+        off = float(min(np.linalg.norm(T[:3, 3] - goal) for goal in goals))
         angle = float(rotation_angle(T[:3, :3], planned[:3, :3]))
         if off > GRASP_POSITION or angle > GRASP_ANGLE:
             self.detail = f"it is {100 * off:.1f} cm and {np.degrees(angle):.0f} deg off"
@@ -235,11 +241,12 @@ class ExecutionRun:
         if self.config.hold == "contact":
             if stretch.pushes:
                 return None
-            ending = self._shut(stretch)
+            q, one_sided = stretch.motion.q[0], stretch.one_sided
+            ending = self._shut(q, one_sided=one_sided)
             if ending is Ending.NOTHING_HELD and self.belief is not None:
                 self.close(0.0)
                 ending = self.rest(Stage.GRIP, self.config.grip)
-                ending = ending or reach_on(self, stretch.motion.q[0]) or self._shut(stretch)
+                ending = ending or reach_on(self, q) or self._shut(q, one_sided=one_sided)
         else:
             gap = self.world.grip_gap(1.0)
             if gap > self.config.gripper.reach:
@@ -252,19 +259,29 @@ class ExecutionRun:
         self.observer.hold()
         return ending
 
-    def _shut(self, stretch: Stretch) -> Ending | None:
-        """Close the fingers until the pads of both sides bear a load; the arm gives way."""
-        grip, arm = self.config.gripper, self.arm
-        q = stretch.motion.q[0]
+    def _shut(
+        self, q: Float[np.ndarray, " n"], *, one_sided: bool = False, gives: bool = True
+    ) -> Ending | None:
+        """Close the fingers until the pads of both sides bear a load.
+
+        Args:
+            q: State of the arm [rad] or [m].
+            one_sided: Whether one finger that bears a load is enough.
+            gives: Whether the arm gives way along the closing axis.
+        """
+        grip, arm, still = self.config.gripper, self.arm, np.zeros_like(q)
         T = self.beside(arm.kinematics.at(q)[0])
         closing = T[:3, :3] @ self.world.hand.axis
         across = np.outer(closing, closing)  # the fingers find what they hold along this alone
-        reference = Reference(q, np.zeros_like(q), T, np.zeros(6), _ALL, across)
+        reference = Reference(q, still, T, np.zeros(6), _ALL, across)
         way = max(abs(f.closed - f.open) * f.lever for f in self.world.hand.fingers)
         enough, firm = grip.loaded * self.world.hand.force, 0
         for k in range(round((way / grip.speed + grip.patience) / self.step)):
             self.close(grip.speed * k * self.step)
-            arm.follow(reference)
+            if gives:
+                arm.follow(reference)
+            else:
+                arm.go(q, still)
             ending = self.tick(Stage.GRIP)
             if ending is not None:
                 return ending
@@ -272,7 +289,7 @@ class ExecutionRun:
             if firm * self.step >= grip.patience / 2:
                 return None
         one = max(self.touch.pads) > enough
-        if one and stretch.one_sided:
+        if one and one_sided:
             return None
         return Ending.ONE_SIDED if one else Ending.NOTHING_HELD
 
@@ -296,7 +313,7 @@ class ExecutionRun:
         """Move what is held along its planned way, or along the way that it turns out to take."""
         plan = stretch.plan
         if self.belief is None or stretch.hold is None:
-            offset = 0.0 if self.task.verb == "place" else self.arm.q - plan.q[0]
+            offset = self.arm.q - plan.q[0]
             # A free hand returns to the plan; what is in the hand came into it as it did.
             fade = self.step / self.config.compliance.home if self.belief is not None else 0.0
             for k, (q, v, a) in enumerate(zip(plan.q, plan.v, plan.a, strict=True)):

@@ -11,7 +11,7 @@ import numpy as np
 from momapos.errors import InputError
 from momapos.robots.robot import Robot
 from momapos.trajectory import DEFAULT, SpeedConfig, time_motion, time_path
-from momapos.types import Hold, Motion, PlacementPlan
+from momapos.types import Hold, Motion, PlacementPlan, Verb
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
@@ -79,7 +79,7 @@ def phases_of(
         if isinstance(part, PhaseKind):
             phases.append(_gripper(part, base, q, value))
         else:
-            phases.append(_arm(part, base, robot, speeds, step))
+            phases.append(_arm(part, plan.task.verb, base, robot, speeds, step))
             q, value = phases[-1].positions[-1], float(phases[-1].object_q[-1])
     return tuple(phases)
 
@@ -95,7 +95,7 @@ class _Stretch:
     q: Float[np.ndarray, "m n"]
     object_q: Float[np.ndarray, " m"]
     Ts_world_tool: Float[np.ndarray, "m 4 4"] | None
-    """None on the way to the object, where the tool's speed is not limited."""
+    """None on the way to the object, where the tool's speed is limited only if it carries one."""
 
 
 def _parts(verb: str, motion: Motion) -> list[_Stretch | PhaseKind]:
@@ -106,7 +106,7 @@ def _parts(verb: str, motion: Motion) -> list[_Stretch | PhaseKind]:
         parts.append(_Stretch(motion.approach, rest, None))
     last = len(motion.q) - 1
     if verb == "pick":
-        return [*parts, _between(motion, 0, last), PhaseKind.CLOSE]
+        return [*parts, PhaseKind.CLOSE, _between(motion, 0, last)]
     if verb == "place":
         return [*parts, PhaseKind.OPEN, _between(motion, 0, last)]
     at = 0
@@ -137,15 +137,20 @@ def _drive(path: Float[np.ndarray, "k 3"], motion: Motion, robot: Robot, step: f
 
 
 def _arm(
-    part: _Stretch, base: Float[np.ndarray, "3"], robot: Robot, speeds: SpeedConfig, step: float
+    part: _Stretch,
+    verb: Verb,
+    base: Float[np.ndarray, "3"],
+    robot: Robot,
+    speeds: SpeedConfig,
+    step: float,
 ) -> Phase:
     none = part.q[:0]
     if part.Ts_world_tool is None:
         whole = Motion(part.q, part.q[-1:], part.object_q[-1:], np.eye(4)[None])
-        timed = time_motion(robot, whole, speeds, step)[0]
+        timed = time_motion(robot, whole, speeds, step, verb=verb)[0]
     else:
         whole = Motion(none, part.q, part.object_q, part.Ts_world_tool)
-        timed = time_motion(robot, whole, speeds, step)[1]
+        timed = time_motion(robot, whole, speeds, step, verb=verb)[1]
     times = _times(len(timed), step)
     values = np.interp(times, timed.state_times, part.object_q)
     stands = np.tile(base, (len(timed), 1))

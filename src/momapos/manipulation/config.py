@@ -65,11 +65,14 @@ class GraspConfig:
     """Each pad touches what it holds over this area at least [cm^2]."""
     grasp_margin: float = 1.3
     """A grasp transmits this many times what the part needs [-]."""
+    swing: float = 0.2
+    """What a hand lifts or carries is so much heavier by its acceleration, as a share of its
+    weight [-]."""
     resistance: ResistanceConfig = field(default_factory=ResistanceConfig)
 
     def __post_init__(self) -> None:
         refuse_below(self, 1, "rolls")
-        refuse_below(self, 0, "hand_clearance", "friction", "pad_contact", "grasp_margin")
+        refuse_below(self, 0, "hand_clearance", "friction", "pad_contact", "grasp_margin", "swing")
         refuse_below(self, 0.01, "pregrasp")
         for name in ("families", "turns", "tilts", "points", "standoffs"):
             if not getattr(self, name):

@@ -17,10 +17,11 @@ from momapos.kinematics.spheres import Spheres, box_spheres, carry
 from momapos.kinematics.world import CollisionWorld, check, motion_checker
 from momapos.manipulation.arm_path import FOUND, HIT, UNREACHABLE, ArmPath, find_paths
 from momapos.manipulation.config import PlannerConfig
-from momapos.manipulation.free_turn import FULL, find_short_paths
+from momapos.manipulation.free_turn import find_short_paths
 from momapos.manipulation.hand_room import hits_on_the_way
 from momapos.manipulation.motion import TaskMotion
 from momapos.manipulation.planner import RESOLUTION, interpolate, plan_motion
+from momapos.manipulation.turning import FULL
 from momapos.outcomes import PoseOutcome, PoseStatus
 from momapos.robots.robot import Robot
 from momapos.types import ArmPathResult, Attempt, Motion

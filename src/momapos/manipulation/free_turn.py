@@ -24,7 +24,6 @@ from momapos.kinematics.ik import build_ik
 from momapos.kinematics.world import CollisionWorld
 from momapos.manipulation.arm_path import UNREACHABLE, ArmPath, find_paths
 from momapos.manipulation.motion import TaskMotion
-from momapos.manipulation.turning import FULL as FULL
 from momapos.manipulation.turning import no_turning
 from momapos.manipulation.turning_arm import Arm, TurningArm
 from momapos.robots.robot import Robot

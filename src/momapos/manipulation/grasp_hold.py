@@ -155,6 +155,8 @@ class Contact:
     """Middle of both, in the part."""
     apart: Float[np.ndarray, " g"]
     """Distance of their middles, seen along the closing axis [m]."""
+    spread: Float[np.ndarray, " g"]
+    """Mean distance of the contact from its middle, of the smaller of the two [m]."""
 
 
 def contact_of(
@@ -173,7 +175,7 @@ def contact_of(
     cone = np.cos(CONE * np.arctan(friction))
     axis = R @ hand.closing
     across = np.cross(hand.approach, hand.closing)
-    areas, middles = [], []
+    areas, middles, spreads = [], [], []
     for k, side in enumerate((1, -1)):
         face, (low, high) = hand.inner(side)
         a = low[0] + (np.arange(ROWS) + 0.5) / ROWS * (high[0] - low[0])
@@ -191,11 +193,13 @@ def contact_of(
         areas.append(count * cell)
         weights = touching / np.maximum(count, 1)[:, None]
         middles.append(weights @ grid)
+        away = np.linalg.norm(grid - middles[-1][:, None], axis=-1)
+        spreads.append((weights * away).sum(1))
     middle = (middles[0] + middles[1]) / 2
     inward = (travel[:, 1] - travel[:, 0])[:, None] / 2 * hand.closing
     point = np.einsum("gij,gj->gi", R, middle + inward) + p
     apart = np.linalg.norm(middles[0] - middles[1], axis=1)
-    return Contact(np.minimum(areas[0], areas[1]), point, apart)
+    return Contact(np.minimum(*areas), point, apart, np.minimum(*spreads))
 
 
 def pinch_capacity(
@@ -215,3 +219,40 @@ def pinch_capacity(
     across = np.sqrt(np.maximum(0.0, 1.0 - along**2))
     by_friction = 2 * friction * force / np.maximum(across + friction * along, 1e-9)
     return np.minimum(by_friction, force / np.maximum(along, 1e-9))
+
+
+def lifting_capacity(
+    force: float,
+    friction: float,
+    contact: Contact,
+    closing: Float[np.ndarray, "g 3"],
+    width: Float[np.ndarray, " g"],
+    center: Float[np.ndarray, "3"],
+    down: Float[np.ndarray, "k 3"],
+) -> Float[np.ndarray, " g"]:
+    """The weight that two closed pads carry whose contact is somewhere on an object [N].
+
+    Weight beside the pads turns the object between them: friction bears that too, as far as the
+    contact spreads, within an ellipsoid of force and torque (Howe and Cutkosky, IJRR 1996). Weight
+    nearer to one pad loads that one more.
+
+    Args:
+        force: Of each finger [N].
+        friction: Between pads and object [-].
+        contact: Of the pads.
+        closing: Unit closing axes.
+        width: Between the pads [m].
+        center: Center of mass, in the frame of the contact [m].
+        down: Unit directions of the weight there; the worst one counts.
+    """
+    away = center - contact.point
+    along = np.abs(closing @ down.T)
+    across = np.sqrt(np.maximum(0.0, 1.0 - along**2))
+    turning = np.abs(np.einsum("gki,gi->gk", np.cross(away[:, None], down), closing))
+    aside = np.abs(np.einsum("gi,gi->g", away, closing)) / np.maximum(width, 1e-6)
+    shear = np.hypot(
+        across * (1.0 + 2.0 * aside)[:, None],
+        turning / np.maximum(contact.spread, 1e-6)[:, None],
+    )
+    by_friction = 2 * friction * force / np.maximum(shear + friction * along, 1e-9)
+    return np.asarray(np.minimum(by_friction, force / np.maximum(along, 1e-9)).min(1))

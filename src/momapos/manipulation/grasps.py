@@ -15,7 +15,6 @@ from momapos.manipulation.part_grasps import (
     FAMILIES,
     Family,
     PartGrasps,
-    grasp_frames,
     grasps_of,
     lines_onto,
     poses_of,
@@ -224,51 +223,3 @@ def inside_grasps(
         code, wide, firm, np.zeros(count), (back,), np.zeros(count, np.int64), np.arange(count)
     )
     return Chosen(Ts[order], grasps, "", "")
-
-
-def lifting_grasps(
-    robot: Robot, width: Float[np.ndarray, " g"], weight: float, friction: float
-) -> Grasps:
-    """What pinches of a rigid object transmit, against its weight.
-
-    Args:
-        robot: Whose hand.
-        width: Between the pads [m].
-        weight: Of the object [N].
-        friction: Between pads and object [-].
-    """
-    firm = np.full(len(width), 2 * friction * robot.grip_force)
-    code = np.full(len(width), FAMILIES.index(Family.PINCH))
-    none = np.zeros(len(width), np.int64)
-    return Grasps(code, width, firm, np.full(len(width), weight), (), none, np.arange(len(width)))
-
-
-def box_grasps(
-    robot: Robot, half: Float[np.ndarray, "3"], config: GraspConfig
-) -> tuple[Float[np.ndarray, "g 4 4"], Float[np.ndarray, " g"]]:
-    """Grasps of a rigid box about its center, in the box's frame (z up): from above and the sides.
-
-    Only directions across which the box fits between the fingers are kept.
-
-    Returns:
-        T_object_tool, and what the fingers then hold between them [m].
-    """
-    directions, closings = [], []
-    for pitch in np.radians((90.0, 60.0, 30.0, 0.0)):
-        for yaw in np.arange(config.rolls) * 2 * np.pi / config.rolls:
-            approach = np.array(
-                [np.cos(pitch) * np.cos(yaw), np.cos(pitch) * np.sin(yaw), -np.sin(pitch)]
-            )
-            level = np.array([-np.sin(yaw), np.cos(yaw), 0.0])
-            for closing in (level, -level):
-                directions.append(approach)
-                closings.append(closing)
-    approach, closing = np.array(directions), np.array(closings)
-    width = 2 * np.abs(closing) @ half
-    # A round thing of this box is as wide as the box's narrower side, whatever the direction.
-    width = np.minimum(width, 2 * float(half[:2].min()))
-    fits = width < robot.opening
-    approach, closing, width = approach[fits], closing[fits], width[fits]
-    # Come no deeper than the palm allows: hold near the top or the near side.
-    depth = np.maximum(np.abs(approach) @ half - 0.03, 0.0)
-    return grasp_frames(robot, -approach * depth[:, None], approach, closing), width

@@ -14,16 +14,11 @@ from momapos.kinematics.articulated import joint_motion
 from momapos.kinematics.hulls import Boxes, MovingBoxes
 from momapos.kinematics.opening import opening_of
 from momapos.manipulation.config import GraspConfig, MotionConfig
-from momapos.manipulation.grasps import (
-    Grasps,
-    box_grasps,
-    holding_grasps,
-    inside_grasps,
-    lifting_grasps,
-)
+from momapos.manipulation.grasps import Grasps, holding_grasps, inside_grasps
 from momapos.manipulation.handle_core import HandleKind
 from momapos.manipulation.handles import Handle, find_handle, handles_in_turn, lever_arms
-from momapos.manipulation.resistance import resistance_of, weight_of
+from momapos.manipulation.resistance import resistance_of
+from momapos.manipulation.rigid_grasps import holding_object
 from momapos.manipulation.task_boxes import held_elements, moving_boxes, static_boxes
 from momapos.manipulation.turning import Turning, no_turning, turning_about
 from momapos.robots.robot import Robot
@@ -310,14 +305,9 @@ def _rigid_motion(
             f"{robot.name} has no gripper, so it cannot {task.verb} {target.name!r}; its "
             "gripper_links name nothing beyond the arm's own links"
         )
-    T_object, half = _object_box(target)
-    Ts_object_tool, width = box_grasps(robot, half, config.grasps)
-    if len(Ts_object_tool) == 0:
-        size = " x ".join(f"{2 * h * 100:.0f}" for h in half)
-        raise TaskError(
-            f"{target.name!r} is {size} cm; the gripper of {robot.name} opens "
-            f"{robot.opening * 100:.1f} cm"
-        )
+    T_object = _upright_frame(target)
+    chosen = holding_object(robot, target, T_object, config.grasps, carried=task.verb == "place")
+    Ts_object_tool = chosen.Ts_part_tool
     lifts = np.linspace(0.0, LIFT, config.substeps + 1)
     Ts_world_object = np.tile(T_object, (len(lifts), 1, 1))
     Ts_world_object[:, 2, 3] += lifts
@@ -350,16 +340,14 @@ def _rigid_motion(
         value=value,
         grasped=grasped,
         labels=(*labels, *moving_labels),
-        grasps=lifting_grasps(
-            robot, width, weight_of(target.model, config.grasps.resistance), config.grasps.friction
-        ),
-        refusal="",
+        grasps=chosen.grasps,
+        refusal=chosen.reason,
         turning=no_turning(len(Ts)),
     )
 
 
-def _object_box(target: SceneObject) -> tuple[Float[np.ndarray, "4 4"], Float[np.ndarray, "3"]]:
-    """The upright box around a rigid object: its pose (turned as the object is) and half edges."""
+def _upright_frame(target: SceneObject) -> Float[np.ndarray, "4 4"]:
+    """A frame in the middle of a rigid object, z up and turned as the object is."""
     poses = target.link_poses()
     points = [
         hull.vertices @ T[:3, :3].T + T[:3, 3]
@@ -372,7 +360,6 @@ def _object_box(target: SceneObject) -> tuple[Float[np.ndarray, "4 4"], Float[np
     yaw = float(np.arctan2(x[1], x[0])) if np.hypot(x[0], x[1]) > 1e-6 else 0.0
     R = np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1.0]])
     local = np.concatenate(points) @ R
-    low, high = local.min(0), local.max(0)
     T = np.eye(4)
-    T[:3, :3], T[:3, 3] = R, R @ ((low + high) / 2)
-    return T, (high - low) / 2
+    T[:3, :3], T[:3, 3] = R, R @ ((local.min(0) + local.max(0)) / 2)
+    return T

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
@@ -74,7 +75,18 @@ def _mass(
     model: Articulated, joint: str, config: ResistanceConfig
 ) -> tuple[float, Float[np.ndarray, "3"]]:
     """Mass [kg] and center of mass of what a joint moves, in the frame of the moving link [m]."""
-    T_link = poses_in_part(model, joint, model.moved_by(joint))
+    return _mass_of_links(model, poses_in_part(model, joint, model.moved_by(joint)), config)
+
+
+def mass_of(model: Articulated, config: ResistanceConfig) -> tuple[float, Float[np.ndarray, "3"]]:
+    """Mass [kg] and center of mass [m] of a whole object at rest, in the frame of its root."""
+    return _mass_of_links(model, model.rest_poses, config)
+
+
+def _mass_of_links(
+    model: Articulated, T_link: Mapping[str, Float[np.ndarray, "4 4"]], config: ResistanceConfig
+) -> tuple[float, Float[np.ndarray, "3"]]:
+    """Mass [kg] and center of mass [m] of some links, in the frame of their poses."""
     volumes, centers = [], []
     for link, T in T_link.items():
         for hull in model.hulls[link]:
@@ -83,13 +95,6 @@ def _mass(
             centers.append(T[:3, :3] @ center + T[:3, 3])
     middle = np.average(centers, axis=0, weights=volumes) if sum(volumes) > 0 else np.zeros(3)
     return _clipped(sum(volumes), config), middle
-
-
-def weight_of(model: Articulated, config: ResistanceConfig) -> float:
-    """Weight of a whole object [N]."""
-    return GRAVITY * _clipped(
-        sum(_volume(hull)[0] for hulls in model.hulls.values() for hull in hulls), config
-    )
 
 
 def _clipped(volume: float, config: ResistanceConfig) -> float:
