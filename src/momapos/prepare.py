@@ -13,7 +13,6 @@ from momapos.config import PipelineConfig
 from momapos.geometry.polygons import inscribed_radius
 from momapos.kinematics.world import CollisionWorld, build_world
 from momapos.manipulation.feasibility import Feasibility, collision_free_grasps
-from momapos.manipulation.free_turn import FULL
 from momapos.manipulation.handles import Handle
 from momapos.manipulation.motion import (
     LIFT,
@@ -25,6 +24,7 @@ from momapos.manipulation.motion import (
 )
 from momapos.manipulation.task_boxes import room_boxes
 from momapos.manipulation.tasks import in_front_of_parts
+from momapos.manipulation.turning import FULL
 from momapos.navigation.cost_map import base_height, build_cost_map, floor_plan
 from momapos.navigation.footprint_map import NavigationMap
 from momapos.navigation.start import check_arm_at_home, check_base, find_start

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.manipulation.free_turn import FULL, fitted_bases
+from momapos.manipulation.free_turn import fitted_bases
 from momapos.manipulation.motion import TaskMotion
+from momapos.manipulation.turning import FULL
 from momapos.navigation.global_path import BasePath, plan_path
 from momapos.outcomes import PoseOutcome, PoseStatus
 from momapos.placement.place import AttemptPose, Problem, Search

@@ -13,10 +13,10 @@ from momapos.geometry.transforms import pose_planar
 from momapos.kinematics.opening import opening_of
 from momapos.kinematics.world import motion_checker
 from momapos.manipulation.feasibility import Feasibility, near_home
-from momapos.manipulation.free_turn import FULL
 from momapos.manipulation.motion import GraspFilter, task_motion, with_retreat
 from momapos.manipulation.planner import RESOLUTION, interpolate, plan_motion
 from momapos.manipulation.resistance import stays
+from momapos.manipulation.turning import FULL
 from momapos.outcomes import PoseOutcome, PoseStatus
 from momapos.placement.config import PlaceConfig
 from momapos.placement.holding import LEAST_SCORE, ScoreWays, scores_of_two_holds
