@@ -18,7 +18,7 @@ import time
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 
@@ -32,7 +32,7 @@ from momapos.kinematics.base_collision import base_hits
 from momapos.kinematics.collision import FREE
 from momapos.kinematics.urdf import box_urdf
 from momapos.manipulation.tasks import make_task
-from momapos.placement.config import Method, PlaceConfig
+from momapos.placement.config import PlaceConfig
 from momapos.protocols import ReachScorer
 from momapos.reachability.store import load_reach_map
 from momapos.robots.robot import Robot, load_robot
@@ -42,6 +42,7 @@ from momapos.scene.scene import Scene, SceneObject, upright_boxes
 from momapos.types import Task
 from momapos.verification.exact import PlanVerifier
 from placement import machine, shared
+from placers import METHODS
 
 ROOM = "Asset/Scene/Scene/b512.json"
 ROBOT = "ranger_rm63"
@@ -63,7 +64,6 @@ TASKS = {
     "open fridge": ("open", "Fridge", "doorR1_to_base_link"),
     "open microwave": ("open", MICROWAVE, "doorL0_to_base_link"),
 }
-METHODS = tuple(method for method in get_args(Method) if method != "exhaustive")
 PAPER = (  # task, method, time [s], cost [m], success [%]: the main table of Shao et al.
     ("grasp apple", "MoMa-Pos", "13.5 +- 2.0", "3.2 +- 1.2", 100),
     ("grasp apple", "Habitat", "17.3 +- 0.2", "3.0 +- 0.0", 100),

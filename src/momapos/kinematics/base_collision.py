@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
 
-class _Box(NamedTuple):
+class OrientedBox(NamedTuple):
     """An oriented box."""
 
     center: F1
@@ -23,8 +23,8 @@ class _Box(NamedTuple):
     half: F1
 
 
-class _Between(NamedTuple):
-    """Memory of `_separated`: a box as another sees it."""
+class BoxBetween(NamedTuple):
+    """Memory of `boxes_apart`: a box as another sees it."""
 
     offset: F1
     rotation: F2
@@ -32,7 +32,7 @@ class _Between(NamedTuple):
 
 
 @kernel
-def _separated(part, boxes, b, scratch):
+def boxes_apart(part, boxes, b, scratch):
     """Whether an oriented box and box b are apart (Gottschalk 1996: 15 axes)."""
     ca, Ra, ha = part
     cb, Rb, hb = boxes.center[b], boxes.rotation[b], boxes.half[b]
@@ -88,8 +88,8 @@ def _hit(
         radius[a] = np.hypot(tall[a, 0], tall[a, 1]) + clearance
         reach = max(reach, np.hypot(base_center[a, 0], base_center[a, 1]) + radius[a])
     c0, R0, h0 = np.empty(3), np.empty((3, 3)), np.empty(3)
-    part = _Box(c0, R0, h0)
-    scratch = _Between(np.empty(3), np.empty((3, 3)), np.empty((3, 3)))
+    part = OrientedBox(c0, R0, h0)
+    scratch = BoxBetween(np.empty(3), np.empty((3, 3)), np.empty((3, 3)))
     for n in range(len(bases)):
         x, y = bases[n, 0], bases[n, 1]
         cos, sin = np.cos(bases[n, 2]), np.sin(bases[n, 2])
@@ -116,7 +116,7 @@ def _hit(
                     R0[1, k] = sin * base_rotation[a, 0, k] + cos * base_rotation[a, 1, k]
                     R0[2, k] = base_rotation[a, 2, k]
                     h0[k] = base_half[a, k] + clearance
-                if not _separated(part, boxes, b, scratch):
+                if not boxes_apart(part, boxes, b, scratch):
                     out[n] = b
                     break
             if out[n] != FREE:

@@ -178,7 +178,7 @@ def _fill_buckets(
 
 
 @kernel
-def _any_filled(c, r, low, shape, filled):
+def any_filled(c, r, low, shape, filled):
     """Whether a bucket that the centers of a link's spheres can lie in lists a box."""
     i0 = min(max(int(np.floor((c[0] - r - low[0]) / CELL)), 0), shape[0])
     i1 = min(max(int(np.floor((c[0] + r - low[0]) / CELL)) + 1, 0), shape[0])
@@ -203,7 +203,7 @@ def _hit_static(R, p, bounds, spheres, world, margin):
     for g in range(len(segment)):
         if spheres.gripper[g] == KNOWN:
             continue
-        if not _any_filled(bounds[g], bound_radius[g], low, shape, world.filled):
+        if not any_filled(bounds[g], bound_radius[g], low, shape, world.filled):
             continue
         for s in range(start[g], start[g + 1]):
             m = moved(R, p, segment[g], center[s])

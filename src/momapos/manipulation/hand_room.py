@@ -16,7 +16,7 @@ import numpy as np
 
 from momapos.compiled import B1, F1, F2, F3, I1, entry, kernel
 from momapos.geometry.transforms import apply, invert
-from momapos.kinematics.base_collision import _Between, _Box, _separated
+from momapos.kinematics.base_collision import BoxBetween, OrientedBox, boxes_apart
 from momapos.kinematics.collision import (
     FINGER,
     FLOOR,
@@ -31,7 +31,7 @@ from momapos.kinematics.hulls import Boxes
 from momapos.kinematics.overlap import moved
 from momapos.kinematics.records import BoxArrays, SphereArrays, WorldArrays
 from momapos.kinematics.spheres import Spheres
-from momapos.kinematics.world import CELL, CollisionWorld, _any_filled
+from momapos.kinematics.world import CELL, CollisionWorld, any_filled
 from momapos.manipulation.hand import hand_of
 from momapos.manipulation.motion import TaskMotion
 from momapos.robots.robot import Robot
@@ -113,7 +113,7 @@ def _touches(g, b, hand, placed, query, memory):
         return True
     for k in range(hand.start[g], hand.start[g + 1]):
         _box_of(k, hand.spheres.segment[g], hand, placed, GAP, part)
-        if not _separated(part, query.boxes, b, between):
+        if not boxes_apart(part, query.boxes, b, between):
             return True
     return False
 
@@ -149,7 +149,7 @@ def _hits_static(hand, placed, query, memory, world, stamp):
     center, rotation, half = query.boxes
     low, shape = world.grid_origin, world.grid_shape
     for g in range(len(spheres.segment)):
-        if not _any_filled(placed.bounds[g], spheres.bound_radius[g], low, shape, world.filled):
+        if not any_filled(placed.bounds[g], spheres.bound_radius[g], low, shape, world.filled):
             continue
         mark = stamp * len(spheres.segment) + g
         for s in range(spheres.start[g], spheres.start[g + 1]):
@@ -186,8 +186,8 @@ def _hand_hits(
     out = np.empty(len(Ts), np.int64)
     placed = _Placed(np.empty((3, 3, 3)), np.empty((3, 3)), np.empty((len(hand.start) - 1, 3)))
     memory = (
-        _Box(np.empty(3), np.empty((3, 3)), np.empty(3)),
-        _Between(np.empty(3), np.empty((3, 3)), np.empty((3, 3))),
+        OrientedBox(np.empty(3), np.empty((3, 3)), np.empty(3)),
+        BoxBetween(np.empty(3), np.empty((3, 3)), np.empty((3, 3))),
     )
     cleared = np.full(len(world.center), -1)
     standing = BoxArrays(world.center, world.rotation, world.half)

@@ -128,7 +128,7 @@ def within_reach(
         left = np.flatnonzero(within)
         away = axis[left, None] - targets[some]
         within[left] = ((away**2).sum(-1) <= radius[some] ** 2).all(1)
-    return within & ~np.isnan(radius).any()
+    return within  # where a waypoint is out of reach at any distance, its radius is NaN
 
 
 def base_pose_status(
