@@ -59,7 +59,9 @@ def slipped(folder: Path) -> tuple[Outcome, list[Learned], float]:
 
     def way_home(q: np.ndarray, learned: Learned) -> np.ndarray:
         asked.append(learned)
-        return np.linspace(q, toy.robot.home, 60)
+        home = toy.robot.home
+        aside = np.concatenate([home[:1], q[1:]])  # off the handle before the arm folds
+        return np.concatenate([np.linspace(q, aside, 40), np.linspace(aside, home, 40)])
 
     came = attempt(toy.scene, toy.robot, BASE, toy.motion, toy.task, way_home=way_home, watch=watch)
     return came, asked, last[0]

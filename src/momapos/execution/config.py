@@ -118,9 +118,9 @@ class GripConfig:
     patience: float = 0.6
     """How long the hand waits for that after its fingers should be shut [s]."""
     pad_time: float = 0.005
-    """Time constant of the contact of a pad with a loose object [s]. The engine's contacts are the
-    softer the lighter what they touch: by its own value pads sink 6 mm into an apple, and it
-    creeps out of the hand."""
+    """Time constant of the contact of a pad with what it holds [s]. The engine's contacts are the
+    softer the lighter what they touch: by its own value pads sink 6 mm into an apple or into the
+    bar of a light door, and these creep out of the hand."""
     lost: float = 0.15
     """The hold is lost when neither side bears anything for this long [s]."""
     reach: float = 0.02

@@ -170,8 +170,7 @@ def build_simulation(
         for one, other in apart:
             spec.add_exclude(bodyname1=one, bodyname2=other)
         model = spec.compile()
-        if task.joint is None:
-            model.geom_solref[kinds_of(model) == Kind.PAD] = (config.gripper.pad_time, 1.0)
+        model.geom_solref[kinds_of(model) == Kind.PAD] = (config.gripper.pad_time, 1.0)
     except ValueError as error:
         raise InputError(
             f"the physics engine refuses the model of {robot.name} in {scene.name}: {error}"
