@@ -10,6 +10,7 @@ import pytest
 from momapos.kinematics.chain import Chain
 from momapos.kinematics.ik import build_ik
 from momapos.reachability.arm_axes import arm_frame
+from momapos.reachability.base_contact import standing_table
 from momapos.reachability.construct import _Evaluator
 from momapos.reachability.map import ReachConfig
 from momapos.reachability.samples import HALVINGS, locked_samples
@@ -76,3 +77,16 @@ def test_nearby_bearings_are_those_of_neighbors_and_beside_them() -> None:
     for at in [(1, 2, 3, 3), (0, 2, 3, 3), (2, 2, 3, 3), (1, 3, 3, 3), (1, 2, 4, 3), (1, 2, 3, 2)]:
         assert found[at] == bits
     assert np.count_nonzero(found) == 9
+
+
+def test_spheres_that_stick_out_touch_no_more_of_the_base_where_hulls_decide() -> None:
+    """As beside a shoulder, where links pass so closely by the base that spheres always touch."""
+    robot = load_robot("husky_ur5e")
+    fine = replace(robot.spheres, base_exact=np.zeros_like(robot.spheres.base_exact))
+    coarse = replace(fine, radius=fine.radius + 0.014, base_exact=fine.base_pairs)
+    first = arm_frame(robot.chain, robot.approach_axis).first
+    touched = [
+        np.bitwise_count(standing_table(spheres, robot.chain.d, first).words).sum()
+        for spheres in (fine, coarse)
+    ]
+    assert 0 < touched[1] < touched[0]

@@ -15,7 +15,7 @@ from momapos.kinematics.ik import build_ik
 from momapos.kinematics.spheres import Spheres
 from momapos.reachability import ReachConfig, ReachMap, build_map, evaluate
 from momapos.reachability.aim import ALL, TURNS, LineGrid, aim_all, lines_of
-from momapos.reachability.arm_axes import arm_frame, no_map
+from momapos.reachability.arm_axes import arm_frame, is_flooded, no_map
 from momapos.reachability.evaluation import poses_near_reach
 from momapos.reachability.general import _aimed
 from momapos.reachability.map import OUTSIDE
@@ -181,3 +181,20 @@ def test_an_arm_of_few_joints_has_no_map(robot: Robot) -> None:
     short = replace(robot)
     short.__dict__["_parts"] = (replace(chain, names=chain.names[:5]), segments)
     assert "5 degrees of freedom" in no_map(short)
+
+
+def test_an_arm_without_closed_form_has_a_map_that_agrees_with_inverse_kinematics() -> None:
+    robot = load_robot("husky_ur5e")
+    chain, segments = robot._parts
+    bent = chain.d.copy()
+    bent[5] += (0.03, 0.02, 0.01)
+    other = replace(robot)
+    other.__dict__["_parts"] = (replace(chain, d=bent), segments)
+    other.__dict__["spheres"] = robot.spheres
+    frame = arm_frame(other.chain, other.approach_axis)
+    assert frame.turns_alike
+    assert is_flooded(other, frame)
+    found = evaluate(build_map(other, COARSE), other, np.random.default_rng(0), 500, near=True)
+    assert 0.2 < found.reachable < 0.9
+    assert found.misses < 0.08
+    assert found.false_positives < 0.15

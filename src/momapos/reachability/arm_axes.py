@@ -10,6 +10,7 @@ import numpy as np
 from momapos.errors import RobotError
 from momapos.geometry.transforms import orthonormal
 from momapos.kinematics.chain import Chain
+from momapos.kinematics.closed_forms import NUMERIC
 from momapos.robots.robot import Robot
 
 if TYPE_CHECKING:
@@ -48,6 +49,15 @@ def no_map(robot: Robot) -> str:
             "exactly"
         )
     return ""
+
+
+def is_flooded(robot: Robot, frame: ArmAxes) -> bool:
+    """Whether a map is flooded from arm states, and not asked of inverse kinematics line by line.
+
+    That takes a first joint whose turn turns all else, and all branches of a solution: steps from
+    seeds find some.
+    """
+    return not frame.turns_alike or robot.ik.kind == NUMERIC
 
 
 def arm_frame(chain: Chain, approach_axis: Float[np.ndarray, "3"]) -> ArmAxes:

@@ -25,6 +25,9 @@ CELL = 0.02
 """Edge of a cell of the table [m]."""
 RADIUS_STEP = 0.002
 """Radii are rounded to this, so that spheres share tables [m]."""
+COARSE = 0.02
+"""So far spheres of an arm may stick out of its links: where hulls decide about a pair of links,
+spheres touch when they would without it [m]."""
 
 
 class StandingTable(NamedTuple):
@@ -159,17 +162,20 @@ def standing_table(spheres: Spheres, d: np.ndarray, first: int) -> StandingTable
     radii = RADIUS_STEP * np.round(spheres.radius / RADIUS_STEP)
     axis = np.append(d[: first + 1, :2].sum(0), 0.0)
     kind = np.full((first + 1, len(radii)), -1, np.int64)
-    classes: dict[tuple[int, bytes, float], int] = {}
+    classes: dict[tuple[int, bytes, bytes, float], int] = {}
     shapes: list[tuple[tuple[np.ndarray, ...], float]] = []
     for body in range(first + 1):
-        parts, matters = _body(spheres, body, d[:body, :2].sum(0))
+        parts, matters, exact = _body(spheres, body, d[:body, :2].sum(0))
         for s in np.flatnonzero(spheres.segment[group] > first):
-            if matters[group[s]].any():
-                name = (body, matters[group[s]].tobytes(), float(radii[s]))
+            g, radius = group[s], float(radii[s])
+            if matters[g].any():
+                name = (body, matters[g].tobytes(), exact[g].tobytes(), radius)
                 if name not in classes:
                     classes[name] = len(shapes)
-                    keep = np.flatnonzero(matters[group[s]])
-                    shapes.append((tuple(part[keep] for part in parts), float(radii[s])))
+                    keep = np.flatnonzero(matters[g])
+                    center, rotation, half, grown = (part[keep] for part in parts)
+                    grown = np.maximum(grown - COARSE * exact[g, keep], -radius)
+                    shapes.append(((center, rotation, half, grown), radius))
                 kind[body, s] = classes[name]
     if not shapes:
         return StandingTable(np.zeros((1, 1, 1, PHASES), np.uint64), 0.0, kind)
@@ -186,20 +192,25 @@ def standing_table(spheres: Spheres, d: np.ndarray, first: int) -> StandingTable
     return StandingTable(words, low, kind)
 
 
-def _body(spheres: Spheres, body: int, xy: np.ndarray) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
-    """A body as rounded boxes, and which of them count for each group (groups, boxes).
+def _body(
+    spheres: Spheres, body: int, xy: np.ndarray
+) -> tuple[tuple[np.ndarray, ...], np.ndarray, np.ndarray]:
+    """A body as rounded boxes, which of them count for each group, and for which of these hulls
+    decide (groups, boxes).
 
     For the base its boxes; for others their spheres, with the joint at height 0.
     """
     if body == 0:
         base = spheres.base
-        return (base.center, base.rotation, base.half, np.zeros(len(base))), spheres.base_pairs
+        boxes = (base.center, base.rotation, base.half, np.zeros(len(base)))
+        return boxes, spheres.base_pairs, spheres.base_exact
     group = np.repeat(np.arange(len(spheres.segment)), np.diff(spheres.start))
     own = np.flatnonzero(spheres.segment[group] == body)
-    paired = np.zeros((len(spheres.segment),) * 2, bool)
-    paired[spheres.pairs[:, 0], spheres.pairs[:, 1]] = True
-    matters = (paired | paired.T)[:, group[own]]
+    paired = np.zeros((2, len(spheres.segment), len(spheres.segment)), bool)
+    paired[0, spheres.pairs[:, 0], spheres.pairs[:, 1]] = True
+    paired[1, spheres.pairs[:, 0], spheres.pairs[:, 1]] = spheres.exact
+    matters, exact = (paired | paired.transpose(0, 2, 1))[:, :, group[own]]
     center = spheres.center[own] + np.append(xy, 0.0)
     rotation = np.tile(np.eye(3), (len(own), 1, 1))
     boxes = (center, rotation, np.zeros((len(own), 3)), spheres.radius[own])
-    return boxes, matters
+    return boxes, matters, exact

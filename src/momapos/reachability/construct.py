@@ -15,7 +15,7 @@ from momapos.kinematics.hulls import Boxes
 from momapos.kinematics.ik_model import bounded
 from momapos.kinematics.records import ArmArrays, SphereArrays
 from momapos.kinematics.spheres import Spheres
-from momapos.reachability.arm_axes import ArmAxes, arm_frame
+from momapos.reachability.arm_axes import ArmAxes, arm_frame, is_flooded
 from momapos.reachability.base_contact import BEARINGS, standing_table
 from momapos.reachability.build import EVERY, Arm, Tool, line_masks
 from momapos.reachability.general import flooded_map
@@ -53,7 +53,7 @@ def default_config(robot: Robot) -> ReachConfig:
     An arm of several meters has larger cells, so that the map keeps within `MAX_VALUES`.
     """
     frame = arm_frame(robot.chain, robot.approach_axis)
-    if not frame.turns_alike:
+    if is_flooded(robot, frame):
         config = ReachConfig(cell=0.05, directions=13, threshold=-1.75)
     elif robot.chain.size > 6:
         config = ReachConfig(cell=0.05, directions=13, spins=2, threshold=0.0)
@@ -84,13 +84,14 @@ def build_map(
     chain = robot.chain
     frame = arm_frame(chain, robot.approach_axis)
     low, shape = _grid(_extent(chain, frame), config)
-    count = _value_count(shape, frame)
+    floods = is_flooded(robot, frame)
+    count = _value_count(shape, floods)
     if count > MAX_VALUES:
         raise RobotError(
             f"reach: cells of {config.cell:g} m make a map of {count:,} values, more than "
             f"{MAX_VALUES:,}; choose larger cells or fewer directions"
         )
-    if not frame.turns_alike:
+    if floods:
         return flooded_map(robot, frame, (low, shape), config, progress or silent, key)
     evaluate = _Evaluator(robot, frame, config, progress or silent)
     zs, rs, us, vs = grid_points(shape, low, config.cell)
@@ -158,22 +159,22 @@ def _grid(extent: Extent, config: ReachConfig) -> tuple[float, tuple[int, int, i
     return low, (nz, nr, config.directions, config.directions, config.azimuths)
 
 
-def _value_count(shape: tuple[int, ...], frame: ArmAxes) -> int:
+def _value_count(shape: tuple[int, ...], floods: bool) -> int:
     """Values of a map; of one that is flooded, those of all turns of the tool."""
-    return math.prod(shape) * (1 if frame.turns_alike else TOLD_APART)
+    return math.prod(shape) * (TOLD_APART if floods else 1)
 
 
 def _within_memory(robot: Robot, frame: ArmAxes, config: ReachConfig) -> ReachConfig:
     """The same resolution with cells so large that the map has no more than `MAX_VALUES`."""
-    chain, first = robot.chain, frame.first
+    chain, first, floods = robot.chain, frame.first, is_flooded(robot, frame)
     below = chain.middle[:first] @ chain.h[:first], chain.half_travel[:first].sum()
     far = robot.reach + float(np.linalg.norm(frame.tool[3]) + np.linalg.norm(below[0]) + below[1])
     height = float(chain.d[: first + 1, 2].sum())
     # The sum of all lengths is no less than the extent, which takes many states to tell.
-    if _value_count(_grid((height - far, height + far, far), config)[1], frame) <= MAX_VALUES:
+    if _value_count(_grid((height - far, height + far, far), config)[1], floods) <= MAX_VALUES:
         return config
     extent = _extent(chain, frame)
-    while (count := _value_count(_grid(extent, config)[1], frame)) > MAX_VALUES:
+    while (count := _value_count(_grid(extent, config)[1], floods)) > MAX_VALUES:
         config = replace(config, cell=config.cell * max(1.01, math.sqrt(count / MAX_VALUES)))
     return config
 

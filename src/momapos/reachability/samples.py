@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 
 from momapos.kinematics.chain import Chain
-from momapos.kinematics.closed_forms import NUMERIC
 from momapos.kinematics.ik import IkModel, build_ik, ik_arrays
 from momapos.kinematics.records import IkArrays
 from momapos.reachability.arm_axes import ArmAxes
@@ -39,11 +38,10 @@ def locked_samples(chain: Chain, frame: ArmAxes, count: int, heights: int) -> Sa
     first = frame.first
     # That many values of a turning joint give `heights` of a torso.
     ik = build_ik(chain, samples_per_joint=2 * heights - 1)
-    if ik.kind == NUMERIC or first in ik.active:
-        ik = build_ik(chain, samples_per_joint=count)
-        # One solution is enough for a map: seeds are left to arms that have nothing else.
-        ik = ik if ik.kind == NUMERIC else replace(ik, tries=0)
-        zero = np.zeros(len(ik.samples) + ik.tries, np.int64)
+    if first in ik.active:
+        # One solution is enough for a map: no seeds are tried.
+        ik = replace(build_ik(chain, samples_per_joint=count), tries=0)
+        zero = np.zeros(len(ik.samples), np.int64)
         return ik_arrays(ik), ShoulderSamples(zero.astype(np.uint64), zero, zero)
     values = count << HALVINGS
     # Straight ahead is 0; the spacing at which a value is the first to be tried tells its turn.

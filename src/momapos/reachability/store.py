@@ -18,7 +18,7 @@ import numpy as np
 from momapos.cache import Cache, content_key, default_cache_dir
 from momapos.errors import FileFormatError
 from momapos.files import read_bytes_bounded
-from momapos.reachability.arm_axes import arm_frame, no_map
+from momapos.reachability.arm_axes import arm_frame, is_flooded, no_map
 from momapos.reachability.arm_length import ArmLength, arm_length
 from momapos.reachability.construct import build_map, default_config
 from momapos.reachability.map import MAX_VALUES, ReachConfig, ReachMap
@@ -64,7 +64,7 @@ def map_key(robot: Robot, config: ReachConfig) -> str:
     # A micrometer more or less is another machine's rounding, not another robot.
     rounded = (np.round(a, 6) + 0.0 if a.dtype.kind == "f" else a for a in arrays)
     settings = asdict(config)
-    if arm_frame(chain, robot.approach_axis).turns_alike:
+    if not is_flooded(robot, arm_frame(chain, robot.approach_axis)):
         del settings["states"]
     return content_key("reach", VERSION, sorted(settings.items()), *rounded)
 
