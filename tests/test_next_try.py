@@ -161,4 +161,4 @@ def test_base_poses_of_an_arm_of_few_joints_are_answered(kitchen: Scene) -> None
         for pose in ((0.4, -1.3, np.pi), (0.7, -1.0, np.pi))
     )
     assert there.motion is not None
-    assert beside.reason == "out of reach at waypoint 1"
+    assert beside.reason == "out of reach at the pre-grasp"

@@ -39,7 +39,10 @@ KINDS = (
     ),
     MarkerKind(
         "out of reach",
-        (_S.OUT_OF_REACH, _S.OUT_OF_REACH_ANYWHERE, _S.WAYPOINT_OUT_OF_REACH, _S.NO_GRASP_IN_REACH),
+        (
+            _S.OUT_OF_REACH, _S.TOO_FEW_JOINTS, _S.OUT_OF_REACH_ANYWHERE,
+            _S.WAYPOINT_OUT_OF_REACH, _S.NO_GRASP_IN_REACH,
+        ),
         "#4f6d8f", "o",
     ),
     MarkerKind("not tried", (_S.NOT_TRIED, _S.PATH_FOUND), "#6f7a83", ".", size=2.8),
