@@ -194,16 +194,16 @@ def _answer(
     from momapos.smaller_opening import smaller_opening
 
     cache = user_cache()
-    arms = load_arms(options.robot, options.arm, cache=cache)
     scene = set_joints(load_scene(scene_name, cache=cache), options.joint)
     for warning in scene.warnings:
         print(f"momapos: {warning}", file=sys.stderr)
     task = make_task(scene, verb, name, joint or None, to)
+    walks = (*RANK, *WALKS) if config.ranking.scorer == "deepwalk" else ()
+    compile_once(tuple(dict.fromkeys((*ANSWER, *walks))))
+    arms = load_arms(options.robot, options.arm, cache=cache)
     with progress(f"reachability map of {arms[0].name}") as report:
         maps = [load_reach(robot, cache.folder, report) for robot in arms]
     begin = None if start is None else np.array(start)
-    walks = (*RANK, *WALKS) if config.ranking.scorer == "deepwalk" else ()
-    compile_once(tuple(dict.fromkeys((*ANSWER, *walks))))
 
     def ask(robot: Robot, reach: ReachMap | ArmLength) -> PlacementResult:
         if at is None:
