@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 from numba.core import ir, types
@@ -46,7 +47,7 @@ class _Lower(Lower):
         self.context = self._counting
 
 
-def _borrowed(blocks: dict[int, Any], kinds: Any) -> set[str]:
+def _borrowed(blocks: Mapping[int, Any], kinds: Any) -> set[str]:
     """The variables that hold nothing but arguments, and views and members of these."""
     values: dict[str, list[Any]] = {}
     returned = set()

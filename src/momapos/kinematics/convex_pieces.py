@@ -104,8 +104,8 @@ def pieces_of(geometry: Geometry, hull: Hull) -> tuple[Hull, ...]:
     if geometry.kind != "mesh":
         return (hull,)
     assert geometry.mesh is not None
-    triangles = mesh_triangles(geometry.mesh) * np.array(geometry.size)
-    pieces = convex_pieces(apply(geometry.T_link_geometry, triangles))
+    corners = (mesh_triangles(geometry.mesh) * np.array(geometry.size)).reshape(-1, 3)
+    pieces = convex_pieces(apply(geometry.T_link_geometry, corners).reshape(-1, 3, 3))
     if len(pieces) == 1:
         return (hull,)
     return tuple(hull_around(points, hull.name) for points in pieces)
