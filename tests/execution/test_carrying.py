@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -81,14 +80,8 @@ def felt(force: np.ndarray, torque: np.ndarray) -> Touch:
     return Touch(force, torque, (0.0, 0.0), np.zeros(0))
 
 
-def payload() -> Payload:
-    """Of a robot without joints."""
-    world: Any = SimpleNamespace(model=SimpleNamespace(nv=0))
-    return Payload(world, 0.15, STEP)
-
-
 def test_the_hand_gives_way_to_a_push_and_not_to_the_weight_that_it_carries() -> None:
-    load, torque = payload(), np.array([0.1, -0.2, 0.0])
+    load, torque = Payload(0.15, STEP), np.array([0.1, -0.2, 0.0])
     for _ in range(500):
         beside = load.see(felt(WEIGHT, torque), carried=True)
     np.testing.assert_allclose(beside.force, 0.0, atol=1e-3)
@@ -100,7 +93,7 @@ def test_the_hand_gives_way_to_a_push_and_not_to_the_weight_that_it_carries() ->
 
 
 def test_what_pushes_up_is_no_weight_and_a_hand_that_let_go_carries_none() -> None:
-    load = payload()
+    load = Payload(0.15, STEP)
     for _ in range(500):
         beside = load.see(felt(-WEIGHT, np.ones(3)), carried=True)
     np.testing.assert_allclose(beside.force, -WEIGHT)

@@ -23,11 +23,10 @@ class Payload:
     takes its weight away, and never adds to it.
     """
 
-    def __init__(self, world: Simulation, filter_time: float, step: float) -> None:
+    def __init__(self, filter_time: float, step: float) -> None:
         """`filter_time` is that of the low-pass filter of the weight [s]."""
-        self._world, self._share = world, step / (filter_time + step)
+        self._share = step / (filter_time + step)
         self._felt, self._carried = np.zeros(6), False
-        self._jacobian = np.zeros((6, world.model.nv))
 
     def see(self, touch: Touch, *, carried: bool) -> Touch:
         """Take in what the hand feels.
@@ -56,12 +55,11 @@ class Payload:
             down[2:] = self._felt[2:]
         return down
 
-    def lead(self) -> Float[np.ndarray, " n"]:
+    def lead(self, world: Simulation) -> Float[np.ndarray, " n"]:
         """How far the set-points of the arm's motors lead, so that they bear it [rad] or [m]."""
-        world = self._world
         if not self._carried:
             return np.zeros(len(world.arm_v))
-        J = self._jacobian
+        J = np.zeros((6, world.model.nv))
         mujoco.mj_jacBody(world.model, world.data, J[:3], J[3:], world.tool_body)
         load = self.weight @ J[:, world.arm_v]
         return np.asarray(-load / world.model.actuator_gainprm[world.arm_motor, 0])

@@ -96,7 +96,7 @@ class ExecutionRun:
         self.first = world.T_world_part
         self.arm = CompliantArm(world, config.compliance, self.step)
         self.surroundings = Surroundings(known, config.compliance)
-        self.payload = Payload(world, config.compliance.weight_time, self.step)
+        self.payload = Payload(config.compliance.weight_time, self.step)
         self.estimate: JointEstimate | None = None
         self.touch = feel(world)
         self.held, self.strained, self.unloaded = False, 0, 0
@@ -167,7 +167,7 @@ class ExecutionRun:
         """Let one step of the controller pass; why the run ends with it, if it does."""
         world, w = self.world, self.config.control.bandwidth
         # The motors push in proportion to the error; this lead makes them follow without lag.
-        lead = 2 / w * self.arm.v + self.arm.a / w**2 + self.payload.lead()
+        lead = 2 / w * self.arm.v + self.arm.a / w**2 + self.payload.lead(self.world)
         world.data.ctrl[world.arm_motor] = self.arm.q + lead
         if self.seal.outward:
             value = float(world.data.qpos[world.part_q])
