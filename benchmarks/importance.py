@@ -79,7 +79,8 @@ def noise(scene: Scene, target: str) -> str:
     """Standard deviation of deepwalk's scores over seeds, and how many change sides at alpha."""
     if len(scene.objects) > 100:
         return "-"
-    runs = [rank(scene, target, seed=seed) for seed in range(SEEDS)]
+    walks = ImportanceConfig(scorer="deepwalk")
+    runs = [rank(scene, target, walks, seed=seed) for seed in range(SEEDS)]
     scores = np.array([[run.score(name) for name in run.graph.names] for run in runs])
     mean, alpha = scores.mean(0), runs[0].alpha
     related = mean > 1e-3
