@@ -154,7 +154,7 @@ class Store:
 def _no_collector() -> Iterator[None]:
     """Keep Python from looking for dead cycles among numba's many objects.
 
-    It takes a seventh of the time of compiling; without it an answer's kernels take 600 MB.
+    It takes a tenth of the time of compiling; without it an answer's kernels take 600 MB.
     """
     enabled = gc.isenabled()
     gc.disable()

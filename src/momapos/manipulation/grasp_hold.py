@@ -217,8 +217,7 @@ def pinch_capacity(
     """
     along = np.abs(lean)
     across = np.sqrt(np.maximum(0.0, 1.0 - along**2))
-    by_friction = 2 * friction * force / np.maximum(across + friction * along, 1e-9)
-    return np.minimum(by_friction, force / np.maximum(along, 1e-9))
+    return _transmitted(force, friction, across, along)
 
 
 def lifting_capacity(
@@ -254,5 +253,15 @@ def lifting_capacity(
         across * (1.0 + 2.0 * aside)[:, None],
         turning / np.maximum(contact.spread, 1e-6)[:, None],
     )
+    return np.asarray(_transmitted(force, friction, shear, along).min(1))
+
+
+def _transmitted(
+    force: float,
+    friction: float,
+    shear: Float[np.ndarray, " *batch"],
+    along: Float[np.ndarray, " *batch"],
+) -> Float[np.ndarray, " *batch"]:
+    """What two pads transmit of a load of which shares shear them and press on one of them [N]."""
     by_friction = 2 * friction * force / np.maximum(shear + friction * along, 1e-9)
-    return np.asarray(np.minimum(by_friction, force / np.maximum(along, 1e-9)).min(1))
+    return np.minimum(by_friction, force / np.maximum(along, 1e-9))

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 _LINES = 1_000_000
 """Apart from each other by more than the lines onto one handle [-]."""
-ENOUGH = 2.5
+_ENOUGH = 2.5
 """Grasps that transmit more times what is needed are as good as each other [-]."""
 
 
@@ -194,8 +194,7 @@ def _ordered(
     capacity = np.concatenate([g.capacity for g in parts])
     handle = np.repeat(np.arange(len(parts)), [len(g.code) for g in parts])
     plain = np.concatenate([g.plainness for g in parts])
-    firm = np.minimum(capacity / np.maximum(need, 1e-9), ENOUGH)
-    order = np.lexsort((plain, -np.floor(2 * firm), handle))
+    order = firmest_first(capacity, need, plain, handle)
     grasps = Grasps(
         np.concatenate([g.code for g in parts]), np.concatenate([g.width for g in parts]),
         capacity, need, tuple(h for h, _ in found), handle,
@@ -203,6 +202,17 @@ def _ordered(
     )  # fmt: skip
     Ts = np.concatenate([g.Ts_part_tool for g in parts])
     return Chosen(Ts[order], grasps.take(order), reason, passed_over)
+
+
+def firmest_first(
+    capacity: Float[np.ndarray, " g"],
+    need: Float[np.ndarray, " g"],
+    plainness: Float[np.ndarray, " g"],
+    handle: Int[np.ndarray, " g"],
+) -> Int[np.ndarray, " g"]:
+    """The order in which grasps are tried: by handle, then the firmest, of those the plainest."""
+    firm = np.minimum(capacity / np.maximum(need, 1e-9), _ENOUGH)
+    return np.lexsort((plainness, -np.floor(2 * firm), handle))
 
 
 def inside_grasps(

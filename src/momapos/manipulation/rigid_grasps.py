@@ -18,7 +18,7 @@ from momapos.manipulation.grasp_hold import (
     lifting_capacity,
     stands_clear,
 )
-from momapos.manipulation.grasps import ENOUGH, Chosen, Grasps
+from momapos.manipulation.grasps import Chosen, Grasps, firmest_first
 from momapos.manipulation.hand import Hand, hand_of
 from momapos.manipulation.handle_shapes import Element, corners
 from momapos.manipulation.part_grasps import BITE, FAMILIES, Family, grasp_frames, poses_of
@@ -274,11 +274,10 @@ def _ordered(
     strong: Bool[np.ndarray, " g"],
 ) -> Chosen:
     """Those that are strong, the firmest first, and of those the plainest."""
-    firm = np.minimum(capacity / need, ENOUGH)
-    order = np.lexsort((plain, -np.floor(2 * firm)))
+    every, none = np.full(len(capacity), need), np.zeros(len(capacity), np.int64)
+    order = firmest_first(capacity, every, plain, none)
     order = order[strong[order]]
-    needed, none = np.full(len(order), need), np.zeros(len(order), np.int64)
-    grasps = Grasps(code[order], width[order], capacity[order], needed, (), none, line[order])
+    grasps = Grasps(code, width, capacity, every, (), none, line).take(order)
     return Chosen(np.ascontiguousarray(Ts[order]), grasps, "", "")
 
 
