@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import _thread
 import signal
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
-from typing import NoReturn
 
 from momapos.errors import InputError
 
 SECONDS, MEMORY = 60.0, 2_000_000_000
 """Processor time [s] and memory [bytes] that looking at a robot may take."""
+_PERIOD = 0.05
+"""How often the processor's time is looked at [s]."""
 
 
 class _TooLong(BaseException):
@@ -21,7 +24,7 @@ class _TooLong(BaseException):
 
 @contextmanager
 def within_bounds(what: str, seconds: float = SECONDS, memory: int = MEMORY) -> Iterator[None]:
-    """Do work within bounds, where the system can watch them and no other thread asks.
+    """Do work within bounds, where the system can set them and no other thread asks.
 
     Args:
         what: Begins the message.
@@ -32,29 +35,43 @@ def within_bounds(what: str, seconds: float = SECONDS, memory: int = MEMORY) -> 
         InputError: The work takes more.
     """
     alone = threading.current_thread() is threading.main_thread()
-    if not (alone and hasattr(signal, "setitimer")):
+    if not (alone and hasattr(signal, "SIGPROF")):
         yield
         return
     import resource
 
+    done = threading.Event()
+
+    def stop(_signal: int, _frame: FrameType | None) -> None:
+        if not done.is_set():
+            raise _TooLong
+
+    # A thread, not a timer of the system: signals may be blocked where a program is started, and a
+    # timer asks once, which is once too few where the exception is raised in a destructor.
+    watch = threading.Thread(target=_watch, args=(time.process_time() + seconds, done), daemon=True)
     limits = resource.getrlimit(resource.RLIMIT_DATA)
     least = memory if limits[1] == resource.RLIM_INFINITY else min(memory, limits[1])
-    before = signal.signal(signal.SIGPROF, _stop)
+    before = signal.signal(signal.SIGPROF, stop)
     try:
+        watch.start()
         resource.setrlimit(resource.RLIMIT_DATA, (least, limits[1]))
-        signal.setitimer(signal.ITIMER_PROF, seconds)
         yield
     except _TooLong:
+        done.set()
         more = f"{seconds:g} s of processor time"
         raise InputError(f"{what} takes more than {more}; give simpler shapes") from None
     except MemoryError:
         more = f"{memory / 1e9:g} GB of memory"
         raise InputError(f"{what} takes more than {more}; give simpler shapes") from None
     finally:
-        signal.setitimer(signal.ITIMER_PROF, 0.0)
-        signal.signal(signal.SIGPROF, before)
+        done.set()
         resource.setrlimit(resource.RLIMIT_DATA, limits)
+        watch.join()
+        signal.signal(signal.SIGPROF, before)
 
 
-def _stop(_signal: int, _frame: FrameType | None) -> NoReturn:
-    raise _TooLong
+def _watch(until: float, done: threading.Event) -> None:
+    """Interrupt the main thread from a processor time on, until its work is done."""
+    while not done.wait(_PERIOD):
+        if time.process_time() > until:
+            _thread.interrupt_main(signal.SIGPROF)
