@@ -111,12 +111,11 @@ def _run(args: list[str]) -> int:
         if rest[0] not in function:
             raise unknown_name("command", rest[0], function, prog)
         function, prog, rest = function[rest[0]], f"{prog} {rest[0]}", rest[1:]
-    import tyro
+    from momapos.cli.parse import parse
 
     command = _load(function)
     rules = getattr(sys.modules[command.__module__], "tyro_rules", None)
-    registry = None if rules is None else rules(rest)
-    return int(tyro.cli(command, args=rest, prog=prog, registry=registry))
+    return parse(command, rest, prog, None if rules is None else rules(rest))()
 
 
 def _load(function: str) -> Callable[..., int]:
