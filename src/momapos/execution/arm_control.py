@@ -67,6 +67,10 @@ def twist_between(
     return np.concatenate([other[:3, 3] - T[:3, 3], turn])
 
 
+EVERYWHERE = np.eye(3)
+"""Projects on all directions."""
+
+
 @dataclass(frozen=True, eq=False)
 class Reference:
     """Where the arm should be at one step."""

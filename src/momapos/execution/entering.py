@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.execution.approach import PacedTrajectory
-from momapos.execution.arm_control import Reference
+from momapos.execution.arm_control import EVERYWHERE, Reference
 from momapos.execution.avoidance import LOOK, Bounds
 from momapos.execution.config import Ending, Stage
 
@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
     from momapos.execution.stages import ExecutionRun
-
-_ALL = np.eye(3)
 
 
 def come_in(run: ExecutionRun, way: PacedTrajectory) -> Ending | None:
@@ -59,14 +57,14 @@ def reach_on(run: ExecutionRun, q: Float[np.ndarray, " n"]) -> Ending | None:
     compliance = run.config.compliance
     T, _ = run.arm.kinematics.at(run.world.data.qpos[run.world.arm_q])
     ahead, still = T[:3, :3] @ run.world.hand.approach, np.zeros(len(q))
-    loose, gone, sign = _ALL - np.outer(ahead, ahead), 0.0, 1.0
+    loose, gone, sign = EVERYWHERE - np.outer(ahead, ahead), 0.0, 1.0
     speed, most = compliance.near_speed / 2, compliance.search
     while sign > 0 or gone > most:
         gone += sign * speed * run.step
         there = T.copy()
         there[:3, 3] += gone * ahead
         twist = np.concatenate([sign * speed * ahead, np.zeros(3)])
-        run.arm.follow(Reference(q, still, there, twist, _ALL, loose))
+        run.arm.follow(Reference(q, still, there, twist, EVERYWHERE, loose))
         ending = run.tick(Stage.GRIP)
         if ending is not None:
             return ending
@@ -109,8 +107,8 @@ def _go_along(
         run.arm.go(q, v, a)
         return T
     ahead = T[:3, :3] @ run.world.hand.approach
-    loose = _ALL - np.outer(ahead, ahead) if stiff else _ALL
-    run.arm.follow(Reference(q, v, run.beside(T), J @ v, _ALL, loose, bounds=bounds))
+    loose = EVERYWHERE - np.outer(ahead, ahead) if stiff else EVERYWHERE
+    run.arm.follow(Reference(q, v, run.beside(T), J @ v, EVERYWHERE, loose, bounds=bounds))
     return T
 
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.execution.arm_control import Reference, twist_between
+from momapos.execution.arm_control import EVERYWHERE, Reference, twist_between
 from momapos.execution.avoidance import LOOK, Bounds
 from momapos.execution.config import Ending, Stage
 from momapos.execution.joint_estimate import JointEstimate, Learned
@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
     from momapos.execution.stages import Belief, ExecutionRun, Stretch
-
-_ALL = np.eye(3)
 
 
 def follow_part(
@@ -58,7 +56,7 @@ def follow_part(
         here, _ = run.arm.kinematics.at(run.world.data.qpos[run.world.arm_q])
         estimate.see(here[:3, 3])
         way = estimate.axis.way_at(here[:3, 3])
-        across = _ALL - np.outer(way, way)
+        across = EVERYWHERE - np.outer(way, way)
         twist = twist_between(T, after) / run.step
         run.arm.follow(
             Reference(plan.q[k], plan.v[k], T, twist, across, across, here[:3, 3], bounds)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.execution.approach import PacedTrajectory, paced
-from momapos.execution.arm_control import Reference
+from momapos.execution.arm_control import EVERYWHERE, Reference
 from momapos.execution.config import Ending, Stage
 from momapos.execution.entering import go_back
 from momapos.robots.robot import Robot
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 WayHome: TypeAlias = "Callable[[Float[np.ndarray, ' n'], Learned], Float[np.ndarray, 'k n'] | None]"
 """Plans the arm's states from one back to home, with the part where it was left; None where it
 finds no way."""
-_ALL = np.eye(3)
 _MORE = 1.2
 """On its way back the arm stops where it bears so many times more than when it let go [-]."""
 _ARRIVED = 0.05
@@ -82,7 +81,7 @@ def _draw_back(run: ExecutionRun, value: float) -> Ending | None:
         T = T.copy()
         T[:3, 3] += run.step * twist[:3]
         bounds = run.surroundings.bounds(run.arm.q, value)
-        run.arm.follow(Reference(q, still, T, twist, _ALL, _ALL, None, bounds))
+        run.arm.follow(Reference(q, still, T, twist, EVERYWHERE, EVERYWHERE, None, bounds))
         ending = run.tick(Stage.RETREAT)
         if ending is not None:
             return ending

@@ -11,7 +11,7 @@ import numpy as np
 
 from momapos.errors import SceneError
 from momapos.execution.approach import PacedTrajectory
-from momapos.execution.arm_control import CompliantArm, Reference
+from momapos.execution.arm_control import EVERYWHERE, CompliantArm, Reference
 from momapos.execution.avoidance import Surroundings
 from momapos.execution.config import AT_END, Ending, ExecutionConfig, Stage
 from momapos.execution.entering import come_in, reach_on
@@ -41,7 +41,6 @@ GRASP_POSITION, GRASP_ANGLE = 0.03, np.radians(15.0)
 """The hand closes when the arm is this near its planned state there [m], [rad]."""
 LASTING = 5
 """A force counts that is above its limit for this many steps of the controller [-]."""
-_ALL = np.eye(3)
 
 
 @dataclass(frozen=True)
@@ -273,7 +272,7 @@ class ExecutionRun:
         T = self.beside(arm.kinematics.at(q)[0])
         closing = T[:3, :3] @ self.world.hand.axis
         across = np.outer(closing, closing)  # the fingers find what they hold along this alone
-        reference = Reference(q, still, T, np.zeros(6), _ALL, across)
+        reference = Reference(q, still, T, np.zeros(6), EVERYWHERE, across)
         way = max(abs(f.closed - f.open) * f.lever for f in self.world.hand.fingers)
         enough, firm = grip.loaded * self.world.hand.force, 0
         for k in range(round((way / grip.speed + grip.patience) / self.step)):
