@@ -18,7 +18,7 @@ from momapos.kinematics.hulls import Boxes, MovingBoxes
 from momapos.kinematics.sphere_cover import MARGIN
 from momapos.kinematics.world import CollisionWorld, build_world, check
 from momapos.manipulation.hand import hand_of
-from momapos.manipulation.hand_room import GAP, arm_spheres, hand_hits
+from momapos.manipulation.hand_room import GAP, arm_spheres, hand_hits, hits_while_closing
 from momapos.manipulation.tasks import make_task
 from momapos.pipeline import plan_base_placement
 from momapos.robots.robot import Robot
@@ -146,6 +146,27 @@ def test_closed_fingers_are_checked_against_what_stands_between_them(robot: Robo
     T[0, 2, 3] = 1.0
     assert hits(robot, world, T, exact=True)[0] == FREE
     assert hits(robot, world, T, exact=True, travel=hand.travel - 0.002)[0] == 0
+
+
+def test_fingers_meet_on_their_way_what_they_stand_astride_of(robot: Robot) -> None:
+    hand = hand_of(robot)
+    face, corners = hand.inner(1)
+    travel = hand.travel - hand.rest - 0.002
+    assert travel > hand.thickness
+    # A sheet just inside the open pad, out of reach of the closed finger and of the palm.
+    R = np.stack([hand.approach, hand.closing, np.cross(hand.approach, hand.closing)], axis=-1)
+    middle = R @ [corners[1, 0], face - hand.rest - GAP - 0.001, corners.mean(0)[1]]
+    up = np.array([0.0, 0.0, 1.0])
+    sheet = Boxes(middle[None] + up, R[None], np.array([[0.002, 0.0005, 0.002]]))
+    world = world_of(robot, sheet)
+    T = np.eye(4)[None].copy()
+    T[0, 2, 3] = 1.0
+    for shut in (0.0, travel):
+        assert hits(robot, world, T, exact=True, travel=shut)[0] == FREE
+    one, yes = np.zeros(1, np.int64), np.ones(1, bool)
+    assert hits_while_closing(robot, world, T, one, yes, yes, np.array([travel]))[0] == 0
+    away = world_of(robot, Boxes(sheet.center + up, sheet.rotation, sheet.half))
+    assert hits_while_closing(robot, away, T, one, yes, yes, np.array([travel]))[0] == FREE
 
 
 def test_a_gripper_that_dips_below_the_floor_hits_it(robot: Robot) -> None:

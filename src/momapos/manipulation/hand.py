@@ -64,6 +64,11 @@ class Hand:
         face = low[0] if side > 0 else high[0]
         return float(face), np.array([low[1:], high[1:]])
 
+    @property
+    def thickness(self) -> float:
+        """Of the thinnest part of a finger, along the closing axis [m]."""
+        return float(2 * _reach(self.boxes, self.closing[None])[self.side != 0].min())
+
     def finger_reach(self, axes: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " k"]:
         """How far the fingers stick out of the tool's origin along axes of its frame [m]."""
         reach = self.boxes.center @ axes.T + _reach(self.boxes, axes)

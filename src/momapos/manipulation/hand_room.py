@@ -334,6 +334,31 @@ def _lowest(
     return (height + boxes).min(1, initial=np.inf), (height + balls).min(1, initial=np.inf)
 
 
+def hits_while_closing(
+    robot: Robot,
+    world: CollisionWorld,
+    Ts_world_tool: Float[np.ndarray, "m 4 4"],
+    value: Int[np.ndarray, " m"],
+    holding: Bool[np.ndarray, " m"],
+    exact: Bool[np.ndarray, " m"],
+    travel: Float[np.ndarray, " m"],
+) -> Int[np.ndarray, " m"]:
+    """What fingers hit between open and closed; arguments are those of `hand_hits`.
+
+    Open fingers may stand astride what closed ones are beside: the edge of a carcass, a neighbor's
+    handle.
+    """
+    # Steps of a finger's thickness leave nothing out.
+    count = max(2, int(np.ceil(travel.max(initial=0.0) / hand_of(robot).thickness)))
+    between = np.arange(1, count) / count
+    rows = np.repeat(np.arange(len(travel)), len(between))
+    codes = hand_hits(
+        robot, world, Ts_world_tool[rows], value[rows], holding[rows], exact[rows],
+        np.outer(travel, between).ravel(),
+    ).reshape(len(travel), len(between))  # fmt: skip
+    return codes[np.arange(len(travel)), np.argmax(codes != FREE, axis=1)]
+
+
 def hits_on_the_way(
     robot: Robot,
     world: CollisionWorld,
@@ -344,7 +369,8 @@ def hits_on_the_way(
 ) -> Int[np.ndarray, " m"]:
     """What the hand hits at steps of a motion, its fingers open, and closed while they hold.
 
-    Where the arm's free motion begins or ends the spheres decide, as they do on that motion.
+    Where they close and where they let go they are looked at on their way as well. Where the arm's
+    free motion begins or ends the spheres decide, as they do on that motion.
 
     Args:
         robot, world, motion: Whose hand, in which room, for what.
@@ -362,6 +388,10 @@ def hits_on_the_way(
     # A grasp of unknown width is one that holds nothing.
     rows = np.flatnonzero((codes == FREE) & motion.closed[steps] & (np.abs(travel) > SLIGHT))
     codes[rows] = hand_hits(
+        robot, world, Ts_world_tool[rows], value[rows], holding[rows], exact[rows], travel[rows]
+    )
+    rows = rows[(codes[rows] == FREE) & motion.closes[steps[rows]] & (travel[rows] > SLIGHT)]
+    codes[rows] = hits_while_closing(
         robot, world, Ts_world_tool[rows], value[rows], holding[rows], exact[rows], travel[rows]
     )
     return codes

@@ -97,6 +97,11 @@ class TaskMotion:
         return (self.grasp_step <= steps) & (steps <= last)
 
     @property
+    def closes(self) -> Bool[np.ndarray, " d"]:
+        """At which steps the fingers close about what they hold, or open to let it go."""
+        return np.isin(np.arange(len(self.object_q)), (self.grasp_step, self.release_step or -1))
+
+    @property
     def free_ends(self) -> tuple[int, ...]:
         """Steps at which the arm comes from a motion of its own choice, or goes on with one."""
         return (0,) if self.release_step is None else (0, len(self.object_q) - 1)
