@@ -62,6 +62,11 @@ def test_work_on_much_memory_is_stopped() -> None:
     )
 
 
+def test_what_a_process_has_already_counts_for_nothing() -> None:
+    code = "a = np.ones(200_000_000); report(lambda: np.ones(50_000_000), memory=1_000_000_000)"
+    assert said(code) == ""
+
+
 def said(code: str) -> str:
     done = subprocess.run(
         [sys.executable, "-c", _BEGIN + code], capture_output=True, text=True, timeout=60,
@@ -73,7 +78,7 @@ def said(code: str) -> str:
 def test_what_ends_in_time_changes_nothing() -> None:
     handler, limits = signal.getsignal(signal.SIGPROF), resource.getrlimit(resource.RLIMIT_DATA)
     threads = threading.active_count()
-    with within_bounds("robot.urdf", memory=100_000_000_000):
+    with within_bounds("robot.urdf"):
         done = np.ones(1000).sum()
     assert done == 1000
     assert signal.getsignal(signal.SIGPROF) == handler
@@ -82,5 +87,5 @@ def test_what_ends_in_time_changes_nothing() -> None:
 
 
 def test_other_errors_pass_through() -> None:
-    with pytest.raises(KeyError), within_bounds("robot.urdf", memory=100_000_000_000):
+    with pytest.raises(KeyError), within_bounds("robot.urdf"):
         raise KeyError("name")

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import _thread
+import os
 import signal
 import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from types import FrameType
 
 from momapos.errors import InputError
@@ -29,7 +31,7 @@ def within_bounds(what: str, seconds: float = SECONDS, memory: int = MEMORY) -> 
     Args:
         what: Begins the message.
         seconds: Processor time [s].
-        memory: Data of the process altogether [bytes].
+        memory: Data that the process may take beyond what it has [bytes].
 
     Raises:
         InputError: The work takes more.
@@ -50,7 +52,8 @@ def within_bounds(what: str, seconds: float = SECONDS, memory: int = MEMORY) -> 
     # timer asks once, which is once too few where the exception is raised in a destructor.
     watch = threading.Thread(target=_watch, args=(time.process_time() + seconds, done), daemon=True)
     limits = resource.getrlimit(resource.RLIMIT_DATA)
-    least = memory if limits[1] == resource.RLIM_INFINITY else min(memory, limits[1])
+    most = memory + _data_size()
+    least = most if limits[1] == resource.RLIM_INFINITY else min(most, limits[1])
     before = signal.signal(signal.SIGPROF, stop)
     try:
         watch.start()
@@ -68,6 +71,15 @@ def within_bounds(what: str, seconds: float = SECONDS, memory: int = MEMORY) -> 
         resource.setrlimit(resource.RLIMIT_DATA, limits)
         watch.join()
         signal.signal(signal.SIGPROF, before)
+
+
+def _data_size() -> int:
+    """How much data the process has [bytes]; 0 where the system does not tell."""
+    try:
+        pages = int(Path("/proc/self/statm").read_text().split()[5])
+    except (OSError, ValueError, IndexError):
+        return 0
+    return pages * os.sysconf("SC_PAGE_SIZE")
 
 
 def _watch(until: float, done: threading.Event) -> None:
