@@ -32,7 +32,8 @@ from momapos.kinematics.urdf import Geometry, Link, Urdf, box_urdf
 from momapos.protocols import ArticulationPredictor
 from momapos.reconstruction.network import FrontNetwork
 from momapos.scan_io.scan import read_scan
-from momapos.scan_pipeline import ScanConfig, divide
+from momapos.scan_pipeline import divide
+from momapos.scan_records import ScanConfig
 from momapos.scene.files import load_scene
 from momapos.scene.kitchens import LAYOUTS, generate_kitchen
 from momapos.scene.scene import Scene, SceneObject

@@ -31,7 +31,8 @@ from momapos.manipulation.handles import has_handle
 from momapos.manipulation.tasks import hand_path
 from momapos.reconstruction.build import build_scene
 from momapos.reconstruction.model import furniture_model
-from momapos.scan_pipeline import Decision, scan_to_scene
+from momapos.scan_pipeline import scan_to_scene
+from momapos.scan_records import Decision
 from momapos.scene.files import load_scene
 from momapos.scene.scene import Scene, SceneObject
 from momapos.synthetic_scans.depth_sensor import DepthSensor

@@ -29,7 +29,8 @@ from momapos.pipeline import plan_base_placement
 from momapos.placement.config import PlaceConfig
 from momapos.reachability.store import load_reach_map
 from momapos.robots.robot import load_robot
-from momapos.scan_pipeline import Modeled, default_tools, scan_to_scene
+from momapos.scan_pipeline import default_tools, scan_to_scene
+from momapos.scan_records import Modeled
 from momapos.scene.files import load_scene
 from momapos.scene.scene import Scene
 from momapos.verification.exact import PlanVerifier

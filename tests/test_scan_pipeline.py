@@ -9,21 +9,25 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from momapos import PipelineConfig, PlaceConfig, load_reach_map, load_robot
 from momapos.cli.main import main
 from momapos.errors import InputError, UnknownNameError
 from momapos.geometry.transforms import apply
+from momapos.importance.config import ImportanceConfig
 from momapos.manipulation.tasks import hand_path, openable
 from momapos.reconstruction.build import GivenModel
 from momapos.reconstruction.network import FrontNetwork
 from momapos.reconstruction.templates import TemplatePredictor
 from momapos.scan_io.scan import read_scan
-from momapos.scan_pipeline import Modeled, Tools, scan_to_scene
+from momapos.scan_pipeline import scan_to_scene
+from momapos.scan_records import Modeled, Tools
 from momapos.scan_report import report_to_dict, write_report
 from momapos.scene.files import load_scene
 from momapos.segmentation.segmenter import ClassicalSegmenter
+from momapos.solve_scan import ScanTask, solve_scan
 from momapos.synthetic_scans.depth_sensor import DepthSensor
 from momapos.synthetic_scans.recording import synthetic_scan, write_scan
-from momapos.types import Instance, Scan, UprightBox
+from momapos.types import FaceImage, Front, Instance, Scan, UprightBox
 
 
 @pytest.fixture(scope="module")
@@ -190,3 +194,64 @@ def test_wrong_words_end_in_one_line(
     assert err.startswith("momapos: ")
     assert says in err
     assert not out.exists()
+
+
+def test_what_fails_is_asked_again_with_more_of_the_scan_until_all_is_modeled(
+    made: Modeled, scan: Scan, tools: Tools, tmp_path: Path
+) -> None:
+    looks = 0
+
+    def counted(face: FaceImage, label: str) -> Front:
+        nonlocal looks
+        looks += 1
+        return tools.look(face, label)
+
+    name, joint = next(x for x in openable(load_scene(made.scene)) if x[0].startswith("wall"))
+    robot = load_robot("husky_ur5e")  # its arm stands too low for wall cabinets
+    config = PipelineConfig(
+        place=PlaceConfig(grid=False, rounds=1), importance=ImportanceConfig(alpha=0.9)
+    )
+    counting = replace(tools, look=counted, predict=counted)
+    out = tmp_path / "scene.json"
+    scan_to_scene(scan, out, counting)
+    all_at_once, looks = looks, 0
+    answer = solve_scan(
+        scan, [(robot, load_reach_map(robot))], ScanTask("open", name, joint), out,
+        tools=counting, config=config,
+    )  # fmt: skip
+    assert answer.result.plan.status == "infeasible"
+    assert len(answer.alphas) > 1
+    assert list(answer.alphas) == sorted(answer.alphas, reverse=True)
+    assert all(decision.looked for decision in answer.modeled.decisions)
+    assert looks == all_at_once  # nothing is looked at twice
+
+
+def test_one_command_leads_from_a_scan_to_an_opened_door(
+    made: Modeled, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    name, door, _ = same_door(made, folder)
+    out = tmp_path / "new" / "solved"
+    words = ["solve", str(folder), "open", f"{name}/{door}", "--robot", "segway_ur5e"]
+    assert main([*words, "--out", str(out), "--json", "--no-pictures"]) == 0
+    record = json.loads(capsys.readouterr().out)
+    assert (record["status"], record["done"]) == ("solved", True)
+    assert record == json.loads((out / "solve.json").read_text())
+    assert name in record["modeled"]
+    assert len(record["modeled"]) < sum(d.model is not None for d in made.decisions)
+    stages = {k: v for k, v in record["timing"].items() if k != "total"}
+    assert {"fuse", "boxes", "rows", "importance", "model", "place", "execute"} <= set(stages)
+    assert sum(stages.values()) <= record["timing"]["total"] + 0.01
+    assert main(["verify", str(out / record["plan"])]) == 0
+    assert json.loads((out / record["run"]).read_text())["success"]
+
+
+def test_what_the_scan_does_not_show_is_one_line(
+    made: Modeled, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    box = next(d.detection.name for d in made.decisions if d.looked and d.view is None)
+    for target, told in ((box, "no door or drawer as far as the scan shows"), ("frigde", "mean")):
+        words = ["solve", str(folder), "open", target, "--out", str(tmp_path / "solved")]
+        assert main(words) == 2
+        said = capsys.readouterr().err
+        assert told in said
+        assert said.count("\n") == 1

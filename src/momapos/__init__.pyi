@@ -26,6 +26,9 @@ from .scene.files import load_scene as load_scene
 from .scene.files import save_scene as save_scene
 from .scene.scene import Scene as Scene
 from .scene.scene import SceneObject as SceneObject
+from .solve_scan import ScanAnswer as ScanAnswer
+from .solve_scan import ScanTask as ScanTask
+from .solve_scan import solve_scan as solve_scan
 from .trajectory import SpeedConfig as SpeedConfig
 from .trajectory import TimedTrajectory as TimedTrajectory
 from .trajectory import time_plan as time_plan

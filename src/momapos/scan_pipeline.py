@@ -3,96 +3,68 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from enum import StrEnum
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from momapos.errors import InputError
-from momapos.fusion.gravity import GravityConfig, align_to_gravity
-from momapos.fusion.tsdf import FusionConfig, fuse
+from momapos.fusion.gravity import align_to_gravity
+from momapos.fusion.tsdf import fuse
 from momapos.geometry.transforms import apply, pose, rotation_about
 from momapos.importance.config import ImportanceConfig
-from momapos.importance.rank import rank
+from momapos.importance.rank import Importance, rank
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.urdf import box_urdf
-from momapos.protocols import ArticulationPredictor, Clock, Segmenter
+from momapos.protocols import ArticulationPredictor, Clock
 from momapos.reconstruction.build import GivenModel, build_scene, place_model
-from momapos.reconstruction.model import ModelConfig, furniture_model
+from momapos.reconstruction.model import furniture_model
 from momapos.reconstruction.network import FrontNetwork
 from momapos.reconstruction.templates import TemplatePredictor
-from momapos.scene.library.furniture import Piece
+from momapos.scan_records import (
+    Decision,
+    Found,
+    Modeled,
+    PartSource,
+    Progress,
+    ScanConfig,
+    Survey,
+    Tools,
+    silent,
+)
 from momapos.scene.scene import Scene, SceneObject
 from momapos.segmentation.boxes import (
-    BoxConfig,
     boxes,
     inside,
     named,
     wall_detections,
     without_pieces,
 )
-from momapos.segmentation.room import RoomConfig, find_room
+from momapos.segmentation.room import find_room
 from momapos.segmentation.segmenter import ClassicalSegmenter
+from momapos.stopwatch import Stopwatch
 from momapos.types import (
     Cloud,
     Detection,
     FaceImage,
     Frame,
     Front,
-    ImageDetection,
     Instance,
     Part,
     Scan,
 )
-from momapos.views.front_view import Seen, View, ViewConfig, choose_view
+from momapos.views.front_view import Seen, View, choose_view
 from momapos.views.projection import sights, vote_label
-from momapos.views.rows import RowConfig, split_row
+from momapos.views.rows import split_row
 
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-Progress = Callable[[str, float], None]
-"""Told what is at work, and the share of the whole that is done."""
-Found = Mapping[str, Sequence[ImageDetection]]
-"""What a 2-D detector found, by the frame's name."""
-
 BUILDING = ("wall", "floor", "ceiling", "window", "door")
 """Labels of segmenters for what is no furniture."""
-
-
-@dataclass(frozen=True)
-class ScanConfig:
-    """How a scan becomes a scene."""
-
-    voxel: float = 0.015
-    """Edge of the voxels that depth images are fused in [m]."""
-    least_sides: tuple[float, float] = (0.1, 0.2)
-    """Things whose shortest or middle edge is shorter than this have no doors or drawers [m]."""
-    fusion: FusionConfig = field(default_factory=FusionConfig)
-    gravity: GravityConfig = field(default_factory=GravityConfig)
-    room: RoomConfig = field(default_factory=RoomConfig)
-    boxes: BoxConfig = field(default_factory=BoxConfig)
-    rows: RowConfig = field(default_factory=RowConfig)
-    view: ViewConfig = field(default_factory=ViewConfig)
-    importance: ImportanceConfig = field(default_factory=ImportanceConfig)
-    """Which objects are modeled when a target is named."""
-    model: ModelConfig = field(default_factory=ModelConfig)
-
-
-@dataclass(frozen=True, eq=False)
-class Tools:
-    """The parts that can be exchanged."""
-
-    segment: Segmenter
-    look: ArticulationPredictor
-    """Tells fronts from other faces, and where a row is to be cut."""
-    predict: ArticulationPredictor
-    """Finds the parts of an object; often the same as `look`."""
-    guess: ArticulationPredictor | None = None
-    """Asked where `predict` sees a front but no parts on it."""
+DEFAULT = ScanConfig()
 
 
 def default_tools() -> Tools:
@@ -103,52 +75,6 @@ def default_tools() -> Tools:
     """
     network = FrontNetwork()
     return Tools(ClassicalSegmenter(), network, network, TemplatePredictor())
-
-
-class PartSource(StrEnum):
-    """Where the parts of an object are from."""
-
-    PREDICTED = "predicted"
-    """Seen on the images."""
-    GUESSED = "guessed"
-    """From a template, for a front on which nothing was seen."""
-    GIVEN = "given"
-    """A URDF file of the user's."""
-
-
-@dataclass(frozen=True, eq=False)
-class Decision:
-    """What was decided about one object, and why."""
-
-    detection: Detection
-    importance: float | None
-    """Score against the target; None where no target was named."""
-    view: View | None
-    """Its front; None where it was not looked for, or none was seen."""
-    parts: tuple[Part, ...]
-    source: PartSource | None
-    """Where the parts are from; None for a box."""
-    reason: str
-    """Why it stays a box; "" where it is modeled."""
-    seconds: float = 0.0
-    model: Piece | SceneObject | None = None
-    """What stands in the scene; None for a box."""
-    warnings: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True, eq=False)
-class Modeled:
-    """A scene made from a scan, with all that was decided on the way."""
-
-    scene: Path
-    cloud: Cloud
-    """The room, upright."""
-    frames: tuple[Frame, ...]
-    """The images, with poses in the upright world."""
-    T_scene_scan: Float[np.ndarray, "4 4"]
-    decisions: tuple[Decision, ...]
-    timing: Mapping[str, float] = field(default_factory=dict)
-    """Seconds by stage, and "total"."""
 
 
 def scan_to_scene(
@@ -180,51 +106,102 @@ def scan_to_scene(
     Raises:
         InputError: The scan holds nothing, or no object has the target's name.
     """
-    tools = tools or default_tools()
-    config, progress = config or ScanConfig(), progress or _silent
-    began, marks = clock(), {}
-    progress("fusing", 0.0)
-    cloud = scan.cloud or fuse(scan.frames, config.voxel, config.fusion)
-    marks["fuse"] = clock()
-    progress("finding objects", 0.2)
-    T = align_to_gravity(cloud, scan.frames, config.gravity)
-    cloud, frames = _turned(cloud, scan.frames, T)
-    room = find_room(cloud, config.room)
-    things = [item for item in tools.segment(cloud) if item.label not in BUILDING]
-    detections = boxes(cloud, things, room, config.boxes)
-    marks["boxes"] = clock()
-    progress("dividing rows", 0.3)
-    instances, before = divide(detections, cloud, frames, tools.look, config)
-    if len(instances) > len(detections):
-        detections = boxes(cloud, instances, room, config.boxes)
-    detections = without_pieces(detections, cloud)
-    if found is not None:
-        detections = [_relabeled(item, frames, found) for item in detections]
-    detections = named(detections)
-    marks["rows"] = clock()
+    tools, config, progress = tools or default_tools(), config or ScanConfig(), progress or silent
+    seen = survey(scan, tools, found=found, config=config, progress=progress, clock=clock)
+    scores = {} if target is None else importance(seen, target, config.importance).by_name
+    return model_room(
+        seen, out, tools, scores=scores, given=given, config=config, progress=progress, clock=clock
+    )
+
+
+def survey(
+    scan: Scan,
+    tools: Tools,
+    *,
+    found: Found | None = None,
+    config: ScanConfig = DEFAULT,
+    progress: Progress = silent,
+    clock: Clock = time.perf_counter,
+) -> Survey:
+    """Find what stands in a scanned room; arguments are those of `scan_to_scene`.
+
+    Raises:
+        InputError: The scan holds nothing.
+    """
+    watch = Stopwatch(clock)
+    with watch.stage("fuse"):
+        progress("fusing", 0.0)
+        cloud = scan.cloud or fuse(scan.frames, config.voxel, config.fusion)
+    with watch.stage("boxes"):
+        progress("finding objects", 0.2)
+        T = align_to_gravity(cloud, scan.frames, config.gravity)
+        cloud, frames = _turned(cloud, scan.frames, T)
+        room = find_room(cloud, config.room)
+        things = [item for item in tools.segment(cloud) if item.label not in BUILDING]
+        detections = boxes(cloud, things, room, config.boxes)
+    with watch.stage("rows"):
+        progress("dividing rows", 0.3)
+        instances, rows = divide(detections, cloud, frames, tools.look, config)
+        if len(instances) > len(detections):
+            detections = boxes(cloud, instances, room, config.boxes)
+        detections = without_pieces(detections, cloud)
+        if found is not None:
+            detections = [_relabeled(item, frames, found) for item in detections]
+        detections = named(detections)
     if not detections:
         raise InputError(f"{scan.name}: nothing was found in the scan but floor and walls")
-    scores = importance(detections, target, config)
-    decisions: list[Decision] = []
-    for k, item in enumerate(detections):
-        progress(item.name, 0.4 + 0.6 * k / len(detections))
-        at = clock()
-        score = scores.get(item.name)
-        decision = _decide(item, score, frames, before, tools, found, given or {}, config)
-        decisions.append(replace(decision, seconds=clock() - at))
-    marks["model"] = clock()
     walls = wall_detections(room, config.boxes)
-    decisions += [Decision(wall, None, None, (), None, "a wall") for wall in walls]
-    models = {d.detection.name: d.model for d in decisions if d.model is not None}
-    build_scene([d.detection for d in decisions], models, floor_outline(cloud), out)
-    marks["write"] = clock()
-    timing = dict(zip(marks, np.diff([began, *marks.values()]).tolist(), strict=True))
-    timing["total"] = clock() - began
-    return Modeled(out, cloud, frames, T, tuple(decisions), timing)
+    return Survey(
+        cloud, frames, T, tuple(detections), tuple(walls), tuple(rows), found, watch.seconds
+    )
 
 
-def _silent(what: str, share: float) -> None:
-    del what, share
+def model_room(
+    seen: Survey,
+    out: Path,
+    tools: Tools,
+    *,
+    scores: Mapping[str, float] | None = None,
+    alpha: float | None = None,
+    known: Mapping[str, Decision] | None = None,
+    given: Mapping[str, GivenModel] | None = None,
+    config: ScanConfig = DEFAULT,
+    progress: Progress = silent,
+    clock: Clock = time.perf_counter,
+) -> Modeled:
+    """Model what matters of a surveyed room, and write the scene.
+
+    Args:
+        seen: The room.
+        out: The scene file to write; URDF files go into a folder beside it.
+        tools: Predictors.
+        scores: Importance of the objects by name; all that have none are modeled.
+        alpha: Objects of less importance stay boxes; the configured one by default.
+        known: Decisions about objects that were looked at before.
+        given, config, progress, clock: As for `scan_to_scene`.
+    """
+    watch, scores, known = Stopwatch(clock), scores or {}, known or {}
+    least = config.importance.alpha if alpha is None else alpha
+    decisions: list[Decision] = []
+    with watch.stage("model"):
+        for k, item in enumerate(seen.detections):
+            progress(item.name, 0.4 + 0.6 * k / len(seen.detections))
+            at, score, decision = clock(), scores.get(item.name), known.get(item.name)
+            if decision is not None and decision.looked:
+                decisions.append(decision)
+            elif score is not None and score < least:
+                reason = f"importance {score:.2f} is below alpha {least:.2f}"
+                decisions.append(Decision(item, score, None, (), None, reason, looked=False))
+            else:
+                decision = _decide(item, score, seen, tools, given or {}, config)
+                decisions.append(replace(decision, seconds=clock() - at))
+        decisions += [Decision(wall, None, None, (), None, "a wall") for wall in seen.walls]
+    with watch.stage("write"):
+        models = {d.detection.name: d.model for d in decisions if d.model is not None}
+        build_scene([d.detection for d in decisions], models, floor_outline(seen.cloud), out)
+    timing = {**seen.timing, **watch.seconds}
+    timing["total"] = sum(timing.values())
+    return Modeled(out, seen.cloud, seen.frames, seen.T_scene_scan, tuple(decisions), timing)
 
 
 # ----------------------------------------------------------------------------------- what is where
@@ -282,19 +259,13 @@ def floor_outline(cloud: Cloud) -> list[tuple[float, float]]:
 # ----------------------------------------------------------------------------------- what matters
 
 
-def importance(
-    detections: Sequence[Detection], target: str | None, config: ScanConfig
-) -> dict[str, float]:
-    """Scores of all objects against the target, from their boxes alone; none without a target.
+def importance(seen: Survey, target: str, config: ImportanceConfig, seed: int = 0) -> Importance:
+    """Rank all objects of a survey against the target, from their boxes alone.
 
     Raises:
         UnknownNameError: No object has that name.
     """
-    if target is None:
-        return {}
-    room = Scene("scan", tuple(_boxed(item) for item in detections))
-    ranked = rank(room, target, config.importance)
-    return dict(zip(ranked.names, map(float, ranked.scores), strict=True))
+    return rank(Scene("scan", tuple(map(_boxed, seen.detections))), target, config, seed=seed)
 
 
 def _boxed(item: Detection) -> SceneObject:
@@ -310,26 +281,21 @@ def _boxed(item: Detection) -> SceneObject:
 def _decide(
     item: Detection,
     score: float | None,
-    frames: Sequence[Frame],
-    before: Sequence[Seen],
+    survey: Survey,
     tools: Tools,
-    found: Found | None,
     given: Mapping[str, GivenModel],
     config: ScanConfig,
 ) -> Decision:
-    """Look at one object, and model it if it matters and has a front."""
-    alpha = config.importance.alpha
+    """Look at one object that matters, and model it if it has a front."""
     box = Decision(item, score, None, (), None, "")
-    if score is not None and score < alpha:
-        return replace(box, reason=f"importance {score:.2f} is below alpha {alpha:.2f}")
     if (np.sort(item.box.size)[:2] < config.least_sides).any():
         return replace(box, reason="too small for doors or drawers")
 
     def look(face: FaceImage) -> Front:
         return tools.look(face, item.label)
 
-    seen = sights(item.box, frames, found)
-    view = choose_view(item.box, frames, seen, look, config.view, before)
+    seen = sights(item.box, survey.frames, survey.found)
+    view = choose_view(item.box, survey.frames, seen, look, config.view, survey.rows)
     if view is None:
         return replace(box, reason="no image shows a front")
     facing = float(np.arctan2(view.face.outward[1], view.face.outward[0]))

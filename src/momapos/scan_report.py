@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from momapos.scan_pipeline import Decision, Modeled
+from momapos.scan_records import Decision, Modeled
 from momapos.scene.files import load_scene, write_whole
 from momapos.types import Scan
 

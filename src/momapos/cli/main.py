@@ -37,6 +37,7 @@ COMMANDS: dict[str, tuple[str, str | dict[str, str]]] = {
         },
     ),
     "scan": ("a scene that moves, from a scan of a room", "scan:scan_room"),
+    "solve": ("all of it: from a scan of a room to an opened door", "solve:solve"),
     "reach": (
         "reachability maps: build, evaluate",
         {"build": "reach:reach_build", "eval": "reach:reach_eval"},

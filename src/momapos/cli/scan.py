@@ -11,14 +11,14 @@ from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from momapos.cli.options import OptionalPath, OptionalText
 from momapos.errors import InputError
+from momapos.importance.config import ImportanceConfig, ScorerName
 
 if TYPE_CHECKING:
     from momapos.protocols import ArticulationPredictor, Segmenter
     from momapos.reconstruction.build import GivenModel
-    from momapos.scan_pipeline import Modeled, Tools
+    from momapos.scan_records import Found, Modeled, ScanConfig, Tools
     from momapos.types import Scan
 
-NOTHING_FOUND = 3
 Predictor = Literal["network", "template", "urdformer"]
 
 
@@ -26,8 +26,6 @@ Predictor = Literal["network", "template", "urdformer"]
 class ScanOptions:
     """Where knowledge comes from, beside the scan."""
 
-    target: Annotated[OptionalText, arg(metavar="OBJECT")] = None
-    """Object that the task will be about: only what matters for it is modeled."""
     instances: OptionalPath = None
     """Instances found by another program: Mask3D's ScanNet export, OpenMask3D masks, labels a
     point, or a JSON of boxes. All but boxes need a scan with a cloud."""
@@ -72,6 +70,9 @@ def scan_room(
     /,
     *,
     out: Path,
+    target: Annotated[OptionalText, arg(metavar="OBJECT")] = None,
+    alpha: float = ImportanceConfig.alpha,
+    scorer: ScorerName = "reach",
     pictures: bool = True,
     json: bool = False,
     options: Annotated[ScanOptions, OmitArgPrefixes] = ScanOptions(),
@@ -84,6 +85,9 @@ def scan_room(
     Args:
         source: Folder of posed color and depth images, a cloud, or a robot's log.
         out: The scene file.
+        target: Object that the task will be about: only what matters for it is modeled.
+        alpha: Objects that matter less for the target than this stay boxes, in [0, 1].
+        scorer: How importance is measured, as for rank.
         pictures: Draw why every object was modeled as it was.
         json: Print one JSON object and nothing else.
         options: Where knowledge comes from.
@@ -92,32 +96,22 @@ def scan_room(
 
     from momapos.cli.console import progress
     from momapos.files import check_outputs
-    from momapos.scan_io.bags import BagTopics
-    from momapos.scan_io.scan import read_scan
     from momapos.scan_pipeline import scan_to_scene
     from momapos.scan_report import outputs_of, report_to_dict, write_report
 
-    if options.predictor == "urdformer" and options.checkpoint is None:
-        raise InputError("--predictor urdformer needs --checkpoint PATH/part.pth")
-    given = _given(options.models)
+    config = scan_config(options, ImportanceConfig(scorer=scorer, alpha=alpha))
+    given = given_models(options)
     check_outputs(*outputs_of(out, pictures=pictures))
-    topics = BagTopics(
-        options.depth_topic, options.color_topic, options.info_topic, options.fixed_frame
-    )
-    scan = read_scan(
-        source, max_frames=options.max_frames, depth_scale=options.depth_scale, topics=topics
-    )
-    for warning in scan.warnings:
-        print(f"momapos: {warning}", file=sys.stderr)
-    tools, found = _tools(scan, options), _found(scan, options)
+    scan = read(source, options)
+    tools, found = tools_for(scan, options), found_in(scan, options)
     with progress("scan") as report:
         result = scan_to_scene(
-            scan, out, tools, target=options.target, found=found, given=given,
-            config=_config(options), progress=lambda what, share: report(share, what),
+            scan, out, tools, target=target, found=found, given=given, config=config,
+            progress=lambda what, share: report(share, what),
         )  # fmt: skip
     for warning in (text for decision in result.decisions for text in decision.warnings):
         print(f"momapos: {warning}", file=sys.stderr)
-    data = report_to_dict(result, scan, options.target)
+    data = report_to_dict(result, scan, target)
     folder = write_report(result, data, out, pictures=pictures)
     print(encoder.dumps(data, allow_nan=False) if json else table(result, out, folder))
     return 0
@@ -155,21 +149,46 @@ def _count(parts: tuple[Any, ...]) -> str:
 # ---------------------------------------------------------------------------------- from options
 
 
-def _config(options: ScanOptions) -> Any:
+def read(source: Path, options: ScanOptions) -> Scan:
+    """Read a scan, and tell what is odd about it."""
+    from momapos.scan_io.bags import BagTopics
+    from momapos.scan_io.scan import read_scan
+
+    topics = BagTopics(
+        options.depth_topic, options.color_topic, options.info_topic, options.fixed_frame
+    )
+    scan = read_scan(
+        source, max_frames=options.max_frames, depth_scale=options.depth_scale, topics=topics
+    )
+    for warning in scan.warnings:
+        print(f"momapos: {warning}", file=sys.stderr)
+    return scan
+
+
+def scan_config(options: ScanOptions, importance: ImportanceConfig) -> ScanConfig:
+    """How a scan becomes a scene.
+
+    Raises:
+        InputError: URDFormer is asked for without its weights.
+    """
     from momapos.reconstruction.alignment import AlignmentConfig
     from momapos.reconstruction.model import ModelConfig
-    from momapos.scan_pipeline import ScanConfig
+    from momapos.scan_records import ScanConfig
     from momapos.views.front_view import ViewConfig
 
+    if options.predictor == "urdformer" and options.checkpoint is None:
+        raise InputError("--predictor urdformer needs --checkpoint PATH/part.pth")
     alignment = AlignmentConfig(grid=12 if options.grid else None)
     return ScanConfig(
         voxel=options.voxel,
+        importance=importance,
         view=ViewConfig(method=options.views),
         model=ModelConfig(alignment=alignment),
     )
 
 
-def _tools(scan: Scan, options: ScanOptions) -> Tools:
+def tools_for(scan: Scan, options: ScanOptions) -> Tools:
+    """Who segments, looks and predicts."""
     from momapos.scan_pipeline import default_tools
 
     tools = default_tools()
@@ -180,7 +199,7 @@ def _tools(scan: Scan, options: ScanOptions) -> Tools:
     elif options.predictor == "urdformer":
         from momapos.reconstruction.urdformer import UrdformerPredictor, load_urdformer
 
-        assert options.checkpoint is not None, "scan_room has looked"
+        assert options.checkpoint is not None, "scan_config has looked"
         predict = UrdformerPredictor(load_urdformer(options.checkpoint), tools.look)
     segment = tools.segment if options.instances is None else _reader(scan, options.instances)
     return replace(tools, segment=segment, predict=predict)
@@ -201,11 +220,16 @@ def _reader(scan: Scan, path: Path) -> Segmenter:
     return read
 
 
-def _given(models: tuple[str, ...]) -> dict[str, GivenModel]:
+def given_models(options: ScanOptions) -> dict[str, GivenModel]:
+    """URDF files of objects, by name or label.
+
+    Raises:
+        InputError: One is no NAME=FILE, or there is no such file.
+    """
     from momapos.reconstruction.build import GivenModel
 
     given = {}
-    for text in models:
+    for text in options.models:
         name, equals, file = text.partition("=")
         if not equals or not name or not Path(file).is_file():
             raise InputError(f"--models {text!r}: must be NAME=FILE of a URDF that exists")
@@ -213,7 +237,8 @@ def _given(models: tuple[str, ...]) -> dict[str, GivenModel]:
     return given
 
 
-def _found(scan: Scan, options: ScanOptions) -> Any:
+def found_in(scan: Scan, options: ScanOptions) -> Found | None:
+    """What a 2-D detector has found in the images."""
     from momapos.scan_io.coco import read_coco
 
     return None if options.detections is None else read_coco(options.detections, scan.frames)

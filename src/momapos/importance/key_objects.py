@@ -48,8 +48,8 @@ class Selection:
 
     def record(self) -> KeyObjects:
         """What the plan says of it."""
-        scores = dict(zip(self.ranked.names, map(float, self.ranked.scores), strict=True))
-        return KeyObjects(self.ranked.scorer, self.alpha, self.names, scores, self.rounds)
+        ranked = self.ranked
+        return KeyObjects(ranked.scorer, self.alpha, self.names, ranked.by_name, self.rounds)
 
 
 def everything(ranked: Importance) -> Selection:

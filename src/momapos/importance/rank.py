@@ -39,6 +39,11 @@ class Importance:
         return f"<Importance for {self.target!r} by {self.scorer}: {chosen} of {count} in S>"
 
     @cached_property
+    def by_name(self) -> dict[str, float]:
+        """The score of each object."""
+        return dict(zip(self.names, map(float, self.scores), strict=True))
+
+    @cached_property
     def _rows(self) -> list[int]:
         """Place of each object in the graph."""
         place = {name: i for i, name in enumerate(self.graph.names)}

@@ -1,0 +1,135 @@
+"""What a scan becomes on its way to a scene: its configuration, survey, decisions and model."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from momapos.fusion.gravity import GravityConfig
+from momapos.fusion.tsdf import FusionConfig
+from momapos.importance.config import ImportanceConfig
+from momapos.protocols import ArticulationPredictor, Segmenter
+from momapos.reconstruction.model import ModelConfig
+from momapos.scene.library.furniture import Piece
+from momapos.scene.scene import SceneObject
+from momapos.segmentation.boxes import BoxConfig
+from momapos.segmentation.room import RoomConfig
+from momapos.types import Cloud, Detection, Frame, ImageDetection, Part
+from momapos.views.front_view import Seen, View, ViewConfig
+from momapos.views.rows import RowConfig
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+Progress = Callable[[str, float], None]
+"""Told what is at work, and the share of the whole that is done."""
+Found = Mapping[str, Sequence[ImageDetection]]
+"""What a 2-D detector found, by the frame's name."""
+
+
+@dataclass(frozen=True)
+class ScanConfig:
+    """How a scan becomes a scene."""
+
+    voxel: float = 0.015
+    """Edge of the voxels that depth images are fused in [m]."""
+    least_sides: tuple[float, float] = (0.1, 0.2)
+    """Things whose shortest or middle edge is shorter than this have no doors or drawers [m]."""
+    fusion: FusionConfig = field(default_factory=FusionConfig)
+    gravity: GravityConfig = field(default_factory=GravityConfig)
+    room: RoomConfig = field(default_factory=RoomConfig)
+    boxes: BoxConfig = field(default_factory=BoxConfig)
+    rows: RowConfig = field(default_factory=RowConfig)
+    view: ViewConfig = field(default_factory=ViewConfig)
+    importance: ImportanceConfig = field(default_factory=ImportanceConfig)
+    """Which objects are modeled when a target is named."""
+    model: ModelConfig = field(default_factory=ModelConfig)
+
+
+@dataclass(frozen=True, eq=False)
+class Tools:
+    """The parts that can be exchanged."""
+
+    segment: Segmenter
+    look: ArticulationPredictor
+    """Tells fronts from other faces, and where a row is to be cut."""
+    predict: ArticulationPredictor
+    """Finds the parts of an object; often the same as `look`."""
+    guess: ArticulationPredictor | None = None
+    """Asked where `predict` sees a front but no parts on it."""
+
+
+class PartSource(StrEnum):
+    """Where the parts of an object are from."""
+
+    PREDICTED = "predicted"
+    """Seen on the images."""
+    GUESSED = "guessed"
+    """From a template, for a front on which nothing was seen."""
+    GIVEN = "given"
+    """A URDF file of the user's."""
+
+
+@dataclass(frozen=True, eq=False)
+class Decision:
+    """What was decided about one object, and why."""
+
+    detection: Detection
+    importance: float | None
+    """Score against the target; None where no target was named."""
+    view: View | None
+    """Its front; None where it was not looked for, or none was seen."""
+    parts: tuple[Part, ...]
+    source: PartSource | None
+    """Where the parts are from; None for a box."""
+    reason: str
+    """Why it stays a box; "" where it is modeled."""
+    looked: bool = True
+    """Whether it mattered enough to be looked at."""
+    seconds: float = 0.0
+    model: Piece | SceneObject | None = None
+    """What stands in the scene; None for a box."""
+    warnings: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Survey:
+    """What stands in a scanned room, before anything of it is modeled."""
+
+    cloud: Cloud
+    """The room, upright."""
+    frames: tuple[Frame, ...]
+    """The images, with poses in the upright world."""
+    T_scene_scan: Float[np.ndarray, "4 4"]
+    detections: tuple[Detection, ...]
+    walls: tuple[Detection, ...]
+    rows: tuple[Seen, ...]
+    """What was seen on rows of furniture when they were cut."""
+    found: Found | None
+    timing: Mapping[str, float]
+    """Seconds by stage."""
+
+
+@dataclass(frozen=True, eq=False)
+class Modeled:
+    """A scene made from a scan, with all that was decided on the way."""
+
+    scene: Path
+    cloud: Cloud
+    """The room, upright."""
+    frames: tuple[Frame, ...]
+    """The images, with poses in the upright world."""
+    T_scene_scan: Float[np.ndarray, "4 4"]
+    decisions: tuple[Decision, ...]
+    timing: Mapping[str, float] = field(default_factory=dict)
+    """Seconds by stage, and "total"."""
+
+
+def silent(what: str, share: float) -> None:
+    """Progress that nobody wants to see."""
+    del what, share
