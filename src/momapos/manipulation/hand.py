@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING
@@ -22,6 +23,11 @@ INSIDE = 1e-3
 """What stands farther in than the pads by less is level with them [m]."""
 FLAT = 0.98
 """A pad's inner face is perpendicular to the closing axis up to this cosine [-]."""
+
+
+_CORNERS = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
+_EDGES = np.argwhere(np.triu((_CORNERS[:, None] != _CORNERS).sum(-1) == 1))
+"""Corners of a box in its frame, and the pairs of them that an edge joins."""
 
 
 @dataclass(frozen=True)
@@ -69,10 +75,31 @@ class Hand:
         """Of the thinnest part of a finger, along the closing axis [m]."""
         return float(2 * _reach(self.boxes, self.closing[None])[self.side != 0].min())
 
-    def finger_reach(self, axes: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " k"]:
-        """How far the fingers stick out of the tool's origin along axes of its frame [m]."""
-        reach = self.boxes.center @ axes.T + _reach(self.boxes, axes)
-        return reach[self.side != 0].max(0)
+    def finger_reach(
+        self,
+        axes: Float[np.ndarray, "k 3"],
+        along: Float[np.ndarray, "k 3"] | None = None,
+        beyond: Float[np.ndarray, " k"] | None = None,
+    ) -> Float[np.ndarray, " k"]:
+        """How far the fingers stick out of the tool's origin along axes of its frame [m].
+
+        Args:
+            axes: The axes.
+            along, beyond: With these, only of what lies so far or farther along other axes [m].
+        """
+        if along is None or beyond is None:
+            reach = self.boxes.center @ axes.T + _reach(self.boxes, axes)
+            return reach[self.side != 0].max(0)
+        rows = self.side != 0
+        half = _CORNERS * self.boxes.half[rows, None]
+        corners = self.boxes.center[rows, None] + half @ self.boxes.rotation[rows].swapaxes(1, 2)
+        height = np.einsum("ki,bci->kbc", axes, corners)
+        depth = np.einsum("ki,bci->kbc", along, corners) - beyond[:, None, None]
+        inside = np.where(depth >= 0.0, height, -np.inf).max((1, 2))
+        (a, b), (h, g) = ((v[..., _EDGES[:, 0]], v[..., _EDGES[:, 1]]) for v in (depth, height))
+        crossed = a * b < 0.0
+        cut = h + (g - h) * a / np.where(crossed, a - b, 1.0)
+        return np.maximum(inside, np.where(crossed, cut, -np.inf).max((1, 2)))
 
 
 def _reach(boxes: Boxes, axes: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "b k"]:

@@ -10,7 +10,7 @@ from momapos.geometry.transforms import rotation_about, rotation_of
 from momapos.kinematics.articulated import Articulated
 from momapos.manipulation.config import GraspConfig
 from momapos.manipulation.hand import Hand, hand_of
-from momapos.manipulation.handles import Handle, front_face
+from momapos.manipulation.handles import FACE_INSIDE, Handle, front_face
 from momapos.manipulation.part_grasps import grasp_frames
 from momapos.robots.robot import Robot
 
@@ -63,6 +63,10 @@ def push_from_behind(
 def _touching(
     hand: Hand, back: Handle, inward: Float[np.ndarray, "3"], R: Float[np.ndarray, "g 3 3"]
 ) -> Float[np.ndarray, "g 3"]:
-    """Tool origins at which the fingers touch the back, their tips at its middle point."""
-    reach, toward = hand.finger_reach(inward @ R), hand.finger_reach(-back.out @ R)
+    """Tool origins at which the fingers touch the back, their tips at its middle point.
+
+    What of them stays beyond the free edge does not touch: knuckles may stand out there.
+    """
+    reach = hand.finger_reach(inward @ R)
+    toward = hand.finger_reach(-back.out @ R, inward @ R, reach - FACE_INSIDE)
     return back.center - reach[:, None] * inward + toward[:, None] * back.out
