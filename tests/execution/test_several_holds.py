@@ -10,12 +10,13 @@ from tests.execution.toy import gripping
 from tests.verification.door_case import BASE
 
 from momapos.execution.approach import PacedTrajectory
-from momapos.execution.config import Ending, ExecutionConfig, Hold
+from momapos.execution.config import Ending, ExecutionConfig, Hold, Stage
 from momapos.execution.dynamics import read_dynamics
 from momapos.execution.furniture import Resistance, Seal
 from momapos.execution.hand import find_hand
 from momapos.execution.run import execute
-from momapos.execution.simulation import build_simulation
+from momapos.execution.shapes import HAND, Kind
+from momapos.execution.simulation import Simulation, build_simulation
 from momapos.execution.stages import ExecutionRun, Stretch
 from momapos.manipulation.tasks import make_task
 from momapos.pipeline import plan_base_placement
@@ -81,3 +82,31 @@ def test_a_hand_that_found_a_handle_beside_the_plan_pushes_from_the_plan_later(
     there = PacedTrajectory(still(q, 1), np.ones(1), np.zeros(1), np.ones(1))
     push = Stretch(still(q, 1), toy.motion, Held(0, 0, None, "push"))
     assert run.go(there, [push]) is Ending.DONE
+
+
+def test_the_hand_is_slow_beside_things_also_between_two_holds(
+    kitchen: Scene, plans: dict[str, PlacementPlan]
+) -> None:
+    plan, config = plans["cabinet_back"], ExecutionConfig()
+    assert plan.motion is not None
+    assert plan.base_pose is not None
+    ways: list[tuple[float, np.ndarray, bool]] = []
+
+    def watch(world: Simulation, time: float, stage: Stage) -> None:
+        contact = world.data.contact
+        kinds = world.kinds[contact.geom[contact.dist < config.near]]
+        beside = np.isin(kinds, HAND).any(1) & np.isin(kinds, (Kind.PART, Kind.ROOM)).any(1)
+        near = bool(beside.any()) and stage is Stage.MANIPULATE
+        ways.append((time, world.T_world_tool[:3, 3], near))
+
+    execute(
+        kitchen, load_robot("segway_ur5e"), plan.base_pose, plan.motion, plan.task, config,
+        np.random.default_rng(0), watch=watch,
+    )  # fmt: skip
+    times, points = np.array([w[0] for w in ways]), np.array([w[1] for w in ways])
+    speed = np.linalg.norm(np.diff(points, axis=0), axis=1) / np.diff(times)
+    beside = np.array([w[2] for w in ways[1:]])
+    assert beside.sum() > 100
+    # It returns to the plan meanwhile, and what it then meets was not looked at.
+    assert speed[beside].max() < 1.5 * config.compliance.beside_speed
+    assert speed.max() > 3.0 * config.compliance.beside_speed

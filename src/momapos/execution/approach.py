@@ -63,6 +63,7 @@ def paced(
     room: Simulation,
     config: ExecutionConfig,
     *,
+    value: float | None = None,
     careful: bool = False,
 ) -> PacedTrajectory:
     """Slow a trajectory down where the arm is near things, and where it comes to the grasp.
@@ -73,11 +74,12 @@ def paced(
         tool: Positions of the tool at these [m].
         room: The room as the robot knows it.
         config: How slow.
+        value: Of the part's joint meanwhile [rad] or [m]; as the room has it by default.
         careful: Whether what the robot knows of the room may be wrong, so that it is nowhere fast.
     """
     step, compliance = config.timestep * config.substeps, config.compliance
     times = np.arange(len(plan)) * step
-    gap = np.interp(times, plan.state_times, clearances(room, path, config.near))
+    gap = np.interp(times, plan.state_times, clearances(room, path, config.near, value))
     points = np.column_stack([np.interp(times, plan.state_times, tool[:, i]) for i in range(3)])
     speed = np.zeros(len(plan))
     if len(plan) > 1:
@@ -109,11 +111,16 @@ def _smooth(
 
 
 def clearances(
-    room: Simulation, path: Float[np.ndarray, "m n"], most: float
+    room: Simulation, path: Float[np.ndarray, "m n"], most: float, value: float | None = None
 ) -> Float[np.ndarray, " m"]:
-    """Distance of the arm from its surroundings at some of its states [m]; at most `most`."""
+    """Distance of the arm from its surroundings at some of its states [m]; at most `most`.
+
+    The part's joint has a value [rad] or [m], by default that of the room.
+    """
     data = mujoco.MjData(room.model)
     data.qpos[:] = room.data.qpos
+    if value is not None:
+        data.qpos[room.part_q] = value
     arm, things = np.isin(room.kinds, _MOVING), np.isin(room.kinds, _SURROUNDINGS)
     gaps = np.full(len(path), most)
     for i, q in enumerate(path):

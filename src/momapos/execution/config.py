@@ -24,6 +24,7 @@ class Ending(StrEnum):
     ONE_SIDED = "only one finger touches"
     TOO_HARD = "the hand felt more than it may"
     BLOCKED = "something is in the arm's way"
+    BEHIND = "the arm did not come to the end of its way"
     SLIPPED = "the hand lost its hold"
     SLIPPED_AT_END = "the hand lost its hold near the end of its way"
     BROKE = "the weld broke"
@@ -36,7 +37,7 @@ GOOD = (Ending.DONE, *AT_END)
 
 RECOVERABLE = (
     Ending.ASTRAY, Ending.OUT_OF_REACH, Ending.NOTHING_HELD, Ending.ONE_SIDED, Ending.TOO_HARD,
-    Ending.BLOCKED, Ending.SLIPPED, Ending.BROKE,
+    Ending.BLOCKED, Ending.BEHIND, Ending.SLIPPED, Ending.BROKE,
 )  # fmt: skip
 """Endings after which the robot may try anew."""
 

@@ -75,6 +75,21 @@ def reach_on(run: ExecutionRun, q: Float[np.ndarray, " n"]) -> Ending | None:
     return None
 
 
+def go_between(run: ExecutionRun, way: PacedTrajectory) -> Ending | None:
+    """Go with a free hand from one hold to the next, and return to the plan on the way."""
+    offset = run.arm.q - way.plan.q[0]
+    fade, steps, at = run.step / run.config.compliance.home, 0, 0.0
+    while at < way.last:
+        pace = float(way.pace[round(at)])
+        at, steps = min(at + pace, float(way.last)), steps + 1
+        q, v, a = way.at(at, pace)
+        run.arm.go(q + max(0.0, 1.0 - fade * steps) * offset, v, a)
+        ending = run.tick(Stage.MANIPULATE) or run.lost()
+        if ending is not None:
+            return ending
+    return None
+
+
 def go_back(run: ExecutionRun, way: PacedTrajectory) -> Ending | None:
     """Go back along a way from where the arm is on it, giving way to what the hand feels."""
     while True:

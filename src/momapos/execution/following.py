@@ -73,7 +73,12 @@ def follow_part(
         if _at_stop(run, here, pose_at(last), length):
             run.arm.stop()
             return Ending.STOPPED_AT_END
-    return None
+    here, _ = run.arm.kinematics.at(run.world.data.qpos[run.world.arm_q])
+    left = _left(here, pose_at(last))
+    if left <= config.tolerance * length:
+        return None
+    run.detail = f"{100 * left:.0f} cm of {100 * length:.0f} were left"
+    return Ending.BEHIND
 
 
 def _missing(

@@ -37,6 +37,7 @@ from momapos.types import Hold, Motion, Task
 DEFAULT = ExecutionConfig()
 _STATES = 5
 """States of the motion for which the motors are tuned [-]."""
+_IN_THE_WAY = (Ending.BLOCKED, Ending.BEHIND, Ending.TOO_HARD)
 _WELD_INSTEAD = "the fingers of {} do not close on anything: a weld stands for its hold"
 
 
@@ -69,7 +70,7 @@ class Outcome:
     @property
     def in_the_way(self) -> bool:
         """Whether the arm could not follow the part from where the base stands."""
-        return self.learned is not None and self.ending in (Ending.BLOCKED, Ending.TOO_HARD)
+        return self.learned is not None and self.ending in _IN_THE_WAY
 
     @property
     def nothing_there(self) -> bool:
@@ -177,7 +178,7 @@ def attempt(
     run.check_start()
     began = clock()
     approach = _approach(robot, motion, task, config, known, careful=again is not None)
-    ending = run.go(approach, _stretches(robot, motion, task, config))
+    ending = run.go(approach, _stretches(robot, motion, task, config, known))
     detail, at_home = run.detail, False
     if way_home is not None and belief is not None and ending in RECOVERABLE:
         at_home = retreat(run, robot, approach, way_home)
@@ -195,7 +196,9 @@ def attempt(
     return Outcome(execution, ending, run.learned, value, run.observer.collisions, at_home)
 
 
-def _stretches(robot: Robot, motion: Motion, task: Task, config: ExecutionConfig) -> list[Stretch]:
+def _stretches(
+    robot: Robot, motion: Motion, task: Task, config: ExecutionConfig, room: Simulation
+) -> list[Stretch]:
     """The motion cut where the hand takes hold and lets go."""
     step = config.timestep * config.substeps
     holds = motion.holds or (Hold(0, len(motion.q) - 1),)
@@ -219,7 +222,14 @@ def _stretches(robot: Robot, motion: Motion, task: Task, config: ExecutionConfig
         # What is placed is let go before: there is nothing to carry.
         verb = None if task.verb == "place" else task.verb
         free, slow = time_motion(robot, part, speed, step, verb=verb)
-        stretches.append(Stretch(free if held is None else slow, part, held))
+        if held is not None:
+            stretches.append(Stretch(slow, part, held))
+            continue
+        way = paced(
+            free, part.q, part.Ts_world_tool[:, :3, 3], room, config,
+            value=float(part.object_q[0]),
+        )  # fmt: skip
+        stretches.append(Stretch(free, part, None, way))
     return stretches
 
 

@@ -14,7 +14,7 @@ from momapos.execution.approach import PacedTrajectory
 from momapos.execution.arm_control import EVERYWHERE, CompliantArm, Reference
 from momapos.execution.avoidance import Surroundings
 from momapos.execution.config import AT_END, Ending, ExecutionConfig, Stage
-from momapos.execution.entering import come_in, reach_on
+from momapos.execution.entering import come_in, go_between, reach_on
 from momapos.execution.feel import feel
 from momapos.execution.following import follow_part
 from momapos.execution.furniture import Seal
@@ -59,6 +59,8 @@ class Stretch:
     """Its states."""
     hold: Hold | None
     """None where the hand is free."""
+    between: PacedTrajectory | None = None
+    """The plan of a free hand between two holds, slow near things; None of all others."""
 
     @property
     def pushes(self) -> bool:
@@ -311,12 +313,12 @@ class ExecutionRun:
     def _move(self, stretch: Stretch) -> Ending | None:
         """Move what is held along its planned way, or along the way that it turns out to take."""
         plan = stretch.plan
+        if stretch.between is not None:
+            return go_between(self, stretch.between)
         if self.belief is None or stretch.hold is None:
-            offset = self.arm.q - plan.q[0]
-            # A free hand returns to the plan; what is in the hand came into it as it did.
-            fade = self.step / self.config.compliance.home if self.belief is not None else 0.0
-            for k, (q, v, a) in enumerate(zip(plan.q, plan.v, plan.a, strict=True)):
-                self.arm.go(q + max(0.0, 1.0 - fade * k) * offset, v, a)
+            offset = self.arm.q - plan.q[0]  # what is in the hand came into it as it did
+            for q, v, a in zip(plan.q, plan.v, plan.a, strict=True):
+                self.arm.go(q + offset, v, a)
                 ending = self.tick(Stage.MANIPULATE) or self.lost()
                 if ending is not None:
                     return ending
