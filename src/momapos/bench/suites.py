@@ -1,0 +1,97 @@
+"""Suites of tasks by name and seed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeAlias
+
+from momapos.bench.records import SuiteTask
+
+if TYPE_CHECKING:
+    from momapos.robots.robot import Robot
+    from momapos.scene.scene import Scene
+
+Build: TypeAlias = Callable[[int, Sequence[str], Path], list[SuiteTask]]
+"""Makes the tasks of a seed and robots; scene files go below the folder that it is given."""
+BASELINES = ("habitat", "m3", "reuleaux", "rm4d", "pycram", "behavior", "momagen")
+COMPARED = ("ours", "paper", "habitat", "reuleaux")
+SMOKE_TASKS = 16
+
+
+@dataclass(frozen=True)
+class SuiteKind:
+    """How a suite is made."""
+
+    about: str
+    build: Build
+    robots: tuple[str, ...]
+    methods: tuple[str, ...]
+    revision: int = 1
+
+
+def kitchen_tasks(robots: Sequence[str], seed: int) -> list[SuiteTask]:
+    """All doors, drawers, and things that fit the hand, of the built-in kitchens."""
+    from momapos.robots.robot import load_robot
+    from momapos.scene.files import load_scene
+    from momapos.scene.names import builtin_names
+
+    return [
+        task
+        for name in robots
+        for robot in [load_robot(name)]
+        for kitchen in builtin_names()
+        for task in _tasks_in(kitchen, load_scene(kitchen), robot, seed)
+    ]
+
+
+def _tasks_in(kitchen: str, scene: Scene, robot: Robot, seed: int) -> Iterator[SuiteTask]:
+    from momapos.manipulation.tasks import make_task, openable, slides
+
+    for item, joint in openable(scene):
+        kind = "drawer" if slides(scene, make_task(scene, "open", item, joint)) else "door"
+        where = f"{robot.name} {kitchen} {item}/{joint}"
+        yield SuiteTask(where, kind, kitchen, robot.name, "open", item, joint, seed=seed)
+    for thing in scene.objects:
+        if can_be_picked(scene, robot, thing.name):
+            where = f"{robot.name} {kitchen} {thing.name}"
+            yield SuiteTask(where, "pick", kitchen, robot.name, "pick", thing.name, seed=seed)
+
+
+def can_be_picked(scene: Scene, robot: Robot, name: str) -> bool:
+    """Whether a thing is loose and fits the hand of a robot."""
+    from momapos.config import PipelineConfig
+    from momapos.errors import TaskError
+    from momapos.manipulation.motion import task_motion
+    from momapos.manipulation.tasks import make_task
+
+    try:
+        task_motion(scene, robot, make_task(scene, "pick", name), PipelineConfig().motion)
+    except TaskError:
+        return False
+    return True
+
+
+def _smoke(seed: int, robots: Sequence[str], _: Path) -> list[SuiteTask]:
+    """Spread over all tasks, so that doors, drawers and picks of both kitchens are among them."""
+    every = kitchen_tasks(robots, seed)
+    count = min(SMOKE_TASKS, len(every))
+    return [every[k * len(every) // count] for k in range(count)]
+
+
+def _openings(seed: int, robots: Sequence[str], _: Path) -> list[SuiteTask]:
+    return [task for task in kitchen_tasks(robots, seed) if task.verb == "open"]
+
+
+SUITES: dict[str, SuiteKind] = {
+    "smoke": SuiteKind(
+        "16 tasks of the built-in kitchens", _smoke, ("segway_ur5e",), COMPARED
+    ),
+    "openings": SuiteKind(
+        "all doors and drawers of the built-in kitchens",
+        _openings,
+        ("segway_ur5e", "husky_ur5e", "fetch"),
+        ("ours", "paper", *BASELINES),
+    ),
+}
