@@ -201,9 +201,7 @@ def opened(scene: Scene, task: SuiteTask, value: float) -> Scene:
     T = after.object(box.object).link_poses()[link] @ np.linalg.inv(holder.link_poses()[link])
     thing = scene.object(task.object)
     moved = replace(thing, T_world_object=T @ thing.T_world_object)
-    return replace(
-        after, objects=tuple(moved if item is thing else item for item in after.objects)
-    )
+    return replace(after, objects=tuple(moved if item is thing else item for item in after.objects))
 
 
 # --------------------------------------------------------------------- what a process keeps

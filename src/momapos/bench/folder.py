@@ -1,8 +1,8 @@
 """The results folder: the suite as it was made, its scenes, and one results file a node.
 
-    suite.json            what the tasks are, and the versions of what answers them
-    scenes/               scene files and models, where the suite made any
-    rows-HOST.sqlite      the rows that this node's runner wrote
+suite.json            what the tasks are, and the versions of what answers them
+scenes/               scene files and models, where the suite made any
+rows-HOST.sqlite      the rows that this node's runner wrote
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ import socket
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass, fields
 from functools import cache
 from pathlib import Path
-from typing import Any
 
-from momapos.bench.records import Row, Suite, from_plain, to_plain
+from momapos.bench.records import Row, Settings, Suite, from_plain, to_plain
 from momapos.bench.store import read_rows
 from momapos.bench.suites import SUITES
 from momapos.cache import write_atomic
@@ -37,6 +37,17 @@ DEPENDS_ON = ("momapos", "numpy", "ompl")
 _URDF = re.compile(r'"urdf": "([^"]+)"')
 
 
+@dataclass(frozen=True)
+class Contents:
+    """What a results folder was made for, and with."""
+
+    suite: Suite
+    settings: Settings
+    versions: Mapping[str, str]
+    digest: str
+    """Content hash of the suite."""
+
+
 @cache
 def versions() -> dict[str, str]:
     """Versions of all that rows depend on; "code" is a hash of the package's own source."""
@@ -47,22 +58,21 @@ def versions() -> dict[str, str]:
 
 
 def open_folder(
-    folder: Path, name: str, seed: int, robots: Sequence[str]
-) -> tuple[Suite, Mapping[str, str]]:
-    """The suite of a results folder, which is made where there is none.
+    folder: Path, name: str, seed: int, robots: Sequence[str], settings: Settings
+) -> Contents:
+    """What a results folder is for; it is made where there is none.
 
     Args:
         folder: The results folder.
         name: Which suite.
         seed: What its tasks are drawn from.
         robots: Its robots; those of the suite where empty.
-
-    Returns:
-        The suite, and the versions of what answers it.
+        settings: How its tasks are asked.
 
     Raises:
         UnknownNameError: There is no such suite or robot.
-        InputError: The folder holds another suite, or results of another version.
+        InputError: The folder holds another suite, or results of another version or of other
+            settings.
     """
     if name not in SUITES:
         raise unknown_name("suite", name, SUITES, "momapos bench")
@@ -72,38 +82,45 @@ def open_folder(
     chosen = tuple(dict.fromkeys(robots)) or kind.robots
     check_outputs(folders=[folder])
     if not (folder / "suite.json").exists():
-        _make(folder, name, seed, chosen)
-    suite, made_by = read_suite(folder)
-    asked = {"suite": name, "seed": seed, "robots": ", ".join(chosen), "revision": kind.revision}
-    found = {
-        "suite": suite.name, "seed": suite.seed, "robots": ", ".join(suite.robots),
-        "revision": suite.revision,
-    }  # fmt: skip
-    for what, wanted in asked.items():
-        if found[what] != wanted:
+        _make(folder, name, seed, chosen, settings)
+    found = read_folder(folder)
+    suite = found.suite
+    differences = (
+        ("suite", suite.name, name),
+        ("seed", suite.seed, seed),
+        ("robots", " ".join(suite.robots), " ".join(chosen)),
+        ("revision", suite.revision, kind.revision),
+        *(
+            (f"--{item.name.replace('_', '-')}", getattr(found.settings, item.name), value)
+            for item in fields(Settings)
+            for value in [getattr(settings, item.name)]
+        ),
+    )
+    for what, there, asked in differences:
+        if there != asked:
             raise InputError(
-                f"{folder}: holds results of another suite: its {what} is {found[what]}, not "
-                f"{wanted}; give another folder"
+                f"{folder}: holds results of another run: {what} is {there} there, not {asked}; "
+                "give another folder"
             )
     for package, version in versions().items():
-        if made_by.get(package) != version:
+        if found.versions.get(package) != version:
             raise InputError(
-                f"{folder}: holds results of {package} {made_by.get(package, 'of no version')}, "
-                f"and this is {version}; give another folder ('momapos bench report' reads it)"
+                f"{folder}: holds results of {package} {found.versions.get(package, '?')}, and "
+                f"this is {version}; give another folder ('momapos bench report' still reads it)"
             )
     _refuse_changed_scenes(folder, suite)
-    return suite, made_by
+    return found
 
 
-def read_suite(folder: Path) -> tuple[Suite, dict[str, str]]:
-    """The suite that a results folder was made for, and the versions that it was made with.
+def read_folder(folder: Path) -> Contents:
+    """What a results folder was made for, and with.
 
     Raises:
-        FileFormatError: There is none, or none of this version.
+        FileFormatError: It is none, or none of this version.
     """
     path = folder / "suite.json"
     if not path.exists():
-        raise FileFormatError(f"{folder}: no results folder, for it has no suite.json")
+        raise FileFormatError(f"{folder}: no results folder, for it holds no suite.json")
     try:
         data = json.loads(read_bytes_bounded(path, MAX_BYTES))
     except (ValueError, RecursionError) as error:
@@ -114,11 +131,10 @@ def read_suite(folder: Path) -> tuple[Suite, dict[str, str]]:
             f'{path}: not a suite of this version; it has "format": {head[0]!r:.60}, "version": '
             f"{head[1]!r:.60}, not {FORMAT!r} and {VERSION}"
         )
-    made_by = from_plain(data.get("versions"), dict[str, str], f"{path}: versions")
-    suite = from_plain(data.get("suite"), Suite, str(path))
-    if data.get("digest") != _digest(suite):
-        raise FileFormatError(f"{path}: was changed after it was made; give another folder")
-    return suite, made_by
+    found = from_plain(data, Contents, str(path))
+    if found.digest != _digest(found.suite):
+        raise FileFormatError(f"{path}: its tasks were changed since; give another folder")
+    return found
 
 
 def all_rows(folder: Path) -> list[Row]:
@@ -145,7 +161,12 @@ def held(folder: Path) -> Iterator[None]:
     Raises:
         InputError: Another one works in it.
     """
-    with open(rows_file(folder).with_suffix(".lock"), "w") as file:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        file = rows_file(folder).with_suffix(".lock").open("w")
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be written ({error.strerror})") from error
+    with file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
@@ -168,7 +189,7 @@ def scene_digest(path: Path) -> str:
     return digest.hexdigest()[:32]
 
 
-def _make(folder: Path, name: str, seed: int, robots: tuple[str, ...]) -> None:
+def _make(folder: Path, name: str, seed: int, robots: tuple[str, ...], settings: Settings) -> None:
     """Make a suite and write it, the whole of it or nothing."""
     kind = SUITES[name]
     folder.mkdir(parents=True, exist_ok=True)
@@ -182,20 +203,11 @@ def _make(folder: Path, name: str, seed: int, robots: tuple[str, ...]) -> None:
             if (new / "scenes").exists():
                 shutil.rmtree(folder / "scenes", ignore_errors=True)
                 (new / "scenes").rename(folder / "scenes")
-        write_atomic(folder / "suite.json", _text(suite).encode())
+        made = Contents(suite, settings, versions(), _digest(suite))
+        text = json.dumps({"format": FORMAT, "version": VERSION, **to_plain(made)}, indent=1)
+        write_atomic(folder / "suite.json", f"{text}\n".encode())
     except OSError as error:
         raise InputError(f"{folder}: cannot be written ({error.strerror or error})") from error
-
-
-def _text(suite: Suite) -> str:
-    data: dict[str, Any] = {
-        "format": FORMAT,
-        "version": VERSION,
-        "versions": versions(),
-        "digest": _digest(suite),
-        "suite": to_plain(suite),
-    }
-    return json.dumps(data, indent=1) + "\n"
 
 
 def _digest(suite: Suite) -> str:

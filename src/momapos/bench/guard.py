@@ -21,10 +21,8 @@ from momapos.errors import one_line
 WORKER = (sys.executable, "-m", "momapos.bench.worker")
 START_LIMIT = 300.0
 """Time for a process to start [s]; a busy machine reads its packages for long."""
-ONE_THREAD = {
-    name: "1"
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
-}
+ONE_THREAD = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL", "NUMBA")}
+"""Workers answer side by side, each by one thread."""
 _CHUNK = 1 << 16
 
 
@@ -36,7 +34,7 @@ class Process:
     """A worker process and the lines that are exchanged with it."""
 
     def __init__(self, command: tuple[str, ...]) -> None:
-        self.errors = tempfile.TemporaryFile()
+        self.errors = tempfile.TemporaryFile()  # noqa: SIM115 - closed by `kill`
         self.process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self.errors,
             env={**os.environ, **ONE_THREAD},
