@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -18,6 +18,7 @@ Build: TypeAlias = Callable[[int, Sequence[str], Path], list[SuiteTask]]
 BASELINES = ("habitat", "m3", "reuleaux", "rm4d", "pycram", "behavior", "momagen")
 COMPARED = ("ours", "paper", "habitat", "reuleaux")
 SMOKE_TASKS = 16
+SIM_TASKS, ROOMS = 500, 10
 
 
 @dataclass(frozen=True)
@@ -88,6 +89,51 @@ def _openings(seed: int, robots: Sequence[str], _: Path) -> list[SuiteTask]:
     return [task for task in kitchen_tasks(robots, seed) if task.verb == "open"]
 
 
+def _paper_sim(seed: int, robots: Sequence[str], folder: Path) -> list[SuiteTask]:
+    """As many tasks of every class as there are, or as make 500, asked of every robot."""
+    import numpy as np
+
+    from momapos.bench.rooms import make_room, room_layouts
+
+    by_group: dict[str, list[SuiteTask]] = {}
+    for k, layout in enumerate(room_layouts(ROOMS)):
+        name = f"scenes/room_{k:02d}.json"
+        room = make_room(layout, np.random.default_rng([seed, k]), folder / name)
+        found = [
+            SuiteTask(
+                f"{k:02d} {thing.name} {thing.place}", thing.place, name, "", "pick", thing.name,
+                inside=thing.inside,
+            )
+            for thing in room.things
+        ]  # fmt: skip
+        found += [
+            SuiteTask(f"{k:02d} {kind} {item}/{joint}", kind, name, "", "open", item, joint)
+            for kind, item, joint in room.openings
+        ]
+        for task in found:
+            by_group.setdefault(task.group, []).append(task)
+    chosen = spread(by_group, SIM_TASKS)
+    return [
+        replace(task, name=f"{robot} {task.name}", robot=robot, seed=seed)
+        for robot in robots
+        for task in chosen
+    ]
+
+
+def spread(by_group: Mapping[str, Sequence[SuiteTask]], count: int) -> list[SuiteTask]:
+    """So many tasks, as evenly from all groups as these allow, and evenly from each; in order."""
+    share, left = {}, count
+    smallest_first = sorted(by_group, key=lambda group: len(by_group[group]))
+    for k, group in enumerate(smallest_first):
+        share[group] = min(len(by_group[group]), left // (len(by_group) - k))
+        left -= share[group]
+    return [
+        tasks[i * len(tasks) // share[group]]
+        for group, tasks in by_group.items()
+        for i in range(share[group])
+    ]
+
+
 SUITES: dict[str, SuiteKind] = {
     "smoke": SuiteKind("16 tasks of the built-in kitchens", _smoke, ("segway_ur5e",), COMPARED),
     "openings": SuiteKind(
@@ -95,5 +141,11 @@ SUITES: dict[str, SuiteKind] = {
         _openings,
         ("segway_ur5e", "husky_ur5e", "fetch"),
         ("ours", "paper", *BASELINES),
+    ),
+    "paper-sim": SuiteKind(
+        "500 tasks with 30 objects in generated kitchens",
+        _paper_sim,
+        ("fetch", "segway_ur5e", "husky_ur5e"),
+        ("ours", "paper", "habitat", "m3", "reuleaux"),
     ),
 }
