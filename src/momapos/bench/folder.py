@@ -34,7 +34,7 @@ FORMAT, VERSION = "momapos-bench", 1
 MAX_BYTES = 100_000_000
 PACKAGE = Path(__file__).parents[1]
 DEPENDS_ON = ("momapos", "numpy", "ompl")
-_URDF = re.compile(r'"urdf": "([^"]+)"')
+_URDF, _MESH = re.compile(r'"urdf": "([^"]+)"'), re.compile(r'<mesh[^>]*filename="([^"]+)"')
 
 
 @dataclass(frozen=True)
@@ -185,7 +185,9 @@ def scene_digest(path: Path) -> str:
     digest = hashlib.sha256(text.encode())
     for urdf in sorted(set(_URDF.findall(text))):
         model = path.parent / urdf
-        digest.update(urdf.encode() + b"\n" + model.read_bytes())
+        meshes = sorted(set(_MESH.findall(model.read_text(encoding="utf-8"))))
+        for name, file in ((urdf, model), *((mesh, model.parent / mesh) for mesh in meshes)):
+            digest.update(name.encode() + b"\n" + file.read_bytes())
     return digest.hexdigest()[:32]
 
 

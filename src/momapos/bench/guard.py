@@ -40,6 +40,8 @@ class Process:
             env={**os.environ, **ONE_THREAD},
         )  # fmt: skip
         self._left = b""
+        self._said = 0
+        """Where in the errors what the present job says begins."""
 
     def ask(self, job: dict[str, Any], limit: float) -> dict[str, Any]:
         """The answer to a job.
@@ -52,6 +54,7 @@ class Process:
             JobFailed: It raised, the time is up, or the process ended.
         """
         assert self.process.stdin is not None
+        self._said = os.fstat(self.errors.fileno()).st_size
         try:
             self.process.stdin.write(json.dumps(job).encode() + b"\n")
             self.process.stdin.flush()
@@ -99,7 +102,7 @@ class Process:
         """How the process ended, with the last line that it said."""
         code = self.process.wait()
         how = f"was killed by signal {-code}" if code < 0 else f"ended with status {code}"
-        self.errors.seek(0)
+        self.errors.seek(self._said)
         said = self.errors.read().decode(errors="replace").strip().rpartition("\n")[2]
         return one_line(f"its process {how}" + (f": {said}" if said else ""))
 
@@ -110,17 +113,24 @@ class _Processes:
     def __init__(self) -> None:
         self.lock = threading.Lock()
         self.by_thread: dict[tuple[int, tuple[str, ...]], Process] = {}
+        self.open = True
+        """Whether new ones may start."""
 
     def mine(self, command: tuple[str, ...]) -> Process:
-        """The process of this thread, started where there is none."""
+        """The process of this thread, started where there is none.
+
+        Raises:
+            JobFailed: It does not start, or none may.
+        """
         key = (threading.get_ident(), command)
         with self.lock:
             found = self.by_thread.get(key)
-        if found is None:
-            found = Process(command)
-            with self.lock:
-                self.by_thread[key] = found
-            found.wait_ready()
+            if found is not None:
+                return found
+            if not self.open:
+                raise JobFailed("the run is being stopped")
+            found = self.by_thread[key] = Process(command)
+        found.wait_ready()
         return found
 
     def drop_mine(self, command: tuple[str, ...]) -> None:
@@ -130,13 +140,20 @@ class _Processes:
         if found is not None:
             found.kill()
 
-    def drop_all(self) -> None:
-        """End the processes of all threads."""
+    def close(self) -> None:
+        """End the processes of all threads, and let none start."""
         with self.lock:
-            every = list(self.by_thread.values())
+            self.open = False
+            for process in self.by_thread.values():
+                process.process.kill()
+
+    def reopen(self) -> None:
+        """Forget what was ended, and let new ones start."""
+        with self.lock:
+            for process in self.by_thread.values():
+                process.kill()
             self.by_thread.clear()
-        for process in every:
-            process.kill()
+            self.open = True
 
 
 _PROCESSES = _Processes()
@@ -170,5 +187,6 @@ def local_workers(count: int) -> Iterator[Executor]:
         yield threads
     finally:
         threads.shutdown(wait=False, cancel_futures=True)
-        _PROCESSES.drop_all()
+        _PROCESSES.close()  # what a thread waits for ends, and so does the thread
         threads.shutdown(wait=True)
+        _PROCESSES.reopen()

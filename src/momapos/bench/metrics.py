@@ -9,7 +9,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from momapos.bench.records import Row
+from momapos.bench.records import Row, Suite
 
 Key = TypeVar("Key", bound=Hashable)
 CONFIDENCE = 0.95
@@ -41,6 +41,18 @@ def grouped(rows: Iterable[Row], key: Callable[[Row], Key]) -> dict[Key, list[Ro
     for row in rows:
         found[key(row)].append(row)
     return dict(found)
+
+
+def in_order(suite: Suite, rows: Iterable[Row]) -> list[Row]:
+    """Rows as the suite has its methods and tasks, however they came."""
+    tasks = {task.name: k for k, task in enumerate(suite.tasks)}
+    methods = {method: k for k, method in enumerate(suite.methods)}
+    return sorted(
+        rows,
+        key=lambda row: (
+            tasks.get(row.task, len(tasks)), methods.get(row.method, len(methods)), row.method,
+        ),
+    )  # fmt: skip
 
 
 def succeeded(row: Row) -> bool:

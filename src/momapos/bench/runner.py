@@ -6,7 +6,14 @@ import random
 import socket
 import time
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    BrokenExecutor,
+    CancelledError,
+    Executor,
+    Future,
+    wait,
+)
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -15,6 +22,7 @@ from momapos.bench.guard import JobFailed
 from momapos.bench.records import Job, Row, Settings, Suite, from_plain, to_plain
 from momapos.bench.store import Store
 from momapos.cache import content_key
+from momapos.errors import InputError, one_line
 
 Do: TypeAlias = Callable[[dict[str, Any]], dict[str, Any]]
 """Turns a job into a row, both as dictionaries; runs wherever the executor does."""
@@ -78,7 +86,7 @@ def run_jobs(
         finished: Keys of jobs that have a row.
 
     Raises:
-        InputError: A row cannot be kept.
+        InputError: A row cannot be kept, or the executor is gone.
     """
     waiting = iter([job for job in jobs if job.key not in finished])
     running: dict[Future[dict[str, Any]], Job] = {}
@@ -94,11 +102,22 @@ def run_jobs(
 
 
 def _row_of(future: Future[dict[str, Any]], job: Job) -> Row:
-    """What came of a job, and when; what it raised is a row."""
+    """What came of a job, and when; what it raised is a row.
+
+    Raises:
+        InputError: The executor is gone.
+    """
     try:
         row = from_plain(future.result(), Row, f"worker: {job.task.name}")
     except JobFailed as error:
         row = failed(job, str(error))
+    except (CancelledError, BrokenExecutor) as error:
+        raise InputError(
+            "those who answer are gone (a scheduler that ended?); the rows of finished jobs are "
+            "kept, and the same command goes on from there"
+        ) from error
+    except Exception as error:  # of the executor's own: a worker that died again and again, say
+        row = failed(job, one_line(f"{type(error).__name__}: {error}"))
     host = row.host or socket.gethostname()
     return replace(row, host=host, finished=time.time())
 

@@ -17,6 +17,27 @@ Build: TypeAlias = Callable[[int, Sequence[str], Path], list[SuiteTask]]
 """Makes the tasks of a seed and robots; scene files go below the folder that it is given."""
 BASELINES = ("habitat", "m3", "reuleaux", "rm4d", "pycram", "behavior", "momagen")
 COMPARED = ("ours", "paper", "habitat", "reuleaux")
+ABLATIONS = (
+    "paper",
+    *(f"paper:paper.group={T}" for T in (1, 5, 20)),
+    *(f"paper:paper.samples={M}" for M in (25, 50, 200)),
+    *(f"paper:paper.k_distance={k1},paper.k_potential={1 - k1}" for k1 in (0.0, 0.5, 1.0)),
+    *(f"paper:paper.heights={z}" for z in (0.4, 1.0, 1.4)),
+    *(f"paper:importance.alpha={alpha}" for alpha in (0.0, 0.25, 0.75, 1.0)),
+    *(f"paper:importance.k0={k0}" for k0 in (0.0, 1.0)),
+    *(f"paper:importance.scorer={name}" for name in ("reach", "distance", "size", "names")),
+    "paper:planner.planner=RRTConnect",
+    "ours",
+    *(f"ours:importance.alpha={alpha}" for alpha in (0.0, 0.75, 1.0)),
+    *(f"ours:place.count={count}" for count in (128, 2048)),
+    "ours:place.rounds=0",
+    "ours:place.grid=false",
+    "ours:place.improve=0",
+    "exhaustive",
+)
+"""Variants of the paper's options T, M, k1 with k1', z, alpha and k0 (alpha 0 models everything),
+of its scorer and its arm planner; and of ours: importance, samples, rounds (0: the grid alone),
+without the grid, and without looking for cheaper poses."""
 SMOKE_TASKS = 16
 SIM_TASKS, ROOMS = 500, 10
 
@@ -85,6 +106,10 @@ def _smoke(seed: int, robots: Sequence[str], _: Path) -> list[SuiteTask]:
     return [every[k * len(every) // count] for k in range(count)]
 
 
+def _ablations(seed: int, robots: Sequence[str], _: Path) -> list[SuiteTask]:
+    return kitchen_tasks(robots, seed)
+
+
 def _openings(seed: int, robots: Sequence[str], _: Path) -> list[SuiteTask]:
     return [task for task in kitchen_tasks(robots, seed) if task.verb == "open"]
 
@@ -134,6 +159,12 @@ def spread(by_group: Mapping[str, Sequence[SuiteTask]], count: int) -> list[Suit
     ]
 
 
+def _paper_real(seed: int, robots: Sequence[str], folder: Path) -> list[SuiteTask]:
+    from momapos.bench.laboratory import laboratory_tasks
+
+    return laboratory_tasks(seed, robots, folder)
+
+
 SUITES: dict[str, SuiteKind] = {
     "smoke": SuiteKind("16 tasks of the built-in kitchens", _smoke, ("segway_ur5e",), COMPARED),
     "openings": SuiteKind(
@@ -147,5 +178,17 @@ SUITES: dict[str, SuiteKind] = {
         _paper_sim,
         ("fetch", "segway_ur5e", "husky_ur5e"),
         ("ours", "paper", "habitat", "m3", "reuleaux"),
+    ),
+    "paper-real": SuiteKind(
+        "the paper's four tasks in 50 layouts of its laboratory",
+        _paper_real,
+        ("ranger_rm63",),
+        ("ours", "paper", "habitat", "m3", "reuleaux"),
+    ),
+    "ablations": SuiteKind(
+        "the tasks of the built-in kitchens by variants of the paper's method, and of ours",
+        _ablations,
+        ("segway_ur5e",),
+        ABLATIONS,
     ),
 }

@@ -15,7 +15,7 @@ from tyro.conf import Positional
 
 from momapos.bench.records import Settings
 from momapos.bench.suites import SUITES
-from momapos.cli.console import progress
+from momapos.cli.console import busy, progress
 from momapos.cli.options import OptionalPath, OptionalText, check_seed
 from momapos.errors import InputError, unknown_name
 from momapos.files import check_outputs
@@ -86,7 +86,8 @@ def bench_run(
     compile_once((*ANSWER, *RANK, *WALKS))
     settings = Settings(timeout, task_limit, execute)
     with held(out):
-        made = open_folder(out, suite, seed, robots, settings)
+        with busy(f"{suite}: looking at the tasks"):
+            made = open_folder(out, suite, seed, robots, settings)
         jobs = jobs_of(made.suite, chosen, out, settings, made.versions, limit or None)
         before = {row.key for row in all_rows(out)}
         left = sum(job.key not in before for job in jobs)
@@ -127,8 +128,10 @@ def bench_report(
     """
     check_outputs([html])
     from momapos.bench.folder import all_rows, read_folder
+    from momapos.bench.metrics import in_order
 
-    found, rows = read_folder(folder), all_rows(folder)
+    found = read_folder(folder)
+    rows = in_order(found.suite, all_rows(folder))
     if not rows:
         raise InputError(f"{folder}: holds no rows yet; 'momapos bench run' writes them")
     from momapos.bench.tables import all_tables, compared_tables
