@@ -8,7 +8,7 @@ import select
 import subprocess
 import sys
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -122,17 +122,28 @@ def test_a_row_that_cannot_be_kept_ends_the_run(tmp_path: Path) -> None:
         run_jobs([job("one")], store, executor, do, width=1, tell=lambda _: None)
 
 
-def test_an_executor_that_is_gone_ends_the_run(tmp_path: Path) -> None:
-    store, executor = Store(tmp_path / "rows-x.sqlite"), ThreadPoolExecutor(1)
+class _Gone(Executor):
+    """Cancels what it is given, or takes nothing."""
 
-    def leave(plain: dict[str, Any]) -> dict[str, Any]:
-        executor.shutdown(wait=False, cancel_futures=True)
-        return FAKE(plain)
+    def __init__(self, takes: bool) -> None:
+        self.takes = takes
 
-    jobs, told = [job("one"), job("two")], []
+    def submit(self, *_: Any, **__: Any) -> Future[Any]:
+        if not self.takes:
+            raise RuntimeError("cannot schedule new futures after shutdown")
+        future: Future[Any] = Future()
+        future.cancel()
+        future.set_running_or_notify_cancel()
+        return future
+
+
+@pytest.mark.parametrize("takes", [True, False])
+def test_an_executor_that_is_gone_ends_the_run(takes: bool, tmp_path: Path) -> None:
+    store = Store(tmp_path / "rows-x.sqlite")
+    store.add(row("finished before"))
     with pytest.raises(InputError, match="the same command goes on from there"):
-        run_jobs(jobs, store, executor, leave, width=1, tell=told.append)
-    assert read_rows(store.path) == told
+        run_jobs([job("one")], store, _Gone(takes), FAKE, width=1, tell=lambda _: None)
+    assert [one.key for one in read_rows(store.path)] == ["finished before"]
 
 
 def test_what_an_executor_says_of_a_job_is_its_row(tmp_path: Path) -> None:

@@ -26,6 +26,10 @@ from momapos.errors import InputError, one_line
 
 Do: TypeAlias = Callable[[dict[str, Any]], dict[str, Any]]
 """Turns a job into a row, both as dictionaries; runs wherever the executor does."""
+GONE = (
+    "those who answer are gone (a scheduler that ended?); the rows of finished jobs are kept, and "
+    "the same command goes on from there"
+)
 AHEAD = 2
 """Jobs that are handed out for each worker, so that none waits for the next [-]."""
 
@@ -92,13 +96,25 @@ def run_jobs(
     running: dict[Future[dict[str, Any]], Job] = {}
     while True:
         while len(running) < AHEAD * width and (job := next(waiting, None)) is not None:
-            running[executor.submit(do, to_plain(job))] = job
+            running[_submitted(executor, do, job)] = job
         if not running:
             return
         for future in wait(running, return_when=FIRST_COMPLETED).done:
             row = _row_of(future, running.pop(future))
             if store.add(row):
                 tell(row)
+
+
+def _submitted(executor: Executor, do: Do, job: Job) -> Future[dict[str, Any]]:
+    """A job that is handed out.
+
+    Raises:
+        InputError: The executor is gone.
+    """
+    try:
+        return executor.submit(do, to_plain(job))
+    except RuntimeError as error:  # what executors raise that were shut down or are broken
+        raise InputError(GONE) from error
 
 
 def _row_of(future: Future[dict[str, Any]], job: Job) -> Row:
@@ -112,10 +128,7 @@ def _row_of(future: Future[dict[str, Any]], job: Job) -> Row:
     except JobFailed as error:
         row = failed(job, str(error))
     except (CancelledError, BrokenExecutor) as error:
-        raise InputError(
-            "those who answer are gone (a scheduler that ended?); the rows of finished jobs are "
-            "kept, and the same command goes on from there"
-        ) from error
+        raise InputError(GONE) from error
     except Exception as error:  # of the executor's own: a worker that died again and again, say
         row = failed(job, one_line(f"{type(error).__name__}: {error}"))
     host = row.host or socket.gethostname()
