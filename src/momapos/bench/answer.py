@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Collection
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
@@ -13,7 +14,7 @@ import numpy as np
 from momapos.baselines.answer import plan_by_method
 from momapos.bench.folder import scene_path
 from momapos.bench.methods import method_config
-from momapos.bench.records import Job, Outcome, Pose, Row, SuiteTask
+from momapos.bench.records import Container, Job, Outcome, Pose, Row, SuiteTask
 from momapos.cache import user_cache
 from momapos.config import PipelineConfig
 from momapos.errors import MomaposError, require
@@ -107,15 +108,17 @@ def _do_steps(job: Job, trace: _Trace) -> None:
     """Open what the thing is in, if anything, and do the task from where the base is then."""
     task = job.task
     robot, reach = _robot(task.robot)
-    scene = _scene(scene_path(Path(job.folder), task.scene))
+    scene = _scene(scene_path(Path(job.folder), task.scene)).with_joints(task.joints)
     start = None if task.start is None else np.array(task.start)
     if task.inside is not None:
-        box = task.inside
-        room = without(scene, task.object) if box.carries else scene
+        box, room = task.inside, without(scene, task.carried)
         plan = _step(job, room, robot, reach, "open", (box.object, box.joint, None), start, trace)
         if plan is None or plan.base_pose is None or plan.task.to is None:
             return
-        scene, start = opened(scene, task, plan.task.to), np.array(plan.base_pose)
+        scene = opened(scene, box, plan.task.to, task.carried)
+        start = np.array(plan.base_pose)
+    elif task.carried:
+        scene = without(scene, task.carried)
     _step(job, scene, robot, reach, task.verb, (task.object, task.joint, task.to), start, trace)
 
 
@@ -179,29 +182,28 @@ def _execute(
 # ------------------------------------------------------------------------ what is in a container
 
 
-def without(scene: Scene, name: str) -> Scene:
-    """The same room without one thing."""
-    return replace(scene, objects=tuple(item for item in scene.objects if item.name != name))
+def without(scene: Scene, names: Collection[str]) -> Scene:
+    """The same room without some things."""
+    return replace(scene, objects=tuple(o for o in scene.objects if o.name not in names))
 
 
-def opened(scene: Scene, task: SuiteTask, value: float) -> Scene:
-    """The room after the container of a task was opened, what it carries moved along.
+def opened(scene: Scene, box: Container, value: float, carried: Collection[str]) -> Scene:
+    """The room after a container was opened.
 
     Args:
         scene: The room before.
-        task: A task with a container.
+        box: The container.
         value: Where its joint is then [rad] or [m].
+        carried: Things that move with it.
     """
-    assert task.inside is not None
-    box, holder = task.inside, scene.object(task.inside.object)
-    after = scene.with_joint(box.object, box.joint, value)
-    if not box.carries:
-        return after
+    holder, after = scene.object(box.object), scene.with_joint(box.object, box.joint, value)
     link = holder.model.joint(box.joint).child
     T = after.object(box.object).link_poses()[link] @ np.linalg.inv(holder.link_poses()[link])
-    thing = scene.object(task.object)
-    moved = replace(thing, T_world_object=T @ thing.T_world_object)
-    return replace(after, objects=tuple(moved if item is thing else item for item in after.objects))
+    objects = (
+        replace(item, T_world_object=T @ item.T_world_object) if item.name in carried else item
+        for item in after.objects
+    )
+    return replace(after, objects=tuple(objects))
 
 
 # --------------------------------------------------------------------- what a process keeps

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import Any, Literal, TypeVar
 
 import msgspec
@@ -26,8 +26,6 @@ class Container:
 
     object: str
     joint: str
-    carries: bool = False
-    """Whether the thing moves with the part, as in a drawer; it stands on a shelf otherwise."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +47,10 @@ class SuiteTask:
     """Value the joint must reach [rad] or [m]; None for the default of the verb."""
     inside: Container | None = None
     """What holds the object, and is opened first."""
+    carried: tuple[str, ...] = ()
+    """Things in the drawer that is opened: they move with it, and are left out until it is open."""
+    joints: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    """Joints that stand elsewhere than in the scene file at first, by object [rad] or [m]."""
     start: Pose | None = None
     """Where the base is at first; None for the scene's start."""
     seed: int = 0
@@ -135,8 +137,8 @@ class Row:
 
 
 def to_plain(record: object) -> Any:
-    """A record as plain lists and dictionaries."""
-    return msgspec.to_builtins(asdict(record))  # type: ignore[call-overload]
+    """A record, or several, as plain lists and dictionaries."""
+    return msgspec.to_builtins(record)
 
 
 def from_plain(data: object, kind: type[Record], where: str) -> Record:

@@ -79,13 +79,27 @@ class Placed:
 
 
 @dataclass(frozen=True)
+class Opening:
+    """A door of a fridge or dishwasher, or a drawer of a cabinet."""
+
+    kind: str
+    """Such as "open fridge"."""
+    part: Container
+    wide: float
+    """Where its joint ends [rad] or [m]."""
+
+
+@dataclass(frozen=True)
 class Room:
     """A room, its things, and what of it a suite opens."""
 
     file: Path
     things: tuple[Placed, ...]
-    openings: tuple[tuple[str, str, str], ...]
-    """Kind, object and joint of fridges, drawers and dishwashers."""
+    openings: tuple[Opening, ...]
+
+    def carried(self, box: Container | None) -> tuple[str, ...]:
+        """Names of the things in a drawer; none in anything else."""
+        return tuple(t.name for t in self.things if t.place == "in drawer" and t.inside == box)
 
 
 def make_room(layout: str, rng: np.random.Generator, out: Path) -> Room:
@@ -189,19 +203,20 @@ def _table(
 
 def _has_containers(kitchen: Sequence[Piece]) -> bool:
     """Whether the furniture has a fridge, a dishwasher and a drawer of a cabinet."""
-    kinds = {kind for kind, _, _ in _openings(kitchen)}
+    kinds = {opening.kind for opening in _openings(kitchen)}
     return kinds == {"open fridge", "open drawer", "open dishwasher"}
 
 
-def _openings(pieces: Sequence[Piece]) -> Iterator[tuple[str, str, str]]:
+def _openings(pieces: Sequence[Piece]) -> Iterator[Opening]:
     for piece in pieces:
         for part in piece.parts:
             if part.motion is None or not part.handle:
                 continue
+            box = Container(piece.name, joint_name(part))
             if piece.category in ("fridge", "dishwasher"):
-                yield f"open {piece.category}", piece.name, joint_name(part)
+                yield Opening(f"open {piece.category}", box, part.motion.upper)
             elif part.motion.kind == "prismatic" and piece.category == "cabinet":
-                yield "open drawer", piece.name, joint_name(part)
+                yield Opening("open drawer", box, part.motion.upper)
 
 
 def spots(pieces: Sequence[Piece]) -> list[Spot]:
@@ -225,7 +240,7 @@ def spots(pieces: Sequence[Piece]) -> list[Spot]:
                 assert part.motion is not None
                 if part.motion.kind == "prismatic":
                     bottom = max(part.boxes, key=_area)
-                    box = Container(piece.name, joint_name(part), carries=True)
+                    box = Container(piece.name, joint_name(part))
                     found.append(Spot("in drawer", piece, bottom, box))
     return found
 
@@ -251,8 +266,8 @@ def _area(box: Box) -> float:
 
 def _furnish(pieces: Sequence[Piece], rng: np.random.Generator) -> list[tuple[Piece, Placed]]:
     """Stand things in every kind of place, as many as `EACH` where they find room."""
-    every, things = spots(pieces), []
-    number = 0
+    every, number = spots(pieces), 0
+    things: list[tuple[Piece, Placed]] = []
     for place in PLACES:
         there = [spot for spot in every if spot.place == place]
         for _ in range(EACH if there else 0):
@@ -294,7 +309,7 @@ def _stood(name: str, kind: str, spot: Spot, rng: np.random.Generator) -> Piece 
 
 def _has_room(thing: Piece, spot: Spot, pieces: Sequence[Piece]) -> bool:
     """Whether nothing is in the space that a thing needs, around it and above."""
-    in_drawer = spot.inside is not None and spot.inside.carries
+    in_drawer = spot.place == "in drawer"
     aside, above = (SNUG, SNUG) if in_drawer else (ASIDE, ABOVE)
     box = thing.parts[0].boxes[0]
     x, y, z = np.subtract(box.high, box.low)

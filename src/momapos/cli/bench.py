@@ -85,7 +85,7 @@ def bench_run(
 
     compile_once((*ANSWER, *RANK, *WALKS))
     settings = Settings(timeout, task_limit, execute)
-    with held(out):
+    with held(out), _executor(workers, scheduler) as (executor, width, do):
         with busy(f"{suite}: looking at the tasks"):
             made = open_folder(out, suite, seed, robots, settings)
         jobs = jobs_of(made.suite, chosen, out, settings, made.versions, limit or None)
@@ -93,7 +93,7 @@ def bench_run(
         left = sum(job.key not in before for job in jobs)
         store = Store(rows_file(out))
         try:
-            with _executor(workers, scheduler) as (executor, width, do), _left(suite, left) as tell:
+            with _left(suite, left) as tell:
                 run_jobs(jobs, store, executor, do, width=width, tell=tell, finished=before)
         finally:
             store.close()
