@@ -17,7 +17,7 @@ from momapos.bench.methods import method_config
 from momapos.bench.records import Container, Job, Outcome, Pose, Row, SuiteTask
 from momapos.cache import user_cache
 from momapos.config import PipelineConfig
-from momapos.errors import MomaposError, require
+from momapos.errors import MomaposError, SceneError, require
 from momapos.manipulation.tasks import make_task
 from momapos.placement.config import OURS
 from momapos.protocols import ReachScorer
@@ -119,7 +119,14 @@ def _do_steps(job: Job, trace: _Trace) -> None:
         start = np.array(plan.base_pose)
     elif task.carried:
         scene = without(scene, task.carried)
-    _step(job, scene, robot, reach, task.verb, (task.object, task.joint, task.to), start, trace)
+    target = (task.object, task.joint, task.to)
+    try:
+        _step(job, scene, robot, reach, task.verb, target, start, trace)
+    except SceneError as error:  # the robot cannot stand there any more
+        if task.inside is None:
+            raise
+        why = str(error).partition(": ")[2].partition(";")[0] or str(error)
+        trace.end("gave up", f"where it opened {task.inside.object}: {why}")
 
 
 def _step(
