@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import re
 from html.parser import HTMLParser
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 from tests.bench.fakes import row, suite, task
 
+from momapos.bench.figures import scatter_figure, success_figure
 from momapos.bench.html import page
 from momapos.bench.markdown import markdown
 from momapos.bench.metrics import in_order, paired_p_value, share
 from momapos.bench.records import Row
 from momapos.bench.tables import Table, all_tables, compared_tables
 
+SVG = "{http://www.w3.org/2000/svg}"
 HOSTILE = "</td><script>alert(\"1\")</script> | & 'quoted'"
 
 
@@ -71,7 +74,7 @@ def test_numbers_know_the_rows_that_they_count() -> None:
     tables = by_title(all_tables(suite(), results()))
     solved = tables["Methods"].lines[0][2]
     assert solved.keys == ("ours 0", "ours 1", "ours 2")
-    assert tables["Success by class"].lines[1][1].keys == ("ours 2",)
+    assert tables["Success by class"].lines[0][2].keys == ("ours 2",)
     reasons = tables["Failures by reason"]
     assert sum(int(cell.text or 0) for line in reasons.lines for cell in line[2:]) == 3
 
@@ -80,7 +83,7 @@ def test_what_physics_did_not_do_is_no_success() -> None:
     rows = [row("a", done=True), row("b", done=False, reason="slipped"), row("c", done=None)]
     tables = by_title(all_tables(suite(), rows))
     assert cells(tables["Methods"])["done in physics"] == "1 of 3"
-    assert cells(tables["Success by class"])["ours"].startswith("2 of 3")
+    assert cells(tables["Success by class"])["door"].startswith("2 of 3")
     assert cells(tables["Failures by reason"])["outcome"] == "not done in physics"
 
 
@@ -128,6 +131,18 @@ def test_the_page_loads_nothing_and_runs_nothing_that_a_row_says() -> None:
     assert not made.loaded
     assert not re.search(r"@import|url\(", text)
     assert text.count(HOSTILE[:12]) == 0
+
+
+def test_figures_show_every_method_and_every_solved_task() -> None:
+    rows = results()
+    anchors = {one.key: f"r{k}" for k, one in enumerate(rows)}
+    bars = ElementTree.fromstring(success_figure(rows))
+    assert len(bars.findall(f"{SVG}rect")) == 2
+    points = ElementTree.fromstring(scatter_figure(rows, anchors)).findall(f"{SVG}a")
+    assert {point.get("href") for point in points} == {
+        f"#{anchors[one.key]}" for one in rows if one.outcome == "solved"
+    }
+    assert scatter_figure([row("x", outcome="gave up", driving=None)], {"x": "r0"}) == ""
 
 
 def test_markdown_tables_are_rectangles() -> None:

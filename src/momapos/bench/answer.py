@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import time
 from collections.abc import Collection
 from dataclasses import dataclass, field, replace
@@ -100,7 +101,7 @@ def answer_job(job: Job) -> Row:
         done=trace.done, seconds=trace.seconds, wall=time.perf_counter() - began,
         stages=trace.stages, driving=trace.driving if trace.outcome == "solved" else None,
         checked=trace.checked, sampled=trace.sampled, clearance=trace.clearance,
-        bases=tuple(trace.bases),
+        bases=tuple(trace.bases), host=socket.gethostname(),
     )  # fmt: skip
 
 

@@ -101,17 +101,17 @@ def summary_table(rows: Sequence[Row]) -> Table:
 
 def class_table(rows: Sequence[Row], title: str, field: str) -> Table:
     """Successes of every method by a field of the row."""
-    methods = list(dict.fromkeys(row.method for row in rows))
+    classes = list(dict.fromkeys(str(getattr(row, field)) for row in rows))
     lines = []
-    for name, members in grouped(rows, lambda row: str(getattr(row, field))).items():
-        line = [Cell(name, _keys(members))]
-        for method in methods:
-            mine = [row for row in members if row.method == method]
+    for method, members in grouped(rows, lambda row: row.method).items():
+        line = [Cell(method, _keys(members))]
+        for name in classes:
+            mine = [row for row in members if getattr(row, field) == name]
             good = [row for row in mine if succeeded(row)]
             part = share(len(good), len(mine))
             line.append(Cell(f"{_of(part)} ({_interval(part)})" if mine else "-", _keys(good)))
         lines.append(tuple(line))
-    return Table(f"Success by {title}", (title, *methods), tuple(lines))
+    return Table(f"Success by {title}", ("method", *classes), tuple(lines))
 
 
 def reason_table(rows: Sequence[Row]) -> Table:

@@ -189,13 +189,13 @@ def _executor(
 def _left(suite: str, count: int) -> Iterator[Callable[[Row], None]]:
     """Show how many answers came, and for how long the others will take."""
     done, began = 0, time.monotonic()
-    with progress(f"{suite}") as report:
+    with progress(suite) as report:
 
         def tell(_: Row) -> None:
             nonlocal done
             done += 1
             seconds = (time.monotonic() - began) / done * (count - done)
-            report(done / count, f"{done} of {count}, {_duration(seconds)} left")
+            report(done / count, f"{done}/{count}, {_duration(seconds)} left")
 
         yield tell
 
