@@ -7,8 +7,9 @@ import os
 import select
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -22,6 +23,7 @@ from momapos.bench.guard import JobFailed, local_workers, run_job
 from momapos.bench.records import Job, Row, Settings, to_plain
 from momapos.bench.runner import jobs_of, run_jobs
 from momapos.bench.store import Store, read_rows
+from momapos.cli.bench import _left
 from momapos.errors import InputError
 
 FAKE: Callable[[dict[str, Any]], dict[str, Any]] = partial(run_job, command=WORKER)
@@ -191,3 +193,23 @@ def test_a_key_tells_apart_what_decides_a_row() -> None:
     assert len(set(keys)) == len(keys)
     again = jobs_of(base, ["ours"], Path("another/folder"), Settings(), VERSIONS)[0].key
     assert again == keys[0]
+
+
+def test_progress_says_how_much_came_and_how_long_the_rest_takes(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    shown: list[tuple[float, str]] = []
+
+    @contextmanager
+    def progress(_: str) -> Iterator[Callable[[float, str], None]]:
+        yield lambda share, what: shown.append((share, what))
+
+    clock = iter([0.0, 10.0, 40.0, 30_000.0])
+    monkeypatch.setattr("momapos.cli.bench.progress", progress)
+    monkeypatch.setattr("momapos.cli.bench.time.monotonic", lambda: next(clock))
+    with _left("made", 4) as tell:
+        for key in ("one", "two", "three"):
+            tell(row(key))
+    assert shown == [
+        (0.25, "1/4, 30 s left"), (0.5, "2/4, 40 s left"), (0.75, "3/4, 2.8 h left")
+    ]  # fmt: skip

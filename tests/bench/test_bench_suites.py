@@ -12,7 +12,7 @@ import pytest
 from tests import optional
 from tests.real import DATA
 
-from momapos.bench import laboratory
+from momapos.bench import laboratory, suites
 from momapos.bench.answer import opened, without
 from momapos.bench.laboratory import TASKS, laboratory_tasks, shared_data
 from momapos.bench.records import Container, SuiteTask
@@ -35,7 +35,7 @@ from momapos.verification.exact import PlanVerifier
 
 
 def test_the_kitchens_tasks_are_all_doors_and_drawers_and_what_fits_the_hand(
-    robots: Callable[[str], Robot],
+    robots: Callable[[str], Robot], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     tasks = kitchen_tasks(["segway_ur5e"], 3)
     assert len({task.name for task in tasks}) == len(tasks)
@@ -51,7 +51,14 @@ def test_the_kitchens_tasks_are_all_doors_and_drawers_and_what_fits_the_hand(
         for task in mine:
             make_task(scene, task.verb, task.object, task.joint, task.to)
     assert {task.seed for task in tasks} == {3}
-    smoke = SUITES["smoke"].build(3, ["segway_ur5e"], Path("unused"))
+    monkeypatch.setattr(suites, "kitchen_tasks", lambda *_: tasks)
+    made = {
+        name: SUITES[name].build(3, ["segway_ur5e"], Path("unused"))
+        for name in ("smoke", "openings", "ablations")
+    }
+    assert made["openings"] == [task for task in tasks if task.verb == "open"]
+    assert made["ablations"] == tasks
+    smoke = made["smoke"]
     assert len(smoke) == SMOKE_TASKS
     assert {task.name for task in smoke} <= {task.name for task in tasks}
     assert {task.group for task in smoke} == {"door", "drawer", "pick"}

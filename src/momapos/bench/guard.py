@@ -23,6 +23,8 @@ START_LIMIT = 300.0
 """Time for a process to start [s]; a busy machine reads its packages for long."""
 ONE_THREAD = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL", "NUMBA")}
 """Workers answer side by side, each by one thread."""
+ENDING = 10.0
+"""Time for a process to end that answers no more [s]."""
 _CHUNK = 1 << 16
 
 
@@ -38,6 +40,8 @@ class Process:
         self.process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self.errors,
             env={**os.environ, **ONE_THREAD},
+            # An interrupt from the keyboard is the runner's; no job fails by it.
+            start_new_session=True,
         )  # fmt: skip
         self._left = b""
         self._said = 0
@@ -100,7 +104,11 @@ class Process:
 
     def _death(self) -> str:
         """How the process ended, with the last line that it said."""
-        code = self.process.wait()
+        try:
+            code = self.process.wait(ENDING)
+        except subprocess.TimeoutExpired:  # it said that it ends, and does not
+            self.process.kill()
+            code = self.process.wait()
         how = f"was killed by signal {-code}" if code < 0 else f"ended with status {code}"
         self.errors.seek(self._said)
         said = self.errors.read().decode(errors="replace").strip().rpartition("\n")[2]
