@@ -9,11 +9,11 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args
 
 from tyro.conf import Positional
 
-from momapos.bench.records import Settings
+from momapos.bench.records import Outcome, Settings
 from momapos.bench.suites import SUITES
 from momapos.cli.console import busy, progress
 from momapos.cli.options import OptionalPath, OptionalText, check_seed
@@ -208,9 +208,10 @@ def _duration(seconds: float) -> str:
 
 def _counts(rows: list[Row]) -> dict[str, Any]:
     """Outcomes by method, and how many were done in physics where any were executed."""
+    found = Counter((row.method, row.outcome) for row in rows)
     outcomes = {
-        method: dict(Counter(row.outcome for row in rows if row.method == method))
-        for method in dict.fromkeys(row.method for row in rows)
+        method: {what: found[method, what] for what in get_args(Outcome) if found[method, what]}
+        for method in sorted({row.method for row in rows})
     }
     executed = [row.done for row in rows if row.done is not None]
     physics = {"executed": len(executed), "done": sum(executed)} if executed else {}
