@@ -173,6 +173,7 @@ def test_two_runs_do_not_work_in_one_folder(tmp_path: Path) -> None:
         (["run", "smok", "--out", "x"], "no suite 'smok' in momapos bench; did you mean smoke"),
         (["run", "smoke", "--out", "x", "--methods", "our"], "no method 'our' in --methods"),
         (["run", "made", "--out", "x", "--robots", "fetsh"], "no robot 'fetsh'"),
+        (["run", "made", "--out", "x", "--robots", "file"], "no robot 'file' in the library"),
         (["run", "smoke", "--out", "x", "--workers", "0"], "--workers must be at least 1"),
         (["run", "smoke", "--out", "x", "--limit", "-1"], "--limit must be at least 0"),
         (["run", "smoke", "--out", "x", "--timeout", "nan"], "--timeout must be a time above 0"),

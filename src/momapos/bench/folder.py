@@ -22,11 +22,10 @@ from pathlib import Path
 
 from momapos.bench.records import Row, Settings, Suite, from_plain, to_plain
 from momapos.bench.store import read_rows
-from momapos.bench.suites import SUITES
+from momapos.bench.suites import SUITES, refuse_unknown
 from momapos.cache import write_atomic
-from momapos.errors import FileFormatError, InputError, unknown_name
+from momapos.errors import FileFormatError, InputError
 from momapos.files import check_outputs, read_bytes_bounded
-from momapos.robots.names import find_named_robot
 from momapos.scene.names import builtin_names, find_scene
 from momapos.versions import version_of
 
@@ -74,10 +73,7 @@ def open_folder(
         InputError: The folder holds another suite, or results of another version or of other
             settings.
     """
-    if name not in SUITES:
-        raise unknown_name("suite", name, SUITES, "momapos bench")
-    for robot in robots:
-        find_named_robot(robot)
+    refuse_unknown(name, robots)
     kind = SUITES[name]
     chosen = tuple(dict.fromkeys(robots)) or kind.robots
     check_outputs(folders=[folder])

@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
 from momapos.bench.records import SuiteTask
+from momapos.errors import unknown_name
+from momapos.robots.names import library_names
 
 if TYPE_CHECKING:
     from momapos.bench.rooms import Room
@@ -209,3 +211,18 @@ SUITES: dict[str, SuiteKind] = {
         ABLATIONS,
     ),
 }
+
+
+def refuse_unknown(name: str, robots: Sequence[str]) -> None:
+    """Refuse a suite that there is not, and robots that are not of the library.
+
+    Robot files are refused too, for rows do not tell apart what is in them.
+
+    Raises:
+        UnknownNameError: The message offers the nearest names.
+    """
+    if name not in SUITES:
+        raise unknown_name("suite", name, SUITES, "momapos bench")
+    for robot in robots:
+        if robot not in library_names():
+            raise unknown_name("robot", robot, library_names(), "the library")

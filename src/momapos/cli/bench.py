@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Any, get_args
 from tyro.conf import Positional
 
 from momapos.bench.records import Outcome, Settings
-from momapos.bench.suites import SUITES
+from momapos.bench.suites import SUITES, refuse_unknown
 from momapos.cli.console import busy, progress
 from momapos.cli.options import OptionalPath, OptionalText, check_seed
-from momapos.errors import InputError, unknown_name
+from momapos.errors import InputError
 from momapos.files import check_outputs
 
 if TYPE_CHECKING:
@@ -65,8 +65,7 @@ def bench_run(
     """
     # Told before anything heavy is imported.
     check_seed(seed)
-    if suite not in SUITES:
-        raise unknown_name("suite", suite, SUITES, "momapos bench")
+    refuse_unknown(suite, robots)
     _at_least("--workers", workers, 1)
     _at_least("--limit", limit, 0)
     for name, value in (("--timeout", timeout), ("--task-limit", task_limit)):
