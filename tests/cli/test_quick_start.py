@@ -44,7 +44,7 @@ def test_importing_momapos_imports_nothing_heavy(tmp_path: Path) -> None:
     [
         ["--help"], ["--version"], ["place", "--help"], ["place", "open", "--help"],
         ["rank", "--help"], ["robot", "list"], ["robot", "list", "--json"], ["scene", "list"],
-        ["scan", "--help"], ["--tyro-print-completion", "bash"],
+        ["scan", "--help"], ["bench", "run", "--help"], ["--tyro-print-completion", "bash"],
     ],
 )  # fmt: skip
 def test_lists_and_help_import_nothing_heavy(words: list[str], tmp_path: Path) -> None:
@@ -68,6 +68,7 @@ def test_lists_and_help_import_nothing_heavy(words: list[str], tmp_path: Path) -
         ["reach", "eval", "fetsh"],
         ["verify", "no_such_plan.json"],
         ["run", "no_such_plan.json"],
+        ["bench", "run", "smok", "--out", "out"],
     ],
 )
 def test_a_mistyped_name_is_told_before_anything_heavy_is_imported(

@@ -42,6 +42,10 @@ COMMANDS: dict[str, tuple[str, str | dict[str, str]]] = {
         "reachability maps: build, evaluate",
         {"build": "reach:reach_build", "eval": "reach:reach_eval"},
     ),
+    "bench": (
+        "methods compared: run a suite of tasks, report on it",
+        {"run": "bench:bench_run", "report": "bench:bench_report"},
+    ),
 }  # fmt: skip
 """What each command is for, and its function, or those of its subcommands, in `momapos.cli`.
 

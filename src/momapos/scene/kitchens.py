@@ -116,12 +116,27 @@ def generate_kitchen(layout: str, *, seed: int, out: Path) -> Path:
         raise unknown_name("layout", layout, LAYOUTS, "the built-in kitchens")
     if seed < 0:
         raise InputError(f"the seed of a kitchen must be 0 or more, not {seed}")
+    pieces, floor = empty_kitchen(layout, seed)
+    counters = [piece for piece in pieces if piece.name.startswith("countertop")]
+    pieces += _items(counters, seed)
+    pieces = with_joint_ends(pieces)
+    return write_kitchen(out, f"{layout}_{seed}", pieces, floor, free_start(floor, pieces))
+
+
+def empty_kitchen(layout: str, seed: int) -> tuple[list[Piece], list[tuple[float, float]]]:
+    """Furniture and walls of a kitchen with nothing on the counters, and the floor's corners [m].
+
+    Raises:
+        MissingExtraError: scene-synthesizer is not installed.
+    """
     pieces = _without_clashes(_furniture(layout, seed))
     floor, walls = _room(pieces)
-    counters = [piece for piece in pieces if piece.name.startswith("countertop")]
-    pieces += walls + _items(counters, seed)
-    pieces = [ending_before_hits(piece, pieces, LEAST_OPENING) for piece in pieces]
-    return write_kitchen(out, f"{layout}_{seed}", pieces, floor, _start(floor, pieces))
+    return pieces + walls, floor
+
+
+def with_joint_ends(pieces: Sequence[Piece]) -> list[Piece]:
+    """The same furniture, each joint ending before its part hits anything."""
+    return [ending_before_hits(piece, pieces, LEAST_OPENING) for piece in pieces]
 
 
 # ---------------------------------------------------------------- from scene-synthesizer
@@ -349,7 +364,7 @@ def _items(counters: Sequence[Piece], seed: int) -> list[Piece]:
     return items
 
 
-def _start(
+def free_start(
     floor: Sequence[tuple[float, float]], pieces: Sequence[Piece]
 ) -> tuple[float, float, float]:
     """Choose the free place nearest to the furniture, or the freest; the robot looks at it.

@@ -1,0 +1,1 @@
+"""Benchmarks: suites of tasks, a runner that survives what it runs, and reports."""

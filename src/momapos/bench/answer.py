@@ -1,0 +1,238 @@
+"""One job: load, ask the method, check, carry out; the record of it is a row."""
+
+from __future__ import annotations
+
+import socket
+import time
+from collections.abc import Collection
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from momapos.baselines.answer import plan_by_method
+from momapos.bench.folder import scene_path
+from momapos.bench.methods import method_config
+from momapos.bench.records import Container, Job, Outcome, Pose, Row, SuiteTask
+from momapos.cache import user_cache
+from momapos.config import PipelineConfig
+from momapos.errors import MomaposError, SceneError, require
+from momapos.manipulation.tasks import make_task
+from momapos.placement.config import OURS
+from momapos.protocols import ReachScorer
+from momapos.reachability.store import load_reach
+from momapos.robots.robot import Robot, load_robot
+from momapos.scene.files import load_scene
+from momapos.scene.scene import Scene
+from momapos.types import PlacementPlan
+from momapos.verification.exact import PlanVerifier
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+    from momapos.execution.record import RunRecord
+
+WARM = SuiteTask("warm", "", "kitchen_small", "segway_ur5e", "open", "fridge", "door_hinge")
+"""What a process answers once by each method before anything counts, so that its kernels are
+loaded."""
+WARM_TIME = 10.0
+"""Processor time for that [s]."""
+
+
+@dataclass
+class _Trace:
+    """What a job leaves, step after step."""
+
+    stages: dict[str, float] = field(default_factory=dict)
+    seconds: float = 0.0
+    driving: float = 0.0
+    checked: int = 0
+    sampled: int = 0
+    bases: list[Pose] = field(default_factory=list)
+    verified: bool | None = None
+    done: bool | None = None
+    clearance: float | None = None
+    outcome: Outcome = "solved"
+    reason: str = ""
+
+    def take(self, plan: PlacementPlan) -> None:
+        """Add what a plan says to the steps before."""
+        for stage, seconds in plan.timing.items():
+            if stage != "total":
+                self.stages[stage] = self.stages.get(stage, 0.0) + seconds
+        self.seconds += plan.timing.get("total", 0.0)
+        self.checked += plan.candidates.checked
+        self.sampled += plan.candidates.sampled
+        self.driving += plan.navigation_cost or 0.0
+        if plan.base_pose is not None:
+            self.bases.append(plan.base_pose)
+
+    def carry_out(self, record: RunRecord) -> None:
+        """Add what physics says; a job is done where all its steps are."""
+        self.done = record.success and self.done is not False
+        self.reason = self.reason or record.reason
+        seen = [visit.clearance for visit in record.visits]
+        seen.append(None if record.execution is None else record.execution.clearance)
+        known = [value for value in (self.clearance, *seen) if value is not None]
+        self.clearance = min(known, default=None)
+
+    def end(self, outcome: Outcome, reason: str) -> None:
+        """Say how the job ended."""
+        self.outcome, self.reason = outcome, reason
+
+
+def answer_job(job: Job) -> Row:
+    """Answer a job: the row of it.
+
+    What momapos raises on purpose becomes a row that failed; everything else passes.
+    """
+    began = time.perf_counter()
+    task, trace = job.task, _Trace()
+    try:
+        _warm_up(job.method)
+        _do_steps(job, trace)
+    except MomaposError as error:
+        trace.end("failed", str(error))
+    return Row(
+        key=job.key, task=task.name, group=task.group, robot=task.robot, method=job.method,
+        seed=task.seed, outcome=trace.outcome, reason=trace.reason, verified=trace.verified,
+        done=trace.done, seconds=trace.seconds, wall=time.perf_counter() - began,
+        stages=trace.stages, driving=trace.driving if trace.outcome == "solved" else None,
+        checked=trace.checked, sampled=trace.sampled, clearance=trace.clearance,
+        bases=tuple(trace.bases), host=socket.gethostname(),
+    )  # fmt: skip
+
+
+def _do_steps(job: Job, trace: _Trace) -> None:
+    """Open what the thing is in, if anything, and do the task from where the base is then."""
+    task = job.task
+    robot, reach = _robot(task.robot)
+    scene = _scene(scene_path(Path(job.folder), task.scene)).with_joints(task.joints)
+    start = None if task.start is None else np.array(task.start)
+    if task.inside is not None:
+        box, room = task.inside, without(scene, task.carried)
+        plan = _step(job, room, robot, reach, "open", (box.object, box.joint, None), start, trace)
+        if plan is None or plan.base_pose is None or plan.task.to is None:
+            return
+        scene = opened(scene, box, plan.task.to, task.carried)
+        start = np.array(plan.base_pose)
+    elif task.carried:
+        scene = without(scene, task.carried)
+    target = (task.object, task.joint, task.to)
+    try:
+        _step(job, scene, robot, reach, task.verb, target, start, trace)
+    except SceneError as error:  # the robot cannot stand there any more
+        if task.inside is None:
+            raise
+        why = str(error).partition(": ")[2].partition(";")[0] or str(error)
+        trace.end("gave up", f"where it opened {task.inside.object}: {why}")
+
+
+def _step(
+    job: Job, scene: Scene, robot: Robot, reach: ReachScorer, verb: str,
+    target: tuple[str, str | None, float | None], start: Float[np.ndarray, "3"] | None,
+    trace: _Trace,
+) -> PlacementPlan | None:  # fmt: skip
+    """Answer, check and carry out one step.
+
+    Returns:
+        The plan, where the next step can follow; the trace says why not where it cannot.
+    """
+    config = method_config(job.method, job.settings.timeout)
+    asked = make_task(scene, verb, *target)
+    seed = job.task.seed
+    plan = plan_by_method(
+        scene, robot, asked, reach, start=start, config=config, seed=seed, clock=time.process_time
+    ).plan
+    trace.take(plan)
+    if plan.motion is None or plan.base_pose is None:
+        trace.end(*_refusal(plan, config))
+        return None
+    verifier = PlanVerifier(scene, robot, asked)
+    checks = (*verifier.check(plan.base_pose, plan.motion).checks, *verifier.drive_checks(plan))
+    wrong = next((check for check in checks if not check.ok), None)
+    trace.verified = wrong is None
+    if wrong is not None:
+        trace.end("failed", f"exact check refuses the plan: {wrong.name} {wrong.culprit}".strip())
+        return None
+    if job.settings.execute:
+        trace.carry_out(_execute(plan, scene, robot, reach, config, seed))
+    return None if trace.done is False else plan
+
+
+def _refusal(plan: PlacementPlan, config: PipelineConfig) -> tuple[Outcome, str]:
+    """How a search without a plan ended, and the most frequent reason for which poses failed."""
+    counts = plan.candidates.rejections
+    most = max(counts, key=lambda reason: counts[reason]) if counts else "no base pose proposed"
+    if plan.status == "timeout":
+        return "gave up", f"out of time; most: {most}"
+    return ("infeasible" if config.place.method in OURS else "gave up"), most
+
+
+def _execute(
+    plan: PlacementPlan, scene: Scene, robot: Robot, reach: ReachScorer, config: PipelineConfig,
+    seed: int,
+) -> RunRecord:  # fmt: skip
+    """Drive there with noise, plan anew, and hold by contact, as `momapos run` does."""
+    with require("physics"):
+        from momapos.execution.config import ExecutionConfig, FurnitureConfig
+        from momapos.run_plan import run_plan
+
+    return run_plan(
+        plan, scene, robot, reach, config=config, seed=seed,
+        physics=ExecutionConfig(hold="contact", furniture=FurnitureConfig(spread=0.3)),
+        clock=time.process_time,
+    )  # fmt: skip
+
+
+# ------------------------------------------------------------------------ what is in a container
+
+
+def without(scene: Scene, names: Collection[str]) -> Scene:
+    """The same room without some things."""
+    return replace(scene, objects=tuple(o for o in scene.objects if o.name not in names))
+
+
+def opened(scene: Scene, box: Container, value: float, carried: Collection[str]) -> Scene:
+    """The room after a container was opened.
+
+    Args:
+        scene: The room before.
+        box: The container.
+        value: Where its joint is then [rad] or [m].
+        carried: Things that move with it.
+    """
+    holder, after = scene.object(box.object), scene.with_joint(box.object, box.joint, value)
+    link = holder.model.joint(box.joint).child
+    T = after.object(box.object).link_poses()[link] @ np.linalg.inv(holder.link_poses()[link])
+    objects = (
+        replace(item, T_world_object=T @ item.T_world_object) if item.name in carried else item
+        for item in after.objects
+    )
+    return replace(after, objects=tuple(objects))
+
+
+# --------------------------------------------------------------------- what a process keeps
+
+
+@lru_cache(maxsize=16)
+def _scene(path: Path) -> Scene:
+    return load_scene(path, cache=user_cache())
+
+
+@lru_cache(maxsize=8)
+def _robot(name: str) -> tuple[Robot, ReachScorer]:
+    robot = load_robot(name)
+    return robot, load_reach(robot, user_cache().folder)
+
+
+@lru_cache(maxsize=256)
+def _warm_up(method: str) -> None:
+    """Answer an easy question by a method, so that what is loaded once counts for no job."""
+    robot, reach = _robot(WARM.robot)
+    scene = load_scene(WARM.scene, cache=user_cache())
+    task = make_task(scene, WARM.verb, WARM.object, WARM.joint)
+    config = method_config(method, WARM_TIME)
+    plan_by_method(scene, robot, task, reach, config=config, clock=time.process_time)

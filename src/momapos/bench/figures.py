@@ -1,0 +1,101 @@
+"""Figures of a report as SVG text: success with intervals, driving against time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from html import escape
+
+from momapos.bench.metrics import grouped, share, succeeded
+from momapos.bench.records import Row
+
+COLORS = (
+    "#1f6fb4", "#d1622b", "#3a923a", "#8a5cb4", "#a8842c", "#c03d3e", "#3aa6a6", "#7f7f7f",
+    "#d584bd", "#5b5bd6",
+)  # fmt: skip
+WIDTH = 720
+
+
+def success_figure(rows: Sequence[Row]) -> str:
+    """Share of tasks that each method does, with its interval."""
+    by_method = grouped(rows, lambda row: row.method)
+    left, bar = 190, WIDTH - 190 - 60
+    lines = [_open(30 + 26 * len(by_method))]
+    for k in range(5):
+        x = left + bar * k / 4
+        lines.append(_line(x, 8, x, 12 + 26 * len(by_method), "#ddd"))
+        lines.append(_text(x, 26 + 26 * len(by_method), f"{25 * k} %", "middle"))
+    for k, (method, mine) in enumerate(by_method.items()):
+        part = share(sum(map(succeeded, mine)), len(mine))
+        y, color = 14 + 26 * k, COLORS[k % len(COLORS)]
+        lines.append(_text(left - 8, y + 12, method[:28], "end"))
+        width = bar * part.count / max(part.of, 1)
+        lines.append(
+            f'<rect x="{left}" y="{y}" width="{width:.1f}" height="16" fill="{color}">'
+            f"<title>{escape(method)}: {part.count} of {part.of}</title></rect>"
+        )
+        lines.append(_line(left + bar * part.low, y + 8, left + bar * part.high, y + 8, "#111"))
+        lines.append(_text(left + bar + 8, y + 12, f"{part.count}/{part.of}"))
+    return "".join([*lines, "</svg>"])
+
+
+def scatter_figure(rows: Sequence[Row], anchors: dict[str, str]) -> str:
+    """Driving length against time of every solved task; each point links to its row.
+
+    Args:
+        rows: All rows.
+        anchors: The row's place in the page, by key.
+    """
+    points = [
+        (row, row.seconds, row.driving)
+        for row in rows
+        if row.outcome == "solved" and row.seconds and row.driving is not None
+    ]
+    if not points:
+        return ""
+    low = math.floor(math.log10(min(seconds for _, seconds, _ in points)))
+    high = max(math.ceil(math.log10(max(seconds for _, seconds, _ in points))), low + 1)
+    most = max(1.0, math.ceil(max(way for _, _, way in points)))
+    left, right, top, bottom = 50, WIDTH - 170, 10, 330
+    lines = [_open(bottom + 45)]
+    for decade in range(low, high + 1):
+        x = left + (right - left) * (decade - low) / (high - low)
+        lines.append(_line(x, top, x, bottom, "#ddd"))
+        lines.append(_text(x, bottom + 16, f"{10.0**decade:g} s", "middle"))
+    for k in range(5):
+        y = bottom - (bottom - top) * k / 4
+        lines.append(_line(left, y, right, y, "#ddd"))
+        lines.append(_text(left - 6, y + 4, f"{most * k / 4:g} m", "end"))
+    lines.append(_text((left + right) / 2, bottom + 36, "processor time of an answer", "middle"))
+    colors = {m: COLORS[k % len(COLORS)] for k, m in enumerate(grouped(rows, lambda r: r.method))}
+    for row, seconds, way in points:
+        x = left + (right - left) * (math.log10(seconds) - low) / (high - low)
+        y = bottom - (bottom - top) * way / most
+        lines.append(
+            f'<a href="#{anchors[row.key]}"><circle cx="{x:.1f}" cy="{y:.1f}" r="3" '
+            f'fill="{colors[row.method]}" fill-opacity="0.6"><title>{escape(row.method)}, '
+            f"{escape(row.task)}: {seconds:.3f} s, {way:.2f} m</title></circle></a>"
+        )
+    for k, (method, color) in enumerate(colors.items()):
+        y = top + 12 + 18 * k
+        lines.append(f'<circle cx="{right + 18}" cy="{y - 4}" r="4" fill="{color}"/>')
+        lines.append(_text(right + 28, y, method[:22]))
+    return "".join([*lines, "</svg>"])
+
+
+def _open(height: float) -> str:
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {height:.0f}" '
+        f'width="{WIDTH}" height="{height:.0f}" font-size="12" font-family="sans-serif">'
+    )
+
+
+def _line(x0: float, y0: float, x1: float, y1: float, color: str) -> str:
+    return (
+        f'<line x1="{x0:.1f}" y1="{y0:.1f}" x2="{x1:.1f}" y2="{y1:.1f}" stroke="{color}" '
+        'stroke-width="1.5"/>'
+    )
+
+
+def _text(x: float, y: float, text: str, anchor: str = "start") -> str:
+    return f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}">{escape(text)}</text>'
