@@ -21,7 +21,7 @@ from momapos.errors import RobotError
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.chain import Chain, build_chain
 from momapos.kinematics.self_collision import contacts, left_to_hulls
-from momapos.kinematics.spheres import Spheres, build_spheres
+from momapos.kinematics.spheres import Spheres, build_spheres, neighbors
 from momapos.kinematics.urdf import Urdf
 from momapos.robots.amend import BOX, Amendments, Frame, Mount
 from momapos.robots.base import (
@@ -31,7 +31,8 @@ from momapos.robots.base import (
     lift_as_base,
     refuse_without_base,
 )
-from momapos.robots.gripper import find_force, find_grip, find_grips, find_tool, listed
+from momapos.robots.fingers import find_force, jaws
+from momapos.robots.gripper import find_grip, find_grips, find_tool, listed
 from momapos.robots.names import library_names
 from momapos.robots.robot_text import ArmText, RobotText
 from momapos.robots.srdf import Srdf, beside, find_srdf
@@ -42,6 +43,8 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 MAX_LINKS = 500
+NESTED = "Nested"
+"""Why an SRDF of ours disables two stages of a telescope."""
 _SIDE = re.compile("left|right", re.I)
 Report = Callable[[float, str], None]
 """Takes the share of the work that is done, and what is at work."""
@@ -132,7 +135,14 @@ def derive_robot(
     }
     frames = [frame for frame in (floor, *(arm.frame for arm in arms.values())) if frame]
     record, _ = replace(amendments, frames=tuple(frames), coupled=couplings).read(urdf, cache)
-    model = _same_shapes(record, model, model.held)
+    # A gripper that rests open is planned for, drawn and executed as it comes to a handle.
+    fingers = {
+        name: value
+        for arm in arms.values()
+        for name, value in arm.text.grip.rest.items()
+        if value != model.rest[name]
+    }
+    model = _same_shapes(record, model, {**model.held, **fingers})
     footprint = find_footprint(model, base_link, firsts, notes)
     drive = find_drive(model, anchor, boxed, notes)
     pairs: dict[tuple[str, str], str] = {}
@@ -217,7 +227,10 @@ def _tool(model: Articulated, chain: ArmChain, name: str, notes: list[str]) -> _
     link, gripper, fingers = find_tool(model, chain.last, mine)
     grip = find_grip(model, chain.last, link, fingers, mine)
     grips = find_grips(model, chain.last, fingers, mine)
-    force = find_force(model, fingers, mine) if fingers and grips == "fingers" else None
+    force = None
+    if fingers and grips == "fingers":
+        sides = jaws(model, link, fingers, grip.closing)
+        force = find_force(model, link, sides, np.stack([grip.closing, grip.approach]), mine)
     frame = None
     if grip.grasp is not None:
         x, y, z = (round(float(v), 4) for v in grip.grasp)
@@ -253,7 +266,8 @@ def _settled(
     for index, joint in enumerate(text.joints):
         if joint in model.held:  # shared with an arm that has its home already
             q[:, index] = model.held[joint]
-    pairs = inevitable_pairs(chain, spheres, q)
+    pairs = inevitable_pairs(chain, spheres, q) | _nested(model, arm.chain, spheres)
+    pairs |= _rigid_pairs(model, chain, spheres, srdf)
     spheres = _without(spheres, pairs)
     mine: list[str] = []
     home = _home(chain, left_to_hulls(spheres, contacts(chain, spheres, q)), q, mine)
@@ -263,6 +277,44 @@ def _settled(
         held |= dict(zip(text.joints, map(float, home), strict=True))
     settled = replace(arm, text=replace(text, home=home))
     return settled, _same_shapes(model.urdf, model, held), pairs
+
+
+def _nested(model: Articulated, chain: ArmChain, spheres: Spheres) -> dict[tuple[str, str], str]:
+    """Pairs of a telescope's stages and of what bears it: they slide in each other, which hulls
+    take for contact."""
+    slides = {name for follower, mimic in chain.coupled for name in (follower, mimic.joint)}
+    joints = [model.joint(name) for name in slides]
+    stages = {joint.child for joint in joints} | {joint.parent for joint in joints}
+    above = {joint.child: joint.parent for joint in model.urdf.joints if not joint.movable}
+    for link in tuple(stages):
+        while (link := above.get(link, "")) and link not in stages:
+            stages.add(link)
+    links = spheres.links
+    moving = [(links[i], links[j]) for i, j in spheres.pairs.tolist()]
+    base = [(links[g], spheres.base_links[b]) for g, b in np.argwhere(spheres.base_pairs).tolist()]
+    return {pair: NESTED for pair in (*moving, *base) if stages.issuperset(pair)}
+
+
+def _rigid_pairs(
+    model: Articulated, chain: Chain, spheres: Spheres, srdf: Srdf
+) -> dict[tuple[str, str], str]:
+    """Pairs of links that touch at rest and that no joint of the arm moves against each other."""
+    joined, links = neighbors(model), spheres.links
+    i, j = np.triu_indices(len(links), 1)
+    rows = np.flatnonzero((spheres.segment[i] == spheres.segment[j]) & (spheres.segment[i] > 0))
+    pairs = np.array([
+        (a, b)
+        for a, b in zip(i[rows].tolist(), j[rows].tolist(), strict=True)
+        if not joined(links[a], links[b]) and frozenset((links[a], links[b])) not in srdf.disabled
+    ], np.int64).reshape(-1, 2)  # fmt: skip
+    alone = replace(
+        spheres,
+        pairs=pairs,
+        exact=np.zeros(len(pairs), bool),
+        base_pairs=np.zeros_like(spheres.base_pairs),
+    )
+    found = contacts(chain, alone, np.clip(np.zeros((1, chain.size)), chain.lower, chain.upper))
+    return {pair: "Always" for pair, hit in zip(found.pairs, found.by_hulls[0], strict=True) if hit}
 
 
 def _without(spheres: Spheres, pairs: Collection[tuple[str, str]]) -> Spheres:
@@ -323,10 +375,12 @@ def _note_pairs(pairs: dict[tuple[str, str], str], srdf: Srdf, ours: str, notes:
         )
     if pairs:
         always = sum(why == "Always" for why in pairs.values())
-        words = f"{always} touch in almost every state, {len(pairs) - always} are neighbors that"
+        nested = sum(why == NESTED for why in pairs.values())
+        stages = f", {nested} are stages of a telescope" if nested else ""
+        words = f"{always} touch in almost every state, {len(pairs) - always - nested} are"
         notes.append(
             f"self-collision: {len(pairs)} pairs of links are never checked, of which {words} "
-            f"touch at rest and often; {ours} names them with the reason"
+            f"neighbors that touch often{stages}; {ours} names them with the reason"
         )
 
 
