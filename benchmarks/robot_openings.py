@@ -21,6 +21,7 @@ import numpy as np
 
 from momapos.cache import user_cache
 from momapos.errors import MomaposError
+from momapos.manipulation.hand import empty_handed
 from momapos.manipulation.tasks import make_task, openable
 from momapos.outcomes import PoseStatus
 from momapos.pipeline import plan_base_placement
@@ -53,7 +54,7 @@ def main() -> None:
     reach = load_reach(robot)
     built = time.process_time() - began
     found: dict[str, Any] = {"robot": robot.name, "joints": robot.chain.size, "built": built}
-    found |= of_map(reach, robot)
+    found |= of_map(reach, robot) | {"holds": not empty_handed(robot)}
     rows, solved = [], []
     for name in args.scenes:
         scene = scene_of(name)
