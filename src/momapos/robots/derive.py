@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -21,7 +21,7 @@ from momapos.errors import RobotError
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.chain import Chain, build_chain
 from momapos.kinematics.self_collision import contacts, left_to_hulls
-from momapos.kinematics.spheres import Spheres, build_spheres, neighbors
+from momapos.kinematics.spheres import Spheres, build_spheres
 from momapos.kinematics.urdf import Urdf
 from momapos.robots.amend import BOX, Amendments, Frame, Mount
 from momapos.robots.base import (
@@ -34,6 +34,7 @@ from momapos.robots.base import (
 from momapos.robots.fingers import find_force, jaws
 from momapos.robots.gripper import find_grip, find_grips, find_tool, listed
 from momapos.robots.names import library_names
+from momapos.robots.never_checked import NESTED, nested_pairs, rigid_pairs, without
 from momapos.robots.robot_text import ArmText, RobotText
 from momapos.robots.srdf import Srdf, beside, find_srdf
 from momapos.robots.states import inevitable_pairs, resting_state, sample_states
@@ -43,8 +44,6 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 MAX_LINKS = 500
-NESTED = "Nested"
-"""Why an SRDF of ours disables two stages of a telescope."""
 _SIDE = re.compile("left|right", re.I)
 Report = Callable[[float, str], None]
 """Takes the share of the work that is done, and what is at work."""
@@ -266,9 +265,9 @@ def _settled(
     for index, joint in enumerate(text.joints):
         if joint in model.held:  # shared with an arm that has its home already
             q[:, index] = model.held[joint]
-    pairs = inevitable_pairs(chain, spheres, q) | _nested(model, arm.chain, spheres)
-    pairs |= _rigid_pairs(model, chain, spheres, srdf)
-    spheres = _without(spheres, pairs)
+    pairs = inevitable_pairs(chain, spheres, q) | nested_pairs(model, arm.chain, spheres)
+    pairs |= rigid_pairs(model, chain, spheres, srdf)
+    spheres = without(spheres, pairs)
     mine: list[str] = []
     home = _home(chain, left_to_hulls(spheres, contacts(chain, spheres, q)), q, mine)
     notes += [_of_arm(note, name) for note in mine]
@@ -277,60 +276,6 @@ def _settled(
         held |= dict(zip(text.joints, map(float, home), strict=True))
     settled = replace(arm, text=replace(text, home=home))
     return settled, _same_shapes(model.urdf, model, held), pairs
-
-
-def _nested(model: Articulated, chain: ArmChain, spheres: Spheres) -> dict[tuple[str, str], str]:
-    """Pairs of a telescope's stages and of what bears it: they slide in each other, which hulls
-    take for contact."""
-    slides = {name for follower, mimic in chain.coupled for name in (follower, mimic.joint)}
-    joints = [model.joint(name) for name in slides]
-    stages = {joint.child for joint in joints} | {joint.parent for joint in joints}
-    above = {joint.child: joint.parent for joint in model.urdf.joints if not joint.movable}
-    for link in tuple(stages):
-        while (link := above.get(link, "")) and link not in stages:
-            stages.add(link)
-    links = spheres.links
-    moving = [(links[i], links[j]) for i, j in spheres.pairs.tolist()]
-    base = [(links[g], spheres.base_links[b]) for g, b in np.argwhere(spheres.base_pairs).tolist()]
-    return {pair: NESTED for pair in (*moving, *base) if stages.issuperset(pair)}
-
-
-def _rigid_pairs(
-    model: Articulated, chain: Chain, spheres: Spheres, srdf: Srdf
-) -> dict[tuple[str, str], str]:
-    """Pairs of links that touch at rest and that no joint of the arm moves against each other."""
-    joined, links = neighbors(model), spheres.links
-    i, j = np.triu_indices(len(links), 1)
-    rows = np.flatnonzero((spheres.segment[i] == spheres.segment[j]) & (spheres.segment[i] > 0))
-    pairs = np.array([
-        (a, b)
-        for a, b in zip(i[rows].tolist(), j[rows].tolist(), strict=True)
-        if not joined(links[a], links[b]) and frozenset((links[a], links[b])) not in srdf.disabled
-    ], np.int64).reshape(-1, 2)  # fmt: skip
-    alone = replace(
-        spheres,
-        pairs=pairs,
-        exact=np.zeros(len(pairs), bool),
-        base_pairs=np.zeros_like(spheres.base_pairs),
-    )
-    found = contacts(chain, alone, np.clip(np.zeros((1, chain.size)), chain.lower, chain.upper))
-    return {pair: "Always" for pair, hit in zip(found.pairs, found.by_hulls[0], strict=True) if hit}
-
-
-def _without(spheres: Spheres, pairs: Collection[tuple[str, str]]) -> Spheres:
-    """The same robot with some pairs of links never checked against each other."""
-    never = {frozenset(pair) for pair in pairs}
-    links = spheres.links
-    keep = np.array([frozenset((links[i], links[j])) not in never for i, j in spheres.pairs], bool)
-    free = np.array(
-        [[frozenset((a, b)) in never for b in spheres.base_links] for a in links], bool
-    ).reshape(spheres.base_pairs.shape)
-    return replace(
-        spheres,
-        pairs=spheres.pairs[keep],
-        exact=spheres.exact[keep],
-        base_pairs=spheres.base_pairs & ~free,
-    )
 
 
 def _named_states(chain: Chain, srdf: Srdf) -> list[Float[np.ndarray, "1 n"]]:
