@@ -201,10 +201,14 @@ def openings_row(model: Model, did: Outcome) -> str:
         f"{100 * found[key]:.1f} %" if key in found else "-"
         for key in ("misses", "false_positives")
     ]
+    grid = count["solved"] + sum(a.get("grid") == "solved" for a in answers)
+    open_ = sum(a.get("grid") == "timeout" for a in answers)
     cells = [
-        model.name, model.half, found["joints"], f"{found['built']:.0f}",
+        model.name, model.half, found["joints"], "yes" if found["holds"] else "no",
+        f"{found['built']:.0f}",
         f"{found['megabytes']:.1f}" if "megabytes" in found else "-", *share,
-        f"{count['solved']} of {len(answers)}", len(answers) - sum(count.values()),
+        f"{count['solved']} of {len(answers)}", f"{grid}{f' to {grid + open_}' if open_ else ''}",
+        len(answers) - sum(count.values()),
         count["timeout"], f"{np.median(seconds):.1f}" if seconds else "-",
         f"{sum(runs)} of {len(runs)}",
     ]  # fmt: skip
@@ -250,10 +254,10 @@ def main() -> None:
     print(f"\n{right} of {len(models)} as they must be")
     if opened:
         print(
-            "\n| robot | half | degrees of freedom | map [s] | map [MB] | misses | false positives "
-            "| solved | no | out of time | median [s] | executed |"
+            "\n| robot | half | degrees of freedom | has fingers | map [s] | map [MB] | misses "
+            "| false positives | solved | by the grid | no | out of time | median [s] | executed |"
         )
-        print("|" + "---|" * 12, *opened, sep="\n")
+        print("|" + "---|" * 14, *opened, sep="\n")
 
 
 if __name__ == "__main__":

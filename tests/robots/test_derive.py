@@ -381,7 +381,9 @@ def test_home_keeps_away_from_the_limits_of_turning_joints(urdf: Path) -> None:
 )
 def test_a_rest_that_cannot_be_is_refused(urdf: Path, line: str, words: str) -> None:
     path, _ = write_robot(urdf)
-    path.write_text(f"{path.read_text()}\n[rest]\n{line}\n")
+    derived = path.read_text()
+    assert derived.count("\n[rest]\n") == 1
+    path.write_text(derived.replace("\n[rest]\n", f"\n[rest]\n{line}\n"))
     with pytest.raises(MomaposError, match=words):
         load_robot(path)
 
@@ -412,7 +414,7 @@ def test_a_gripper_that_cannot_be_is_refused(urdf: Path, line: str, words: str) 
     path, _ = write_robot(urdf)
     key = line.split(" ", 1)[0]
     kept = [row for row in path.read_text().splitlines() if not row.startswith(key)]
-    path.write_text("\n".join([*kept, line]))
+    path.write_text("\n".join(kept).replace("\n[tool]\n", f"\n[tool]\n{line}\n"))
     with pytest.raises(RobotError, match=words):
         load_robot(path)
 

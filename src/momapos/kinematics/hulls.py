@@ -208,6 +208,33 @@ def fit_box(
     return _fit_box(vertices, faces)[:3]
 
 
+def slab(
+    vertices: Float[np.ndarray, "v 3"],
+    faces: Int[np.ndarray, "f 3"],
+    axis: Float[np.ndarray, "3"],
+    low: float,
+    high: float = np.inf,
+) -> Float[np.ndarray, "n 3"]:
+    """Points whose hull is the part of a convex body between two planes across an axis.
+
+    Args:
+        vertices, faces: The body.
+        axis: Unit vector.
+        low, high: Where the planes are along the axis [m].
+
+    Returns:
+        None, as an array (0, 3), where nothing of the body is there.
+    """
+    at = vertices @ axis
+    a, b = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).T
+    points = [vertices[(low <= at) & (at <= high)]]
+    for plane in (low, high):
+        cut = (at[a] - plane) * (at[b] - plane) < 0
+        t = (plane - at[a[cut]]) / (at[b[cut]] - at[a[cut]])
+        points.append(vertices[a[cut]] + t[:, None] * (vertices[b[cut]] - vertices[a[cut]]))
+    return np.concatenate(points)
+
+
 def _cover(
     vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"], depth: int, box: _Box
 ) -> list[_Box]:

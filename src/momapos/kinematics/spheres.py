@@ -139,7 +139,7 @@ def build_spheres(
         groups, moving = [(np.zeros((1, 3)), np.zeros(1))], [model.links[-1]]
     bounds = [_bound(center, radius) for center, radius in groups]
     base, base_links = _base_boxes(model, segments)
-    joined = _neighbors(model)
+    joined = neighbors(model)
 
     def checked(a: str, b: str) -> bool:
         return frozenset((a, b)) not in disabled and not joined(a, b)
@@ -230,7 +230,7 @@ def _bodies(model: Articulated, segments: Segments) -> set[int]:
     return found
 
 
-def _neighbors(model: Articulated) -> Callable[[str, str], bool]:
+def neighbors(model: Articulated) -> Callable[[str, str], bool]:
     """Tell whether two links are joined by one moving joint, fixed joints being no joints."""
     body: dict[str, str] = {model.urdf.root: model.urdf.root}
     parent: dict[str, str] = {}

@@ -10,6 +10,7 @@ import numpy as np
 
 from momapos.kinematics.articulated import Articulated
 from momapos.manipulation.config import GraspConfig
+from momapos.manipulation.hand import empty_handed
 from momapos.manipulation.handles import Handle, handles_in_turn, lever_arms
 from momapos.manipulation.part_grasps import (
     FAMILIES,
@@ -149,7 +150,8 @@ def holding_grasps(
     )  # fmt: skip
     # A part without any handle has edges alone, and the first says as much as the second.
     named = [r for r, h in zip(reasons, handles, strict=True) if not h.edge] or reasons[:1]
-    edges = "" if handles[0].edge else ", and no hand gets around its free edge"
+    plain = handles[0].edge or empty_handed(robot)
+    edges = "" if plain else ", and no hand gets around its free edge"
     return _ordered(model, joint, [(handles[0], bare)], torque, named[0] + edges, "")
 
 

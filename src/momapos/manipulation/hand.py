@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.geometry.transforms import apply, invert
+from momapos.geometry.transforms import apply, invert, rotation_of
 from momapos.kinematics.collision import FINGER
 from momapos.kinematics.hulls import Boxes
-from momapos.robots.robot import Robot
+from momapos.robots.fingers import facing, jaws
+from momapos.robots.robot import Grip, Robot
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
@@ -23,6 +24,10 @@ INSIDE = 1e-3
 """What stands farther in than the pads by less is level with them [m]."""
 FLAT = 0.98
 """A pad's inner face is perpendicular to the closing axis up to this cosine [-]."""
+SQUARE = 0.9999
+"""Tips with no axis as near to the closing axis are turned until one is [-]."""
+AWRY = 0.7
+"""Unless none of theirs is even so near [-]."""
 
 
 _CORNERS = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
@@ -72,8 +77,9 @@ class Hand:
 
     @property
     def thickness(self) -> float:
-        """Of the thinnest part of a finger, along the closing axis [m]."""
-        return float(2 * _reach(self.boxes, self.closing[None])[self.side != 0].min())
+        """Of the thinnest part of a finger, along the closing axis; inf without one [m]."""
+        reach = _reach(self.boxes, self.closing[None])[self.side != 0]
+        return float(2 * reach.min(initial=np.inf))
 
     def finger_reach(
         self,
@@ -107,36 +113,127 @@ def _reach(boxes: Boxes, axes: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "b
     return np.einsum("kbj,bj->bk", np.abs(axes @ boxes.rotation).transpose(1, 0, 2), boxes.half)
 
 
+def empty_handed(robot: Robot) -> str:
+    """That a tool holds nothing, and what would help; "" where it may hold.
+
+    A flange, or a hand that is drawn as one piece, has no finger that moves.
+    """
+    model = robot.model
+    fingers = [
+        link
+        for joint in model.joints.values()
+        if robot.tool_link not in (below := model.links_below(joint.child))
+        for link in below
+        if link in robot.gripper_links and model.hulls[link]
+    ]
+    if fingers or robot.grips is not Grip.FINGERS:
+        return ""
+    return (
+        f"{robot.name} has nothing to hold with: no finger with a collision shape moves at "
+        f"{robot.tool_link}; use a URDF with its gripper, or say tool.grips in {robot.path.name}"
+    )
+
+
 @lru_cache(maxsize=64)
 def hand_of(robot: Robot) -> Hand:
     """The gripper of a robot.
 
     Fingers are moved along the closing axis until their pads are the opening apart, for files in
-    which the gripper rests closed.
+    which the gripper rests closed. Those that turn are first put where their pads face each other.
     """
-    model, poses = robot.model, robot.model.rest_poses
-    T_tool_root = invert(poses[robot.tool_link])
+    model = robot.model
     fingers = {
         link
         for link, role in zip(robot.spheres.links, robot.spheres.gripper, strict=True)
         if role == FINGER
     }
-    center, rotation, half, finger = [], [], [], []
-    for link in robot.gripper_links:
-        T = T_tool_root @ poses[link]
-        for boxes in model.boxes[link]:
-            center.append(apply(T, boxes.center))
-            rotation.append(T[:3, :3] @ boxes.rotation)
-            half.append(boxes.half)
-            finger += [link in fingers] * len(boxes)
-    if not center:
-        center, rotation, half = [np.zeros((0, 3))], [np.zeros((0, 3, 3))], [np.zeros((0, 3))]
-    boxes = Boxes(np.concatenate(center), np.concatenate(rotation), np.concatenate(half))
-    return _sorted_out(boxes, np.array(finger, bool), robot)
+    values, gap = _facing(robot, fingers)
+    poses = model.link_poses(values)
+    T_tool_root = invert(poses[robot.tool_link])
+    T_tool_link = {link: T_tool_root @ poses[link] for link in robot.gripper_links}
+    tips = _tips(robot, {link: T_tool_link[link] for link in fingers})
+    nothing = Boxes(np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3)))
+    cover, finger, turned = [nothing], [np.zeros(0, bool)], [np.zeros(0, bool)]
+    for link, T in T_tool_link.items():
+        for index, boxes in enumerate(model.boxes[link]):
+            placed = Boxes(apply(T, boxes.center), T[:3, :3] @ boxes.rotation, boxes.half)
+            square = _squared(placed, robot.closing_axis) if (link, index) in tips else None
+            cover.append(placed if square is None else square)
+            finger.append(np.full(len(boxes), link in fingers))
+            turned.append(np.full(len(boxes), square is not None))
+    boxes = Boxes(
+        np.concatenate([boxes.center for boxes in cover]),
+        np.concatenate([boxes.rotation for boxes in cover]),
+        np.concatenate([boxes.half for boxes in cover]),
+    )
+    return _sorted_out(boxes, np.concatenate(finger), np.concatenate(turned), gap, robot)
 
 
-def _sorted_out(boxes: Boxes, finger: Bool[np.ndarray, " b"], robot: Robot) -> Hand:
-    """Tell palm, fingers and pads apart, and open the fingers."""
+def _facing(robot: Robot, fingers: set[str]) -> tuple[dict[str, float], float | None]:
+    """Where the joints of fingers that turn are when their pads face each other.
+
+    Returns:
+        Their values, and how far apart the pads are at rest [m]; nothing for fingers that slide,
+        which face each other anyway, and for those that are not two sides.
+    """
+    model = robot.model
+    joints = [joint for joint in model.joints.values() if joint.child in fingers]
+    roots = [joint.child for joint in joints if joint.parent not in fingers]
+    turning = any(j.kind != "prismatic" and j.mimic is None and j.upper > j.lower for j in joints)
+    if not turning or len(roots) < 2:
+        return {}, None
+    axes = np.stack([robot.closing_axis, robot.approach_axis])
+    sides = jaws(model, robot.tool_link, roots, robot.closing_axis)
+    return facing(model, robot.tool_link, sides, axes) if all(sides) else ({}, None)
+
+
+def _tips(robot: Robot, T_tool_link: dict[str, Float[np.ndarray, "4 4"]]) -> set[tuple[str, int]]:
+    """The shapes that reach farthest along the approach on each side: link, and which of its."""
+    reach: dict[bool, tuple[float, tuple[str, int]]] = {}
+    for link, T in T_tool_link.items():
+        for index, hull in enumerate(robot.model.hulls[link]):
+            points = apply(T, hull.vertices)
+            side = bool(points.mean(0) @ robot.closing_axis >= 0)
+            found = float((points @ robot.approach_axis).max()), (link, index)
+            reach[side] = max(reach.get(side, found), found)
+    return {shape for _, shape in reach.values()}
+
+
+def _squared(boxes: Boxes, closing: Float[np.ndarray, "3"]) -> Boxes | None:
+    """The boxes of a fingertip, turned until they face what is held; None where they do.
+
+    Files draw fingers as stiff links. Tips that lean where they meet pivot or give way there: they
+    are soft, or a linkage turns them.
+    """
+    along = np.einsum("bij,i->bj", boxes.rotation, closing)
+    nearest = np.abs(along).max(1)
+    if not ((nearest > AWRY) & (nearest < SQUARE)).any():
+        return None
+    b = int(np.argmax(boxes.half.prod(1)))
+    column = int(np.argmax(np.abs(along[b])))
+    axis = boxes.rotation[b, :, column] * np.sign(along[b, column])
+    turn = np.cross(axis, closing)
+    sine = np.linalg.norm(turn)
+    R = rotation_of(turn / sine * np.arctan2(sine, axis @ closing))
+    middle = boxes.center[b]
+    return Boxes((boxes.center - middle) @ R.T + middle, R @ boxes.rotation, boxes.half)
+
+
+def _sorted_out(
+    boxes: Boxes,
+    finger: Bool[np.ndarray, " b"],
+    turned: Bool[np.ndarray, " b"],
+    gap: float | None,
+    robot: Robot,
+) -> Hand:
+    """Tell palm, fingers and pads apart, and open the fingers.
+
+    Args:
+        boxes, finger: The gripper, and which boxes are fingers'.
+        turned: Tips that were turned: on their side, nothing else is a pad.
+        gap: How far apart the pads are at rest [m]; None where the boxes are at rest.
+        robot: Names the axes and the opening.
+    """
     approach, closing = robot.approach_axis, robot.closing_axis
     reach = _reach(boxes, np.stack([approach, closing]))
     at, along = boxes.center @ closing, boxes.center @ approach
@@ -147,6 +244,9 @@ def _sorted_out(boxes: Boxes, finger: Bool[np.ndarray, " b"], robot: Robot) -> H
     for s, tip in zip((1, -1), tips, strict=True):
         pad |= (side == s) & flat & (along + reach[:, 0] > tip - PAD_DEPTH)
     inner = at - np.sign(at) * reach[:, 1]
+    for s in (1, -1):
+        if turned[side == s].any():
+            pad &= (side != s) | turned
     faces = [float((inner * s)[pad & (side == s)].min(initial=np.inf)) for s in (1, -1)]
     tip = max(tips) if np.isfinite(max(tips)) else robot.finger_depth
     if not np.isfinite(faces).all():
@@ -160,5 +260,6 @@ def _sorted_out(boxes: Boxes, finger: Bool[np.ndarray, " b"], robot: Robot) -> H
     low = max(float((along - reach[:, 0])[pad].min()), float(ends.max(initial=-np.inf)))
     return Hand(
         Boxes(center, boxes.rotation, boxes.half), side, pad, approach, closing,
-        robot.opening / 2, (min(low, tip) + tip) / 2, tip, robot.opening / 2 - sum(faces) / 2,
+        robot.opening / 2, (min(low, tip) + tip) / 2, tip,
+        (robot.opening - (sum(faces) if gap is None else gap)) / 2,
     )  # fmt: skip

@@ -20,7 +20,7 @@ from momapos.manipulation.grasp_hold import (
     pinch_capacity,
     stands_clear,
 )
-from momapos.manipulation.hand import Hand, hand_of
+from momapos.manipulation.hand import Hand, empty_handed, hand_of
 from momapos.manipulation.handle_core import HandleKind
 from momapos.manipulation.handle_shapes import Element, corners, part_elements, part_pieces
 from momapos.manipulation.handles import (
@@ -175,6 +175,8 @@ def grasps_of(
         config: What is tried.
     """
     hand = hand_of(robot)
+    if empty_handed(robot):
+        return _none(empty_handed(robot))
     if robot.grips is Grip.FINGERS and hand.closes:
         return _closed(robot, hand, model, joint, sign, handle, config)
     return _touching(robot, hand, model, joint, sign, handle, config)

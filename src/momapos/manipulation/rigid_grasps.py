@@ -19,7 +19,7 @@ from momapos.manipulation.grasp_hold import (
     stands_clear,
 )
 from momapos.manipulation.grasps import Chosen, Grasps, firmest_first
-from momapos.manipulation.hand import Hand, hand_of
+from momapos.manipulation.hand import Hand, empty_handed, hand_of
 from momapos.manipulation.handle_shapes import Element, corners
 from momapos.manipulation.part_grasps import BITE, FAMILIES, Family, grasp_frames, poses_of
 from momapos.manipulation.resistance import GRAVITY, mass_of
@@ -107,7 +107,8 @@ def _holding(
     if robot.grips is Grip.SUCTION:
         return _sucked(robot, hand, elements, lines, need, config)
     if robot.grips is not Grip.FINGERS or not hand.closes:
-        return _none(lines, need, f"{robot.name} has no fingers that close on an object")
+        why = empty_handed(robot) or f"{robot.name} has no fingers that close on an object"
+        return _none(lines, need, why)
     return _pinched(robot, hand, elements, lines, center, need, config, carried=carried)
 
 

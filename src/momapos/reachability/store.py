@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from jaxtyping import Int8
 
 log = logging.getLogger(__name__)
-VERSION = 2
+VERSION = 3
 """Of maps: where it is raised, those that were built or stored before are not used."""
 _MAGIC = b"momapos-reach\n"
 MAX_BYTES = 50_000_000

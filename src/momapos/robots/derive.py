@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -31,8 +31,10 @@ from momapos.robots.base import (
     lift_as_base,
     refuse_without_base,
 )
-from momapos.robots.gripper import find_force, find_grip, find_grips, find_tool, listed
+from momapos.robots.fingers import find_force, jaws
+from momapos.robots.gripper import find_grip, find_grips, find_tool, listed
 from momapos.robots.names import library_names
+from momapos.robots.never_checked import NESTED, nested_pairs, rigid_pairs, without
 from momapos.robots.robot_text import ArmText, RobotText
 from momapos.robots.srdf import Srdf, beside, find_srdf
 from momapos.robots.states import inevitable_pairs, resting_state, sample_states
@@ -132,7 +134,14 @@ def derive_robot(
     }
     frames = [frame for frame in (floor, *(arm.frame for arm in arms.values())) if frame]
     record, _ = replace(amendments, frames=tuple(frames), coupled=couplings).read(urdf, cache)
-    model = _same_shapes(record, model, model.held)
+    # A gripper that rests open is planned for, drawn and executed as it comes to a handle.
+    fingers = {
+        name: value
+        for arm in arms.values()
+        for name, value in arm.text.grip.rest.items()
+        if value != model.rest[name]
+    }
+    model = _same_shapes(record, model, {**model.held, **fingers})
     footprint = find_footprint(model, base_link, firsts, notes)
     drive = find_drive(model, anchor, boxed, notes)
     pairs: dict[tuple[str, str], str] = {}
@@ -217,7 +226,10 @@ def _tool(model: Articulated, chain: ArmChain, name: str, notes: list[str]) -> _
     link, gripper, fingers = find_tool(model, chain.last, mine)
     grip = find_grip(model, chain.last, link, fingers, mine)
     grips = find_grips(model, chain.last, fingers, mine)
-    force = find_force(model, fingers, mine) if fingers and grips == "fingers" else None
+    force = None
+    if fingers and grips == "fingers":
+        sides = jaws(model, link, fingers, grip.closing)
+        force = find_force(model, link, sides, np.stack([grip.closing, grip.approach]), mine)
     frame = None
     if grip.grasp is not None:
         x, y, z = (round(float(v), 4) for v in grip.grasp)
@@ -253,8 +265,9 @@ def _settled(
     for index, joint in enumerate(text.joints):
         if joint in model.held:  # shared with an arm that has its home already
             q[:, index] = model.held[joint]
-    pairs = inevitable_pairs(chain, spheres, q)
-    spheres = _without(spheres, pairs)
+    pairs = inevitable_pairs(chain, spheres, q) | nested_pairs(model, arm.chain, spheres)
+    pairs |= rigid_pairs(model, chain, spheres, srdf)
+    spheres = without(spheres, pairs)
     mine: list[str] = []
     home = _home(chain, left_to_hulls(spheres, contacts(chain, spheres, q)), q, mine)
     notes += [_of_arm(note, name) for note in mine]
@@ -263,22 +276,6 @@ def _settled(
         held |= dict(zip(text.joints, map(float, home), strict=True))
     settled = replace(arm, text=replace(text, home=home))
     return settled, _same_shapes(model.urdf, model, held), pairs
-
-
-def _without(spheres: Spheres, pairs: Collection[tuple[str, str]]) -> Spheres:
-    """The same robot with some pairs of links never checked against each other."""
-    never = {frozenset(pair) for pair in pairs}
-    links = spheres.links
-    keep = np.array([frozenset((links[i], links[j])) not in never for i, j in spheres.pairs], bool)
-    free = np.array(
-        [[frozenset((a, b)) in never for b in spheres.base_links] for a in links], bool
-    ).reshape(spheres.base_pairs.shape)
-    return replace(
-        spheres,
-        pairs=spheres.pairs[keep],
-        exact=spheres.exact[keep],
-        base_pairs=spheres.base_pairs & ~free,
-    )
 
 
 def _named_states(chain: Chain, srdf: Srdf) -> list[Float[np.ndarray, "1 n"]]:
@@ -323,10 +320,12 @@ def _note_pairs(pairs: dict[tuple[str, str], str], srdf: Srdf, ours: str, notes:
         )
     if pairs:
         always = sum(why == "Always" for why in pairs.values())
-        words = f"{always} touch in almost every state, {len(pairs) - always} are neighbors that"
+        nested = sum(why == NESTED for why in pairs.values())
+        stages = f", {nested} are stages of a telescope" if nested else ""
+        words = f"{always} touch in almost every state, {len(pairs) - always - nested} are"
         notes.append(
             f"self-collision: {len(pairs)} pairs of links are never checked, of which {words} "
-            f"touch at rest and often; {ours} names them with the reason"
+            f"neighbors that touch often{stages}; {ours} names them with the reason"
         )
 
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from itertools import combinations
 from typing import TYPE_CHECKING
 
@@ -13,6 +13,7 @@ import numpy as np
 from momapos.geometry.transforms import apply, invert, orthonormal
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.urdf import Joint
+from momapos.robots.fingers import THUMB, jaws, widest
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -31,17 +32,10 @@ _TOOLS = tuple(
 )  # fmt: skip
 """Names of tool frames, the best first."""
 _SUCTION, _HOOK = re.compile(r"suction|vacuum|magnet", re.I), re.compile(r"hook", re.I)
-_THUMB = re.compile("thumb", re.I)
-FORCES = (5.0, 400.0)
-"""Closing forces that grippers have [N]; other effort limits are placeholders."""
-WEAK = 40.0
-"""A gripper that closes with less cannot hold against the seal of a fridge [N]."""
 ASIDE = 0.03
 """How far from the middle between the fingers the tool link may be [m]."""
 GUESS = 0.08
 """How far a gripper opens when its geometry does not tell [m]."""
-NEAR_TIP = 0.03
-"""Shapes that reach this close to the finger tips count for the opening [m]."""
 
 
 def joints_below(model: Articulated, link: str) -> list[Joint]:
@@ -99,6 +93,8 @@ class Closing:
     """Widest thing that fits [m]."""
     grasp: Float[np.ndarray, "3"] | None = None
     """Where things are held [m]; None where the tool link is there."""
+    rest: Mapping[str, float] = field(default_factory=dict)
+    """Where the joints of its fingers are when it is so far open [rad] or [m]."""
 
 
 def find_grip(
@@ -137,14 +133,17 @@ def find_grip(
     approach = _snap(ahead) if np.linalg.norm(ahead) > 0.01 else orthonormal(closing)
     approach = approach - (approach @ closing) * closing
     approach /= np.linalg.norm(approach)
-    opening = _opening(model, tool, fingers, np.stack([closing, approach]), middle)
+    axes = np.stack([closing, approach])
+    stroke = widest(model, tool, jaws(model, tool, fingers, closing), axes)
+    opening = stroke.opening
     words = "measured at the finger tips" if opening else "a guess: the gap is not clear"
     notes.append(
         f"approach_axis {listed(approach)} points along the fingers, closing_axis "
         f"{listed(closing)} across them; opening {opening or GUESS:g} m, {words}"
     )
     tip = max(float((hands[i] @ approach).max()) for i in shaped)
-    return Closing(approach, closing, opening or GUESS, _grasp(tool, middle, tip, approach, notes))
+    grasp = _grasp(tool, middle, tip, approach, notes)
+    return Closing(approach, closing, opening or GUESS, grasp, stroke.rest)
 
 
 def _opposed(
@@ -154,8 +153,8 @@ def _opposed(
     centers = [(points.min(0) + points.max(0)) / 2 for points in hands]
     parts = [len(model.links_below(name)) for name in fingers]
     long = [i for i, count in enumerate(parts) if 2 * count >= max(parts)]
-    thumbs = [centers[i] for i in long if _THUMB.search(fingers[i])]
-    rest = [centers[i] for i in long if not _THUMB.search(fingers[i])]
+    thumbs = [centers[i] for i in long if THUMB.search(fingers[i])]
+    rest = [centers[i] for i in long if not THUMB.search(fingers[i])]
     if thumbs and rest:
         return np.mean(thumbs, axis=0), np.mean(rest, axis=0)
     return max(combinations(centers, 2), key=lambda p: float(np.linalg.norm(p[0] - p[1])))
@@ -190,34 +189,6 @@ def _one_jaw(model: Articulated, last: str, tool: str, finger: str, notes: list[
     return Closing(approach, closing, opening, grasp)
 
 
-def find_force(model: Articulated, fingers: Sequence[str], notes: list[str]) -> float | None:
-    """The force that each finger closes with, by the effort limits of their joints [N].
-
-    Returns:
-        None where the URDF gives none that a gripper could have.
-    """
-    found: dict[str, float] = {}
-    for joint in model.urdf.joints:
-        free = joint.movable and joint.mimic is None and np.isfinite(joint.effort)
-        if joint.child in fingers and free:
-            points = points_of(model, joint.child, model.links_below(joint.child))
-            across = points - np.outer(points @ joint.axis, joint.axis)
-            lever = float(np.linalg.norm(across, axis=1).max(initial=0.0))
-            turning = joint.kind != "prismatic"
-            found[joint.name] = joint.effort / max(lever, 0.01) if turning else joint.effort
-    usable = {name: force for name, force in found.items() if FORCES[0] <= force <= FORCES[1]}
-    if not usable:
-        notes.append("force: no URDF limits say how strong the gripper is; give tool.force")
-        return None
-    name = min(usable, key=lambda key: usable[key])
-    weak = "; doors need more: what does the gripper's data sheet say?"
-    notes.append(
-        f"force: {usable[name]:.0f} N of each finger, from the effort limit of {name}"
-        f"{weak if usable[name] < WEAK else ''}"
-    )
-    return round(usable[name], 1)
-
-
 def find_grips(model: Articulated, last: str, fingers: Sequence[str], notes: list[str]) -> str:
     """Say what a tool holds with, in a robot file's word: fingers, suction or hook.
 
@@ -231,10 +202,13 @@ def find_grips(model: Articulated, last: str, fingers: Sequence[str], notes: lis
         grips = "suction"
     elif not moving and _HOOK.search(names):
         grips = "hook"
-    why = "by its name" if grips != "fingers" else "which close"
     if grips == "fingers" and not moving:
-        why = "for want of a better guess: none was found that moves"
-    notes.append(f"grips: {grips}, {why}")
+        notes.append(
+            "IMPORTANT: grips: no finger with a collision shape moves, so that it holds nothing; "
+            "use a URDF with its gripper, or say whether it is a suction cup or a hook"
+        )
+    else:
+        notes.append(f"grips: {grips}, {'which close' if grips == 'fingers' else 'by its name'}")
     return grips
 
 
@@ -270,49 +244,3 @@ def _snap(v: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
 def listed(v: Float[np.ndarray, " n"]) -> str:
     """Write numbers as a TOML list."""
     return f"[{', '.join(f'{x:.7g}' for x in np.round(v, 6) + 0.0)}]"
-
-
-def _opening(
-    model: Articulated,
-    tool: str,
-    fingers: Sequence[str],
-    axes: Float[np.ndarray, "2 3"],
-    middle: Float[np.ndarray, "3"],
-) -> float:
-    """The widest gap between the finger tips over the ends of their joints [m]; 0 if unclear."""
-    inside = {link for name in fingers for link in model.links_below(name)}
-    movers = [
-        j
-        for j in model.joints.values()
-        if j.child in inside and j.mimic is None and np.isfinite(j.upper)
-    ]
-    ends = [{j.name: float(getattr(j, end)) for j in movers} for end in ("lower", "upper")]
-    # Fingers whose limits have opposite signs open at different ends.
-    mixed = {j.name: max((j.lower, j.upper), key=abs) for j in movers}
-    return max(_gap(model, tool, inside, values, axes, middle) for values in (*ends, mixed))
-
-
-def _gap(
-    model: Articulated,
-    tool: str,
-    inside: Iterable[str],
-    values: dict[str, float],
-    axes: Float[np.ndarray, "2 3"],
-    middle: Float[np.ndarray, "3"],
-) -> float:
-    """The gap between the finger tips at values of their joints [m]; 0 if unclear."""
-    poses = model.link_poses(values)
-    T = invert(poses[tool])
-    shapes = [
-        (apply(T @ poses[link], hull.vertices) - middle) @ axes.T
-        for link in inside
-        for hull in model.hulls[link]
-    ]
-    tip = max(float(shape[:, 1].max()) for shape in shapes)
-    # Of a hand with a thumb, which is shorter, all counts.
-    near = NEAR_TIP if not any(map(_THUMB.search, inside)) else np.inf
-    ends = [shape[:, 0] for shape in shapes if shape[:, 1].max() > tip - near]
-    above = [float(c.min()) for c in ends if c.min() + c.max() > 0]
-    below = [float(c.max()) for c in ends if c.min() + c.max() <= 0]
-    gap = min(above) - max(below) if above and below else 0.0
-    return round(gap, 3) if 0.005 < gap < 0.5 else 0.0

@@ -31,6 +31,9 @@ ALWAYS = 0.95
 OFTEN = 0.1
 """Nor are neighbors that touch at rest, if they touch in this share of the states [-]: a rest at
 which the arm is folded into itself says nothing about the shapes."""
+MOSTLY = 0.5
+"""Nor are neighbors in the arm that touch in this share of the states, whatever they do at rest
+[-]: a wrist that could hardly turn would not have been built, its shapes are too coarse."""
 UNWOUND = 0.05
 """Reach of the arm [m] that a radian less on its most turned joint is worth, at rest."""
 LIMIT, NEAR_LIMIT = 0.1, 0.15
@@ -83,7 +86,8 @@ def sample_states(chain: Chain, rng: np.random.Generator) -> Float[np.ndarray, "
 def inevitable_pairs(
     chain: Chain, spheres: Spheres, q: Float[np.ndarray, "m n"]
 ) -> dict[tuple[str, str], str]:
-    """Pairs of links that touch in (almost) every state, or in the first and many as neighbors.
+    """Pairs of links that touch in (almost) every state, or in the first and many as neighbors,
+    or in most as neighbors in the arm.
 
     Their hulls decide: spheres of links that pass closely by each other always touch.
 
@@ -97,7 +101,9 @@ def inevitable_pairs(
     for (a, b), hit in zip(touching.pairs, touching.by_hulls.T, strict=True):
         if hit.mean() >= ALWAYS:
             found[a, b] = "Always"
-        elif abs(segment[a] - segment.get(b, 0)) <= 2 and hit[0] and hit.mean() >= OFTEN:
+        elif abs(segment[a] - segment.get(b, 0)) <= 2 and (
+            (hit[0] and hit.mean() >= OFTEN) or (b in segment and hit.mean() >= MOSTLY)
+        ):
             found[a, b] = "Default"
     return found
 
