@@ -34,7 +34,7 @@ from momapos.segmentation.boxes import (
     wall_detections,
     without_pieces,
 )
-from momapos.segmentation.room import RoomConfig, find_room
+from momapos.segmentation.room import Room, RoomConfig, at_wall, find_room
 from momapos.segmentation.segmenter import ClassicalSegmenter
 from momapos.types import (
     Cloud,
@@ -47,6 +47,7 @@ from momapos.types import (
     Part,
     Scan,
 )
+from momapos.views.faces import box_faces
 from momapos.views.front_view import Seen, View, ViewConfig, choose_view
 from momapos.views.projection import sights, vote_label
 from momapos.views.rows import RowConfig, split_row
@@ -210,7 +211,7 @@ def scan_to_scene(
         progress(item.name, 0.4 + 0.6 * k / len(detections))
         at = clock()
         score = scores.get(item.name)
-        decision = _decide(item, score, frames, before, tools, found, given or {}, config)
+        decision = _decide(item, score, frames, before, room, tools, found, given or {}, config)
         decisions.append(replace(decision, seconds=clock() - at))
     marks["model"] = clock()
     walls = wall_detections(room, config.boxes)
@@ -312,6 +313,7 @@ def _decide(
     score: float | None,
     frames: Sequence[Frame],
     before: Sequence[Seen],
+    room: Room,
     tools: Tools,
     found: Found | None,
     given: Mapping[str, GivenModel],
@@ -329,7 +331,10 @@ def _decide(
         return tools.look(face, item.label)
 
     seen = sights(item.box, frames, found)
-    view = choose_view(item.box, frames, seen, look, config.view, before)
+    faces = box_faces(item.box)
+    sides = [at_wall(room, face.T_world_face[:3, 3], face.outward) for face in faces]
+    backed = [sides[face.opposite] for face in faces]
+    view = choose_view(item.box, frames, seen, look, config.view, before, backed)
     if view is None:
         return replace(box, reason="no image shows a front")
     facing = float(np.arctan2(view.face.outward[1], view.face.outward[0]))

@@ -49,6 +49,11 @@ class Face:
         """Unit normal in the world."""
         return self.T_world_face[:3, 2]
 
+    @property
+    def opposite(self) -> int:
+        """Index of the face on the other side."""
+        return (self.index + FACES // 2) % FACES
+
 
 def box_faces(box: UprightBox) -> tuple[Face, ...]:
     """The four upright faces of a box."""
