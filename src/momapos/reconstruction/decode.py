@@ -26,8 +26,8 @@ MIRRORED_SIDES = (2, 1, 0, 3)
 """Left, top, right, bottom in a mirror."""
 PART_MARGIN = 0.15
 """How much of its surroundings a crop shows on each side of a part, as a fraction of its side."""
-LEVEL = 6
-"""Which of the planes holds level dark lines."""
+UPRIGHT, LEVEL = 5, 6
+"""Which of the planes hold upright and level dark lines."""
 LEAST_SIDE = 0.01
 """A part is broader and higher than this share of its face."""
 HEIGHT_MAP_RANGE = 0.08
