@@ -46,8 +46,9 @@ from momapos.types import (
     Instance,
     Part,
     Scan,
+    UprightBox,
 )
-from momapos.views.faces import box_faces
+from momapos.views.faces import box_faces, stands_free
 from momapos.views.front_view import Seen, View, ViewConfig, choose_view
 from momapos.views.projection import sights, vote_label
 from momapos.views.rows import RowConfig, split_row
@@ -206,15 +207,19 @@ def scan_to_scene(
     if not detections:
         raise InputError(f"{scan.name}: nothing was found in the scan but floor and walls")
     scores = importance(detections, target, config)
+    walls = wall_detections(room, config.boxes)
+    solids = [item.box for item in [*detections, *walls]]
     decisions: list[Decision] = []
     for k, item in enumerate(detections):
         progress(item.name, 0.4 + 0.6 * k / len(detections))
         at = clock()
         score = scores.get(item.name)
-        decision = _decide(item, score, frames, before, room, tools, found, given or {}, config)
+        others = [box for box in solids if box is not item.box]
+        decision = _decide(
+            item, score, frames, before, room, others, tools, found, given or {}, config
+        )
         decisions.append(replace(decision, seconds=clock() - at))
     marks["model"] = clock()
-    walls = wall_detections(room, config.boxes)
     decisions += [Decision(wall, None, None, (), None, "a wall") for wall in walls]
     models = {d.detection.name: d.model for d in decisions if d.model is not None}
     build_scene([d.detection for d in decisions], models, floor_outline(cloud), out)
@@ -314,6 +319,7 @@ def _decide(
     frames: Sequence[Frame],
     before: Sequence[Seen],
     room: Room,
+    others: Sequence[UprightBox],
     tools: Tools,
     found: Found | None,
     given: Mapping[str, GivenModel],
@@ -345,7 +351,8 @@ def _decide(
     parts, source = _parts(view, item.label, tools)
     if not parts:
         return replace(box, view=view, reason="a front without doors or drawers")
-    piece = furniture_model(item, facing, view.image, parts, config.model)
+    left, right = (stands_free(faces[k], others) for k in view.face.beside)
+    piece = furniture_model(item, facing, view.image, parts, config.model, free=(left, right))
     return replace(box, view=view, parts=parts, source=source, model=piece)
 
 

@@ -60,6 +60,9 @@ class ModelConfig:
     hinge_depth: float = 0.0
     """How far behind its front a door's hinge lies, but not beyond its thickness [m]. That holds
     for hinges at the rim of the face; elsewhere such a door would turn into what is beside it."""
+    free_hinge_depth: float = 0.01
+    """The same where nothing stands beside the object: its doors need not stay within their width,
+    and mostly do not [m]."""
     turn: float = np.pi / 2
     """How far doors open [rad]."""
     travel: float = 0.4
@@ -90,12 +93,15 @@ def furniture_model(
     face: FaceImage,
     parts: Sequence[SeenPart],
     config: ModelConfig | None = None,
+    *,
+    free: tuple[bool, bool] = (False, False),
 ) -> Piece:
     """Make the model of one object: its box, hollow, with doors and drawers that open.
 
-    A door turns about the edge of its front, so it stays within its own width as it opens; real
-    hinges lie deeper, mostly by 1 to 2 cm, in fridges by 2 to 8 (`ModelConfig.hinge_depth`). Every
-    joint ends before its part would hit the rest of the piece.
+    A door with neighbors turns about the edge of its front, so it stays within its own width as it
+    opens. Real hinges lie deeper, mostly by 1 to 2 cm, in fridges by 2 to 8; so are those here
+    that have nothing beside them (`ModelConfig.free_hinge_depth`). Every joint ends before its
+    part would hit the rest of the piece.
 
     Args:
         detection: The object with its box.
@@ -103,6 +109,7 @@ def furniture_model(
         face: That side, seen straight on.
         parts: The doors and drawers on it.
         config: What cannot be seen.
+        free: Whether nothing stands beside the object, left and right as seen from the front.
 
     Returns:
         The piece; its moving parts are named by what they are, top to bottom and left to right:
@@ -126,7 +133,7 @@ def furniture_model(
     layers = _layers(size, aligned, config)
     body = FurniturePart("body", tuple(_body(face, aligned, layers, config)))
     moving = [
-        _moving(name, part, face, layers, config)
+        _moving(name, part, face, layers, config, free)
         for name, part in zip(_names(aligned), aligned, strict=True)
     ]
     piece = Piece(detection.name, detection.label, center, yaw, (body, *moving))
@@ -264,7 +271,12 @@ def _rest(areas: Sequence[Area], whole: Area) -> list[Area]:
 
 
 def _moving(
-    name: str, part: AlignedPart, face: FaceImage, layers: _Layers, config: ModelConfig
+    name: str,
+    part: AlignedPart,
+    face: FaceImage,
+    layers: _Layers,
+    config: ModelConfig,
+    free: tuple[bool, bool],
 ) -> FurniturePart:
     """A door, or a drawer with its tray."""
     front, thickness = _slab(part, layers, config)
@@ -277,7 +289,7 @@ def _moving(
         travel = min(config.travel, config.tray * room)
         motion = JointMotion("prismatic", (0.0, 0.0, 0.0), (0.0, -1.0, 0.0), travel)
     else:
-        motion = _turning(part, boxes[0], face, config)
+        motion = _turning(part, boxes[0], face, config, free)
     handle = () if part.handle is None else _handle(name, part.handle, front, face)
     return FurniturePart(name, tuple(boxes), motion, handle)
 
@@ -302,7 +314,13 @@ def _leaf(part: AlignedPart, thickness: float, config: ModelConfig) -> Area:
     return replace(area, bottom=area.bottom + swing) if part.kind == "door_up" else area
 
 
-def _turning(part: AlignedPart, panel: Box, face: FaceImage, config: ModelConfig) -> JointMotion:
+def _turning(
+    part: AlignedPart,
+    panel: Box,
+    face: FaceImage,
+    config: ModelConfig,
+    free: tuple[bool, bool],
+) -> JointMotion:
     """The hinge of a door, at the edge of its front; all doors open with a positive angle."""
     (left, front, bottom), (right, rear, top) = panel.low, panel.high
     at_rim = {
@@ -311,7 +329,10 @@ def _turning(part: AlignedPart, panel: Box, face: FaceImage, config: ModelConfig
         "door_down": part.area.bottom <= 0.0,
         "door_up": part.area.top >= face.height,
     }
-    y = min(front + config.hinge_depth, rear) if at_rim[part.kind] else front
+    depth = config.hinge_depth
+    if (part.kind == "door_left" and free[0]) or (part.kind == "door_right" and free[1]):
+        depth = max(depth, config.free_hinge_depth)
+    y = min(front + depth, rear) if at_rim[part.kind] else front
     pivots: dict[str, tuple[Vec, Vec]] = {
         "door_left": ((left, y, 0.0), (0.0, 0.0, -1.0)),
         "door_right": ((right, y, 0.0), (0.0, 0.0, 1.0)),
