@@ -204,7 +204,8 @@ def opened(
     row = replace(row, solvable=True)
     if not row.match:
         return replace(row, planned="not found", reason="not found")
-    true, found = ("object", row.joint), tuple(row.match.split("/"))
+    name, _, joint = row.match.partition("/")
+    true, found = ("object", row.joint), (name, joint)
     start = moved(there.start, T_scene_truth)
     try:
         plan = plan_in_scan(truth, scanned, true, found, robot, reach, CONFIG, start)
@@ -274,31 +275,26 @@ def table(rows: Sequence[Row]) -> str:
     solvable = [r for r in rows if r.solvable]
     errors = np.array([r.handle for r in located if r.side and r.handle]).reshape(-1, 3)
 
-    def share(part: int, whole: int) -> str:
-        return f"{part} of {whole}" + (f" ({part / whole:.0%})" if whole else "")
-
+    counts = [
+        ("parts located", len(located), len(rows)),
+        ("kind right, of those located", len(kinds), len(located)),
+        ("hinge side right, of doors and flaps", sum(r.side for r in hinged), len(hinged)),
+        ("axis within 2 cm, 3 degrees", sum(r.right for r in located), len(located)),
+        ("the same, of all parts", sum(r.right for r in rows), len(rows)),
+        ("plan in the scene made", sum(r.planned == "solved" for r in solvable), len(solvable)),
+        ("holds in the room, exactly", sum(not r.strict for r in solvable), len(solvable)),
+        ("opened in physics", sum(r.done for r in solvable), len(solvable)),
+    ]
     lines = [
-        f"| parts located | {share(len(located), len(rows))} |",
-        f"| kind right, of those located | {share(len(kinds), len(located))} |",
-        f"| hinge side right, of doors and flaps | {share(sum(r.side for r in hinged), len(hinged))} |",
-        f"| axis within 2 cm and 3 degrees, of those located "
-        f"| {share(sum(r.right for r in located), len(located))} |",
-        f"| of all parts | {share(sum(r.right for r in rows), len(rows))} |",
+        f"| {name} | {part} of {whole} ({part / whole:.0%}) |"
+        for name, part, whole in counts
+        if whole
     ]
     if len(errors):
         medians = ", ".join(f"{100 * v:.1f}" for v in np.median(errors, axis=0))
-        lines.append(
-            f"| handle shut, half, wide open, median where the side is right | {medians} cm |"
-        )
-    if solvable:
-        strict = sum(not r.strict for r in solvable)
-        lines += [
-            f"| plan in the scene made | {share(sum(r.planned == 'solved' for r in solvable), len(solvable))} |",
-            f"| holds in the room, exactly | {share(strict, len(solvable))} |",
-            f"| opened in physics | {share(sum(r.done for r in solvable), len(solvable))} |",
-        ]
-        reasons = Counter(cause(r) for r in solvable if not r.done)
-        lines += [f"  {count} {reason}" for reason, count in reasons.most_common()]
+        lines.append(f"| handle shut, half, wide open, where the side is right | {medians} cm |")
+    reasons = Counter(cause(r) for r in solvable if not r.done)
+    lines += [f"  {count} {reason}" for reason, count in reasons.most_common()]
     return "\n".join(lines)
 
 

@@ -67,6 +67,8 @@ class AlignedPart:
     out: float
     """How far its front stands out of the face's plane [m]."""
     handle: AlignedHandle | None
+    odds: tuple[tuple[PartKind, float], ...] = ()
+    """How it may open, see `Part`."""
 
 
 def align(
@@ -213,7 +215,7 @@ def _aligned(face: FaceImage, part: Part, area: Area, config: AlignmentConfig) -
         seen = found[0] if found else seen
     out = front_of(face, area, config.most_height_map, without=seen)
     handle = None if seen is None else _handle(face, area, seen, out, config)
-    return AlignedPart(part.kind, area, out, handle)
+    return AlignedPart(part.kind, area, out, handle, part.odds)
 
 
 def _handle(

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from momapos.reconstruction import decode
 from momapos.reconstruction.height_maps import FEWEST, Area, area_of, bars, heights_in
 from momapos.types import FaceImage, Part, PartKind
 
@@ -55,7 +56,7 @@ def with_bar(face: FaceImage, part: Part) -> Part:
     if not found:
         return part
     kind = _opening(part.kind, area_of(part.box, face), found[0])
-    return replace(part, kind=kind, handle=_fractions(found[0], face))
+    return replace(decode.told(part, kind), handle=_fractions(found[0], face))
 
 
 def by_bars(
@@ -122,7 +123,7 @@ def _divided(
         if not tall and one.width > one.height:
             kind = "drawer"
         box, handle = _fractions(one, face), _fractions(bar, face)
-        found.append(replace(part, kind=kind, box=box, handle=handle))
+        found.append(replace(decode.told(part, kind), box=box, handle=handle))
     return tuple(found)
 
 

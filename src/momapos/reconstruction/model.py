@@ -23,12 +23,11 @@ from momapos.reconstruction.alignment import (
     front_of,
 )
 from momapos.reconstruction.height_maps import Area
+from momapos.reconstruction.motions import Motions
 from momapos.scene.library.furniture import (
     Box,
     FurniturePart,
-    JointMotion,
     Piece,
-    Vec,
     bar_handle,
     ending_before_hits,
     solid,
@@ -282,16 +281,15 @@ def _moving(
     front, thickness = _slab(part, layers, config)
     area = _leaf(part, thickness, config)
     boxes = [_box(f"{name}_panel", area, front, front + thickness, face)]
+    tray = config.tray * (layers.back - layers.wall - layers.opening)
     if part.kind == "drawer":
-        room = layers.back - layers.wall - layers.opening
-        rear = layers.opening + config.tray * room
+        rear = layers.opening + tray
         boxes += _tray(name, part.area, front + thickness, rear, face, layers, config)
-        travel = min(config.travel, config.tray * room)
-        motion = JointMotion("prismatic", (0.0, 0.0, 0.0), (0.0, -1.0, 0.0), travel)
-    else:
-        motion = _turning(part, boxes[0], face, config, free)
+    motions = Motions(part.area, boxes[0], face, config, min(config.travel, tray), free)
     handle = () if part.handle is None else _handle(name, part.handle, front, face)
-    return FurniturePart(name, tuple(boxes), motion, handle)
+    return FurniturePart(
+        name, tuple(boxes), motions.of(part.kind), handle, motions.hypotheses(part.odds)
+    )
 
 
 def _leaf(part: AlignedPart, thickness: float, config: ModelConfig) -> Area:
@@ -312,34 +310,6 @@ def _leaf(part: AlignedPart, thickness: float, config: ModelConfig) -> Area:
     if part.kind == "door_down":
         return replace(area, top=area.top - swing)
     return replace(area, bottom=area.bottom + swing) if part.kind == "door_up" else area
-
-
-def _turning(
-    part: AlignedPart,
-    panel: Box,
-    face: FaceImage,
-    config: ModelConfig,
-    free: tuple[bool, bool],
-) -> JointMotion:
-    """The hinge of a door, at the edge of its front; all doors open with a positive angle."""
-    (left, front, bottom), (right, rear, top) = panel.low, panel.high
-    at_rim = {
-        "door_left": part.area.left <= 0.0,
-        "door_right": part.area.right >= face.width,
-        "door_down": part.area.bottom <= 0.0,
-        "door_up": part.area.top >= face.height,
-    }
-    depth = config.hinge_depth
-    if (part.kind == "door_left" and free[0]) or (part.kind == "door_right" and free[1]):
-        depth = max(depth, config.free_hinge_depth)
-    y = min(front + depth, rear) if at_rim[part.kind] else front
-    pivots: dict[str, tuple[Vec, Vec]] = {
-        "door_left": ((left, y, 0.0), (0.0, 0.0, -1.0)),
-        "door_right": ((right, y, 0.0), (0.0, 0.0, 1.0)),
-        "door_down": ((0.0, y, bottom), (1.0, 0.0, 0.0)),
-        "door_up": ((0.0, y, top), (-1.0, 0.0, 0.0)),
-    }
-    return JointMotion("revolute", *pivots[part.kind], config.turn)
 
 
 def _tray(

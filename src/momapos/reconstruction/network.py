@@ -113,7 +113,7 @@ class FrontNetwork:
         good = good[np.argsort(-score[good], kind="stable")]
         parts = (
             decode.part(
-                int(vote[i].argmax()),
+                vote[i].astype(float),
                 found[i],
                 float(score[i]),
                 handles[i] if held[i] > self.config.handle else None,
