@@ -236,7 +236,7 @@ def part(
             held = (float(low[0]), float(low[1]), float(high[0]), float(high[1]))
     left, top, right, bottom = (float(v) for v in box)
     share = np.exp(votes - votes.max())
-    odds = _sorted(dict(zip(KINDS, (share / share.sum()).tolist(), strict=True)))
+    odds = ranked(dict(zip(KINDS, (share / share.sum()).tolist(), strict=True)))
     return Part(odds[0][0], (left, top, right, bottom), float(score), held, odds)
 
 
@@ -248,8 +248,9 @@ def told(part: Part, kind: PartKind) -> Part:
     share = TOLD if kind != part.kind else max(TOLD, before[kind])
     rest = 1.0 - before.get(kind, 0.0)
     odds = {k: (1.0 - share) * p / rest if rest > 0 else 0.0 for k, p in before.items()}
-    return replace(part, kind=kind, odds=_sorted({**odds, kind: share}))
+    return replace(part, kind=kind, odds=ranked({**odds, kind: share}))
 
 
-def _sorted(odds: dict[PartKind, float]) -> tuple[tuple[PartKind, float], ...]:
+def ranked(odds: dict[PartKind, float]) -> tuple[tuple[PartKind, float], ...]:
+    """Kinds and how probable they are, the likeliest first."""
     return tuple(sorted(odds.items(), key=lambda pair: -pair[1]))

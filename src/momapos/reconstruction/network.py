@@ -18,6 +18,7 @@ from momapos.errors import InputError, require
 from momapos.reconstruction import decode
 from momapos.reconstruction.bars import by_bars, with_bar
 from momapos.reconstruction.drawer_handles import into_drawers
+from momapos.reconstruction.stacks import opening_alike
 from momapos.types import FaceImage, Front, Part
 
 if TYPE_CHECKING:
@@ -123,7 +124,7 @@ class FrontNetwork:
         upright, level = stack[..., decode.UPRIGHT], stack[..., decode.LEVEL]
         drawers = [one for part in parts for one in into_drawers(face, part, level)]
         divided = by_bars(face, drawers, upright, level)
-        return tuple(with_bar(face, part) for part in divided)
+        return opening_alike(face, [with_bar(face, part) for part in divided])
 
 
 def _look_at_face(face: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
