@@ -24,6 +24,7 @@ from momapos.execution.record import Execution, Pose, RunRecord, Visit
 from momapos.execution.retreat import WayHome
 from momapos.execution.run import Again, Outcome, attempt
 from momapos.execution.stages import Watch
+from momapos.execution.true_world import true_world
 from momapos.geometry.transforms import wrap_angle
 from momapos.manipulation.motion import GraspFilter, task_motion
 from momapos.navigation.clearance import gaps
@@ -71,6 +72,7 @@ def run_plan(
     reach: ReachScorer,
     *,
     start: Float[np.ndarray, "3"] | None = None,
+    world: Scene | None = None,
     attempts: int = 3,
     tries: int = 3,
     config: PipelineConfig = DEFAULT,
@@ -90,6 +92,9 @@ def run_plan(
         robot: The robot.
         reach: The robot's reachability map, for planning anew.
         start: Where the base is at first; as the plan says by default, else as for `place`.
+        world: What is really there, in the frame of `scene`, which is then what the robot
+            believes: it plans and drives by the scene, its hand meets the world. The part nearest
+            to where the plan takes hold is the one to open. As the scene says by default.
         attempts: Base poses that are driven to for one motion at most [-].
         tries: Motions that are executed at most, one after the other, each after one that failed
             and after which the arm came home [-].
@@ -104,7 +109,7 @@ def run_plan(
         clock: Measures the stages.
 
     Raises:
-        InputError: The plan is not solved.
+        InputError: The plan is not solved, or nothing in the world opens where it takes hold.
         SceneError: The robot stands in something at the start.
         TaskError, RobotError: They do not fit together.
     """
@@ -112,6 +117,10 @@ def run_plan(
         raise InputError(f"the plan is {plan.status!r}: there is nothing to execute")
     # Planned anew from another pose, it must go as far as planned, no farther and no less far.
     plan = replace(plan, task=replace(plan.task, farthest=False))
+    there = None
+    if world is not None:
+        assert plan.motion is not None
+        there = true_world(world, scene, plan.task, plan.motion.Ts_world_tool[0, :3, 3])
     of_drive, of_world = np.random.SeedSequence(seed).spawn(2)
     stopwatch = Stopwatch(clock, dict.fromkeys(STAGES, 0.0))
 
@@ -140,7 +149,7 @@ def run_plan(
             with stopwatch.stage("execute"):
                 outcome = attempt(
                     scene, robot, _triple(here), motion, plan.task, physics,
-                    np.random.default_rng(of_world), again=again,
+                    np.random.default_rng(of_world), true_world=there, again=again,
                     way_home=trip.way_home(here) if len(executions) + 1 < tries else None,
                     watch=watch, clock=clock,
                 )  # fmt: skip

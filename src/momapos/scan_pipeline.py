@@ -42,7 +42,7 @@ from momapos.segmentation.boxes import (
     wall_detections,
     without_pieces,
 )
-from momapos.segmentation.room import find_room
+from momapos.segmentation.room import at_wall, find_room
 from momapos.segmentation.segmenter import ClassicalSegmenter
 from momapos.stopwatch import Stopwatch
 from momapos.types import (
@@ -55,6 +55,7 @@ from momapos.types import (
     Part,
     Scan,
 )
+from momapos.views.faces import box_faces, stands_free
 from momapos.views.front_view import Seen, View, choose_view
 from momapos.views.projection import sights, vote_label
 from momapos.views.rows import split_row
@@ -152,7 +153,7 @@ def survey(
         raise InputError(f"{scan.name}: nothing was found in the scan but floor and walls")
     walls = wall_detections(room, config.boxes)
     return Survey(
-        cloud, frames, T, tuple(detections), tuple(walls), tuple(rows), found, watch.seconds
+        cloud, frames, T, room, tuple(detections), tuple(walls), tuple(rows), found, watch.seconds
     )
 
 
@@ -295,7 +296,10 @@ def _decide(
         return tools.look(face, item.label)
 
     seen = sights(item.box, survey.frames, survey.found)
-    view = choose_view(item.box, survey.frames, seen, look, config.view, survey.rows)
+    faces = box_faces(item.box)
+    sides = [at_wall(survey.room, face.T_world_face[:3, 3], face.outward) for face in faces]
+    backed = [sides[face.opposite] for face in faces]
+    view = choose_view(item.box, survey.frames, seen, look, config.view, survey.rows, backed)
     if view is None:
         return replace(box, reason="no image shows a front")
     facing = float(np.arctan2(view.face.outward[1], view.face.outward[0]))
@@ -306,7 +310,9 @@ def _decide(
     parts, source = _parts(view, item.label, tools)
     if not parts:
         return replace(box, view=view, reason="a front without doors or drawers")
-    piece = furniture_model(item, facing, view.image, parts, config.model)
+    others = [one.box for one in (*survey.detections, *survey.walls) if one is not item]
+    left, right = (stands_free(faces[k], others) for k in view.face.beside)
+    piece = furniture_model(item, facing, view.image, parts, config.model, free=(left, right))
     return replace(box, view=view, parts=parts, source=source, model=piece)
 
 

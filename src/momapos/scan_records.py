@@ -18,7 +18,7 @@ from momapos.reconstruction.model import ModelConfig
 from momapos.scene.library.furniture import Piece
 from momapos.scene.scene import SceneObject
 from momapos.segmentation.boxes import BoxConfig
-from momapos.segmentation.room import RoomConfig
+from momapos.segmentation.room import Room, RoomConfig
 from momapos.types import Cloud, Detection, Frame, ImageDetection, Part
 from momapos.views.front_view import Seen, View, ViewConfig
 from momapos.views.rows import RowConfig
@@ -106,6 +106,7 @@ class Survey:
     frames: tuple[Frame, ...]
     """The images, with poses in the upright world."""
     T_scene_scan: Float[np.ndarray, "4 4"]
+    room: Room
     detections: tuple[Detection, ...]
     walls: tuple[Detection, ...]
     rows: tuple[Seen, ...]

@@ -138,6 +138,23 @@ class Part:
     score: float
     """Confidence in [0, 1]."""
     handle: tuple[float, float, float, float] | None = None
+    odds: tuple[tuple[PartKind, float], ...] = ()
+    """How it may open, each with its probability, the likeliest first, which is its kind; they sum
+    to one. Empty where nobody says."""
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """One way in which a part may move, in the frame of its object; shut at 0."""
+
+    kind: PartKind
+    probability: float
+    point: tuple[float, float, float]
+    """On its axis [m]."""
+    axis: tuple[float, float, float]
+    """Unit vector about or along which it moves."""
+    upper: float
+    """Where it ends [rad] or [m]."""
 
 
 @dataclass(frozen=True)

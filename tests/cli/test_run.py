@@ -19,8 +19,10 @@ from momapos.base_pose import check_base_pose
 from momapos.cli.main import main
 from momapos.cli.run import summary
 from momapos.config import PipelineConfig
+from momapos.errors import InputError
 from momapos.execution.config import ExecutionConfig, FurnitureConfig
 from momapos.execution.record import RunRecord, read_run
+from momapos.execution.true_world import moved
 from momapos.geometry.transforms import pose_planar, wrap_angle
 from momapos.manipulation.tasks import make_task
 from momapos.navigation.drive import DriveRecord
@@ -93,6 +95,17 @@ def test_no_tries_at_all_are_refused(
 ) -> None:
     write_plan(plan, tmp_path / "plan.json")
     refused([str(tmp_path / "plan.json"), "--tries", "0"], "--tries 0", capsys)
+
+
+def test_a_world_that_is_not_there_or_lies_nowhere_is_refused(
+    plan: PlacementPlan, kitchen: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_plan(plan, tmp_path / "plan.json")
+    refused([str(tmp_path / "plan.json"), "--world-at", "0,0,0"], "--world-at", capsys)
+    refused([str(tmp_path / "plan.json"), "--world", "no_such_room"], "no_such_room", capsys)
+    far = moved(kitchen, np.array([9.0, 0.0, 0.0]))
+    with pytest.raises(InputError, match="no part that opens"):
+        run_plan(plan, kitchen, load_robot("segway_ur5e"), Everywhere(), world=far, config=CONFIG)
 
 
 def test_with_noise_the_arm_is_planned_anew_where_the_base_really_stands(

@@ -23,6 +23,7 @@ from momapos.manipulation.handles import (
     opening_direction,
     rigid_links,
 )
+from momapos.reconstruction.build import build_scene
 from momapos.reconstruction.model import ModelConfig, furniture_model
 from momapos.scene.files import load_scene
 from momapos.scene.library.furniture import Piece
@@ -270,6 +271,41 @@ def test_a_hinge_is_set_back_at_the_rim_of_the_face_alone() -> None:
     motions = [part.motion for part in piece.parts[1:]]
     assert [motion.pivot[1] for motion in motions if motion] == pytest.approx([-0.285, -0.3])
     assert [motion.upper for motion in motions if motion] == [np.pi / 2] * 2
+
+
+@pytest.mark.parametrize("free", [(True, False), (False, True), (False, False)])
+def test_a_hinge_with_nothing_beside_the_object_is_set_back(free: tuple[bool, bool]) -> None:
+    parts = [
+        Part("door_left", (0.0, 0.0, 0.5, 1.0), 0.9),
+        Part("door_right", (0.5, 0.0, 1.0, 1.0), 0.9),
+    ]
+    face, config = face_of(0.8, 0.9), ModelConfig(free_hinge_depth=0.012)
+    found = detection(0.8, 0.6, 0.9)
+    piece = furniture_model(found, 0.3 - np.pi / 2, face, parts, config, free=free)
+    motions = [part.motion for part in piece.parts[1:]]
+    depths = [motion.pivot[1] + 0.3 for motion in motions if motion]
+    assert depths == pytest.approx([0.012 if side else 0.0 for side in free])
+    assert [motion.upper for motion in motions if motion] == [np.pi / 2] * 2
+
+
+def test_a_scene_keeps_how_else_a_part_may_move_its_own_joint_first(tmp_path: Path) -> None:
+    odds: tuple[tuple[PartKind, float], ...] = (
+        ("door_right", 0.6), ("drawer", 0.3), ("door_left", 0.097), ("door_up", 0.003)
+    )  # fmt: skip
+    part = Part("door_right", (0.0, 0.0, 1.0, 1.0), 0.9, odds=odds)
+    found = detection(0.6, 0.5, 0.8)
+    piece = furniture_model(found, 0.3 - np.pi / 2, face_of(0.6, 0.8), [part])
+    path = build_scene([found], {found.name: piece}, None, tmp_path / "scene.json")
+    item = load_scene(path).object(found.name)
+    ((joint, ways),) = item.hypotheses.items()
+    record = item.model.joint(joint)
+    assert [way.kind for way in ways] == ["door_right", "drawer", "door_left"]
+    assert sum(way.probability for way in ways) == pytest.approx(1.0, abs=1e-3)
+    np.testing.assert_allclose(ways[0].point[:2], record.T_parent_joint[:2, 3], atol=1e-4)
+    np.testing.assert_allclose(ways[0].axis, record.axis, atol=1e-6)
+    assert ways[0].upper == pytest.approx(record.upper, abs=1e-4)
+    assert ways[1].axis == (0.0, -1.0, 0.0)
+    assert ways[2].point[0] == pytest.approx(-0.3, abs=0.01)
 
 
 def test_parts_are_named_top_to_bottom_and_left_to_right() -> None:

@@ -11,7 +11,7 @@ from tests.furnished import BACK, KITCHEN, LEFT, ROOM, TABLE, Corners, cloud_of,
 from momapos.errors import InputError
 from momapos.segmentation.boxes import boxes
 from momapos.segmentation.front_planes import FrontPlaneConfig, find_front_planes
-from momapos.segmentation.room import find_room, in_room
+from momapos.segmentation.room import Room, Wall, at_wall, find_room, in_room
 from momapos.segmentation.segmenter import ClassicalSegmenter
 from momapos.types import Cloud, Detection, Instance
 
@@ -171,3 +171,13 @@ def test_clouds_that_cannot_be_divided_are_refused(cloud: Cloud) -> None:
     far = replace(cloud, points=cloud.points * np.array([1e5, 1e5, 1.0]))
     with pytest.raises(InputError, match="too much for one room"):
         ClassicalSegmenter()(far)
+
+
+def test_a_side_stands_against_a_wall_that_it_looks_at_from_near() -> None:
+    room = Room((Wall(0, -1.0, 2.0, -1.0, 1.0, 2.5),))  # the room is before x = 2
+    toward = np.array([1.0, 0.0, 0.0])
+    assert at_wall(room, np.array([1.95, 0.0, 0.5]), toward)
+    assert not at_wall(room, np.array([1.95, 0.0, 0.5]), -toward)
+    assert not at_wall(room, np.array([1.95, 0.0, 0.5]), np.array([0.0, 1.0, 0.0]))
+    assert not at_wall(room, np.array([1.6, 0.0, 0.5]), toward)
+    assert not at_wall(room, np.array([1.95, 1.6, 0.5]), toward)

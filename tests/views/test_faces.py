@@ -7,8 +7,8 @@ import pytest
 from tests.views.painted_box import FRIDGE, camera, image
 
 from momapos.geometry.transforms import apply, invert
-from momapos.types import Frame
-from momapos.views.faces import box_faces, face_image, shown, solid
+from momapos.types import Frame, UprightBox
+from momapos.views.faces import box_faces, face_image, shown, solid, stands_free
 from momapos.views.projection import corners
 
 
@@ -34,6 +34,25 @@ def test_faces_lie_on_the_box_and_look_outward() -> None:
         assert np.ptp(local[:, 1]) == pytest.approx(face.height)
         assert np.linalg.det(face.T_world_face[:3, :3]) == pytest.approx(1.0)
         assert face.T_world_face[2, 1] == 1.0  # its y axis is up
+
+
+def test_a_face_stands_free_where_no_other_box_is_close_before_it() -> None:
+    for face in box_faces(FRIDGE):
+        across = face.T_world_face[:3, 0]
+        for gap, free in ((0.01, False), (0.3, True)):
+            place = face.T_world_face[:3, 3] + (gap + 0.25) * face.outward
+            small = UprightBox(place - 0.2 * across, np.array([0.5, 0.5, 0.8]), FRIDGE.yaw)
+            assert stands_free(face, [small]) is free
+        assert stands_free(face, [])
+
+
+def test_faces_beside_and_opposite_are_told_as_seen_from_outside() -> None:
+    faces = box_faces(FRIDGE)
+    for face in faces:
+        left, right = (faces[k].outward for k in face.beside)
+        np.testing.assert_allclose(right, face.T_world_face[:3, 0], atol=1e-9)
+        np.testing.assert_allclose(left, -right, atol=1e-9)
+        np.testing.assert_allclose(faces[face.opposite].outward, -face.outward, atol=1e-9)
 
 
 @pytest.mark.parametrize("off", [0.0, 0.8])

@@ -53,6 +53,22 @@ def test_the_front_is_the_face_for_which_the_images_vote() -> None:
     assert len(view.front.parts) == 1
 
 
+def test_of_two_faces_that_look_alike_the_one_away_from_the_wall_is_the_front() -> None:
+    def all_fronts(face: FaceImage) -> Front:
+        door = Part("door_left", (0.0, 0.0, 1.0, 1.0), 0.7, handle=(0.8, 0.4, 0.9, 0.6))
+        return Front(0.9 if face.color[..., 2].mean() > 100 else 0.8, (door,))
+
+    frames = around([0.0, 0.2], 3) + around([0.0, 0.2], FRONT)
+    seen = sights(FRIDGE, frames)
+    anywhere = choose_view(FRIDGE, frames, seen, all_fronts, ViewConfig())
+    assert anywhere is not None
+    assert anywhere.face.index == 3
+    backed = [index == FRONT for index in range(4)]
+    at_wall = choose_view(FRIDGE, frames, seen, all_fronts, ViewConfig(), (), backed)
+    assert at_wall is not None
+    assert at_wall.face.index == FRONT
+
+
 def test_one_wrong_vote_is_outvoted_while_the_first_image_that_passes_is_believed() -> None:
     frames = around([0.0, 0.2, 0.1], 3) + around([0.1, 0.2, 0.3], FRONT)
     lies = replace(frames[0], color=np.full_like(frames[0].color, 0) + np.uint8([200, 0, 0]))

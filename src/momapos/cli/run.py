@@ -27,6 +27,8 @@ def run(
     scene_root: OptionalPath = None,
     robot: OptionalText = None,
     start: PoseArg = None,
+    world: OptionalText = None,
+    world_at: PoseArg = None,
     hold: Literal["contact", "weld"] = "contact",
     noise: bool = True,
     tries: int = 3,
@@ -48,6 +50,10 @@ def run(
         scene_root: Folder for names not found beside the plan, and for a BestMan scene's models.
         robot: A library robot or a robot file; by default the one that the plan names.
         start: Where the robot is at first [m, m, rad or deg]; as the plan says by default.
+        world: What is really there: a scene, where the plan's own is only what the robot believes,
+            as one that was scanned. The part nearest to the planned grasp is the one to open.
+        world_at: Where the world's origin lies in the plan's scene [m, m, rad or deg]; the same
+            place by default.
         hold: contact: the fingers close and hold by friction; weld: a compliant, breakable weld at
             the grasp, as for a robot without fingers.
         noise: Let the base believe to be where noisy sensors say, and draw how heavily the
@@ -68,12 +74,16 @@ def run(
 
     import numpy as np
 
-    from momapos.cache import default_cache_dir
+    from momapos.cache import default_cache_dir, user_cache
     from momapos.cli.console import progress
     from momapos.errors import require
     from momapos.reachability.store import load_reach
+    from momapos.scene.files import load_scene
 
     begin = None if start is None else np.array(parse_pose(start, "start"))
+    if world is None and world_at is not None:
+        raise InputError("--world-at says where a --world lies; give that too, or leave it out")
+    at = np.zeros(3) if world_at is None else np.array(parse_pose(world_at, "world-at"))
     if record is not None and record.suffix.lower() != ".png":
         raise InputError(f"--record {record}: a filmstrip is a PNG; name it so")
     content, scene, machine = open_plan(plan, scene_root, robot, "to execute")
@@ -81,14 +91,19 @@ def run(
         from momapos.execution.config import ExecutionConfig, FurnitureConfig
         from momapos.execution.film import Film
         from momapos.execution.record import run_to_dict, write_run
+        from momapos.execution.true_world import moved
         from momapos.navigation.drive import DriveConfig
         from momapos.run_plan import QUIET, run_plan
 
+    there = None
+    if world is not None:
+        there = moved(load_scene(world, root=scene_root, cache=user_cache()), at)
     film = Film() if record is not None else None
     with progress(f"reachability map of {machine.name}") as report:
         reach = load_reach(machine, default_cache_dir(), report)
     result = run_plan(
-        content, scene, machine, reach, start=begin, tries=tries, seed=seed,
+        content, scene, machine, reach, start=begin, world=there, tries=tries,
+        seed=seed,
         driving=DriveConfig() if noise else DriveConfig(noise=QUIET),
         physics=ExecutionConfig(hold=hold, furniture=FurnitureConfig(spread=0.3 if noise else 0.0)),
         trace=film.drive if film is not None else None, watch=film,

@@ -26,8 +26,8 @@ from momapos.execution.record import Collision, Execution, JointFound, Pose
 from momapos.execution.retreat import WayHome, retreat
 from momapos.execution.simulation import Simulation, build_simulation
 from momapos.execution.stages import Belief, ExecutionRun, Stretch, Watch
+from momapos.execution.true_world import TrueWorld
 from momapos.execution.verdict import TaskOutcome, judge
-from momapos.kinematics.urdf import Joint
 from momapos.protocols import Clock
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene, SceneObject
@@ -124,6 +124,7 @@ def attempt(
     config: ExecutionConfig = DEFAULT,
     rng: np.random.Generator | None = None,
     *,
+    true_world: TrueWorld | None = None,
     again: Again | None = None,
     way_home: WayHome | None = None,
     watch: Watch | None = None,
@@ -134,6 +135,7 @@ def attempt(
     Args:
         scene, robot, base_pose, motion, task, config, rng, watch, clock: See `execute`. The scene
             is the one that the run began with.
+        true_world: What is really there; as the scene says by default.
         again: What earlier tries left; None for the first one.
         way_home: Plans the arm's way home from where a motion failed; None to stay there.
 
@@ -141,8 +143,9 @@ def attempt(
         SceneError: The robot stands in something at the beginning.
         InputError: The motion cannot be timed, or the engine refuses the model.
     """
-    item = scene.object(task.object)
-    joint = None if task.joint is None else item.model.joint(task.joint)
+    there = true_world or TrueWorld(scene, task)
+    item = there.scene.object(there.task.object)
+    joint = None if there.task.joint is None else item.model.joint(there.task.joint)
     assert robot.model.urdf.path is not None
     dynamics = read_dynamics(robot.model.urdf.path)
     hand, notes = find_hand(robot, dynamics.mimics), []
@@ -157,20 +160,24 @@ def attempt(
         deviation = draw_deviation(axis, config.errors, rng)
     states = np.concatenate([motion.approach, motion.q])
     tuned = states[np.linspace(0, len(states) - 1, _STATES).astype(int)]
-    reached = set() if task.joint is None else reached_elements(item, task.joint, motion)
 
-    def build(room: Scene, deviation: Deviation | None, begin: float | None) -> Simulation:
+    def build(room: TrueWorld, deviation: Deviation | None, begin: float | None) -> Simulation:
+        reached: set[tuple[str, int]] = set()
+        if room.task.joint is not None:
+            values = room.values(motion.object_q, scene, task)
+            thing = room.scene.object(room.task.object)
+            reached = reached_elements(thing, room.task.joint, replace(motion, object_q=values))
         return build_simulation(
-            room, robot, base_pose, tuned, task, hand, dynamics, resistance, deviation, config,
-            begin=begin, reached=reached,
+            room.scene, robot, base_pose, tuned, room.task, hand, dynamics, resistance, deviation,
+            config, begin=begin, reached=reached,
         )  # fmt: skip
 
-    world = build(scene, deviation, None if again is None else again.value)
+    world = build(there, deviation, None if again is None else again.value)
     believed = scene if again is None else again.scene
-    as_known = deviation is None and again is None
-    known = world if as_known else build(believed, None, None)
+    as_known = deviation is None and again is None and true_world is None
+    known = world if as_known else build(TrueWorld(believed, task), None, None)
     seal = seal_of(item, joint, resistance.pull, config.furniture.seal_range)
-    belief = _belief(believed.object(task.object), joint)
+    belief = _belief(believed.object(task.object), task.joint)
     touched = None if again is None else again.collisions
     run = ExecutionRun(world, motion, task, config, seal, belief, known, watch, touched)
     if task.verb == "place":
@@ -185,7 +192,7 @@ def attempt(
     wall = clock() - began
     how = f"{ending}: {detail}" if detail else str(ending)
     stopped = "" if ending in GOOD else how
-    verdict = judge(world, run.observer, task, item, run.first, motion, config, stopped)
+    verdict = judge(world, run.observer, there.task, item, run.first, motion, config, stopped)
     unknown = [name for name in robot.moved_joints if name not in dynamics.efforts]
     if unknown:
         notes.append(f"no effort limit is known of {', '.join(unknown)}")
@@ -251,10 +258,11 @@ def _approach(
     return paced(plan, path, tool, room, config, careful=careful)
 
 
-def _belief(item: SceneObject, joint: Joint | None) -> Belief | None:
+def _belief(item: SceneObject, name: str | None) -> Belief | None:
     """What the scene says of the part's joint."""
-    if joint is None:
+    if name is None:
         return None
+    joint = item.model.joint(name)
     T = item.link_poses()[joint.parent] @ joint.T_parent_joint
     return Belief(Axis(joint.kind == "prismatic", T[:3, :3] @ joint.axis, T[:3, 3]))
 

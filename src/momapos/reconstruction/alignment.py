@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.errors import InputError
-from momapos.reconstruction.height_maps import FEWEST, Area, area_of, heights_in, longest_bar
+from momapos.reconstruction.height_maps import FEWEST, Area, area_of, bars, heights_in
 from momapos.types import FaceImage, Part, PartKind
 
 if TYPE_CHECKING:
@@ -67,6 +67,8 @@ class AlignedPart:
     out: float
     """How far its front stands out of the face's plane [m]."""
     handle: AlignedHandle | None
+    odds: tuple[tuple[PartKind, float], ...] = ()
+    """How it may open, see `Part`."""
 
 
 def align(
@@ -209,11 +211,11 @@ def _aligned(face: FaceImage, part: Part, area: Area, config: AlignmentConfig) -
     """Measure how far a part and its handle stand out."""
     seen = None if part.handle is None else area_of(part.handle, face)
     if seen is not None and _is_flat(face, area, seen, config):
-        bar = longest_bar(face, area, config.bar_out, config.bar_length, config.bar_thickness)
-        seen = bar or seen
+        found = bars(face, area, config.bar_out, config.bar_length, config.bar_thickness)
+        seen = found[0] if found else seen
     out = front_of(face, area, config.most_height_map, without=seen)
     handle = None if seen is None else _handle(face, area, seen, out, config)
-    return AlignedPart(part.kind, area, out, handle)
+    return AlignedPart(part.kind, area, out, handle, part.odds)
 
 
 def _handle(

@@ -1,13 +1,25 @@
-"""Handles that the networks did not see, found as bars that stand out in the height map."""
+"""Handles found as bars that stand out in the height map: what the networks did not see of them.
+
+A thin bar in the color of its door is a pixel or two of the image, but it is well before the
+door. Where it is tells how the door opens; two of them on what was taken for one part tell that
+it is two.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.reconstruction.height_maps import FEWEST, Area, area_of, heights_in, longest_bar
+from momapos.reconstruction import decode
+from momapos.reconstruction.height_maps import FEWEST, Area, area_of, bars, heights_in
 from momapos.types import FaceImage, Part, PartKind
+
+if TYPE_CHECKING:
+    from jaxtyping import Float32
 
 CLEAR, NOISES = 0.02, 4.0
 """A bar stands out by the first [m] and by this many standard deviations of the noise [-]."""
@@ -17,13 +29,22 @@ SIDE = 1 / 3
 """A handle in this share of a door next to an edge says that it opens there [-]."""
 BROAD = 0.5
 """A level bar over more than this share of a door is that of a flap [-]."""
+FLAPS = ("door_down", "door_up")
+"""What has one handle: what else stands out of it is a towel bar."""
+APART = 0.06
+"""Handles of two parts are at least this far from each other [m]."""
+BESIDE = 0.5
+"""And lie side by side over this share of the shorter one [-]."""
+ALIKE = 1.6
+"""Handles of two like parts differ in length by less than this factor [-]."""
+LEAST_PART = 0.12
+"""A part that is told by its handle alone has sides of at least this [m]."""
+SEAM = 0.1
+"""Contrast of a seam between two handles, as `decode.dark_lines` tells it [-]."""
 
 
 def with_bar(face: FaceImage, part: Part) -> Part:
     """A part that has no handle, with the bar that stands out of it, if one does.
-
-    A thin bar in the color of its door is a pixel or two of the image, but it is well before
-    the door. Where it is tells how the door opens.
 
     Args:
         face: The face; its height map tells.
@@ -31,21 +52,157 @@ def with_bar(face: FaceImage, part: Part) -> Part:
     """
     if part.handle is not None:
         return part
+    found = handles_on(face, part)
+    if not found:
+        return part
+    kind = _opening(part.kind, area_of(part.box, face), found[0])
+    return replace(decode.told(part, kind), handle=_fractions(found[0], face))
+
+
+def by_bars(
+    face: FaceImage,
+    parts: Sequence[Part],
+    upright: Float32[np.ndarray, "h w"],
+    level: Float32[np.ndarray, "h w"],
+) -> tuple[Part, ...]:
+    """Parts of which each has one handle: those with two that are alike are divided between them.
+
+    They are divided where a seam is seen between the handles; else where the two parts come out
+    most alike in size with handles at the same or at mirrored places.
+
+    Args:
+        face: The face; its height map tells.
+        parts: As the networks saw them.
+        upright, level: Its dark lines.
+    """
+    return tuple(
+        one
+        for k, part in enumerate(parts)
+        for one in _divided(face, part, [*parts[:k], *parts[k + 1 :]], upright, level)
+    )
+
+
+def handles_on(face: FaceImage, part: Part) -> tuple[Area, ...]:
+    """The bars that stand out of a part well above the noise, the longest first."""
     area = area_of(part.box, face)
     height_map = heights_in(face, area)
     if len(height_map) < FEWEST:
-        return part
+        return ()
     noise = 1.4826 * float(np.median(np.abs(height_map - np.median(height_map))))
-    bar = longest_bar(face, area, max(CLEAR, NOISES * noise), LEAST, THICKEST)
-    if bar is None:
-        return part
-    handle = (
-        bar.left / face.width,
-        1 - bar.top / face.height,
-        bar.right / face.width,
-        1 - bar.bottom / face.height,
+    return bars(face, area, max(CLEAR, NOISES * noise), LEAST, THICKEST)
+
+
+def _divided(
+    face: FaceImage,
+    part: Part,
+    others: Sequence[Part],
+    upright: Float32[np.ndarray, "h w"],
+    level: Float32[np.ndarray, "h w"],
+) -> tuple[Part, ...]:
+    """A part, divided between its handles, from the left or from below."""
+    if part.kind in FLAPS:
+        return (part,)
+    held = [area_of(other.handle, face) for other in others if other.handle is not None]
+    own = [bar for bar in handles_on(face, part) if not any(bar.within(area) for area in held)]
+    if not own:
+        return (part,)
+    tall = own[0].height > own[0].width
+    alike = sorted(_alike(own), key=lambda bar: _place(bar, upright=tall))
+    area = area_of(part.box, face)
+    edges = (area.left, area.right) if tall else (area.bottom, area.top)
+    places = [_place(bar, upright=tall) for bar in alike]
+    cuts = [edges[0], *_even(edges, places), edges[1]]
+    for k, between in enumerate(pairwise(places), start=1):
+        cuts[k] = _seam(face, area, between, upright if tall else level, upright=tall) or cuts[k]
+    if len(alike) < 2 or np.diff(cuts).min() < LEAST_PART:
+        return (part,)
+    found = []
+    for bar, (low, high) in zip(alike, pairwise(cuts), strict=True):
+        one = replace(area, left=low, right=high) if tall else replace(area, bottom=low, top=high)
+        kind = _opening(part.kind, one, bar)
+        if not tall and one.width > one.height:
+            kind = "drawer"
+        box, handle = _fractions(one, face), _fractions(bar, face)
+        found.append(replace(decode.told(part, kind), box=box, handle=handle))
+    return tuple(found)
+
+
+def _place(bar: Area, *, upright: bool) -> float:
+    """Where an upright bar is along x, or a level one along z [m]."""
+    return (bar.left + bar.right if upright else bar.bottom + bar.top) / 2
+
+
+def _alike(found: Sequence[Area]) -> list[Area]:
+    """The longest bar, and those beside it that are like it, as the handles of other parts are."""
+    upright = found[0].height > found[0].width
+    kept: list[Area] = []
+    for bar in found:
+        if upright != (bar.height > bar.width):
+            continue
+        low, high = (bar.bottom, bar.top) if upright else (bar.left, bar.right)
+        for other in kept:
+            start, end = (other.bottom, other.top) if upright else (other.left, other.right)
+            lengths = sorted((high - low, end - start))
+            beside = min(high, end) - max(low, start) > BESIDE * lengths[0]
+            apart = abs(_place(bar, upright=upright) - _place(other, upright=upright)) > APART
+            if not (beside and apart and lengths[1] < ALIKE * lengths[0]):
+                break
+        else:
+            kept.append(bar)
+    return kept
+
+
+def _even(edges: tuple[float, float], places: Sequence[float]) -> list[float]:
+    """Where to divide a span so that each part has one handle.
+
+    In equal parts if that does it; else one after the other, each two with handles at the same or
+    at mirrored places.
+    """
+    low, high = edges
+    cuts = np.linspace(low, high, len(places) + 1)
+    if (cuts[:-1] < places).all() and (places < cuts[1:]).all():
+        return cuts[1:-1].tolist()
+    uneven: list[float] = []
+    for first, second in pairwise(places):
+        start = uneven[-1] if uneven else low
+        tries = ((first + second) / 2, second - (first - start), first + (high - second))
+        between = np.array([cut for cut in tries if first < cut < second])
+        uneven.append(float(between[np.abs(between - (start + high) / 2).argmin()]))
+    return uneven
+
+
+def _seam(
+    face: FaceImage,
+    area: Area,
+    between: tuple[float, float],
+    lines: Float32[np.ndarray, "h w"],
+    *,
+    upright: bool,
+) -> float | None:
+    """Where a line is seen between two handles on most of a part [m]; None where there is none."""
+    rows, columns = lines.shape
+    x = np.clip(np.array([area.left, area.right]) / face.width * columns, 0, columns).astype(int)
+    y = np.clip((1 - np.array([area.top, area.bottom]) / face.height) * rows, 0, rows).astype(int)
+    mean = np.median(lines[y[0] : y[1], x[0] : x[1]], axis=0 if upright else 1)
+    if not upright:
+        mean = mean[::-1]
+    start, size = (
+        (area.left, face.width / columns) if upright else (area.bottom, face.height / rows)
     )
-    return replace(part, kind=_opening(part.kind, area, bar), handle=handle)
+    places = start + (np.arange(len(mean)) + 0.5) * size
+    inner = (places > between[0] + THICKEST / 2) & (places < between[1] - THICKEST / 2)
+    mean = np.where(inner, mean, 0.0)
+    return float(places[mean.argmax()]) if mean.max(initial=0.0) > SEAM else None
+
+
+def _fractions(area: Area, face: FaceImage) -> tuple[float, float, float, float]:
+    """An area as (left, top, right, bottom) in fractions of the face."""
+    return (
+        area.left / face.width,
+        1 - area.top / face.height,
+        area.right / face.width,
+        1 - area.bottom / face.height,
+    )
 
 
 def _opening(kind: PartKind, part: Area, bar: Area) -> PartKind:

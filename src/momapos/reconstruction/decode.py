@@ -5,6 +5,7 @@ All boxes are (left, top, right, bottom) as fractions of the face, y down.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -26,8 +27,10 @@ MIRRORED_SIDES = (2, 1, 0, 3)
 """Left, top, right, bottom in a mirror."""
 PART_MARGIN = 0.15
 """How much of its surroundings a crop shows on each side of a part, as a fraction of its side."""
-LEVEL = 6
-"""Which of the planes holds level dark lines."""
+UPRIGHT, LEVEL = 5, 6
+"""Which of the planes hold upright and level dark lines."""
+TOLD = 0.9
+"""How sure a rule is of how a part opens [-]."""
 LEAST_SIDE = 0.01
 """A part is broader and higher than this share of its face."""
 HEIGHT_MAP_RANGE = 0.08
@@ -212,9 +215,19 @@ def in_face(inner: Float[np.ndarray, "n 4"], outer: Float[np.ndarray, "n 4"]) ->
 
 
 def part(
-    kind: int, box: Float[np.ndarray, "4"], score: float, handle: Float[np.ndarray, "4"] | None
+    votes: Float[np.ndarray, " k"],
+    box: Float[np.ndarray, "4"],
+    score: float,
+    handle: Float[np.ndarray, "4"] | None,
 ) -> Part:
-    """A part, kept within the face, and its handle, kept within the part."""
+    """A part, kept within the face, and its handle, kept within the part.
+
+    Args:
+        votes: Logarithms of how much speaks for each kind.
+        box: Of the part.
+        score: How sure it is one.
+        handle: Its handle.
+    """
     held = None
     if handle is not None:
         low = np.clip(handle[:2], box[:2], box[2:])
@@ -222,4 +235,22 @@ def part(
         if (high > low).all():
             held = (float(low[0]), float(low[1]), float(high[0]), float(high[1]))
     left, top, right, bottom = (float(v) for v in box)
-    return Part(KINDS[kind], (left, top, right, bottom), float(score), held)
+    share = np.exp(votes - votes.max())
+    odds = ranked(dict(zip(KINDS, (share / share.sum()).tolist(), strict=True)))
+    return Part(odds[0][0], (left, top, right, bottom), float(score), held, odds)
+
+
+def told(part: Part, kind: PartKind) -> Part:
+    """A part of which a rule tells how it opens; what was thought before keeps a doubt."""
+    if not part.odds:
+        return replace(part, kind=kind)
+    before = dict(part.odds)
+    share = TOLD if kind != part.kind else max(TOLD, before[kind])
+    rest = 1.0 - before.get(kind, 0.0)
+    odds = {k: (1.0 - share) * p / rest if rest > 0 else 0.0 for k, p in before.items()}
+    return replace(part, kind=kind, odds=ranked({**odds, kind: share}))
+
+
+def ranked(odds: dict[PartKind, float]) -> tuple[tuple[PartKind, float], ...]:
+    """Kinds and how probable they are, the likeliest first."""
+    return tuple(sorted(odds.items(), key=lambda pair: -pair[1]))

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import ndimage
 
+from momapos.reconstruction import decode
 from momapos.types import FaceImage, Part
 
 if TYPE_CHECKING:
@@ -61,8 +62,7 @@ def into_drawers(
     edges = np.clip(np.append(edges, edges[-1] + pitch), box[1], box[3])
     return tuple(
         replace(
-            part,
-            kind="drawer",
+            decode.told(part, "drawer"),
             box=(part.box[0], float(top), part.box[2], float(bottom)),
             handle=(float(x0), float(max(y0, top)), float(x1), float(y1)),
         )

@@ -85,10 +85,10 @@ def _pixels(face: FaceImage, area: Area) -> tuple[slice, slice]:
     return slice(top, bottom), slice(left, right)
 
 
-def longest_bar(
+def bars(
     face: FaceImage, part: Area, out: float, least: float, thickest: float
-) -> Area | None:
-    """The longest bar that stands out of a part in the height map; None where there is none.
+) -> tuple[Area, ...]:
+    """The bars that stand out of a part in the height map, the longest first.
 
     Args:
         face: The face.
@@ -100,11 +100,11 @@ def longest_bar(
     rows, columns = _pixels(face, part)
     height_map = np.array(face.height_map[rows, columns], float)
     if np.isfinite(height_map).sum() < FEWEST:
-        return None
+        return ()
     stands = height_map > np.nanmedian(height_map) + out  # NaN compares as false
     label, count = ndimage.label(stands, np.ones((3, 3)))
     tall, wide = face.height / face.height_map.shape[0], face.width / face.height_map.shape[1]
-    bars = []
+    found = []
     for down, across in ndimage.find_objects(label, count):
         area = Area(
             (columns.start + across.start) * wide,
@@ -114,5 +114,5 @@ def longest_bar(
         )
         thick, length = sorted((area.width, area.height))
         if length >= max(least, 2 * thick) and thick <= thickest:
-            bars.append((length, area))
-    return max(bars, key=lambda bar: bar[0])[1] if bars else None
+            found.append((length, area))
+    return tuple(area for _, area in sorted(found, key=lambda bar: -bar[0]))

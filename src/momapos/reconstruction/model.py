@@ -23,12 +23,11 @@ from momapos.reconstruction.alignment import (
     front_of,
 )
 from momapos.reconstruction.height_maps import Area
+from momapos.reconstruction.motions import Motions
 from momapos.scene.library.furniture import (
     Box,
     FurniturePart,
-    JointMotion,
     Piece,
-    Vec,
     bar_handle,
     ending_before_hits,
     solid,
@@ -60,6 +59,9 @@ class ModelConfig:
     hinge_depth: float = 0.0
     """How far behind its front a door's hinge lies, but not beyond its thickness [m]. That holds
     for hinges at the rim of the face; elsewhere such a door would turn into what is beside it."""
+    free_hinge_depth: float = 0.01
+    """The same where nothing stands beside the object: its doors need not stay within their width,
+    and mostly do not [m]."""
     turn: float = np.pi / 2
     """How far doors open [rad]."""
     travel: float = 0.4
@@ -90,12 +92,15 @@ def furniture_model(
     face: FaceImage,
     parts: Sequence[SeenPart],
     config: ModelConfig | None = None,
+    *,
+    free: tuple[bool, bool] = (False, False),
 ) -> Piece:
     """Make the model of one object: its box, hollow, with doors and drawers that open.
 
-    A door turns about the edge of its front, so it stays within its own width as it opens; real
-    hinges lie deeper, mostly by 1 to 2 cm, in fridges by 2 to 8 (`ModelConfig.hinge_depth`). Every
-    joint ends before its part would hit the rest of the piece.
+    A door with neighbors turns about the edge of its front, so it stays within its own width as it
+    opens. Real hinges lie deeper, mostly by 1 to 2 cm, in fridges by 2 to 8; so are those here
+    that have nothing beside them (`ModelConfig.free_hinge_depth`). Every joint ends before its
+    part would hit the rest of the piece.
 
     Args:
         detection: The object with its box.
@@ -103,6 +108,7 @@ def furniture_model(
         face: That side, seen straight on.
         parts: The doors and drawers on it.
         config: What cannot be seen.
+        free: Whether nothing stands beside the object, left and right as seen from the front.
 
     Returns:
         The piece; its moving parts are named by what they are, top to bottom and left to right:
@@ -126,7 +132,7 @@ def furniture_model(
     layers = _layers(size, aligned, config)
     body = FurniturePart("body", tuple(_body(face, aligned, layers, config)))
     moving = [
-        _moving(name, part, face, layers, config)
+        _moving(name, part, face, layers, config, free)
         for name, part in zip(_names(aligned), aligned, strict=True)
     ]
     piece = Piece(detection.name, detection.label, center, yaw, (body, *moving))
@@ -264,22 +270,26 @@ def _rest(areas: Sequence[Area], whole: Area) -> list[Area]:
 
 
 def _moving(
-    name: str, part: AlignedPart, face: FaceImage, layers: _Layers, config: ModelConfig
+    name: str,
+    part: AlignedPart,
+    face: FaceImage,
+    layers: _Layers,
+    config: ModelConfig,
+    free: tuple[bool, bool],
 ) -> FurniturePart:
     """A door, or a drawer with its tray."""
     front, thickness = _slab(part, layers, config)
     area = _leaf(part, thickness, config)
     boxes = [_box(f"{name}_panel", area, front, front + thickness, face)]
+    tray = config.tray * (layers.back - layers.wall - layers.opening)
     if part.kind == "drawer":
-        room = layers.back - layers.wall - layers.opening
-        rear = layers.opening + config.tray * room
+        rear = layers.opening + tray
         boxes += _tray(name, part.area, front + thickness, rear, face, layers, config)
-        travel = min(config.travel, config.tray * room)
-        motion = JointMotion("prismatic", (0.0, 0.0, 0.0), (0.0, -1.0, 0.0), travel)
-    else:
-        motion = _turning(part, boxes[0], face, config)
+    motions = Motions(part.area, boxes[0], face, config, min(config.travel, tray), free)
     handle = () if part.handle is None else _handle(name, part.handle, front, face)
-    return FurniturePart(name, tuple(boxes), motion, handle)
+    return FurniturePart(
+        name, tuple(boxes), motions.of(part.kind), handle, motions.hypotheses(part.odds)
+    )
 
 
 def _leaf(part: AlignedPart, thickness: float, config: ModelConfig) -> Area:
@@ -300,25 +310,6 @@ def _leaf(part: AlignedPart, thickness: float, config: ModelConfig) -> Area:
     if part.kind == "door_down":
         return replace(area, top=area.top - swing)
     return replace(area, bottom=area.bottom + swing) if part.kind == "door_up" else area
-
-
-def _turning(part: AlignedPart, panel: Box, face: FaceImage, config: ModelConfig) -> JointMotion:
-    """The hinge of a door, at the edge of its front; all doors open with a positive angle."""
-    (left, front, bottom), (right, rear, top) = panel.low, panel.high
-    at_rim = {
-        "door_left": part.area.left <= 0.0,
-        "door_right": part.area.right >= face.width,
-        "door_down": part.area.bottom <= 0.0,
-        "door_up": part.area.top >= face.height,
-    }
-    y = min(front + config.hinge_depth, rear) if at_rim[part.kind] else front
-    pivots: dict[str, tuple[Vec, Vec]] = {
-        "door_left": ((left, y, 0.0), (0.0, 0.0, -1.0)),
-        "door_right": ((right, y, 0.0), (0.0, 0.0, 1.0)),
-        "door_down": ((0.0, y, bottom), (1.0, 0.0, 0.0)),
-        "door_up": ((0.0, y, top), (-1.0, 0.0, 0.0)),
-    }
-    return JointMotion("revolute", *pivots[part.kind], config.turn)
 
 
 def _tray(

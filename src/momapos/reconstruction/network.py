@@ -16,8 +16,9 @@ import numpy as np
 
 from momapos.errors import InputError, require
 from momapos.reconstruction import decode
-from momapos.reconstruction.bars import with_bar
+from momapos.reconstruction.bars import by_bars, with_bar
 from momapos.reconstruction.drawer_handles import into_drawers
+from momapos.reconstruction.stacks import opening_alike
 from momapos.types import FaceImage, Front, Part
 
 if TYPE_CHECKING:
@@ -113,16 +114,17 @@ class FrontNetwork:
         good = good[np.argsort(-score[good], kind="stable")]
         parts = (
             decode.part(
-                int(vote[i].argmax()),
+                vote[i].astype(float),
                 found[i],
                 float(score[i]),
                 handles[i] if held[i] > self.config.handle else None,
             )
             for i in good
         )
-        level = stack[..., decode.LEVEL]
-        drawers = (one for part in parts for one in into_drawers(face, part, level))
-        return tuple(with_bar(face, part) for part in drawers)
+        upright, level = stack[..., decode.UPRIGHT], stack[..., decode.LEVEL]
+        drawers = [one for part in parts for one in into_drawers(face, part, level)]
+        divided = by_bars(face, drawers, upright, level)
+        return opening_alike(face, [with_bar(face, part) for part in divided])
 
 
 def _look_at_face(face: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -25,6 +25,7 @@ from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.urdf import box_urdf, read_urdf
 from momapos.scene import bestman
 from momapos.scene.copies import model_files
+from momapos.scene.hypotheses import hypotheses_to_json, read_hypotheses
 from momapos.scene.limits import refuse_vast
 from momapos.scene.names import FORMAT, MAX_BYTES, find_scene
 from momapos.scene.scene import Scene, SceneObject
@@ -39,7 +40,7 @@ MAX_CORNERS = 1_000
 """Corners of a floor [-]."""
 MAX_EDGE, MAX_DISTANCE = 1e3, 1e4  # [m] of a box, from the world's origin
 _SCENE_KEYS = {"format", "version", "name", "objects", "floor", "start"}
-_OBJECT_KEYS = {"name", "category", "pose", "urdf", "scale", "joints", "box"}
+_OBJECT_KEYS = {"name", "category", "pose", "urdf", "scale", "joints", "box", "hypotheses"}
 
 
 def load_scene(
@@ -189,7 +190,9 @@ class _ObjectReader:
         if not isinstance(category, str):
             raise SceneError(f"{self.where}: category must be a text")
         model = self.model()
-        return SceneObject(self.name, category, self.pose(), model, self.joints(model))
+        joints, names = self.joints(model), list(model.joints)
+        found = read_hypotheses(self.item.get("hypotheses", {}), names, self.where)
+        return SceneObject(self.name, category, self.pose(), model, joints, found)
 
     def pose(self) -> Float[np.ndarray, "4 4"]:
         pose = self.item.get("pose")
@@ -363,4 +366,6 @@ def _object(item: SceneObject, folder: Path) -> dict[str, Any]:
                 "write the scene into a folder above it, or copy the files"
             )
     relative = urdf.path.resolve().relative_to(folder).as_posix()
-    return {**entry, "urdf": relative, "scale": urdf.scale, "joints": dict(item.joints)}
+    entry |= {"urdf": relative, "scale": urdf.scale, "joints": dict(item.joints)}
+    found = {name: hypotheses_to_json(rows) for name, rows in item.hypotheses.items()}
+    return {**entry, "hypotheses": found} if found else entry

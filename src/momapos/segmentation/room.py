@@ -75,6 +75,10 @@ class RoomConfig:
 STRIP = 0.1  # [m] of a wall that are judged together
 STRAY = 0.2
 """Points behind a strip are strays of it up to this share of its own [-]."""
+AT_WALL = 0.15
+"""What stands against a wall is no farther from it [m]: skirting boards and hoses are behind it."""
+FACING = 0.9
+"""Cosine between its normal and that of the wall [-]."""
 CELL = 0.05  # [m], of the raster that areas are measured on
 
 
@@ -109,6 +113,22 @@ def flat_on_wall(room: Room, points: Float[np.ndarray, "n 3"], flat: float) -> b
     """Whether points are an image on a wall, or its own unevenness: within `flat` [m] of it."""
     return any(
         np.percentile(wall.distance(points), 95) < flat and bool(wall.beside(points, 0.5).all())
+        for wall in room.walls
+    )
+
+
+def at_wall(room: Room, place: Float[np.ndarray, "3"], outward: Float[np.ndarray, "3"]) -> bool:
+    """Whether a side of a thing stands against a wall.
+
+    Args:
+        room: Its walls.
+        place: The middle of the side [m].
+        outward: Its normal.
+    """
+    return any(
+        -wall.sign * outward[wall.axis] > FACING
+        and bool(wall.beside(place[None], AT_WALL)[0])
+        and abs(float(wall.distance(place[None])[0])) < AT_WALL
         for wall in room.walls
     )
 

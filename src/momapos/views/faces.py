@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numba import njit
 
-from momapos.geometry.transforms import invert, pose
+from momapos.geometry.transforms import apply, invert, pose
+from momapos.geometry.upright_boxes import to_local
 from momapos.types import FaceImage, Frame, UprightBox
 
 if TYPE_CHECKING:
@@ -25,6 +26,8 @@ APART = 0.15
 ALIKE = 0.2
 """Lines of sight are alike when their slopes differ by this, one standard deviation: a handle that
 stands out by 4 cm is displaced by less than 1 cm between them [-]."""
+BESIDE = 0.08
+"""What stands beside a thing is nearer to it [m]."""
 HIDDEN, CLEAR = 1, 2
 """What frames showed of a place: another thing, or the face."""
 FLAT = 0.1
@@ -49,6 +52,16 @@ class Face:
         """Unit normal in the world."""
         return self.T_world_face[:3, 2]
 
+    @property
+    def opposite(self) -> int:
+        """Index of the face on the other side."""
+        return (self.index + FACES // 2) % FACES
+
+    @property
+    def beside(self) -> tuple[int, int]:
+        """Indices of the faces to the left and right, as seen from outside."""
+        return (self.index - 1) % FACES, (self.index + 1) % FACES
+
 
 def box_faces(box: UprightBox) -> tuple[Face, ...]:
     """The four upright faces of a box."""
@@ -62,6 +75,14 @@ def box_faces(box: UprightBox) -> tuple[Face, ...]:
         R = np.stack([np.cross(up, outward), up, outward], axis=1)
         faces.append(Face(index, pose(center, R), float(box.size[width]), float(box.size[2])))
     return tuple(faces)
+
+
+def stands_free(face: Face, others: Sequence[UprightBox]) -> bool:
+    """Whether nothing stands before a face, nearer than `BESIDE`."""
+    across, up, out = np.meshgrid([-0.45, -0.2, 0.0, 0.2, 0.45], [-0.4, 0.0, 0.4], [0.02, BESIDE])
+    local = np.stack([across * face.width, up * face.height, out], axis=-1).reshape(-1, 3)
+    points = apply(face.T_world_face, local)
+    return not any((np.abs(to_local(points, o)) < o.size / 2).all(axis=1).any() for o in others)
 
 
 def face_image(face: Face, frames: Sequence[Frame], *, pixels: int = 384) -> FaceImage:

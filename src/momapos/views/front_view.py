@@ -40,6 +40,9 @@ PARALLEL, COPLANAR = 0.99, 0.12
 less than the second [m]."""
 SAME = 0.5
 """Of two parts that share this much of the smaller one, one is left out [-]."""
+UNBACKED = 0.5
+"""What is said for a face counts so much less where another one has a wall behind the thing: what
+stands against a wall opens away from it [-]."""
 Look = Callable[[FaceImage], Front]
 """Says what is on a face, and whether it is a front."""
 
@@ -92,7 +95,8 @@ class View:
     front: Front
     evidence: tuple[float, ...]
     """Mean of what the images say for each face: by its looks and by the handles on it, half
-    and half, times how flat it is; NaN for faces that no image shows."""
+    and half, times how flat it is, less where another side has the wall behind it; NaN for faces
+    that no image shows."""
 
 
 def choose_view(
@@ -102,6 +106,7 @@ def choose_view(
     look: Look,
     config: ViewConfig,
     before: Sequence[Seen] = (),
+    backed: Sequence[bool] = (False,) * FACES,
 ) -> View | None:
     """Find the front of a box (MoMa-Pos, III-B).
 
@@ -115,12 +120,14 @@ def choose_view(
         look: What is on a face.
         config: How to choose.
         before: What was seen on the rows that the box may be a piece of.
+        backed: Whether the side opposite to each face stands against a wall.
 
     Returns:
         None where no image shows a front.
     """
-    choose = _first if config.method == "first" else _voting
-    return choose(box, frames, seen, look, config, before)
+    if config.method == "first":
+        return _first(box, frames, seen, look, config, before)
+    return _voting(box, frames, seen, look, config, before, backed)
 
 
 def _first(
@@ -155,6 +162,7 @@ def _voting(
     look: Look,
     config: ViewConfig,
     before: Sequence[Seen],
+    backed: Sequence[bool],
 ) -> View | None:
     indices = np.array([sight.frame for sight in seen], int)
     if not len(indices):
@@ -179,6 +187,8 @@ def _voting(
         # Where faces compete, doors do not make up for looks: both count, or one side of a
         # fridge with a seam and a shadow on it passes for the front.
         rank = flat * float(np.mean([(f.score + handle_evidence(f)) / 2 for f in votes]))
+        if any(backed) and not backed[face.index]:
+            rank *= UNBACKED
         evidence[face.index] = rank
         if doors >= config.least and (best is None or rank > best[0]):
             best = rank, face, order[0], image, votes[0]

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from momapos.geometry.transforms import apply, pose, rotation_about
+from momapos.types import Hypothesis
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
@@ -56,6 +57,9 @@ class FurniturePart:
     motion: JointMotion | None = None
     """None: fixed to the body."""
     handle: tuple[Box, ...] = ()
+    hypotheses: tuple[Hypothesis, ...] = ()
+    """Ways in which it may move, the likeliest first, which is its motion; empty where that is
+    known."""
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ import json
 import shutil
 import tempfile
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +15,10 @@ from scipy.spatial.transform import Rotation
 
 from momapos.errors import InputError
 from momapos.scene.copies import copy_files
+from momapos.scene.hypotheses import hypotheses_to_json
 from momapos.scene.library.furniture import Box, FurniturePart, Piece, Vec, centers_and_halves, vec
 from momapos.scene.scene import SceneObject
+from momapos.types import Hypothesis
 
 COPIED = ".model"
 """Suffix of a folder with the files of an object that has a URDF of its own."""
@@ -147,7 +150,18 @@ def _object(piece: Piece, folder: str) -> dict[str, Any]:
     if is_single_box(piece):
         return {**entry, "box": vec(2 * half)}
     joints = {joint_name(part): 0.0 for part in piece.parts if part.motion is not None}
-    return {**entry, "urdf": f"{folder}/{piece.name}.urdf", "scale": 1.0, "joints": joints}
+    entry |= {"urdf": f"{folder}/{piece.name}.urdf", "scale": 1.0, "joints": joints}
+    hypotheses = {
+        joint_name(part): hypotheses_to_json(_ended(part.hypotheses, part.motion.upper))
+        for part in piece.parts
+        if part.motion is not None and part.hypotheses
+    }
+    return {**entry, "hypotheses": hypotheses} if hypotheses else entry
+
+
+def _ended(found: Sequence[Hypothesis], upper: float) -> list[Hypothesis]:
+    """Hypotheses of which the first ends where the part's own motion does."""
+    return [replace(found[0], upper=upper), *found[1:]]
 
 
 def joint_name(part: FurniturePart) -> str:

@@ -1,0 +1,59 @@
+"""Parts above each other that look alike open alike."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from tests.reconstruction.fronts import face_of
+
+from momapos.reconstruction.stacks import opening_alike
+from momapos.types import Part, PartKind
+
+FACE = face_of(0.8, 0.8, 0.0)
+HIGH = Part("drawer", (0.0, 0.0, 1.0, 0.4), 0.5, (0.1, 0.05, 0.9, 0.08))
+LOW = Part("door_down", (0.0, 0.4, 1.0, 1.0), 0.5, (0.1, 0.45, 0.9, 0.48))
+
+
+def doubted(part: Part, drawer: float) -> Part:
+    """A part that is a drawer with a probability, else a flap, but for one in fifty."""
+    odds: dict[PartKind, float] = {"drawer": 0.98 * drawer, "door_down": 0.98 * (1 - drawer)}
+    ranked = tuple(sorted({**odds, "door_up": 0.02}.items(), key=lambda pair: -pair[1]))
+    return replace(part, kind=ranked[0][0], odds=ranked)  # type: ignore[arg-type]
+
+
+def test_a_flap_below_a_drawer_that_is_like_it_is_a_drawer() -> None:
+    high, low = opening_alike(FACE, [doubted(HIGH, 0.6), doubted(LOW, 0.1)])
+    assert (high.kind, low.kind) == ("drawer", "drawer")
+    for part in (high, low):
+        assert part.kind == part.odds[0][0]
+        assert sum(share for _, share in part.odds) == pytest.approx(1.0)
+        assert dict(part.odds)["door_up"] == pytest.approx(0.02)
+
+
+def test_two_that_are_clearly_flaps_stay_flaps() -> None:
+    found = opening_alike(FACE, [doubted(HIGH, 0.05), doubted(LOW, 0.05)])
+    assert [part.kind for part in found] == ["door_down", "door_down"]
+
+
+@pytest.mark.parametrize(
+    "low",
+    [
+        replace(LOW, handle=None),
+        replace(LOW, handle=(0.1, 0.7, 0.9, 0.73)),
+        replace(LOW, handle=(0.4, 0.45, 0.6, 0.48)),
+        replace(LOW, box=(0.0, 0.5, 1.0, 1.0), handle=(0.1, 0.55, 0.9, 0.58)),
+        replace(LOW, box=(0.0, 0.4, 0.8, 1.0)),
+    ],
+)
+def test_parts_that_are_not_alike_are_thought_of_one_by_one(low: Part) -> None:
+    parts = [doubted(HIGH, 0.6), doubted(low, 0.1)]
+    found = opening_alike(FACE, parts)
+    assert [part.kind for part in found] == ["drawer", "door_down"]
+    for one, other in zip(found, parts, strict=True):
+        assert dict(one.odds) == pytest.approx(dict(other.odds))
+
+
+def test_nothing_changes_where_nobody_says_how_probable_anything_is() -> None:
+    assert opening_alike(FACE, [HIGH, LOW]) == (HIGH, LOW)
+    assert opening_alike(FACE, []) == ()
