@@ -56,7 +56,8 @@ def test_what_goes_wrong_with_a_job_is_its_row_and_the_others_are_answered(tmp_p
         "dies": "its process was killed by signal 9",
         "leaves": "its process ended with status 7: the last words",
     }
-    jobs = [one for what in wrong for one in (job(what, what, 1.0), job(f"after {what}"))]
+    limits = dict.fromkeys(wrong, 60.0) | {"hangs": 1.0}
+    jobs = [one for what in wrong for one in (job(what, what, limits[what]), job(f"after {what}"))]
     rows = run(jobs, tmp_path)
     assert {key: one.outcome for key, one in rows.items()} == dict.fromkeys(rows, "failed")
     for what, reason in wrong.items():

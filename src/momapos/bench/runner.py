@@ -99,7 +99,8 @@ def run_jobs(
             running[_submitted(executor, do, job)] = job
         if not running:
             return
-        for future in wait(running, return_when=FIRST_COMPLETED).done:
+        done = wait(running, return_when=FIRST_COMPLETED).done
+        for future in [one for one in running if one in done]:  # in the order of handing out
             row = _row_of(future, running.pop(future))
             if store.add(row):
                 tell(row)
