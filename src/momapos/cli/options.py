@@ -32,6 +32,8 @@ else:  # tyro takes the members of a plain tuple for texts, and imports typeguar
     PackagesArg = Annotated[UseAppendAction[tuple], arg(metavar="NAME=DIR")]
     XacroArg = Annotated[UseAppendAction[tuple], arg(metavar="NAME=VALUE")]
 MAX_SEED = 2**63 - 1
+EXIT_STATUS = {"solved": 0, "infeasible": 3, "timeout": 4}
+"""Of commands that answer, by the status of the answer."""
 
 
 def check_seed(seed: int) -> None:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from momapos.cli.options import (
+    EXIT_STATUS,
     JointsArg,
     OptionalPath,
     PoseArg,
@@ -37,8 +38,6 @@ if TYPE_CHECKING:
     from momapos.placement_result import PlacementResult
     from momapos.reachability.arm_length import ArmLength
     from momapos.reachability.map import ReachMap
-
-_STATUS = {"solved": 0, "infeasible": 3, "timeout": 4}
 
 
 @dataclass(frozen=True)
@@ -246,7 +245,7 @@ def _answer(
         draw_opening_map(scene, answer, farthest, map_file)
     tried = [f"{one.arm}: {given.plan.status}" for one, given in zip(arms, answers, strict=True)]
     _deliver(answer, options, most=to == MAX, tried=", ".join(tried) if len(arms) > 1 else "")
-    return _STATUS[answer.plan.status]
+    return EXIT_STATUS[answer.plan.status]
 
 
 def _deliver(answer: PlacementResult, options: Options, *, most: bool, tried: str) -> None:

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
-from momapos.cli.options import Target, ToArg, check_seed, unread
+from momapos.cli.options import EXIT_STATUS, Target, ToArg, check_seed, unread
 from momapos.cli.scan import ScanOptions
 from momapos.config import PipelineConfig
+from momapos.errors import require
 from momapos.files import check_outputs
 from momapos.robots.names import find_named_robot
 from momapos.units import MAX, parse_quantity
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
 
 FORMAT, VERSION = "momapos-solve", 1
 SCENE, PLAN, RUN, RECORD = "scene.json", "plan.json", "run.json", "solve.json"
-_STATUS = {"solved": 0, "infeasible": 3, "timeout": 4}
 
 
 @dataclass(frozen=True)
@@ -104,16 +104,19 @@ def solve(
     answer, record = _solve(source, verb, target, out, options)
     data = _to_dict(answer, record)
     write_whole(out / RECORD, dumps(data, indent=1, allow_nan=False) + "\n")
-    print(dumps(data, allow_nan=False) if options.json else _summary(answer, record, out))
+    print(dumps(data, allow_nan=False) if options.json else _summary(answer, record, data, out))
     if record is not None and not record.success:
         return 1
-    return _STATUS[answer.result.plan.status]
+    return EXIT_STATUS[answer.result.plan.status]
 
 
 def _solve(
     source: Path, verb: Any, target: str, out: Path, options: SolveOptions
 ) -> tuple[ScanAnswer, RunRecord | None]:
     """Answer, and write everything but the record."""
+    if options.run:  # told before the work
+        with require("physics"):
+            import momapos.run_plan  # noqa: F401
     from momapos.cache import user_cache
     from momapos.cli.compile import ANSWER, compile_once
     from momapos.cli.console import progress
@@ -156,12 +159,9 @@ def _solve(
 
 def _run(answer: ScanAnswer, reach: Any, file: Path, options: SolveOptions) -> RunRecord:
     """Carry the plan out, and write how that went."""
-    from momapos.errors import require
-
-    with require("physics"):
-        from momapos.execution.config import ExecutionConfig
-        from momapos.execution.record import write_run
-        from momapos.run_plan import run_plan
+    from momapos.execution.config import ExecutionConfig
+    from momapos.execution.record import write_run
+    from momapos.run_plan import run_plan
     from momapos.scene.files import load_scene
 
     record = run_plan(
@@ -192,12 +192,11 @@ def _to_dict(answer: ScanAnswer, record: RunRecord | None) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _summary(answer: ScanAnswer, record: RunRecord | None, out: Path) -> str:
+def _summary(answer: ScanAnswer, record: RunRecord | None, data: dict[str, Any], out: Path) -> str:
     """The answer, how the run went, and where the time went."""
     from momapos.cli.console import summary
     from momapos.cli.run import summary as run_summary
 
-    data = _to_dict(answer, record)
     stages = ", ".join(f"{n} {s:.1f}" for n, s in data["timing"].items() if n != "total")
     again = len(answer.alphas) - 1
     lines = [summary(answer.result, out / PLAN)]

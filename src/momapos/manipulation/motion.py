@@ -99,7 +99,8 @@ class TaskMotion:
     @property
     def closes(self) -> Bool[np.ndarray, " d"]:
         """At which steps the fingers close about what they hold, or open to let it go."""
-        return np.isin(np.arange(len(self.object_q)), (self.grasp_step, self.release_step or -1))
+        steps = [s for s in (self.grasp_step, self.release_step) if s is not None]
+        return np.isin(np.arange(len(self.object_q)), steps)
 
     @property
     def free_ends(self) -> tuple[int, ...]:
