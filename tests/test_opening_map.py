@@ -13,7 +13,7 @@ from momapos.base_pose import check_base_pose
 from momapos.cli.main import main
 from momapos.manipulation.tasks import make_task
 from momapos.opening_map import YAWS, OpeningMap, opening_map
-from momapos.placement.place import Search
+from momapos.placement.problem import Search
 from momapos.reachability.store import load_reach_map
 from momapos.robots.robot import Robot, load_robot
 from momapos.scene.files import load_scene

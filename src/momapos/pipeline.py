@@ -22,7 +22,8 @@ from momapos.importance.rank import rank
 from momapos.manipulation.motion import TaskMotion, task_motion
 from momapos.manipulation.tasks import hand_path
 from momapos.placement.config import OURS
-from momapos.placement.place import PoseFilter, search
+from momapos.placement.place import search
+from momapos.placement.problem import PoseFilter
 from momapos.placement_result import PlacementResult
 from momapos.protocols import Clock, ReachScorer
 from momapos.query import PlacementQuery

@@ -10,7 +10,7 @@ import numpy as np
 
 from momapos.manipulation.tasks import slides
 from momapos.navigation.global_path import BasePath
-from momapos.placement.place import Search
+from momapos.placement.problem import Search
 from momapos.prepare import PreparedTask
 from momapos.query import PlacementQuery
 from momapos.robots.robot import Robot

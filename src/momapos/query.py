@@ -11,7 +11,7 @@ import numpy as np
 from momapos.config import PipelineConfig
 from momapos.manipulation.motion import GraspFilter
 from momapos.navigation.footprint_map import NavigationMap, build_navigation_map
-from momapos.placement.place import PoseFilter
+from momapos.placement.problem import PoseFilter
 from momapos.protocols import ReachScorer
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene

@@ -14,7 +14,7 @@ from momapos.manipulation.motion import TaskMotion
 from momapos.manipulation.turning import FULL
 from momapos.navigation.global_path import BasePath, plan_path
 from momapos.outcomes import PoseOutcome, PoseStatus
-from momapos.placement.place import AttemptPose, Problem, Search
+from momapos.placement.problem import AttemptPose, Problem, Search
 from momapos.placement_result import PlacementResult, plan_of
 from momapos.prepare import PreparedTask, driving_lengths, prepare, start_pose
 from momapos.protocols import ReachScorer

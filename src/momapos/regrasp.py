@@ -20,7 +20,7 @@ from momapos.manipulation.turning import FULL
 from momapos.outcomes import PoseOutcome, PoseStatus
 from momapos.placement.config import PlaceConfig
 from momapos.placement.holding import LEAST_SCORE, ScoreWays, scores_of_two_holds
-from momapos.placement.place import Problem
+from momapos.placement.problem import Problem
 from momapos.prepare import PreparedTask, prepare
 from momapos.protocols import ReachScorer
 from momapos.stopwatch import Stopwatch

@@ -53,6 +53,8 @@ APART = 0.15
 """A base pose is another one when it is this far from those that failed [m]."""
 TURN = 0.3
 """A radian of turning counts as this distance [m]."""
+DOCKED = 0.005
+"""A drive that ends nearer to its goal than this is not repeated [m]."""
 STAGES = ("drive", "plan", "execute")
 NONE_LEFT = "no other base pose is left"
 
@@ -291,7 +293,7 @@ class _Trip:
             with self.stopwatch.stage("drive"):
                 driven = self.drive(self.ground, here, goal, self.rng)
             self.trace(driven.times, driven.poses)
-            here, reason, plan = driven.pose, driven.reason, None
+            here, reason, now, plan = driven.pose, driven.reason, plan, None
             if driven.arrived:
                 with self.stopwatch.stage("plan"):
                     attempt = self._motion(here)
@@ -306,6 +308,7 @@ class _Trip:
                 if plan is None:
                     reason = f"{reason}; {NONE_LEFT}"
                     self.visits[-1] = replace(self.visits[-1], reason=reason)
+                    plan = now if driven.arrived and _beside(goal, here) else None
         return here, motion
 
     def _motion(self, pose: Float[np.ndarray, "3"], grasps: GraspFilter | None = None) -> Attempt:
@@ -331,6 +334,12 @@ class _Trip:
         apart = np.hypot(away[..., 0], away[..., 1]) + TURN * np.abs(wrap_angle(away[..., 2]))
         fits = gaps(poses, self.ground.prisms, self.ground.planning_obstacles) > 0.0
         return np.asarray((apart < APART).any(1) | ~fits)
+
+
+def _beside(goal: Float[np.ndarray, "3"], pose: Float[np.ndarray, "3"]) -> bool:
+    """Whether a drive has ended so far from its goal that another one may do better."""
+    off = float(np.hypot(*(pose - goal)[:2])) + TURN * abs(float(wrap_angle(pose[2] - goal[2])))
+    return off > DOCKED
 
 
 def _visit(goal: Float[np.ndarray, "3"], driven: DriveRecord, reason: str) -> Visit:

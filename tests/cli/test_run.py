@@ -185,6 +185,26 @@ def test_where_the_arm_finds_no_motion_the_next_cheapest_base_pose_is_driven_to(
     assert apart(goals)
 
 
+def test_where_no_other_base_pose_is_left_the_robot_docks_once_more(
+    plan: PlacementPlan, kitchen: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    goals: list[np.ndarray] = []
+    monkeypatch.setattr("momapos.run_plan._Trip._another", lambda *_: None)
+
+    def beside_at_first(
+        _: NavigationMap, start: Pose3, goal: Pose3, __: np.random.Generator
+    ) -> DriveRecord:
+        goals.append(goal)
+        return ended(start, goal, goal if len(goals) > 1 else np.array([1.9, -1.6, 1.5]))
+
+    record = run_plan(
+        plan, kitchen, load_robot("segway_ur5e"), Everywhere(), go=beside_at_first, config=CONFIG
+    )
+    assert record.success, record.reason
+    assert NONE_LEFT in record.visits[0].reason
+    np.testing.assert_array_equal(goals, [plan.base_pose, plan.base_pose])
+
+
 def test_a_drive_that_does_not_arrive_leads_to_other_base_poses_and_then_to_a_failure(
     plan: PlacementPlan, kitchen: Scene
 ) -> None:

@@ -15,7 +15,8 @@ from momapos.outcomes import PoseOutcome, PoseStatus
 from momapos.placement.area import PlacementGeometry
 from momapos.placement.config import Method, PlaceConfig
 from momapos.placement.holding import ways_of_holding
-from momapos.placement.place import Problem, Search, search
+from momapos.placement.place import search
+from momapos.placement.problem import Problem, Search
 from momapos.robots.robot import Robot
 from momapos.types import ArmPathResult, Attempt, Motion
 from rooms import Everywhere, cabinet_room
@@ -56,6 +57,7 @@ def find(
     whole: Works,
     *,
     method: Method = "ours",
+    seed: int = 0,
     **changes: int | float,
 ) -> Search:
     def screen(
@@ -81,7 +83,7 @@ def find(
     )
     coarse = {"grid_cell": 0.2, "grid_turn": 45.0}
     config = PlaceConfig(method=method, **{**coarse, **changes})  # type: ignore[arg-type]
-    return search(problem, config, np.random.default_rng(0))
+    return search(problem, config, np.random.default_rng(seed))
 
 
 @pytest.mark.parametrize("method", ["ours", "exhaustive"])
@@ -102,6 +104,33 @@ def test_the_grid_gives_the_cheapest_of_its_poses(geometry: PlacementGeometry) -
     passed = poses[[one in (FOUND.outcome, FEASIBLE) for one in np.concatenate(found.outcomes)]]
     assert len(passed) > 10
     assert found.cost == pytest.approx(np.linalg.norm(passed[:, :2] - START[:2], axis=1).min())
+
+
+def test_the_base_may_end_beside_the_pose_that_is_chosen(geometry: PlacementGeometry) -> None:
+    def stripes(poses: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
+        # Works in stripes of 8 cm, every 12 cm.
+        return poses[:, 0] % 0.12 < 0.08
+
+    def inside(found: Search) -> bool:
+        assert found.base is not None
+        return bool(0.02 <= found.base[0] % 0.12 < 0.06)
+
+    seeds = range(8)
+    some = [find(geometry, stripes, always, seed=seed, looks=0, count=64) for seed in seeds]
+    assert not all(inside(found) for found in some)
+    all_of_it = [find(geometry, stripes, always, seed=seed, looks=64, count=64) for seed in seeds]
+    assert all(inside(found) for found in all_of_it)
+
+
+def test_where_no_pose_has_a_margin_the_answer_is_still_found(
+    geometry: PlacementGeometry,
+) -> None:
+    def hair(poses: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
+        return poses[:, 0] % 0.03 < 0.01
+
+    found = find(geometry, hair, always, looks=2, count=64)
+    assert found.base is not None
+    assert found.base[0] % 0.03 < 0.01
 
 
 def test_looking_at_more_candidates_never_makes_the_answer_dearer(

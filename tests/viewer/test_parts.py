@@ -20,7 +20,7 @@ from momapos.manipulation.motion import task_motion
 from momapos.manipulation.tasks import make_task
 from momapos.outcomes import PoseOutcome, PoseStatus
 from momapos.placement.area import BaseStatus, base_pose_status
-from momapos.placement.place import Search
+from momapos.placement.problem import Search
 from momapos.prepare import placement_geometry
 from momapos.robots.robot import load_robot
 from momapos.scene.files import load_scene

@@ -16,7 +16,7 @@ from momapos.manipulation.config import MotionConfig
 from momapos.manipulation.motion import task_motion
 from momapos.manipulation.tasks import make_task
 from momapos.outcomes import PoseOutcome, PoseStatus
-from momapos.placement.place import Search
+from momapos.placement.problem import Search
 from momapos.placement_result import PlacementResult
 from momapos.prepare import prepare
 from momapos.robots.robot import Robot, load_robot

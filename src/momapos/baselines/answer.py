@@ -23,7 +23,8 @@ from momapos.importance.rank import rank
 from momapos.manipulation.motion import TaskMotion, task_motion
 from momapos.pipeline import plan_base_placement
 from momapos.placement.config import OURS
-from momapos.placement.place import PoseFilter, Search, search_in_order
+from momapos.placement.place import search_in_order
+from momapos.placement.problem import PoseFilter, Search
 from momapos.placement_result import PlacementResult
 from momapos.protocols import Clock, ReachScorer
 from momapos.query import PlacementQuery

@@ -32,6 +32,14 @@ class PlaceConfig:
     """Candidates whose arm paths are looked for together (ours); the cheapest wins [-]."""
     improve: int = 6
     """Cheaper candidates that are looked at besides, once some have a path (ours) [-]."""
+    margin: float = 0.02
+    """How far off the base may end in x and in y, from where a motion should still be found (ours)
+    [m]."""
+    margin_turn: float = 1.0
+    """The same of its yaw [deg]."""
+    looks: int = 3
+    """Base poses whose margin is looked at, until one has all of it; the one with most of it is
+    taken (ours); 0: the first that works [-]."""
     miss: float = 2.0
     """Driving length that a certain miss is worth [m]."""
     grid_cell: float = 0.05
@@ -47,6 +55,7 @@ class PlaceConfig:
 
     def __post_init__(self) -> None:
         refuse_below(self, 1, "count", "grasps", "together")
-        refuse_below(self, 0, "rounds", "improve", "miss", "clearance")
+        refuse_below(self, 0, "rounds", "improve", "miss", "clearance", "looks", "margin")
+        refuse_below(self, 0, "margin_turn")
         refuse_below(self, 0.005, "grid_cell")
         refuse_below(self, 0.5, "grid_turn")

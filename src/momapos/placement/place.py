@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, TypeAlias
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,12 +20,13 @@ from momapos.placement.area import (
     task_frame,
 )
 from momapos.placement.config import PlaceConfig
-from momapos.placement.fitting import FitPoses, fitted
-from momapos.placement.holding import ScoreWays, WayScores
+from momapos.placement.fitting import fitted
+from momapos.placement.holding import WayScores
+from momapos.placement.margin import Waiting, margin_of
 from momapos.placement.order import by_expected_cost
 from momapos.placement.potential import attraction
-from momapos.protocols import ReachScorer, TravelCost
-from momapos.types import ArmPathResult, Attempt, Candidates, Motion
+from momapos.placement.problem import Problem, Search
+from momapos.types import ArmPathResult
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
@@ -41,96 +41,6 @@ BASE_OUTCOMES = {
     BaseStatus.BEYOND_ARM: PoseOutcome(PoseStatus.BEYOND_ARM),
 }
 _NOT_TRIED = PoseOutcome(PoseStatus.NOT_TRIED)
-_UNCOUNTED = (PoseStatus.FEASIBLE, PoseStatus.PATH_FOUND, PoseStatus.NOT_TRIED)
-
-
-ScreenPoses: TypeAlias = (
-    "Callable[[Float[np.ndarray, 'n 3'], Float[np.ndarray, 'n g'], int | None], "
-    "list[ArmPathResult] | None]"
-)
-"""Look for an arm path at each of many base poses, from the scores of all grasps and the number
-of grasps to be tried; None: out of time."""
-PoseFilter: TypeAlias = "Callable[[Float[np.ndarray, 'n 3']], Bool[np.ndarray, ' n']]"
-"""Which of some base poses are no candidates, for reasons that this stage does not know."""
-AttemptPose: TypeAlias = (
-    "Callable[[Float[np.ndarray, '3'], ArmPathResult, Int[np.ndarray, ' k']], Attempt]"
-)
-"""Complete the arm path found at a base pose, or else one with the other grasps, best first."""
-
-
-@dataclass
-class Search:
-    """What has been looked at so far, and the best of it."""
-
-    poses: list[Float[np.ndarray, "n 3"]] = field(default_factory=list)
-    outcomes: list[np.ndarray] = field(default_factory=list)
-    """A `PoseOutcome` of each."""
-    checked: int = 0
-    base: Float[np.ndarray, "3"] | None = None
-    motion: Motion | None = None
-    cost: float = np.inf
-    timed_out: bool = False
-
-    def note(self, poses: Float[np.ndarray, "n 3"], outcomes: np.ndarray) -> None:
-        """Remember a round; what becomes of its poses is written into `outcomes` later."""
-        self.poses.append(poses)
-        self.outcomes.append(outcomes)
-
-    @property
-    def is_no(self) -> bool:
-        """Whether all was looked at, and nothing found."""
-        return self.motion is None and not self.timed_out
-
-    def join(self, other: Search) -> None:
-        """Add what another search of the same poses has found; why it found nothing does not
-        count beside why this one did not."""
-        self.checked += other.checked
-        self.timed_out = other.timed_out
-        if other.motion is not None:
-            self.base, self.motion, self.cost = other.base, other.motion, other.cost
-            assert other.base is not None
-            feasible = PoseOutcome(PoseStatus.FEASIBLE)
-            self.note(other.base[None], np.array([feasible], object))
-
-    def candidates(self) -> Candidates:
-        """Counts for the plan."""
-        every = np.concatenate([np.zeros(0, object), *self.outcomes]).tolist()
-        # Most poses share an outcome: told apart by identity first, which needs no hashing of text.
-        shared = dict(zip(map(id, every), every, strict=True))
-        counts: Counter[PoseOutcome] = Counter()
-        for key, count in Counter(map(id, every)).items():
-            if shared[key].status not in _UNCOUNTED:
-                counts[shared[key]] += count
-        words = {str(outcome): count for outcome, count in counts.most_common()}
-        return Candidates(len(every), self.checked, words)
-
-
-@dataclass(frozen=True)
-class Problem:
-    """What the search is given; the stages behind the functions are not its business."""
-
-    geometry: PlacementGeometry
-    reach: ReachScorer
-    """The robot's reachability map."""
-    grid_reach: ReachScorer
-    """The same for the grid, whose "no" counts: it rules out only what is surely out of reach."""
-    ways: tuple[ScoreWays, ...]
-    """Ways of holding, each of which is tried where those before fail."""
-    travel_cost: TravelCost
-    attempt: AttemptPose
-    """Checks one base pose completely."""
-    screen: ScreenPoses
-    """Checks many base poses for an arm path alone; the grid needs it."""
-    start: Float[np.ndarray, "3"]
-    """Where the robot is: x [m], y [m], yaw [rad]."""
-    out_of_time: Callable[[], bool]
-    """Asked between candidates."""
-    infeasible_reason: str = ""
-    """Why no base pose can help, where that is known beforehand."""
-    pose_filter: PoseFilter | None = None
-    """Rules base poses out."""
-    fit: FitPoses | None = None
-    """Finds base poses beside given ones from which an arm of few joints can do the task."""
 
 
 def search(problem: Problem, config: PlaceConfig, rng: np.random.Generator) -> Search:
@@ -163,10 +73,13 @@ def search(problem: Problem, config: PlaceConfig, rng: np.random.Generator) -> S
             reach = problem.grid_reach if on_grid else problem.reach
             scores = score(reach, clear.poses)
             shortlist = clear.reached(scores if own is None else scores.of_way(own[clear.row]))
+            # Beside a fitted pose an arm of few joints does nothing.
+            looks = 0 if own is not None or config.method != "ours" else config.looks
+            waiting = Waiting(margin_of(problem, score, problem.reach, config), looks)
             if on_grid:
-                _check_grid(problem, shortlist, config, found)
+                _check_grid(problem, shortlist, config, found, waiting)
             else:
-                _check_samples(problem, shortlist, config, found)
+                _check_samples(problem, shortlist, config, found, waiting)
             if found.motion is not None or found.timed_out:
                 return found
     return found
@@ -341,8 +254,8 @@ def _complete(
     most: int | None,
     found: Search,
 ) -> None:
-    """Complete the cheapest of some arm paths that can be completed."""
-    for i in sorted(passed, key=lambda i: float(left.travel[i])):
+    """Complete the first of some arm paths that can be completed."""
+    for i in passed:
         if problem.out_of_time():
             found.timed_out = True
             return
@@ -353,7 +266,9 @@ def _complete(
             return
 
 
-def _check_samples(problem: Problem, left: _Shortlist, config: PlaceConfig, found: Search) -> None:
+def _check_samples(
+    problem: Problem, left: _Shortlist, config: PlaceConfig, found: Search, waiting: Waiting
+) -> None:
     """Check a round's samples in order; where some pass, a few cheaper ones have their chance."""
     together, improve = config.together, config.improve
     rest = _order(problem, left, config)
@@ -365,11 +280,14 @@ def _check_samples(problem: Problem, left: _Shortlist, config: PlaceConfig, foun
             cheaper = rest[left.travel[rest] < best - 1e-9][:improve]
             passed |= _screen(problem, left, cheaper, config.grasps, found)
             rest = rest[~np.isin(rest, cheaper)]
-        _complete(problem, left, passed, config.grasps, found)
+        chosen = waiting.choose(passed, left.poses, left.travel, last=not len(rest))
+        _complete(problem, left, chosen, config.grasps, found)
 
 
-def _check_grid(problem: Problem, left: _Shortlist, config: PlaceConfig, found: Search) -> None:
-    """Complete the cheapest pose of the grid that can be completed.
+def _check_grid(
+    problem: Problem, left: _Shortlist, config: PlaceConfig, found: Search, waiting: Waiting
+) -> None:
+    """Complete a pose of the grid, the cheapest where no margin is asked for.
 
     Poses are checked in blocks, cheapest first; with `whole_grid` all are looked at.
     """
@@ -378,7 +296,8 @@ def _check_grid(problem: Problem, left: _Shortlist, config: PlaceConfig, found: 
         block = order[first : first + _BLOCK]
         passed = _screen(problem, left, block, None, found)
         if found.motion is None:
-            _complete(problem, left, passed, None, found)
+            chosen = waiting.choose(passed, left.poses, left.travel, last=True)
+            _complete(problem, left, chosen, None, found)
         if found.timed_out or (found.motion is not None and not config.whole_grid):
             return
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.outcomes import PoseStatus
-from momapos.placement.place import Search
+from momapos.placement.problem import Search
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int

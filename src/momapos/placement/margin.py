@@ -1,0 +1,94 @@
+"""How much a base pose may be off: the same look for an arm path, at poses around it.
+
+A drive ends beside its goal, and the arm is planned anew from there. A pose at the edge of what the
+arm reaches is feasible, and of no use.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, TypeAlias
+
+import numpy as np
+
+from momapos.placement.area import BaseStatus, base_pose_status
+from momapos.placement.config import PlaceConfig
+from momapos.placement.holding import ScoreWays
+from momapos.placement.problem import Problem
+from momapos.protocols import ReachScorer
+from momapos.types import ArmPathResult
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+Margin: TypeAlias = "Callable[[Float[np.ndarray, '3']], float]"
+"""Share of the poses around a base pose from which there is an arm path, in [0, 1]."""
+_AROUND = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]], float)
+"""Half the corners of a box, so that each coordinate is off both ways: a tetrahedron [-]."""
+_GRASPS = 2
+"""Grasps that are tried at a pose beside another, best reached first [-]."""
+
+
+def margin_of(
+    problem: Problem, score: ScoreWays, reach: ReachScorer, config: PlaceConfig
+) -> Margin:
+    """The margin of base poses, for one of the ways of holding."""
+    off = np.array([config.margin, config.margin, np.radians(config.margin_turn)])
+
+    def margin(pose: Float[np.ndarray, "3"]) -> float:
+        poses = pose + _AROUND * off
+        status, _ = base_pose_status(problem.geometry, poses)
+        # Where the base cannot stand no drive ends.
+        poses = poses[status == BaseStatus.CLEAR]
+        if not len(poses):
+            return 0.0
+        scores = score(reach, poses).scores
+        screened = problem.screen(poses, scores, min(config.grasps, _GRASPS))
+        if screened is None:
+            return 0.0
+        return sum(one.q is not None for one in screened) / len(poses)
+
+    return margin
+
+
+@dataclass
+class Waiting:
+    """Base poses with an arm path, by index, of which the one that may be off most is chosen."""
+
+    margin: Margin
+    looks: int
+    """Poses whose margin is looked at, at most; 0: the cheapest is chosen [-]."""
+    paths: dict[int, ArmPathResult] = field(default_factory=dict)
+    margins: dict[int, float] = field(default_factory=dict)
+
+    def choose(
+        self,
+        passed: dict[int, ArmPathResult],
+        poses: Float[np.ndarray, "n 3"],
+        travel: Float[np.ndarray, " n"],
+        *,
+        last: bool,
+    ) -> dict[int, ArmPathResult]:
+        """Take in poses with a path; give all that wait, in the order to be completed, as soon as
+        one has its full margin or no more are looked at.
+
+        Args:
+            passed: New ones.
+            poses: All base poses of the round.
+            travel: Driving length to each [m].
+            last: Whether no others come.
+        """
+        self.paths |= passed
+        full = False
+        for i in sorted(self.paths, key=lambda i: float(travel[i])):
+            if full or len(self.margins) >= self.looks:
+                break
+            if i not in self.margins:
+                self.margins[i] = self.margin(poses[i])
+            full = self.margins[i] == 1.0
+        if not (full or last or len(self.margins) >= self.looks):
+            return {}
+        chosen = sorted(self.paths, key=lambda i: (-self.margins.get(i, 0.0), float(travel[i])))
+        paths, self.paths = self.paths, {}
+        return {i: paths[i] for i in chosen}
