@@ -33,7 +33,7 @@ from momapos.regrasp import two_hold_searches
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene
 from momapos.stopwatch import Stopwatch
-from momapos.types import Task
+from momapos.types import ANYWHERE, BaseRegion, Task
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -49,6 +49,7 @@ def plan_base_placement(
     *,
     start: Float[np.ndarray, "3"] | None = None,
     pose_filter: PoseFilter | None = None,
+    region: BaseRegion = ANYWHERE,
     config: PipelineConfig = DEFAULT,
     cache_dir: Path | None = None,
     seed: int = 0,
@@ -70,6 +71,7 @@ def plan_base_placement(
         reach: The robot's reachability map; None to load it, or to build it at the first use.
         start: Where the base is now: x [m], y [m], yaw [rad]; the scene's start by default.
         pose_filter: Rules base poses out, such as those that were driven to in vain.
+        region: Where the base is allowed to stand.
         config: How to search.
         cache_dir: Where maps are kept; the user's cache folder by default.
         seed: Same seed, same answer.
@@ -88,7 +90,9 @@ def plan_base_placement(
     watch = Stopwatch(clock)
     if reach is None:
         reach = load_reach(robot, cache_dir)
-    query = PlacementQuery(scene, robot, task, reach, start, pose_filter, config, seed, watch)
+    query = PlacementQuery(
+        scene, robot, task, reach, start, pose_filter, config, seed, watch, region=region
+    )
     return as_far_as_possible(query, answer) if task.farthest else answer(query)
 
 

@@ -119,6 +119,7 @@ def plan_of(
         candidates=found.candidates(),
         method=query.config.place.method,
         seed=query.seed,
+        region=query.region,
         versions={name: version_of(name) for name in DEPENDS_ON},
     )
 

@@ -71,6 +71,15 @@ class Importance(msgspec.Struct):
     rounds: int = 0
 
 
+class Region(msgspec.Struct):
+    """Where the base was allowed to stand."""
+
+    keep_in: tuple[tuple[tuple[float, float], ...], ...] = ()
+    keep_out: tuple[tuple[tuple[float, float], ...], ...] = ()
+    facing: float | None = None
+    most_driving: float | None = None
+
+
 class Plan(msgspec.Struct):
     """All of a plan."""
 
@@ -92,6 +101,7 @@ class Plan(msgspec.Struct):
     navigation_cost: float | None = None
     candidates: Candidates = msgspec.field(default_factory=Candidates)
     importance: Importance | None = None
+    region: Region = msgspec.field(default_factory=Region)
     timing: dict[str, float] = {}
     method: str = ""
     seed: int = 0

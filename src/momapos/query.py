@@ -16,7 +16,7 @@ from momapos.protocols import ReachScorer
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene
 from momapos.stopwatch import Stopwatch
-from momapos.types import Task
+from momapos.types import ANYWHERE, BaseRegion, Task
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -37,6 +37,8 @@ class PlacementQuery:
     watch: Stopwatch
     grasp_filter: GraspFilter | None = None
     """Which grasps may be used; None for all."""
+    region: BaseRegion = ANYWHERE
+    """Where the base is allowed to stand."""
 
     @cached_property
     def nav_map(self) -> NavigationMap:

@@ -132,6 +132,7 @@ def ready_search(query: PlacementQuery, modeled: Scene, motion: TaskMotion) -> R
         start=start,
         out_of_time=out_of_time,
         pose_filter=query.pose_filter,
+        region=query.region,
         fit=None if robot.chain.size >= FULL else partial(fitted_bases, robot, prepared.motion),
     )
     return ReadySearch(query, prepared, problem, drives)

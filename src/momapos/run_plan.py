@@ -322,7 +322,8 @@ class _Trip:
         try:
             result = plan_by_method(
                 self.scene, self.ground.robot, self.plan.task, self.reach, start=pose,
-                pose_filter=self._ruled_out, config=self.config, seed=self.plan.seed,
+                pose_filter=self._ruled_out, region=self.plan.region, config=self.config,
+                seed=self.plan.seed,
             )  # fmt: skip
         except SceneError:  # boxes hold more than the outlines that were driven by
             return None

@@ -51,7 +51,9 @@ def smaller_opening(
         return plan
     start = None if plan.start is None else np.array(plan.start)
     watch = Stopwatch(clock)
-    query = PlacementQuery(scene, robot, task, reach, start, None, config, plan.seed, watch)
+    query = PlacementQuery(
+        scene, robot, task, reach, start, None, config, plan.seed, watch, region=plan.region
+    )
     waypoint = values_per_waypoint(config.motion, slides=slides(scene, task))
     values = values_short_of(query)
     best, sure = farthest_plan(query, answer, values, within=waypoint, timeout=TIMEOUT)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import numpy as np
 
@@ -273,6 +273,27 @@ class KeyObjects:
     """How often a plan came near boxes, which then joined S, and was checked again [-]."""
 
 
+Outline: TypeAlias = tuple[tuple[float, float], ...]
+"""Corners of an area on the floor: x, y [m]."""
+
+
+@dataclass(frozen=True)
+class BaseRegion:
+    """Where the base may stand, beside what the room and the arm allow."""
+
+    keep_in: tuple[Outline, ...] = ()
+    """The whole footprint stays in one of these; anywhere where there is none."""
+    keep_out: tuple[Outline, ...] = ()
+    """No part of the footprint is in any of these."""
+    facing: float | None = None
+    """Most angle between the base's x and the way to where the hand takes hold [rad]."""
+    most_driving: float | None = None
+    """Longest drive from the start [m]."""
+
+
+ANYWHERE = BaseRegion()
+
+
 @dataclass(frozen=True)
 class PlacementPlan:
     """Where the robot stands and how it moves, or why it cannot."""
@@ -322,6 +343,8 @@ class PlacementPlan:
     """The base pose from which that one is reached: x [m], y [m], yaw [rad]."""
     feasible_sure: bool = False
     """Whether the grid has ruled out what lies a waypoint beyond; else the time ended before."""
+    region: BaseRegion = ANYWHERE
+    """Where the base was allowed to stand."""
 
     def __repr__(self) -> str:
         what = (

@@ -33,7 +33,7 @@ from momapos.ready_search import ReadySearch, ready_search
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene
 from momapos.stopwatch import Stopwatch
-from momapos.types import KeyObjects, Task
+from momapos.types import ANYWHERE, BaseRegion, KeyObjects, Task
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -54,6 +54,7 @@ def plan_by_method(
     *,
     start: Float[np.ndarray, "3"] | None = None,
     pose_filter: PoseFilter | None = None,
+    region: BaseRegion = ANYWHERE,
     config: PipelineConfig = DEFAULT,
     cache_dir: Path | None = None,
     seed: int = 0,
@@ -71,6 +72,7 @@ def plan_by_method(
         reach: The robot's reachability map; None to load it, or to build it at the first use.
         start: Where the base is now: x [m], y [m], yaw [rad]; the scene's start by default.
         pose_filter: Rules base poses out, such as those that were driven to in vain.
+        region: Where the base is allowed to stand.
         config: How to search.
         cache_dir: Where maps are kept; the user's cache folder by default.
         seed: Same seed, same answer.
@@ -83,13 +85,22 @@ def plan_by_method(
     method = config.place.method
     if method in OURS:
         return plan_base_placement(
-            scene, robot, task, reach, start=start, pose_filter=pose_filter, config=config,
-            cache_dir=cache_dir, seed=seed, clock=clock,
+            scene, robot, task, reach, start=start, pose_filter=pose_filter, region=region,
+            config=config, cache_dir=cache_dir, seed=seed, clock=clock,
         )  # fmt: skip
     if reach is None:
         reach = load_reach(robot, cache_dir)
     query = PlacementQuery(
-        scene, robot, task, reach, start, pose_filter, config, seed, Stopwatch(clock)
+        scene,
+        robot,
+        task,
+        reach,
+        start,
+        pose_filter,
+        config,
+        seed,
+        Stopwatch(clock),
+        region=region,
     )
     answer = _as_printed if method == "paper" else _by_placer(PLACERS[method])
     return as_far_as_possible(query, answer) if task.farthest else answer(query)

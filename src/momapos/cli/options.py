@@ -21,14 +21,16 @@ OptionalNumber = Optional[float]  # noqa: UP045
 Target = Annotated[str, arg(metavar="OBJECT[/JOINT]")]
 Thing = Annotated[str, arg(metavar="OBJECT")]
 PoseArg = Annotated[OptionalText, arg(metavar="X,Y,YAW")]
-ToArg = Annotated[OptionalText, arg(metavar="VALUE")]
+ValueArg = Annotated[OptionalText, arg(metavar="VALUE")]
 BoxArg = Annotated[OptionalText, arg(metavar="LxWxH")]
 if TYPE_CHECKING:
     JointsArg = tuple[str, ...]
+    AreasArg = tuple[str, ...]
     PackagesArg = tuple[str, ...]
     XacroArg = tuple[str, ...]
 else:  # tyro takes the members of a plain tuple for texts, and imports typeguard for any other
     JointsArg = Annotated[UseAppendAction[tuple], arg(metavar="OBJECT/JOINT=VALUE")]
+    AreasArg = Annotated[UseAppendAction[tuple], arg(metavar="AREA")]
     PackagesArg = Annotated[UseAppendAction[tuple], arg(metavar="NAME=DIR")]
     XacroArg = Annotated[UseAppendAction[tuple], arg(metavar="NAME=VALUE")]
 MAX_SEED = 2**63 - 1

@@ -11,12 +11,13 @@ from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from momapos.cli.options import (
     EXIT_STATUS,
+    AreasArg,
     JointsArg,
     OptionalPath,
     PoseArg,
     Target,
     Thing,
-    ToArg,
+    ValueArg,
     check_seed,
     unread,
 )
@@ -38,6 +39,8 @@ if TYPE_CHECKING:
     from momapos.placement_result import PlacementResult
     from momapos.reachability.arm_length import ArmLength
     from momapos.reachability.map import ReachMap
+    from momapos.scene.scene import Scene
+    from momapos.types import BaseRegion
 
 
 @dataclass(frozen=True)
@@ -54,6 +57,15 @@ class Options:
     """Where the robot is now [m, m, rad or deg]; the scene's start by default."""
     at: PoseArg = None
     """Ask about this base pose alone [m, m, rad or deg]: feasible, or why not, and how far then."""
+    keep_in: AreasArg = ()
+    """An area in which the base has to stand: a name in the scene, a JSON file of corners, or
+    "X,Y X,Y X,Y" [m]; repeatable, one of them is enough."""
+    keep_out: AreasArg = ()
+    """An area that the base may not touch; repeatable."""
+    facing: ValueArg = None
+    """Most angle between the base's x and the way to where the hand takes hold, as 45deg."""
+    most_driving: ValueArg = None
+    """Longest drive, as 3m."""
     seed: int = 0
     """Same seed, same answer."""
     out: OptionalPath = None
@@ -84,7 +96,7 @@ def place_open(
     target: Positional[Target],
     /,
     *,
-    to: ToArg = None,
+    to: ValueArg = None,
     map_file: MapArg = None,
     options: Shared = DEFAULT,
 ) -> int:
@@ -104,7 +116,7 @@ def place_close(
     target: Positional[Target],
     /,
     *,
-    to: ToArg = None,
+    to: ValueArg = None,
     options: Shared = DEFAULT,
 ) -> int:
     """Close a door, a drawer or a lid that stands open in the scene.
@@ -157,6 +169,30 @@ def parse_pose(text: str, name: str) -> list[float]:
     return [x.length(f"{name}: X"), y.length(f"{name}: Y"), yaw.angle(f"{name}: YAW")]
 
 
+def read_region(options: Options, scene: Scene) -> BaseRegion:
+    """Where the base is allowed to stand, by the options.
+
+    Raises:
+        SceneError: An area is none.
+        TaskError: A value has the wrong unit or is negative.
+    """
+    from momapos.scene.areas import find_area
+    from momapos.types import BaseRegion
+
+    facing, driving = options.facing, options.most_driving
+    angle = None if facing is None else parse_quantity(facing).angle("--facing:")
+    length = None if driving is None else parse_quantity(driving).length("--most-driving:")
+    for what, value in (("--facing", angle), ("--most-driving", length)):
+        if value is not None and not 0 <= value < math.inf:
+            raise TaskError(f"{what} must be a number from 0 up, not {value:g}")
+    return BaseRegion(
+        tuple(find_area(words, scene, "--keep-in") for words in options.keep_in),
+        tuple(find_area(words, scene, "--keep-out") for words in options.keep_out),
+        angle,
+        length,
+    )
+
+
 def _answer(
     verb: str,
     scene_name: str,
@@ -191,12 +227,16 @@ def _answer(
     from momapos.scene.files import load_scene
     from momapos.scene.joints import set_joints
     from momapos.smaller_opening import smaller_opening
+    from momapos.types import ANYWHERE
 
     cache = user_cache()
     scene = set_joints(load_scene(scene_name, cache=cache), options.joint)
     for warning in scene.warnings:
         print(f"momapos: {warning}", file=sys.stderr)
     task = make_task(scene, verb, name, joint or None, to)
+    region = read_region(options, scene)
+    if at is not None and region != ANYWHERE:
+        raise TaskError("--at names the one base pose that is asked about; leave the areas out")
     walks = (*RANK, *WALKS) if config.ranking.scorer == "deepwalk" else ()
     compile_once(tuple(dict.fromkeys((*ANSWER, *walks))))
     arms = load_arms(options.robot, options.arm, cache=cache)
@@ -207,8 +247,9 @@ def _answer(
     def ask(robot: Robot, reach: ReachMap | ArmLength) -> PlacementResult:
         if at is None:
             return plan_by_method(
-                scene, robot, task, reach, start=begin, config=config, seed=options.seed
-            )
+                scene, robot, task, reach, start=begin, region=region, config=config,
+                seed=options.seed,
+            )  # fmt: skip
         from momapos.base_pose import plan_at_base_pose
 
         return plan_at_base_pose(

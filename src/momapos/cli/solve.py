@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
-from momapos.cli.options import EXIT_STATUS, Target, ToArg, check_seed, unread
+from momapos.cli.options import EXIT_STATUS, Target, ValueArg, check_seed, unread
 from momapos.cli.scan import ScanOptions
 from momapos.config import PipelineConfig
 from momapos.errors import require
@@ -32,7 +32,7 @@ SCENE, PLAN, RUN, RECORD = "scene.json", "plan.json", "run.json", "solve.json"
 class SolveOptions:
     """How to solve."""
 
-    to: ToArg = None
+    to: ValueArg = None
     """How far: 90deg, 1.2rad, 0.3m, 30cm or max; a quarter turn or the whole slide by default."""
     robot: str = "fetch"
     """A library robot or a robot file."""

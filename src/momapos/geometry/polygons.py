@@ -36,6 +36,16 @@ def all_inside(
     return corners & ~_edges_cross(polygon, outlines)
 
 
+def any_overlap(
+    polygon: Float[np.ndarray, "k 2"], outlines: Float[np.ndarray, "n m 2"]
+) -> Bool[np.ndarray, " n"]:
+    """Whether convex outlines share a point with a polygon: one in the other, or edges cross."""
+    n, m, _ = outlines.shape
+    within = contains(polygon, outlines.reshape(-1, 2)).reshape(n, m).any(1)
+    around = np.array([contains(outline, polygon[:1])[0] for outline in outlines], bool)
+    return within | around | _edges_cross(polygon, outlines)
+
+
 def _edges_cross(
     polygon: Float[np.ndarray, "k 2"], outlines: Float[np.ndarray, "n m 2"]
 ) -> Bool[np.ndarray, " n"]:

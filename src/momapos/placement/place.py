@@ -26,6 +26,7 @@ from momapos.placement.margin import Waiting, margin_of
 from momapos.placement.order import by_expected_cost
 from momapos.placement.potential import attraction
 from momapos.placement.problem import Problem, Search
+from momapos.placement.region import rules
 from momapos.types import ArmPathResult
 
 if TYPE_CHECKING:
@@ -223,6 +224,8 @@ def _cull(problem: Problem, poses: Float[np.ndarray, "n 3"], found: Search) -> _
     travel = problem.travel_cost(poses[row, :2])
     left = _Shortlist(poses[row], row, travel, outcomes, np.zeros(len(poses), bool))
     left.keep(np.isfinite(travel), PoseStatus.NO_ROUTE)
+    for rule in rules(problem.region, problem.geometry):
+        left.keep(rule.keeps(left.poses, left.travel), rule.otherwise)
     if problem.pose_filter is not None:
         left.keep(~problem.pose_filter(left.poses), PoseStatus.FILTERED)
     found.note(poses, outcomes)

@@ -14,7 +14,7 @@ from momapos.placement.area import PlacementGeometry
 from momapos.placement.fitting import FitPoses
 from momapos.placement.holding import ScoreWays
 from momapos.protocols import ReachScorer, TravelCost
-from momapos.types import ArmPathResult, Attempt, Candidates, Motion
+from momapos.types import ANYWHERE, ArmPathResult, Attempt, BaseRegion, Candidates, Motion
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
@@ -106,5 +106,7 @@ class Problem:
     """Why no base pose can help, where that is known beforehand."""
     pose_filter: PoseFilter | None = None
     """Rules base poses out."""
+    region: BaseRegion = ANYWHERE
+    """Where the base is allowed to stand."""
     fit: FitPoses | None = None
     """Finds base poses beside given ones from which an arm of few joints can do the task."""

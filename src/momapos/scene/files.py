@@ -24,6 +24,7 @@ from momapos.geometry.transforms import pose_wxyz
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.urdf import box_urdf, read_urdf
 from momapos.scene import bestman
+from momapos.scene.areas import read_areas
 from momapos.scene.copies import model_files
 from momapos.scene.hypotheses import hypotheses_to_json, read_hypotheses
 from momapos.scene.limits import refuse_vast
@@ -39,7 +40,7 @@ MAX_OBJECTS = 2_000
 MAX_CORNERS = 1_000
 """Corners of a floor [-]."""
 MAX_EDGE, MAX_DISTANCE = 1e3, 1e4  # [m] of a box, from the world's origin
-_SCENE_KEYS = {"format", "version", "name", "objects", "floor", "start"}
+_SCENE_KEYS = {"format", "version", "name", "objects", "floor", "start", "areas"}
 _OBJECT_KEYS = {"name", "category", "pose", "urdf", "scale", "joints", "box", "hypotheses"}
 
 
@@ -171,6 +172,7 @@ def _read_momapos(
         objects=tuple(objects),
         floor_polygon=_floor(data.get("floor"), path),
         start=_start(data.get("start"), path),
+        areas=read_areas(data.get("areas", {}), f"{path}: areas"),
         warnings=tuple(warnings),
     )
 
@@ -335,6 +337,8 @@ def save_scene(scene: Scene, path: Path) -> Scene:
     if scene.start is not None:
         start = dict(zip(("x", "y", "yaw"), map(float, scene.start), strict=True))
         text += f',\n "start": {json.dumps(start)}'
+    if scene.areas:
+        text += f',\n "areas": {json.dumps(dict(scene.areas))}'
     write_whole(path, f'{text},\n "objects": [\n{objects}\n ]}}\n')
     return replace(scene, path=path)
 

@@ -15,7 +15,7 @@ from momapos.geometry.transforms import apply, pose, pose_planar, upright_frame
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.hulls import Boxes
 from momapos.kinematics.urdf import box_urdf, read_urdf
-from momapos.types import Hypothesis
+from momapos.types import Hypothesis, Outline
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -173,6 +173,8 @@ class Scene:
     """Where the robot stands at first: x [m], y [m], yaw [rad]."""
     warnings: tuple[str, ...] = ()
     """What the reader had to assume."""
+    areas: Mapping[str, Outline] = field(default_factory=dict)
+    """Parts of the floor that have names."""
     joints_set: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     """Values that differ from the file's, by object and joint [rad] or [m]."""
 

@@ -1,0 +1,91 @@
+"""Areas of the floor: named in a scene, in a file of their own, or written out."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from momapos.errors import SceneError, unknown_name
+from momapos.files import read_text_bounded
+from momapos.scene.scene import Scene
+from momapos.types import Outline
+
+MAX_AREAS = 1_000
+MAX_CORNERS = 1_000
+_MAX_BYTES = 1_000_000
+_FAR = 1e4  # [m]
+
+
+def read_areas(value: Any, where: str) -> dict[str, Outline]:
+    """The areas of a scene file, by name.
+
+    Raises:
+        SceneError: They are not {name: [[x, y], ...]}; the message begins with `where`.
+    """
+    if not isinstance(value, dict) or len(value) > MAX_AREAS:
+        raise SceneError(f"{where} must be {{name: [[x, y], ...]}} of at most {MAX_AREAS}")
+    for name in value:
+        if not name or len(name) > 1000 or not name.isprintable():
+            raise SceneError(f"{where}: {name!r:.80} is no name")
+    return {name: read_outline(corners, f"{where}: {name!r}") for name, corners in value.items()}
+
+
+def read_outline(value: Any, where: str) -> Outline:
+    """The corners of one area.
+
+    Raises:
+        SceneError: It is no outline of at least 3 corners that encloses something.
+    """
+    if not isinstance(value, Sequence) or not 3 <= len(value) <= MAX_CORNERS:
+        raise SceneError(f"{where} must be an outline of 3 to {MAX_CORNERS} corners [x, y]")
+    corners = []
+    for corner in value:
+        if (
+            not isinstance(corner, Sequence)
+            or len(corner) != 2
+            or not all(isinstance(v, int | float) and not isinstance(v, bool) for v in corner)
+            or not all(math.isfinite(v) and abs(v) <= _FAR for v in corner)
+        ):
+            raise SceneError(f"{where}: {corner!r:.60} is no corner [x, y] in meters")
+        corners.append((float(corner[0]), float(corner[1])))
+    # Twice the signed area, by the shoelace formula.
+    ahead = [*corners[1:], corners[0]]
+    if abs(sum(x * v - u * y for (x, y), (u, v) in zip(corners, ahead, strict=True))) < 2e-6:
+        raise SceneError(f"{where} encloses no area")
+    return tuple(corners)
+
+
+def find_area(words: str, scene: Scene, where: str) -> Outline:
+    """An area by what was written: the name of one in the scene, a JSON file, or its corners.
+
+    Args:
+        words: Such as "kitchen", "area.json" or "0,0 2,0 2,1".
+        scene: The room.
+        where: What it was written for, for the message.
+
+    Raises:
+        SceneError: It is none of these.
+    """
+    if words in scene.areas:
+        return scene.areas[words]
+    if words.endswith(".json"):
+        text = read_text_bounded(Path(words), _MAX_BYTES, error=SceneError)
+        try:
+            value = json.loads(text)
+        except (ValueError, RecursionError) as error:
+            raise SceneError(f"{where} {words}: damaged JSON ({error})") from error
+        return read_outline(value, f"{where} {words}")
+    pairs = [pair.split(",") for pair in words.split()]
+    try:
+        corners = [[float(v) for v in pair] for pair in pairs]
+    except ValueError:
+        if scene.areas:
+            raise unknown_name("area", words, scene.areas, f"scene {scene.name}") from None
+        raise SceneError(
+            f'{where} {words!r}: the scene names no areas; write its corners, as "0,0 2,0 2,1", '
+            "or name a JSON file of them"
+        ) from None
+    return read_outline(corners, f"{where} {words!r}")
