@@ -13,6 +13,7 @@ from .manipulation.tasks import openable as openable
 from .pipeline import plan_base_placement as plan_base_placement
 from .placement.config import PlaceConfig as PlaceConfig
 from .placement_result import PlacementResult as PlacementResult
+from .placements import iter_placements as iter_placements
 from .plans import read_plan as read_plan
 from .plans import write_plan as write_plan
 from .reachability.map import ReachConfig as ReachConfig
@@ -33,6 +34,7 @@ from .trajectory import SpeedConfig as SpeedConfig
 from .trajectory import TimedTrajectory as TimedTrajectory
 from .trajectory import time_plan as time_plan
 from .types import Attempt as Attempt
+from .types import BaseRegion as BaseRegion
 from .types import Motion as Motion
 from .types import PlacementPlan as PlacementPlan
 from .types import Task as Task

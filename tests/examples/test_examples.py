@@ -20,6 +20,7 @@ SAYS = {
     "06": "32.0 s",
     "07": "fridge",
     "08": "solved",
+    "09": "(1.94 m, -1.33 m, 0.59 rad) after 0.25 m",
 }
 LINES = 15
 """Statements and comments of an example, without its docstring and blank lines."""
@@ -39,7 +40,9 @@ def test_an_example_runs_and_says_what_it_should(path: Path) -> None:
     assert done.stdout.startswith(SAYS[path.name[:2]]), done.stdout
 
 
-@pytest.mark.parametrize("path", EXAMPLES[:7], ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "path", [path for path in EXAMPLES if path.name[:2] != "08"], ids=lambda path: path.stem
+)
 def test_an_example_is_short_and_needs_the_public_names_alone(path: Path) -> None:
     tree = ast.parse(path.read_text())
     doc, *_ = tree.body

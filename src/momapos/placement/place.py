@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 
 _BLOCK = 512
 """Poses of the grid that are screened together [-]."""
+_TOGETHER = 8
+"""Poses that are screened together where every one that works is asked for [-]."""
 _CHUNK = 32
 """Most poses whose reachability is looked up together where they come in a given order [-]."""
 BASE_OUTCOMES = {
@@ -113,6 +115,57 @@ def search_in_order(
             found.timed_out = True
             return found
     return found
+
+
+def search_every(
+    problem: Problem, config: PlaceConfig, rng: np.random.Generator
+) -> Iterator[Search]:
+    """Find base poses that work, one after the other, until no samples and no grid are left.
+
+    Every round of samples is in the order of driving length, and so is the grid after the last.
+
+    Args:
+        problem: Room, task, and the checks.
+        config: How to search.
+        rng: Source of the samples.
+
+    Yields:
+        A search that found one base pose, its motion and its cost, and what became of the round's
+        others so far.
+    """
+    corners = sampling_box(problem.geometry)
+    if corners is None or problem.infeasible_reason:
+        return
+    frame = task_frame(problem.geometry)
+    for local, on_grid in _rounds(corners, config, rng):
+        near = fitted(problem.fit, problem.geometry, compose(frame, local), problem.out_of_time)
+        if near is None:
+            return
+        poses, own = near
+        found = Search()
+        clear = _cull(problem, poses, found)
+        if own is not None:
+            clear.keep(own[clear.row] >= 0, PoseStatus.TOO_FEW_JOINTS)
+        ways = []
+        for score in problem.ways:
+            scores = score(problem.grid_reach if on_grid else problem.reach, clear.poses)
+            ways.append(clear.reached(scores if own is None else scores.of_way(own[clear.row])))
+        rows = clear.row[np.argsort(clear.travel, kind="stable")]
+        for first in range(0, len(rows), _TOGETHER):
+            block = rows[first : first + _TOGETHER]
+            passed: list[tuple[_Shortlist, int, ArmPathResult]] = []
+            for left in ways:
+                which = np.flatnonzero(np.isin(left.row, block))
+                some = _screen(problem, left, which, config.grasps, found)
+                passed += [(left, i, path) for i, path in some.items()]
+                block = np.setdiff1d(block, left.row[list(some)])
+            for left, i, path in sorted(passed, key=lambda one: float(one[0].travel[one[1]])):
+                found.base, found.motion = None, None
+                _complete(problem, left, {i: path}, config.grasps, found)
+                if found.motion is not None:
+                    yield found
+            if problem.out_of_time():
+                return
 
 
 def _check_in_order(
