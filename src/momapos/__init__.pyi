@@ -30,6 +30,7 @@ from .scene.scene import SceneObject as SceneObject
 from .solve_scan import ScanAnswer as ScanAnswer
 from .solve_scan import ScanTask as ScanTask
 from .solve_scan import solve_scan as solve_scan
+from .tolerance import placement_tolerance as placement_tolerance
 from .trajectory import SpeedConfig as SpeedConfig
 from .trajectory import TimedTrajectory as TimedTrajectory
 from .trajectory import time_plan as time_plan
@@ -38,6 +39,7 @@ from .types import BaseRegion as BaseRegion
 from .types import Motion as Motion
 from .types import PlacementPlan as PlacementPlan
 from .types import Task as Task
+from .types import Tolerance as Tolerance
 from .verification.files import verify_files as verify_files
 
 __version__: str

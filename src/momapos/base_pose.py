@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -25,7 +25,7 @@ from momapos.prepare import PreparedTask, driving_lengths, prepare, start_pose
 from momapos.protocols import Clock, ReachScorer
 from momapos.query import PlacementQuery
 from momapos.reachability.store import load_reach
-from momapos.regrasp import every_two_holds
+from momapos.regrasp import TwoHolds, every_two_holds
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene
 from momapos.stopwatch import Stopwatch
@@ -194,24 +194,49 @@ def _farthest(query: PlacementQuery, base: Float[np.ndarray, "3"]) -> _Look | No
 
 def _attempt(query: PlacementQuery, base: Float[np.ndarray, "3"]) -> _Look:
     """Check a base pose for the value of the task."""
-    scene, robot, task, config = query.scene, query.robot, query.task, query.config
-    allowed = query.grasp_filter
-    prepared = prepare(scene, robot, task, config, clearance=0.0, grasp_filter=allowed)
-    if prepared.infeasible_reason:
-        outcome = PoseOutcome(PoseStatus.TASK_INFEASIBLE, prepared.infeasible_reason)
-        attempt = Attempt(None, outcome)
-    else:
-        status = BaseStatus(base_pose_status(prepared.geometry, base[None])[0][0])
-        if status != BaseStatus.CLEAR:
-            return _Look(prepared, Attempt(None, BASE_OUTCOMES[status]))
-        attempt = _in_one_hold(query, prepared, base)
-    if attempt.motion is not None:
-        return _Look(prepared, attempt)
-    for two in every_two_holds(prepared, config, query.seed, grasp_filter=allowed):
-        again = two.at(base, query.reach)
-        if again.motion is not None:
-            return _Look(prepared, again)
-    return _Look(prepared, attempt)
+    checks = BasePoseChecks(query)
+    return _Look(checks.prepared, checks(base))
+
+
+class BasePoseChecks:
+    """The check of base poses with the room modeled once, in one hold or else in two."""
+
+    def __init__(self, query: PlacementQuery) -> None:
+        self.query = query
+        self.prepared = prepare(
+            query.scene, query.robot, query.task, query.config, clearance=0.0,
+            grasp_filter=query.grasp_filter,
+        )  # fmt: skip
+        self._two: list[TwoHolds] = []
+        self._others = every_two_holds(
+            self.prepared, query.config, query.seed, grasp_filter=query.grasp_filter
+        )
+
+    def __call__(self, base: Float[np.ndarray, "3"]) -> Attempt:
+        """The motion at a base pose x [m], y [m], yaw [rad], or why there is none."""
+        prepared = self.prepared
+        if prepared.infeasible_reason:
+            outcome = PoseOutcome(PoseStatus.TASK_INFEASIBLE, prepared.infeasible_reason)
+            attempt = Attempt(None, outcome)
+        else:
+            status = BaseStatus(base_pose_status(prepared.geometry, base[None])[0][0])
+            if status != BaseStatus.CLEAR:
+                return Attempt(None, BASE_OUTCOMES[status])
+            attempt = _in_one_hold(self.query, prepared, base)
+        if attempt.motion is not None:
+            return attempt
+        for two in self._two_holds():
+            again = two.at(base, self.query.reach)
+            if again.motion is not None:
+                return again
+        return attempt
+
+    def _two_holds(self) -> Iterator[TwoHolds]:
+        """Those that were made before, then others."""
+        yield from self._two
+        for two in self._others:
+            self._two.append(two)
+            yield two
 
 
 def _in_one_hold(

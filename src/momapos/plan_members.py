@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any
 
 import msgspec
 
@@ -80,6 +80,14 @@ class Region(msgspec.Struct):
     most_driving: float | None = None
 
 
+class Tolerance(msgspec.Struct):
+    """How far beside the base pose the robot may stand."""
+
+    radius: Annotated[float, msgspec.Meta(ge=0)]
+    turn: Annotated[float, msgspec.Meta(ge=0)]
+    samples: Annotated[int, msgspec.Meta(ge=1)]
+
+
 class Plan(msgspec.Struct):
     """All of a plan."""
 
@@ -101,6 +109,7 @@ class Plan(msgspec.Struct):
     navigation_cost: float | None = None
     candidates: Candidates = msgspec.field(default_factory=Candidates)
     importance: Importance | None = None
+    tolerance: Tolerance | None = None
     region: Region = msgspec.field(default_factory=Region)
     timing: dict[str, float] = {}
     method: str = ""

@@ -20,7 +20,7 @@ from momapos.plan_files import portable_name, sha256, sha256_of, write_text
 from momapos.plan_holds import holds_to_dict, read_holds
 from momapos.robots.amend import portable
 from momapos.robots.srdf import MAX_SRDF_BYTES
-from momapos.types import BaseRegion, Candidates, KeyObjects, Motion, PlacementPlan, Task
+from momapos.types import BaseRegion, Candidates, KeyObjects, Motion, PlacementPlan, Task, Tolerance
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -81,6 +81,7 @@ def plan_to_dict(plan: PlacementPlan) -> dict[str, Any]:
         else {**asdict(plan.key_objects), "names": list(plan.key_objects.names)},
         "timing": dict(plan.timing),
         "region": asdict(plan.region),
+        "tolerance": None if plan.tolerance is None else asdict(plan.tolerance),
         "method": plan.method,
         "seed": plan.seed,
         "versions": dict(plan.versions),
@@ -266,6 +267,9 @@ def _record(data: members.Plan, path: Path) -> PlacementPlan:
         feasible_to=data.feasible_to,
         feasible_from=_triple(data.feasible_from),
         feasible_sure=data.feasible_sure,
+        tolerance=None
+        if data.tolerance is None
+        else Tolerance(**msgspec.structs.asdict(data.tolerance)),
         region=BaseRegion(**msgspec.structs.asdict(data.region)),
     )
 

@@ -295,6 +295,23 @@ ANYWHERE = BaseRegion()
 
 
 @dataclass(frozen=True)
+class Tolerance:
+    """How far beside a base pose the robot may stand, and still do it."""
+
+    radius: float
+    """Of a disc around it [m]; 0 where not even the smallest disc holds."""
+    turn: float
+    """To either side [rad]."""
+    samples: int
+    """Poses in it from which the motion was planned anew; it was found from all of them [-]."""
+
+    @property
+    def at_least(self) -> float:
+        """Share of the disc from which it is found, at a confidence of 95 % [-]."""
+        return float(0.05 ** (1.0 / self.samples))
+
+
+@dataclass(frozen=True)
 class PlacementPlan:
     """Where the robot stands and how it moves, or why it cannot."""
 
@@ -343,6 +360,8 @@ class PlacementPlan:
     """The base pose from which that one is reached: x [m], y [m], yaw [rad]."""
     feasible_sure: bool = False
     """Whether the grid has ruled out what lies a waypoint beyond; else the time ended before."""
+    tolerance: Tolerance | None = None
+    """How far beside the base pose it may stand; None where that was not asked."""
     region: BaseRegion = ANYWHERE
     """Where the base was allowed to stand."""
 

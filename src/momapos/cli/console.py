@@ -15,7 +15,7 @@ from momapos.placement.config import OURS
 
 if TYPE_CHECKING:
     from momapos.placement_result import PlacementResult
-    from momapos.types import KeyObjects
+    from momapos.types import KeyObjects, Tolerance
 
 MOST_REASONS = 8
 
@@ -96,6 +96,7 @@ def summary(
             f"{len(plan.motion.q)}{turn}",
             *_holds(answer),
             "  checked     base, arm and moving part over the whole motion, exact geometry",
+            *_tolerance(plan.tolerance),
         ]
     else:
         lines.append(f"  {plan.status:<11} {_why_not(answer)}")
@@ -125,6 +126,19 @@ def _holds(answer: PlacementResult) -> list[str]:
             for hold, words in later
         ]
     return lines
+
+
+def _tolerance(found: Tolerance | None) -> list[str]:
+    """How far beside its base pose the robot may stand, where that was asked."""
+    if found is None:
+        return []
+    if found.radius == 0.0:
+        return ["  tolerance   none: the motion is not found anew from all around it"]
+    turn = math.degrees(found.turn)
+    return [
+        f"  tolerance   {100 * found.radius:g} cm and {turn:.1f} deg beside it: found anew from "
+        f"{found.samples} of {found.samples} poses"
+    ]
 
 
 def _modeled(key: KeyObjects) -> str:

@@ -68,6 +68,8 @@ class Options:
     """Longest drive, as 3m."""
     seed: int = 0
     """Same seed, same answer."""
+    tolerance: bool = False
+    """Say how far beside the base pose the robot may stand; takes 3 s and more."""
     out: OptionalPath = None
     """Write the plan here (JSON)."""
     plot: OptionalPath = None
@@ -270,6 +272,15 @@ def _answer(
         answer = cheapest(answers, farthest=task.farthest)
     chosen = next(i for i, one in enumerate(answers) if one is answer)
     robot, reach = arms[chosen], maps[chosen]
+    if options.tolerance and answer.plan.base_pose is not None and answer.plan.motion is not None:
+        from momapos.tolerance import placement_tolerance
+
+        with busy(f"{robot.name}: tolerance"):
+            around = placement_tolerance(
+                scene, robot, answer.plan.task, answer.plan.base_pose, reach,
+                config=config, seed=options.seed,
+            )  # fmt: skip
+        answer = replace(answer, plan=replace(answer.plan, tolerance=around))
     # Files come first: who reads what is printed may stop reading at any line.
     if options.plot is not None:
         from momapos.viewer.plot import draw_answer

@@ -1,0 +1,92 @@
+"""Does what the tolerance promises hold for poses that it has not seen?
+
+    python benchmarks/tolerance.py [--robots fetch ...] [--tasks 24] [--runs 2000] [--out DIR]
+
+Doors and drawers of the kitchens of placement.py, drawn at random, are answered with a tolerance;
+then base poses are drawn anew in its disc, as many in all as named, and the motion is planned from
+each. Poses where the base would touch something count as failures, too.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from momapos.base_pose import BasePoseChecks
+from momapos.cache import default_cache_dir
+from momapos.config import PipelineConfig
+from momapos.manipulation.tasks import make_task, openable
+from momapos.pipeline import plan_base_placement
+from momapos.query import PlacementQuery
+from momapos.reachability.store import load_reach_map
+from momapos.robots.robot import load_robot
+from momapos.stopwatch import Stopwatch
+from momapos.tolerance import placement_tolerance, unit_offsets
+from placement import ROBOTS, SCENES, machine, scene_of
+
+CONFIG = PipelineConfig()
+
+
+def main() -> None:
+    """Run it."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--robots", nargs="+", default=list(ROBOTS))
+    parser.add_argument("--tasks", type=int, default=24, help="openings, drawn at random")
+    parser.add_argument("--runs", type=int, default=2000, help="poses in all")
+    parser.add_argument("--out", type=Path, help="folder for tolerance.json")
+    args = parser.parse_args()
+    rng = np.random.default_rng(0)
+    every = [
+        (robot, name, item, joint)
+        for robot in args.robots
+        for name in SCENES
+        for item, joint in openable(scene_of(name))
+    ]
+    rows: list[dict[str, Any]] = []
+    for index in rng.permutation(len(every)):
+        if len(rows) == args.tasks:
+            break
+        of_robot, name, item, joint = every[index]
+        scene, robot = scene_of(name), load_robot(of_robot)
+        reach = load_reach_map(robot, default_cache_dir(), None)
+        task = make_task(scene, "open", item, joint)
+        plan = plan_base_placement(scene, robot, task, reach, config=CONFIG).plan
+        if plan.base_pose is None or plan.motion is None:
+            continue
+        began = time.process_time()
+        found = placement_tolerance(scene, robot, task, plan.base_pose, reach, config=CONFIG)
+        seconds = time.process_time() - began
+        watch = Stopwatch(lambda: 0.0)
+        query = PlacementQuery(scene, robot, task, reach, None, None, CONFIG, 0, watch)
+        checks = BasePoseChecks(query)
+        size = np.array([found.radius, found.radius, found.turn])
+        drawn = -(-args.runs // args.tasks) if found.radius else 0
+        offsets = unit_offsets(drawn, rng)
+        done = sum(
+            checks(np.array(plan.base_pose) + offset * size).motion is not None
+            for offset in offsets
+        )
+        rows.append({
+            "robot": of_robot, "scene": name, "object": item, "joint": joint, "done": done,
+            "radius": found.radius, "runs": len(offsets), "seconds": seconds,
+        })  # fmt: skip
+        print(json.dumps(rows[-1]), flush=True)
+    done, runs = sum(row["done"] for row in rows), sum(row["runs"] for row in rows)
+    radii = np.array([row["radius"] for row in rows])
+    spent = np.median([row["seconds"] for row in rows])
+    print(f"machine: {machine()}")
+    print(f"{len(rows)} answers, {(radii == 0).sum()} of them without any tolerance")
+    print(f"radius: median {100 * np.median(radii):.1f} cm; median processor time: {spent:.1f} s")
+    print(f"poses drawn anew in the discs: {done} of {runs} work ({done / max(runs, 1):.1%})")
+    if args.out is not None:
+        args.out.mkdir(parents=True, exist_ok=True)
+        (args.out / "tolerance.json").write_text(json.dumps(rows, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
