@@ -1,0 +1,122 @@
+"""Serving the page, on this machine alone unless somebody says otherwise."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import socket
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import viser
+
+from momapos.cache import Cache
+from momapos.errors import InputError
+from momapos.page.extras import set_theme
+from momapos.page.page import Page
+
+LOOPBACK = ("127.0.0.1", "localhost", "::1")
+
+
+class Server(viser.ViserServer):
+    """A server that never opens a tunnel to the outside, whoever asks."""
+
+    def request_share_url(self, verbose: bool = True) -> str | None:
+        """Refuse: a page would otherwise be reachable by everybody."""
+        del verbose
+        return None
+
+
+@contextmanager
+def served(
+    *,
+    host: str,
+    port: int,
+    scenes: Sequence[str],
+    robots: Sequence[str],
+    scene: str,
+    robot: str,
+    cache: Cache,
+    folder: Path,
+) -> Iterator[tuple[Page, str]]:
+    """Serve the page as long as the context lasts.
+
+    Args:
+        host: The address on which it listens.
+        port: Its port; 0 for any that is free.
+        scenes, robots, scene, robot, cache, folder: As for `Page`.
+
+    Yields:
+        The page, and its address.
+
+    Raises:
+        InputError: The port is in use, or the address is none of this machine.
+    """
+    server = open_server(host, port)
+    page = Page(
+        server, scenes=scenes, robots=robots, scene=scene, robot=robot, cache=cache, folder=folder
+    )
+    try:
+        yield page, f"http://{host}:{server.get_port()}"
+    finally:
+        page.close()
+        with quiet():
+            server.stop()
+
+
+def open_server(host: str, port: int) -> Server:
+    """Listen at an address and a port, and nowhere else.
+
+    Raises:
+        InputError: The port is in use, or the address is none of this machine.
+    """
+    check_free(host, port)
+    with quiet():
+        server = Server(host=host, port=port, label="momapos", verbose=False)
+    if port and server.get_port() != port:  # somebody took it meanwhile; viser tries others
+        with quiet():
+            server.stop()
+        raise _in_use(port)
+    set_theme(server, dark=False)
+    light(server.scene)
+    return server
+
+
+def light(scene: Any) -> None:
+    """Light that shows shapes: sky and floor, and a sun that casts shadows."""
+    scene.set_up_direction("+z")
+    scene.world_axes.visible = False
+
+
+def check_free(host: str, port: int) -> None:
+    """Make sure that a port can be listened at.
+
+    Raises:
+        InputError: It cannot.
+    """
+    if not 0 <= port <= 65535:
+        raise InputError(f"--port {port} is none; ports go from 1 to 65535, 0 takes a free one")
+    try:
+        address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        with socket.socket(address[0], address[1]) as tried:
+            tried.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            tried.bind(address[4])
+    except socket.gaierror as error:
+        raise InputError(f"--host {host}: no such address ({error.strerror})") from error
+    except PermissionError as error:
+        raise InputError(f"--port {port}: may not be used ({error.strerror})") from error
+    except OSError as error:
+        if error.errno and "vail" in str(error.strerror):
+            raise InputError(f"--host {host}: is no address of this machine") from error
+        raise _in_use(port) from error
+
+
+def _in_use(port: int) -> InputError:
+    return InputError(f"--port {port} is in use; give another one, or 0 for any that is free")
+
+
+def quiet() -> contextlib.redirect_stdout[io.StringIO]:
+    """Keep a server's own remarks off the terminal; ours say what matters."""
+    return contextlib.redirect_stdout(io.StringIO())
