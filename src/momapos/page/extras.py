@@ -1,4 +1,4 @@
-"""What goes beside the question: files, pictures, answers kept to be compared, light and dark."""
+"""What goes beside the question: files, pictures, answers kept to be compared."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from momapos.errors import InputError
 from momapos.page.robot_view import RobotView, joint_values
 from momapos.page.saving import save_plan, save_room, send_film, send_picture
 from momapos.page.words import escaped
@@ -83,10 +82,6 @@ class Extras:
         if client is not None:
             self._do(work)
 
-    def set_dark(self, dark: bool) -> None:
-        """Light or dark."""
-        set_theme(self._page.server, dark=dark)
-
     def keep(self) -> None:
         """Keep the answer that is shown, as a see-through robot and a line of a table."""
         page, answer = self._page, self._page.shown.answer
@@ -130,11 +125,3 @@ def compared(answers: list[PlacementResult]) -> str:
         took = 1000 * plan.timing.get("total", 0.0)
         lines.append(f"| {color} | {what} | {plan.status} | {drive} | {took:.0f} |")
     return "\n".join(lines)
-
-
-def set_theme(server: Any, *, dark: bool) -> None:
-    """How the page looks; nothing on it leads out of this machine."""
-    server.gui.configure_theme(
-        dark_mode=dark, show_logo=False, show_share_button=False, control_width="medium",
-        brand_color=(42, 122, 184),
-    )  # fmt: skip

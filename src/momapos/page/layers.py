@@ -42,9 +42,11 @@ if TYPE_CHECKING:
 
 FLOOR_IMAGE = 0.004
 """Pictures lie so high above the floor [m]."""
+CRISP = 8
+"""Browsers blur pictures; with so many pixels along the edge of a cell its border is seen [-]."""
 POINTS = 1200
 """Candidates that are drawn at most [-]."""
-MARK = 0.025
+MARK = 0.055
 """Edge of a candidate's mark [m]."""
 _EDGES = ((0, 1), (0, 2), (0, 4), (1, 3), (1, 5), (2, 3), (2, 6), (3, 7), (4, 5), (4, 6), (5, 7),
           (6, 7))  # fmt: skip
@@ -68,9 +70,9 @@ def floor_image(
         height: Above the floor [m].
     """
     left, right, bottom, top = extent
-    # viser's pictures hang upright; turned about x by half a turn the first row is at the lowest y.
+    crisp = pixels.repeat(CRISP, 0).repeat(CRISP, 1)
     return api.add_image(
-        name, pixels, right - left, top - bottom, format="png", wxyz=(0.0, 1.0, 0.0, 0.0),
+        name, crisp, right - left, top - bottom, format="png",
         position=((left + right) / 2, (bottom + top) / 2, height), cast_shadow=False,
         receive_shadow=False,
     )  # fmt: skip
@@ -130,11 +132,11 @@ def opening_pixels(opening: OpeningMap) -> UInt8[np.ndarray, "rows columns 4"]:
 
 def draw_candidates(
     api: SceneApi, name: str, answer: PlacementResult, picked: Callable[[str], None]
-) -> tuple[Any, tuple[str, ...]]:
+) -> tuple[str, ...]:
     """Draw where the base was tried, in the color of what came of it; a click tells why.
 
     Returns:
-        The node, and the kinds that are drawn.
+        The kinds that are drawn.
     """
     seen = outcomes(answer.search)
     every = [outcome for block in answer.search.outcomes for outcome in block]
@@ -145,22 +147,23 @@ def draw_candidates(
     positions = np.column_stack([seen.poses[chosen, :2], np.full(len(chosen), 0.015)])
     colors = np.array([rgb(KINDS[k].color) for k in seen.kind[chosen]], np.uint8).reshape(-1, 3)
     scales = np.array([MARK * (1.8 if KINDS[k].filled else 1.0) for k in seen.kind[chosen]])
-    cone = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0], [1.6, 0, 0.9]]) / 2
-    faces = np.array([[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]])
+    # An arrowhead that lies on the floor and points where the base looks.
+    head = np.array([[0.7, 0, 0], [-0.5, 0.45, 0], [-0.25, 0, 0], [-0.5, -0.45, 0]])
+    faces = np.array([[0, 1, 2], [0, 2, 3]])
     turns = np.zeros((len(chosen), 4))
     turns[:, 0], turns[:, 3] = (f(seen.poses[chosen, 2] / 2) for f in (np.cos, np.sin))
     node = api.add_batched_meshes_simple(
-        name, cone.astype(np.float32), faces.astype(np.uint32), turns, positions,
-        batched_scales=scales, batched_colors=colors, flat_shading=True, cast_shadow=False, lod="off",
+        name, head.astype(np.float32), faces.astype(np.uint32), turns, positions,
+        batched_scales=scales, batched_colors=colors, cast_shadow=False,
+        lod="off", side="double",
     )  # fmt: skip
 
-    @node.on_click
-    def _(event: Any) -> None:
+    def clicked(event: Any) -> None:
         if event.instance_index is not None:
             picked(words[event.instance_index])
 
-    kinds = tuple(KINDS[k].name for k in sorted(set(seen.kind[chosen].tolist())))
-    return node, kinds
+    node.on_click(clicked)
+    return tuple(KINDS[k].name for k in sorted(set(seen.kind[chosen].tolist())))
 
 
 def draw_waypoints(api: SceneApi, name: str, answer: PlacementResult) -> None:
@@ -192,12 +195,16 @@ def draw_way(api: SceneApi, name: str, answer: PlacementResult) -> None:
         f"{name}/start", np.stack([outline, np.roll(outline, -1, 0)], 1), rgb(SOFT_INK),
         thickness=0.012,
     )  # fmt: skip
-    path = answer.plan.base_path
-    if path is not None and len(path) > 1:
+    if answer.plan.base_path is not None:
+        draw_path(api, f"{name}/way", answer.plan.base_path)
+
+
+def draw_path(api: SceneApi, name: str, path: Float[np.ndarray, "k 3"]) -> None:
+    """Draw the way that a base drives: x [m], y [m], yaw [rad]."""
+    if len(path) > 1:
         points = np.column_stack([path[:, :2], np.full(len(path), 0.01)])
-        api.add_line_segments(
-            f"{name}/way", np.stack([points[:-1], points[1:]], 1), rgb(INK), thickness=0.016
-        )
+        segments = np.stack([points[:-1], points[1:]], 1)
+        api.add_line_segments(name, segments, rgb(INK), thickness=0.016)
 
 
 def draw_importance(api: SceneApi, name: str, ranked: Importance) -> None:

@@ -16,20 +16,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from viser.transforms import SO3
 
 from momapos.cache import Cache
 from momapos.errors import InputError
 from momapos.manipulation.tasks import in_front_of_parts
 from momapos.page.answer_layers import AnswerLayers
 from momapos.page.extras import Extras
+from momapos.page.follow import Follow
 from momapos.page.panel import JointRange, Panel
 from momapos.page.playback import Player, Story
-from momapos.page.probe import Finding, Probe
-from momapos.page.question import Machine, Question, ask, ask_at, load_machine, targets
+from momapos.page.probe import Probe
+from momapos.page.question import Machine, Opened, Question, ask, ask_at, load_machine, targets
 from momapos.page.robot_view import RobotView, home_values, joint_values
 from momapos.page.room_view import RoomView, viewpoint
-from momapos.page.words import answer_words, escaped, finding_words, verdict_of
+from momapos.page.words import answer_words, escaped
 from momapos.page.work import Latest
 from momapos.placement_result import PlacementResult
 from momapos.protocols import Clock
@@ -40,8 +40,6 @@ if TYPE_CHECKING:
     from jaxtyping import Float
     from viser import ViserServer
 
-FOLLOW = 0.1
-"""While the base is dragged no further way of holding is tried after this time [s]."""
 GRACE = 5.0
 """Work goes on for so long after the last browser has gone, as one that is reloaded does [s]."""
 WIDEST = {"revolute": np.pi, "continuous": np.pi, "prismatic": 1.0}
@@ -87,6 +85,7 @@ class Page:
         robot: str,
         cache: Cache,
         folder: Path,
+        opened: Opened | None = None,
     ) -> None:
         """Build the page, and load the scene and the robot behind it.
 
@@ -98,30 +97,35 @@ class Page:
             robot: Likewise.
             cache: Where geometry and maps are kept.
             folder: Where files are saved.
+            opened: A plan that is shown first; its scene is among those that may be chosen.
         """
         self.server, self._cache, self.folder = server, cache, folder
         self._lock = threading.RLock()
         self._start: tuple[float, float, float] | None = None
+        self._opened = opened
         self._clients: set[int] = set()
         self.shown = Shown()
         self.room = RoomView(server.scene, self._pick)
-        self.robot = RobotView(server.scene, dragged=self._dragged)
+        self.robot = RobotView(server.scene, dragged=lambda event: self.follow.dragged(event))
         self.player = Player(self._show_moment)
         self.panel = Panel(server.gui, self, scenes=scenes, robots=robots, scene=scene, robot=robot)
         self._told = 0.0
         self.extras = Extras(self)
         self.layers = AnswerLayers(server.scene, self.panel, self.robot)
-        self.work = Latest("page work", self._fail)
-        self.drag = Latest("page drag", self._fail)
+        self.work = Latest("page work", self.fail)
+        self.follow = Follow(self)
         server.on_client_connect(self._came)
         server.on_client_disconnect(self._went)
-        self.change()
+        if opened is None:
+            self.change()
+        else:
+            self._open(opened)
 
     def close(self) -> None:
         """End all work."""
         self.player.pause()
         self.work.close()
-        self.drag.close()
+        self.follow.work.close()
         self.layers.work.close()
         self.extras.close()
 
@@ -139,14 +143,34 @@ class Page:
 
     def change(self) -> None:
         """Something else is chosen: load and draw it; what runs is for nothing."""
-        self._request(lambda clock: self._update(clock))
+
+        def work(clock: Clock) -> None:
+            self._update(clock)
+
+        self._request(work)
+
+    def _open(self, opened: Opened) -> None:
+        """Show a plan from a file."""
+        question = opened.question
+
+        def work(clock: Clock) -> None:
+            self.panel.verb.value = question.verb
+            self.panel.method.value, self.panel.seed.value = question.method, question.seed
+            self._update(clock)
+            self.panel.offer(self.panel.target, self.panel.target.options, question.target)
+            self.panel.to.value = question.to
+            self._start = question.start
+            _, machine, _ = self._update(clock)
+            self._take(opened.answer(), machine)
+
+        self._request(work)
 
     def place(self) -> None:
         """Answer the question."""
 
         def work(clock: Clock) -> None:
             scene, machine, question = self._update(clock)
-            self._tell("**Searching**")
+            self.tell("**Searching**")
             answer = ask(scene, machine, question, clock, self._tell_stage)
             self._take(answer, machine)
 
@@ -158,10 +182,10 @@ class Page:
 
         def work(clock: Clock) -> None:
             scene, machine, question = self._update(clock)
-            robot = self._arm(machine)
-            self._tell("**Planning from here**")
+            robot = self.arm_of(machine)
+            self.tell("**Planning from here**")
             self._take(
-                ask_at(scene, robot, machine.reach_of(robot), question, base, clock), machine
+                ask_at(scene, robot, machine.reach_of(robot.arm), question, base, clock), machine
             )
 
         self._request(work)
@@ -169,7 +193,7 @@ class Page:
     def stop(self) -> None:
         """End what runs."""
         self.work.stop()
-        self.drag.stop()
+        self.follow.work.stop()
         self.player.pause()
         self.panel.result.content = "Stopped."
 
@@ -186,7 +210,7 @@ class Page:
 
     def _request(self, work: Callable[[Clock], None]) -> None:
         self.player.pause()
-        self.drag.stop()
+        self.follow.work.stop()
         self.panel.show_busy(True)
 
         def then(clock: Clock) -> None:
@@ -197,16 +221,16 @@ class Page:
 
         self.work.put(then, stop_running=True)
 
-    def _tell(self, words: str) -> None:
+    def tell(self, words: str) -> None:
         self.panel.result.content = words
 
     def _tell_stage(self, stage: str) -> None:
         now = time.perf_counter()
         if now - self._told > 0.1:  # a search names its stages a thousand times a second
             self._told = now
-            self._tell(f"**Searching**: {escaped(stage)}")
+            self.tell(f"**Searching**: {escaped(stage)}")
 
-    def _fail(self, reason: str) -> None:
+    def fail(self, reason: str) -> None:
         self.panel.result.content = f"**It cannot be done so.** {escaped(reason)}"
 
     # ------------------------------------------------------------------------- what is loaded
@@ -216,8 +240,8 @@ class Page:
         choice, shown = self.choice, self.shown
         fresh = shown.scene_name != choice.scene
         if fresh:
-            self._tell(f"Loading {escaped(choice.scene)}.")
-            shown.scene, shown.scene_name = load_scene(choice.scene, cache=self._cache), ""
+            self.tell(f"Loading {escaped(choice.scene)}.")
+            shown.scene, shown.scene_name = self._load(choice.scene), ""
             self._start = None
         scene = shown.scene
         assert scene is not None
@@ -227,7 +251,7 @@ class Page:
         clock()
         name = (choice.robot, choice.arm)
         if shown.machine_name != name:
-            self._tell(f"Loading {escaped(choice.robot)}.")
+            self.tell(f"Loading {escaped(choice.robot)}.")
             machine = self._machine(choice, clock)
             shown.machine, shown.machine_name = machine, (choice.robot, self.panel.arm.value)
             fresh = True
@@ -238,11 +262,16 @@ class Page:
             shown.scene_name = choice.scene
         return scene, shown.machine, question
 
+    def _load(self, name: str) -> Scene:
+        if self._opened is not None and name == self._opened.name:
+            return self._opened.scene
+        return load_scene(name, cache=self._cache)
+
     def _machine(self, choice: Choice, clock: Clock) -> Machine:
         """The robot that is chosen; of another robot than the last all arms are taken."""
         other = self.shown.machine_name[0] != choice.robot
         arm = "any" if other else choice.arm
-        machine = load_machine(choice.robot, arm, self._cache, clock, self._tell)
+        machine = load_machine(choice.robot, arm, self._cache, clock, self.tell)
         names = ("any", *machine.arms[0].arms)
         self.panel.offer(self.panel.arm, names, arm)
         self.panel.arm.disabled = len(names) == 1
@@ -269,7 +298,7 @@ class Page:
         self.robot.verdict("")
         self.layers.clear()
         warnings = "".join(f"\n- {escaped(text)}" for text in scene.warnings)
-        self._tell(f"Press **Place**, or drag the base.{warnings}")
+        self.tell(f"Press **Place**, or drag the base.{warnings}")
 
     def _begin(self, scene: Scene) -> Float[np.ndarray, "3"]:
         """Where the robot is drawn before there is an answer."""
@@ -300,7 +329,7 @@ class Page:
 
     # ---------------------------------------------------------------------------- the answer
 
-    def _arm(self, machine: Machine) -> Any:
+    def arm_of(self, machine: Machine) -> Any:
         """The arm that is drawn, which is the one that was last answered for."""
         robot = self.robot.robot
         return robot if robot in machine.arms else machine.arms[0]
@@ -332,8 +361,8 @@ class Page:
         self.player.now = duration
         self.panel.show_story(duration)
         assert shown.scene is not None
-        self.layers.show(shown.scene, answer, machine.reach_of(robot))
-        self._tell(words)
+        self.layers.show(shown.scene, answer, machine.reach_of(robot.arm))
+        self.tell(words)
 
     def _show_moment(self, seconds: float, playing: bool) -> None:
         story = self.shown.story
@@ -380,55 +409,6 @@ class Page:
         self.shown.joints[joint] = value
         self.room.move(self.shown.joints)
 
-    # ------------------------------------------------------------------------- the dragged base
-
-    def _dragged(self, event: Any) -> None:
-        """The base is dragged: ask about where it is, and about nothing that came before."""
-        gizmo = event.target
-        yaw = float(SO3(np.asarray(gizmo.wxyz)).compute_yaw_radians())
-        base = np.array([gizmo.position[0], gizmo.position[1], yaw])
-        self.player.pause()
-        self.robot.base = base
-        asked = time.perf_counter()
-        self.drag.put(lambda clock: self._follow(base, asked, clock))
-
-    def _follow(self, base: Float[np.ndarray, "3"], asked: float, clock: Clock) -> None:
-        probe = self._probe()
-        if probe is None:
-            return
-        finding = probe.at(base, clock, within=FOLLOW)
-        self._show_finding(finding, probe, time.perf_counter() - asked)
-        if not finding.sure and not self.drag.waiting:
-            finding = probe.at(base, clock)
-            self._show_finding(finding, probe, time.perf_counter() - asked)
-
-    def _probe(self) -> Probe | None:
-        """The question made ready for many base poses; made anew when it has changed."""
-        shown = self.shown
-        if shown.scene is None or shown.machine is None or shown.question is None:
-            return None
-        if shown.probe is None:
-            robot = self._arm(shown.machine)
-            question = shown.question
-            shown.probe = Probe(
-                shown.scene, robot, question.task(shown.scene), shown.machine.reach_of(robot),
-                question.config, question.seed,
-            )  # fmt: skip
-        return shown.probe
-
-    def _show_finding(self, finding: Finding, probe: Probe, seconds: float) -> None:
-        robot, joint = probe.robot, probe.task.joint
-        with self.server.atomic():
-            if finding.motion is None:
-                self.robot.move(None, home_values(robot))
-                self.room.move({})
-            else:
-                self.robot.move(None, joint_values(robot, finding.motion.q[-1]))
-                self.room.move({} if joint is None else {joint: finding.motion.object_q[-1]})
-            self.robot.verdict(verdict_of(finding))
-            self.room.mark(finding.in_the_way)
-        self._tell(finding_words(finding, probe, seconds))
-
     # -------------------------------------------------------------------- clicks and browsers
 
     def _pick(self, name: str) -> None:
@@ -456,5 +436,5 @@ class Page:
     def _stop_if_alone(self) -> None:
         with self._lock:
             alone = not self._clients
-        if alone and (self.work.busy or self.drag.busy or self.player.playing):
+        if alone and (self.work.busy or self.follow.work.busy or self.player.playing):
             self.stop()

@@ -15,11 +15,10 @@ if TYPE_CHECKING:
     from momapos.page.page import Page
 
 LAYERS = {
-    "way": "start and driven path", "waypoints": "waypoints and grasps",
-    "candidates": "candidates by outcome", "potential": "potential on the floor",
-    "free": "free area", "opening": "how far it opens from everywhere",
-    "reach": "what the arm reaches", "importance": "importance and scene graph",
-    "spheres": "collision spheres", "collision": "collision shapes",
+    "importance": "Importance, graph", "reach": "Arm's reach", "free": "Free area",
+    "potential": "Potential", "opening": "Opening map", "candidates": "Candidates",
+    "waypoints": "Waypoints, grasps", "way": "Start and path", "spheres": "Collision spheres",
+    "collision": "Collision shapes",
 }  # fmt: skip
 """Layers in the order of the stages, and what they are called."""
 SHOWN = ("way", "waypoints")
@@ -101,11 +100,8 @@ class Panel:
 
     def _layers(self) -> None:
         gui, page = self._gui, self._page
-        self.layers = {
-            key: gui.add_checkbox(words[0].upper() + words[1:], key in SHOWN)
-            for key, words in LAYERS.items()
-        }
-        self.height = gui.add_slider("Height of what is reached [m]", min=0.0, max=2.0, step=0.05,
+        self.layers = {key: gui.add_checkbox(words, key in SHOWN) for key, words in LAYERS.items()}
+        self.height = gui.add_slider("Height of reach [m]", min=0.0, max=2.0, step=0.05,
                                      initial_value=0.9)  # fmt: skip
         for handle in self.layers.values():
             self._listen(handle, lambda: page.layers.changed())
@@ -125,13 +121,12 @@ class Panel:
         film = gui.add_button("Film of the plan (GIF)")
         film.on_click(lambda event: page.extras.film(event.client))
         self.files = gui.add_markdown("Files go into the folder where the page was started.")
-        self.dark = gui.add_checkbox("Dark", False)
-        self._listen(self.dark, lambda: page.extras.set_dark(bool(self.dark.value)))
 
     def _keys(self) -> None:
         page = self._page
         keys: Mapping[str, tuple[Any, Callable[[], None]]] = {
-            "Place": ("P", page.place), "Stop": ("X", page.stop), "Play": ("space", page.toggle_play),
+            "Place": ("P", page.place), "Stop": ("X", page.stop),
+            "Play": ("space", page.toggle_play),
         }  # fmt: skip
         for label, (key, action) in keys.items():
             command = self._gui.add_command(label, hotkey=key)
@@ -172,9 +167,11 @@ class Panel:
                     joint.name, min=joint.low, max=joint.high, initial_value=joint.value,
                     step=(joint.high - joint.low) / 200,
                 )  # fmt: skip
-                self._listen(slider, lambda s=slider, n=joint.name: self._page.move_joint(
-                    n, float(s.value)))  # fmt: skip
+                self._listen(slider, self._mover(joint.name, slider))
                 self._joints.append(slider)
+
+    def _mover(self, joint: str, slider: Any) -> Callable[[], None]:
+        return lambda: self._page.move_joint(joint, float(slider.value))
 
     def show_busy(self, busy: bool) -> None:
         """Whether there is anything to stop."""

@@ -12,7 +12,7 @@ from momapos.geometry.transforms import invert
 from momapos.page.bodies import Surface, joined, looks
 from momapos.page.room_view import place, rgb, triangulated
 from momapos.robots.robot import Robot
-from momapos.viewer.palette import ARM, BAD, GOOD, INK, SOFT_INK
+from momapos.viewer.palette import ARM, BAD, GOOD, PART, SOFT_INK
 from momapos.viewer.robot_spheres import sphere_centers
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 BODY, HAND = "#7d8b98", "#0072b2"
 FLOOR_GAP = 0.006
 """The footprint lies so high above the floor [m]."""
-VERDICTS = {"": SOFT_INK, "feasible": GOOD, "partly": "#e69f00", "infeasible": BAD}
+VERDICTS = {"": SOFT_INK, "feasible": GOOD, "partly": PART, "infeasible": BAD}
 """Colors of the footprint, by what is known of the base pose."""
 
 
@@ -37,7 +37,7 @@ def joint_values(robot: Robot, q: Float[np.ndarray, " m"]) -> dict[str, float]:
 
 
 class RobotView:
-    """Draws a robot at a base pose; all of it hangs from the handle by which the base is dragged."""
+    """Draws a robot at a base pose; all of it hangs from the handle that drags the base."""
 
     def __init__(
         self, api: SceneApi, name: str = "/robot", *, dragged: Callable[[Any], None] | None = None
@@ -170,6 +170,6 @@ class RobotView:
         self._spheres = self._api.add_batched_meshes_simple(
             f"{self.name}/spheres", np.asarray(ball.vertices, np.float32),
             np.asarray(ball.faces, np.uint32), turned, centers,
-            batched_scales=self.robot.spheres.radius, batched_colors=rgb(INK), opacity=0.25,
+            batched_scales=self.robot.spheres.radius, batched_colors=rgb(PART), opacity=0.45,
             cast_shadow=False,
         )  # fmt: skip

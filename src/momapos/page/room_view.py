@@ -230,9 +230,10 @@ def _turn(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> Any:
 
 
 def _inside(points: np.ndarray, a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
-    sides = ((a, b), (b, c), (c, a))
-    return np.stack([_turn(np.broadcast_to(p, points.shape), np.broadcast_to(q, points.shape),
-                           points) >= 0 for p, q in sides]).all(0)  # fmt: skip
+    inside = np.ones(len(points), bool)
+    for p, q in ((a, b), (b, c), (c, a)):
+        inside &= np.asarray(_turn(p, q, points)) >= 0
+    return inside
 
 
 def viewpoint(scene: Scene) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
@@ -247,5 +248,8 @@ def viewpoint(scene: Scene) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "
         if np.linalg.norm(front) > 0.1:
             ahead = front / np.linalg.norm(front) + 0.35 * np.array([-front[1], front[0]])
     ahead /= np.linalg.norm(ahead)
-    target = np.append(middle, 0.7)
-    return target + 0.95 * size * np.append(0.78 * ahead, 0.62), target
+    eye = np.append(0.6 * ahead, 0.48) * size
+    # The controls are at the right; the room is in the middle of what they leave.
+    aside = 0.1 * size * np.array([-ahead[1], ahead[0], 0.0])
+    target = np.append(middle, 0.5) + aside
+    return target + eye, target

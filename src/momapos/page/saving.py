@@ -1,4 +1,4 @@
-"""Files from the page: plans and scenes into the working folder, pictures and films to the browser."""
+"""Files: plans and scenes into the working folder, pictures and films to the browser."""
 
 from __future__ import annotations
 

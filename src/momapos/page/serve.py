@@ -8,19 +8,18 @@ import socket
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import viser
 
 from momapos.cache import Cache
 from momapos.errors import InputError
-from momapos.page.extras import set_theme
 from momapos.page.page import Page
+from momapos.page.question import Opened
 
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 
 
-class Server(viser.ViserServer):
+class Server(viser.ViserServer):  # type: ignore[misc]  # mypy does not read viser
     """A server that never opens a tunnel to the outside, whoever asks."""
 
     def request_share_url(self, verbose: bool = True) -> str | None:
@@ -40,13 +39,14 @@ def served(
     robot: str,
     cache: Cache,
     folder: Path,
+    opened: Opened | None = None,
 ) -> Iterator[tuple[Page, str]]:
     """Serve the page as long as the context lasts.
 
     Args:
         host: The address on which it listens.
         port: Its port; 0 for any that is free.
-        scenes, robots, scene, robot, cache, folder: As for `Page`.
+        scenes, robots, scene, robot, cache, folder, opened: As for `Page`.
 
     Yields:
         The page, and its address.
@@ -56,8 +56,9 @@ def served(
     """
     server = open_server(host, port)
     page = Page(
-        server, scenes=scenes, robots=robots, scene=scene, robot=robot, cache=cache, folder=folder
-    )
+        server, scenes=scenes, robots=robots, scene=scene, robot=robot, cache=cache,
+        folder=folder, opened=opened,
+    )  # fmt: skip
     try:
         yield page, f"http://{host}:{server.get_port()}"
     finally:
@@ -79,15 +80,12 @@ def open_server(host: str, port: int) -> Server:
         with quiet():
             server.stop()
         raise _in_use(port)
-    set_theme(server, dark=False)
-    light(server.scene)
+    # Nothing on the page leads out of this machine.
+    server.gui.configure_theme(
+        show_logo=False, show_share_button=False, control_width="medium", brand_color=(42, 122, 184)
+    )
+    server.scene.world_axes.visible = False
     return server
-
-
-def light(scene: Any) -> None:
-    """Light that shows shapes: sky and floor, and a sun that casts shadows."""
-    scene.set_up_direction("+z")
-    scene.world_axes.visible = False
 
 
 def check_free(host: str, port: int) -> None:
