@@ -1,17 +1,15 @@
 """The page: what all browsers see, and the work behind it.
 
 There is one state, and every browser shows it: what one changes the others see, and a reload shows
-where things stand. The state is this object's; its lock is held only to read or change it. Work is
-done in two threads, one for questions and one for the base that is dragged, in which the newest
-request wins; what they find they draw themselves.
+where things stand. What is loaded and answered is changed by one thread, that of `work`; the base
+that is dragged, the layers and the files have threads of their own. In each the newest request
+wins, and draws what it finds itself.
 """
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,14 +19,15 @@ from momapos.cache import Cache
 from momapos.errors import InputError
 from momapos.manipulation.tasks import in_front_of_parts
 from momapos.page.answer_layers import AnswerLayers
+from momapos.page.browsers import Browsers
 from momapos.page.extras import Extras
 from momapos.page.follow import Follow
-from momapos.page.panel import JointRange, Panel
+from momapos.page.panel import Panel, joint_ranges
 from momapos.page.playback import Player, Story
-from momapos.page.probe import Probe
 from momapos.page.question import Machine, Opened, Question, ask, ask_at, load_machine, targets
 from momapos.page.robot_view import RobotView, home_values, joint_values
 from momapos.page.room_view import RoomView, viewpoint
+from momapos.page.state import Choice, Shown
 from momapos.page.words import answer_words, escaped
 from momapos.page.work import Latest
 from momapos.placement_result import PlacementResult
@@ -40,36 +39,8 @@ if TYPE_CHECKING:
     from jaxtyping import Float
     from viser import ViserServer
 
-GRACE = 5.0
-"""Work goes on for so long after the last browser has gone, as one that is reloaded does [s]."""
-WIDEST = {"revolute": np.pi, "continuous": np.pi, "prismatic": 1.0}
-"""Joints without limits are offered from minus to plus this [rad] or [m]."""
 
-
-@dataclass(frozen=True)
-class Choice:
-    """What is chosen on the page."""
-
-    scene: str
-    robot: str
-    arm: str
-    question: Question
-
-
-@dataclass
-class Shown:
-    """What is loaded and drawn; only the thread that answers changes it."""
-
-    scene_name: str = ""
-    scene: Scene | None = None
-    machine_name: tuple[str, str] = ("", "")
-    machine: Machine | None = None
-    question: Question | None = None
-    answer: PlacementResult | None = None
-    story: Story | None = None
-    probe: Probe | None = None
-    joints: dict[str, float] = field(default_factory=dict)
-    """Joints of the object that were moved by hand [rad] or [m]."""
+READY = "Press **Place**, or drag the base."
 
 
 class Page:
@@ -100,10 +71,8 @@ class Page:
             opened: A plan that is shown first; its scene is among those that may be chosen.
         """
         self.server, self._cache, self.folder = server, cache, folder
-        self._lock = threading.RLock()
         self._start: tuple[float, float, float] | None = None
         self._opened = opened
-        self._clients: set[int] = set()
         self.shown = Shown()
         self.room = RoomView(server.scene, self._pick)
         self.robot = RobotView(server.scene, dragged=lambda event: self.follow.dragged(event))
@@ -114,8 +83,7 @@ class Page:
         self.layers = AnswerLayers(server.scene, self.panel, self.robot)
         self.work = Latest("page work", self.fail)
         self.follow = Follow(self)
-        server.on_client_connect(self._came)
-        server.on_client_disconnect(self._went)
+        self.browsers = Browsers(server, self._stop_if_busy)
         if opened is None:
             self.change()
         else:
@@ -123,6 +91,7 @@ class Page:
 
     def close(self) -> None:
         """End all work."""
+        self.browsers.close()
         self.player.pause()
         self.work.close()
         self.follow.work.close()
@@ -145,7 +114,12 @@ class Page:
         """Something else is chosen: load and draw it; what runs is for nothing."""
 
         def work(clock: Clock) -> None:
-            self._update(clock)
+            drawn = self.shown.question
+            _, _, question = self._update(clock)
+            if question == drawn and self.shown.answer is not None:
+                self.tell(answer_words(self.shown.answer))
+            elif question == drawn:
+                self.tell(READY)
 
         self._request(work)
 
@@ -290,7 +264,7 @@ class Page:
         if fresh and self.room.scene is not scene:
             self._look_at(scene)
         self.room.show(scene, name, collision=collision)
-        self._offer_joints(scene, name)
+        self.panel.show_joints(joint_ranges(scene, name))
         if self.robot.robot is not robot or fresh:
             self.robot.show(robot, self._begin(scene))
         else:
@@ -298,7 +272,7 @@ class Page:
         self.robot.verdict("")
         self.layers.clear()
         warnings = "".join(f"\n- {escaped(text)}" for text in scene.warnings)
-        self.tell(f"Press **Place**, or drag the base.{warnings}")
+        self.tell(f"{READY}{warnings}")
 
     def _begin(self, scene: Scene) -> Float[np.ndarray, "3"]:
         """Where the robot is drawn before there is an answer."""
@@ -307,17 +281,6 @@ class Page:
         if scene.start is not None:
             return scene.start
         return np.append(in_front_of_parts(scene), np.pi / 2)
-
-    def _offer_joints(self, scene: Scene, name: str) -> None:
-        item = next((o for o in scene.objects if o.name == name), None)
-        ranges = []
-        for joint in () if item is None else item.model.joints.values():
-            wide = WIDEST[joint.kind]
-            low, high = max(joint.lower, -wide), min(joint.upper, wide)
-            if joint.mimic is None and high - low > 1e-6 and item is not None:
-                value = float(np.clip(item.values()[joint.name], low, high))
-                ranges.append(JointRange(joint.name, low, high, value))
-        self.panel.show_joints(ranges)
 
     def _look_at(self, scene: Scene) -> None:
         """Turn the cameras to a room."""
@@ -422,19 +385,7 @@ class Page:
             self.panel.target.value = own[0]
             self.change()
 
-    def _came(self, client: Any) -> None:
-        with self._lock:
-            self._clients.add(client.client_id)
-
-    def _went(self, client: Any) -> None:
-        with self._lock:
-            self._clients.discard(client.client_id)
-        timer = threading.Timer(GRACE, self._stop_if_alone)
-        timer.daemon = True
-        timer.start()
-
-    def _stop_if_alone(self) -> None:
-        with self._lock:
-            alone = not self._clients
-        if alone and (self.work.busy or self.follow.work.busy or self.player.playing):
+    def _stop_if_busy(self) -> None:
+        """Nobody looks any more."""
+        if self.work.busy or self.follow.work.busy or self.player.playing:
             self.stop()

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from momapos.page.playback import SPEEDS
 from momapos.page.question import METHODS, VERBS
+from momapos.scene.scene import Scene
 
 if TYPE_CHECKING:
     from viser import GuiApi
@@ -34,6 +36,24 @@ class JointRange:
     high: float
     """[rad] or [m]"""
     value: float
+
+
+WIDEST = {"revolute": math.pi, "continuous": math.pi, "prismatic": 1.0}
+"""Joints without limits are offered from minus to plus this [rad] or [m]."""
+
+
+def joint_ranges(scene: Scene, name: str) -> tuple[JointRange, ...]:
+    """The joints of an object that may be moved by hand; none where there is no such object."""
+    found = []
+    for item in (one for one in scene.objects if one.name == name):
+        values = item.values()
+        for joint in item.model.joints.values():
+            wide = WIDEST[joint.kind]
+            low, high = max(joint.lower, -wide), min(joint.upper, wide)
+            if joint.mimic is None and high - low > 1e-6:
+                value = min(max(values[joint.name], low), high)
+                found.append(JointRange(joint.name, low, high, value))
+    return tuple(found)
 
 
 class Panel:

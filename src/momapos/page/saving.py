@@ -13,6 +13,7 @@ import numpy as np
 from momapos.errors import InputError
 from momapos.placement_result import PlacementResult
 from momapos.plans import write_plan
+from momapos.scene.copies import copied
 from momapos.scene.files import save_scene
 from momapos.scene.scene import Scene
 from momapos.trajectory import with_times
@@ -57,9 +58,17 @@ def save_plan(folder: Path, name: str, answer: PlacementResult | None) -> Path:
     return path
 
 
-def save_room(folder: Path, name: str, scene: Scene | None, target: str, joints: dict[str, float]
-              ) -> Path:  # fmt: skip
-    """Write the scene, its joints as they stand on the page.
+def save_room(
+    folder: Path, name: str, scene: Scene | None, target: str, joints: dict[str, float]
+) -> Path:
+    """Write the scene, and its models into a folder beside it, as it stands on the page.
+
+    Args:
+        folder: The working folder.
+        name: Of the scene file.
+        scene: The scene.
+        target: The object whose joints were moved by hand.
+        joints: Where they are [rad] or [m].
 
     Raises:
         InputError: There is none, or it cannot be written.
@@ -67,7 +76,9 @@ def save_room(folder: Path, name: str, scene: Scene | None, target: str, joints:
     if scene is None:
         raise InputError("there is no scene")
     path = file_in(folder, name)
-    save_scene(scene.with_joints({target: joints}) if joints else scene, path)
+    moved = scene.with_joints({target: joints}) if joints else scene
+    with copied(moved, path) as whole:
+        save_scene(whole, path)
     return path
 
 
