@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 ELEVATION, MARGIN = -25.0, 0.95
 """The camera looks down by this [deg], from this many times the least distance [-]."""
-BACKGROUND, SUN, SKY = (244, 246, 248), 0.5, 0.42
+BACKGROUND, SUN, SKY = (244, 246, 248), 0.4, 0.62
 """Color where nothing is; light from the side, and from everywhere [-]."""
 SEEN_THROUGH = 0.12
 """Opacity of what stands in the way [-]."""
@@ -150,8 +150,9 @@ def canvas(model: Any, width: int, height: int) -> Iterator[Draw]:
             "EGL, as libegl1 and libgl1-mesa-dri of Debian have it, or a display"
         ) from error
     scene, option = mujoco.MjvScene(model, maxgeom=2 * model.ngeom + 100), mujoco.MjvOption()
-    scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = 0
-    scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = 1
+    # Shadows of a whole room are as coarse as the pictures are; light from the side shows shapes.
+    for effect in (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION):
+        scene.flags[effect] = 0
     frame = mujoco.MjrRect(0, 0, width, height)
 
     def draw(data: Any, camera: Any, through: frozenset[int]) -> UInt8[np.ndarray, "h w 3"]:
@@ -177,11 +178,11 @@ def canvas(model: Any, width: int, height: int) -> Iterator[Draw]:
 
 
 def _shine(scene: Any) -> None:
-    """Replace the light at the camera by one from everywhere, and a sun that casts shadows."""
+    """Replace the light at the camera by one from everywhere, and one from the side."""
     sky, sun = scene.lights[0], scene.lights[scene.nlight]
-    sky.ambient[:], sky.diffuse[:], sky.specular[:] = SKY, 0.25, 0.0
+    sky.ambient[:], sky.diffuse[:], sky.specular[:] = SKY, 0.12, 0.0
     sun.type = int(mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
-    sun.castshadow, sun.headlight = 1, 0
+    sun.castshadow, sun.headlight = 0, 0
     sun.pos[:], sun.dir[:] = (0.0, 0.0, 6.0), np.array([0.35, 0.3, -0.89])
     sun.attenuation[:], sun.cutoff, sun.exponent = (1.0, 0.0, 0.0), 45.0, 10.0
     sun.ambient[:], sun.diffuse[:], sun.specular[:] = 0.0, SUN, 0.05

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from momapos.page.page import Page
 
-FOLLOW = 0.1
+FOLLOW = 0.08
 """While the base is dragged no further way of holding is tried after this time [s]."""
 
 

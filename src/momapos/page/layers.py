@@ -46,7 +46,7 @@ CRISP = 8
 """Browsers blur pictures; with so many pixels along the edge of a cell its border is seen [-]."""
 POINTS = 1200
 """Candidates that are drawn at most [-]."""
-MARK = 0.055
+MARK = 0.08
 """Edge of a candidate's mark [m]."""
 _EDGES = ((0, 1), (0, 2), (0, 4), (1, 3), (1, 5), (2, 3), (2, 6), (3, 7), (4, 5), (4, 6), (5, 7),
           (6, 7))  # fmt: skip
