@@ -17,7 +17,7 @@ from momapos.page.page import Page
 from momapos.page.playback import Player
 from momapos.page.question import VERBS, targets
 from momapos.page.serve import check_free, open_server, served
-from momapos.page.static import write_page
+from momapos.page.static import check_page
 from momapos.scene.files import load_scene
 
 LONG = 60.0
@@ -63,7 +63,7 @@ def test_a_page_is_written_for_a_plan_only(
     assert main(["view", "kitchen_small", "--static", str(tmp_path / "page.html")]) == 2
     assert "--static shows a plan" in capsys.readouterr().err
     with pytest.raises(InputError, match="a page ends in"):
-        write_page(None, None, None, tmp_path / "page.png")  # type: ignore[arg-type]
+        check_page(tmp_path / "page.png")
 
 
 @pytest.fixture(scope="module")
