@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -89,7 +90,8 @@ def _serve(source: str, robot: str, opened: Opened | None, host: str, port: int)
         robots=tuple(dict.fromkeys((machine, *library_names()))), opened=opened,
     ) as (page, address):  # fmt: skip
         print(f"momapos: {address} shows {source} (Ctrl-C ends it)", flush=True)
-        page.server.sleep_forever()
+        with contextlib.suppress(KeyboardInterrupt):  # how it is ended
+            page.server.sleep_forever()
     return 0
 
 
