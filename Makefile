@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 CODE := src tests benchmarks examples training
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: demo test check bench torch test-shapes test-torch test-slow test-wheel test-film clean
+.PHONY: demo test check bench torch test-shapes test-torch test-slow test-wheel test-film test-page clean
 
 $(VENV)/.core: pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit("Python 3.11 or later is needed; set PYTHON=...") if sys.version_info < (3, 11) else None'
@@ -14,7 +14,7 @@ $(VENV)/.core: pyproject.toml
 	touch $@
 
 $(VENV)/.dev: $(VENV)/.core
-	$(INSTALL) --editable '.[dev,kitchens,physics,scan,xacro]'
+	$(INSTALL) --editable '.[dev,kitchens,physics,scan,view,xacro]'
 	touch $@
 
 $(VENV)/.torch: $(VENV)/.dev
@@ -52,6 +52,9 @@ test-wheel: $(VENV)/.dev
 
 test-film: $(VENV)/.dev
 	$(BIN)/pytest tests/execution/test_film.py
+
+test-page: $(VENV)/.dev
+	$(BIN)/pytest tests/page
 
 bench: $(VENV)/.dev
 	$(BIN)/python benchmarks/run.py

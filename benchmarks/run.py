@@ -27,6 +27,7 @@ RUNS = (
     ["parts.py", "--shared", str(shared())],
     ["modeling_error.py", "--out", "bench_out"],
     ["scan.py", "--rooms", "17", "--out", "bench_out"],
+    ["page.py"],
     ["scaling.py"],
     ["importance.py"],
     ["importance_answers.py"],

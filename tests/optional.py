@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib
 import os
+import shutil
 import sys
 from collections import Counter
 from collections.abc import Iterable
@@ -26,6 +27,7 @@ GET = {
     "eaik": ".venv/bin/pip install eaik",
     "xacrodoc": ".venv/bin/pip install xacrodoc",
     "EGL": "apt-get install libegl1 libgl1-mesa-dri",
+    "Chromium": "apt-get install chromium, then make test-page",
     "every layout of kitchens": "make test-slow",
     "a wheel": "make test-wheel",
     "real data": f"{SHARED}, where FOLDER holds bestman/",
@@ -75,6 +77,13 @@ def module(name: str, package: str = "") -> ModuleType:
 def there(path: Path, what: str = "real data") -> Path:
     """A file or folder that is not part of the repository."""
     return path if path.exists() else skip(what)
+
+
+@cache
+def chromium() -> str | None:
+    """The Chromium of this machine, which Playwright drives; None where there is none."""
+    names = ("chromium", "chromium-headless-shell", "chromium-browser", "google-chrome")
+    return next((path for name in names if (path := shutil.which(name))), None)
 
 
 @cache

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -222,7 +222,7 @@ class BasePoseChecks:
             status = BaseStatus(base_pose_status(prepared.geometry, base[None])[0][0])
             if status != BaseStatus.CLEAR:
                 return Attempt(None, BASE_OUTCOMES[status])
-            attempt = _in_one_hold(self.query, prepared, base)
+            attempt = in_one_hold(self.query, prepared, base)
         if attempt.motion is not None:
             return attempt
         for two in self._two_holds():
@@ -239,17 +239,29 @@ class BasePoseChecks:
             yield two
 
 
-def _in_one_hold(
-    query: PlacementQuery, prepared: PreparedTask, base: Float[np.ndarray, "3"]
+def in_one_hold(
+    query: PlacementQuery,
+    prepared: PreparedTask,
+    base: Float[np.ndarray, "3"],
+    *,
+    out_of_time: Callable[[], bool] = lambda: False,
 ) -> Attempt:
-    """Try all ways of holding at a base pose that stands clear, the best reached first."""
-    feasible = prepared.feasibility(query.config, query.seed)
+    """Try all ways of holding at a base pose that stands clear, the best reached first.
+
+    Args:
+        query: What is asked.
+        prepared: The same, made ready.
+        base: x [m], y [m], yaw [rad].
+        out_of_time: Whether to try no further way; then what was found out so far is told.
+    """
+    feasible = prepared.feasibility(query.config, query.seed, out_of_time=out_of_time)
     # The map is right for most poses, not for all: it orders the grasps and rules none out.
     scores = np.maximum(prepared.ways[0](query.reach, base[None]).scores, LEAST_SCORE)
     turning = np.full((1, prepared.motion.turning.ways - scores.shape[1]), LEAST_SCORE / 2)
     scores = np.concatenate([scores, turning], axis=1)
     screened = feasible.screen(base[None], scores, None)
-    assert screened is not None
+    if screened is None:
+        return Attempt(None, PoseOutcome(PoseStatus.NOT_TRIED))
     if screened[0].q is None:
         return Attempt(None, screened[0].outcome)
     return feasible(base, screened[0], np.argsort(-scores[0], kind="stable"))

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib import import_module
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from momapos.errors import require
 from momapos.manipulation.tasks import slides
 from momapos.navigation.global_path import BasePath
 from momapos.placement.problem import Search
@@ -55,6 +57,23 @@ class PlacementResult:
         what = task.object if task.joint is None else f"{task.object}/{task.joint}"
         name, status = self.plan.robot_name, self.plan.status
         return f"<PlacementResult of {name}: {task.verb} {what}: {status}>"
+
+    def _repr_png_(self) -> bytes:
+        """The picture that a notebook shows."""
+        # By name: what draws records is downstream of them, and is imported by nobody else.
+        png: bytes = import_module("momapos.viewer.inline").answer_png(self)
+        return png
+
+    def show(self) -> None:
+        """Play the plan in a notebook, or in a browser outside of one; needs `momapos[view]`.
+
+        Raises:
+            InputError: The plan is not solved.
+            MissingExtraError: viser is not installed.
+        """
+        with require("view"):
+            page = import_module("momapos.page.inline")
+        page.show(self)
 
 
 def cheapest(results: Sequence[PlacementResult], *, farthest: bool = False) -> PlacementResult:

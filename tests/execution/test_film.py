@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -13,8 +14,11 @@ from tests.execution.toy import toy
 from tests.verification.door_case import BASE
 
 from momapos.errors import InputError
-from momapos.execution.film import COLUMNS, HEIGHT, WIDTH, Film
+from momapos.execution.film import COLUMNS, FILM_HEIGHT, HEIGHT, WIDTH, Film
+from momapos.execution.film_canvas import Shot, frame_shot
+from momapos.execution.shapes import Kind
 from momapos.geometry.transforms import pose_planar
+from momapos.scene.scene import SceneObject
 
 
 @optional.needs("EGL", optional.draws_off_screen())
@@ -30,6 +34,53 @@ def test_a_filmstrip_shows_the_run(tmp_path: Path) -> None:
     )
     assert first.tobytes() != last.tobytes()
     assert len(strip.resize((60, 30)).getcolors(10_000)) > 20
+
+
+@optional.needs("EGL", optional.draws_off_screen())
+def test_a_film_moves_and_is_light_and_can_be_read(tmp_path: Path) -> None:
+    film = Film()
+    toy(tmp_path).run(watch=film)
+    film.write(tmp_path / "film.gif")
+    with Image.open(tmp_path / "film.gif") as moving:
+        assert moving.size == (1280, 720)
+        assert moving.n_frames > 3
+        pictures = []
+        for k in (0, moving.n_frames - 1):
+            moving.seek(k)
+            pictures.append(np.asarray(moving.convert("L"), float))
+    first, last = pictures
+    assert np.abs(first - last).mean() > 1.0
+    assert first.mean() > 128  # light
+    caption = first[FILM_HEIGHT:]
+    assert caption.max() - caption.min() > 150  # dark on white
+
+
+def test_a_wall_before_the_camera_hides_nothing(tmp_path: Path) -> None:
+    run, free, walled = toy(tmp_path), Film(), Film()
+    run.run(watch=free)
+    before = shot_of(free)
+    (x, y, _), far = before.camera.lookat, 0.6 * before.camera.distance
+    walls = tuple(
+        SceneObject.box(f"wall{k}", size, (x + a * far, y + b * far, 2.0), category="wall")
+        for k, (a, b, size) in enumerate(
+            ((-1, 0, (0.1, 2 * far, 4.0)), (1, 0, (0.1, 2 * far, 4.0)),
+             (0, -1, (2 * far, 0.1, 4.0)), (0, 1, (2 * far, 0.1, 4.0)))
+        )
+    )  # fmt: skip
+    run.scene = replace(run.scene, objects=(*run.scene.objects, *walls))
+    run.run(watch=walled)
+    shot, world = shot_of(walled), walled.world
+    assert world is not None
+    assert len(shot.through) > 0
+    assert all(world.kinds[k] == Kind.ROOM for k in shot.through)
+    assert shot.camera.distance == pytest.approx(before.camera.distance, rel=0.05)
+
+
+def shot_of(film: Film) -> Shot:
+    """How a run is seen."""
+    assert film.world is not None
+    data = mujoco.MjData(film.world.model)
+    return frame_shot(film.world, data, [q for _, _, q in film.states])
 
 
 def test_without_a_canvas_one_line_says_what_is_missing(

@@ -18,6 +18,7 @@ COMMANDS: dict[str, tuple[str, str | dict[str, str]]] = {
             "pick": "place:place_pick", "place": "place:place_place",
         },
     ),
+    "view": ("a web page: ask, drag the base, watch the answer move", "view:view"),
     "verify": ("check a plan again, from the files alone", "verify:verify"),
     "run": ("carry a plan out in physics: is it really open then?", "run:run"),
     "export": ("a plan for ROS 2, MoveIt, Foxglove, spreadsheets", "export:export"),

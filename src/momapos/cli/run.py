@@ -61,7 +61,7 @@ def run(
         tries: Motions that are executed at most, each after one that failed.
         seed: Same seed, same run.
         out: Write the record here (JSON).
-        record: Draw a filmstrip here (PNG).
+        record: Draw a filmstrip (PNG) or a film (GIF) here.
         json: Print the record as one JSON object and nothing else.
     """
     # Told before anything heavy is imported.
@@ -84,8 +84,8 @@ def run(
     if world is None and world_at is not None:
         raise InputError("--world-at says where a --world lies; give that too, or leave it out")
     at = np.zeros(3) if world_at is None else np.array(parse_pose(world_at, "world-at"))
-    if record is not None and record.suffix.lower() != ".png":
-        raise InputError(f"--record {record}: a filmstrip is a PNG; name it so")
+    if record is not None and record.suffix.lower() not in (".png", ".gif"):
+        raise InputError(f"--record {record}: a filmstrip is a PNG, a film a GIF; name it so")
     content, scene, machine = open_plan(plan, scene_root, robot, "to execute")
     with require("physics"):
         from momapos.execution.config import ExecutionConfig, FurnitureConfig

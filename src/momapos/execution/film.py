@@ -1,47 +1,48 @@
-"""A filmstrip of a run: what happened, in a few pictures."""
+"""A run in pictures: a strip of a few, or a film of many."""
 
 from __future__ import annotations
 
-import os
-import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+import io
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
 
+from momapos.cache import write_atomic
 from momapos.errors import InputError, require
 from momapos.execution.config import Stage
-from momapos.execution.shapes import ROBOT, Kind
+from momapos.execution.film_canvas import Shot, canvas, captioned, frame_shot
 from momapos.execution.simulation import Simulation
 from momapos.geometry.planar import local_points
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Shaped, UInt8
 
-WIDTH, HEIGHT, COLUMNS = 480, 420, 4
-Draw: TypeAlias = "Callable[[Any, Any], UInt8[np.ndarray, 'h w 3']]"
-"""Draws a state as a camera sees it."""
+WIDTH, HEIGHT, COLUMNS = 640, 480, 4
+"""A picture of a filmstrip [px], and how many stand in a row."""
+FILM_WIDTH, FILM_HEIGHT = 1280, 670
+"""A picture of a film without its caption, with which it is 720 high [px]."""
+FILM_RATE, FASTER, MOST_PICTURES = 10.0, 3.0, 160
+"""Pictures a second, how many times faster than in truth they are shown, and how many at most."""
+SWEEP = 18.0
+"""In a film the camera goes round from this far on one side to the other [deg]."""
+ENDINGS = (".png", ".gif")
+State = tuple[float, str, np.ndarray]
+"""Time [s], stage, coordinates."""
 INTERVAL = 0.05
 """Time between remembered states [s]."""
-ELEVATION, MARGIN = -25.0, 0.95
-"""The camera looks down by this [deg], from this many times the least distance [-]."""
-_VIEWS = 24
-"""Directions from which the camera may look [-]."""
 _BEFORE = (Stage.SETTLE, Stage.APPROACH)
 """Stages before the robot takes hold."""
-_SUBJECT = (*ROBOT, Kind.PART)
-"""What the pictures are of."""
 
 
 @dataclass
 class Film:
     """Remembers a run; give it to `execute` as `watch`, and `drive` every drive before."""
 
-    states: list[tuple[float, str, np.ndarray]] = field(default_factory=list)
+    states: list[State] = field(default_factory=list)
     world: Simulation | None = None
     times: list[Float[np.ndarray, " t"]] = field(default_factory=list)
     """Of each drive, from its beginning [s]."""
@@ -65,43 +66,85 @@ class Film:
         self.poses.append(poses)
 
     def write(self, path: Path, frames: int = 8) -> None:
-        """Draw a filmstrip.
+        """Draw a filmstrip (PNG) or a film (GIF, 720p), as the name ends.
 
         Args:
-            path: A PNG file.
-            frames: Number of pictures; a quarter of them of the drives, if there are any.
+            path: The file.
+            frames: Number of pictures of a filmstrip; a quarter of them of the drives, if there
+                are any.
 
         Raises:
-            InputError: Nothing was executed, this machine cannot draw off-screen, or the file
-                cannot be written.
+            InputError: Nothing was executed, this machine cannot draw off-screen, the name ends
+                otherwise, or the file cannot be written.
             MissingExtraError: Pillow is not installed.
         """
+        if path.suffix.lower() not in ENDINGS:
+            raise InputError(
+                f"{path}: a film ends in .png (a strip of pictures) or .gif; name it so"
+            )
         if self.world is None or not self.states:
             raise InputError(f"{path}: nothing was executed; there is nothing to draw")
         with require("physics"):
-            from PIL import Image, ImageDraw
-        began = sum(float(times[-1]) for times in self.times)
-        driven = self.driven(frames // 4)
-        done = [(began + t, stage, q) for t, stage, q in self._chosen(frames - len(driven))]
-        data, pictures = mujoco.MjData(self.world.model), []
-        with _canvas(self.world.model) as draw:
-            for strip, seen in ((driven, [*driven, done[0]]), (done, done)):
-                camera = self._camera(data, [q for _, _, q in seen])
-                for time, stage, q in strip:
-                    data.qpos[:] = q
-                    mujoco.mj_forward(self.world.model, data)
-                    picture = Image.fromarray(draw(data, camera))
-                    label = f"{time:.1f} s  {stage}"
-                    ImageDraw.Draw(picture).text((10, 8), label, fill=(20, 20, 20))
-                    pictures.append(picture)
-        sheet = _sheet([np.asarray(picture) for picture in pictures])
+            from PIL import Image
+        content = io.BytesIO()
+        if path.suffix.lower() == ".png":
+            Image.fromarray(self._strip(frames)).save(content, "PNG")
+        else:
+            pictures = [Image.fromarray(picture).quantize(128) for picture in self._pictures()]
+            pictures[0].save(
+                content, "GIF", save_all=True, append_images=pictures[1:], loop=0,
+                duration=round(1000 / FILM_RATE),
+            )  # fmt: skip
         try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            Image.fromarray(sheet).save(path, format="PNG")
+            write_atomic(path, content.getvalue())
         except OSError as error:
-            raise InputError(f"{path}: cannot be written ({error})") from error
+            raise InputError(f"{path}: cannot be written ({error.strerror})") from error
 
-    def driven(self, frames: int) -> list[tuple[float, str, np.ndarray]]:
+    def _strip(self, frames: int) -> Shaped[np.ndarray, "H W 3"]:
+        """Some pictures of the drives and of what was done then, in rows."""
+        driven = self.driven(frames // 4)
+        done = [(self._drove + t, stage, q) for t, stage, q in self._chosen(frames - len(driven))]
+        assert self.world is not None
+        data, pictures = mujoco.MjData(self.world.model), []
+        with canvas(self.world.model, WIDTH, HEIGHT) as draw:
+            for strip, seen in ((driven, [*driven, done[0]]), (done, done)):
+                shot = frame_shot(self.world, data, [q for _, _, q in seen])
+                for state in strip:
+                    self._set(data, state)
+                    picture = draw(data, shot.camera, shot.through)
+                    pictures.append(captioned(picture, _words(state)))
+        return _sheet(pictures)
+
+    def _pictures(self) -> Iterator[UInt8[np.ndarray, "h w 3"]]:
+        """The pictures of a film, whose camera goes slowly round."""
+        assert self.world is not None
+        done = [(self._drove + t, stage, q) for t, stage, q in self.states]
+        step = max(FASTER / FILM_RATE, (done[-1][0]) / MOST_PICTURES)
+        driven = self.driven(int(self._drove / step))
+        times = np.array([t for t, _, _ in done])
+        picked = np.unique(np.searchsorted(times, np.arange(times[0], times[-1], step)))
+        acted = [done[i] for i in [*picked.tolist(), len(done) - 1]]
+        data = mujoco.MjData(self.world.model)
+        with canvas(self.world.model, FILM_WIDTH, FILM_HEIGHT) as draw:
+            for part in (driven, acted):
+                if part:
+                    shot: Shot = frame_shot(self.world, data, [q for _, _, q in part], sweep=SWEEP)
+                for k, state in enumerate(part):
+                    self._set(data, state)
+                    camera = shot.turned(SWEEP * (2 * k / max(1, len(part) - 1) - 1))
+                    yield captioned(draw(data, camera, shot.through), _words(state))
+
+    @property
+    def _drove(self) -> float:
+        """How long all drives took [s]."""
+        return sum(float(times[-1]) for times in self.times)
+
+    def _set(self, data: Any, state: State) -> None:
+        assert self.world is not None
+        data.qpos[:] = state[2]
+        mujoco.mj_forward(self.world.model, data)
+
+    def driven(self, frames: int) -> list[State]:
         """States of all drives together, evenly spread over the way; the end is in what follows."""
         assert self.world is not None
         if not self.poses or not frames:
@@ -121,7 +164,7 @@ class Film:
             states.append((float(times[i]), "drive", q))
         return states
 
-    def _chosen(self, frames: int) -> list[tuple[float, str, np.ndarray]]:
+    def _chosen(self, frames: int) -> list[State]:
         """A quarter of the pictures from the way to the object, the others from then on."""
         before = [s for s in self.states if s[1] in _BEFORE]
         after = [s for s in self.states if s[1] not in _BEFORE]
@@ -130,90 +173,9 @@ class Film:
         late = min(len(after), frames - len(picked))
         return picked + [after[i] for i in np.linspace(0, len(after) - 1, late).astype(int)]
 
-    def _camera(self, data: Any, states: list[np.ndarray]) -> Any:
-        """A camera that sees robot and part from the side that least stands in the way."""
-        assert self.world is not None
-        world, model = self.world, self.world.model
-        points = []
-        for q in (states[0], states[len(states) // 2], states[-1]):
-            data.qpos[:] = q
-            mujoco.mj_forward(model, data)
-            points.append(data.geom_xpos[np.isin(world.kinds, _SUBJECT)])
-        cloud = np.concatenate(points)
-        low, high = cloud.min(0), cloud.max(0)
-        camera = mujoco.MjvCamera()
-        camera.type = mujoco.mjtCamera.mjCAMERA_FREE
-        camera.lookat[:] = (low + high) / 2
-        camera.elevation = ELEVATION
-        half = float(np.linalg.norm(high - low)) / 2 + 0.25
-        camera.distance = MARGIN * half / np.sin(np.radians(model.vis.global_.fovy / 2))
-        views = np.linspace(-180.0, 180.0, _VIEWS, endpoint=False)
-        targets = np.stack([cloud[i] for i in np.linspace(0, len(cloud) - 1, 24).astype(int)])
-        seen = [_visible(world, data, _eye(camera, view), targets) for view in views]
-        # Neighbors count too: a view through a narrow gap is not worth much.
-        smooth = np.convolve(np.r_[seen[-1], seen, seen[0]], [0.5, 1.0, 0.5], "valid")
-        camera.azimuth = float(views[int(np.argmax(smooth))])
-        return camera
 
-
-def _eye(camera: Any, azimuth: float) -> Float[np.ndarray, "3"]:
-    """Where a free camera is when it looks along an azimuth [deg]."""
-    a, e = np.radians(azimuth), np.radians(camera.elevation)
-    forward = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
-    return np.asarray(camera.lookat - camera.distance * forward)
-
-
-def _visible(
-    world: Simulation, data: Any, eye: Float[np.ndarray, "3"], targets: Float[np.ndarray, "n 3"]
-) -> float:
-    """Share of points that no furniture hides."""
-    seen, geom = 0, np.zeros(1, np.int32)
-    for target in targets:
-        away = target - eye
-        distance = mujoco.mj_ray(world.model, data, eye, away, None, 1, -1, geom)
-        hidden = 0 <= distance < 0.99 and world.kinds[geom[0]] == Kind.ROOM
-        seen += not hidden
-    return seen / len(targets)
-
-
-@contextmanager
-def _canvas(model: Any) -> Iterator[Draw]:
-    """An off-screen canvas; a machine without a display draws through EGL.
-
-    Raises:
-        InputError: There is none.
-    """
-    try:
-        if sys.platform == "linux" and "DISPLAY" not in os.environ:
-            from mujoco.egl import GLContext
-        else:
-            GLContext = mujoco.GLContext
-        screen = GLContext(WIDTH, HEIGHT)
-        screen.make_current()
-        context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
-        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, context)
-    except Exception as error:  # every backend raises its own kind
-        raise InputError(
-            f"--record: this machine cannot draw off-screen ({type(error).__name__}); it needs "
-            "EGL, as libegl1 and libgl1-mesa-dri of Debian have it, or a display"
-        ) from error
-    scene, option = mujoco.MjvScene(model, maxgeom=2 * model.ngeom + 100), mujoco.MjvOption()
-    for effect in (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION):
-        scene.flags[effect] = 0
-    frame = mujoco.MjrRect(0, 0, WIDTH, HEIGHT)
-
-    def draw(data: Any, camera: Any) -> UInt8[np.ndarray, "h w 3"]:
-        mujoco.mjv_updateScene(model, data, option, None, camera, mujoco.mjtCatBit.mjCAT_ALL, scene)
-        mujoco.mjr_render(frame, scene, context)
-        pixels = np.empty((HEIGHT, WIDTH, 3), np.uint8)
-        mujoco.mjr_readPixels(pixels, None, frame, context)
-        return np.flipud(pixels)
-
-    try:
-        yield draw
-    finally:
-        context.free()
-        screen.free()
+def _words(state: State) -> str:
+    return f"{state[0]:.1f} s   {state[1]}"
 
 
 def _sheet(pictures: list[UInt8[np.ndarray, "h w 3"]]) -> Shaped[np.ndarray, "H W 3"]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -185,6 +186,12 @@ class Scene:
             else f"a floor of {len(self.floor_polygon)} corners"
         )
         return f"<Scene {self.name!r}: {len(self.objects)} objects, {floor}, {self.path}>"
+
+    def _repr_png_(self) -> bytes:
+        """The picture that a notebook shows."""
+        # By name: what draws records is downstream of them.
+        png: bytes = import_module("momapos.viewer.inline").scene_png(self)
+        return png
 
     def object(self, name: str) -> SceneObject:
         """Look an object up by name.

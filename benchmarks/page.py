@@ -1,0 +1,95 @@
+"""How soon the page answers: from the command to a page, and while the base is dragged.
+
+    python benchmarks/page.py [--poses 200]
+
+Bases are drawn about the answer's, as a hand drags them; half of them stand too far or too near.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import subprocess
+import sys
+import time
+import urllib.request
+
+import numpy as np
+
+from momapos.manipulation.tasks import make_task
+from momapos.page.follow import FOLLOW
+from momapos.page.probe import Probe
+from momapos.pipeline import plan_base_placement
+from momapos.reachability.store import load_reach
+from momapos.robots.robot import load_robot
+from momapos.scene.files import load_scene
+
+TASKS = (
+    ("fridge", "door_hinge"), ("oven", "door_hinge"), ("dishwasher", "door_hinge"),
+    ("cabinet_right", "drawer_top_slide"), ("wall_cabinet", "door_left_hinge"),
+)  # fmt: skip
+ROBOTS = ("segway_ur5e", "fetch", "tiago")
+SPREAD = np.array([0.25, 0.25, 0.5])
+"""Standard deviation of the bases about the answer's [m, m, rad]."""
+
+
+def dragging(poses: int, seed: int) -> np.ndarray:
+    """Times until a dragged base is answered, and processor times [s], of all robots and tasks."""
+    scene, rng, times = load_scene("kitchen_small"), np.random.default_rng(seed), []
+    for name in ROBOTS:
+        robot = load_robot(name)
+        reach = load_reach(robot)
+        for thing, joint in TASKS:
+            task = make_task(scene, "open", thing, joint)
+            base = plan_base_placement(scene, robot, task, reach).plan.base_pose
+            if base is None:  # there is nowhere to drag it about
+                continue
+            probe = Probe(scene, robot, task, reach)
+            probe.make_ready(time.perf_counter)
+            own = []
+            for pose in np.array(base) + SPREAD * rng.normal(size=(poses, 3)):
+                began = time.perf_counter(), time.process_time()
+                probe.at(pose, time.perf_counter, within=FOLLOW)
+                ended = time.perf_counter(), time.process_time()
+                own.append((ended[0] - began[0], ended[1] - began[1]))
+            print(f"{name:12} {thing + '/' + joint:32} {told(np.array(own))}", flush=True)
+            times += own
+    return np.array(times)
+
+
+def told(times: np.ndarray) -> str:
+    """Median, 95th percentile and worst; of processor time, which others do not lengthen, too."""
+    low, high, worst = 1000 * np.quantile(times[:, 0], [0.5, 0.95, 1.0])
+    own = 1000 * np.quantile(times[:, 1], [0.5, 0.95])
+    return (
+        f"median {low:4.0f} ms, 95 % {high:4.0f} ms, worst {worst:4.0f} ms; "
+        f"processor {own[0]:4.0f} and {own[1]:4.0f} ms"
+    )
+
+
+def usable() -> float:
+    """Time from the command until the page can be read [s], kernels compiled."""
+    command = [
+        sys.executable, "-c", "from momapos.cli.main import entry; entry()", "view",
+        "kitchen_small", "--port", "0",
+    ]  # fmt: skip
+    began = time.perf_counter()
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
+        assert server.stdout is not None
+        address = re.search(r"http://\S+", server.stdout.readline())
+        assert address is not None
+        with urllib.request.urlopen(address[0]) as answer:
+            answer.read()
+        took = time.perf_counter() - began
+        server.terminate()
+    return took
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--poses", type=int, default=200, help="a task and robot")
+    parser.add_argument("--seed", type=int, default=0)
+    args = parser.parse_args()
+    usable()  # what is compiled once is compiled now
+    print(f"from the command to a page: {usable():.1f} s", flush=True)
+    print(f"all: {told(dragging(args.poses, args.seed))}")

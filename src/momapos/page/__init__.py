@@ -1,0 +1,1 @@
+"""The web page: a room, a robot, a question and its answer, moving."""

@@ -1,0 +1,201 @@
+"""Which layers are drawn: made when they are first asked for, then only switched on and off."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from momapos.importance.rank import rank
+from momapos.manipulation.tasks import hand_path
+from momapos.opening_map import opening_map
+from momapos.page import layers as draw
+from momapos.page.panel import LAYERS, Panel
+from momapos.page.words import escaped
+from momapos.page.work import Latest
+from momapos.placement_result import PlacementResult
+from momapos.protocols import Clock, ReachScorer
+from momapos.scene.scene import Scene
+from momapos.viewer.candidate_markers import KINDS
+from momapos.viewer.heat import potential_map
+from momapos.viewer.palette import HANDLE, INK, POTENTIAL, RELATIONS, SELECTED, WAYPOINT
+
+if TYPE_CHECKING:
+    from viser import SceneApi
+
+    from momapos.page.robot_view import RobotView
+
+ROOT = "/layers"
+CELL = 0.06
+"""Edge of a cell of the pictures on the floor [m]."""
+OF_ANSWER = ("way", "waypoints", "candidates", "potential", "free", "opening", "importance")
+"""Layers that there is nothing of before there is an answer."""
+VIRIDIS = ("#dde318", "#21918c", "#440f5c")
+
+
+@dataclass(frozen=True)
+class Answered:
+    """What the layers are of."""
+
+    scene: Scene
+    answer: PlacementResult
+    reach: ReachScorer
+
+
+class AnswerLayers:
+    """Draws the layers of one answer."""
+
+    def __init__(self, api: SceneApi, panel: Panel, robot: RobotView) -> None:
+        self._api, self._panel, self._robot = api, panel, robot
+        self._roots: dict[str, Any] = {}
+        self._of: Answered | None = None
+        self._kinds: tuple[str, ...] = ()
+        self.work = Latest("page layers", self._fail)
+
+    def show(self, scene: Scene, answer: PlacementResult, reach: ReachScorer) -> None:
+        """Draw the layers of another answer that are switched on."""
+        self.clear()
+        self._of = Answered(scene, answer, reach)
+        self.changed()
+
+    def clear(self) -> None:
+        """Draw nothing."""
+        self.work.stop()
+        self._of = None
+        for root in self._roots.values():
+            root.remove()
+        self._roots, self._kinds = {}, ()
+        self._panel.legend.content = ""
+        self._panel.clicked.content = ""
+
+    def changed(self) -> None:
+        """Layers were switched on or off."""
+        self._robot.show_spheres(bool(self._panel.layers["spheres"].value))
+        self.work.put(self._update)
+
+    def height_changed(self) -> None:
+        """The reach is asked for at another height."""
+        root = self._roots.pop("reach", None)
+        if root is not None:
+            root.remove()
+        self.changed()
+
+    def _fail(self, reason: str) -> None:
+        self._panel.clicked.content = f"**This layer cannot be drawn.** {escaped(reason)}"
+
+    def _update(self, clock: Clock) -> None:
+        of = self._of
+        if of is None:
+            return
+        for key in LAYERS:
+            wanted = bool(self._panel.layers[key].value)
+            if wanted and key in DRAW and key not in self._roots:
+                name = f"{ROOT}/{key}"
+                if key == "reach":
+                    name = f"{self._robot.name}/reach"
+                self._roots[key] = self._api.add_frame(name, show_axes=False)
+                DRAW[key](self, name, of, clock)
+            if key in self._roots:
+                self._roots[key].visible = wanted
+        self._panel.legend.content = legend(
+            [k for k in LAYERS if self._panel.layers[k].value], self._kinds
+        )
+
+    # ------------------------------------------------------------------------------- one a layer
+
+    def _way(self, name: str, of: Answered, _: Clock) -> None:
+        draw.draw_way(self._api, name, of.answer)
+
+    def _waypoints(self, name: str, of: Answered, _: Clock) -> None:
+        draw.draw_waypoints(self._api, name, of.answer)
+
+    def _candidates(self, name: str, of: Answered, _: Clock) -> None:
+        self._kinds = draw.draw_candidates(self._api, f"{name}/all", of.answer, self._clicked)
+
+    def _potential(self, name: str, of: Answered, _: Clock) -> None:
+        heat = potential_map(of.answer.prepared.geometry, of.reach, cell=CELL)
+        if heat is not None and heat.value.size:
+            draw.floor_image(
+                self._api, f"{name}/map", draw.potential_pixels(heat), heat.extent, height=0.004
+            )
+
+    def _free(self, name: str, of: Answered, _: Clock) -> None:
+        bounds = draw.whole_floor(of.scene)
+        share, extent = draw.free_area(of.answer.prepared.geometry, bounds, cell=CELL)
+        draw.floor_image(self._api, f"{name}/map", draw.free_pixels(share), extent, height=0.002)
+
+    def _opening(self, name: str, of: Answered, clock: Clock) -> None:
+        if of.answer.plan.task.joint is None:
+            return
+
+        def report(share: float) -> None:
+            clock()
+            self._panel.clicked.content = f"Opening map: {100 * share:.0f} %"
+
+        robot, task = of.answer.prepared.robot, of.answer.plan.task
+        found = opening_map(of.scene, robot, task, of.reach, report=report)
+        self._panel.clicked.content = ""
+        if found.farthest.size:
+            draw.floor_image(
+                self._api, f"{name}/map", draw.opening_pixels(found), found.extent, height=0.006
+            )
+
+    def _reach(self, name: str, of: Answered, _: Clock) -> None:
+        height = float(self._panel.height.value)
+        share, half = draw.reach_slice(of.answer.prepared.robot, of.reach, height)
+        draw.floor_image(
+            self._api, f"{name}/map", draw.reach_pixels(share), (-half, half, -half, half),
+            height=height,
+        )  # fmt: skip
+
+    def _importance(self, name: str, of: Answered, _: Clock) -> None:
+        task = of.answer.plan.task
+        path = hand_path(of.scene, task.object, task.joint, task.to)
+        ranked = rank(of.scene, task.object, path=path, seed=of.answer.plan.seed)
+        draw.draw_importance(self._api, name, ranked)
+
+    def _clicked(self, words: str) -> None:
+        self._panel.clicked.content = f"This candidate: **{escaped(words)}**"
+
+
+DRAW = {
+    "way": AnswerLayers._way, "waypoints": AnswerLayers._waypoints,
+    "candidates": AnswerLayers._candidates, "potential": AnswerLayers._potential,
+    "free": AnswerLayers._free, "opening": AnswerLayers._opening, "reach": AnswerLayers._reach,
+    "importance": AnswerLayers._importance,
+}  # fmt: skip
+
+
+def legend(shown: list[str], kinds: tuple[str, ...]) -> str:
+    """What the colors of the layers that are shown mean, as HTML."""
+    rows: list[tuple[str, str]] = []
+    if "way" in shown:
+        rows.append((_box(INK), "driven path"))
+    if "waypoints" in shown:
+        rows += [(_box(WAYPOINT), "way of the tool"), (_box(HANDLE), "grasps")]
+    if "potential" in shown:
+        rows.append((_ramp(POTENTIAL), "potential, low to high"))
+    if "free" in shown:
+        rows.append((_box(SELECTED), "free area: the stronger, the more yaws"))
+    if "opening" in shown:
+        rows.append((_ramp(VIRIDIS), "opens a little, to the end"))
+    if "reach" in shown:
+        rows.append((_ramp(VIRIDIS), "reached from few, from all directions"))
+    if "importance" in shown:
+        rows.append((_ramp(("#c3cad0", SELECTED)), "importance 0 to 1"))
+        rows += [(_box(look.color), kind) for kind, look in RELATIONS.items()]
+    if "candidates" in shown:
+        rows += [(_box(kind.color), kind.name) for kind in KINDS if kind.name in kinds]
+    items = "".join(f"<div>{mark} {words}</div>" for mark, words in rows)
+    return f'<div style="font-size:0.8em;line-height:1.5;padding:0 0.8em">{items}</div>'
+
+
+def _box(color: str) -> str:
+    return _mark(f"background:{color};width:0.9em")
+
+
+def _ramp(colors: tuple[str, ...]) -> str:
+    return _mark(f"background:linear-gradient(90deg,{','.join(colors)});width:2.2em")
+
+
+def _mark(style: str) -> str:
+    return f'<span style="display:inline-block;height:0.9em;vertical-align:-0.1em;{style}"></span>'

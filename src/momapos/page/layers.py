@@ -1,0 +1,295 @@
+"""What stages have found out, drawn over the room: one function a layer.
+
+A layer is a name under which its nodes hang, so that it is switched on and off as one. What it
+shows is computed by the modules of `momapos.viewer` and of the stages; here it becomes nodes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from momapos.geometry.transforms import apply, pose_planar
+from momapos.importance.rank import Importance
+from momapos.importance.relations import KINDS as RELATION_KINDS
+from momapos.kinematics.hulls import Boxes
+from momapos.opening_map import OpeningMap
+from momapos.page.room_view import rgb
+from momapos.placement.area import BaseStatus, PlacementGeometry, base_pose_status
+from momapos.placement_result import PlacementResult
+from momapos.protocols import ReachScorer
+from momapos.robots.robot import Robot
+from momapos.scene.scene import Scene
+from momapos.viewer.candidate_markers import KINDS, outcomes, thin
+from momapos.viewer.heat import Heat
+from momapos.viewer.palette import (
+    HANDLE,
+    INK,
+    POTENTIAL,
+    RELATIONS,
+    SELECTED,
+    SOFT_INK,
+    WAYPOINT,
+)
+from momapos.viewer.plot import waypoints_by_hold
+from momapos.viewer.room import room_bounds
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, UInt8
+    from viser import SceneApi
+
+FLOOR_IMAGE = 0.004
+"""Pictures lie so high above the floor [m]."""
+CRISP = 8
+"""Browsers blur pictures; with so many pixels along the edge of a cell its border is seen [-]."""
+POINTS = 1200
+"""Candidates that are drawn at most [-]."""
+MARK = 0.08
+"""Edge of a candidate's mark [m]."""
+_EDGES = ((0, 1), (0, 2), (0, 4), (1, 3), (1, 5), (2, 3), (2, 6), (3, 7), (4, 5), (4, 6), (5, 7),
+          (6, 7))  # fmt: skip
+_CORNERS = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
+
+
+def floor_image(
+    api: SceneApi,
+    name: str,
+    pixels: UInt8[np.ndarray, "rows columns 4"],
+    extent: tuple[float, float, float, float],
+    height: float = FLOOR_IMAGE,
+) -> Any:
+    """Lay a picture on the floor; its first row is the one with the lowest y.
+
+    Args:
+        api: Where to draw.
+        name: Of the node.
+        pixels: Colors with opacity.
+        extent: Left, right, bottom, top [m].
+        height: Above the floor [m].
+    """
+    left, right, bottom, top = extent
+    crisp = pixels.repeat(CRISP, 0).repeat(CRISP, 1)
+    return api.add_image(
+        name, crisp, right - left, top - bottom, format="png",
+        position=((left + right) / 2, (bottom + top) / 2, height), cast_shadow=False,
+        receive_shadow=False,
+    )  # fmt: skip
+
+
+def potential_pixels(heat: Heat) -> UInt8[np.ndarray, "rows columns 4"]:
+    """The potential as colors from pale to strong blue; nothing where it is 0."""
+    highest = float(heat.value.max(initial=0.0)) or 1.0
+    stops = np.array([rgb(color) for color in POTENTIAL], float)
+    share = heat.value / highest
+    channels = [np.interp(share, np.linspace(0, 1, len(stops)), stops[:, k]) for k in range(3)]
+    alpha = np.where(heat.value > 0, 215.0, 0.0)
+    return np.stack([*channels, alpha], -1).astype(np.uint8)
+
+
+def free_pixels(share: Float[np.ndarray, "rows columns"]) -> UInt8[np.ndarray, "rows columns 4"]:
+    """The free area: the stronger, the more ways the base may look there."""
+    color = np.broadcast_to(np.array(rgb(SELECTED), float), (*share.shape, 3))
+    return np.concatenate([color, 150.0 * share[..., None]], -1).astype(np.uint8)
+
+
+def free_area(
+    geometry: PlacementGeometry, bounds: Float[np.ndarray, "2 2"], *, cell: float, yaws: int = 8
+) -> tuple[Float[np.ndarray, "rows columns"], tuple[float, float, float, float]]:
+    """Share of yaws at which the base stands clear and within the arm's length, over the floor.
+
+    Args:
+        geometry: Room and task.
+        bounds: Lower and upper corner of what is looked at [m].
+        cell: Edge of a cell [m].
+        yaws: How many are tried [-].
+
+    Returns:
+        The shares, and left, right, bottom, top of the grid [m].
+    """
+    low = np.floor(bounds[0] / cell) * cell
+    columns, rows = np.ceil((bounds[1] - low) / cell).astype(int).tolist()
+    x, y = (low[k] + cell * (np.arange((columns, rows)[k]) + 0.5) for k in (0, 1))
+    xy = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
+    yaw = 2 * np.pi / yaws * np.arange(yaws)
+    poses = np.column_stack([np.repeat(xy, yaws, axis=0), np.tile(yaw, len(xy))])
+    clear = base_pose_status(geometry, poses)[0] == BaseStatus.CLEAR
+    extent = (low[0], low[0] + columns * cell, low[1], low[1] + rows * cell)
+    return clear.reshape(rows, columns, yaws).mean(-1), extent
+
+
+def opening_pixels(opening: OpeningMap) -> UInt8[np.ndarray, "rows columns 4"]:
+    """An opening map in the colors of its picture: the darker, the farther."""
+    from matplotlib import colormaps
+
+    span = opening.values[-1] - opening.begin
+    share = np.nan_to_num((opening.farthest - opening.begin) / (span or 1.0))
+    colors = colormaps["viridis"](0.97 - 0.89 * np.clip(share, 0, 1))
+    colors[..., 3] = np.where(np.isnan(opening.farthest), 0.0, 0.85)
+    return (255 * colors).astype(np.uint8)
+
+
+def draw_candidates(
+    api: SceneApi, name: str, answer: PlacementResult, picked: Callable[[str], None]
+) -> tuple[str, ...]:
+    """Draw where the base was tried, in the color of what came of it; a click tells why.
+
+    Returns:
+        The kinds that are drawn.
+    """
+    seen = outcomes(answer.search)
+    every = [outcome for block in answer.search.outcomes for outcome in block]
+    chosen = thin(seen.poses[:, :2], seen.kind, POINTS)
+    places = np.concatenate([np.zeros((0, 3)), *answer.search.poses])
+    texts = {pose.tobytes(): str(outcome) for pose, outcome in zip(places, every, strict=True)}
+    words = [texts[pose.tobytes()] for pose in seen.poses[chosen]]
+    positions = np.column_stack([seen.poses[chosen, :2], np.full(len(chosen), 0.015)])
+    colors = np.array([rgb(KINDS[k].color) for k in seen.kind[chosen]], np.uint8).reshape(-1, 3)
+    scales = np.array([MARK * (1.8 if KINDS[k].filled else 1.0) for k in seen.kind[chosen]])
+    # An arrowhead that lies on the floor and points where the base looks.
+    head = np.array([[0.7, 0, 0], [-0.5, 0.45, 0], [-0.25, 0, 0], [-0.5, -0.45, 0]])
+    faces = np.array([[0, 1, 2], [0, 2, 3]])
+    turns = np.zeros((len(chosen), 4))
+    turns[:, 0], turns[:, 3] = (f(seen.poses[chosen, 2] / 2) for f in (np.cos, np.sin))
+    node = api.add_batched_meshes_simple(
+        name, head.astype(np.float32), faces.astype(np.uint32), turns, positions,
+        batched_scales=scales, batched_colors=colors, cast_shadow=False,
+        lod="off", side="double",
+    )  # fmt: skip
+
+    def clicked(event: Any) -> None:
+        if event.instance_index is not None:
+            picked(words[event.instance_index])
+
+    node.on_click(clicked)
+    return tuple(KINDS[k].name for k in sorted(set(seen.kind[chosen].tolist())))
+
+
+def draw_waypoints(api: SceneApi, name: str, answer: PlacementResult) -> None:
+    """Draw where the tool goes, and from where each grasp comes to the handle."""
+    for k, points in enumerate(waypoints_by_hold(answer)):
+        if len(points) > 1:
+            api.add_line_segments(
+                f"{name}/way{k}", np.stack([points[:-1], points[1:]], 1), rgb(WAYPOINT),
+                thickness=0.008,
+            )  # fmt: skip
+        api.add_point_cloud(
+            f"{name}/points{k}", points, rgb(WAYPOINT), point_size=0.022, point_shape="circle",
+            precision="float32",
+        )  # fmt: skip
+    motion, robot = answer.prepared.motion, answer.prepared.robot
+    Ts = motion.Ts_world_tool[:, motion.grasp_step]
+    tails = Ts[:, :3, 3] - 0.1 * Ts[:, :3, :3] @ robot.approach_axis
+    if len(Ts):
+        segments = np.stack([tails, Ts[:, :3, 3]], 1)
+        api.add_line_segments(f"{name}/grasps", segments, rgb(HANDLE), thickness=0.003)
+
+
+def draw_way(api: SceneApi, name: str, answer: PlacementResult) -> None:
+    """Draw the start, and the way that the base drives."""
+    footprint = answer.prepared.robot.footprint
+    corners = np.column_stack([footprint, np.full(len(footprint), 0.008)])
+    outline = apply(pose_planar(answer.start), corners)
+    api.add_line_segments(
+        f"{name}/start", np.stack([outline, np.roll(outline, -1, 0)], 1), rgb(SOFT_INK),
+        thickness=0.012,
+    )  # fmt: skip
+    if answer.plan.base_path is not None:
+        draw_path(api, f"{name}/way", answer.plan.base_path)
+
+
+def draw_path(api: SceneApi, name: str, path: Float[np.ndarray, "k 3"]) -> None:
+    """Draw the way that a base drives: x [m], y [m], yaw [rad]."""
+    if len(path) > 1:
+        points = np.column_stack([path[:, :2], np.full(len(path), 0.01)])
+        segments = np.stack([points[:-1], points[1:]], 1)
+        api.add_line_segments(name, segments, rgb(INK), thickness=0.016)
+
+
+def draw_importance(api: SceneApi, name: str, ranked: Importance) -> None:
+    """Draw the upright boxes, the stronger the more they matter, and the relations between them."""
+    graph = ranked.graph
+    score = np.array([ranked.score(n) for n in graph.names])
+    edges = box_edges(graph.upright)
+    pale, strong = np.array(rgb("#c3cad0"), float), np.array(rgb(SELECTED), float)
+    colors = pale + score[:, None] * (strong - pale)
+    api.add_line_segments(
+        f"{name}/boxes", edges.reshape(-1, 2, 3),
+        np.repeat(colors, 12, 0)[:, None].repeat(2, 1).astype(np.uint8), thickness=0.008,
+    )  # fmt: skip
+    centers = graph.upright.center
+    for index, kind in enumerate(RELATION_KINDS):
+        mine = graph.kind == index
+        if mine.any():
+            lines = np.stack([centers[graph.child[mine]], centers[graph.parent[mine]]], 1)
+            look = RELATIONS[kind]
+            api.add_line_segments(
+                f"{name}/{kind}", lines, rgb(look.color), thickness=0.006 * look.width
+            )
+
+
+def box_edges(boxes: Boxes) -> Float[np.ndarray, "b 12 2 3"]:
+    """The edges of boxes [m]."""
+    scaled = _CORNERS[None] * boxes.half[:, None]
+    corners = np.einsum("bij,bcj->bci", boxes.rotation, scaled) + boxes.center[:, None]
+    return corners[:, np.array(_EDGES)]
+
+
+def reach_slice(
+    robot: Robot, reach: ReachScorer, height: float, *, cell: float = 0.06, directions: int = 26
+) -> tuple[Float[np.ndarray, "n n"], float]:
+    """From how many directions the tool reaches places at a height, as shares.
+
+    Args:
+        robot: The robot.
+        reach: Its map.
+        height: Above the floor [m].
+        cell: Edge of a cell [m].
+        directions: How many approach directions are tried, spread over the sphere [-].
+
+    Returns:
+        Shares over a square around the base, in the base frame, and half its edge [m].
+    """
+    half = cell * np.ceil((robot.reach + 0.4) / cell)
+    axis = np.arange(-half + cell / 2, half, cell)
+    x, y = np.meshgrid(axis, axis)
+    points = np.stack([x.ravel(), y.ravel(), np.full(x.size, height)], -1)
+    rotations = _rotations(robot, directions)
+    Ts = np.tile(np.eye(4), (len(points), len(rotations), 1, 1))
+    Ts[..., :3, :3] = rotations
+    Ts[..., :3, 3] = points[:, None]
+    scores = reach.min_score(np.zeros((1, 3)), np.ascontiguousarray(Ts.reshape(-1, 1, 4, 4)))
+    share = (scores.reshape(len(points), len(rotations)) > 0).mean(1)
+    return share.reshape(x.shape), float(half)
+
+
+def _rotations(robot: Robot, count: int) -> Float[np.ndarray, "r 3 3"]:
+    """Tool axes whose approach points along directions spread evenly over the sphere."""
+    k = np.arange(count) + 0.5
+    polar, around = np.arccos(1 - 2 * k / count), np.pi * (1 + 5**0.5) * k
+    ahead = np.stack([np.cos(around) * np.sin(polar), np.sin(around) * np.sin(polar),
+                      np.cos(polar)], -1)  # fmt: skip
+    up = np.where(np.abs(ahead[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
+    side = np.cross(up, ahead)
+    side /= np.linalg.norm(side, axis=1, keepdims=True)
+    world = np.stack([ahead, side, np.cross(ahead, side)], -1)
+    tool = np.stack([robot.approach_axis, robot.closing_axis,
+                     np.cross(robot.approach_axis, robot.closing_axis)], -1)  # fmt: skip
+    return world @ tool.T
+
+
+def reach_pixels(share: Float[np.ndarray, "n n"]) -> UInt8[np.ndarray, "n n 4"]:
+    """A slice of the reachability as colors: the darker, the more directions."""
+    from matplotlib import colormaps
+
+    colors = colormaps["viridis"](0.97 - 0.89 * share)
+    colors[..., 3] = np.where(share > 0, 0.75, 0.0)
+    return (255 * colors).astype(np.uint8)
+
+
+def whole_floor(scene: Scene) -> Float[np.ndarray, "2 2"]:
+    """Lower and upper corner of the floor of a room [m]."""
+    if scene.floor_polygon is None:
+        return room_bounds(scene)
+    return np.stack([scene.floor_polygon.min(0), scene.floor_polygon.max(0)])

@@ -1,0 +1,391 @@
+"""The page: what all browsers see, and the work behind it.
+
+There is one state, and every browser shows it: what one changes the others see, and a reload shows
+where things stand. What is loaded and answered is changed by one thread, that of `work`; the base
+that is dragged, the layers and the files have threads of their own. In each the newest request
+wins, and draws what it finds itself.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from momapos.cache import Cache
+from momapos.errors import InputError
+from momapos.manipulation.tasks import in_front_of_parts
+from momapos.page.answer_layers import AnswerLayers
+from momapos.page.browsers import Browsers
+from momapos.page.extras import Extras
+from momapos.page.follow import Follow
+from momapos.page.panel import Panel, joint_ranges
+from momapos.page.playback import Player, Story
+from momapos.page.question import Machine, Opened, Question, ask, ask_at, load_machine, targets
+from momapos.page.robot_view import RobotView, home_values, joint_values
+from momapos.page.room_view import RoomView, viewpoint
+from momapos.page.state import Choice, Shown
+from momapos.page.words import answer_words, escaped
+from momapos.page.work import Latest
+from momapos.placement_result import PlacementResult
+from momapos.protocols import Clock
+from momapos.scene.files import load_scene
+from momapos.scene.scene import Scene
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+    from viser import ViserServer
+
+
+READY = "Press **Place**, or drag the base."
+
+
+class Page:
+    """One state for all browsers."""
+
+    def __init__(
+        self,
+        server: ViserServer,
+        *,
+        scenes: Sequence[str],
+        robots: Sequence[str],
+        scene: str,
+        robot: str,
+        cache: Cache,
+        folder: Path,
+        opened: Opened | None = None,
+    ) -> None:
+        """Build the page, and load the scene and the robot behind it.
+
+        Args:
+            server: Serves it.
+            scenes: Names or files of the scenes that may be chosen.
+            robots: Likewise of the robots.
+            scene: The one that is shown first.
+            robot: Likewise.
+            cache: Where geometry and maps are kept.
+            folder: Where files are saved.
+            opened: A plan that is shown first; its scene is among those that may be chosen.
+        """
+        self.server, self._cache, self.folder = server, cache, folder
+        self._start: tuple[float, float, float] | None = None
+        self._opened = opened
+        self.shown = Shown()
+        self.room = RoomView(server.scene, self._pick)
+        self.robot = RobotView(server.scene, dragged=lambda event: self.follow.dragged(event))
+        self.player = Player(self._show_moment)
+        self.panel = Panel(server.gui, self, scenes=scenes, robots=robots, scene=scene, robot=robot)
+        self._told = 0.0
+        self.extras = Extras(self)
+        self.layers = AnswerLayers(server.scene, self.panel, self.robot)
+        self.work = Latest("page work", self.fail)
+        self.follow = Follow(self)
+        self.browsers = Browsers(server, self._stop_if_busy)
+        if opened is None:
+            self.change()
+        else:
+            self._open(opened)
+
+    def close(self) -> None:
+        """End all work."""
+        self.browsers.close()
+        self.player.pause()
+        self.work.close()
+        self.follow.work.close()
+        self.layers.work.close()
+        self.extras.close()
+
+    # --------------------------------------------------------------------------- what is asked
+
+    @property
+    def choice(self) -> Choice:
+        """What the controls say."""
+        panel = self.panel
+        question = Question(
+            panel.verb.value, panel.target.value, panel.to.value, panel.method.value,
+            int(panel.seed.value), self._start,
+        )  # fmt: skip
+        return Choice(panel.scene.value, panel.robot.value, panel.arm.value, question)
+
+    def change(self) -> None:
+        """Something else is chosen: load and draw it; what runs is for nothing."""
+
+        def work(clock: Clock) -> None:
+            drawn = self.shown.question
+            _, _, question = self._update(clock)
+            if question == drawn and self.shown.answer is not None:
+                self.tell(answer_words(self.shown.answer))
+            elif question == drawn:
+                self.tell(READY)
+
+        self._request(work)
+
+    def _open(self, opened: Opened) -> None:
+        """Show a plan from a file."""
+        question = opened.question
+
+        def work(clock: Clock) -> None:
+            self.panel.verb.value = question.verb
+            self.panel.method.value, self.panel.seed.value = question.method, question.seed
+            self._update(clock)
+            self.panel.offer(self.panel.target, self.panel.target.options, question.target)
+            self.panel.to.value = question.to
+            self._start = question.start
+            _, machine, _ = self._update(clock)
+            self._take(opened.answer(), machine)
+
+        self._request(work)
+
+    def place(self) -> None:
+        """Answer the question."""
+
+        def work(clock: Clock) -> None:
+            scene, machine, question = self._update(clock)
+            self.tell("**Searching**")
+            answer = ask(scene, machine, question, clock, self._tell_stage)
+            self._take(answer, machine)
+
+        self._request(work)
+
+    def place_here(self) -> None:
+        """Answer how it is done from where the robot stands."""
+        base = self.robot.base.copy()
+
+        def work(clock: Clock) -> None:
+            scene, machine, question = self._update(clock)
+            robot = self.arm_of(machine)
+            self.tell("**Planning from here**")
+            self._take(
+                ask_at(scene, robot, machine.reach_of(robot.arm), question, base, clock), machine
+            )
+
+        self._request(work)
+
+    def stop(self) -> None:
+        """End what runs."""
+        self.work.stop()
+        self.follow.work.stop()
+        self.player.pause()
+        self.panel.result.content = "Stopped."
+
+    def start_here(self) -> None:
+        """The robot starts where it stands now."""
+        x, y, yaw = self.robot.base.tolist()
+        self._start = (x, y, yaw)
+        self.change()
+
+    def start_of_scene(self) -> None:
+        """The robot starts where the scene says."""
+        self._start = None
+        self.change()
+
+    def _request(self, work: Callable[[Clock], None]) -> None:
+        self.player.pause()
+        self.follow.work.stop()
+        self.panel.show_busy(True)
+
+        def then(clock: Clock) -> None:
+            try:
+                work(clock)
+            finally:
+                self.panel.show_busy(False)
+
+        self.work.put(then, stop_running=True)
+
+    def tell(self, words: str) -> None:
+        self.panel.result.content = words
+
+    def _tell_stage(self, stage: str) -> None:
+        now = time.perf_counter()
+        if now - self._told > 0.1:  # a search names its stages a thousand times a second
+            self._told = now
+            self.tell(f"**Searching**: {escaped(stage)}")
+
+    def fail(self, reason: str) -> None:
+        self.panel.result.content = f"**It cannot be done so.** {escaped(reason)}"
+
+    # ------------------------------------------------------------------------- what is loaded
+
+    def _update(self, clock: Clock) -> tuple[Scene, Machine, Question]:
+        """Load and draw what is chosen, where it is not shown already."""
+        choice, shown = self.choice, self.shown
+        fresh = shown.scene_name != choice.scene
+        if fresh:
+            self.tell(f"Loading {escaped(choice.scene)}.")
+            shown.scene, shown.scene_name = self._load(choice.scene), ""
+            self._start = None
+        scene = shown.scene
+        assert scene is not None
+        target = self.panel.offer(
+            self.panel.target, targets(scene, choice.question.verb), choice.question.target
+        )
+        clock()
+        name = (choice.robot, choice.arm)
+        if shown.machine_name != name:
+            self.tell(f"Loading {escaped(choice.robot)}.")
+            machine = self._machine(choice, clock)
+            shown.machine, shown.machine_name = machine, (choice.robot, self.panel.arm.value)
+            fresh = True
+        assert shown.machine is not None
+        question = Question(**{**vars(self.choice.question), "target": target})
+        if fresh or shown.question != question:
+            self._draw(scene, shown.machine, question, fresh=fresh)
+            shown.scene_name = choice.scene
+        return scene, shown.machine, question
+
+    def _load(self, name: str) -> Scene:
+        if self._opened is not None and name == self._opened.name:
+            return self._opened.scene
+        return load_scene(name, cache=self._cache)
+
+    def _machine(self, choice: Choice, clock: Clock) -> Machine:
+        """The robot that is chosen; of another robot than the last all arms are taken."""
+        other = self.shown.machine_name[0] != choice.robot
+        arm = "any" if other else choice.arm
+        machine = load_machine(choice.robot, arm, self._cache, clock, self.tell)
+        names = ("any", *machine.arms[0].arms)
+        self.panel.offer(self.panel.arm, names, arm)
+        self.panel.arm.disabled = len(names) == 1
+        return machine
+
+    def _draw(self, scene: Scene, machine: Machine, question: Question, *, fresh: bool) -> None:
+        """Draw what is asked, before there is an answer."""
+        shown, robot = self.shown, machine.arms[0]
+        shown.question, shown.answer, shown.story, shown.probe = question, None, None, None
+        shown.joints = {}
+        self.player.load(0.0)
+        self.panel.show_story(0.0)
+        self.panel.moment.content = "There is no motion yet."
+        name = question.target.partition("/")[0]
+        collision = bool(self.panel.layers["collision"].value)
+        if fresh and self.room.scene is not scene:
+            self._look_at(scene)
+        self.room.show(scene, name, collision=collision)
+        self.panel.show_joints(joint_ranges(scene, name))
+        if self.robot.robot is not robot or fresh:
+            self.robot.show(robot, self._begin(scene))
+        else:
+            self.robot.move(self._begin(scene), home_values(robot))
+        self.robot.verdict("")
+        self.layers.clear()
+        warnings = "".join(f"\n- {escaped(text)}" for text in scene.warnings)
+        self.tell(f"{READY}{warnings}")
+
+    def _begin(self, scene: Scene) -> Float[np.ndarray, "3"]:
+        """Where the robot is drawn before there is an answer."""
+        if self._start is not None:
+            return np.array(self._start)
+        if scene.start is not None:
+            return scene.start
+        return np.append(in_front_of_parts(scene), np.pi / 2)
+
+    def _look_at(self, scene: Scene) -> None:
+        """Turn the cameras to a room."""
+        eye, target = viewpoint(scene)
+        camera = self.server.initial_camera
+        camera.position, camera.look_at, camera.up = eye, target, np.array([0.0, 0.0, 1.0])
+        for client in self.server.get_clients().values():
+            client.camera.position, client.camera.look_at = eye, target
+
+    # ---------------------------------------------------------------------------- the answer
+
+    def arm_of(self, machine: Machine) -> Any:
+        """The arm that is drawn, which is the one that was last answered for."""
+        robot = self.robot.robot
+        return robot if robot in machine.arms else machine.arms[0]
+
+    def _take(self, answer: PlacementResult, machine: Machine) -> None:
+        """Draw an answer."""
+        shown, robot = self.shown, answer.prepared.robot
+        shown.answer = answer
+        if self.robot.robot is not robot:
+            self.robot.show(robot, self.robot.base)
+            shown.probe = None
+        plan = answer.plan
+        self.room.mark(())
+        words = answer_words(answer)
+        if plan.motion is not None and plan.base_pose is not None:
+            try:
+                shown.story = Story.of(plan, robot)
+            except InputError as error:
+                words += f"\n- no motion to show: {escaped(str(error))}"
+            self.robot.move(np.array(plan.base_pose), joint_values(robot, plan.motion.q[-1]))
+            if plan.task.joint is not None:
+                self.room.move({plan.task.joint: float(plan.motion.object_q[-1])})
+        shown_base = plan.base_pose or plan.feasible_from
+        if plan.motion is None and shown_base is not None:
+            self.robot.move(np.array(shown_base), home_values(robot))
+        self.robot.verdict("feasible" if plan.motion is not None else "infeasible")
+        duration = 0.0 if shown.story is None else shown.story.duration
+        self.player.load(duration)
+        self.player.now = duration
+        self.panel.show_story(duration)
+        assert shown.scene is not None
+        self.layers.show(shown.scene, answer, machine.reach_of(robot.arm))
+        self.tell(words)
+
+    def _show_moment(self, seconds: float, playing: bool) -> None:
+        story = self.shown.story
+        if story is None:
+            return
+        moment = story.at(seconds)
+        with self.server.atomic():
+            self.robot.move(moment.base, moment.joints)
+            self.room.move(moment.object_q)
+        now = time.perf_counter()
+        tell = not playing or now - self._told > 0.2
+        if tell:
+            self._told = now
+        self.panel.show_moment(seconds, moment.words, playing=playing, slider=tell)
+
+    def toggle_play(self) -> None:
+        """Play the motion, or pause it."""
+        if self.player.playing:
+            self.player.pause()
+            self._show_moment(self.player.now, False)
+        elif self.shown.story is not None:
+            self.room.mark(())
+            self.robot.verdict("feasible")
+            self.player.play()
+
+    def seek(self, seconds: float) -> None:
+        """Show the motion at a time [s]."""
+        self.player.seek(seconds)
+
+    def set_speed(self, speed: float) -> None:
+        """How many times faster than in truth it plays [-]."""
+        self.player.speed = speed
+
+    def change_look(self) -> None:
+        """Things are drawn as what is checked, or as what they look like."""
+        if self.room.scene is not None and self.shown.question is not None:
+            name = self.shown.question.target.partition("/")[0]
+            collision = bool(self.panel.layers["collision"].value)
+            self.room.show(self.room.scene, name, collision=collision)
+
+    def move_joint(self, joint: str, value: float) -> None:
+        """Move a joint of the object by hand [rad] or [m]."""
+        self.player.pause()
+        self.shown.joints[joint] = value
+        self.room.move(self.shown.joints)
+
+    # -------------------------------------------------------------------- clicks and browsers
+
+    def _pick(self, name: str) -> None:
+        """An object is clicked: ask about it."""
+        scene = self.shown.scene
+        if scene is None:
+            return
+        options = targets(scene, self.panel.verb.value)
+        own = [option for option in options if option.partition("/")[0] == name]
+        if own and self.panel.target.value not in own:
+            self.panel.target.value = own[0]
+            self.change()
+
+    def _stop_if_busy(self) -> None:
+        """Nobody looks any more."""
+        if self.work.busy or self.follow.work.busy or self.player.playing:
+            self.stop()

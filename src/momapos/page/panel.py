@@ -1,0 +1,212 @@
+"""The controls beside the picture. They hold no state but what a person has set."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from momapos.page.playback import SPEEDS
+from momapos.page.question import METHODS, VERBS
+from momapos.scene.scene import Scene
+
+if TYPE_CHECKING:
+    from viser import GuiApi
+
+    from momapos.page.page import Page
+
+LAYERS = {
+    "importance": "Importance, graph", "reach": "Arm's reach", "free": "Free area",
+    "potential": "Potential", "opening": "Opening map", "candidates": "Candidates",
+    "waypoints": "Waypoints, grasps", "way": "Start and path", "spheres": "Collision spheres",
+    "collision": "Collision shapes",
+}  # fmt: skip
+"""Layers in the order of the stages, and what they are called."""
+SHOWN = ("way", "waypoints")
+"""Those that are seen at first."""
+
+
+@dataclass(frozen=True)
+class JointRange:
+    """A joint of the object that may be moved."""
+
+    name: str
+    low: float
+    high: float
+    """[rad] or [m]"""
+    value: float
+
+
+WIDEST = {"revolute": math.pi, "continuous": math.pi, "prismatic": 1.0}
+"""Joints without limits are offered from minus to plus this [rad] or [m]."""
+
+
+def joint_ranges(scene: Scene, name: str) -> tuple[JointRange, ...]:
+    """The joints of an object that may be moved by hand; none where there is no such object."""
+    found = []
+    for item in (one for one in scene.objects if one.name == name):
+        values = item.values()
+        for joint in item.model.joints.values():
+            wide = WIDEST[joint.kind]
+            low, high = max(joint.lower, -wide), min(joint.upper, wide)
+            if joint.mimic is None and high - low > 1e-6:
+                value = min(max(values[joint.name], low), high)
+                found.append(JointRange(joint.name, low, high, value))
+    return tuple(found)
+
+
+class Panel:
+    """Builds the controls, and tells the page what was done with them."""
+
+    def __init__(
+        self,
+        gui: GuiApi,
+        page: Page,
+        *,
+        scenes: Sequence[str],
+        robots: Sequence[str],
+        scene: str,
+        robot: str,
+    ) -> None:
+        self._gui, self._page = gui, page
+        tabs = gui.add_tab_group()
+        with tabs.add_tab("Task"):
+            self._task(scenes, robots, scene, robot)
+        with tabs.add_tab("Motion"):
+            self._motion()
+        with tabs.add_tab("Layers"):
+            self._layers()
+        with tabs.add_tab("Files"):
+            self._files()
+        self._keys()
+
+    def _task(self, scenes: Sequence[str], robots: Sequence[str], scene: str, robot: str) -> None:
+        gui, page = self._gui, self._page
+        self.scene = gui.add_dropdown("Scene", tuple(scenes), initial_value=scene)
+        self.robot = gui.add_dropdown("Robot", tuple(robots), initial_value=robot)
+        self.arm = gui.add_dropdown("Arm", ("any",), disabled=True)
+        self.verb = gui.add_dropdown("Task", VERBS)
+        self.target = gui.add_dropdown("Object", ("-",))
+        self.to = gui.add_text("How far", "", hint="60deg, 0.3m or max; empty: 90deg, or the slide")
+        with gui.add_folder("More", expand_by_default=False):
+            self.method = gui.add_dropdown("Method", METHODS)
+            self.seed = gui.add_number("Seed", 0, min=0, max=2**31 - 1, step=1)
+            self._button("Start where the robot stands", page.start_here)
+            self._button("Start of the scene", page.start_of_scene)
+        self.place = self._button("Place", page.place, color="blue", hint="Key P")
+        self.place_here = self._button("Plan from where it stands", page.place_here)
+        self.stop = self._button("Stop", page.stop, hint="Key X", disabled=True)
+        self.result = gui.add_markdown("Loading.")
+        with gui.add_folder("Compare", expand_by_default=False):
+            self._button("Keep this answer", lambda: page.extras.keep())
+            self._button("Forget what was kept", lambda: page.extras.forget())
+            self.kept = gui.add_markdown("Nothing is kept.")
+        for handle in (self.scene, self.robot, self.arm, self.verb, self.target, self.to,
+                       self.method, self.seed):  # fmt: skip
+            self._listen(handle, page.change)
+
+    def _motion(self) -> None:
+        gui, page = self._gui, self._page
+        self.play = self._button("Play", page.toggle_play, hint="Space", disabled=True)
+        self.time = gui.add_slider("Time [s]", min=0.0, max=1.0, step=0.01, initial_value=0.0,
+                                   disabled=True)  # fmt: skip
+        self._listen(self.time, lambda: page.seek(float(self.time.value)))
+        self.speed = gui.add_dropdown("Speed", SPEEDS, initial_value="1")
+        self._listen(self.speed, lambda: page.set_speed(float(self.speed.value)))
+        self.moment = gui.add_markdown("There is no motion yet.")
+        self.joints_folder = gui.add_folder("Joints of the object")
+        self._joints: list[Any] = []
+
+    def _layers(self) -> None:
+        gui, page = self._gui, self._page
+        self.layers = {key: gui.add_checkbox(words, key in SHOWN) for key, words in LAYERS.items()}
+        self.height = gui.add_slider("Height of reach [m]", min=0.0, max=2.0, step=0.05,
+                                     initial_value=0.9)  # fmt: skip
+        for handle in self.layers.values():
+            self._listen(handle, lambda: page.layers.changed())
+        self._listen(self.layers["collision"], page.change_look)
+        self._listen(self.height, lambda: page.layers.height_changed())
+        self.legend = gui.add_html("")
+        self.clicked = gui.add_markdown("Click a candidate: why it was refused.")
+
+    def _files(self) -> None:
+        gui, page = self._gui, self._page
+        self.plan_name = gui.add_text("Plan", "plan.json")
+        self._button("Save the plan", lambda: page.extras.save_plan(self.plan_name.value))
+        self.scene_name = gui.add_text("Scene", "scene.json")
+        self._button("Save the scene", lambda: page.extras.save_scene(self.scene_name.value))
+        picture = gui.add_button("Picture (PNG)")
+        picture.on_click(lambda event: page.extras.picture(event.client))
+        film = gui.add_button("Film of the plan (GIF)")
+        film.on_click(lambda event: page.extras.film(event.client))
+        self.files = gui.add_markdown("Files go into the folder where the page was started.")
+
+    def _keys(self) -> None:
+        page = self._page
+        keys: Mapping[str, tuple[Any, Callable[[], None]]] = {
+            "Place": ("P", page.place), "Stop": ("X", page.stop),
+            "Play": ("space", page.toggle_play),
+        }  # fmt: skip
+        for label, (key, action) in keys.items():
+            command = self._gui.add_command(label, hotkey=key)
+            command.on_trigger(lambda _, action=action: action())
+
+    def _button(
+        self, label: str, action: Callable[[], None], *, color: Any = None, hint: str | None = None,
+        disabled: bool = False,
+    ) -> Any:  # fmt: skip
+        button = self._gui.add_button(label, color=color, hint=hint, disabled=disabled)
+        button.on_click(lambda _: action())
+        return button
+
+    def _listen(self, handle: Any, action: Callable[[], None]) -> None:
+        """Call an action when a person changes a control; not when the page itself does."""
+        handle.on_update(lambda event: action() if event.client is not None else None)
+
+    # ---------------------------------------------------------------------------- what is shown
+
+    def offer(self, handle: Any, options: Sequence[str], value: str) -> str:
+        """Offer other choices; the one that is chosen then is the one named, where it is there."""
+        given = tuple(options) or ("-",)
+        if handle.options != given:
+            handle.options = given
+        chosen = value if value in given else given[0]
+        if handle.value != chosen:
+            handle.value = chosen
+        return chosen
+
+    def show_joints(self, joints: Sequence[JointRange]) -> None:
+        """A slider for each joint of the object."""
+        for handle in self._joints:
+            handle.remove()
+        self._joints = []
+        with self.joints_folder:
+            for joint in joints:
+                slider = self._gui.add_slider(
+                    joint.name, min=joint.low, max=joint.high, initial_value=joint.value,
+                    step=(joint.high - joint.low) / 200,
+                )  # fmt: skip
+                self._listen(slider, self._mover(joint.name, slider))
+                self._joints.append(slider)
+
+    def _mover(self, joint: str, slider: Any) -> Callable[[], None]:
+        return lambda: self._page.move_joint(joint, float(slider.value))
+
+    def show_busy(self, busy: bool) -> None:
+        """Whether there is anything to stop."""
+        self.stop.disabled = not busy
+
+    def show_story(self, duration: float) -> None:
+        """How long the motion takes [s]; 0 where there is none."""
+        self.play.disabled = self.time.disabled = duration <= 0
+        self.time.value = 0.0
+        if duration > 0:
+            self.time.max = duration
+
+    def show_moment(self, seconds: float, words: str, *, playing: bool, slider: bool) -> None:
+        """Where the motion stands."""
+        self.play.label = "Pause" if playing else "Play"
+        if slider:
+            self.time.value = min(round(seconds, 2), float(self.time.max))
+            self.moment.content = f"{seconds:.1f} s: {words}"

@@ -1,0 +1,140 @@
+"""A plan over time: what is where at each moment, and playing it."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from momapos.export.phases import PhaseKind, Samples, phases_of, samples_of
+from momapos.page.robot_view import joint_values
+from momapos.robots.robot import Robot
+from momapos.types import PlacementPlan, Task
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+RATE = 25.0
+"""Pictures a second while it plays [1/s]."""
+SPEEDS = ("0.5", "1", "2", "4", "8")
+WORDS = {
+    PhaseKind.DRIVE: "drive", PhaseKind.ARM: "move the arm", PhaseKind.CLOSE: "close the gripper",
+    PhaseKind.OPEN: "open the gripper",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Moment:
+    """Where everything is."""
+
+    base: Float[np.ndarray, "3"]
+    """x [m], y [m], yaw [rad]."""
+    joints: dict[str, float]
+    """Values of the arm's joints [rad] or [m]."""
+    object_q: dict[str, float]
+    """Value of the joint that the task moves [rad] or [m]; empty where it moves none."""
+    words: str
+    """What is being done."""
+
+
+@dataclass(frozen=True)
+class Story:
+    """A plan as moments; for people, who need neither a controller's rate nor its speeds."""
+
+    robot: Robot
+    task: Task
+    samples: Samples
+    kinds: tuple[PhaseKind, ...]
+
+    @classmethod
+    def of(cls, plan: PlacementPlan, robot: Robot) -> Story:
+        """The story of a solved plan.
+
+        Raises:
+            InputError: The plan is not solved, or no trajectory keeps the robot's limits.
+        """
+        phases = phases_of(plan, robot, step=1.0 / RATE)
+        return cls(robot, plan.task, samples_of(phases), tuple(phase.kind for phase in phases))
+
+    @property
+    def duration(self) -> float:
+        """[s]"""
+        return float(self.samples.times[-1])
+
+    def at(self, seconds: float) -> Moment:
+        """The moment nearest to a time [s]; the first and the last hold before and after."""
+        times = self.samples.times
+        i = int(np.clip(np.searchsorted(times, seconds, side="right") - 1, 0, len(times) - 1))
+        joint = self.task.joint
+        return Moment(
+            self.samples.base[i],
+            joint_values(self.robot, self.samples.positions[i]),
+            {} if joint is None else {joint: float(self.samples.object_q[i])},
+            WORDS[self.kinds[int(self.samples.phase[i])]],
+        )
+
+
+class Player:
+    """Plays a story: its thread runs only while it plays."""
+
+    def __init__(self, show: Callable[[float, bool], None]) -> None:
+        """Play nothing yet.
+
+        Args:
+            show: Is told the time in the story [s], and whether it goes on.
+        """
+        self._show = show
+        self._lock = threading.Lock()
+        self._playing: threading.Event | None = None
+        """Set to end the thread that plays."""
+        self.duration, self.speed, self.now = 0.0, 1.0, 0.0
+
+    @property
+    def playing(self) -> bool:
+        """Whether it plays now."""
+        return self._playing is not None
+
+    def load(self, duration: float) -> None:
+        """Take another story, and stand at its beginning.
+
+        Args:
+            duration: How long it takes [s]; 0 where there is none.
+        """
+        self.pause()
+        self.duration, self.now = duration, 0.0
+
+    def play(self) -> None:
+        """Play from where it stands, or from the beginning where it stands at the end."""
+        with self._lock:
+            if self._playing is not None or self.duration <= 0:
+                return
+            if self.now >= self.duration - 1e-6:
+                self.now = 0.0
+            ended = self._playing = threading.Event()
+        threading.Thread(target=self._run, args=(ended,), name="page play", daemon=True).start()
+
+    def pause(self) -> None:
+        """Stand still."""
+        with self._lock:
+            if self._playing is not None:
+                self._playing.set()
+                self._playing = None
+
+    def seek(self, seconds: float) -> None:
+        """Go to a time in the story [s], and show it."""
+        self.now = min(max(seconds, 0.0), self.duration)
+        self._show(self.now, self.playing)
+
+    def _run(self, ended: threading.Event) -> None:
+        before = time.perf_counter()
+        while not ended.wait(1.0 / RATE):
+            after = time.perf_counter()
+            self.now = min(self.now + self.speed * (after - before), self.duration)
+            before = after
+            if self.now >= self.duration:
+                self.pause()
+            self._show(self.now, self.playing)

@@ -1,0 +1,197 @@
+"""One base pose after the other: is it feasible, how far does the part go, what is in the way?
+
+`check_base_pose` answers the same to a degree and makes everything ready each time. Here the room,
+the robot and the task are made ready once for each of a few values of the joint, a waypoint apart,
+so that the answer follows a hand that drags the base.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from momapos.base_pose import in_one_hold
+from momapos.config import PipelineConfig
+from momapos.farthest import last_that_works
+from momapos.kinematics.collision import FREE
+from momapos.manipulation.tasks import slides
+from momapos.opening_map import waypoint_values
+from momapos.outcomes import PoseOutcome, PoseStatus
+from momapos.placement.area import BaseStatus, base_pose_status
+from momapos.placement.place import BASE_OUTCOMES
+from momapos.prepare import PreparedTask, prepare
+from momapos.protocols import Clock, ReachScorer
+from momapos.query import PlacementQuery
+from momapos.robots.robot import Robot
+from momapos.scene.scene import Scene
+from momapos.stopwatch import Stopwatch
+from momapos.types import Attempt, Motion, Task
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+DEFAULT = PipelineConfig()
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What came of a base pose."""
+
+    base: Float[np.ndarray, "3"]
+    """x [m], y [m], yaw [rad]."""
+    outcome: PoseOutcome
+    """Of the value that the task asks for."""
+    in_the_way: tuple[str, ...]
+    """What is hit, as "object/link"; empty where nothing is."""
+    value: float | None
+    """The farthest of the values a waypoint apart that works [rad] or [m]; None where none does,
+    and for rigid objects."""
+    motion: Motion | None
+    """To that value, or of a rigid object; None where none works."""
+    sure: bool
+    """Whether all ways of holding were tried; else the time ended before."""
+
+    @property
+    def feasible(self) -> bool:
+        """Whether the task can be done from there."""
+        return self.outcome.status is PoseStatus.FEASIBLE
+
+
+@dataclass(frozen=True)
+class Probe:
+    """One task in one room with one robot, made ready to be asked about many base poses."""
+
+    scene: Scene
+    robot: Robot
+    task: Task
+    reach: ReachScorer
+    config: PipelineConfig = DEFAULT
+    seed: int = 0
+    _ready: dict[float | None, PreparedTask] = field(default_factory=dict, repr=False)
+
+    @property
+    def values(self) -> tuple[float | None, ...]:
+        """Values of the joint a waypoint apart, the task's last; one None for a rigid object."""
+        if self.task.joint is None:
+            return (None,)
+        return tuple(waypoint_values(self.scene, self.task, self.config).tolist())
+
+    @property
+    def slides(self) -> bool:
+        """Whether the part slides [m]; it turns otherwise [rad]."""
+        return slides(self.scene, self.task)
+
+    def make_ready(self, clock: Clock, report: Callable[[float], None] = lambda _: None) -> None:
+        """Make all values ready, so that the first question is as quick as the others.
+
+        Args:
+            clock: Looked at before each value; what it raises ends the work.
+            report: Is told the share that is done, in [0, 1].
+        """
+        for done, value in enumerate(self.values[::-1]):
+            clock()
+            report(done / len(self.values))
+            self._prepared(value)
+
+    def at(
+        self, base: Float[np.ndarray, "3"], clock: Clock, *, within: float = math.inf
+    ) -> Finding:
+        """Ask about one base pose.
+
+        Args:
+            base: x [m], y [m], yaw [rad].
+            clock: Looked at between the steps of the work; what it raises ends it.
+            within: No further way of holding is tried after this time [s].
+
+        Raises:
+            TaskError: The gripper cannot hold the object.
+        """
+        base, ends, cut = np.asarray(base, float), clock() + within, []
+
+        def out_of_time() -> bool:
+            if clock() <= ends:
+                return False
+            cut.append(True)
+            return True
+
+        values = self.values
+        best, hit = self._attempt(values[-1], base, clock, out_of_time)
+        outcome = best.outcome
+        if best.motion is not None:
+            return Finding(base, outcome, (), values[-1], best.motion, sure=True)
+
+        def ask(index: int) -> Attempt | None:
+            found, _ = self._attempt(values[index], base, clock, out_of_time)
+            return None if found.motion is None else found
+
+        if len(values) == 1 or (first := ask(0)) is None:
+            return Finding(base, outcome, hit, None, None, sure=not cut)
+        at, farther = last_that_works(ask, 0, len(values) - 1)
+        motion = (farther or first).motion
+        return Finding(base, outcome, hit, values[at], motion, sure=not cut)
+
+    def _prepared(self, value: float | None) -> PreparedTask:
+        if value not in self._ready:
+            task = replace(self.task, to=value, farthest=False)
+            ready = prepare(self.scene, self.robot, task, self.config, clearance=0.0)
+            # What is made when it is first asked for is made now.
+            _ = ready.infeasible_reason
+            self._ready[value] = ready
+        return self._ready[value]
+
+    def _attempt(
+        self,
+        value: float | None,
+        base: Float[np.ndarray, "3"],
+        clock: Clock,
+        out_of_time: Callable[[], bool],
+    ) -> tuple[Attempt, tuple[str, ...]]:
+        """Check a base pose for one value; what is hit comes with it."""
+        clock()
+        ready = self._prepared(value)
+        if ready.infeasible_reason:
+            reason = ready.infeasible_reason
+            return _refused(PoseOutcome(PoseStatus.TASK_INFEASIBLE, reason), ready, reason)
+        status, box = base_pose_status(ready.geometry, base[None])
+        if BaseStatus(status[0]) != BaseStatus.CLEAR:
+            outcome = BASE_OUTCOMES[BaseStatus(status[0])]
+            return Attempt(None, outcome), _blocking(ready, int(box[0]))
+        query = PlacementQuery(
+            self.scene, self.robot, ready.task, self.reach, None, None, self.config, self.seed,
+            Stopwatch(clock),
+        )  # fmt: skip
+        found = in_one_hold(query, ready, base, out_of_time=out_of_time)
+        if found.motion is not None:
+            return found, ()
+        return _refused(found.outcome, ready, found.outcome.detail)
+
+
+def _refused(
+    outcome: PoseOutcome, ready: PreparedTask, words: str
+) -> tuple[Attempt, tuple[str, ...]]:
+    """An attempt without a motion, and what its words name."""
+    return Attempt(None, outcome), named_in(words, tuple(dict.fromkeys(ready.motion.labels)))
+
+
+def _blocking(ready: PreparedTask, box: int) -> tuple[str, ...]:
+    """The name of the box that a base stands in: standing boxes first, then the part's."""
+    if box == FREE:
+        return ()
+    labels, standing = ready.motion.labels, len(ready.motion.static)
+    moving = len(labels) - standing
+    return (labels[box if box < standing else standing + (box - standing) % moving],)
+
+
+def named_in(words: str, labels: tuple[str, ...]) -> tuple[str, ...]:
+    """The labels "object/link" that a reason names, the longest first where one begins another."""
+    found: list[str] = []
+    for label in sorted(labels, key=len, reverse=True):
+        at = words.find(label)
+        if at >= 0:
+            found.append(label)
+            words = f"{words[:at]} {words[at + len(label) :]}"
+    return tuple(found)

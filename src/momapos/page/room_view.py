@@ -1,0 +1,255 @@
+"""The room on the page: floor, walls that hide nothing, furniture whose doors move."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from viser.transforms import SO3
+
+from momapos.geometry.polygons import signed_area
+from momapos.manipulation.tasks import in_front_of_parts
+from momapos.page.bodies import Surface, facing, joined, looks, standing
+from momapos.scene.scene import Scene, SceneObject
+from momapos.viewer.palette import (
+    BAD,
+    FLOOR,
+    FURNITURE,
+    FURNITURE_EDGE,
+    PART,
+    TARGET,
+    TARGET_EDGE,
+    WALL,
+)
+from momapos.viewer.room import room_bounds
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+    from viser import SceneApi
+
+ROOT = "/room"
+BEYOND = 1.0
+"""The floor of a room without an outline goes on for so long beyond its things [m]."""
+SMALL_THING = 0.02
+"""Things of less than this are set off by their color: cups, fruit [m^3]."""
+THING = "#c8b28a"
+SWELL = 0.004
+"""What is marked is drawn so much larger than it is [m]."""
+
+Color = tuple[int, int, int]
+
+
+def rgb(color: str) -> Color:
+    """A color "#rrggbb" as three numbers up to 255."""
+    return int(color[1:3], 16), int(color[3:5], 16), int(color[5:7], 16)
+
+
+def place(handle: Any, T: Float[np.ndarray, "4 4"]) -> None:
+    """Put a node where a transform says."""
+    handle.position = T[:3, 3]
+    handle.wxyz = SO3.from_matrix(T[:3, :3]).wxyz
+
+
+def swollen(surface: Surface, by: float) -> Surface:
+    """A surface moved outwards, away from its middle [m]."""
+    low, high = surface.vertices.min(0), surface.vertices.max(0)
+    grown = (high - low + 2 * by) / np.maximum(high - low, 1e-6)
+    middle = (low + high) / 2
+    return Surface(middle + (surface.vertices - middle) * grown, surface.faces)
+
+
+class RoomView:
+    """Draws a scene; of what does not change nothing is sent again."""
+
+    def __init__(self, api: SceneApi, picked: Callable[[str], None] | None = None) -> None:
+        """Draw nothing yet.
+
+        Args:
+            api: Where to draw.
+            picked: Is told the name of an object that is clicked.
+        """
+        self._api, self._picked = api, picked
+        self._nodes: dict[str, list[Any]] = {}
+        self._links: dict[str, Any] = {}
+        self._marks: list[Any] = []
+        self._active = ""
+        self._collision = False
+        self.scene: Scene | None = None
+
+    def show(self, scene: Scene, active: str = "", *, collision: bool = False) -> None:
+        """Draw a scene instead of the last.
+
+        Args:
+            scene: The room.
+            active: The object whose parts may move; it is set off by its color.
+            collision: Whether to draw the hulls that are checked instead of what things look like.
+        """
+        same = self.scene is scene and self._collision == collision
+        if same and self._active == active:
+            return
+        changed = {self._active, active} if same else {o.name for o in scene.objects}
+        if not same:
+            self._clear()
+            self._draw_floor(scene)
+        self._links = {}
+        self.scene, self._active, self._collision = scene, active, collision
+        self.mark(())
+        for index, item in enumerate(scene.objects):
+            if item.name in changed:
+                self._draw(index, item)
+
+    def move(self, values: Mapping[str, float]) -> None:
+        """Move joints of the active object [rad] or [m]; all others are as the scene has them."""
+        if self.scene is None or not self._active:
+            return
+        poses = self.scene.object(self._active).link_poses(values)
+        for key, handle in self._links.items():
+            place(handle, poses[key.rpartition("|")[0]])
+
+    def mark(self, labels: Collection[str], color: str = BAD) -> None:
+        """Mark what labels "object/link" name, and nothing else."""
+        for node in self._marks:
+            node.remove()
+        self._marks = []
+        if self.scene is None:
+            return
+        for name, _, link in (label.partition("/") for label in labels):
+            item = next((o for o in self.scene.objects if o.name == name), None)
+            if item is None:
+                continue
+            poses = item.link_poses()
+            wanted = [
+                joined((look.body, look.handle)).moved(poses[look.link])
+                for look in looks(item.model, collision=True)
+                if look.link == link or link not in poses
+            ]
+            for surface in wanted:
+                self._marks.append(self._mesh(
+                    f"{ROOT}/mark{len(self._marks)}", swollen(surface, SWELL), color, opacity=0.75
+                ))  # fmt: skip
+
+    # ------------------------------------------------------------------------------------ parts
+
+    def _clear(self) -> None:
+        for nodes in self._nodes.values():
+            for node in nodes:
+                node.remove()
+        self._nodes, self._links = {}, {}
+
+    def _draw_floor(self, scene: Scene) -> None:
+        polygon = scene.floor_polygon
+        if polygon is None:
+            low, high = room_bounds(scene) + np.array([[-BEYOND], [BEYOND]])
+            polygon = np.array([low, [high[0], low[1]], high, [low[0], high[1]]])
+        corners = np.column_stack([polygon, np.full(len(polygon), -0.002)])
+        floor = self._mesh(f"{ROOT}/floor", Surface(corners, triangulated(polygon)), FLOOR)
+        self._nodes[" floor"] = [floor]
+
+    def _draw(self, index: int, item: SceneObject) -> None:
+        for node in self._nodes.pop(item.name, []):
+            node.remove()
+        color, dark = _colors(item, active=item.name == self._active)
+        root, nodes = f"{ROOT}/o{index}", []
+        if item.name == self._active and item.model.joints:
+            poses = item.link_poses()
+            for k, look in enumerate(looks(item.model, collision=self._collision)):
+                for part, surface, own in (("body", look.body, color), ("h", look.handle, dark)):
+                    if len(surface.faces):
+                        moves = look.link in _moving(item)
+                        node = self._mesh(f"{root}/l{k}{part}", surface,
+                                          PART if moves and part == "body" else own)  # fmt: skip
+                        place(node, poses[look.link])
+                        self._links[f"{look.link}|{part}"] = node
+                        nodes.append(node)
+        else:
+            body = standing(item, lambda look: look.body, collision=self._collision)
+            handles = standing(item, lambda look: look.handle, collision=self._collision)
+            if item.category == "wall" and self.scene is not None:
+                middle = room_bounds(self.scene).mean(0)
+                body = facing(body, np.append(middle, 1.0))
+            for part, surface, own in (("body", body, color), ("h", handles, dark)):
+                if len(surface.faces):
+                    nodes.append(self._mesh(f"{root}/{part}", surface, own))
+        for node in nodes:
+            self._listen(node, item.name)
+        self._nodes[item.name] = nodes
+
+    def _listen(self, node: Any, name: str) -> None:
+        picked = self._picked
+        if picked is not None:
+            node.on_click(lambda _: picked(name))
+
+    def _mesh(
+        self, name: str, surface: Surface, color: str, *, opacity: float | None = None
+    ) -> Any:
+        return self._api.add_mesh_simple(
+            name, surface.vertices.astype(np.float32), surface.faces.astype(np.uint32),
+            color=rgb(color), flat_shading=True, opacity=opacity, cast_shadow=opacity is None,
+        )  # fmt: skip
+
+
+def _moving(item: SceneObject) -> set[str]:
+    return {link for joint in item.model.joints for link in item.model.moved_by(joint)}
+
+
+def _colors(item: SceneObject, *, active: bool) -> tuple[str, str]:
+    """Of the body of an object, and of its handles."""
+    if active:
+        return TARGET, TARGET_EDGE
+    if item.category == "wall":
+        return WALL, WALL
+    small = np.prod(np.ptp(item.bounds, axis=0)) < SMALL_THING
+    return (THING if small else FURNITURE), FURNITURE_EDGE
+
+
+def triangulated(polygon: Float[np.ndarray, "k 2"]) -> np.ndarray:
+    """Triangles of a simple polygon, counterclockwise, by cutting ears off."""
+    left, triangles = list(range(len(polygon))), []
+    if signed_area(polygon) < 0:
+        left.reverse()
+    while len(left) > 3:
+        for k in range(len(left)):
+            i, j, m = left[k - 1], left[k], left[(k + 1) % len(left)]
+            a, b, c = polygon[i], polygon[j], polygon[m]
+            others = polygon[[n for n in left if n not in (i, j, m)]]
+            if _turn(a, b, c) > 0 and not _inside(others, a, b, c).any():
+                triangles.append((i, j, m))
+                left.pop(k)
+                break
+        else:  # nothing can be cut off: corners in one line
+            break
+    triangles.append((left[0], left[1], left[2]))
+    return np.array(triangles)
+
+
+def _turn(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> Any:
+    return (b[..., 0] - a[..., 0]) * (c[..., 1] - a[..., 1]) - (b[..., 1] - a[..., 1]) * (
+        c[..., 0] - a[..., 0]
+    )
+
+
+def _inside(points: np.ndarray, a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
+    inside = np.ones(len(points), bool)
+    for p, q in ((a, b), (b, c), (c, a)):
+        inside &= np.asarray(_turn(p, q, points)) >= 0
+    return inside
+
+
+def viewpoint(scene: Scene) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+    """Where to look from at first, and at what: from the side to which doors open [m]."""
+    low, high = room_bounds(scene)
+    size = float(np.linalg.norm(high - low))
+    movable = [o.bounds.mean(0)[:2] for o in scene.objects if o.model.joints]
+    middle = (low + high) / 2
+    ahead = np.array([0.4, -1.0])
+    if movable:
+        front = in_front_of_parts(scene) - np.mean(movable, axis=0)
+        if np.linalg.norm(front) > 0.1:
+            ahead = front / np.linalg.norm(front) + 0.35 * np.array([-front[1], front[0]])
+    ahead /= np.linalg.norm(ahead)
+    eye = np.append(0.6 * ahead, 0.48) * size
+    # The controls are at the right; the room is in the middle of what they leave.
+    aside = 0.1 * size * np.array([-ahead[1], ahead[0], 0.0])
+    target = np.append(middle, 0.5) + aside
+    return target + eye, target

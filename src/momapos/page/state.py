@@ -1,0 +1,37 @@
+"""What is chosen on the page, and what is shown on it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from momapos.page.playback import Story
+from momapos.page.probe import Probe
+from momapos.page.question import Machine, Question
+from momapos.placement_result import PlacementResult
+from momapos.scene.scene import Scene
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What is chosen on the page."""
+
+    scene: str
+    robot: str
+    arm: str
+    question: Question
+
+
+@dataclass
+class Shown:
+    """What is loaded and drawn; only the thread that answers changes it."""
+
+    scene_name: str = ""
+    scene: Scene | None = None
+    machine_name: tuple[str, str] = ("", "")
+    machine: Machine | None = None
+    question: Question | None = None
+    answer: PlacementResult | None = None
+    story: Story | None = None
+    probe: Probe | None = None
+    joints: dict[str, float] = field(default_factory=dict)
+    """Joints of the object that were moved by hand [rad] or [m]."""

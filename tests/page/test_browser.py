@@ -1,0 +1,184 @@
+"""The page in a real Chromium: ask, drag, play, reload, look with two."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from playwright.sync_api import Browser, ConsoleMessage, sync_playwright
+from playwright.sync_api import Page as Tab
+from tests import optional
+from viser.transforms import SO3
+
+from momapos.cache import user_cache
+from momapos.page.page import Page
+from momapos.page.playback import Story
+from momapos.page.serve import served
+from momapos.page.static import write_page
+
+pytestmark = optional.needs("Chromium", optional.chromium() is not None)
+LONG = 60_000.0
+"""Nothing on the page takes so long [ms]; a software renderer draws few pictures a second."""
+SIZE = {"width": 820, "height": 520}
+SMALL = {"width": 620, "height": 240}
+"""Of a window in which only the controls are used: a software renderer's time goes by pixels."""
+FLAGS = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
+         "--no-sandbox"]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with sync_playwright() as playwright:
+        chromium = playwright.chromium.launch(executable_path=optional.chromium(), args=FLAGS)
+        yield chromium
+        chromium.close()
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Page, str]]:
+    with served(
+        host="127.0.0.1", port=0, scenes=("kitchen_small",), robots=("segway_ur5e",),
+        scene="kitchen_small", robot="segway_ur5e", cache=user_cache(),
+        folder=tmp_path_factory.mktemp("files"),
+    ) as (page, address):  # fmt: skip
+        # Shadows take most of a software renderer's time.
+        page.server.scene.configure_default_lights(cast_shadow=False)
+        yield page, address
+
+
+@pytest.fixture
+def complaints() -> list[str]:
+    return []
+
+
+@pytest.fixture
+def opened(browser: Browser, complaints: list[str]) -> Iterator[Callable[[str], Tab]]:
+    """Opens a tab; what its console complains about is remembered."""
+    tabs: list[Tab] = []
+
+    def heard(message: ConsoleMessage) -> None:
+        if message.type == "error":
+            complaints.append(message.text)
+
+    def open_tab(address: str) -> Tab:
+        tab = browser.new_page(viewport=SMALL)  # type: ignore[arg-type]
+        tab.on("console", heard)
+        tab.on("pageerror", lambda error: complaints.append(str(error)))
+        tab.goto(address)
+        tabs.append(tab)
+        return tab
+
+    yield open_tab
+    for tab in tabs:
+        tab.close()
+
+
+def until(true: Callable[[], bool], most: float = LONG / 1000) -> bool:
+    """Wait for something on this side of the wire, so long at most [s]."""
+    ends = time.monotonic() + most
+    while not true() and time.monotonic() < ends:
+        time.sleep(0.02)
+    return true()
+
+
+def press(tab: Tab, role: Any, name: str) -> None:
+    """Click a control at once: a software renderer leaves no time to see that it stands still."""
+    found = tab.get_by_role(role, name=name, exact=True)
+    found.wait_for(timeout=LONG)
+    found.click(force=True, timeout=LONG)
+
+
+def drawn(tab: Tab) -> None:
+    """Wait until a tab has drawn what it was told so far."""
+    tab.evaluate(
+        "() => new Promise(done => { let left = 3; const next = () => "
+        "left-- ? requestAnimationFrame(next) : done(); next(); })"
+    )
+
+
+def pixel(camera: Any, point: np.ndarray) -> tuple[float, float]:
+    """Where a browser shows a point of the world [px]."""
+    x, y, z = SO3(camera.wxyz).as_matrix().T @ (point - camera.position)
+    width, height = SIZE["width"], SIZE["height"]
+    scale = height / 2 / math.tan(camera.fov / 2)
+    return width / 2 + scale * x / z, height / 2 + scale * y / z
+
+
+def ahead(page: Page, distance: float) -> np.ndarray:
+    """A point on the arrow by which the base is dragged forward [m]."""
+    x, y, yaw = page.robot.base
+    return np.array([x + distance * math.cos(yaw), y + distance * math.sin(yaw), 0.0])
+
+
+def test_a_person_asks_drags_plays_and_reloads(
+    site: tuple[Page, str], opened: Callable[[str], Tab], complaints: list[str]
+) -> None:
+    page, address = site
+    tab, other = opened(address), opened(address)
+    tab.get_by_text("Press Place").wait_for(timeout=LONG)
+    press(tab, "button", "Place")
+    for one in (tab, other):  # both see the answer
+        one.get_by_text("Solved").wait_for(timeout=LONG)
+    answer = page.shown.answer
+    assert answer is not None
+    assert answer.plan.task.object == "fridge"
+    np.testing.assert_allclose(page.robot.base, answer.plan.base_pose)
+
+    other.close()
+    before = page.robot.base.copy()
+    assert until(lambda: len(page.server.get_clients()) == 1)
+    (client,) = page.server.get_clients().values()
+    tab.set_viewport_size(SIZE)  # type: ignore[arg-type]
+    places = [pixel(client.camera, ahead(page, d)) for d in np.linspace(0.7, 1.4, 40)]
+    drawn(tab)
+    tab.mouse.move(*places[0])
+    drawn(tab)
+    tab.mouse.down()
+    drawn(tab)
+    for place in places:  # the page tells where the base is dragged a few times a second
+        tab.mouse.move(*place)
+        if until(lambda: np.linalg.norm(page.robot.base[:2] - before[:2]) > 0.1, 0.25):
+            break
+    tab.mouse.up()
+    assert np.linalg.norm(page.robot.base[:2] - before[:2]) > 0.1
+
+    tab.set_viewport_size(SMALL)  # type: ignore[arg-type]
+    tab.reload()
+    tab.get_by_text("answered in").wait_for(timeout=LONG)  # as it was left
+    press(tab, "button", "Place")
+    tab.get_by_text("Solved").wait_for(timeout=LONG)
+    press(tab, "tab", "Motion")
+    press(tab, "button", "Play")
+    assert until(lambda: 0.0 < page.player.now < page.player.duration)
+    press(tab, "button", "Pause")
+    assert until(lambda: not page.player.playing)
+    assert len(tab.screenshot()) > 10_000
+    assert complaints == []
+
+
+def test_a_written_page_plays_without_a_network(
+    site: tuple[Page, str],
+    browser: Browser,
+    tmp_path: Path,
+) -> None:
+    page, _ = site
+    answer = page.shown.answer
+    assert answer is not None
+    plan, robot = answer.plan, answer.prepared.robot
+    write_page(answer.prepared.scene, robot, plan, tmp_path / "page.html")
+    asked: list[str] = []
+    with browser.new_context(viewport=SMALL, offline=True) as context:  # type: ignore[arg-type]
+        tab = context.new_page()
+        tab.on("request", lambda request: asked.append(request.url))
+        tab.goto((tmp_path / "page.html").as_uri())
+        tab.locator("canvas").first.wait_for(timeout=LONG)
+        time_shown = tab.locator("input").first
+        first = time_shown.input_value(timeout=LONG)
+        assert until(lambda: time_shown.input_value() != first)
+    assert [url for url in asked if not url.startswith(("file:", "data:", "blob:"))] == []
+    assert Story.of(plan, robot).duration > 1.0

@@ -1,0 +1,82 @@
+"""What layers show lies where it is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from momapos.geometry.transforms import pose_planar
+from momapos.manipulation.tasks import make_task
+from momapos.page.layers import box_edges, free_area, reach_slice
+from momapos.page.playback import Story
+from momapos.page.words import answer_words, escaped
+from momapos.pipeline import plan_base_placement
+from momapos.placement.area import BaseStatus, base_pose_status
+from momapos.placement_result import PlacementResult
+from momapos.reachability.store import load_reach
+from momapos.robots.robot import Robot
+from momapos.scene.files import load_scene
+from momapos.scene.scene import SceneObject, upright_boxes
+
+
+@pytest.fixture(scope="module")
+def answer(robots: Callable[[str], Robot]) -> PlacementResult:
+    scene = load_scene("kitchen_small")
+    task = make_task(scene, "open", "fridge", "door_hinge")
+    return plan_base_placement(scene, robots("segway_ur5e"), task)
+
+
+def test_the_free_area_is_where_the_base_stands_clear(answer: PlacementResult) -> None:
+    geometry = answer.prepared.geometry
+    bounds = np.array([[0.0, -3.9], [4.2, 0.0]])
+    share, (left, right, bottom, top) = free_area(geometry, bounds, cell=0.3)
+    rows, columns = share.shape
+    rng = np.random.default_rng(0)
+    for row, column in rng.integers(0, [rows, columns], (40, 2)):
+        x = left + (column + 0.5) * (right - left) / columns
+        y = bottom + (row + 0.5) * (top - bottom) / rows
+        poses = np.array([[x, y, yaw] for yaw in np.arange(8) * np.pi / 4])
+        clear = base_pose_status(geometry, poses)[0] == BaseStatus.CLEAR
+        assert share[row, column] == pytest.approx(clear.mean())
+    assert share.max() > 0
+
+
+def test_the_reach_is_a_share_that_falls_to_nothing(robots: Callable[[str], Robot]) -> None:
+    robot = robots("segway_ur5e")
+    share, half = reach_slice(robot, load_reach(robot), 0.9, cell=0.2)
+    assert 0 < share.max() <= 1
+    assert share[0].max() == 0
+    assert half >= robot.reach
+
+
+def test_boxes_are_drawn_by_their_twelve_edges() -> None:
+    box = SceneObject.box("crate", (1.0, 2.0, 3.0), (5.0, 0.0, 1.5), yaw=0.3)
+    lengths = np.linalg.norm(np.diff(box_edges(upright_boxes([box])), axis=2)[0, :, 0], axis=-1)
+    np.testing.assert_allclose(np.sort(lengths), np.repeat([1.0, 2.0, 3.0], 4))
+
+
+def test_a_story_begins_at_the_start_and_ends_as_the_plan_does(answer: PlacementResult) -> None:
+    plan, robot = answer.plan, answer.prepared.robot
+    story = Story.of(plan, robot)
+    first, last = story.at(-1.0), story.at(story.duration + 1.0)
+    assert plan.motion is not None
+    assert plan.base_pose is not None
+    np.testing.assert_allclose(pose_planar(first.base), pose_planar(answer.start), atol=1e-6)
+    np.testing.assert_allclose(
+        pose_planar(last.base), pose_planar(np.array(plan.base_pose)), atol=1e-6
+    )
+    np.testing.assert_allclose(list(last.joints.values()), plan.motion.q[-1], atol=1e-3)
+    assert last.object_q == {"door_hinge": pytest.approx(plan.motion.object_q[-1])}
+
+
+def test_an_answer_says_where_to_stand(answer: PlacementResult) -> None:
+    words = answer_words(answer)
+    assert words.startswith("**Solved**")
+    assert f"x {answer.plan.base_pose[0]:.3f} m" in words  # type: ignore[index]
+
+
+def test_words_from_files_are_no_markup() -> None:
+    assert escaped("<img src=x>") == "\\<img src=x\\>"
+    assert escaped("a*b_c") == "a\\*b\\_c"
