@@ -56,6 +56,8 @@ class SuiteKind:
     robots: tuple[str, ...]
     methods: tuple[str, ...]
     revision: int = 1
+    scannable: bool = True
+    """Whether a scan shows what its tasks are about."""
 
 
 def kitchen_tasks(robots: Sequence[str], seed: int) -> list[SuiteTask]:
@@ -197,6 +199,7 @@ SUITES: dict[str, SuiteKind] = {
         _paper_sim,
         ("fetch", "segway_ur5e", "husky_ur5e"),
         ("ours", "paper", "habitat", "m3", "reuleaux"),
+        scannable=False,
     ),
     "paper-real": SuiteKind(
         "the paper's four tasks in 50 layouts of its laboratory",
