@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import socket
 import time
-from collections.abc import Collection
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,10 +12,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.baselines.answer import plan_by_method
+from momapos.bench.containers import opened, without
 from momapos.bench.disturbances import still_does
 from momapos.bench.folder import scene_path
 from momapos.bench.methods import method_config
-from momapos.bench.records import Container, Job, Outcome, Pose, Row, SuiteTask
+from momapos.bench.records import Job, Outcome, Pose, Row, SuiteTask
 from momapos.bench.scans import scanned_room
 from momapos.cache import user_cache
 from momapos.config import PipelineConfig
@@ -242,33 +242,6 @@ def _execute(
         physics=ExecutionConfig(hold="contact", furniture=FurnitureConfig(spread=0.3)),
         clock=time.process_time,
     )  # fmt: skip
-
-
-# ------------------------------------------------------------------------ what is in a container
-
-
-def without(scene: Scene, names: Collection[str]) -> Scene:
-    """The same room without some things."""
-    return replace(scene, objects=tuple(o for o in scene.objects if o.name not in names))
-
-
-def opened(scene: Scene, box: Container, value: float, carried: Collection[str]) -> Scene:
-    """The room after a container was opened.
-
-    Args:
-        scene: The room before.
-        box: The container.
-        value: Where its joint is then [rad] or [m].
-        carried: Things that move with it.
-    """
-    holder, after = scene.object(box.object), scene.with_joint(box.object, box.joint, value)
-    link = holder.model.joint(box.joint).child
-    T = after.object(box.object).link_poses()[link] @ np.linalg.inv(holder.link_poses()[link])
-    objects = (
-        replace(item, T_world_object=T @ item.T_world_object) if item.name in carried else item
-        for item in after.objects
-    )
-    return replace(after, objects=tuple(objects))
 
 
 # --------------------------------------------------------------------- what a process keeps

@@ -15,12 +15,13 @@ from momapos.errors import FileFormatError, InputError
 
 FORMAT_VERSION = 1
 """Stands in the file as `user_version`."""
-_TYPES = {
+TYPES = {
     "seed": "INTEGER", "verified": "INTEGER", "done": "INTEGER", "checked": "INTEGER",
     "sampled": "INTEGER", "seconds": "REAL", "wall": "REAL", "driving": "REAL",
     "clearance": "REAL", "at_2cm": "REAL", "at_5cm": "REAL", "finished": "REAL",
 }  # fmt: skip
-_JSON = ("stages", "bases")
+NESTED = ("stages", "bases")
+"""Columns that hold JSON."""
 COLUMNS = tuple(item.name for item in fields(Row))
 ADDED = ("at_2cm", "at_5cm")
 """Columns that older files of this format lack."""
@@ -125,7 +126,7 @@ def _columns(connection: sqlite3.Connection, path: Path) -> list[str]:
 
 def _schema() -> str:
     columns = ", ".join(
-        f'"{name}" {_TYPES.get(name, "TEXT")}' + (" PRIMARY KEY" if name == "key" else "")
+        f'"{name}" {TYPES.get(name, "TEXT")}' + (" PRIMARY KEY" if name == "key" else "")
         for name in COLUMNS
     )
     return f"CREATE TABLE IF NOT EXISTS rows ({columns})"
@@ -137,12 +138,12 @@ def _names(columns: Sequence[str] = COLUMNS) -> str:
 
 def _values(row: Row) -> list[Any]:
     plain = to_plain(row)
-    return [json.dumps(plain[name]) if name in _JSON else plain[name] for name in COLUMNS]
+    return [json.dumps(plain[name]) if name in NESTED else plain[name] for name in COLUMNS]
 
 
 def _row(plain: dict[str, Any], path: Path) -> Row:
     try:
-        plain |= {name: json.loads(plain[name]) for name in _JSON}
+        plain |= {name: json.loads(plain[name]) for name in NESTED}
     except (TypeError, ValueError, RecursionError) as error:
         raise FileFormatError(f"{path}: row {plain['key']!r:.60}: damaged JSON") from error
     return from_plain(plain, Row, f"{path}: row {plain['key']!r:.60}")

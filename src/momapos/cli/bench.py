@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json as json_format
 import math
+import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -17,7 +18,7 @@ from momapos.bench.records import Outcome, Settings
 from momapos.bench.suites import SUITES, refuse_unknown
 from momapos.cli.console import busy, progress
 from momapos.cli.options import OptionalPath, OptionalText, check_seed
-from momapos.errors import InputError
+from momapos.errors import InputError, MomaposError
 from momapos.files import check_outputs
 
 MOST = 1000
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from concurrent.futures import Executor
 
     from momapos.bench.folder import Contents
+    from momapos.bench.html import Picture
     from momapos.bench.records import Row
 
 
@@ -129,6 +131,8 @@ def bench_report(
     *,
     compare: OptionalPath = None,
     html: OptionalPath = None,
+    maps: int = 3,
+    parquet: OptionalPath = None,
     json: bool = False,
 ) -> int:
     """Print tables of a results folder as Markdown.
@@ -137,9 +141,13 @@ def bench_report(
         folder: The results folder.
         compare: Another one of the same tasks, with which it is compared task by task.
         html: Write one page here, with figures and all rows; it needs no network.
+        maps: Draw the potential and the candidates of so many tasks in that page; they are asked
+            again, by momapos as it is installed.
+        parquet: Write the rows here as a Parquet file.
         json: Print one JSON object with all rows instead of tables.
     """
-    check_outputs([html])
+    check_outputs([html, parquet])
+    _at_least("--maps", maps, 0)
     from momapos.bench.folder import all_rows, read_folder
     from momapos.bench.metrics import in_order
 
@@ -164,7 +172,11 @@ def bench_report(
         from momapos.bench.html import page
         from momapos.scene.files import write_whole
 
-        write_whole(html, page(heading, tables, rows))
+        write_whole(html, page(heading, tables, rows, _maps(folder, found, rows, maps)))
+    if parquet is not None:
+        from momapos.bench.parquet import write_parquet
+
+        write_parquet(rows, parquet)
     if json:
         from momapos.bench.records import to_plain
 
@@ -174,6 +186,20 @@ def bench_report(
 
         print(markdown(heading, tables))
     return 0
+
+
+def _maps(folder: Path, found: Contents, rows: list[Row], count: int) -> list[Picture]:
+    """Pictures of some answers; none is made of what the folder does not hold any more."""
+    if not count:
+        return []
+    from momapos.bench.maps import pictures
+
+    try:
+        with busy("drawing"):
+            return pictures(folder, found, rows, count)
+    except MomaposError as error:
+        print(f"note: no potential maps: {error}", file=sys.stderr)
+        return []
 
 
 def _check_scannable(suite: str) -> None:
