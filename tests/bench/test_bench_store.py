@@ -47,6 +47,16 @@ def test_files_from_before_a_column_was_added_are_read(tmp_path: Path) -> None:
     assert read_rows(store.path) == [row("one")]
 
 
+def test_a_runner_that_was_killed_before_its_first_row_is_in_nobodys_way(tmp_path: Path) -> None:
+    path = tmp_path / "rows.sqlite"
+    path.touch()
+    assert read_rows(path) == []
+    store = Store(path)
+    assert store.add(row("one"))
+    store.close()
+    assert read_rows(path) == [row("one")]
+
+
 def test_files_that_lack_another_column_are_refused(tmp_path: Path) -> None:
     store = Store(tmp_path / "rows.sqlite")
     store.connection.execute("ALTER TABLE rows DROP COLUMN outcome")

@@ -92,6 +92,8 @@ def read_rows(path: Path) -> list[Row]:
         try:
             _refuse_foreign(connection, path)
             names = _columns(connection, path)
+            if not names:
+                return []
             query = f"SELECT {_names(names)} FROM rows ORDER BY rowid"
             found = connection.execute(query).fetchall()
         finally:
@@ -114,10 +116,14 @@ def _refuse_foreign(connection: sqlite3.Connection, path: Path) -> None:
 def _columns(connection: sqlite3.Connection, path: Path) -> list[str]:
     """The columns that a file has; those that are younger than it have no value.
 
+    None in an empty file: its writer was killed before it had made the table.
+
     Raises:
         FileFormatError: It lacks one that every file of this version has.
     """
     there = {column[1] for column in connection.execute("PRAGMA table_info(rows)")}
+    if not there:
+        return []
     lacking = [name for name in COLUMNS if name not in there and name not in ADDED]
     if lacking:  # SQLite takes the quoted name of a column that there is not for a text
         raise FileFormatError(f"{path}: not a usable results file (no column {lacking[0]})")
