@@ -47,7 +47,7 @@ def bench_run(
     task_limit: float = Settings.limit,
     execute: bool = False,
     scan: int = Settings.scan,
-    disturbances: int = Settings.disturbances,
+    disturbances: int = 3,
     json: bool = False,
 ) -> int:
     """Ask every task of a suite of every method; what has an answer already is not asked again.
