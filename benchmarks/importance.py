@@ -3,9 +3,10 @@
     python benchmarks/importance.py [--scenes DIR] [--repeats 5]
 
 Synthetic rooms: boxes of 0.1 to 0.8 m, strewn over a floor that grows with their number, or all
-standing at one place. Real kitchens: the BestMan scenes and what is derived from them, where DIR
-(the folder that holds bestman/, by default $MOMAPOS_SHARED) has them. Times are of the processor,
-with the kernels compiled and the scene's hulls made; the first ranking of a scene makes them.
+standing at one place. Kitchens of the simulator: the BestMan scenes and what is derived from them,
+where DIR (the folder that holds bestman/, by default $MOMAPOS_SHARED) has them. Times are of the
+processor, with the kernels compiled and the scene's hulls made; the first ranking of a scene makes
+them.
 """
 
 from __future__ import annotations

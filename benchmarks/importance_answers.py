@@ -2,8 +2,9 @@
 
     python benchmarks/importance_answers.py [--robot segway_ur5e]
 
-Every door and drawer with a handle in the five real kitchens and the built-in ones, by each scorer
-and with everything modeled. A miss is a plan that the exact check with all objects refuses.
+Every door and drawer with a handle in the five kitchens of the BestMan simulator and the built-in
+ones, by each scorer and with everything modeled. A miss is a plan that the exact check with all
+objects refuses.
 """
 
 from __future__ import annotations

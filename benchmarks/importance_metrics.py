@@ -16,19 +16,16 @@ ALPHA = 0.45
 """The paper's threshold [-]."""
 ALPHAS = np.linspace(0.0, 1.0, 101)
 SHARES = (0.0, 0.01, 0.05)
-"""An object matters when it adds and changes more than this share of the poses [-]."""
+"""An object matters when more than this share of the poses is lost where it is a box [-]."""
 PAPER = "deepwalk k0=0.5"
-SHOWN: dict[str, tuple[Any, ...]] = {
-    PAPER: ("deepwalk", "#2a7ab8", (0.14, 0.21), (0.6, 0.125), (0.12, 0.58)),
-    "distance": ("distance", "#b87800", (0.74, 0.156), (0.9, 0.15), (0.65, 0.79)),
-    "size": ("size / distance", "#008060", (0.68, 0.242), (0.72, 0.243), (0.72, 0.49)),
-    "reach": (
-        "reach: size / distance\nto the handle's way", "#a5371e",
-        (0.74, 0.462), (0.78, 0.47), (0.25, 0.22),
-    ),
-    "names": ("names", "#8a4b9c", (0.48, 0.06), (0.85, 0.07), (0.82, 0.96)),
-}  # fmt: skip
-"""Scorers in the picture: name, color, and where the name stands in each of the three parts."""
+SHOWN = {
+    PAPER: ("deepwalk", "#2a7ab8"),
+    "distance": ("distance", "#b87800"),
+    "size": ("size / distance", "#008060"),
+    "reach": ("reach: size / distance to the handle's way", "#a5371e"),
+    "names": ("names", "#8a4b9c"),
+}
+"""Scorers in the picture: name and color."""
 FEW = 0.02
 """Curves leave out an S of less than this share of the objects: chance decides there [-]."""
 
@@ -46,7 +43,7 @@ class Pairs:
 def pairs(tasks: list[dict[str, Any]], scorer: str, share: float = SHARES[1]) -> Pairs:
     """Stack the scores and the truth of all tasks."""
     runs = [(task, one) for task in tasks for one in task["scores"][scorer]]
-    matters = [np.add(task["added"], task["changed"]) > share for task, _ in runs]
+    matters = [np.array(task["lost"]) > share for task, _ in runs]
     owner = np.repeat(np.arange(len(runs)), [len(one) for _, one in runs])
     return Pairs(np.concatenate([one for _, one in runs]), np.concatenate(matters), owner)
 
@@ -162,18 +159,19 @@ def draw(tasks: list[dict[str, Any]], path: Path) -> None:
     plt.rcParams.update({"font.size": 9, "text.color": INK, "axes.edgecolor": SOFT_INK})
     figure, axes = plt.subplots(1, 3, figsize=(10.5, 3.6), layout="constrained")
     rate = 0.0
-    for scorer, (name, color, *spots) in SHOWN.items():
+    for scorer, (name, color) in SHOWN.items():
         p = pairs(tasks, scorer)
         rows = [at(p, alpha) for alpha in ALPHAS]
         alphas = (ALPHAS, *([row[k] for row in rows] for k in ("precision", "recall", "kept")))
         precision, recall, kept = curve(p)
         lines = [(recall, precision, kept), (*alphas[:2], alphas[3]), (alphas[0], *alphas[2:])]
-        for axis, (x, y, share), spot in zip(axes, lines, spots, strict=True):
+        for axis, (x, y, share) in zip(axes, lines, strict=True):
             fair = np.asarray(share) >= FEW
-            axis.plot(np.asarray(x)[fair], np.asarray(y)[fair], color=color, lw=1.8)
-            axis.text(*spot, name, color=color, ha="center", va="center")
+            label = name if axis is axes[0] else None
+            axis.plot(np.asarray(x)[fair], np.asarray(y)[fair], color=color, lw=1.8, label=label)
         rate = float(p.matters.mean())
     _dress(axes, rate)
+    figure.legend(loc="outside lower center", ncols=len(SHOWN), frameon=False)
     figure.savefig(path, dpi=150)
     plt.close(figure)
 
@@ -186,7 +184,7 @@ def _dress(axes: np.ndarray, rate: float) -> None:
         ("alpha", "recall", "Recall over alpha"),
     )
     for axis, (x, y, title) in zip(axes, titles, strict=True):
-        axis.set(xlabel=x, ylabel=y, xlim=(0, 1), ylim=(0, 1.02 if y == "recall" else 0.5))
+        axis.set(xlabel=x, ylabel=y, xlim=(0, 1), ylim=(0, 1.02))
         axis.set_title(title, loc="left", fontsize=10)
         axis.grid(color=FAINT, lw=0.6)
         axis.spines[["top", "right"]].set_visible(False)

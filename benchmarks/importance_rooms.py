@@ -68,14 +68,16 @@ def built_in_rooms(folder: Path, count: int, targets: int, workers: int) -> Iter
     files = [folder / f"{layout}_{seed}.json" for layout, seed in which]
     folder.mkdir(parents=True, exist_ok=True)
     with ProcessPoolExecutor(workers) as pool:
-        missing = [row for row in zip(which, files, strict=True) if not row[1].exists()]
-        list(pool.map(_generate, missing))
-    for (layout, seed), file in zip(which, files, strict=True):
-        rng = np.random.default_rng((seed, LAYOUTS.index(layout)))
-        scene = furnish(load_scene(file), rng)
-        doors = openable(scene)
-        shuffled = tuple(doors[i] for i in rng.permutation(len(doors)))
-        yield Room(f"{layout}_{seed}", "built-in", scene, shuffled, targets)
+        rows = list(zip(which, files, strict=True))
+        made = {row[1]: pool.submit(_generate, row) for row in rows if not row[1].exists()}
+        for (layout, seed), file in rows:
+            if file in made:
+                made[file].result()
+            rng = np.random.default_rng((seed, LAYOUTS.index(layout)))
+            scene = furnish(load_scene(file), rng)
+            doors = openable(scene)
+            shuffled = tuple(doors[i] for i in rng.permutation(len(doors)))
+            yield Room(f"{layout}_{seed}", "built-in", scene, shuffled, targets)
 
 
 def _generate(row: tuple[tuple[str, int], Path]) -> None:

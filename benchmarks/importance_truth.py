@@ -3,12 +3,12 @@
     python benchmarks/importance_truth.py [--rooms 60] [--targets 2] [--cell 0.1] [--turn 30]
         [--scenes DIR] [--cache FILE] [--out DIR] [--figure FILE]
 
-The truth: an object matters for a task by the share of base poses that its removal adds, and that
-opening its joints takes away. Shares are of the poses that are feasible with the target alone
-between the walls. A pose is feasible where the base stands clear at every value of the joint and
-an arm path is found; the approach from home and the exact check are left out. Results are kept
-room by room in the cache file, so that a run that was cut short goes on where it stopped; delete
-it when the method changes.
+The truth: an object outside S stays a box, so it matters for a task by the share of feasible base
+poses that are lost where this one object is a box and all others are models. A pose is feasible
+where the base stands clear at every value of the joint and an arm path is found; the approach from
+home and the exact check are left out. Results are kept room by room in
+the cache file, so that a run that was cut short goes on where it stopped; delete it when the method
+changes.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import argparse
 import json
 import time
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import chain
 from pathlib import Path
@@ -30,13 +30,13 @@ from importance_metrics import draw, summary, table
 from importance_rooms import Room, built_in_rooms, is_wall, shared_rooms
 from momapos.cache import default_cache_dir
 from momapos.config import PipelineConfig
-from momapos.errors import MomaposError, TaskError
+from momapos.errors import MomaposError
 from momapos.geometry.planar import compose
 from momapos.importance.config import ImportanceConfig, ScorerName
 from momapos.importance.rank import rank
 from momapos.manipulation.feasibility import Feasibility, collision_free_grasps
 from momapos.manipulation.motion import task_motion
-from momapos.manipulation.tasks import hand_path, make_task, openable
+from momapos.manipulation.tasks import hand_path, make_task
 from momapos.placement.area import BaseStatus, base_pose_status, sampling_box, task_frame
 from momapos.prepare import collision_world, placement_geometry
 from momapos.protocols import ReachScorer
@@ -49,7 +49,7 @@ CONFIG = PipelineConfig()
 GRASPS = 8
 """Grasps tried at one pose, best reached first [-]."""
 FEWEST = 10
-"""A task with fewer feasible poses alone says too little and is passed over [-]."""
+"""A task with fewer feasible poses says too little and is passed over [-]."""
 SEEDS = 3
 PLAIN: tuple[ScorerName, ...] = ("distance", "size", "reach", "names")
 K0 = (0.0, 0.25, 0.5, 0.75, 1.0)
@@ -71,7 +71,7 @@ class Question:
 
     @cached_property
     def others(self) -> tuple[SceneObject, ...]:
-        """What can be removed, the nearest to the target first."""
+        """What can be a box, the nearest to the target first."""
         target = self.scene.object(self.task.object).bounds
         items = [o for o in self.scene.objects if o.name != self.task.object and not is_wall(o)]
         return tuple(sorted(items, key=lambda item: _gap(item.bounds, target)))
@@ -108,12 +108,10 @@ class Question:
         assert found is not None
         return rows[np.array([one.q is not None for one in found], bool)]
 
-    def without(self, group: Iterable[SceneObject]) -> Scene:
-        """The scene without some objects; what stands on them stays in the air."""
-        gone = {item.name for item in group}
-        return replace(
-            self.scene, objects=tuple(o for o in self.scene.objects if o.name not in gone)
-        )
+    def boxed(self, group: Iterable[SceneObject]) -> Scene:
+        """The scene with some objects as boxes that hold them."""
+        boxes = {item.name for item in group}
+        return self.scene.with_box_proxies({o.name for o in self.scene.objects} - boxes)
 
 
 def _gap(a: Float[np.ndarray, "2 3"], b: Float[np.ndarray, "2 3"]) -> float:
@@ -121,66 +119,38 @@ def _gap(a: Float[np.ndarray, "2 3"], b: Float[np.ndarray, "2 3"]) -> float:
     return float(np.linalg.norm(np.maximum(np.maximum(a[0] - b[1], b[0] - a[1]), 0.0)[:2]))
 
 
-def added(asked: Question, group: tuple[SceneObject, ...], rows: Rows) -> dict[str, int]:
-    """How many poses the removal of each object alone makes feasible.
+def lost(asked: Question, group: tuple[SceneObject, ...], rows: Rows) -> dict[str, int]:
+    """How many poses are lost where each object alone is a box.
 
-    Halves the group: taking things away only helps, so a pose that is lost even without half of
-    the objects is added by none of these.
+    Halves the group: a box holds its object, so a pose that works with all of a group as boxes
+    works with any of them as one.
 
     Args:
         asked: The task.
         group: Objects.
-        rows: Poses that are feasible without the whole group, and not in the full scene.
+        rows: Poses that are feasible with all of them modeled.
     """
+    if group and len(rows):
+        rows = np.setdiff1d(rows, asked.feasible(asked.boxed(group), rows))
     if len(group) <= 1 or not len(rows):
         return {item.name: len(rows) for item in group}
     middle = len(group) // 2
-    return {
-        name: count
-        for half in (group[:middle], group[middle:])
-        for name, count in added(asked, half, asked.feasible(asked.without(half), rows)).items()
-    }
-
-
-def opened(scene: Scene, name: str) -> Scene:
-    """The scene with all parts of an object that have a handle opened as far as tasks open them."""
-    for item, joint in openable(scene):
-        if item == name:
-            try:
-                to = make_task(scene, "open", name, joint).to
-            except TaskError:  # already open
-                continue
-            scene = scene.with_joint(name, joint, float(to or 0.0))
-    return scene
-
-
-def changed(asked: Question, item: SceneObject, rows: Rows) -> int:
-    """How many of the feasible poses of the full scene are lost when an object is opened."""
-    after = opened(asked.scene, item.name)
-    if after is asked.scene or not len(rows):
-        return 0
-    low, high = after.object(item.name).bounds[:, :2]
-    xy = asked.poses[rows, :2]
-    gap = np.linalg.norm(np.maximum(np.maximum(low - xy, xy - high), 0.0), axis=1)
-    base = np.linalg.norm(asked.robot.footprint, axis=1).max()
-    near = rows[gap < asked.robot.reach + base + CONFIG.place.clearance]
-    return len(near) - len(asked.feasible(after, near))
+    return lost(asked, group[:middle], rows) | lost(asked, group[middle:], rows)
 
 
 def truth(asked: Question) -> dict[str, Any] | None:
-    """Shares of poses that every object adds and changes; None where the task says too little."""
-    alone = asked.feasible(asked.without(asked.others), np.arange(len(asked.poses)))
-    if len(alone) < FEWEST:
+    """Shares of poses that every object costs as a box; None where the task says too little."""
+    full = asked.feasible(asked.scene, np.arange(len(asked.poses)))
+    if len(full) < FEWEST:
         return None
-    full = asked.feasible(asked.scene, alone)
-    gains = added(asked, asked.others, np.setdiff1d(alone, full))
+    boxed = asked.feasible(asked.boxed(asked.others), full)
+    costs = lost(asked, asked.others, full)
     return {
         "poses": len(asked.poses),
-        "alone": len(alone),
         "full": len(full),
+        "boxed": len(boxed),
         "objects": [item.name for item in asked.others],
-        "added": [gains[item.name] / len(alone) for item in asked.others],
-        "changed": [changed(asked, item, full) / len(alone) for item in asked.others],
+        "lost": [costs[item.name] / len(full) for item in asked.others],
     }
 
 

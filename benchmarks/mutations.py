@@ -3,7 +3,7 @@
     python benchmarks/mutations.py [--count 500] [--plans 25] [--half tuned|measured]
                                    [--robots fetch ...] [--verifier verify_plan.py] [--out DIR]
 
-Takes plans of the real objects (`objects.py`) in which the hand turns about a bar or takes hold a
+Takes plans of the objects of `objects.py` in which the hand turns about a bar or takes hold a
 second time, spoils each in random ways and by random amounts, and checks the spoiled files with
 `momapos verify` and with an independent program, which is imported where one is named. A spoiled
 plan that the other refuses and ours does not is a miss. What both let pass was spoiled by less than

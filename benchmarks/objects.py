@@ -4,7 +4,7 @@
                                  [--tasks 40] [--seeds 3] [--verifier verify_plan.py] [--out DIR]
                                  [--families]
 
-The real data's fridges, ovens, dishwashers, microwaves, cabinets and drawers are scaled to the size
+The simulator's fridges, ovens, dishwashers, microwaves, cabinets and drawers are scaled to the size
 that such things have, and stand against a wall, the small ones on a counter or on the wall. Every
 door and drawer is opened by every robot: planned, checked by an independent program where one is
 named, driven to and executed with noise. A hash of an object's name puts it into one of two halves:
@@ -113,7 +113,7 @@ def half_of(name: str) -> str:
 
 
 def objects() -> Iterator[tuple[str, Path, Usual]]:
-    """Articulated objects of the real data: name, URDF and usual size."""
+    """Articulated objects of the BestMan simulator: name, URDF and usual size."""
     root = shared() / "bestman" / "Asset" / "Scene"
     if not root.is_dir():
         sys.exit(f"{root} is not there; MOMAPOS_SHARED names the folder of the real data")

@@ -2,8 +2,8 @@
 
     PYTHONPATH=. python benchmarks/parts.py [--drawn 100] [--variants 3] [--pictures DIR]
 
-Four sets: freshly drawn faces, ordinary and hard; the real objects of the shared data, rendered;
-and real photos.
+Four sets: freshly drawn faces, ordinary and hard; the simulator's objects, rendered; and real
+photos.
 A part is located where a predicted one covers it with an IoU of 0.5, whatever its kind; a handle,
 where the middle of the predicted one lies within it.
 """
@@ -176,7 +176,7 @@ def main(
     evaluate("drawn", drawn_faces(drawn, seed, generator.ORDINARY), network, pictures)
     evaluate("drawn, hard", drawn_faces(drawn, seed + 1, generator.HARD), network, pictures)
     if (shared / "bestman").is_dir():
-        evaluate("real objects", real_faces(shared, variants, seed), network, pictures)
+        evaluate("simulator objects", real_faces(shared, variants, seed), network, pictures)
         evaluate("photos", photo_faces(shared), network, pictures)
 
 

@@ -1,4 +1,4 @@
-"""Faces with known parts that training never saw: real objects, rendered, and real photos.
+"""Faces with known parts that training never saw: simulator objects, rendered, and real photos.
 
 The objects are meshes with joints. A camera in front of one sees its closed face; what moves is
 told by the joint of the mesh that each ray hits, so that nobody had to draw a box by hand.

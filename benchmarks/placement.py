@@ -1,4 +1,4 @@
-"""Every door and drawer with a handle in five real kitchens, for four robots.
+"""Every door and drawer with a handle in five kitchens of the BestMan simulator, for four robots.
 
     python benchmarks/placement.py [--robots fetch ...] [--scenes kitchen_small ...] [--exhaustive]
         [--out docs/data]

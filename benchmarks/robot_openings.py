@@ -1,4 +1,4 @@
-"""What a robot of a robot file does in real kitchens: its map, its answers, and physics.
+"""What a robot of a robot file does in the simulator's kitchens: its map, its answers, and physics.
 
     python benchmarks/robot_openings.py FILE [--scenes Kitchen.json ...] [--most 2] [--run 2]
 

@@ -29,6 +29,10 @@ class PaperConfig:
     """k1': weight of potential in the open tour (paper) [-]."""
     heights: tuple[float, ...] = (0.4, 1.0, 1.4)
     """z: heights from which the field looks at the target (paper) [m]."""
+    field: bool = True
+    """Whether the field F counts in the potential (paper)."""
+    inverse_map: bool = True
+    """Whether inverse reachability counts in the potential, and drops samples (paper)."""
 
     def __post_init__(self) -> None:
         refuse_below(self, 1, "samples", "batches", "group")

@@ -173,6 +173,20 @@ def test_the_potential_is_summed_over_waypoints_and_heights(room: Room) -> None:
     np.testing.assert_allclose(each[0], blind + scores[:, GRASP:].sum(1))
 
 
+def test_without_the_field_or_the_map_the_other_decides_alone(room: Room) -> None:
+    def proposed(**changes: bool) -> np.ndarray:
+        config = PaperConfig(samples=64, batches=1, group=1, **changes)
+        return np.vstack(list(PaperPlacer(config)(room, np.random.default_rng(0))))
+
+    boxes, heights = whole_boxes(room), np.array(PaperConfig().heights)
+    by_map, by_field = proposed(field=False), proposed(inverse_map=False)
+    scores = room.scores(by_map, range(room.Ts_world_tool.shape[1])).max(1)
+    assert (np.diff(scores[:, GRASP:].sum(1)) <= 1e-5).all()
+    nothing = np.zeros((len(by_field), room.Ts_world_tool.shape[1]))
+    assert (np.diff(potential(room, boxes, by_field, nothing, heights)) <= 1e-9).all()
+    assert len(by_field) >= len(by_map) == len(proposed())
+
+
 def test_the_field_is_one_over_the_distance_where_nothing_hides_the_handle(room: Room) -> None:
     boxes = whole_boxes(room)
     targets = room.Ts_world_tool[0, GRASP:, :3, 3]

@@ -2,20 +2,32 @@
 
 from __future__ import annotations
 
+import json
 import re
+import sys
+from dataclasses import replace
 from html.parser import HTMLParser
+from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from tests import optional
 from tests.bench.fakes import row, suite, task
 
-from momapos.bench.figures import scatter_figure, success_figure
-from momapos.bench.html import page
+from momapos.bench.cells import Table
+from momapos.bench.figures import pie_figure, scatter_figure, success_figure
+from momapos.bench.folder import Contents
+from momapos.bench.html import Picture, page
+from momapos.bench.maps import chosen_rows, pictures
 from momapos.bench.markdown import markdown
 from momapos.bench.metrics import in_order, paired_p_value, share
-from momapos.bench.records import Row
-from momapos.bench.tables import Table, all_tables, compared_tables
+from momapos.bench.parquet import write_parquet
+from momapos.bench.printed import PRINTED, pies
+from momapos.bench.records import Container, Row, Settings, SuiteTask, from_plain
+from momapos.bench.store import NESTED
+from momapos.bench.tables import all_tables, compared_tables
+from momapos.errors import InputError, MissingExtraError
 
 SVG = "{http://www.w3.org/2000/svg}"
 HOSTILE = "</td><script>alert(\"1\")</script> | & 'quoted'"
@@ -66,7 +78,10 @@ def test_one_line_a_method_sums_up_its_rows() -> None:
     assert (ours["solved"], other["solved"]) == ("3 of 4", "2 of 4")
     assert ours["time, median"] == "0.25 s"
     assert ours["driving, median"] == "2.00 m"
-    assert (ours["over the least known"], other["over the least known"]) == ("+0.00 m", "+0.25 m")
+    assert (ours["over the least known"], other["over the least known"]) == (
+        "+0.00 m, +0 %",
+        "+0.25 m, +9 %",
+    )
     assert (ours["wrong no"], other["wrong no"]) == ("1", "0")
 
 
@@ -85,6 +100,126 @@ def test_what_physics_did_not_do_is_no_success() -> None:
     assert cells(tables["Methods"])["done in physics"] == "1 of 3"
     assert cells(tables["Success by class"])["door"].startswith("2 of 3")
     assert cells(tables["Failures by reason"])["outcome"] == "not done in physics"
+
+
+def test_success_under_base_errors_counts_a_task_by_the_share_of_poses_that_work() -> None:
+    rows = [
+        row("a", at_2cm=1.0, at_5cm=0.5),
+        row("b", at_2cm=0.5, at_5cm=0.0),
+        row("c", outcome="infeasible"),
+        row("d", outcome="gave up"),
+    ]
+    table = by_title(all_tables(suite(), rows))["Methods"]
+    found = cells(table)
+    assert (found["base off by 2 cm, 2 deg"], found["by 5 cm, 5 deg"]) == ("38 %", "12 %")
+    plain = by_title(all_tables(suite(), [row("a")]))["Methods"]
+    assert "by 5 cm, 5 deg" not in plain.columns
+
+
+def test_a_method_is_held_against_what_the_grid_solves() -> None:
+    rows = [
+        row(f"{method} {k}", task=f"task {k}", method=method, done=done,
+            outcome="solved" if solved else "gave up")
+        for method, answers in (
+            ("exhaustive", ((True, None), (True, None), (True, None), (False, None))),
+            ("ours", ((True, True), (True, False), (False, None), (True, True))),
+        )
+        for k, (solved, done) in enumerate(answers)
+    ]  # fmt: skip
+    table = by_title(all_tables(suite(), rows))["Methods"]
+    assert cells(table, 1)["of what the grid solves"] == "1 of 3, 33.3 %"
+    assert cells(table, 0)["of what the grid solves"] == "3 of 3, 100.0 %"
+
+
+def test_stages_tell_their_share_their_median_and_their_95th_percentile() -> None:
+    rows = [row(str(k), stages={"search": 0.001 * k, "model": 0.05}) for k in range(101)]
+    found = cells(by_title(all_tables(suite(), rows))["Time by stage"])
+    assert found["search"] == "50.0 %; 50, 95 ms"
+    assert found["model"] == "50.0 %; 50, 50 ms"
+
+
+def test_the_papers_rows_stand_marked_beneath_ours() -> None:
+    made = replace(suite(), name="paper-real")
+    rows = [
+        row("a", group="open fridge", seconds=1.0), row("b", group="open fridge", seconds=3.0),
+        row("c", group="open fridge", outcome="gave up"),
+    ]  # fmt: skip
+    table = by_title(all_tables(made, rows))["The paper's table, ours beside it"]
+    lines = [[cell.text for cell in line] for line in table.lines if line[0].text == "open fridge"]
+    assert lines[0] == ["open fridge", "ours", "2.00 +- 1.00 s", "2.00 +- 0.00 m", "67 % of 3"]
+    assert all("as printed" in line[1] for line in lines[1:])
+    assert len(table.lines) == 1 + len(PRINTED)
+
+
+def test_from_a_scan_the_shares_are_those_of_the_papers_stages() -> None:
+    rows = [row("a", stages={"modeling": 6.0, "importance": 1.0, "search": 2.0, "way": 1.0})]
+    table = by_title(all_tables(suite(), rows))["From the scan to the motion"]
+    assert [cell.text for cell in table.lines[0]] == ["ours", "60.0 %", "10.0 %", "30.0 %"]
+    assert table.lines[1][0].text == "MoMa-Pos, as printed"
+    known = by_title(all_tables(suite(), [row("a")]))
+    assert "From the scan to the motion" not in known
+    assert set(pies(rows)) == {"ours", "MoMa-Pos, as printed"}
+
+
+@pytest.mark.parametrize("shares", [{"a": 1.0}, {"a": 3.0, "b": 1.0}, {"a": 0.2, "b": 0.2}, {}])
+def test_the_sectors_of_a_pie_have_the_areas_of_their_shares(shares: dict[str, float]) -> None:
+    paths = ElementTree.fromstring(pie_figure({"one": shares})).findall(f"{SVG}path")
+    assert len(paths) == len(shares)
+    whole = sum(shares.values())
+    for path, value in zip(paths, shares.values(), strict=True):
+        x, y, x0, y0, _, _, _, large, _, x1, y1 = map(
+            float, re.findall(r"-?[0-9.]+", path.get("d") or "")
+        )
+        a0, a1 = (np.arctan2(px - x, y - py) for px, py in ((x0, y0), (x1, y1)))
+        turn = (a1 - a0) % (2 * np.pi) / (2 * np.pi)
+        assert turn == pytest.approx(min(value / whole, 0.9999), abs=1e-3)
+        assert large == (turn > 0.5)
+
+
+def test_pictures_lie_in_the_page_and_lead_to_their_rows() -> None:
+    rows = results()
+    shown = Picture(HOSTILE, rows[1].key, b"\x89PNG")
+    made = _Page(page(["title"], all_tables(suite(), rows), rows, [shown]))
+    assert made.loaded == ["data:image/png;base64,iVBORw=="]
+    assert {"script", "img"} & made.tags == {"img"}
+
+
+def test_tasks_of_every_class_are_drawn_in_turn() -> None:
+    box = Container("cabinet", "drawer")
+    tasks = [task(f"task {k}") for k in range(4)] + [replace(task("two"), inside=box)]
+    rows = [*results(), row("two", task="two")]
+    drawn = [one.key for one in chosen_rows(tasks, rows, 3)]
+    assert drawn == ["ours 0", "ours 2", "ours 1"]
+    assert chosen_rows(tasks, rows, 0) == []
+
+
+def test_a_task_is_asked_again_and_drawn(tmp_path: Path) -> None:
+    one = SuiteTask("cup", "pick", "kitchen_small", "segway_ur5e", "pick", "cup")
+    found = Contents(suite(one), Settings(), {}, "")
+    (shown,) = pictures(tmp_path, found, [row("key", task="cup")], 3)
+    assert (shown.title, shown.key) == ("cup by ours", "key")
+    assert shown.png.startswith(b"\x89PNG")
+
+
+def test_parquet_holds_the_rows(tmp_path: Path) -> None:
+    parquet = optional.module("pyarrow.parquet")
+    rows = [row("a", done=None, at_2cm=None), row("b", verified=None)]
+    path = tmp_path / "new" / "rows.parquet"
+    write_parquet(rows, path)
+    table = parquet.read_table(path)
+    back = [{**one, **{n: json.loads(one[n]) for n in NESTED}} for one in table.to_pylist()]
+    assert [from_plain(one, Row, "here") for one in back] == rows
+    assert str(table.schema.field("at_2cm").type) == "double"
+    with pytest.raises(InputError, match="cannot be written"):
+        write_parquet(rows, path / "below.parquet")
+
+
+def test_without_pyarrow_the_message_says_how_to_get_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    with pytest.raises(MissingExtraError, match=r"pip install 'momapos\[parquet\]'"):
+        write_parquet([row("a")], tmp_path / "rows.parquet")
 
 
 def test_rows_stand_in_the_order_of_the_suite() -> None:

@@ -17,7 +17,7 @@ import pytest
 from tests.bench.fakes import row
 
 from momapos.bench.folder import all_rows, rows_file
-from momapos.bench.store import Store, read_rows
+from momapos.bench.store import ADDED, Store, read_rows
 from momapos.errors import FileFormatError, InputError
 
 KILLS, JOBS = 20, 2500
@@ -36,6 +36,33 @@ def test_a_row_comes_back_as_it_was_kept(tmp_path: Path) -> None:
     assert read_rows(store.path) == rows  # while it is open for writing
     store.close()
     assert read_rows(store.path) == rows
+
+
+def test_files_from_before_a_column_was_added_are_read(tmp_path: Path) -> None:
+    store = Store(tmp_path / "rows.sqlite")
+    store.add(row("one", at_2cm=1.0, at_5cm=0.5))
+    for name in ADDED:
+        store.connection.execute(f"ALTER TABLE rows DROP COLUMN {name}")
+    store.close()
+    assert read_rows(store.path) == [row("one")]
+
+
+def test_a_runner_that_was_killed_before_its_first_row_is_in_nobodys_way(tmp_path: Path) -> None:
+    path = tmp_path / "rows.sqlite"
+    path.touch()
+    assert read_rows(path) == []
+    store = Store(path)
+    assert store.add(row("one"))
+    store.close()
+    assert read_rows(path) == [row("one")]
+
+
+def test_files_that_lack_another_column_are_refused(tmp_path: Path) -> None:
+    store = Store(tmp_path / "rows.sqlite")
+    store.connection.execute("ALTER TABLE rows DROP COLUMN outcome")
+    store.close()
+    with pytest.raises(FileFormatError, match="no column outcome"):
+        read_rows(store.path)
 
 
 def test_a_job_keeps_its_first_row(tmp_path: Path) -> None:

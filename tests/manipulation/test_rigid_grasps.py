@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 
 from momapos.config import PipelineConfig
-from momapos.geometry.transforms import invert
+from momapos.geometry.transforms import invert, pose
+from momapos.kinematics.articulated import Articulated
+from momapos.kinematics.urdf import box_urdf
 from momapos.manipulation.config import GraspConfig, MotionConfig, ResistanceConfig
-from momapos.manipulation.grasp_hold import Contact, lifting_capacity
+from momapos.manipulation.grasp_hold import OWN, Contact, lifting_capacity
 from momapos.manipulation.hand import hand_of
 from momapos.manipulation.motion import TaskMotion, task_motion
 from momapos.manipulation.part_grasps import Family
@@ -20,7 +22,7 @@ from momapos.pipeline import plan_base_placement
 from momapos.reachability.store import load_reach_map
 from momapos.robots.robot import Grip, Robot
 from momapos.scene.files import load_scene
-from momapos.scene.scene import Scene
+from momapos.scene.scene import Scene, SceneObject
 
 DEFAULT = MotionConfig()
 THINGS = ("cup", "apple", "bottle", "cereal_box")
@@ -79,6 +81,23 @@ def test_a_grasp_bears_the_weight_with_its_torque_and_more_in_any_attitude(
         assert (grasps.capacity >= DEFAULT.grasps.grasp_margin * grasps.need).all()
     assert 0 < len(carries) <= len(lifts)
     assert carries.capacity.max() <= lifts.capacity.max() + NONE
+
+
+def box_room(width: float) -> Scene:
+    """A cup-like box on the floor, and nothing else."""
+    model = Articulated(box_urdf("box", (width, 0.12, 0.08)))
+    return Scene("box", (SceneObject("box", "box", pose((0.0, 0.0, 0.04)), model),))
+
+
+@pytest.mark.parametrize("verb", ["pick", "place"])
+def test_fingers_pass_by_a_thing_as_near_as_they_stand_to_any_that_they_hold(
+    robot: Robot, verb: str
+) -> None:
+    least = DEFAULT.grasps.hand_clearance * OWN
+    for beside, refused in ((1.1 * least, False), (0.9 * least, True)):
+        scene = box_room(robot.opening - 2 * beside)
+        motion = task_motion(scene, robot, make_task(scene, verb, "box"), DEFAULT)
+        assert ("cm wide" in motion.refusal) == refused == bool(motion.refusal)
 
 
 def contact_at(*points: list[float]) -> Contact:

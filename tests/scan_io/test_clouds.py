@@ -13,9 +13,9 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from tests.scan_io.recorded import write_ply
 
-from momapos.errors import FileFormatError
+from momapos.errors import FileFormatError, InputError
 from momapos.scan_io import pcd, ply
-from momapos.scan_io.clouds import read_cloud
+from momapos.scan_io.clouds import read_cloud, write_cloud
 from momapos.scan_io.pcd import unpack_lzf
 
 COLUMNS = np.dtype(
@@ -111,6 +111,19 @@ def test_every_file_of_the_same_points_gives_the_same_cloud(
         np.testing.assert_allclose(cloud.normals[:, i], table[f"n{axis}"], atol=1e-5)
     for i, name in enumerate(("red", "green", "blue")):
         np.testing.assert_array_equal(cloud.colors[:, i], table[name])
+
+
+def test_a_cloud_that_is_written_comes_back(tmp_path: Path, table: np.ndarray) -> None:
+    (tmp_path / "table.ply").write_bytes(as_ply(table, "binary_little_endian"))
+    cloud, _ = read_cloud(tmp_path / "table.ply")
+    write_cloud(cloud, tmp_path / "new" / "cloud.ply")
+    back, warnings = read_cloud(tmp_path / "new" / "cloud.ply")
+    np.testing.assert_array_equal(back.points, cloud.points)
+    np.testing.assert_allclose(back.normals, cloud.normals, atol=1e-6)
+    np.testing.assert_array_equal(back.colors, cloud.colors)
+    assert warnings == ()
+    with pytest.raises(InputError, match="cannot be written"):
+        write_cloud(cloud, tmp_path / "table.ply" / "below.ply")
 
 
 def test_a_mesh_written_by_trimesh_keeps_the_order_of_its_vertices(tmp_path: Path) -> None:

@@ -44,9 +44,13 @@ class PaperPlacer:
         for batch in range(config.batches):
             poses = in_area(room, boxes, _samples(room, config.samples * 2**batch, rng))
             scores = room.scores(poses, range(room.Ts_world_tool.shape[1])).max(1)
-            reached = scores[:, GRASP] > 0
-            poses, scores = poses[reached], scores[reached]
-            value = potential(room, boxes, poses, scores, np.array(config.heights))
+            if config.inverse_map:
+                reached = scores[:, GRASP] > 0
+                poses, scores = poses[reached], scores[reached]
+            else:
+                scores = np.zeros_like(scores)
+            heights = np.array(config.heights)
+            value = potential(room, boxes, poses, scores, heights, field=config.field)
             ranked = np.argsort(-value, kind="stable")
             for first in range(0, len(ranked), config.group):
                 group = ranked[first : first + config.group]
@@ -77,6 +81,8 @@ def potential(
     poses: Float[np.ndarray, "n 3"],
     scores: Float[np.ndarray, "n w"],
     heights: Float[np.ndarray, " z"],
+    *,
+    field: bool = True,
 ) -> Float[np.ndarray, " n"]:
     """Inverse reachability + F, summed over the waypoints and the heights.
 
@@ -89,15 +95,18 @@ def potential(
         poses: Base poses; r is where the axis of the arm stands.
         scores: Inverse reachability at every waypoint, the pre-grasp included, in [0, 1].
         heights: The heights z [m].
+        field: Whether F counts.
     """
+    total = len(heights) * scores[:, GRASP:].sum(1)
+    if not field:
+        return total
     targets = np.ascontiguousarray(room.Ts_world_tool[0, GRASP:, :3, 3])
     axis = _arm_axis(room, poses)
     away = np.linalg.norm(axis[:, None] - targets[None, :, :2], axis=-1)
-    field = 1 / np.maximum(away, LEAST_DISTANCE)
-    total = len(heights) * scores[:, GRASP:].sum(1)
+    near = 1 / np.maximum(away, LEAST_DISTANCE)
     for z in heights:
         sources = np.column_stack([axis, np.full(len(axis), z)])
-        total = total + (field * sees(sources, targets, boxes)).sum(1)
+        total = total + (near * sees(sources, targets, boxes)).sum(1)
     return total
 
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import socket
 import time
-from collections.abc import Collection
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,9 +12,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.baselines.answer import plan_by_method
+from momapos.bench.containers import opened, without
+from momapos.bench.disturbances import still_does
 from momapos.bench.folder import scene_path
 from momapos.bench.methods import method_config
-from momapos.bench.records import Container, Job, Outcome, Pose, Row, SuiteTask
+from momapos.bench.records import Job, Outcome, Pose, Row, SuiteTask
+from momapos.bench.scans import scanned_room
 from momapos.cache import user_cache
 from momapos.config import PipelineConfig
 from momapos.errors import MomaposError, SceneError, require
@@ -30,13 +32,14 @@ from momapos.types import PlacementPlan
 from momapos.verification.exact import PlanVerifier
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
+    from jaxtyping import Bool, Float
 
     from momapos.execution.record import RunRecord
 
 WARM = SuiteTask("warm", "", "kitchen_small", "segway_ur5e", "open", "fridge", "door_hinge")
 """What a process answers once by each method before anything counts, so that its kernels are
 loaded."""
+NOT_SEEN = "the scan shows nothing there"
 WARM_TIME = 10.0
 """Processor time for that [s]."""
 
@@ -51,9 +54,13 @@ class _Trace:
     checked: int = 0
     sampled: int = 0
     bases: list[Pose] = field(default_factory=list)
+    modeled: tuple[str, ...] | None = None
+    """What the last step had modeled; None for everything."""
     verified: bool | None = None
     done: bool | None = None
     clearance: float | None = None
+    held: Bool[np.ndarray, "levels n"] | None = None
+    """From which disturbed base poses all steps so far still work."""
     outcome: Outcome = "solved"
     reason: str = ""
 
@@ -66,6 +73,7 @@ class _Trace:
         self.checked += plan.candidates.checked
         self.sampled += plan.candidates.sampled
         self.driving += plan.navigation_cost or 0.0
+        self.modeled = None if plan.key_objects is None else plan.key_objects.names
         if plan.base_pose is not None:
             self.bases.append(plan.base_pose)
 
@@ -77,6 +85,17 @@ class _Trace:
         seen.append(None if record.execution is None else record.execution.clearance)
         known = [value for value in (self.clearance, *seen) if value is not None]
         self.clearance = min(known, default=None)
+
+    def disturb(self, held: Bool[np.ndarray, "levels n"]) -> None:
+        """Add from which disturbed base poses a step still works."""
+        self.held = held if self.held is None else self.held & held
+
+    def shares_held(self) -> dict[str, float]:
+        """Columns of the row that say how much of a solved job survives base errors."""
+        if self.held is None or self.outcome != "solved":
+            return {}
+        at_2cm, at_5cm = self.held.mean(axis=1).tolist()
+        return {"at_2cm": at_2cm, "at_5cm": at_5cm}
 
     def end(self, outcome: Outcome, reason: str) -> None:
         """Say how the job ended."""
@@ -101,7 +120,7 @@ def answer_job(job: Job) -> Row:
         done=trace.done, seconds=trace.seconds, wall=time.perf_counter() - began,
         stages=trace.stages, driving=trace.driving if trace.outcome == "solved" else None,
         checked=trace.checked, sampled=trace.sampled, clearance=trace.clearance,
-        bases=tuple(trace.bases), host=socket.gethostname(),
+        bases=tuple(trace.bases), host=socket.gethostname(), **trace.shares_held(),
     )  # fmt: skip
 
 
@@ -111,6 +130,9 @@ def _do_steps(job: Job, trace: _Trace) -> None:
     robot, reach = _robot(task.robot)
     scene = _scene(scene_path(Path(job.folder), task.scene)).with_joints(task.joints)
     start = None if task.start is None else np.array(task.start)
+    if job.settings.scan:
+        _do_from_scan(job, scene, robot, reach, start, trace)
+        return
     if task.inside is not None:
         box, room = task.inside, without(scene, task.carried)
         plan = _step(job, room, robot, reach, "open", (box.object, box.joint, None), start, trace)
@@ -130,12 +152,42 @@ def _do_steps(job: Job, trace: _Trace) -> None:
         trace.end("gave up", f"where it opened {task.inside.object}: {why}")
 
 
+def _do_from_scan(
+    job: Job, truth: Scene, robot: Robot, reach: ReachScorer,
+    start: Float[np.ndarray, "3"] | None, trace: _Trace,
+) -> None:  # fmt: skip
+    """Do the task in the room as a scan shows it; doors and drawers are opened in the true one."""
+    task, settings = job.task, job.settings
+    room = scanned_room(Path(job.folder), task.scene, truth, settings.scan, task.seed)
+    asked = room.task(task.verb, task.object, task.joint, task.to)
+    if asked is None:
+        trace.end("gave up", NOT_SEEN)
+        return
+    start = room.start(truth.start if start is None else start)
+    target = (asked.object, asked.joint, asked.to)
+    world = None if asked.joint is None else room.truth
+    _step(job, room.scene, robot, reach, task.verb, target, start, trace, world=world)
+    trace.bases = [room.in_room(pose) for pose in trace.bases]
+    modeling = room.modeling(trace.modeled)
+    trace.stages["modeling"] = modeling
+    trace.seconds += modeling
+
+
 def _step(
     job: Job, scene: Scene, robot: Robot, reach: ReachScorer, verb: str,
     target: tuple[str, str | None, float | None], start: Float[np.ndarray, "3"] | None,
-    trace: _Trace,
+    trace: _Trace, *, world: Scene | None = None,
 ) -> PlacementPlan | None:  # fmt: skip
     """Answer, check and carry out one step.
+
+    Args:
+        job: What is asked, and how.
+        scene: The room as the robot knows it.
+        robot, reach: Who does it.
+        verb, target: The task: object, joint and value.
+        start: Where the base is.
+        trace: What is left of the job.
+        world: What is really there, in the scene's frame; as the scene says by default.
 
     Returns:
         The plan, where the next step can follow; the trace says why not where it cannot.
@@ -157,8 +209,13 @@ def _step(
     if wrong is not None:
         trace.end("failed", f"exact check refuses the plan: {wrong.name} {wrong.culprit}".strip())
         return None
+    if job.settings.disturbances:
+        count = job.settings.disturbances
+        trace.disturb(
+            still_does(plan, scene, robot, reach, count=count, config=config, seed=seed)
+        )  # fmt: skip
     if job.settings.execute:
-        trace.carry_out(_execute(plan, scene, robot, reach, config, seed))
+        trace.carry_out(_execute(plan, scene, robot, reach, config, seed, world))
     return None if trace.done is False else plan
 
 
@@ -173,7 +230,7 @@ def _refusal(plan: PlacementPlan, config: PipelineConfig) -> tuple[Outcome, str]
 
 def _execute(
     plan: PlacementPlan, scene: Scene, robot: Robot, reach: ReachScorer, config: PipelineConfig,
-    seed: int,
+    seed: int, world: Scene | None,
 ) -> RunRecord:  # fmt: skip
     """Drive there with noise, plan anew, and hold by contact, as `momapos run` does."""
     with require("physics"):
@@ -181,37 +238,10 @@ def _execute(
         from momapos.run_plan import run_plan
 
     return run_plan(
-        plan, scene, robot, reach, config=config, seed=seed,
+        plan, scene, robot, reach, world=world, config=config, seed=seed,
         physics=ExecutionConfig(hold="contact", furniture=FurnitureConfig(spread=0.3)),
         clock=time.process_time,
     )  # fmt: skip
-
-
-# ------------------------------------------------------------------------ what is in a container
-
-
-def without(scene: Scene, names: Collection[str]) -> Scene:
-    """The same room without some things."""
-    return replace(scene, objects=tuple(o for o in scene.objects if o.name not in names))
-
-
-def opened(scene: Scene, box: Container, value: float, carried: Collection[str]) -> Scene:
-    """The room after a container was opened.
-
-    Args:
-        scene: The room before.
-        box: The container.
-        value: Where its joint is then [rad] or [m].
-        carried: Things that move with it.
-    """
-    holder, after = scene.object(box.object), scene.with_joint(box.object, box.joint, value)
-    link = holder.model.joint(box.joint).child
-    T = after.object(box.object).link_poses()[link] @ np.linalg.inv(holder.link_poses()[link])
-    objects = (
-        replace(item, T_world_object=T @ item.T_world_object) if item.name in carried else item
-        for item in after.objects
-    )
-    return replace(after, objects=tuple(objects))
 
 
 # --------------------------------------------------------------------- what a process keeps

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from html import escape
 
 from momapos.bench.metrics import grouped, share, succeeded
@@ -81,6 +81,48 @@ def scatter_figure(rows: Sequence[Row], anchors: dict[str, str]) -> str:
         lines.append(f'<circle cx="{right + 18}" cy="{y - 4}" r="4" fill="{color}"/>')
         lines.append(_text(right + 28, y, method[:22]))
     return "".join([*lines, "</svg>"])
+
+
+def pie_figure(named: Mapping[str, Mapping[str, float]]) -> str:
+    """One pie beside the other, each with its stages in one order of colors.
+
+    Args:
+        named: Shares by stage, of any sum, by what each pie shows.
+    """
+    stages = list(dict.fromkeys(stage for shares in named.values() for stage in shares))
+    colors = {stage: COLORS[k % len(COLORS)] for k, stage in enumerate(stages)}
+    each, radius, across = 150, 55, (WIDTH - 170) // 150
+    lines = [_open(max(each * -(-len(named) // across), 18 * len(stages) + 20) + 10)]
+    for k, (name, shares) in enumerate(named.items()):
+        x, y = each * (k % across) + each / 2, each * (k // across) + radius + 10
+        whole, begun = sum(shares.values()), 0.0
+        for stage, share_of in shares.items():
+            part = share_of / whole if whole > 0 else 0.0
+            lines.append(
+                f'<path d="{_sector(x, y, radius, begun, begun + part)}" fill="{colors[stage]}">'
+                f"<title>{escape(name)}, {escape(stage)}: {100 * part:.1f} %</title></path>"
+            )
+            begun += part
+        lines.append(_text(x, y + radius + 16, name[:24], "middle"))
+    for k, (stage, color) in enumerate(colors.items()):
+        y = 20 + 18 * k
+        lines.append(f'<circle cx="{WIDTH - 150}" cy="{y - 4}" r="5" fill="{color}"/>')
+        lines.append(_text(WIDTH - 138, y, stage[:22]))
+    return "".join([*lines, "</svg>"])
+
+
+def _sector(x: float, y: float, radius: float, begin: float, end: float) -> str:
+    """The path of a sector between two shares of the whole turn, from the top, clockwise."""
+    end = min(end, begin + 0.9999)  # an arc that ends where it begins is none
+    points = [
+        (x + radius * math.sin(2 * math.pi * turn), y - radius * math.cos(2 * math.pi * turn))
+        for turn in (begin, end)
+    ]
+    (x0, y0), (x1, y1) = points
+    large = int(end - begin > 0.5)
+    return (
+        f"M {x:.2f} {y:.2f} L {x0:.2f} {y0:.2f} A {radius} {radius} 0 {large} 1 {x1:.2f} {y1:.2f} Z"
+    )
 
 
 def _open(height: float) -> str:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from base64 import b64encode
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from html import escape
 
-from momapos.bench.figures import scatter_figure, success_figure
+from momapos.bench.cells import Cell, Table
+from momapos.bench.figures import pie_figure, scatter_figure, success_figure
 from momapos.bench.metrics import how_it_ended
+from momapos.bench.printed import pies
 from momapos.bench.records import Row
-from momapos.bench.tables import Cell, Table
 
 STYLE = """
 body { font: 15px/1.45 sans-serif; margin: 2em auto; max-width: 75em; padding: 0 1em; color: #222 }
@@ -16,6 +19,7 @@ table { border-collapse: collapse; margin: .6em 0 }
 th, td { border-bottom: 1px solid #ddd; padding: .2em .7em; text-align: left; vertical-align: top }
 th { background: #f3f3f3 } td { font-variant-numeric: tabular-nums }
 a { color: #1f5f9e; text-decoration: none } a:hover { text-decoration: underline }
+img { max-width: 100% }
 :target { background: #fff3b0 } .note { color: #666 } .rows { font-size: 13px }
 """
 ROW_COLUMNS = (
@@ -24,13 +28,19 @@ ROW_COLUMNS = (
 )  # fmt: skip
 
 
-def page(heading: Sequence[str], tables: Sequence[Table], rows: Sequence[Row]) -> str:
+def page(
+    heading: Sequence[str],
+    tables: Sequence[Table],
+    rows: Sequence[Row],
+    pictures: Sequence[Picture] = (),
+) -> str:
     """The page.
 
     Args:
         heading: Lines that say what was run.
         tables: What came of it.
         rows: All rows, which stand at the end of the page.
+        pictures: Answers to some of the tasks.
     """
     anchors = {row.key: f"r{number}" for number, row in enumerate(rows)}
     names = {row.key: row.task for row in rows}
@@ -41,6 +51,10 @@ def page(heading: Sequence[str], tables: Sequence[Table], rows: Sequence[Row]) -
         if k == 0:
             parts += ["<h2>Success</h2>", success_figure(rows)]
             parts += ["<h2>Driving against time</h2>", scatter_figure(rows, anchors)]
+            parts += ["<h2>Shares of the stages</h2>", pie_figure(pies(rows))]
+    if pictures:
+        parts.append("<h2>Potential and candidates</h2>")
+    parts += [_picture(one, anchors) for one in pictures]
     parts += ["<h2>Rows</h2>", _row_table(rows, anchors)]
     parts += ["<h2>What each number counts</h2>", *numbers.lists]
     body = "\n".join(parts)
@@ -48,6 +62,16 @@ def page(heading: Sequence[str], tables: Sequence[Table], rows: Sequence[Row]) -
         f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>'
         f"{escape(heading[0])}</title><style>{STYLE}</style></head>\n<body>\n{body}\n</body></html>\n"
     )
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture in the page."""
+
+    title: str
+    key: str
+    """Of the row that it shows."""
+    png: bytes
 
 
 class _Numbers:
@@ -85,6 +109,14 @@ class _Numbers:
             what = escape(f"{table.title}, {line[0].text}: {cell.text}")
             self.lists.append(f'<p class="rows" id="{self.known[keys]}"><b>{what}</b>: {links}</p>')
         return f'<a href="#{self.known[keys]}">{text}</a>'
+
+
+def _picture(picture: Picture, anchors: Mapping[str, str]) -> str:
+    data = b64encode(picture.png).decode()
+    title = f'<a href="#{anchors[picture.key]}">{escape(picture.title)}</a>'
+    return (
+        f'<p>{title}<br><img src="data:image/png;base64,{data}" alt="{escape(picture.title)}"></p>'
+    )
 
 
 def _row_table(rows: Sequence[Row], anchors: Mapping[str, str]) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from momapos.bench.tables import Table
+from momapos.bench.cells import Table
 
 
 def markdown(heading: Sequence[str], tables: Sequence[Table]) -> str:

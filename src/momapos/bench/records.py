@@ -83,6 +83,11 @@ class Settings:
     """Wall time after which a task counts as hung, and its process is ended [s]."""
     execute: bool = False
     """Whether solved plans are carried out in physics, held by contact, with noise."""
+    scan: int = 0
+    """Images of the synthetic scan from which the robot knows the room; 0: it knows the room."""
+    disturbances: int = 0
+    """Base poses 2 cm and 2 degrees, and as many 5 cm and 5 degrees off the planned one, from which
+    the arm's motion is planned anew."""
 
 
 @dataclass(frozen=True)
@@ -130,7 +135,12 @@ class Row:
     clearance: float | None = None
     """Least distance to everything else in physics [m]; None where nothing was executed."""
     bases: tuple[Pose, ...] = ()
-    """Where the robot stands, one pose a step."""
+    """Where the robot stands in the room, one pose a step."""
+    at_2cm: float | None = None
+    """Share of base poses 2 cm and 2 degrees off from which the arm still does it, in [0, 1]; None
+    where it is not solved, or none was asked."""
+    at_5cm: float | None = None
+    """The same 5 cm and 5 degrees off."""
     host: str = ""
     finished: float = 0.0
     """Unix time [s]."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import fields
 from pathlib import Path
@@ -15,13 +15,16 @@ from momapos.errors import FileFormatError, InputError
 
 FORMAT_VERSION = 1
 """Stands in the file as `user_version`."""
-_TYPES = {
+TYPES = {
     "seed": "INTEGER", "verified": "INTEGER", "done": "INTEGER", "checked": "INTEGER",
     "sampled": "INTEGER", "seconds": "REAL", "wall": "REAL", "driving": "REAL",
-    "clearance": "REAL", "finished": "REAL",
+    "clearance": "REAL", "at_2cm": "REAL", "at_5cm": "REAL", "finished": "REAL",
 }  # fmt: skip
-_JSON = ("stages", "bases")
+NESTED = ("stages", "bases")
+"""Columns that hold JSON."""
 COLUMNS = tuple(item.name for item in fields(Row))
+ADDED = ("at_2cm", "at_5cm")
+"""Columns that older files of this format lack."""
 WAIT = 30.0
 """How long a writer waits for another one [s]."""
 
@@ -88,10 +91,14 @@ def read_rows(path: Path) -> list[Row]:
         connection = sqlite3.connect(path.resolve().as_uri() + "?mode=ro", uri=True, timeout=WAIT)
         try:
             _refuse_foreign(connection, path)
-            found = connection.execute(f"SELECT {_names()} FROM rows ORDER BY rowid").fetchall()
+            names = _columns(connection, path)
+            if not names:
+                return []
+            query = f"SELECT {_names(names)} FROM rows ORDER BY rowid"
+            found = connection.execute(query).fetchall()
         finally:
             connection.close()
-        return [_row(values, path) for values in found]
+        return [_row(dict(zip(names, values, strict=True)), path) for values in found]
     except sqlite3.Error as error:
         raise FileFormatError(f"{path}: not a usable results file ({error})") from error
 
@@ -106,27 +113,43 @@ def _refuse_foreign(connection: sqlite3.Connection, path: Path) -> None:
         )
 
 
+def _columns(connection: sqlite3.Connection, path: Path) -> list[str]:
+    """The columns that a file has; those that are younger than it have no value.
+
+    None in an empty file: its writer was killed before it had made the table.
+
+    Raises:
+        FileFormatError: It lacks one that every file of this version has.
+    """
+    there = {column[1] for column in connection.execute("PRAGMA table_info(rows)")}
+    if not there:
+        return []
+    lacking = [name for name in COLUMNS if name not in there and name not in ADDED]
+    if lacking:  # SQLite takes the quoted name of a column that there is not for a text
+        raise FileFormatError(f"{path}: not a usable results file (no column {lacking[0]})")
+    return [name for name in COLUMNS if name in there]
+
+
 def _schema() -> str:
     columns = ", ".join(
-        f'"{name}" {_TYPES.get(name, "TEXT")}' + (" PRIMARY KEY" if name == "key" else "")
+        f'"{name}" {TYPES.get(name, "TEXT")}' + (" PRIMARY KEY" if name == "key" else "")
         for name in COLUMNS
     )
     return f"CREATE TABLE IF NOT EXISTS rows ({columns})"
 
 
-def _names() -> str:
-    return ", ".join(f'"{name}"' for name in COLUMNS)
+def _names(columns: Sequence[str] = COLUMNS) -> str:
+    return ", ".join(f'"{name}"' for name in columns)
 
 
 def _values(row: Row) -> list[Any]:
     plain = to_plain(row)
-    return [json.dumps(plain[name]) if name in _JSON else plain[name] for name in COLUMNS]
+    return [json.dumps(plain[name]) if name in NESTED else plain[name] for name in COLUMNS]
 
 
-def _row(values: tuple[Any, ...], path: Path) -> Row:
-    plain = dict(zip(COLUMNS, values, strict=True))
+def _row(plain: dict[str, Any], path: Path) -> Row:
     try:
-        plain |= {name: json.loads(plain[name]) for name in _JSON}
+        plain |= {name: json.loads(plain[name]) for name in NESTED}
     except (TypeError, ValueError, RecursionError) as error:
         raise FileFormatError(f"{path}: row {plain['key']!r:.60}: damaged JSON") from error
     return from_plain(plain, Row, f"{path}: row {plain['key']!r:.60}")

@@ -29,6 +29,8 @@ ABLATIONS = (
     *(f"paper:importance.alpha={alpha}" for alpha in (0.0, 0.25, 0.75, 1.0)),
     *(f"paper:importance.k0={k0}" for k0 in (0.0, 1.0)),
     *(f"paper:importance.scorer={name}" for name in ("reach", "distance", "size", "names")),
+    "paper:paper.field=false",
+    "paper:paper.inverse_map=false",
     "paper:planner.planner=RRTConnect",
     "ours",
     *(f"ours:importance.alpha={alpha}" for alpha in (0.0, 0.75, 1.0)),
@@ -36,11 +38,13 @@ ABLATIONS = (
     "ours:place.rounds=0",
     "ours:place.grid=false",
     "ours:place.improve=0",
+    "ours:place.miss=0.0",
     "exhaustive",
 )
-"""Variants of the paper's options T, M, k1 with k1', z, alpha and k0 (alpha 0 models everything),
-of its scorer and its arm planner; and of ours: importance, samples, rounds (0: the grid alone),
-without the grid, and without looking for cheaper poses."""
+"""Variants of the paper's options T (1: no tours), M, k1 with k1', z, alpha and k0 (alpha 0 models
+everything), of its scorer and its arm planner, without its field and without its inverse map; and
+of ours: importance, samples, rounds (0: the grid alone), without the grid, without looking for
+cheaper poses, and ordered by driving alone."""
 SMOKE_TASKS = 16
 SIM_TASKS, ROOMS = 500, 10
 DISHWASHER = 0.5
@@ -56,6 +60,8 @@ class SuiteKind:
     robots: tuple[str, ...]
     methods: tuple[str, ...]
     revision: int = 1
+    scannable: bool = True
+    """Whether a scan shows what its tasks are about."""
 
 
 def kitchen_tasks(robots: Sequence[str], seed: int) -> list[SuiteTask]:
@@ -197,6 +203,7 @@ SUITES: dict[str, SuiteKind] = {
         _paper_sim,
         ("fetch", "segway_ur5e", "husky_ur5e"),
         ("ours", "paper", "habitat", "m3", "reuleaux"),
+        scannable=False,
     ),
     "paper-real": SuiteKind(
         "the paper's four tasks in 50 layouts of its laboratory",

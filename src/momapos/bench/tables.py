@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from momapos.bench.cells import Cell, Table
 from momapos.bench.metrics import (
     Share,
     grouped,
@@ -19,27 +20,12 @@ from momapos.bench.metrics import (
     stage_shares,
     succeeded,
 )
+from momapos.bench.printed import MODELING, printed_stages, printed_table
 from momapos.bench.records import Row, Suite
 
 MOST_REASONS = 25
-
-
-@dataclass(frozen=True)
-class Cell:
-    """What a table shows, and the keys of the rows behind it."""
-
-    text: str
-    keys: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class Table:
-    """A table with one line of headings."""
-
-    title: str
-    columns: tuple[str, ...]
-    lines: tuple[tuple[Cell, ...], ...]
-    note: str = ""
+GRID = "exhaustive"
+"""The method that looks at every base pose."""
 
 
 def all_tables(suite: Suite, rows: Sequence[Row]) -> list[Table]:
@@ -49,54 +35,147 @@ def all_tables(suite: Suite, rows: Sequence[Row]) -> list[Table]:
         tables.append(class_table(rows, "robot", "robot"))
     tables += [reason_table(rows), stage_table(rows)]
     if suite.name == "paper-real":
-        from momapos.bench.printed import printed_table
-
-        tables.append(printed_table())
+        tables.append(printed_table(rows))
+    if any(MODELING in row.stages for row in rows):
+        tables.append(printed_stages(rows))
     return tables
 
 
 def summary_table(rows: Sequence[Row]) -> Table:
     """One line a method."""
-    physics = any(row.done is not None for row in rows)
-    columns = (
-        "method", "tasks", "solved", "95 % interval", *(("done in physics",) if physics else ()),
-        "time, median", "95th percentile", "driving, median", "over the least known",
-        "full checks, mean", "wrong no",
-    )  # fmt: skip
-    least, solvable = least_driving(rows), solved_by_any(rows)
-    lines = []
-    for method, mine in grouped(rows, lambda row: row.method).items():
+    by_method = grouped(rows, lambda row: row.method)
+    parts = [_success(by_method), _times(by_method), _driving(by_method, least_driving(rows))]
+    parts.append(_search(by_method, solved_by_any(rows)))
+    if any(row.at_2cm is not None for row in rows):
+        parts.insert(1, _base_errors(by_method))
+    if GRID in by_method:
+        parts.insert(1, _of_the_grid(by_method))
+    if any(row.clearance is not None for row in rows):
+        parts.append(_clearance(by_method))
+    columns = tuple(name for part in parts for name in part.columns)
+    lines = tuple(
+        (Cell(method, _keys(mine)), *(cell for part in parts for cell in part.cells[method]))
+        for method, mine in by_method.items()
+    )
+    return Table("Methods", ("method", *columns), lines, NOTE)
+
+
+NOTE = (
+    "Time is processor time of an answer. Over the least known: driving beyond the shortest that "
+    "any method of this run found for the task, at the median, and of all meters together. Wrong "
+    "no: infeasible, and another method solves it. Of what the grid solves: of the tasks that "
+    "exhaustive solves. Base off by 2 cm and 2 degrees, or 5 of both: success, counting a task by "
+    "the share of such base poses from which the arm, planned anew, still does it."
+)
+
+
+@dataclass(frozen=True)
+class _Part:
+    """Some columns of the table of methods."""
+
+    columns: tuple[str, ...]
+    cells: Mapping[str, tuple[Cell, ...]]
+    """By method."""
+
+
+def _success(by_method: Mapping[str, Sequence[Row]]) -> _Part:
+    physics = any(row.done is not None for mine in by_method.values() for row in mine)
+    columns = ("tasks", "solved", "95 % interval", *(("done in physics",) if physics else ()))
+    cells = {}
+    for method, mine in by_method.items():
         solved = [row for row in mine if row.outcome == "solved"]
-        done = [row for row in mine if row.done]
-        timed = [row for row in mine if row.seconds is not None]
-        seconds = [row.seconds for row in timed if row.seconds is not None]
-        driven = [row for row in solved if row.driving is not None]
-        driving = [row.driving for row in driven if row.driving is not None]
-        over = [way - least[row.task] for way, row in zip(driving, driven, strict=True)]
-        checked = [row.checked for row in mine if row.checked is not None]
-        wrong = [r for r in mine if r.outcome == "infeasible" and r.task in solvable]
-        part = share(len(solved), len(mine))
+        done, part = [row for row in mine if row.done], share(len(solved), len(mine))
         line = [
-            Cell(method, _keys(mine)), Cell(str(len(mine)), _keys(mine)),
-            Cell(_of(part), _keys(solved)), Cell(_interval(part), _keys(solved)),
+            Cell(str(len(mine)), _keys(mine)), Cell(_of(part), _keys(solved)),
+            Cell(_interval(part), _keys(solved)),
         ]  # fmt: skip
         if physics:
             line.append(Cell(_of(share(len(done), len(mine))), _keys(done)))
-        line += [
-            Cell(_number(percentile(seconds, 50), "s"), _keys(timed)),
-            Cell(_number(percentile(seconds, 95), "s"), _keys(timed)),
-            Cell(_number(percentile(driving, 50), "m"), _keys(driven)),
-            Cell(_number(percentile(over, 50), "m", sign=True), _keys(driven)),
+        cells[method] = tuple(line)
+    return _Part(columns, cells)
+
+
+def _of_the_grid(by_method: Mapping[str, Sequence[Row]]) -> _Part:
+    """How much of what an exhaustive search solves a method does, physics included."""
+    possible = {row.task for row in by_method[GRID] if row.outcome == "solved"}
+    cells = {}
+    for method, mine in by_method.items():
+        asked = [row for row in mine if row.task in possible]
+        good = [row for row in asked if succeeded(row)]
+        part = share(len(good), len(asked))
+        percent = f", {100 * part.count / part.of:.1f} %" if asked else ""
+        cells[method] = (Cell(f"{_of(part)}{percent}", _keys(good)),)
+    return _Part(("of what the grid solves",), cells)
+
+
+def _base_errors(by_method: Mapping[str, Sequence[Row]]) -> _Part:
+    cells = {
+        method: (
+            _mean_success(mine, [row.at_2cm for row in mine]),
+            _mean_success(mine, [row.at_5cm for row in mine]),
+        )
+        for method, mine in by_method.items()
+    }
+    return _Part(("base off by 2 cm, 2 deg", "by 5 cm, 5 deg"), cells)
+
+
+def _mean_success(rows: Sequence[Row], shares: Sequence[float | None]) -> Cell:
+    """Success where a row counts by a share; what is not solved counts nothing."""
+    asked = [k for k, row in enumerate(rows) if shares[k] is not None or row.outcome != "solved"]
+    if not asked:
+        return Cell("-")
+    whole = sum(shares[k] or 0.0 for k in asked)
+    good = [rows[k] for k in asked if shares[k]]
+    return Cell(f"{100 * whole / len(asked):.0f} %", _keys(good))
+
+
+def _times(by_method: Mapping[str, Sequence[Row]]) -> _Part:
+    cells = {}
+    for method, mine in by_method.items():
+        seconds = {row.key: row.seconds for row in mine if row.seconds is not None}
+        keys, values = tuple(seconds), list(seconds.values())
+        cells[method] = tuple(Cell(_number(percentile(values, q), "s"), keys) for q in (50, 95))
+    return _Part(("time, median", "95th percentile"), cells)
+
+
+def _driving(by_method: Mapping[str, Sequence[Row]], least: Mapping[str, float]) -> _Part:
+    cells = {}
+    for method, mine in by_method.items():
+        ways = {
+            row.key: (row.driving, least[row.task])
+            for row in mine
+            if row.outcome == "solved" and row.driving is not None
+        }
+        driving = [way for way, _ in ways.values()]
+        over = [way - short for way, short in ways.values()]
+        whole = sum(short for _, short in ways.values())
+        beyond = _number(percentile(over, 50), "m", sign=True)
+        percent = f", {100 * sum(over) / whole:+.0f} %" if whole > 0 else ""
+        cells[method] = (
+            Cell(_number(percentile(driving, 50), "m"), tuple(ways)),
+            Cell(f"{beyond}{percent}", tuple(ways)),
+        )
+    return _Part(("driving, median", "over the least known"), cells)
+
+
+def _search(by_method: Mapping[str, Sequence[Row]], solvable: Collection[str]) -> _Part:
+    cells = {}
+    for method, mine in by_method.items():
+        checked = [row.checked for row in mine if row.checked is not None]
+        wrong = [r for r in mine if r.outcome == "infeasible" and r.task in solvable]
+        cells[method] = (
             Cell(f"{np.mean(checked):.1f}" if checked else "-", _keys(mine)),
             Cell(str(len(wrong)), _keys(wrong)),
-        ]
-        lines.append(tuple(line))
-    note = (
-        "Time is processor time of an answer. Over the least known: driving beyond the shortest "
-        "that any method of this run found for the task. Wrong no: infeasible, and another method "
-        "solves it."
-    )
-    return Table("Methods", columns, tuple(lines), note)
+        )
+    return _Part(("full checks, mean", "wrong no"), cells)
+
+
+def _clearance(by_method: Mapping[str, Sequence[Row]]) -> _Part:
+    cells = {}
+    for method, mine in by_method.items():
+        known = {row.key: row.clearance for row in mine if row.clearance is not None}
+        cells[method] = (Cell(_number(percentile(list(known.values()), 50), "m"), tuple(known)),)
+    return _Part(("clearance, median",), cells)
 
 
 def class_table(rows: Sequence[Row], title: str, field: str) -> Table:
@@ -129,18 +208,25 @@ def reason_table(rows: Sequence[Row]) -> Table:
 
 
 def stage_table(rows: Sequence[Row]) -> Table:
-    """Share of each stage in the time of all answers, by method."""
+    """Each stage of each method: its share in the time of all answers, median, 95th percentile."""
     by_method = grouped(rows, lambda row: row.method)
     shares = {method: stage_shares(mine) for method, mine in by_method.items()}
     stages = list(dict.fromkeys(stage for parts in shares.values() for stage in parts))
+
+    def cell(method: str, stage: str) -> Cell:
+        if stage not in shares[method]:
+            return Cell("-")
+        seconds = [row.stages.get(stage, 0.0) for row in by_method[method] if row.stages]
+        half, most = (1000 * (percentile(seconds, q) or 0.0) for q in (50, 95))
+        text = f"{100 * shares[method][stage]:.1f} %; {half:.0f}, {most:.0f} ms"
+        return Cell(text, _keys(by_method[method]))
+
     lines = tuple(
-        (
-            Cell(method, _keys(by_method[method])),
-            *(Cell(f"{100 * parts[s]:.1f} %" if s in parts else "-") for s in stages),
-        )
-        for method, parts in shares.items()
+        (Cell(method, _keys(by_method[method])), *(cell(method, stage) for stage in stages))
+        for method in shares
     )
-    return Table("Time by stage", ("method", *stages), lines)
+    note = "Share of the time of all answers; then the median and the 95th percentile of answers."
+    return Table("Time by stage", ("method", *stages), lines, note)
 
 
 def compared_tables(first: Sequence[Row], second: Sequence[Row]) -> list[Table]:

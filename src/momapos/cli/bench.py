@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json as json_format
 import math
+import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -17,13 +18,17 @@ from momapos.bench.records import Outcome, Settings
 from momapos.bench.suites import SUITES, refuse_unknown
 from momapos.cli.console import busy, progress
 from momapos.cli.options import OptionalPath, OptionalText, check_seed
-from momapos.errors import InputError
+from momapos.errors import InputError, MomaposError
 from momapos.files import check_outputs
+
+MOST = 1000
+"""Images of a scan, and base poses off the planned one [-]."""
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
     from momapos.bench.folder import Contents
+    from momapos.bench.html import Picture
     from momapos.bench.records import Row
 
 
@@ -41,6 +46,8 @@ def bench_run(
     timeout: float = Settings.timeout,
     task_limit: float = Settings.limit,
     execute: bool = False,
+    scan: int = Settings.scan,
+    disturbances: int = 3,
     json: bool = False,
 ) -> int:
     """Ask every task of a suite of every method; what has an answer already is not asked again.
@@ -61,6 +68,10 @@ def bench_run(
         timeout: Processor time to search for one answer [s].
         task_limit: Wall time after which a task counts as hung [s].
         execute: Carry solved plans out in physics, held by contact, with noise.
+        scan: The robot knows a room by a synthetic scan of so many images (60, say), which is made
+            once a room; 0: as it is.
+        disturbances: Plan the arm's motion anew at so many base poses 2 cm and 2 degrees, and as
+            many 5 cm and 5 degrees off the planned one; 0: at none.
         json: Print one JSON object and nothing else.
     """
     # Told before anything heavy is imported.
@@ -71,6 +82,11 @@ def bench_run(
     for name, value in (("--timeout", timeout), ("--task-limit", task_limit)):
         if not 0 < value < math.inf:
             raise InputError(f"{name} must be a time above 0 s, not {value:g}")
+    for name, count in (("--scan", scan), ("--disturbances", disturbances)):
+        if not 0 <= count <= MOST:
+            raise InputError(f"{name} must be between 0 and {MOST}, not {count}")
+    if scan:
+        _check_scannable(suite)
     check_outputs(folders=[out])
     from momapos.bench.methods import method_config
 
@@ -83,7 +99,7 @@ def bench_run(
     from momapos.cli.compile import ANSWER, RANK, WALKS, compile_once
 
     compile_once((*ANSWER, *RANK, *WALKS))
-    settings = Settings(timeout, task_limit, execute)
+    settings = Settings(timeout, task_limit, execute, scan, disturbances)
     with held(out), _executor(workers, scheduler) as (executor, width, do):
         with busy(f"{suite}: looking at the tasks"):
             made = open_folder(out, suite, seed, robots, settings)
@@ -115,6 +131,8 @@ def bench_report(
     *,
     compare: OptionalPath = None,
     html: OptionalPath = None,
+    maps: int = 3,
+    parquet: OptionalPath = None,
     json: bool = False,
 ) -> int:
     """Print tables of a results folder as Markdown.
@@ -123,9 +141,13 @@ def bench_report(
         folder: The results folder.
         compare: Another one of the same tasks, with which it is compared task by task.
         html: Write one page here, with figures and all rows; it needs no network.
+        maps: Draw the potential and the candidates of so many tasks in that page; they are asked
+            again, by momapos as it is installed.
+        parquet: Write the rows here as a Parquet file.
         json: Print one JSON object with all rows instead of tables.
     """
-    check_outputs([html])
+    check_outputs([html, parquet])
+    _at_least("--maps", maps, 0)
     from momapos.bench.folder import all_rows, read_folder
     from momapos.bench.metrics import in_order
 
@@ -150,7 +172,11 @@ def bench_report(
         from momapos.bench.html import page
         from momapos.scene.files import write_whole
 
-        write_whole(html, page(heading, tables, rows))
+        write_whole(html, page(heading, tables, rows, _maps(folder, found, rows, maps)))
+    if parquet is not None:
+        from momapos.bench.parquet import write_parquet
+
+        write_parquet(rows, parquet)
     if json:
         from momapos.bench.records import to_plain
 
@@ -160,6 +186,37 @@ def bench_report(
 
         print(markdown(heading, tables))
     return 0
+
+
+def _maps(folder: Path, found: Contents, rows: list[Row], count: int) -> list[Picture]:
+    """Pictures of some answers; none is made of what the folder does not hold any more."""
+    if not count:
+        return []
+    from momapos.bench.maps import pictures
+
+    try:
+        with busy("drawing"):
+            return pictures(folder, found, rows, count)
+    except MomaposError as error:
+        print(f"note: no potential maps: {error}", file=sys.stderr)
+        return []
+
+
+def _check_scannable(suite: str) -> None:
+    """Refuse suites that no scan can start, and scans where nothing reads them.
+
+    Raises:
+        InputError: The suite takes things out of what is shut.
+        MissingExtraError: What reads scans is not installed.
+    """
+    if not SUITES[suite].scannable:
+        others = ", ".join(name for name, kind in SUITES.items() if kind.scannable)
+        raise InputError(
+            f"--scan: no scan shows what is in the drawers of {suite}; it starts {others}"
+        )
+    from momapos.scan_pipeline import default_tools
+
+    default_tools()
 
 
 def _at_least(name: str, value: int, least: int) -> None:
@@ -225,7 +282,8 @@ def _heading(found: Contents, rows: list[Row]) -> list[str]:
         f"{len({row.task for row in rows})} of {len(suite.tasks)} tasks, {len(rows)} answers; "
         f"suite revision {suite.revision}, seed {suite.seed}; robots {', '.join(suite.robots)}.",
         f"{settings.timeout:g} s of processor time for an answer, {settings.limit:g} s for a task"
-        + ("; carried out in physics." if settings.execute else "; not carried out."),
+        + ("; carried out in physics" if settings.execute else "; not carried out")
+        + (f"; rooms known by a scan of {settings.scan} images." if settings.scan else "."),
         "Made by " + ", ".join(f"{name} {version}" for name, version in found.versions.items())
         + f", on {', '.join(hosts)}.",
     ]  # fmt: skip

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 FORMAT, VERSION = "momapos-solve", 1
 SCENE, PLAN, RUN, RECORD = "scene.json", "plan.json", "run.json", "solve.json"
+CLOUD = "cloud.ply"
 
 
 @dataclass(frozen=True)
@@ -124,13 +125,14 @@ def _solve(
     from momapos.plans import write_plan
     from momapos.reachability.store import load_reach
     from momapos.robots.robot import load_arms
+    from momapos.scan_io.clouds import write_cloud
     from momapos.scan_report import outputs_of, report_to_dict, write_report
     from momapos.solve_scan import ScanTask, solve_scan
     from momapos.trajectory import with_times
 
     scanning, given = scan_config(options.scan, options.config.ranking), given_models(options.scan)
     files, folders = outputs_of(out / SCENE, pictures=options.pictures)
-    check_outputs([*files, out / PLAN, out / RUN, out / RECORD], folders)
+    check_outputs([*files, out / CLOUD, out / PLAN, out / RUN, out / RECORD], folders)
     name, _, joint = target.partition("/")
     scan = read(source, options.scan)
     compile_once(ANSWER)
@@ -148,6 +150,7 @@ def _solve(
         )  # fmt: skip
     data = report_to_dict(answer.modeled, scan, name)
     write_report(answer.modeled, data, out / SCENE, pictures=options.pictures)
+    write_cloud(answer.modeled.cloud, out / CLOUD)
     result = answer.result
     robot = result.prepared.robot
     write_plan(with_times(result.plan, robot), out / PLAN)
@@ -185,7 +188,7 @@ def _to_dict(answer: ScanAnswer, record: RunRecord | None) -> dict[str, Any]:
         "status": plan.status,
         "done": None if record is None else record.success,
         "reason": "" if record is None else record.reason,
-        "scene": SCENE, "plan": PLAN, "run": None if record is None else RUN,
+        "cloud": CLOUD, "scene": SCENE, "plan": PLAN, "run": None if record is None else RUN,
         "alphas": list(answer.alphas),
         "modeled": [d.detection.name for d in answer.modeled.decisions if d.model is not None],
         "timing": {name: round(seconds, 4) for name, seconds in timing.items()},

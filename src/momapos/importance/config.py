@@ -60,6 +60,9 @@ class ImportanceConfig:
     """Length of an object's vector [-]."""
     epochs: int = 3
     """Passes over the walks [-]."""
+    vectors: Optional[str] = None  # noqa: UP045 (see cli.options)
+    """File of word vectors for names, as GloVe and word2vec write them as text: a word and its
+    numbers a line. None: vectors learnt from the built-in kitchens."""
     graph: GraphConfig = field(default_factory=GraphConfig)
 
     def __post_init__(self) -> None:
@@ -81,3 +84,5 @@ class ImportanceConfig:
             raise InputError(
                 f"no scorer {self.scorer!r}; there are {', '.join(get_args(ScorerName))}"
             )
+        if self.vectors is not None and self.scorer != "names":
+            raise InputError("word vectors are for the scorer names; add --scorer names")

@@ -5,14 +5,17 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from functools import lru_cache
+from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
+from momapos.errors import InputError
 from momapos.importance.config import ImportanceConfig
 from momapos.importance.embedding import SkipGram, cosine, embed_walks, embed_words
 from momapos.importance.graph import SceneGraph
 from momapos.importance.walks import transitions, walk
+from momapos.importance.word_vectors import read_word_vectors
 from momapos.scene.files import load_scene
 from momapos.scene.names import builtin_names
 
@@ -88,11 +91,18 @@ def names(
 ) -> Float[np.ndarray, " n"]:
     """Cosine similarity of the mean vectors of the objects' words.
 
-    The paper tried word vectors and found them inadequate. These are learnt from which words occur
-    in one room, over the built-in kitchens and this one; geometry plays no part.
+    The paper tried word vectors and found them inadequate. Where the configuration names no file,
+    they are learnt from which words occur in one room, over the built-in kitchens and this one;
+    geometry plays no part. What the file has no word of gets the lowest score.
+
+    Raises:
+        FileFormatError: The file cannot be used.
+        InputError: It has no word of the target.
     """
     del path
     own = [words(name, kind) for name, kind in zip(graph.names, graph.categories, strict=True)]
+    if config.vectors is not None:
+        return _by_file(config.vectors, own, target)
     rooms = [*_library_words(), tuple(dict.fromkeys(word for some in own for word in some))]
     rng = np.random.default_rng(seed)
     # In random order, for company is the room and not the order in its file.
@@ -102,6 +112,18 @@ def names(
     vectors = embed_words(sentences, _skip_gram(config, seed))
     mean = np.array([np.mean([vectors[word] for word in some], axis=0) for some in own])
     return score_of_cosine(cosine(mean, target))
+
+
+def _by_file(file: str, own: list[tuple[str, ...]], target: int) -> Float[np.ndarray, " n"]:
+    """Scores of objects by their words, with the vectors of a file."""
+    known = read_word_vectors(FilePath(file), {word for some in own for word in some})
+    if not any(word in known for word in own[target]):
+        raise InputError(f"{file}: has none of the target's words: {', '.join(own[target])}")
+    zero = np.zeros(len(next(iter(known.values()))))
+    vectors = [[known[word] for word in some if word in known] for some in own]
+    mean = np.array([np.mean(some, axis=0) if some else zero for some in vectors])
+    scores = score_of_cosine(cosine(mean, target))
+    return np.where([bool(some) for some in vectors], scores, LEAST)
 
 
 SCORERS: dict[str, Scorer] = {

@@ -24,6 +24,9 @@ CONE = 2 / 3
 """Of the friction cone, so much may be spent on staying where the pads are [-]."""
 NEAR = 0.0015
 """A pad touches what is this near to its face: rubber gives way [m]."""
+OWN, OTHERS = 1 / 4, 1 / 2
+"""Shares of its clearance that an open hand at a grasp keeps at least from what it holds, and from
+all else [-]."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +95,7 @@ def stands_clear(
     """Whether open hands touch nothing at their grasps and on the straight way there."""
     clear = np.ones(len(R), bool)
     for element, own in zip(elements, held, strict=True):
-        margin = config.hand_clearance / 4 if own else config.hand_clearance / 2
+        margin = config.hand_clearance * (OWN if own else OTHERS)
         touch = touches_hull(hand.boxes, element.convex, R, p, -hand.approach, margin)
         clear &= ~((touch.begin <= config.pregrasp) & (touch.end > 0)).any(1)
     return clear

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
@@ -12,6 +12,7 @@ from momapos.geometry.transforms import invert
 from momapos.kinematics.articulated import Articulated
 from momapos.manipulation.config import GraspConfig
 from momapos.manipulation.grasp_hold import (
+    OWN,
     advance,
     close,
     contact_of,
@@ -109,6 +110,9 @@ def _holding(
     if robot.grips is not Grip.FINGERS or not hand.closes:
         why = empty_handed(robot) or f"{robot.name} has no fingers that close on an object"
         return _none(lines, need, why)
+    if _too_wide(robot, lines, config):
+        # The fingers pass by it as near as they stand to it at any grasp, see `stands_clear`.
+        config = replace(config, hand_clearance=config.hand_clearance * OWN)
     return _pinched(robot, hand, elements, lines, center, need, config, carried=carried)
 
 

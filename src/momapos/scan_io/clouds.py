@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial import cKDTree
 
-from momapos.errors import FileFormatError
+from momapos.cache import write_atomic
+from momapos.errors import FileFormatError, InputError
 from momapos.files import open_regular
 from momapos.scan_io.pcd import read_pcd
 from momapos.scan_io.ply import Columns, read_ply
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
 NEIGHBORS = 16
 MAX_EXTENT = 300.0  # [m] of a home
 MAX_DISTANCE = 1e6  # [m] from the origin, beyond which a number is damage
+AXES, NORMALS, COLORS = ("x", "y", "z"), ("nx", "ny", "nz"), ("red", "green", "blue")
+"""Columns as PLY files mostly call them."""
 _CHUNK = 200_000
 _GRAY = 128
 
@@ -47,7 +50,7 @@ def read_cloud(
         FileFormatError: It is damaged, empty, or not in meters.
     """
     columns, triangles = _read(path)
-    points = _stacked(columns, ("x", "y", "z"))
+    points = _stacked(columns, AXES)
     if points is None:
         raise FileFormatError(f"{path}: its points have no x, y, z; they have {list(columns)[:8]}")
     if not len(points):
@@ -74,6 +77,27 @@ def read_cloud(
     if without.any():
         normals[without] = _toward(cameras, points, without, _estimated(points, without))
     return Cloud(points, normals, colors), tuple(warnings)
+
+
+def write_cloud(cloud: Cloud, path: Path) -> None:
+    """Write a cloud as a binary PLY file, the whole file or nothing.
+
+    Raises:
+        InputError: It cannot be written.
+    """
+    numbers = [(name, "<f4") for name in (*AXES, *NORMALS)]
+    rows = np.empty(len(cloud.points), [*numbers, *((name, "u1") for name in COLORS)])
+    values = np.column_stack([cloud.points, cloud.normals, cloud.colors])
+    for name, column in zip((*AXES, *NORMALS, *COLORS), values.T, strict=True):
+        rows[name] = column
+    properties = [f"property float {name}" for name in (*AXES, *NORMALS)]
+    properties += [f"property uchar {name}" for name in COLORS]
+    count = f"element vertex {len(rows)}"
+    head = ["ply", "format binary_little_endian 1.0", count, *properties, "end_header"]
+    try:
+        write_atomic(path, "\n".join(head).encode() + b"\n" + rows.tobytes())
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror})") from error
 
 
 def _read(path: Path) -> tuple[Columns, Int[np.ndarray, "m 3"] | None]:
@@ -103,7 +127,7 @@ def _stacked(columns: Columns, names: tuple[str, ...]) -> Float[np.ndarray, "n k
 
 def _colors(columns: Columns, count: int) -> UInt8[np.ndarray, "n 3"] | None:
     for names in (
-        ("red", "green", "blue"),
+        COLORS,
         ("r", "g", "b"),
         ("diffuse_red", "diffuse_green", "diffuse_blue"),
     ):
@@ -120,7 +144,7 @@ def _colors(columns: Columns, count: int) -> UInt8[np.ndarray, "n 3"] | None:
 
 def _given_normals(columns: Columns, count: int) -> Float[np.ndarray, "n 3"]:
     """Normals in the file, zero where it has none."""
-    for names in (("nx", "ny", "nz"), ("normal_x", "normal_y", "normal_z")):
+    for names in (NORMALS, ("normal_x", "normal_y", "normal_z")):
         found = _stacked(columns, names)
         if found is not None:
             return _unit(found)
