@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
 import mujoco
@@ -15,6 +16,7 @@ from momapos.execution.shapes import Kind, add_shape, dress, place_body
 from momapos.geometry.transforms import invert, pose_planar
 from momapos.kinematics.articulated import joint_motion
 from momapos.kinematics.urdf import Joint
+from momapos.robots.fingertips import Pivot
 from momapos.robots.robot import Robot
 
 if TYPE_CHECKING:
@@ -23,6 +25,8 @@ if TYPE_CHECKING:
 BASE_JOINTS = ("base x", "base y", "base yaw")
 TOOL_POINT = "tool point"
 """Name of a geom that nothing meets, at the tool's origin."""
+_TIP_ARMATURE = 0.02
+"""Inertia of a turning tip as its linkage shows it: the less, the softer it follows [kg m^2]."""
 UNKNOWN_DENSITY = 500.0
 """Of links whose URDF gives no mass [kg/m^3]."""
 
@@ -54,6 +58,7 @@ def add_robot(
     model, moving = robot.model, _arm_links(robot)
     T_root_base = model.rest_poses[robot.base_link]
     driven = {finger.joint for finger in fingers}
+    turning = {pivot.link: pivot for pivot in hand.pivots if fingers}
     free = {*robot.moved_joints, *driven, *followers}
     bodies: dict[str, Any] = {}
     for link in model.links:
@@ -67,6 +72,8 @@ def add_robot(
         if joint is not None and joint.name in free:
             limit = dynamics.efforts.get(joint.name) if joint.name in robot.moved_joints else None
             _add_joint(body, joint, limit, config)
+        if link in turning:
+            _add_pivot(body, turning[link])
         kind = Kind.BASE
         if link in moving:
             kind = Kind.GRIPPER if link in robot.gripper_links else Kind.ARM
@@ -78,7 +85,7 @@ def add_robot(
     )  # fmt: skip
     _add_motors(spec, robot, fingers)
     _add_couplings(spec, fingers, followers)
-    _add_excludes(spec, robot)
+    _add_excludes(spec, robot, {*hand.pads} if turning else set(), {*turning})
 
 
 def _arm_links(robot: Robot) -> set[str]:
@@ -98,6 +105,12 @@ def _add_joint(body: Any, joint: Joint, effort: float | None, config: ExecutionC
         added.limited, added.range = 1, [joint.lower, joint.upper]
     if effort is not None:
         added.actfrclimited, added.actfrcrange = 1, [-effort, effort]
+
+
+def _add_pivot(body: Any, pivot: Pivot) -> None:
+    hinge = mujoco.mjtJoint.mjJNT_HINGE
+    added = body.add_joint(name=pivot.name, type=hinge, axis=pivot.axis, pos=pivot.center)
+    added.armature = _TIP_ARMATURE
 
 
 def _add_link(
@@ -163,12 +176,17 @@ def _add_couplings(spec: Any, fingers: tuple[Finger, ...], followers: Mapping[st
         added.data[:2] = [offset, factor]
 
 
-def _add_excludes(spec: Any, robot: Robot) -> None:
-    """Pairs of links that the robot's maker does not check; neighbors the engine leaves out."""
-    for pair in robot.disabled:
-        names = sorted(pair)
-        if len(names) == 2 and all(name in robot.model.urdf.links for name in names):
-            spec.add_exclude(bodyname1=body_of(names[0]), bodyname2=body_of(names[1]))
+def _add_excludes(spec: Any, robot: Robot, fingers: set[str], tips: set[str]) -> None:
+    """Pairs of links that the robot's maker does not check; neighbors the engine leaves out.
+
+    Where tips turn on their fingers, only tips meet tips: what bends is drawn stiff, and would
+    meet the other side before they do.
+    """
+    pairs = {tuple(sorted(pair)) for pair in robot.disabled if len(pair) == 2}
+    pairs |= {pair for pair in combinations(sorted(fingers), 2) if len(tips.intersection(pair)) < 2}
+    for one, other in sorted(pairs):
+        if one in robot.model.urdf.links and other in robot.model.urdf.links:
+            spec.add_exclude(bodyname1=body_of(one), bodyname2=body_of(other))
 
 
 def tune(
