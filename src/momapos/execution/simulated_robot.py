@@ -196,11 +196,12 @@ def tune(
     states: Float[np.ndarray, "k n"],
     fingers: tuple[Finger, ...],
     config: ExecutionConfig,
-) -> None:
+) -> tuple[str, ...]:
     """Set the gains of all motors to the wanted bandwidth.
 
     The base holds like a spring until the push is more than the friction of its wheels, which
-    act where the footprint ends.
+    act where the footprint ends. A joint whose effort by the URDF is less than the arm's own weight
+    takes has springs or a counterweight, as they are left out of URDFs: its motor bears no weight.
 
     Args:
         model, data: The world; the state is left at the last of the arm's.
@@ -208,17 +209,22 @@ def tune(
         states: Of the arm; each joint is tuned for the one in which it moves most [rad] or [m].
         fingers: Those that move.
         config: Names the bandwidths.
+
+    Returns:
+        The joints that are balanced so.
     """
     control, levers = config.control, {finger.joint: finger.lever for finger in fingers}
     names = (*BASE_JOINTS, *robot.moved_joints, *levers)
     dofs = [int(model.joint(name).dofadr[0]) for name in names]
     arm_q = [int(model.joint(name).qposadr[0]) for name in robot.moved_joints]
     inertia, full = np.zeros(len(names)), np.zeros((model.nv, model.nv))
+    weight = np.zeros(model.nv)
     for q in states:
         data.qpos[arm_q] = q
         mujoco.mj_forward(model, data)
         mujoco.mj_fullM(model, data, full)
         inertia = np.maximum(inertia, np.diag(full)[dofs])
+        weight = np.maximum(weight, np.abs(data.qfrc_gravcomp))
     for name, mass in zip(names, inertia.tolist(), strict=True):
         motor, base = model.actuator(name).id, name in BASE_JOINTS
         w = control.base_bandwidth if base else control.bandwidth
@@ -231,6 +237,14 @@ def tune(
                 limit *= float(np.linalg.norm(robot.footprint, axis=1).mean())
             model.actuator_forcelimited[motor] = 1
             model.actuator_forcerange[motor] = [-limit, limit]
+    joints = [(name, model.joint(name).id) for name in robot.moved_joints]
+    balanced = [
+        (name, j)
+        for name, j in joints
+        if model.jnt_actfrclimited[j] and weight[model.jnt_dofadr[j]] > model.jnt_actfrcrange[j, 1]
+    ]
+    model.jnt_actgravcomp[[j for _, j in balanced]] = 0
+    return tuple(name for name, _ in balanced)
 
 
 def set_gains(model: Any, motor: int, *, stiffness: float, damping: float) -> None:
