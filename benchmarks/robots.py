@@ -255,7 +255,8 @@ def main() -> None:
     if opened:
         print(
             "\n| robot | half | degrees of freedom | has fingers | first answer [s] | map [s] "
-            "| map [MB] | misses | false positives | solved | by the grid | no | out of time | median [s] | executed |"
+            "| map [MB] | misses | false positives | solved | by the grid | no | out of time "
+            "| median [s] | executed |"
         )
         print("|" + "---|" * 15, *opened, sep="\n")
 
