@@ -11,6 +11,7 @@ from momapos.errors import RobotError
 from momapos.geometry.transforms import orthonormal
 from momapos.kinematics.chain import Chain
 from momapos.kinematics.closed_forms import NUMERIC
+from momapos.robots.names import MAP_JOINTS
 from momapos.robots.robot import Robot
 
 if TYPE_CHECKING:
@@ -43,7 +44,7 @@ class ArmAxes:
 
 def no_map(robot: Robot) -> str:
     """Why an arm can have no reachability map; empty where it can."""
-    if robot.chain.size < 6:
+    if robot.chain.size < MAP_JOINTS:
         return (
             f"its arm has {robot.chain.size} degrees of freedom, so that it reaches few tool poses "
             "exactly"
