@@ -24,9 +24,10 @@ import tyro
 from momapos.geometry.transforms import pose
 from momapos.kinematics.chain import chain_arrays
 from momapos.kinematics.collision import FREE, check_states
-from momapos.kinematics.ik import build_ik
+from momapos.kinematics.ik import IkModel, build_ik
 from momapos.kinematics.ik_model import one_turn
 from momapos.reachability import ReachConfig, ReachMap, build_map, evaluate
+from momapos.reachability.arm_axes import no_map
 from momapos.reachability.evaluation import random_poses
 from momapos.reachability.store import decode, encode, load_reach_map
 from momapos.robots.names import library_names
@@ -70,7 +71,9 @@ def main(
     )
     print("|" + "---|" * 14)
     for name in robots or library_names():
-        print(row(load_robot(name), count, ready), flush=True)
+        robot = load_robot(name)
+        why = no_map(robot)
+        print(f"| {robot.name} | none: {why} |" if why else row(robot, count, ready), flush=True)
 
 
 def row(robot: Robot, count: int, ready: bool) -> str:
@@ -81,8 +84,7 @@ def row(robot: Robot, count: int, ready: bool) -> str:
     began = time.perf_counter()
     reach = decode(content)
     loaded = time.perf_counter() - began
-    exact = build_ik(robot.chain, samples_per_joint=33, most_samples=1000)
-    exact = replace(exact, tries=4 * exact.tries)
+    exact = exact_ik(robot)
     near, ball = (
         evaluate(reach, robot, np.random.default_rng(0), count, exact, near=beside)
         for beside in (True, False)
@@ -109,6 +111,12 @@ def row(robot: Robot, count: int, ready: bool) -> str:
         f"{floor:.2f} ms",
     ]
     return f"| {' | '.join(cells)} |"
+
+
+def exact_ik(robot: Robot) -> IkModel:
+    """Inverse kinematics that maps are held against."""
+    ik = build_ik(robot.chain, samples_per_joint=33, most_samples=1000)
+    return replace(ik, tries=4 * ik.tries)
 
 
 def marked(reach: ReachMap, robot: Robot, count: int = 5_000) -> float:

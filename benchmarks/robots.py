@@ -189,8 +189,8 @@ def understood(model: Model, done: list[tuple[str, Outcome]]) -> bool:
     return statuses == {"mobile": [0], "arm": [2, 0], "other": [2]}[model.kind]
 
 
-def openings_row(model: Model, did: Outcome) -> str:
-    """What `robot_openings.py` has measured, as a row."""
+def openings_row(model: Model, checks: float, did: Outcome) -> str:
+    """What `robot_openings.py` has measured, as a row; `checks` is what checking took [s]."""
     if did.status != 0:
         return f"| {model.name} | {model.half} | ended with status {did.status} |"
     found = json.loads(did.last)
@@ -205,7 +205,7 @@ def openings_row(model: Model, did: Outcome) -> str:
     open_ = sum(a.get("grid") == "timeout" for a in answers)
     cells = [
         model.name, model.half, found["joints"], "yes" if found["holds"] else "no",
-        f"{found['built']:.0f}",
+        f"{checks + found['first']:.0f}", f"{found['built']:.0f}",
         f"{found['megabytes']:.1f}" if "megabytes" in found else "-", *share,
         f"{count['solved']} of {len(answers)}", f"{grid}{f' to {grid + open_}' if open_ else ''}",
         len(answers) - sum(count.values()),
@@ -241,8 +241,8 @@ def main() -> None:
                 file = str(Path(folder) / f"{model.name}.toml")
                 words = [str(OPENINGS), file, "--most", str(args.place)]
                 did = run(words, LIMIT_OPENINGS)
+                opened.append(openings_row(model, sum(it.seconds for _, it in done), did))
                 done.append(("openings", did))
-                opened.append(openings_row(model, did))
             for what, it in done:
                 # What is said of the measured half is not read while building.
                 last = it.last[:100] if model.half == "tuned" else ""
@@ -254,10 +254,11 @@ def main() -> None:
     print(f"\n{right} of {len(models)} as they must be")
     if opened:
         print(
-            "\n| robot | half | degrees of freedom | has fingers | map [s] | map [MB] | misses "
-            "| false positives | solved | by the grid | no | out of time | median [s] | executed |"
+            "\n| robot | half | degrees of freedom | has fingers | first answer [s] | map [s] "
+            "| map [MB] | misses | false positives | solved | by the grid | no | out of time "
+            "| median [s] | executed |"
         )
-        print("|" + "---|" * 14, *opened, sep="\n")
+        print("|" + "---|" * 15, *opened, sep="\n")
 
 
 if __name__ == "__main__":

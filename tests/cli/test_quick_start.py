@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from momapos.cli.main import main
+from momapos.reachability.arm_axes import no_map
 from momapos.robots.names import library_names
 from momapos.robots.robot import load_arms
 from momapos.scene.files import load_scene
@@ -144,3 +145,4 @@ def test_lists_tell_what_the_models_hold(capsys: pytest.CaptureFixture[str]) -> 
     robots = [load_arms(name)[0] for name in library_names()]
     facts = [{"name": r.name, "drive": r.drive, "arms": max(1, len(r.arms))} for r in robots]
     assert [{key: one[key] for key in facts[0]} for one in listed] == facts
+    assert [one["map"] == "none" for one in listed] == [bool(no_map(r)) for r in robots]

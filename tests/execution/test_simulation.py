@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -30,10 +31,13 @@ BASE = (1.9, -1.6, 1.5)
 LIGHT = Resistance(mass=5.0, friction=0.1, damping=0.1, pull=0.0)
 
 
-def world_of(robot: Robot, **options: object) -> Simulation:
-    """A robot in the small kitchen, in front of its fridge."""
+def world_of(
+    robot: Robot, efforts: dict[str, float] | None = None, **options: object
+) -> Simulation:
+    """A robot in the small kitchen, in front of its fridge, with other efforts of some joints."""
     scene, task = load_scene("kitchen_small"), Task("open", "fridge", "door_hinge", 1.0)
     dynamics = read_dynamics(robot.model.urdf.path)  # type: ignore[arg-type]
+    dynamics = replace(dynamics, efforts={**dynamics.efforts, **(efforts or {})})
     config = ExecutionConfig(**options)  # type: ignore[arg-type]
     hand = find_hand(robot, dynamics.mimics)
     return build_simulation(
@@ -80,6 +84,17 @@ def test_a_robot_at_rest_stays_where_it_is(robot: Robot) -> None:
     mujoco.mj_step(world.model, world.data, nstep=250)
     np.testing.assert_allclose(world.data.qpos[world.arm_q], robot.home, atol=1e-4)
     np.testing.assert_allclose(world.data.qpos[world.base_q], 0.0, atol=1e-4)
+
+
+def test_an_arm_that_weighs_more_than_its_efforts_bear_is_balanced_and_stays(
+    robots: Callable[[str], Robot],
+) -> None:
+    fetch = robots("fetch")
+    assert world_of(fetch).balanced == ()
+    world = world_of(fetch, {"torso_lift_joint": 30.0})
+    assert world.balanced == ("torso_lift_joint",)
+    mujoco.mj_step(world.model, world.data, nstep=250)
+    np.testing.assert_allclose(world.data.qpos[world.arm_q], fetch.home, atol=1e-3)
 
 
 def test_masses_are_those_of_the_urdf(robot: Robot) -> None:

@@ -58,6 +58,16 @@ def test_turned_samples_are_those_that_inverse_kinematics_would_hold(name: str) 
     assert matched >= values
 
 
+@pytest.mark.parametrize("heights", [3, 9, 17])
+def test_each_value_of_the_first_joint_is_tried_at_every_height_of_the_torso(heights: int) -> None:
+    """With a grid of more than 128 samples too, which planning would spread."""
+    robot = load_robot("fetch")
+    frame = arm_frame(robot.chain, robot.approach_axis)
+    turned, (_, value, _) = locked_samples(_freed(robot, frame.first), frame, 4, heights)
+    for v in np.unique(value):
+        assert len(np.unique(turned.samples[value == v, 0])) == heights
+
+
 def test_asking_for_some_bearings_gives_those_of_the_full_answer() -> None:
     robot, rng = load_robot("husky_ur5e"), np.random.default_rng(0)
     frame = arm_frame(robot.chain, robot.approach_axis)

@@ -198,3 +198,19 @@ def test_an_arm_without_closed_form_has_a_map_that_agrees_with_inverse_kinematic
     assert 0.2 < found.reachable < 0.9
     assert found.misses < 0.08
     assert found.false_positives < 0.15
+
+
+def test_an_arm_that_hulls_part_from_its_torso_has_a_map_that_is_flooded() -> None:
+    """The map that is asked line by line knows contact with the torso by spheres alone."""
+    robot = load_robot("fetch")
+    frame, spheres = arm_frame(robot.chain, robot.approach_axis), robot.spheres
+    assert not is_flooded(robot, frame)
+    stands = spheres.segment[spheres.pairs] <= frame.first
+    for mixed in (True, False):
+        rows = np.flatnonzero((stands[:, 0] != stands[:, 1]) == mixed)
+        exact = np.zeros(len(spheres.pairs), bool)
+        exact[rows[0]] = True
+        other = replace(robot)
+        other.__dict__["_parts"], other.__dict__["ik"] = robot._parts, robot.ik
+        other.__dict__["spheres"] = replace(spheres, exact=exact)
+        assert is_flooded(other, frame) == mixed

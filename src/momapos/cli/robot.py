@@ -14,7 +14,13 @@ from momapos.cli.console import progress
 from momapos.cli.options import BoxArg, OptionalPath, PackagesArg, XacroArg
 from momapos.errors import RobotError, unknown_name
 from momapos.files import check_outputs
-from momapos.robots.names import LIBRARY, find_named_robot, library_file, library_names
+from momapos.robots.names import (
+    LIBRARY,
+    MAP_JOINTS,
+    find_named_robot,
+    library_file,
+    library_names,
+)
 from momapos.viewer.pictures import check_picture
 
 if TYPE_CHECKING:
@@ -58,8 +64,15 @@ def _in_short(name: str) -> dict[str, Any]:
         "reach": arms[0].get("reach"),
         "payload": arms[0].get("payload"),
         "drive": data["base"]["drive"],
-        "map": "built in" if any(file.parent.glob("*.reach")) else "at first use",
+        "map": _map_of(file, len(arms[0]["arm_joints"])),
     }
+
+
+def _map_of(file: Path, joints: int) -> str:
+    """Whether a library robot brings a map; an arm of fewer than six joints has none."""
+    if any(file.parent.glob("*.reach")):
+        return "built in"
+    return "at first use" if joints >= MAP_JOINTS else "none"
 
 
 def robot_show(name: str, /, *, json: bool = False) -> int:

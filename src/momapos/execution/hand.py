@@ -11,6 +11,7 @@ import numpy as np
 from momapos.execution.dynamics import Mimic
 from momapos.geometry.transforms import apply, invert
 from momapos.kinematics.urdf import Joint
+from momapos.robots.fingertips import Pivot, pivots
 from momapos.robots.robot import Robot
 
 if TYPE_CHECKING:
@@ -30,7 +31,7 @@ class Finger:
     closed: float
     """Its end at which the fingers are nearest to each other [rad] or [m]."""
     lever: float
-    """Way that all its pads close for a step of the joint [m/rad] or [-]."""
+    """Way that all its tips close for a step of the joint [m/rad] or [-]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +41,7 @@ class Hand:
     fingers: tuple[Finger, ...]
     """The joints with motors; none where nothing closes."""
     followers: Mapping[str, Mimic]
-    """The joints that follow one of these, as the URDF says."""
+    """The joints that follow one of these: as the URDF says, and those of `pivots`."""
     pads: Mapping[str, float]
     """The links that hold, with the side of the tool's middle that they are on: 1 or -1 along the
     closing axis; 0 for the tip of a hand in which nothing closes."""
@@ -50,6 +51,8 @@ class Hand:
     """Where the hand points, in that frame."""
     force: float
     """With which each finger closes [N]."""
+    pivots: tuple[Pivot, ...] = ()
+    """Tips that turn on their fingers, so that they face each other."""
 
     @property
     def closes(self) -> bool:
@@ -88,7 +91,9 @@ def find_hand(robot: Robot, mimics: Mapping[str, Mimic]) -> Hand:
     }
     axes = robot.closing_axis, robot.approach_axis, robot.grip_force
     if {1.0, -1.0} <= set(pads.values()):
-        return Hand(tuple(found), followers, pads, *axes)
+        tips = tuple(pivot for pivot in pivots(robot) if pivot.joint in named)
+        followers |= {tip.name: Mimic(tip.joint, tip.ratio, tip.offset) for tip in tips}
+        return Hand(tuple(found), followers, pads, *axes, tips)
     return Hand((), {}, dict.fromkeys(_tip(robot), 0.0), *axes)
 
 
@@ -101,54 +106,67 @@ def _finger(robot: Robot, joint: Joint, followers: Mapping[str, Mimic]) -> Finge
     """A finger with its closed end; None where its joint closes nothing."""
     rest = robot.model.rest[joint.name]
     group = [joint.name, *(n for n, m in followers.items() if m.joint == joint.name)]
-    links = {link for name in group for link in robot.model.moved_by(name)}
+    tips = _tips(robot, {link for name in group for link in robot.model.moved_by(name)})
 
-    def spread(value: float) -> float:
+    def apart(value: float) -> Float[np.ndarray, " t"]:
         values = {joint.name: value}
         values |= {n: followers[n].at(value) for n in group[1:]}
-        across = _across(robot, links, values)
-        sides = _sides(robot, links)
-        gaps = {side: [abs(across[n]) for n in links if sides.get(n) == side] for side in (1, -1)}
-        return sum(min(gap) for gap in gaps.values() if gap)
+        across = _across(robot, tips, values)
+        return np.array([side * across[link] for link, side in tips.items()])
 
     ends = (joint.lower, joint.upper)
-    gaps = [spread(end) for end in ends]
+    gaps = [np.abs(apart(end)).sum() for end in ends]
     closed = ends[int(np.argmin(gaps))]
     way = closed - rest
     if abs(way) < 1e-6:
         return None
     step = _STEP * way
-    lever = abs(spread(rest + 0.5 * way + step) - spread(rest + 0.5 * way - step)) / abs(2 * step)
+    closing = apart(rest + 0.5 * way - step) - apart(rest + 0.5 * way + step)
+    lever = float(closing.sum() / abs(2 * step))
     return Finger(joint.name, rest, closed, lever) if lever > 1e-6 else None
 
 
 def _sides(robot: Robot, links: Iterable[str]) -> dict[str, float]:
     """On which side of the tool's middle links with a shape are, at rest."""
-    return {n: float(np.sign(v)) for n, v in _across(robot, set(links), {}).items() if v}
+    return {n: float(np.sign(v)) for n, v in _across(robot, links, {}).items() if v}
 
 
-def _across(robot: Robot, links: set[str], values: dict[str, float]) -> dict[str, float]:
+def _tips(robot: Robot, links: Iterable[str]) -> dict[str, float]:
+    """Of some links the one that reaches farthest along the approach on each side, at rest."""
+    ahead, sides = _ahead(robot, links), _sides(robot, links)
+    return {
+        max((n for n in sides if sides[n] == side), key=lambda n: ahead[n]): side
+        for side in sorted(set(sides.values()))
+    }
+
+
+def _across(robot: Robot, links: Iterable[str], values: dict[str, float]) -> dict[str, float]:
     """Where the middles of links are along the closing axis, from the tool's origin [m]."""
+    clouds = _clouds(robot, links, values).items()
+    return {n: float((p.min(0) + p.max(0)) / 2 @ robot.closing_axis) for n, p in clouds}
+
+
+def _ahead(robot: Robot, links: Iterable[str]) -> dict[str, float]:
+    """How far links reach along the approach at rest, from the tool's origin [m]."""
+    clouds = _clouds(robot, links, {}).items()
+    return {n: float((p @ robot.approach_axis).max()) for n, p in clouds}
+
+
+def _clouds(
+    robot: Robot, links: Iterable[str], values: dict[str, float]
+) -> dict[str, Float[np.ndarray, "n 3"]]:
+    """Corners of links that have a shape, in the tool's frame [m]."""
     model = robot.model
     poses = model.link_poses(values)
     T = invert(poses[robot.tool_link])
-    middles = {}
-    for name in sorted(links):
-        points = [apply(T @ poses[name], hull.vertices) for hull in model.hulls[name]]
-        if points:
-            cloud = np.concatenate(points)
-            middles[name] = float((cloud.min(0) + cloud.max(0)) / 2 @ robot.closing_axis)
-    return middles
+    return {
+        name: apply(T @ poses[name], np.concatenate([h.vertices for h in model.hulls[name]]))
+        for name in sorted(set(links))
+        if model.hulls[name]
+    }
 
 
 def _tip(robot: Robot) -> tuple[str, ...]:
     """The link of the gripper that reaches farthest along the approach."""
-    model = robot.model
-    poses = model.link_poses({})
-    T = invert(poses[robot.tool_link])
-    ends: dict[str, float] = {}
-    for name in robot.gripper_links:
-        points = [apply(T @ poses[name], hull.vertices) for hull in model.hulls[name]]
-        if points:
-            ends[name] = float((np.concatenate(points) @ robot.approach_axis).max())
-    return (max(ends, key=lambda name: ends[name]),) if ends else ()
+    ahead = _ahead(robot, robot.gripper_links)
+    return (max(ahead, key=lambda name: ahead[name]),) if ahead else ()

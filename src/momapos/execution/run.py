@@ -196,6 +196,11 @@ def attempt(
     unknown = [name for name in robot.moved_joints if name not in dynamics.efforts]
     if unknown:
         notes.append(f"no effort limit is known of {', '.join(unknown)}")
+    if world.balanced:
+        notes.append(
+            "the URDF's efforts are less than the arm's own weight takes, which springs are taken "
+            f"to bear: {', '.join(world.balanced)}"
+        )
     if ending in AT_END:
         notes.append(how)
     execution = _outcome(run, base_pose, ending, verdict, resistance, wall, notes)

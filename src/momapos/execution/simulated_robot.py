@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
 import mujoco
@@ -15,6 +16,7 @@ from momapos.execution.shapes import Kind, add_shape, dress, place_body
 from momapos.geometry.transforms import invert, pose_planar
 from momapos.kinematics.articulated import joint_motion
 from momapos.kinematics.urdf import Joint
+from momapos.robots.fingertips import Pivot
 from momapos.robots.robot import Robot
 
 if TYPE_CHECKING:
@@ -23,6 +25,8 @@ if TYPE_CHECKING:
 BASE_JOINTS = ("base x", "base y", "base yaw")
 TOOL_POINT = "tool point"
 """Name of a geom that nothing meets, at the tool's origin."""
+_TIP_ARMATURE = 0.02
+"""Inertia of a turning tip as its linkage shows it: the less, the softer it follows [kg m^2]."""
 UNKNOWN_DENSITY = 500.0
 """Of links whose URDF gives no mass [kg/m^3]."""
 
@@ -54,6 +58,7 @@ def add_robot(
     model, moving = robot.model, _arm_links(robot)
     T_root_base = model.rest_poses[robot.base_link]
     driven = {finger.joint for finger in fingers}
+    turning = {pivot.link: pivot for pivot in hand.pivots if fingers}
     free = {*robot.moved_joints, *driven, *followers}
     bodies: dict[str, Any] = {}
     for link in model.links:
@@ -67,6 +72,8 @@ def add_robot(
         if joint is not None and joint.name in free:
             limit = dynamics.efforts.get(joint.name) if joint.name in robot.moved_joints else None
             _add_joint(body, joint, limit, config)
+        if link in turning:
+            _add_pivot(body, turning[link])
         kind = Kind.BASE
         if link in moving:
             kind = Kind.GRIPPER if link in robot.gripper_links else Kind.ARM
@@ -78,7 +85,7 @@ def add_robot(
     )  # fmt: skip
     _add_motors(spec, robot, fingers)
     _add_couplings(spec, fingers, followers)
-    _add_excludes(spec, robot)
+    _add_excludes(spec, robot, {*hand.pads} if turning else set(), {*turning})
 
 
 def _arm_links(robot: Robot) -> set[str]:
@@ -98,6 +105,12 @@ def _add_joint(body: Any, joint: Joint, effort: float | None, config: ExecutionC
         added.limited, added.range = 1, [joint.lower, joint.upper]
     if effort is not None:
         added.actfrclimited, added.actfrcrange = 1, [-effort, effort]
+
+
+def _add_pivot(body: Any, pivot: Pivot) -> None:
+    hinge = mujoco.mjtJoint.mjJNT_HINGE
+    added = body.add_joint(name=pivot.name, type=hinge, axis=pivot.axis, pos=pivot.center)
+    added.armature = _TIP_ARMATURE
 
 
 def _add_link(
@@ -163,12 +176,17 @@ def _add_couplings(spec: Any, fingers: tuple[Finger, ...], followers: Mapping[st
         added.data[:2] = [offset, factor]
 
 
-def _add_excludes(spec: Any, robot: Robot) -> None:
-    """Pairs of links that the robot's maker does not check; neighbors the engine leaves out."""
-    for pair in robot.disabled:
-        names = sorted(pair)
-        if len(names) == 2 and all(name in robot.model.urdf.links for name in names):
-            spec.add_exclude(bodyname1=body_of(names[0]), bodyname2=body_of(names[1]))
+def _add_excludes(spec: Any, robot: Robot, fingers: set[str], tips: set[str]) -> None:
+    """Pairs of links that the robot's maker does not check; neighbors the engine leaves out.
+
+    Where tips turn on their fingers, only tips meet tips: what bends is drawn stiff, and would
+    meet the other side before they do.
+    """
+    pairs = {tuple(sorted(pair)) for pair in robot.disabled if len(pair) == 2}
+    pairs |= {pair for pair in combinations(sorted(fingers), 2) if len(tips.intersection(pair)) < 2}
+    for one, other in sorted(pairs):
+        if one in robot.model.urdf.links and other in robot.model.urdf.links:
+            spec.add_exclude(bodyname1=body_of(one), bodyname2=body_of(other))
 
 
 def tune(
@@ -178,11 +196,12 @@ def tune(
     states: Float[np.ndarray, "k n"],
     fingers: tuple[Finger, ...],
     config: ExecutionConfig,
-) -> None:
+) -> tuple[str, ...]:
     """Set the gains of all motors to the wanted bandwidth.
 
     The base holds like a spring until the push is more than the friction of its wheels, which
-    act where the footprint ends.
+    act where the footprint ends. A joint whose effort by the URDF is less than the arm's own weight
+    takes has springs or a counterweight, as they are left out of URDFs: its motor bears no weight.
 
     Args:
         model, data: The world; the state is left at the last of the arm's.
@@ -190,17 +209,22 @@ def tune(
         states: Of the arm; each joint is tuned for the one in which it moves most [rad] or [m].
         fingers: Those that move.
         config: Names the bandwidths.
+
+    Returns:
+        The joints that are balanced so.
     """
     control, levers = config.control, {finger.joint: finger.lever for finger in fingers}
     names = (*BASE_JOINTS, *robot.moved_joints, *levers)
     dofs = [int(model.joint(name).dofadr[0]) for name in names]
     arm_q = [int(model.joint(name).qposadr[0]) for name in robot.moved_joints]
     inertia, full = np.zeros(len(names)), np.zeros((model.nv, model.nv))
+    weight = np.zeros(model.nv)
     for q in states:
         data.qpos[arm_q] = q
         mujoco.mj_forward(model, data)
         mujoco.mj_fullM(model, data, full)
         inertia = np.maximum(inertia, np.diag(full)[dofs])
+        weight = np.maximum(weight, np.abs(data.qfrc_gravcomp))
     for name, mass in zip(names, inertia.tolist(), strict=True):
         motor, base = model.actuator(name).id, name in BASE_JOINTS
         w = control.base_bandwidth if base else control.bandwidth
@@ -213,6 +237,14 @@ def tune(
                 limit *= float(np.linalg.norm(robot.footprint, axis=1).mean())
             model.actuator_forcelimited[motor] = 1
             model.actuator_forcerange[motor] = [-limit, limit]
+    joints = [(name, model.joint(name).id) for name in robot.moved_joints]
+    balanced = [
+        (name, j)
+        for name, j in joints
+        if model.jnt_actfrclimited[j] and weight[model.jnt_dofadr[j]] > model.jnt_actfrcrange[j, 1]
+    ]
+    model.jnt_actgravcomp[[j for _, j in balanced]] = 0
+    return tuple(name for name, _ in balanced)
 
 
 def set_gains(model: Any, motor: int, *, stiffness: float, damping: float) -> None:

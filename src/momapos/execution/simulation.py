@@ -64,6 +64,8 @@ class Simulation:
     """The fingers that move, with their motors."""
     loose: tuple[str, ...]
     """What touches the part in the scene, and is left out against it."""
+    balanced: tuple[str, ...]
+    """Joints whose efforts do not bear the arm's weight, so that something else must."""
 
     @property
     def T_world_tool(self) -> Float[np.ndarray, "4 4"]:
@@ -179,13 +181,13 @@ def build_simulation(
     at = {**driven, **dict(zip(robot.moved_joints, states[0].tolist(), strict=True))}
     followers = {n: m.at(driven[m.joint]) for n, m in hand.followers.items() if m.joint in driven}
     values = {PART: value if begin is None else begin, **at, **followers}
-    tune(model, _values(model, values), robot, states, fingers, config)
+    balanced = tune(model, _values(model, values), robot, states, fingers, config)
     data = _values(model, values)
     for name, rest in at.items():
         data.ctrl[model.actuator(name).id] = rest
     loose = [one if other == PART else other for one, other in touching if PART in (one, other)]
     names = tuple(dict.fromkeys("floor" if n == "world" else n.split("#")[0] for n in loose))
-    return _index(model, data, robot, hand, fingers, names)
+    return _index(model, data, robot, hand, fingers, names, balanced)
 
 
 def _spec(config: ExecutionConfig) -> Any:
@@ -300,6 +302,7 @@ def _index(
     hand: Hand,
     fingers: tuple[Finger, ...],
     loose: tuple[str, ...],
+    balanced: tuple[str, ...],
 ) -> Simulation:
     def addresses(names: tuple[str, ...], key: str) -> Int[np.ndarray, " n"]:
         return np.array([int(getattr(model.joint(name), key)[0]) for name in names])
@@ -329,4 +332,5 @@ def _index(
         pad_side=np.array([sides.get(name, 0) for name in names]),
         fingers=tuple((finger, model.actuator(finger.joint).id) for finger in fingers),
         loose=loose,
+        balanced=balanced,
     )

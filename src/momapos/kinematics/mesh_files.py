@@ -52,7 +52,8 @@ class MeshFinder:
                 f"{self.path}: package {name!r} of mesh {filename!r} was not found (looked in "
                 f"{looked}); say where it is: momapos robot check ... --package {name}=DIR"
             )
-        where = self.packages.get(name, self._root)
+        beside = self.path.resolve().parent
+        where = self.packages.get(name, self._root) if scheme else beside
         raise UrdfError(f"{self.path}: mesh {filename!r} does not exist below {where}")
 
     @cached_property

@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.geometry.transforms import apply, invert, rotation_of
-from momapos.kinematics.collision import FINGER
+from momapos.geometry.transforms import apply, invert
 from momapos.kinematics.hulls import Boxes
-from momapos.robots.fingers import facing, jaws
+from momapos.robots.fingertips import facing_pose, finger_links, squared, tips_of
 from momapos.robots.robot import Grip, Robot
 
 if TYPE_CHECKING:
@@ -24,10 +23,6 @@ INSIDE = 1e-3
 """What stands farther in than the pads by less is level with them [m]."""
 FLAT = 0.98
 """A pad's inner face is perpendicular to the closing axis up to this cosine [-]."""
-SQUARE = 0.9999
-"""Tips with no axis as near to the closing axis are turned until one is [-]."""
-AWRY = 0.7
-"""Unless none of theirs is even so near [-]."""
 
 
 _CORNERS = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
@@ -141,82 +136,27 @@ def hand_of(robot: Robot) -> Hand:
     Fingers are moved along the closing axis until their pads are the opening apart, for files in
     which the gripper rests closed. Those that turn are first put where their pads face each other.
     """
-    model = robot.model
-    fingers = {
-        link
-        for link, role in zip(robot.spheres.links, robot.spheres.gripper, strict=True)
-        if role == FINGER
-    }
-    values, gap = _facing(robot, fingers)
+    model, fingers = robot.model, finger_links(robot)
+    values, gap = facing_pose(robot, fingers)
     poses = model.link_poses(values)
     T_tool_root = invert(poses[robot.tool_link])
     T_tool_link = {link: T_tool_root @ poses[link] for link in robot.gripper_links}
-    tips = _tips(robot, {link: T_tool_link[link] for link in fingers})
+    tips = tips_of(robot, {link: T_tool_link[link] for link in fingers})
     nothing = Boxes(np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3)))
     cover, finger, turned = [nothing], [np.zeros(0, bool)], [np.zeros(0, bool)]
     for link, T in T_tool_link.items():
         for index, boxes in enumerate(model.boxes[link]):
             placed = Boxes(apply(T, boxes.center), T[:3, :3] @ boxes.rotation, boxes.half)
-            square = _squared(placed, robot.closing_axis) if (link, index) in tips else None
-            cover.append(placed if square is None else square)
+            face = squared(placed, robot.closing_axis) if (link, index) in tips else None
+            cover.append(placed if face is None else face)
             finger.append(np.full(len(boxes), link in fingers))
-            turned.append(np.full(len(boxes), square is not None))
+            turned.append(np.full(len(boxes), face is not None))
     boxes = Boxes(
         np.concatenate([boxes.center for boxes in cover]),
         np.concatenate([boxes.rotation for boxes in cover]),
         np.concatenate([boxes.half for boxes in cover]),
     )
     return _sorted_out(boxes, np.concatenate(finger), np.concatenate(turned), gap, robot)
-
-
-def _facing(robot: Robot, fingers: set[str]) -> tuple[dict[str, float], float | None]:
-    """Where the joints of fingers that turn are when their pads face each other.
-
-    Returns:
-        Their values, and how far apart the pads are at rest [m]; nothing for fingers that slide,
-        which face each other anyway, and for those that are not two sides.
-    """
-    model = robot.model
-    joints = [joint for joint in model.joints.values() if joint.child in fingers]
-    roots = [joint.child for joint in joints if joint.parent not in fingers]
-    turning = any(j.kind != "prismatic" and j.mimic is None and j.upper > j.lower for j in joints)
-    if not turning or len(roots) < 2:
-        return {}, None
-    axes = np.stack([robot.closing_axis, robot.approach_axis])
-    sides = jaws(model, robot.tool_link, roots, robot.closing_axis)
-    return facing(model, robot.tool_link, sides, axes) if all(sides) else ({}, None)
-
-
-def _tips(robot: Robot, T_tool_link: dict[str, Float[np.ndarray, "4 4"]]) -> set[tuple[str, int]]:
-    """The shapes that reach farthest along the approach on each side: link, and which of its."""
-    reach: dict[bool, tuple[float, tuple[str, int]]] = {}
-    for link, T in T_tool_link.items():
-        for index, hull in enumerate(robot.model.hulls[link]):
-            points = apply(T, hull.vertices)
-            side = bool(points.mean(0) @ robot.closing_axis >= 0)
-            found = float((points @ robot.approach_axis).max()), (link, index)
-            reach[side] = max(reach.get(side, found), found)
-    return {shape for _, shape in reach.values()}
-
-
-def _squared(boxes: Boxes, closing: Float[np.ndarray, "3"]) -> Boxes | None:
-    """The boxes of a fingertip, turned until they face what is held; None where they do.
-
-    Files draw fingers as stiff links. Tips that lean where they meet pivot or give way there: they
-    are soft, or a linkage turns them.
-    """
-    along = np.einsum("bij,i->bj", boxes.rotation, closing)
-    nearest = np.abs(along).max(1)
-    if not ((nearest > AWRY) & (nearest < SQUARE)).any():
-        return None
-    b = int(np.argmax(boxes.half.prod(1)))
-    column = int(np.argmax(np.abs(along[b])))
-    axis = boxes.rotation[b, :, column] * np.sign(along[b, column])
-    turn = np.cross(axis, closing)
-    sine = np.linalg.norm(turn)
-    R = rotation_of(turn / sine * np.arctan2(sine, axis @ closing))
-    middle = boxes.center[b]
-    return Boxes((boxes.center - middle) @ R.T + middle, R @ boxes.rotation, boxes.half)
 
 
 def _sorted_out(

@@ -11,6 +11,7 @@ from momapos.errors import RobotError
 from momapos.geometry.transforms import orthonormal
 from momapos.kinematics.chain import Chain
 from momapos.kinematics.closed_forms import NUMERIC
+from momapos.robots.names import MAP_JOINTS
 from momapos.robots.robot import Robot
 
 if TYPE_CHECKING:
@@ -43,7 +44,7 @@ class ArmAxes:
 
 def no_map(robot: Robot) -> str:
     """Why an arm can have no reachability map; empty where it can."""
-    if robot.chain.size < 6:
+    if robot.chain.size < MAP_JOINTS:
         return (
             f"its arm has {robot.chain.size} degrees of freedom, so that it reaches few tool poses "
             "exactly"
@@ -55,9 +56,13 @@ def is_flooded(robot: Robot, frame: ArmAxes) -> bool:
     """Whether a map is flooded from arm states, and not asked of inverse kinematics line by line.
 
     That takes a first joint whose turn turns all else, and all branches of a solution: steps from
-    seeds find some.
+    seeds find some. It looks contact with what that joint does not turn up in a table of spheres,
+    which is too coarse where hulls decide about a link and a torso, a head or another arm.
     """
-    return not frame.turns_alike or robot.ik.kind == NUMERIC
+    spheres = robot.spheres
+    stands = spheres.segment[spheres.pairs] <= frame.first
+    by_hulls = bool((spheres.exact & (stands[:, 0] != stands[:, 1])).any())
+    return not frame.turns_alike or robot.ik.kind == NUMERIC or by_hulls
 
 
 def arm_frame(chain: Chain, approach_axis: Float[np.ndarray, "3"]) -> ArmAxes:

@@ -54,7 +54,7 @@ def default_config(robot: Robot) -> ReachConfig:
     """
     frame = arm_frame(robot.chain, robot.approach_axis)
     if is_flooded(robot, frame):
-        config = ReachConfig(cell=0.05, directions=13, threshold=-1.25)
+        config = ReachConfig(cell=0.05, directions=13, threshold=-1.75)
     elif robot.chain.size > 6:
         config = ReachConfig(cell=0.05, directions=13, spins=2, threshold=0.0)
     else:

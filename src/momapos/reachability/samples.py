@@ -13,6 +13,8 @@ from momapos.reachability.arm_axes import ArmAxes
 from momapos.reachability.build import ShoulderSamples, arc_mask
 
 Samples = tuple[IkArrays, ShoulderSamples]
+MOST = 100_000
+"""Samples of the inverse that the values are taken from [-]."""
 HALVINGS = 2
 """How often the spacing of the first joint's values is halved where they disagree."""
 
@@ -37,7 +39,8 @@ def locked_samples(chain: Chain, frame: ArmAxes, count: int, heights: int) -> Sa
     """
     first = frame.first
     # That many values of a turning joint give `heights` of a torso.
-    ik = build_ik(chain, samples_per_joint=2 * heights - 1)
+    # A grid of them, however many: samples that are spread would have one height at each value.
+    ik = build_ik(chain, samples_per_joint=2 * heights - 1, most_samples=MOST)
     if first in ik.active:
         # One solution is enough for a map: no seeds are tried.
         ik = replace(build_ik(chain, samples_per_joint=count), tries=0)

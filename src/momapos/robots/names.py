@@ -7,6 +7,8 @@ from pathlib import Path
 
 from momapos.errors import RobotError, unknown_name
 
+MAP_JOINTS = 6
+"""An arm of fewer degrees of freedom takes few tool poses, and has no reachability map [-]."""
 LIBRARY = Path(__file__).parent / "library"
 
 
