@@ -39,6 +39,7 @@ def _decision(decision: Decision, result: Modeled) -> dict[str, Any]:
     data: dict[str, Any] = {
         "name": item.name,
         "label": item.label,
+        "label_from": item.label_from,
         "score": round(item.score, 3),
         "points": len(item.members),
         "center": np.round(item.box.center, 4).tolist(),

@@ -17,6 +17,11 @@ Verb = Literal["open", "close", "pick", "place"]
 Status = Literal["solved", "infeasible", "timeout"]
 PartKind = Literal["door_left", "door_right", "door_down", "door_up", "drawer"]
 """How a part opens, seen from the front: a `door_left` has its hinge on the left."""
+LabelSource = Literal["size", "segmenter", "detector", "given"]
+"""Who says what a thing is: rules about its size, who divided the cloud, a detector in the images,
+or the user."""
+UNKNOWN: tuple[str, float] = ("object", 0.2)
+"""Label and confidence of a thing of which nothing tells what it is."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,6 +95,8 @@ class Instance:
     """Indices into the cloud."""
     box: UprightBox | None = None
     """For segmenters that give boxes."""
+    guesses: tuple[tuple[str, float], ...] = ()
+    """Where the label is a guess by size: all that it allows, with confidences, best first."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,6 +109,9 @@ class Detection:
     box: UprightBox
     members: Int[np.ndarray, " k"]
     """Indices into the cloud, outliers removed."""
+    label_from: LabelSource = "segmenter"
+    guesses: tuple[tuple[str, float], ...] = ()
+    """As of an `Instance`."""
 
 
 @dataclass(frozen=True)

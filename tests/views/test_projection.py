@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from tests.views.painted_box import FRIDGE, camera, image
 
-from momapos.scan_io.coco import read_coco
+from momapos.detection.results import read_coco
 from momapos.types import Frame, ImageDetection
 from momapos.views.projection import (
     overlap,

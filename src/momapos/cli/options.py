@@ -25,10 +25,12 @@ ToArg = Annotated[OptionalText, arg(metavar="VALUE")]
 BoxArg = Annotated[OptionalText, arg(metavar="LxWxH")]
 if TYPE_CHECKING:
     JointsArg = tuple[str, ...]
+    LabelsArg = tuple[str, ...]
     PackagesArg = tuple[str, ...]
     XacroArg = tuple[str, ...]
 else:  # tyro takes the members of a plain tuple for texts, and imports typeguard for any other
     JointsArg = Annotated[UseAppendAction[tuple], arg(metavar="OBJECT/JOINT=VALUE")]
+    LabelsArg = Annotated[UseAppendAction[tuple], arg(metavar="OBJECT=LABEL")]
     PackagesArg = Annotated[UseAppendAction[tuple], arg(metavar="NAME=DIR")]
     XacroArg = Annotated[UseAppendAction[tuple], arg(metavar="NAME=VALUE")]
 MAX_SEED = 2**63 - 1
