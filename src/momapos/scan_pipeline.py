@@ -44,6 +44,7 @@ from momapos.segmentation.boxes import (
     wall_detections,
     without_pieces,
 )
+from momapos.segmentation.coverage import with_coverage
 from momapos.segmentation.pointing import pointed_at
 from momapos.segmentation.room import at_wall, find_room
 from momapos.segmentation.segmenter import ClassicalSegmenter
@@ -161,7 +162,8 @@ def survey(
     with watch.stage("labels"):
         progress("looking what it is", 0.35)
         detections = with_labels(detections, cloud, frames, tools.detect, found, labels, config)
-    walls = wall_detections(room, config.boxes)
+        walls = wall_detections(room, config.boxes)
+        detections = with_coverage(detections, cloud, walls)
     return Survey(
         cloud, frames, T, room, tuple(detections), tuple(walls), tuple(rows), found, watch.seconds
     )

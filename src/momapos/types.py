@@ -112,6 +112,8 @@ class Detection:
     label_from: LabelSource = "segmenter"
     guesses: tuple[tuple[str, float], ...] = ()
     """As of an `Instance`."""
+    seen: float | None = None
+    """Share of the surface that can be seen on which something was measured, in [0, 1]."""
 
 
 @dataclass(frozen=True)
@@ -151,6 +153,20 @@ class Part:
     odds: tuple[tuple[PartKind, float], ...] = ()
     """How it may open, each with its probability, the likeliest first, which is its kind; they sum
     to one. Empty where nobody says."""
+
+
+@dataclass(frozen=True)
+class Confidence:
+    """How sure a scan is of an object; all numbers in [0, 1]."""
+
+    object: float
+    """Share of the surface that can be seen that was seen."""
+    label: float
+    """That it is what its category says."""
+    joints: Mapping[str, float] = field(default_factory=dict)
+    """That there is such a part and that it moves so, by joint."""
+    handles: Mapping[str, float] = field(default_factory=dict)
+    """That there is a handle where the model has one, by the joint of its part."""
 
 
 @dataclass(frozen=True)

@@ -124,12 +124,12 @@ def scan_room(
         print(f"momapos: {warning}", file=sys.stderr)
     data = report_to_dict(result, scan, result.target)
     folder = write_report(result, data, out, pictures=pictures)
-    print(encoder.dumps(data, allow_nan=False) if json else table(result, out, folder))
+    print(encoder.dumps(data, allow_nan=False) if json else table(result, data, out, folder))
     return 0
 
 
-def table(result: Modeled, out: Path, folder: Path | None) -> str:
-    """All objects in a few columns."""
+def table(result: Modeled, data: dict[str, Any], out: Path, folder: Path | None) -> str:
+    """All objects in a few columns, and what should be scanned again."""
     width = max(len(d.detection.name) for d in result.decisions)
     lines = []
     for decision in result.decisions:
@@ -137,7 +137,10 @@ def table(result: Modeled, out: Path, folder: Path | None) -> str:
         size = " x ".join(f"{v:.2f}" for v in item.box.size)
         x, y, z = item.box.center
         what = decision.reason or f"{decision.source}: {_count(decision.parts)}"
-        lines.append(f"  {item.name:<{width}}  {size} m at ({x:.2f}, {y:.2f}, {z:.2f})  {what}")
+        sure = "   -" if item.seen is None else f"{item.seen:4.0%}"
+        lines.append(
+            f"  {item.name:<{width}}  {size} m at ({x:.2f}, {y:.2f}, {z:.2f})  seen {sure}  {what}"
+        )
     modeled = sum(d.model is not None for d in result.decisions)
     stages = ", ".join(f"{n} {s:.1f}" for n, s in result.timing.items() if n != "total")
     lines += [
@@ -148,7 +151,14 @@ def table(result: Modeled, out: Path, folder: Path | None) -> str:
         f"  report      {out.parent / 'scan_report.json'}",
     ]
     if folder is not None:
-        lines.append(f"  images    {folder}")
+        lines.append(f"  images      {folder}")
+    if data["scan_again"]:
+        lines += ["", "  scan again, in the scene's frame:"]
+    for one in data["scan_again"]:
+        stand, look = (", ".join(f"{v:.1f}" for v in one[key]) for key in ("position", "look_at"))
+        lines.append(
+            f"    {one['object']:<{width}}  from ({stand}) toward ({look}): {one['reason']}"
+        )
     return "\n".join(lines)
 
 

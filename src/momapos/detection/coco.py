@@ -25,40 +25,12 @@ RENAMED: Mapping[str, str] = {
     "potted plant": "plant",
 }
 """Our labels, where they differ from COCO's."""
-INDOORS = frozenset(
-    [
-        "backpack",
-        "umbrella",
-        "handbag",
-        "suitcase",
-        "bottle",
-        "cup",
-        "fork",
-        "knife",
-        "spoon",
-        "bowl",
-        "banana",
-        "apple",
-        "orange",
-        "chair",
-        "couch",
-        "bed",
-        "toilet",
-        "laptop",
-        "mouse",
-        "remote",
-        "keyboard",
-        "microwave",
-        "oven",
-        "toaster",
-        "sink",
-        "book",
-        "clock",
-        "vase",
-        "scissors",
-        "bench",
-    ]
-) | {"dining table", "potted plant", "refrigerator", "tv", "wine glass", "cell phone"}
+INDOORS = frozenset((
+    "backpack", "umbrella", "handbag", "suitcase", "bottle", "wine glass", "cup", "fork", "knife",
+    "spoon", "bowl", "banana", "apple", "orange", "bench", "chair", "couch", "potted plant", "bed",
+    "dining table", "toilet", "tv", "laptop", "mouse", "remote", "keyboard", "cell phone",
+    "microwave", "oven", "toaster", "sink", "refrigerator", "book", "clock", "vase", "scissors",
+))  # fmt: skip
 """Classes that stand in homes; people, animals, traffic and meals are none of a room's things."""
 LABELS: frozenset[str] = frozenset(RENAMED.get(name, name) for name in INDOORS)
 """All labels that a detector of COCO's classes can give a thing."""

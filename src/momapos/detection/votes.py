@@ -33,6 +33,10 @@ LONGEST_EDGE: Mapping[str, tuple[float, float]] = {
 small network a lunch box on a table is a telephone."""
 
 
+Votes = dict[str, dict[str, float]]
+"""Of one thing: weights in [0, 1] by label and by the image's name, one an image."""
+
+
 @dataclass(frozen=True)
 class VoteConfig:
     """When images are believed."""
@@ -101,7 +105,7 @@ def vote(
     """
     config = config or VoteConfig()
     samples = _sampled(things, cloud, config.points)
-    votes: list[dict[str, list[float]]] = [{} for _ in things]
+    votes: list[Votes] = [{} for _ in things]
     seen = np.zeros(len(things), int)
     if len(samples.points):
         longest = np.array([item.box.size.max() for item in things])
@@ -115,7 +119,7 @@ def _count(
     found: Sequence[ImageDetection],
     samples: _Samples,
     longest: Float[np.ndarray, " things"],
-    votes: list[dict[str, list[float]]],
+    votes: list[Votes],
     seen: Int[np.ndarray, " things"],
     config: VoteConfig,
 ) -> None:
@@ -142,20 +146,22 @@ def _count(
         least, most = LONGEST_EDGE.get(item.label, (0.0, np.inf))
         fits = shown & (inside >= config.inside) & (alike >= config.overlap)
         fits &= (longest >= least) & (longest <= most)
-        for k in np.flatnonzero(fits) if item.label else ():
-            votes[k].setdefault(item.label, []).append(float(item.score * inside[k] * alike[k]))
+        for k in np.flatnonzero(fits).tolist() if item.label else ():
+            weight = float(item.score * inside[k] * alike[k])
+            of_label = votes[k].setdefault(item.label, {})
+            of_label[frame.name] = max(weight, of_label.get(frame.name, 0.0))
 
 
-def _verdict(votes: Mapping[str, Sequence[float]], seen: int, config: VoteConfig) -> Verdict:
+def _verdict(votes: Votes, seen: int, config: VoteConfig) -> Verdict:
     """The label with most votes, where enough images agree on it.
 
     Each vote is taken as the probability that it is right, and votes against it as doubt.
     """
     if not votes:
         return Verdict("", 0.0, 0, seen)
-    total = {label: sum(weights) for label, weights in votes.items()}
+    total = {label: sum(weights.values()) for label, weights in votes.items()}
     best = max(sorted(total), key=lambda label: total[label])
-    wrong = float(np.prod([1.0 - weight for weight in votes[best]]))
+    wrong = float(np.prod([1.0 - weight for weight in votes[best].values()]))
     confidence = (1.0 - wrong) * total[best] / sum(total.values())
     if len(votes[best]) < config.hits or confidence < config.sure:
         return Verdict("", 0.0, 0, seen)

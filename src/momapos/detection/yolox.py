@@ -44,7 +44,7 @@ class YoloxDetector:
         MissingExtraError: onnxruntime is not installed.
     """
 
-    def __init__(self, path: Path, *, score: float = 0.3, overlap: float = 0.45) -> None:
+    def __init__(self, path: Path, *, score: float = 0.2, overlap: float = 0.45) -> None:
         if not (0 < score < 1 and 0 < overlap <= 1):
             raise InputError(f"thresholds must be between 0 and 1, not {score:g} and {overlap:g}")
         self.path, self.score, self.overlap = Path(path), score, overlap
