@@ -66,6 +66,8 @@ class Scan:
     """A cloud that came with the scan; without one it is fused from the frames."""
     warnings: tuple[str, ...] = ()
     """What was skipped or assumed, one line each."""
+    notes: tuple[str, ...] = ()
+    """What was measured of it, one line each."""
 
     def __repr__(self) -> str:
         cloud = "no cloud" if self.cloud is None else f"a cloud of {len(self.cloud.points)} points"

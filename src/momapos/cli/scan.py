@@ -146,6 +146,7 @@ def table(result: Modeled, data: dict[str, Any], out: Path, folder: Path | None)
     lines += [
         "",
         f"  {len(result.decisions)} objects, {modeled} of them modeled",
+        *(f"  scan        {note}" for note in data["notes"]),
         f"  time        {result.timing['total']:.1f} s ({stages})",
         f"  scene       {out}",
         f"  report      {out.parent / 'scan_report.json'}",
