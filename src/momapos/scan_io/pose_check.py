@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -73,7 +74,7 @@ def check_poses(frames: Sequence[Frame]) -> PoseCheck | None:
     clouds = [_Surface.of(frame) for frame in frames if frame.depth is not None]
     if len(clouds) < len(frames) or len(clouds) < 2:
         return None
-    steps = [offset(a, b) for a, b in zip(clouds, clouds[1:], strict=False)]
+    steps = [offset(a, b) for a, b in pairwise(clouds)]
     known = [step for step in steps if step is not None]
     if not known:
         return None
@@ -130,15 +131,9 @@ class _Surface:
         down = points[2:, 1:-1] - points[:-2, 1:-1]
         normal = np.cross(across, down)
         length = np.linalg.norm(normal, axis=-1, keepdims=True)
-        ring = np.stack(
-            [
-                depth[1:-1, 2:],
-                depth[1:-1, :-2],
-                depth[2:, 1:-1],
-                depth[:-2, 1:-1],
-                depth[1:-1, 1:-1],
-            ]
-        )
+        middle = depth[1:-1, 1:-1]
+        beside = (depth[1:-1, 2:], depth[1:-1, :-2], depth[2:, 1:-1], depth[:-2, 1:-1])
+        ring = np.stack([middle, *beside])
         flat = (ring.min(axis=0) > 0) & (np.ptp(ring, axis=0) < 0.1 * ring.max(axis=0))
         unit = np.divide(normal, length, out=np.zeros_like(normal), where=length > 0)
         normals[1:-1, 1:-1] = unit * flat[..., None]
