@@ -181,9 +181,10 @@ def visible_points(
     distance = np.where(before, local[:, 2], 1.0)
     pixels = (local @ frame.intrinsics.T)[:, :2] / distance[:, None]
     height, width = frame.color.shape[:2]
-    visible = before & (pixels >= 0).all(axis=1) & (pixels < [width, height]).all(axis=1)
+    nearest = np.floor(pixels + 0.5)  # intrinsics count from the middle of the first pixel
+    visible = before & (nearest >= 0).all(axis=1) & (nearest < [width, height]).all(axis=1)
     if frame.depth is not None:
-        x, y = np.where(visible[:, None], pixels, 0).astype(int).T
+        x, y = np.where(visible[:, None], nearest, 0).astype(int).T
         measured = frame.depth[y, x]
         agree = np.abs(measured - distance) < near + 0.02 * distance
         visible &= agree | (measured == 0)

@@ -18,7 +18,7 @@ from momapos.geometry.transforms import apply, invert
 from momapos.types import Frame
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
+    from jaxtyping import Bool, Float
 
 STRIDE = 8
 """Of the pixels that are looked up [px]."""
@@ -26,14 +26,17 @@ GATE = 0.15
 """Surfaces farther apart than this are different ones [m]."""
 SHARED = 0.25
 """Two images show one place where at least this share of the pixels of one is in the other [-]."""
+FITTING = 0.5
+"""Of the pixels of one that are in the other at least this share lies on its surfaces [-]: a floor
+fits to itself however far a camera was moved along it."""
 ROUNDS = 3
 """Of matching and aligning [-]."""
 DAMPING = 1e-2
 """What surfaces do not tell, as sliding along a wall, is taken for no motion [-]."""
 PAIRS = 40
 """Pairs far apart in time that are compared at most [-]."""
-LATER = 0.2
-"""Far apart in time is this share of the walk [-]."""
+LATER, LEAST_LATER = 0.2, 10
+"""Far apart in time is this share of the walk, and this many frames [-]."""
 NEAR, ALIKE = 1.0, np.cos(np.radians(35.0))
 """Such pairs were taken from places this near [m], looking alike."""
 JUMP = 0.08
@@ -99,7 +102,7 @@ def _far_apart(frames: Sequence[Frame]) -> list[tuple[int, int]]:
     ways = np.array([frame.T_world_camera[:3, 2] for frame in frames])
     apart = np.linalg.norm(places[:, None] - places[None], axis=-1)
     alike = ways @ ways.T
-    later = max(2, round(LATER * len(frames)))
+    later = max(LEAST_LATER, round(LATER * len(frames)))
     i, j = np.nonzero(np.triu((apart < NEAR) & (alike > ALIKE), later))
     order = np.argsort(apart[i, j] / NEAR - alike[i, j], kind="stable")[:PAIRS]
     return list(zip(i[order].tolist(), j[order].tolist(), strict=True))
@@ -144,7 +147,8 @@ def offset(a: _Surface, b: _Surface) -> float | None:
     """How far what one image measured must move to lie on what another one did [m].
 
     Returns:
-        The mean distance that its points move; None where the images share too little.
+        The mean distance that its points move; None where the images share too little, and
+        `GATE` where they should share enough and their surfaces are nowhere near.
     """
     points = a.points[a.points[..., 2] > 0]
     T = invert(b.T_world_camera) @ a.T_world_camera
@@ -152,17 +156,23 @@ def offset(a: _Surface, b: _Surface) -> float | None:
     moved = start
     used = np.zeros(len(points), bool)
     for _ in range(ROUNDS):
-        used, on, normals = _matched(moved, b)
-        if used.sum() < SHARED * a.points.shape[0] * a.points.shape[1]:
-            return None
+        used, on, normals, shared = _matched(moved, b)
+        if used.mean() < SHARED or used.sum() < FITTING * shared.sum():
+            return GATE if shared.mean() > 1.5 * SHARED else None
         moved = moved + _alignment(moved, used, on, normals)
     return float(np.linalg.norm((moved - start)[used], axis=1).mean())
 
 
 def _matched(
     points: Float[np.ndarray, "n 3"], b: _Surface
-) -> tuple[np.ndarray, Float[np.ndarray, "m 3"], Float[np.ndarray, "m 3"]]:
-    """Which points lie on the surface of an image, and the places and normals there."""
+) -> tuple[
+    Bool[np.ndarray, " n"],
+    Float[np.ndarray, "m 3"],
+    Float[np.ndarray, "m 3"],
+    Bool[np.ndarray, " n"],
+]:
+    """Which points lie on the surface of an image, the places and normals there, and which points
+    are in the image at all, where it measured something."""
     height, width = b.points.shape[:2]
     depth = np.where(points[:, 2] > 0.1, points[:, 2], np.inf)
     pixels = np.round((points @ b.intrinsics.T)[:, :2] / depth[:, None]).astype(int)
@@ -173,12 +183,12 @@ def _matched(
     apart = np.einsum("ni,ni->n", points - on, normals)
     used = inside & (normals != 0).any(axis=1) & (np.abs(apart) < GATE)
     used &= np.abs(points[:, 2] - on[:, 2]) < 2 * GATE
-    return used, on[used], normals[used]
+    return used, on[used], normals[used], inside & (on[:, 2] > 0)
 
 
 def _alignment(
     points: Float[np.ndarray, "n 3"],
-    used: np.ndarray,
+    used: Bool[np.ndarray, " n"],
     on: Float[np.ndarray, "m 3"],
     normals: Float[np.ndarray, "m 3"],
 ) -> Float[np.ndarray, "n 3"]:
