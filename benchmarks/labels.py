@@ -3,9 +3,10 @@
     python benchmarks/labels.py SHARED [--detector FILE]
 
 SHARED is the folder that holds redkitchen/ and models/. Each thing of the list is pointed at by a
-pixel of the depth image (color is shifted against it by some 20 pixels), and is right where the box found there has one of the names that a person would
-give it, not named where it is an "object", and wrong else. Nothing in this kitchen is an
-appliance, as far as its images show: every thing that is called one is counted.
+pixel of the depth image (color is shifted against it by some 20 pixels), and is right where the box
+found there has one of the names that a person would give it, not named where it is an "object", and
+wrong else. Nothing in this kitchen is an appliance, as far as its images show: every thing that is
+called one is counted.
 """
 
 from __future__ import annotations
