@@ -52,8 +52,8 @@ def fridge(frames: list[Frame]) -> tuple[Detection, Cloud]:
 
 def around(frame: Frame, label: str, score: float, shift: float = 0.0) -> ImageDetection:
     rows, columns = np.nonzero(frame.depth)
-    left, right = columns.min() + shift, columns.max() + 1 + shift
-    return ImageDetection((left, rows.min(), right, rows.max() + 1), label, score)
+    left, right = float(columns.min()) + shift, float(columns.max()) + 1 + shift
+    return ImageDetection((left, float(rows.min()), right, float(rows.max()) + 1), label, score)
 
 
 def test_images_that_agree_name_a_thing_and_the_more_the_surer(frames, fridge) -> None:
@@ -140,7 +140,7 @@ def test_what_was_seen_comes_before_sizes_and_what_was_given_before_all(fridge) 
     item = replace(fridge[0], label_from="size", guesses=GUESSES)
     (named,) = relabeled([item], [Verdict("fridge", 0.9, 4, 5)], TOLD)
     assert (named.label, named.score, named.label_from) == ("fridge", 0.9, "detector")
-    (kept,) = relabeled([replace(item, label_from="segmenter")], [Verdict("", 0, 0, 9)], TOLD)
+    (kept,) = relabeled([replace(item, label_from="segmenter")], [Verdict("", 0.0, 0, 9)], TOLD)
     assert kept.label == "microwave"
     (given,) = with_given_labels([named], {"a": "wall cabinet"})
     assert (given.label, given.label_from) == ("wall cabinet", "given")

@@ -83,7 +83,8 @@ def test_a_rectangle_of_a_turned_image_is_found_again_in_the_image_as_taken(turn
     taken = np.zeros((40, 60))
     taken[5:12, 20:50] = 1
     rows, columns = np.nonzero(np.rot90(taken, turns))
-    box = (columns.min(), rows.min(), columns.max() + 1, rows.max() + 1)
+    left, top = float(columns.min()), float(rows.min())
+    box = (left, top, float(columns.max()) + 1, float(rows.max()) + 1)
     assert turned_back(box, turns, (60, 40)) == (20, 5, 50, 12)
 
 
@@ -117,7 +118,7 @@ def test_what_is_found_is_told_in_the_image_as_taken() -> None:
             box = (columns.min(), rows.min(), columns.max() + 1, rows.max() + 1)
             return [ImageDetection(tuple(map(float, box)), "cup", 0.5)]
 
-    assert detect([frame], Bright())["f"] == [ImageDetection((3, 2, 9, 6), "cup", 0.5)]
+    assert detect([frame], Bright())["f"] == [ImageDetection((3.0, 2.0, 9.0, 6.0), "cup", 0.5)]
 
 
 def test_every_label_has_a_size_and_people_are_no_things() -> None:
