@@ -20,14 +20,15 @@ from momapos.reconstruction.network import FrontNetwork
 from momapos.reconstruction.templates import TemplatePredictor
 from momapos.scan_io.scan import read_scan
 from momapos.scan_pipeline import scan_to_scene
-from momapos.scan_records import Modeled, Tools
+from momapos.scan_records import Modeled, ScanConfig, Tools
 from momapos.scan_report import report_to_dict, write_report
 from momapos.scene.files import load_scene
+from momapos.segmentation.pointing import PointAt
 from momapos.segmentation.segmenter import ClassicalSegmenter
 from momapos.solve_scan import ScanTask, solve_scan
 from momapos.synthetic_scans.depth_sensor import DepthSensor
 from momapos.synthetic_scans.recording import synthetic_scan, write_scan
-from momapos.types import FaceImage, Front, Instance, Scan, UprightBox
+from momapos.types import FaceImage, Front, ImageDetection, Instance, Scan, UprightBox
 
 
 @pytest.fixture(scope="module")
@@ -129,6 +130,50 @@ def test_boxes_that_someone_gives_are_taken_and_given_models_too(
     found = scene.object("fridge_1")
     assert set(found.model.joints) == set(kitchen.model.joints)
     assert np.abs(found.bounds - kitchen.bounds).max() < 0.06
+
+
+def test_what_a_thing_is_may_be_seen_said_or_pointed_at(
+    scan: Scan, tools: Tools, made: Modeled, folder: Path, tmp_path: Path
+) -> None:
+    fridge = true_fridge(folder)
+    name, at = nearest(made, fridge), apply(made.T_scene_scan, fridge.center[None])[0]
+    there = PointAt((float(at[0]), float(at[1]), float(at[2])))
+
+    class Blind:
+        labels = frozenset({"fridge", "oven", "microwave", "cup", "apple", "bottle", "bowl"})
+
+        def __call__(self, color: np.ndarray) -> list[ImageDetection]:
+            del color
+            return []
+
+    only = ScanConfig(importance=ImportanceConfig(alpha=1.0))
+    unseen = scan_to_scene(
+        scan, tmp_path / "a.json", replace(tools, detect=Blind()), target=there, config=only
+    )
+    assert not {d.detection.label for d in unseen.decisions} & Blind.labels
+    assert unseen.target == nearest(unseen, fridge)
+    said = scan_to_scene(
+        scan, tmp_path / "b.json", tools, target=there, labels={name: "wine cellar"}, config=only
+    )
+    assert said.target == "wine_cellar_1"
+    (item,) = (d.detection for d in said.decisions if d.detection.name == said.target)
+    assert (item.label_from, item.score) == ("given", 1.0)
+
+
+def test_how_sure_a_scan_is_stands_in_its_scene(made: Modeled) -> None:
+    scene = load_scene(str(made.scene))
+    assert scene.warnings == ()
+    for decision in made.decisions:
+        sure = scene.object(decision.detection.name).confidence
+        if decision.reason == "a wall":
+            assert sure is None
+            continue
+        assert sure is not None
+        assert sure.object == pytest.approx(decision.detection.seen, abs=1e-3)
+        assert sure.label == pytest.approx(decision.detection.score, abs=1e-3)
+        joints = scene.object(decision.detection.name).model.joints
+        assert set(sure.joints) == set(joints)
+        assert all(0 < value <= 1 for value in (*sure.joints.values(), *sure.handles.values()))
 
 
 def test_the_report_says_why_everything_is_what_it_is(

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Protocol, TypeAlias
 
 import numpy as np
 
-from momapos.types import Cloud, FaceImage, Front, Instance
+from momapos.types import Cloud, FaceImage, Front, ImageDetection, Instance
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
+    from jaxtyping import Float, UInt8
 
 TravelCost: TypeAlias = "Callable[[Float[np.ndarray, 'n 2']], Float[np.ndarray, ' n']]"
 """Driving length from the start to floor positions [m], infinite where there is no way."""
@@ -32,6 +32,17 @@ class Segmenter(Protocol):
     """Divides a cloud, z up, into things; what is in none of them is room or noise."""
 
     def __call__(self, cloud: Cloud) -> list[Instance]: ...
+
+
+class Detector(Protocol):
+    """Finds things in one color image, which was taken upright."""
+
+    @property
+    def labels(self) -> frozenset[str]:
+        """All labels that it can give; what it never says of them is evidence too."""
+        ...
+
+    def __call__(self, color: UInt8[np.ndarray, "h w 3"]) -> list[ImageDetection]: ...
 
 
 class ArticulationPredictor(Protocol):

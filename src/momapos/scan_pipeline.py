@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from momapos.detection.coco import WITHOUT_DOORS
 from momapos.errors import InputError
 from momapos.fusion.gravity import align_to_gravity
 from momapos.fusion.tsdf import fuse
@@ -23,6 +24,7 @@ from momapos.reconstruction.build import GivenModel, build_scene, place_model
 from momapos.reconstruction.model import furniture_model
 from momapos.reconstruction.network import FrontNetwork
 from momapos.reconstruction.templates import TemplatePredictor
+from momapos.scan_labels import with_labels
 from momapos.scan_records import (
     Decision,
     Found,
@@ -31,6 +33,7 @@ from momapos.scan_records import (
     Progress,
     ScanConfig,
     Survey,
+    Target,
     Tools,
     silent,
 )
@@ -38,10 +41,11 @@ from momapos.scene.scene import Scene, SceneObject
 from momapos.segmentation.boxes import (
     boxes,
     inside,
-    named,
     wall_detections,
     without_pieces,
 )
+from momapos.segmentation.coverage import with_coverage
+from momapos.segmentation.pointing import pointed_at
 from momapos.segmentation.room import at_wall, find_room
 from momapos.segmentation.segmenter import ClassicalSegmenter
 from momapos.stopwatch import Stopwatch
@@ -57,7 +61,7 @@ from momapos.types import (
 )
 from momapos.views.faces import box_faces, stands_free
 from momapos.views.front_view import Seen, View, choose_view
-from momapos.views.projection import sights, vote_label
+from momapos.views.projection import sights
 from momapos.views.rows import split_row
 
 if TYPE_CHECKING:
@@ -83,8 +87,9 @@ def scan_to_scene(
     out: Path,
     tools: Tools | None = None,
     *,
-    target: str | None = None,
+    target: Target | None = None,
     found: Found | None = None,
+    labels: Mapping[str, str] | None = None,
     given: Mapping[str, GivenModel] | None = None,
     config: ScanConfig | None = None,
     progress: Progress | None = None,
@@ -96,23 +101,28 @@ def scan_to_scene(
         scan: Posed images, a cloud, or both.
         out: The scene file to write; URDF files go into a folder beside it.
         tools: Segmenter and predictors; `default_tools` by default.
-        target: Object that the task will be about: only what matters for it is modeled. By
-            default everything is that has a front.
+        target: Object that the task will be about, by its name or pointed at: only what matters
+            for it is modeled. By default everything is that has a front.
         found: What a 2-D detector found in the images; projected boxes by default.
+        labels: What things are, by the names that they have without this; names follow labels.
         given: URDF files for objects by name or label, which need no prediction.
         config: How every stage works.
         progress: Told what goes on.
         clock: Measures the stages.
 
     Raises:
-        InputError: The scan holds nothing, or no object has the target's name.
+        InputError: The scan holds nothing, or no object has the target's name or is there.
     """
     tools, config, progress = tools or default_tools(), config or ScanConfig(), progress or silent
-    seen = survey(scan, tools, found=found, config=config, progress=progress, clock=clock)
-    scores = {} if target is None else importance(seen, target, config.importance).by_name
-    return model_room(
+    seen = survey(
+        scan, tools, found=found, labels=labels, config=config, progress=progress, clock=clock
+    )
+    name = None if target is None else name_of(target, seen)
+    scores = {} if name is None else importance(seen, name, config.importance).by_name
+    made = model_room(
         seen, out, tools, scores=scores, given=given, config=config, progress=progress, clock=clock
     )
+    return replace(made, target=name)
 
 
 def survey(
@@ -120,6 +130,7 @@ def survey(
     tools: Tools,
     *,
     found: Found | None = None,
+    labels: Mapping[str, str] | None = None,
     config: ScanConfig = DEFAULT,
     progress: Progress = silent,
     clock: Clock = time.perf_counter,
@@ -146,12 +157,13 @@ def survey(
         if len(instances) > len(detections):
             detections = boxes(cloud, instances, room, config.boxes)
         detections = without_pieces(detections, cloud)
-        if found is not None:
-            detections = [_relabeled(item, frames, found) for item in detections]
-        detections = named(detections)
     if not detections:
         raise InputError(f"{scan.name}: nothing was found in the scan but floor and walls")
-    walls = wall_detections(room, config.boxes)
+    with watch.stage("labels"):
+        progress("looking what it is", 0.35)
+        detections = with_labels(detections, cloud, frames, tools.detect, found, labels, config)
+        walls = wall_detections(room, config.boxes)
+        detections = with_coverage(detections, cloud, walls)
     return Survey(
         cloud, frames, T, room, tuple(detections), tuple(walls), tuple(rows), found, watch.seconds
     )
@@ -238,17 +250,12 @@ def divide(
         pieces, front = split_row(item.box, frames, seen, config.rows, config.view)
         before += [front] if front is not None else []
         if len(pieces) == 1:
-            instances.append(Instance(item.label, item.score, item.members, item.box))
+            instances.append(Instance(item.label, item.score, item.members, item.box, item.guesses))
             continue
         for box in pieces:
             members = item.members[inside(cloud.points[item.members], box)]
             instances.append(Instance("", 1.0, members, box))
     return instances, before
-
-
-def _relabeled(item: Detection, frames: Sequence[Frame], found: Found) -> Detection:
-    """A 2-D detector that was trained on images knows better what a thing is."""
-    return replace(item, label=vote_label(item.box, frames, found) or item.label)
 
 
 def floor_outline(cloud: Cloud) -> list[tuple[float, float]]:
@@ -258,6 +265,17 @@ def floor_outline(cloud: Cloud) -> list[tuple[float, float]]:
 
 
 # ----------------------------------------------------------------------------------- what matters
+
+
+def name_of(target: Target, seen: Survey) -> str:
+    """The name of an object, which may be pointed at.
+
+    Raises:
+        InputError: Nothing is where it is pointed at.
+    """
+    if isinstance(target, str):
+        return target
+    return pointed_at(target, seen.detections, seen.frames).name
 
 
 def importance(seen: Survey, target: str, config: ImportanceConfig, seed: int = 0) -> Importance:
@@ -291,11 +309,13 @@ def _decide(
     box = Decision(item, score, None, (), None, "")
     if (np.sort(item.box.size)[:2] < config.least_sides).any():
         return replace(box, reason="too small for doors or drawers")
+    if item.label in WITHOUT_DOORS and item.label_from in ("detector", "given"):
+        return replace(box, reason=f"a {item.label} has no doors or drawers")
 
     def look(face: FaceImage) -> Front:
         return tools.look(face, item.label)
 
-    seen = sights(item.box, survey.frames, survey.found)
+    seen = sights(item.box, survey.frames, survey.found) or sights(item.box, survey.frames)
     faces = box_faces(item.box)
     sides = [at_wall(survey.room, face.T_world_face[:3, 3], face.outward) for face in faces]
     backed = [sides[face.opposite] for face in faces]

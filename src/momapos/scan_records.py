@@ -10,14 +10,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from momapos.detection.votes import VoteConfig
 from momapos.fusion.gravity import GravityConfig
 from momapos.fusion.tsdf import FusionConfig
 from momapos.importance.config import ImportanceConfig
-from momapos.protocols import ArticulationPredictor, Segmenter
+from momapos.protocols import ArticulationPredictor, Detector, Segmenter
 from momapos.reconstruction.model import ModelConfig
 from momapos.scene.library.furniture import Piece
 from momapos.scene.scene import SceneObject
 from momapos.segmentation.boxes import BoxConfig
+from momapos.segmentation.pointing import PixelOf, PointAt
 from momapos.segmentation.room import Room, RoomConfig
 from momapos.types import Cloud, Detection, Frame, ImageDetection, Part
 from momapos.views.front_view import Seen, View, ViewConfig
@@ -30,6 +32,8 @@ Progress = Callable[[str, float], None]
 """Told what is at work, and the share of the whole that is done."""
 Found = Mapping[str, Sequence[ImageDetection]]
 """What a 2-D detector found, by the frame's name."""
+Target = str | PointAt | PixelOf
+"""The object of a task: its name, or where it is."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +49,8 @@ class ScanConfig:
     room: RoomConfig = field(default_factory=RoomConfig)
     boxes: BoxConfig = field(default_factory=BoxConfig)
     rows: RowConfig = field(default_factory=RowConfig)
+    votes: VoteConfig = field(default_factory=VoteConfig)
+    """When the images are believed about what a thing is."""
     view: ViewConfig = field(default_factory=ViewConfig)
     importance: ImportanceConfig = field(default_factory=ImportanceConfig)
     """Which objects are modeled when a target is named."""
@@ -62,6 +68,8 @@ class Tools:
     """Finds the parts of an object; often the same as `look`."""
     guess: ArticulationPredictor | None = None
     """Asked where `predict` sees a front but no parts on it."""
+    detect: Detector | None = None
+    """Tells in the images what things are; without one their sizes do."""
 
 
 class PartSource(StrEnum):
@@ -112,6 +120,7 @@ class Survey:
     rows: tuple[Seen, ...]
     """What was seen on rows of furniture when they were cut."""
     found: Found | None
+    """What another program found in the images; None where there is no such file."""
     timing: Mapping[str, float]
     """Seconds by stage."""
 
@@ -129,6 +138,8 @@ class Modeled:
     decisions: tuple[Decision, ...]
     timing: Mapping[str, float] = field(default_factory=dict)
     """Seconds by stage, and "total"."""
+    target: str | None = None
+    """Name of the object that the task is about, where one was given."""
 
 
 def silent(what: str, share: float) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from momapos.scan_advice import scan_again
 from momapos.scan_records import Decision, Modeled
 from momapos.scene.files import load_scene, write_whole
 from momapos.types import Scan
@@ -27,9 +28,11 @@ def report_to_dict(result: Modeled, scan: Scan, target: str | None) -> dict[str,
         "frames": len(scan.frames),
         "points": len(result.cloud.points),
         "warnings": list(scan.warnings),
+        "notes": list(scan.notes),
         "T_scene_scan": result.T_scene_scan.tolist(),
         "target": target,
         "objects": [_decision(d, result) for d in result.decisions],
+        "scan_again": [asdict(one) for one in scan_again(result)],
         "timing": {name: round(value, 4) for name, value in result.timing.items()},
     }
 
@@ -39,7 +42,9 @@ def _decision(decision: Decision, result: Modeled) -> dict[str, Any]:
     data: dict[str, Any] = {
         "name": item.name,
         "label": item.label,
+        "label_from": item.label_from,
         "score": round(item.score, 3),
+        "seen": None if item.seen is None else round(item.seen, 3),
         "points": len(item.members),
         "center": np.round(item.box.center, 4).tolist(),
         "size": np.round(item.box.size, 4).tolist(),

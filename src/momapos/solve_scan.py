@@ -62,6 +62,7 @@ def solve_scan(
     *,
     tools: Tools | None = None,
     found: Found | None = None,
+    labels: Mapping[str, str] | None = None,
     given: Mapping[str, GivenModel] | None = None,
     scanning: ScanConfig | None = None,
     config: PipelineConfig | None = None,
@@ -76,7 +77,7 @@ def solve_scan(
         arms: The robot once for each arm that may do it, with its reachability map.
         task: What is to be done.
         out: The scene file to write, see `scan_to_scene`.
-        tools, found, given: As for `scan_to_scene`.
+        tools, found, labels, given: As for `scan_to_scene`.
         scanning: How the scan becomes a scene; importance is configured by `config`.
         config: How to rank and to search.
         seed: Same seed, same answer.
@@ -90,7 +91,9 @@ def solve_scan(
     """
     scanning, config = scanning or ScanConfig(), config or PipelineConfig()
     tools, told, watch = tools or default_tools(), progress or silent, Stopwatch(clock)
-    seen = survey(scan, tools, found=found, config=scanning, progress=told, clock=clock)
+    seen = survey(
+        scan, tools, found=found, labels=labels, config=scanning, progress=told, clock=clock
+    )
     with watch.stage("importance"):
         selection = start_of(importance(seen, task.object, config.ranking, seed))
     scores = selection.ranked.by_name

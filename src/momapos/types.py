@@ -17,6 +17,11 @@ Verb = Literal["open", "close", "pick", "place"]
 Status = Literal["solved", "infeasible", "timeout"]
 PartKind = Literal["door_left", "door_right", "door_down", "door_up", "drawer"]
 """How a part opens, seen from the front: a `door_left` has its hinge on the left."""
+LabelSource = Literal["size", "segmenter", "detector", "given"]
+"""Who says what a thing is: rules about its size, who divided the cloud, a detector in the images,
+or the user."""
+UNKNOWN: tuple[str, float] = ("object", 0.2)
+"""Label and confidence of a thing of which nothing tells what it is."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +66,8 @@ class Scan:
     """A cloud that came with the scan; without one it is fused from the frames."""
     warnings: tuple[str, ...] = ()
     """What was skipped or assumed, one line each."""
+    notes: tuple[str, ...] = ()
+    """What was measured of it, one line each."""
 
     def __repr__(self) -> str:
         cloud = "no cloud" if self.cloud is None else f"a cloud of {len(self.cloud.points)} points"
@@ -90,6 +97,8 @@ class Instance:
     """Indices into the cloud."""
     box: UprightBox | None = None
     """For segmenters that give boxes."""
+    guesses: tuple[tuple[str, float], ...] = ()
+    """Where the label is a guess by size: all that it allows, with confidences, best first."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,6 +111,11 @@ class Detection:
     box: UprightBox
     members: Int[np.ndarray, " k"]
     """Indices into the cloud, outliers removed."""
+    label_from: LabelSource = "segmenter"
+    guesses: tuple[tuple[str, float], ...] = ()
+    """As of an `Instance`."""
+    seen: float | None = None
+    """Share of the surface that can be seen on which something was measured, in [0, 1]."""
 
 
 @dataclass(frozen=True)
@@ -141,6 +155,20 @@ class Part:
     odds: tuple[tuple[PartKind, float], ...] = ()
     """How it may open, each with its probability, the likeliest first, which is its kind; they sum
     to one. Empty where nobody says."""
+
+
+@dataclass(frozen=True)
+class Confidence:
+    """How sure a scan is of an object; all numbers in [0, 1]."""
+
+    object: float
+    """Share of the surface that can be seen that was seen."""
+    label: float
+    """That it is what its category says."""
+    joints: Mapping[str, float] = field(default_factory=dict)
+    """That there is such a part and that it moves so, by joint."""
+    handles: Mapping[str, float] = field(default_factory=dict)
+    """That there is a handle where the model has one, by the joint of its part."""
 
 
 @dataclass(frozen=True)

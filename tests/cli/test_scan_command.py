@@ -7,9 +7,13 @@ from pathlib import Path
 
 import pytest
 
+import momapos.reconstruction
 from momapos.cli.main import main
 from momapos.scene.files import load_scene
 from momapos.synthetic_scans.recording import synthetic_scan, write_scan
+
+FRONT = Path(momapos.reconstruction.__file__).parent / "weights" / "front_face.onnx"
+"""A network that detects nothing."""
 
 
 @pytest.fixture(scope="module")
@@ -32,6 +36,17 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (["--predictor", "urdformer"], "--checkpoint"),
         (["--models", "fridge=none.urdf"], "NAME=FILE"),
         (["--detections", "pipe"], "fifo"),
+        (["--detector", "pipe.onnx"], "no such file"),
+        (["--detector", "pipe"], "fifo"),
+        (["--detector", "other.onnx"], "80 classes of COCO"),
+        (["--detector", "yolox_nano"], "momapos models get yolox_nano"),
+        (["--detector", "other.onnx", "--detections", "pipe"], "exclude each other"),
+        (["--label", "fridge"], "OBJECT=LABEL"),
+        (["--label", "a=fridge", "--label", "a=oven"], "names 'a' twice"),
+        (["--target-at", "1,2"], "X,Y,Z in meters"),
+        (["--target-at", "1,2,nan"], "X,Y,Z in meters"),
+        (["--target-pixel", "frame-000000,3"], "FRAME,U,V"),
+        (["--target", "a", "--target-at", "1,2,3"], "exclude each other"),
     ],
 )
 def test_an_option_out_of_its_range_is_one_line_with_the_bounds(
@@ -44,6 +59,8 @@ def test_an_option_out_of_its_range_is_one_line_with_the_bounds(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     os.mkfifo("pipe")
+    Path("other.onnx").write_bytes(FRONT.read_bytes())
+    monkeypatch.setenv("MOMAPOS_CACHE", str(tmp_path / "cache"))
     assert main(["scan", str(room), "--out", "new/scene.json", *words]) == 2
     shown = capsys.readouterr()
     assert hint in shown.err

@@ -1,20 +1,18 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from tests.views.painted_box import FRIDGE, camera, image
 
-from momapos.scan_io.coco import read_coco
-from momapos.types import Frame, ImageDetection
+from momapos.detection.results import read_coco
+from momapos.types import Frame
 from momapos.views.projection import (
     overlap,
     projection,
     sights,
-    vote_label,
 )
 
 
@@ -61,20 +59,6 @@ def test_a_detector_s_file_says_where_a_thing_is(tmp_path: Path) -> None:
     found = read_coco(path, images)
     assert [sight.frame for sight in sights(FRIDGE, images, found)] == [0]
     assert sights(FRIDGE, images, found)[0].box[0] == pytest.approx(left + 5)
-    assert vote_label(FRIDGE, images, found) == "fridge"
-
-
-def test_labels_are_voted_for_by_score() -> None:
-    images = frames()
-    rectangles = [projection(FRIDGE, frame) for frame in images]
-    labels = [("oven", 0.4), ("fridge", 0.7)]
-    found = {
-        frame.name: [ImageDetection(box, *label)]
-        for frame, box, label in zip(images, rectangles, labels, strict=False)
-        if box is not None
-    }
-    assert vote_label(FRIDGE, images, found) == "fridge"
-    assert vote_label(replace(FRIDGE, center=FRIDGE.center + 50), images, found) == ""
 
 
 def test_overlap_is_symmetric_and_one_for_itself() -> None:

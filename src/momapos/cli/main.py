@@ -38,6 +38,10 @@ COMMANDS: dict[str, tuple[str, str | dict[str, str]]] = {
         },
     ),
     "scan": ("a scene that moves, from a scan of a room", "scan:scan_room"),
+    "models": (
+        "weights of detectors: list, get",
+        {"list": "models:models_list", "get": "models:models_get"},
+    ),
     "solve": ("all of it: from a scan of a room to an opened door", "solve:solve"),
     "reach": (
         "reachability maps: build, evaluate",

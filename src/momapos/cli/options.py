@@ -26,11 +26,13 @@ BoxArg = Annotated[OptionalText, arg(metavar="LxWxH")]
 if TYPE_CHECKING:
     JointsArg = tuple[str, ...]
     AreasArg = tuple[str, ...]
+    LabelsArg = tuple[str, ...]
     PackagesArg = tuple[str, ...]
     XacroArg = tuple[str, ...]
 else:  # tyro takes the members of a plain tuple for texts, and imports typeguard for any other
     JointsArg = Annotated[UseAppendAction[tuple], arg(metavar="OBJECT/JOINT=VALUE")]
     AreasArg = Annotated[UseAppendAction[tuple], arg(metavar="AREA")]
+    LabelsArg = Annotated[UseAppendAction[tuple], arg(metavar="OBJECT=LABEL")]
     PackagesArg = Annotated[UseAppendAction[tuple], arg(metavar="NAME=DIR")]
     XacroArg = Annotated[UseAppendAction[tuple], arg(metavar="NAME=VALUE")]
 MAX_SEED = 2**63 - 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -9,14 +10,14 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
-from momapos.cli.options import OptionalPath, OptionalText
+from momapos.cli.options import LabelsArg, OptionalPath, OptionalText
 from momapos.errors import InputError
 from momapos.importance.config import ImportanceConfig, ScorerName
 
 if TYPE_CHECKING:
-    from momapos.protocols import ArticulationPredictor, Segmenter
+    from momapos.protocols import ArticulationPredictor, Detector, Segmenter
     from momapos.reconstruction.build import GivenModel
-    from momapos.scan_records import Found, Modeled, ScanConfig, Tools
+    from momapos.scan_records import Found, Modeled, ScanConfig, Target, Tools
     from momapos.types import Scan
 
 Predictor = Literal["network", "template", "urdformer"]
@@ -31,6 +32,11 @@ class ScanOptions:
     point, or a JSON of boxes. All but boxes need a scan with a cloud."""
     detections: OptionalPath = None
     """Detectron2's coco_instances_results.json for the images of the scan."""
+    detector: OptionalText = None
+    """Who tells in the images what things are: an ONNX file in the layout of YOLOX for COCO's
+    classes, or a name of `momapos models list`. Without one, sizes tell."""
+    label: LabelsArg = ()
+    """What an object is, by the name it has without this; may be given several times."""
     predictor: Predictor = "network"
     """Who finds doors and drawers: our network, a template by label, or URDFormer."""
     checkpoint: OptionalPath = None
@@ -71,6 +77,8 @@ def scan_room(
     *,
     out: Path,
     target: Annotated[OptionalText, arg(metavar="OBJECT")] = None,
+    target_at: Annotated[OptionalText, arg(metavar="X,Y,Z")] = None,
+    target_pixel: Annotated[OptionalText, arg(metavar="FRAME,U,V")] = None,
     alpha: float = ImportanceConfig.alpha,
     scorer: ScorerName = "reach",
     pictures: bool = True,
@@ -86,6 +94,8 @@ def scan_room(
         source: Folder of posed color and depth images, a cloud, or a robot's log.
         out: The scene file.
         target: Object that the task will be about: only what matters for it is modeled.
+        target_at: The same by a place in it, in the scene's frame [m].
+        target_pixel: The same by a pixel of an image: the frame's name, column, row.
         alpha: Objects that matter less for the target than this stay boxes, in [0, 1].
         scorer: How importance is measured, as for rank.
         pictures: Draw why every object was modeled as it was.
@@ -100,25 +110,26 @@ def scan_room(
     from momapos.scan_report import outputs_of, report_to_dict, write_report
 
     config = scan_config(options, ImportanceConfig(scorer=scorer, alpha=alpha))
-    given = given_models(options)
+    given, labels = given_models(options), given_labels(options)
+    wanted, detector = find_target(target, target_at, target_pixel), detector_of(options)
     check_outputs(*outputs_of(out, pictures=pictures))
     scan = read(source, options)
-    tools, found = tools_for(scan, options), found_in(scan, options)
+    tools, found = tools_for(scan, options, detector), found_in(scan, options)
     with progress("scan") as report:
         result = scan_to_scene(
-            scan, out, tools, target=target, found=found, given=given, config=config,
+            scan, out, tools, target=wanted, found=found, labels=labels, given=given, config=config,
             progress=lambda what, share: report(share, what),
         )  # fmt: skip
     for warning in (text for decision in result.decisions for text in decision.warnings):
         print(f"momapos: {warning}", file=sys.stderr)
-    data = report_to_dict(result, scan, target)
+    data = report_to_dict(result, scan, result.target)
     folder = write_report(result, data, out, pictures=pictures)
-    print(encoder.dumps(data, allow_nan=False) if json else table(result, out, folder))
+    print(encoder.dumps(data, allow_nan=False) if json else table(result, data, out, folder))
     return 0
 
 
-def table(result: Modeled, out: Path, folder: Path | None) -> str:
-    """All objects in a few columns."""
+def table(result: Modeled, data: dict[str, Any], out: Path, folder: Path | None) -> str:
+    """All objects in a few columns, and what should be scanned again."""
     width = max(len(d.detection.name) for d in result.decisions)
     lines = []
     for decision in result.decisions:
@@ -126,18 +137,29 @@ def table(result: Modeled, out: Path, folder: Path | None) -> str:
         size = " x ".join(f"{v:.2f}" for v in item.box.size)
         x, y, z = item.box.center
         what = decision.reason or f"{decision.source}: {_count(decision.parts)}"
-        lines.append(f"  {item.name:<{width}}  {size} m at ({x:.2f}, {y:.2f}, {z:.2f})  {what}")
+        sure = "   -" if item.seen is None else f"{item.seen:4.0%}"
+        lines.append(
+            f"  {item.name:<{width}}  {size} m at ({x:.2f}, {y:.2f}, {z:.2f})  seen {sure}  {what}"
+        )
     modeled = sum(d.model is not None for d in result.decisions)
     stages = ", ".join(f"{n} {s:.1f}" for n, s in result.timing.items() if n != "total")
     lines += [
         "",
         f"  {len(result.decisions)} objects, {modeled} of them modeled",
+        *(f"  scan        {note}" for note in data["notes"]),
         f"  time        {result.timing['total']:.1f} s ({stages})",
         f"  scene       {out}",
         f"  report      {out.parent / 'scan_report.json'}",
     ]
     if folder is not None:
-        lines.append(f"  images    {folder}")
+        lines.append(f"  images      {folder}")
+    if data["scan_again"]:
+        lines += ["", "  scan again, in the scene's frame:"]
+    for one in data["scan_again"]:
+        stand, look = (", ".join(f"{v:.1f}" for v in one[key]) for key in ("position", "look_at"))
+        lines.append(
+            f"    {one['object']:<{width}}  from ({stand}) toward ({look}): {one['reason']}"
+        )
     return "\n".join(lines)
 
 
@@ -187,11 +209,11 @@ def scan_config(options: ScanOptions, importance: ImportanceConfig) -> ScanConfi
     )
 
 
-def tools_for(scan: Scan, options: ScanOptions) -> Tools:
-    """Who segments, looks and predicts."""
+def tools_for(scan: Scan, options: ScanOptions, detector: Detector | None) -> Tools:
+    """Who segments, looks, predicts and detects."""
     from momapos.scan_pipeline import default_tools
 
-    tools = default_tools()
+    tools = replace(default_tools(), detect=detector)
     predict: ArticulationPredictor = tools.predict
     if options.predictor == "template":
         assert tools.guess is not None
@@ -239,6 +261,66 @@ def given_models(options: ScanOptions) -> dict[str, GivenModel]:
 
 def found_in(scan: Scan, options: ScanOptions) -> Found | None:
     """What a 2-D detector has found in the images."""
-    from momapos.scan_io.coco import read_coco
+    from momapos.detection.results import read_coco
 
     return None if options.detections is None else read_coco(options.detections, scan.frames)
+
+
+def given_labels(options: ScanOptions) -> dict[str, str]:
+    """What the user says that objects are, by name.
+
+    Raises:
+        InputError: One is no OBJECT=LABEL, or an object is named twice.
+    """
+    from momapos.detection.relabel import parse_labels
+
+    return parse_labels(options.label)
+
+
+def detector_of(options: ScanOptions) -> Detector | None:
+    """Who looks at the images.
+
+    Raises:
+        InputError: There is no such file or model, it is of another layout, or the images were
+            looked at by another program already.
+    """
+    if options.detector is None:
+        return None
+    if options.detections is not None:
+        raise InputError("--detector and --detections exclude each other: one tells what is seen")
+    from momapos.cache import default_cache_dir
+    from momapos.detection.models import find_model
+    from momapos.detection.yolox import YoloxDetector
+
+    return YoloxDetector(find_model(options.detector, default_cache_dir()))
+
+
+def find_target(target: str | None, at: str | None, pixel: str | None) -> Target | None:
+    """The object that the task is about: named, or pointed at.
+
+    Raises:
+        InputError: It is given twice, or its place is written otherwise.
+    """
+    from momapos.segmentation.pointing import PixelOf, PointAt
+
+    if sum(word is not None for word in (target, at, pixel)) > 1:
+        raise InputError("--target, --target-at and --target-pixel exclude each other; give one")
+    if at is not None:
+        x, y, z = _finite(at.split(","), 3, "--target-at", at, "X,Y,Z in meters")
+        return PointAt((x, y, z))
+    if pixel is not None:
+        frame, *rest = pixel.rsplit(",", 2)
+        u, v = _finite(rest, 2, "--target-pixel", pixel, "FRAME,U,V, as in frame-000020,310,95")
+        return PixelOf(frame, u, v)
+    return target
+
+
+def _finite(words: list[str], count: int, option: str, text: str, wanted: str) -> list[float]:
+    """Numbers of an option."""
+    try:
+        values = [float(word) for word in words]
+    except ValueError:
+        values = []
+    if len(values) != count or not all(math.isfinite(value) for value in values):
+        raise InputError(f"{option} {text!r:.80}: must be {wanted}")
+    return values

@@ -121,7 +121,15 @@ def _solve(
     from momapos.cache import user_cache
     from momapos.cli.compile import ANSWER, compile_once
     from momapos.cli.console import progress
-    from momapos.cli.scan import found_in, given_models, read, scan_config, tools_for
+    from momapos.cli.scan import (
+        detector_of,
+        found_in,
+        given_labels,
+        given_models,
+        read,
+        scan_config,
+        tools_for,
+    )
     from momapos.plans import write_plan
     from momapos.reachability.store import load_reach
     from momapos.robots.robot import load_arms
@@ -131,6 +139,7 @@ def _solve(
     from momapos.trajectory import with_times
 
     scanning, given = scan_config(options.scan, options.config.ranking), given_models(options.scan)
+    labels, detector = given_labels(options.scan), detector_of(options.scan)
     files, folders = outputs_of(out / SCENE, pictures=options.pictures)
     check_outputs([*files, out / CLOUD, out / PLAN, out / RUN, out / RECORD], folders)
     name, _, joint = target.partition("/")
@@ -144,8 +153,8 @@ def _solve(
         answer = solve_scan(
             scan, list(zip(arms, reach, strict=True)),
             ScanTask(verb, name, joint or None, options.to), out / SCENE,
-            tools=tools_for(scan, options.scan), found=found_in(scan, options.scan), given=given,
-            scanning=scanning, config=options.config, seed=options.seed,
+            tools=tools_for(scan, options.scan, detector), found=found_in(scan, options.scan),
+            labels=labels, given=given, scanning=scanning, config=options.config, seed=options.seed,
             progress=lambda what, share: report(share, what),
         )  # fmt: skip
     data = report_to_dict(answer.modeled, scan, name)

@@ -56,6 +56,8 @@ class AlignedHandle:
     area: Area
     out: float
     """How far its front stands out of the part's [m]."""
+    measured: bool = True
+    """Whether depth shows that; else it is what is usual."""
 
 
 @dataclass(frozen=True)
@@ -69,6 +71,8 @@ class AlignedPart:
     handle: AlignedHandle | None
     odds: tuple[tuple[PartKind, float], ...] = ()
     """How it may open, see `Part`."""
+    score: float = 1.0
+    """Confidence, see `Part`."""
 
 
 def align(
@@ -215,7 +219,7 @@ def _aligned(face: FaceImage, part: Part, area: Area, config: AlignmentConfig) -
         seen = found[0] if found else seen
     out = front_of(face, area, config.most_height_map, without=seen)
     handle = None if seen is None else _handle(face, area, seen, out, config)
-    return AlignedPart(part.kind, area, out, handle, part.odds)
+    return AlignedPart(part.kind, area, out, handle, part.odds, part.score)
 
 
 def _handle(
@@ -235,11 +239,11 @@ def _handle(
         height = float(np.clip(height, thinnest, thickest))
         width = max(width, height)
     margin = min(thinnest, room)  # off the edges, or it would scrape along what is beside it
-    out = _standing_out(face, part, inside, config)
+    out, measured = _standing_out(face, part, inside, config)
     x, z = _straight(face, inside, behind + out)
     left, right = _placed(x, width, part.left + margin, part.right - margin)
     bottom, top = _placed(z, height, part.bottom + margin, part.top - margin)
-    return AlignedHandle(Area(left, bottom, right, top), out)
+    return AlignedHandle(Area(left, bottom, right, top), out, measured)
 
 
 def _straight(face: FaceImage, area: Area, out: float) -> tuple[float, float]:
@@ -262,14 +266,18 @@ def _placed(middle: float, size: float, low: float, high: float) -> tuple[float,
     return start, start + size
 
 
-def _standing_out(face: FaceImage, part: Area, handle: Area, config: AlignmentConfig) -> float:
-    """How far a handle stands out of what is around it [m].
+def _standing_out(
+    face: FaceImage, part: Area, handle: Area, config: AlignmentConfig
+) -> tuple[float, bool]:
+    """How far a handle stands out of what is around it [m], and whether depth shows that.
 
     A handle's rectangle holds some of the part behind it, so its upper quartile is taken.
     """
     least, most = config.handle_height_map
     out = _measured_out(face, part, handle)
-    return config.handle_out if out is None or out < least else min(out, most)
+    if out is None or out < least:
+        return config.handle_out, False
+    return min(out, most), True
 
 
 def _measured_out(face: FaceImage, part: Area, handle: Area) -> float | None:

@@ -84,7 +84,8 @@ def build_scene(
     things = [models.get(d.name) or _boxed(d) for d in detections]
     pieces = [thing for thing in things if isinstance(thing, Piece)]
     others = [thing for thing in things if isinstance(thing, SceneObject)]
-    return write_kitchen(out, out.stem, pieces, floor, start, others)
+    sure = {d.name: (d.seen, d.score) for d in detections if d.seen is not None}
+    return write_kitchen(out, out.stem, pieces, floor, start, others, sure)
 
 
 def _boxed(detection: Detection) -> Piece:

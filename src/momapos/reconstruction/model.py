@@ -40,6 +40,8 @@ KNOB = 2.0
 """A handle less elongated than this is a knob, without a gap behind it [-]."""
 MISFIT = 0.02
 """A face may differ in size from the side of the box that it shows by this [m]."""
+UNMEASURED = 0.5
+"""Confidence of a handle that images alone show [-]."""
 FINGER_GAP = 0.01
 """Between a bar and the front behind it, where the handle stands out enough [m]."""
 
@@ -287,9 +289,21 @@ def _moving(
         boxes += _tray(name, part.area, front + thickness, rear, face, layers, config)
     motions = Motions(part.area, boxes[0], face, config, min(config.travel, tray), free)
     handle = () if part.handle is None else _handle(name, part.handle, front, face)
+    sure, held = _confidence(part)
     return FurniturePart(
-        name, tuple(boxes), motions.of(part.kind), handle, motions.hypotheses(part.odds)
+        name, tuple(boxes), motions.of(part.kind), handle, motions.hypotheses(part.odds), sure, held
     )
+
+
+def _confidence(part: AlignedPart) -> tuple[float, float | None]:
+    """That a part is there and moves as modeled, and that its handle is there.
+
+    A handle that depth does not show may be a shadow or a print.
+    """
+    likeliest = part.odds[0][1] if part.odds else 1.0
+    if part.handle is None:
+        return part.score * likeliest, None
+    return part.score * likeliest, part.score * (1.0 if part.handle.measured else UNMEASURED)
 
 
 def _leaf(part: AlignedPart, thickness: float, config: ModelConfig) -> Area:

@@ -16,6 +16,7 @@ import numpy as np
 
 from momapos.errors import FileFormatError, MomaposError, require
 from momapos.files import open_regular
+from momapos.scan_io.keyframes import choose
 from momapos.scan_io.layouts import list_names
 from momapos.scan_io.ros_images import color_of, depth_of
 from momapos.scan_io.tf import TransformTree
@@ -24,7 +25,6 @@ from momapos.scan_io.validation import (
     check_depth_unit,
     check_intrinsics,
     check_memory,
-    evenly_spaced,
     keep_common_size,
     rigid_pose,
 )
@@ -86,7 +86,7 @@ def read_bag(
 
     Args:
         path: A `.bag` or `.mcap` file, or the folder of a ROS 2 bag.
-        max_frames: How many frames to read at most, evenly spaced among those with a pose.
+        max_frames: How many frames to read at most, spread over the motion of those with a pose.
         depth_scale: How many units of 16-bit depth are a meter; 32-bit depth is in meters.
         topics: Which topics are meant, where names do not tell.
 
@@ -104,7 +104,8 @@ def read_bag(
         K, warnings = _intrinsics(index, chosen, path)
         skips = Skips(len(index.depth))
         shots, notes = _shots(index, chosen.fixed_frame, skips, path)
-        shots = [shots[i] for i in evenly_spaced(len(shots), max_frames)]
+        poses = np.array([shot.T_world_camera for shot in shots]).reshape(-1, 4, 4)
+        shots = [shots[i] for i in choose(poses, max_frames)]
         size = (int(index.info.width), int(index.info.height))
         check_memory(len(shots), size[0] * size[1], str(path))
         images = _second_pass(reader, chosen, shots)

@@ -63,6 +63,21 @@ def read_color(source: Path | bytes, name: str | None = None) -> UInt8[np.ndarra
             raise FileFormatError(f"{name}: damaged image ({_brief(error)})") from error
 
 
+def read_small_gray(source: Path, width: int = 160) -> Float32[np.ndarray, "h w"]:
+    """Decode an image small and gray, of a JPEG without decoding it in full.
+
+    Raises:
+        FileFormatError: It is missing, damaged, or too large.
+    """
+    with _open(source, None) as image:
+        try:
+            image.draft("L", (2 * width, 2 * width * image.height // max(image.width, 1)))
+            gray = image.convert("L")
+            return np.asarray(gray.reduce(max(1, gray.width // width)), np.float32)
+        except _BROKEN as error:
+            raise FileFormatError(f"{source}: damaged image ({_brief(error)})") from error
+
+
 def read_depth(
     source: Path | bytes, scale: float, name: str | None = None
 ) -> Float32[np.ndarray, "h w"]:

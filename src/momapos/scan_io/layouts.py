@@ -26,12 +26,12 @@ from momapos.scan_io.images import (
     read_depth,
     scaled_intrinsics,
 )
+from momapos.scan_io.keyframes import choose, sharpness_of
 from momapos.scan_io.validation import (
     Skips,
     check_depth_unit,
     check_intrinsics,
     check_memory,
-    evenly_spaced,
     keep_common_size,
     rigid_pose,
 )
@@ -92,12 +92,12 @@ def read_frames(
 ) -> tuple[tuple[Frame, ...], tuple[str, ...]]:
     """Read the images of a layout.
 
-    Frames without a usable pose are left out before the choice, so that the chosen ones are
-    evenly spaced among those that can be used.
+    Frames without a usable pose are left out before the choice. Images that are not chosen are
+    not kept, so that a walk of any length takes the memory of `max_frames`.
 
     Args:
         layout: From `find_layout`.
-        max_frames: How many to read at most, evenly spaced.
+        max_frames: How many to read at most, see `keyframes.choose`.
         depth_scale: How many units of a depth image are a meter.
 
     Returns:
@@ -111,7 +111,9 @@ def read_frames(
     skips = Skips(len(layout.frames))
     posed = _with_poses(layout.frames, skips)
     skips.refuse_none_left(len(posed), where)
-    chosen = [posed[i] for i in evenly_spaced(len(posed), max_frames)]
+    poses = np.array([T for _, T in posed]).reshape(-1, 4, 4)
+    sharpness = sharpness_of([files.color for files, _ in posed])
+    chosen = [posed[i] for i in choose(poses, max_frames, sharpness)]
     with ThreadPoolExecutor() as pool:
         sizes = _collect(pool.map(_attempt(_sizes), [files for files, _ in chosen]), skips)
         kept = keep_common_size(sizes, skips, where)

@@ -12,6 +12,7 @@ from momapos.files import open_regular
 from momapos.scan_io.bags import BagTopics, read_bag
 from momapos.scan_io.clouds import read_cloud
 from momapos.scan_io.layouts import find_layout, list_names, read_frames
+from momapos.scan_io.pose_check import DRIFTED, check_poses
 from momapos.types import Scan
 
 MILLIMETRES = 1000.0
@@ -43,7 +44,8 @@ def read_scan(
 
     Args:
         path: A folder of posed images, a cloud, or a ROS recording.
-        max_frames: How many frames to read at most; they are evenly spaced.
+        max_frames: How many frames to read at most; of more, sharp ones are chosen all along the
+            way.
         depth_scale: How many units of integer depth are a meter; float depth is in meters.
         topics: Which topics of a recording are meant, where their names do not tell.
 
@@ -73,7 +75,7 @@ def read_scan(
         frames, warnings = read_bag(
             path, max_frames=max_frames, depth_scale=depth_scale, topics=topics
         )
-        return Scan(path.stem, frames, None, warnings)
+        return _checked(Scan(path.stem, frames, None, warnings))
     raise FileFormatError(f"{path}: is no scan; expected {ACCEPTED}")
 
 
@@ -86,7 +88,7 @@ def _read_folder(path: Path, max_frames: int, depth_scale: float, topics: BagTop
             frames, warnings = read_bag(
                 path, max_frames=max_frames, depth_scale=depth_scale, topics=topics
             )
-            return Scan(name, frames, None, warnings)
+            return _checked(Scan(name, frames, None, warnings))
         scan = read_scan(inside, max_frames=max_frames, depth_scale=depth_scale, topics=topics)
         return replace(scan, name=name)
     frames, skipped = read_frames(layout, max_frames=max_frames, depth_scale=depth_scale)
@@ -95,9 +97,30 @@ def _read_folder(path: Path, max_frames: int, depth_scale: float, topics: BagTop
     if file is None:
         if frames[0].depth is None:
             raise FileFormatError(f"{path}: has neither depth images nor a cloud (scene.ply)")
-        return Scan(name, frames, None, warnings)
+        return _checked(Scan(name, frames, None, warnings))
     cloud, notes = read_cloud(file, np.array([frame.T_world_camera[:3, 3] for frame in frames]))
     return Scan(name, frames, cloud, (*warnings, *notes))
+
+
+def _checked(scan: Scan) -> Scan:
+    """A scan whose poses were held against its depth: lost frames are out, drift is told."""
+    check = check_poses(scan.frames)
+    if check is None:
+        return scan
+    warnings = list(scan.warnings)
+    if check.lost:
+        names = ", ".join(scan.frames[k].name for k in check.lost[:3])
+        warnings.append(
+            f"{len(check.lost)} of {len(scan.frames)} frames left out: their poses do not fit to "
+            f"the depth of the frames before and after ({names})"
+        )
+    if check.drift is not None and check.drift > DRIFTED:
+        warnings.append(
+            f"the poses have drifted by {100 * check.drift:.0f} cm where a place was seen again "
+            "later: things come out blurred or twice; scan in one slow round, or align the poses"
+        )
+    frames = tuple(frame for k, frame in enumerate(scan.frames) if k not in check.lost)
+    return replace(scan, frames=frames, warnings=tuple(warnings), notes=(check.text(),))
 
 
 def _kind(path: Path) -> str | None:

@@ -25,6 +25,7 @@ from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.urdf import box_urdf, read_urdf
 from momapos.scene import bestman
 from momapos.scene.areas import read_areas
+from momapos.scene.confidence import confidence_to_json, read_confidence
 from momapos.scene.copies import model_files
 from momapos.scene.hypotheses import hypotheses_to_json, read_hypotheses
 from momapos.scene.limits import refuse_vast
@@ -41,7 +42,9 @@ MAX_CORNERS = 1_000
 """Corners of a floor [-]."""
 MAX_EDGE, MAX_DISTANCE = 1e3, 1e4  # [m] of a box, from the world's origin
 _SCENE_KEYS = {"format", "version", "name", "objects", "floor", "start", "areas"}
-_OBJECT_KEYS = {"name", "category", "pose", "urdf", "scale", "joints", "box", "hypotheses"}
+_OBJECT_KEYS = {
+    "name", "category", "pose", "urdf", "scale", "joints", "box", "hypotheses", "confidence",
+}  # fmt: skip
 
 
 def load_scene(
@@ -194,7 +197,8 @@ class _ObjectReader:
         model = self.model()
         joints, names = self.joints(model), list(model.joints)
         found = read_hypotheses(self.item.get("hypotheses", {}), names, self.where)
-        return SceneObject(self.name, category, self.pose(), model, joints, found)
+        sure = read_confidence(self.item.get("confidence"), names, self.where)
+        return SceneObject(self.name, category, self.pose(), model, joints, found, sure)
 
     def pose(self) -> Float[np.ndarray, "4 4"]:
         pose = self.item.get("pose")
@@ -361,6 +365,8 @@ def _object(item: SceneObject, folder: Path) -> dict[str, Any]:
         "category": item.category,
         "pose": {"xyz": (T[:3, 3] + 0.0).tolist(), "wxyz": (wxyz + 0.0).tolist()},
     }
+    if item.confidence is not None:
+        entry["confidence"] = confidence_to_json(item.confidence)
     if urdf.path is None:
         return {**entry, "box": list(urdf.links[urdf.root].collisions[0].size)}
     for file in model_files(item.model):

@@ -16,7 +16,7 @@ from momapos.geometry.transforms import apply, pose, pose_planar, upright_frame
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.hulls import Boxes
 from momapos.kinematics.urdf import box_urdf, read_urdf
-from momapos.types import Hypothesis, Outline
+from momapos.types import Confidence, Hypothesis, Outline
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -37,6 +37,8 @@ class SceneObject:
     """Joint values [rad] or [m] in this scene; joints not named are at rest."""
     hypotheses: Mapping[str, tuple[Hypothesis, ...]] = field(default_factory=dict)
     """Ways in which parts may move, by joint, where that was guessed from how they look."""
+    confidence: Confidence | None = None
+    """How sure a scan is of it; None of what was not scanned."""
 
     @classmethod
     def box(

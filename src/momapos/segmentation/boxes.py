@@ -19,9 +19,9 @@ from momapos.geometry.upright_boxes import (
     to_local,
     top,
 )
-from momapos.segmentation.labels import Stand, label_of, looks_of
+from momapos.segmentation.labels import Stand, guesses_of, looks_of
 from momapos.segmentation.room import Room, area, peaks
-from momapos.types import Cloud, Detection, Instance, UprightBox
+from momapos.types import UNKNOWN, Cloud, Detection, Instance, LabelSource, UprightBox
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
@@ -105,11 +105,13 @@ def boxes(
         standing.append((instance, members, box, stand))
     found = []
     for instance, members, box, stand in standing:
-        label, score = instance.label, instance.score
+        label, score, guesses = instance.label, instance.score, instance.guesses
         if not label:
-            label, fit = label_of(looks_of(cloud, members, box, stand, tops, room))
+            guesses = guesses_of(looks_of(cloud, members, box, stand, tops, room)) or (UNKNOWN,)
+            label, fit = guesses[0]
             score = min(score, fit)
-        found.append(Detection("", label, score, box, members))
+        source: LabelSource = "size" if guesses else "segmenter"
+        found.append(Detection("", label, score, box, members, source, guesses))
     return named(found)
 
 

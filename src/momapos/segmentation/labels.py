@@ -15,7 +15,7 @@ import numpy as np
 
 from momapos.geometry.upright_boxes import along_edges, bottom, to_local, top
 from momapos.segmentation.room import Room, area
-from momapos.types import Cloud, UprightBox
+from momapos.types import UNKNOWN, Cloud, UprightBox
 
 if TYPE_CHECKING:
     from jaxtyping import Int
@@ -121,7 +121,7 @@ RULES: tuple[Rule, ...] = (
 )  # fmt: skip
 """Earlier rules win where two fit equally well."""
 
-LEAST = 0.2
+LEAST = UNKNOWN[1]
 """What no rule fits at least this well is an "object" [-]."""
 
 
@@ -131,6 +131,11 @@ def label_of(looks: Looks) -> tuple[str, float]:
     Returns:
         The label of the rule that fits best and its score in [0, 1], or ("object", 0.2).
     """
+    return next(iter(guesses_of(looks)), UNKNOWN)
+
+
+def guesses_of(looks: Looks) -> tuple[tuple[str, float], ...]:
+    """All labels whose rules fit a box well enough, with scores in [0, 1], best first."""
     values = {**asdict(looks), "slender": looks.slender}
     scores = [
         (rule.score * min(fit(values[name], spread) for name, spread in rule.fits.items()))
@@ -138,8 +143,12 @@ def label_of(looks: Looks) -> tuple[str, float]:
         else 0.0
         for rule in RULES
     ]
-    best = max(range(len(RULES)), key=lambda k: scores[k])
-    return (RULES[best].label, scores[best]) if scores[best] >= LEAST else ("object", LEAST)
+    order = sorted(range(len(RULES)), key=lambda k: -scores[k])
+    fitting = [(RULES[k].label, scores[k]) for k in order if scores[k] >= LEAST]
+    best: dict[str, float] = {}
+    for label, score in fitting:
+        best.setdefault(label, score)
+    return tuple(best.items())
 
 
 def fit(value: float, spread: Range) -> float:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -80,19 +79,6 @@ def projection(box: UprightBox, frame: Frame) -> tuple[float, float, float, floa
     low = np.clip(pixels.min(0), 0, [width, height])
     high = np.clip(pixels.max(0), 0, [width, height])
     return float(low[0]), float(low[1]), float(high[0]), float(high[1])
-
-
-def vote_label(
-    box: UprightBox, frames: Sequence[Frame], found: Mapping[str, Sequence[ImageDetection]]
-) -> str:
-    """The label that a 2-D detector gave a thing most often, weighted by score; "" for none."""
-    votes: Counter[str] = Counter()
-    for frame in frames:
-        rectangle = projection(box, frame)
-        match = None if rectangle is None else _match(rectangle, found.get(frame.name, ()))
-        if match is not None and match.label:
-            votes[match.label] += match.score  # type: ignore[assignment]
-    return votes.most_common(1)[0][0] if votes else ""
 
 
 def _match(

@@ -60,6 +60,10 @@ class FurniturePart:
     hypotheses: tuple[Hypothesis, ...] = ()
     """Ways in which it may move, the likeliest first, which is its motion; empty where that is
     known."""
+    confidence: float | None = None
+    """That it is there and moves so, in [0, 1]; None where that is known."""
+    handle_confidence: float | None = None
+    """That its handle is there, in [0, 1]; None where that is known, or there is none."""
 
 
 @dataclass(frozen=True)

@@ -14,11 +14,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from momapos.errors import InputError
+from momapos.scene.confidence import confidence_to_json
 from momapos.scene.copies import copy_files
 from momapos.scene.hypotheses import hypotheses_to_json
 from momapos.scene.library.furniture import Box, FurniturePart, Piece, Vec, centers_and_halves, vec
 from momapos.scene.scene import SceneObject
-from momapos.types import Hypothesis
+from momapos.types import Confidence, Hypothesis
 
 COPIED = ".model"
 """Suffix of a folder with the files of an object that has a URDF of its own."""
@@ -37,6 +38,7 @@ def write_kitchen(
     floor: Sequence[tuple[float, float]] | None,
     start: tuple[float, float, float] | None,
     others: Sequence[SceneObject] = (),
+    sure: Mapping[str, tuple[float, float]] | None = None,
 ) -> Path:
     """Write a scene and its URDF files, all of them or none.
 
@@ -47,6 +49,7 @@ def write_kitchen(
         floor: Corners of the floor in the world, counterclockwise [m]; None where it has no end.
         start: Where the robot's base stands at first: x [m], y [m], yaw [rad]; None if not known.
         others: Objects with URDF files of their own, which are copied with their meshes.
+        sure: How sure a scan is of objects and of their labels, by name.
 
     Returns:
         `out`.
@@ -74,6 +77,11 @@ def write_kitchen(
                 assert source is not None
                 urdf = copy_files([item.model], target)[source].relative_to(new)
                 entries.append(_copied(item, f"{folder.name}/{urdf.as_posix()}"))
+            for entry in entries:
+                if sure is not None and entry["name"] in sure:
+                    own = next((piece for piece in pieces if piece.name == entry["name"]), None)
+                    found = confidence_of(*sure[entry["name"]], own)
+                    entry["confidence"] = confidence_to_json(found)
             scene = Path(temporary) / "scene.json"
             text = scene_text(name, entries, floor, start)
             scene.write_text(text, encoding="utf-8")
@@ -157,6 +165,17 @@ def _object(piece: Piece, folder: str) -> dict[str, Any]:
         if part.motion is not None and part.hypotheses
     }
     return {**entry, "hypotheses": hypotheses} if hypotheses else entry
+
+
+def confidence_of(seen: float, label: float, piece: Piece | None) -> Confidence:
+    """How sure a scan is of an object: of itself, of its label, of its parts."""
+    parts = [part for part in (piece.parts if piece else ()) if part.motion is not None]
+    return Confidence(
+        seen,
+        label,
+        {joint_name(p): p.confidence for p in parts if p.confidence is not None},
+        {joint_name(p): p.handle_confidence for p in parts if p.handle_confidence is not None},
+    )
 
 
 def _ended(found: Sequence[Hypothesis], upper: float) -> list[Hypothesis]:

@@ -9,18 +9,13 @@ from typing import Any
 
 import numpy as np
 
+from momapos.detection.coco import label_of_class
 from momapos.errors import FileFormatError
 from momapos.files import read_bytes_bounded
 from momapos.types import Frame, ImageDetection
 
 MAX_BYTES = 200_000_000
 """Detector files larger than this are refused [B]."""
-COCO = {
-    40: "bottle", 42: "cup", 46: "bowl", 47: "banana", 48: "apple", 57: "chair", 58: "couch",
-    61: "table", 63: "tv", 69: "microwave", 70: "oven", 71: "toaster", 72: "sink",
-    73: "fridge",
-}  # fmt: skip
-"""Our labels for the furniture and kitchen things of COCO, by Detectron2's category number + 1."""
 
 
 def read_coco(path: Path, frames: Sequence[Frame]) -> dict[str, list[ImageDetection]]:
@@ -71,4 +66,4 @@ def _coco_entry(item: Any, where: str) -> tuple[str, ImageDetection]:
     if not np.isfinite([left, top, width, height, score]).all() or width <= 0 or height <= 0:
         raise FileFormatError(f"{where}: bbox and score must be finite, its size above 0")
     box = (left, top, left + width, top + height)
-    return str(image), ImageDetection(box, COCO.get(category + 1, ""), score)
+    return str(image), ImageDetection(box, label_of_class(category), score)

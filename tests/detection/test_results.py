@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from momapos.detection.results import read_coco
 from momapos.errors import FileFormatError
-from momapos.scan_io.coco import read_coco
 from momapos.types import Frame
 
 

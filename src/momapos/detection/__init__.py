@@ -1,0 +1,1 @@
+"""What the color images show: detectors, their files, and votes of all images for each thing."""

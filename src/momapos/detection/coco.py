@@ -1,0 +1,46 @@
+"""The 80 classes of COCO, in the order of detectors, and what we call them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+COCO80: tuple[str, ...] = (
+    "person", "bicycle", "car", "motorcycle", "airplane", "bus", "train", "truck", "boat",
+    "traffic light", "fire hydrant", "stop sign", "parking meter", "bench", "bird", "cat", "dog",
+    "horse", "sheep", "cow", "elephant", "bear", "zebra", "giraffe", "backpack", "umbrella",
+    "handbag", "tie", "suitcase", "frisbee", "skis", "snowboard", "sports ball", "kite",
+    "baseball bat", "baseball glove", "skateboard", "surfboard", "tennis racket", "bottle",
+    "wine glass", "cup", "fork", "knife", "spoon", "bowl", "banana", "apple", "sandwich",
+    "orange", "broccoli", "carrot", "hot dog", "pizza", "donut", "cake", "chair", "couch",
+    "potted plant", "bed", "dining table", "toilet", "tv", "laptop", "mouse", "remote",
+    "keyboard", "cell phone", "microwave", "oven", "toaster", "sink", "refrigerator", "book",
+    "clock", "vase", "scissors", "teddy bear", "hair drier", "toothbrush",
+)  # fmt: skip
+"""Position k is class k of a detector trained on COCO."""
+
+RENAMED: Mapping[str, str] = {
+    "dining table": "table",
+    "refrigerator": "fridge",
+    "tv": "screen",
+    "potted plant": "plant",
+}
+"""Our labels, where they differ from COCO's."""
+INDOORS = frozenset((
+    "backpack", "umbrella", "handbag", "suitcase", "bottle", "wine glass", "cup", "fork", "knife",
+    "spoon", "bowl", "banana", "apple", "orange", "bench", "chair", "couch", "potted plant", "bed",
+    "dining table", "toilet", "tv", "laptop", "mouse", "remote", "keyboard", "cell phone",
+    "microwave", "oven", "toaster", "sink", "refrigerator", "book", "clock", "vase", "scissors",
+))  # fmt: skip
+"""Classes that stand in homes; people, animals, traffic and meals are none of a room's things."""
+LABELS: frozenset[str] = frozenset(RENAMED.get(name, name) for name in INDOORS)
+"""All labels that a detector of COCO's classes can give a thing."""
+
+
+WITHOUT_DOORS: frozenset[str] = LABELS - {"fridge", "oven", "microwave", "sink", "table"}
+"""Labels of what has neither doors nor drawers."""
+
+
+def label_of_class(index: int) -> str:
+    """Our label for a class of COCO; "" for what is no thing of a room, or no class."""
+    name = COCO80[index] if 0 <= index < len(COCO80) else ""
+    return RENAMED.get(name, name) if name in INDOORS else ""
