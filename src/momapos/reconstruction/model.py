@@ -40,6 +40,8 @@ KNOB = 2.0
 """A handle less elongated than this is a knob, without a gap behind it [-]."""
 MISFIT = 0.02
 """A face may differ in size from the side of the box that it shows by this [m]."""
+COLD = ("fridge", "refrigerator", "freezer")
+"""Words in the labels of furniture with insulated doors."""
 FINGER_GAP = 0.01
 """Between a bar and the front behind it, where the handle stands out enough [m]."""
 
@@ -56,12 +58,15 @@ class ModelConfig:
     """Of a door in the face's plane, and of one that stands proud of it at most [m]."""
     gap: float = 0.002
     """Between a moving part and what is beside and behind it [m]."""
-    hinge_depth: float = 0.0
-    """How far behind its front a door's hinge lies, but not beyond its thickness [m]. That holds
-    for hinges at the rim of the face; elsewhere such a door would turn into what is beside it."""
+    hinge_depth: float = 0.005
+    """How far behind its front a door's hinge lies where something is beside it: a door that turns
+    about a deeper axis needs that much more room. Real ones have it, or hinges that travel [m]."""
     free_hinge_depth: float = 0.01
-    """The same where nothing stands beside the object: its doors need not stay within their width,
-    and mostly do not [m]."""
+    """The same where nothing is beside it, about half the thickness of a leaf [m]."""
+    cold_hinge_depth: float = 0.025
+    """The same of fridges and freezers, whose leaves are 5 to 8 cm thick [m]."""
+    hinge_inset: float = 0.007
+    """How far within the leaf such an axis lies: a pin has some of the leaf around it [m]."""
     turn: float = np.pi / 2
     """How far doors open [rad]."""
     travel: float = 0.4
@@ -97,10 +102,10 @@ def furniture_model(
 ) -> Piece:
     """Make the model of one object: its box, hollow, with doors and drawers that open.
 
-    A door with neighbors turns about the edge of its front, so it stays within its own width as it
-    opens. Real hinges lie deeper, mostly by 1 to 2 cm, in fridges by 2 to 8; so are those here
-    that have nothing beside them (`ModelConfig.free_hinge_depth`). Every joint ends before its
-    part would hit the rest of the piece.
+    A door with something beside its hinge turns about an axis close behind its front, and stays
+    within its own width as it opens. Real hinges lie deeper, mostly by 1 to 2 cm, in fridges by 2
+    to 8; so are those here that have nothing beside them (`ModelConfig.free_hinge_depth`). Every
+    joint ends before its part would hit the rest of the piece.
 
     Args:
         detection: The object with its box.
@@ -130,9 +135,10 @@ def furniture_model(
     if not aligned:
         return solid(detection.name, detection.label, vec(size), center, yaw)
     layers = _layers(size, aligned, config)
+    cold = any(word in detection.label.lower() for word in COLD)
     body = FurniturePart("body", tuple(_body(face, aligned, layers, config)))
     moving = [
-        _moving(name, part, face, layers, config, free)
+        _moving(name, part, [p.area for p in aligned], face, layers, config, free, cold)
         for name, part in zip(_names(aligned), aligned, strict=True)
     ]
     piece = Piece(detection.name, detection.label, center, yaw, (body, *moving))
@@ -272,44 +278,28 @@ def _rest(areas: Sequence[Area], whole: Area) -> list[Area]:
 def _moving(
     name: str,
     part: AlignedPart,
+    areas: Sequence[Area],
     face: FaceImage,
     layers: _Layers,
     config: ModelConfig,
     free: tuple[bool, bool],
+    cold: bool,
 ) -> FurniturePart:
     """A door, or a drawer with its tray."""
     front, thickness = _slab(part, layers, config)
-    area = _leaf(part, thickness, config)
-    boxes = [_box(f"{name}_panel", area, front, front + thickness, face)]
     tray = config.tray * (layers.back - layers.wall - layers.opening)
+    motions = Motions(
+        part.area, front, thickness, face, config, min(config.travel, tray), free,
+        any(part.area.stands_on(other) for other in areas), cold,
+    )  # fmt: skip
+    boxes = [_box(f"{name}_panel", motions.leaf(part.kind), front, front + thickness, face)]
     if part.kind == "drawer":
         rear = layers.opening + tray
         boxes += _tray(name, part.area, front + thickness, rear, face, layers, config)
-    motions = Motions(part.area, boxes[0], face, config, min(config.travel, tray), free)
     handle = () if part.handle is None else _handle(name, part.handle, front, face)
     return FurniturePart(
         name, tuple(boxes), motions.of(part.kind), handle, motions.hypotheses(part.odds)
     )
-
-
-def _leaf(part: AlignedPart, thickness: float, config: ModelConfig) -> Area:
-    """The front of a part, with gaps around it.
-
-    The rear edge of a door swings out beyond its width, so the gap opposite the hinge is wider.
-    """
-    area = part.area.within(part.area, config.gap)
-    assert area is not None
-    if part.kind in ("door_left", "door_right"):
-        swing = thickness**2 / (2 * area.width)
-        return (
-            replace(area, right=area.right - swing)
-            if part.kind == "door_left"
-            else replace(area, left=area.left + swing)
-        )
-    swing = thickness**2 / (2 * area.height)
-    if part.kind == "door_down":
-        return replace(area, top=area.top - swing)
-    return replace(area, bottom=area.bottom + swing) if part.kind == "door_up" else area
 
 
 def _tray(

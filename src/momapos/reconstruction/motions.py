@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from momapos.reconstruction.height_maps import Area
-from momapos.scene.library.furniture import Box, JointMotion, Vec
+from momapos.scene.library.furniture import JointMotion, Vec, vec
 from momapos.types import FaceImage, Hypothesis, PartKind
 
 if TYPE_CHECKING:
@@ -23,37 +23,80 @@ class Motions:
 
     area: Area
     """On the face, to the middle of its gaps."""
-    panel: Box
-    """Its leaf, in the frame of the piece."""
+    front: float
+    """The y coordinate of its front, in the frame of the piece [m]."""
+    thickness: float
+    """Of its leaf [m]."""
     face: FaceImage
     config: ModelConfig
     travel: float
     """How far it would slide [m]."""
     free: tuple[bool, bool]
     """Whether nothing stands beside the object, left and right as seen from the front."""
+    below: bool = False
+    """Whether another part adjoins from below."""
+    cold: bool = False
+    """Whether it is insulated, and so thick."""
+
+    def is_free(self, kind: PartKind) -> bool:
+        """Whether the hinge of a kind of part has nothing beside it."""
+        at_rim = {
+            "door_left": self.area.left <= 0.0 and self.free[0],
+            "door_right": self.area.right >= self.face.width and self.free[1],
+            "door_down": not self.below,  # a plinth lies farther back
+            "door_up": self.area.top >= self.face.height,
+        }
+        return at_rim.get(kind, False)
+
+    def depth(self, kind: PartKind) -> float:
+        """How far behind the front the hinge of a kind of part lies [m]."""
+        free = self.config.cold_hinge_depth if self.cold else self.config.free_hinge_depth
+        return min(free if self.is_free(kind) else self.config.hinge_depth, self.thickness)
+
+    def inset(self, kind: PartKind) -> float:
+        """How far within the leaf it lies [m]."""
+        return self.config.hinge_inset if self.is_free(kind) else 0.0
 
     def of(self, kind: PartKind) -> JointMotion:
         """The joint of a kind of part; all open with a positive value."""
         if kind == "drawer":
             return JointMotion("prismatic", (0.0, 0.0, 0.0), (0.0, -1.0, 0.0), self.travel)
-        (left, front, bottom), (right, rear, top) = self.panel.low, self.panel.high
-        at_rim = {
-            "door_left": self.area.left <= 0.0,
-            "door_right": self.area.right >= self.face.width,
-            "door_down": self.area.bottom <= 0.0,
-            "door_up": self.area.top >= self.face.height,
-        }
-        depth = self.config.hinge_depth
-        if (kind == "door_left" and self.free[0]) or (kind == "door_right" and self.free[1]):
-            depth = max(depth, self.config.free_hinge_depth)
-        y = min(front + depth, rear) if at_rim[kind] else front
+        inset = self.config.gap + self.inset(kind)
+        x, z = self.face.width / 2, self.face.height / 2
+        left, right = self.area.left + inset - x, self.area.right - inset - x
+        bottom, top = self.area.bottom + inset - z, self.area.top - inset - z
+        y = self.front + self.depth(kind)
         pivots: dict[str, tuple[Vec, Vec]] = {
             "door_left": ((left, y, 0.0), (0.0, 0.0, -1.0)),
             "door_right": ((right, y, 0.0), (0.0, 0.0, 1.0)),
             "door_down": ((0.0, y, bottom), (1.0, 0.0, 0.0)),
             "door_up": ((0.0, y, top), (-1.0, 0.0, 0.0)),
         }
-        return JointMotion("revolute", *pivots[kind], self.config.turn)
+        pivot, axis = pivots[kind]
+        return JointMotion("revolute", vec(pivot), axis, self.config.turn)
+
+    def leaf(self, kind: PartKind) -> Area:
+        """The front of a kind of part, with gaps around it.
+
+        The rear edge of a door swings out beyond its width, so the gap opposite the hinge is wider.
+        The leaf begins at its axis, so that it does not swing into what is behind; where something
+        is beside it, as far from the axis as that lies behind the front, so that it stays within
+        its width.
+        """
+        area = self.area.within(self.area, self.config.gap)
+        assert area is not None
+        if kind == "drawer":
+            return area
+        width = area.width if kind in ("door_left", "door_right") else area.height
+        swing = (self.thickness - self.depth(kind)) ** 2 / (2 * width)
+        clear = self.is_free(kind) and kind != "door_down"  # below are a plinth or the floor
+        cut = min(self.inset(kind) + (0.0 if clear else self.depth(kind)), width / 4)
+        return {
+            "door_left": replace(area, left=area.left + cut, right=area.right - swing),
+            "door_right": replace(area, left=area.left + swing, right=area.right - cut),
+            "door_down": replace(area, bottom=area.bottom + cut, top=area.top - swing),
+            "door_up": replace(area, bottom=area.bottom + swing, top=area.top - cut),
+        }[kind]
 
     def hypotheses(self, odds: Sequence[tuple[PartKind, float]]) -> tuple[Hypothesis, ...]:
         """All probable ways in which the part may move, the likeliest first.
