@@ -288,9 +288,13 @@ def test_a_hinge_lies_deeper_where_nothing_is_beside_it(
     assert [motion.upper for motion in motions if motion] == [np.pi / 2] * 2
 
 
+@pytest.mark.parametrize("proud", [0.0, 0.008])
 @pytest.mark.parametrize("kind", ["door_left", "door_right", "door_down", "door_up"])
-def test_a_door_with_neighbors_stays_within_its_own_part_as_it_opens(kind: PartKind) -> None:
-    face, config = face_of(0.9, 0.9), ModelConfig(hinge_depth=0.015)
+def test_a_door_with_neighbors_stays_within_its_own_part_as_it_opens(
+    kind: PartKind, proud: float
+) -> None:
+    face, config = face_of(0.9, 0.9, proud), ModelConfig(hinge_depth=0.015)
+    raised(face, (1 / 3, 1 / 3, 2 / 3, 2 / 3), 0.0)
     part = Part(kind, (1 / 3, 1 / 3, 2 / 3, 2 / 3), 0.9)
     others = [
         Part("drawer", (0.0, 0.0, 1.0, 1 / 3), 0.8), Part("drawer", (0.0, 2 / 3, 1.0, 1.0), 0.8),

@@ -289,7 +289,7 @@ def _moving(
     front, thickness = _slab(part, layers, config)
     tray = config.tray * (layers.back - layers.wall - layers.opening)
     motions = Motions(
-        part.area, front, thickness, face, config, min(config.travel, tray), free,
+        part.area, part.out, front, thickness, face, config, min(config.travel, tray), free,
         any(part.area.stands_on(other) for other in areas), cold,
     )  # fmt: skip
     boxes = [_box(f"{name}_panel", motions.leaf(part.kind), front, front + thickness, face)]

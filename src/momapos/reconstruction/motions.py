@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+from momapos.reconstruction.alignment import front_of
 from momapos.reconstruction.height_maps import Area
 from momapos.scene.library.furniture import JointMotion, Vec, vec
 from momapos.types import FaceImage, Hypothesis, PartKind
@@ -13,6 +14,8 @@ from momapos.types import FaceImage, Hypothesis, PartKind
 if TYPE_CHECKING:
     from momapos.reconstruction.model import ModelConfig
 
+STRIP = 0.03
+"""So wide is what is looked at beside a hinge [m]."""
 LEAST = 0.005
 """What is less probable is no hypothesis [-]."""
 
@@ -23,6 +26,8 @@ class Motions:
 
     area: Area
     """On the face, to the middle of its gaps."""
+    out: float
+    """How far its front stands out of the face [m]."""
     front: float
     """The y coordinate of its front, in the frame of the piece [m]."""
     thickness: float
@@ -80,8 +85,8 @@ class Motions:
 
         The rear edge of a door swings out beyond its width, so the gap opposite the hinge is wider.
         The leaf begins at its axis, so that it does not swing into what is behind; where something
-        is beside it, as far from the axis as that lies behind the front, so that it stays within
-        its width.
+        is beside it, as far from the axis as that lies behind what is beside, so that it stays
+        within its width until it has passed that.
         """
         area = self.area.within(self.area, self.config.gap)
         assert area is not None
@@ -90,13 +95,28 @@ class Motions:
         width = area.width if kind in ("door_left", "door_right") else area.height
         swing = (self.thickness - self.depth(kind)) ** 2 / (2 * width)
         clear = self.is_free(kind) and kind != "door_down"  # below are a plinth or the floor
-        cut = min(self.inset(kind) + (0.0 if clear else self.depth(kind)), width / 4)
+        behind = 0.0 if clear else self.depth(kind) + self._beside(kind)
+        cut = min(self.inset(kind) + behind, width / 4)
         return {
             "door_left": replace(area, left=area.left + cut, right=area.right - swing),
             "door_right": replace(area, left=area.left + swing, right=area.right - cut),
             "door_down": replace(area, bottom=area.bottom + cut, top=area.top - swing),
             "door_up": replace(area, bottom=area.bottom + swing, top=area.top - cut),
         }[kind]
+
+    def _beside(self, kind: PartKind) -> float:
+        """How far what is beside a hinge stands out of the part's front [m]."""
+        area, face, config = self.area, self.face, self.config
+        strip = {
+            "door_left": replace(area, left=area.left - STRIP, right=area.left),
+            "door_right": replace(area, left=area.right, right=area.right + STRIP),
+            "door_down": replace(area, bottom=area.bottom - STRIP, top=area.bottom),
+            "door_up": replace(area, bottom=area.top, top=area.top + STRIP),
+        }[kind].within(Area(0.0, 0.0, face.width, face.height))
+        if strip is None:
+            return 0.0
+        out = front_of(face, strip, config.alignment.most_height_map)
+        return max(0.0, out - self.out) + (config.gap if out > self.out else 0.0)
 
     def hypotheses(self, odds: Sequence[tuple[PartKind, float]]) -> tuple[Hypothesis, ...]:
         """All probable ways in which the part may move, the likeliest first.
