@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,6 +17,7 @@ from momapos.importance.config import ImportanceConfig, ScorerName
 if TYPE_CHECKING:
     from momapos.protocols import ArticulationPredictor, Segmenter
     from momapos.reconstruction.build import GivenModel
+    from momapos.reconstruction.seen_motion import SeenMotion
     from momapos.scan_records import Found, Modeled, ScanConfig, Tools
     from momapos.types import Scan
 
@@ -70,6 +72,7 @@ def scan_room(
     /,
     *,
     out: Path,
+    after: Annotated[OptionalPath, arg(metavar="DIR")] = None,
     target: Annotated[OptionalText, arg(metavar="OBJECT")] = None,
     alpha: float = ImportanceConfig.alpha,
     scorer: ScorerName = "reach",
@@ -85,6 +88,8 @@ def scan_room(
     Args:
         source: Folder of posed color and depth images, a cloud, or a robot's log.
         out: The scene file.
+        after: A second scan of the room, after doors or drawers were opened that are shut in the
+            first: how these move is then seen, and the scene has them as open as they are there.
         target: Object that the task will be about: only what matters for it is modeled.
         alpha: Objects that matter less for the target than this stay boxes, in [0, 1].
         scorer: How importance is measured, as for rank.
@@ -103,14 +108,17 @@ def scan_room(
     given = given_models(options)
     check_outputs(*outputs_of(out, pictures=pictures))
     scan = read(source, options)
+    later = None if after is None else read(after, options)
     tools, found = tools_for(scan, options), found_in(scan, options)
     with progress("scan") as report:
         result = scan_to_scene(
-            scan, out, tools, target=target, found=found, given=given, config=config,
+            scan, out, tools, target=target, after=later, found=found, given=given, config=config,
             progress=lambda what, share: report(share, what),
         )  # fmt: skip
     for warning in (text for decision in result.decisions for text in decision.warnings):
         print(f"momapos: {warning}", file=sys.stderr)
+    if later is not None and not any(decision.moved for decision in result.decisions):
+        print(f"momapos: {after}: no part stands elsewhere than in {source}", file=sys.stderr)
     data = report_to_dict(result, scan, target)
     folder = write_report(result, data, out, pictures=pictures)
     print(encoder.dumps(data, allow_nan=False) if json else table(result, out, folder))
@@ -127,6 +135,11 @@ def table(result: Modeled, out: Path, folder: Path | None) -> str:
         x, y, z = item.box.center
         what = decision.reason or f"{decision.source}: {_count(decision.parts)}"
         lines.append(f"  {item.name:<{width}}  {size} m at ({x:.2f}, {y:.2f}, {z:.2f})  {what}")
+    lines += [
+        f"  {d.detection.name}/{name}  was opened, as a {seen.kind}, by {_amount(seen)}"
+        for d in result.decisions
+        for name, seen in d.moved.items()
+    ]
     modeled = sum(d.model is not None for d in result.decisions)
     stages = ", ".join(f"{n} {s:.1f}" for n, s in result.timing.items() if n != "total")
     lines += [
@@ -139,6 +152,12 @@ def table(result: Modeled, out: Path, folder: Path | None) -> str:
     if folder is not None:
         lines.append(f"  images    {folder}")
     return "\n".join(lines)
+
+
+def _amount(seen: SeenMotion) -> str:
+    if seen.kind == "drawer":
+        return f"{100 * seen.value:.0f} cm"
+    return f"{math.degrees(seen.value):.0f} deg"
 
 
 def _count(parts: tuple[Any, ...]) -> str:

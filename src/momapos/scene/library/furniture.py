@@ -60,6 +60,8 @@ class FurniturePart:
     hypotheses: tuple[Hypothesis, ...] = ()
     """Ways in which it may move, the likeliest first, which is its motion; empty where that is
     known."""
+    value: float = 0.0
+    """How far it is open in the room [rad] or [m]."""
 
 
 @dataclass(frozen=True)
