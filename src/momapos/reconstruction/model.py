@@ -40,8 +40,6 @@ KNOB = 2.0
 """A handle less elongated than this is a knob, without a gap behind it [-]."""
 MISFIT = 0.02
 """A face may differ in size from the side of the box that it shows by this [m]."""
-COLD = ("fridge", "refrigerator", "freezer")
-"""Words in the labels of furniture with insulated doors."""
 FINGER_GAP = 0.01
 """Between a bar and the front behind it, where the handle stands out enough [m]."""
 
@@ -63,8 +61,6 @@ class ModelConfig:
     about a deeper axis needs that much more room. Real ones have it, or hinges that travel [m]."""
     free_hinge_depth: float = 0.01
     """The same where nothing is beside it, about half the thickness of a leaf [m]."""
-    cold_hinge_depth: float = 0.025
-    """The same of fridges and freezers, whose leaves are 5 to 8 cm thick [m]."""
     hinge_inset: float = 0.007
     """How far within the leaf such an axis lies: a pin has some of the leaf around it [m]."""
     turn: float = np.pi / 2
@@ -135,10 +131,9 @@ def furniture_model(
     if not aligned:
         return solid(detection.name, detection.label, vec(size), center, yaw)
     layers = _layers(size, aligned, config)
-    cold = any(word in detection.label.lower() for word in COLD)
     body = FurniturePart("body", tuple(_body(face, aligned, layers, config)))
     moving = [
-        _moving(name, part, [p.area for p in aligned], face, layers, config, free, cold)
+        _moving(name, part, [p.area for p in aligned], face, layers, config, free)
         for name, part in zip(_names(aligned), aligned, strict=True)
     ]
     piece = Piece(detection.name, detection.label, center, yaw, (body, *moving))
@@ -283,14 +278,13 @@ def _moving(
     layers: _Layers,
     config: ModelConfig,
     free: tuple[bool, bool],
-    cold: bool,
 ) -> FurniturePart:
     """A door, or a drawer with its tray."""
     front, thickness = _slab(part, layers, config)
     tray = config.tray * (layers.back - layers.wall - layers.opening)
     motions = Motions(
         part.area, part.out, front, thickness, face, config, min(config.travel, tray), free,
-        any(part.area.stands_on(other) for other in areas), cold,
+        any(part.area.stands_on(other) for other in areas),
     )  # fmt: skip
     boxes = [_box(f"{name}_panel", motions.leaf(part.kind), front, front + thickness, face)]
     if part.kind == "drawer":

@@ -40,8 +40,6 @@ class Motions:
     """Whether nothing stands beside the object, left and right as seen from the front."""
     below: bool = False
     """Whether another part adjoins from below."""
-    cold: bool = False
-    """Whether it is insulated, and so thick."""
 
     def is_free(self, kind: PartKind) -> bool:
         """Whether the hinge of a kind of part has nothing beside it."""
@@ -55,8 +53,9 @@ class Motions:
 
     def depth(self, kind: PartKind) -> float:
         """How far behind the front the hinge of a kind of part lies [m]."""
-        free = self.config.cold_hinge_depth if self.cold else self.config.free_hinge_depth
-        return min(free if self.is_free(kind) else self.config.hinge_depth, self.thickness)
+        config = self.config
+        depth = config.free_hinge_depth if self.is_free(kind) else config.hinge_depth
+        return min(depth, self.thickness)
 
     def inset(self, kind: PartKind) -> float:
         """How far within the leaf it lies [m]."""
