@@ -52,6 +52,8 @@ LOCATED = 0.5
 """IoU of two fronts from which on they are one [-]."""
 APART = 0.2
 """Their planes are no farther apart [m]."""
+WAY = 0.3
+"""A drawer is open by this way at the latest [m]."""
 AXIS, TILT = 0.02, np.radians(3.0)
 """An axis is right within these [m], [rad]."""
 
@@ -235,15 +237,18 @@ def opened(
 
 
 def opened_share(truth: Scene, joint: str, plan: PlacementPlan) -> float:
-    """How far a plan opens its part, as a share of what is asked in the room."""
-    opening, asked = (
-        opening_of(truth.object("object").model, joint),
-        make_task(truth, "open", "object", joint).to,
-    )
+    """How far a plan opens its part, as a share of what is asked in the room.
+
+    Of a drawer `WAY` is enough: how far it slides is not to be seen.
+    """
+    model = truth.object("object").model
+    asked = make_task(truth, "open", "object", joint).to
     assert asked is not None
     assert plan.motion is not None
-    moved_by = abs(float(plan.motion.object_q[-1] - plan.motion.object_q[0]))
-    return moved_by / abs(asked - opening.closed)
+    way = abs(asked - opening_of(model, joint).closed)
+    if model.joint(joint).kind == "prismatic":
+        way = min(way, WAY)
+    return abs(float(plan.motion.object_q[-1] - plan.motion.object_q[0])) / way
 
 
 def scanned_rooms(half: str | None, folder: Path, frames: int) -> Iterator[tuple[str, Path, Scene]]:

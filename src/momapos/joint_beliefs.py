@@ -25,7 +25,7 @@ FAILS = 0.15
 """Share of the motions that fail although the joint is as believed [-]."""
 HAND_ERROR = 0.01
 """A hand strays so far on the part that it pulls, where it does not find its joint [m]."""
-DOUBT = np.log(20.0)
+DOUBT = float(np.log(20.0))
 """The hand lets go where another way to move is so many times likelier, as a logarithm [-]."""
 WIDE_OPEN = np.pi / 2
 """A part that turns out to be hinged is opened so far at most [rad]."""
