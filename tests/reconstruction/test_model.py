@@ -33,7 +33,7 @@ from momapos.types import Detection, FaceImage, Part, PartKind, UprightBox
 
 UP = np.array([0.0, 0.0, 1.0])
 CENTER = np.array([1.0, -2.0, 0.9])
-AT_FRONT = ModelConfig(hinge_depth=0.0, free_hinge_depth=0.0, hinge_inset=0.0)
+AT_FRONT = ModelConfig(hinge_depth=0.0, free_hinge_depth=0.0)
 """Hinges at the front edge of their doors, as those of the drawn furniture."""
 
 
@@ -279,8 +279,6 @@ def test_a_hinge_lies_deeper_where_nothing_is_beside_it(free: tuple[bool, bool])
     depths = [motion.pivot[1] + 0.33 for motion in motions if motion]
     deep = config.free_hinge_depth
     assert depths == pytest.approx([deep if side else config.hinge_depth for side in free])
-    insets = [0.4 - abs(motion.pivot[0]) - config.gap for motion in motions if motion]
-    assert insets == pytest.approx([config.hinge_inset if side else 0.0 for side in free], abs=1e-5)
     assert [motion.upper for motion in motions if motion] == [np.pi / 2] * 2
 
 

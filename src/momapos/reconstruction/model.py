@@ -61,8 +61,6 @@ class ModelConfig:
     about a deeper axis needs that much more room. Real ones have it, or hinges that travel [m]."""
     free_hinge_depth: float = 0.01
     """The same where nothing is beside it, about half the thickness of a leaf [m]."""
-    hinge_inset: float = 0.007
-    """How far within the leaf such an axis lies: a pin has some of the leaf around it [m]."""
     turn: float = np.pi / 2
     """How far doors open [rad]."""
     travel: float = 0.4

@@ -57,18 +57,14 @@ class Motions:
         depth = config.free_hinge_depth if self.is_free(kind) else config.hinge_depth
         return min(depth, self.thickness)
 
-    def inset(self, kind: PartKind) -> float:
-        """How far within the leaf it lies [m]."""
-        return self.config.hinge_inset if self.is_free(kind) else 0.0
-
     def of(self, kind: PartKind) -> JointMotion:
         """The joint of a kind of part; all open with a positive value."""
         if kind == "drawer":
             return JointMotion("prismatic", (0.0, 0.0, 0.0), (0.0, -1.0, 0.0), self.travel)
-        inset = self.config.gap + self.inset(kind)
+        gap = self.config.gap
         x, z = self.face.width / 2, self.face.height / 2
-        left, right = self.area.left + inset - x, self.area.right - inset - x
-        bottom, top = self.area.bottom + inset - z, self.area.top - inset - z
+        left, right = self.area.left + gap - x, self.area.right - gap - x
+        bottom, top = self.area.bottom + gap - z, self.area.top - gap - z
         y = self.front + self.depth(kind)
         pivots: dict[str, tuple[Vec, Vec]] = {
             "door_left": ((left, y, 0.0), (0.0, 0.0, -1.0)),
@@ -95,7 +91,7 @@ class Motions:
         swing = (self.thickness - self.depth(kind)) ** 2 / (2 * width)
         clear = self.is_free(kind) and kind != "door_down"  # below are a plinth or the floor
         behind = 0.0 if clear else self.depth(kind) + self._beside(kind)
-        cut = min(self.inset(kind) + behind, width / 4)
+        cut = min(behind, width / 4)
         return {
             "door_left": replace(area, left=area.left + cut, right=area.right - swing),
             "door_right": replace(area, left=area.left + swing, right=area.right - cut),
