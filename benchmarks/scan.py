@@ -182,7 +182,10 @@ def plan_in_scan(
     theirs = opening_of(scanned.object(found[0]).model, found[1])
     asked = make_task(truth, "open", *true).to
     assert asked is not None
-    travel = min(abs(asked - ours.closed), abs(theirs.wide - theirs.closed))
+    travel, whole = abs(asked - ours.closed), min(abs(theirs.wide - theirs.closed), np.pi / 2)
+    kinds = [s.object(n).model.joint(j).kind for s, (n, j) in ((truth, true), (scanned, found))]
+    # A drawer that is taken for a flap is opened as wide as that.
+    travel = min(travel, whole) if len({kind == "prismatic" for kind in kinds}) == 1 else whole
     task = make_task(scanned, "open", *found, theirs.closed + theirs.sign * travel)
     return plan_base_placement(scanned, robot, task, reach, start=start, config=config).plan
 

@@ -19,7 +19,7 @@ from momapos.reconstruction.build import GivenModel
 from momapos.reconstruction.network import FrontNetwork
 from momapos.reconstruction.templates import TemplatePredictor
 from momapos.scan_io.scan import read_scan
-from momapos.scan_pipeline import scan_to_scene
+from momapos.scan_pipeline import cloud_after, model_room, scan_to_scene, survey
 from momapos.scan_records import Modeled, ScanConfig, Tools
 from momapos.scan_report import report_to_dict, write_report
 from momapos.scene.files import load_scene
@@ -28,7 +28,15 @@ from momapos.segmentation.segmenter import ClassicalSegmenter
 from momapos.solve_scan import ScanTask, solve_scan
 from momapos.synthetic_scans.depth_sensor import DepthSensor
 from momapos.synthetic_scans.recording import synthetic_scan, write_scan
-from momapos.types import FaceImage, Front, ImageDetection, Instance, Scan, UprightBox
+from momapos.types import (
+    Cloud,
+    FaceImage,
+    Front,
+    ImageDetection,
+    Instance,
+    Scan,
+    UprightBox,
+)
 
 
 @pytest.fixture(scope="module")
@@ -300,3 +308,34 @@ def test_what_the_scan_does_not_show_is_one_line(
         said = capsys.readouterr().err
         assert told in said
         assert said.count("\n") == 1
+
+
+def test_a_door_that_stands_open_in_a_second_scan_tells_how_it_moves(
+    scan: Scan, tools: Tools, made: Modeled, folder: Path, tmp_path: Path
+) -> None:
+    kitchen = load_scene("kitchen_small").with_joint("fridge", "door_hinge", np.radians(60.0))
+    write_scan(synthetic_scan(kitchen, frames=30, seed=4, sensor=DepthSensor()), tmp_path / "open")
+    seen = survey(scan, tools)
+    later = cloud_after(read_scan(tmp_path / "open"), seen, ScanConfig())
+    known = {d.detection.name: d for d in made.decisions}
+    result = model_room(seen, tmp_path / "scene.json", tools, known=known, later=later)
+    moved = {(d.detection.name, name): m for d in result.decisions for name, m in d.moved.items()}
+    (((name, part), door),) = moved.items()
+    assert name == nearest(made, true_fridge(folder))
+    assert door.kind == "door_right"
+    assert door.value == pytest.approx(np.radians(60.0), abs=np.radians(2.0))
+    item = load_scene(tmp_path / "scene.json").object(name)
+    assert item.values()[f"{part}_hinge"] == pytest.approx(door.value, abs=1e-4)
+    record = item.model.joint(f"{part}_hinge")
+    place = (item.link_poses()[record.parent] @ record.T_parent_joint)[:2, 3]
+    fridge = kitchen.object("fridge")
+    true = fridge.model.joint("door_hinge")
+    T = result.T_scene_scan @ fridge.link_poses()[true.parent] @ true.T_parent_joint
+    assert np.linalg.norm(place - T[:2, 3]) < 0.02
+    data = report_to_dict(result, scan, None)
+    told = next(entry for entry in data["objects"] if entry["name"] == name)
+    assert told["moved"][part]["kind"] == "door_right"
+    bare = replace(later, points=later.points[later.points[:, 0] < np.median(later.points[:, 0])])
+    other = Cloud(0.6 * bare.points, later.normals[: len(bare.points)], bare.colors)
+    with pytest.raises(InputError, match="elsewhere: the two scans are not of one room"):
+        cloud_after(Scan("elsewhere", (), other), seen, ScanConfig())

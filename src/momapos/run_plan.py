@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
@@ -26,6 +26,7 @@ from momapos.execution.run import Again, Outcome, attempt
 from momapos.execution.stages import Watch
 from momapos.execution.true_world import true_world
 from momapos.geometry.transforms import wrap_angle
+from momapos.joint_beliefs import JointBelief, JointBeliefs, joint_beliefs
 from momapos.manipulation.motion import GraspFilter, task_motion
 from momapos.navigation.clearance import gaps
 from momapos.navigation.drive import DriveConfig, drive
@@ -96,7 +97,9 @@ def run_plan(
         start: Where the base is at first; as the plan says by default, else as for `place`.
         world: What is really there, in the frame of `scene`, which is then what the robot
             believes: it plans and drives by the scene, its hand meets the world. The part nearest
-            to where the plan takes hold is the one to open. As the scene says by default.
+            to where the plan takes hold is the one to open. As the scene says by default. Where
+            the scene has several `hypotheses` of how that part moves, each motion is planned for
+            the one that is the most probable after what the hand has felt.
         attempts: Base poses that are driven to for one motion at most [-].
         tries: Motions that are executed at most, one after the other, each after one that failed
             and after which the arm came home [-].
@@ -141,29 +144,36 @@ def run_plan(
     begin = _begin(ground, scene, plan.task, start, config)
     trip = _Trip(
         ground, scene, plan, reach, go or by_window, config, trace or _unseen, stopwatch,
-        np.random.default_rng(of_drive),
+        np.random.default_rng(of_drive), whole=scene,
+        beliefs=JointBeliefs(
+            () if world is None else joint_beliefs(scene, plan.task), physics.compliance
+        ),
     )  # fmt: skip
     here, motion = trip.go(begin, plan, attempts)
     executions: list[Execution] = []
+    kinds: list[str] = []
     again: Again | None = None
     while motion is not None:
+        last = len(executions) + 1 >= tries
         try:
             with stopwatch.stage("execute"):
                 outcome = attempt(
-                    scene, robot, _triple(here), motion, plan.task, physics,
+                    trip.whole, robot, _triple(here), motion, trip.plan.task, physics,
                     np.random.default_rng(of_world), true_world=there, again=again,
-                    way_home=trip.way_home(here) if len(executions) + 1 < tries else None,
+                    way_home=None if last else trip.way_home(here),
+                    doubt=None if last else trip.beliefs.speaks_against,
                     watch=watch, clock=clock,
                 )  # fmt: skip
         except SceneError as error:  # by the exact shapes of the physics, which nothing before uses
             trip.visits[-1] = replace(trip.visits[-1], reason=str(error))
             break
         executions.append(outcome.execution)
+        kinds.append(trip.beliefs.kind)
         if not outcome.at_home:
             break
-        trip.learn(scene, motion, outcome)
+        same = trip.learn(motion, outcome)
         again = Again(trip.scene, outcome.value, outcome.collisions)
-        here, motion = trip.try_anew(here, attempts, elsewhere=outcome.in_the_way)
+        here, motion = trip.try_anew(here, attempts, elsewhere=same and outcome.in_the_way)
     return RunRecord(
         scene=plan.scene,
         robot=robot.name,
@@ -171,6 +181,7 @@ def run_plan(
         visits=tuple(trip.visits),
         execution=executions[-1] if executions else None,
         failed=tuple(executions[:-1]),
+        kinds=tuple(filter(None, kinds)),
         seed=seed,
         noise=driving.noise != QUIET,
         time=stopwatch.seconds,
@@ -217,24 +228,43 @@ class _Trip:
     """Base poses that were no good."""
     grasps: list[Float[np.ndarray, "4 4"]] = field(default_factory=list)
     """Grasps that did not hold: the tool in the part's frame."""
+    _: KW_ONLY
+    whole: Scene
+    """The room as the run began, the part as it is believed to move."""
+    beliefs: JointBeliefs
+    """How the part may move."""
 
-    def learn(self, whole: Scene, motion: Motion, outcome: Outcome) -> None:
-        """Take in how a motion failed: its grasp, and where the hand left the part.
+    def learn(self, motion: Motion, outcome: Outcome) -> bool:
+        """Take in how a motion failed: its grasp, where the hand left the part, how that moves.
 
         Args:
-            whole: The room as the run began.
             motion: What was executed.
             outcome: What came of it.
+
+        Returns:
+            Whether the part is still taken for the same kind.
         """
+        if outcome.learned is not None:
+            other = self.beliefs.fail(outcome.learned.way)
+            if other is not None:
+                self._switch(other)
+                return False
         task = self.plan.task
         self.grasps.append(grasp_in_part(self.scene, task, motion))
         if outcome.learned is not None:
             value, offset = outcome.learned.value, outcome.learned.offset
             known = self.scene.object(task.object).T_world_object[:3, 3]
-            offset = offset + known - whole.object(task.object).T_world_object[:3, 3]
-            self._believe(believed_scene(whole, task, value, offset))
+            offset = offset + known - self.whole.object(task.object).T_world_object[:3, 3]
+            self._believe(believed_scene(self.whole, task, value, offset))
         elif outcome.nothing_there:  # it moved on alone: most parts fall shut
-            self._believe(whole)
+            self._believe(self.whole)
+        return True
+
+    def _switch(self, belief: JointBelief) -> None:
+        """Take the part for another kind; no grasp and no base pose has failed for that yet."""
+        self.whole, self.grasps, self.failed = belief.scene, [], []
+        self.plan = replace(self.plan, task=belief.task)
+        self._believe(belief.as_left()[0])
 
     def _believe(self, scene: Scene) -> None:
         if scene is not self.scene:
@@ -255,13 +285,13 @@ class _Trip:
         Returns:
             The pose reached last, and the motion found there, if any.
         """
-        self.failed.append(here)
         if not elsewhere:
             others = other_grasps(self.scene, self.plan.task, self.grasps)
             with self.stopwatch.stage("plan"):
                 found = self._motion(here, others).motion
             if found is not None:
                 return here, found
+        self.failed.append(here)
         with self.stopwatch.stage("plan"):
             plan = self._another(here)
         return (here, None) if plan is None else self.go(here, plan, attempts)
@@ -272,6 +302,9 @@ class _Trip:
         def plan(q: Float[np.ndarray, " n"], learned: Learned) -> Float[np.ndarray, "k n"] | None:
             task = self.plan.task
             scene = believed_scene(self.scene, task, learned.value, learned.offset)
+            other = self.beliefs.likelier(learned.way)
+            if other is not None:
+                scene, task = other.as_left()
             return arm_way_home(
                 scene, self.ground.robot, task, base, q, config=self.config, seed=self.plan.seed
             )

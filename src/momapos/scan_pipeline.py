@@ -13,6 +13,7 @@ import numpy as np
 from momapos.detection.coco import WITHOUT_DOORS
 from momapos.errors import InputError
 from momapos.fusion.gravity import align_to_gravity
+from momapos.fusion.registration import register
 from momapos.fusion.tsdf import fuse
 from momapos.geometry.transforms import apply, pose, rotation_about
 from momapos.importance.config import ImportanceConfig
@@ -23,6 +24,7 @@ from momapos.protocols import ArticulationPredictor, Clock
 from momapos.reconstruction.build import GivenModel, build_scene, place_model
 from momapos.reconstruction.model import furniture_model
 from momapos.reconstruction.network import FrontNetwork
+from momapos.reconstruction.seen_motion import moved_piece
 from momapos.reconstruction.templates import TemplatePredictor
 from momapos.scan_labels import with_labels
 from momapos.scan_records import (
@@ -37,6 +39,7 @@ from momapos.scan_records import (
     Tools,
     silent,
 )
+from momapos.scene.library.furniture import Piece
 from momapos.scene.scene import Scene, SceneObject
 from momapos.segmentation.boxes import (
     boxes,
@@ -88,6 +91,7 @@ def scan_to_scene(
     tools: Tools | None = None,
     *,
     target: Target | None = None,
+    after: Scan | None = None,
     found: Found | None = None,
     labels: Mapping[str, str] | None = None,
     given: Mapping[str, GivenModel] | None = None,
@@ -103,6 +107,8 @@ def scan_to_scene(
         tools: Segmenter and predictors; `default_tools` by default.
         target: Object that the task will be about, by its name or pointed at: only what matters
             for it is modeled. By default everything is that has a front.
+        after: The same room after doors or drawers were opened, which are shut in `scan`: how these
+            move is then seen, and the scene has them as open as they are here.
         found: What a 2-D detector found in the images; projected boxes by default.
         labels: What things are, by the names that they have without this; names follow labels.
         given: URDF files for objects by name or label, which need no prediction.
@@ -111,18 +117,37 @@ def scan_to_scene(
         clock: Measures the stages.
 
     Raises:
-        InputError: The scan holds nothing, or no object has the target's name or is there.
+        InputError: The scan holds nothing, no object has the target's name or is there, or
+            `after` is of another room.
     """
     tools, config, progress = tools or default_tools(), config or ScanConfig(), progress or silent
     seen = survey(
         scan, tools, found=found, labels=labels, config=config, progress=progress, clock=clock
     )
+    later = None if after is None else cloud_after(after, seen, config)
     name = None if target is None else name_of(target, seen)
     scores = {} if name is None else importance(seen, name, config.importance).by_name
     made = model_room(
-        seen, out, tools, scores=scores, given=given, config=config, progress=progress, clock=clock
-    )
+        seen, out, tools, scores=scores, later=later, given=given, config=config, progress=progress,
+        clock=clock,
+    )  # fmt: skip
     return replace(made, target=name)
+
+
+def cloud_after(after: Scan, seen: Survey, config: ScanConfig) -> Cloud:
+    """What stands in a room at a later time, in the frame of its survey.
+
+    Raises:
+        InputError: It is another room, or the scan holds nothing.
+    """
+    cloud = after.cloud or fuse(after.frames, config.voxel, config.fusion)
+    T = align_to_gravity(cloud, after.frames, config.gravity)
+    upright, _ = _turned(cloud, (), T)
+    try:
+        T = register(seen.cloud, upright, config.registration)
+    except InputError as error:
+        raise InputError(f"{after.name}: {error}") from error
+    return _turned(upright, (), T)[0]
 
 
 def survey(
@@ -177,6 +202,7 @@ def model_room(
     scores: Mapping[str, float] | None = None,
     alpha: float | None = None,
     known: Mapping[str, Decision] | None = None,
+    later: Cloud | None = None,
     given: Mapping[str, GivenModel] | None = None,
     config: ScanConfig = DEFAULT,
     progress: Progress = silent,
@@ -191,6 +217,7 @@ def model_room(
         scores: Importance of the objects by name; all that have none are modeled.
         alpha: Objects of less importance stay boxes; the configured one by default.
         known: Decisions about objects that were looked at before.
+        later: What stands in the room when some of the parts have been opened.
         given, config, progress, clock: As for `scan_to_scene`.
     """
     watch, scores, known = Stopwatch(clock), scores or {}, known or {}
@@ -208,6 +235,8 @@ def model_room(
             else:
                 decision = _decide(item, score, seen, tools, given or {}, config)
                 decisions.append(replace(decision, seconds=clock() - at))
+        if later is not None:
+            decisions = [_watched(d, seen.cloud, later, config) for d in decisions]
         decisions += [Decision(wall, None, None, (), None, "a wall") for wall in seen.walls]
     with watch.stage("write"):
         models = {d.detection.name: d.model for d in decisions if d.model is not None}
@@ -334,6 +363,14 @@ def _decide(
     left, right = (stands_free(faces[k], others) for k in view.face.beside)
     piece = furniture_model(item, facing, view.image, parts, config.model, free=(left, right))
     return replace(box, view=view, parts=parts, source=source, model=piece)
+
+
+def _watched(decision: Decision, before: Cloud, later: Cloud, config: ScanConfig) -> Decision:
+    """Give parts that were opened between two scans the joints that these show."""
+    if not isinstance(decision.model, Piece):
+        return decision
+    piece, moved = moved_piece(decision.model, before, later, config.seen_motion)
+    return replace(decision, model=piece, moved=moved)
 
 
 def _parts(view: View, label: str, tools: Tools) -> tuple[tuple[Part, ...], PartSource]:

@@ -12,10 +12,12 @@ import numpy as np
 
 from momapos.detection.votes import VoteConfig
 from momapos.fusion.gravity import GravityConfig
+from momapos.fusion.registration import RegistrationConfig
 from momapos.fusion.tsdf import FusionConfig
 from momapos.importance.config import ImportanceConfig
 from momapos.protocols import ArticulationPredictor, Detector, Segmenter
 from momapos.reconstruction.model import ModelConfig
+from momapos.reconstruction.seen_motion import SeenMotion, SeenMotionConfig
 from momapos.scene.library.furniture import Piece
 from momapos.scene.scene import SceneObject
 from momapos.segmentation.boxes import BoxConfig
@@ -55,6 +57,10 @@ class ScanConfig:
     importance: ImportanceConfig = field(default_factory=ImportanceConfig)
     """Which objects are modeled when a target is named."""
     model: ModelConfig = field(default_factory=ModelConfig)
+    registration: RegistrationConfig = field(default_factory=RegistrationConfig)
+    """How a second scan is brought to the first."""
+    seen_motion: SeenMotionConfig = field(default_factory=SeenMotionConfig)
+    """How parts are found that moved between them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,6 +109,8 @@ class Decision:
     model: Piece | SceneObject | None = None
     """What stands in the scene; None for a box."""
     warnings: tuple[str, ...] = ()
+    moved: Mapping[str, SeenMotion] = field(default_factory=dict)
+    """Parts that stand elsewhere in the second scan, by name."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -57,6 +57,7 @@ def _decision(decision: Decision, result: Modeled) -> dict[str, Any]:
         "seconds": round(decision.seconds, 3),
         "view": None,
         "parts": [asdict(part) for part in decision.parts],
+        "moved": {name: asdict(seen) for name, seen in decision.moved.items()},
     }
     if view is not None:
         data["view"] = {

@@ -102,6 +102,10 @@ def test_a_world_that_is_not_there_or_lies_nowhere_is_refused(
 ) -> None:
     write_plan(plan, tmp_path / "plan.json")
     refused([str(tmp_path / "plan.json"), "--world-at", "0,0,0"], "--world-at", capsys)
+    there = tmp_path / "scene.json"
+    there.write_text("{}")
+    refused([str(tmp_path / "plan.json"), "--out-scene", str(there)], "exists already", capsys)
+    assert there.read_text() == "{}"
     refused([str(tmp_path / "plan.json"), "--world", "no_such_room"], "no_such_room", capsys)
     far = moved(kitchen, np.array([9.0, 0.0, 0.0]))
     with pytest.raises(InputError, match="no part that opens"):

@@ -33,6 +33,8 @@ from momapos.types import Detection, FaceImage, Part, PartKind, UprightBox
 
 UP = np.array([0.0, 0.0, 1.0])
 CENTER = np.array([1.0, -2.0, 0.9])
+AT_FRONT = ModelConfig(hinge_depth=0.0, free_hinge_depth=0.0)
+"""Hinges at the front edge of their doors, as those of the drawn furniture."""
 
 
 def detection(width: float, depth: float, height: float, yaw: float = 0.3) -> Detection:
@@ -175,7 +177,9 @@ def test_the_handle_goes_where_a_turn_about_the_true_hinge_takes_it(
     found = detection(0.6, 0.5, 0.8)
     face = face_of(0.6, 0.8, 0.0)
     raised(face, BAR[kind], 0.05)
-    piece, item = modeled(found, [Part(kind, (0.0, 0.0, 1.0, 1.0), 0.9, BAR[kind])], face)
+    part = Part(kind, (0.0, 0.0, 1.0, 1.0), 0.9, BAR[kind])
+    piece = furniture_model(found, 0.3 - np.pi / 2, face, [part], AT_FRONT)
+    item = read(piece)
     (name,) = item.model.joints
     assert has_handle(item.model, name)
     left, top, right, bottom = BAR[kind]
@@ -245,7 +249,7 @@ def test_the_true_front_of_a_kitchens_piece_gives_its_true_handle_paths(name: st
             apply(item.link_poses({joint: v})[record.child], held.center[None])[0] for v in values
         ]
     found = Detection(name, name, 0.9, box, np.arange(3))
-    again = read(furniture_model(found, facing, face, parts))
+    again = read(furniture_model(found, facing, face, parts, AT_FRONT))
     assert len(again.model.joints) == len(joints)
     paths = []
     for joint, record in again.model.joints.items():
@@ -261,31 +265,54 @@ def test_the_true_front_of_a_kitchens_piece_gives_its_true_handle_paths(name: st
     assert off.max(-1).min(1).max() < 0.005
 
 
-def test_a_hinge_is_set_back_at_the_rim_of_the_face_alone() -> None:
-    parts = [
-        Part("door_left", (0.0, 0.0, 0.5, 1.0), 0.9),
-        Part("door_left", (0.5, 0.0, 1.0, 1.0), 0.9),
-    ]
-    found, config = detection(0.8, 0.6, 0.9), ModelConfig(hinge_depth=0.015)
-    piece = furniture_model(found, 0.3 - np.pi / 2, face_of(0.8, 0.9), parts, config)
-    motions = [part.motion for part in piece.parts[1:]]
-    assert [motion.pivot[1] for motion in motions if motion] == pytest.approx([-0.285, -0.3])
-    assert [motion.upper for motion in motions if motion] == [np.pi / 2] * 2
-
-
 @pytest.mark.parametrize("free", [(True, False), (False, True), (False, False)])
-def test_a_hinge_with_nothing_beside_the_object_is_set_back(free: tuple[bool, bool]) -> None:
+def test_a_hinge_lies_deeper_where_nothing_is_beside_it(free: tuple[bool, bool]) -> None:
     parts = [
         Part("door_left", (0.0, 0.0, 0.5, 1.0), 0.9),
         Part("door_right", (0.5, 0.0, 1.0, 1.0), 0.9),
     ]
-    face, config = face_of(0.8, 0.9), ModelConfig(free_hinge_depth=0.012)
+    face, config = face_of(0.8, 0.9), ModelConfig()
+    raised(face, (0.0, 0.0, 1.0, 1.0), 0.03)
     found = detection(0.8, 0.6, 0.9)
     piece = furniture_model(found, 0.3 - np.pi / 2, face, parts, config, free=free)
     motions = [part.motion for part in piece.parts[1:]]
-    depths = [motion.pivot[1] + 0.3 for motion in motions if motion]
-    assert depths == pytest.approx([0.012 if side else 0.0 for side in free])
+    depths = [motion.pivot[1] + 0.33 for motion in motions if motion]
+    deep = config.free_hinge_depth
+    assert depths == pytest.approx([deep if side else config.hinge_depth for side in free])
     assert [motion.upper for motion in motions if motion] == [np.pi / 2] * 2
+
+
+@pytest.mark.parametrize("proud", [0.0, 0.008])
+@pytest.mark.parametrize("kind", ["door_left", "door_right", "door_down", "door_up"])
+def test_a_door_with_neighbors_stays_within_its_own_part_as_it_opens(
+    kind: PartKind, proud: float
+) -> None:
+    face, config = face_of(0.9, 0.9, proud), ModelConfig(hinge_depth=0.015)
+    raised(face, (1 / 3, 1 / 3, 2 / 3, 2 / 3), 0.0)
+    part = Part(kind, (1 / 3, 1 / 3, 2 / 3, 2 / 3), 0.9)
+    others = [
+        Part("drawer", (0.0, 0.0, 1.0, 1 / 3), 0.8), Part("drawer", (0.0, 2 / 3, 1.0, 1.0), 0.8),
+        Part("drawer", (0.0, 1 / 3, 1 / 3, 2 / 3), 0.8),
+        Part("drawer", (2 / 3, 1 / 3, 1.0, 2 / 3), 0.8),
+    ]  # fmt: skip
+    found = detection(0.9, 0.6, 0.9)
+    piece = furniture_model(found, 0.3 - np.pi / 2, face, [part, *others], config)
+    (motion,) = (p.motion for p in piece.parts if p.motion and p.motion.kind == "revolute")
+    assert motion.pivot[1] == pytest.approx(-0.285)
+    assert motion.upper == np.pi / 2
+
+
+@pytest.mark.parametrize("below", [True, False])
+def test_a_flap_over_another_part_turns_close_behind_its_front(below: bool) -> None:
+    flap = Part("door_down", (0.0, 0.0, 1.0, 0.8), 0.9)
+    drawer = Part("drawer", (0.0, 0.8, 1.0, 1.0), 0.9)
+    found, config = detection(0.6, 0.6, 0.9), ModelConfig()
+    parts = [flap, drawer] if below else [flap]
+    piece = furniture_model(found, 0.3 - np.pi / 2, face_of(0.6, 0.9), parts, config)
+    (motion,) = (p.motion for p in piece.parts if p.motion and p.motion.kind == "revolute")
+    depth = config.hinge_depth if below else config.free_hinge_depth
+    assert motion.pivot[1] == pytest.approx(-0.3 + depth)
+    assert motion.upper == np.pi / 2
 
 
 def test_a_scene_keeps_how_else_a_part_may_move_its_own_joint_first(tmp_path: Path) -> None:

@@ -34,6 +34,7 @@ def run(
     tries: int = 3,
     seed: int = 0,
     out: OptionalPath = None,
+    out_scene: OptionalPath = None,
     record: OptionalPath = None,
     json: bool = False,
 ) -> int:
@@ -41,7 +42,8 @@ def run(
 
     The arm is planned anew where the base really arrives; where it cannot, or the base does not
     arrive, the next base pose is driven to, three at most. Where a motion fails, the arm comes home
-    and another grasp or base pose is tried.
+    and another grasp or base pose is tried; in a --world also another hypothesis of how the part
+    moves, if the scene has several.
 
     Exit status: 0 the task was done, 1 it was not, 2 a file or the start cannot be used.
 
@@ -61,12 +63,16 @@ def run(
         tries: Motions that are executed at most, each after one that failed.
         seed: Same seed, same run.
         out: Write the record here (JSON).
+        out_scene: Write the scene here, a new file, with the joint of the part as the arm has found
+            it and where it is now.
         record: Draw a filmstrip (PNG) or a film (GIF) here.
         json: Print the record as one JSON object and nothing else.
     """
     # Told before anything heavy is imported.
     check_seed(seed)
-    check_outputs([out, record])
+    check_outputs([out, record, out_scene])
+    if out_scene is not None:
+        refuse_existing(out_scene)
     check_plan_file(plan)
     if tries < 1:
         raise InputError(f"--tries {tries}: at least one motion must be tried")
@@ -92,6 +98,7 @@ def run(
         from momapos.execution.film import Film
         from momapos.execution.record import run_to_dict, write_run
         from momapos.execution.true_world import moved
+        from momapos.joint_beliefs import save_learned
         from momapos.navigation.drive import DriveConfig
         from momapos.run_plan import QUIET, run_plan
 
@@ -110,6 +117,10 @@ def run(
     )  # fmt: skip
     if out is not None:
         write_run(result, out)
+    if out_scene is not None and save_learned(result, scene, out_scene) is None:
+        print(
+            f"momapos: {out_scene}: not written, for no joint was moved as asked", file=sys.stderr
+        )
     if film is not None and record is not None:
         if result.execution is None:
             print(f"momapos: {record}: not drawn, for nothing was executed", file=sys.stderr)
@@ -117,6 +128,17 @@ def run(
             film.write(record)
     print(dumps(run_to_dict(result)) if json else summary(result))
     return 0 if result.success else 1
+
+
+def refuse_existing(out: Path) -> None:
+    """Refuse to write a scene over another.
+
+    Raises:
+        InputError: The file exists, or the folder of its copies does.
+    """
+    for path in (out, out.parent / f"{out.stem}_files"):
+        if path.exists():
+            raise InputError(f"--out-scene {out}: {path} exists already; name another file")
 
 
 def summary(record: RunRecord) -> str:
@@ -138,11 +160,14 @@ def summary(record: RunRecord) -> str:
         )
     lines += [
         f"  try {k}       {failed.ending}, at {failed.reached:.3f} of {failed.asked:.3f}"
+        + (f", as {record.kinds[k - 1]}" if record.kinds else "")
         for k, failed in enumerate(record.failed, 1)
     ]
     done = record.execution
     if done is None:
         return "\n".join(lines)
+    if record.kinds:
+        lines.append(f"  part        taken for a {record.kinds[-1]}")
     lines += [
         f"  reached     {done.reached:.3f} of {done.asked:.3f}, from {done.start:.3f}",
         f"  hold        {done.hold}, {done.load.force:.0f} N and {done.load.torque:.1f} Nm at most;"

@@ -17,6 +17,7 @@ from momapos.importance.config import ImportanceConfig, ScorerName
 if TYPE_CHECKING:
     from momapos.protocols import ArticulationPredictor, Detector, Segmenter
     from momapos.reconstruction.build import GivenModel
+    from momapos.reconstruction.seen_motion import SeenMotion
     from momapos.scan_records import Found, Modeled, ScanConfig, Target, Tools
     from momapos.types import Scan
 
@@ -76,6 +77,7 @@ def scan_room(
     /,
     *,
     out: Path,
+    after: Annotated[OptionalPath, arg(metavar="DIR")] = None,
     target: Annotated[OptionalText, arg(metavar="OBJECT")] = None,
     target_at: Annotated[OptionalText, arg(metavar="X,Y,Z")] = None,
     target_pixel: Annotated[OptionalText, arg(metavar="FRAME,U,V")] = None,
@@ -93,6 +95,8 @@ def scan_room(
     Args:
         source: Folder of posed color and depth images, a cloud, or a robot's log.
         out: The scene file.
+        after: A second scan of the room, after doors or drawers were opened that are shut in the
+            first: how these move is then seen, and the scene has them as open as they are there.
         target: Object that the task will be about: only what matters for it is modeled.
         target_at: The same by a place in it, in the scene's frame [m].
         target_pixel: The same by a pixel of an image: the frame's name, column, row.
@@ -114,14 +118,18 @@ def scan_room(
     wanted, detector = find_target(target, target_at, target_pixel), detector_of(options)
     check_outputs(*outputs_of(out, pictures=pictures))
     scan = read(source, options)
+    later = None if after is None else read(after, options)
     tools, found = tools_for(scan, options, detector), found_in(scan, options)
     with progress("scan") as report:
         result = scan_to_scene(
-            scan, out, tools, target=wanted, found=found, labels=labels, given=given, config=config,
+            scan, out, tools, target=wanted, after=later, found=found, labels=labels, given=given,
+            config=config,
             progress=lambda what, share: report(share, what),
         )  # fmt: skip
     for warning in (text for decision in result.decisions for text in decision.warnings):
         print(f"momapos: {warning}", file=sys.stderr)
+    if later is not None and not any(decision.moved for decision in result.decisions):
+        print(f"momapos: {after}: no part stands elsewhere than in {source}", file=sys.stderr)
     data = report_to_dict(result, scan, result.target)
     folder = write_report(result, data, out, pictures=pictures)
     print(encoder.dumps(data, allow_nan=False) if json else table(result, data, out, folder))
@@ -141,6 +149,11 @@ def table(result: Modeled, data: dict[str, Any], out: Path, folder: Path | None)
         lines.append(
             f"  {item.name:<{width}}  {size} m at ({x:.2f}, {y:.2f}, {z:.2f})  seen {sure}  {what}"
         )
+    lines += [
+        f"  {d.detection.name}/{name}  was opened, as a {seen.kind}, by {_amount(seen)}"
+        for d in result.decisions
+        for name, seen in d.moved.items()
+    ]
     modeled = sum(d.model is not None for d in result.decisions)
     stages = ", ".join(f"{n} {s:.1f}" for n, s in result.timing.items() if n != "total")
     lines += [
@@ -161,6 +174,12 @@ def table(result: Modeled, data: dict[str, Any], out: Path, folder: Path | None)
             f"    {one['object']:<{width}}  from ({stand}) toward ({look}): {one['reason']}"
         )
     return "\n".join(lines)
+
+
+def _amount(seen: SeenMotion) -> str:
+    if seen.kind == "drawer":
+        return f"{100 * seen.value:.0f} cm"
+    return f"{math.degrees(seen.value):.0f} deg"
 
 
 def _count(parts: tuple[Any, ...]) -> str:

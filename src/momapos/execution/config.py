@@ -28,6 +28,7 @@ class Ending(StrEnum):
     SLIPPED = "the hand lost its hold"
     SLIPPED_AT_END = "the hand lost its hold near the end of its way"
     BROKE = "the weld broke"
+    OTHERWISE = "the part moves otherwise than believed"
     DIVERGED = "the simulation diverged"
 
 
@@ -37,7 +38,7 @@ GOOD = (Ending.DONE, *AT_END)
 
 RECOVERABLE = (
     Ending.ASTRAY, Ending.OUT_OF_REACH, Ending.NOTHING_HELD, Ending.ONE_SIDED, Ending.TOO_HARD,
-    Ending.BLOCKED, Ending.BEHIND, Ending.SLIPPED, Ending.BROKE,
+    Ending.BLOCKED, Ending.BEHIND, Ending.SLIPPED, Ending.BROKE, Ending.OTHERWISE,
 )  # fmt: skip
 """Endings after which the robot may try anew."""
 

@@ -54,7 +54,7 @@ def follow_part(
             bounds = run.surroundings.bounds(run.arm.q, float(values[k]), off_at(k))
         T, after = pose_at(k), pose_at(min(k + 1, last))
         here, _ = run.arm.kinematics.at(run.world.data.qpos[run.world.arm_q])
-        estimate.see(here[:3, 3])
+        farther = estimate.see(here[:3, 3])
         way = estimate.axis.way_at(here[:3, 3])
         across = EVERYWHERE - np.outer(way, way)
         twist = twist_between(T, after) / run.step
@@ -65,7 +65,11 @@ def follow_part(
         if max(run.touch.pads) > 1.0 or run.world.welded:
             value = values[0] - more + estimate.value_at(here[:3, 3])
             expected = belief.axis.moved(value - values[0]) @ T_first
-            run.learned = Learned(value, here[:3, 3] - expected[:3, 3])
+            off = here[:3, 3] - expected[:3, 3]
+            run.learned = Learned(value, off, tuple(estimate.points))
+            if farther and run.doubt is not None and run.doubt(estimate.points):
+                run.arm.stop()  # with the part in the hand, or it swings on
+                ending = ending or run.rest(Stage.MANIPULATE, config.settle) or Ending.OTHERWISE
         if ending is Ending.SLIPPED and _left(here, pose_at(last)) <= config.tolerance * length:
             return Ending.SLIPPED_AT_END
         if ending is not None:

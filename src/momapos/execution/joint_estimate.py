@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -11,10 +12,14 @@ from momapos.execution.config import ComplianceConfig
 from momapos.geometry.transforms import orthonormal, pose, rotation_about, rotation_of
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from jaxtyping import Float
 
 _ROUNDS = 3
 """Gauss-Newton steps for each estimate, which begins at the last one [-]."""
+_ROUNDS_AT_ONCE = 8
+"""Likewise where the estimate begins at the model [-]."""
 _SPACING = 0.005
 """Way of the hand between two points that count [m]."""
 
@@ -58,6 +63,12 @@ class Learned:
     """Where the hand has its joint, or had it last [rad] or [m]."""
     offset: Float[np.ndarray, "3"]
     """How far it is from where the plan has it [m]."""
+    way: tuple[Float[np.ndarray, "3"], ...] = ()
+    """Where the hand was while it held the part in its last hold, one after the other [m]."""
+
+
+Doubt: TypeAlias = "Callable[[Sequence[Float[np.ndarray, '3']]], bool]"
+"""Whether the way of a hand that holds a part [m] speaks against the joint as believed."""
 
 
 class JointEstimate:
@@ -87,6 +98,13 @@ class JointEstimate:
         """Distance of the estimated hinge from the modeled one, where the hand is [m]."""
         return float(np.linalg.norm(self._x[2:]))
 
+    @property
+    def misfit(self) -> float:
+        """How improbable the way is for a joint that is about where it is modeled: minus the
+        logarithm of its density, but for a constant [-]."""
+        r, _ = self._residuals()
+        return float(r @ r) / 2
+
     def value_at(self, point: Float[np.ndarray, "3"]) -> float:
         """How far the joint has moved since the start, by where the hand is [rad] or [m]."""
         axis, start = self.axis, self.points[0]
@@ -97,12 +115,26 @@ class JointEstimate:
         along = arms @ axis.direction
         return float(np.arctan2(sine, arms[0] @ arms[1] - along[0] * along[1]))
 
-    def see(self, point: Float[np.ndarray, "3"]) -> None:
-        """Take a position of the hand into account [m]."""
+    @classmethod
+    def along(
+        cls, modeled: Axis, way: Sequence[Float[np.ndarray, "3"]], config: ComplianceConfig
+    ) -> JointEstimate:
+        """The estimate for a whole way of the hand [m]."""
+        estimate = cls(modeled, way[0], config)
+        estimate.points += way[1:]
+        estimate._fit(_ROUNDS_AT_ONCE)
+        return estimate
+
+    def see(self, point: Float[np.ndarray, "3"]) -> bool:
+        """Take a position of the hand into account [m]; whether it is far enough to count."""
         if np.linalg.norm(point - self.points[-1]) < _SPACING:
-            return
+            return False
         self.points.append(np.array(point))
-        for _ in range(_ROUNDS):
+        self._fit(_ROUNDS)
+        return True
+
+    def _fit(self, rounds: int) -> None:
+        for _ in range(rounds):
             r, J = self._residuals()
             self._x = self._x - np.linalg.lstsq(J, r, rcond=None)[0]
         self.axis = self._axis(self._x)

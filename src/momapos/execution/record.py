@@ -162,6 +162,9 @@ class RunRecord:
     """The last one; None where no arm motion was found at any pose reached."""
     failed: tuple[Execution, ...] = ()
     """Those before, which failed and after which the arm came home, in order."""
+    kinds: tuple[str, ...] = ()
+    """As what kind of part each motion took its part, one of `PartKind`; empty where the scene
+    knows how it moves."""
     seed: int = 0
     noise: bool = False
     time: Mapping[str, float] = field(default_factory=dict)

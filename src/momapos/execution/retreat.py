@@ -40,7 +40,7 @@ def retreat(run: ExecutionRun, robot: Robot, way: PacedTrajectory, way_home: Way
     """
     run.arm.stop()
     run.bearable = np.inf
-    if run.let_go() is not None:
+    if _let_go(run) is not None:
         return False
     run.bearable = max(1.0, _MORE * run.arm.load)
     run.aside, run.ahead = 0.0, np.zeros(3)
@@ -67,6 +67,18 @@ def retreat(run: ExecutionRun, robot: Robot, way: PacedTrajectory, way_home: Way
             return False
         run.passed += pace
     return _at_home(run, robot)
+
+
+def _let_go(run: ExecutionRun) -> Ending | None:
+    """Open the hand as slowly as it closes: fingers that snap open knock the part away."""
+    grip, fingers, ctrl = run.config.gripper, run.world.fingers, run.world.data.ctrl
+    way = max((abs(ctrl[motor] - one.open) * one.lever for one, motor in fingers), default=0.0)
+    for k in range(0 if run.world.welded else round(way / grip.speed / run.step)):
+        run.close(way - grip.speed * k * run.step)
+        ending = run.tick(Stage.GRIP)
+        if ending is not None:
+            return ending
+    return run.let_go()
 
 
 def _draw_back(run: ExecutionRun, value: float) -> Ending | None:

@@ -20,7 +20,7 @@ from momapos.execution.furniture import (
     seal_of,
 )
 from momapos.execution.hand import find_hand
-from momapos.execution.joint_estimate import Axis, JointEstimate, Learned
+from momapos.execution.joint_estimate import Axis, Doubt, JointEstimate, Learned
 from momapos.execution.model_errors import draw_deviation, resisting
 from momapos.execution.record import Collision, Execution, JointFound, Pose
 from momapos.execution.retreat import WayHome, retreat
@@ -127,6 +127,7 @@ def attempt(
     true_world: TrueWorld | None = None,
     again: Again | None = None,
     way_home: WayHome | None = None,
+    doubt: Doubt | None = None,
     watch: Watch | None = None,
     clock: Clock = time.perf_counter,
 ) -> Outcome:
@@ -138,6 +139,7 @@ def attempt(
         true_world: What is really there; as the scene says by default.
         again: What earlier tries left; None for the first one.
         way_home: Plans the arm's way home from where a motion failed; None to stay there.
+        doubt: Ends the motion where the hand's way speaks against the joint as believed.
 
     Raises:
         SceneError: The robot stands in something at the beginning.
@@ -179,7 +181,7 @@ def attempt(
     seal = seal_of(item, joint, resistance.pull, config.furniture.seal_range)
     belief = _belief(believed.object(task.object), task.joint)
     touched = None if again is None else again.collisions
-    run = ExecutionRun(world, motion, task, config, seal, belief, known, watch, touched)
+    run = ExecutionRun(world, motion, task, config, seal, belief, known, watch, touched, doubt)
     if task.verb == "place":
         run.carry(item)
     run.check_start()

@@ -18,7 +18,7 @@ from momapos.execution.entering import come_in, go_between, reach_on
 from momapos.execution.feel import feel
 from momapos.execution.following import follow_part
 from momapos.execution.furniture import Seal
-from momapos.execution.joint_estimate import Axis, JointEstimate, Learned
+from momapos.execution.joint_estimate import Axis, Doubt, JointEstimate, Learned
 from momapos.execution.observer import Observer
 from momapos.execution.payload import Payload
 from momapos.execution.record import Collision
@@ -87,8 +87,10 @@ class ExecutionRun:
         known: Simulation,
         watch: Watch | None,
         touched: Mapping[tuple[str, str], Collision] | None = None,
+        doubt: Doubt | None = None,
     ) -> None:
         """`touched` holds the touches of tries before; None for the first one."""
+        self.doubt = doubt
         self.again = touched is not None
         self.world, self.motion, self.task, self.config = world, motion, task, config
         self.seal, self.belief, self.watch = seal, belief, watch

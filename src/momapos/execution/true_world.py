@@ -9,7 +9,7 @@ import numpy as np
 
 from momapos.errors import InputError
 from momapos.geometry.transforms import apply, invert, pose_planar
-from momapos.kinematics.opening import opening_of
+from momapos.kinematics.opening import Opening, opening_of
 from momapos.scene.scene import Scene, SceneObject
 from momapos.types import Task
 
@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 AT_HAND = 0.3
 """The part that a hand closes on is no farther from it [m]."""
+WIDE_OPEN = np.pi / 2
+"""A hinged part is wide open there [rad]; no drawer is so long."""
 KNOB = 0.1
 """What is nowhere larger than this is a knob or a button [m]."""
 
@@ -35,6 +37,8 @@ class TrueWorld:
     ) -> Float[np.ndarray, " m"]:
         """Values of this world's joint where another one has opened by so much [rad] or [m].
 
+        Where one is hinged and the other slides, as large a share of its way.
+
         Args:
             believed: Values of the joint that the robot believes to move.
             scene, task: What it believes.
@@ -43,10 +47,17 @@ class TrueWorld:
             return believed
         item = self.scene.object(self.task.object)
         ours = opening_of(item.model, self.task.joint)
-        theirs = opening_of(scene.object(task.object).model, task.joint)
-        values = ours.closed + ours.sign * theirs.sign * (believed - theirs.closed)
-        joint = item.model.joint(self.task.joint)
+        other = scene.object(task.object).model
+        theirs, joint = opening_of(other, task.joint), item.model.joint(self.task.joint)
+        slides = [j.kind == "prismatic" for j in (joint, other.joint(task.joint))]
+        ratio = 1.0 if slides[0] == slides[1] else _way(ours) / _way(theirs)
+        values = ours.closed + ours.sign * theirs.sign * ratio * (believed - theirs.closed)
         return np.clip(values, joint.lower, joint.upper)
+
+
+def _way(opening: Opening) -> float:
+    """How far a part opens, a quarter turn at most [rad] or [m]."""
+    return min(abs(opening.wide - opening.closed), WIDE_OPEN)
 
 
 def true_world(there: Scene, scene: Scene, task: Task, hand: Float[np.ndarray, "3"]) -> TrueWorld:

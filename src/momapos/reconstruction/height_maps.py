@@ -51,6 +51,11 @@ class Area:
         )
         return area if area.width > 0 and area.height > 0 else None
 
+    def stands_on(self, other: Area) -> bool:
+        """Whether another area adjoins it from below."""
+        beside = self.left < other.right and other.left < self.right
+        return beside and other.top == self.bottom
+
 
 def area_of(box: tuple[float, float, float, float], face: FaceImage) -> Area:
     """The part of a face that (left, top, right, bottom) as fractions of it name."""

@@ -58,12 +58,11 @@ class ModelConfig:
     """Of a door in the face's plane, and of one that stands proud of it at most [m]."""
     gap: float = 0.002
     """Between a moving part and what is beside and behind it [m]."""
-    hinge_depth: float = 0.0
-    """How far behind its front a door's hinge lies, but not beyond its thickness [m]. That holds
-    for hinges at the rim of the face; elsewhere such a door would turn into what is beside it."""
+    hinge_depth: float = 0.005
+    """How far behind its front a door's hinge lies where something is beside it: a door that turns
+    about a deeper axis needs that much more room. Real ones have it, or hinges that travel [m]."""
     free_hinge_depth: float = 0.01
-    """The same where nothing stands beside the object: its doors need not stay within their width,
-    and mostly do not [m]."""
+    """The same where nothing is beside it, about half the thickness of a leaf [m]."""
     turn: float = np.pi / 2
     """How far doors open [rad]."""
     travel: float = 0.4
@@ -99,10 +98,10 @@ def furniture_model(
 ) -> Piece:
     """Make the model of one object: its box, hollow, with doors and drawers that open.
 
-    A door with neighbors turns about the edge of its front, so it stays within its own width as it
-    opens. Real hinges lie deeper, mostly by 1 to 2 cm, in fridges by 2 to 8; so are those here
-    that have nothing beside them (`ModelConfig.free_hinge_depth`). Every joint ends before its
-    part would hit the rest of the piece.
+    A door with something beside its hinge turns about an axis close behind its front, and stays
+    within its own width as it opens. Real hinges lie deeper, mostly by 1 to 2 cm, in fridges by 2
+    to 8; so are those here that have nothing beside them (`ModelConfig.free_hinge_depth`). Every
+    joint ends before its part would hit the rest of the piece.
 
     Args:
         detection: The object with its box.
@@ -134,7 +133,7 @@ def furniture_model(
     layers = _layers(size, aligned, config)
     body = FurniturePart("body", tuple(_body(face, aligned, layers, config)))
     moving = [
-        _moving(name, part, face, layers, config, free)
+        _moving(name, part, [p.area for p in aligned], face, layers, config, free)
         for name, part in zip(_names(aligned), aligned, strict=True)
     ]
     piece = Piece(detection.name, detection.label, center, yaw, (body, *moving))
@@ -274,6 +273,7 @@ def _rest(areas: Sequence[Area], whole: Area) -> list[Area]:
 def _moving(
     name: str,
     part: AlignedPart,
+    areas: Sequence[Area],
     face: FaceImage,
     layers: _Layers,
     config: ModelConfig,
@@ -281,13 +281,15 @@ def _moving(
 ) -> FurniturePart:
     """A door, or a drawer with its tray."""
     front, thickness = _slab(part, layers, config)
-    area = _leaf(part, thickness, config)
-    boxes = [_box(f"{name}_panel", area, front, front + thickness, face)]
     tray = config.tray * (layers.back - layers.wall - layers.opening)
+    motions = Motions(
+        part.area, part.out, front, thickness, face, config, min(config.travel, tray), free,
+        any(part.area.stands_on(other) for other in areas),
+    )  # fmt: skip
+    boxes = [_box(f"{name}_panel", motions.leaf(part.kind), front, front + thickness, face)]
     if part.kind == "drawer":
         rear = layers.opening + tray
         boxes += _tray(name, part.area, front + thickness, rear, face, layers, config)
-    motions = Motions(part.area, boxes[0], face, config, min(config.travel, tray), free)
     handle = () if part.handle is None else _handle(name, part.handle, front, face)
     sure, held = _confidence(part)
     return FurniturePart(
@@ -304,26 +306,6 @@ def _confidence(part: AlignedPart) -> tuple[float, float | None]:
     if part.handle is None:
         return part.score * likeliest, None
     return part.score * likeliest, part.score * (1.0 if part.handle.measured else UNMEASURED)
-
-
-def _leaf(part: AlignedPart, thickness: float, config: ModelConfig) -> Area:
-    """The front of a part, with gaps around it.
-
-    The rear edge of a door swings out beyond its width, so the gap opposite the hinge is wider.
-    """
-    area = part.area.within(part.area, config.gap)
-    assert area is not None
-    if part.kind in ("door_left", "door_right"):
-        swing = thickness**2 / (2 * area.width)
-        return (
-            replace(area, right=area.right - swing)
-            if part.kind == "door_left"
-            else replace(area, left=area.left + swing)
-        )
-    swing = thickness**2 / (2 * area.height)
-    if part.kind == "door_down":
-        return replace(area, top=area.top - swing)
-    return replace(area, bottom=area.bottom + swing) if part.kind == "door_up" else area
 
 
 def _tray(

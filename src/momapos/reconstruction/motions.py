@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+from momapos.reconstruction.alignment import front_of
 from momapos.reconstruction.height_maps import Area
-from momapos.scene.library.furniture import Box, JointMotion, Vec
+from momapos.scene.library.furniture import JointMotion, Vec, vec
 from momapos.types import FaceImage, Hypothesis, PartKind
 
 if TYPE_CHECKING:
     from momapos.reconstruction.model import ModelConfig
 
+STRIP = 0.03
+"""So wide is what is looked at beside a hinge [m]."""
 LEAST = 0.005
 """What is less probable is no hypothesis [-]."""
 
@@ -23,37 +26,92 @@ class Motions:
 
     area: Area
     """On the face, to the middle of its gaps."""
-    panel: Box
-    """Its leaf, in the frame of the piece."""
+    out: float
+    """How far its front stands out of the face [m]."""
+    front: float
+    """The y coordinate of its front, in the frame of the piece [m]."""
+    thickness: float
+    """Of its leaf [m]."""
     face: FaceImage
     config: ModelConfig
     travel: float
     """How far it would slide [m]."""
     free: tuple[bool, bool]
     """Whether nothing stands beside the object, left and right as seen from the front."""
+    below: bool = False
+    """Whether another part adjoins from below."""
+
+    def is_free(self, kind: PartKind) -> bool:
+        """Whether the hinge of a kind of part has nothing beside it."""
+        at_rim = {
+            "door_left": self.area.left <= 0.0 and self.free[0],
+            "door_right": self.area.right >= self.face.width and self.free[1],
+            "door_down": not self.below,  # a plinth lies farther back
+            "door_up": self.area.top >= self.face.height,
+        }
+        return at_rim.get(kind, False)
+
+    def depth(self, kind: PartKind) -> float:
+        """How far behind the front the hinge of a kind of part lies [m]."""
+        config = self.config
+        depth = config.free_hinge_depth if self.is_free(kind) else config.hinge_depth
+        return min(depth, self.thickness)
 
     def of(self, kind: PartKind) -> JointMotion:
         """The joint of a kind of part; all open with a positive value."""
         if kind == "drawer":
             return JointMotion("prismatic", (0.0, 0.0, 0.0), (0.0, -1.0, 0.0), self.travel)
-        (left, front, bottom), (right, rear, top) = self.panel.low, self.panel.high
-        at_rim = {
-            "door_left": self.area.left <= 0.0,
-            "door_right": self.area.right >= self.face.width,
-            "door_down": self.area.bottom <= 0.0,
-            "door_up": self.area.top >= self.face.height,
-        }
-        depth = self.config.hinge_depth
-        if (kind == "door_left" and self.free[0]) or (kind == "door_right" and self.free[1]):
-            depth = max(depth, self.config.free_hinge_depth)
-        y = min(front + depth, rear) if at_rim[kind] else front
+        gap = self.config.gap
+        x, z = self.face.width / 2, self.face.height / 2
+        left, right = self.area.left + gap - x, self.area.right - gap - x
+        bottom, top = self.area.bottom + gap - z, self.area.top - gap - z
+        y = self.front + self.depth(kind)
         pivots: dict[str, tuple[Vec, Vec]] = {
             "door_left": ((left, y, 0.0), (0.0, 0.0, -1.0)),
             "door_right": ((right, y, 0.0), (0.0, 0.0, 1.0)),
             "door_down": ((0.0, y, bottom), (1.0, 0.0, 0.0)),
             "door_up": ((0.0, y, top), (-1.0, 0.0, 0.0)),
         }
-        return JointMotion("revolute", *pivots[kind], self.config.turn)
+        pivot, axis = pivots[kind]
+        return JointMotion("revolute", vec(pivot), axis, self.config.turn)
+
+    def leaf(self, kind: PartKind) -> Area:
+        """The front of a kind of part, with gaps around it.
+
+        The rear edge of a door swings out beyond its width, so the gap opposite the hinge is wider.
+        The leaf begins at its axis, so that it does not swing into what is behind; where something
+        is beside it, as far from the axis as that lies behind what is beside, so that it stays
+        within its width until it has passed that.
+        """
+        area = self.area.within(self.area, self.config.gap)
+        assert area is not None
+        if kind == "drawer":
+            return area
+        width = area.width if kind in ("door_left", "door_right") else area.height
+        swing = (self.thickness - self.depth(kind)) ** 2 / (2 * width)
+        clear = self.is_free(kind) and kind != "door_down"  # below are a plinth or the floor
+        behind = 0.0 if clear else self.depth(kind) + self._beside(kind)
+        cut = min(behind, width / 4)
+        return {
+            "door_left": replace(area, left=area.left + cut, right=area.right - swing),
+            "door_right": replace(area, left=area.left + swing, right=area.right - cut),
+            "door_down": replace(area, bottom=area.bottom + cut, top=area.top - swing),
+            "door_up": replace(area, bottom=area.bottom + swing, top=area.top - cut),
+        }[kind]
+
+    def _beside(self, kind: PartKind) -> float:
+        """How far what is beside a hinge stands out of the part's front [m]."""
+        area, face, config = self.area, self.face, self.config
+        strip = {
+            "door_left": replace(area, left=area.left - STRIP, right=area.left),
+            "door_right": replace(area, left=area.right, right=area.right + STRIP),
+            "door_down": replace(area, bottom=area.bottom - STRIP, top=area.bottom),
+            "door_up": replace(area, bottom=area.top, top=area.top + STRIP),
+        }[kind].within(Area(0.0, 0.0, face.width, face.height))
+        if strip is None:
+            return 0.0
+        out = front_of(face, strip, config.alignment.most_height_map)
+        return max(0.0, out - self.out) + (config.gap if out > self.out else 0.0)
 
     def hypotheses(self, odds: Sequence[tuple[PartKind, float]]) -> tuple[Hypothesis, ...]:
         """All probable ways in which the part may move, the likeliest first.

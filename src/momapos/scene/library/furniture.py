@@ -64,6 +64,8 @@ class FurniturePart:
     """That it is there and moves so, in [0, 1]; None where that is known."""
     handle_confidence: float | None = None
     """That its handle is there, in [0, 1]; None where that is known, or there is none."""
+    value: float = 0.0
+    """How far it is open in the room [rad] or [m]."""
 
 
 @dataclass(frozen=True)

@@ -157,7 +157,9 @@ def _object(piece: Piece, folder: str) -> dict[str, Any]:
     entry["pose"] = {"xyz": vec(xyz), "wxyz": [wxyz[0], 0.0, 0.0, wxyz[1]]}
     if is_single_box(piece):
         return {**entry, "box": vec(2 * half)}
-    joints = {joint_name(part): 0.0 for part in piece.parts if part.motion is not None}
+    joints = {
+        joint_name(part): round(part.value, 5) for part in piece.parts if part.motion is not None
+    }
     entry |= {"urdf": f"{folder}/{piece.name}.urdf", "scale": 1.0, "joints": joints}
     hypotheses = {
         joint_name(part): hypotheses_to_json(_ended(part.hypotheses, part.motion.upper))

@@ -1,0 +1,212 @@
+"""How a part may move, and what a hand that pulled it says of that: Bayes' rule."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from momapos.execution.config import ComplianceConfig
+from momapos.execution.joint_estimate import Axis, JointEstimate
+from momapos.execution.record import JointFound, RunRecord
+from momapos.geometry.transforms import apply, invert
+from momapos.kinematics.opening import opening_of
+from momapos.scene.other_motion import moving_as, save_moving_as, scene_moving_as
+from momapos.scene.scene import Scene, SceneObject
+from momapos.types import Hypothesis, PartKind, Task
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+FAILS = 0.15
+"""Share of the motions that fail although the joint is as believed [-]."""
+HAND_ERROR = 0.01
+"""A hand strays so far on the part that it pulls, where it does not find its joint [m]."""
+DOUBT = float(np.log(20.0))
+"""The hand lets go where another way to move is so many times likelier, as a logarithm [-]."""
+WIDE_OPEN = np.pi / 2
+"""A part that turns out to be hinged is opened so far at most [rad]."""
+
+
+@dataclass(frozen=True, eq=False)
+class JointBelief:
+    """One way in which the part of a task may move."""
+
+    scene: Scene
+    """The room as it is believed to be, the part as it was at first."""
+    task: Task
+    way: Hypothesis
+    log_weight: float
+    """Logarithm of how probable it is, but for a constant [-]."""
+    moved: float = 0.0
+    """How far the hand has moved the part, if it is so [rad] or [m]."""
+
+    @property
+    def axis(self) -> Axis:
+        """The joint in the world, opening with a positive value."""
+        T = self.scene.object(self.task.object).T_world_object
+        point = apply(T, np.array(self.way.point)[None])[0]
+        return Axis(self.way.kind == "drawer", T[:3, :3] @ np.array(self.way.axis), point)
+
+    def as_left(self) -> tuple[Scene, Task]:
+        """The room with the part where the hand has left it, if it is so; and the task there."""
+        name, joint = self.task.object, self.task.joint
+        assert joint is not None
+        opening = opening_of(self.scene.object(name).model, joint)
+        low, high = sorted((opening.closed, opening.wide))
+        value = float(np.clip(opening.closed + opening.sign * self.moved, low, high))
+        return self.scene.with_joint(name, joint, value), self.task
+
+
+class JointBeliefs:
+    """All ways in which the part of a task may move, and which of them is tried."""
+
+    def __init__(self, beliefs: Sequence[JointBelief], config: ComplianceConfig) -> None:
+        """The first of `beliefs` is tried first; empty where the scene knows how the part moves.
+
+        `config` says how far a joint may be from where it is modeled.
+        """
+        self.beliefs, self.tried = tuple(beliefs), 0
+        self.config = replace(config, hand_error=HAND_ERROR)
+
+    @property
+    def kind(self) -> str:
+        """As what kind of part the part is taken; "" where the scene knows how it moves."""
+        return self.beliefs[self.tried].way.kind if self.beliefs else ""
+
+    def speaks_against(self, hand_way: Sequence[Float[np.ndarray, "3"]]) -> bool:
+        """Whether the way of a hand that holds the part [m] makes another one much likelier."""
+        if not self.beliefs:
+            return False
+        weights = [belief.log_weight for belief in self._pulled(hand_way)]
+        return max(weights) - weights[self.tried] > DOUBT
+
+    def likelier(self, hand_way: Sequence[Float[np.ndarray, "3"]]) -> JointBelief | None:
+        """The one that is the likeliest after the hand went a way [m]; None where it is tried."""
+        found = self._pulled(hand_way)
+        best = _likeliest(found)
+        return None if not found or best == self.tried else found[best]
+
+    def fail(self, hand_way: Sequence[Float[np.ndarray, "3"]]) -> JointBelief | None:
+        """Take in that a motion failed after the hand had pulled the part along a way [m].
+
+        Returns:
+            The one to try next; None where it is the one that was tried.
+        """
+        if not self.beliefs:
+            return None
+        found = list(self._pulled(hand_way))
+        tried = found[self.tried]
+        found[self.tried] = replace(tried, log_weight=tried.log_weight + float(np.log(FAILS)))
+        self.beliefs, before = tuple(found), self.tried
+        self.tried = _likeliest(self.beliefs)
+        return None if self.tried == before else self.beliefs[self.tried]
+
+    def _pulled(self, hand_way: Sequence[Float[np.ndarray, "3"]]) -> tuple[JointBelief, ...]:
+        """What is believed after the hand has pulled the part."""
+        found = []
+        for belief in self.beliefs:
+            estimate = JointEstimate.along(belief.axis, hand_way, self.config)
+            moved = max(belief.moved + estimate.value_at(hand_way[-1]), 0.0)
+            weight = belief.log_weight - estimate.misfit
+            found.append(replace(belief, log_weight=weight, moved=moved))
+        return tuple(found)
+
+
+def joint_beliefs(scene: Scene, task: Task) -> tuple[JointBelief, ...]:
+    """All ways in which the part of a task may move, as the scene has them, the likeliest first.
+
+    Only for parts that are shut and shall be opened; empty where the scene knows how they move.
+    """
+    if task.verb != "open" or task.joint is None or task.to is None:
+        return ()
+    item = scene.object(task.object)
+    ways = item.hypotheses.get(task.joint, ())
+    opening = opening_of(item.model, task.joint)
+    if len(ways) < 2 or item.values()[task.joint] != opening.closed:
+        return ()
+    whole, asked = abs(opening.wide - opening.closed), abs(task.to - opening.closed)
+    beliefs = [JointBelief(scene, task, ways[0], _log(ways[0].probability))]
+    for way in ways[1:]:
+        same = (way.kind == "drawer") == (ways[0].kind == "drawer")
+        to = asked if same else asked / whole * min(way.upper, WIDE_OPEN)
+        beliefs.append(
+            JointBelief(
+                scene_moving_as(scene, task.object, task.joint, way),
+                replace(task, to=min(to, way.upper)),
+                way,
+                _log(way.probability),
+            )
+        )
+    return tuple(beliefs)
+
+
+def _likeliest(beliefs: Sequence[JointBelief]) -> int:
+    return int(np.argmax([belief.log_weight for belief in beliefs])) if beliefs else 0
+
+
+def save_learned(record: RunRecord, scene: Scene, out: Path) -> Scene | None:
+    """Write the scene of a run with the joint of its part as the arm has found it, and as it is.
+
+    Args:
+        record: What came of the run.
+        scene: The room as the run began.
+        out: The new scene file.
+
+    Returns:
+        The scene as of that file; None where the run failed or moved no joint.
+
+    Raises:
+        SceneError: See `save_moving_as`.
+    """
+    task, done = record.task, record.execution
+    if task.joint is None or done is None or not done.success or done.joint is None:
+        return None
+    target = scene.object(task.object)
+    kind = record.kinds[-1] if record.kinds else None
+    ways = [way for way in target.hypotheses.get(task.joint, ()) if way.kind == kind]
+    item = moving_as(target, task.joint, ways[0]) if ways else target
+    moved = abs(done.reached - done.start)
+    way = refined(item, task.joint, done.joint, moved)
+    return save_moving_as(scene, task.object, task.joint, way, moved, out)
+
+
+def refined(item: SceneObject, joint: str, found: JointFound, moved: float) -> Hypothesis:
+    """The way in which a part moves, as the arm has found it, in its object's frame.
+
+    Args:
+        item: The object as it was believed to be.
+        joint: Its joint.
+        found: Where the arm found it.
+        moved: How far the part was opened [rad] or [m].
+    """
+    opening = opening_of(item.model, joint)
+    back = invert(item.T_world_object)
+    axis = opening.sign * back[:3, :3] @ np.array(found.direction)
+    point = apply(back, np.array(found.point)[None])[0]
+    upper = max(abs(opening.wide - opening.closed), moved)
+    return Hypothesis(_kind(item, joint, axis), 1.0, _triple(point), _triple(axis), upper)
+
+
+def _kind(item: SceneObject, joint: str, axis: Float[np.ndarray, "3"]) -> PartKind:
+    """What kind of part it is, by its joint; of flaps, by what the scene says."""
+    slides = item.model.joint(joint).kind == "prismatic"
+    ways = item.hypotheses.get(joint, ())
+    near = [way for way in ways if (way.kind == "drawer") == slides]
+    if near:
+        return max(near, key=lambda way: float(np.array(way.axis) @ axis)).kind
+    if slides:
+        return "drawer"
+    return "door_right" if axis[2] >= 0.0 else "door_left"
+
+
+def _triple(values: Float[np.ndarray, "3"]) -> tuple[float, float, float]:
+    x, y, z = values.tolist()
+    return x, y, z
+
+
+def _log(share: float) -> float:
+    return float(np.log(max(share, 1e-12)))
