@@ -28,7 +28,7 @@ GET = {
     "eaik": ".venv/bin/pip install eaik",
     "xacrodoc": ".venv/bin/pip install xacrodoc",
     "EGL": "apt-get install libegl1 libgl1-mesa-dri",
-    "Chromium": "apt-get install chromium, then make test-page",
+    "Chromium": "make test-page, after apt-get install chromium",
     "every layout of kitchens": "make test-slow",
     "a wheel": "make test-wheel",
     "real data": f"{SHARED}, where FOLDER holds bestman/",

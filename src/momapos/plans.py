@@ -20,7 +20,16 @@ from momapos.plan_files import portable_name, sha256, sha256_of, write_text
 from momapos.plan_holds import holds_to_dict, read_holds
 from momapos.robots.amend import portable
 from momapos.robots.srdf import MAX_SRDF_BYTES
-from momapos.types import BaseRegion, Candidates, KeyObjects, Motion, PlacementPlan, Task, Tolerance
+from momapos.types import (
+    BaseRegion,
+    Candidates,
+    KeyObjects,
+    Motion,
+    Outline,
+    PlacementPlan,
+    Task,
+    Tolerance,
+)
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -80,12 +89,20 @@ def plan_to_dict(plan: PlacementPlan) -> dict[str, Any]:
         if plan.key_objects is None
         else {**asdict(plan.key_objects), "names": list(plan.key_objects.names)},
         "timing": dict(plan.timing),
-        "region": asdict(plan.region),
+        "region": {
+            **asdict(plan.region),
+            "keep_in": _outlines(plan.region.keep_in),
+            "keep_out": _outlines(plan.region.keep_out),
+        },
         "tolerance": None if plan.tolerance is None else asdict(plan.tolerance),
         "method": plan.method,
         "seed": plan.seed,
         "versions": dict(plan.versions),
     }
+
+
+def _outlines(areas: tuple[Outline, ...]) -> list[list[list[float]]]:
+    return [[list(corner) for corner in area] for area in areas]
 
 
 def _times(times: Float[np.ndarray, " m"] | None) -> list[float] | None:

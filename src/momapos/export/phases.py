@@ -128,6 +128,7 @@ def _drive(path: Float[np.ndarray, "k 3"], motion: Motion, robot: Robot, step: f
     limit = np.array([robot.max_acceleration, robot.max_acceleration, robot.max_yaw_acceleration])
     turned = path.copy()
     turned[:, 2] = np.unwrap(path[:, 2])
+    turned[:, 2] += path[-1, 2] - turned[-1, 2]  # whole turns: the arm's phases begin at its end
     timed = time_path(turned, speed, limit, step)
     rest = np.tile(_first(motion), (len(timed), 1))
     return Phase(

@@ -58,9 +58,10 @@ class ModelConfig:
     """Of a door in the face's plane, and of one that stands proud of it at most [m]."""
     gap: float = 0.002
     """Between a moving part and what is beside and behind it [m]."""
-    hinge_depth: float = 0.005
+    hinge_depth: float = 0.0
     """How far behind its front a door's hinge lies where something is beside it: a door that turns
-    about a deeper axis needs that much more room. Real ones have it, or hinges that travel [m]."""
+    about a deeper axis needs that much more room, and the hand has a long lever against what is
+    beside the hinge. Real ones have that room, or hinges that travel [m]."""
     free_hinge_depth: float = 0.01
     """The same where nothing is beside it, about half the thickness of a leaf [m]."""
     turn: float = np.pi / 2
@@ -98,7 +99,7 @@ def furniture_model(
 ) -> Piece:
     """Make the model of one object: its box, hollow, with doors and drawers that open.
 
-    A door with something beside its hinge turns about an axis close behind its front, and stays
+    A door with something beside its hinge turns about an axis in its front, and stays
     within its own width as it opens. Real hinges lie deeper, mostly by 1 to 2 cm, in fridges by 2
     to 8; so are those here that have nothing beside them (`ModelConfig.free_hinge_depth`). Every
     joint ends before its part would hit the rest of the piece.

@@ -46,7 +46,14 @@ KINDS = (
         "#4f6d8f", "o",
     ),
     MarkerKind("not tried", (_S.NOT_TRIED, _S.PATH_FOUND), "#6f7a83", ".", size=2.8),
-    MarkerKind("other", (_S.FILTERED, _S.TASK_INFEASIBLE), "#555555", "*", size=3.4),
+    MarkerKind(
+        "other",
+        (
+            _S.FILTERED, _S.NOT_KEPT_IN, _S.NOT_KEPT_OUT, _S.NOT_FACING, _S.TOO_LONG_A_DRIVE,
+            _S.TASK_INFEASIBLE,
+        ),
+        "#555555", "*", size=3.4,
+    ),
     MarkerKind("arm hits", (_S.ARM_COLLISION, _S.HOME_COLLISION), "#aa4499", "^", size=3.2),
     MarkerKind("no continuous path", (_S.NO_CONTINUOUS_PATH,), "#7a4a1e", "s"),
     MarkerKind("no approach", (_S.NO_APPROACH,), "#7d7a1f", "D"),
