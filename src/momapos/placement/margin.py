@@ -22,12 +22,15 @@ from momapos.types import ArmPathResult
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-Margin: TypeAlias = "Callable[[Float[np.ndarray, '3']], float]"
-"""Share of the poses around a base pose from which there is an arm path, in [0, 1]."""
+Margin: TypeAlias = "Callable[[Float[np.ndarray, '3'], int], float]"
+"""Share of the poses around a base pose from which there is an arm path, in [0, 1]; the way of
+holding that works there is tried first."""
 _AROUND = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]], float)
 """Half the corners of a box, so that each coordinate is off both ways: a tetrahedron [-]."""
+_FIRST = 2.0
+"""More than any score [-]."""
 _GRASPS = 2
-"""Grasps that are tried at a pose beside another, best reached first [-]."""
+"""Grasps that are tried at a pose beside another: that one's, then the best reached [-]."""
 
 
 def margin_of(
@@ -36,7 +39,7 @@ def margin_of(
     """The margin of base poses, for one of the ways of holding."""
     off = np.array([config.margin, config.margin, np.radians(config.margin_turn)])
 
-    def margin(pose: Float[np.ndarray, "3"]) -> float:
+    def margin(pose: Float[np.ndarray, "3"], grasp: int) -> float:
         poses = pose + _AROUND * off
         status, _ = base_pose_status(problem.geometry, poses)
         # Where the base cannot stand no drive ends.
@@ -44,6 +47,7 @@ def margin_of(
         if not len(poses):
             return 0.0
         scores = score(reach, poses).scores
+        scores[:, grasp] = np.where(scores[:, grasp] > 0, _FIRST, 0.0)
         screened = problem.screen(poses, scores, min(config.grasps, _GRASPS))
         if screened is None:
             return 0.0
@@ -85,7 +89,7 @@ class Waiting:
             if full or len(self.margins) >= self.looks:
                 break
             if i not in self.margins:
-                self.margins[i] = self.margin(poses[i])
+                self.margins[i] = self.margin(poses[i], self.paths[i].grasp)
             full = self.margins[i] == 1.0
         if not (full or last or len(self.margins) >= self.looks):
             return {}
