@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
+from momapos.geometry.planar import compose
 from momapos.placement.area import BaseStatus, base_pose_status
 from momapos.placement.config import PlaceConfig
 from momapos.placement.holding import ScoreWays
@@ -26,7 +27,8 @@ Margin: TypeAlias = "Callable[[Float[np.ndarray, '3'], int], float]"
 """Share of the poses around a base pose from which there is an arm path, in [0, 1]; the way of
 holding that works there is tried first."""
 _AROUND = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]], float)
-"""Half the corners of a box, so that each coordinate is off both ways: a tetrahedron [-]."""
+"""Half the corners of a box, so that each coordinate is off both ways: a tetrahedron, in the base's
+frame, so that answers move with their room [-]."""
 _FIRST = 2.0
 """More than any score [-]."""
 _GRASPS = 2
@@ -40,7 +42,7 @@ def margin_of(
     off = np.array([config.margin, config.margin, np.radians(config.margin_turn)])
 
     def margin(pose: Float[np.ndarray, "3"], grasp: int) -> float:
-        poses = pose + _AROUND * off
+        poses = compose(pose, _AROUND * off)
         status, _ = base_pose_status(problem.geometry, poses)
         # Where the base cannot stand no drive ends.
         poses = poses[status == BaseStatus.CLEAR]
