@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -68,9 +69,7 @@ def test_from_other_poses_in_the_disc_the_drawer_opens(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(tolerance, "RADII", (0.01, 0.02, 0.2))
-    monkeypatch.setattr(placement_tolerance, "__kwdefaults__", {
-        **(placement_tolerance.__kwdefaults__ or {}), "samples": 12,
-    })  # fmt: skip
+    monkeypatch.setattr(tolerance, "placement_tolerance", partial(placement_tolerance, samples=12))
     out = tmp_path / "plan.json"
     question = ["kitchen_small", "cabinet_right/drawer_middle_slide", "--robot", "segway_ur5e"]
     assert main(["place", "open", *question, "--tolerance", "--out", str(out)]) == 0
