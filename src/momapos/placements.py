@@ -51,7 +51,8 @@ def iter_placements(
 
     The first answer is that of `plan_base_placement`. The others come in rounds, each in the
     order of driving length and of more base poses than the one before, the last a grid; all
-    objects are modeled for them. It ends where no base pose is left, where it is closed, or when
+    objects are modeled for them, and each does the task in one hold; of a task that needs two the
+    first answer is the only one. It ends where no base pose is left, where it is closed, or when
     the time of `config.timeout` is over; what the caller does between two answers does not count.
 
     Args:

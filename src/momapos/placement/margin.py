@@ -17,7 +17,6 @@ from momapos.placement.area import BaseStatus, base_pose_status
 from momapos.placement.config import PlaceConfig
 from momapos.placement.holding import ScoreWays
 from momapos.placement.problem import Problem
-from momapos.protocols import ReachScorer
 from momapos.types import ArmPathResult
 
 if TYPE_CHECKING:
@@ -35,9 +34,7 @@ _GRASPS = 2
 """Grasps that are tried at a pose beside another: that one's, then the best reached [-]."""
 
 
-def margin_of(
-    problem: Problem, score: ScoreWays, reach: ReachScorer, config: PlaceConfig
-) -> Margin:
+def margin_of(problem: Problem, score: ScoreWays, config: PlaceConfig) -> Margin:
     """The margin of base poses, for one of the ways of holding."""
     off = np.array([config.margin, config.margin, np.radians(config.margin_turn)])
 
@@ -48,7 +45,7 @@ def margin_of(
         poses = poses[status == BaseStatus.CLEAR]
         if not len(poses):
             return 0.0
-        scores = score(reach, poses).scores
+        scores = score(problem.reach, poses).scores
         scores[:, grasp] = np.where(scores[:, grasp] > 0, _FIRST, 0.0)
         screened = problem.screen(poses, scores, min(config.grasps, _GRASPS))
         if screened is None:

@@ -21,7 +21,7 @@ from momapos.placement.area import (
 )
 from momapos.placement.config import PlaceConfig
 from momapos.placement.fitting import fitted
-from momapos.placement.holding import WayScores
+from momapos.placement.holding import ScoreWays, WayScores
 from momapos.placement.margin import Waiting, margin_of
 from momapos.placement.order import by_expected_cost
 from momapos.placement.potential import attraction
@@ -63,22 +63,15 @@ def search(problem: Problem, config: PlaceConfig, rng: np.random.Generator) -> S
     found = Search()
     frame = task_frame(problem.geometry)
     for local, on_grid in _rounds(corners, config, rng):
-        poses = compose(frame, local)
-        near = fitted(problem.fit, problem.geometry, poses, problem.out_of_time)
+        near = _near(problem, compose(frame, local), found)
         if near is None:
             found.timed_out = True
             return found
-        poses, own = near
-        clear = _cull(problem, poses, found)
-        if own is not None:
-            clear.keep(own[clear.row] >= 0, PoseStatus.TOO_FEW_JOINTS)
         for score in problem.ways:
-            reach = problem.grid_reach if on_grid else problem.reach
-            scores = score(reach, clear.poses)
-            shortlist = clear.reached(scores if own is None else scores.of_way(own[clear.row]))
+            shortlist = near.reached(problem, score, on_grid=on_grid)
             # Beside a fitted pose an arm of few joints does nothing.
-            looks = 0 if own is not None or config.method != "ours" else config.looks
-            waiting = Waiting(margin_of(problem, score, problem.reach, config), looks)
+            looks = 0 if problem.fit is not None or config.method != "ours" else config.looks
+            waiting = Waiting(margin_of(problem, score, config), looks)
             if on_grid:
                 _check_grid(problem, shortlist, config, found, waiting)
             else:
@@ -138,19 +131,12 @@ def search_every(
         return
     frame = task_frame(problem.geometry)
     for local, on_grid in _rounds(corners, config, rng):
-        near = fitted(problem.fit, problem.geometry, compose(frame, local), problem.out_of_time)
+        found = Search()
+        near = _near(problem, compose(frame, local), found)
         if near is None:
             return
-        poses, own = near
-        found = Search()
-        clear = _cull(problem, poses, found)
-        if own is not None:
-            clear.keep(own[clear.row] >= 0, PoseStatus.TOO_FEW_JOINTS)
-        ways = []
-        for score in problem.ways:
-            scores = score(problem.grid_reach if on_grid else problem.reach, clear.poses)
-            ways.append(clear.reached(scores if own is None else scores.of_way(own[clear.row])))
-        rows = clear.row[np.argsort(clear.travel, kind="stable")]
+        ways = [near.reached(problem, score, on_grid=on_grid) for score in problem.ways]
+        rows = near.clear.row[np.argsort(near.clear.travel, kind="stable")]
         for first in range(0, len(rows), _TOGETHER):
             block = rows[first : first + _TOGETHER]
             passed: list[tuple[_Shortlist, int, ArmPathResult]] = []
@@ -283,6 +269,33 @@ def _cull(problem: Problem, poses: Float[np.ndarray, "n 3"], found: Search) -> _
         left.keep(~problem.pose_filter(left.poses), PoseStatus.FILTERED)
     found.note(poses, outcomes)
     return left
+
+
+@dataclass(frozen=True)
+class _Near:
+    """The poses of one round where the base stands clear."""
+
+    clear: _Shortlist
+    own: Int[np.ndarray, " m"] | None
+    """The one way of holding of each pose of the round, where they are fitted to it."""
+
+    def reached(self, problem: Problem, score: ScoreWays, *, on_grid: bool) -> _Shortlist:
+        """Those from which one of the ways of holding that are scored is within reach."""
+        scores = score(problem.grid_reach if on_grid else problem.reach, self.clear.poses)
+        own = self.own
+        return self.clear.reached(scores if own is None else scores.of_way(own[self.clear.row]))
+
+
+def _near(problem: Problem, poses: Float[np.ndarray, "n 3"], found: Search) -> _Near | None:
+    """Fit and cull the poses of a round; None: out of time."""
+    near = fitted(problem.fit, problem.geometry, poses, problem.out_of_time)
+    if near is None:
+        return None
+    poses, own = near
+    clear = _cull(problem, poses, found)
+    if own is not None:
+        clear.keep(own[clear.row] >= 0, PoseStatus.TOO_FEW_JOINTS)
+    return _Near(clear, own)
 
 
 def _screen(
