@@ -42,8 +42,8 @@ def test_an_area_is_found_by_name_in_a_file_or_by_its_corners(room: Scene, tmp_p
         ("asle", "aisle"),
         ("0,0 1,1", "3 to"),
         ("0,0 1,1 2,2", "no area"),
-        ("0,0 1,nan 2,2", "no corner"),
-        ("0,0 1,0,3 2,2", "no corner"),
+        ("0,0 1,nan 2,2", "point 1 must be finite"),
+        ("0,0 1,0,3 2,2", "point 1 must be 2 numbers"),
         ("nowhere.json", "nowhere.json"),
     ],
 )

@@ -4,19 +4,26 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from momapos.errors import SceneError, unknown_name
 from momapos.files import read_text_bounded
+from momapos.geometry.polygons import signed_area
 from momapos.scene.scene import Scene
 from momapos.types import Outline
 
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
 MAX_AREAS = 1_000
 MAX_CORNERS = 1_000
+"""Corners of an area or of a floor [-]."""
+MAX_DISTANCE = 1e4
+"""From the world's origin [m]."""
 _MAX_BYTES = 1_000_000
-_FAR = 1e4  # [m]
 
 
 def read_areas(value: Any, where: str) -> dict[str, Outline]:
@@ -34,28 +41,39 @@ def read_areas(value: Any, where: str) -> dict[str, Outline]:
 
 
 def read_outline(value: Any, where: str) -> Outline:
-    """The corners of one area.
+    """The corners of one area, or of a floor.
 
     Raises:
         SceneError: It is no outline of at least 3 corners that encloses something.
     """
-    if not isinstance(value, Sequence) or not 3 <= len(value) <= MAX_CORNERS:
-        raise SceneError(f"{where} must be an outline of 3 to {MAX_CORNERS} corners [x, y]")
-    corners = []
-    for corner in value:
-        if (
-            not isinstance(corner, Sequence)
-            or len(corner) != 2
-            or not all(isinstance(v, int | float) and not isinstance(v, bool) for v in corner)
-            or not all(math.isfinite(v) and abs(v) <= _FAR for v in corner)
-        ):
-            raise SceneError(f"{where}: {corner!r:.60} is no corner [x, y] in meters")
-        corners.append((float(corner[0]), float(corner[1])))
-    # Twice the signed area, by the shoelace formula.
-    ahead = [*corners[1:], corners[0]]
-    if abs(sum(x * v - u * y for (x, y), (u, v) in zip(corners, ahead, strict=True))) < 2e-6:
+    if not isinstance(value, list) or not 3 <= len(value) <= MAX_CORNERS:
+        raise SceneError(f"{where} must be an outline of 3 to {MAX_CORNERS} points [x, y]")
+    points = np.array([read_numbers(p, 2, f"{where} point {i}") for i, p in enumerate(value)])
+    if np.abs(points).max() > MAX_DISTANCE:
+        raise SceneError(f"{where} reaches more than 10 km")
+    if abs(signed_area(points)) < 1e-6:
         raise SceneError(f"{where} encloses no area")
-    return tuple(corners)
+    return tuple((float(x), float(y)) for x, y in points)
+
+
+def read_numbers(value: object, count: int, where: str) -> Float[np.ndarray, " count"]:
+    """A list of finite numbers.
+
+    Raises:
+        SceneError: It is none of that length.
+    """
+    values = value if isinstance(value, list) else []
+    if len(values) != count or not all(
+        isinstance(v, int | float) and not isinstance(v, bool) for v in values
+    ):
+        raise SceneError(f"{where} must be {f'{count} numbers' if count > 1 else 'a number'}")
+    try:
+        array = np.array(values, float)
+    except OverflowError:
+        array = np.array([math.inf])
+    if not np.isfinite(array).all():
+        raise SceneError(f"{where} must be finite")
+    return array
 
 
 def find_area(words: str, scene: Scene, where: str) -> Outline:

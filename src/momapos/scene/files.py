@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import difflib
 import json
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -19,12 +18,11 @@ import numpy as np
 from momapos.cache import Cache, write_atomic
 from momapos.errors import FileFormatError, SceneError, unknown_name
 from momapos.files import read_text_bounded
-from momapos.geometry.polygons import signed_area
 from momapos.geometry.transforms import pose_wxyz
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.urdf import box_urdf, read_urdf
 from momapos.scene import bestman
-from momapos.scene.areas import read_areas
+from momapos.scene.areas import MAX_DISTANCE, read_areas, read_numbers, read_outline
 from momapos.scene.confidence import confidence_to_json, read_confidence
 from momapos.scene.copies import model_files
 from momapos.scene.hypotheses import hypotheses_to_json, read_hypotheses
@@ -38,9 +36,7 @@ if TYPE_CHECKING:
 VERSION = 1
 MAX_OBJECTS = 2_000
 """Relations are looked for between all pairs of objects: that many take some 5 s [-]."""
-MAX_CORNERS = 1_000
-"""Corners of a floor [-]."""
-MAX_EDGE, MAX_DISTANCE = 1e3, 1e4  # [m] of a box, from the world's origin
+MAX_EDGE = 1e3  # of a box [m]
 _SCENE_KEYS = {"format", "version", "name", "objects", "floor", "start", "areas"}
 _OBJECT_KEYS = {
     "name", "category", "pose", "urdf", "scale", "joints", "box", "hypotheses", "confidence",
@@ -204,8 +200,8 @@ class _ObjectReader:
         pose = self.item.get("pose")
         if not isinstance(pose, dict):
             raise SceneError(f"{self.where}: pose must be {{'xyz': [...], 'wxyz': [...]}}")
-        xyz = _numbers(pose.get("xyz"), 3, f"{self.where}: pose.xyz")
-        wxyz = _numbers(pose.get("wxyz", [1, 0, 0, 0]), 4, f"{self.where}: pose.wxyz")
+        xyz = read_numbers(pose.get("xyz"), 3, f"{self.where}: pose.xyz")
+        wxyz = read_numbers(pose.get("wxyz", [1, 0, 0, 0]), 4, f"{self.where}: pose.wxyz")
         if np.abs(xyz).max() > MAX_DISTANCE:
             raise SceneError(f"{self.where}: pose.xyz is more than 10 km away")
         length = float(np.linalg.norm(wxyz))
@@ -217,7 +213,7 @@ class _ObjectReader:
         if ("urdf" in self.item) == ("box" in self.item):
             raise SceneError(f"{self.where}: needs either 'urdf' or 'box'")
         if "box" in self.item:
-            size = _numbers(self.item["box"], 3, f"{self.where}: box")
+            size = read_numbers(self.item["box"], 3, f"{self.where}: box")
             if size.min() <= 0 or size.max() > MAX_EDGE:
                 raise SceneError(
                     f"{self.where}: box edges must be between 0 and {MAX_EDGE:g} m, not "
@@ -225,7 +221,7 @@ class _ObjectReader:
                 )
             x, y, z = map(float, size)
             return Articulated(box_urdf(self.name, (x, y, z)))
-        scale = float(_numbers([self.item.get("scale", 1.0)], 1, f"{self.where}: scale")[0])
+        scale = float(read_numbers([self.item.get("scale", 1.0)], 1, f"{self.where}: scale")[0])
         if not 1e-3 <= scale <= 1e3:
             raise SceneError(f"{self.where}: scale must be between 0.001 and 1000, not {scale:g}")
         return self.models(self.file(), scale)
@@ -254,7 +250,7 @@ class _ObjectReader:
         for name, value in joints.items():
             if name not in model.joints:
                 raise unknown_name("movable joint", name, model.joints, self.where)
-            number = float(_numbers([value], 1, f"{self.where}: joint {name!r}")[0])
+            number = float(read_numbers([value], 1, f"{self.where}: joint {name!r}")[0])
             joint = model.joint(name)
             if not joint.lower - 1e-6 <= number <= joint.upper + 1e-6:
                 raise SceneError(
@@ -280,32 +276,8 @@ def _text(value: object, where: str) -> str:
     return value
 
 
-def _numbers(value: object, count: int, where: str) -> Float[np.ndarray, " count"]:
-    values = value if isinstance(value, list) else []
-    if len(values) != count or not all(
-        isinstance(v, int | float) and not isinstance(v, bool) for v in values
-    ):
-        raise SceneError(f"{where} must be {f'{count} numbers' if count > 1 else 'a number'}")
-    try:
-        array = np.array(values, float)
-    except OverflowError:
-        array = np.array([math.inf])
-    if not np.isfinite(array).all():
-        raise SceneError(f"{where} must be finite")
-    return array
-
-
 def _floor(value: object, path: Path) -> Float[np.ndarray, "k 2"] | None:
-    if value is None:
-        return None
-    if not isinstance(value, list) or not 3 <= len(value) <= MAX_CORNERS:
-        raise SceneError(f"{path}: floor must be an outline of 3 to {MAX_CORNERS} points [x, y]")
-    points = np.array([_numbers(p, 2, f"{path}: floor point {i}") for i, p in enumerate(value)])
-    if np.abs(points).max() > MAX_DISTANCE:
-        raise SceneError(f"{path}: floor reaches more than 10 km")
-    if abs(signed_area(points)) < 1e-6:
-        raise SceneError(f"{path}: floor encloses no area")
-    return points
+    return None if value is None else np.array(read_outline(value, f"{path}: floor"))
 
 
 def _start(value: object, path: Path) -> Float[np.ndarray, "3"] | None:
@@ -313,7 +285,7 @@ def _start(value: object, path: Path) -> Float[np.ndarray, "3"] | None:
         return None
     if not isinstance(value, dict) or not {"x", "y", "yaw"} <= set(value):
         raise SceneError(f"{path}: start must be {{'x', 'y', 'yaw'}}")
-    start = _numbers([value[k] for k in ("x", "y", "yaw")], 3, f"{path}: start")
+    start = read_numbers([value[k] for k in ("x", "y", "yaw")], 3, f"{path}: start")
     if np.abs(start).max() > MAX_DISTANCE:
         raise SceneError(f"{path}: start is more than 10 km away")
     return start
