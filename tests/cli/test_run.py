@@ -171,16 +171,10 @@ def test_where_the_arm_finds_no_motion_the_next_cheapest_base_pose_is_driven_to(
     plan: PlacementPlan, kitchen: Scene
 ) -> None:
     goals: list[np.ndarray] = []
-
-    def astray_at_first(
-        _: NavigationMap, start: Pose3, goal: Pose3, __: np.random.Generator
-    ) -> DriveRecord:
-        goals.append(goal)
-        return ended(start, goal, goal if len(goals) > 1 else np.array([1.9, -1.6, 1.5]))
-
     record = run_plan(
-        plan, kitchen, load_robot("segway_ur5e"), Everywhere(), go=astray_at_first, config=CONFIG
-    )
+        plan, kitchen, load_robot("segway_ur5e"), Everywhere(), go=astray_at_first(goals),
+        config=CONFIG,
+    )  # fmt: skip
     assert record.success, record.reason
     assert len(record.visits) == len(goals) >= 2
     assert record.visits[0].reason
@@ -194,16 +188,10 @@ def test_where_no_other_base_pose_is_left_the_robot_docks_once_more(
 ) -> None:
     goals: list[np.ndarray] = []
     monkeypatch.setattr("momapos.run_plan._Trip._another", lambda *_: None)
-
-    def beside_at_first(
-        _: NavigationMap, start: Pose3, goal: Pose3, __: np.random.Generator
-    ) -> DriveRecord:
-        goals.append(goal)
-        return ended(start, goal, goal if len(goals) > 1 else np.array([1.9, -1.6, 1.5]))
-
     record = run_plan(
-        plan, kitchen, load_robot("segway_ur5e"), Everywhere(), go=beside_at_first, config=CONFIG
-    )
+        plan, kitchen, load_robot("segway_ur5e"), Everywhere(), go=astray_at_first(goals),
+        config=CONFIG,
+    )  # fmt: skip
     assert record.success, record.reason
     assert NONE_LEFT in record.visits[0].reason
     np.testing.assert_array_equal(goals, [plan.base_pose, plan.base_pose])
@@ -241,6 +229,16 @@ def test_a_base_that_touched_something_is_driven_no_further(
     assert not record.success
     assert record.reason == "it hit a chair"
     assert [visit.hit for visit in record.visits] == ["a chair"]
+
+
+def astray_at_first(goals: list[np.ndarray]) -> Drive:
+    """Drives of which the first ends far from its goal; tells the goals."""
+
+    def go(_: NavigationMap, start: Pose3, goal: Pose3, __: np.random.Generator) -> DriveRecord:
+        goals.append(goal)
+        return ended(start, goal, goal if len(goals) > 1 else np.array([1.9, -1.6, 1.5]))
+
+    return go
 
 
 def ended(start: np.ndarray, goal: np.ndarray, pose: np.ndarray, reason: str = "") -> DriveRecord:

@@ -8,18 +8,14 @@ import numpy as np
 import pytest
 from jaxtyping import Bool, Float, Int
 
-from momapos.config import PipelineConfig
-from momapos.manipulation.motion import task_motion
-from momapos.manipulation.tasks import make_task
 from momapos.outcomes import PoseOutcome, PoseStatus
 from momapos.placement.area import PlacementGeometry
 from momapos.placement.config import Method, PlaceConfig
 from momapos.placement.holding import ways_of_holding
 from momapos.placement.place import search
 from momapos.placement.problem import Problem, Search
-from momapos.robots.robot import Robot
 from momapos.types import ArmPathResult, Attempt, Motion
-from rooms import Everywhere, cabinet_room
+from rooms import Everywhere
 
 MOTION = Motion(np.zeros((1, 6)), np.zeros((1, 6)), np.zeros(1), np.eye(4)[None])
 FEASIBLE, NO_APPROACH = PoseOutcome(PoseStatus.FEASIBLE), PoseOutcome(PoseStatus.NO_APPROACH)
@@ -39,16 +35,6 @@ def never(poses: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
 
 def left(poses: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
     return poses[:, 0] < -0.3
-
-
-@pytest.fixture(scope="module")
-def geometry(
-    tmp_path_factory: pytest.TempPathFactory, robots: Callable[[str], Robot]
-) -> PlacementGeometry:
-    scene, robot = cabinet_room(tmp_path_factory.mktemp("room")), robots("segway_ur5e")
-    motion = task_motion(scene, robot, make_task(scene, "open", "cabinet"), PipelineConfig().motion)
-    Ts = np.ascontiguousarray(motion.Ts_world_tool[:, motion.waypoint_steps])
-    return PlacementGeometry(robot, Ts, motion.static, motion.sweep(), scene.floor_polygon, 0.01)
 
 
 def find(

@@ -2,36 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
-import pytest
 from jaxtyping import Float
 
-from momapos.config import PipelineConfig
 from momapos.geometry.planar import place_points
 from momapos.geometry.polygons import any_overlap
-from momapos.manipulation.motion import task_motion
-from momapos.manipulation.tasks import make_task
 from momapos.outcomes import PoseStatus
 from momapos.placement.area import PlacementGeometry
 from momapos.placement.region import rules
-from momapos.robots.robot import Robot
 from momapos.types import ANYWHERE, BaseRegion
-from rooms import cabinet_room
 
 SQUARE = ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0))
 NORTH = ((0.0, 1.0), (1.0, 1.0), (1.0, 2.0), (0.0, 2.0))
-
-
-@pytest.fixture(scope="module")
-def geometry(
-    tmp_path_factory: pytest.TempPathFactory, robots: Callable[[str], Robot]
-) -> PlacementGeometry:
-    scene, robot = cabinet_room(tmp_path_factory.mktemp("room")), robots("segway_ur5e")
-    motion = task_motion(scene, robot, make_task(scene, "open", "cabinet"), PipelineConfig().motion)
-    Ts = np.ascontiguousarray(motion.Ts_world_tool[:, motion.waypoint_steps])
-    return PlacementGeometry(robot, Ts, motion.static, motion.sweep(), None, 0.01)
 
 
 def kept(
