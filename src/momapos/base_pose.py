@@ -214,22 +214,33 @@ class BasePoseChecks:
 
     def __call__(self, base: Float[np.ndarray, "3"]) -> Attempt:
         """The motion at a base pose x [m], y [m], yaw [rad], or why there is none."""
-        prepared = self.prepared
-        if prepared.infeasible_reason:
-            outcome = PoseOutcome(PoseStatus.TASK_INFEASIBLE, prepared.infeasible_reason)
-            attempt = Attempt(None, outcome)
-        else:
-            status = BaseStatus(base_pose_status(prepared.geometry, base[None])[0][0])
-            if status != BaseStatus.CLEAR:
-                return Attempt(None, BASE_OUTCOMES[status])
-            attempt = in_one_hold(self.query, prepared, base)
-        if attempt.motion is not None:
+        attempt = self.in_one_hold(base)
+        # What stands in something is not held otherwise.
+        if attempt.motion is not None or attempt.outcome in BASE_OUTCOMES.values():
             return attempt
         for two in self._two_holds():
             again = two.at(base, self.query.reach)
             if again.motion is not None:
                 return again
         return attempt
+
+    def in_one_hold(
+        self, base: Float[np.ndarray, "3"], *, out_of_time: Callable[[], bool] = lambda: False
+    ) -> Attempt:
+        """The motion in one hold at a base pose, or why there is none.
+
+        Args:
+            base: x [m], y [m], yaw [rad].
+            out_of_time: Whether to try no further way; then what was found out so far is told.
+        """
+        prepared = self.prepared
+        if prepared.infeasible_reason:
+            outcome = PoseOutcome(PoseStatus.TASK_INFEASIBLE, prepared.infeasible_reason)
+            return Attempt(None, outcome)
+        status = BaseStatus(base_pose_status(prepared.geometry, base[None])[0][0])
+        if status != BaseStatus.CLEAR:
+            return Attempt(None, BASE_OUTCOMES[status])
+        return _in_one_hold(self.query, prepared, base, out_of_time)
 
     def _two_holds(self) -> Iterator[TwoHolds]:
         """Those that were made before, then others."""
@@ -239,21 +250,13 @@ class BasePoseChecks:
             yield two
 
 
-def in_one_hold(
+def _in_one_hold(
     query: PlacementQuery,
     prepared: PreparedTask,
     base: Float[np.ndarray, "3"],
-    *,
-    out_of_time: Callable[[], bool] = lambda: False,
+    out_of_time: Callable[[], bool],
 ) -> Attempt:
-    """Try all ways of holding at a base pose that stands clear, the best reached first.
-
-    Args:
-        query: What is asked.
-        prepared: The same, made ready.
-        base: x [m], y [m], yaw [rad].
-        out_of_time: Whether to try no further way; then what was found out so far is told.
-    """
+    """Try all ways of holding at a base pose that stands clear, the best reached first."""
     feasible = prepared.feasibility(query.config, query.seed, out_of_time=out_of_time)
     # The map is right for most poses, not for all: it orders the grasps and rules none out.
     scores = np.maximum(prepared.ways[0](query.reach, base[None]).scores, LEAST_SCORE)

@@ -14,16 +14,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.base_pose import in_one_hold
+from momapos.base_pose import BasePoseChecks
 from momapos.config import PipelineConfig
 from momapos.farthest import last_that_works
-from momapos.kinematics.collision import FREE
 from momapos.manipulation.tasks import slides
 from momapos.opening_map import waypoint_values
 from momapos.outcomes import PoseOutcome, PoseStatus
-from momapos.placement.area import BaseStatus, base_pose_status
-from momapos.placement.place import BASE_OUTCOMES
-from momapos.prepare import PreparedTask, prepare
+from momapos.placement.area import base_pose_status
+from momapos.prepare import PreparedTask
 from momapos.protocols import Clock, ReachScorer
 from momapos.query import PlacementQuery
 from momapos.robots.robot import Robot
@@ -71,7 +69,7 @@ class Probe:
     reach: ReachScorer
     config: PipelineConfig = DEFAULT
     seed: int = 0
-    _ready: dict[float | None, PreparedTask] = field(default_factory=dict, repr=False)
+    _ready: dict[float | None, BasePoseChecks] = field(default_factory=dict, repr=False)
 
     @property
     def values(self) -> tuple[float | None, ...]:
@@ -95,7 +93,7 @@ class Probe:
         for done, value in enumerate(self.values[::-1]):
             clock()
             report(done / len(self.values))
-            self._prepared(value)
+            self._checks(value)
 
     def at(
         self, base: Float[np.ndarray, "3"], clock: Clock, *, within: float = math.inf
@@ -134,13 +132,17 @@ class Probe:
         motion = (farther or first).motion
         return Finding(base, outcome, hit, values[at], motion, sure=not cut)
 
-    def _prepared(self, value: float | None) -> PreparedTask:
+    def _checks(self, value: float | None) -> BasePoseChecks:
         if value not in self._ready:
             task = replace(self.task, to=value, farthest=False)
-            ready = prepare(self.scene, self.robot, task, self.config, clearance=0.0)
+            query = PlacementQuery(
+                self.scene, self.robot, task, self.reach, None, None, self.config, self.seed,
+                Stopwatch(lambda: 0.0),
+            )  # fmt: skip
+            checks = BasePoseChecks(query)
             # What is made when it is first asked for is made now.
-            _ = ready.infeasible_reason
-            self._ready[value] = ready
+            _ = checks.prepared.infeasible_reason
+            self._ready[value] = checks
         return self._ready[value]
 
     def _attempt(
@@ -152,35 +154,19 @@ class Probe:
     ) -> tuple[Attempt, tuple[str, ...]]:
         """Check a base pose for one value; what is hit comes with it."""
         clock()
-        ready = self._prepared(value)
-        if ready.infeasible_reason:
-            reason = ready.infeasible_reason
-            return _refused(PoseOutcome(PoseStatus.TASK_INFEASIBLE, reason), ready, reason)
-        status, box = base_pose_status(ready.geometry, base[None])
-        if BaseStatus(status[0]) != BaseStatus.CLEAR:
-            outcome = BASE_OUTCOMES[BaseStatus(status[0])]
-            return Attempt(None, outcome), _blocking(ready, int(box[0]))
-        query = PlacementQuery(
-            self.scene, self.robot, ready.task, self.reach, None, None, self.config, self.seed,
-            Stopwatch(clock),
-        )  # fmt: skip
-        found = in_one_hold(query, ready, base, out_of_time=out_of_time)
+        checks = self._checks(value)
+        found = checks.in_one_hold(base, out_of_time=out_of_time)
         if found.motion is not None:
             return found, ()
-        return _refused(found.outcome, ready, found.outcome.detail)
+        if found.outcome.status is PoseStatus.BASE_BLOCKED:
+            return found, _blocking(checks.prepared, base)
+        labels = tuple(dict.fromkeys(checks.prepared.motion.labels))
+        return found, named_in(found.outcome.detail, labels)
 
 
-def _refused(
-    outcome: PoseOutcome, ready: PreparedTask, words: str
-) -> tuple[Attempt, tuple[str, ...]]:
-    """An attempt without a motion, and what its words name."""
-    return Attempt(None, outcome), named_in(words, tuple(dict.fromkeys(ready.motion.labels)))
-
-
-def _blocking(ready: PreparedTask, box: int) -> tuple[str, ...]:
+def _blocking(ready: PreparedTask, base: Float[np.ndarray, "3"]) -> tuple[str, ...]:
     """The name of the box that a base stands in: standing boxes first, then the part's."""
-    if box == FREE:
-        return ()
+    box = int(base_pose_status(ready.geometry, base[None])[1][0])
     labels, standing = ready.motion.labels, len(ready.motion.static)
     moving = len(labels) - standing
     return (labels[box if box < standing else standing + (box - standing) % moving],)
