@@ -2,13 +2,16 @@
 
     python benchmarks/objects.py [--robots fetch ...] [--half tuned|measured] [--hold contact|weld]
                                  [--tasks 40] [--seeds 3] [--verifier verify_plan.py] [--out DIR]
-                                 [--families]
+                                 [--errors] [--families]
 
 The simulator's fridges, ovens, dishwashers, microwaves, cabinets and drawers are scaled to the size
 that such things have, and stand against a wall, the small ones on a counter or on the wall. Every
 door and drawer is opened by every robot: planned, checked by an independent program where one is
 named, driven to and executed with noise. A hash of an object's name puts it into one of two halves:
 `tuned` may be looked at while building, `measured` is only counted.
+
+With --errors the world differs from the scene, as in execution.py: handle 1 cm, hinge 3 cm and 5
+degrees, mass and friction 50 % off.
 
 With --families nothing is executed: each opening is asked of ever more families of grasps, until
 one opens it, and those that none opens are told with the farthest opening.
@@ -31,10 +34,11 @@ from typing import Any
 
 import numpy as np
 
+from execution import ERRORS, SPREAD
 from momapos.cache import default_cache_dir
 from momapos.config import PipelineConfig
 from momapos.errors import MomaposError
-from momapos.execution.config import ExecutionConfig, FurnitureConfig
+from momapos.execution.config import ExecutionConfig, FurnitureConfig, ModelErrorConfig
 from momapos.geometry.transforms import pose_planar
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.urdf import Joint, read_urdf
@@ -54,7 +58,6 @@ from momapos.types import PlacementPlan
 from placement import ROBOTS, machine, shared
 
 CONFIG = PipelineConfig(timeout=60.0)
-SPREAD = 0.3
 FAMILIES: dict[str, GraspConfig] = {
     "pinch": GraspConfig(families=("pinch",), turning=False),
     "hook": GraspConfig(families=("pinch", "hook"), turning=False),
@@ -198,7 +201,12 @@ def measure(
         return {**row, "reason": max(plan.candidates.rejections.items(), key=_count, default="")}
     if args.verifier is not None:
         row["valid"], row["violations"] = independent(plan, args.verifier, folder)
-    row["runs"] = [execute(plan, scene, robot, reach, args.hold, s) for s in range(args.seeds)]
+    physics = ExecutionConfig(
+        hold=args.hold,
+        furniture=FurnitureConfig(spread=SPREAD),
+        errors=ERRORS if args.errors else ModelErrorConfig(),
+    )
+    row["runs"] = [execute(plan, scene, robot, reach, physics, s) for s in range(args.seeds)]
     return row
 
 
@@ -265,10 +273,9 @@ def independent(plan: PlacementPlan, verifier: Path, folder: Path) -> tuple[bool
 
 
 def execute(
-    plan: PlacementPlan, scene: Scene, robot: Robot, reach: Any, hold: str, seed: int
+    plan: PlacementPlan, scene: Scene, robot: Robot, reach: Any, physics: ExecutionConfig, seed: int
 ) -> dict[str, Any]:
     """Drive to a base pose and open the part there, with noise."""
-    physics = ExecutionConfig(hold=hold, furniture=FurnitureConfig(spread=SPREAD))  # type: ignore[arg-type]
     begun = time.process_time()
     try:
         record = run_plan(
@@ -324,6 +331,7 @@ def main() -> None:
     parser.add_argument("--hold", choices=("contact", "weld"), default="contact")
     parser.add_argument("--tasks", type=int, help="as many openings, drawn at random")
     parser.add_argument("--seeds", type=int, default=3, help="runs of every plan")
+    parser.add_argument("--errors", action="store_true", help="the world is not as modeled")
     parser.add_argument("--families", action="store_true", help="by which grasps they open")
     parser.add_argument("--verifier", type=Path, help="independent check of plan files")
     parser.add_argument("--out", type=Path, help="folder for objects.json")

@@ -24,6 +24,7 @@ from typing import Any
 
 import numpy as np
 
+from execution import SPREAD
 from momapos.cache import default_cache_dir
 from momapos.config import PipelineConfig
 from momapos.errors import MomaposError
@@ -44,7 +45,7 @@ from momapos.scene.scene import Scene, SceneObject
 from momapos.synthetic_scans.depth_sensor import DepthSensor
 from momapos.synthetic_scans.recording import synthetic_scan, write_scan
 from momapos.types import PlacementPlan
-from objects import HALVES, SPREAD, half_of, objects, parts, room
+from objects import HALVES, half_of, objects, parts, room
 from scan import handle_at, moved, plan_in_scan, why_not
 
 CONFIG = PipelineConfig(timeout=60.0)
