@@ -32,8 +32,9 @@ def all_inside(
 ) -> Bool[np.ndarray, " n"]:
     """Whether whole convex outlines lie in a polygon: corners inside, no edges that cross."""
     n, m, _ = outlines.shape
-    corners = contains(polygon, outlines.reshape(-1, 2)).reshape(n, m).all(1)
-    return corners & ~_edges_cross(polygon, outlines)
+    inside = contains(polygon, outlines.reshape(-1, 2)).reshape(n, m).all(1)
+    inside[inside] = ~_edges_cross(polygon, outlines[inside])
+    return inside
 
 
 def any_overlap(

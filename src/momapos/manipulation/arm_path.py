@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -31,6 +31,8 @@ from momapos.manipulation.turning_arm import Arm, hand_poses, robot_of
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
+HandCodes: TypeAlias = "dict[int, Int[np.ndarray, ' d']]"
+"""What the hand by itself hits at every step of a motion, of grasps that it keeps all the way."""
 UNREACHABLE, HIT, BROKEN, FOUND = 0, 1, 2, 3
 MAX_TURN = float(np.radians(25.0))
 """Largest turn of the hand about a bar between waypoints [rad]."""
@@ -60,12 +62,19 @@ def find_paths(
     motion: TaskMotion,
     bases: Float[np.ndarray, "j 3"],
     ways: Int[np.ndarray, " j"],
+    hand: HandCodes,
 ) -> list[ArmPath]:
     """Look for an arm path for each pair of base pose and way of holding.
 
     A way is a grasp, or beyond their number one of the motion's turns, in which the hand goes from
     grasp to grasp of a group. The ends and the middle of the motion are looked at first, since
     they fail most; a pair that fails at one waypoint is not carried on.
+
+    Args:
+        robot, world, motion: Whose arm, in which room, for what.
+        bases: Base poses.
+        ways: The way of holding at each.
+        hand: What is known of this hand in this room and motion; it is added to.
     """
     count = len(motion.waypoint_steps)
     paths: list[ArmPath | None] = [None] * len(ways)
@@ -83,7 +92,7 @@ def find_paths(
     layers.sort(key=lambda layer: layer.waypoint)
     for j in alive:
         nodes = [layer.nodes(int(j)) for layer in layers]
-        paths[j] = _connect(robot, world, motion, bases[j], nodes)
+        paths[j] = _connect(robot, world, motion, bases[j], nodes, hand)
     return [path for path in paths if path is not None]
 
 
@@ -110,6 +119,7 @@ def _connect(
     motion: TaskMotion,
     base: np.ndarray,
     nodes: list[tuple[Float[np.ndarray, "_ n"], Int[np.ndarray, " _"]]],
+    hand: HandCodes,
 ) -> ArmPath:
     """Shortest path through the layers of one job, then every state between, checked."""
     start = np.cumsum([0, *(len(q) for q, _ in nodes)])
@@ -145,15 +155,7 @@ def _connect(
                 motion.value, motion.holding,
             )  # fmt: skip
             if (codes == FREE).all():
-                width = np.full(len(dense), motion.grasps.width[grasps[chosen[0]]])
-                codes = hits_on_the_way(
-                    robot_of(robot),
-                    world,
-                    motion,
-                    hand_poses(robot, base, dense, tools),
-                    np.arange(len(dense)),
-                    width,
-                )
+                codes = _hand_codes(robot, world, motion, base, dense, grasps[chosen], hand)
             hit = np.flatnonzero(codes != FREE)
             if not len(hit):
                 return ArmPath(FOUND, count, count, FREE, dense)
@@ -163,6 +165,33 @@ def _connect(
         # Without the node after the failure the next path must take another way.
         banned[chosen[min(int(np.searchsorted(motion.waypoint_steps, bad)), count - 1)]] = True
     return worst
+
+
+def _hand_codes(
+    robot: Arm,
+    world: CollisionWorld,
+    motion: TaskMotion,
+    base: Float[np.ndarray, "3"],
+    states: Float[np.ndarray, "d n"],
+    grasps: Int[np.ndarray, " w"],
+    known: HandCodes,
+) -> Int[np.ndarray, " d"]:
+    """What the hand hits at every step, see `hits_on_the_way`.
+
+    A hand that does not turn in what it holds goes the same way from every base pose.
+    """
+    grasp = int(grasps[0])
+    still = robot is robot_of(robot) and bool((grasps == grasp).all())
+    if still and grasp in known:
+        return known[grasp]
+    codes = hits_on_the_way(
+        robot_of(robot), world, motion,
+        hand_poses(robot, base, states, motion.tool_poses(grasps)),
+        np.arange(len(states)), np.full(len(states), motion.grasps.width[grasp]),
+    )  # fmt: skip
+    if still:
+        known[grasp] = codes
+    return codes
 
 
 @entry

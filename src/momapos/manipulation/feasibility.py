@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
@@ -15,7 +15,14 @@ from momapos.kinematics.chain import chain_arrays
 from momapos.kinematics.collision import FLOOR, FREE, place_segments
 from momapos.kinematics.spheres import Spheres, box_spheres, carry
 from momapos.kinematics.world import CollisionWorld, check, motion_checker
-from momapos.manipulation.arm_path import FOUND, HIT, UNREACHABLE, ArmPath, find_paths
+from momapos.manipulation.arm_path import (
+    FOUND,
+    HIT,
+    UNREACHABLE,
+    ArmPath,
+    HandCodes,
+    find_paths,
+)
 from momapos.manipulation.config import PlannerConfig
 from momapos.manipulation.free_turn import find_short_paths
 from momapos.manipulation.hand_room import hits_on_the_way
@@ -121,12 +128,19 @@ class Feasibility:
         def work(part: Int[np.ndarray, " p"]) -> list[ArmPath] | None:
             if self.out_of_time():
                 return None
-            find = find_paths if self.robot.chain.size >= FULL else find_short_paths
-            return find(self.robot, self.world, self.motion, bases[part], grasps[part])
+            asked = self.robot, self.world, self.motion, bases[part], grasps[part]
+            if self.robot.chain.size < FULL:
+                return find_short_paths(*asked)
+            return find_paths(*asked, self._hand)
 
         found = list(_threads().map(work, pieces))
         done = [paths for paths in found if paths is not None]
         return [path for paths in done for path in paths] if len(done) == len(found) else None
+
+    @cached_property
+    def _hand(self) -> HandCodes:
+        """What is known of the hand so far; two threads that find out the same do no harm."""
+        return {}
 
     def _check(
         self, q: Float[np.ndarray, "m n"], base: Float[np.ndarray, "*m 3"], spheres: Spheres

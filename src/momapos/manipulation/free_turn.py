@@ -70,7 +70,7 @@ def find_short_paths(
         arm, grasp = _held(robot, motion, way)
         chosen = np.arange(len(motion.Ts_world_tool)) == grasp
         still = replace(motion.only(chosen), turning=no_turning(1))
-        found = find_paths(arm, world, still, near[met], np.zeros(met.sum(), np.int64))
+        found = find_paths(arm, world, still, near[met], np.zeros(met.sum(), np.int64), {})
         for row, path in zip(rows[met].tolist(), found, strict=True):
             paths[row] = path if path.q is None else replace(path, q=_own(robot, path.q))
     return paths
