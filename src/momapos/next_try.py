@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,7 +14,7 @@ from momapos.errors import TaskError
 from momapos.geometry.transforms import invert, rotation_angle
 from momapos.kinematics.world import CheckMotion, motion_checker
 from momapos.manipulation.motion import GraspFilter, TaskMotion, task_motion
-from momapos.manipulation.planner import RESOLUTION, interpolate, plan_motion
+from momapos.manipulation.planner import RESOLUTION, interpolate, plan_with_room
 from momapos.prepare import collision_world
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene
@@ -99,17 +100,18 @@ def arm_way_home(
         return None
     world = collision_world(robot, motion, replace(config, arm_clearance=0.0))
     chain = robot.chain
-    free = motion_checker(
-        world, chain, robot.spheres, base_pose, value=int(motion.value[0]), holding=False,
-        step=RESOLUTION,
+    checker = partial(
+        motion_checker, world, chain, robot.spheres, base_pose, value=int(motion.value[0]),
+        holding=False, step=RESOLUTION,
     )  # fmt: skip
     q = chain.freedom_values(q)
-    begin = _free_state(q, chain.lower, chain.upper, free, np.random.default_rng(seed))
+    begin = _free_state(q, chain.lower, chain.upper, checker(), np.random.default_rng(seed))
     if begin is None:
         return None
-    way = plan_motion(
-        begin, robot.home, chain.lower, chain.upper, free, config=config.arm_planner, seed=seed
-    )
+    way = plan_with_room(
+        begin, robot.home, chain.lower, chain.upper, lambda room: checker(room=room),
+        config=config.arm_planner, seed=seed,
+    )  # fmt: skip
     if way is None:
         return None
     return chain.joint_values(interpolate(np.concatenate([q[None], way])))

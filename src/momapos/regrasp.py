@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,7 +15,7 @@ from momapos.kinematics.opening import opening_of
 from momapos.kinematics.world import motion_checker
 from momapos.manipulation.feasibility import Feasibility, near_home
 from momapos.manipulation.motion import GraspFilter, task_motion, with_retreat
-from momapos.manipulation.planner import RESOLUTION, interpolate, plan_motion
+from momapos.manipulation.planner import RESOLUTION, interpolate, plan_with_room
 from momapos.manipulation.resistance import stays
 from momapos.manipulation.turning import FULL
 from momapos.outcomes import PoseOutcome, PoseStatus
@@ -146,13 +147,13 @@ class TwoHolds:
     ) -> Float[np.ndarray, "k n"] | None:
         """A free way of the arm while the door stands ajar."""
         chain = self.second.robot.chain
-        free = motion_checker(
-            self.second.world, chain, self.second.robot.spheres, base,
+        checker = partial(
+            motion_checker, self.second.world, chain, self.second.robot.spheres, base,
             value=int(self.second.motion.value[0]), holding=False, step=RESOLUTION,
         )  # fmt: skip
         planner = self.config.arm_planner
-        return plan_motion(
-            start, goal, chain.lower, chain.upper, free,
+        return plan_with_room(
+            start, goal, chain.lower, chain.upper, lambda room: checker(room=room),
             config=replace(planner, budget=min(BETWEEN, planner.budget)), seed=self.seed,
         )  # fmt: skip
 

@@ -100,6 +100,15 @@ def test_no_contact_of_hulls_is_overlooked_and_few_states_are_blocked_without_on
     assert (blocked & ~true).mean() <= MORE
 
 
+@pytest.mark.parametrize("room", [0.001, 0.003, 0.009, 0.011])
+def test_links_that_are_nearer_than_the_room_asked_for_touch(tmp_path: Path, room: float) -> None:
+    gap = 0.01
+    chain, spheres = arm_of(*close_robot(tmp_path, gap))
+    found = contacts(chain, spheres.grown(room), np.zeros((1, chain.size)))
+    touch = found.by_hulls[0, found.pairs.index(("first", "third"))]
+    assert touch == (room > gap)
+
+
 @pytest.mark.parametrize("gap", [0.002, 0.005, 0.02])
 def test_links_that_pass_closely_by_each_other_are_left_to_their_hulls(
     tmp_path: Path, gap: float

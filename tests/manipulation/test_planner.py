@@ -9,7 +9,7 @@ import pytest
 
 from momapos.kinematics.world import CheckMotion
 from momapos.manipulation.config import PlannerConfig
-from momapos.manipulation.planner import RESOLUTION, interpolate, plan_motion
+from momapos.manipulation.planner import RESOLUTION, ROOM, interpolate, plan_motion, plan_with_room
 
 LOW, HIGH = np.full(2, -3.0), np.full(2, 3.0)
 A, B = np.array([-2.0, 0.0]), np.array([2.0, 0.0])
@@ -69,3 +69,26 @@ def test_no_step_of_a_filled_path_is_longer_than_the_resolution() -> None:
     assert np.abs(np.diff(filled, axis=0)).max() <= RESOLUTION + 1e-12
     for corner in path:
         assert np.isclose(filled, corner).all(1).any()
+
+
+def opening(gap: float) -> CheckMotion:
+    """Motions that cross the plane's middle through an opening as wide as twice the gap."""
+
+    def free(a: np.ndarray, b: np.ndarray) -> bool:
+        states = interpolate(np.stack([a, b]), 1e-3)
+        crossing = np.abs(states[:, 0]) < 0.1
+        return bool((np.abs(states[crossing, 1] - 1.0) <= gap).all())
+
+    return free
+
+
+@pytest.mark.parametrize(("gap", "kept"), [(1.0, True), (0.25, False)])
+def test_a_way_keeps_room_where_there_is_some_and_else_does_without(
+    gap: float, *, kept: bool
+) -> None:
+    path = plan_with_room(
+        A, B, LOW, HIGH, lambda room: opening(gap - 100 * room), config=PlannerConfig(), seed=1
+    )
+    assert path is not None
+    assert all(opening(gap)(a, b) for a, b in pairwise(path))
+    assert all(opening(gap - 100 * ROOM)(a, b) for a, b in pairwise(path)) is kept

@@ -32,8 +32,9 @@ def all_inside(
 ) -> Bool[np.ndarray, " n"]:
     """Whether whole convex outlines lie in a polygon: corners inside, no edges that cross."""
     n, m, _ = outlines.shape
-    inside = contains(polygon, outlines.reshape(-1, 2)).reshape(n, m).all(1)
-    inside[inside] = ~_edges_cross(polygon, outlines[inside])
+    rows = np.flatnonzero(contains(polygon, outlines.reshape(-1, 2)).reshape(n, m).all(1))
+    inside = np.zeros(n, bool)
+    inside[rows] = ~_edges_cross(polygon, outlines[rows])
     return inside
 
 

@@ -20,7 +20,7 @@ TRIES = 40
 
 @kernel
 def hulls_overlap(R, p, hulls, i, first, last):
-    """Whether a hull of a link overlaps one of the hulls first:last.
+    """Whether a hull of a link overlaps one of the hulls first:last, or is nearer than `room`.
 
     Args:
         R, p: Segment poses (n + 1, 3, 3), (n + 1, 3).
@@ -48,6 +48,9 @@ def _overlap(R, p, hulls, h, k):
             moved(R, p, m, hulls.vertices[_outermost(R, m, hulls, h, toward, 1.0)]),
             moved(R, p, n, hulls.vertices[_outermost(R, n, hulls, k, toward, -1.0)]),
         )
+        if hulls.room > 0.0:  # the sum with a ball of that radius
+            out = hulls.room / max(math.sqrt(dot(toward, toward)), 1e-12)
+            a = (a[0] + out * toward[0], a[1] + out * toward[1], a[2] + out * toward[2])
         if dot(a, toward) < 0.0:
             return False
         size += 1

@@ -107,6 +107,7 @@ class HullArrays(NamedTuple):
     segment: I1
     of_group: I1
     of_base: I1
+    room: float
 
 
 class SphereArrays(NamedTuple):

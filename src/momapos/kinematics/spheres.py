@@ -42,12 +42,15 @@ class LinkHulls:
     """Hulls of group g are of_group[g]:of_group[g + 1]."""
     of_base: Int[np.ndarray, " b"]
     """The hull that each box of the base covers."""
+    room: float = 0.0
+    """Hulls that are nearer to each other overlap [m]."""
 
     def arrays(self) -> HullArrays:
         """The hulls as the kernels take them."""
         return HullArrays(
-            self.vertices, self.first, self.center, self.segment, self.of_group, self.of_base
-        )
+            self.vertices, self.first, self.center, self.segment, self.of_group, self.of_base,
+            self.room,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -103,6 +106,13 @@ class Spheres:
             self.exact,
             self.base_exact,
         )
+
+    def grown(self, room: float) -> Spheres:
+        """The same robot, larger on all sides by so much [m]."""
+        return replace(
+            self, radius=self.radius + room, bound_radius=self.bound_radius + room,
+            hulls=replace(self.hulls, room=room),
+        )  # fmt: skip
 
     @cached_property
     def base_bounds(self) -> Float[np.ndarray, "2 3"]:

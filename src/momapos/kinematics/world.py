@@ -328,6 +328,7 @@ def motion_checker(
     value: int,
     holding: bool,
     step: float,
+    room: float = 0.0,
 ) -> CheckMotion:
     """Prepare to ask whether straight motions of the arm are free, ends included.
 
@@ -336,6 +337,7 @@ def motion_checker(
         value: Index of the object's joint value.
         holding: Whether the gripper may touch what is grasped.
         step: Largest joint step between the states that are checked [rad] or [m].
+        room: What the arm keeps from everything, beside the clearance of the world [m].
     """
     fixed = (
         step,
@@ -343,7 +345,7 @@ def motion_checker(
         np.array([value]),
         np.array([holding]),
         chain_arrays(chain),
-        collision_arrays(spheres, world),
+        collision_arrays(spheres.grown(room) if room else spheres, world),
     )
 
     def free(a: Float[np.ndarray, " n"], b: Float[np.ndarray, " n"]) -> bool:

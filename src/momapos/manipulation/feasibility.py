@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
@@ -27,7 +27,7 @@ from momapos.manipulation.config import PlannerConfig
 from momapos.manipulation.free_turn import find_short_paths
 from momapos.manipulation.hand_room import hits_on_the_way
 from momapos.manipulation.motion import TaskMotion
-from momapos.manipulation.planner import RESOLUTION, interpolate, plan_motion
+from momapos.manipulation.planner import RESOLUTION, interpolate, plan_with_room
 from momapos.manipulation.turning import FULL
 from momapos.outcomes import PoseOutcome, PoseStatus
 from momapos.robots.robot import Robot
@@ -170,19 +170,14 @@ class Feasibility:
         if self._carrying:
             spheres = with_payload(self.robot, self.motion, self.motion.Ts_world_tool[grasp, 0], 0)
         q = near_home(q, self.robot.home, chain.lower, chain.upper)
-        free = motion_checker(
-            self.world, chain, spheres, base, value=int(self.motion.value[0]),
+        checker = partial(
+            motion_checker, self.world, chain, spheres, base, value=int(self.motion.value[0]),
             holding=self._carrying, step=RESOLUTION,
         )  # fmt: skip
-        way = plan_motion(
-            self.robot.home,
-            q[0],
-            chain.lower,
-            chain.upper,
-            free,
-            config=self.planner,
-            seed=self.seed + grasp,
-        )
+        way = plan_with_room(
+            self.robot.home, q[0], chain.lower, chain.upper, lambda room: checker(room=room),
+            config=self.planner, seed=self.seed + grasp,
+        )  # fmt: skip
         if way is None:
             return None, PoseOutcome(PoseStatus.NO_APPROACH)
         approach = np.concatenate([interpolate(way), q[1 : hold + 1]])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -15,6 +16,9 @@ if TYPE_CHECKING:
 
 RESOLUTION = 0.04
 """Largest joint step at which a motion is checked [rad] or [m]."""
+ROOM = 0.005
+"""What a free motion keeps from everything where it can, from the robot itself as well: an arm is
+some millimeters off its way, and between the states that are checked it may come nearer [m]."""
 USUAL = "RRTConnect"
 """OMPL's planner where none is named."""
 _UNBOUNDED = np.pi
@@ -65,6 +69,29 @@ def plan_motion(
         return None
     path = np.concatenate([start[None], path[1:-1], goal[None]])
     return path if all(free(a, b) for a, b in pairwise(path)) else None
+
+
+def plan_with_room(
+    start: Float[np.ndarray, " n"],
+    goal: Float[np.ndarray, " n"],
+    lower: Float[np.ndarray, " n"],
+    upper: Float[np.ndarray, " n"],
+    checker: Callable[[float], CheckMotion],
+    *,
+    config: PlannerConfig,
+    seed: int,
+) -> Float[np.ndarray, "k n"] | None:
+    """Find a path that keeps `ROOM`, or else one that is free, see `plan_motion`.
+
+    Args:
+        checker: Gives the check of motions that keep so far from everything [m].
+    """
+    for room in (ROOM, 0.0):
+        free = checker(room)
+        path = plan_motion(start, goal, lower, upper, free, config=config, seed=seed)
+        if path is not None:
+            return path
+    return None
 
 
 def _ompl(
