@@ -18,8 +18,8 @@ from momapos.navigation.global_path import plan_path
 from momapos.outcomes import PoseOutcome, PoseStatus
 from momapos.placement.area import BaseStatus, base_pose_status
 from momapos.placement.holding import LEAST_SCORE
-from momapos.placement.place import BASE_OUTCOMES
 from momapos.placement.problem import Search
+from momapos.placement.shortlist import BASE_OUTCOMES
 from momapos.placement_result import PlacementResult, plan_of
 from momapos.prepare import PreparedTask, driving_lengths, prepare, start_pose
 from momapos.protocols import Clock, ReachScorer

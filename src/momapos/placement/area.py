@@ -131,6 +131,14 @@ def within_reach(
     return within  # where a waypoint is out of reach at any distance, its radius is NaN
 
 
+def clear_of_sweep(
+    geometry: PlacementGeometry, poses: Float[np.ndarray, "n 3"], room: float
+) -> Bool[np.ndarray, " n"]:
+    """Whether the part passes by the base with so much room [m], at every opening."""
+    robot = geometry.robot
+    return base_hits(poses, robot.base, geometry.sweep, clearance=room) == FREE
+
+
 def base_pose_status(
     geometry: PlacementGeometry, poses: Float[np.ndarray, "n 3"]
 ) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:

@@ -30,8 +30,8 @@ class PlaceConfig:
     """Grasps tried at one base pose, best reached first [-]."""
     together: int = 2
     """Candidates whose arm paths are looked for together (ours); the cheapest wins [-]."""
-    improve: int = 6
-    """Cheaper candidates that are looked at besides, once some have a path (ours) [-]."""
+    improve: int = 2
+    """Steps from the base pose that is chosen to cheaper ones beside it (ours) [-]."""
     margin: float = 0.02
     """How far off the base may end in x and in y, from where a motion should still be found (ours)
     [m]."""
@@ -40,6 +40,9 @@ class PlaceConfig:
     looks: int = 3
     """Base poses whose margin is looked at, until one has all of it; the one with most of it is
     taken (ours); 0: the first that works [-]."""
+    sweep_room: float = 0.05
+    """What the moving part should pass the base by, where it can: joints are not quite where they
+    are modeled (ours) [m]."""
     miss: float = 2.0
     """Driving length that a certain miss is worth [m]."""
     grid_cell: float = 0.05
@@ -56,6 +59,6 @@ class PlaceConfig:
     def __post_init__(self) -> None:
         refuse_below(self, 1, "count", "grasps", "together")
         refuse_below(self, 0, "rounds", "improve", "miss", "clearance", "looks", "margin")
-        refuse_below(self, 0, "margin_turn")
+        refuse_below(self, 0, "margin_turn", "sweep_room")
         refuse_below(self, 0.005, "grid_cell")
         refuse_below(self, 0.5, "grid_turn")

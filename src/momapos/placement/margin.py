@@ -1,7 +1,8 @@
 """How much a base pose may be off: the same look for an arm path, at poses around it.
 
 A drive ends beside its goal, and the arm is planned anew from there. A pose at the edge of what the
-arm reaches is feasible, and of no use.
+arm reaches is feasible, and of no use; one that a door passes by a centimeter is hit by doors whose
+hinges are not quite where they are modeled.
 """
 
 from __future__ import annotations
@@ -13,33 +14,53 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 
 from momapos.geometry.planar import compose
-from momapos.placement.area import BaseStatus, base_pose_status
+from momapos.placement.area import BaseStatus, base_pose_status, clear_of_sweep
 from momapos.placement.config import PlaceConfig
 from momapos.placement.holding import ScoreWays
 from momapos.placement.problem import Problem
 from momapos.types import ArmPathResult
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
+    from jaxtyping import Bool, Float
 
 Margin: TypeAlias = "Callable[[Float[np.ndarray, '3'], int], float]"
-"""Share of the poses around a base pose from which there is an arm path, in [0, 1]; the way of
-holding that works there is tried first."""
+"""Share of the poses around a base pose from which there is an arm path, in [0, 1]; those that the
+part passes closely by count half. The way of holding that works there is tried first."""
 _AROUND = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]], float)
 """Half the corners of a box, so that each coordinate is off both ways: a tetrahedron, in the base's
 frame, so that answers move with their room [-]."""
+_CLOSE = 0.5
+"""What a pose counts that the part passes closely by [-]."""
 _FIRST = 2.0
 """More than any score [-]."""
 _GRASPS = 2
 """Grasps that are tried at a pose beside another: that one's, then the best reached [-]."""
 
 
+def _beside(pose: Float[np.ndarray, "3"], config: PlaceConfig) -> Float[np.ndarray, "k 3"]:
+    """The poses around one."""
+    off = np.array([config.margin, config.margin, np.radians(config.margin_turn)])
+    return compose(pose, _AROUND * off)
+
+
+def may_have_room(
+    problem: Problem, score: ScoreWays, config: PlaceConfig, poses: Float[np.ndarray, "n 3"]
+) -> Bool[np.ndarray, " n"]:
+    """Whether base poses may have their whole margin: the map and the base's room say so."""
+    around = np.concatenate([np.empty((0, 3)), *(_beside(pose, config) for pose in poses)])
+    status, _ = base_pose_status(problem.geometry, around)
+    clear = (status == BaseStatus.CLEAR) & clear_of_sweep(
+        problem.geometry, around, config.sweep_room
+    )
+    clear[clear] = score(problem.reach, around[clear]).scores.max(1, initial=0.0) > 0
+    return clear.reshape(len(poses), len(_AROUND)).all(1)
+
+
 def margin_of(problem: Problem, score: ScoreWays, config: PlaceConfig) -> Margin:
     """The margin of base poses, for one of the ways of holding."""
-    off = np.array([config.margin, config.margin, np.radians(config.margin_turn)])
 
     def margin(pose: Float[np.ndarray, "3"], grasp: int) -> float:
-        poses = compose(pose, _AROUND * off)
+        poses = _beside(pose, config)
         status, _ = base_pose_status(problem.geometry, poses)
         # Where the base cannot stand no drive ends.
         poses = poses[status == BaseStatus.CLEAR]
@@ -50,7 +71,9 @@ def margin_of(problem: Problem, score: ScoreWays, config: PlaceConfig) -> Margin
         screened = problem.screen(poses, scores, min(config.grasps, _GRASPS))
         if screened is None:
             return 0.0
-        return sum(one.q is not None for one in screened) / len(poses)
+        works = np.array([one.q is not None for one in screened])
+        roomy = clear_of_sweep(problem.geometry, poses, config.sweep_room)
+        return float((works * np.where(roomy, 1.0, _CLOSE)).mean())
 
     return margin
 
@@ -95,3 +118,7 @@ class Waiting:
         chosen = sorted(self.paths, key=lambda i: (-self.margins.get(i, 0.0), float(travel[i])))
         paths, self.paths = self.paths, {}
         return {i: paths[i] for i in chosen}
+
+    def no_less(self, pose: Float[np.ndarray, "3"], grasp: int, than: int) -> bool:
+        """Whether another base pose has the margin of one of these, where margins are looked at."""
+        return not self.looks or self.margin(pose, grasp) >= self.margins.get(than, 0.0)
