@@ -33,7 +33,7 @@ def nearer(
     rng: np.random.Generator,
     found: Search,
     first: Candidate,
-) -> Candidate:
+) -> list[Candidate]:
     """Go from a base pose with an arm path to cheaper ones, step by step.
 
     Args:
@@ -44,15 +44,15 @@ def nearer(
         first: Where to begin.
 
     Returns:
-        The cheapest with an arm path, which may be the first.
+        Those with an arm path, the cheapest first.
     """
-    best = first
+    steps: list[Candidate] = []
     for _ in range(config.improve):
-        step = _step(problem, score, config, rng, found, best)
+        step = _step(problem, score, config, rng, found, steps[0] if steps else first)
         if step is None:
             break
-        best = step
-    return best
+        steps.insert(0, step)
+    return steps
 
 
 def _step(

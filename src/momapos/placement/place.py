@@ -220,12 +220,16 @@ def _check_samples(
         block, rest = rest[: config.together], rest[config.together :]
         passed = screen(problem, left, block, config.grasps, found)
         chosen = waiting.choose(passed, left.poses, left.travel, last=not len(rest))
-        for i, path in list(chosen.items())[:1]:
-            one = nearer(problem, score, config, rng, found, Candidate(left, i, path))
-            if one.left is not left and waiting.no_less(one.pose, one.path.grasp, i):
+        if not chosen:
+            continue
+        first = next(iter(chosen))
+        steps = nearer(problem, score, config, rng, found, Candidate(left, first, chosen[first]))
+        best = [one for one in steps[:1] if waiting.no_less(one.pose, one.path.grasp, first)]
+        others = [Candidate(left, i, path) for i, path in chosen.items()]
+        # A step that has less room is better than no answer.
+        for one in (*best, *others, *steps[len(best) :]):
+            if found.motion is None:
                 complete(problem, one.left, {one.index: one.path}, config.grasps, found)
-        if found.motion is None:
-            complete(problem, left, chosen, config.grasps, found)
 
 
 def _check_grid(
