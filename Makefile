@@ -2,10 +2,10 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-CODE := src tests benchmarks examples training
+CODE := src tests benchmarks examples training docs_hooks.py
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: demo test check bench torch test-shapes test-torch test-slow test-wheel test-film test-page clean
+.PHONY: demo test check bench docs torch test-shapes test-torch test-slow test-wheel test-film test-page clean
 
 $(VENV)/.core: pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit("Python 3.11 or later is needed; set PYTHON=...") if sys.version_info < (3, 11) else None'
@@ -19,6 +19,10 @@ $(VENV)/.dev: $(VENV)/.core
 
 $(VENV)/.torch: $(VENV)/.dev
 	$(INSTALL) torch==2.13.0 'onnx>=1.16'
+	touch $@
+
+$(VENV)/.docs: $(VENV)/.core
+	$(INSTALL) --editable '.[docs]'
 	touch $@
 
 demo: $(VENV)/.core
@@ -45,7 +49,7 @@ test-torch: $(VENV)/.torch
 	$(BIN)/pytest $(shell grep -lE '"torch"' $(shell find tests -name 'test_*.py' ! -name test_optional.py))
 
 test-slow: $(VENV)/.dev
-	MOMAPOS_SLOW=1 $(BIN)/pytest --dist load tests/scene/test_kitchens.py
+	MOMAPOS_SLOW=1 $(BIN)/pytest --dist load tests/scene/test_kitchens.py tests/docs
 
 test-wheel: $(VENV)/.dev
 	MOMAPOS_WHEEL=1 $(BIN)/pytest tests/packaging/test_wheel.py
@@ -55,6 +59,9 @@ test-film: $(VENV)/.dev
 
 test-page: $(VENV)/.dev
 	$(BIN)/pytest tests/page
+
+docs: $(VENV)/.docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build
 
 bench: $(VENV)/.dev
 	$(BIN)/python benchmarks/run.py
