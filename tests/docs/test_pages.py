@@ -22,8 +22,8 @@ FENCE = re.compile(
     re.MULTILINE | re.DOTALL,
 )
 NOTE = re.compile(r"<!-- (.*?) -->\s*\Z")
-SLOW = {"scan.md", "physics.md", "benchmark.md", "own_robot.md", "why_not.md"}
-"""Pages whose commands take more than three seconds of processor time together."""
+QUICK = {"own_room.md", "planners.md"}
+"""Pages whose commands take little time, and are no other test's; make test-slow types the rest."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ def blocks(page: Path) -> list[Block]:
 
 def asked(page: Path) -> pytest.param:  # type: ignore[valid-type]
     slow = optional.needs("slow commands of the site", "MOMAPOS_SLOW" in os.environ)
-    return pytest.param(page, id=page.stem, marks=[slow] if page.name in SLOW else [])
+    return pytest.param(page, id=page.stem, marks=[] if page.name in QUICK else [slow])
 
 
 @pytest.mark.parametrize("page", [asked(page) for page in PAGES])
