@@ -1,15 +1,16 @@
 """What the site shows beside docs/: the files that its pages link to, and the public names.
 
-A page names a file of the repository by its path, as GitHub and editors follow it. Such a file
-becomes a page of its own; a link to a file that there is not stays as it is, and fails the build.
+A page names a file of the repository by its path, as editors and hosting sites follow it. Such a
+file becomes a page of its own, files/PATH.md; a link to a file that there is not stays as it is, and
+fails the build.
 """
 
 from __future__ import annotations
 
 import json
 import re
-from pathlib import Path, PurePosixPath
-from posixpath import normpath, relpath
+from pathlib import Path
+from posixpath import dirname, normpath, relpath
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -18,76 +19,75 @@ if TYPE_CHECKING:
     from mkdocs.structure.pages import Page
 
 ROOT = Path(__file__).parent
-LINK = re.compile(r"(?<=\]\()(\.\./[^)#\s]*)")
+LINK = re.compile(r"(?<=\]\()([^)#\s:]+)(?=[)#])")
+"""The target of a link within the repository, without its anchor."""
 PUBLIC_NAME = re.compile(r"^\| `(\w+)[^|]*\|.*$", re.MULTILINE)
-LANGUAGES = {".py": "python", ".toml": "toml", ".urdf": "xml", ".xml": "xml", ".cff": "yaml"}
+LANGUAGES = {".py": "python", ".toml": "toml", ".urdf": "xml", ".xml": "xml"}
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add a page for every file and folder outside docs/ that a page links to."""
     from mkdocs.structure.files import File
 
-    wanted = {
-        path
-        for file in files.documentation_pages()
-        for link in LINK.findall(file.content_string)
-        if (path := _outside(file.src_uri, link)) is not None
-    }
-    wanted |= {child for path in wanted for child in _children(path)}
-    for path in sorted(wanted):
-        files.append(File.generated(config, _page_of(path), content=_shown(path)))
+    texts = [(f"docs/{file.src_uri}", file.content_string) for file in files.documentation_pages()]
+    shown: set[str] = set()
+    while texts:
+        path, text = texts.pop()
+        for target in {_target(path, link) for link in LINK.findall(text)} - {None, *shown}:
+            if target.startswith("docs"):
+                continue
+            shown.add(target)
+            texts.append((target, _content(target)))
+            files.append(File.generated(config, _page_of(target), content=texts[-1][1]))
     return files
 
 
 def on_page_markdown(markdown: str, *, page: Page, config: MkDocsConfig, files: Files) -> str:  # noqa: ARG001
     """Lead links that leave docs/ to those pages, and list the public names on theirs."""
+    uri = page.file.src_uri
+    shown = uri.startswith("files/")
+    path = uri.removeprefix("files/").removesuffix(".md") if shown else f"docs/{uri}"
 
     def led(match: re.Match[str]) -> str:
-        path = _outside(page.file.src_uri, match[1])
-        if path is None:
-            return match[1]
-        return relpath(_page_of(path), str(PurePosixPath(page.file.src_uri).parent))
+        target = _target(path, match[1])
+        stays = target is None or (target.startswith("docs/") and not shown)
+        return match[1] if stays else relpath(_page_of(target), dirname(uri))
 
-    if page.file.src_uri == "reference.md":
+    if uri == "reference.md":
         markdown += _public_names()
     return LINK.sub(led, markdown)
 
 
-def _outside(src_uri: str, link: str) -> str | None:
-    """The path in the repository of what a page links to outside docs/, if it is there."""
-    path = normpath(f"docs/{PurePosixPath(src_uri).parent}/{link}")
-    there = not path.startswith(("docs/", "..")) and (ROOT / path).exists()
-    return path if there else None
-
-
-def _children(path: str) -> list[str]:
-    """The files of a folder; none of a file."""
-    folder = ROOT / path
-    return [str(p.relative_to(ROOT)) for p in folder.glob("*") if p.is_file()]
+def _target(path: str, link: str) -> str | None:
+    """The path in the repository of what a file links to, if it is there."""
+    # A folder's links are those of its page.
+    folder = path if (ROOT / path).is_dir() else dirname(path)
+    target = normpath(f"{folder}/{link}" if folder else link)
+    return target if not target.startswith("..") and (ROOT / target).exists() else None
 
 
 def _page_of(path: str) -> str:
-    return f"files/{path}.md"
+    return path.removeprefix("docs/") if path.startswith("docs/") else f"files/{path}.md"
 
 
-def _shown(path: str) -> str:
+def _content(path: str) -> str:
     """A file as a page: a notebook as its cells, all else as it stands; a folder as a list."""
     file = ROOT / path
     if file.is_dir():
-        lines = [f"- [{PurePosixPath(p).name}]({file.name}/{PurePosixPath(p).name}.md)"
-                 for p in sorted(_children(path))]  # fmt: skip
-        return f"# {path}\n\n" + "\n".join(lines) + "\n"
+        names = sorted(p.name for p in file.iterdir() if p.name != "__pycache__")
+        return f"# {path}\n\n" + "".join(f"- [{name}]({name})\n" for name in names)
+    text = file.read_text()
+    if file.suffix == ".md":
+        return text
     if file.suffix == ".ipynb":
-        return _notebook(file)
-    return f"# {path}\n\n" + _fenced(file.read_text(), LANGUAGES.get(file.suffix, "text"))
+        return _notebook(text)
+    return f"# {path}\n\n" + _fenced(text, LANGUAGES.get(file.suffix, "text"))
 
 
-def _notebook(file: Path) -> str:
-    cells = json.loads(file.read_text())["cells"]
-    texts = ("".join(cell["source"]) for cell in cells)
+def _notebook(text: str) -> str:
+    cells = [(cell["cell_type"], "".join(cell["source"])) for cell in json.loads(text)["cells"]]
     return "\n\n".join(
-        _fenced(text, "python") if cell["cell_type"] == "code" else text
-        for cell, text in zip(cells, texts, strict=True)
+        _fenced(source, "python") if kind == "code" else source for kind, source in cells
     )
 
 

@@ -33,7 +33,7 @@ def test_a_notebook_runs_and_says_what_it_should(path: Path, tmp_path: Path) -> 
     for words in SAYS[path.stem]:
         assert words in printed[at:], printed
         at = printed.index(words, at) + len(words)
-    if any("result" == cell.source for cell in book.cells):
+    if any(cell.source == "result" for cell in book.cells):
         assert any("image/png" in out.get("data", {}) for out in outputs)
 
 
