@@ -1,7 +1,7 @@
 """What the site shows beside docs/: the files that its pages link to, and the public names.
 
 A page names a file of the repository by its path, as editors and hosting sites follow it. Such a
-file becomes a page of its own, files/PATH.md; a link to a file that there is not stays as it is, and
+file becomes a page of its own, files/PATH.md; a link to what is not there stays as it is, and
 fails the build.
 """
 
@@ -54,7 +54,7 @@ def on_page_markdown(markdown: str, *, page: Page, config: MkDocsConfig, files: 
         return match[1] if stays else relpath(_page_of(target), dirname(uri))
 
     if uri == "reference.md":
-        markdown += _public_names()
+        markdown += public_names()
     return LINK.sub(led, markdown)
 
 
@@ -95,7 +95,7 @@ def _fenced(text: str, language: str) -> str:
     return f"````{language}\n{text.rstrip()}\n````\n"
 
 
-def _public_names() -> str:
+def public_names() -> str:
     """The sections of docs/api.md, each name replaced by its docstring."""
     text = (ROOT / "docs" / "api.md").read_text()
     _, *sections = re.split(r"^(?=## )", text, flags=re.MULTILINE)

@@ -8,10 +8,14 @@ import shlex
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
+import docs_hooks
 import pytest
 from tests import optional
 
+import momapos
 from momapos.cli.main import main
 
 REPOSITORY = Path(__file__).parents[2]
@@ -83,3 +87,28 @@ def test_the_results_name_benchmarks_that_there_are() -> None:
     scripts = re.findall(r"python (benchmarks/\w+\.py)", (DOCS / "results.md").read_text())
     assert len(scripts) > 10
     assert [script for script in scripts if not (REPOSITORY / script).exists()] == []
+
+
+def test_the_site_documents_every_public_name() -> None:
+    shown = re.findall(r"^::: momapos\.(\w+)$", docs_hooks.public_names(), re.MULTILINE)
+    assert sorted(shown) == sorted(momapos.__all__)
+
+
+@pytest.mark.parametrize(
+    ("uri", "link", "led"),
+    [
+        ("api.md", "../examples", "files/examples.md"),
+        ("howto/x.md", "../../CONTRIBUTING.md", "../files/CONTRIBUTING.md.md"),
+        ("howto/x.md", "../tasks.md", "../tasks.md"),
+        ("files/CONTRIBUTING.md.md", "docs/api.md", "../api.md"),
+        ("files/examples.md", "07_rank.py", "examples/07_rank.py.md"),
+        ("x.md", "../no_such_file.py", "../no_such_file.py"),
+        ("x.md", "../../outside", "../../outside"),
+        ("x.md", "https://example.org/a", "https://example.org/a"),
+    ],
+)
+def test_a_link_leads_to_the_page_of_what_it_names(uri: str, link: str, led: str) -> None:
+    page: Any = SimpleNamespace(file=SimpleNamespace(src_uri=uri))
+    nothing: Any = None
+    markdown = docs_hooks.on_page_markdown(f"[a]({link})", page=page, config=nothing, files=nothing)
+    assert markdown == f"[a]({led})"
