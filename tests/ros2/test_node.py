@@ -173,6 +173,25 @@ def test_the_service_gives_the_answer_of_the_library(ros: SimpleNamespace) -> No
         )
 
 
+def test_a_request_says_where_the_base_is_and_how_far_the_part_goes(ros: SimpleNamespace) -> None:
+    from geometry_msgs.msg import PoseStamped
+
+    start = PoseStamped()
+    start.pose.position.x, start.pose.position.y = 2.0, -1.7
+    start.pose.orientation.z, start.pose.orientation.w = np.sin(0.4), np.cos(0.4)
+    told = wait(ros.service.call_async(ros.request(**QUESTION, to="20cm", start=[start])))
+    assert told.status == "solved", told.message
+    first = told.path.poses[0].pose
+    assert (first.position.x, first.position.y) == pytest.approx((2.0, -1.7))
+    assert first.orientation.z == pytest.approx(np.sin(0.4))
+    scene, robot = momapos.load_scene(QUESTION["scene"]), momapos.load_robot(QUESTION["robot"])
+    task = momapos.make_task(scene, "open", *QUESTION["target"].split("/"), "20cm")
+    plan = momapos.plan_base_placement(scene, robot, task, start=np.array([2.0, -1.7, 0.8])).plan
+    assert plan.motion is not None
+    last = told.trajectories[-1].points[-1].positions
+    np.testing.assert_allclose(last, plan.motion.q[-1], atol=1e-6)
+
+
 def test_the_service_says_why_not(ros: SimpleNamespace) -> None:
     low = {**QUESTION, "target": "cabinet_right/drawer_bottom_slide"}
     told = wait(ros.service.call_async(ros.request(**low)))
