@@ -12,7 +12,7 @@ import pytest
 from tests.rooms import Everywhere
 
 from momapos.config import PipelineConfig
-from momapos.errors import InputError, TaskError, UnknownNameError
+from momapos.errors import InputError, SceneError, TaskError, UnknownNameError
 from momapos.integrations.pddlstream import STREAM, GenFn, placement_stream
 from momapos.integrations.pycram import PlacementBackend
 from momapos.manipulation.config import GraspConfig
@@ -83,6 +83,8 @@ def test_the_pose_of_a_part_is_where_it_stands(kitchen: Scene, robot: Robot) -> 
     assert half.plan.motion.object_q[0] == pytest.approx(0.2)
     with pytest.raises(InputError, match="one number"):
         next(stream(kitchen, robot)(DRAWER, np.eye(4), None))
+    with pytest.raises(SceneError, match="outside its limits"):
+        next(stream(kitchen, robot)(DRAWER, 7.0, None))
 
 
 def test_the_pose_of_a_thing_is_where_it_is_taken(kitchen: Scene, robot: Robot) -> None:
@@ -104,6 +106,8 @@ def test_the_pose_of_a_thing_is_where_it_is_taken(kitchen: Scene, robot: Robot) 
     assert moved.plan.scene == "kitchen_small with cereal_box moved"
     with pytest.raises(InputError, match="4 x 4"):
         next(picks("cereal_box", 1.0, None))
+    with pytest.raises(InputError, match="cereal_box: the pose is not a rigid transform"):
+        next(picks("cereal_box", 2.0 * T, None))
 
 
 def test_a_grasp_is_the_ways_of_holding_that_are_used(kitchen: Scene, robot: Robot) -> None:

@@ -22,6 +22,7 @@ from momapos.manipulation.tasks import make_task
 from momapos.placements import DEFAULT, iter_placements
 from momapos.protocols import ReachScorer
 from momapos.robots.robot import Robot
+from momapos.scan_io.validation import rigid_pose
 from momapos.scene.scene import Scene
 from momapos.trajectory import TimedTrajectory, time_plan
 from momapos.types import ANYWHERE, BaseRegion, PlacementPlan, Verb
@@ -136,6 +137,10 @@ def _moved(scene: Scene, name: str, joint: str, pose: Float[np.ndarray, "4 4"] |
     T = np.array(pose, float)
     if T.shape != (4, 4):
         raise InputError(f"{name}: the pose of an object is T_world_object, 4 x 4, not {T.shape}")
+    try:
+        T = rigid_pose(T)
+    except ValueError as error:
+        raise InputError(f"{name}: {error}") from None
     target = scene.object(name)
     objects = (replace(o, T_world_object=T) if o is target else o for o in scene.objects)
     name = f"{scene.name} with {name} moved"
