@@ -79,8 +79,11 @@ class Robot:
         from control_msgs.action import GripperCommand
 
         self.goals.append(handle.request)
-        handle.succeed()
-        return GripperCommand.Result(reached_goal=True)
+        if handle.request.command.position > 0:
+            handle.succeed()
+            return GripperCommand.Result(reached_goal=True)
+        handle.abort()  # as controllers do whose fingers meet the handle before they are closed
+        return GripperCommand.Result(stalled=True)
 
 
 @pytest.fixture(scope="module")
@@ -266,6 +269,7 @@ def test_a_task_that_is_canceled_stops_the_base(ros: SimpleNamespace) -> None:
     ros.robot.drives.clear()
     sent = wait(ros.action.send_goal_async(ros.goal(**QUESTION)))
     assert ros.robot.drives.wait(PATIENCE)
+    assert not wait(ros.action.send_goal_async(ros.goal(**QUESTION))).accepted  # one at a time
     wait(sent.cancel_goal_async())
     ended = wait(sent.get_result_async())
     ros.robot.stuck = False

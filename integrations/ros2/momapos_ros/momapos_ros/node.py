@@ -16,7 +16,7 @@ from control_msgs.action import FollowJointTrajectory, GripperCommand
 from momapos_interfaces.action import DoTask
 from momapos_interfaces.srv import PlanBasePlacement
 from nav2_msgs.action import NavigateToPose
-from rclpy.action import ActionClient, ActionServer, CancelResponse
+from rclpy.action import ActionClient, ActionServer, CancelResponse, GoalResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.node import Node
@@ -53,7 +53,7 @@ class MomaposNode(Node):
         for name, value in PARAMETERS.items():
             self.declare_parameter(name, value)
         group = ReentrantCallbackGroup()
-        self._planning = Lock()
+        self._planning, self._moving = Lock(), Lock()
         self._running: Any = None  # the goal handle of the step that runs
         self._actions = {
             action: ActionClient(self, kind, self._value(parameter), callback_group=group)
@@ -63,8 +63,9 @@ class MomaposNode(Node):
             PlanBasePlacement, "plan_base_placement", self._plan, callback_group=group
         )
         self._server = ActionServer(
-            self, DoTask, "do_task", self._do, cancel_callback=self._cancel, callback_group=group
-        )
+            self, DoTask, "do_task", self._do, goal_callback=self._accept,
+            cancel_callback=self._cancel, callback_group=group,
+        )  # fmt: skip
 
     def _value(self, parameter: str) -> Any:
         return self.get_parameter(parameter).value
@@ -103,6 +104,11 @@ class MomaposNode(Node):
             | ({"path": paths[0]} if paths else {}),
         )
 
+    def _accept(self, _: Any) -> GoalResponse:
+        """Accept a goal, unless the robot is at work; `_do` releases it."""
+        free = self._moving.acquire(blocking=False)
+        return GoalResponse.ACCEPT if free else GoalResponse.REJECT
+
     def _cancel(self, _: Any) -> CancelResponse:
         if self._running is not None:
             self._running.cancel_goal_async()
@@ -120,6 +126,8 @@ class MomaposNode(Node):
             else:
                 handle.abort()
             return result
+        finally:
+            self._moving.release()
         result.done, result.message = True, "done"
         fill(result, {"base_pose": base_pose})
         handle.succeed()
@@ -179,6 +187,9 @@ class MomaposNode(Node):
             self._running = None
         if handle.is_cancel_requested:
             raise StepError("canceled")
+        closing = step["goal"].get("command", {}).get("position") == 0.0
+        if closing and ended.result.stalled:
+            return  # the fingers met what they hold before they were closed
         why = getattr(ended.result, "error_string", "") or getattr(ended.result, "error_msg", "")
         if ended.status != GoalStatus.STATUS_SUCCEEDED:
             raise StepError(f"{name} failed: {why or f'status {ended.status}'}")
