@@ -2,10 +2,10 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-CODE := src tests benchmarks examples training
+CODE := src tests benchmarks examples training integrations docs_hooks.py
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: demo test check bench torch test-shapes test-torch test-slow test-wheel test-film test-page clean
+.PHONY: demo test check bench docs torch test-shapes test-torch test-slow test-wheel test-ros test-film test-page clean
 
 $(VENV)/.core: pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit("Python 3.11 or later is needed; set PYTHON=...") if sys.version_info < (3, 11) else None'
@@ -19,6 +19,23 @@ $(VENV)/.dev: $(VENV)/.core
 
 $(VENV)/.torch: $(VENV)/.dev
 	$(INSTALL) torch==2.13.0 'onnx>=1.16'
+	touch $@
+
+$(VENV)/.docs: $(VENV)/.core
+	$(INSTALL) --editable '.[docs]'
+	touch $@
+
+# rclpy from wheels, which re-execute Python with libraries of their own: an environment apart, which
+# sees the packages of ours. Where there are no wheels for this Python, the tests say so.
+ROS := $(VENV)/ros
+ROS_WHEELS := $(addprefix ros-,action-msgs geometry-msgs nav-msgs std-msgs trajectory-msgs rosidl-adapter \
+	rosidl-generator-c rosidl-generator-py rosidl-typesupport-c rosidl-typesupport-fastrtps-c)
+ROS_PACKAGES := integrations/ros2/momapos_interfaces tests/ros2/stand_ins/nav2_msgs tests/ros2/stand_ins/control_msgs
+$(ROS)/.ready: $(VENV)/.dev tests/ros2/build_interfaces.py $(shell find $(ROS_PACKAGES) -type f)
+	$(PYTHON) -m venv --clear $(ROS)
+	if $(ROS)/bin/python -m pip install --quiet --disable-pip-version-check 'ros-rclpy[fastrtps]' $(ROS_WHEELS); \
+	then $(ROS)/bin/python tests/ros2/build_interfaces.py $(ROS)/interfaces $(ROS_PACKAGES); \
+	else echo "there are no wheels of rclpy for this Python"; fi
 	touch $@
 
 demo: $(VENV)/.core
@@ -45,16 +62,23 @@ test-torch: $(VENV)/.torch
 	$(BIN)/pytest $(shell grep -lE '"torch"' $(shell find tests -name 'test_*.py' ! -name test_optional.py))
 
 test-slow: $(VENV)/.dev
-	MOMAPOS_SLOW=1 $(BIN)/pytest --dist load tests/scene/test_kitchens.py
+	MOMAPOS_SLOW=1 $(BIN)/pytest --dist load tests/scene/test_kitchens.py tests/docs
 
 test-wheel: $(VENV)/.dev
 	MOMAPOS_WHEEL=1 $(BIN)/pytest tests/packaging/test_wheel.py
+
+test-ros: $(ROS)/.ready
+	AMENT_PREFIX_PATH=$(abspath $(ROS)) PYTHONPATH=$(ROS)/interfaces:integrations/ros2/momapos_ros:src:$(shell $(BIN)/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))') \
+		$(ROS)/bin/python -m pytest -n 0 tests/ros2
 
 test-film: $(VENV)/.dev
 	$(BIN)/pytest tests/execution/test_film.py
 
 test-page: $(VENV)/.dev
 	$(BIN)/pytest tests/page
+
+docs: $(VENV)/.docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build
 
 bench: $(VENV)/.dev
 	$(BIN)/python benchmarks/run.py

@@ -77,7 +77,10 @@ def solve_scan(
         arms: The robot once for each arm that may do it, with its reachability map.
         task: What is to be done.
         out: The scene file to write, see `scan_to_scene`.
-        tools, found, labels, given: As for `scan_to_scene`.
+        tools: As for `scan_to_scene`, as are the next three.
+        found: What a 2-D detector found in the images; projected boxes by default.
+        labels: What things are, by the names that they have without this.
+        given: URDF files for objects by name or label, which need no prediction.
         scanning: How the scan becomes a scene; importance is configured by `config`.
         config: How to rank and to search.
         seed: Same seed, same answer.

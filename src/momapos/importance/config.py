@@ -44,9 +44,9 @@ class ImportanceConfig:
     the target; size: large for its distance from the target; names: by words alone. None: deepwalk
     for the paper's method of placement, else reach."""
     alpha: float = 0.45
-    """Objects with a score of at least this are in S, in [0, 1] [-]."""
+    """Objects with a score of at least this are in S, from 0 to 1 [-]."""
     k0: float = 0.5
-    """Weight of distance against size in the walks, in [0, 1] [-]."""
+    """Weight of distance against size in the walks, from 0 to 1 [-]."""
     weights: Optional[WeightsName] = None  # noqa: UP045 (see cli.options)
     """Weights of the walks. printed: k0 / distance + (1 - k0) size in meters, as the paper has it;
     scaled: both terms in (0, 1]. None: printed for the paper's method of placement, else scaled."""

@@ -183,7 +183,8 @@ class ReachMap:
 
         Args:
             T_world_tool: Tool pose in the world frame.
-            xs, ys: Coordinates of the bases [m].
+            xs: Coordinates of the bases along x [m].
+            ys: Likewise along y [m].
         """
         line = self.lines(T_world_tool)
         xs, ys = np.ascontiguousarray(xs, float), np.ascontiguousarray(ys, float)

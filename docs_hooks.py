@@ -1,0 +1,105 @@
+"""What the site shows beside docs/: the files that its pages link to, and the public names.
+
+A page names a file of the repository by its path, as editors and hosting sites follow it. Such a
+file becomes a page of its own, files/PATH.md; a link to what is not there stays as it is, and
+fails the build.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from posixpath import dirname, normpath, relpath
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from mkdocs.config.defaults import MkDocsConfig
+    from mkdocs.structure.files import Files
+    from mkdocs.structure.pages import Page
+
+ROOT = Path(__file__).parent
+LINK = re.compile(r"(?<=\]\()([^)#\s:]+)(?=[)#])")
+"""The target of a link within the repository, without its anchor."""
+PUBLIC_NAME = re.compile(r"^\| `(\w+)[^|]*\|.*$", re.MULTILINE)
+LANGUAGES = {".py": "python", ".toml": "toml", ".urdf": "xml", ".xml": "xml"}
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """Add a page for every file and folder outside docs/ that a page links to."""
+    from mkdocs.structure.files import File
+
+    texts = [(f"docs/{file.src_uri}", file.content_string) for file in files.documentation_pages()]
+    shown: set[str] = set()
+    while texts:
+        path, text = texts.pop()
+        for target in {_target(path, link) for link in LINK.findall(text)} - {None, *shown}:
+            if target.startswith("docs"):
+                continue
+            shown.add(target)
+            texts.append((target, _content(target)))
+            files.append(File.generated(config, _page_of(target), content=texts[-1][1]))
+    return files
+
+
+def on_page_markdown(markdown: str, *, page: Page, config: MkDocsConfig, files: Files) -> str:  # noqa: ARG001
+    """Lead links that leave docs/ to those pages, and list the public names on theirs."""
+    uri = page.file.src_uri
+    shown = uri.startswith("files/")
+    path = uri.removeprefix("files/").removesuffix(".md") if shown else f"docs/{uri}"
+
+    def led(match: re.Match[str]) -> str:
+        target = _target(path, match[1])
+        stays = target is None or (target.startswith("docs/") and not shown)
+        return match[1] if stays else relpath(_page_of(target), dirname(uri))
+
+    if uri == "reference.md":
+        markdown += public_names()
+    return LINK.sub(led, markdown)
+
+
+def _target(path: str, link: str) -> str | None:
+    """The path in the repository of what a file links to, if it is there."""
+    # A folder's links are those of its page.
+    folder = path if (ROOT / path).is_dir() else dirname(path)
+    target = normpath(f"{folder}/{link}" if folder else link)
+    return target if not target.startswith("..") and (ROOT / target).exists() else None
+
+
+def _page_of(path: str) -> str:
+    return path.removeprefix("docs/") if path.startswith("docs/") else f"files/{path}.md"
+
+
+def _content(path: str) -> str:
+    """A file as a page: a notebook as its cells, all else as it stands; a folder as a list."""
+    file = ROOT / path
+    if file.is_dir():
+        names = sorted(p.name for p in file.iterdir() if p.name != "__pycache__")
+        return f"# {path}\n\n" + "".join(f"- [{name}]({name})\n" for name in names)
+    text = file.read_text()
+    if file.suffix == ".md":
+        return text
+    if file.suffix == ".ipynb":
+        return _notebook(text)
+    return f"# {path}\n\n" + _fenced(text, LANGUAGES.get(file.suffix, "text"))
+
+
+def _notebook(text: str) -> str:
+    cells = [(cell["cell_type"], "".join(cell["source"])) for cell in json.loads(text)["cells"]]
+    return "\n\n".join(
+        _fenced(source, "python") if kind == "code" else source for kind, source in cells
+    )
+
+
+def _fenced(text: str, language: str) -> str:
+    return f"````{language}\n{text.rstrip()}\n````\n"
+
+
+def public_names() -> str:
+    """The sections of docs/api.md, each name replaced by its docstring."""
+    text = (ROOT / "docs" / "api.md").read_text()
+    _, *sections = re.split(r"^(?=## )", text, flags=re.MULTILINE)
+    listed = ((part.partition("\n")[0], PUBLIC_NAME.findall(part)) for part in sections)
+    return "\n\n".join(
+        "\n\n".join([title, *(f"::: momapos.{name}" for name in names)]) for title, names in listed
+    )

@@ -1,0 +1,1 @@
+"""momapos as a ROS 2 node."""

@@ -1,0 +1,114 @@
+"""Answers for the node: scenes, robots and maps are loaded once; nothing of ROS is known here."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+import momapos
+from momapos.errors import TaskError
+from momapos.export.phases import Phase, PhaseKind, phases_of
+from momapos.export.ros2 import messages
+
+scene_of = cache(momapos.load_scene)
+robot_of = cache(momapos.load_robot)
+Pose = tuple[float, float, float]
+"""x [m], y [m], yaw [rad] on the floor."""
+
+
+@cache
+def map_of(robot: str) -> momapos.ReachMap:
+    """A robot's reachability map; one that is not shipped is built at the first use."""
+    return momapos.load_reach_map(robot_of(robot))
+
+
+@dataclass(frozen=True)
+class Question:
+    """What a request asks, see PlanBasePlacement."""
+
+    scene: str
+    robot: str
+    verb: str
+    target: str
+    to: str = ""
+    start: Pose | None = None
+
+
+@dataclass(frozen=True)
+class Answer:
+    """A plan, and what it is for."""
+
+    plan: momapos.PlacementPlan
+    question: Question
+
+    @property
+    def phases(self) -> tuple[Phase, ...]:
+        """Of a solved plan."""
+        return phases_of(self.plan, robot_of(self.question.robot))
+
+    def messages(self, frame: str) -> dict[str, Any]:
+        """Of a solved plan, as momapos' export names them."""
+        return messages(self.plan, self.phases, robot_of(self.question.robot), frame)
+
+    @property
+    def message(self) -> str:
+        """One line for people."""
+        where, count = self.plan.base_pose, self.plan.candidates
+        if where is not None:
+            return f"stand at x {where[0]:.3f} m, y {where[1]:.3f} m, yaw {where[2]:.3f} rad"
+        worst = sorted(count.rejections.items(), key=lambda item: -item[1])[:3]
+        reasons = ", ".join(f"{number} x {reason}" for reason, number in worst)
+        return f"{self.plan.status}: {reasons or 'no base pose was sampled'}"
+
+
+def task_of(question: Question) -> momapos.Task:
+    """The task of a question.
+
+    Raises:
+        MomaposError: The request makes no sense in this scene.
+    """
+    name, _, joint = question.target.partition("/")
+    return momapos.make_task(
+        scene_of(question.scene), question.verb, name, joint or None, question.to or None
+    )
+
+
+def answer(question: Question, timeout: float) -> Answer:
+    """Where to stand, and how to move.
+
+    Raises:
+        MomaposError: Scene, robot or task cannot be used.
+    """
+    scene, robot = scene_of(question.scene), robot_of(question.robot)
+    result = momapos.plan_base_placement(
+        scene, robot, task_of(question), map_of(question.robot),
+        start=None if question.start is None else np.array(question.start),
+        config=momapos.PipelineConfig(timeout=timeout),
+    )  # fmt: skip
+    return Answer(result.plan, question)
+
+
+def answer_at(given: Answer, reached: Pose) -> Answer:
+    """The same answer with the arm's motion planned anew for where the base is.
+
+    Raises:
+        TaskError: There is no motion from there; the message says why.
+    """
+    question = given.question
+    scene, robot = scene_of(question.scene), robot_of(question.robot)
+    attempt = momapos.check_base_pose(
+        scene, robot, task_of(question), reached, map_of(question.robot), how_far=False
+    )
+    if attempt.motion is None:
+        x, y, yaw = reached
+        raise TaskError(f"no motion from ({x:.3f}, {y:.3f}, {yaw:.3f}): {attempt.reason}")
+    plan = replace(given.plan, base_pose=reached, motion=attempt.motion, base_path=None)
+    return Answer(plan, question)
+
+
+def kinds(given: Answer) -> list[str]:
+    """What a solved plan does after the drive, phase by phase."""
+    return [str(phase.kind) for phase in given.phases if phase.kind is not PhaseKind.DRIVE]

@@ -1,0 +1,60 @@
+"""What strangers read beside the code says the same as the code."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+import momapos
+
+REPOSITORY = Path(__file__).parents[2]
+WORKFLOWS = sorted((REPOSITORY / ".github" / "workflows").glob("*.yml"))
+PROJECT: dict[str, Any] = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]
+
+
+def targets() -> set[str]:
+    return set(re.findall(r"^([a-z-]+):", (REPOSITORY / "Makefile").read_text(), re.MULTILINE))
+
+
+def test_all_files_tell_one_version() -> None:
+    citation = yaml.safe_load((REPOSITORY / "CITATION.cff").read_text())
+    ros = REPOSITORY / "integrations" / "ros2"
+    told = [
+        re.search(r"<version>(.*)</version>", path.read_text())[1]  # type: ignore[index]
+        for path in ros.glob("*/package.xml")
+    ]
+    told += re.findall(r'version="(.*)"', (ros / "momapos_ros" / "setup.py").read_text())
+    assert len(told) == 3
+    assert {*told, str(citation["version"]), PROJECT["version"]} == {momapos.__version__}
+    assert citation["license"] == PROJECT["license"]
+
+
+@pytest.mark.parametrize("path", WORKFLOWS, ids=lambda path: path.stem)
+def test_a_workflow_calls_targets_that_there_are(path: Path) -> None:
+    jobs = yaml.safe_load(path.read_text())["jobs"]
+    commands = [step["run"] for job in jobs.values() for step in job["steps"] if "run" in step]
+    called = [m for command in commands for m in re.findall(r"make ([a-z-]+)", command)]
+    assert called
+    assert set(called) <= targets()
+
+
+def test_workflows_run_the_versions_of_python_that_are_promised() -> None:
+    promised = {
+        words.rpartition(" ")[2] for words in PROJECT["classifiers"] if "Python :: 3." in words
+    }
+    assert f">={min(promised, key=lambda v: int(v[2:]))}" == PROJECT["requires-python"]
+    for path in WORKFLOWS:
+        jobs = yaml.safe_load(path.read_text())["jobs"].values()
+        matrices = [job.get("strategy", {}).get("matrix", {}) for job in jobs]
+        tested = {version for matrix in matrices for version in matrix.get("python", [])}
+        assert tested == promised, path
+
+
+def test_an_image_has_extras_that_there_are() -> None:
+    (extras,) = re.findall(r"/source\[(.*)\]", (REPOSITORY / "Dockerfile").read_text())
+    assert set(extras.split(",")) <= set(PROJECT["optional-dependencies"])
