@@ -9,7 +9,7 @@ import pytest
 from jaxtyping import Bool, Float, Int
 
 from momapos.outcomes import PoseOutcome, PoseStatus
-from momapos.placement.area import PlacementGeometry
+from momapos.placement.area import PlacementGeometry, clear_of_sweep
 from momapos.placement.config import Method, PlaceConfig
 from momapos.placement.holding import ways_of_holding
 from momapos.placement.place import search
@@ -124,8 +124,30 @@ def test_looking_at_more_candidates_never_makes_the_answer_dearer(
 ) -> None:
     costs = [find(geometry, always, always, together=n, improve=0).cost for n in (1, 2, 8, 32)]
     assert costs == sorted(costs, reverse=True)
-    improved = find(geometry, always, always, together=1, improve=16).cost
-    assert improved <= costs[0]
+    steps = [
+        find(geometry, always, always, together=1, improve=n, count=32).cost for n in (0, 1, 2, 4)
+    ]
+    assert steps == sorted(steps, reverse=True)
+    assert steps[-1] < steps[0] - 0.05
+
+
+def test_a_base_keeps_room_from_what_sweeps_past_it_where_it_can(
+    geometry: PlacementGeometry,
+) -> None:
+    room = 0.5
+
+    def close(kept: float) -> int:
+        answers = [
+            find(geometry, always, always, seed=seed, count=64, sweep_room=kept).base
+            for seed in range(8)
+        ]
+        return sum(
+            not clear_of_sweep(geometry, base[None], room)[0]
+            for base in answers
+            if base is not None
+        )
+
+    assert close(room) == 0 < close(0.0)
 
 
 def test_where_a_path_cannot_be_completed_the_next_is_tried(geometry: PlacementGeometry) -> None:
