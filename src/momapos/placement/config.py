@@ -40,7 +40,7 @@ class PlaceConfig:
     looks: int = 3
     """Base poses whose margin is looked at, until one has all of it; the one with most of it is
     taken (ours); 0: the first that works [-]."""
-    sweep_room: float = 0.05
+    sweep_room: float = 0.1
     """What the moving part should pass the base by, where it can: joints are not quite where they
     are modeled (ours) [m]."""
     miss: float = 2.0
