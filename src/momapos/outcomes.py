@@ -33,6 +33,7 @@ class PoseStatus(Enum):
     NO_CONTINUOUS_PATH = "no continuous branch"
     NO_APPROACH = "no approach from home found within the arm planner's time"
     EXACT_CHECK = "exact check: {detail}"
+    LITTLE_ROOM = "not everywhere within {detail} of it"
 
 
 _SUMMARY = {

@@ -21,6 +21,7 @@ from momapos.protocols import ReachScorer
 from momapos.query import PlacementQuery
 from momapos.reachability.map import ReachMap
 from momapos.regrasp import TwoHolds, every_two_holds
+from momapos.robust import RobustChecks
 from momapos.scene.scene import Scene
 from momapos.types import ArmPathResult, Attempt
 
@@ -40,6 +41,8 @@ class ReadySearch:
     problem: Problem
     """One hold, or one hand that turns about a bar."""
     drives: Drives
+    robust: RobustChecks | None
+    """What asks for room around base poses, where that is asked for."""
 
     def two_holds(self) -> Iterator[TwoHolds]:
         """The task in two holds, for each value at which the hand may let go."""
@@ -51,12 +54,14 @@ class ReadySearch:
 
     def in_two_holds(self, two: TwoHolds) -> Problem:
         """The same problem, to be done in two holds."""
-        return replace(two.problem(self.problem), attempt=self.drives.drivable(two))
+        return replace(two.problem(self.problem), attempt=_accepted(two, self.drives, self.robust))
 
     def result(self, found: Search) -> PlacementResult:
         """The answer that a search leads to."""
         start = self.problem.start
         plan = plan_of(self.query, found, start, self.drives.path(found.base))
+        if self.robust is not None and plan.motion is not None:
+            plan = replace(plan, tolerance=self.robust.tolerance)
         return PlacementResult(plan, self.prepared, found, start)
 
 
@@ -120,13 +125,15 @@ def ready_search(query: PlacementQuery, modeled: Scene, motion: TaskMotion) -> R
 
     feasible = prepared.feasibility(config, query.seed, out_of_time=out_of_time, watch=watch)
     drives = Drives(query, start)
+    asked = config.place.robust > 0.0 or config.place.robust_turn > 0.0
+    robust = RobustChecks(query) if asked else None
     problem = Problem(
         geometry=prepared.geometry,
         reach=query.reach,
         grid_reach=_in_doubt(query.reach),
         ways=prepared.ways,
         travel_cost=travel_cost,
-        attempt=drives.drivable(feasible),
+        attempt=_accepted(feasible, drives, robust),
         screen=feasible.screen,
         infeasible_reason=infeasible_reason,
         start=start,
@@ -135,7 +142,13 @@ def ready_search(query: PlacementQuery, modeled: Scene, motion: TaskMotion) -> R
         region=query.region,
         fit=None if robot.chain.size >= FULL else partial(fitted_bases, robot, prepared.motion),
     )
-    return ReadySearch(query, prepared, problem, drives)
+    return ReadySearch(query, prepared, problem, drives, robust)
+
+
+def _accepted(check: AttemptPose, drives: Drives, robust: RobustChecks | None) -> AttemptPose:
+    """A check that asks for a way to the base pose as well, and for room around it."""
+    drivable = drives.drivable(check)
+    return drivable if robust is None else robust.around(drivable)
 
 
 def _in_doubt(reach: ReachScorer) -> ReachScorer:

@@ -79,7 +79,7 @@ def placement_tolerance(
 
     def holds(radius: float) -> bool:
         scale = radius * np.array([1.0, 1.0, TURN])
-        return all(checks(base + offset * scale).motion is not None for offset in offsets)
+        return works_around(checks, base, offsets * scale)
 
     known, beyond = 0, len(RADII) + 1  # discs that hold, counted from 1; the first that does not
     while beyond - known > 1:
@@ -90,6 +90,13 @@ def placement_tolerance(
             beyond = middle
     radius = 0.0 if known == 0 else RADII[known - 1]
     return Tolerance(radius, radius * TURN, samples)
+
+
+def works_around(
+    checks: BasePoseChecks, base: Float[np.ndarray, "3"], offsets: Float[np.ndarray, "n 3"]
+) -> bool:
+    """Whether the motion is found from a base pose at all of some offsets [m], [m], [rad]."""
+    return all(checks(base + offset).motion is not None for offset in offsets)
 
 
 def unit_offsets(count: int, rng: np.random.Generator) -> Float[np.ndarray, "n 3"]:

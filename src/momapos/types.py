@@ -333,6 +333,9 @@ class Tolerance:
     samples: int
     """Poses in it from which the motion was planned anew; it was found from all of them [-]."""
 
+    def __str__(self) -> str:
+        return f"{100 * self.radius:g} cm and {np.degrees(self.turn):.3g} deg"
+
     @property
     def at_least(self) -> float:
         """Share of the disc from which it is found, at a confidence of 95 % [-]."""

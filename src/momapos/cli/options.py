@@ -22,6 +22,7 @@ Target = Annotated[str, arg(metavar="OBJECT[/JOINT]")]
 Thing = Annotated[str, arg(metavar="OBJECT")]
 PoseArg = Annotated[OptionalText, arg(metavar="X,Y,YAW")]
 ValueArg = Annotated[OptionalText, arg(metavar="VALUE")]
+RoomArg = Annotated[OptionalText, arg(metavar="LENGTH,ANGLE")]
 BoxArg = Annotated[OptionalText, arg(metavar="LxWxH")]
 if TYPE_CHECKING:
     JointsArg = tuple[str, ...]

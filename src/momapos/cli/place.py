@@ -15,6 +15,7 @@ from momapos.cli.options import (
     JointsArg,
     OptionalPath,
     PoseArg,
+    RoomArg,
     Target,
     Thing,
     ValueArg,
@@ -68,6 +69,9 @@ class Options:
     """Longest drive, as 3m."""
     seed: int = 0
     """Same seed, same answer."""
+    robust: RoomArg = None
+    """Ask for a base pose beside which the robot may stand, too: so far away and turned so far to
+    either side, as 0.05m,3deg."""
     tolerance: bool = False
     """Say how far beside the base pose the robot may stand; takes 3 s and more."""
     out: OptionalPath = None
@@ -195,6 +199,25 @@ def read_region(options: Options, scene: Scene) -> BaseRegion:
     )
 
 
+def with_room(options: Options) -> PipelineConfig:
+    """The configuration, with the room around the base pose that --robust asks for.
+
+    Raises:
+        TaskError: It is no length and angle, or negative.
+    """
+    if options.robust is None:
+        return options.config
+    parts = options.robust.split(",")
+    if len(parts) != 2:
+        raise TaskError(f"--robust {options.robust!r} is not LENGTH,ANGLE; write it as 0.05m,3deg")
+    length, angle = (parse_quantity(part) for part in parts)
+    room, turn = length.length("--robust: length"), angle.angle("--robust: angle")
+    if not (0 <= room < math.inf and 0 <= turn < math.inf):
+        raise TaskError(f"--robust must be two numbers from 0 up, not {options.robust}")
+    place = replace(options.config.place, robust=room, robust_turn=math.degrees(turn))
+    return replace(options.config, place=place)
+
+
 def _answer(
     verb: str,
     scene_name: str,
@@ -207,7 +230,7 @@ def _answer(
         parse_quantity(to)
     start = None if options.start is None else parse_pose(options.start, "start")
     at = None if options.at is None else parse_pose(options.at, "--at")
-    config = options.config
+    config = with_room(options)
     check_outputs([options.out, options.plot, map_file])
     for picture in (options.plot, map_file):
         check_picture(picture)
@@ -239,6 +262,8 @@ def _answer(
     region = read_region(options, scene)
     if at is not None and region != ANYWHERE:
         raise TaskError("--at names the one base pose that is asked about; leave the areas out")
+    if at is not None and options.robust is not None:
+        raise TaskError("--at names the one base pose; ask for its --tolerance instead of --robust")
     walks = (*RANK, *WALKS) if config.ranking.scorer == "deepwalk" else ()
     compile_once(tuple(dict.fromkeys((*ANSWER, *walks))))
     arms = load_arms(options.robot, options.arm, cache=cache)

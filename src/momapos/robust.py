@@ -1,0 +1,57 @@
+"""Base poses beside which the robot may stand as well, by as much as was asked for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from momapos.base_pose import BasePoseChecks
+from momapos.outcomes import PoseOutcome, PoseStatus
+from momapos.placement.problem import AttemptPose
+from momapos.query import PlacementQuery
+from momapos.tolerance import SAMPLES, unit_offsets, works_around
+from momapos.types import ArmPathResult, Attempt, Tolerance
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
+
+
+@dataclass(frozen=True)
+class RobustChecks:
+    """Asks of a base pose with a motion whether the motion is found anew around it."""
+
+    query: PlacementQuery
+
+    @property
+    def tolerance(self) -> Tolerance:
+        """What is asked for."""
+        place = self.query.config.place
+        return Tolerance(place.robust, float(np.radians(place.robust_turn)), SAMPLES)
+
+    @cached_property
+    def _checks(self) -> BasePoseChecks:
+        return BasePoseChecks(self.query)
+
+    @cached_property
+    def _offsets(self) -> Float[np.ndarray, "n 3"]:
+        """Of the poses around one, the farthest first: there it fails most."""
+        asked = self.tolerance
+        unit = unit_offsets(asked.samples, np.random.default_rng(self.query.seed))
+        order = np.argsort(-np.abs(unit[:, 2]) - np.hypot(*unit[:, :2].T))
+        return unit[order] * np.array([asked.radius, asked.radius, asked.turn])
+
+    def around(self, check: AttemptPose) -> AttemptPose:
+        """A check that asks for the poses around as well."""
+
+        def attempt(
+            base: Float[np.ndarray, "3"], screened: ArmPathResult, ways: Int[np.ndarray, " k"]
+        ) -> Attempt:
+            found = check(base, screened, ways)
+            if found.motion is None or works_around(self._checks, base, self._offsets):
+                return found
+            return Attempt(None, PoseOutcome(PoseStatus.LITTLE_ROOM, str(self.tolerance)))
+
+        return attempt

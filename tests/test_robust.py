@@ -1,0 +1,78 @@
+"""Laws of base poses beside which the robot may stand as well."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from momapos.base_pose import BasePoseChecks
+from momapos.cli.main import main
+from momapos.config import PipelineConfig
+from momapos.manipulation.tasks import make_task
+from momapos.outcomes import PoseStatus
+from momapos.pipeline import plan_base_placement
+from momapos.placement.config import PlaceConfig
+from momapos.plans import read_plan
+from momapos.query import PlacementQuery
+from momapos.reachability.store import load_reach
+from momapos.robots.robot import load_robot
+from momapos.scene.files import load_scene
+from momapos.stopwatch import Stopwatch
+
+WORDS = ["place", "open", "kitchen_small", "cabinet_right/drawer_middle_slide"]
+SEGWAY = [*WORDS, "--robot", "segway_ur5e"]
+
+
+def test_the_motion_is_found_everywhere_within_what_was_asked_for(tmp_path: Path) -> None:
+    file = tmp_path / "plan.json"
+    assert main([*SEGWAY, "--robust", "3cm,2deg", "--out", str(file)]) == 0
+    plan = read_plan(file)
+    assert plan.tolerance is not None
+    assert plan.tolerance.radius == pytest.approx(0.03)
+    assert plan.tolerance.turn == pytest.approx(np.radians(2.0))
+    scene, robot = load_scene("kitchen_small"), load_robot("segway_ur5e")
+    task = make_task(scene, "open", "cabinet_right", "drawer_middle_slide")
+    query = PlacementQuery(
+        scene, robot, task, load_reach(robot, None), None, None, PipelineConfig(), 0,
+        Stopwatch(lambda: 0.0),
+    )  # fmt: skip
+    checks, rng = BasePoseChecks(query), np.random.default_rng(5)
+    assert plan.base_pose is not None
+    for angle in rng.uniform(-np.pi, np.pi, 12):
+        off = [0.03 * np.cos(angle), 0.03 * np.sin(angle), rng.choice([-1, 1]) * np.radians(2.0)]
+        assert checks(np.array(plan.base_pose) + off).motion is not None
+
+
+def test_where_no_base_pose_has_the_room_the_answer_is_no_and_says_so(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("momapos.robust.works_around", lambda *_: False)
+    scene, robot = load_scene("kitchen_small"), load_robot("segway_ur5e")
+    task = make_task(scene, "open", "cabinet_right", "drawer_middle_slide")
+    asked = PlaceConfig(robust=0.05, robust_turn=3.0, rounds=1, grid=False)
+    config = replace(PipelineConfig(), place=asked)
+    result = plan_base_placement(scene, robot, task, config=config)
+    assert result.plan.status == "infeasible"
+    assert result.plan.tolerance is None
+    reasons = result.plan.candidates.rejections
+    assert reasons[PoseStatus.LITTLE_ROOM.value.format(detail="5 cm and 3 deg")] > 0
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["--robust", "5cm"], "write it as 0.05m,3deg"),
+        (["--robust", "3deg,5cm"], "--robust: length"),
+        (["--robust=-5cm,3deg"], "from 0 up"),
+        (["--robust", "5cm,3deg", "--at", "1,-1,0"], "--tolerance instead"),
+    ],
+)
+def test_what_is_no_room_is_one_line(
+    words: list[str], says: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([*SEGWAY, *words]) == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert says in line
