@@ -74,7 +74,8 @@ def view(
 def _serve(source: str, robot: str, opened: Opened | None, host: str, port: int) -> int:
     from momapos.cache import user_cache
     from momapos.cli.compile import ANSWER, RANK, compile_once
-    from momapos.page.serve import LOOPBACK, served
+    from momapos.page.origin import LOOPBACK
+    from momapos.page.serve import served
 
     if host not in LOOPBACK:
         print(
