@@ -10,14 +10,18 @@ import http
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
 from websockets.asyncio import server as sockets
-from websockets.datastructures import Headers
-from websockets.http11 import Request, Response
+
+if TYPE_CHECKING:
+    from websockets.datastructures import Headers
+    from websockets.http11 import Request, Response
 
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
+_SCHEMES = ("http", "https")
+"""An encrypting proxy before the page keeps the name and changes the scheme."""
 _REFUSED = "this page speaks to its own server only\n"
 _SWAPPED = threading.Lock()
 
@@ -40,10 +44,6 @@ def allowed(headers: Headers, *, loopback: bool) -> bool:
     if loopback and name not in LOOPBACK:
         return False
     return not origins or origins[0].lower() in (f"{s}://{hosts[0].lower()}" for s in _SCHEMES)
-
-
-_SCHEMES = ("http", "https")
-"""An encrypting proxy before the page keeps the name and changes the scheme."""
 
 
 @contextmanager
