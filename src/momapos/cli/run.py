@@ -73,6 +73,7 @@ def run(
     check_outputs([out, record, out_scene])
     if out_scene is not None:
         refuse_existing(out_scene)
+    check_record(record)
     check_plan_file(plan)
     if tries < 1:
         raise InputError(f"--tries {tries}: at least one motion must be tried")
@@ -84,7 +85,6 @@ def run(
     from momapos.cache import default_cache_dir, user_cache
     from momapos.cli.console import progress
     from momapos.errors import require
-    from momapos.execution.film_files import check_encoder
     from momapos.reachability.store import load_reach
     from momapos.scene.files import load_scene
 
@@ -92,12 +92,6 @@ def run(
     if world is None and world_at is not None:
         raise InputError("--world-at says where a --world lies; give that too, or leave it out")
     at = np.zeros(3) if world_at is None else np.array(parse_pose(world_at, "world-at"))
-    if record is not None and record.suffix.lower() not in (".png", ".gif", ".mp4"):
-        raise InputError(
-            f"--record {record}: a filmstrip is a PNG, a film a GIF or an MP4; name it so"
-        )
-    if record is not None:
-        check_encoder(record.suffix.lower())
     content, scene, machine = open_plan(plan, scene_root, robot, "to execute")
     with require("physics"):
         from momapos.execution.config import ExecutionConfig, FurnitureConfig
@@ -136,6 +130,24 @@ def run(
             write_film(trace, record, ending="done" if result.success else result.reason)
     print(dumps(run_to_dict(result)) if json else summary(result))
     return 0 if result.success else 1
+
+
+def check_record(record: Path | None) -> None:
+    """Make sure before the work that a film can be written.
+
+    Raises:
+        InputError: Its name ends otherwise than those of films.
+        MissingExtraError: What writes it is not installed.
+    """
+    if record is None:
+        return
+    from momapos.execution.film_files import GIF, MP4, check_encoder
+
+    if record.suffix.lower() not in (".png", GIF, MP4):
+        raise InputError(
+            f"--record {record}: a filmstrip is a PNG, a film a GIF or an MP4; name it so"
+        )
+    check_encoder(record.suffix.lower())
 
 
 def refuse_existing(out: Path) -> None:

@@ -35,7 +35,7 @@ class Follow:
         gizmo = event.target
         yaw = float(SO3(np.asarray(gizmo.wxyz)).compute_yaw_radians())
         base = np.array([gizmo.position[0], gizmo.position[1], yaw])
-        self._page.player.pause()
+        self._page.motion.player.pause()
         self._page.robot.base = base
         asked = time.perf_counter()
         self.work.put(lambda clock: self._ask(base, asked, clock))

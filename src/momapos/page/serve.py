@@ -13,9 +13,9 @@ import viser
 
 from momapos.cache import Cache
 from momapos.errors import InputError
+from momapos.page.opened import Opened, OpenedScan
 from momapos.page.origin import own_pages_only
 from momapos.page.page import Page
-from momapos.page.question import Opened
 
 
 class Server(viser.ViserServer):  # type: ignore[misc]  # mypy does not read viser
@@ -38,7 +38,7 @@ def served(
     robot: str,
     cache: Cache,
     folder: Path,
-    opened: Opened | None = None,
+    opened: Opened | OpenedScan | None = None,
 ) -> Iterator[tuple[Page, str]]:
     """Serve the page as long as the context lasts.
 

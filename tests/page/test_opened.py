@@ -1,0 +1,94 @@
+"""What the page is opened with is shown: what a run did, what a scan holds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from momapos.cli.view_sources import kind_of
+from momapos.errors import InputError
+from momapos.execution.record import Execution, Load, RunRecord
+from momapos.execution.run_motion import RunMotion
+from momapos.page.run_story import RunStory
+from momapos.page.words import run_words
+from momapos.robots.robot import Robot
+from momapos.types import Task
+
+DONE = Execution(True, "", "contact", 0.0, 1.5, 1.5, load=Load(31.0, 2.0), ending="it went well")
+MOTION = RunMotion(
+    (0.0, 1.0, 3.0), ("drive", "manipulate", "dwell"),
+    ((0.0, 0.0, 3.0), (1.0, 0.0, -3.0), (1.0, 2.0, -3.0)),
+    {"elbow_joint": (0.0, 1.0, 3.0)}, (0.0, 0.0, 1.5), (),
+    ((0.0, 0.0, 0.0), (0.0, 30.0, 0.0), (0.0, 1.0, 0.0)),
+)  # fmt: skip
+RECORD = RunRecord(
+    "kitchen_small", "segway_ur5e", Task("open", "fridge", "door_hinge", 1.5), (), DONE,
+    motion=MOTION,
+)  # fmt: skip
+
+
+def test_a_run_is_shown_as_physics_did_it(robots: Callable[[str], Robot]) -> None:
+    story = RunStory.of(RECORD, robots("segway_ur5e"))
+    assert story.duration == 3.0
+    np.testing.assert_allclose(story.at(-1.0).base, MOTION.bases[0])
+    last = story.at(9.0)
+    np.testing.assert_allclose(last.base, MOTION.bases[-1])
+    assert last.object_q == {"door_hinge": 1.5}
+    between = story.at(2.0)
+    np.testing.assert_allclose(between.base, [1.0, 1.0, -3.0])
+    assert between.joints["elbow_joint"] == pytest.approx(2.0)
+    assert between.object_q == {"door_hinge": pytest.approx(0.75)}
+    yaw = story.at(0.5).base[2]  # the short way round
+    assert np.cos(yaw) == pytest.approx(-1.0, abs=1e-6)
+    now = story.at(1.0)
+    assert now.force is not None
+    assert (now.words, now.force.tolist()) == ("manipulate", [0.0, 30.0, 0.0])
+
+
+def test_a_loose_object_goes_along(robots: Callable[[str], Robot]) -> None:
+    poses = ((0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0),
+             (0.5, 0.0, 1.2, 0.0, 0.0, 0.0, 1.0))  # fmt: skip
+    motion = replace(MOTION, part=(), poses=poses)
+    record = replace(RECORD, task=Task("pick", "cup"), motion=motion)
+    moment = RunStory.of(record, robots("segway_ur5e")).at(3.0)
+    T = moment.T_world_object
+    assert T is not None
+    np.testing.assert_allclose(T[:3, 3], [0.5, 0.0, 1.2])
+    np.testing.assert_allclose(T[:3, :3], np.diag([-1.0, -1.0, 1.0]), atol=1e-12)
+    assert moment.object_q == {}
+
+
+def test_a_record_without_motion_or_of_another_robot_is_refused(
+    robots: Callable[[str], Robot],
+) -> None:
+    with pytest.raises(InputError, match="does not say what moved"):
+        RunStory.of(replace(RECORD, motion=None), robots("segway_ur5e"))
+    with pytest.raises(InputError, match="elbow_joint"):
+        RunStory.of(RECORD, robots("fetch"))
+
+
+def test_a_run_ends_in_words() -> None:
+    words = run_words(RECORD)
+    assert words.startswith("**Done**")
+    assert "31 N at most" in words
+    failed = replace(RECORD, execution=replace(DONE, success=False, reason="the hold *broke*"))
+    assert "because the hold \\*broke\\*" in run_words(failed)
+
+
+def test_sources_are_known_by_what_they_hold(tmp_path: Path) -> None:
+    held = {
+        "a.json": (b'{"format": "momapos-plan", "version": 1}', "plan"),
+        "b.json": (b'{"format": "momapos-run", "version": 1}', "run"),
+        "c.json": (b'{"format": "momapos-scene", "version": 1}', "scene"),
+        "d.bin": (b"ply\nformat ascii 1.0\n", "scan"),
+        "e.bin": (b"\x89MCAP0\r\n", "scan"),
+    }
+    for name, (content, kind) in held.items():
+        (tmp_path / name).write_bytes(content)
+        assert kind_of(str(tmp_path / name)) == kind
+    assert kind_of(str(tmp_path)) == "scan"
+    assert kind_of("kitchen_small") == "scene"
