@@ -27,6 +27,7 @@ from momapos.cache import user_cache
 from momapos.cli.main import main
 from momapos.cli.view_sources import opened_source
 from momapos.page.page import Page
+from momapos.page.room_view import viewpoint
 from momapos.page.saving import render
 from momapos.page.serve import served
 
@@ -34,6 +35,8 @@ FLAGS = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshad
          "--no-sandbox"]  # fmt: skip
 DRAWN, KEPT = (1280, 720), (800, 450)
 """Size of a picture as it is drawn, and as it is kept [px]."""
+SMALL = {"width": 800, "height": 450}
+"""Of the window, by which the size of words goes [px]."""
 COLORS = 96
 LONG = 300.0
 """Nothing takes so long [s]."""
@@ -50,15 +53,12 @@ class Item:
     """The last one shows it; those before write what it shows."""
     act: Callable[[Page], None]
     """What is then done on the page."""
-    near: float = 0.6
-    """How far the camera is, as a share of where the page puts it [-]."""
-    aside: float = -0.06
-    """How far it looks aside, likewise; the page leaves room for its controls [-]."""
-
-
-def nothing(page: Page) -> None:
-    """It is shown as it is opened."""
-    del page
+    away: float = 3.7
+    """How far the camera is from what it looks at [m]."""
+    above: float = 25.0
+    """How steeply it looks down [deg]."""
+    aside: float = 0.0
+    """How far to the right of the task it looks [m]."""
 
 
 def placed(**layers: bool) -> Callable[[Page], None]:
@@ -134,16 +134,20 @@ ITEMS = (
     Item("drawer", ("view kitchen_small --robot tiago",),
          asked("open", "cabinet_right/drawer_top_slide", "tiago", way=True, waypoints=True)),
     Item("reach", ("view kitchen_small --robot husky_ur5e",),
-         asked("open", "wall_cabinet/door_left_hinge", "husky_ur5e", reach=True, waypoints=True)),
+         asked("open", "wall_cabinet/door_left_hinge", "husky_ur5e", reach=True, waypoints=True),
+         away=5.0),
     Item("candidates", ("view kitchen_small --robot ranger_rm63",),
-         asked("open", "dishwasher/door_hinge", "ranger_rm63", candidates=True)),
+         asked("open", "dishwasher/door_hinge", "ranger_rm63", candidates=True), above=50.0),
     Item("opening", ("view kitchen_small --robot segway_ur5e",),
-         asked("open", "fridge/door_hinge", "segway_ur5e", opening=True)),
-    Item("graph", ("view kitchen_island --robot fetch",), placed(importance=True)),
-    Item("compare", ("view kitchen_small --robot segway_ur5e",), beside, near=1.1, aside=0.3),
+         asked("open", "fridge/door_hinge", "segway_ur5e", opening=True), above=50.0),
+    Item("graph", ("view kitchen_island --robot fetch",), placed(importance=True),
+         away=6.0, above=40.0),
+    Item("compare", ("view kitchen_small --robot segway_ur5e",), beside,
+         away=8.5, aside=2.4, above=32.0),
     Item("run", ("place open kitchen_small fridge/door_hinge --robot segway_ur5e --out plan.json",
                  "run plan.json --out run.json", "view run.json"), in_the_middle),
-    Item("scan", ("scene scan kitchen_small --out scan", "view scan --robot segway_ur5e"), points),
+    Item("scan", ("scene scan kitchen_small --out scan", "view scan --robot segway_ur5e"), points,
+         away=4.5, above=35.0),
 )  # fmt: skip
 
 
@@ -179,20 +183,33 @@ def picture(item: Item, browser: Any) -> Image.Image:
         done(page)
         if page.panel.result.content.startswith("**It cannot"):
             raise RuntimeError(f"{item.name}: {page.panel.result.content}")
-        tab = browser.new_page(viewport={"width": 640, "height": 360})
+        aim(page, item)
+        tab = browser.new_page(viewport=SMALL)
         tab.goto(address)
         tab.locator("canvas").first.wait_for(timeout=1000 * LONG)
         ends = time.monotonic() + LONG
         while not page.server.get_clients() and time.monotonic() < ends:
             time.sleep(0.1)
         (client,) = page.server.get_clients().values()
-        camera = client.camera
-        away = camera.position - camera.look_at
-        camera.look_at = camera.look_at + item.aside * np.cross([0.0, 0.0, 1.0], away)
-        camera.position = camera.look_at + item.near * away
         pixels = settled(client)
         tab.close()
     return Image.fromarray(pixels)
+
+
+def aim(page: Page, item: Item) -> None:
+    """Look at robot and object from where the page looks at the room."""
+    scene, question = page.shown.scene, page.shown.question
+    assert scene is not None
+    assert question is not None
+    eye, target = viewpoint(scene)
+    thing = scene.object(question.target.partition("/")[0]).bounds.mean(0)
+    middle = np.append((thing[:2] + page.robot.base[:2]) / 2, 0.8)
+    back = (eye - target)[:2] / np.linalg.norm((eye - target)[:2])
+    steep = np.radians(item.above)
+    camera = page.server.initial_camera
+    look_at = middle + item.aside * np.array([-back[1], back[0], 0.0])
+    camera.position = look_at + item.away * np.append(np.cos(steep) * back, np.sin(steep))
+    camera.look_at, camera.up = look_at, np.array([0.0, 0.0, 1.0])
 
 
 def settled(client: Any) -> np.ndarray:

@@ -40,10 +40,14 @@ LONG = 120.0
 GROWTH = 1.25
 """Memory is flat where the last third of the time takes at most so many times what the middle one
 takes [-]."""
+ROBOTS = ("segway_ur5e", "fetch")
 TARGETS = ("fridge/door_hinge", "oven/door_hinge", "cabinet_right/drawer_top_slide",
            "microwave/door_hinge", "wall_cabinet/door_left_hinge")  # fmt: skip
-LABELS = ("Importance, graph", "Free area", "Potential", "Candidates", "Waypoints, grasps",
-          "Start and path", "Collision spheres")  # fmt: skip
+LABELS = ("Importance, graph", "Arm's reach", "Free area", "Potential", "Candidates",
+          "Waypoints, grasps", "Start and path", "Collision spheres")  # fmt: skip
+KINDS = {"drag": 6, "layer": 4, "place": 3, "target": 3, "play": 3, "keep": 1, "forget": 1,
+         "stop": 1, "reload": 1, "robot": 1, "beside": 1}  # fmt: skip
+"""What pages do, and how often."""
 CAMERA = {
     "type": "ViewerCameraMessage", "wxyz": (1.0, 0.0, 0.0, 0.0), "position": (3.0, 3.0, 3.0),
     "fov": 1.0, "near": 0.01, "far": 100.0, "image_height": 720, "image_width": 1280,
@@ -91,6 +95,11 @@ class Told:
     def value(self, label: str) -> Any:
         """What a control says."""
         return self.controls[self.named(label)].get("value")
+
+    @property
+    def busy(self) -> bool:
+        """Whether there is work that could be stopped."""
+        return not self.controls[self.named("Stop")]["disabled"]
 
     @property
     def words(self) -> list[str]:
@@ -171,16 +180,17 @@ class Tab:
     async def act(self, rng: random.Random) -> None:
         """Do what people do."""
         self.acts += 1
-        kind = rng.choices(
-            ("drag", "place", "target", "layer", "play", "keep", "forget", "stop", "reload"),
-            (6, 3, 3, 4, 3, 1, 1, 1, 1),
-        )[0]
+        kind = rng.choices(list(KINDS), list(KINDS.values()))[0]
         buttons = {"place": "Place", "keep": "Keep this answer", "stop": "Stop",
                    "forget": "Forget what was kept"}  # fmt: skip
         if kind == "drag":
             await self.drag(rng)
         elif kind == "target":
             await self.set("Object", rng.choice(TARGETS))
+        elif kind == "robot":
+            await self.set("Robot", rng.choice(ROBOTS))
+        elif kind == "beside":
+            await self.set("Side by side", not self.told.value("Side by side"))
         elif kind == "layer":
             label = rng.choice(LABELS)
             await self.set(label, not self.told.value(label))
@@ -215,7 +225,8 @@ async def compared(tabs: list[Tab]) -> list[str]:
     ends = time.monotonic() + LONG
     while time.monotonic() < ends:
         await asyncio.sleep(0.2)
-        if time.monotonic() - max(tab.told.last for tab in tabs) > QUIET:
+        still = time.monotonic() - max(tab.told.last for tab in tabs) > QUIET
+        if still and not any(tab.told.busy for tab in tabs):
             break
     else:
         return [f"work goes on for more than {LONG:.0f} s"]

@@ -55,11 +55,20 @@ class Compare:
         self._captions: list[Any] = []
 
     @property
+    def kept(self) -> tuple[Kept, ...]:
+        """The answers that are kept."""
+        return tuple(self._kept)
+
+    @property
     def _beside(self) -> bool:
         return bool(self._page.panel.beside.value)
 
     def keep(self) -> None:
         """Keep the answer that is shown, as another robot and a line of a table."""
+        with self._page.drawing:
+            self._keep()
+
+    def _keep(self) -> None:
         page, answer, scene = self._page, self._page.shown.answer, self._page.shown.scene
         if answer is None or scene is None or len(self._kept) == len(COLORS):
             words = "there is no answer yet" if answer is None else "no more than four are kept"
@@ -74,13 +83,15 @@ class Compare:
         )  # fmt: skip
         self._kept.append(kept)
         page.panel.kept.content = compared([one.answer for one in self._kept])
-        self.arrange()
+        self._arrange()
 
     def arrange(self) -> None:
         """Put the answers over the room, or beside it."""
-        for caption in self._captions:
-            caption.remove()
-        self._captions = []
+        with self._page.drawing:
+            self._arrange()
+
+    def _arrange(self) -> None:
+        self._remove_captions()
         for k, kept in enumerate(self._kept):
             kept.frame.position = self._shift(kept.scene, k + 1) if self._beside else np.zeros(3)
             self._draw(kept)
@@ -102,12 +113,16 @@ class Compare:
 
     def forget(self) -> None:
         """Forget the answers that are kept."""
+        with self._page.drawing:
+            self._forget()
+
+    def _forget(self) -> None:
+        self._remove_captions()
         for kept in self._kept:
             kept.room.remove()
             kept.robot.remove()
             kept.frame.remove()
         self._kept = []
-        self.arrange()
         self._page.panel.kept.content = "Nothing is kept."
 
     def _draw(self, kept: Kept) -> None:
@@ -124,6 +139,11 @@ class Compare:
         if plan.task.joint is not None:
             kept.room.move({plan.task.joint: float(plan.motion.object_q[-1])})
 
+    def _remove_captions(self) -> None:
+        for caption in self._captions:
+            caption.remove()
+        self._captions = []
+
     def _shift(self, scene: Scene, places: int) -> Float[np.ndarray, "3"]:
         """How far aside a room stands [m]: to the right of who looks at the first one."""
         eye, target = viewpoint(scene)
@@ -136,13 +156,16 @@ class Compare:
 
     def _caption(self, name: str, scene: Scene, words: str) -> None:
         middle = np.append(room_bounds(scene).mean(0), CAPTION)
-        self._captions.append(self._page.server.scene.add_label(name, words, position=middle))
+        label = self._page.server.scene.add_label(
+            name, words, position=middle, anchor="bottom-center"
+        )
+        self._captions.append(label)
 
 
 def title(answer: PlacementResult) -> str:
     """An answer in a few words."""
     plan = answer.plan
-    drive = "" if plan.navigation_cost is None else f", drive {plan.navigation_cost:.2f} m"
+    drive = "" if plan.navigation_cost is None else f", {plan.navigation_cost:.2f} m driven"
     return f"{plan.robot_name}, {plan.method}, seed {plan.seed}: {plan.status}{drive}"
 
 

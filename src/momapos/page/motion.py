@@ -52,8 +52,9 @@ class Motion:
             self.player.pause()
             self._show(self.player.now, False)
         elif self.story is not None:
-            self._page.room.mark(())
-            self._page.robot.verdict("feasible")
+            with self._page.drawing:
+                self._page.room.mark(())
+                self._page.robot.verdict("feasible")
             self.player.play()
 
     def seek(self, seconds: float) -> None:
@@ -68,14 +69,16 @@ class Motion:
         """Move a joint of the object by hand [rad] or [m]."""
         self.player.pause()
         self._page.shown.joints[joint] = value
-        self._page.room.move(self._page.shown.joints)
+        with self._page.drawing:
+            self._page.room.move(self._page.shown.joints)
 
     def _show(self, seconds: float, playing: bool) -> None:
-        story, page = self.story, self._page
-        if story is None:
-            return
-        moment = story.at(seconds)
-        with page.server.atomic():
+        page = self._page
+        with page.drawing, page.server.atomic():
+            story = self.story
+            if story is None:
+                return
+            moment = story.at(seconds)
             page.robot.move(moment.base, moment.joints)
             page.robot.show_force(moment.force)
             page.room.move(moment.object_q)

@@ -8,6 +8,7 @@ wins, and draws what it finds itself.
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -79,6 +80,9 @@ class Page:
         self._start: tuple[float, float, float] | None = None
         self._opened = opened
         self.shown = Shown()
+        self.drawing = threading.RLock()
+        """Held while what is drawn is changed, and while it is looked at whether it still should
+        be: several threads draw."""
         self.room = RoomView(server.scene, self._pick)
         self.robot = RobotView(server.scene, dragged=lambda event: self.follow.dragged(event))
         self.motion = Motion(self)
@@ -87,7 +91,7 @@ class Page:
         self.extras = Extras(self)
         self.compare = Compare(self)
         self.scan = ScanView(server.scene, self.panel)
-        self.layers = AnswerLayers(server.scene, self.panel, self.robot)
+        self.layers = AnswerLayers(server.scene, self.panel, self.robot, self.drawing)
         self.work = Latest("page work", self.fail)
         self.follow = Follow(self)
         self.browsers = Browsers(server, self._stop_if_busy)
@@ -157,8 +161,7 @@ class Page:
         def work(clock: Clock) -> None:
             scene, machine, question = self._update(clock)
             self.tell("**Searching**")
-            answer = ask(scene, machine, question, clock, self._tell_stage)
-            self._take(answer, machine)
+            self._take(ask(scene, machine, question, clock, self._tell_stage), machine)
 
         self._request(work)
 
@@ -244,7 +247,8 @@ class Page:
         assert shown.machine is not None
         question = Question(**{**vars(self.choice.question), "target": target})
         if fresh or shown.question != question:
-            self._draw(scene, shown.machine, question, fresh=fresh)
+            with self.drawing:
+                self._draw(scene, shown.machine, question, fresh=fresh)
             shown.scene_name = choice.scene
         return scene, shown.machine, question
 
@@ -273,6 +277,7 @@ class Page:
         shown.question, shown.answer, shown.probe = question, None, None
         shown.joints = {}
         self.motion.load(None)
+        self.layers.clear()  # before the robot, from which one of them hangs
         name = question.target.partition("/")[0]
         collision = bool(self.panel.layers["collision"].value)
         if fresh and self.room.scene is not scene:
@@ -284,7 +289,6 @@ class Page:
         else:
             self.robot.move(self._begin(scene), home_values(robot))
         self.robot.verdict("")
-        self.layers.clear()
         warnings = "".join(f"\n- {escaped(text)}" for text in scene.warnings)
         self.tell(f"{READY}{warnings}")
 
@@ -313,8 +317,13 @@ class Page:
 
     def _take(self, answer: PlacementResult, machine: Machine) -> None:
         """Draw an answer."""
+        with self.drawing:
+            self._draw_answer(answer, machine)
+
+    def _draw_answer(self, answer: PlacementResult, machine: Machine) -> None:
         shown, robot = self.shown, answer.prepared.robot
         shown.answer = answer
+        self.layers.clear()
         if self.robot.robot is not robot:
             self.robot.show(robot, self.robot.base)
             shown.probe = None
@@ -343,7 +352,8 @@ class Page:
         if self.room.scene is not None and self.shown.question is not None:
             name = self.shown.question.target.partition("/")[0]
             collision = bool(self.panel.layers["collision"].value)
-            self.room.show(self.room.scene, name, collision=collision)
+            with self.drawing:
+                self.room.show(self.room.scene, name, collision=collision)
 
     # -------------------------------------------------------------------- clicks and browsers
 

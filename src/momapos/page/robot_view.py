@@ -187,10 +187,13 @@ class RobotView:
 
     def _draw_spheres(self) -> None:
         assert self.robot is not None
-        import trimesh
-
         q = np.array([self._values.get(n, 0.0) for n in self.robot.chain.joints])
         centers, _ = sphere_centers(self.robot, self.robot.chain.freedom_values(q))
+        if self._spheres is not None:  # where they are is all that changes
+            self._spheres.batched_positions = centers.astype(np.float32)
+            return
+        import trimesh
+
         ball = trimesh.creation.icosphere(2, 1.0)
         turned = np.tile([1.0, 0.0, 0.0, 0.0], (len(centers), 1))
         self._spheres = self._api.add_batched_meshes_simple(

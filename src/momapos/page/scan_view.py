@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from momapos.geometry.planar import rotation
 from momapos.kinematics.hulls import Boxes
 from momapos.page.layers import box_edges
 from momapos.page.panel import POINTS, Panel
@@ -17,13 +19,15 @@ if TYPE_CHECKING:
     from viser import SceneApi
 
     from momapos.scan_records import Modeled
-    from momapos.types import Detection
+    from momapos.types import Detection, UprightBox
 
 ROOT = "/scan"
 THINGS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#8c7ae6", "#a6761d")
 """Colors of things, one after the other (Okabe and Ito, and two more)."""
 ROOM = "#a7adb3"
 """Of points that are in no thing."""
+NAME = 0.08
+"""Height of the letters of a name [m]."""
 SIZE = 0.012
 """Edge of a point [m]."""
 
@@ -36,6 +40,11 @@ class ScanView:
         self._modeled: Modeled | None = None
         self._parts: dict[tuple[str, int], Any] = {}
         self._boxes: list[Any] = []
+
+    @property
+    def sent(self) -> int:
+        """How many points are at the browsers [-]."""
+        return sum(len(part.points) for part in self._parts.values())
 
     def show(self, modeled: Modeled | None) -> None:
         """Draw another scan; None: there is none."""
@@ -85,20 +94,25 @@ class ScanView:
     def _draw_boxes(self, things: list[Detection]) -> None:
         if not things:
             return
-        yaw = np.array([one.box.yaw for one in things])
-        turned = np.zeros((len(things), 3, 3))
-        turned[:, 0, 0] = turned[:, 1, 1] = np.cos(yaw)
-        turned[:, 1, 0], turned[:, 0, 1], turned[:, 2, 2] = np.sin(yaw), -np.sin(yaw), 1.0
-        center = np.array([one.box.center for one in things])
-        half = np.array([one.box.size for one in things]) / 2
-        edges = box_edges(Boxes(center, turned, half)).reshape(-1, 2, 3)
+        edges = box_edges(boxes_of([one.box for one in things])).reshape(-1, 2, 3)
         self._boxes.append(
             self._api.add_line_segments(f"{ROOT}/boxes", edges, rgb(INK), thickness=0.008)
         )
         for k, one in enumerate(things):
             top = one.box.center + np.array([0.0, 0.0, one.box.size[2] / 2])
-            label = self._api.add_label(f"{ROOT}/name{k}", one.name, position=top)
-            self._boxes.append(label)
+            self._boxes.append(self._api.add_label(
+                f"{ROOT}/name{k}", one.name, position=top, font_size_mode="scene",
+                font_scene_height=NAME, anchor="bottom-center",
+            ))  # fmt: skip
+
+
+def boxes_of(upright: Sequence[UprightBox]) -> Boxes:
+    """Upright boxes as oriented ones."""
+    yaw = np.array([box.yaw for box in upright])
+    turned = np.zeros((len(upright), 3, 3))
+    turned[:, :2, :2], turned[:, 2, 2] = rotation(yaw), 1.0
+    center = np.array([box.center for box in upright])
+    return Boxes(center, turned, np.array([box.size for box in upright]) / 2)
 
 
 def thing_colors(modeled: Modeled) -> UInt8[np.ndarray, "n 3"]:
