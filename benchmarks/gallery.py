@@ -84,14 +84,16 @@ def shown(**layers: bool) -> Callable[[Page], None]:
     return act
 
 
-def asked(verb: str, target: str, robot: str, **layers: bool) -> Callable[[Page], None]:
+def asked(
+    verb: str, target: str, robot: str, *, to: str = "", **layers: bool
+) -> Callable[[Page], None]:
     """Ask another question, and place."""
 
     def act(page: Page) -> None:
         page.panel.robot.value, page.panel.verb.value = robot, verb
         page.change()
         done(page)
-        page.panel.target.value = target
+        page.panel.target.value, page.panel.to.value = target, to
         page.change()
         done(page)
         placed(**layers)(page)
@@ -130,14 +132,14 @@ ITEMS = (
     Item("fridge", ("view kitchen_small --robot segway_ur5e",),
          asked("open", "fridge/door_hinge", "segway_ur5e", way=True, waypoints=True)),
     Item("oven", ("view kitchen_small --robot fetch",),
-         asked("open", "oven/door_hinge", "fetch", way=True, waypoints=True)),
+         asked("open", "oven/door_hinge", "fetch", to="max", way=True, waypoints=True)),
     Item("drawer", ("view kitchen_small --robot tiago",),
          asked("open", "cabinet_right/drawer_top_slide", "tiago", way=True, waypoints=True)),
     Item("reach", ("view kitchen_small --robot husky_ur5e",),
          asked("open", "wall_cabinet/door_left_hinge", "husky_ur5e", reach=True, waypoints=True),
          away=5.0),
     Item("candidates", ("view kitchen_small --robot ranger_rm63",),
-         asked("open", "dishwasher/door_hinge", "ranger_rm63", candidates=True), above=50.0),
+         asked("open", "fridge/door_hinge", "ranger_rm63", candidates=True), away=3.2, above=60.0),
     Item("opening", ("view kitchen_small --robot segway_ur5e",),
          asked("open", "fridge/door_hinge", "segway_ur5e", opening=True), above=50.0),
     Item("graph", ("view kitchen_island --robot fetch",), placed(importance=True),

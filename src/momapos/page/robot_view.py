@@ -24,6 +24,8 @@ FORCE = "#cc146b"
 PER_NEWTON, LONGEST, LEAST_FORCE = 0.03, 0.6, 1.0
 """Length of the arrow of a force [m/N], how long it is at most [m], and from where it is drawn
 [N]."""
+FORCE_ABOVE = 0.15
+"""It is drawn so high above the hand, for the arm often lies along the pull [m]."""
 FLOOR_GAP = 0.006
 """The footprint lies so high above the floor [m]."""
 VERDICTS = {"": SOFT_INK, "feasible": GOOD, "partly": PART, "infeasible": BAD}
@@ -144,12 +146,12 @@ class RobotView:
             return
         poses = self.robot.model.link_poses(self._values)
         T_base_tool = invert(poses[self.robot.base_link]) @ poses[self.robot.tool_link]
-        hand = (pose_planar(self.base) @ T_base_tool)[:3, 3]
+        hand = (pose_planar(self.base) @ T_base_tool)[:3, 3] + [0.0, 0.0, FORCE_ABOVE]
         arrow = np.stack([hand, hand - force * min(PER_NEWTON, LONGEST / size)])[None]
         if self._force is None:
             self._force = self._api.add_arrows(
-                f"{self.name}_force", arrow, rgb(FORCE), shaft_radius=0.012, head_radius=0.03,
-                head_length=0.06,
+                f"{self.name}_force", arrow, rgb(FORCE), shaft_radius=0.015, head_radius=0.04,
+                head_length=0.09,
             )  # fmt: skip
         self._force.points = arrow.astype(np.float32)
         self._force.visible = True
