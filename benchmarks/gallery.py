@@ -37,7 +37,6 @@ DRAWN, KEPT = (1280, 720), (800, 450)
 """Size of a picture as it is drawn, and as it is kept [px]."""
 SMALL = {"width": 800, "height": 450}
 """Of the window, by which the size of words goes [px]."""
-COLORS = 96
 LONG = 300.0
 """Nothing takes so long [s]."""
 SETTLED = 3.0
@@ -239,6 +238,6 @@ if __name__ == "__main__":
             began = time.process_time()
             file = out / f"{item.name}.png"
             drawn = picture(item, browser).resize(KEPT, Image.Resampling.LANCZOS)
-            drawn.quantize(COLORS).save(file, optimize=True)
+            drawn.save(file, optimize=True)
             took = time.process_time() - began
             print(f"{file}: {file.stat().st_size / 1e3:.0f} kB, {took:.1f} s", flush=True)

@@ -9,9 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from momapos.cli.view_sources import kind_of
+from momapos.cli.main import main
+from momapos.cli.view_sources import kind_of, source_in
 from momapos.errors import InputError
-from momapos.execution.record import Execution, Load, RunRecord
+from momapos.execution.record import Execution, Load, RunRecord, write_run
 from momapos.execution.run_motion import RunMotion
 from momapos.page.run_story import RunStory
 from momapos.page.words import run_words
@@ -92,3 +93,28 @@ def test_sources_are_known_by_what_they_hold(tmp_path: Path) -> None:
         assert kind_of(str(tmp_path / name)) == kind
     assert kind_of(str(tmp_path)) == "scan"
     assert kind_of("kitchen_small") == "scene"
+
+
+def test_a_record_that_cannot_be_shown_is_told_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_run(replace(RECORD, motion=None), tmp_path / "old.json")
+    write_run(replace(RECORD, plan="gone.json"), tmp_path / "run.json")
+    (tmp_path / "no_scan").mkdir()
+    for name, words in (
+        ("old.json", "does not say what moved"),
+        ("run.json", "gone.json"),
+        ("no_scan", "is no scan"),
+    ):
+        assert main(["view", str(tmp_path / name), "--port", "0"]) == 2
+        shown = capsys.readouterr().err
+        assert words in shown
+        assert shown.count("\n") == 1
+
+
+def test_a_folder_of_solve_is_shown_by_its_run_else_by_its_plan(tmp_path: Path) -> None:
+    assert source_in(str(tmp_path)) == str(tmp_path)
+    (tmp_path / "plan.json").touch()
+    assert source_in(str(tmp_path)) == str(tmp_path / "plan.json")
+    (tmp_path / "run.json").touch()
+    assert source_in(str(tmp_path)) == str(tmp_path / "run.json")

@@ -224,4 +224,6 @@ def _ramp(colors: tuple[str, ...]) -> str:
 
 
 def _mark(style: str) -> str:
-    return f'<span style="display:inline-block;height:0.9em;vertical-align:-0.1em;{style}"></span>'
+    # The border sets dark colors off from a dark page, and pale ones from a light one.
+    shape = "display:inline-block;height:0.9em;vertical-align:-0.1em;border:1px solid #888"
+    return f'<span style="{shape};{style}"></span>'
