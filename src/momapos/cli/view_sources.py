@@ -9,8 +9,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-import numpy as np
-
 from momapos.errors import InputError, MomaposError
 from momapos.files import open_regular
 
@@ -78,6 +76,8 @@ def _opened(path: Path, kind: Kind, scene_root: Path | None, robot: str | None) 
     if kind == "plan":
         plan, scene, machine = open_plan(path, scene_root, robot, "to show")
         return Opened(str(path), scene, machine, plan)
+    import numpy as np
+
     from momapos.execution.record import read_run
     from momapos.execution.true_world import moved
     from momapos.scene.files import load_scene
