@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import io
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 from tests import optional
 
-from momapos.errors import MissingExtraError
-from momapos.execution.film_files import GIF, MP4, check_encoder, encoded
+from momapos.errors import InputError, MissingExtraError
+from momapos.execution.film_files import GIF, MP4, check_film, encoded
 
 RATE = 10.0
 PICTURES = [np.full((48, 64, 3), shade, np.uint8) for shade in (20, 120, 220)]
@@ -35,8 +36,13 @@ def test_an_mp4_has_all_pictures_at_their_rate() -> None:
     np.testing.assert_allclose(shades, [20, 120, 220], atol=4)
 
 
-def test_without_an_encoder_the_message_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_before_the_work_it_is_told_what_no_film_can_be_written_to(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setitem(sys.modules, "av", None)
     with pytest.raises(MissingExtraError, match=r"pip install 'momapos\[film\]'"):
-        check_encoder(MP4)
-    check_encoder(GIF)
+        check_film(Path("film.mp4"))
+    with pytest.raises(InputError, match="name it so"):
+        check_film(Path("film.mov"))
+    for name in ("film.gif", "film.PNG"):
+        check_film(Path(name))

@@ -73,7 +73,10 @@ def run(
     check_outputs([out, record, out_scene])
     if out_scene is not None:
         refuse_existing(out_scene)
-    check_record(record)
+    if record is not None:
+        from momapos.execution.film_files import check_film
+
+        check_film(record)
     check_plan_file(plan)
     if tries < 1:
         raise InputError(f"--tries {tries}: at least one motion must be tried")
@@ -130,24 +133,6 @@ def run(
             write_film(trace, record, ending="done" if result.success else result.reason)
     print(dumps(run_to_dict(result)) if json else summary(result))
     return 0 if result.success else 1
-
-
-def check_record(record: Path | None) -> None:
-    """Make sure before the work that a film can be written.
-
-    Raises:
-        InputError: Its name ends otherwise than those of films.
-        MissingExtraError: What writes it is not installed.
-    """
-    if record is None:
-        return
-    from momapos.execution.film_files import GIF, MP4, check_encoder
-
-    if record.suffix.lower() not in (".png", GIF, MP4):
-        raise InputError(
-            f"--record {record}: a filmstrip is a PNG, a film a GIF or an MP4; name it so"
-        )
-    check_encoder(record.suffix.lower())
 
 
 def refuse_existing(out: Path) -> None:

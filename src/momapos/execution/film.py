@@ -15,7 +15,7 @@ from momapos.cache import write_atomic
 from momapos.errors import InputError, require
 from momapos.execution.config import Stage
 from momapos.execution.film_canvas import Overlay, Shot, canvas, captioned, frame_shot
-from momapos.execution.film_files import GIF, MP4, encoded
+from momapos.execution.film_files import GIF, MP4, STRIP, check_film, encoded
 from momapos.execution.run_motion import DRIVE
 from momapos.execution.run_trace import Act, RunTrace, State
 from momapos.execution.simulated_robot import TOOL_POINT
@@ -35,22 +35,8 @@ LAST = 1.5
 """The last picture of a film stays for so long [s]."""
 SWEEP = 18.0
 """In a film the camera goes round from this far on one side to the other [deg]."""
-STRIP = ".png"
-ENDINGS = (STRIP, GIF, MP4)
 _BEFORE = (Stage.SETTLE, Stage.APPROACH)
 """Stages before the robot takes hold."""
-
-
-def check_film(path: Path) -> None:
-    """Make sure before the work that a file ends as a film or a strip does.
-
-    Raises:
-        InputError: It does not.
-    """
-    if path.suffix.lower() not in ENDINGS:
-        raise InputError(
-            f"{path}: a strip of pictures ends in {STRIP}, a film in {GIF} or {MP4}; name it so"
-        )
 
 
 def write_film(trace: RunTrace, path: Path, *, frames: int = 8, ending: str = "") -> None:

@@ -5,28 +5,35 @@ from __future__ import annotations
 import io
 from collections.abc import Iterable
 from fractions import Fraction
+from pathlib import Path
 from typing import TYPE_CHECKING
 
-from momapos.errors import require
+from momapos.errors import InputError, require
 
 if TYPE_CHECKING:
     import numpy as np
     from jaxtyping import UInt8
 
-GIF, MP4 = ".gif", ".mp4"
+STRIP, GIF, MP4 = ".png", ".gif", ".mp4"
+"""How names of strips and films end."""
 COLORS = 128
 """Of a picture of a GIF [-]."""
 QUALITY = {"crf": "23", "preset": "veryfast"}
 """Of H.264: clean edges at about 50 kB a second of a quiet picture."""
 
 
-def check_encoder(ending: str) -> None:
-    """Make sure before the work that films of an ending can be written.
+def check_film(path: Path) -> None:
+    """Make sure before the work that a file can become a strip of pictures or a film.
 
     Raises:
-        MissingExtraError: What writes them is not installed.
+        InputError: Its name ends otherwise.
+        MissingExtraError: What writes it is not installed.
     """
-    if ending == MP4:
+    if path.suffix.lower() not in (STRIP, GIF, MP4):
+        raise InputError(
+            f"{path}: a strip of pictures is a PNG, a film a GIF or an MP4; name it so"
+        )
+    if path.suffix.lower() == MP4:
         with require("film"):
             import av  # noqa: F401
 
@@ -42,7 +49,6 @@ def encoded(pictures: Iterable[UInt8[np.ndarray, "h w 3"]], ending: str, rate: f
     Raises:
         MissingExtraError: What writes them is not installed.
     """
-    check_encoder(ending)
     return _mp4(pictures, rate) if ending == MP4 else _gif(pictures, rate)
 
 
@@ -58,8 +64,8 @@ def _gif(pictures: Iterable[UInt8[np.ndarray, "h w 3"]], rate: float) -> bytes:
 
 
 def _mp4(pictures: Iterable[UInt8[np.ndarray, "h w 3"]], rate: float) -> bytes:
-    import av
-
+    with require("film"):
+        import av
     content, stream = io.BytesIO(), None
     with av.open(content, "w", format="mp4") as file:
         for picture in pictures:
