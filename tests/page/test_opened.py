@@ -14,9 +14,14 @@ from momapos.cli.view_sources import kind_of, source_in
 from momapos.errors import InputError
 from momapos.execution.record import Execution, Load, RunRecord, write_run
 from momapos.execution.run_motion import RunMotion
+from momapos.manipulation.tasks import make_task
+from momapos.page.opened import Opened
 from momapos.page.run_story import RunStory
+from momapos.page.static import page_of
 from momapos.page.words import run_words
+from momapos.pipeline import plan_base_placement
 from momapos.robots.robot import Robot
+from momapos.scene.files import load_scene
 from momapos.types import Task
 
 DONE = Execution(True, "", "contact", 0.0, 1.5, 1.5, load=Load(31.0, 2.0), ending="it went well")
@@ -118,3 +123,18 @@ def test_a_folder_of_solve_is_shown_by_its_run_else_by_its_plan(tmp_path: Path) 
     assert source_in(str(tmp_path)) == str(tmp_path / "plan.json")
     (tmp_path / "run.json").touch()
     assert source_in(str(tmp_path)) == str(tmp_path / "run.json")
+
+
+def test_a_run_in_a_world_of_its_own_is_written_as_a_page_of_that_world(
+    robots: Callable[[str], Robot],
+) -> None:
+    scene, robot = load_scene("kitchen_small"), robots("segway_ur5e")
+    plan = plan_base_placement(scene, robot, make_task(scene, "open", "fridge", "door_hinge")).plan
+    other = replace(plan, task=replace(plan.task, object="what the robot took it for"))
+    world = replace(RECORD, true_task=plan.task)
+    opened = Opened("world", scene, robot, other, world)
+    assert opened.answer() is None
+    assert opened.question.target == "fridge/door_hinge"
+    page = page_of(scene, robot, other, opened.story(), "fridge")
+    assert page.startswith("<!")
+    assert len(page) > 100_000

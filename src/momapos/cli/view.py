@@ -76,7 +76,10 @@ def _write(opened: Opened | OpenedScan | None, static: Path) -> None:
     from momapos.page.static import write_page
 
     assert isinstance(opened, Opened), "a plan or a run"
-    write_page(opened.scene, opened.robot, opened.plan, static, story=opened.story())
+    write_page(
+        opened.scene, opened.robot, opened.plan, static, story=opened.story(),
+        active=opened.question.target.partition("/")[0],
+    )  # fmt: skip
     print(f"{static}: {static.stat().st_size / 1e6:.1f} MB, plays in any browser")
 
 

@@ -24,7 +24,7 @@ from momapos.page.browsers import Browsers
 from momapos.page.compare import Compare
 from momapos.page.extras import Extras
 from momapos.page.follow import Follow
-from momapos.page.motion import Motion
+from momapos.page.motion_view import MotionView
 from momapos.page.opened import Opened, OpenedScan
 from momapos.page.panel import Panel, joint_ranges
 from momapos.page.playback import Story
@@ -85,7 +85,7 @@ class Page:
         be: several threads draw."""
         self.room = RoomView(server.scene, self._pick)
         self.robot = RobotView(server.scene, dragged=lambda event: self.follow.dragged(event))
-        self.motion = Motion(self)
+        self.motion = MotionView(self)
         self.panel = Panel(server.gui, self, scenes=scenes, robots=robots, scene=scene, robot=robot)
         self._told = 0.0
         self.extras = Extras(self)

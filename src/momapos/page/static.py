@@ -49,6 +49,7 @@ def write_page(
     path: Path,
     *,
     story: Story | RunStory | None = None,
+    active: str | None = None,
 ) -> None:
     """Write a solved plan as a page that plays it over and over.
 
@@ -58,12 +59,13 @@ def write_page(
         plan: The plan.
         path: An HTML file; its folder is made if it does not exist.
         story: What came of it, where that is to be shown instead.
+        active: What moves then; by default the object of the plan.
 
     Raises:
         InputError: The plan is not solved, or the file cannot be written.
     """
     check_page(path)
-    content = page_of(scene, robot, plan, story)
+    content = page_of(scene, robot, plan, story, active)
     try:
         write_atomic(path, content.encode())
     except OSError as error:
@@ -71,7 +73,11 @@ def write_page(
 
 
 def page_of(
-    scene: Scene, robot: Robot, plan: PlacementPlan, story: Story | RunStory | None = None
+    scene: Scene,
+    robot: Robot,
+    plan: PlacementPlan,
+    story: Story | RunStory | None = None,
+    active: str | None = None,
 ) -> str:
     """The page as HTML; see `write_page`."""
     story = story or Story.of(plan, robot)
@@ -81,7 +87,7 @@ def page_of(
         camera = server.initial_camera
         camera.position, camera.look_at, camera.up = eye, target, np.array([0.0, 0.0, 1.0])
         room, machine = RoomView(server.scene), RobotView(server.scene)
-        room.show(scene, plan.task.object)
+        room.show(scene, active or plan.task.object)
         first = story.at(0.0)
         machine.show(robot, first.base)
         machine.verdict("feasible")

@@ -18,7 +18,7 @@ TELLS = 0.2
 """While it plays the words change so often [s]."""
 
 
-class Motion:
+class MotionView:
     """Shows a story."""
 
     def __init__(self, page: Page) -> None:
