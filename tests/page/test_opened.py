@@ -15,7 +15,7 @@ from momapos.errors import InputError
 from momapos.execution.record import Execution, Load, RunRecord, write_run
 from momapos.execution.run_motion import RunMotion
 from momapos.manipulation.tasks import make_task
-from momapos.page.opened import Opened
+from momapos.page.opened import Opened, far_text
 from momapos.page.run_story import RunStory
 from momapos.page.static import page_of
 from momapos.page.words import run_words
@@ -23,6 +23,7 @@ from momapos.pipeline import plan_base_placement
 from momapos.robots.robot import Robot
 from momapos.scene.files import load_scene
 from momapos.types import Task
+from momapos.units import parse_quantity
 
 DONE = Execution(True, "", "contact", 0.0, 1.5, 1.5, load=Load(31.0, 2.0), ending="it went well")
 MOTION = RunMotion(
@@ -138,3 +139,10 @@ def test_a_run_in_a_world_of_its_own_is_written_as_a_page_of_that_world(
     page = page_of(scene, robot, other, opened.story(), "fridge")
     assert page.startswith("<!")
     assert len(page) > 100_000
+
+
+@pytest.mark.parametrize("to", [np.pi / 2, np.pi / 3, 1.2345678901234567, -0.1])
+def test_how_far_is_typed_so_that_it_is_read_the_same(to: float) -> None:
+    assert parse_quantity(far_text(to, slides=False)).value == pytest.approx(to, rel=1e-12)
+    assert far_text(np.pi / 2, slides=False) == "90deg"
+    assert far_text(0.25, slides=True) == "0.25m"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -47,8 +48,7 @@ class Opened:
         if self.run is not None and self.run.true_task is not None:
             task = self.run.true_task
         target = task.object if task.joint is None else f"{task.object}/{task.joint}"
-        unit = "m" if slides(self.scene, task) else "rad"
-        to = "" if task.to is None else f"{task.to!r}{unit}"
+        to = "" if task.to is None else far_text(task.to, slides=slides(self.scene, task))
         method = plan.method if plan.method in METHODS else METHODS[0]
         return Question(task.verb, target, to, method, plan.seed, plan.start)
 
@@ -75,6 +75,15 @@ class Opened:
         if self.run is None:
             return Story.of(self.plan, self.robot)
         return RunStory.of(self.run, self.robot)
+
+
+def far_text(to: float, *, slides: bool) -> str:
+    """How far a part goes, as it is typed on the page: in degrees where these say it exactly."""
+    if slides:
+        return f"{to!r}m"
+    degrees = f"{math.degrees(to):g}"
+    exact = math.isclose(math.radians(float(degrees)), to, rel_tol=1e-12)
+    return f"{degrees}deg" if exact else f"{to!r}rad"
 
 
 @dataclass
