@@ -24,6 +24,7 @@ SHARED = "MOMAPOS_SHARED=FOLDER make test"
 GET = {
     "torch": "make test-torch",
     "distributed": ".venv/bin/pip install 'distributed>=2024.8'",
+    "av": ".venv/bin/pip install 'av>=14'",
     "pyarrow": ".venv/bin/pip install 'pyarrow>=15'",
     "eaik": ".venv/bin/pip install eaik",
     "xacrodoc": ".venv/bin/pip install xacrodoc",

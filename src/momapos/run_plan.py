@@ -186,6 +186,7 @@ def run_plan(
         noise=driving.noise != QUIET,
         time=stopwatch.seconds,
         versions={name: version_of(name) for name in ("momapos", "mujoco", "toppra")},
+        true_task=None if there is None else there.task,
     )
 
 

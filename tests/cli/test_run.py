@@ -378,6 +378,8 @@ def test_a_base_that_is_fenced_in_fails_with_that_reason(
     assert json.loads(capsys.readouterr().out)["reason"] == record.reason
 
 
-def test_a_film_must_be_a_png(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_film_is_a_png_a_gif_or_an_mp4(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     path = make_case().write(tmp_path)
-    refused([str(path), "--record", "film.mp4"], "PNG", capsys)
+    refused([str(path), "--record", "film.mov"], "PNG", capsys)

@@ -11,21 +11,20 @@ import pytest
 from PIL import Image
 from tests import optional
 from tests.execution.toy import toy
-from tests.verification.door_case import BASE
 
 from momapos.errors import InputError
-from momapos.execution.film import COLUMNS, FILM_HEIGHT, HEIGHT, WIDTH, Film
-from momapos.execution.film_canvas import Shot, frame_shot
+from momapos.execution.film import COLUMNS, FILM_HEIGHT, HEIGHT, WIDTH, write_film
+from momapos.execution.film_canvas import FORCE_COLOR, Overlay, Shot, canvas, frame_shot
+from momapos.execution.run_trace import RunTrace
 from momapos.execution.shapes import Kind
-from momapos.geometry.transforms import pose_planar
 from momapos.scene.scene import SceneObject
 
 
 @optional.needs("EGL", optional.draws_off_screen())
 def test_a_filmstrip_shows_the_run(tmp_path: Path) -> None:
-    film = Film()
-    toy(tmp_path).run(watch=film)
-    film.write(tmp_path / "film.png", frames=COLUMNS)
+    trace = RunTrace()
+    toy(tmp_path).run(watch=trace)
+    write_film(trace, tmp_path / "film.png", frames=COLUMNS)
     with Image.open(tmp_path / "film.png") as picture:
         strip = picture.convert("RGB")
     assert strip.width >= COLUMNS * WIDTH
@@ -38,9 +37,9 @@ def test_a_filmstrip_shows_the_run(tmp_path: Path) -> None:
 
 @optional.needs("EGL", optional.draws_off_screen())
 def test_a_film_moves_and_is_light_and_can_be_read(tmp_path: Path) -> None:
-    film = Film()
-    toy(tmp_path).run(watch=film)
-    film.write(tmp_path / "film.gif")
+    trace = RunTrace()
+    toy(tmp_path).run(watch=trace)
+    write_film(trace, tmp_path / "film.gif", ending="done")
     with Image.open(tmp_path / "film.gif") as moving:
         assert moving.size == (1280, 720)
         assert moving.n_frames > 3
@@ -56,7 +55,7 @@ def test_a_film_moves_and_is_light_and_can_be_read(tmp_path: Path) -> None:
 
 
 def test_a_wall_before_the_camera_hides_nothing(tmp_path: Path) -> None:
-    run, free, walled = toy(tmp_path), Film(), Film()
+    run, free, walled = toy(tmp_path), RunTrace(), RunTrace()
     run.run(watch=free)
     before = shot_of(free)
     (x, y, _), far = before.camera.lookat, 0.6 * before.camera.distance
@@ -69,29 +68,30 @@ def test_a_wall_before_the_camera_hides_nothing(tmp_path: Path) -> None:
     )  # fmt: skip
     run.scene = replace(run.scene, objects=(*run.scene.objects, *walls))
     run.run(watch=walled)
-    shot, world = shot_of(walled), walled.world
+    shot, world = shot_of(walled), walled.acts[0].world
     assert world is not None
     assert len(shot.through) > 0
     assert all(world.kinds[k] == Kind.ROOM for k in shot.through)
     assert shot.camera.distance == pytest.approx(before.camera.distance, rel=0.05)
 
 
-def shot_of(film: Film) -> Shot:
+def shot_of(trace: RunTrace) -> Shot:
     """How a run is seen."""
-    assert film.world is not None
-    data = mujoco.MjData(film.world.model)
-    return frame_shot(film.world, data, [q for _, _, q in film.states])
+    (act,) = trace.acts
+    assert act.world is not None
+    data = mujoco.MjData(act.world.model)
+    return frame_shot(act.world, data, [state.q for state in act.states])
 
 
 def test_without_a_canvas_one_line_says_what_is_missing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    film = Film()
-    toy(tmp_path).run(watch=film)
+    trace = RunTrace()
+    toy(tmp_path).run(watch=trace)
     monkeypatch.setenv("DISPLAY", ":none")
     monkeypatch.setattr(mujoco, "GLContext", no_canvas)
     with pytest.raises(InputError, match="it needs EGL, as libegl1") as caught:
-        film.write(tmp_path / "film.png", frames=COLUMNS)
+        write_film(trace, tmp_path / "film.png", frames=COLUMNS)
     assert "\n" not in str(caught.value)
     assert not (tmp_path / "film.png").exists()
 
@@ -101,26 +101,24 @@ def no_canvas(width: int, height: int) -> None:
     raise RuntimeError(f"no canvas of {width} x {height}")
 
 
-def test_the_drive_that_led_there_comes_first_in_the_film(tmp_path: Path) -> None:
-    film = Film()
-    toy(tmp_path).run(watch=film)
-    x, y, yaw = BASE
-    film.drive(
-        np.array([0.0, 2.0, 4.0]),
-        np.array([[x - 1.0, y - 0.5, 0.3], [x - 0.5, y, yaw + 0.2], [x, y, yaw]]),
-    )
-    states = film.driven(2)
-    world = film.world
+@optional.needs("EGL", optional.draws_off_screen())
+def test_the_force_on_the_hand_is_seen_through_all_that_hides_it(tmp_path: Path) -> None:
+    trace = RunTrace()
+    toy(tmp_path).run(watch=trace)
+    world = trace.acts[0].world
     assert world is not None
-    assert [(time, stage) for time, stage, _ in states] == [(0.0, "drive"), (2.0, "drive")]
-    for (_, _, q), pose in zip(states, film.poses[0], strict=False):
-        world.data.qpos[:] = q
-        mujoco.mj_forward(world.model, world.data)
-        base, T = world.data.body("base"), pose_planar(pose)
-        np.testing.assert_allclose(base.xpos, T[:3, 3], atol=1e-6)
-        np.testing.assert_allclose(base.xmat.reshape(3, 3), T[:3, :3], atol=1e-6)
+    shot, pictures = shot_of(trace), []
+    inside = world.data.geom_xpos[np.flatnonzero(world.kinds == Kind.PART)[0]].copy()
+    with canvas(world.model, 320, 240) as draw:
+        for force in (0.0, 20.0):
+            over = Overlay(np.zeros((0, 2)), inside, np.array([0.0, 0.0, force]))
+            pictures.append(draw(world.data, shot.camera, shot.through, over))
+    changed = (pictures[0] != pictures[1]).any(2)
+    rows, columns = np.nonzero(changed)
+    assert (pictures[1][changed] == FORCE_COLOR).all()
+    assert np.ptp(rows) > 2 * np.ptp(columns)  # upright
 
 
 def test_a_film_of_nothing_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="nothing was executed"):
-        Film().write(tmp_path / "film.png")
+        write_film(RunTrace(), tmp_path / "film.png")

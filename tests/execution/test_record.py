@@ -6,6 +6,7 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from momapos.errors import FileFormatError, InputError
@@ -16,8 +17,10 @@ from momapos.execution.record import (
     Slip,
     Visit,
     read_run,
+    with_files,
     write_run,
 )
+from momapos.execution.run_motion import RunMotion
 from momapos.types import Task
 
 HIT = Collision("arm", "fridge/door", 12.5, 0.001, 0.2, 3.1, "manipulate")
@@ -39,6 +42,30 @@ RECORD = RunRecord(
 def test_a_record_that_is_written_is_read_again(tmp_path: Path) -> None:
     write_run(RECORD, tmp_path / "run.json")
     assert read_run(tmp_path / "run.json") == RECORD
+
+
+def test_a_record_holds_what_moved_and_from_which_files_it_came(tmp_path: Path) -> None:
+    motion = RunMotion(
+        (0.0, 0.1), ("drive", "settle"), ((0.0, 0.0, 0.1), (0.1, 0.0, 0.1)),
+        {"lift": (0.2, 0.3)}, (0.0, 0.0), (), ((0.0, 0.0, 0.0), (1.0, 0.0, -2.0)),
+    )  # fmt: skip
+    (tmp_path / "runs").mkdir()
+    out, plan = tmp_path / "runs" / "run.json", tmp_path / "plan.json"
+    named = with_files(RECORD, out, plan, "kitchen_small", np.array([1.0, 2.0, 0.5]))
+    write_run(replace(named, motion=motion), out)
+    read = read_run(out)
+    assert read.motion == motion
+    assert (out.parent / read.plan).resolve() == plan
+    assert (read.world, read.world_at) == ("kitchen_small", (1.0, 2.0, 0.5))
+
+
+def test_a_motion_whose_lists_do_not_fit_together_is_refused(tmp_path: Path) -> None:
+    write_run(RECORD, tmp_path / "run.json")
+    data = json.loads((tmp_path / "run.json").read_text())
+    data["motion"] = {"times": [0.0, 0.1], "stages": ["drive"], "bases": []}
+    (tmp_path / "run.json").write_text(json.dumps(data))
+    with pytest.raises(FileFormatError, match="not a usable run record"):
+        read_run(tmp_path / "run.json")
 
 
 def test_tries_that_failed_stand_in_the_record_and_one_without_them_is_read(

@@ -154,9 +154,9 @@ def test_a_person_asks_drags_plays_and_reloads(
     tab.get_by_text("Solved").wait_for(timeout=LONG)
     press(tab, "tab", "Motion")
     press(tab, "button", "Play")
-    assert until(lambda: 0.0 < page.player.now < page.player.duration)
+    assert until(lambda: 0.0 < page.motion.player.now < page.motion.player.duration)
     press(tab, "button", "Pause")
-    assert until(lambda: not page.player.playing)
+    assert until(lambda: not page.motion.player.playing)
     assert len(tab.screenshot()) > 10_000
     assert complaints == []
 

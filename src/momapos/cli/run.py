@@ -65,7 +65,7 @@ def run(
         out: Write the record here (JSON).
         out_scene: Write the scene here, a new file, with the joint of the part as the arm has found
             it and where it is now.
-        record: Draw a filmstrip (PNG) or a film (GIF) here.
+        record: Draw a filmstrip (PNG) or a film (GIF or MP4) here.
         json: Print the record as one JSON object and nothing else.
     """
     # Told before anything heavy is imported.
@@ -73,9 +73,14 @@ def run(
     check_outputs([out, record, out_scene])
     if out_scene is not None:
         refuse_existing(out_scene)
+    if record is not None:
+        from momapos.execution.film_files import check_film
+
+        check_film(record)
     check_plan_file(plan)
     if tries < 1:
         raise InputError(f"--tries {tries}: at least one motion must be tried")
+    from dataclasses import replace
     from json import dumps
 
     import numpy as np
@@ -90,13 +95,12 @@ def run(
     if world is None and world_at is not None:
         raise InputError("--world-at says where a --world lies; give that too, or leave it out")
     at = np.zeros(3) if world_at is None else np.array(parse_pose(world_at, "world-at"))
-    if record is not None and record.suffix.lower() not in (".png", ".gif"):
-        raise InputError(f"--record {record}: a filmstrip is a PNG, a film a GIF; name it so")
     content, scene, machine = open_plan(plan, scene_root, robot, "to execute")
     with require("physics"):
         from momapos.execution.config import ExecutionConfig, FurnitureConfig
-        from momapos.execution.film import Film
-        from momapos.execution.record import run_to_dict, write_run
+        from momapos.execution.film import write_film
+        from momapos.execution.record import run_to_dict, with_files, write_run
+        from momapos.execution.run_trace import RunTrace
         from momapos.execution.true_world import moved
         from momapos.joint_beliefs import save_learned
         from momapos.navigation.drive import DriveConfig
@@ -105,7 +109,7 @@ def run(
     there = None
     if world is not None:
         there = moved(load_scene(world, root=scene_root, cache=user_cache()), at)
-    film = Film() if record is not None else None
+    trace, watched = RunTrace(), out is not None or record is not None
     with progress(f"reachability map of {machine.name}") as report:
         reach = load_reach(machine, default_cache_dir(), report)
     result = run_plan(
@@ -113,19 +117,20 @@ def run(
         seed=seed,
         driving=DriveConfig() if noise else DriveConfig(noise=QUIET),
         physics=ExecutionConfig(hold=hold, furniture=FurnitureConfig(spread=0.3 if noise else 0.0)),
-        trace=film.drive if film is not None else None, watch=film,
+        trace=trace.drive if watched else None, watch=trace if watched else None,
     )  # fmt: skip
     if out is not None:
-        write_run(result, out)
+        named = with_files(result, out, plan, world, None if world is None else at)
+        write_run(replace(named, motion=trace.motion()), out)
     if out_scene is not None and save_learned(result, scene, out_scene) is None:
         print(
             f"momapos: {out_scene}: not written, for no joint was moved as asked", file=sys.stderr
         )
-    if film is not None and record is not None:
+    if record is not None:
         if result.execution is None:
             print(f"momapos: {record}: not drawn, for nothing was executed", file=sys.stderr)
         else:
-            film.write(record)
+            write_film(trace, record, ending="done" if result.success else result.reason)
     print(dumps(run_to_dict(result)) if json else summary(result))
     return 0 if result.success else 1
 

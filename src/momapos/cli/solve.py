@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -172,15 +172,19 @@ def _solve(
 def _run(answer: ScanAnswer, reach: Any, file: Path, options: SolveOptions) -> RunRecord:
     """Carry the plan out, and write how that went."""
     from momapos.execution.config import ExecutionConfig
-    from momapos.execution.record import write_run
+    from momapos.execution.record import with_files, write_run
+    from momapos.execution.run_trace import RunTrace
     from momapos.run_plan import run_plan
     from momapos.scene.files import load_scene
 
+    trace = RunTrace()
     record = run_plan(
         answer.result.plan, load_scene(answer.modeled.scene), answer.result.prepared.robot, reach,
         config=options.config, physics=ExecutionConfig(hold=options.hold), seed=options.seed,
+        trace=trace.drive, watch=trace,
     )  # fmt: skip
-    write_run(record, file)
+    named = with_files(record, file, file.parent / PLAN)
+    write_run(replace(named, motion=trace.motion()), file)
     return record
 
 

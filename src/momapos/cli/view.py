@@ -10,19 +10,17 @@ from typing import TYPE_CHECKING
 from tyro.conf import Positional
 
 from momapos.cli.options import OptionalPath, OptionalText
+from momapos.cli.view_sources import kind_of, opened_source, source_in
 from momapos.errors import InputError, require
 from momapos.files import check_outputs
 from momapos.robots.names import find_named_robot, library_names
 from momapos.scene.names import builtin_names, find_scene
 
 if TYPE_CHECKING:
-    from momapos.page.question import Opened
+    from momapos.page.opened import Opened, OpenedScan
 
 PORT = 8080
 FIRST_SCENE, FIRST_ROBOT = "kitchen_small", "segway_ur5e"
-_PLAN = "momapos-plan"
-_HEAD = 300
-"""A plan says within so many bytes that it is one."""
 
 
 def view(
@@ -37,44 +35,62 @@ def view(
 ) -> int:
     """Show a room and a robot on a web page: ask, drag the base, watch the answer move.
 
+    A plan plays, a run plays as physics did it, of a scan the points are shown and a scene is made.
+
     The page can be reached from this machine alone, unless another address is given. All browsers
     see the same. It ends with Ctrl-C.
 
     Args:
-        source: A scene file, the name of a built-in kitchen, or a plan file.
+        source: A scene file, the name of a built-in kitchen, a plan, the record of a run, a scan,
+            or a folder that momapos solve has written.
         robot: A library robot or a robot file; by default the one of the plan.
         scene_root: Folder for what a plan names and does not lie beside it.
-        static: Write a solved plan as one page that plays without a server, and serve nothing.
+        static: Write a solved plan or a run as one page that plays without a server; serve nothing.
         host: The address on which the page can be reached; 0.0.0.0 for all of this machine.
         port: Its port; 0 for any that is free.
     """
-    is_plan = _is_plan(source)
-    if not is_plan:
+    source = source_in(source)
+    kind = kind_of(source)
+    if kind == "scene":
         find_scene(source)
+    if kind in ("scene", "scan"):
         find_named_robot(robot or FIRST_ROBOT)
     if static is not None:
-        if not is_plan:
+        if kind not in ("plan", "run"):
             raise InputError(
-                f"--static shows a plan, and {source} is none; momapos place ... --out plan.json "
-                "writes one"
+                f"--static shows a plan or a run, and {source} is none; momapos place ... --out "
+                "plan.json writes one"
             )
         check_outputs([static])
     with require("view"):
         import viser  # noqa: F401
-    opened = _opened(Path(source), scene_root, robot) if is_plan else None
-    if static is not None and opened is not None:
-        from momapos.page.static import write_page
-
-        write_page(opened.scene, opened.robot, opened.plan, static)
-        print(f"{static}: {static.stat().st_size / 1e6:.1f} MB, plays in any browser")
-        return 0
-    return _serve(source, robot or FIRST_ROBOT, opened, host, port)
+    with opened_source(source, robot, scene_root) as opened:
+        if static is not None:
+            _write(opened, static)
+            return 0
+        return _serve(source, robot or FIRST_ROBOT, opened, host, port)
 
 
-def _serve(source: str, robot: str, opened: Opened | None, host: str, port: int) -> int:
+def _write(opened: Opened | OpenedScan | None, static: Path) -> None:
+    from momapos.page.opened import Opened
+    from momapos.page.static import write_page
+
+    assert isinstance(opened, Opened), "a plan or a run"
+    write_page(
+        opened.scene, opened.robot, opened.plan, static, story=opened.story(),
+        active=opened.question.target.partition("/")[0],
+    )  # fmt: skip
+    print(f"{static}: {static.stat().st_size / 1e6:.1f} MB, plays in any browser")
+
+
+def _serve(
+    source: str, robot: str, opened: Opened | OpenedScan | None, host: str, port: int
+) -> int:
     from momapos.cache import user_cache
     from momapos.cli.compile import ANSWER, RANK, compile_once
-    from momapos.page.serve import LOOPBACK, served
+    from momapos.page.opened import Opened
+    from momapos.page.origin import LOOPBACK
+    from momapos.page.serve import served
 
     if host not in LOOPBACK:
         print(
@@ -83,7 +99,7 @@ def _serve(source: str, robot: str, opened: Opened | None, host: str, port: int)
             file=sys.stderr,
         )
     compile_once((*ANSWER, *RANK))
-    machine = robot if opened is None else opened.robot.source
+    machine = opened.robot.source if isinstance(opened, Opened) else robot
     with served(
         host=host, port=port, scene=source, robot=machine, cache=user_cache(), folder=Path.cwd(),
         scenes=tuple(dict.fromkeys((source, *builtin_names()))),
@@ -93,22 +109,3 @@ def _serve(source: str, robot: str, opened: Opened | None, host: str, port: int)
         with contextlib.suppress(KeyboardInterrupt):  # how it is ended
             page.server.sleep_forever()
     return 0
-
-
-def _is_plan(source: str) -> bool:
-    """Whether a file calls itself a plan; what else is wrong with it its reader says."""
-    path = Path(source)
-    try:
-        with path.open("rb") as file:
-            head = file.read(_HEAD)
-    except (OSError, ValueError):  # a name, or what the reader of scenes refuses
-        return False
-    return f'"{_PLAN}"'.encode() in head
-
-
-def _opened(path: Path, scene_root: Path | None, robot: str | None) -> Opened:
-    from momapos.cli.plan_files import open_plan
-    from momapos.page.question import Opened
-
-    plan, scene, machine = open_plan(path, scene_root, robot, "to show")
-    return Opened(str(path), scene, machine, plan)

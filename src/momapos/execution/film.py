@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,9 +14,11 @@ import numpy as np
 from momapos.cache import write_atomic
 from momapos.errors import InputError, require
 from momapos.execution.config import Stage
-from momapos.execution.film_canvas import Shot, canvas, captioned, frame_shot
-from momapos.execution.simulation import Simulation
-from momapos.geometry.planar import local_points
+from momapos.execution.film_canvas import Overlay, Shot, canvas, captioned, frame_shot
+from momapos.execution.film_files import GIF, MP4, STRIP, check_film, encoded
+from momapos.execution.run_motion import DRIVE
+from momapos.execution.run_trace import Act, RunTrace, State
+from momapos.execution.simulated_robot import TOOL_POINT
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Shaped, UInt8
@@ -25,157 +27,167 @@ WIDTH, HEIGHT, COLUMNS = 640, 480, 4
 """A picture of a filmstrip [px], and how many stand in a row."""
 FILM_WIDTH, FILM_HEIGHT = 1280, 670
 """A picture of a film without its caption, with which it is 720 high [px]."""
-FILM_RATE, FASTER, MOST_PICTURES = 10.0, 3.0, 160
-"""Pictures a second, how many times faster than in truth they are shown, and how many at most."""
+FASTER = 3.0
+"""How many times faster than in truth a film plays [-]."""
+RATES, MOST_PICTURES = {GIF: 10.0, MP4: 20.0}, {GIF: 160, MP4: 900}
+"""Pictures a second, and how many at most: a GIF of more is too large for a page."""
+LAST = 1.5
+"""The last picture of a film stays for so long [s]."""
 SWEEP = 18.0
 """In a film the camera goes round from this far on one side to the other [deg]."""
-ENDINGS = (".png", ".gif")
-State = tuple[float, str, np.ndarray]
-"""Time [s], stage, coordinates."""
-INTERVAL = 0.05
-"""Time between remembered states [s]."""
 _BEFORE = (Stage.SETTLE, Stage.APPROACH)
 """Stages before the robot takes hold."""
 
 
-@dataclass
-class Film:
-    """Remembers a run; give it to `execute` as `watch`, and `drive` every drive before."""
+def write_film(trace: RunTrace, path: Path, *, frames: int = 8, ending: str = "") -> None:
+    """Draw a filmstrip (PNG) or a film (GIF or MP4, 720p), as the name ends.
 
-    states: list[State] = field(default_factory=list)
-    world: Simulation | None = None
-    times: list[Float[np.ndarray, " t"]] = field(default_factory=list)
-    """Of each drive, from its beginning [s]."""
-    poses: list[Float[np.ndarray, "t 3"]] = field(default_factory=list)
-    """Of the base in each drive."""
+    A filmstrip shows the last motion and the way there, a film all of them.
 
-    def __call__(self, world: Simulation, time: float, stage: str) -> None:
-        """Remember a state, if the last one is long enough ago."""
-        self.world = world
-        if not self.states or time - self.states[-1][0] >= INTERVAL - 1e-9:
-            self.states.append((time, stage, world.data.qpos.copy()))
+    Args:
+        trace: What was seen of the run.
+        path: The file.
+        frames: Number of pictures of a filmstrip; a quarter of them of the drives, if there
+            are any.
+        ending: How the run ended, for the last picture.
 
-    def drive(self, times: Float[np.ndarray, " t"], poses: Float[np.ndarray, "t 3"]) -> None:
-        """Remember a drive.
-
-        Args:
-            times: From its beginning [s].
-            poses: True poses of the base: x [m], y [m], yaw [rad].
-        """
-        self.times.append(times)
-        self.poses.append(poses)
-
-    def write(self, path: Path, frames: int = 8) -> None:
-        """Draw a filmstrip (PNG) or a film (GIF, 720p), as the name ends.
-
-        Args:
-            path: The file.
-            frames: Number of pictures of a filmstrip; a quarter of them of the drives, if there
-                are any.
-
-        Raises:
-            InputError: Nothing was executed, this machine cannot draw off-screen, the name ends
-                otherwise, or the file cannot be written.
-            MissingExtraError: Pillow is not installed.
-        """
-        if path.suffix.lower() not in ENDINGS:
-            raise InputError(
-                f"{path}: a film ends in .png (a strip of pictures) or .gif; name it so"
-            )
-        if self.world is None or not self.states:
-            raise InputError(f"{path}: nothing was executed; there is nothing to draw")
-        with require("physics"):
-            from PIL import Image
+    Raises:
+        InputError: Nothing was executed, this machine cannot draw off-screen, the name ends
+            otherwise, or the file cannot be written.
+        MissingExtraError: Pillow is not installed, or for an MP4 PyAV.
+    """
+    check_film(path)
+    if not trace.played:
+        raise InputError(f"{path}: nothing was executed; there is nothing to draw")
+    with require("physics"):
+        from PIL import Image
+    kind = path.suffix.lower()
+    if kind == STRIP:
         content = io.BytesIO()
-        if path.suffix.lower() == ".png":
-            Image.fromarray(self._strip(frames)).save(content, "PNG")
-        else:
-            pictures = [Image.fromarray(picture).quantize(128) for picture in self._pictures()]
-            pictures[0].save(
-                content, "GIF", save_all=True, append_images=pictures[1:], loop=0,
-                duration=round(1000 / FILM_RATE),
-            )  # fmt: skip
-        try:
-            write_atomic(path, content.getvalue())
-        except OSError as error:
-            raise InputError(f"{path}: cannot be written ({error.strerror})") from error
+        Image.fromarray(_strip(trace, frames, ending)).save(content, "PNG")
+        film = content.getvalue()
+    else:
+        rate = RATES[kind]
+        film = encoded(_film(trace, rate, MOST_PICTURES[kind], ending), kind, rate)
+    try:
+        write_atomic(path, film)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror})") from error
 
-    def _strip(self, frames: int) -> Shaped[np.ndarray, "H W 3"]:
-        """Some pictures of the drives and of what was done then, in rows."""
-        driven = self.driven(frames // 4)
-        done = [(self._drove + t, stage, q) for t, stage, q in self._chosen(frames - len(driven))]
-        assert self.world is not None
-        data, pictures = mujoco.MjData(self.world.model), []
-        with canvas(self.world.model, WIDTH, HEIGHT) as draw:
-            for strip, seen in ((driven, [*driven, done[0]]), (done, done)):
-                shot = frame_shot(self.world, data, [q for _, _, q in seen])
-                for state in strip:
-                    self._set(data, state)
-                    picture = draw(data, shot.camera, shot.through)
-                    pictures.append(captioned(picture, _words(state)))
-        return _sheet(pictures)
 
-    def _pictures(self) -> Iterator[UInt8[np.ndarray, "h w 3"]]:
-        """The pictures of a film, whose camera goes slowly round."""
-        assert self.world is not None
-        done = [(self._drove + t, stage, q) for t, stage, q in self.states]
-        step = max(FASTER / FILM_RATE, (done[-1][0]) / MOST_PICTURES)
-        driven = self.driven(int(self._drove / step))
-        times = np.array([t for t, _, _ in done])
-        picked = np.unique(np.searchsorted(times, np.arange(times[0], times[-1], step)))
-        acted = [done[i] for i in [*picked.tolist(), len(done) - 1]]
-        data = mujoco.MjData(self.world.model)
-        with canvas(self.world.model, FILM_WIDTH, FILM_HEIGHT) as draw:
-            for part in (driven, acted):
-                if part:
-                    shot: Shot = frame_shot(self.world, data, [q for _, _, q in part], sweep=SWEEP)
-                for k, state in enumerate(part):
-                    self._set(data, state)
-                    camera = shot.turned(SWEEP * (2 * k / max(1, len(part) - 1) - 1))
-                    yield captioned(draw(data, camera, shot.through), _words(state))
+@dataclass(frozen=True)
+class _Picture:
+    """A moment of a run that is drawn."""
+
+    state: State
+    """Its time counts from the beginning of the run."""
+    way: Float[np.ndarray, "k 3"]
+    """Poses of the base on its drives, as far as they are driven."""
 
     @property
-    def _drove(self) -> float:
-        """How long all drives took [s]."""
-        return sum(float(times[-1]) for times in self.times)
-
-    def _set(self, data: Any, state: State) -> None:
-        assert self.world is not None
-        data.qpos[:] = state[2]
-        mujoco.mj_forward(self.world.model, data)
-
-    def driven(self, frames: int) -> list[State]:
-        """States of all drives together, evenly spread over the way; the end is in what follows."""
-        assert self.world is not None
-        if not self.poses or not frames:
-            return []
-        ends = np.cumsum([0.0, *(times[-1] for times in self.times)])
-        times = np.concatenate([t + end for t, end in zip(self.times, ends[:-1], strict=True)])
-        poses = np.concatenate(self.poses)
-        way = np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0, prepend=poses[:1, :2]).T))
-        picked = np.searchsorted(way, np.linspace(0.0, way[-1], frames + 1)[:-1])
-        # The base's joints count from where it stands in the physics: the end of the last drive.
-        stands = poses[-1]
-        states = []
-        for i in picked:
-            q = self.states[0][2].copy()
-            xy = local_points(stands, poses[i : i + 1, :2])[0]
-            q[self.world.base_q] = [*xy, poses[i, 2] - stands[2]]
-            states.append((float(times[i]), "drive", q))
-        return states
-
-    def _chosen(self, frames: int) -> list[State]:
-        """A quarter of the pictures from the way to the object, the others from then on."""
-        before = [s for s in self.states if s[1] in _BEFORE]
-        after = [s for s in self.states if s[1] not in _BEFORE]
-        early = min(len(before), max(1, frames // 4) if after else frames)
-        picked = [before[i] for i in np.linspace(0, len(before) - 1, early + 1).astype(int)[:early]]
-        late = min(len(after), frames - len(picked))
-        return picked + [after[i] for i in np.linspace(0, len(after) - 1, late).astype(int)]
+    def words(self) -> str:
+        """What is said under it."""
+        time, stage, _, force = self.state
+        held = float(np.linalg.norm(force))
+        return f"{time:.1f} s   {stage}" + (f"   {held:.0f} N at the hand" if held else "")
 
 
-def _words(state: State) -> str:
-    return f"{state[0]:.1f} s   {state[1]}"
+def _strip(trace: RunTrace, frames: int, ending: str) -> Shaped[np.ndarray, "H W 3"]:
+    """Some pictures of the drives and of what was done then, in rows."""
+    act = trace.played[-1]
+    began = sum(one.duration for one in trace.acts[: trace.acts.index(act)])
+    driven = _driven(act, began, _along(act, frames // 4))
+    done = _done(act, began, _chosen(act.states, frames - len(driven)))
+    assert act.world is not None
+    pictures = []
+    with canvas(act.world.model, WIDTH, HEIGHT) as draw:
+        data = mujoco.MjData(act.world.model)
+        for strip, seen in ((driven, [*driven, done[0]]), (done, done)):
+            shot = frame_shot(act.world, data, [one.state.q for one in seen])
+            for one in strip:
+                words = one.words if one is not done[-1] else _ended(one.words, ending)
+                drawn = draw(data, shot.camera, shot.through, _set(act, data, one))
+                pictures.append(captioned(drawn, words))
+    return _sheet(pictures)
+
+
+def _film(
+    trace: RunTrace, rate: float, most: int, ending: str
+) -> Iterator[UInt8[np.ndarray, "h w 3"]]:
+    """The pictures of a film, whose camera goes slowly round."""
+    whole = sum(act.duration for act in trace.acts)
+    step, began, picture, words = max(FASTER / rate, whole / most), 0.0, None, ""
+    for act in trace.acts:
+        if act.world is not None:
+            driven = _driven(act, began, np.arange(0.0, act.drove, step))
+            times = np.array([state.time for state in act.states])
+            picked = np.unique(np.searchsorted(times, np.arange(times[0], times[-1], step)))
+            done = _done(act, began, [act.states[i] for i in [*picked.tolist(), len(times) - 1]])
+            with canvas(act.world.model, FILM_WIDTH, FILM_HEIGHT) as draw:
+                data = mujoco.MjData(act.world.model)
+                for part in filter(None, (driven, done)):
+                    states = [one.state.q for one in part]
+                    shot: Shot = frame_shot(act.world, data, states, sweep=SWEEP)
+                    for k, one in enumerate(part):
+                        camera = shot.turned(SWEEP * (2 * k / max(1, len(part) - 1) - 1))
+                        picture = draw(data, camera, shot.through, _set(act, data, one))
+                        words = one.words
+                        yield captioned(picture, f"{words}   ({FASTER:g} x)")
+        began += act.duration
+    assert picture is not None
+    last = captioned(picture, _ended(words, ending))
+    for _ in range(round(LAST * rate)):
+        yield last
+
+
+def _ended(words: str, ending: str) -> str:
+    """The words of the last picture: how it ended where that is known."""
+    return f"{words.partition('   ')[0]}   {ending}" if ending else words
+
+
+def _set(act: Act, data: Any, one: _Picture) -> Overlay:
+    """Put a world into the state of a picture; what is drawn over it."""
+    assert act.world is not None
+    data.qpos[:] = one.state.q
+    mujoco.mj_forward(act.world.model, data)
+    return Overlay(one.way[:, :2], data.geom(TOOL_POINT).xpos.copy(), -one.state.force)
+
+
+def _driven(act: Act, began: float, when: Float[np.ndarray, " n"]) -> list[_Picture]:
+    """Pictures of the drives of an act at some times [s]."""
+    times, poses = act.way
+    return [
+        _Picture(
+            State(began + float(times[i]), DRIVE, act.standing_at(poses[i]), np.zeros(3)),
+            poses[: i + 1],
+        )
+        for i in np.searchsorted(times, when).tolist()
+    ]
+
+
+def _done(act: Act, began: float, states: Sequence[State]) -> list[_Picture]:
+    """Pictures of what physics did in an act."""
+    before = began + act.drove
+    return [_Picture(one._replace(time=before + one.time), act.way[1]) for one in states]
+
+
+def _along(act: Act, frames: int) -> Float[np.ndarray, " n"]:
+    """Times evenly spread over the way of all drives; its end is in what follows [s]."""
+    times, poses = act.way
+    if not len(poses) or not frames:
+        return np.zeros(0)
+    way = np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0, prepend=poses[:1, :2]).T))
+    return np.asarray(times[np.searchsorted(way, np.linspace(0.0, way[-1], frames + 1)[:-1])])
+
+
+def _chosen(states: Sequence[State], frames: int) -> list[State]:
+    """A quarter of the pictures from the way to the object, the others from then on."""
+    before = [s for s in states if s.stage in _BEFORE]
+    after = [s for s in states if s.stage not in _BEFORE]
+    early = min(len(before), max(1, frames // 4) if after else frames)
+    picked = [before[i] for i in np.linspace(0, len(before) - 1, early + 1).astype(int)[:early]]
+    late = min(len(after), frames - len(picked))
+    return picked + [after[i] for i in np.linspace(0, len(after) - 1, late).astype(int)]
 
 
 def _sheet(pictures: list[UInt8[np.ndarray, "h w 3"]]) -> Shaped[np.ndarray, "H W 3"]:

@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
+import numpy as np
 
 from momapos.cache import write_atomic
 from momapos.errors import FileFormatError, InputError
+from momapos.execution.run_motion import RunMotion, Triple
 from momapos.files import read_bytes_bounded
 from momapos.types import Task
 
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
 FORMAT, VERSION = "momapos-run", 1
 MAX_BYTES = 10_000_000
-Triple = tuple[float, float, float]
 Pose = tuple[float, float, float]
 
 
@@ -170,6 +175,16 @@ class RunRecord:
     time: Mapping[str, float] = field(default_factory=dict)
     """Seconds of computing by stage: drive, plan, execute."""
     versions: Mapping[str, str] = field(default_factory=dict)
+    plan: str = ""
+    """The plan's file, seen from the folder of the record; "" where nobody said."""
+    world: str = ""
+    """Likewise the scene that was really there; "" where that is the plan's own."""
+    world_at: Pose | None = None
+    """Where its origin lies in the plan's scene: x [m], y [m], yaw [rad]."""
+    true_task: Task | None = None
+    """What the task means in that world."""
+    motion: RunMotion | None = None
+    """What moved; None where nobody watched."""
 
     @property
     def success(self) -> bool:
@@ -215,6 +230,34 @@ def write_run(record: RunRecord, path: Path) -> None:
         write_atomic(path, text.encode())
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror})") from error
+
+
+def with_files(
+    record: RunRecord,
+    out: Path,
+    plan: Path,
+    world: str | None = None,
+    world_at: Float[np.ndarray, "3"] | None = None,
+) -> RunRecord:
+    """A record that says from which files it came, so that it can be shown again.
+
+    Args:
+        record: The record.
+        out: Where it will be written; what it names is seen from there.
+        plan: The plan's file.
+        world: A scene file, or the name of a built-in scene, that was really there.
+        world_at: Where its origin lies: x [m], y [m], yaw [rad].
+    """
+
+    def seen(path: Path) -> str:
+        return os.path.relpath(path.resolve(), out.resolve().parent)
+
+    there = "" if world is None else seen(Path(world)) if Path(world).is_file() else world
+    at = None
+    if world_at is not None:
+        x, y, yaw = world_at.tolist()
+        at = (x, y, yaw)
+    return replace(record, plan=seen(plan), world=there, world_at=at)
 
 
 class _RunHead(msgspec.Struct):

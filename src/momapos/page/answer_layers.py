@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -44,12 +45,21 @@ class Answered:
 class AnswerLayers:
     """Draws the layers of one answer."""
 
-    def __init__(self, api: SceneApi, panel: Panel, robot: RobotView) -> None:
-        self._api, self._panel, self._robot = api, panel, robot
+    def __init__(
+        self, api: SceneApi, panel: Panel, robot: RobotView, drawing: AbstractContextManager[Any]
+    ) -> None:
+        """`drawing` is held while what is drawn is changed."""
+        self._api, self._panel, self._robot, self._drawing = api, panel, robot, drawing
         self._roots: dict[str, Any] = {}
         self._of: Answered | None = None
         self._kinds: tuple[str, ...] = ()
         self.work = Latest("page layers", self._fail)
+
+    @property
+    def drawn(self) -> tuple[str, ...]:
+        """The layers that are drawn, seen or not."""
+        with self._drawing:
+            return tuple(self._roots)
 
     def show(self, scene: Scene, answer: PlacementResult, reach: ReachScorer) -> None:
         """Draw the layers of another answer that are switched on."""
@@ -60,23 +70,26 @@ class AnswerLayers:
     def clear(self) -> None:
         """Draw nothing."""
         self.work.stop()
-        self._of = None
-        for root in self._roots.values():
-            root.remove()
-        self._roots, self._kinds = {}, ()
+        with self._drawing:
+            self._of = None
+            for root in self._roots.values():
+                root.remove()
+            self._roots, self._kinds = {}, ()
         self._panel.legend.content = ""
         self._panel.clicked.content = ""
 
     def changed(self) -> None:
         """Layers were switched on or off."""
-        self._robot.show_spheres(bool(self._panel.layers["spheres"].value))
+        with self._drawing:
+            self._robot.show_spheres(bool(self._panel.layers["spheres"].value))
         self.work.put(self._update)
 
     def height_changed(self) -> None:
         """The reach is asked for at another height."""
-        root = self._roots.pop("reach", None)
-        if root is not None:
-            root.remove()
+        with self._drawing:
+            root = self._roots.pop("reach", None)
+            if root is not None:
+                root.remove()
         self.changed()
 
     def _fail(self, reason: str) -> None:
@@ -89,16 +102,29 @@ class AnswerLayers:
         for key in LAYERS:
             wanted = bool(self._panel.layers[key].value)
             if wanted and key in DRAW and key not in self._roots:
-                name = f"{ROOT}/{key}"
-                if key == "reach":
-                    name = f"{self._robot.name}/reach"
-                self._roots[key] = self._api.add_frame(name, show_axes=False)
-                DRAW[key](self, name, of, clock)
-            if key in self._roots:
-                self._roots[key].visible = wanted
+                self._draw(key, of, clock)
+            with self._drawing:
+                if self._of is not of:
+                    return
+                if key in self._roots:
+                    self._roots[key].visible = wanted
         self._panel.legend.content = legend(
             [k for k in LAYERS if self._panel.layers[k].value], self._kinds
         )
+
+    def _draw(self, key: str, of: Answered, clock: Clock) -> None:
+        """Draw a layer, and take it away again where another answer came meanwhile."""
+        name = f"{self._robot.name if key == 'reach' else ROOT}/{key}"
+        root, drawn = self._api.add_frame(name, show_axes=False), False
+        try:
+            DRAW[key](self, name, of, clock)
+            drawn = True
+        finally:
+            with self._drawing:
+                if drawn and self._of is of:
+                    self._roots[key] = root
+                elif self._api.get_handle_by_name(name) is not None:  # not gone with the robot
+                    self._api.remove_by_name(name)
 
     # ------------------------------------------------------------------------------- one a layer
 
@@ -198,4 +224,6 @@ def _ramp(colors: tuple[str, ...]) -> str:
 
 
 def _mark(style: str) -> str:
-    return f'<span style="display:inline-block;height:0.9em;vertical-align:-0.1em;{style}"></span>'
+    # The border sets dark colors off from a dark page, and pale ones from a light one.
+    shape = "display:inline-block;height:0.9em;vertical-align:-0.1em;border:1px solid #888"
+    return f'<span style="{shape};{style}"></span>'

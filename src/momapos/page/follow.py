@@ -35,7 +35,7 @@ class Follow:
         gizmo = event.target
         yaw = float(SO3(np.asarray(gizmo.wxyz)).compute_yaw_radians())
         base = np.array([gizmo.position[0], gizmo.position[1], yaw])
-        self._page.player.pause()
+        self._page.motion.player.pause()
         self._page.robot.base = base
         asked = time.perf_counter()
         self.work.put(lambda clock: self._ask(base, asked, clock))
@@ -65,7 +65,9 @@ class Follow:
 
     def _show(self, finding: Finding, probe: Probe, seconds: float) -> None:
         page, robot, joint = self._page, probe.robot, probe.task.joint
-        with page.server.atomic():
+        with page.drawing, page.server.atomic():
+            if page.shown.probe is not probe:  # something else is asked by now
+                return
             if finding.motion is None:
                 page.robot.move(None, home_values(robot))
                 page.room.move({})
@@ -75,4 +77,4 @@ class Follow:
                 page.room.move({} if joint is None else {joint: value})
             page.robot.verdict(verdict_of(finding))
             page.room.mark(finding.in_the_way)
-        page.tell(finding_words(finding, probe, seconds))
+            page.tell(finding_words(finding, probe, seconds))

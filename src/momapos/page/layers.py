@@ -44,6 +44,9 @@ FLOOR_IMAGE = 0.004
 """Pictures lie so high above the floor [m]."""
 CRISP = 8
 """Browsers blur pictures; with so many pixels along the edge of a cell its border is seen [-]."""
+LIT = 0.5
+"""What lies on the floor is lit so strongly that it is drawn so much darker, to look as in the
+legend [-]."""
 POINTS = 1200
 """Candidates that are drawn at most [-]."""
 MARK = 0.08
@@ -145,7 +148,8 @@ def draw_candidates(
     texts = {pose.tobytes(): str(outcome) for pose, outcome in zip(places, every, strict=True)}
     words = [texts[pose.tobytes()] for pose in seen.poses[chosen]]
     positions = np.column_stack([seen.poses[chosen, :2], np.full(len(chosen), 0.015)])
-    colors = np.array([rgb(KINDS[k].color) for k in seen.kind[chosen]], np.uint8).reshape(-1, 3)
+    own = np.array([rgb(KINDS[k].color) for k in seen.kind[chosen]], float).reshape(-1, 3)
+    colors = (LIT * own).astype(np.uint8)
     scales = np.array([MARK * (1.8 if KINDS[k].filled else 1.0) for k in seen.kind[chosen]])
     # An arrowhead that lies on the floor and points where the base looks.
     head = np.array([[0.7, 0, 0], [-0.5, 0.45, 0], [-0.25, 0, 0], [-0.5, -0.45, 0]])

@@ -8,6 +8,7 @@ wins, and draws what it finds itself.
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -20,15 +21,19 @@ from momapos.errors import InputError
 from momapos.manipulation.tasks import in_front_of_parts
 from momapos.page.answer_layers import AnswerLayers
 from momapos.page.browsers import Browsers
+from momapos.page.compare import Compare
 from momapos.page.extras import Extras
 from momapos.page.follow import Follow
+from momapos.page.motion_view import MotionView
+from momapos.page.opened import Opened, OpenedScan
 from momapos.page.panel import Panel, joint_ranges
-from momapos.page.playback import Player, Story
-from momapos.page.question import Machine, Opened, Question, ask, ask_at, load_machine, targets
+from momapos.page.playback import Story
+from momapos.page.question import Machine, Question, ask, ask_at, load_machine, targets
 from momapos.page.robot_view import RobotView, home_values, joint_values
 from momapos.page.room_view import RoomView, viewpoint
+from momapos.page.scan_view import ScanView
 from momapos.page.state import Choice, Shown
-from momapos.page.words import answer_words, escaped
+from momapos.page.words import answer_words, escaped, run_words
 from momapos.page.work import Latest
 from momapos.placement_result import PlacementResult
 from momapos.protocols import Clock
@@ -56,7 +61,7 @@ class Page:
         robot: str,
         cache: Cache,
         folder: Path,
-        opened: Opened | None = None,
+        opened: Opened | OpenedScan | None = None,
     ) -> None:
         """Build the page, and load the scene and the robot behind it.
 
@@ -68,31 +73,37 @@ class Page:
             robot: Likewise.
             cache: Where geometry and maps are kept.
             folder: Where files are saved.
-            opened: A plan that is shown first; its scene is among those that may be chosen.
+            opened: A plan, run or scan that is shown first; its scene is among those that may be
+                chosen.
         """
         self.server, self._cache, self.folder = server, cache, folder
         self._start: tuple[float, float, float] | None = None
         self._opened = opened
         self.shown = Shown()
+        self.drawing = threading.RLock()
+        """Held while what is drawn is changed, and while it is looked at whether it still should
+        be: several threads draw."""
         self.room = RoomView(server.scene, self._pick)
         self.robot = RobotView(server.scene, dragged=lambda event: self.follow.dragged(event))
-        self.player = Player(self._show_moment)
+        self.motion = MotionView(self)
         self.panel = Panel(server.gui, self, scenes=scenes, robots=robots, scene=scene, robot=robot)
         self._told = 0.0
         self.extras = Extras(self)
-        self.layers = AnswerLayers(server.scene, self.panel, self.robot)
+        self.compare = Compare(self)
+        self.scan = ScanView(server.scene, self.panel)
+        self.layers = AnswerLayers(server.scene, self.panel, self.robot, self.drawing)
         self.work = Latest("page work", self.fail)
         self.follow = Follow(self)
         self.browsers = Browsers(server, self._stop_if_busy)
-        if opened is None:
-            self.change()
-        else:
+        if isinstance(opened, Opened):
             self._open(opened)
+        else:
+            self.change()
 
     def close(self) -> None:
         """End all work."""
         self.browsers.close()
-        self.player.pause()
+        self.motion.player.pause()
         self.work.close()
         self.follow.work.close()
         self.layers.work.close()
@@ -135,7 +146,12 @@ class Page:
             self.panel.to.value = question.to
             self._start = question.start
             _, machine, _ = self._update(clock)
-            self._take(opened.answer(), machine)
+            answer = opened.answer()
+            if answer is not None:
+                self._take(answer, machine)
+            if opened.run is not None:
+                self.motion.load(opened.story(), at_end=False)
+                self.tell(run_words(opened.run))
 
         self._request(work)
 
@@ -145,8 +161,7 @@ class Page:
         def work(clock: Clock) -> None:
             scene, machine, question = self._update(clock)
             self.tell("**Searching**")
-            answer = ask(scene, machine, question, clock, self._tell_stage)
-            self._take(answer, machine)
+            self._take(ask(scene, machine, question, clock, self._tell_stage), machine)
 
         self._request(work)
 
@@ -168,7 +183,7 @@ class Page:
         """End what runs."""
         self.work.stop()
         self.follow.work.stop()
-        self.player.pause()
+        self.motion.player.pause()
         self.panel.result.content = "Stopped."
 
     def start_here(self) -> None:
@@ -183,7 +198,7 @@ class Page:
         self.change()
 
     def _request(self, work: Callable[[Clock], None]) -> None:
-        self.player.pause()
+        self.motion.player.pause()
         self.follow.work.stop()
         self.panel.show_busy(True)
 
@@ -215,7 +230,7 @@ class Page:
         fresh = shown.scene_name != choice.scene
         if fresh:
             self.tell(f"Loading {escaped(choice.scene)}.")
-            shown.scene, shown.scene_name = self._load(choice.scene), ""
+            shown.scene, shown.scene_name = self._load(choice.scene, clock), ""
             self._start = None
         scene = shown.scene
         assert scene is not None
@@ -232,14 +247,19 @@ class Page:
         assert shown.machine is not None
         question = Question(**{**vars(self.choice.question), "target": target})
         if fresh or shown.question != question:
-            self._draw(scene, shown.machine, question, fresh=fresh)
+            with self.drawing:
+                self._draw(scene, shown.machine, question, fresh=fresh)
             shown.scene_name = choice.scene
         return scene, shown.machine, question
 
-    def _load(self, name: str) -> Scene:
-        if self._opened is not None and name == self._opened.name:
-            return self._opened.scene
-        return load_scene(name, cache=self._cache)
+    def _load(self, name: str, clock: Clock) -> Scene:
+        opened = self._opened if self._opened is not None and name == self._opened.name else None
+        if isinstance(opened, OpenedScan):
+            scene = opened.load(clock, lambda words: self.tell(escaped(words)))
+            self.scan.show(opened.modeled)
+            return scene
+        self.scan.show(None)
+        return load_scene(name, cache=self._cache) if opened is None else opened.scene
 
     def _machine(self, choice: Choice, clock: Clock) -> Machine:
         """The robot that is chosen; of another robot than the last all arms are taken."""
@@ -254,11 +274,10 @@ class Page:
     def _draw(self, scene: Scene, machine: Machine, question: Question, *, fresh: bool) -> None:
         """Draw what is asked, before there is an answer."""
         shown, robot = self.shown, machine.arms[0]
-        shown.question, shown.answer, shown.story, shown.probe = question, None, None, None
+        shown.question, shown.answer, shown.probe = question, None, None
         shown.joints = {}
-        self.player.load(0.0)
-        self.panel.show_story(0.0)
-        self.panel.moment.content = "There is no motion yet."
+        self.motion.load(None)
+        self.layers.clear()  # before the robot, from which one of them hangs
         name = question.target.partition("/")[0]
         collision = bool(self.panel.layers["collision"].value)
         if fresh and self.room.scene is not scene:
@@ -270,7 +289,6 @@ class Page:
         else:
             self.robot.move(self._begin(scene), home_values(robot))
         self.robot.verdict("")
-        self.layers.clear()
         warnings = "".join(f"\n- {escaped(text)}" for text in scene.warnings)
         self.tell(f"{READY}{warnings}")
 
@@ -299,17 +317,22 @@ class Page:
 
     def _take(self, answer: PlacementResult, machine: Machine) -> None:
         """Draw an answer."""
+        with self.drawing:
+            self._draw_answer(answer, machine)
+
+    def _draw_answer(self, answer: PlacementResult, machine: Machine) -> None:
         shown, robot = self.shown, answer.prepared.robot
         shown.answer = answer
+        self.layers.clear()
         if self.robot.robot is not robot:
             self.robot.show(robot, self.robot.base)
             shown.probe = None
-        plan = answer.plan
+        plan, story = answer.plan, None
         self.room.mark(())
         words = answer_words(answer)
         if plan.motion is not None and plan.base_pose is not None:
             try:
-                shown.story = Story.of(plan, robot)
+                story = Story.of(plan, robot)
             except InputError as error:
                 words += f"\n- no motion to show: {escaped(str(error))}"
             self.robot.move(np.array(plan.base_pose), joint_values(robot, plan.motion.q[-1]))
@@ -319,58 +342,18 @@ class Page:
         if plan.motion is None and shown_base is not None:
             self.robot.move(np.array(shown_base), home_values(robot))
         self.robot.verdict("feasible" if plan.motion is not None else "infeasible")
-        duration = 0.0 if shown.story is None else shown.story.duration
-        self.player.load(duration)
-        self.player.now = duration
-        self.panel.show_story(duration)
+        self.motion.load(story)
         assert shown.scene is not None
         self.layers.show(shown.scene, answer, machine.reach_of(robot.arm))
         self.tell(words)
-
-    def _show_moment(self, seconds: float, playing: bool) -> None:
-        story = self.shown.story
-        if story is None:
-            return
-        moment = story.at(seconds)
-        with self.server.atomic():
-            self.robot.move(moment.base, moment.joints)
-            self.room.move(moment.object_q)
-        now = time.perf_counter()
-        tell = not playing or now - self._told > 0.2
-        if tell:
-            self._told = now
-        self.panel.show_moment(seconds, moment.words, playing=playing, slider=tell)
-
-    def toggle_play(self) -> None:
-        """Play the motion, or pause it."""
-        if self.player.playing:
-            self.player.pause()
-            self._show_moment(self.player.now, False)
-        elif self.shown.story is not None:
-            self.room.mark(())
-            self.robot.verdict("feasible")
-            self.player.play()
-
-    def seek(self, seconds: float) -> None:
-        """Show the motion at a time [s]."""
-        self.player.seek(seconds)
-
-    def set_speed(self, speed: float) -> None:
-        """How many times faster than in truth it plays [-]."""
-        self.player.speed = speed
 
     def change_look(self) -> None:
         """Things are drawn as what is checked, or as what they look like."""
         if self.room.scene is not None and self.shown.question is not None:
             name = self.shown.question.target.partition("/")[0]
             collision = bool(self.panel.layers["collision"].value)
-            self.room.show(self.room.scene, name, collision=collision)
-
-    def move_joint(self, joint: str, value: float) -> None:
-        """Move a joint of the object by hand [rad] or [m]."""
-        self.player.pause()
-        self.shown.joints[joint] = value
-        self.room.move(self.shown.joints)
+            with self.drawing:
+                self.room.show(self.room.scene, name, collision=collision)
 
     # -------------------------------------------------------------------- clicks and browsers
 
@@ -387,5 +370,5 @@ class Page:
 
     def _stop_if_busy(self) -> None:
         """Nobody looks any more."""
-        if self.work.busy or self.follow.work.busy or self.player.playing:
+        if self.work.busy or self.follow.work.busy or self.motion.player.playing:
             self.stop()

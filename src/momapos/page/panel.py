@@ -23,6 +23,10 @@ LAYERS = {
     "collision": "Collision shapes",
 }  # fmt: skip
 """Layers in the order of the stages, and what they are called."""
+CLOUDS = ("by thing", "as seen", "none")
+"""How the points of a scan are colored."""
+POINTS = {"100 thousand": 100_000, "400 thousand": 400_000, "all": None}
+"""How many points of a scan are shown at most [-]."""
 SHOWN = ("way", "waypoints")
 """Those that are seen at first."""
 
@@ -99,8 +103,10 @@ class Panel:
         self.stop = self._button("Stop", page.stop, hint="Key X", disabled=True)
         self.result = gui.add_markdown("Loading.")
         with gui.add_folder("Compare", expand_by_default=False):
-            self._button("Keep this answer", lambda: page.extras.keep())
-            self._button("Forget what was kept", lambda: page.extras.forget())
+            self._button("Keep this answer", lambda: page.compare.keep())
+            self._button("Forget what was kept", lambda: page.compare.forget())
+            self.beside = gui.add_checkbox("Side by side", False)
+            self._listen(self.beside, lambda: page.compare.arrange())
             self.kept = gui.add_markdown("Nothing is kept.")
         for handle in (self.scene, self.robot, self.arm, self.verb, self.target, self.to,
                        self.method, self.seed):  # fmt: skip
@@ -108,18 +114,26 @@ class Panel:
 
     def _motion(self) -> None:
         gui, page = self._gui, self._page
-        self.play = self._button("Play", page.toggle_play, hint="Space", disabled=True)
+        self.play = self._button("Play", lambda: page.motion.toggle(), hint="Space", disabled=True)
         self.time = gui.add_slider("Time [s]", min=0.0, max=1.0, step=0.01, initial_value=0.0,
                                    disabled=True)  # fmt: skip
-        self._listen(self.time, lambda: page.seek(float(self.time.value)))
+        self._listen(self.time, lambda: page.motion.seek(float(self.time.value)))
         self.speed = gui.add_dropdown("Speed", SPEEDS, initial_value="1")
-        self._listen(self.speed, lambda: page.set_speed(float(self.speed.value)))
+        self._listen(self.speed, lambda: page.motion.set_speed(float(self.speed.value)))
         self.moment = gui.add_markdown("There is no motion yet.")
         self.joints_folder = gui.add_folder("Joints of the object")
         self._joints: list[Any] = []
 
     def _layers(self) -> None:
         gui, page = self._gui, self._page
+        with gui.add_folder("Scan", visible=False) as self.scan_folder:
+            self.cloud = gui.add_dropdown("Points", CLOUDS)
+            self.points = gui.add_dropdown("How many", tuple(POINTS))
+            self.boxes = gui.add_checkbox("Boxes and names", True)
+            self.furniture = gui.add_checkbox("Scene of it", True)
+        for handle in (self.cloud, self.points, self.boxes):
+            self._listen(handle, lambda: page.scan.changed())
+        self._listen(self.furniture, lambda: page.room.set_visible(self.furniture.value))
         self.layers = {key: gui.add_checkbox(words, key in SHOWN) for key, words in LAYERS.items()}
         self.height = gui.add_slider("Height of reach [m]", min=0.0, max=2.0, step=0.05,
                                      initial_value=0.9)  # fmt: skip
@@ -146,7 +160,7 @@ class Panel:
         page = self._page
         keys: Mapping[str, tuple[Any, Callable[[], None]]] = {
             "Place": ("P", page.place), "Stop": ("X", page.stop),
-            "Play": ("space", page.toggle_play),
+            "Play": ("space", lambda: page.motion.toggle()),
         }  # fmt: skip
         for label, (key, action) in keys.items():
             command = self._gui.add_command(label, hotkey=key)
@@ -191,7 +205,7 @@ class Panel:
                 self._joints.append(slider)
 
     def _mover(self, joint: str, slider: Any) -> Callable[[], None]:
-        return lambda: self._page.move_joint(joint, float(slider.value))
+        return lambda: self._page.motion.move_joint(joint, float(slider.value))
 
     def show_busy(self, busy: bool) -> None:
         """Whether there is anything to stop."""

@@ -39,6 +39,10 @@ class Moment:
     """Value of the joint that the task moves [rad] or [m]; empty where it moves none."""
     words: str
     """What is being done."""
+    force: Float[np.ndarray, "3"] | None = None
+    """Of what is held on the hand [N]; None where nobody knows."""
+    T_world_object: Float[np.ndarray, "4 4"] | None = None
+    """Pose of the root link of a loose object; None where it stays."""
 
 
 @dataclass(frozen=True)

@@ -15,19 +15,17 @@ from momapos.cache import Cache
 from momapos.config import PipelineConfig
 from momapos.errors import TaskError
 from momapos.farthest_plan import as_far_as_possible
-from momapos.manipulation.tasks import make_task, openable, slides
+from momapos.manipulation.tasks import make_task, openable
 from momapos.pipeline import answer
 from momapos.placement.config import OURS, Method
-from momapos.placement.problem import Search
 from momapos.placement_result import PlacementResult, cheapest
-from momapos.prepare import prepare
 from momapos.protocols import Clock, ReachScorer
 from momapos.query import PlacementQuery
 from momapos.reachability.store import load_reach
 from momapos.robots.robot import Robot, load_arms
 from momapos.scene.scene import Scene
 from momapos.stopwatch import Stopwatch
-from momapos.types import PlacementPlan, Task, Verb
+from momapos.types import Task, Verb
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -81,41 +79,6 @@ class Machine:
     def reach_of(self, arm: str) -> ReachScorer:
         """The map of one of the arms, by its name."""
         return next(m for one, m in zip(self.arms, self.maps, strict=True) if one.arm == arm)
-
-
-@dataclass(frozen=True)
-class Opened:
-    """A plan from a file, and what it is about."""
-
-    name: str
-    """What the scene of the plan is called on the page."""
-    scene: Scene
-    """As the plan left it."""
-    robot: Robot
-    plan: PlacementPlan
-
-    @property
-    def question(self) -> Question:
-        """What the plan answers."""
-        plan = self.plan
-        task = plan.task
-        target = task.object if task.joint is None else f"{task.object}/{task.joint}"
-        unit = "m" if slides(self.scene, task) else "rad"
-        to = "" if task.to is None else f"{task.to!r}{unit}"
-        method = plan.method if plan.method in METHODS else METHODS[0]
-        return Question(task.verb, target, to, method, plan.seed, plan.start)
-
-    def answer(self) -> PlacementResult:
-        """The plan as an answer whose search nobody knows.
-
-        Raises:
-            TaskError: The gripper cannot hold the object.
-        """
-        plan, config = self.plan, self.question.config
-        prepared = prepare(self.scene, self.robot, plan.task, config, clearance=0.0)
-        start = plan.start or plan.base_pose
-        assert start is not None
-        return PlacementResult(plan, prepared, Search(), np.array(start))
 
 
 def load_machine(

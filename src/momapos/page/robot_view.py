@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from viser.transforms import SO3
 
-from momapos.geometry.transforms import invert
+from momapos.geometry.transforms import invert, pose_planar
 from momapos.page.bodies import Surface, joined, looks
 from momapos.page.room_view import place, rgb, triangulated
 from momapos.robots.robot import Robot
@@ -20,6 +20,12 @@ if TYPE_CHECKING:
     from viser import SceneApi
 
 BODY, HAND = "#7d8b98", "#0072b2"
+FORCE = "#cc146b"
+PER_NEWTON, LONGEST, LEAST_FORCE = 0.03, 0.6, 1.0
+"""Length of the arrow of a force [m/N], how long it is at most [m], and from where it is drawn
+[N]."""
+FORCE_ABOVE = 0.15
+"""It is drawn so high above the hand, for the arm often lies along the pull [m]."""
 FLOOR_GAP = 0.006
 """The footprint lies so high above the floor [m]."""
 VERDICTS = {"": SOFT_INK, "feasible": GOOD, "partly": PART, "infeasible": BAD}
@@ -57,6 +63,7 @@ class RobotView:
         self._frame: Any = None
         self._footprint: Any = None
         self._spheres: Any = None
+        self._force: Any = None
         self._verdict = ""
         self._spheres_shown = False
 
@@ -100,7 +107,9 @@ class RobotView:
         """Draw it no more."""
         if self._frame is not None:
             self._frame.remove()
-        self._frame, self.robot, self._links = None, None, []
+        if self._force is not None:
+            self._force.remove()
+        self._frame, self._force, self.robot, self._links = None, None, None, []
 
     def move(
         self,
@@ -127,6 +136,25 @@ class RobotView:
                 place(node, T_base_root @ poses[link])
             if self._spheres_shown:
                 self._draw_spheres()
+
+    def show_force(self, force: Float[np.ndarray, "3"] | None) -> None:
+        """Draw the force of the hand on what it holds, against what is felt, as an arrow [N]."""
+        size = 0.0 if force is None else float(np.linalg.norm(force))
+        if self.robot is None or force is None or size < LEAST_FORCE:
+            if self._force is not None:
+                self._force.visible = False
+            return
+        poses = self.robot.model.link_poses(self._values)
+        T_base_tool = invert(poses[self.robot.base_link]) @ poses[self.robot.tool_link]
+        hand = (pose_planar(self.base) @ T_base_tool)[:3, 3] + [0.0, 0.0, FORCE_ABOVE]
+        arrow = np.stack([hand, hand - force * min(PER_NEWTON, LONGEST / size)])[None]
+        if self._force is None:
+            self._force = self._api.add_arrows(
+                f"{self.name}_force", arrow, rgb(FORCE), shaft_radius=0.015, head_radius=0.04,
+                head_length=0.09,
+            )  # fmt: skip
+        self._force.points = arrow.astype(np.float32)
+        self._force.visible = True
 
     def verdict(self, word: str) -> None:
         """Color the footprint: "feasible", "partly", "infeasible", or "" where it is not known."""
@@ -161,10 +189,13 @@ class RobotView:
 
     def _draw_spheres(self) -> None:
         assert self.robot is not None
-        import trimesh
-
         q = np.array([self._values.get(n, 0.0) for n in self.robot.chain.joints])
         centers, _ = sphere_centers(self.robot, self.robot.chain.freedom_values(q))
+        if self._spheres is not None:  # where they are is all that changes
+            self._spheres.batched_positions = centers.astype(np.float32)
+            return
+        import trimesh
+
         ball = trimesh.creation.icosphere(2, 1.0)
         turned = np.tile([1.0, 0.0, 0.0, 0.0], (len(centers), 1))
         self._spheres = self._api.add_batched_meshes_simple(

@@ -9,6 +9,7 @@ import numpy as np
 from viser.transforms import SO3
 
 from momapos.geometry.polygons import signed_area
+from momapos.geometry.transforms import invert
 from momapos.manipulation.tasks import in_front_of_parts
 from momapos.page.bodies import Surface, facing, joined, looks, standing
 from momapos.scene.scene import Scene, SceneObject
@@ -62,20 +63,48 @@ def swollen(surface: Surface, by: float) -> Surface:
 class RoomView:
     """Draws a scene; of what does not change nothing is sent again."""
 
-    def __init__(self, api: SceneApi, picked: Callable[[str], None] | None = None) -> None:
+    def __init__(
+        self, api: SceneApi, picked: Callable[[str], None] | None = None, *, name: str = ROOT
+    ) -> None:
         """Draw nothing yet.
 
         Args:
             api: Where to draw.
             picked: Is told the name of an object that is clicked.
+            name: Of the node from which all others hang.
         """
-        self._api, self._picked = api, picked
+        self._api, self._picked, self.name = api, picked, name
         self._nodes: dict[str, list[Any]] = {}
         self._links: dict[str, Any] = {}
         self._marks: list[Any] = []
         self._active = ""
         self._collision = False
+        self._root: Any = None
         self.scene: Scene | None = None
+
+    def set_visible(self, visible: bool) -> None:
+        """Show all of the room, or nothing of it."""
+        if self._root is None:
+            self._root = self._api.add_frame(self.name, show_axes=False)
+        self._root.visible = visible
+
+    def remove(self) -> None:
+        """Draw it no more."""
+        self.mark(())
+        self._clear()
+        self.scene, self._links = None, {}
+        if self._root is not None:
+            self._root.remove()
+            self._root = None
+
+    def carry(self, T_world_root: Float[np.ndarray, "4 4"]) -> None:
+        """Move the active object, which is loose, as a whole: the pose of its root link."""
+        if self.scene is None or not self._active:
+            return
+        item = self.scene.object(self._active)
+        T = T_world_root @ invert(item.link_poses()[item.model.urdf.root])
+        for node in self._nodes[self._active]:
+            place(node, T)
 
     def show(self, scene: Scene, active: str = "", *, collision: bool = False) -> None:
         """Draw a scene instead of the last.
@@ -125,9 +154,8 @@ class RoomView:
                 if look.link == link or link not in poses
             ]
             for surface in wanted:
-                self._marks.append(self._mesh(
-                    f"{ROOT}/mark{len(self._marks)}", swollen(surface, SWELL), color, opacity=0.75
-                ))  # fmt: skip
+                name = f"{self.name}/mark{len(self._marks)}"
+                self._marks.append(self._mesh(name, swollen(surface, SWELL), color, opacity=0.75))
 
     # ------------------------------------------------------------------------------------ parts
 
@@ -143,14 +171,14 @@ class RoomView:
             low, high = room_bounds(scene) + np.array([[-BEYOND], [BEYOND]])
             polygon = np.array([low, [high[0], low[1]], high, [low[0], high[1]]])
         corners = np.column_stack([polygon, np.full(len(polygon), -0.002)])
-        floor = self._mesh(f"{ROOT}/floor", Surface(corners, triangulated(polygon)), FLOOR)
+        floor = self._mesh(f"{self.name}/floor", Surface(corners, triangulated(polygon)), FLOOR)
         self._nodes[" floor"] = [floor]
 
     def _draw(self, index: int, item: SceneObject) -> None:
         for node in self._nodes.pop(item.name, []):
             node.remove()
         color, dark = _colors(item, active=item.name == self._active)
-        root, nodes = f"{ROOT}/o{index}", []
+        root, nodes = f"{self.name}/o{index}", []
         if item.name == self._active and item.model.joints:
             poses = item.link_poses()
             for k, look in enumerate(looks(item.model, collision=self._collision)):

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,79}\.json")
 PICTURE, FILM = (1280, 720), (640, 360)
 """Width and height [px]."""
+BEHIND = 255.0
+"""White behind all that is drawn."""
 FRAMES, FILM_RATE = 72, 12
 """Pictures in a film at most, and how many are shown a second."""
 
@@ -86,7 +88,9 @@ def render(client: Any, size: tuple[int, int]) -> UInt8[np.ndarray, "h w 3"]:
     """What a browser sees, as a picture of a size [px]."""
     width, height = size
     picture: np.ndarray = client.get_render(height=height, width=width, transport_format="png")
-    return picture[..., :3]
+    # Where nothing is drawn a browser leaves it open what is behind, and says black.
+    opacity = picture[..., 3:] / 255.0
+    return (picture[..., :3] * opacity + BEHIND * (1.0 - opacity)).astype(np.uint8)
 
 
 def send_picture(client: Any) -> None:

@@ -13,10 +13,9 @@ import viser
 
 from momapos.cache import Cache
 from momapos.errors import InputError
+from momapos.page.opened import Opened, OpenedScan
+from momapos.page.origin import own_pages_only
 from momapos.page.page import Page
-from momapos.page.question import Opened
-
-LOOPBACK = ("127.0.0.1", "localhost", "::1")
 
 
 class Server(viser.ViserServer):  # type: ignore[misc]  # mypy does not read viser
@@ -39,7 +38,7 @@ def served(
     robot: str,
     cache: Cache,
     folder: Path,
-    opened: Opened | None = None,
+    opened: Opened | OpenedScan | None = None,
 ) -> Iterator[tuple[Page, str]]:
     """Serve the page as long as the context lasts.
 
@@ -68,13 +67,13 @@ def served(
 
 
 def open_server(host: str, port: int) -> Server:
-    """Listen at an address and a port, and nowhere else.
+    """Listen at an address and a port, and nowhere else; pages of others are refused.
 
     Raises:
         InputError: The port is in use, or the address is none of this machine.
     """
     check_free(host, port)
-    with quiet():
+    with quiet(), own_pages_only(host):
         server = Server(host=host, port=port, label="momapos", verbose=False)
     if port and server.get_port() != port:  # somebody took it meanwhile; viser tries others
         with quiet():

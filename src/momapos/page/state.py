@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from momapos.page.playback import Story
 from momapos.page.probe import Probe
 from momapos.page.question import Machine, Question
 from momapos.placement_result import PlacementResult
@@ -31,7 +30,6 @@ class Shown:
     machine: Machine | None = None
     question: Question | None = None
     answer: PlacementResult | None = None
-    story: Story | None = None
     probe: Probe | None = None
     joints: dict[str, float] = field(default_factory=dict)
     """Joints of the object that were moved by hand [rad] or [m]."""

@@ -14,6 +14,7 @@ from momapos.page.layers import draw_path
 from momapos.page.playback import RATE, Story
 from momapos.page.robot_view import RobotView
 from momapos.page.room_view import RoomView, viewpoint
+from momapos.page.run_story import RunStory
 from momapos.page.serve import open_server, quiet
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene
@@ -41,7 +42,15 @@ def check_page(path: Path) -> None:
         raise InputError(f"{path}: cannot be written (it is a folder)")
 
 
-def write_page(scene: Scene, robot: Robot, plan: PlacementPlan, path: Path) -> None:
+def write_page(
+    scene: Scene,
+    robot: Robot,
+    plan: PlacementPlan,
+    path: Path,
+    *,
+    story: Story | RunStory | None = None,
+    active: str | None = None,
+) -> None:
     """Write a solved plan as a page that plays it over and over.
 
     Args:
@@ -49,28 +58,36 @@ def write_page(scene: Scene, robot: Robot, plan: PlacementPlan, path: Path) -> N
         robot: The robot of the plan.
         plan: The plan.
         path: An HTML file; its folder is made if it does not exist.
+        story: What came of it, where that is to be shown instead.
+        active: What moves then; by default the object of the plan.
 
     Raises:
         InputError: The plan is not solved, or the file cannot be written.
     """
     check_page(path)
-    content = page_of(scene, robot, plan)
+    content = page_of(scene, robot, plan, story, active)
     try:
         write_atomic(path, content.encode())
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror})") from error
 
 
-def page_of(scene: Scene, robot: Robot, plan: PlacementPlan) -> str:
+def page_of(
+    scene: Scene,
+    robot: Robot,
+    plan: PlacementPlan,
+    story: Story | RunStory | None = None,
+    active: str | None = None,
+) -> str:
     """The page as HTML; see `write_page`."""
-    story = Story.of(plan, robot)
+    story = story or Story.of(plan, robot)
     server = open_server("127.0.0.1", 0)  # viser records only what a server has drawn
     try:
         eye, target = viewpoint(scene)
         camera = server.initial_camera
         camera.position, camera.look_at, camera.up = eye, target, np.array([0.0, 0.0, 1.0])
         room, machine = RoomView(server.scene), RobotView(server.scene)
-        room.show(scene, plan.task.object)
+        room.show(scene, active or plan.task.object)
         first = story.at(0.0)
         machine.show(robot, first.base)
         machine.verdict("feasible")
@@ -80,7 +97,10 @@ def page_of(scene: Scene, robot: Robot, plan: PlacementPlan) -> str:
         for seconds in _times(story.duration):
             moment = story.at(seconds)
             machine.move(moment.base, moment.joints)
+            machine.show_force(moment.force)
             room.move(moment.object_q)
+            if moment.T_world_object is not None:
+                room.carry(moment.T_world_object)
             recording.insert_sleep(1.0 / RATE)
         recording.insert_sleep(REST)
         html: str = recording.as_html()

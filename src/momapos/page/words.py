@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from momapos.execution.record import RunRecord
 from momapos.page.probe import Finding, Probe
 from momapos.placement_result import PlacementResult
 from momapos.viewer.panel import question, value_text
@@ -50,6 +51,30 @@ def answer_words(answer: PlacementResult) -> str:
     if len(ranked) > MOST_REASONS:
         rest = sum(count for _, count in ranked[MOST_REASONS:])
         lines.append(f"  - {rest} for {len(ranked) - MOST_REASONS} other reasons")
+    return "\n".join(lines)
+
+
+def run_words(record: RunRecord) -> str:
+    """What came of a run."""
+    task = record.true_task or record.task
+    what = task.object if task.joint is None else f"{task.object}/{task.joint}"
+    lines = [f"**{'Done' if record.success else 'Failed'}**, in physics",
+             f"{task.verb} {escaped(what)} with {escaped(record.robot)}", ""]  # fmt: skip
+    if record.reason:
+        lines.append(f"- because {escaped(record.reason)}")
+    lines.append(f"- driven {record.driven:.2f} m")
+    tries = (*record.failed, *((record.execution,) if record.execution else ()))
+    for k, one in enumerate(tries, 1):
+        lines += [
+            f"- try {k}: {escaped(one.ending)}" if len(tries) > 1 else f"- {escaped(one.ending)}",
+            f"  - reached {one.reached:.3f} of {one.asked:.3f}, from {one.start:.3f}",
+            f"  - hold by {escaped(one.hold)}, {one.load.force:.0f} N at most, slipped "
+            f"{1000 * one.slip.position:.1f} mm",
+        ]
+        lines += [
+            f"  - touched: {escaped(hit.one)} and {escaped(hit.other)}, {hit.force:.0f} N"
+            for hit in one.collisions[:MOST_REASONS]
+        ]
     return "\n".join(lines)
 
 

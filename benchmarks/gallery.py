@@ -1,0 +1,243 @@
+"""Pictures of the page for docs/gallery.md: ten tasks, each as its command shows it.
+
+    python benchmarks/gallery.py [--out docs/images/gallery] [--only NAME ...]
+
+Needs a Chromium, which draws them. The commands are run in an empty folder, in their order: what
+one writes a later one shows.
+"""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+import shutil
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import chdir, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+from playwright.sync_api import sync_playwright
+
+from momapos.cache import user_cache
+from momapos.cli.main import main
+from momapos.cli.view_sources import opened_source
+from momapos.page.page import Page
+from momapos.page.room_view import viewpoint
+from momapos.page.saving import render
+from momapos.page.serve import served
+
+FLAGS = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
+         "--no-sandbox"]  # fmt: skip
+DRAWN, KEPT = (1280, 720), (800, 450)
+"""Size of a picture as it is drawn, and as it is kept [px]."""
+SMALL = {"width": 800, "height": 450}
+"""Of the window, by which the size of words goes [px]."""
+LONG = 300.0
+"""Nothing takes so long [s]."""
+SETTLED = 3.0
+"""What is on its way to a browser is there after so long, or something of it [s]."""
+
+
+@dataclass(frozen=True)
+class Item:
+    """One picture."""
+
+    name: str
+    commands: tuple[str, ...]
+    """The last one shows it; those before write what it shows."""
+    act: Callable[[Page], None]
+    """What is then done on the page."""
+    away: float = 3.7
+    """How far the camera is from what it looks at [m]."""
+    above: float = 25.0
+    """How steeply it looks down [deg]."""
+    aside: float = 0.0
+    """How far to the right of the task it looks [m]."""
+
+
+def placed(**layers: bool) -> Callable[[Page], None]:
+    """Place, and show some layers only."""
+
+    def act(page: Page) -> None:
+        page.place()
+        shown(**layers)(page)
+
+    return act
+
+
+def shown(**layers: bool) -> Callable[[Page], None]:
+    """Show some layers only."""
+
+    def act(page: Page) -> None:
+        done(page)
+        for key, box in page.panel.layers.items():
+            box.value = layers.get(key, False)
+        page.layers.changed()
+        done(page)
+
+    return act
+
+
+def asked(
+    verb: str, target: str, robot: str, *, to: str = "", **layers: bool
+) -> Callable[[Page], None]:
+    """Ask another question, and place."""
+
+    def act(page: Page) -> None:
+        page.panel.robot.value, page.panel.verb.value = robot, verb
+        page.change()
+        done(page)
+        page.panel.target.value, page.panel.to.value = target, to
+        page.change()
+        done(page)
+        placed(**layers)(page)
+
+    return act
+
+
+def beside(page: Page) -> None:
+    """Two robots' answers side by side."""
+    asked("open", "fridge/door_hinge", "segway_ur5e", way=True)(page)
+    page.compare.keep()
+    asked("open", "fridge/door_hinge", "fetch", way=True)(page)
+    page.panel.beside.value = True
+    page.compare.arrange()
+
+
+def in_the_middle(page: Page) -> None:
+    """A moment at which the hand pulls."""
+    motion = page.motion.story
+    assert motion is not None
+    times = np.linspace(0.0, motion.duration, 400)
+    pulls = [motion.at(float(t)).force for t in times]
+    size = [0.0 if force is None else float(np.linalg.norm(force)) for force in pulls]
+    page.motion.seek(float(times[int(np.argmax(size))]))
+
+
+def points(page: Page) -> None:
+    """The points of a scan by thing, without the scene that was made of it."""
+    page.panel.furniture.value = False
+    page.room.set_visible(False)
+    page.robot.remove()
+
+
+ROBOTS = ("segway_ur5e", "fetch", "tiago", "husky_ur5e", "ranger_rm63")
+ITEMS = (
+    Item("fridge", ("view kitchen_small --robot segway_ur5e",),
+         asked("open", "fridge/door_hinge", "segway_ur5e", way=True, waypoints=True)),
+    Item("oven", ("view kitchen_small --robot fetch",),
+         asked("open", "oven/door_hinge", "fetch", to="max", way=True, waypoints=True)),
+    Item("drawer", ("view kitchen_small --robot tiago",),
+         asked("open", "cabinet_right/drawer_top_slide", "tiago", way=True, waypoints=True)),
+    Item("reach", ("view kitchen_small --robot husky_ur5e",),
+         asked("open", "wall_cabinet/door_left_hinge", "husky_ur5e", reach=True, waypoints=True),
+         away=5.0),
+    Item("candidates", ("view kitchen_small --robot ranger_rm63",),
+         asked("open", "fridge/door_hinge", "ranger_rm63", candidates=True), away=3.2, above=60.0),
+    Item("opening", ("view kitchen_small --robot segway_ur5e",),
+         asked("open", "fridge/door_hinge", "segway_ur5e", opening=True), above=50.0),
+    Item("graph", ("view kitchen_small --robot segway_ur5e",),
+         asked("open", "fridge/door_hinge", "segway_ur5e", importance=True)),
+    Item("compare", ("view kitchen_small --robot segway_ur5e",), beside,
+         away=8.5, aside=2.4, above=32.0),
+    Item("run", ("place open kitchen_small fridge/door_hinge --robot segway_ur5e --out plan.json",
+                 "run plan.json --out run.json", "view run.json"), in_the_middle),
+    Item("scan", ("scene scan kitchen_small --out scan", "view scan --robot segway_ur5e"), points,
+         away=4.5, above=35.0),
+)  # fmt: skip
+
+
+def done(page: Page) -> None:
+    """Wait until nothing is worked at any more."""
+    for work in (page.work, page.layers.work):
+        if not work.wait(LONG):
+            raise TimeoutError("the page did not finish")
+
+
+@contextmanager
+def browsing(executable: str) -> Iterator[Any]:
+    """A Chromium without a window."""
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=executable, args=FLAGS)
+        yield browser
+        browser.close()
+
+
+def picture(item: Item, browser: Any) -> Image.Image:
+    """What the page shows of an item."""
+    for command in item.commands[:-1]:
+        main(shlex.split(command))
+    _, source, *options = shlex.split(item.commands[-1])
+    robot = options[1] if options else None
+    with opened_source(source, robot) as opened, served(
+        host="127.0.0.1", port=0, scenes=(source,), robots=ROBOTS,
+        scene=source, robot=robot or ROBOTS[0], cache=user_cache(), folder=Path.cwd(),
+        opened=opened,
+    ) as (page, address):  # fmt: skip
+        done(page)
+        item.act(page)
+        done(page)
+        if page.panel.result.content.startswith("**It cannot"):
+            raise RuntimeError(f"{item.name}: {page.panel.result.content}")
+        aim(page, item)
+        tab = browser.new_page(viewport=SMALL)
+        tab.goto(address)
+        tab.locator("canvas").first.wait_for(timeout=1000 * LONG)
+        ends = time.monotonic() + LONG
+        while not page.server.get_clients() and time.monotonic() < ends:
+            time.sleep(0.1)
+        (client,) = page.server.get_clients().values()
+        pixels = settled(client)
+        tab.close()
+    return Image.fromarray(pixels)
+
+
+def aim(page: Page, item: Item) -> None:
+    """Look at robot and object from where the page looks at the room."""
+    scene, question = page.shown.scene, page.shown.question
+    assert scene is not None
+    assert question is not None
+    eye, target = viewpoint(scene)
+    thing = scene.object(question.target.partition("/")[0]).bounds.mean(0)
+    middle = np.append((thing[:2] + page.robot.base[:2]) / 2, 0.8)
+    back = (eye - target)[:2] / np.linalg.norm((eye - target)[:2])
+    steep = np.radians(item.above)
+    camera = page.server.initial_camera
+    look_at = middle + item.aside * np.array([-back[1], back[0], 0.0])
+    camera.position = look_at + item.away * np.append(np.cos(steep) * back, np.sin(steep))
+    camera.look_at, camera.up = look_at, np.array([0.0, 0.0, 1.0])
+
+
+def settled(client: Any) -> np.ndarray:
+    """What a browser draws when nothing is on its way any more, light included."""
+    before, ends = np.zeros(0), time.monotonic() + LONG
+    while time.monotonic() < ends:
+        time.sleep(SETTLED)
+        pixels = render(client, DRAWN)
+        if np.array_equal(pixels, before):
+            break
+        before = pixels
+    return before
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, default=Path("docs/images/gallery"))
+    parser.add_argument("--only", nargs="*", default=[item.name for item in ITEMS])
+    parser.add_argument("--chromium", default=shutil.which("chromium") or "chromium")
+    args = parser.parse_args()
+    out = args.out.resolve()
+    out.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory() as folder, chdir(folder), browsing(args.chromium) as browser:
+        for item in (one for one in ITEMS if one.name in args.only):
+            began = time.process_time()
+            file = out / f"{item.name}.png"
+            drawn = picture(item, browser).resize(KEPT, Image.Resampling.LANCZOS)
+            drawn.save(file, optimize=True)
+            took = time.process_time() - began
+            print(f"{file}: {file.stat().st_size / 1e3:.0f} kB, {took:.1f} s", flush=True)

@@ -1,0 +1,95 @@
+"""The motion on the page: played, paused, at any time; the joints of the object by hand."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from momapos.page.playback import Player, Story
+from momapos.page.run_story import RunStory
+
+if TYPE_CHECKING:
+    from momapos.page.page import Page
+
+NO_MOTION = "There is no motion yet."
+TELLS = 0.2
+"""While it plays the words change so often [s]."""
+
+
+class MotionView:
+    """Shows a story."""
+
+    def __init__(self, page: Page) -> None:
+        self._page = page
+        self._told = 0.0
+        self.player = Player(self._show)
+        self.story: Story | RunStory | None = None
+
+    def load(self, story: Story | RunStory | None, *, at_end: bool = True) -> None:
+        """Take another story; None: there is none.
+
+        Args:
+            story: What is to be shown.
+            at_end: Whether it stands at its end, as the answer does that is drawn.
+        """
+        self.story = story
+        duration = 0.0 if story is None else story.duration
+        self.player.load(duration)
+        self._page.panel.show_story(duration)
+        self._page.robot.show_force(None)
+        if story is None:
+            self._page.panel.moment.content = NO_MOTION
+        elif at_end:
+            self.player.now = duration
+        else:
+            self.player.seek(0.0)
+
+    def toggle(self) -> None:
+        """Play the motion, or pause it."""
+        if self.player.playing:
+            self.player.pause()
+            self._show(self.player.now, False)
+        elif self.story is not None:
+            with self._page.drawing:
+                self._page.room.mark(())
+                self._page.robot.verdict("feasible")
+            self.player.play()
+
+    def seek(self, seconds: float) -> None:
+        """Show the motion at a time [s]."""
+        self.player.seek(seconds)
+
+    def set_speed(self, speed: float) -> None:
+        """How many times faster than in truth it plays [-]."""
+        self.player.speed = speed
+
+    def move_joint(self, joint: str, value: float) -> None:
+        """Move a joint of the object by hand [rad] or [m]."""
+        self.player.pause()
+        self._page.shown.joints[joint] = value
+        with self._page.drawing:
+            self._page.room.move(self._page.shown.joints)
+
+    def _show(self, seconds: float, playing: bool) -> None:
+        page = self._page
+        with page.drawing, page.server.atomic():
+            story = self.story
+            if story is None:
+                return
+            moment = story.at(seconds)
+            page.robot.move(moment.base, moment.joints)
+            page.robot.show_force(moment.force)
+            page.room.move(moment.object_q)
+            if moment.T_world_object is not None:
+                page.room.carry(moment.T_world_object)
+            page.compare.show(seconds)
+        now = time.perf_counter()
+        tell = not playing or now - self._told > TELLS
+        if tell:
+            self._told = now
+        words = moment.words
+        if moment.force is not None and moment.force.any():
+            words += f", {np.linalg.norm(moment.force):.0f} N at the hand"
+        page.panel.show_moment(seconds, words, playing=playing, slider=tell)

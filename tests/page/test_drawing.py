@@ -1,0 +1,178 @@
+"""What is drawn belongs to what is asked, whoever draws at the same time."""
+
+from __future__ import annotations
+
+import time
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from momapos.cache import user_cache
+from momapos.geometry.upright_boxes import box_axes
+from momapos.page import answer_layers
+from momapos.page.layers import box_edges
+from momapos.page.page import Page
+from momapos.page.panel import POINTS
+from momapos.page.saving import render
+from momapos.page.scan_view import ROOM, boxes_of, thing_colors
+from momapos.page.serve import served
+from momapos.scan_records import Decision, Modeled
+from momapos.types import Cloud, Detection, UprightBox
+
+LONG = 60.0
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
+    """A page that nobody looks at."""
+    with served(
+        host="127.0.0.1", port=0, scenes=("kitchen_small",), robots=("segway_ur5e",),
+        scene="kitchen_small", robot="segway_ur5e", cache=user_cache(),
+        folder=tmp_path_factory.mktemp("page"),
+    ) as (page, _):  # fmt: skip
+        assert page.work.wait(LONG)
+        page.place()
+        assert page.work.wait(LONG)
+        assert page.layers.work.wait(LONG)
+        yield page
+
+
+@pytest.fixture(autouse=True)
+def no_warning() -> Iterator[None]:
+    """viser warns of what is removed twice."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        yield
+
+
+def test_kept_answers_stand_over_the_room_or_beside_it_and_are_forgotten(page: Page) -> None:
+    compare = page.compare
+    compare.keep()
+    compare.keep()
+    one, two = compare.kept
+    np.testing.assert_allclose(one.frame.position, 0.0)
+    assert one.room.scene is None
+    page.panel.beside.value = True
+    compare.arrange()
+    one_at, two_at = (np.array(kept.frame.position) for kept in (one, two))
+    assert np.linalg.norm(one_at) > 4.0  # the room is 4.2 m wide
+    np.testing.assert_allclose(two_at, 2 * one_at)
+    assert one.room.scene is page.shown.scene
+    page.motion.seek(0.0)
+    np.testing.assert_allclose(one.robot.base, page.robot.base)  # in step
+    page.panel.beside.value = False
+    compare.arrange()
+    np.testing.assert_allclose(one.frame.position, 0.0)
+    compare.forget()
+    assert compare.kept == ()
+    assert page.panel.kept.content == "Nothing is kept."
+
+
+def test_no_more_than_four_answers_are_kept(page: Page) -> None:
+    for _ in range(5):
+        page.compare.keep()
+    assert len(page.compare.kept) == 4
+    assert "no more than four" in page.panel.kept.content
+    page.compare.forget()
+
+
+def test_a_layer_of_an_answer_that_is_no_longer_shown_is_not_left(
+    page: Page, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answer = page.shown.answer
+    scene, machine = page.shown.scene, page.shown.machine
+    assert answer is not None
+    assert scene is not None
+    assert machine is not None
+
+    def answered_meanwhile(layers: Any, name: str, of: Any, clock: Any) -> None:
+        del of, clock
+        page.server.scene.add_frame(f"{name}/late")
+        layers.clear()
+
+    monkeypatch.setitem(answer_layers.DRAW, "way", answered_meanwhile)
+    reach = machine.reach_of(answer.prepared.robot.arm)
+    page.layers.show(scene, answer, reach)
+    assert page.layers.work.wait(LONG)
+    assert not page.layers.drawn
+    assert page.server.scene.get_handle_by_name("/layers/way/late") is None
+    monkeypatch.undo()
+    page.layers.show(scene, answer, reach)
+    assert page.layers.work.wait(LONG)
+    assert "way" in page.layers.drawn
+
+
+def test_what_is_found_for_a_question_of_before_is_not_shown(page: Page) -> None:
+    probe = page.follow._probe()
+    assert probe is not None
+    page.shown.probe = None  # something else is asked
+    words, base = page.panel.result.content, page.robot.base.copy()
+    page.follow._show(probe.at(base, time.perf_counter), probe, 0.1)
+    assert page.panel.result.content == words
+
+
+def test_spheres_follow_the_arm_and_are_drawn_once(page: Page) -> None:
+    page.robot.show_spheres(True)
+    first = page.robot._spheres
+    before = np.array(first.batched_positions)
+    page.motion.seek(0.0)
+    page.motion.seek(page.motion.player.duration / 2)
+    assert page.robot._spheres is first
+    assert np.abs(np.array(first.batched_positions) - before).max() > 0.05
+    page.robot.show_spheres(False)
+
+
+def test_points_of_a_scan_are_sent_once_and_only_as_many_as_are_asked_for(page: Page) -> None:
+    count = 150_000
+    rng = np.random.default_rng(0)
+    points = rng.uniform(0.0, 4.0, (count, 3))
+    cloud = Cloud(points, np.tile([0.0, 0.0, 1.0], (count, 1)), np.zeros((count, 3), np.uint8))
+    box = UprightBox(np.array([1.0, 1.0, 0.5]), np.array([0.5, 0.5, 1.0]), 0.3)
+    thing = Detection("cup_1", "cup", 1.0, box, np.arange(1000))
+    modeled = Modeled(Path("x.json"), cloud, (), np.eye(4),
+                      (Decision(thing, None, None, (), None, ""),))  # fmt: skip
+    scan, few = page.scan, next(most for most in POINTS.values() if most is not None)
+    scan.show(modeled)
+    assert page.panel.scan_folder.visible
+    assert scan.sent == few
+    page.panel.points.value = "all"
+    scan.changed()
+    assert scan.sent == count
+    page.panel.points.value = next(iter(POINTS))
+    scan.changed()
+    page.panel.points.value = "all"
+    scan.changed()
+    assert scan.sent == count
+    colors = thing_colors(modeled)
+    assert len(np.unique(colors, axis=0)) == 2
+    assert "#{:02x}{:02x}{:02x}".format(*colors[-1]) == ROOM
+    scan.show(None)
+    assert scan.sent == 0
+    assert not page.panel.scan_folder.visible
+
+
+def test_boxes_of_a_scan_stand_as_they_were_found() -> None:
+    box = UprightBox(np.array([1.0, 2.0, 0.5]), np.array([0.5, 0.3, 1.0]), 0.4)
+    edges = box_edges(boxes_of([box]))[0]
+    lengths = np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1)
+    np.testing.assert_allclose(np.sort(lengths), np.repeat(np.sort(box.size), 4))
+    along = (edges[:, 1] - edges[:, 0])[np.isclose(lengths, 0.5)][0] / 0.5
+    assert abs(along[:2] @ box_axes(box.yaw)[0]) == pytest.approx(1.0)
+
+
+def test_a_picture_is_white_where_nothing_is() -> None:
+    class Browser:
+        def get_render(self, height: int, width: int, transport_format: str) -> np.ndarray:
+            assert transport_format == "png"
+            picture = np.zeros((height, width, 4), np.uint8)
+            picture[: height // 2] = (10, 20, 30, 255)
+            return picture
+
+    picture = render(Browser(), (8, 6))
+    assert picture.shape == (6, 8, 3)
+    assert picture[0, 0].tolist() == [10, 20, 30]
+    assert picture[-1, 0].tolist() == [255, 255, 255]
