@@ -9,19 +9,18 @@ from typing import TYPE_CHECKING
 from xml.etree.ElementTree import Element, SubElement, tostring
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from momapos.cache import write_atomic
 from momapos.errors import SceneError, UrdfError
 from momapos.files import parse_xml, read_text_bounded
-from momapos.geometry.transforms import apply, invert, pose
+from momapos.geometry.transforms import apply, invert, pose, pose_rpy
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.opening import opening_of
 from momapos.kinematics.urdf import MAX_URDF_BYTES, read_urdf
 from momapos.scene.copies import copied
 from momapos.scene.files import save_scene
 from momapos.scene.scene import Scene, SceneObject
-from momapos.types import Hypothesis
+from momapos.types import Hypothesis, PlacementPlan
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -64,6 +63,49 @@ def scene_moving_as(scene: Scene, name: str, joint: str, way: Hypothesis) -> Sce
         objects=tuple(other if o is target else o for o in scene.objects),
         joints_set={**scene.joints_set, name: set_here},
     )
+
+
+def scene_taking(scene: Scene, name: str, joint: str, index: int) -> Scene:
+    """The room with one part taken for another of its hypotheses; likelier ones are ruled out.
+
+    Args:
+        scene: The room.
+        name, joint: The object and the joint of the part, which is shut then.
+        index: Which of the joint's hypotheses, counted from 0.
+
+    Raises:
+        UnknownNameError: There is no such object.
+        SceneError: The joint has no such hypothesis, or see `moving_as`.
+    """
+    ways = scene.object(name).hypotheses.get(joint, ())
+    if not 0 <= index < len(ways):
+        raise SceneError(f"{name}/{joint}: hypothesis {index} of {len(ways)}; they count from 0")
+    left = ways[index:]
+    total = sum(way.probability for way in left)
+    left = tuple(replace(way, probability=way.probability / total) for way in left)
+    other = scene_moving_as(scene, name, joint, left[0])
+    item = other.object(name)
+    known = replace(item, hypotheses={**item.hypotheses, joint: left})
+    taken = scene.hypotheses_set.get(name, {})
+    return replace(
+        other,
+        objects=tuple(known if o is item else o for o in other.objects),
+        hypotheses_set={
+            **scene.hypotheses_set, name: {**taken, joint: taken.get(joint, 0) + index},
+        },
+    )  # fmt: skip
+
+
+def as_planned(scene: Scene, plan: PlacementPlan) -> Scene:
+    """A scene as its file has it, with the hypotheses and the joint values of a plan.
+
+    Raises:
+        UnknownNameError, SceneError: The scene has no such joint, hypothesis or value.
+    """
+    for name, taken in plan.scene_hypotheses.items():
+        for joint, index in taken.items():
+            scene = scene_taking(scene, name, joint, index)
+    return scene.with_joints(plan.scene_joints)
 
 
 def save_moving_as(
@@ -191,10 +233,12 @@ def _origin(element: Element, scale: float) -> Float[np.ndarray, "4 4"]:
         np.array([float(v) for v in origin.get(key, "0 0 0").replace(",", " ").split()])
         for key in ("xyz", "rpy")
     )
-    return pose(scale * xyz, Rotation.from_euler("xyz", rpy).as_matrix())
+    return pose_rpy(tuple(scale * xyz), tuple(rpy))
 
 
 def _set_origin(element: Element, T: Float[np.ndarray, "4 4"], scale: float) -> None:
+    from scipy.spatial.transform import Rotation  # takes long to load
+
     origin = _child(element, "origin")
     origin.set("xyz", _numbers(T[:3, 3] / scale))
     origin.set("rpy", _numbers(Rotation.from_matrix(T[:3, :3]).as_euler("xyz")))
