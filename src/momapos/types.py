@@ -116,6 +116,9 @@ class Detection:
     """As of an `Instance`."""
     seen: float | None = None
     """Share of the surface that can be seen on which something was measured, in [0, 1]."""
+    completed: float = 0.0
+    """Share of its points that no depth image shows: a black, mirrored or glass front, completed
+    from what is around it [-]."""
 
 
 @dataclass(frozen=True)
