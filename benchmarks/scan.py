@@ -1,7 +1,7 @@
 """Scans of kitchens with known truth, made into scenes: fronts, waypoints, answers, times.
 
     python benchmarks/scan.py [--rooms 20] [--robot segway_ur5e] [--folder bench_out/scans]
-                              [--out bench_out] [--shared]
+                              [--frames 100] [--out bench_out] [--no-answers]
 
 Renders each kitchen as a walk with an RGB-D camera, makes a scene of it, and holds that against
 the kitchen. A task of the kitchen counts when it can be solved there; it is solved from the scan
@@ -254,12 +254,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rooms", type=int, default=20)
     parser.add_argument("--robot", default="segway_ur5e")
+    parser.add_argument("--frames", type=int, default=100, help="of the scans that are made")
     parser.add_argument("--folder", type=Path, default=Path("bench_out/scans"))
     parser.add_argument("--out", type=Path, default=Path("bench_out"))
     parser.add_argument("--no-answers", action="store_true")
     args = parser.parse_args()
     tools, doors, times = default_tools(), [], []
-    for room in rooms(args.folder, args.rooms):
+    for room in rooms(args.folder, args.rooms, args.frames):
         out = args.folder / room.name / "found" / "scene.json"
         result = scan_to_scene(room.scan, out, tools)
         scanned = load_scene(str(out))
