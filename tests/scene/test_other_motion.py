@@ -139,8 +139,27 @@ def test_a_scene_that_takes_a_hypothesis_rules_the_likelier_out_and_says_which(
     expected = points(moving_as(scene.object("cupboard"), "hinge", WAYS[1]), {"hinge": 0.5})
     np.testing.assert_allclose(points(item, {"hinge": 0.5}), expected, atol=1e-9)
     assert taken.hypotheses_set == {"cupboard": {"hinge": 1}}
-    # Taken one after the other they count as the file does.
-    assert scene_taking(taken, "cupboard", "hinge", 1).hypotheses_set == {"cupboard": {"hinge": 2}}
+    # Taken one after the other they count as the file does, and move as if taken at once.
+    last = scene_taking(taken, "cupboard", "hinge", 1)
+    assert last.hypotheses_set == {"cupboard": {"hinge": 2}}
+    expected = points(moving_as(scene.object("cupboard"), "hinge", WAYS[2]), {"hinge": 0.2})
+    np.testing.assert_allclose(points(last.object("cupboard"), {"hinge": 0.2}), expected, atol=1e-9)
+
+
+def test_a_scene_that_takes_a_hypothesis_is_written_with_what_is_learned_of_it(
+    tmp_path: Path,
+) -> None:
+    scene = believed(tmp_path)
+    taken = scene_taking(scene, "cupboard", "hinge", 1)
+    out = tmp_path / "elsewhere" / "learned.json"
+    save_moving_as(taken, "cupboard", "hinge", WAYS[1], 0.5, out)
+    expected = points(moving_as(scene.object("cupboard"), "hinge", WAYS[1]), {"hinge": 0.5})
+    found = load_scene(out).object("cupboard")
+    np.testing.assert_allclose(points(found, {"hinge": 0.5}), expected, atol=1e-6)
+
+
+def test_a_hypothesis_that_is_not_there_is_refused(tmp_path: Path) -> None:
+    scene = believed(tmp_path)
     for index in (-1, 3):
         with pytest.raises(SceneError, match=f"cupboard/hinge: hypothesis {index} of 3"):
             scene_taking(scene, "cupboard", "hinge", index)

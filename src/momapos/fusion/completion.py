@@ -121,7 +121,7 @@ def complete(
         points, colors = _agreed(group, voxel, config.images)
         free = points[:, 2] < 0.0
         for _, frame in seen:
-            free |= _measured_at(frame, points, config.through)
+            free |= _seen_through(frame, points, config.through)
         normal = np.zeros(3)
         normal[group[0].axis] = group[0].sign
         points, colors = points[~free], colors[~free]
@@ -346,10 +346,10 @@ def _agreed(
     return points, color[tuple(cells.T)]
 
 
-def _measured_at(
+def _seen_through(
     frame: Frame, points: Float[np.ndarray, "n 3"], through: float
 ) -> Bool[np.ndarray, " n"]:
-    """Whether an image measures a surface at places, or sees through them."""
+    """Whether an image measures something this far [m] behind places."""
     assert frame.depth is not None
     h, w = frame.depth.shape
     local = apply(invert(frame.T_world_camera), points)

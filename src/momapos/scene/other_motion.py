@@ -153,9 +153,13 @@ def save_moving_as(
 
 def _text(item: SceneObject, joint: str, way: Hypothesis) -> str:
     """The URDF of an object with the joint of one part replaced."""
-    model, record = item.model, item.model.joint(joint)
-    path, scale = model.urdf.path, model.urdf.scale
+    path, scale = item.model.urdf.path, item.model.urdf.scale
     assert path is not None
+    # As the file has it: the object may have been made to move in another way before.
+    model = Articulated(
+        read_urdf(path, scale=scale, cache=item.model.cache), item.model.held, item.model.cache
+    )
+    record = model.joint(joint)
     if record.mimic is not None or model.followers(joint):
         raise SceneError(f"{item.name}: {joint} moves together with others and is left as it is")
     tree = parse_xml(read_text_bounded(path, MAX_URDF_BYTES, error=UrdfError), path)
@@ -168,7 +172,7 @@ def _text(item: SceneObject, joint: str, way: Hypothesis) -> str:
     child = _named(tree, "link", record.child, path)
     moved = [child.find("inertial"), *child.findall("collision"), *child.findall("visual")]
     if not slides and record.kind == "prismatic":
-        for shape in _tray(item, joint, shut, child):
+        for shape in _tray(model, joint, shut, child):
             child.remove(shape)
             moved.remove(shape)
     moved += [j for j in tree.findall("joint") if _link(j, "parent") == record.child]
@@ -188,13 +192,13 @@ def _text(item: SceneObject, joint: str, way: Hypothesis) -> str:
 
 
 def _tray(
-    item: SceneObject,
+    model: Articulated,
     joint: str,
     shut: Mapping[str, Float[np.ndarray, "4 4"]],
     child: Element,
 ) -> list[Element]:
     """The collision elements of a drawer that reach far behind the front of the rest."""
-    record, model = item.model.joint(joint), item.model
+    record = model.joint(joint)
     out = (shut[record.parent] @ record.T_parent_joint)[:3, :3] @ record.axis
     out = opening_of(model, joint).sign * out
     still = [name for name in model.links if name not in model.moved_by(joint)]
