@@ -53,6 +53,12 @@ def test_where_every_front_has_depth_nothing_is_added() -> None:
     np.testing.assert_array_equal(found.points, cloud.points)
 
 
+def test_images_without_depth_or_of_few_pixels_add_nothing() -> None:
+    frame = frames_of(ROW, DARK)[0]
+    small = photograph(ROW, frame.T_world_camera, Camera(6, 3, 4.0))
+    assert not len(complete(NOTHING, [replace(frame, depth=None), small] * 2).points)
+
+
 def test_what_an_image_sees_through_or_one_alone_shows_stays_open() -> None:
     frames = frames_of(ROW, DARK)
     assert not len(complete(NOTHING, frames[:1]).points)

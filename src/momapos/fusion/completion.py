@@ -26,6 +26,8 @@ RING = 3
 """So wide is what is looked at around a hole [squares]."""
 SQUARE = 0.8
 """Surfaces of a plane have at least this along its normal [-]."""
+FINEST = 0.005
+"""What is added has points no nearer to each other [m]."""
 STRAIGHT = 0.5
 """Share of a line of the floor that is where it is believed, at least [-]."""
 
@@ -118,7 +120,7 @@ def complete(
     parts = [cloud]
     patches = [patch for patch in patches if not _in_wall(patch, walls, config)]
     for group in _coplanar(patches, config.on_plane):
-        points, colors = _agreed(group, voxel, config.images)
+        points, colors = _agreed(group, max(voxel, FINEST), config.images)
         free = points[:, 2] < 0.0
         for _, frame in seen:
             free |= _seen_through(frame, points, config.through)
@@ -144,6 +146,8 @@ def holes(frame: Frame, index: int, config: CompletionConfig) -> Iterator[Patch]
     from scipy.ndimage import binary_dilation, find_objects, label
 
     depth = _coarse(frame)
+    if min(depth.shape) < 2 * RING:
+        return
     regions, _ = label(depth == 0.0)
     rays = _rays(depth.shape, frame)
     eye = frame.T_world_camera[:3, 3]
@@ -174,10 +178,9 @@ def _coarse(frame: Frame) -> Float32[np.ndarray, "a b"]:
     """Depth of squares of pixels [m]; 0 where most of one has none."""
     assert frame.depth is not None
     h, w = (size - size % TILE for size in frame.depth.shape)
-    tiles = frame.depth[:h, :w].reshape(h // TILE, TILE, w // TILE, TILE).swapaxes(1, 2)
-    tiles = tiles.reshape(h // TILE, w // TILE, -1)
-    there = (tiles > 0.0).sum(axis=2)
-    mean = tiles.sum(axis=2) / np.maximum(there, 1)
+    tiles = frame.depth[:h, :w].reshape(h // TILE, TILE, w // TILE, TILE)
+    there = (tiles > 0.0).sum(axis=(1, 3))
+    mean = tiles.sum(axis=(1, 3)) / np.maximum(there, 1)
     return np.where(there * 2 >= TILE * TILE, mean, 0.0).astype(np.float32)
 
 
@@ -277,7 +280,8 @@ def _support(
         return 0.0
     ahead = np.sign(eye[axis] - offset) * (ring.points[:, axis] - offset)
     near = (np.abs(ahead) < config.on_plane) & (np.abs(ring.normals[:, axis]) > SQUARE)
-    at = (eye + ring.rays * ((offset - eye[axis]) / ring.rays[:, axis])[:, None])[:, across]
+    with np.errstate(divide="ignore", invalid="ignore"):  # rays along the plane meet it nowhere
+        at = (eye + ring.rays * ((offset - eye[axis]) / ring.rays[:, axis])[:, None])[:, across]
     sides = [at[:, 1] < low[1], at[:, 1] > high[1], at[:, 0] < low[0], at[:, 0] > high[0]]
     below, floor = sides[0], ring.points[:, 2] < 2 * config.on_plane
     away, most = config.before
