@@ -1,7 +1,7 @@
 """Scans of kitchens with known truth, made into scenes: fronts, waypoints, answers, times.
 
     python benchmarks/scan.py [--rooms 20] [--robot segway_ur5e] [--folder bench_out/scans]
-                              [--out bench_out] [--shared]
+                              [--frames 100] [--out bench_out] [--no-answers]
 
 Renders each kitchen as a walk with an RGB-D camera, makes a scene of it, and holds that against
 the kitchen. A task of the kitchen counts when it can be solved there; it is solved from the scan
@@ -22,11 +22,13 @@ import numpy as np
 from momapos.cache import default_cache_dir
 from momapos.config import PipelineConfig
 from momapos.geometry.transforms import apply, invert, pose_planar
+from momapos.joint_beliefs import ask_in_turn
 from momapos.kinematics.opening import opening_of
 from momapos.manipulation.handles import opening_direction
 from momapos.manipulation.tasks import hand_path, make_task, openable
 from momapos.pipeline import plan_base_placement
 from momapos.placement.config import PlaceConfig
+from momapos.placement_result import PlacementResult
 from momapos.protocols import ReachScorer
 from momapos.reachability.store import load_reach_map
 from momapos.robots.robot import Robot, load_robot
@@ -34,7 +36,7 @@ from momapos.scan_pipeline import default_tools, scan_to_scene
 from momapos.scan_records import Modeled
 from momapos.scene.files import load_scene
 from momapos.scene.scene import Scene
-from momapos.types import PlacementPlan
+from momapos.types import PlacementPlan, Task
 from momapos.verification.exact import PlanVerifier
 from momapos.verification.report import Limits
 from scan_rooms import Room, rooms
@@ -148,13 +150,13 @@ def answer(
     if not door.match:
         return replace(door, reason="not found in the scan")
     name, _, other = door.match.partition("/")
-    plan = plan_in_scan(
+    taken, plan = plan_in_scan(
         room.scene, scanned, (item, joint), (name, other), robot, reach, config,
         moved(there.start, T_scene_truth),
     )  # fmt: skip
     if plan.status != "solved":
         return replace(door, reason=f"{plan.status} in the scan")
-    refusal = why_not(plan, room.scene, scanned, T_scene_truth, (item, joint), (name, other), robot)
+    refusal = why_not(plan, room.scene, taken, T_scene_truth, (item, joint), (name, other), robot)
     return replace(door, solved=not refusal, reason=refusal)
 
 
@@ -167,16 +169,34 @@ def plan_in_scan(
     reach: ReachScorer,
     config: PipelineConfig,
     start: np.ndarray,
-) -> PlacementPlan:
+) -> tuple[Scene, PlacementPlan]:
     """The task of a room, planned in the scene that was made of its scan.
-
-    A part that is believed to open less far than the true one is opened as far as believed.
 
     Args:
         truth, scanned: The room, and the scene made of its scan.
         true, found: The object and joint in either.
         robot, reach, config: How to plan.
         start: Where the robot is at first, in the scene's frame.
+
+    Returns:
+        The scene with the part as what it is taken for, see `ask_in_turn`, and the plan.
+    """
+
+    def ask(scene: Scene, _: Task) -> list[PlacementResult]:
+        task = task_in_scan(truth, scene, true, found)
+        return [plan_base_placement(scene, robot, task, reach, start=start, config=config)]
+
+    task = task_in_scan(truth, scanned, true, found)
+    scene, _, (result,) = ask_in_turn(scanned, task, ask)
+    return scene, result.plan
+
+
+def task_in_scan(
+    truth: Scene, scanned: Scene, true: tuple[str, str], found: tuple[str, str]
+) -> Task:
+    """The task of a room, in the scene that was made of its scan.
+
+    A part that is believed to open less far than the true one is opened as far as believed.
     """
     ours = opening_of(truth.object(true[0]).model, true[1])
     theirs = opening_of(scanned.object(found[0]).model, found[1])
@@ -186,8 +206,7 @@ def plan_in_scan(
     kinds = [s.object(n).model.joint(j).kind for s, (n, j) in ((truth, true), (scanned, found))]
     # A drawer that is taken for a flap is opened as wide as that.
     travel = min(travel, whole) if len({kind == "prismatic" for kind in kinds}) == 1 else whole
-    task = make_task(scanned, "open", *found, theirs.closed + theirs.sign * travel)
-    return plan_base_placement(scanned, robot, task, reach, start=start, config=config).plan
+    return make_task(scanned, "open", *found, theirs.closed + theirs.sign * travel)
 
 
 def why_not(
@@ -235,12 +254,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rooms", type=int, default=20)
     parser.add_argument("--robot", default="segway_ur5e")
+    parser.add_argument("--frames", type=int, default=100, help="of the scans that are made")
     parser.add_argument("--folder", type=Path, default=Path("bench_out/scans"))
     parser.add_argument("--out", type=Path, default=Path("bench_out"))
     parser.add_argument("--no-answers", action="store_true")
     args = parser.parse_args()
     tools, doors, times = default_tools(), [], []
-    for room in rooms(args.folder, args.rooms):
+    for room in rooms(args.folder, args.rooms, args.frames):
         out = args.folder / room.name / "found" / "scene.json"
         result = scan_to_scene(room.scan, out, tools)
         scanned = load_scene(str(out))

@@ -213,7 +213,7 @@ def opened(
     true, found = ("object", row.joint), (name, joint)
     start = moved(there.start, T_scene_truth)
     try:
-        plan = plan_in_scan(truth, scanned, true, found, robot, reach, CONFIG, start)
+        taken, plan = plan_in_scan(truth, scanned, true, found, robot, reach, CONFIG, start)
     except MomaposError as error:
         return replace(row, planned="refused", strict=str(error), reason=str(error))
     row = replace(row, planned=plan.status)
@@ -222,15 +222,16 @@ def opened(
         why = f"{plan.status} in the scan: {why}"
         return replace(row, strict=why, reason=why)
     physics = ExecutionConfig(hold="contact", furniture=FurnitureConfig(spread=SPREAD))
-    same = (row.kind == "drawer") == (row.found == "drawer")
+    slides = taken.object(name).model.joint(joint).kind == "prismatic"
+    same = (row.kind == "drawer") == slides
     share = opened_share(truth, row.joint, plan) if same else 1.0
     if share < 1.0 - physics.tolerance:
         why = f"opens {share:.0%} of the way in the scene made"
         return replace(row, strict=why, reason=why)
-    strict = why_not(plan, truth, scanned, T_scene_truth, true, found, robot)
+    strict = why_not(plan, truth, taken, T_scene_truth, true, found, robot)
     world = elsewhere(truth, moved(np.zeros(3), T_scene_truth))
     try:
-        record = run_plan(plan, scanned, robot, reach, world=world, seed=0, physics=physics)
+        record = run_plan(plan, taken, robot, reach, world=world, seed=0, physics=physics)
         done, reason = record.success, record.reason
     except MomaposError as error:
         done, reason = False, str(error)

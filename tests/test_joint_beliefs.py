@@ -11,27 +11,48 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.rooms import Everywhere
 
+from momapos.cli.console import summary
+from momapos.cli.plan_files import open_plan
 from momapos.config import PipelineConfig
+from momapos.errors import TaskError
 from momapos.execution.config import ComplianceConfig, Ending
 from momapos.geometry.transforms import apply
-from momapos.joint_beliefs import JointBeliefs, joint_beliefs, save_learned
+from momapos.joint_beliefs import (
+    PROBABLE,
+    JointBeliefs,
+    ask_in_turn,
+    joint_beliefs,
+    save_learned,
+)
 from momapos.manipulation.tasks import make_task
 from momapos.pipeline import plan_base_placement
+from momapos.placement_result import PlacementResult
+from momapos.plans import write_plan
 from momapos.reconstruction.build import build_scene
 from momapos.reconstruction.model import furniture_model
 from momapos.robots.robot import load_robot
 from momapos.run_plan import run_plan
 from momapos.scene.files import load_scene
 from momapos.scene.scene import Scene
-from momapos.types import Detection, FaceImage, Part, PartKind, UprightBox
+from momapos.types import Detection, FaceImage, Part, PartKind, Task, UprightBox
+from momapos.verification.files import verify_files
 
 CONFIG = ComplianceConfig()
 Odds = tuple[tuple[PartKind, float], ...]
 MIDDLE = (0.6, 0.4, 0.66, 0.6)
 
 
-def room(folder: Path, odds: Odds, handle: tuple[float, float, float, float] = MIDDLE) -> Scene:
-    """A cupboard before a robot, its one part believed to move in some ways."""
+def room(
+    folder: Path,
+    odds: Odds,
+    handle: tuple[float, float, float, float] = MIDDLE,
+    *,
+    post: bool = False,
+) -> Scene:
+    """A cupboard before a robot, its one part believed to move in some ways.
+
+    A post before it is in the way of a drawer, and of a door hinged at the right.
+    """
     pixels = (240, 240)
     color = np.full((*pixels, 3), 200, np.uint8)
     face = FaceImage(color, np.full(pixels, np.nan, np.float32), 0.6, 0.6)
@@ -40,9 +61,11 @@ def room(folder: Path, odds: Odds, handle: tuple[float, float, float, float] = M
     found = Detection("cupboard", "cabinet", 0.9, box, np.arange(3))
     piece = furniture_model(found, np.pi, face, [part], free=(True, True))
     floor = [(-2.0, -2.0), (2.0, -2.0), (2.0, 2.0), (-2.0, 2.0)]
+    box = UprightBox(np.array([0.87, -0.21, 0.75]), np.array([0.04, 0.04, 1.5]), 0.0)
+    posts = [Detection("post", "post", 0.9, box, np.arange(3))] if post else []
     folder.mkdir()
     out = folder / "scene.json"
-    build_scene([found], {"cupboard": piece}, floor, out, start=(0.0, 0.0, 0.0))
+    build_scene([found, *posts], {"cupboard": piece}, floor, out, start=(0.0, 0.0, 0.0))
     return load_scene(out)
 
 
@@ -129,3 +152,43 @@ def test_a_door_hinged_at_the_other_side_than_believed_is_opened_and_remembered(
     failed = replace(record, execution=record.failed[0])
     assert save_learned(failed, guessed, tmp_path / "none.json") is None
     assert not (tmp_path / "none.json").exists()
+
+
+def test_where_the_likeliest_way_has_no_plan_the_next_is_planned_verified_and_carried_out(
+    tmp_path: Path,
+) -> None:
+    odds: Odds = (("drawer", 0.5), ("door_right", 0.3), ("door_left", 0.2))
+    guessed = room(tmp_path / "guessed", odds, post=True)
+    really = room(tmp_path / "really", (("door_left", 1.0),), post=True)
+    robot, asked = load_robot("segway_ur5e"), list[str]()
+
+    def ask(scene: Scene, task: Task) -> list[PlacementResult]:
+        asked.append(scene.object("cupboard").hypotheses["drawer_slide"][0].kind)
+        return [plan_base_placement(scene, robot, task, Everywhere())]
+
+    first = make_task(guessed, "open", "cupboard", "drawer_slide")
+    _, _, (answer,) = ask_in_turn(guessed, first, ask)
+    assert asked == ["drawer", "door_right", "door_left"]
+    assert answer.plan.scene_hypotheses == {"cupboard": {"drawer_slide": 2}}
+    assert "taken       for a door_left" in summary(answer, None)
+    write_plan(answer.plan, tmp_path / "plan.json")
+    assert verify_files(tmp_path / "plan.json").valid
+    plan, again, _ = open_plan(tmp_path / "plan.json", None, None, "to execute")
+    assert again.object("cupboard").model.joint("drawer_slide").kind == "revolute"
+    record = run_plan(plan, again, robot, Everywhere(), world=really)
+    assert record.success, record.reason
+
+
+def test_where_no_way_has_a_plan_the_answer_is_about_the_likeliest(guessed: Scene) -> None:
+    task = make_task(guessed, "open", "cupboard", "door_hinge")
+    asked = list[str]()
+
+    def refuse(scene: Scene, _: Task) -> list[PlacementResult]:
+        asked.append(scene.object("cupboard").hypotheses["door_hinge"][0].kind)
+        raise TaskError(f"no hand holds a {asked[-1]}")
+
+    with pytest.raises(TaskError, match="no hand holds a door_right"):
+        ask_in_turn(guessed, task, refuse)
+    assert asked == [kind for kind, share in ALL if share >= PROBABLE]
+    likely = guessed.object("cupboard").hypotheses["door_hinge"]
+    assert len(asked) == len(likely)

@@ -103,6 +103,7 @@ def test_verify_finds_the_srdf_that_the_plan_names(plan: PlacementPlan, folder: 
         ("base_path", [[0, 0]], "base_path has rows of 2 numbers; need 3, x, y, yaw"),
         ("base_path", [[0, 0, 0], [0]], "base_path"),
         ("scene_joints", {"cabinet": 1}, "scene_joints"),
+        ("scene_hypotheses", {"cabinet": {"hinge": 0.5}}, "scene_hypotheses"),
         ("feasible_to", "45deg", "feasible_to"),
         ("feasible_from", [1.0, 2.0, 3.0], "feasible_from"),
     ],
@@ -124,7 +125,8 @@ def test_a_plan_of_before_that_has_none_of_them_is_read(plan: PlacementPlan, fol
     path = folder / "old.json"
     write_plan(plan, path)
     data = json.loads(path.read_text())
-    for key in ("start", "base_path", "scene_joints", "feasible_to", "feasible_from"):
+    new = "start", "base_path", "scene_joints", "scene_hypotheses", "feasible_to", "feasible_from"
+    for key in new:
         del data[key]
     del data["task"]["farthest"]
     del data["robot"]["file"]

@@ -108,6 +108,39 @@ def test_a_scan_becomes_a_scene_in_which_a_robot_opens_the_fridge(
     assert json.loads(plan.read_text())["status"] == "solved"
 
 
+@pytest.mark.parametrize(
+    ("thing", "label", "kinds"),
+    [("dishwasher", "cabinet", {"door_down"}), ("fridge", "fridge", {"door_right"})],
+)
+def test_an_appliance_whose_front_returns_no_depth_is_completed_and_told(
+    scan: Scan, tools: Tools, thing: str, label: str, kinds: set[str], tmp_path: Path
+) -> None:
+    low, high = load_scene("kitchen_small").object(thing).bounds
+    front = np.array([low - 0.02, [high[0] + 0.02, low[1] + 0.14, high[2] + 0.02]])
+    dark = []
+    for frame in scan.frames:
+        assert frame.depth is not None
+        v, u = np.nonzero(frame.depth)
+        rays = np.column_stack([u, v, np.ones(len(u))]) @ np.linalg.inv(frame.intrinsics).T
+        points = apply(frame.T_world_camera, rays * frame.depth[v, u][:, None])
+        on = ((points > front[0]) & (points < front[1])).all(axis=1)
+        depth = frame.depth.copy()
+        depth[v[on], u[on]] = 0.0
+        dark.append(replace(frame, depth=depth))
+    made = scan_to_scene(replace(scan, frames=tuple(dark)), tmp_path / "scene.json", tools)
+    middle = apply(made.T_scene_scan, ((low + high) / 2)[None])[0]
+    name = nearest(made, UprightBox(middle, high - low))
+    (found,) = [d for d in made.decisions if d.detection.name == name]
+    assert found.detection.label == label
+    assert np.abs(found.detection.box.center - middle)[:2].max() < 0.05
+    assert found.detection.seen is not None
+    assert found.detection.seen < 0.2
+    assert {part.kind for part in found.parts} == kinds
+    assert any("no depth" in text and name in text for text in found.warnings)
+    told = next(o for o in report_to_dict(made, scan, None)["objects"] if o["name"] == name)
+    assert told["completed"] == pytest.approx(found.detection.completed, abs=1e-3)
+
+
 def test_only_what_matters_for_the_target_is_modeled(
     made: Modeled, scan: Scan, tools: Tools, folder: Path, tmp_path: Path
 ) -> None:

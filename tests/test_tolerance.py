@@ -18,7 +18,8 @@ from momapos.outcomes import PoseOutcome, PoseStatus
 from momapos.plans import read_plan
 from momapos.robots.robot import load_robot
 from momapos.scene.files import load_scene
-from momapos.tolerance import RADII, TURN, placement_tolerance, unit_offsets
+from momapos.robust import unit_offsets
+from momapos.tolerance import RADII, TURN, placement_tolerance
 from momapos.types import Attempt, Motion
 
 MOTION = Motion(np.zeros((1, 6)), np.zeros((1, 6)), np.zeros(1), np.eye(4)[None])

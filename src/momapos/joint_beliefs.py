@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
+from momapos.errors import TaskError
 from momapos.execution.config import ComplianceConfig
 from momapos.execution.joint_estimate import Axis, JointEstimate
 from momapos.execution.record import JointFound, RunRecord
 from momapos.geometry.transforms import apply, invert
 from momapos.kinematics.opening import opening_of
-from momapos.scene.other_motion import moving_as, save_moving_as, scene_moving_as
+from momapos.placement_result import PlacementResult
+from momapos.scene.other_motion import moving_as, save_moving_as, scene_taking
 from momapos.scene.scene import Scene, SceneObject
 from momapos.types import Hypothesis, PartKind, Task
 
@@ -29,6 +31,11 @@ DOUBT = float(np.log(20.0))
 """The hand lets go where another way to move is so many times likelier, as a logarithm [-]."""
 WIDE_OPEN = np.pi / 2
 """A part that turns out to be hinged is opened so far at most [rad]."""
+PROBABLE = 0.05
+"""A less probable way to move is not planned for, where the likelier ones have no plan [-]."""
+
+Ask: TypeAlias = "Callable[[Scene, Task], Sequence[PlacementResult]]"
+"""Answers a task in a room, for every arm."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,18 +137,59 @@ def joint_beliefs(scene: Scene, task: Task) -> tuple[JointBelief, ...]:
         return ()
     whole, asked = abs(opening.wide - opening.closed), abs(task.to - opening.closed)
     beliefs = [JointBelief(scene, task, ways[0], _log(ways[0].probability))]
-    for way in ways[1:]:
+    for index, way in enumerate(ways[1:], start=1):
         same = (way.kind == "drawer") == (ways[0].kind == "drawer")
         to = asked if same else asked / whole * min(way.upper, WIDE_OPEN)
         beliefs.append(
             JointBelief(
-                scene_moving_as(scene, task.object, task.joint, way),
+                scene_taking(scene, task.object, task.joint, index),
                 replace(task, to=min(to, way.upper)),
                 way,
                 _log(way.probability),
             )
         )
     return tuple(beliefs)
+
+
+def ask_in_turn(
+    scene: Scene, task: Task, ask: Ask
+) -> tuple[Scene, Task, Sequence[PlacementResult]]:
+    """Ask for the likeliest way in which a part may move; for the next where that has no answer.
+
+    Args:
+        scene: The room.
+        task: What is to be done.
+        ask: Answers a task in a room, for every arm.
+
+    Returns:
+        The room and the task as they are solved with the answers; as they were given, with those,
+        where no probable way of the part has a solution.
+
+    Raises:
+        TaskError: What `ask` raises for the likeliest, where no other way has a solution.
+    """
+    answers, refused = _asked(ask, scene, task)
+    if refused is None and any(answer.plan.status != "infeasible" for answer in answers):
+        return scene, task, answers
+    for belief in joint_beliefs(scene, task)[1:]:
+        if belief.way.probability < PROBABLE:
+            continue
+        others, _ = _asked(ask, belief.scene, belief.task)
+        if any(answer.plan.status == "solved" for answer in others):
+            return belief.scene, belief.task, others
+    if refused is not None:
+        raise refused
+    return scene, task, answers
+
+
+def _asked(
+    ask: Ask, scene: Scene, task: Task
+) -> tuple[Sequence[PlacementResult], TaskError | None]:
+    """The answers, or why there can be none."""
+    try:
+        return ask(scene, task), None
+    except TaskError as error:
+        return (), error
 
 
 def _likeliest(beliefs: Sequence[JointBelief]) -> int:

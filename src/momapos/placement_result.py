@@ -129,6 +129,7 @@ def plan_of(
         robot_arm=robot.arm or None,
         robot_amended=robot.amended,
         scene_joints=query.scene.joints_set,
+        scene_hypotheses=query.scene.hypotheses_set,
         joints=robot.moved_joints,
         start=(float(start[0]), float(start[1]), float(start[2])),
         base_path=None if path is None else path.poses,

@@ -97,6 +97,7 @@ class Plan(msgspec.Struct):
     status: Status
     joints: list[str]
     scene_joints: dict[str, dict[str, float]] = {}
+    scene_hypotheses: dict[str, dict[str, int]] = {}
     feasible_to: float | None = None
     feasible_from: Pose | None = None
     feasible_sure: bool = False

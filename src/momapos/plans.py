@@ -49,6 +49,7 @@ def plan_to_dict(plan: PlacementPlan) -> dict[str, Any]:
         "version": VERSION,
         "scene": plan.scene,
         "scene_joints": {name: dict(joints) for name, joints in plan.scene_joints.items()},
+        "scene_hypotheses": {name: dict(taken) for name, taken in plan.scene_hypotheses.items()},
         "robot": {
             "name": plan.robot_name,
             "urdf": plan.robot_urdf,
@@ -281,6 +282,7 @@ def _record(data: members.Plan, path: Path) -> PlacementPlan:
         robot_rest=robot.rest,
         robot_arm=robot.arm,
         scene_joints=data.scene_joints,
+        scene_hypotheses=data.scene_hypotheses,
         feasible_to=data.feasible_to,
         feasible_from=_triple(data.feasible_from),
         feasible_sure=data.feasible_sure,

@@ -12,6 +12,7 @@ import numpy as np
 
 from momapos.detection.coco import WITHOUT_DOORS
 from momapos.errors import InputError
+from momapos.fusion.completion import complete
 from momapos.fusion.gravity import align_to_gravity
 from momapos.fusion.registration import register
 from momapos.fusion.tsdf import fuse
@@ -72,6 +73,8 @@ if TYPE_CHECKING:
 
 BUILDING = ("wall", "floor", "ceiling", "window", "door")
 """Labels of segmenters for what is no furniture."""
+TOLD = 0.1
+"""From this share of its points on it is told that a thing is completed [-]."""
 DEFAULT = ScanConfig()
 
 
@@ -173,7 +176,10 @@ def survey(
         progress("finding objects", 0.2)
         T = align_to_gravity(cloud, scan.frames, config.gravity)
         cloud, frames = _turned(cloud, scan.frames, T)
+        measured = len(cloud.points)
         room = find_room(cloud, config.room)
+        walls = [(wall.axis, wall.offset) for wall in room.walls]
+        cloud = complete(cloud, frames, walls, config.voxel, config.completion)
         things = [item for item in tools.segment(cloud) if item.label not in BUILDING]
         detections = boxes(cloud, things, room, config.boxes)
     with watch.stage("rows"):
@@ -187,10 +193,10 @@ def survey(
     with watch.stage("labels"):
         progress("looking what it is", 0.35)
         detections = with_labels(detections, cloud, frames, tools.detect, found, labels, config)
-        walls = wall_detections(room, config.boxes)
-        detections = with_coverage(detections, cloud, walls)
+        boards = wall_detections(room, config.boxes)
+        detections = with_coverage(detections, cloud, boards, measured)
     return Survey(
-        cloud, frames, T, room, tuple(detections), tuple(walls), tuple(rows), found, watch.seconds
+        cloud, frames, T, room, tuple(detections), tuple(boards), tuple(rows), found, watch.seconds
     )
 
 
@@ -336,6 +342,11 @@ def _decide(
 ) -> Decision:
     """Look at one object that matters, and model it if it has a front."""
     box = Decision(item, score, None, (), None, "")
+    if item.completed >= TOLD:
+        text = (
+            f"{item.name}: {item.completed:.0%} of it has no depth and is completed from around it"
+        )
+        box = replace(box, warnings=(text,))
     if (np.sort(item.box.size)[:2] < config.least_sides).any():
         return replace(box, reason="too small for doors or drawers")
     if item.label in WITHOUT_DOORS and item.label_from in ("detector", "given"):
@@ -355,6 +366,7 @@ def _decide(
     own = given.get(item.name, given.get(item.label))
     if own is not None:
         model, warnings = place_model(item, facing, own)
+        warnings = (*box.warnings, *warnings)
         return replace(box, view=view, source=PartSource.GIVEN, model=model, warnings=warnings)
     parts, source = _parts(view, item.label, tools)
     if not parts:

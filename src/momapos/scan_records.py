@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.detection.votes import VoteConfig
+from momapos.fusion.completion import CompletionConfig
 from momapos.fusion.gravity import GravityConfig
 from momapos.fusion.registration import RegistrationConfig
 from momapos.fusion.tsdf import FusionConfig
@@ -47,6 +48,8 @@ class ScanConfig:
     least_sides: tuple[float, float] = (0.1, 0.2)
     """Things whose shortest or middle edge is shorter than this have no doors or drawers [m]."""
     fusion: FusionConfig = field(default_factory=FusionConfig)
+    completion: CompletionConfig = field(default_factory=CompletionConfig)
+    """Which holes in depth images are taken for black, mirrored or glass fronts."""
     gravity: GravityConfig = field(default_factory=GravityConfig)
     room: RoomConfig = field(default_factory=RoomConfig)
     boxes: BoxConfig = field(default_factory=BoxConfig)

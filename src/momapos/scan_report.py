@@ -45,6 +45,7 @@ def _decision(decision: Decision, result: Modeled) -> dict[str, Any]:
         "label_from": item.label_from,
         "score": round(item.score, 3),
         "seen": None if item.seen is None else round(item.seen, 3),
+        "completed": round(item.completed, 3),
         "points": len(item.members),
         "center": np.round(item.box.center, 4).tolist(),
         "size": np.round(item.box.size, 4).tolist(),

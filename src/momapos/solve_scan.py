@@ -15,6 +15,7 @@ from momapos.baselines.answer import plan_by_method
 from momapos.config import PipelineConfig
 from momapos.errors import TaskError
 from momapos.importance.key_objects import start_of
+from momapos.joint_beliefs import ask_in_turn
 from momapos.manipulation.tasks import make_task
 from momapos.placement_result import PlacementResult, cheapest
 from momapos.protocols import Clock, ReachScorer
@@ -23,8 +24,9 @@ from momapos.robots.robot import Robot
 from momapos.scan_pipeline import default_tools, importance, model_room, survey
 from momapos.scan_records import Decision, Found, Modeled, Progress, ScanConfig, Tools, silent
 from momapos.scene.files import load_scene
+from momapos.scene.scene import Scene
 from momapos.stopwatch import Stopwatch
-from momapos.types import Scan, Verb
+from momapos.types import Scan, Task, Verb
 
 JOINTED = ("open", "close")
 
@@ -132,10 +134,14 @@ def _placed(
     _check_moves(modeled, asked)
     scene = load_scene(modeled.scene)
     task = make_task(scene, asked.verb, asked.object, asked.joint, asked.to)
-    answers = [
-        plan_by_method(scene, robot, task, reach, config=config, seed=seed, clock=clock)
-        for robot, reach in arms
-    ]
+
+    def ask(scene: Scene, task: Task) -> list[PlacementResult]:
+        return [
+            plan_by_method(scene, robot, task, reach, config=config, seed=seed, clock=clock)
+            for robot, reach in arms
+        ]
+
+    _, task, answers = ask_in_turn(scene, task, ask)
     return cheapest(answers, farthest=task.farthest)
 
 

@@ -13,6 +13,7 @@ from momapos.errors import InputError
 from momapos.query import PlacementQuery
 from momapos.reachability.store import load_reach
 from momapos.robots.robot import Robot
+from momapos.robust import SAMPLES, unit_offsets, works_around
 from momapos.scene.scene import Scene
 from momapos.stopwatch import Stopwatch
 from momapos.types import Task, Tolerance
@@ -29,8 +30,6 @@ RADII = (0.005, 0.01, 0.015, 0.02, 0.025, 0.03, 0.04, 0.05, 0.06, 0.08, 0.1, 0.1
 """Radii of discs that are asked about, smallest first [m]."""
 TURN = float(np.radians(0.6) / 0.01)
 """How far it is turned at most, for each meter of the radius [rad/m]."""
-SAMPLES = 150
-"""Where so many poses work and none fails, at least 98 % do at a confidence of 95 % [-]."""
 
 
 def placement_tolerance(
@@ -90,17 +89,3 @@ def placement_tolerance(
             beyond = middle
     radius = 0.0 if known == 0 else RADII[known - 1]
     return Tolerance(radius, radius * TURN, samples)
-
-
-def works_around(
-    checks: BasePoseChecks, base: Float[np.ndarray, "3"], offsets: Float[np.ndarray, "n 3"]
-) -> bool:
-    """Whether the motion is found from a base pose at all of some offsets [m], [m], [rad]."""
-    return all(checks(base + offset).motion is not None for offset in offsets)
-
-
-def unit_offsets(count: int, rng: np.random.Generator) -> Float[np.ndarray, "n 3"]:
-    """Offsets drawn evenly in the unit disc, with a turn between -1 and 1."""
-    angle, radius = rng.uniform(-np.pi, np.pi, count), np.sqrt(rng.uniform(size=count))
-    turn = rng.uniform(-1.0, 1.0, count)
-    return np.stack([radius * np.cos(angle), radius * np.sin(angle), turn], axis=-1)

@@ -116,6 +116,9 @@ class Detection:
     """As of an `Instance`."""
     seen: float | None = None
     """Share of the surface that can be seen on which something was measured, in [0, 1]."""
+    completed: float = 0.0
+    """Share of its points that no depth image shows: a black, mirrored or glass front, completed
+    from what is around it [-]."""
 
 
 @dataclass(frozen=True)
@@ -385,6 +388,9 @@ class PlacementPlan:
     """The URDF where the robot file adds to it; it is written beside the plan."""
     scene_joints: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     """Joint values that differ from the scene file's, by object and joint [rad] or [m]."""
+    scene_hypotheses: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
+    """Which hypothesis of how it moves a joint was taken for, by object and joint, counted from 0
+    as in the scene file; the first, the likeliest, by default."""
     feasible_to: float | None = None
     """Where the value asked for is out of reach: the farthest found that is not [rad] or [m]."""
     feasible_from: tuple[float, float, float] | None = None

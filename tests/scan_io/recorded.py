@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -61,6 +62,49 @@ def write_export(folder: Path, taken: list[Shot], matrices: dict[str, np.ndarray
         Image.fromarray(shot.color).save(folder / "color" / f"{i}.png")
         Image.fromarray(shot.depth).save(folder / "depth" / f"{i}.png")
         np.savetxt(folder / "pose" / f"{i}.txt", shot.T_world_camera)
+    return folder
+
+
+def write_tum(folder: Path, taken: list[Shot], *, late: float = 0.004, every: float = 0.1) -> Path:
+    """Write frames as TUM RGB-D does; depth is taken a little later than color."""
+    for name in ("rgb", "depth"):
+        (folder / name).mkdir(parents=True)
+    np.savetxt(folder / "camera-intrinsics.txt", K)
+    lists = {"rgb": ["# color images"], "depth": ["# depth maps"]}
+    poses = ["# timestamp tx ty tz qx qy qz qw"]
+    for i, shot in enumerate(taken):
+        time = 1305031102.0 + every * i
+        for name, at, image in (
+            ("rgb", time, shot.color), ("depth", time + late, shot.depth * np.uint16(5)),
+        ):  # fmt: skip
+            Image.fromarray(image).save(folder / name / f"{at:.6f}.png")
+            lists[name].append(f"{at:.6f} {name}/{at:.6f}.png")
+        values = [*shot.T_world_camera[:3, 3], *_quaternion(shot.T_world_camera)]
+        # Poses are recorded by another clock tick: one before the image and one after it.
+        for at in (time + late - 0.01, time + late + 0.01):
+            poses.append(f"{at:.6f} " + " ".join(f"{v:.9f}" for v in values))
+    for name, rows in (*lists.items(), ("groundtruth", poses)):
+        (folder / f"{name}.txt").write_text("\n".join(rows) + "\n")
+    return folder
+
+
+def _quaternion(T: np.ndarray) -> np.ndarray:
+    return Rotation.from_matrix(T[:3, :3]).as_quat()
+
+
+def write_open3d(folder: Path, taken: list[Shot], *, color: str = "color") -> Path:
+    """Write frames as Open3D does: images in the order of their names, one trajectory."""
+    for name in (color, "depth"):
+        (folder / name).mkdir(parents=True)
+    rows = []
+    for i, shot in enumerate(taken):
+        Image.fromarray(shot.color).save(folder / color / f"{i:05d}.png")
+        Image.fromarray(shot.depth).save(folder / "depth" / f"{i:05d}.png")
+        rows.append(f"{i} {i} {i + 1}")
+        rows += [" ".join(f"{v:.12e}" for v in row) for row in shot.T_world_camera]
+    (folder / "trajectory.log").write_text("\n".join(rows) + "\n")
+    camera = {"width": WIDTH, "height": HEIGHT, "intrinsic_matrix": K.T.ravel().tolist()}
+    (folder / "camera_intrinsic.json").write_text(json.dumps(camera))
     return folder
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,12 @@ from momapos.errors import SceneError
 from momapos.geometry.transforms import apply, pose, rotation_about
 from momapos.kinematics.opening import opening_of
 from momapos.scene.files import load_scene, save_scene
-from momapos.scene.other_motion import moving_as, save_moving_as, scene_moving_as
+from momapos.scene.other_motion import (
+    moving_as,
+    save_moving_as,
+    scene_moving_as,
+    scene_taking,
+)
 from momapos.scene.scene import Scene, SceneObject
 from momapos.types import Hypothesis
 
@@ -115,3 +121,47 @@ def test_a_scene_takes_its_part_as_shut(tmp_path: Path) -> None:
     other = scene_moving_as(scene, "cupboard", "hinge", WAYS[2])
     assert other.object("cupboard").values()["hinge"] == 0.0
     assert other.joints_set["cupboard"] == {}
+
+
+def believed(folder: Path) -> Scene:
+    item = replace(cupboard(folder), hypotheses={"hinge": WAYS})
+    return save_scene(Scene("room", (item,)), folder / "room.json")
+
+
+def test_a_scene_that_takes_a_hypothesis_rules_the_likelier_out_and_says_which(
+    tmp_path: Path,
+) -> None:
+    scene = believed(tmp_path)
+    taken = scene_taking(scene, "cupboard", "hinge", 1)
+    item = taken.object("cupboard")
+    assert [way.kind for way in item.hypotheses["hinge"]] == ["door_down", "drawer"]
+    assert [way.probability for way in item.hypotheses["hinge"]] == pytest.approx([0.6, 0.4])
+    expected = points(moving_as(scene.object("cupboard"), "hinge", WAYS[1]), {"hinge": 0.5})
+    np.testing.assert_allclose(points(item, {"hinge": 0.5}), expected, atol=1e-9)
+    assert taken.hypotheses_set == {"cupboard": {"hinge": 1}}
+    # Taken one after the other they count as the file does, and move as if taken at once.
+    last = scene_taking(taken, "cupboard", "hinge", 1)
+    assert last.hypotheses_set == {"cupboard": {"hinge": 2}}
+    expected = points(moving_as(scene.object("cupboard"), "hinge", WAYS[2]), {"hinge": 0.2})
+    np.testing.assert_allclose(points(last.object("cupboard"), {"hinge": 0.2}), expected, atol=1e-9)
+
+
+def test_a_scene_that_takes_a_hypothesis_is_written_with_what_is_learned_of_it(
+    tmp_path: Path,
+) -> None:
+    scene = believed(tmp_path)
+    taken = scene_taking(scene, "cupboard", "hinge", 1)
+    out = tmp_path / "elsewhere" / "learned.json"
+    save_moving_as(taken, "cupboard", "hinge", WAYS[1], 0.5, out)
+    expected = points(moving_as(scene.object("cupboard"), "hinge", WAYS[1]), {"hinge": 0.5})
+    found = load_scene(out).object("cupboard")
+    np.testing.assert_allclose(points(found, {"hinge": 0.5}), expected, atol=1e-6)
+
+
+def test_a_hypothesis_that_is_not_there_is_refused(tmp_path: Path) -> None:
+    scene = believed(tmp_path)
+    for index in (-1, 3):
+        with pytest.raises(SceneError, match=f"cupboard/hinge: hypothesis {index} of 3"):
+            scene_taking(scene, "cupboard", "hinge", index)
+    with pytest.raises(SceneError, match="cupboard/lid: hypothesis 0 of 0"):
+        scene_taking(scene, "cupboard", "lid", 0)

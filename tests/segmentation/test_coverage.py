@@ -54,6 +54,16 @@ def test_a_face_that_something_stands_against_is_not_missed() -> None:
     assert known.seen == coverage(cloud, item, [wall]).share
 
 
+def test_what_was_completed_is_part_of_a_thing_but_was_not_seen() -> None:
+    item, cloud = surface(UprightBox(np.array([1.0, 2.0, 0.5]), SIZE), (0, 1))
+    front, _ = surface(item.box, (0,))
+    (known,) = with_coverage([item], cloud, [], measured=len(front.members))
+    assert known.seen == coverage(cloud, front, []).share
+    assert known.completed == pytest.approx(0.5)
+    (known,) = with_coverage([item], cloud, [])
+    assert known.completed == 0.0
+
+
 def test_the_far_side_of_a_face_is_not_the_face() -> None:
     item, cloud = surface(UprightBox(np.array([1.0, 2.0, 0.5]), SIZE), (0,))
     inside = Cloud(cloud.points, -cloud.normals, cloud.colors)

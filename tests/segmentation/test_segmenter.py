@@ -127,6 +127,18 @@ def test_a_front_far_before_a_wall_ends_where_the_floor_is_seen() -> None:
     assert best_overlap(body, found) > 0.9
 
 
+def test_a_fridge_flush_with_its_row_ends_there_though_its_top_is_seen_raggedly() -> None:
+    fridge, row = ((-2.99, 0.4, 0.0), (-2.3, 1.0, 1.75)), ((-2.3, 0.4, 0.0), (-0.3, 1.0, 0.9))
+    cloud = cloud_of([*ROOM, fridge, row], np.random.default_rng(2))
+    strip = np.floor(cloud.points[:, 0] / 0.03).astype(int)
+    missed = (cloud.points[:, 2] > 1.75 - 0.02 * (strip % 3)) & (cloud.points[:, 1] < 0.95)
+    kept = np.flatnonzero(~missed)
+    cloud = Cloud(cloud.points[kept], cloud.normals[kept], cloud.colors[kept])
+    found = boxes(cloud, ClassicalSegmenter()(cloud), find_room(cloud))
+    assert best_overlap(fridge, found) > 0.9
+    assert best_overlap(row, found) > 0.85
+
+
 def test_a_top_that_hangs_over_is_a_thing_of_its_own() -> None:
     body: Corners = ((0.0, -1.6, 0.0), (1.0, -1.2, 0.86))
     top: Corners = ((-0.02, -1.84, 0.86), (1.02, -1.18, 0.9))

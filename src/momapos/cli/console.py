@@ -95,6 +95,7 @@ def summary(
             f"  move        {len(plan.motion.approach)} states to the grasp, then "
             f"{len(plan.motion.q)}{turn}",
             *_holds(answer),
+            *_taken(answer),
             "  checked     base, arm and moving part over the whole motion, exact geometry",
             *_tolerance(plan.tolerance),
         ]
@@ -126,6 +127,15 @@ def _holds(answer: PlacementResult) -> list[str]:
             for hold, words in later
         ]
     return lines
+
+
+def _taken(answer: PlacementResult) -> list[str]:
+    """As what the part is taken, where that is not the likeliest."""
+    task = answer.plan.task
+    if task.joint is None or not answer.plan.scene_hypotheses.get(task.object, {}).get(task.joint):
+        return []
+    kind = answer.prepared.scene.object(task.object).hypotheses[task.joint][0].kind
+    return [f"  taken       for a {kind}: as what it is likelier there is no base pose"]
 
 
 def _tolerance(found: Tolerance | None) -> list[str]:

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from momapos.reachability.arm_length import ArmLength
     from momapos.reachability.map import ReachMap
     from momapos.scene.scene import Scene
-    from momapos.types import BaseRegion
+    from momapos.types import BaseRegion, Task
 
 
 @dataclass(frozen=True)
@@ -245,6 +245,7 @@ def _answer(
     from momapos.cache import user_cache
     from momapos.cli.compile import ANSWER, RANK, WALKS, compile_once
     from momapos.cli.console import busy, progress
+    from momapos.joint_beliefs import ask_in_turn
     from momapos.manipulation.tasks import make_task
     from momapos.placement_result import cheapest
     from momapos.reachability.store import load_reach
@@ -271,7 +272,7 @@ def _answer(
         maps = [load_reach(robot, cache.folder, report) for robot in arms]
     begin = None if start is None else np.array(start)
 
-    def ask(robot: Robot, reach: ReachMap | ArmLength) -> PlacementResult:
+    def ask(scene: Scene, task: Task, robot: Robot, reach: ReachMap | ArmLength) -> PlacementResult:
         if at is None:
             return plan_by_method(
                 scene, robot, task, reach, start=begin, region=region, config=config,
@@ -284,7 +285,10 @@ def _answer(
         )
 
     with busy(f"{arms[0].name}: searching", len(arms) * config.timeout):
-        answers = [ask(robot, reach) for robot, reach in zip(arms, maps, strict=True)]
+        scene, task, answers = ask_in_turn(
+            scene, task,
+            lambda scene, task: [ask(scene, task, *arm) for arm in zip(arms, maps, strict=True)],
+        )  # fmt: skip
         solved = any(answer.plan.status == "solved" for answer in answers)
         if at is None and not task.farthest and not solved and config.place.method in OURS:
             smaller = [

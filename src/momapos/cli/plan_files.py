@@ -41,6 +41,7 @@ def open_plan(
     from momapos.cache import user_cache
     from momapos.errors import InputError
     from momapos.plans import check_unchanged, read_plan
+    from momapos.scene.other_motion import as_planned
     from momapos.verification.files import find_file, read_scene
 
     content = read_plan(plan)
@@ -50,7 +51,7 @@ def open_plan(
     scene_file = find_file("scene", content.scene, folders, plan)
     urdf = find_file("robot.urdf", content.robot_urdf, folders, plan)
     check_unchanged(plan, scene_file, urdf)
-    scene = read_scene(scene_file, scene_root, cache=user_cache()).with_joints(content.scene_joints)
+    scene = as_planned(read_scene(scene_file, scene_root, cache=user_cache()), content)
     machine = _robot(content, plan, urdf, robot)
     for warning in scene.warnings:
         print(f"momapos: {warning}", file=sys.stderr)

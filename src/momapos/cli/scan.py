@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
-from momapos.cli.options import LabelsArg, OptionalPath, OptionalText
+from momapos.cli.options import LabelsArg, OptionalNumber, OptionalPath, OptionalText
 from momapos.errors import InputError
 from momapos.importance.config import ImportanceConfig, ScorerName
 
@@ -50,8 +50,8 @@ class ScanOptions:
     """Put parts onto URDFormer's grid of 13 steps."""
     max_frames: int = 150
     """Images that are read at most, evenly spaced."""
-    depth_scale: float = 1000.0
-    """Units of integer depth in a meter."""
+    depth_scale: OptionalNumber = None
+    """Units of integer depth in a meter; 5000 in TUM's folders, 1000 elsewhere by default."""
     voxel: float = 0.015
     """Edge of the voxels that depth is fused in [m]."""
     depth_topic: OptionalText = None
@@ -64,7 +64,7 @@ class ScanOptions:
     def __post_init__(self) -> None:
         if not 1e-3 <= self.voxel <= 1.0:
             raise InputError(f"--voxel must be between 0.001 and 1 m, not {self.voxel:g}")
-        if not 1e-6 <= self.depth_scale <= 1e9:
+        if self.depth_scale is not None and not 1e-6 <= self.depth_scale <= 1e9:
             raise InputError(
                 f"--depth-scale must be between 1e-6 and 1e9, not {self.depth_scale:g}"
             )

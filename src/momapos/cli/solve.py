@@ -176,10 +176,12 @@ def _run(answer: ScanAnswer, reach: Any, file: Path, options: SolveOptions) -> R
     from momapos.execution.run_trace import RunTrace
     from momapos.run_plan import run_plan
     from momapos.scene.files import load_scene
+    from momapos.scene.other_motion import as_planned
 
+    plan, robot = answer.result.plan, answer.result.prepared.robot
     trace = RunTrace()
     record = run_plan(
-        answer.result.plan, load_scene(answer.modeled.scene), answer.result.prepared.robot, reach,
+        plan, as_planned(load_scene(answer.modeled.scene), plan), robot, reach,
         config=options.config, physics=ExecutionConfig(hold=options.hold), seed=options.seed,
         trace=trace.drive, watch=trace,
     )  # fmt: skip

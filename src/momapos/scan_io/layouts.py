@@ -42,6 +42,7 @@ if TYPE_CHECKING:
 
 MAX_FRAMES_LISTED = 100_000
 MAX_TEXT_BYTES = 10_000
+MILLIMETERS = 1000.0
 SEVEN_SCENES_INTRINSICS = np.array([[585.0, 0, 320], [0, 585.0, 240], [0, 0, 1]])
 _In = TypeVar("_In")
 _Out = TypeVar("_Out")
@@ -55,7 +56,8 @@ class FrameFiles:
     name: str
     color: Path
     depth: Path | None
-    pose: Path
+    pose: Path | Float[np.ndarray, "4 4"]
+    """From camera to world, or the file of it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +70,8 @@ class Layout:
     K_depth: Float[np.ndarray, "3 3"] | None
     """None where one matrix is given for both; then it belongs to the color image."""
     warnings: tuple[str, ...] = ()
+    depth_scale: float = MILLIMETERS
+    """Units of integer depth in a meter, as is usual [-]."""
 
 
 def find_layout(folder: Path) -> Layout | None:
@@ -88,7 +92,7 @@ def find_layout(folder: Path) -> Layout | None:
 
 
 def read_frames(
-    layout: Layout, *, max_frames: int, depth_scale: float
+    layout: Layout, *, max_frames: int, depth_scale: float | None = None
 ) -> tuple[tuple[Frame, ...], tuple[str, ...]]:
     """Read the images of a layout.
 
@@ -98,7 +102,7 @@ def read_frames(
     Args:
         layout: From `find_layout`.
         max_frames: How many to read at most, see `keyframes.choose`.
-        depth_scale: How many units of a depth image are a meter.
+        depth_scale: Units of a depth image in a meter; those of the layout by default.
 
     Returns:
         The frames, and one line for each kind of frame that was skipped.
@@ -107,7 +111,7 @@ def read_frames(
         FileFormatError: No frame can be used, sizes differ, or depth is in another unit.
         InputError: They do not fit into memory.
     """
-    where = str(layout.folder)
+    where, scale = str(layout.folder), depth_scale or layout.depth_scale
     skips = Skips(len(layout.frames))
     posed = _with_poses(layout.frames, skips)
     skips.refuse_none_left(len(posed), where)
@@ -124,11 +128,11 @@ def read_frames(
 
         def read(index: int) -> Frame:
             files, T_world_camera = chosen[index]
-            return _read_frame(files, T_world_camera, layout.K_color, K, depth_scale)
+            return _read_frame(files, T_world_camera, layout.K_color, K, scale)
 
         frames = tuple(_collect(pool.map(_attempt(read), kept), skips).values())
     skips.refuse_none_left(len(frames), where)
-    check_depth_unit(frames, depth_scale, where)
+    check_depth_unit(frames, scale, where)
     return frames, skips.warnings()
 
 
@@ -180,11 +184,13 @@ def _with_poses(
     posed = []
     for files in frames:
         try:
-            posed.append((files, rigid_pose(_numbers(files.pose))))
+            T = _numbers(files.pose) if isinstance(files.pose, Path) else files.pose
+            posed.append((files, rigid_pose(T)))
         except FileFormatError as error:
             skips.add("pose", str(error))
         except ValueError as error:
-            skips.add("pose", f"{files.pose}: {error}")
+            where = files.pose if isinstance(files.pose, Path) else files.name
+            skips.add("pose", f"{where}: {error}")
     return posed
 
 
@@ -231,13 +237,34 @@ def _seven_scenes(folder: Path, names: set[str]) -> Layout:
     # 3DMatch keeps the matrix beside its sequences.
     for file in (folder / "camera-intrinsics.txt", folder.parent / "camera-intrinsics.txt"):
         if file.is_file():
-            K = check_intrinsics(_numbers(file), str(file))
+            K = read_intrinsics(file)
             return Layout(folder, frames, K, None)
     assumed = (
         f"{folder}: no camera-intrinsics.txt; assumed the Kinect of 7-Scenes, "
         "focal length 585, center (320, 240)"
     )
     return Layout(folder, frames, SEVEN_SCENES_INTRINSICS, None, (assumed,))
+
+
+def read_intrinsics(file: Path) -> Float[np.ndarray, "3 3"]:
+    """Read a pinhole camera that is written as 3 x 3.
+
+    Raises:
+        FileFormatError: The file holds something else.
+    """
+    return check_intrinsics(_numbers(file), str(file))
+
+
+def image_names(folder: Path) -> list[str]:
+    """Names of the images in a folder, in order.
+
+    Raises:
+        FileFormatError: It holds none, or too many, or cannot be listed.
+    """
+    found = {Path(name).stem: name for name in list_names(folder) if _is_image(name)}
+    if not found:
+        raise FileFormatError(f"{folder}: holds no images such as 0.jpg")
+    return [found[stem] for stem in _in_order(found)]
 
 
 def _export(folder: Path) -> Layout:

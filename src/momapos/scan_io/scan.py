@@ -11,15 +11,16 @@ from momapos.errors import FileFormatError, InputError
 from momapos.files import open_regular
 from momapos.scan_io.bags import BagTopics, read_bag
 from momapos.scan_io.clouds import read_cloud
-from momapos.scan_io.layouts import find_layout, list_names, read_frames
+from momapos.scan_io.layouts import MILLIMETERS, find_layout, list_names, read_frames
 from momapos.scan_io.pose_check import DRIFTED, check_poses
+from momapos.scan_io.walks import find_walk
 from momapos.types import Scan
 
-MILLIMETRES = 1000.0
 ACCEPTED = (
     "a folder with frame-000000.color.jpg, .depth.png and .pose.txt (7-Scenes, 3DMatch), or with "
-    "color/, depth/, pose/ and intrinsic/ (ScanNet export, OpenMask3D); a cloud (.ply, .pcd); or "
-    "a recording (.bag, .mcap, the folder of a ROS 2 bag)"
+    "color/, depth/, pose/ and intrinsic/ (ScanNet export, OpenMask3D), or with rgb.txt, depth.txt "
+    "and groundtruth.txt (TUM), or with color/, depth/ and trajectory.log (Open3D); a cloud (.ply, "
+    ".pcd); or a recording (.bag, .mcap, the folder of a ROS 2 bag)"
 )
 _CLOUDS = (".ply", ".pcd")
 _RECORDINGS = (".bag", ".mcap")
@@ -37,7 +38,7 @@ def read_scan(
     path: Path,
     *,
     max_frames: int = 150,
-    depth_scale: float = MILLIMETRES,
+    depth_scale: float | None = None,
     topics: BagTopics | None = None,
 ) -> Scan:
     """Read a scan; what it is, its content says.
@@ -46,7 +47,8 @@ def read_scan(
         path: A folder of posed images, a cloud, or a ROS recording.
         max_frames: How many frames to read at most; of more, sharp ones are chosen all along the
             way.
-        depth_scale: How many units of integer depth are a meter; float depth is in meters.
+        depth_scale: How many units of integer depth are a meter; float depth is in meters. By
+            default what is usual: 5000 in TUM's folders, 1000 elsewhere.
         topics: Which topics of a recording are meant, where their names do not tell.
 
     Returns:
@@ -59,7 +61,7 @@ def read_scan(
         MissingExtraError: A recording is given, and rosbags is not installed.
     """
     path = Path(path)
-    if not 0 < depth_scale < float("inf"):
+    if depth_scale is not None and not 0 < depth_scale < float("inf"):
         raise InputError(f"depth_scale is {depth_scale}; it is the units of depth in a meter")
     if max_frames < 1:
         raise InputError(f"max_frames is {max_frames}; at least 1 frame is needed")
@@ -73,20 +75,22 @@ def read_scan(
         return Scan(path.stem, (), cloud, warnings)
     if kind == "recording":
         frames, warnings = read_bag(
-            path, max_frames=max_frames, depth_scale=depth_scale, topics=topics
+            path, max_frames=max_frames, depth_scale=depth_scale or MILLIMETERS, topics=topics
         )
         return _checked(Scan(path.stem, frames, None, warnings))
     raise FileFormatError(f"{path}: is no scan; expected {ACCEPTED}")
 
 
-def _read_folder(path: Path, max_frames: int, depth_scale: float, topics: BagTopics | None) -> Scan:
+def _read_folder(
+    path: Path, max_frames: int, depth_scale: float | None, topics: BagTopics | None
+) -> Scan:
     name = path.resolve().name
-    layout = find_layout(path)
+    layout = find_walk(path) or find_layout(path)
     if layout is None:
         inside = path if (path / "metadata.yaml").is_file() else _only_file(path)
         if inside == path:
             frames, warnings = read_bag(
-                path, max_frames=max_frames, depth_scale=depth_scale, topics=topics
+                path, max_frames=max_frames, depth_scale=depth_scale or MILLIMETERS, topics=topics
             )
             return _checked(Scan(name, frames, None, warnings))
         scan = read_scan(inside, max_frames=max_frames, depth_scale=depth_scale, topics=topics)

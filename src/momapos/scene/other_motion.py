@@ -9,19 +9,18 @@ from typing import TYPE_CHECKING
 from xml.etree.ElementTree import Element, SubElement, tostring
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from momapos.cache import write_atomic
 from momapos.errors import SceneError, UrdfError
 from momapos.files import parse_xml, read_text_bounded
-from momapos.geometry.transforms import apply, invert, pose
+from momapos.geometry.transforms import apply, invert, pose, pose_rpy
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.opening import opening_of
 from momapos.kinematics.urdf import MAX_URDF_BYTES, read_urdf
 from momapos.scene.copies import copied
 from momapos.scene.files import save_scene
 from momapos.scene.scene import Scene, SceneObject
-from momapos.types import Hypothesis
+from momapos.types import Hypothesis, PlacementPlan
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -64,6 +63,49 @@ def scene_moving_as(scene: Scene, name: str, joint: str, way: Hypothesis) -> Sce
         objects=tuple(other if o is target else o for o in scene.objects),
         joints_set={**scene.joints_set, name: set_here},
     )
+
+
+def scene_taking(scene: Scene, name: str, joint: str, index: int) -> Scene:
+    """The room with one part taken for another of its hypotheses; likelier ones are ruled out.
+
+    Args:
+        scene: The room.
+        name, joint: The object and the joint of the part, which is shut then.
+        index: Which of the joint's hypotheses, counted from 0.
+
+    Raises:
+        UnknownNameError: There is no such object.
+        SceneError: The joint has no such hypothesis, or see `moving_as`.
+    """
+    ways = scene.object(name).hypotheses.get(joint, ())
+    if not 0 <= index < len(ways):
+        raise SceneError(f"{name}/{joint}: hypothesis {index} of {len(ways)}; they count from 0")
+    left = ways[index:]
+    total = sum(way.probability for way in left)
+    left = tuple(replace(way, probability=way.probability / total) for way in left)
+    other = scene_moving_as(scene, name, joint, left[0])
+    item = other.object(name)
+    known = replace(item, hypotheses={**item.hypotheses, joint: left})
+    taken = scene.hypotheses_set.get(name, {})
+    return replace(
+        other,
+        objects=tuple(known if o is item else o for o in other.objects),
+        hypotheses_set={
+            **scene.hypotheses_set, name: {**taken, joint: taken.get(joint, 0) + index},
+        },
+    )  # fmt: skip
+
+
+def as_planned(scene: Scene, plan: PlacementPlan) -> Scene:
+    """A scene as its file has it, with the hypotheses and the joint values of a plan.
+
+    Raises:
+        UnknownNameError, SceneError: The scene has no such joint, hypothesis or value.
+    """
+    for name, taken in plan.scene_hypotheses.items():
+        for joint, index in taken.items():
+            scene = scene_taking(scene, name, joint, index)
+    return scene.with_joints(plan.scene_joints)
 
 
 def save_moving_as(
@@ -111,9 +153,13 @@ def save_moving_as(
 
 def _text(item: SceneObject, joint: str, way: Hypothesis) -> str:
     """The URDF of an object with the joint of one part replaced."""
-    model, record = item.model, item.model.joint(joint)
-    path, scale = model.urdf.path, model.urdf.scale
+    path, scale = item.model.urdf.path, item.model.urdf.scale
     assert path is not None
+    # As the file has it: the object may have been made to move in another way before.
+    model = Articulated(
+        read_urdf(path, scale=scale, cache=item.model.cache), item.model.held, item.model.cache
+    )
+    record = model.joint(joint)
     if record.mimic is not None or model.followers(joint):
         raise SceneError(f"{item.name}: {joint} moves together with others and is left as it is")
     tree = parse_xml(read_text_bounded(path, MAX_URDF_BYTES, error=UrdfError), path)
@@ -126,7 +172,7 @@ def _text(item: SceneObject, joint: str, way: Hypothesis) -> str:
     child = _named(tree, "link", record.child, path)
     moved = [child.find("inertial"), *child.findall("collision"), *child.findall("visual")]
     if not slides and record.kind == "prismatic":
-        for shape in _tray(item, joint, shut, child):
+        for shape in _tray(model, joint, shut, child):
             child.remove(shape)
             moved.remove(shape)
     moved += [j for j in tree.findall("joint") if _link(j, "parent") == record.child]
@@ -146,13 +192,13 @@ def _text(item: SceneObject, joint: str, way: Hypothesis) -> str:
 
 
 def _tray(
-    item: SceneObject,
+    model: Articulated,
     joint: str,
     shut: Mapping[str, Float[np.ndarray, "4 4"]],
     child: Element,
 ) -> list[Element]:
     """The collision elements of a drawer that reach far behind the front of the rest."""
-    record, model = item.model.joint(joint), item.model
+    record = model.joint(joint)
     out = (shut[record.parent] @ record.T_parent_joint)[:3, :3] @ record.axis
     out = opening_of(model, joint).sign * out
     still = [name for name in model.links if name not in model.moved_by(joint)]
@@ -191,10 +237,12 @@ def _origin(element: Element, scale: float) -> Float[np.ndarray, "4 4"]:
         np.array([float(v) for v in origin.get(key, "0 0 0").replace(",", " ").split()])
         for key in ("xyz", "rpy")
     )
-    return pose(scale * xyz, Rotation.from_euler("xyz", rpy).as_matrix())
+    return pose_rpy(tuple(scale * xyz), tuple(rpy))
 
 
 def _set_origin(element: Element, T: Float[np.ndarray, "4 4"], scale: float) -> None:
+    from scipy.spatial.transform import Rotation  # takes long to load
+
     origin = _child(element, "origin")
     origin.set("xyz", _numbers(T[:3, 3] / scale))
     origin.set("rpy", _numbers(Rotation.from_matrix(T[:3, :3]).as_euler("xyz")))

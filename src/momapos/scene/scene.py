@@ -180,6 +180,8 @@ class Scene:
     """Parts of the floor that have names."""
     joints_set: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     """Values that differ from the file's, by object and joint [rad] or [m]."""
+    hypotheses_set: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
+    """Which of the file's hypotheses is taken, by object and joint; the first by default."""
 
     def __repr__(self) -> str:
         floor = (

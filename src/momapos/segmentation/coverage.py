@@ -71,13 +71,27 @@ def coverage(cloud: Cloud, item: Detection, others: Sequence[UprightBox]) -> Cov
 
 
 def with_coverage(
-    things: Sequence[Detection], cloud: Cloud, walls: Sequence[Detection]
+    things: Sequence[Detection],
+    cloud: Cloud,
+    walls: Sequence[Detection],
+    measured: int | None = None,
 ) -> list[Detection]:
-    """Things that know how much of them was seen."""
+    """Things that know how much of them was seen.
+
+    Args:
+        things: With members in the cloud.
+        cloud: Upright, floor at z = 0.
+        walls: Of the room.
+        measured: How many points of the cloud were measured; the others, behind them, were
+            completed. All by default.
+    """
     found = []
     for item in things:
         others = [one.box for one in (*things, *walls) if one is not item]
-        found.append(replace(item, seen=coverage(cloud, item, others).share))
+        seen = replace(item, members=item.members[item.members < (measured or len(cloud.points))])
+        share = coverage(cloud, seen, others).share
+        lacking = 1.0 - len(seen.members) / max(len(item.members), 1)
+        found.append(replace(item, seen=share, completed=lacking))
     return found
 
 

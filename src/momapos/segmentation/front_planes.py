@@ -17,6 +17,10 @@ if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
 
+CLEAR = 4.0
+"""A step is clear that is so many times as high as its edges are ragged [-]."""
+
+
 @dataclass(frozen=True)
 class FrontPlaneConfig:
     """What makes a surface the front of a piece of furniture."""
@@ -168,13 +172,17 @@ def _divided(
 
 
 def _steps(profile: Float[np.ndarray, " n"], least: float, side: int = 4) -> set[int]:
-    """Where a profile changes for good: the medians on both sides differ."""
+    """Where a profile changes for good: the medians on both sides differ.
+
+    By more than `least` [m], and by far more than either side is ragged.
+    """
     n = len(profile)
     jumps = np.zeros(n)
     for k in range(side, n - side + 1):
         before, after = profile[k - side : k], profile[k : k + side]
-        if max(np.ptp(before), np.ptp(after)) < least:
-            jumps[k] = abs(np.median(after) - np.median(before))
+        jump = abs(float(np.median(after) - np.median(before)))
+        if max(np.ptp(before), np.ptp(after)) < max(least, jump / CLEAR):
+            jumps[k] = jump
     cuts: set[int] = set()
     while jumps.max(initial=0.0) > least:
         k = int(np.argmax(jumps))

@@ -12,6 +12,7 @@ from momapos.kinematics.urdf import read_urdf
 from momapos.plans import read_plan
 from momapos.robots.srdf import read_srdf
 from momapos.scene.files import load_scene
+from momapos.scene.other_motion import as_planned
 from momapos.scene.scene import Scene
 from momapos.types import PlacementPlan
 from momapos.verification.exact import PlanVerifier
@@ -55,7 +56,7 @@ def verify_files(
         return Report((verdict("status is solved", False, detail),))
     folders = [plan_path.resolve().parent, *([scene_root] if scene_root else []), Path()]
     scene = read_scene(find_file("scene", plan.scene, folders, plan_path), scene_root, cache)
-    scene = scene.with_joints(plan.scene_joints)
+    scene = as_planned(scene, plan)
     urdf = find_file("robot.urdf", plan.robot_urdf, folders, plan_path)
     srdf = None
     if plan.robot_srdf is not None:
