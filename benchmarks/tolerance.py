@@ -25,8 +25,9 @@ from momapos.pipeline import plan_base_placement
 from momapos.query import PlacementQuery
 from momapos.reachability.store import load_reach_map
 from momapos.robots.robot import load_robot
+from momapos.robust import unit_offsets
 from momapos.stopwatch import Stopwatch
-from momapos.tolerance import placement_tolerance, unit_offsets
+from momapos.tolerance import placement_tolerance
 from placement import ROBOTS, SCENES, machine, scene_of
 
 CONFIG = PipelineConfig()

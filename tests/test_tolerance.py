@@ -17,8 +17,8 @@ from momapos.manipulation.tasks import make_task
 from momapos.outcomes import PoseOutcome, PoseStatus
 from momapos.plans import read_plan
 from momapos.robots.robot import load_robot
-from momapos.scene.files import load_scene
 from momapos.robust import unit_offsets
+from momapos.scene.files import load_scene
 from momapos.tolerance import RADII, TURN, placement_tolerance
 from momapos.types import Attempt, Motion
 
