@@ -25,6 +25,7 @@ from momapos.scene import bestman
 from momapos.scene.areas import MAX_DISTANCE, read_areas, read_numbers, read_outline
 from momapos.scene.confidence import confidence_to_json, read_confidence
 from momapos.scene.copies import model_files
+from momapos.scene.formats.kinds import foreign_kind
 from momapos.scene.hypotheses import hypotheses_to_json, read_hypotheses
 from momapos.scene.limits import refuse_vast
 from momapos.scene.names import FORMAT, MAX_BYTES, find_scene
@@ -63,7 +64,12 @@ def load_scene(
     text = read_text_bounded(path, MAX_BYTES)
     if not text.strip():
         raise FileFormatError(f"{path}: is empty")
-    start = text.lstrip("\ufeff \t\r\n")[:1]
+    start, kind = text.lstrip("\ufeff \t\r\n")[:1], foreign_kind(text)
+    if kind is not None:
+        raise FileFormatError(
+            f"{path}: is in the format {kind}; convert it first: "
+            f"momapos scene convert {path} {path.stem}.json"
+        )
     if start == "<":
         scene = _read_single(path, root, cache)
     elif start in ("{", "["):
