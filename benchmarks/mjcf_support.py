@@ -163,7 +163,7 @@ def compare(truth: Truth, scene: Scene) -> Iterator[Found]:
         name, body = m.joint(joint).name, int(m.jnt_bodyid[joint])
         slides = m.jnt_type[joint] == int(_JOINTS.mjJNT_SLIDE)
         wanted = name or f"{_bare(m.body(body).name)}_{'slide' if slides else 'hinge'}"
-        item = next((o for o in scene.objects if _bare(wanted) in o.model.joints), None)
+        item = _owner(scene, wanted)
         if item is None:
             yield Found(wanted, None, np.inf, np.inf)
             continue
@@ -174,6 +174,13 @@ def compare(truth: Truth, scene: Scene) -> Iterator[Found]:
             truth.set(joint, value)
             errors += [_difference(truth, b, item, ours.name, value) for b in truth.below(body)]
         yield Found(wanted, f"{item.name}/{ours.name}", max(errors), limits)
+
+
+def _owner(scene: Scene, name: str) -> SceneObject | None:
+    """The object that has a joint; None where none has."""
+    head, _, joint = name.rpartition("/")
+    owners = [item for item in scene.objects if joint in item.model.joints]
+    return next((item for item in owners if item.name == head), next(iter(owners), None))
 
 
 def _bare(name: str) -> str:

@@ -314,15 +314,34 @@ def save_scene(scene: Scene, path: Path) -> Scene:
     objects = ",\n".join(f"  {json.dumps(_object(item, folder))}" for item in scene.objects)
     head = {"format": FORMAT, "version": VERSION, "name": scene.name}
     text = json.dumps(head)[:-1]
-    if scene.floor_polygon is not None:
-        text += f',\n "floor": {json.dumps(np.asarray(scene.floor_polygon, float).tolist())}'
-    if scene.start is not None:
-        start = dict(zip(("x", "y", "yaw"), map(float, scene.start), strict=True))
-        text += f',\n "start": {json.dumps(start)}'
-    if scene.areas:
-        text += f',\n "areas": {json.dumps(dict(scene.areas))}'
+    for key, value in room_members(scene).items():
+        text += f',\n "{key}": {json.dumps(value)}'
     write_whole(path, f'{text},\n "objects": [\n{objects}\n ]}}\n')
     return replace(scene, path=path)
+
+
+def room_members(scene: Scene) -> dict[str, Any]:
+    """What a scene file says of the room itself: floor, start and areas, where they are known."""
+    members: dict[str, Any] = {}
+    if scene.floor_polygon is not None:
+        members["floor"] = np.asarray(scene.floor_polygon, float).tolist()
+    if scene.start is not None:
+        members["start"] = dict(zip(("x", "y", "yaw"), map(float, scene.start), strict=True))
+    if scene.areas:
+        members["areas"] = dict(scene.areas)
+    return members
+
+
+def object_members(item: SceneObject) -> dict[str, Any]:
+    """What a scene file says of an object beside its pose and model."""
+    members: dict[str, Any] = {"category": item.category}
+    if item.confidence is not None:
+        members["confidence"] = confidence_to_json(item.confidence)
+    if item.hypotheses:
+        members["hypotheses"] = {
+            name: hypotheses_to_json(rows) for name, rows in item.hypotheses.items()
+        }
+    return members
 
 
 def write_whole(path: Path, text: str) -> None:
@@ -340,11 +359,9 @@ def _object(item: SceneObject, folder: Path) -> dict[str, Any]:
     wxyz = Rotation.from_matrix(T[:3, :3]).as_quat(scalar_first=True)
     entry: dict[str, Any] = {
         "name": item.name,
-        "category": item.category,
         "pose": {"xyz": (T[:3, 3] + 0.0).tolist(), "wxyz": (wxyz + 0.0).tolist()},
+        **object_members(item),
     }
-    if item.confidence is not None:
-        entry["confidence"] = confidence_to_json(item.confidence)
     if urdf.path is None:
         return {**entry, "box": list(urdf.links[urdf.root].collisions[0].size)}
     for file in model_files(item.model):
@@ -354,6 +371,4 @@ def _object(item: SceneObject, folder: Path) -> dict[str, Any]:
                 "write the scene into a folder above it, or copy the files"
             )
     relative = urdf.path.resolve().relative_to(folder).as_posix()
-    entry |= {"urdf": relative, "scale": urdf.scale, "joints": dict(item.joints)}
-    found = {name: hypotheses_to_json(rows) for name, rows in item.hypotheses.items()}
-    return {**entry, "hypotheses": found} if found else entry
+    return {**entry, "urdf": relative, "scale": urdf.scale, "joints": dict(item.joints)}

@@ -74,12 +74,12 @@ class _Reader:
         for body in range(1, m.nbody):
             parent = int(m.body_parentid[body])
             self.children[parent].append(body)
-            T = pose_wxyz(m.body_pos[body], m.body_quat[body])
+            T = pose_wxyz(tuple(m.body_pos[body].tolist()), tuple(m.body_quat[body].tolist()))
             self.poses.append(self.poses[parent] @ T)
 
     def room(self) -> Room:
         """The room; what is not in it is in the report."""
-        own = _own_text(self.model, self.path)
+        own = _own_members(self.source.own_text, self.path)
         self.report.dropped.update(self.source.dropped)
         self.report.dropped["sites"] += int(self.model.nsite)
         height = self._floor()
@@ -101,7 +101,7 @@ class _Reader:
         }
         meshes = {file: mesh for file, mesh in self.shapes.meshes.items() if file in used}
         members = {key: value for key, value in own.items() if key in ("floor", "start", "areas")}
-        return Room(own.get("name", self.path.stem), objects, meshes, self.report, members)
+        return Room(self.path.stem, objects, meshes, self.report, members)
 
     # ------------------------------------------------------------------------------------ objects
 
@@ -237,15 +237,17 @@ def _object_names(full: Sequence[str]) -> list[tuple[str, str, str]]:
     return found
 
 
-def _own_text(model: Any, path: Path) -> dict[str, Any]:
-    """What our own writer of MJCF puts beside the model; see there."""
-    if not model.ntext:
-        return {}
+def _own_members(text: str | None, path: Path) -> dict[str, Any]:
+    """What our own writer of MJCF puts beside the model; see there.
+
+    Its values are held to the rules of scene files when the scene is read.
+    """
+    damaged = FileFormatError(f"{path}: the custom text {OWN_TEXT!r} is damaged")
     try:
-        own = json.loads(model.text(OWN_TEXT).data.decode())
-        names = own.get("objects", {}), own.get("name", "")
-    except (ValueError, AttributeError, RecursionError) as error:
-        raise FileFormatError(f"{path}: the custom text {OWN_TEXT!r} is damaged") from error
-    if not (isinstance(names[0], dict) and isinstance(names[1], str)):
-        raise FileFormatError(f"{path}: the custom text {OWN_TEXT!r} is damaged")
-    return own
+        own = json.loads(text or "{}")
+    except (ValueError, RecursionError) as error:
+        raise damaged from error
+    objects = own.get("objects", {}) if isinstance(own, dict) else None
+    if not (isinstance(objects, dict) and all(isinstance(item, dict) for item in objects.values())):
+        raise damaged
+    return {str(key): value for key, value in own.items()}

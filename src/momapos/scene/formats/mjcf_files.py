@@ -27,7 +27,7 @@ MAX_ELEMENTS = 200_000
 """Elements, each counted as often as it is replicated [-]."""
 MESHES = (".obj", ".stl", ".msh")
 """The kinds of mesh files that MuJoCo reads."""
-_SECTIONS = {"compiler", "default", "asset", "worldbody", "equality", "custom"}
+_SECTIONS = {"compiler", "default", "asset", "worldbody", "equality"}
 _WORLD = {"body", "geom", "joint", "freejoint", "site", "frame", "replicate", "inertial"}
 _DEFAULTS = {"default", "geom", "joint", "site", "mesh", "equality"}
 _COMPILER = {"angle", "eulerseq", "autolimits"}
@@ -56,6 +56,8 @@ class Mjcf:
     dropped: Counter[str] = field(default_factory=Counter)
     driven: tuple[str, ...] = ()
     """Names of joints that have actuators."""
+    own_text: str | None = None
+    """What our own writer puts beside the model."""
 
 
 def read_mjcf(path: Path, root: Path) -> Mjcf:
@@ -81,7 +83,10 @@ def read_mjcf(path: Path, root: Path) -> Mjcf:
     kept = _pruned(tree, dropped, path)
     meshes = _meshes(kept, folders, meshdir, flat)
     SubElement(kept, "compiler", boundmass="1e-6", boundinertia="1e-9")  # masses play no part
-    return Mjcf(kept, meshes, dropped, driven)
+    own = [
+        text.get("data") for text in tree.iterfind("custom/text") if text.get("name") == OWN_TEXT
+    ]
+    return Mjcf(kept, meshes, dropped, driven, own[0] if own else None)
 
 
 class _Folders:
@@ -185,6 +190,8 @@ def _pruned(tree: Element, dropped: Counter[str], path: Path) -> Element:
             continue
         if section.tag not in _SECTIONS:
             for what in section:
+                if what.get("name") == OWN_TEXT:
+                    continue
                 dropped[_word(section.tag, what.tag)] += 1
         elif section.tag == "compiler":
             words = {key: value for key, value in section.items() if key in _COMPILER}
@@ -230,11 +237,7 @@ def _wanted(section: str, element: Element, dropped: Counter[str], path: Path) -
     if tag == "geom" and (kind in ("hfield", "sdf") or element.get("hfield")):
         dropped[f"geoms of type {kind or 'hfield'}"] += 1
         return False
-    if section == "custom":
-        wanted = tag == "text" and element.get("name") == OWN_TEXT
-    else:
-        wanted = tag in {"worldbody": _WORLD, "asset": {"mesh"}, "equality": {"joint"}}[section]
-    if wanted:
+    if tag in {"worldbody": _WORLD, "asset": {"mesh"}, "equality": {"joint"}}[section]:
         return True
     dropped[_word(section, tag)] += 1
     return False

@@ -16,7 +16,7 @@ from momapos.scene.formats.room import Mesh
 from momapos.scene.formats.shapes import capsule, ellipsoid
 
 if TYPE_CHECKING:
-    from jaxtyping import Float, Int
+    from jaxtyping import Float
 
 LEVEL = 0.999
 """A plane whose normal has at least this share upward is a floor [-]."""
@@ -40,7 +40,9 @@ class GeomShapes:
 
     def pose(self, geom: int) -> Float[np.ndarray, "4 4"]:
         """In its body's frame."""
-        return pose_wxyz(self.model.geom_pos[geom], self.model.geom_quat[geom])
+        return pose_wxyz(
+            tuple(self.model.geom_pos[geom].tolist()), tuple(self.model.geom_quat[geom].tolist())
+        )
 
     def level(self, geom: int, T_world_body: Float[np.ndarray, "4 4"]) -> bool:
         """Whether it is a plane that one can stand on."""
@@ -105,9 +107,11 @@ class GeomShapes:
         file = self._files[number]
         if file not in self.meshes:
             m = self.model
-            points = _part(m.mesh_vert, m.mesh_vertadr[number], m.mesh_vertnum[number])
-            faces = _part(m.mesh_face, m.mesh_faceadr[number], m.mesh_facenum[number])
-            self.meshes[file] = Mesh(points.astype(float), faces.astype(np.int64))
+            first, count = m.mesh_vertadr[number], m.mesh_vertnum[number]
+            points = m.mesh_vert[first : first + count].astype(float)
+            first, count = m.mesh_faceadr[number], m.mesh_facenum[number]
+            faces = m.mesh_face[first : first + count].astype(np.int64)
+            self.meshes[file] = Mesh(points, faces)
         return file
 
     @cached_property
@@ -116,7 +120,3 @@ class GeomShapes:
         names = (self.model.mesh(i).name for i in range(self.model.nmesh))
         plain = ("".join(c if c.isalnum() and c.isascii() else "_" for c in n)[:60] for n in names)
         return [Path(f"mesh{i}_{name}.obj") for i, name in enumerate(plain)]
-
-
-def _part(rows: Int[np.ndarray, "n 3"] | Float[np.ndarray, "n 3"], first: int, count: int) -> Any:
-    return np.array(rows[first : first + count])

@@ -85,7 +85,9 @@ class Tree:
 
     def _offset(self, body: int) -> Float[np.ndarray, "4 4"]:
         """Pose of a body in the body that it hangs from, its joints where the file has them."""
-        return pose_wxyz(self.model.body_pos[body], self.model.body_quat[body])
+        return pose_wxyz(
+            tuple(self.model.body_pos[body].tolist()), tuple(self.model.body_quat[body].tolist())
+        )
 
     def _bare(self, name: str) -> str:
         return name.removeprefix(f"{self.prefix}/")
