@@ -12,12 +12,14 @@ from momapos.files import open_regular
 if TYPE_CHECKING:
     from momapos.scene.formats.room import Room
 
-Kind = Literal["MJCF"]
+Kind = Literal["MJCF", "MoveIt"]
 _ROOTS: dict[str, Kind] = {"mujoco": "MJCF"}
 """Formats by the root element of their XML."""
 _FIRST = re.compile(
     r"\s*(?:<\?.*?\?>\s*|<!--.*?-->\s*|<!DOCTYPE[^>\[]*>\s*)*<([A-Za-z][\w.-]*)", re.S
 )
+_PLANNING_SCENE = re.compile(r"[^\n]*\n\s*(\*\s|\.\s*\Z)")
+"""A name, then an object or the end."""
 _LOOKED_AT = 1 << 16
 """How much of a file tells what it is [bytes]."""
 
@@ -26,7 +28,9 @@ def foreign_kind(text: str) -> Kind | None:
     """The format of another program that a text begins in; None where it is none that is known."""
     text = text.lstrip("\ufeff")
     first = _FIRST.match(text)
-    return _ROOTS.get(first[1]) if first is not None else None
+    if first is not None:
+        return _ROOTS.get(first[1])
+    return "MoveIt" if _PLANNING_SCENE.match(text) else None
 
 
 def kind_of_file(path: Path) -> Kind | None:
@@ -56,7 +60,10 @@ def read_room(kind: Kind, path: Path, root: Path | None) -> Room:
 
 def _reader(kind: Kind) -> Callable[[Path, Path], Room]:
     """What reads a format; imported when it is needed."""
-    from momapos.scene.formats import mjcf
+    from momapos.scene.formats import mjcf, moveit
 
-    readers = {"MJCF": mjcf.read_room}
+    readers: dict[Kind, Callable[[Path, Path], Room]] = {
+        "MJCF": mjcf.read_room,
+        "MoveIt": moveit.read_room,
+    }
     return readers[kind]
