@@ -12,8 +12,8 @@ from momapos.files import open_regular
 if TYPE_CHECKING:
     from momapos.scene.formats.room import Room
 
-Kind = Literal["MJCF", "MoveIt"]
-_ROOTS: dict[str, Kind] = {"mujoco": "MJCF"}
+Kind = Literal["MJCF", "MoveIt", "SDF"]
+_ROOTS: dict[str, Kind] = {"mujoco": "MJCF", "sdf": "SDF"}
 """Formats by the root element of their XML."""
 _FIRST = re.compile(
     r"\s*(?:<\?.*?\?>\s*|<!--.*?-->\s*|<!DOCTYPE[^>\[]*>\s*)*<([A-Za-z][\w.-]*)", re.S
@@ -60,10 +60,11 @@ def read_room(kind: Kind, path: Path, root: Path | None) -> Room:
 
 def _reader(kind: Kind) -> Callable[[Path, Path], Room]:
     """What reads a format; imported when it is needed."""
-    from momapos.scene.formats import mjcf, moveit
+    from momapos.scene.formats import mjcf, moveit, sdf
 
     readers: dict[Kind, Callable[[Path, Path], Room]] = {
         "MJCF": mjcf.read_room,
         "MoveIt": moveit.read_room,
+        "SDF": sdf.read_room,
     }
     return readers[kind]
