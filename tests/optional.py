@@ -26,6 +26,7 @@ GET = {
     "distributed": ".venv/bin/pip install 'distributed>=2024.8'",
     "pyarrow": ".venv/bin/pip install 'pyarrow>=15'",
     "eaik": ".venv/bin/pip install eaik",
+    "pxr": ".venv/bin/pip install 'usd-core>=25.5'",
     "xacrodoc": ".venv/bin/pip install xacrodoc",
     "EGL": "apt-get install libegl1 libgl1-mesa-dri",
     "Chromium": "make test-page, after apt-get install chromium",

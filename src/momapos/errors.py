@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import Literal
 
-Extra = Literal["bench", "kitchens", "parquet", "physics", "scan", "torch", "view", "xacro"]
+Extra = Literal["bench", "kitchens", "parquet", "physics", "scan", "torch", "usd", "view", "xacro"]
 """The extras of the package, each with the packages that one kind of work needs."""
 
 LONGEST = 500

@@ -12,7 +12,7 @@ from momapos.files import open_regular
 if TYPE_CHECKING:
     from momapos.scene.formats.room import Room
 
-Kind = Literal["MJCF", "MoveIt", "SDF"]
+Kind = Literal["MJCF", "MoveIt", "SDF", "USD"]
 _ROOTS: dict[str, Kind] = {"mujoco": "MJCF", "sdf": "SDF"}
 """Formats by the root element of their XML."""
 _FIRST = re.compile(
@@ -20,6 +20,7 @@ _FIRST = re.compile(
 )
 _PLANNING_SCENE = re.compile(r"[^\n]*\n\s*(\*\s|\.\s*\Z)")
 """A name, then an object or the end."""
+_USD = ("#usda", "PXR-USDC")
 _LOOKED_AT = 1 << 16
 """How much of a file tells what it is [bytes]."""
 
@@ -27,6 +28,8 @@ _LOOKED_AT = 1 << 16
 def foreign_kind(text: str) -> Kind | None:
     """The format of another program that a text begins in; None where it is none that is known."""
     text = text.lstrip("\ufeff")
+    if text.startswith(_USD):
+        return "USD"
     first = _FIRST.match(text)
     if first is not None:
         return _ROOTS.get(first[1])
@@ -60,11 +63,12 @@ def read_room(kind: Kind, path: Path, root: Path | None) -> Room:
 
 def _reader(kind: Kind) -> Callable[[Path, Path], Room]:
     """What reads a format; imported when it is needed."""
-    from momapos.scene.formats import mjcf, moveit, sdf
+    from momapos.scene.formats import mjcf, moveit, sdf, usd
 
     readers: dict[Kind, Callable[[Path, Path], Room]] = {
         "MJCF": mjcf.read_room,
         "MoveIt": moveit.read_room,
         "SDF": sdf.read_room,
+        "USD": usd.read_room,
     }
     return readers[kind]
