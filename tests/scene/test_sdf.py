@@ -158,7 +158,7 @@ BAD = {
         '<sdf version="1.9"><world name="w"><include><uri>model://../x</uri></include></world></sdf>',
         "leaves",
     ),
-    "a mesh that is not there": (MODEL.format(MESH.format("model://m/m.stl"), ""), "was not found"),
+    "a mesh that is not there": (MODEL.format(MESH.format("model://m/m.stl"), ""), "not exist"),
     "a mesh of another machine": (MODEL.format(MESH.format("https://x/m.stl"), ""), "only model://"),
     "itself": (
         '<sdf version="1.9"><world name="w"><include><uri>room.sdf</uri></include></world></sdf>',

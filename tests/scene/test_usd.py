@@ -172,8 +172,8 @@ ONE = '#usda 1.0\ndef {} "a" (prepend apiSchemas = ["PhysicsCollisionAPI"]) {{\n
 BAD = {
     "damaged": (STAGE[:300], "USD does not take it|is no layer"),
     "a layer outside": (STAGE.replace("./cup.usda", "../secret.usda"), "leaves"),
-    "a layer elsewhere": (STAGE.replace("./cup.usda", "https://x/y.usda"), "leaves|is no layer"),
-    "a layer that is not there": (STAGE.replace("./cup.usda", "./gone.usda"), "is no layer below"),
+    "a layer elsewhere": (STAGE.replace("./cup.usda", "https://x/y.usda"), "is no file"),
+    "a layer that is not there": (STAGE.replace("./cup.usda", "./gone.usda"), "does not exist"),
     "no unit": (STAGE.replace("metersPerUnit = 0.01", "metersPerUnit = 0"), "metersPerUnit is 0"),
     "no size": (ONE.format("Cube", "double size = -1"), "size must be > 0"),
     "a corner that is not there": (

@@ -127,16 +127,17 @@ def scene_convert(
     without: ObjectsArg = (),
     json: bool = False,
 ) -> int:
-    """Write a scene of another kind (BestMan list, URDF, MJCF) as a momapos scene.
+    """Write a scene of another kind as a momapos scene, as MJCF or for MoveIt.
 
     Args:
-        source: The scene to convert.
-        out: The scene file to write; it must lie above its URDF files, or --copy them. Of a room
-            that has no URDF files these are written into the folder `<out>_files` beside it.
+        source: The scene to convert: a momapos scene, a BestMan list, a URDF, MJCF, a planning
+            scene of MoveIt, SDF or USD.
+        out: The file to write: .json, .xml (MJCF) or .scene (MoveIt). A .json must lie above its
+            URDF files, or --copy them; those of a room that has none are written beside it.
         copy: Copy the URDF and mesh files into the folder `<out>_files` beside the new file.
         root: Folder that no path in the source may leave, and that those of a BestMan scene are
             relative to; found where not given.
-        without: An object of an MJCF room that is left out, such as a robot; repeatable.
+        without: An object of another program's room that is left out, such as a robot; repeatable.
         json: Print one JSON object instead of text.
     """
     check_outputs([out])

@@ -16,6 +16,7 @@ from xml.etree.ElementTree import Element, SubElement
 from momapos.errors import FileFormatError
 from momapos.files import read_bytes_bounded, read_xml
 from momapos.kinematics.meshes import MAX_MESH_BYTES
+from momapos.scene.formats.inside import find_inside
 
 MAX_BYTES = 20_000_000
 """Of one XML file."""
@@ -73,15 +74,15 @@ def read_mjcf(path: Path, root: Path) -> Mjcf:
     tree = read_xml(path, MAX_BYTES)
     if tree.tag != "mujoco":
         raise FileFormatError(f"{path}: the root element is <{tree.tag}>, MJCF has <mujoco>")
-    folders = _Folders(path, root.resolve())
-    _expand(tree, folders)
+    root = root.resolve()
+    _expand(tree, path, root)
     _refuse_vast(tree, path)
     dropped: Counter[str] = Counter()
     driven = _driven(tree)
     meshdir = _last(tree, "meshdir") or _last(tree, "assetdir")
     flat = (_last(tree, "strippath") or "false") == "true"
     kept = _pruned(tree, dropped, path)
-    meshes = _meshes(kept, folders, meshdir, flat)
+    meshes = _meshes(kept, path, root, meshdir, flat=flat)
     SubElement(kept, "compiler", boundmass="1e-6", boundinertia="1e-9")  # masses play no part
     own = [
         text.get("data") for text in tree.iterfind("custom/text") if text.get("name") == OWN_TEXT
@@ -89,33 +90,9 @@ def read_mjcf(path: Path, root: Path) -> Mjcf:
     return Mjcf(kept, meshes, dropped, driven, own[0] if own else None)
 
 
-class _Folders:
-    """Finds the files that a model names, inside its root."""
-
-    def __init__(self, path: Path, root: Path) -> None:
-        self.path, self.root = path, root
-
-    def find(self, name: str, *folders: Path) -> Path:
-        """The first file of that name in some folders."""
-        try:
-            places = [(folder / name).resolve() for folder in folders]
-            inside = [place for place in places if place.is_relative_to(self.root)]
-            found = next((place for place in inside if place.is_file()), None)
-        except (OSError, RuntimeError, ValueError) as error:  # too long, links in a circle, a NUL
-            raise FileFormatError(f"{self.path}: {name!r:.80} cannot be looked up") from error
-        if found is not None:
-            return found
-        if not inside:
-            raise FileFormatError(
-                f"{self.path}: {name!r:.200} leaves {self.root}; if the file is to be trusted with "
-                "a larger folder, name it with --root"
-            )
-        raise FileFormatError(f"{self.path}: {name!r:.200} does not exist below {folders[0]}")
-
-
-def _expand(tree: Element, folders: _Folders) -> None:
+def _expand(tree: Element, path: Path, root: Path) -> None:
     """Put the content of included files in the places of their names."""
-    path, seen = folders.path, {folders.path.resolve()}
+    seen = {path.resolve()}
     waiting = [(tree, path.parent, 0)]
     while waiting:
         parent, beside, depth = waiting.pop()
@@ -130,7 +107,7 @@ def _expand(tree: Element, folders: _Folders) -> None:
                 continue
             name = child.get("file", "")
             # MuJoCo looks beside the model first, then beside the file that includes.
-            file = folders.find(name, path.parent, folder)
+            file = find_inside(name, [path.parent / name, folder / name], root, path)
             if file in seen:
                 raise FileFormatError(f"{path}: {name!r:.200} is included twice")
             seen.add(file)
@@ -259,7 +236,9 @@ def _word(section: str, tag: str) -> str:
     return names.get(section, f"elements of <{section}>")
 
 
-def _meshes(tree: Element, folders: _Folders, meshdir: str | None, flat: bool) -> dict[str, bytes]:
+def _meshes(
+    tree: Element, path: Path, root: Path, meshdir: str | None, *, flat: bool
+) -> dict[str, bytes]:
     """Read the meshes that a tree names, and give them names of their own in it."""
     content: dict[str, bytes] = {}
     total = 0
@@ -271,18 +250,15 @@ def _meshes(tree: Element, folders: _Folders, meshdir: str | None, flat: bool) -
             name = name.replace("\\", "/").rpartition("/")[2]
         suffix = Path(name).suffix.lower()
         if suffix not in MESHES:
-            raise FileFormatError(
-                f"{folders.path}: mesh {name!r:.200} is none of {', '.join(MESHES)}"
-            )
+            raise FileFormatError(f"{path}: mesh {name!r:.200} is none of {', '.join(MESHES)}")
         if mesh.get("name") is None:
             mesh.set("name", Path(name).stem)
-        base = folders.path.parent
-        file = folders.find(name, base / meshdir if meshdir else base)
+        file = find_inside(name, [path.parent / (meshdir or "") / name], root, path)
         data = read_bytes_bounded(file, MAX_MESH_BYTES)
         total += len(data)
         if total > MAX_ALL_MESH_BYTES:
             raise FileFormatError(
-                f"{folders.path}: its meshes have more than {MAX_ALL_MESH_BYTES / 1e6:g} MB"
+                f"{path}: its meshes have more than {MAX_ALL_MESH_BYTES / 1e6:g} MB"
             )
         key = f"mesh{len(content)}{suffix}"
         content[key] = data

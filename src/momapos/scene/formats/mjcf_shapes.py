@@ -10,18 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from momapos.geometry.transforms import pose, pose_wxyz
+from momapos.geometry.transforms import pose_wxyz
 from momapos.kinematics.urdf_records import Geometry
 from momapos.scene.formats.room import Mesh
-from momapos.scene.formats.shapes import capsule, ellipsoid
+from momapos.scene.formats.shapes import LEVEL, capsule, ellipsoid, plane
 
 if TYPE_CHECKING:
     from jaxtyping import Float
-
-LEVEL = 0.999
-"""A plane whose normal has at least this share upward is a floor [-]."""
-THICK = 0.02
-"""Thickness of the box that stands for a plane with edges [m]."""
 
 
 @dataclass
@@ -88,8 +83,7 @@ class GeomShapes:
             return [shape]
         if kind == "plane" and min(size[:2]) > 0:
             count["planes with edges as boxes"] += 1
-            half = pose(np.array([0.0, 0.0, -THICK / 2]))
-            return [Geometry("box", (2 * size[0], 2 * size[1], THICK), T @ half, name)]
+            return [plane(2 * size[0], 2 * size[1], T, name)]
         if solid:
             self.dropped[
                 "planes without edges" if kind == "plane" else f"geoms of type {kind}"

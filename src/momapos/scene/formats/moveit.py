@@ -17,6 +17,7 @@ from momapos.files import read_text_bounded
 from momapos.geometry.transforms import pose_wxyz
 from momapos.kinematics.urdf_records import Geometry, Link, Urdf
 from momapos.scene.formats.room import Mesh, Names, Report, Room, RoomObject
+from momapos.scene.formats.shapes import LEVEL
 from momapos.scene.names import MAX_BYTES
 
 if TYPE_CHECKING:
@@ -24,8 +25,6 @@ if TYPE_CHECKING:
 
 LARGEST = 1e6
 """Greatest number that a shape or pose has, and most corners or triangles of a mesh [-]."""
-LEVEL = 0.999
-"""A plane whose normal has at least this share along z is a floor [-]."""
 
 _SIZES = {"box": 3, "cylinder": 2, "sphere": 1, "cone": 2, "plane": 4}
 """How many numbers a shape has."""

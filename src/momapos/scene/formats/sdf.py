@@ -15,6 +15,7 @@ import numpy as np
 
 from momapos.errors import FileFormatError
 from momapos.files import read_xml
+from momapos.scene.formats.inside import find_inside
 from momapos.scene.formats.room import Names, Report, Room
 from momapos.scene.formats.sdf_model import Model, number, pose_of, text_of
 
@@ -145,20 +146,6 @@ class _Reader:
         kind, _, rest = uri.rpartition("://")
         if kind not in ("", "model", "file", "package"):
             raise FileFormatError(f"{self.path}: {uri!r:.200}: only model:// and paths are read")
-        try:
-            place = ((folder if kind in ("", "file") else self.root) / rest).resolve()
-            if whole and place.is_dir():
-                place = (place / "model.sdf").resolve()
-            inside, there = place.is_relative_to(self.root), place.is_file()
-        except (OSError, RuntimeError, ValueError) as error:  # too long, links in a circle, a NUL
-            raise FileFormatError(f"{self.path}: {uri!r:.80} cannot be looked up") from error
-        if not inside:
-            raise FileFormatError(
-                f"{self.path}: {uri!r:.200} leaves {self.root}; name a larger folder with --root"
-            )
-        if not there:
-            raise FileFormatError(
-                f"{self.path}: {uri!r:.200} was not found below {self.root}; --root names the "
-                "folder that holds the models"
-            )
-        return place
+        place = (folder if kind in ("", "file") else self.root) / rest
+        places = [place / "model.sdf", place] if whole else [place]
+        return find_inside(uri, places, self.root, self.path)

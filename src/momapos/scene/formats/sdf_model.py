@@ -16,7 +16,7 @@ from momapos.geometry.transforms import invert, pose, pose_rpy, rotation_of
 from momapos.kinematics.meshes import mesh_triangles
 from momapos.kinematics.urdf_records import Geometry, Joint, JointKind, Link, Urdf
 from momapos.scene.formats.room import Mesh, Names, Report, Resistance, RoomObject
-from momapos.scene.formats.shapes import capsule, ellipsoid
+from momapos.scene.formats.shapes import LEVEL, capsule, ellipsoid, plane
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -25,10 +25,6 @@ ENDLESS = 1e15
 """A limit beyond this is none [rad] or [m]; SDF's own default is 1e16."""
 LARGEST = 1e4
 """Greatest coordinate and size [m]."""
-LEVEL = 0.999
-"""A plane whose normal has at least this share along z is a floor [-]."""
-THICK = 0.02
-"""Thickness of the box that stands for a plane with edges [m]."""
 _KINDS: dict[str, JointKind] = {
     "revolute": "revolute", "continuous": "continuous", "prismatic": "prismatic", "fixed": "fixed",
 }  # fmt: skip
@@ -310,9 +306,8 @@ class Model:
             return []
         self.report.approximated["planes with edges as boxes"] += 1
         x, y = numbers(text_of(shape, "size") or "1 1", 2, where)
-        back = pose(np.array([0.0, 0.0, -THICK / 2]))
-        T_plane = pose(np.zeros(3), _turned_to(normal / length))
-        return [Geometry("box", (x, y, THICK), T @ T_plane @ back, name)]
+        turn = pose(np.zeros(3), _turned_to(normal / length))
+        return [plane(x, y, T @ turn, name)]
 
     def _mesh(self, shape: Element, T: Float[np.ndarray, "4 4"], name: str, where: str) -> Geometry:
         if shape.find("submesh") is not None:

@@ -14,6 +14,10 @@ from momapos.scene.formats.room import Mesh
 if TYPE_CHECKING:
     from jaxtyping import Float
 
+LEVEL = 0.999
+"""A plane whose normal has at least this share along z is a floor [-]."""
+THICK = 0.02
+"""Thickness of the box that stands for a plane with edges [m]."""
 _RINGS = 12
 """Of the ball that stands for ellipsoids and its like [-]."""
 
@@ -32,6 +36,18 @@ def capsule(
     ends = (pose(np.array([0.0, 0.0, z])) for z in (length / 2, -length / 2))
     balls = [Geometry("sphere", (radius,), T @ end, name) for end in ends]
     return [Geometry("cylinder", (radius, length), T, name), *balls]
+
+
+def plane(x: float, y: float, T: Float[np.ndarray, "4 4"], name: str = "") -> Geometry:
+    """A box behind a plane with edges, whose normal is z.
+
+    Args:
+        x: Edge along x [m].
+        y: Edge along y [m].
+        T: Its pose.
+        name: Of the shape.
+    """
+    return Geometry("box", (x, y, THICK), T @ pose(np.array([0.0, 0.0, -THICK / 2])), name)
 
 
 def ellipsoid(

@@ -18,6 +18,7 @@ from momapos.errors import FileFormatError, require
 from momapos.files import open_regular
 from momapos.geometry.transforms import invert, pose, pose_rpy, pose_wxyz
 from momapos.kinematics.urdf_records import Joint, JointKind, Link, Urdf
+from momapos.scene.formats.inside import find_inside
 from momapos.scene.formats.room import Names, Report, Room, RoomObject
 from momapos.scene.formats.usd_shapes import ColliderShapes, matrix, rigid
 
@@ -74,17 +75,11 @@ def _check_layers(path: Path, root: Path) -> None:
         if layer is None:
             raise FileFormatError(f"{file}: is no layer of USD")
         for name in layer.GetCompositionAssetDependencies():
-            try:
-                found = (file.parent / name).resolve()
-                inside, there = found.is_relative_to(root), found.is_file()
-            except (OSError, RuntimeError, ValueError) as error:
-                raise FileFormatError(f"{file}: {name!r:.80} cannot be looked up") from error
-            if not inside or "://" in name:
-                raise FileFormatError(
-                    f"{file}: {name!r:.200} leaves {root}; name a larger folder with --root"
-                )
-            if not there or found.suffix.lower() not in (".usd", ".usda", ".usdc"):
-                raise FileFormatError(f"{file}: {name!r:.200} is no layer below {file.parent}")
+            if "://" in name:
+                raise FileFormatError(f"{file}: {name!r:.200} is no file; only files are read")
+            found = find_inside(name, [file.parent / name], root, file)
+            if found.suffix.lower() not in (".usd", ".usda", ".usdc"):
+                raise FileFormatError(f"{file}: {name!r:.200} is no .usd, .usda or .usdc")
             if found not in seen:
                 seen.add(found)
                 waiting.append(found)
