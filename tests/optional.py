@@ -27,6 +27,7 @@ GET = {
     "av": ".venv/bin/pip install 'av>=14'",
     "pyarrow": ".venv/bin/pip install 'pyarrow>=15'",
     "eaik": ".venv/bin/pip install eaik",
+    "pxr": ".venv/bin/pip install 'usd-core>=25.5'",
     "xacrodoc": ".venv/bin/pip install xacrodoc",
     "EGL": "apt-get install libegl1 libgl1-mesa-dri",
     "Chromium": "make test-page, after apt-get install chromium",

@@ -12,7 +12,9 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import Literal
 
-Extra = Literal["bench", "film", "kitchens", "parquet", "physics", "scan", "torch", "view", "xacro"]
+Extra = Literal[
+    "bench", "film", "kitchens", "parquet", "physics", "scan", "torch", "usd", "view", "xacro"
+]  # fmt: skip
 """The extras of the package, each with the packages that one kind of work needs."""
 
 LONGEST = 500

@@ -247,7 +247,7 @@ def test_converting_that_is_cut_off_can_be_done_again(
         folders.append((out.parent / "room_files").exists())
         raise KeyboardInterrupt
 
-    for step in ("momapos.scene.copies.read_bytes_bounded", "momapos.scene.files.save_scene"):
+    for step in ("momapos.scene.copies.read_bytes_bounded", "momapos.cli.conversion.save_scene"):
         with monkeypatch.context() as patch:
             patch.setattr(step, cut_off)
             with pytest.raises(KeyboardInterrupt):

@@ -30,12 +30,14 @@ if TYPE_CHECKING:
     LabelsArg = tuple[str, ...]
     PackagesArg = tuple[str, ...]
     XacroArg = tuple[str, ...]
+    ObjectsArg = tuple[str, ...]
 else:  # tyro takes the members of a plain tuple for texts, and imports typeguard for any other
     JointsArg = Annotated[UseAppendAction[tuple], arg(metavar="OBJECT/JOINT=VALUE")]
     AreasArg = Annotated[UseAppendAction[tuple], arg(metavar="AREA")]
     LabelsArg = Annotated[UseAppendAction[tuple], arg(metavar="OBJECT=LABEL")]
     PackagesArg = Annotated[UseAppendAction[tuple], arg(metavar="NAME=DIR")]
     XacroArg = Annotated[UseAppendAction[tuple], arg(metavar="NAME=VALUE")]
+    ObjectsArg = Annotated[UseAppendAction[tuple], arg(metavar="OBJECT")]
 MAX_SEED = 2**63 - 1
 EXIT_STATUS = {"solved": 0, "infeasible": 3, "timeout": 4}
 """Of commands that answer, by the status of the answer."""

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import json as json_format
 import math
-import os
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from momapos.cli.console import busy
-from momapos.cli.options import JointsArg, OptionalPath, check_seed
-from momapos.errors import SceneError
+from momapos.cli.options import JointsArg, ObjectsArg, OptionalPath, check_seed
 from momapos.files import check_outputs
 from momapos.scene.names import builtin_names, builtin_size, find_scene
 from momapos.viewer.pictures import check_picture
@@ -126,34 +124,34 @@ def scene_convert(
     *,
     copy: bool = False,
     root: OptionalPath = None,
+    without: ObjectsArg = (),
     json: bool = False,
 ) -> int:
-    """Write a scene of another kind (BestMan list, URDF) as a momapos scene.
+    """Write a scene of another kind as a momapos scene, as MJCF or for MoveIt.
 
     Args:
-        source: The scene to convert.
-        out: The scene file to write; it must lie above its URDF files, or --copy them.
+        source: The scene to convert: a momapos scene, a BestMan list, a URDF, MJCF, a planning
+            scene of MoveIt, SDF or USD.
+        out: The file to write: .json, .xml (MJCF) or .scene (MoveIt). A .json must lie above its
+            URDF files, or --copy them; those of a room that has none are written beside it.
         copy: Copy the URDF and mesh files into the folder `<out>_files` beside the new file.
-        root: Folder that the paths in a BestMan scene are relative to; found where not given.
+        root: Folder that no path in the source may leave, and that those of a BestMan scene are
+            relative to; found where not given.
+        without: An object of another program's room that is left out, such as a robot; repeatable.
         json: Print one JSON object instead of text.
     """
     check_outputs([out])
-    find_scene(source)
-    from momapos.scene.copies import copied
-    from momapos.scene.files import load_scene, save_scene
+    path = find_scene(source)
+    from momapos.cli.conversion import convert
 
-    scene = load_scene(source, root=root)
-    if copy:
-        with copied(scene, out, root) as moved:
-            save_scene(moved, out)
-    else:
-        _refuse_outside(scene, out)
-        save_scene(scene, out)
-    again = load_scene(out)
+    scene, report = convert(path, out, copy=copy, root=root, without=without)
     if json:
-        _print_json({**describe(again), "warnings": [*scene.warnings, *again.warnings]})
+        told = {} if report is None else {"report": report.as_json()}
+        _print_json({**describe(scene), "warnings": list(scene.warnings), **told})
         return SOLVED
-    print(f"{out}: {len(again.objects)} objects")
+    print(f"{out}: {len(scene.objects)} objects")
+    for line in [] if report is None else report.lines():
+        print(f"  {line}")
     _warn(scene)
     return SOLVED
 
@@ -215,21 +213,3 @@ def _print_json(data: dict[str, Any]) -> None:
 def _warn(scene: Scene) -> None:
     for text in scene.warnings:
         print(f"note: {text}", file=sys.stderr)
-
-
-# --------------------------------------------------------------------------------- where files lie
-
-
-def _refuse_outside(scene: Scene, out: Path) -> None:
-    """Say where the output could stand when the models are not below its folder."""
-    from momapos.scene.copies import model_files
-
-    files = [file.resolve() for item in scene.objects for file in model_files(item.model)]
-    folder = out.resolve().parent
-    if all(file.is_relative_to(folder) for file in files):
-        return
-    place = Path(os.path.commonpath([file.parent for file in files])) / out.name
-    raise SceneError(
-        f"{out}: the scene's URDF files are not below {folder}; "
-        f"write it to {place}, or add --copy to copy them"
-    )

@@ -25,6 +25,7 @@ from momapos.scene import bestman
 from momapos.scene.areas import MAX_DISTANCE, read_areas, read_numbers, read_outline
 from momapos.scene.confidence import confidence_to_json, read_confidence
 from momapos.scene.copies import model_files
+from momapos.scene.formats.kinds import foreign_kind
 from momapos.scene.hypotheses import hypotheses_to_json, read_hypotheses
 from momapos.scene.limits import refuse_vast
 from momapos.scene.names import FORMAT, MAX_BYTES, find_scene
@@ -63,7 +64,12 @@ def load_scene(
     text = read_text_bounded(path, MAX_BYTES)
     if not text.strip():
         raise FileFormatError(f"{path}: is empty")
-    start = text.lstrip("\ufeff \t\r\n")[:1]
+    start, kind = text.lstrip("\ufeff \t\r\n")[:1], foreign_kind(text)
+    if kind is not None:
+        raise FileFormatError(
+            f"{path}: is in the format {kind}; convert it first: "
+            f"momapos scene convert {path} {path.stem}.json"
+        )
     if start == "<":
         scene = _read_single(path, root, cache)
     elif start in ("{", "["):
@@ -308,15 +314,34 @@ def save_scene(scene: Scene, path: Path) -> Scene:
     objects = ",\n".join(f"  {json.dumps(_object(item, folder))}" for item in scene.objects)
     head = {"format": FORMAT, "version": VERSION, "name": scene.name}
     text = json.dumps(head)[:-1]
-    if scene.floor_polygon is not None:
-        text += f',\n "floor": {json.dumps(np.asarray(scene.floor_polygon, float).tolist())}'
-    if scene.start is not None:
-        start = dict(zip(("x", "y", "yaw"), map(float, scene.start), strict=True))
-        text += f',\n "start": {json.dumps(start)}'
-    if scene.areas:
-        text += f',\n "areas": {json.dumps(dict(scene.areas))}'
+    for key, value in room_members(scene).items():
+        text += f',\n "{key}": {json.dumps(value)}'
     write_whole(path, f'{text},\n "objects": [\n{objects}\n ]}}\n')
     return replace(scene, path=path)
+
+
+def room_members(scene: Scene) -> dict[str, Any]:
+    """What a scene file says of the room itself: floor, start and areas, where they are known."""
+    members: dict[str, Any] = {}
+    if scene.floor_polygon is not None:
+        members["floor"] = np.asarray(scene.floor_polygon, float).tolist()
+    if scene.start is not None:
+        members["start"] = dict(zip(("x", "y", "yaw"), map(float, scene.start), strict=True))
+    if scene.areas:
+        members["areas"] = dict(scene.areas)
+    return members
+
+
+def object_members(item: SceneObject) -> dict[str, Any]:
+    """What a scene file says of an object beside its pose and model."""
+    members: dict[str, Any] = {"category": item.category}
+    if item.confidence is not None:
+        members["confidence"] = confidence_to_json(item.confidence)
+    if item.hypotheses:
+        members["hypotheses"] = {
+            name: hypotheses_to_json(rows) for name, rows in item.hypotheses.items()
+        }
+    return members
 
 
 def write_whole(path: Path, text: str) -> None:
@@ -334,11 +359,9 @@ def _object(item: SceneObject, folder: Path) -> dict[str, Any]:
     wxyz = Rotation.from_matrix(T[:3, :3]).as_quat(scalar_first=True)
     entry: dict[str, Any] = {
         "name": item.name,
-        "category": item.category,
         "pose": {"xyz": (T[:3, 3] + 0.0).tolist(), "wxyz": (wxyz + 0.0).tolist()},
+        **object_members(item),
     }
-    if item.confidence is not None:
-        entry["confidence"] = confidence_to_json(item.confidence)
     if urdf.path is None:
         return {**entry, "box": list(urdf.links[urdf.root].collisions[0].size)}
     for file in model_files(item.model):
@@ -348,6 +371,4 @@ def _object(item: SceneObject, folder: Path) -> dict[str, Any]:
                 "write the scene into a folder above it, or copy the files"
             )
     relative = urdf.path.resolve().relative_to(folder).as_posix()
-    entry |= {"urdf": relative, "scale": urdf.scale, "joints": dict(item.joints)}
-    found = {name: hypotheses_to_json(rows) for name, rows in item.hypotheses.items()}
-    return {**entry, "hypotheses": found} if found else entry
+    return {**entry, "urdf": relative, "scale": urdf.scale, "joints": dict(item.joints)}

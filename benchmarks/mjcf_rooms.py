@@ -1,0 +1,132 @@
+"""Rooms in MJCF: does every door and drawer of ours move as in MuJoCo?
+
+    python -m pip install --no-deps --target FOLDER gymnasium-robotics metaworld robosuite
+    python benchmarks/mjcf_rooms.py FOLDER [--out FILE]
+
+Rooms are those of the packages in FOLDER, one that is put together from a table and doors of
+robosuite by MuJoCo's own means, and the built-in kitchens as our writer has them. Each room is
+converted; then each hinge and slide that has bounds and moves something solid (but those of the
+robot, which actuators drive, and joints that follow others) is set to both ends of its range, in
+MuJoCo's model of the file and in our scene. It is right where each geom that it moves, handles
+among them, reaches equally far along 26 directions, to 5 mm, and both ends are alike to 1e-3.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import mujoco
+
+from mjcf_support import Found, Truth, compare
+from momapos.scene.files import load_scene
+from momapos.scene.formats.importing import write_room
+from momapos.scene.formats.mjcf import read_room
+from momapos.scene.formats.mjcf_writer import write_mjcf
+from momapos.scene.names import builtin_names
+
+NEAR = 5e-3
+"""A geom is right where it differs by less [m]."""
+SAME = 1e-3
+"""So is a limit [rad] or [m]."""
+PACKAGES = {
+    "gymnasium_robotics/envs/assets": (
+        "kitchen_franka/kitchen_assets/kitchen_env_model.xml",
+        "adroit_hand/adroit_door.xml",
+    ),
+    "metaworld/assets": tuple(
+        f"sawyer_xyz/sawyer_{name}.xml"
+        for name in (
+            "box", "button_press", "coffee", "dial", "door_lock", "door_pull", "drawer", "faucet",
+            "handle_press", "laptop", "lever_pull", "window",
+        )
+    ),
+}  # fmt: skip
+"""Rooms by the folder that their files stay in."""
+
+
+@dataclass(frozen=True)
+class Room:
+    """A room, and the folder that its files stay in."""
+
+    name: str
+    path: Path
+    root: Path
+
+
+def rooms(folder: Path, made: Path) -> Iterator[Room]:
+    """All rooms; those that are made go into a folder of their own."""
+    for base, names in PACKAGES.items():
+        for name in names:
+            yield Room(Path(name).stem, folder / base / name, folder / base)
+    yield Room("robosuite", _robosuite(folder / "robosuite/models/assets", made), made)
+    for name in builtin_names():
+        write_mjcf(load_scene(name), made / f"{name}.xml")
+        yield Room(name, made / f"{name}.xml", made)
+
+
+def _robosuite(assets: Path, made: Path) -> Path:
+    """A table with two doors of robosuite on it."""
+    spec = mujoco.MjSpec.from_file(str(assets / "arenas/table_arena.xml"))
+    for number, name in enumerate(("door", "door_lock")):
+        door = mujoco.MjSpec.from_file(str(assets / f"objects/{name}.xml"))
+        frame = spec.worldbody.add_frame(pos=[-0.2, number - 0.5, 1.1])
+        spec.attach(_bare(door), prefix=f"{name}/", frame=frame)
+    path = made / "robosuite.xml"
+    spec = _bare(spec)
+    spec.compile()
+    path.write_text(spec.to_xml(), encoding="utf-8")
+    return path
+
+
+def _bare(spec: Any) -> Any:
+    """A model without textures, whose files lie elsewhere."""
+    for geom in spec.geoms:
+        geom.material = ""
+    for thing in [*spec.materials, *spec.textures]:
+        spec.delete(thing)
+    return spec
+
+
+def right(one: Found) -> bool:
+    """Whether a joint moves its part in our scene as in MuJoCo."""
+    return one.error < NEAR and one.limits < SAME
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("folder", type=Path, help="where the packages are")
+    parser.add_argument("--out", type=Path, help="write the figures into this JSON file")
+    args = parser.parse_args()
+    rows: list[dict[str, Any]] = []
+    with tempfile.TemporaryDirectory() as made:
+        for room in rooms(args.folder, Path(made)):
+            read = read_room(room.path, room.root)
+            scene = write_room(read, room.path, Path(made) / f"{room.name}.json")
+            found = list(compare(Truth(room.path), scene))
+            good = [one for one in found if right(one)]
+            worst = max((one.error for one in found), default=0.0)
+            rows.append({
+                "room": room.name, "joints": len(found), "right": len(good), "worst": worst,
+                "wrong": [one.name for one in found if not right(one)],
+                "report": read.told().as_json(),
+            })  # fmt: skip
+            print(f"{room.name:20} {len(good):3} of {len(found):3} joints, worst {worst:.2g} m")
+            for one in found:
+                if not right(one):
+                    print(f"    {one.name}: {one.error:.2g} m, limits {one.limits:.2g}")
+    total, good_ones = (sum(row[key] for row in rows) for key in ("joints", "right"))
+    print(f"{len(rows)} rooms: {good_ones} of {total} joints are right")
+    if args.out is not None:
+        args.out.write_text(json.dumps(rows, indent=1), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""Rooms in the formats of other programs: read into ours, and written from ours."""

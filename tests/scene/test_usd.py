@@ -1,0 +1,207 @@
+"""Rooms in USD: joints move as in the URDF of the same thing; what is not kept is counted."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from tests import optional
+
+from momapos.cli.main import main
+from momapos.errors import MissingExtraError, MomaposError
+from momapos.geometry.transforms import apply
+from momapos.scene.formats.importing import write_room
+from momapos.scene.formats.kinds import kind_of_file
+from momapos.scene.formats.usd import read_room
+from momapos.scene.scene import Scene, SceneObject
+
+CABINET = """<robot name="cabinet">
+  <link name="body"><collision><geometry><box size="0.4 0.6 0.8"/></geometry></collision></link>
+  <link name="door"><collision><origin xyz="0 0.3 0"/><geometry><box size="0.02 0.6 0.3"/></geometry></collision></link>
+  <link name="drawer"><collision><geometry><box size="0.02 0.6 0.3"/></geometry></collision>
+    <collision><origin xyz="0.03 0 0" rpy="-1.5707963267948966 0 0"/><geometry><cylinder radius="0.01" length="0.2"/></geometry></collision></link>
+  <joint name="hinge" type="revolute"><parent link="body"/><child link="door"/>
+    <origin xyz="0.21 -0.3 0.2"/><axis xyz="0 0 1"/><limit lower="-0.17453292519943295" upper="1.5707963267948966"/></joint>
+  <joint name="slide" type="prismatic"><parent link="body"/><child link="drawer"/>
+    <origin xyz="0.21 0 -0.2"/><axis xyz="1 0 0"/><limit lower="0" upper="0.4"/></joint>
+</robot>"""  # noqa: E501
+# The same cabinet in centimeters with y up, its door drawn at 30 degrees.
+STAGE = """#usda 1.0
+(defaultPrim = "World"
+ metersPerUnit = 0.01
+ upAxis = "Y")
+def Xform "World" {
+  def PhysicsScene "physics" {}
+  def Plane "ground" (prepend apiSchemas = ["PhysicsCollisionAPI"]) {}
+  def Xform "cabinet" {
+    double3 xformOp:translate = (100, 40, -200)
+    float3 xformOp:rotateXYZ = (-90, 0, 0)
+    uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:rotateXYZ"]
+    def Xform "body" (prepend apiSchemas = ["PhysicsRigidBodyAPI"]) {
+      def Cube "shell" (prepend apiSchemas = ["PhysicsCollisionAPI"]) {
+        double size = 1
+        float3 xformOp:scale = (40, 60, 80)
+        uniform token[] xformOpOrder = ["xformOp:scale"]
+      }
+      def Sphere "knob" {
+        double radius = 3
+      }
+    }
+    def Xform "door" (prepend apiSchemas = ["PhysicsRigidBodyAPI"]) {
+      double3 xformOp:translate = (21, -30, 20)
+      float3 xformOp:rotateXYZ = (0, 0, 30)
+      uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:rotateXYZ"]
+      def Mesh "door_handle" (prepend apiSchemas = ["PhysicsCollisionAPI"]) {
+        point3f[] points = [(-1,0,-15),(1,0,-15),(1,60,-15),(-1,60,-15),
+          (-1,0,15),(1,0,15),(1,60,15),(-1,60,15)]
+        int[] faceVertexCounts = [4,4,4,4,4,4]
+        int[] faceVertexIndices = [0,3,2,1, 4,5,6,7, 0,1,5,4, 2,3,7,6, 1,2,6,5, 0,4,7,3]
+      }
+    }
+    def Xform "drawer" (prepend apiSchemas = ["PhysicsRigidBodyAPI"]) {
+      double3 xformOp:translate = (21, 0, -20)
+      uniform token[] xformOpOrder = ["xformOp:translate"]
+      def Cube "front" (prepend apiSchemas = ["PhysicsCollisionAPI"]) {
+        double size = 2
+        float3 xformOp:scale = (1, 30, 15)
+        uniform token[] xformOpOrder = ["xformOp:scale"]
+      }
+      def Cylinder "bar" (prepend apiSchemas = ["PhysicsCollisionAPI"]) {
+        uniform token axis = "Y"
+        double radius = 1
+        double height = 20
+        double3 xformOp:translate = (3, 0, 0)
+        uniform token[] xformOpOrder = ["xformOp:translate"]
+      }
+    }
+    def PhysicsRevoluteJoint "hinge" {
+      uniform token physics:axis = "Z"
+      rel physics:body0 = </World/cabinet/body>
+      rel physics:body1 = </World/cabinet/door>
+      point3f physics:localPos0 = (21, -30, 20)
+      float physics:lowerLimit = -10
+      float physics:upperLimit = 90
+      }
+    def PhysicsPrismaticJoint "slide" {
+      uniform token physics:axis = "X"
+      rel physics:body0 = </World/cabinet/body>
+      rel physics:body1 = </World/cabinet/drawer>
+      point3f physics:localPos0 = (21, 0, -20)
+      float physics:lowerLimit = 0
+      float physics:upperLimit = 40
+      }
+  }
+  def "cup" (references = @./cup.usda@</cup>) {}
+}
+"""
+CUP = """#usda 1.0
+def Xform "cup" {
+  double3 xformOp:translate = (0, 50, 0)
+  uniform token[] xformOpOrder = ["xformOp:translate"]
+  def Capsule "c" (prepend apiSchemas = ["PhysicsCollisionAPI"]) {
+    double radius = 2
+    double height = 10
+    uniform token axis = "X"
+      }
+  def PhysicsSphericalJoint "ball" {
+    rel physics:body1 = </cup>
+      }
+}
+"""
+
+
+@pytest.fixture(autouse=True)
+def _usd() -> None:
+    optional.module("pxr")
+
+
+def write(folder: Path, text: str = STAGE) -> Path:
+    (folder / "cup.usda").write_text(CUP)
+    (folder / "room.usda").write_text(text)
+    return folder / "room.usda"
+
+
+def read(folder: Path, text: str = STAGE) -> Scene:
+    path = write(folder, text)
+    return write_room(read_room(path, folder), path, folder / "out.json")
+
+
+def test_joints_move_parts_as_in_the_urdf_of_the_same_cabinet(tmp_path: Path) -> None:
+    (tmp_path / "cabinet.urdf").write_text(CABINET)
+    expected = SceneObject.from_urdf("cabinet", tmp_path / "cabinet.urdf", (1, 2, 0.4))
+    found = read(tmp_path).object("cabinet")
+    assert found.values() == {"hinge": pytest.approx(np.deg2rad(30)), "slide": 0.0}
+    for name, joint in expected.model.joints.items():
+        ours = found.model.joints[name]
+        assert (ours.kind, ours.lower) == (joint.kind, pytest.approx(joint.lower))
+        assert ours.upper == pytest.approx(joint.upper)
+    for hinge, slide in ((0.0, 0.0), (-0.1, 0.1), (1.5, 0.4)):
+        change = {"hinge": hinge, "slide": slide}
+        ours, theirs = found.link_poses(change), expected.link_poses(change)
+        for link in ("body", "door", "drawer"):
+            for a, b in zip(found.model.hulls[link], expected.model.hulls[link], strict=True):
+                one, two = apply(ours[link], a.vertices), apply(theirs[link], b.vertices)
+                assert_allclose(one.min(0), two.min(0), atol=2e-4)  # of a prism of 24 sides
+                assert_allclose(one.max(0), two.max(0), atol=2e-4)
+    assert found.model.urdf.links["door"].collisions[0].name == "door_handle"
+
+
+def test_layers_that_are_referenced_come_along(tmp_path: Path) -> None:
+    low, high = read(tmp_path).object("cup").bounds
+    assert_allclose(high - low, [0.14, 0.04, 0.04], atol=1e-3)
+    assert_allclose((low + high) / 2, [0, 0, 0.5], atol=1e-6)
+
+
+def test_what_is_not_kept_is_counted(tmp_path: Path) -> None:
+    report = read_room(write(tmp_path), tmp_path).told()
+    assert report.kept["objects"] == 2
+    assert report.dropped["drawn shapes"] == 1
+    assert report.dropped["planes"] == 1
+
+
+def test_the_command_converts_a_stage(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = write(tmp_path)
+    assert kind_of_file(path) == "USD"
+    assert main(["scene", "convert", str(path), str(tmp_path / "out.json")]) == 0
+    assert "hinges 1, slides 1" in capsys.readouterr().out
+
+
+ONE = '#usda 1.0\ndef {} "a" (prepend apiSchemas = ["PhysicsCollisionAPI"]) {{\n{}\n}}\n'
+BAD = {
+    "damaged": (STAGE[:300], "USD does not take it|is no layer"),
+    "a layer outside": (STAGE.replace("./cup.usda", "../secret.usda"), "leaves"),
+    "a layer elsewhere": (STAGE.replace("./cup.usda", "https://x/y.usda"), "is no file"),
+    "a layer that is not there": (STAGE.replace("./cup.usda", "./gone.usda"), "does not exist"),
+    "no unit": (STAGE.replace("metersPerUnit = 0.01", "metersPerUnit = 0"), "metersPerUnit is 0"),
+    "no size": (ONE.format("Cube", "double size = -1"), "size must be > 0"),
+    "a corner that is not there": (
+        ONE.format("Mesh", "point3f[] points = [(0,0,0),(1,0,0),(0,1,0),(0,0,1)]\n"
+                   "int[] faceVertexCounts = [3]\nint[] faceVertexIndices = [0,1,9]"),
+        "names a corner that is not there",
+    ),
+    "limits the wrong way round": (STAGE.replace("Limit = -10", "Limit = 100"), "limits"),
+    "nowhere": (STAGE.replace("(100, 40, -200)", "(nan, 40, -200)"), "stands nowhere"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_files_are_refused_in_one_line_and_leave_nothing(tmp_path: Path, case: str) -> None:
+    text, message = BAD[case]
+    inside = tmp_path / "inside"
+    inside.mkdir()
+    (tmp_path / "secret.usda").write_text(CUP)
+    with pytest.raises(MomaposError, match=message) as caught:
+        read(inside, text)
+    assert "\n" not in str(caught.value)
+    assert not list(inside.glob("*out*"))
+
+
+def test_a_package_that_is_missing_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = write(tmp_path)
+    monkeypatch.setitem(__import__("sys").modules, "pxr", None)
+    with pytest.raises(MissingExtraError, match=r"momapos\[usd\]"):
+        read_room(path, tmp_path)
