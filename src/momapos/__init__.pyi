@@ -10,6 +10,7 @@ from .manipulation.config import MotionConfig as MotionConfig
 from .manipulation.config import PlannerConfig as PlannerConfig
 from .manipulation.tasks import make_task as make_task
 from .manipulation.tasks import openable as openable
+from .outcomes import Tolerance as Tolerance
 from .pipeline import plan_base_placement as plan_base_placement
 from .placement.config import PlaceConfig as PlaceConfig
 from .placement_result import PlacementResult as PlacementResult
@@ -39,7 +40,6 @@ from .types import BaseRegion as BaseRegion
 from .types import Motion as Motion
 from .types import PlacementPlan as PlacementPlan
 from .types import Task as Task
-from .types import Tolerance as Tolerance
 from .verification.files import verify_files as verify_files
 
 __version__: str

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import Enum
 
@@ -61,3 +62,23 @@ class PoseOutcome:
         """The same without the waypoint, so that similar outcomes can be counted together."""
         words = _SUMMARY.get(self.status, self.status.value)
         return words.format(detail=self.detail)
+
+
+@dataclass(frozen=True)
+class Tolerance:
+    """How far beside a base pose the robot may stand, and still do it."""
+
+    radius: float
+    """Of a disc around it [m]; 0 where not even the smallest disc holds."""
+    turn: float
+    """To either side [rad]."""
+    samples: int
+    """Poses in it from which the motion was planned anew; it was found from all of them [-]."""
+
+    def __str__(self) -> str:
+        return f"{100 * self.radius:g} cm and {math.degrees(self.turn):.3g} deg"
+
+    @property
+    def at_least(self) -> float:
+        """Share of the disc from which it is found, at a confidence of 95 % [-]."""
+        return float(0.05 ** (1.0 / self.samples))

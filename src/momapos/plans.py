@@ -16,6 +16,7 @@ import numpy as np
 from momapos import plan_members as members
 from momapos.errors import FileFormatError, InputError
 from momapos.files import read_bytes_bounded, read_text_bounded
+from momapos.outcomes import Tolerance
 from momapos.plan_files import portable_name, sha256, sha256_of, write_text
 from momapos.plan_holds import holds_to_dict, read_holds
 from momapos.robots.amend import portable
@@ -28,7 +29,6 @@ from momapos.types import (
     Outline,
     PlacementPlan,
     Task,
-    Tolerance,
 )
 
 if TYPE_CHECKING:

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.base_pose import BasePoseChecks
-from momapos.outcomes import PoseOutcome, PoseStatus
+from momapos.outcomes import PoseOutcome, PoseStatus, Tolerance
 from momapos.placement.problem import AttemptPose
 from momapos.query import PlacementQuery
-from momapos.types import ArmPathResult, Attempt, Tolerance
+from momapos.types import ArmPathResult, Attempt
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int

@@ -10,13 +10,14 @@ import numpy as np
 from momapos.base_pose import BasePoseChecks
 from momapos.config import PipelineConfig
 from momapos.errors import InputError
+from momapos.outcomes import Tolerance
 from momapos.query import PlacementQuery
 from momapos.reachability.store import load_reach
 from momapos.robots.robot import Robot
 from momapos.robust import SAMPLES, unit_offsets, works_around
 from momapos.scene.scene import Scene
 from momapos.stopwatch import Stopwatch
-from momapos.types import Task, Tolerance
+from momapos.types import Task
 
 if TYPE_CHECKING:
     from pathlib import Path

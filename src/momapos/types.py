@@ -11,7 +11,7 @@ import numpy as np
 if TYPE_CHECKING:
     from jaxtyping import Float, Float32, Int, UInt8
 
-from momapos.outcomes import PoseOutcome
+from momapos.outcomes import PoseOutcome, Tolerance
 
 Verb = Literal["open", "close", "pick", "place"]
 Status = Literal["solved", "infeasible", "timeout"]
@@ -323,26 +323,6 @@ class BaseRegion:
 
 
 ANYWHERE = BaseRegion()
-
-
-@dataclass(frozen=True)
-class Tolerance:
-    """How far beside a base pose the robot may stand, and still do it."""
-
-    radius: float
-    """Of a disc around it [m]; 0 where not even the smallest disc holds."""
-    turn: float
-    """To either side [rad]."""
-    samples: int
-    """Poses in it from which the motion was planned anew; it was found from all of them [-]."""
-
-    def __str__(self) -> str:
-        return f"{100 * self.radius:g} cm and {np.degrees(self.turn):.3g} deg"
-
-    @property
-    def at_least(self) -> float:
-        """Share of the disc from which it is found, at a confidence of 95 % [-]."""
-        return float(0.05 ** (1.0 / self.samples))
 
 
 @dataclass(frozen=True)

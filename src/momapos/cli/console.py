@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING
 from momapos.placement.config import OURS
 
 if TYPE_CHECKING:
+    from momapos.outcomes import Tolerance
     from momapos.placement_result import PlacementResult
-    from momapos.types import KeyObjects, Tolerance
+    from momapos.types import KeyObjects
 
 MOST_REASONS = 8
 
