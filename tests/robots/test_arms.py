@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +14,8 @@ from momapos.errors import MomaposError, RobotError, UnknownNameError
 from momapos.robots.derive import derive_robot
 from momapos.robots.examine import examine
 from momapos.robots.names import find_named_robot, library_file
-from momapos.robots.robot import load_arms, load_robot
-from momapos.robots.states import touches
+from momapos.robots.robot import Robot, load_arms, load_robot
+from momapos.robots.states import resting_state, sample_states, touches
 from momapos.robots.write import write_robot
 
 
@@ -48,6 +49,38 @@ def test_both_arms_are_free_at_home_and_compact(twin: Path) -> None:
         assert examine(robot) == []
         tool = robot.chain.tool_poses(robot.home[None])[0, :3, 3]
         assert np.hypot(*tool[:2]) < 0.8, "the arm reaches 1.1 m"
+
+
+def lowered(robot: Robot, q: np.ndarray) -> np.ndarray:
+    """Whether each state touches nothing while what the arms share goes from end to end."""
+    (lift,) = (i for i, name in enumerate(robot.arm_joints) if name in robot.other_arms)
+    states = np.repeat(q[:, None], 15, axis=1)
+    states[:, :, lift] = np.linspace(robot.chain.lower[lift], robot.chain.upper[lift], 15)
+    hit = touches(robot.chain, robot.spheres, states.reshape(-1, q.shape[1]), floor=True)
+    return ~hit.reshape(len(q), -1).any(1)
+
+
+def test_both_arms_of_tiago_dual_let_the_torso_go_from_end_to_end() -> None:
+    for robot in load_arms("tiago_dual"):
+        assert lowered(robot, robot.home[None]).all()
+
+
+def test_an_arm_rests_where_the_lift_may_go_from_end_to_end(twin: Path) -> None:
+    robot = load_robot(twin)
+    q = sample_states(robot.chain, np.random.default_rng(1))
+    q = q[~touches(robot.chain, robot.spheres, q, floor=True)]
+    clear = lowered(robot, q)
+
+    def rest(states: np.ndarray, shared: Sequence[int] = ()) -> np.ndarray:
+        found = resting_state(robot.chain, robot.spheres, states, shared)
+        assert found is not None
+        return found[0]
+
+    reach = np.hypot(*robot.chain.tool_poses(q[clear])[:, :2, 3].T)
+    near, wide = rest(q[~clear]), q[clear][np.argsort(reach)[len(reach) // 4]]
+    pair = np.stack([near, wide])
+    assert np.array_equal(rest(pair), near), "the compact one, which is in the lift's way"
+    assert np.array_equal(rest(pair, [0]), wide)
 
 
 def test_any_arm_is_all_of_them_and_none_is_the_first(twin: Path) -> None:
