@@ -13,7 +13,7 @@ from tests.urdf_parts import LIMIT, box, joint, link, mobile_manipulator, telesc
 from momapos.errors import MomaposError, RobotError, UnknownNameError
 from momapos.robots.derive import derive_robot
 from momapos.robots.examine import examine
-from momapos.robots.names import find_named_robot, library_file
+from momapos.robots.names import find_named_robot, find_robot, library_file
 from momapos.robots.robot import Robot, load_arms, load_robot
 from momapos.robots.states import resting_state, sample_states, touches
 from momapos.robots.write import write_robot
@@ -227,3 +227,19 @@ def test_two_robots_of_one_name_are_told_apart(
         find_named_robot("fetch")
     assert str(library_file("fetch")) in str(caught.value)
     assert find_named_robot("./fetch.toml") == Path("fetch.toml")
+
+
+def test_a_word_is_a_name_and_what_has_a_slash_a_path(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine").write_text("")
+    (tmp_path / "ours.toml").write_text("")
+    assert find_robot("./mine") == Path("mine")
+    for word, file in (("mine", "./mine"), ("ours", "ours.toml")):
+        with pytest.raises(UnknownNameError, match=f"or give the file: {file}"):
+            find_robot(word)
+    (tmp_path / "fetch").write_text("")
+    assert find_robot("fetch") == library_file("fetch")
+    with pytest.raises(RobotError, match="two robots are called 'fetch'"):
+        find_named_robot("fetch")
