@@ -27,14 +27,13 @@ from momapos.outcomes import PoseStatus
 from momapos.pipeline import plan_base_placement
 from momapos.placement.config import PlaceConfig
 from momapos.protocols import ReachScorer
-from momapos.reachability.evaluation import evaluate
+from momapos.reachability.evaluation import evaluate, exact_ik
 from momapos.reachability.map import ReachMap
 from momapos.reachability.store import encode, load_reach
 from momapos.robots.robot import Robot, load_robot
 from momapos.run_plan import run_plan
 from momapos.types import PlacementPlan
 from placement import CONFIG, SCENES, scene_of
-from reach import exact_ik
 
 POSES = 1_000
 """Tool poses near reach that a map is held against [-]."""
