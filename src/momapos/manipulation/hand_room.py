@@ -224,6 +224,7 @@ def _hand_arrays(robot: Robot) -> HandArrays:
     groups = np.flatnonzero(spheres.segment == _last_segment(robot))
     boxes = [_boxes_of(robot, int(g)) for g in groups]
     aside = np.array([(b.center @ robot.closing_axis).sum() for b in boxes])
+    aside = np.full(len(aside), -fixed) if (fixed := hand_of(robot).fixed) else aside
     segment = np.where(spheres.gripper[groups] == FINGER, np.where(aside >= 0, *_SIDES), _PALM)
     rows = [np.arange(spheres.start[g], spheres.start[g + 1]) for g in groups]
     index = np.concatenate([np.zeros(0, np.int64), *rows])
@@ -384,7 +385,7 @@ def hits_on_the_way(
     value, holding = motion.value[steps], motion.holding[steps]
     exact = ~np.isin(steps, motion.free_ends)
     codes = hand_hits(robot, world, Ts_world_tool, value, holding, exact)
-    travel = (robot.opening - width) / 2 - hand_of(robot).rest
+    travel = hand_of(robot).closed_to(width)
     # A grasp of unknown width is one that holds nothing.
     rows = np.flatnonzero((codes == FREE) & motion.closed[steps] & (np.abs(travel) > SLIGHT))
     codes[rows] = hand_hits(
