@@ -161,6 +161,26 @@ def test_a_jaw_that_closes_on_a_fixed_one_is_a_gripper(tmp_path: Path, side: int
     assert hand.closed_to(np.array([0.03]))[0] == pytest.approx(0.05, abs=4e-3)
 
 
+def test_a_jaw_closes_on_what_is_drawn_in_one_with_the_last_link_of_the_arm(
+    tmp_path: Path,
+) -> None:
+    text = one_jaw(1)
+    for name in ("palm", "fixed_jaw"):
+        text = re.sub(f'<link name="{name}">.*?</link>', "", text)
+    for name in ("mount", "jaw_mount"):
+        text = re.sub(f'<joint name="{name}".*?</joint>', "", text)
+    text = text.replace('<parent link="palm"/>', '<parent link="arm_5"/>')
+    jaw = link("arm_5", box(0.06, 0.01, 0.02), "0.09 0.05 0").removesuffix("</link>")
+    text = text.replace('<link name="arm_5">', jaw)
+    robot = derived(tmp_path, text)
+    assert "arm_5" in robot.gripper_links
+    assert robot.model.rest["jaw_joint"] == pytest.approx(0.08), "it rests open"
+    hand = hand_of(robot)
+    assert hand.closes
+    assert hand.fixed != 0
+    assert hand.inner(1)[0] - hand.inner(-1)[0] == pytest.approx(robot.opening, abs=2e-3)
+
+
 def test_a_hand_closes_until_both_sides_meet_what_they_hold(tmp_path: Path) -> None:
     way = np.array([[0.03, 0.01], [0.002, 0.001], [0.0, 0.05]])
     for side in (1, -1, 0):

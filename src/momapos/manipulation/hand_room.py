@@ -34,6 +34,7 @@ from momapos.kinematics.spheres import Spheres
 from momapos.kinematics.world import CELL, CollisionWorld, any_filled
 from momapos.manipulation.hand import hand_of
 from momapos.manipulation.motion import TaskMotion
+from momapos.robots.fingertips import finger_links
 from momapos.robots.robot import Robot
 
 if TYPE_CHECKING:
@@ -225,7 +226,9 @@ def _hand_arrays(robot: Robot) -> HandArrays:
     boxes = [_boxes_of(robot, int(g)) for g in groups]
     aside = np.array([(b.center @ robot.closing_axis).sum() for b in boxes])
     aside = np.full(len(aside), -fixed) if (fixed := hand_of(robot).fixed) else aside
-    segment = np.where(spheres.gripper[groups] == FINGER, np.where(aside >= 0, *_SIDES), _PALM)
+    fingers = finger_links(robot)
+    moves = np.array([spheres.links[g] in fingers for g in groups], bool)
+    segment = np.where(moves, np.where(aside >= 0, *_SIDES), _PALM)
     rows = [np.arange(spheres.start[g], spheres.start[g + 1]) for g in groups]
     index = np.concatenate([np.zeros(0, np.int64), *rows])
     arrays = spheres.arrays()._replace(
