@@ -225,10 +225,8 @@ def _hand_arrays(robot: Robot) -> HandArrays:
     groups = np.flatnonzero(spheres.segment == _last_segment(robot))
     boxes = [_boxes_of(robot, int(g)) for g in groups]
     aside = np.array([(b.center @ robot.closing_axis).sum() for b in boxes])
-    aside = np.full(len(aside), -fixed) if (fixed := hand_of(robot).fixed) else aside
-    fingers = finger_links(robot)
-    moves = np.array([spheres.links[g] in fingers for g in groups], bool)
-    segment = np.where(moves, np.where(aside >= 0, *_SIDES), _PALM)
+    moves = np.isin(np.array(spheres.links)[groups], [*finger_links(robot)])
+    segment = np.where(moves, np.where((-hand_of(robot).fixed or aside) >= 0, *_SIDES), _PALM)
     rows = [np.arange(spheres.start[g], spheres.start[g + 1]) for g in groups]
     index = np.concatenate([np.zeros(0, np.int64), *rows])
     arrays = spheres.arrays()._replace(

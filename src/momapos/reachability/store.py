@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 VERSION = 3
 """Of maps: where it is raised, those that were built or stored before are not used."""
+_TURNS_LAST = 4
+"""Of a file in which turns of the tool lie side by side; in those of `VERSION` they come first."""
 _MAGIC = b"momapos-reach\n"
 MAX_BYTES = 50_000_000
 """Maps of arms have some 1 MB."""
@@ -82,7 +84,7 @@ def encode(reach_map: ReachMap) -> bytes:
     header = {k: v for k, v in header.items() if v is not None}
     header |= {"version": VERSION, "shape": stored.shape}
     if stored.ndim == _TURNED:
-        header["turns_last"] = True
+        header["version"] = _TURNS_LAST
         stored = stored.reshape(len(stored), -1).T
     text = json.dumps(header).encode()
     values = zlib.compress(stored.tobytes(), 6)
@@ -105,11 +107,11 @@ def decode(data: bytes) -> ReachMap:
         if length > _MAX_HEADER:
             raise ValueError(f"its header has {length} bytes")
         header = json.loads(data[begin : begin + length])
-        if not isinstance(header, dict) or header.get("version") != VERSION:
-            raise ValueError(f"it is not of version {VERSION}")
+        if not isinstance(header, dict) or header.get("version") not in (VERSION, _TURNS_LAST):
+            raise ValueError(f"it is not of version {VERSION} or {_TURNS_LAST}")
         shape = _shape(header)
         values = _inflated(memoryview(data)[begin + length :], math.prod(shape))
-        if header.get("turns_last") is True and len(shape) == _TURNED:
+        if header["version"] == _TURNS_LAST and len(shape) == _TURNED:
             values = np.ascontiguousarray(values.reshape(-1, shape[0]).T)
         return _map(header, values.reshape(shape))
     except (ValueError, RecursionError, struct.error, zlib.error) as error:

@@ -211,7 +211,7 @@ def _one_jaw(model: Articulated, last: str, tool: str, finger: str, notes: list[
     ahead_of_tool = float(tip @ approach)
     grasp = _grasp(tool, tip - (tip @ closing) * closing, ahead_of_tool, approach, notes)
     rest = {}
-    if joint.kind == "prismatic":  # where it is away from what it closes on
+    if joint.kind == "prismatic" and np.isfinite(span):  # where it is away from what it closes on
         others = points_of(model, tool, fixed_to(model, last))
         near = others[others @ approach > tip @ approach - NEAR_TIP]
         facing = near.mean(0) if len(near) else back
