@@ -2,10 +2,10 @@
 
     python benchmarks/reach.py [ROBOT ...] [--count 20000] [--ready]
 
-"Exact" is inverse kinematics with self-collision and floor; the redundant joints of a longer arm
-are locked at 33 values for it, not at the 9 that planning uses, and four times as many seeds are
-tried. Poses near reach are up to 17 cm along each axis and half a radian beside some that the arm
-takes; the others fill the ball around the shoulder that the tool can reach.
+"Exact" is inverse kinematics (`exact_ik`) with self-collision and floor; the redundant joints of a
+longer arm are locked at 33 values for it. Poses near reach are up to 17 cm along each axis and half
+a radian beside some that the arm takes; the others fill the ball around the shoulder that the tool
+can reach.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ import os
 import platform
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -24,14 +23,13 @@ import tyro
 from momapos.geometry.transforms import pose
 from momapos.kinematics.chain import chain_arrays
 from momapos.kinematics.collision import FREE, check_states
-from momapos.kinematics.ik import IkModel, build_ik
 from momapos.kinematics.ik_model import one_turn
 from momapos.reachability import ReachConfig, ReachMap, build_map, evaluate
 from momapos.reachability.arm_axes import no_map
-from momapos.reachability.evaluation import random_poses
+from momapos.reachability.evaluation import exact_ik, random_poses
 from momapos.reachability.store import decode, encode, load_reach_map
 from momapos.robots.names import library_names
-from momapos.robots.robot import Robot, load_robot
+from momapos.robots.robot import Robot, load_arms, load_robot
 
 
 def machine() -> str:
@@ -71,9 +69,10 @@ def main(
     )
     print("|" + "---|" * 14)
     for name in robots or library_names():
-        robot = load_robot(name)
-        why = no_map(robot)
-        print(f"| {robot.name} | none: {why} |" if why else row(robot, count, ready), flush=True)
+        for robot in load_arms(name):
+            why = no_map(robot)
+            line = f"| {robot.title} | none: {why} |" if why else row(robot, count, ready)
+            print(line, flush=True)
 
 
 def row(robot: Robot, count: int, ready: bool) -> str:
@@ -92,7 +91,7 @@ def row(robot: Robot, count: int, ready: bool) -> str:
     weakest, floor = speeds(reach, robot)
     shape = (reach.values if reach.turned is None else reach.turned).shape
     cells = [
-        robot.name,
+        robot.title,
         " x ".join(map(str, shape)),
         "ready" if ready else f"{built:.0f} s ({cpu:.0f})",
         f"{len(content) / 1e6:.2f} MB",
@@ -111,12 +110,6 @@ def row(robot: Robot, count: int, ready: bool) -> str:
         f"{floor:.2f} ms",
     ]
     return f"| {' | '.join(cells)} |"
-
-
-def exact_ik(robot: Robot) -> IkModel:
-    """Inverse kinematics that maps are held against."""
-    ik = build_ik(robot.chain, samples_per_joint=33, most_samples=1000)
-    return replace(ik, tries=4 * ik.tries)
 
 
 def marked(reach: ReachMap, robot: Robot, count: int = 5_000) -> float:

@@ -2,13 +2,16 @@
 
     pip install --no-deps --target SITE example-robot-data hello-robot-stretch-urdf \\
         hello-robot-stretch4-urdf dexmate-urdf armar mani-skill rtb-data airo-models
-    python benchmarks/robots.py SITE [--half tuned|measured] [--only NAME ...] [--place 2]
+    python benchmarks/robots.py SITE [--half tuned|measured] [--only NAME ...] \\
+        [--place 2] [--out FOLDER]
 
 No file is edited, and none written beside the makers'. A mobile manipulator must get a robot file;
 an arm that stands nowhere must get a reason and then, with `--on-box`, a robot file; what is
 neither must get a reason. With `--place` each that got one is asked for some openings of each of
-five kitchens (`robot_openings.py`), which a second table counts. A hash of the robot's name puts it
-into one of two halves: `tuned` may be looked at while building, `measured` is only counted.
+five kitchens, 11 for all (`robot_openings.py`), which a second table counts. With `--out` the
+figures of each robot are kept in a folder, and those that lie there are not measured again. A hash
+of the robot's name puts it into one of two halves: `tuned` may be looked at while building,
+`measured` is only counted.
 """
 
 from __future__ import annotations
@@ -21,7 +24,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 
@@ -183,9 +186,26 @@ def checked(model: Model, site: Path, folder: Path) -> list[tuple[str, Outcome]]
     return done
 
 
+def measured(model: Model, site: Path, place: int, out: Path | None) -> list[tuple[str, Outcome]]:
+    """Check a robot and ask it for openings, or read what was measured before."""
+    kept = None if out is None else out / f"{model.name}.json"
+    if kept is not None and kept.is_file():
+        return [(what, Outcome(**it)) for what, it in json.loads(kept.read_text())]
+    with tempfile.TemporaryDirectory(prefix="robots-") as folder:
+        done = checked(model, site, Path(folder))
+        if place and understood(model, done) and done[-1][1].status == 0:
+            file = str(Path(folder) / f"{model.name}.toml")
+            words = [str(OPENINGS), file, "--most", str(place)]
+            done.append(("openings", run(words, LIMIT_OPENINGS)))
+    if kept is not None:
+        kept.parent.mkdir(parents=True, exist_ok=True)
+        kept.write_text(json.dumps([(what, asdict(it)) for what, it in done]))
+    return done
+
+
 def understood(model: Model, done: list[tuple[str, Outcome]]) -> bool:
     """Whether the command did what it must for a robot of this kind."""
-    statuses = [outcome.status for _, outcome in done]
+    statuses = [outcome.status for what, outcome in done if what != "openings"]
     return statuses == {"mobile": [0], "arm": [2, 0], "other": [2]}[model.kind]
 
 
@@ -205,7 +225,7 @@ def openings_row(model: Model, checks: float, did: Outcome) -> str:
     open_ = sum(a.get("grid") == "timeout" for a in answers)
     cells = [
         model.name, model.half, found["joints"], "yes" if found["holds"] else "no",
-        f"{checks + found['first']:.0f}", f"{found['built']:.0f}",
+        f"{checks + found['first']:.0f}", f"{found['built']:.0f} ({found['built_wall']:.0f})",
         f"{found['megabytes']:.1f}" if "megabytes" in found else "-", *share,
         f"{count['solved']} of {len(answers)}", f"{grid}{f' to {grid + open_}' if open_ else ''}",
         len(answers) - sum(count.values()),
@@ -222,6 +242,7 @@ def main() -> None:
     parser.add_argument("--half", choices=HALVES)
     parser.add_argument("--only", nargs="*", default=[])
     parser.add_argument("--place", type=int, default=0, help="openings of each kitchen")
+    parser.add_argument("--out", type=Path, help="where figures are kept")
     args = parser.parse_args()
     models = [
         model
@@ -233,30 +254,25 @@ def main() -> None:
     print("|---|---|---|---|---|---|---|---|")
     right, opened = 0, []
     for model in models:
-        with tempfile.TemporaryDirectory(prefix="robots-") as folder:
-            done = checked(model, args.site, Path(folder))
-            good = understood(model, done)
-            right += good
-            if args.place and good and done[-1][1].status == 0:
-                file = str(Path(folder) / f"{model.name}.toml")
-                words = [str(OPENINGS), file, "--most", str(args.place)]
-                did = run(words, LIMIT_OPENINGS)
-                opened.append(openings_row(model, sum(it.seconds for _, it in done), did))
-                done.append(("openings", did))
-            for what, it in done:
-                # What is said of the measured half is not read while building.
-                last = it.last[:100] if model.half == "tuned" else ""
-                print(
-                    f"| {model.name} | {model.half} | {what} | {it.status} | {it.seconds:.1f} | "
-                    f"{it.wall:.1f} | {it.memory:.2f} | {last} |",
-                    flush=True,
-                )
+        done = measured(model, args.site, args.place, args.out)
+        right += understood(model, done)
+        for what, it in done:
+            # What is said of the measured half is not read while building.
+            last = it.last[:100] if model.half == "tuned" else ""
+            print(
+                f"| {model.name} | {model.half} | {what} | {it.status} | {it.seconds:.1f} | "
+                f"{it.wall:.1f} | {it.memory:.2f} | {last} |",
+                flush=True,
+            )
+        if done[-1][0] == "openings":
+            checks = sum(it.seconds for _, it in done[:-1])
+            opened.append(openings_row(model, checks, done[-1][1]))
     print(f"\n{right} of {len(models)} as they must be")
     if opened:
         print(
-            "\n| robot | half | degrees of freedom | has fingers | first answer [s] | map [s] "
-            "| map [MB] | misses | false positives | solved | by the grid | no | out of time "
-            "| median [s] | executed |"
+            "\n| robot | half | degrees of freedom | has fingers | first answer [s] "
+            "| map [s] (wall) | map [MB] | misses | false positives | solved | by the grid | no "
+            "| out of time | median [s] | executed |"
         )
         print("|" + "---|" * 15, *opened, sep="\n")
 

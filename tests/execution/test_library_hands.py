@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import mujoco
@@ -22,6 +23,7 @@ from momapos.manipulation.tasks import make_task
 from momapos.pipeline import plan_base_placement
 from momapos.reachability.arm_length import arm_length
 from momapos.robots.fingertips import pivots
+from momapos.robots.names import library_file
 from momapos.robots.robot import load_robot
 from momapos.run_plan import run_plan
 from momapos.scene.files import load_scene
@@ -56,6 +58,28 @@ def leaning(lean: float) -> str:
 )  # fmt: skip
 def test_a_robot_of_the_library_opens_a_drawer_in_physics(name: str, arm: str | None) -> None:
     scene, robot = load_scene("kitchen_small"), load_robot(name, arm=arm)
+    task = make_task(scene, "open", "cabinet_left", "drawer_slide")
+    reach = arm_length(robot, "none is needed for one drawer")
+    plan = plan_base_placement(scene, robot, task, reach).plan
+    assert plan.status == "solved"
+    record = run_plan(plan, scene, robot, reach, tries=1)
+    assert record.success, record.execution and record.execution.reason
+
+
+def test_a_robot_with_one_jaw_that_moves_opens_a_drawer_in_physics(tmp_path: Path) -> None:
+    folder = tmp_path / "one_jaw"
+    shutil.copytree(library_file("fetch").parent, folder, ignore=shutil.ignore_patterns("*.reach"))
+    urdf, file = folder / "fetch.urdf", folder / "fetch.toml"
+    text = urdf.read_text()
+    stays = text.index('name="r_gripper_finger_joint"')
+    text = text[:stays] + text[stays:].replace("prismatic", "fixed", 1)
+    moves = text.index('name="l_gripper_finger_joint"')
+    urdf.write_text(text[:moves] + text[moves:].replace('upper="0.05"', 'upper="0.1"', 1))
+    file.write_text(file.read_text().replace('name = "fetch"', 'name = "one_jaw"'))
+    robot, scene = load_robot(file), load_scene("kitchen_small")
+    hand = find_hand(robot, {})
+    assert [finger.joint for finger in hand.fingers] == ["l_gripper_finger_joint"]
+    assert hand.pads == {"l_gripper_finger_link": -1.0, "r_gripper_finger_link": 1.0}
     task = make_task(scene, "open", "cabinet_left", "drawer_slide")
     reach = arm_length(robot, "none is needed for one drawer")
     plan = plan_base_placement(scene, robot, task, reach).plan

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+import struct
+import zlib
 from dataclasses import replace
 
 import numpy as np
@@ -159,6 +162,23 @@ def test_a_map_with_turns_is_kept_and_read_again() -> None:
     np.testing.assert_array_equal(again.values, turned.max(0))
     np.testing.assert_array_equal(again.across_tool, across)
     np.testing.assert_array_equal(again.line_tool, LINE)
+
+
+def test_a_map_whose_turns_come_first_is_read_as_well() -> None:
+    turned = np.stack([VALUES, VALUES[::-1]])
+    kept = replace(MAP, values=turned.max(0), turned=turned, across_tool=np.array([0, 1.0, 0]))
+    data = encode(kept)
+    begin = data.index(b"{")
+    header = json.loads(data[begin : begin + struct.unpack_from("<I", data, begin - 4)[0]])
+    assert header["version"] == 4
+    header["version"] = 3
+    text = json.dumps(header).encode()
+    older = (
+        data[: begin - 4] + struct.pack("<I", len(text)) + text + zlib.compress(turned.tobytes())
+    )
+    again = decode(older)
+    assert again.turned is not None
+    np.testing.assert_array_equal(again.turned, turned)
 
 
 def test_states_to_begin_with_belong_to_the_key_of_maps_that_need_them(robot: Robot) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +13,9 @@ from tests.urdf_parts import LIMIT, box, joint, link, mobile_manipulator, telesc
 from momapos.errors import MomaposError, RobotError, UnknownNameError
 from momapos.robots.derive import derive_robot
 from momapos.robots.examine import examine
-from momapos.robots.names import find_named_robot, library_file
-from momapos.robots.robot import load_arms, load_robot
-from momapos.robots.states import touches
+from momapos.robots.names import find_named_robot, find_robot, library_file
+from momapos.robots.robot import Robot, load_arms, load_robot
+from momapos.robots.states import resting_state, sample_states, touches
 from momapos.robots.write import write_robot
 
 
@@ -48,6 +49,38 @@ def test_both_arms_are_free_at_home_and_compact(twin: Path) -> None:
         assert examine(robot) == []
         tool = robot.chain.tool_poses(robot.home[None])[0, :3, 3]
         assert np.hypot(*tool[:2]) < 0.8, "the arm reaches 1.1 m"
+
+
+def lowered(robot: Robot, q: np.ndarray) -> np.ndarray:
+    """Whether each state touches nothing while what the arms share goes from end to end."""
+    (lift,) = (i for i, name in enumerate(robot.arm_joints) if name in robot.other_arms)
+    states = np.repeat(q[:, None], 15, axis=1)
+    states[:, :, lift] = np.linspace(robot.chain.lower[lift], robot.chain.upper[lift], 15)
+    hit = touches(robot.chain, robot.spheres, states.reshape(-1, q.shape[1]), floor=True)
+    return ~hit.reshape(len(q), -1).any(1)
+
+
+def test_both_arms_of_tiago_dual_let_the_torso_go_from_end_to_end() -> None:
+    for robot in load_arms("tiago_dual"):
+        assert lowered(robot, robot.home[None]).all()
+
+
+def test_an_arm_rests_where_the_lift_may_go_from_end_to_end(twin: Path) -> None:
+    robot = load_robot(twin)
+    q = sample_states(robot.chain, np.random.default_rng(1))
+    q = q[~touches(robot.chain, robot.spheres, q, floor=True)]
+    clear = lowered(robot, q)
+
+    def rest(states: np.ndarray, shared: Sequence[int] = ()) -> np.ndarray:
+        found = resting_state(robot.chain, robot.spheres, states, shared)
+        assert found is not None
+        return found[0]
+
+    reach = np.hypot(*robot.chain.tool_poses(q[clear])[:, :2, 3].T)
+    near, wide = rest(q[~clear]), q[clear][np.argsort(reach)[len(reach) // 4]]
+    pair = np.stack([near, wide])
+    assert np.array_equal(rest(pair), near), "the compact one, which is in the lift's way"
+    assert np.array_equal(rest(pair, [0]), wide)
 
 
 def test_any_arm_is_all_of_them_and_none_is_the_first(twin: Path) -> None:
@@ -194,3 +227,19 @@ def test_two_robots_of_one_name_are_told_apart(
         find_named_robot("fetch")
     assert str(library_file("fetch")) in str(caught.value)
     assert find_named_robot("./fetch.toml") == Path("fetch.toml")
+
+
+def test_a_word_is_a_name_and_what_has_a_slash_a_path(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine").write_text("")
+    (tmp_path / "ours.toml").write_text("")
+    assert find_robot("./mine") == Path("mine")
+    for word, file in (("mine", "./mine"), ("ours", "ours.toml")):
+        with pytest.raises(UnknownNameError, match=f"or give the file: {file}"):
+            find_robot(word)
+    (tmp_path / "fetch").write_text("")
+    assert find_robot("fetch") == library_file("fetch")
+    with pytest.raises(RobotError, match="two robots are called 'fetch'"):
+        find_named_robot("fetch")

@@ -450,3 +450,23 @@ def test_the_grippers_of_the_library_state_their_force_where_one_is_published() 
     assumed = {robot.name: robot.assumed for robot in robots if robot.assumed}
     assert set(assumed) == {"stretch"}
     assert all(len(texts) == 1 and "force" in texts[0] for texts in assumed.values())
+
+
+def test_a_hand_whose_fingers_have_as_many_joints_as_arms_is_no_arm(tmp_path: Path) -> None:
+    parts = [link("base", box(0.1, 0.1, 0.1), "0 0 0.05")]
+    for finger in range(4):
+        before = "base"
+        for index in range(4):
+            name, up = f"link_{finger}_{index}", 0.1 if index == 0 else 0.04
+            parts += [
+                link(name, box(0.02, 0.02, 0.03), "0 0 0.02"),
+                joint(
+                    f"joint_{finger}_{index}", "revolute", before, name,
+                    f"0 {0.03 * finger if index == 0 else 0} {up}", "1 0 0", LIMIT.format(0, 1.5),
+                ),
+            ]  # fmt: skip
+            before = name
+    path = tmp_path / "hand.urdf"
+    path.write_text(f'<robot name="hand">{"".join(parts)}</robot>')
+    with pytest.raises(RobotError, match="a hand alone: all that moves is fingers; give the URDF"):
+        derive_robot(path)

@@ -133,6 +133,70 @@ def test_a_joint_that_spreads_fingers_does_not_say_how_hard_they_close(tmp_path:
     assert derived(tmp_path, with_fingers(*parts)).grip_force == pytest.approx(55.0)
 
 
+def one_jaw(side: int, effort: float = 50.0) -> str:
+    """A jaw that slides to and from one that does not move, on either side; closed at zero."""
+    return with_fingers(
+        link("fixed_jaw", box(0.06, 0.01, 0.02), "0.03 0 0"),
+        joint("jaw_mount", "fixed", "palm", "fixed_jaw", f"0.06 {0.05 * side} 0"),
+        link("moving_jaw", box(0.06, 0.01, 0.02), "0.03 0 0"),
+        joint(
+            "jaw_joint", "prismatic", "palm", "moving_jaw", f"0.06 {0.04 * side} 0",
+            f"0 {-side} 0", STRONG.format(0, 0.08, effort),
+        ),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_a_jaw_that_closes_on_a_fixed_one_is_a_gripper(tmp_path: Path, side: int) -> None:
+    robot = derived(tmp_path, one_jaw(side))
+    assert robot.opening == pytest.approx(0.08, abs=2e-3)
+    assert robot.grip_force == pytest.approx(50.0)
+    assert robot.model.rest["jaw_joint"] == pytest.approx(0.08), "it rests open"
+    assert not empty_handed(robot)
+    hand = hand_of(robot)
+    assert hand.closes
+    assert hand.fixed == side * np.sign(robot.closing_axis[1])
+    assert hand.inner(1)[0] - hand.inner(-1)[0] == pytest.approx(robot.opening, abs=2e-3)
+    assert hand.rest == pytest.approx(0.0, abs=2e-3)
+    assert hand.closed_to(np.array([0.03]))[0] == pytest.approx(0.05, abs=4e-3)
+
+
+def test_a_jaw_closes_on_what_is_drawn_in_one_with_the_last_link_of_the_arm(
+    tmp_path: Path,
+) -> None:
+    text = one_jaw(1)
+    for name in ("palm", "fixed_jaw"):
+        text = re.sub(f'<link name="{name}">.*?</link>', "", text)
+    for name in ("mount", "jaw_mount"):
+        text = re.sub(f'<joint name="{name}".*?</joint>', "", text)
+    text = text.replace('<parent link="palm"/>', '<parent link="arm_5"/>')
+    jaw = link("arm_5", box(0.06, 0.01, 0.02), "0.09 0.05 0").removesuffix("</link>")
+    text = text.replace('<link name="arm_5">', jaw)
+    robot = derived(tmp_path, text)
+    assert "arm_5" in robot.gripper_links
+    assert robot.model.rest["jaw_joint"] == pytest.approx(0.08), "it rests open"
+    hand = hand_of(robot)
+    assert hand.closes
+    assert hand.fixed != 0
+    assert hand.inner(1)[0] - hand.inner(-1)[0] == pytest.approx(robot.opening, abs=2e-3)
+
+
+def test_a_hand_closes_until_both_sides_meet_what_they_hold(tmp_path: Path) -> None:
+    way = np.array([[0.03, 0.01], [0.002, 0.001], [0.0, 0.05]])
+    for side in (1, -1, 0):
+        text = one_jaw(side) if side else sliding("0")
+        folder = tmp_path / f"{side}"
+        folder.mkdir()
+        hand = hand_of(derived(folder, text))
+        shift, travel = hand.meeting(way, 0.004)
+        assert_allclose(travel[:, 0] + shift, way[:, 0], atol=1e-12)
+        assert_allclose(travel[:, 1] - shift, way[:, 1], atol=1e-12)
+        if side:
+            assert (travel[:, 0 if hand.fixed > 0 else 1] <= 0.004 + 1e-12).all()
+        else:
+            assert_allclose(travel[:, 0], travel[:, 1])
+
+
 @pytest.mark.parametrize("turn", ["0.5", "-0.4", "0.1"])
 def test_tips_that_lean_are_pads_that_face_what_they_hold(tmp_path: Path, turn: str) -> None:
     hand = hand_of(derived(tmp_path, sliding(turn)))

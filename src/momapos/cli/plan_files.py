@@ -66,12 +66,13 @@ def _robot(content: PlacementPlan, plan: Path, urdf: Path, given: str | None) ->
     """
     from momapos.cache import user_cache
     from momapos.errors import InputError, RobotError
-    from momapos.robots.names import library_names
+    from momapos.robots.names import find_named_robot, library_names
     from momapos.robots.robot import load_robot
 
     beside = urdf.with_suffix(".toml")
     if given is not None:
-        robot = load_robot(given, arm=content.robot_arm, cache=user_cache())
+        found = find_named_robot(given)
+        robot = load_robot(found, arm=content.robot_arm, cache=user_cache())
     elif content.robot_file is not None:
         try:
             robot = load_robot(content.robot_file, arm=content.robot_arm, cache=user_cache())

@@ -17,6 +17,8 @@ from momapos.robots.robot import Robot
 if TYPE_CHECKING:
     from jaxtyping import Float
 
+PAD_DEPTH = 0.03
+"""What reaches this near to the tip of a finger may face it [m]."""
 _STEP = 0.02
 """Share of a finger's way over which its speed at the pads is measured [-]."""
 
@@ -89,12 +91,25 @@ def find_hand(robot: Robot, mimics: Mapping[str, Mimic]) -> Hand:
         for name in (*named, *followers)
         for link, side in _sides(robot, model.moved_by(name)).items()
     }
+    pads |= _fixed_jaw(robot, pads)
     axes = robot.closing_axis, robot.approach_axis, robot.grip_force
     if {1.0, -1.0} <= set(pads.values()):
         tips = tuple(pivot for pivot in pivots(robot) if pivot.joint in named)
         followers |= {tip.name: Mimic(tip.joint, tip.ratio, tip.offset) for tip in tips}
         return Hand(tuple(found), followers, pads, *axes, tips)
     return Hand((), {}, dict.fromkeys(_tip(robot), 0.0), *axes)
+
+
+def _fixed_jaw(robot: Robot, pads: Mapping[str, float]) -> dict[str, float]:
+    """The link that one jaw closes on, where it alone moves, with the side that it is on."""
+    ahead = _ahead(robot, robot.gripper_links)
+    others = [link for link in ahead if link not in pads and link in robot.gripper_links]
+    if len(set(pads.values())) != 1 or not others:
+        return {}
+    farthest = max(others, key=lambda link: ahead[link])
+    if ahead[farthest] < max(ahead[link] for link in pads if link in ahead) - PAD_DEPTH:
+        return {}
+    return {farthest: -next(iter(pads.values()))}
 
 
 def _moves_arm(robot: Robot, joint: Joint) -> bool:

@@ -120,7 +120,11 @@ def arm_spheres(
         disabled: Pairs of links whose contact is never checked (SRDF).
         gripper_links: Links that may touch what is grasped.
     """
-    spheres = build_spheres(model, segments, disabled, gripper_links)
+    return decided(chain, build_spheres(model, segments, disabled, gripper_links))
+
+
+def decided(chain: Chain, spheres: Spheres) -> Spheres:
+    """Leave to hulls the pairs that spheres are wrong about too often in states of the arm."""
     q = np.random.default_rng(0).uniform(*one_turn(chain), (SAMPLES, chain.size))
     return left_to_hulls(spheres, contacts(chain, spheres, q))
 

@@ -42,18 +42,46 @@ class Hand:
     approach: Float[np.ndarray, "3"]
     closing: Float[np.ndarray, "3"]
     travel: float
-    """How far each finger can close [m]; 0 where nothing closes."""
+    """How far each of two fingers can close, half of the opening [m]; 0 where nothing closes."""
     pad_middle: float
     """Where the middle of the pads lies along the approach [m]."""
     tip: float
     """Where the fingers end along the approach [m]."""
     rest: float
     """How far a finger stands from wide open where the gripper is at rest [m]."""
+    fixed: int = 0
+    """The side of a jaw that does not move, which the other closes on; 0 where both close."""
 
     @property
     def closes(self) -> bool:
         """Whether two fingers with pads face each other."""
         return self.travel > 0.0
+
+    def meeting(
+        self, way: Float[np.ndarray, "g 2"], gap: float
+    ) -> tuple[Float[np.ndarray, " g"], Float[np.ndarray, "g 2"]]:
+        """How the hand closes on what its sides meet.
+
+        Two fingers close alike. A jaw that closes on a fixed one leaves that one beside what is
+        held, so that the open hand has room; then it draws the hand there.
+
+        Args:
+            way: How far each side is from what it meets [m].
+            gap: What a fixed jaw leaves [m].
+
+        Returns:
+            How far the hand moves along its closing axis before, and how far each side closes [m].
+        """
+        total = way.sum(1)
+        near = np.minimum(total, gap)
+        first = {0: total / 2, 1: near, -1: total - near}[self.fixed]
+        travel = np.stack([first, total - first], axis=1)
+        return (way[:, 0] - way[:, 1] - (travel[:, 0] - travel[:, 1])) / 2, travel
+
+    def closed_to(self, width: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
+        """How far from rest each finger that moves has closed to a width between the pads [m]."""
+        share = 0.5 if self.fixed == 0 else 1.0
+        return np.asarray(share * (2 * self.travel - width) - self.rest)
 
     def inner(self, side: int) -> tuple[float, Float[np.ndarray, "2 2"]]:
         """The inner face of the pad on a side.
@@ -156,7 +184,11 @@ def hand_of(robot: Robot) -> Hand:
         np.concatenate([boxes.rotation for boxes in cover]),
         np.concatenate([boxes.half for boxes in cover]),
     )
-    return _sorted_out(boxes, np.concatenate(finger), np.concatenate(turned), gap, robot)
+    moving = {joint.child for joint in model.joints.values() if joint.parent not in fingers}
+    return _sorted_out(
+        boxes, np.concatenate(finger), np.concatenate(turned), gap, robot,
+        one_jaw=len(moving & fingers) == 1,
+    )  # fmt: skip
 
 
 def _sorted_out(
@@ -165,6 +197,8 @@ def _sorted_out(
     turned: Bool[np.ndarray, " b"],
     gap: float | None,
     robot: Robot,
+    *,
+    one_jaw: bool,
 ) -> Hand:
     """Tell palm, fingers and pads apart, and open the fingers.
 
@@ -173,11 +207,18 @@ def _sorted_out(
         turned: Tips that were turned: on their side, nothing else is a pad.
         gap: How far apart the pads are at rest [m]; None where the boxes are at rest.
         robot: Names the axes and the opening.
+        one_jaw: Whether one finger alone moves: what faces it is a jaw that does not.
     """
     approach, closing = robot.approach_axis, robot.closing_axis
     reach = _reach(boxes, np.stack([approach, closing]))
     at, along = boxes.center @ closing, boxes.center @ approach
     side = np.where(finger, np.where(at >= 0, 1, -1), 0)
+    fixed = 0
+    if one_jaw:
+        opposite = ~finger & (along + reach[:, 0] > (along + reach[:, 0])[finger].max() - PAD_DEPTH)
+        if opposite.any():
+            fixed = 1 if at[opposite].mean() > at[finger].mean() else -1
+            side = np.where(finger, -fixed, np.where(opposite, fixed, 0))
     tips = [(along + reach[:, 0])[side == s].max(initial=-np.inf) for s in (1, -1)]
     flat = np.abs(np.einsum("bij,i->bj", boxes.rotation, closing)).max(1, initial=0.0) > FLAT
     pad = np.zeros(len(boxes), bool)
@@ -192,6 +233,8 @@ def _sorted_out(
     if not np.isfinite(faces).all():
         return Hand(boxes, side, pad, approach, closing, 0.0, 0.0, tip, 0.0)
     spread = np.where(side > 0, robot.opening / 2 - faces[0], faces[1] - robot.opening / 2)
+    if fixed:
+        spread = np.where(side == fixed, 0.0, fixed * (sum(faces) - robot.opening))
     center = boxes.center + np.where(side != 0, spread, 0.0)[:, None] * closing
     # What stands farther in than the pads, behind them, ends the room for what they hold.
     front = np.where(side > 0, faces[0], np.where(side < 0, faces[1], -np.inf))
@@ -201,5 +244,6 @@ def _sorted_out(
     return Hand(
         Boxes(center, boxes.rotation, boxes.half), side, pad, approach, closing,
         robot.opening / 2, (min(low, tip) + tip) / 2, tip,
-        (robot.opening - (sum(faces) if gap is None else gap)) / 2,
+        (robot.opening - (sum(faces) if gap is None else gap)) * (0.5 if fixed == 0 else 1.0),
+        fixed,
     )  # fmt: skip

@@ -34,6 +34,7 @@ from momapos.kinematics.spheres import Spheres
 from momapos.kinematics.world import CELL, CollisionWorld, any_filled
 from momapos.manipulation.hand import hand_of
 from momapos.manipulation.motion import TaskMotion
+from momapos.robots.fingertips import finger_links
 from momapos.robots.robot import Robot
 
 if TYPE_CHECKING:
@@ -224,7 +225,8 @@ def _hand_arrays(robot: Robot) -> HandArrays:
     groups = np.flatnonzero(spheres.segment == _last_segment(robot))
     boxes = [_boxes_of(robot, int(g)) for g in groups]
     aside = np.array([(b.center @ robot.closing_axis).sum() for b in boxes])
-    segment = np.where(spheres.gripper[groups] == FINGER, np.where(aside >= 0, *_SIDES), _PALM)
+    moves = np.isin(np.array(spheres.links)[groups], [*finger_links(robot)])
+    segment = np.where(moves, np.where((-hand_of(robot).fixed or aside) >= 0, *_SIDES), _PALM)
     rows = [np.arange(spheres.start[g], spheres.start[g + 1]) for g in groups]
     index = np.concatenate([np.zeros(0, np.int64), *rows])
     arrays = spheres.arrays()._replace(
@@ -384,7 +386,7 @@ def hits_on_the_way(
     value, holding = motion.value[steps], motion.holding[steps]
     exact = ~np.isin(steps, motion.free_ends)
     codes = hand_hits(robot, world, Ts_world_tool, value, holding, exact)
-    travel = (robot.opening - width) / 2 - hand_of(robot).rest
+    travel = hand_of(robot).closed_to(width)
     # A grasp of unknown width is one that holds nothing.
     rows = np.flatnonzero((codes == FREE) & motion.closed[steps] & (np.abs(travel) > SLIGHT))
     codes[rows] = hand_hits(

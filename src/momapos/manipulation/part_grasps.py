@@ -220,9 +220,9 @@ def _closed(
     closing = close(hand, elements, held, R, p, config.hand_clearance)
     met = np.isfinite(closing.travel).all(1)
     way = np.where(met[:, None], closing.travel, 0.0)
-    p = p - (way[:, 0] - way[:, 1])[:, None] / 2 * (R @ hand.closing)
-    travel = np.repeat(way.mean(1)[:, None], 2, axis=1)
-    met &= (travel[:, 0] > 0) & (travel[:, 0] < hand.travel)
+    shift, travel = hand.meeting(way, config.hand_clearance)
+    p = p - shift[:, None] * (R @ hand.closing)
+    met &= (travel > 0).any(1) & (travel.sum(1) < 2 * hand.travel)
     firm = (closing.cosine >= np.cos(np.arctan(config.friction))).all(1)
     rows = np.flatnonzero(met & firm)
     if not len(rows):
@@ -241,7 +241,7 @@ def _closed(
     lean = np.abs(np.einsum("gi,gi->g", R[rows] @ hand.closing, pull))
     capacity = pinch_capacity(robot.grip_force, config.friction, lean)
     code = np.where(lean > HOOKED, FAMILIES.index(Family.HOOK), FAMILIES.index(Family.PINCH))
-    width = robot.opening - 2 * travel[rows, 0]
+    width = robot.opening - travel[rows].sum(1)
     return PartGrasps(
         poses_of(R[rows], p[rows]), code, width, capacity, point, plain[rows], line[rows], ""
     )

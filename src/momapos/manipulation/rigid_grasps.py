@@ -170,9 +170,9 @@ def _pinched(
     closing = close(hand, elements, held, R, p, config.hand_clearance)
     met = np.isfinite(closing.travel).all(1)
     way = np.where(met[:, None], closing.travel, 0.0)
-    p = p - (way[:, 0] - way[:, 1])[:, None] / 2 * (R @ hand.closing)
-    travel = np.repeat(way.mean(1)[:, None], 2, axis=1)
-    met &= (travel[:, 0] > 0) & (travel[:, 0] < hand.travel)
+    shift, travel = hand.meeting(way, config.hand_clearance)
+    p = p - shift[:, None] * (R @ hand.closing)
+    met &= (travel > 0).any(1) & (travel.sum(1) < 2 * hand.travel)
     met &= (closing.cosine >= np.cos(np.arctan(config.friction))).all(1)
     if not met.any():
         return _none(lines, need, wide or f"the fingers of {robot.name} cannot close on it")
@@ -187,7 +187,7 @@ def _pinched(
     if not firm.any():
         return _none(lines, need, f"the pads of {robot.name} touch too little of it")
     firm &= contact.area >= CONTACT * contact.area[firm].max()
-    width = robot.opening - 2 * travel[:, 0]
+    width = robot.opening - travel.sum(1)
     capacity = lifting_capacity(
         robot.grip_force, config.friction, contact, R @ hand.closing, width, center,
         EVERY_WAY if carried else DOWN,

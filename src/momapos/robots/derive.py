@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -20,7 +20,7 @@ from momapos.cache import Cache
 from momapos.errors import RobotError
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.chain import Chain, build_chain
-from momapos.kinematics.self_collision import contacts, left_to_hulls
+from momapos.kinematics.self_collision import decided
 from momapos.kinematics.spheres import Spheres, build_spheres
 from momapos.kinematics.urdf import Urdf
 from momapos.robots.amend import BOX, Amendments, Frame, Mount
@@ -269,7 +269,9 @@ def _settled(
     pairs |= rigid_pairs(model, chain, spheres, srdf)
     spheres = without(spheres, pairs)
     mine: list[str] = []
-    home = _home(chain, left_to_hulls(spheres, contacts(chain, spheres, q)), q, mine)
+    others = {joint for key, other in arms.items() if key != name for joint in other.text.joints}
+    shared = [index for index, joint in enumerate(text.joints) if joint in others]
+    home = _home(chain, decided(chain, spheres), q, shared, mine)
     notes += [_of_arm(note, name) for note in mine]
     held = dict(model.held)
     if len(arms) > 1:
@@ -290,9 +292,13 @@ def _named_states(chain: Chain, srdf: Srdf) -> list[Float[np.ndarray, "1 n"]]:
 
 
 def _home(
-    chain: Chain, spheres: Spheres, q: Float[np.ndarray, "m n"], notes: list[str]
+    chain: Chain,
+    spheres: Spheres,
+    q: Float[np.ndarray, "m n"],
+    shared: Sequence[int],
+    notes: list[str],
 ) -> Float[np.ndarray, " n"]:
-    found = resting_state(chain, spheres, q)
+    found = resting_state(chain, spheres, q, shared)
     if found is None:
         notes.append("IMPORTANT: home: no state free of self-collision was found; give one")
         return q[0]

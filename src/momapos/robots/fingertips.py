@@ -53,10 +53,17 @@ class Pivot:
 
 
 def finger_links(robot: Robot) -> set[str]:
-    """The links of a gripper's fingers."""
-    spheres = robot.spheres
+    """The links of a gripper's fingers: those with a shape that joints beyond the arm's move."""
+    spheres, model = robot.spheres, robot.model
+    arm = {model.joint(name).child for name in robot.moved_joints}
+    moved = {
+        link
+        for joint in model.joints.values()
+        if joint.child in robot.gripper_links and joint.child not in arm
+        for link in model.links_below(joint.child)
+    }
     roles = zip(spheres.links, spheres.gripper, strict=True)
-    return {link for link, role in roles if role == FINGER}
+    return {link for link, role in roles if role == FINGER and link in moved}
 
 
 def facing_pose(robot: Robot, fingers: set[str]) -> tuple[dict[str, float], float | None]:

@@ -13,7 +13,7 @@ import numpy as np
 from momapos.geometry.transforms import apply, invert, orthonormal
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.urdf import Joint
-from momapos.robots.fingers import THUMB, jaws, widest
+from momapos.robots.fingers import NEAR_TIP, THUMB, jaws, widest
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -76,7 +76,8 @@ def find_tool(model: Articulated, last: str, notes: list[str]) -> tuple[str, lis
     fingers = [j.child for name in hand for j in joints_below(model, name) if j.movable]
     moving = [name for finger in fingers for name in model.links_below(finger)]
     palms = {joint.parent for joint in model.urdf.joints if joint.child in fingers}
-    held = [name for name in hand if name in palms or (name != last and HAND.search(name))]
+    own = [name for name in hand if HAND.search(name) or FINGER.search(name)]
+    held = [name for name in hand if name in palms or (name != last and name in own)]
     gripper = [*(held or hand[1:]), *moving]
     gripper = [name for name in gripper if model.urdf.links[name].collisions] or [last]
     notes.append(f"gripper_links, which may touch what is held: {', '.join(gripper)}")
@@ -105,7 +106,13 @@ def find_grip(
     hands = [points_of(model, tool, model.links_below(name)) for name in fingers]
     shaped = [i for i, points in enumerate(hands) if len(points)]
     if len(shaped) == 1:
-        return _one_jaw(model, last, tool, fingers[shaped[0]], notes)
+        jaw = _fixed_jaw(model, last, tool, fingers[shaped[0]])
+        if jaw is None:
+            return _one_jaw(model, last, tool, fingers[shaped[0]], notes)
+        notes.append(f"one jaw moves, {fingers[shaped[0]]}, and closes on {jaw}, which does not")
+        fingers = [fingers[shaped[0]], jaw]
+        hands = [points_of(model, tool, model.links_below(name)) for name in fingers]
+        shaped = [0, 1]
     if not shaped:
         approach = _snap(-back[:3, 3] if np.linalg.norm(back[:3, 3]) > 0.01 else back[:3, 0])
         closing = orthonormal(approach)
@@ -160,6 +167,23 @@ def _opposed(
     return max(combinations(centers, 2), key=lambda p: float(np.linalg.norm(p[0] - p[1])))
 
 
+def _fixed_jaw(model: Articulated, last: str, tool: str, finger: str) -> str | None:
+    """The link fixed to the hand that a lone finger closes on: it reaches as far as that one."""
+    back = (invert(model.rest_poses[tool]) @ model.rest_poses[last])[:3, 3]
+    moving = points_of(model, tool, model.links_below(finger))
+    along = moving.mean(0) - back
+    along /= np.linalg.norm(along)
+    reach = float((moving @ along).max()) - NEAR_TIP
+    carries = {joint.parent for joint in model.urdf.joints}
+    found = {
+        name: float((points_of(model, tool, [name]) @ along).max())
+        for name in fixed_to(model, last)
+        if name != last and name not in carries and model.hulls[name]
+    }
+    best = max(found, key=lambda name: found[name], default=None)
+    return best if best is not None and found[best] > reach else None
+
+
 def _one_jaw(model: Articulated, last: str, tool: str, finger: str, notes: list[str]) -> Closing:
     """A gripper of which one jaw moves, against the hand."""
     T_tool_root = invert(model.rest_poses[tool])
@@ -186,7 +210,13 @@ def _one_jaw(model: Articulated, last: str, tool: str, finger: str, notes: list[
     )
     ahead_of_tool = float(tip @ approach)
     grasp = _grasp(tool, tip - (tip @ closing) * closing, ahead_of_tool, approach, notes)
-    return Closing(approach, closing, opening, grasp)
+    rest = {}
+    if joint.kind == "prismatic" and np.isfinite(span):  # where it is away from what it closes on
+        others = points_of(model, tool, fixed_to(model, last))
+        near = others[others @ approach > tip @ approach - NEAR_TIP]
+        facing = near.mean(0) if len(near) else back
+        rest[joint.name] = joint.upper if (tip - facing) @ way > 0 else joint.lower
+    return Closing(approach, closing, opening, grasp, rest)
 
 
 def find_grips(model: Articulated, last: str, fingers: Sequence[str], notes: list[str]) -> str:

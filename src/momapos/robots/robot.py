@@ -119,6 +119,11 @@ class Robot:
         """What `load_robot` finds it by: its name in the library, or the path of its file."""
         return self.name if self.path == library_file(self.name) else str(self.path)
 
+    @property
+    def title(self) -> str:
+        """Its name, and which arm this is where it has several."""
+        return f"{self.name}, arm {self.arm}" if self.arm else self.name
+
     def __repr__(self) -> str:
         arm = f" ({self.arm})" if self.arm else ""
         joints = f"{len(self.arm_joints)} arm joints"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,6 +24,8 @@ from momapos.kinematics.self_collision import contacts, decided_by_hulls
 from momapos.kinematics.spheres import Spheres
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from jaxtyping import Bool, Float, Int
 
 SAMPLES = 2000
@@ -40,6 +43,10 @@ LIMIT, NEAR_LIMIT = 0.1, 0.15
 """Reach that distance from all joint limits is worth [m], and how much distance [rad]."""
 TIGHT, ROOM = 0.1, 0.02
 """Reach that room around the arm is worth, and how much room [m]."""
+BLOCKED = 1.0
+"""Reach that it is worth, at rest, to block no value of the joints that arms share [m]."""
+SHARED = 15
+"""Values of a joint that arms share; fewer of each where they share several [-]."""
 _BEST = 100
 """States whose room is looked at [-]."""
 
@@ -147,12 +154,18 @@ def self_collision_shares(
 
 
 def resting_state(
-    chain: Chain, spheres: Spheres, q: Float[np.ndarray, "m n"]
+    chain: Chain, spheres: Spheres, q: Float[np.ndarray, "m n"], shared: Sequence[int] = ()
 ) -> tuple[Float[np.ndarray, " n"], float] | None:
     """The free state that keeps the arm nearest to the base's middle, for driving.
 
     What counts is the arm itself: neither the torso that carries it nor what else hangs there.
-    Away from its limits, unwound, and with room to the robot are worth some reach.
+    Away from its limits, unwound, and with room to the robot are worth some reach; most is worth
+    that another arm may move what both hang from while this one rests.
+
+    Args:
+        chain, spheres: The arm, and what it may touch.
+        q: States to choose from.
+        shared: Indices of the joints that other arms move as well, such as a torso's.
 
     Returns:
         The state, and how far the arm reaches from the base's origin [m]; None where all states
@@ -171,12 +184,27 @@ def resting_state(
         reach[row] = (np.hypot(middle[:, 0], middle[:, 1]) + spheres.bound_radius[own]).max()
     wound = np.where(chain.prismatic, 0.0, abs(q[free])).max(1)
     cost = reach + UNWOUND * wound + LIMIT * _at_limits(chain, q[free])
+    if len(shared):
+        cost += BLOCKED * _blocked(chain, spheres, q[free], shared)
     thick = replace(spheres, radius=spheres.radius + ROOM, bound_radius=spheres.bound_radius + ROOM)
     # Only the best are worth the look: a state with room beats a tighter one that is no better.
     best = np.argsort(cost, kind="stable")[:_BEST]
     cost[best] += TIGHT * touches(chain, thick, q[free[best]], floor=True)
     chosen = best[int(np.argmin(cost[best]))]
     return q[free[chosen]], float(reach[chosen])
+
+
+def _blocked(
+    chain: Chain, spheres: Spheres, q: Float[np.ndarray, "m n"], shared: Sequence[int]
+) -> Float[np.ndarray, " m"]:
+    """At which share of the values of some joints each state touches the robot or the floor."""
+    lower, upper = one_turn(chain)
+    count = max(2, round(SHARED ** (1 / len(shared))))
+    values = np.array(list(product(*(np.linspace(lower[i], upper[i], count) for i in shared))))
+    moved = np.repeat(q[:, None], len(values), axis=1)
+    moved[:, :, list(shared)] = values
+    touching = touches(chain, spheres, moved.reshape(-1, q.shape[1]), floor=True)
+    return np.asarray(touching.reshape(len(q), -1).mean(1))
 
 
 def _of_the_arm(chain: Chain, spheres: Spheres) -> Int[np.ndarray, " k"]:

@@ -92,6 +92,8 @@ def find_arms(
         raise RobotError(_walks(model, legs, arms))
     if not arms:
         raise RobotError(_no_arm(model, paths, wheels))
+    if not wheels and _only_a_hand(model, anchor):
+        raise RobotError(_hand_alone(model, "all that moves is fingers"))
     named = [path for path in arms if path.hand]
     longest = max(len(path.joints) for path in arms)
     chosen = named or [path for path in arms if len(path.joints) == longest]
@@ -133,6 +135,14 @@ def _is_hand(
     if any(joint.child in fingers or _is_finger(model, joint) for joint in below):
         return True
     return len(joints) >= LEAST and len(below) > 1 and _size(model, below) < HAND_SIZE
+
+
+def _only_a_hand(model: Articulated, anchor: str) -> bool:
+    """Whether what hangs from the base are the fingers of a hand, of as many joints as arms."""
+    if anchor != model.urdf.root:
+        return False
+    below = [j for name in fixed_to(model, anchor) for j in joints_below(model, name) if j.movable]
+    return len(below) > 2 and _size(model, below) < HAND_SIZE
 
 
 def _is_finger(model: Articulated, joint: Joint) -> bool:
@@ -229,12 +239,13 @@ def _no_arm(model: Articulated, paths: Sequence[_Path], wheels: bool) -> str:
             "on it with the table [mount] of a robot file (see docs/robots.md)"
         )
     if hands and most < LEAST:
-        return (
-            f"{path}: a hand alone: it has fingers, but no arm with {LEAST} joints or more; "
-            "give the URDF of the arm that carries it"
-        )
+        return _hand_alone(model, f"it has fingers, but no arm with {LEAST} joints or more")
     return (
         f"{path}: no chain of movable joints that could be an arm: the longest has {most}, an arm "
         f"needs {LEAST}; give the URDF of the whole robot, or write the robot file by hand (see "
         "docs/robots.md)"
     )
+
+
+def _hand_alone(model: Articulated, why: str) -> str:
+    return f"{model.urdf.path}: a hand alone: {why}; give the URDF of the arm that carries it"
