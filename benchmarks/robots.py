@@ -33,6 +33,7 @@ import numpy as np
 from placement import machine
 
 HALVES = ("tuned", "measured")
+SEEN = ("allegro_hand",)
 COMMAND = "from momapos.cli.main import entry; entry()"
 OPENINGS = Path(__file__).with_name("robot_openings.py")
 LIMIT, LIMIT_OPENINGS = 180, 900
@@ -56,8 +57,12 @@ class Model:
 
     @property
     def half(self) -> str:
-        """Whether it may be looked at."""
-        return HALVES[hashlib.sha256(self.name.encode()).digest()[0] % 2]
+        """Whether it may be looked at; one was by mistake, and counts so since."""
+        return (
+            HALVES[0]
+            if self.name in SEEN
+            else HALVES[hashlib.sha256(self.name.encode()).digest()[0] % 2]
+        )
 
 
 @dataclass(frozen=True)
