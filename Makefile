@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 CODE := src tests benchmarks examples training integrations docs_hooks.py
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: demo test check bench docs torch test-shapes test-torch test-slow test-wheel test-ros test-film test-page clean
+.PHONY: demo test check bench docs torch test-shapes test-torch test-slow test-wheel test-ros test-usd test-film test-page clean
 
 $(VENV)/.core: pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit("Python 3.11 or later is needed; set PYTHON=...") if sys.version_info < (3, 11) else None'
@@ -14,11 +14,19 @@ $(VENV)/.core: pyproject.toml
 	touch $@
 
 $(VENV)/.dev: $(VENV)/.core
-	$(INSTALL) --editable '.[dev,film,kitchens,physics,scan,usd,view,xacro]'
+	$(INSTALL) --editable '.[dev,kitchens,physics,scan,view,xacro]'
 	touch $@
 
 $(VENV)/.torch: $(VENV)/.dev
 	$(INSTALL) torch==2.13.0 'onnx>=1.16'
+	touch $@
+
+$(VENV)/.film: $(VENV)/.dev
+	$(INSTALL) --editable '.[film]'
+	touch $@
+
+$(VENV)/.usd: $(VENV)/.dev
+	$(INSTALL) --editable '.[usd]'
 	touch $@
 
 $(VENV)/.docs: $(VENV)/.core
@@ -64,6 +72,9 @@ test-torch: $(VENV)/.torch
 test-slow: $(VENV)/.dev
 	MOMAPOS_SLOW=1 $(BIN)/pytest --dist load tests/scene/test_kitchens.py tests/docs
 
+test-usd: $(VENV)/.usd
+	$(BIN)/pytest $(shell grep -lE '"pxr"' $(shell find tests -name 'test_*.py' ! -name test_optional.py))
+
 test-wheel: $(VENV)/.dev
 	MOMAPOS_WHEEL=1 $(BIN)/pytest tests/packaging/test_wheel.py
 
@@ -71,8 +82,8 @@ test-ros: $(ROS)/.ready
 	AMENT_PREFIX_PATH=$(abspath $(ROS)) PYTHONPATH=$(ROS)/interfaces:integrations/ros2/momapos_ros:src:$(shell $(BIN)/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))') \
 		$(ROS)/bin/python -m pytest -n 0 tests/ros2
 
-test-film: $(VENV)/.dev
-	$(BIN)/pytest tests/execution/test_film.py
+test-film: $(VENV)/.film
+	$(BIN)/pytest tests/execution/test_film.py tests/execution/test_film_files.py
 
 test-page: $(VENV)/.dev
 	$(BIN)/pytest tests/page

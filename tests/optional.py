@@ -24,10 +24,10 @@ SHARED = "MOMAPOS_SHARED=FOLDER make test"
 GET = {
     "torch": "make test-torch",
     "distributed": ".venv/bin/pip install 'distributed>=2024.8'",
-    "av": ".venv/bin/pip install 'av>=14'",
+    "av": "make test-film",
     "pyarrow": ".venv/bin/pip install 'pyarrow>=15'",
     "eaik": ".venv/bin/pip install eaik",
-    "pxr": ".venv/bin/pip install 'usd-core>=25.5'",
+    "pxr": "make test-usd",
     "xacrodoc": ".venv/bin/pip install xacrodoc",
     "EGL": "apt-get install libegl1 libgl1-mesa-dri",
     "Chromium": "make test-page, after apt-get install chromium",
