@@ -273,6 +273,16 @@ def test_what_cannot_be_exported_is_told_in_one_line(
     assert not list(tmp_path.glob(".momapos-*"))
 
 
+def test_a_result_without_a_name_lies_beside_its_plan_and_is_not_it(
+    plan_file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(plan_file.parent)
+    before = plan_file.read_bytes()
+    assert main(["export", plan_file.name, "--to", "ros2"]) == 0
+    assert (plan_file.parent / f"{plan_file.stem}_ros2.json").is_file()
+    assert plan_file.read_bytes() == before
+
+
 def test_a_plan_that_begins_at_the_grasp_is_exported(plan: PlacementPlan, robot: Robot) -> None:
     motion = plan.motion
     assert motion is not None

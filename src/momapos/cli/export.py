@@ -12,7 +12,7 @@ from momapos.cli.plan_files import check_plan_file, open_plan
 from momapos.errors import InputError
 from momapos.files import check_outputs
 
-SUFFIXES = {"csv": ".csv", "npz": ".npz", "ros2": ".json", "mcap": "", "moveit": ".scene"}
+SUFFIXES = {"csv": ".csv", "npz": ".npz", "ros2": "_ros2.json", "mcap": "", "moveit": ".scene"}
 """How the result of each format is called after its plan."""
 FRAME = "map"
 
