@@ -138,7 +138,7 @@ def test_a_door_hinged_at_the_other_side_than_believed_is_opened_and_remembered(
     assert record.success, record.reason
     assert record.kinds[0] == "door_right"
     assert record.kinds[-1] == "door_left"
-    assert record.failed[0].ending == Ending.OTHERWISE
+    assert record.failed[0].ending in (Ending.OTHERWISE, Ending.SLIPPED)
     assert record.execution is not None
     learned = save_learned(record, guessed, tmp_path / "learned" / "scene.json")
     assert learned is not None

@@ -52,7 +52,7 @@ def test_where_no_base_pose_has_the_room_the_answer_is_no_and_says_so(
     monkeypatch.setattr("momapos.robust.works_around", lambda *_: False)
     scene, robot = load_scene("kitchen_small"), load_robot("segway_ur5e")
     task = make_task(scene, "open", "cabinet_right", "drawer_middle_slide")
-    asked = PlaceConfig(robust=0.05, robust_turn=3.0, rounds=1, grid=False)
+    asked = PlaceConfig(robust_radius=0.05, robust_turn=3.0, rounds=1, grid=False)
     config = replace(PipelineConfig(), place=asked)
     result = plan_base_placement(scene, robot, task, config=config)
     assert result.plan.status == "infeasible"

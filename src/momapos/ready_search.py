@@ -125,7 +125,7 @@ def ready_search(query: PlacementQuery, modeled: Scene, motion: TaskMotion) -> R
 
     feasible = prepared.feasibility(config, query.seed, out_of_time=out_of_time, watch=watch)
     drives = Drives(query, start)
-    asked = config.place.robust > 0.0 or config.place.robust_turn > 0.0
+    asked = config.place.robust_radius > 0.0 or config.place.robust_turn > 0.0
     robust = RobustChecks(query) if asked else None
     problem = Problem(
         geometry=prepared.geometry,

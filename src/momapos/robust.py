@@ -31,7 +31,7 @@ class RobustChecks:
     def tolerance(self) -> Tolerance:
         """What is asked for."""
         place = self.query.config.place
-        return Tolerance(place.robust, float(np.radians(place.robust_turn)), SAMPLES)
+        return Tolerance(place.robust_radius, float(np.radians(place.robust_turn)), SAMPLES)
 
     @cached_property
     def _checks(self) -> BasePoseChecks:

@@ -14,6 +14,7 @@ from tests.rooms import Everywhere, cabinet_room
 from momapos.baselines.answer import PLACERS, plan_by_method
 from momapos.config import PaperConfig, PipelineConfig
 from momapos.errors import InputError
+from momapos.manipulation import planner
 from momapos.manipulation.planner import plan_motion
 from momapos.manipulation.tasks import make_task
 from momapos.pipeline import plan_base_placement
@@ -97,15 +98,13 @@ def test_poses_that_are_ruled_out_are_no_answer_of_a_baseline(
 def test_the_paper_models_what_its_walks_call_important_and_plans_with_rrt_star(
     robots: Callable[[str], Robot], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from momapos.manipulation import feasibility
-
     planners = []
 
     def note(*args: Any, **kwargs: Any) -> Any:
         planners.append(kwargs["config"].planner)
         return plan_motion(*args, **kwargs)
 
-    monkeypatch.setattr(feasibility, "plan_motion", note)
+    monkeypatch.setattr(planner, "plan_motion", note)
     extra = (
         ', {"name": "pile", "category": "pile", "pose": {"xyz": [3, 2, 0.2],'
         ' "wxyz": [1, 0, 0, 0]}, "box": [0.4, 0.4, 0.4]}'

@@ -107,6 +107,9 @@ def test_the_hand_is_slow_beside_things_also_between_two_holds(
     speed = np.linalg.norm(np.diff(points, axis=0), axis=1) / np.diff(times)
     beside = np.array([w[2] for w in ways[1:]])
     assert beside.sum() > 100
-    # It returns to the plan meanwhile, and what it then meets was not looked at.
-    assert speed[beside].max() < 1.5 * config.compliance.beside_speed
+    # It takes some time to brake when it comes beside something, and returns to the plan meanwhile,
+    # where what it then meets was not looked at.
+    came = np.maximum.accumulate(np.where(beside, -np.inf, times[1:]))
+    braked = beside & (times[1:] - came > 0.05)
+    assert speed[braked].max() < 1.5 * config.compliance.beside_speed
     assert speed.max() > 3.0 * config.compliance.beside_speed

@@ -214,7 +214,7 @@ def with_room(options: Options) -> PipelineConfig:
     room, turn = length.length("--robust: length"), angle.angle("--robust: angle")
     if not (0 <= room < math.inf and 0 <= turn < math.inf):
         raise TaskError(f"--robust must be two numbers from 0 up, not {options.robust}")
-    place = replace(options.config.place, robust=room, robust_turn=math.degrees(turn))
+    place = replace(options.config.place, robust_radius=room, robust_turn=math.degrees(turn))
     return replace(options.config, place=place)
 
 

@@ -40,7 +40,7 @@ class PlaceConfig:
     looks: int = 3
     """Base poses whose margin is looked at, until one has all of it; the one with most of it is
     taken (ours); 0: the first that works [-]."""
-    robust: float = 0.0
+    robust_radius: float = 0.0
     """Radius of a disc around the base pose from all of which the motion has to be found [m]."""
     robust_turn: float = 0.0
     """How far the base may be turned there, to either side [deg]."""
@@ -63,6 +63,6 @@ class PlaceConfig:
     def __post_init__(self) -> None:
         refuse_below(self, 1, "count", "grasps", "together")
         refuse_below(self, 0, "rounds", "improve", "miss", "clearance", "looks", "margin")
-        refuse_below(self, 0, "margin_turn", "sweep_room", "robust", "robust_turn")
+        refuse_below(self, 0, "margin_turn", "sweep_room", "robust_radius", "robust_turn")
         refuse_below(self, 0.005, "grid_cell")
         refuse_below(self, 0.5, "grid_turn")

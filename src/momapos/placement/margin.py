@@ -40,7 +40,7 @@ _GRASPS = 2
 def _beside(pose: Float[np.ndarray, "3"], config: PlaceConfig) -> Float[np.ndarray, "k 3"]:
     """The poses around one."""
     # The corners of the box are as far away as the disc's edge.
-    way = max(config.margin, config.robust / np.sqrt(2.0))
+    way = max(config.margin, config.robust_radius / np.sqrt(2.0))
     off = np.array([way, way, np.radians(max(config.margin_turn, config.robust_turn))])
     return compose(pose, _AROUND * off)
 

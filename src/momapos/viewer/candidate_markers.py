@@ -50,7 +50,7 @@ KINDS = (
         "other",
         (
             _S.FILTERED, _S.NOT_KEPT_IN, _S.NOT_KEPT_OUT, _S.NOT_FACING, _S.TOO_LONG_A_DRIVE,
-            _S.TASK_INFEASIBLE,
+            _S.TASK_INFEASIBLE, _S.LITTLE_ROOM,
         ),
         "#555555", "*", size=3.4,
     ),
