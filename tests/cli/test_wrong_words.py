@@ -13,7 +13,10 @@ DOOR = ("place", "open", "kitchen_small", "fridge/door_hinge")
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        ((*DOOR, "--robto", "fetch"), ["Unrecognized options: --robto", "mean --robot or --robust?"]),
+        (
+            (*DOOR, "--robto", "fetch"),
+            ["Unrecognized options: --robto", "mean --robot or --robust?"],
+        ),
         ((*DOOR, "again"), ["Unrecognized options: again"]),
         ((*DOOR, "--robot"), ["--robot", "Missing value"]),
         ((*DOOR, "--count", "three"), ["--count", "'three'"]),
