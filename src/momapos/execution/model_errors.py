@@ -30,6 +30,17 @@ def draw_deviation(
     return Deviation(config.handle * away, config.axis * across, turned)
 
 
+def mirrored(deviation: Deviation, axis: Float[np.ndarray, "3"]) -> Deviation:
+    """The same with the joint off the other way.
+
+    Args:
+        deviation: How the object differs.
+        axis: Of the joint as modeled, in its own frame.
+    """
+    across = deviation.axis - (deviation.axis @ axis) * axis
+    return replace(deviation, shift=-deviation.shift, axis=deviation.axis - 2.0 * across)
+
+
 def resisting(
     resistance: Resistance, config: ModelErrorConfig, rng: np.random.Generator
 ) -> Resistance:

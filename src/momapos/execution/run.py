@@ -21,7 +21,7 @@ from momapos.execution.furniture import (
 )
 from momapos.execution.hand import find_hand
 from momapos.execution.joint_estimate import Axis, Doubt, JointEstimate, Learned
-from momapos.execution.model_errors import draw_deviation, resisting
+from momapos.execution.model_errors import draw_deviation, mirrored, resisting
 from momapos.execution.record import Collision, Execution, JointFound, Pose
 from momapos.execution.retreat import WayHome, retreat
 from momapos.execution.simulation import Simulation, build_simulation
@@ -174,11 +174,16 @@ def attempt(
             config, begin=begin, reached=reached,
         )  # fmt: skip
 
+    seal = seal_of(item, joint, resistance.pull, config.furniture.seal_range)
+    if deviation is not None and joint is not None:
+        shut = build(there, deviation, None)
+        # What is shut has not been opened by its weight.
+        if seal.outward * shut.weight_on_part > resistance.friction:
+            deviation = mirrored(deviation, joint.axis)
     world = build(there, deviation, None if again is None else again.value)
     believed = scene if again is None else again.scene
     as_known = deviation is None and again is None and true_world is None
     known = world if as_known else build(TrueWorld(believed, task), None, None)
-    seal = seal_of(item, joint, resistance.pull, config.furniture.seal_range)
     belief = _belief(believed.object(task.object), task.joint)
     touched = None if again is None else again.collisions
     run = ExecutionRun(world, motion, task, config, seal, belief, known, watch, touched, doubt)

@@ -68,6 +68,12 @@ class Simulation:
     """Joints whose efforts do not bear the arm's weight, so that something else must."""
 
     @property
+    def weight_on_part(self) -> float:
+        """What its weight does to the joint of the part as it stands, positive to larger values
+        [Nm] or [N]."""
+        return -float(self.data.qfrc_bias[self.part_v])
+
+    @property
     def T_world_tool(self) -> Float[np.ndarray, "4 4"]:
         """Pose of the tool link."""
         return self._pose(self.tool_body)
