@@ -106,6 +106,11 @@ def test_models_that_are_included_stand_where_the_include_says(tmp_path: Path) -
     assert_allclose(cup.bounds, [[0, 1, 0.5], [0.03, 1.02, 0.51]], atol=1e-6)
 
 
+def test_a_joint_that_follows_another_is_counted(tmp_path: Path) -> None:
+    path = write(tmp_path, ROOM.replace("</axis>", "<mimic joint='hinge'/></axis>", 1))
+    assert read_room(path, tmp_path).told().dropped["mimicked joints"] == 1
+
+
 def test_what_is_not_kept_is_counted(tmp_path: Path) -> None:
     path = write(tmp_path)
     report = read_room(path, tmp_path).told()

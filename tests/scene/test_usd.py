@@ -161,6 +161,20 @@ def test_what_is_not_kept_is_counted(tmp_path: Path) -> None:
     assert report.dropped["planes"] == 1
 
 
+def test_drives_and_materials_are_counted(tmp_path: Path) -> None:
+    from pxr import Usd, UsdPhysics
+
+    path = write(tmp_path)
+    stage = Usd.Stage.Open(str(path))
+    hinge = next(prim for prim in stage.Traverse() if prim.GetName() == "hinge")
+    UsdPhysics.DriveAPI.Apply(hinge, "angular")
+    stage.DefinePrim("/steel", "Material")
+    stage.GetRootLayer().Save()
+    report = read_room(path, tmp_path).told()
+    assert report.dropped["drives"] == 1
+    assert report.dropped["materials"] == 1
+
+
 def test_the_command_converts_a_stage(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = write(tmp_path)
     assert kind_of_file(path) == "USD"

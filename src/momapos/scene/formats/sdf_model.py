@@ -80,6 +80,8 @@ class Model:
         self._collect_frames(element)
         links = {self._name(link): link for link in element.findall("link")}
         joints = {self._name(joint): joint for joint in element.findall("joint")}
+        followed = sum(len(joint.findall("axis/mimic")) for joint in joints.values())
+        self.report.dropped["mimicked joints"] += followed
         moving = self._moving(joints, links)
         origins = {
             name: self._pose(self._name(moving[name]) if name in moving else name) for name in links

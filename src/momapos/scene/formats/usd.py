@@ -123,6 +123,9 @@ class _Reader:
                 raise FileFormatError(f"{self.path}: more than {MAX_PRIMS} prims")
             if prim.IsA(self.physics.Joint):
                 found.joints.append(prim)
+                drives = [s for s in prim.GetAppliedSchemas() if s.startswith("PhysicsDriveAPI")]
+                self.report.dropped["drives"] += len(drives)
+            self.report.dropped["materials"] += prim.GetTypeName() == "Material"
             if prim.HasAPI(self.physics.RigidBodyAPI):
                 found.bodies.append(prim)
             if self._collides(prim):
