@@ -175,12 +175,14 @@ def attempt(
         )  # fmt: skip
 
     seal = seal_of(item, joint, resistance.pull, config.furniture.seal_range)
+    begin = None if again is None else again.value
+    world = build(there, deviation, begin)
     if deviation is not None and joint is not None:
-        shut = build(there, deviation, None)
+        first = world if begin is None else build(there, deviation, None)
         # What is shut has not been opened by its weight.
-        if seal.outward * shut.weight_on_part > resistance.friction:
+        if seal.outward * first.weight_on_part > resistance.friction:
             deviation = mirrored(deviation, joint.axis)
-    world = build(there, deviation, None if again is None else again.value)
+            world = build(there, deviation, begin)
     believed = scene if again is None else again.scene
     as_known = deviation is None and again is None and true_world is None
     known = world if as_known else build(TrueWorld(believed, task), None, None)

@@ -155,7 +155,7 @@ def _connect(
                 motion.value, motion.holding,
             )  # fmt: skip
             if (codes == FREE).all():
-                codes = _hand_codes(robot, world, motion, base, dense, grasps[chosen], hand)
+                codes = _hand_codes(robot, world, motion, base, dense, tools, grasps[chosen], hand)
             hit = np.flatnonzero(codes != FREE)
             if not len(hit):
                 return ArmPath(FOUND, count, count, FREE, dense)
@@ -173,6 +173,7 @@ def _hand_codes(
     motion: TaskMotion,
     base: Float[np.ndarray, "3"],
     states: Float[np.ndarray, "d n"],
+    tools: Float[np.ndarray, "d 4 4"],
     grasps: Int[np.ndarray, " w"],
     known: HandCodes,
 ) -> Int[np.ndarray, " d"]:
@@ -185,8 +186,7 @@ def _hand_codes(
     if still and grasp in known:
         return known[grasp]
     codes = hits_on_the_way(
-        robot_of(robot), world, motion,
-        hand_poses(robot, base, states, motion.tool_poses(grasps)),
+        robot_of(robot), world, motion, hand_poses(robot, base, states, tools),
         np.arange(len(states)), np.full(len(states), motion.grasps.width[grasp]),
     )  # fmt: skip
     if still:
