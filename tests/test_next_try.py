@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from tests.rooms import Everywhere
@@ -9,8 +11,9 @@ from tests.rooms import Everywhere
 from momapos.base_pose import check_base_pose
 from momapos.config import PipelineConfig
 from momapos.execution.config import ExecutionConfig
+from momapos.execution.joint_estimate import Axis, Learned
 from momapos.execution.simulation import Simulation
-from momapos.geometry.transforms import rotation_angle
+from momapos.geometry.transforms import apply, rotation_angle, rotation_of
 from momapos.manipulation.tasks import make_task
 from momapos.navigation.drive_record import DriveRecord
 from momapos.next_try import (
@@ -18,8 +21,11 @@ from momapos.next_try import (
     OTHER_POSITION,
     arm_way_home,
     believed_scene,
+    falls_shut,
     grasp_in_part,
     other_grasps,
+    taken_as_felt,
+    without_pushes,
 )
 from momapos.pipeline import plan_base_placement
 from momapos.prepare import NO_OTHER_GRASP
@@ -27,7 +33,7 @@ from momapos.robots.robot import Robot, load_robot
 from momapos.run_plan import run_plan
 from momapos.scene.files import load_scene
 from momapos.scene.scene import Scene
-from momapos.types import PlacementPlan
+from momapos.types import PlacementPlan, Task
 
 CONFIG = PipelineConfig()
 
@@ -89,6 +95,88 @@ def test_the_believed_room_has_the_part_where_the_hand_left_it(kitchen: Scene) -
     assert beyond.values()["door_hinge"] == beyond.model.joint("door_hinge").upper
     others = [o for o in believed.objects if o.name != "fridge"]
     assert others == [o for o in kitchen.objects if o.name != "fridge"]
+
+
+def door_points(room: Scene, task: Task, value: float) -> np.ndarray:
+    """Corners of a task's part in the world at a value of its joint."""
+    assert task.joint is not None
+    item = room.object(task.object)
+    poses = item.link_poses({task.joint: value})
+    links = item.model.moved_by(task.joint)
+    return np.concatenate([apply(poses[n], h.vertices) for n in links for h in item.model.hulls[n]])
+
+
+def hinge(room: Scene, task: Task) -> Axis:
+    """The joint of a task's part in the world."""
+    assert task.joint is not None
+    item = room.object(task.object)
+    joint = item.model.joint(task.joint)
+    T = item.link_poses()[joint.parent] @ joint.T_parent_joint
+    return Axis(joint.kind == "prismatic", T[:3, :3] @ joint.axis, T[:3, 3])
+
+
+@pytest.mark.parametrize(
+    ("thing", "joint"), [("fridge", "door_hinge"), ("cabinet_right", "drawer_top_slide")]
+)
+def test_a_part_is_taken_to_move_about_the_joint_that_the_hand_found(
+    kitchen: Scene, thing: str, joint: str
+) -> None:
+    task = make_task(kitchen, "open", thing, joint)
+    modeled = hinge(kitchen, task)
+    lean = rotation_of(np.array([0.03, 0.05, 0.0]))
+    found = replace(
+        modeled,
+        direction=lean @ modeled.direction,
+        point=modeled.point + np.array([0.01, 0.02, 0.0]),
+    )
+    assert task.to is not None
+    sign = np.sign(task.to)
+    room, same, value = taken_as_felt(kitchen, task, found, 0.5 * task.to)
+    assert same.to == pytest.approx(abs(task.to))
+    assert value == pytest.approx(0.5 * abs(task.to))
+    shut = door_points(kitchen, task, 0.0)
+    np.testing.assert_allclose(door_points(room, same, 0.0), shut, atol=1e-6)
+    expected = apply(found.moved(sign * value), shut)
+    np.testing.assert_allclose(door_points(room, same, value), expected, atol=1e-6)
+
+
+def test_a_grasp_is_the_same_whatever_its_part_is_taken_to_move_about(
+    kitchen: Scene, plan: PlacementPlan
+) -> None:
+    assert plan.motion is not None
+    axis = hinge(kitchen, plan.task)
+    other, _, _ = taken_as_felt(kitchen, plan.task, axis.shifted(np.array([0.1, 0.0, 0.2])), 0.1)
+    before = grasp_in_part(kitchen, plan.task, plan.motion)
+    np.testing.assert_allclose(grasp_in_part(other, plan.task, plan.motion), before, atol=1e-6)
+
+
+@pytest.mark.parametrize(("lean", "falls"), [(0.08, True), (0.0, False), (-0.08, False)])
+def test_a_door_falls_shut_where_its_hinge_leans_so_that_opening_lifts_it(
+    kitchen: Scene, lean: float, *, falls: bool
+) -> None:
+    task = make_task(kitchen, "open", "fridge", "door_hinge")
+    modeled = hinge(kitchen, task)
+    assert task.to is not None
+    shut = door_points(kitchen, task, 0.0).mean(0)
+    way = np.sign(task.to) * modeled.way_at(shut)
+    arm = shut - modeled.point
+    # About the door's own level line the hinge leans, so that its edge rises or sinks as it opens.
+    across = arm - (arm @ modeled.direction) * modeled.direction
+    turn = rotation_of(lean * across / np.linalg.norm(across))
+    tilted = replace(modeled, direction=turn @ modeled.direction)
+    if lean and (np.sign(task.to) * tilted.way_at(shut)[2] > 0.0) != (lean > 0.0):
+        turn = rotation_of(-lean * across / np.linalg.norm(across))
+        tilted = replace(modeled, direction=turn @ modeled.direction)
+    assert abs(way[2]) < 1e-6
+    learned = Learned(0.5 * task.to, tilted, np.zeros(3), (shut,))
+    assert falls_shut(kitchen, task, learned) is falls
+
+
+def test_without_pushes_no_motion_lets_go_and_takes_hold_again() -> None:
+    config = without_pushes(CONFIG)
+    assert "push" in CONFIG.motion.grasps.families
+    assert "push" not in config.motion.grasps.families
+    assert replace(config, motion=CONFIG.motion) == CONFIG
 
 
 def test_the_arm_finds_home_from_a_grasp_with_the_drawer_half_open(

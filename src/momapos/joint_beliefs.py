@@ -12,13 +12,13 @@ import numpy as np
 from momapos.errors import TaskError
 from momapos.execution.config import ComplianceConfig
 from momapos.execution.joint_estimate import Axis, JointEstimate
-from momapos.execution.record import JointFound, RunRecord
-from momapos.geometry.transforms import apply, invert
+from momapos.execution.record import RunRecord
+from momapos.geometry.transforms import apply
 from momapos.kinematics.opening import opening_of
 from momapos.placement_result import PlacementResult
-from momapos.scene.other_motion import moving_as, save_moving_as, scene_taking
-from momapos.scene.scene import Scene, SceneObject
-from momapos.types import Hypothesis, PartKind, Task
+from momapos.scene.other_motion import moving_as, save_moving_as, scene_taking, way_about
+from momapos.scene.scene import Scene
+from momapos.types import Hypothesis, Task
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -218,42 +218,9 @@ def save_learned(record: RunRecord, scene: Scene, out: Path) -> Scene | None:
     ways = [way for way in target.hypotheses.get(task.joint, ()) if way.kind == kind]
     item = moving_as(target, task.joint, ways[0]) if ways else target
     moved = abs(done.reached - done.start)
-    way = refined(item, task.joint, done.joint, moved)
+    found = np.array(done.joint.direction), np.array(done.joint.point)
+    way = way_about(item, task.joint, *found, moved)
     return save_moving_as(scene, task.object, task.joint, way, moved, out)
-
-
-def refined(item: SceneObject, joint: str, found: JointFound, moved: float) -> Hypothesis:
-    """The way in which a part moves, as the arm has found it, in its object's frame.
-
-    Args:
-        item: The object as it was believed to be.
-        joint: Its joint.
-        found: Where the arm found it.
-        moved: How far the part was opened [rad] or [m].
-    """
-    opening = opening_of(item.model, joint)
-    back = invert(item.T_world_object)
-    axis = opening.sign * back[:3, :3] @ np.array(found.direction)
-    point = apply(back, np.array(found.point)[None])[0]
-    upper = max(abs(opening.wide - opening.closed), moved)
-    return Hypothesis(_kind(item, joint, axis), 1.0, _triple(point), _triple(axis), upper)
-
-
-def _kind(item: SceneObject, joint: str, axis: Float[np.ndarray, "3"]) -> PartKind:
-    """What kind of part it is, by its joint; of flaps, by what the scene says."""
-    slides = item.model.joint(joint).kind == "prismatic"
-    ways = item.hypotheses.get(joint, ())
-    near = [way for way in ways if (way.kind == "drawer") == slides]
-    if near:
-        return max(near, key=lambda way: float(np.array(way.axis) @ axis)).kind
-    if slides:
-        return "drawer"
-    return "door_right" if axis[2] >= 0.0 else "door_left"
-
-
-def _triple(values: Float[np.ndarray, "3"]) -> tuple[float, float, float]:
-    x, y, z = values.tolist()
-    return x, y, z
 
 
 def _log(share: float) -> float:

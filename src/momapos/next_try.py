@@ -11,12 +11,15 @@ import numpy as np
 
 from momapos.config import PipelineConfig
 from momapos.errors import TaskError
+from momapos.execution.joint_estimate import Axis, Learned
 from momapos.geometry.transforms import invert, rotation_angle
+from momapos.kinematics.opening import opening_of
 from momapos.kinematics.world import CheckMotion, motion_checker
 from momapos.manipulation.motion import GraspFilter, TaskMotion, task_motion
 from momapos.manipulation.planner import RESOLUTION, interpolate, plan_with_room
 from momapos.prepare import collision_world
 from momapos.robots.robot import Robot
+from momapos.scene.other_motion import scene_moving_as, way_about
 from momapos.scene.scene import Scene
 from momapos.types import Motion, Task
 
@@ -25,6 +28,9 @@ if TYPE_CHECKING:
 
 OTHER_POSITION, OTHER_ANGLE = 0.02, np.radians(20.0)
 """A grasp is another one when it is this far from those that failed [m], [rad]."""
+LEANS = 0.03
+"""A part falls by its weight where its way rises more steeply than this [-]; friction holds it on
+a flatter one."""
 _NEAR, _SAMPLES = 0.15, 300
 """How far beside a state that is too near to something the way home begins [rad] or [m], and how
 many states are looked at [-]."""
@@ -44,15 +50,55 @@ def believed_scene(scene: Scene, task: Task, value: float, offset: Float[np.ndar
     return replace(moved, objects=tuple(shifted if o is item else o for o in moved.objects))
 
 
+def taken_as_felt(scene: Scene, task: Task, axis: Axis, value: float) -> tuple[Scene, Task, float]:
+    """The room, the task and a value with a part that moves as the hand found it.
+
+    Args:
+        scene, task: As believed; the part is shut at 0, and opens to more, in what is returned.
+        axis: Where the hand found the joint.
+        value: To which the hand has moved it [rad] or [m].
+
+    Raises:
+        SceneError: The part moves together with others.
+    """
+    assert task.joint is not None
+    assert task.to is not None
+    item = scene.object(task.object)
+    opening = opening_of(item.model, task.joint)
+    moved = opening.sign * (value - opening.closed)
+    way = way_about(item, task.joint, axis.direction, axis.point, moved)
+    first, to = (
+        float(np.clip(opening.sign * (at - opening.closed), 0.0, way.upper))
+        for at in (item.values()[task.joint], task.to)
+    )
+    other = scene_moving_as(scene, task.object, task.joint, way)
+    return other.with_joint(task.object, task.joint, first), replace(task, to=to), moved
+
+
+def falls_shut(scene: Scene, task: Task, learned: Learned) -> bool:
+    """Whether a part falls shut where it is let go: the hand has found that opening lifts it."""
+    if task.joint is None or not learned.way:
+        return False
+    rises = float(learned.axis.way_at(learned.way[-1])[2])
+    return opening_of(scene.object(task.object).model, task.joint).sign * rises > LEANS
+
+
+def without_pushes(config: PipelineConfig) -> PipelineConfig:
+    """The same with one hold for the whole way: the part does not stay where it is let go."""
+    grasps = config.motion.grasps
+    families = tuple(family for family in grasps.families if family != "push")
+    return replace(config, motion=replace(config.motion, grasps=replace(grasps, families=families)))
+
+
 def grasp_in_part(scene: Scene, task: Task, motion: Motion) -> Float[np.ndarray, "4 4"]:
-    """Where a motion takes hold of its part: the tool in the part's frame."""
+    """Where a motion takes hold of its part: the tool in the object's frame, the part shut."""
     return invert(_part_pose(scene, task)) @ motion.Ts_world_tool[0]
 
 
 def other_grasps(
     scene: Scene, task: Task, failed: Sequence[Float[np.ndarray, "4 4"]]
 ) -> GraspFilter:
-    """Accepts the grasps that differ from those that failed, given as the tool in the part."""
+    """Accepts the grasps that differ from those that failed, see `grasp_in_part`."""
     back = invert(_part_pose(scene, task))
 
     def accept(motion: TaskMotion) -> Bool[np.ndarray, " g"]:
@@ -68,9 +114,12 @@ def other_grasps(
 
 
 def _part_pose(scene: Scene, task: Task) -> Float[np.ndarray, "4 4"]:
-    item = scene.object(task.object)
-    assert task.joint is not None
-    return item.link_poses()[item.model.joint(task.joint).child]
+    """Pose of the object's frame, moved along with its part from where that is shut."""
+    item, name = scene.object(task.object), task.joint
+    assert name is not None
+    link, closed = item.model.joint(name).child, opening_of(item.model, name).closed
+    shut = item.model.link_poses({**item.values(), name: closed})[link]
+    return item.link_poses()[link] @ invert(shut)
 
 
 def arm_way_home(

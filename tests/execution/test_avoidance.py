@@ -9,15 +9,16 @@ import numpy as np
 import pytest
 from tests.execution.test_contact import hand_of
 from tests.execution.toy import Toy, gripping
-from tests.verification.door_case import BASE, make_case
+from tests.verification.door_case import BASE, HINGE, make_case
 
 from momapos.execution.approach import paced
 from momapos.execution.arm_control import CompliantArm, Reference
 from momapos.execution.avoidance import Surroundings
-from momapos.execution.config import ComplianceConfig, ExecutionConfig
+from momapos.execution.config import ComplianceConfig, Ending, ExecutionConfig
 from momapos.execution.dynamics import read_dynamics
 from momapos.execution.furniture import Resistance
 from momapos.execution.simulation import Simulation, build_simulation
+from momapos.geometry.transforms import invert, pose_planar
 from momapos.trajectory import time_motion
 
 CONFIG = ExecutionConfig()
@@ -128,3 +129,21 @@ def test_a_link_that_meets_something_stops_the_arm_before_it_presses_hard(tmp_pa
     assert "in the arm's way" in done.reason
     assert {done.collisions[0].one, done.collisions[0].other} == {"fore", "post/box"}
     assert done.collisions[0].force < config.touch_force
+
+
+def test_the_arm_stops_before_the_part_comes_upon_its_own_base(tmp_path: Path) -> None:
+    case, halfway = make_case(), 0.6
+    on_door = np.array(HINGE) + 0.5 * np.array([-np.sin(halfway), np.cos(halfway), -0.9])
+    x, y, z, _ = invert(pose_planar(np.array(BASE))) @ np.append(on_door, 1.0)
+    post = (
+        '<link name="post"><collision><geometry><box size="0.04 0.04 0.5"/></geometry></collision>'
+        '</link><joint name="stands" type="fixed"><parent link="base"/><child link="post"/>'
+        f'<origin xyz="{x} {y} {z}"/></joint></robot>'
+    )
+    case.robot = case.robot.replace("</robot>", post)
+    free, met = (gripping(tmp_path / name, c) for name, c in (("a", make_case()), ("b", case)))
+    assert free.run().ending == Ending.DONE
+    done = met.run()
+    assert done.ending == Ending.MEETS_ROBOT
+    assert 0.5 * halfway < done.reached < halfway
+    assert all("post" not in (touch.one, touch.other) for touch in done.collisions)

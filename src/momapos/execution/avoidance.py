@@ -41,9 +41,9 @@ class Surroundings:
     """Keeps the arm apart from what is near it, by a velocity damper.
 
     Two bodies whose distance is d may come nearer to each other at a speed of rate (d - gap) at
-    most (Faverjon and Tournassoud, ICRA 1987). The robot knows its own shape exactly, the room and
-    the part as they are modeled; the part stands where its joint is believed to be. What the hand
-    may touch it feels, and is left out.
+    most (Faverjon and Tournassoud, ICRA 1987), whichever of them moves. The robot knows its own
+    shape exactly, the room and the part as they are modeled; the part stands where its joint is
+    believed to be. What the hand may touch it feels, and is left out.
     """
 
     def __init__(self, known: Simulation, config: ComplianceConfig) -> None:
@@ -58,6 +58,9 @@ class Surroundings:
         self._jacobians = np.zeros((2, 3, known.model.nv))
         joint = known.model.body_jntadr[known.part_body]
         self._loose = known.model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE
+        self.part_gaps = np.inf, np.inf
+        """Distance of the part from the robot's base and from its arm at the last look; inf unless
+        near [m]."""
 
     def bounds(
         self,
@@ -65,6 +68,7 @@ class Surroundings:
         value: float,
         T_off: Float[np.ndarray, "4 4"] | None = None,
         *,
+        part_speed: float = 0.0,
         hand: bool = False,
     ) -> Bounds:
         """Bounds at a state of the arm.
@@ -75,6 +79,7 @@ class Surroundings:
                 out: it gives way, or is in the hand.
             T_off: Moves the part from where it is modeled to where the hand found it; None for
                 where it is modeled.
+            part_speed: Of the part's joint [rad/s] or [m/s].
             hand: Whether the hand, too, keeps apart from the room: where it is not near what it
                 will hold.
         """
@@ -88,15 +93,25 @@ class Surroundings:
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         mujoco.mj_collision(model, data)
+        self.part_gaps = self._gap(Kind.BASE, Kind.PART), self._gap(Kind.ARM, Kind.PART)
         near = np.flatnonzero(self._counts(hand) & (data.contact.dist < config.avoid))
         near = near[np.argsort(data.contact.dist[near], kind="stable")]
         _, first = np.unique(data.contact.geom[near], axis=0, return_index=True)
         chosen = near[np.sort(first)[:_MOST]]
-        rows = np.array([self._row(i) for i in chosen.tolist()]).reshape(-1, len(q))
+        changes = np.array([self._change(i) for i in chosen.tolist()]).reshape(-1, model.nv)
+        rows = changes[:, known.arm_v]
         speed = -config.avoid_rate * (data.contact.dist[chosen] - config.apart)
+        if not self._loose:
+            speed -= changes[:, known.part_v] * part_speed
         size = np.linalg.norm(rows, axis=1)
         able = size > _LEVER  # else no joint does much about it
         return Bounds(rows[able] / size[able, None], speed[able] / size[able])
+
+    def _gap(self, one: Kind, other: Kind) -> float:
+        """Distance between what is of two kinds [m]; infinite where none of it is near."""
+        kinds = np.sort(self.known.kinds[self._data.contact.geom], axis=1)
+        pairs = (kinds == sorted((one, other))).all(1)
+        return float(self._data.contact.dist[pairs].min(initial=np.inf))
 
     def _counts(self, hand: bool) -> Bool[np.ndarray, " c"]:
         """Which of the near pairs are of the arm with something that it must not touch."""
@@ -107,11 +122,10 @@ class Surroundings:
         arm = np.isin(kinds, (Kind.ARM, *HAND) if hand else Kind.ARM).any(1)
         return np.asarray(own | (things & arm))
 
-    def _row(self, i: int) -> Float[np.ndarray, " n"]:
-        """How the distance of a near pair changes with the arm's joints."""
+    def _change(self, i: int) -> Float[np.ndarray, " v"]:
+        """How the distance of a near pair changes with the joints."""
         model, data = self._model, self._data
         contact = data.contact
         for J, geom in zip(self._jacobians, contact.geom[i].tolist(), strict=True):
             mujoco.mj_jac(model, data, J, None, contact.pos[i], int(model.geom_bodyid[geom]))
-        away = contact.frame[i, :3] @ (self._jacobians[1] - self._jacobians[0])
-        return np.asarray(away[self.known.arm_v])
+        return np.asarray(contact.frame[i, :3] @ (self._jacobians[1] - self._jacobians[0]))

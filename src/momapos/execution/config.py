@@ -25,6 +25,8 @@ class Ending(StrEnum):
     TOO_HARD = "the hand felt more than it may"
     BLOCKED = "something is in the arm's way"
     BEHIND = "the arm did not come to the end of its way"
+    MEETS_ROBOT = "the part comes upon the robot"
+    NOTHING_MET = "the hand pushed, and met nothing"
     SLIPPED = "the hand lost its hold"
     SLIPPED_AT_END = "the hand lost its hold near the end of its way"
     BROKE = "the weld broke"
@@ -38,7 +40,8 @@ GOOD = (Ending.DONE, *AT_END)
 
 RECOVERABLE = (
     Ending.ASTRAY, Ending.OUT_OF_REACH, Ending.NOTHING_HELD, Ending.ONE_SIDED, Ending.TOO_HARD,
-    Ending.BLOCKED, Ending.BEHIND, Ending.SLIPPED, Ending.BROKE, Ending.OTHERWISE,
+    Ending.BLOCKED, Ending.BEHIND, Ending.MEETS_ROBOT, Ending.NOTHING_MET, Ending.SLIPPED,
+    Ending.BROKE, Ending.OTHERWISE,
 )  # fmt: skip
 """Endings after which the robot may try anew."""
 
@@ -192,6 +195,9 @@ class ComplianceConfig:
     """Things nearer to the arm than this slow its way toward them [m]."""
     apart: float = 0.003
     """It comes no nearer to them than this [m]."""
+    base_room: float = 0.015
+    """The arm stops where the part comes nearer to the robot's base than this, unless it is planned
+    to [m]."""
     avoid_rate: float = 20.0
     """Speed toward them for the distance that is left [1/s]."""
     way_force: float = 60.0
@@ -200,6 +206,8 @@ class ComplianceConfig:
     """Something is in the arm's way where a joint bears more than the hand explains [Nm] ..."""
     arm_force: float = 60.0
     """... or, where it slides [N]."""
+    noticed: float = 1.0
+    """A hand that nowhere felt more than this while it pushed has met nothing [N]."""
     axis_error: float = 0.03
     """How far a hinge may be from where it is modeled; the estimate's prior [m]."""
     tilt_error: float = float(np.radians(5.0))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,66 +24,125 @@ def follow_part(
     run: ExecutionRun, plan: Trajectory, stretch: Stretch, belief: Belief
 ) -> Ending | None:
     """Move the part as planned about the joint as the hand finds it; why that ends early."""
-    config, motion = run.config, stretch.motion
-    times = np.arange(len(plan)) * run.step
-    values = np.interp(times, plan.state_times, motion.object_q)
-    T_held, _ = run.arm.kinematics.at(run.world.data.qpos[run.world.arm_q])
-    T_first, _ = run.arm.kinematics.at(plan.q[0])
-    shift = T_held @ invert(T_first)  # the grasp, from where it was planned
-    run.estimate = estimate = JointEstimate(belief.axis, T_held[:3, 3], config.compliance)
-
-    planned = values - values[0]
-    more = _missing(belief, T_held, T_first) if run.again else 0.0
-    whole = planned[-1] if planned[-1] else 1.0
-
-    def off_at(k: int) -> Float[np.ndarray, "4 4"]:
-        """Moves what is planned of tool and part to where the estimated joint has it."""
-        moved = planned[k] + more * planned[k] / whole
-        return estimate.axis.moved(moved) @ shift @ belief.axis.moved(-planned[k])
-
-    def pose_at(k: int) -> Float[np.ndarray, "4 4"]:
-        """Where the tool is when the part moves about the estimated joint as planned."""
-        return off_at(k) @ run.arm.kinematics.at(plan.q[k])[0]
-
-    last = len(plan) - 1
-    length = float(np.linalg.norm(np.diff(motion.Ts_world_tool[:, :3, 3], axis=0), axis=1).sum())
-    extra = round(config.dwell / run.step)  # in which the arm makes up what it lags behind
-    bounds: Bounds | None = None
+    way = _PartWay(run, plan, stretch, belief)
+    extra = round(run.config.dwell / run.step)  # in which the arm makes up what it lags behind
     for i in range(len(plan) + extra):
-        k = min(i, last)
-        if i % LOOK == 0:
-            bounds = run.surroundings.bounds(run.arm.q, float(values[k]), off_at(k))
-        T, after = pose_at(k), pose_at(min(k + 1, last))
-        here, _ = run.arm.kinematics.at(run.world.data.qpos[run.world.arm_q])
-        farther = estimate.see(here[:3, 3])
-        way = estimate.axis.way_at(here[:3, 3])
-        across = EVERYWHERE - np.outer(way, way)
-        twist = twist_between(T, after) / run.step
-        run.arm.follow(
-            Reference(plan.q[k], plan.v[k], T, twist, across, across, here[:3, 3], bounds)
-        )
-        ending = run.tick(Stage.MANIPULATE) or run.lost()
-        if max(run.touch.pads) > 1.0 or run.world.welded:
-            value = values[0] - more + estimate.value_at(here[:3, 3])
-            expected = belief.axis.moved(value - values[0]) @ T_first
-            off = here[:3, 3] - expected[:3, 3]
-            run.learned = Learned(value, off, tuple(estimate.points))
-            if farther and run.doubt is not None and run.doubt(estimate.points):
-                run.arm.stop()  # with the part in the hand, or it swings on
-                ending = ending or run.rest(Stage.MANIPULATE, config.settle) or Ending.OTHERWISE
-        if ending is Ending.SLIPPED and _left(here, pose_at(last)) <= config.tolerance * length:
-            return Ending.SLIPPED_AT_END
+        ending = way.step(i)
         if ending is not None:
             return ending
-        if _at_stop(run, here, pose_at(last), length):
+    return way.end()
+
+
+class _PartWay:
+    """The way of a part that the hand moves, and what the hand learns of it."""
+
+    def __init__(
+        self, run: ExecutionRun, plan: Trajectory, stretch: Stretch, belief: Belief
+    ) -> None:
+        self.run, self.plan, self.belief, motion = run, plan, belief, stretch.motion
+        times = np.arange(len(plan)) * run.step
+        self.values = np.interp(times, plan.state_times, motion.object_q)
+        T_held = self._hand()
+        self.T_first, _ = run.arm.kinematics.at(plan.q[0])
+        self.shift = T_held @ invert(self.T_first)  # the grasp, from where it was planned
+        run.estimate = self.estimate = JointEstimate(
+            belief.axis, T_held[:3, 3], run.config.compliance
+        )
+        self.planned = self.values - self.values[0]
+        self.more = _missing(belief, T_held, self.T_first) if run.again else 0.0
+        self.whole = self.planned[-1] if self.planned[-1] else 1.0
+        self.last = len(plan) - 1
+        tools = motion.Ts_world_tool[:, :3, 3]
+        self.length = float(np.linalg.norm(np.diff(tools, axis=0), axis=1).sum())
+        self.bounds: Bounds | None = None
+        self.pushes, self.most_felt = stretch.pushes, 0.0
+
+    def _hand(self) -> Float[np.ndarray, "4 4"]:
+        return self.run.arm.kinematics.at(self.run.world.data.qpos[self.run.world.arm_q])[0]
+
+    def _off_at(self, k: int) -> Float[np.ndarray, "4 4"]:
+        """Moves what is planned of tool and part to where the estimated joint has it."""
+        moved = self.planned[k] + self.more * self.planned[k] / self.whole
+        return (
+            self.estimate.axis.moved(moved) @ self.shift @ self.belief.axis.moved(-self.planned[k])
+        )
+
+    def _pose_at(self, k: int) -> Float[np.ndarray, "4 4"]:
+        """Where the tool is when the part moves about the estimated joint as planned."""
+        return self._off_at(k) @ self.run.arm.kinematics.at(self.plan.q[k])[0]
+
+    def _near_end(self, here: Float[np.ndarray, "4 4"]) -> bool:
+        """Whether what is left of the way is within the tolerance."""
+        return _left(here, self._pose_at(self.last)) <= self.run.config.tolerance * self.length
+
+    def step(self, i: int) -> Ending | None:
+        """Let one step of the controller pass; why the way ends with it, if it does."""
+        run, plan = self.run, self.plan
+        k = min(i, self.last)
+        if i % LOOK == 0:
+            value, after = self.values[k], self.values[min(k + 1, self.last)]
+            self.bounds = run.surroundings.bounds(
+                run.arm.q, float(value), self._off_at(k), part_speed=float(after - value) / run.step
+            )
+        T, T_after = self._pose_at(k), self._pose_at(min(k + 1, self.last))
+        here = self._hand()
+        if i % LOOK == 0 and self._meets_robot(k):
+            run.arm.stop()
+            return Ending.STOPPED_AT_END if self._near_end(here) else Ending.MEETS_ROBOT
+        farther = self.estimate.see(here[:3, 3])
+        way = self.estimate.axis.way_at(here[:3, 3])
+        across = EVERYWHERE - np.outer(way, way)
+        twist = twist_between(T, T_after) / run.step
+        run.arm.follow(
+            Reference(plan.q[k], plan.v[k], T, twist, across, across, here[:3, 3], self.bounds)
+        )
+        ending = run.tick(Stage.MANIPULATE) or run.lost()
+        self.most_felt = max(self.most_felt, run.touch.size[0])
+        if max(run.touch.pads) > 1.0 or run.world.welded:
+            run.learned = self._learned(here[:3, 3])
+            if farther and run.doubt is not None and run.doubt(self.estimate.points):
+                run.arm.stop()  # with the part in the hand, or it swings on
+                settled = run.rest(Stage.MANIPULATE, run.config.settle)
+                ending = ending or settled or Ending.OTHERWISE
+        if ending is Ending.SLIPPED and self._near_end(here):
+            return Ending.SLIPPED_AT_END
+        if ending is None and _at_stop(run, here, self._pose_at(self.last), self.length):
             run.arm.stop()
             return Ending.STOPPED_AT_END
-    here, _ = run.arm.kinematics.at(run.world.data.qpos[run.world.arm_q])
-    left = _left(here, pose_at(last))
-    if left <= config.tolerance * length:
-        return None
-    run.detail = f"{100 * left:.0f} cm of {100 * length:.0f} were left"
-    return Ending.BEHIND
+        return ending
+
+    def _meets_robot(self, k: int) -> bool:
+        """Whether the part, as it is found to move, comes upon the base or an arm in a corner."""
+        surroundings, compliance = self.run.surroundings, self.run.config.compliance
+        base, arm = surroundings.part_gaps
+        if min(base, arm) < compliance.apart:
+            return True
+        if base > compliance.base_room:
+            return False
+        surroundings.bounds(self.run.arm.q, float(self.values[k]))
+        planned, _ = surroundings.part_gaps
+        return base < planned - compliance.apart
+
+    def _learned(self, point: Float[np.ndarray, "3"]) -> Learned:
+        """What the hand knows of the part, from where it is."""
+        axis, belief, first = self.estimate.axis, self.belief, self.values[0]
+        value = first - self.more + self.estimate.value_at(point)
+        shut = belief.axis.moved(belief.closed - first) @ self.T_first
+        expected = axis.moved(value - belief.closed) @ shut
+        return Learned(value, axis, point - expected[:3, 3], tuple(self.estimate.points))
+
+    def end(self) -> Ending | None:
+        """How the way ends after its last step."""
+        if self.pushes and self.most_felt < self.run.config.compliance.noticed:
+            if self.run.learned is not None:  # most parts that run away fall shut
+                self.run.learned = replace(self.run.learned, value=self.belief.closed)
+            return Ending.NOTHING_MET
+        here = self._hand()
+        if self._near_end(here):
+            return None
+        left = _left(here, self._pose_at(self.last))
+        self.run.detail = f"{100 * left:.0f} cm of {100 * self.length:.0f} were left"
+        return Ending.BEHIND
 
 
 def _missing(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
@@ -41,6 +41,10 @@ class Axis:
         R = rotation_about(self.direction, np.array(value))
         return pose(self.point - R @ self.point, R)
 
+    def shifted(self, by: Float[np.ndarray, "3"]) -> Axis:
+        """The same joint elsewhere [m]."""
+        return replace(self, point=self.point + by)
+
     def lever_at(self, point: Float[np.ndarray, "3"]) -> float:
         """Way of a point when the joint moves by 1 [m/rad] or [-]."""
         if self.slides:
@@ -61,8 +65,10 @@ class Learned:
 
     value: float
     """Where the hand has its joint, or had it last [rad] or [m]."""
+    axis: Axis
+    """Its joint, as the hand found it."""
     offset: Float[np.ndarray, "3"]
-    """How far it is from where the plan has it [m]."""
+    """How far it is from where that joint and the plan's grasp have it [m]."""
     way: tuple[Float[np.ndarray, "3"], ...] = ()
     """Where the hand was while it held the part in its last hold, one after the other [m]."""
 

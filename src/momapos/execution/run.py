@@ -28,6 +28,7 @@ from momapos.execution.simulation import Simulation, build_simulation
 from momapos.execution.stages import Belief, ExecutionRun, Stretch, Watch
 from momapos.execution.true_world import TrueWorld
 from momapos.execution.verdict import TaskOutcome, judge
+from momapos.kinematics.opening import opening_of
 from momapos.protocols import Clock
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene, SceneObject
@@ -37,7 +38,7 @@ from momapos.types import Hold, Motion, Task
 DEFAULT = ExecutionConfig()
 _STATES = 5
 """States of the motion for which the motors are tuned [-]."""
-_IN_THE_WAY = (Ending.BLOCKED, Ending.BEHIND, Ending.TOO_HARD)
+_IN_THE_WAY = (Ending.BLOCKED, Ending.BEHIND, Ending.MEETS_ROBOT, Ending.TOO_HARD)
 _WELD_INSTEAD = "the fingers of {} do not close on anything: a weld stands for its hold"
 
 
@@ -76,6 +77,11 @@ class Outcome:
     def nothing_there(self) -> bool:
         """Whether the hand found nothing where it closed."""
         return self.learned is None and self.ending is Ending.NOTHING_HELD
+
+    @property
+    def ran_away(self) -> bool:
+        """Whether the part was not there any more when the hand came to push it on."""
+        return self.ending is Ending.NOTHING_MET
 
 
 def execute(
@@ -278,7 +284,8 @@ def _belief(item: SceneObject, name: str | None) -> Belief | None:
         return None
     joint = item.model.joint(name)
     T = item.link_poses()[joint.parent] @ joint.T_parent_joint
-    return Belief(Axis(joint.kind == "prismatic", T[:3, :3] @ joint.axis, T[:3, 3]))
+    axis = Axis(joint.kind == "prismatic", T[:3, :3] @ joint.axis, T[:3, 3])
+    return Belief(axis, opening_of(item.model, name).closed)
 
 
 def _outcome(

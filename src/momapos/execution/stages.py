@@ -48,6 +48,8 @@ class Belief:
     """What the plan says of the part: where its joint is."""
 
     axis: Axis
+    closed: float
+    """Where it is shut [rad] or [m]."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,7 +20,7 @@ from momapos.kinematics.urdf import MAX_URDF_BYTES, read_urdf
 from momapos.scene.copies import copied
 from momapos.scene.files import save_scene
 from momapos.scene.scene import Scene, SceneObject
-from momapos.types import Hypothesis, PlacementPlan
+from momapos.types import Hypothesis, PartKind, PlacementPlan
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -63,6 +63,47 @@ def scene_moving_as(scene: Scene, name: str, joint: str, way: Hypothesis) -> Sce
         objects=tuple(other if o is target else o for o in scene.objects),
         joints_set={**scene.joints_set, name: set_here},
     )
+
+
+def way_about(
+    item: SceneObject,
+    joint: str,
+    direction: Float[np.ndarray, "3"],
+    point: Float[np.ndarray, "3"],
+    moved: float,
+) -> Hypothesis:
+    """The way in which a part moves about another axis than believed, in its object's frame.
+
+    Args:
+        item: The object as it is believed to be.
+        joint: Its joint.
+        direction: Of the axis in the world; the joint's value rises about it, or along it.
+        point: On the axis, in the world [m].
+        moved: How far the part was opened [rad] or [m].
+    """
+    opening = opening_of(item.model, joint)
+    back = invert(item.T_world_object)
+    axis = opening.sign * back[:3, :3] @ direction
+    upper = max(abs(opening.wide - opening.closed), moved)
+    on_axis = apply(back, point[None])[0]
+    return Hypothesis(_kind(item, joint, axis), 1.0, _triple(on_axis), _triple(axis), upper)
+
+
+def _kind(item: SceneObject, joint: str, axis: Float[np.ndarray, "3"]) -> PartKind:
+    """What kind of part it is, by its joint; of flaps, by what the scene says."""
+    slides = item.model.joint(joint).kind == "prismatic"
+    ways = item.hypotheses.get(joint, ())
+    near = [way for way in ways if (way.kind == "drawer") == slides]
+    if near:
+        return max(near, key=lambda way: float(np.array(way.axis) @ axis)).kind
+    if slides:
+        return "drawer"
+    return "door_right" if axis[2] >= 0.0 else "door_left"
+
+
+def _triple(values: Float[np.ndarray, "3"]) -> tuple[float, float, float]:
+    x, y, z = values.tolist()
+    return x, y, z
 
 
 def scene_taking(scene: Scene, name: str, joint: str, index: int) -> Scene:
