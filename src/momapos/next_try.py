@@ -158,7 +158,7 @@ def arm_way_home(
     if begin is None:
         return None
     way = plan_with_room(
-        begin, robot.home, chain.lower, chain.upper, lambda room: checker(room=room),
+        begin, robot.home, chain.lower, chain.upper, checker,
         config=config.arm_planner, seed=seed,
     )  # fmt: skip
     if way is None:

@@ -153,7 +153,7 @@ class TwoHolds:
         )  # fmt: skip
         planner = self.config.arm_planner
         return plan_with_room(
-            start, goal, chain.lower, chain.upper, lambda room: checker(room=room),
+            start, goal, chain.lower, chain.upper, checker,
             config=replace(planner, budget=min(BETWEEN, planner.budget)), seed=self.seed,
         )  # fmt: skip
 

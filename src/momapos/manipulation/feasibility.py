@@ -175,7 +175,7 @@ class Feasibility:
             holding=self._carrying, step=RESOLUTION,
         )  # fmt: skip
         way = plan_with_room(
-            self.robot.home, q[0], chain.lower, chain.upper, lambda room: checker(room=room),
+            self.robot.home, q[0], chain.lower, chain.upper, checker,
             config=self.planner, seed=self.seed + grasp,
         )  # fmt: skip
         if way is None:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -23,6 +22,14 @@ USUAL = "RRTConnect"
 """OMPL's planner where none is named."""
 _UNBOUNDED = np.pi
 """Half range in which a joint without limits is sampled, about its start [rad]."""
+
+
+class CheckerWithRoom(Protocol):
+    """Gives the check of motions that keep so far from everything."""
+
+    def __call__(self, *, room: float) -> CheckMotion:
+        """The check, for a distance [m]."""
+        ...
 
 
 def interpolate(
@@ -76,7 +83,7 @@ def plan_with_room(
     goal: Float[np.ndarray, " n"],
     lower: Float[np.ndarray, " n"],
     upper: Float[np.ndarray, " n"],
-    checker: Callable[[float], CheckMotion],
+    checker: CheckerWithRoom,
     *,
     config: PlannerConfig,
     seed: int,
@@ -84,10 +91,10 @@ def plan_with_room(
     """Find a path that keeps `ROOM`, or else one that is free, see `plan_motion`.
 
     Args:
-        checker: Gives the check of motions that keep so far from everything [m].
+        checker: Gives the checks.
     """
     for room in (ROOM, 0.0):
-        free = checker(room)
+        free = checker(room=room)
         path = plan_motion(start, goal, lower, upper, free, config=config, seed=seed)
         if path is not None:
             return path
