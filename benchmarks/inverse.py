@@ -41,6 +41,20 @@ class Arm:
     """Joints that follow others."""
 
 
+@dataclass(frozen=True)
+class Found:
+    """What inverse kinematics finds."""
+
+    by: str
+    """How it solves."""
+    share: float
+    """Of the tool poses [-]."""
+    solutions: float
+    """For each of them [-]."""
+    seconds: float
+    """Processor time of each [s]."""
+
+
 def _numbered(pattern: str, count: int, *first: str) -> tuple[str, ...]:
     return (*first, *(pattern.format(i) for i in range(1, count + 1)))
 
@@ -115,6 +129,21 @@ def chain_of(arm: Arm, folder: Path) -> Chain:
 
 def row(name: str, chain: Chain, count: int) -> str:
     """One line of the table."""
+    own = found_of(chain, count)
+    cells = [
+        name,
+        str(chain.last),
+        str(chain.size),
+        own.by,
+        f"{100 * own.share:.2f} %",
+        f"{own.solutions:.1f}",
+        f"{1e6 * own.seconds:.0f} us",
+    ]
+    return f"| {' | '.join(cells)} |"
+
+
+def found_of(chain: Chain, count: int) -> Found:
+    """Ask planning's inverse kinematics for the tool poses of random arm states."""
     lower, upper = bounded(chain)
     q = np.random.default_rng(7).uniform(lower, upper, (count, chain.size))
     Ts, ik = chain.tool_poses(q), build_ik(chain)
@@ -122,16 +151,7 @@ def row(name: str, chain: Chain, count: int) -> str:
     began = time.process_time()
     _, counts = solve_ik(chain, ik, Ts)
     each = (time.process_time() - began) / count
-    cells = [
-        name,
-        str(chain.last),
-        str(chain.size),
-        ik.name,
-        f"{100 * (counts > 0).mean():.2f} %",
-        f"{counts.mean():.1f}",
-        f"{1e6 * each:.0f} us",
-    ]
-    return f"| {' | '.join(cells)} |"
+    return Found(ik.name, float((counts > 0).mean()), float(counts.mean()), each)
 
 
 if __name__ == "__main__":

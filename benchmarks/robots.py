@@ -230,6 +230,7 @@ def openings_row(model: Model, checks: float, did: Outcome) -> str:
     open_ = sum(a.get("grid") == "timeout" for a in answers)
     cells = [
         model.name, model.half, found["joints"], "yes" if found["holds"] else "no",
+        f"{100 * found['found']:.2f} %",
         f"{checks + found['first']:.0f}", f"{found['built']:.0f} ({found['built_wall']:.0f})",
         f"{found['megabytes']:.1f}" if "megabytes" in found else "-", *share,
         f"{count['solved']} of {len(answers)}", f"{grid}{f' to {grid + open_}' if open_ else ''}",
@@ -275,11 +276,11 @@ def main() -> None:
     print(f"\n{right} of {len(models)} as they must be")
     if opened:
         print(
-            "\n| robot | half | degrees of freedom | has fingers | first answer [s] "
+            "\n| robot | half | degrees of freedom | has fingers | found | first answer [s] "
             "| map [s] (wall) | map [MB] | misses | false positives | solved | by the grid | no "
             "| out of time | median [s] | executed |"
         )
-        print("|" + "---|" * 15, *opened, sep="\n")
+        print("|" + "---|" * 16, *opened, sep="\n")
 
 
 if __name__ == "__main__":

@@ -112,9 +112,8 @@ def test_an_aimed_state_is_on_its_line_and_makes_its_turns(robot: Robot) -> None
     asked = places + rng.uniform(-0.4, 0.4, places.shape)
     asked[:, 2:4] = np.clip(asked[:, 2:4], 0, 12)
     words, states = np.empty(500, np.uint64), np.empty((500, 6), np.float32)
-    starts, sources = q.astype(np.float32), np.arange(500)
     known = np.zeros(500, np.uint64)
-    aim_all(asked, starts, sources, known, arm, grid, words, states)
+    aim_all(asked, q.astype(np.float32), known, arm, grid, words, states)
     got = np.flatnonzero(words)
     assert len(got) > 100
     back = np.empty((len(got), 5))

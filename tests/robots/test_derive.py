@@ -436,7 +436,7 @@ def test_the_library_states_how_far_its_robots_reach_and_what_they_carry(name: s
     for robot in load_arms(name):
         data = tomllib.loads(robot.path.read_text())
         stated = data["arms"][robot.arm] if robot.arm else data
-        assert stated["reach"] == pytest.approx(robot.reach, abs=0.01)
+        assert stated["reach"] == pytest.approx(robot.outreach, abs=0.01)
         assert robot.payload is not None
 
 

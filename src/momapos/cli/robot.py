@@ -285,7 +285,7 @@ def describe(robot: Robot) -> dict[str, Any]:
         "tool_link": robot.tool_link,
         "gripper_links": list(robot.gripper_links),
         "joints": joints,
-        "reach": round(robot.reach, 3),
+        "reach": round(robot.outreach, 3),
         "payload": robot.payload,
         "ik": robot.ik.name,
         "spheres": len(spheres.radius),
@@ -314,7 +314,8 @@ def as_text(facts: dict[str, Any]) -> str:
         f"{facts['max_speed']:g} m/s, {facts['max_yaw_rate']:g} rad/s",
         f"  tool      {facts['tool_link']}, opens {facts['opening']:.3f} m, "
         f"holds by {facts['grips']} with {facts['grip_force']:g} N",
-        f"  reach     at most {facts['reach']:.2f} m from the first turning joint",
+        f"  reach     at most {facts['reach']:.2f} m from where the first turning joint is when "
+        "telescopes are drawn in",
         f"  inverse   {facts['ik']}",
         f"  collision {facts['spheres']} spheres, {facts['self_collision_pairs']} pairs checked, "
         f"{facts['pairs_never_checked']} never",

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from momapos.compiled import F1, F2, I1, S2, U1, entry, kernel
+from momapos.compiled import F1, F2, S2, U1, entry, kernel
 from momapos.kinematics.chain import forward, stand_at_origin
 from momapos.kinematics.collision import FREE, hit_floor, hit_self, place_bounds, scratch_of
 from momapos.kinematics.newton import jacobian, newton_scratch, step_toward
@@ -183,7 +183,6 @@ def _free_turns(q, known, direction, arm, R, p, bounds):
 def aim_all(
     places: F2,
     starts: S2,
-    sources: I1,
     known: U1,
     arm: AimedArm,
     grid: LineGrid,
@@ -194,8 +193,7 @@ def aim_all(
 
     Args:
         places: Lines (k, 5): z, r, u, v, azimuth in steps of the grid.
-        starts: S2 (s, n).
-        sources: For each line the state to begin at (k,).
+        starts: The state of each to begin at (k, n).
         known: Turns of each that need no look (k,).
         arm: The arm.
         grid: The grid.
@@ -209,7 +207,7 @@ def aim_all(
     q = np.empty(n)
     for i in range(len(places)):
         for k in range(n):
-            q[k] = starts[sources[i], k]
+            q[k] = starts[i, k]
         point, direction = line_at(places[i], grid)
         words[i] = np.uint64(0)
         if _aim(q, active, point, direction, arm, newton):

@@ -50,11 +50,14 @@ def default_config(robot: Robot) -> ReachConfig:
 
     Longer arms cost thirty times more per line, and direction matters less to them. Their set is
     rounded outwards as well, where either of two spins and half a step of the first joint count.
+    A map that is flooded errs on the side of what is reached: a line that is missed costs an
+    answer, one that is invented costs time. Where the last joint turns fully, half of all turns of
+    the tool must be free, which rounds its set inwards.
     An arm of several meters has larger cells, so that the map keeps within `MAX_VALUES`.
     """
     frame = arm_frame(robot.chain, robot.approach_axis)
     if is_flooded(robot, frame):
-        config = ReachConfig(cell=0.05, directions=13, threshold=-1.75)
+        config = ReachConfig(cell=0.05, directions=13, threshold=-2.0 if frame.full_roll else -1.75)
     elif robot.chain.size > 6:
         config = ReachConfig(cell=0.05, directions=13, spins=2, threshold=0.0)
     else:

@@ -15,16 +15,24 @@ import numpy as np
 
 from momapos.kinematics.chain import Chain
 from momapos.kinematics.ik_model import bounded
-from momapos.reachability.aim import ALL, AimedArm, LineGrid, aim_all, lines_of
+from momapos.reachability.aim import ALL, SPAN, AimedArm, LineGrid, aim_all, lines_of
+from momapos.reachability.grid import TURNS
 from momapos.reachability.threads import Progress, in_threads
 
 if TYPE_CHECKING:
-    from jaxtyping import Float, Int, UInt64
+    from jaxtyping import Float, Float16, Int, UInt64
 
+WAY = 2
+"""Counts the ways in which maps have been flooded: a map of another one is not this one's."""
 DRAW = 300_000
 """Random states that are drawn at a time [-]."""
+AT_LIMITS = 0.125
+"""Share of its range by which a joint is drawn beyond each limit, and put there [-]: what needs a
+joint at its limit, such as a torso at its height, is found from no state between the limits."""
 WAVES = 16
 """How often what is new is carried on to the lines beside it, at most [-]."""
+GROUPS = tuple(np.uint64(((1 << SPAN) - 1) << low) for low in range(0, TURNS, SPAN))
+"""The turns of each group, as words; a state is kept for each."""
 _PART = 40_000
 """Lines a thread takes at once."""
 
@@ -39,8 +47,9 @@ class Flood:
     arm: AimedArm
     words: UInt64[np.ndarray, " lines"]
     """Turns of the tool that are reached on each."""
-    states: Float[np.ndarray, "lines n"]
-    """A state on each that gave the last of these."""
+    states: Float16[np.ndarray, "lines groups n"]
+    """For each group of turns a state on each line that gave some of them: turns that lie apart are
+    served by different states, and each is wanted by lines beside this one."""
 
 
 def flood(
@@ -62,26 +71,28 @@ def flood(
     """
     lines = int(np.prod(shape))
     found = Flood(
-        shape, grid, arm, np.zeros(lines, np.uint64), np.zeros((lines, chain.size), np.float32)
-    )
+        shape, grid, arm, np.zeros(lines, np.uint64),
+        np.zeros((lines, len(GROUPS), chain.size), np.float16),
+    )  # fmt: skip
     rng = np.random.default_rng(0)
     lower, upper = bounded(chain)
-    changed = np.zeros(lines, bool)
+    gained = np.zeros(lines, np.uint64)
+    beyond = AT_LIMITS * (upper - lower)
     for done in range(0, count, DRAW):
-        q = rng.uniform(lower, upper, (min(DRAW, count - done), chain.size))
-        changed[_draw(found, q)] = True
+        q = rng.uniform(lower - beyond, upper + beyond, (min(DRAW, count - done), chain.size))
+        q = np.clip(q, lower, upper)
+        _draw(found, q, gained)
         progress(0.5 * (done + len(q)) / count)
-    fresh = np.flatnonzero(changed)
     for k in range(WAVES):
-        if not len(fresh):
+        if not gained.any():
             break
-        fresh = _carry_on(found, fresh)
+        gained = _carry_on(found, gained)
         progress(0.5 + 0.5 * (k + 1) / WAVES)
     return found
 
 
-def _draw(found: Flood, q: Float[np.ndarray, "k n"]) -> Int[np.ndarray, " c"]:
-    """Bring random states onto the grid lines nearest to theirs; returns the lines that gain."""
+def _draw(found: Flood, q: Float[np.ndarray, "k n"], gained: UInt64[np.ndarray, " lines"]) -> None:
+    """Bring random states onto the grid lines nearest to theirs, and add what these gain."""
     places = np.empty((len(q), 5))
     in_threads(
         lambda lo, hi: lines_of(q[lo:hi], found.arm, found.grid, places[lo:hi]), len(q), _PART
@@ -91,14 +102,14 @@ def _draw(found: Flood, q: Float[np.ndarray, "k n"]) -> Int[np.ndarray, " c"]:
     inside = ((nearest >= 0) & (nearest < found.shape)).all(1)
     line = np.ravel_multi_index(tuple(nearest[inside].T), found.shape)
     open_ = found.words[line] != ALL
-    rows, line = np.flatnonzero(inside)[open_], line[open_]
-    return _try(found, line, q.astype(np.float32), rows)
+    _try(found, line[open_], q[inside][open_].astype(np.float32), gained)
 
 
-def _carry_on(found: Flood, fresh: Int[np.ndarray, " f"]) -> Int[np.ndarray, " c"]:
+def _carry_on(found: Flood, fresh: UInt64[np.ndarray, " lines"]) -> UInt64[np.ndarray, " lines"]:
     """Try the lines beside those that have gained, from their states; returns what gains now."""
-    at = np.array(np.unravel_index(fresh, found.shape))
-    gained: list[np.ndarray] = []
+    gained = np.zeros(len(fresh), np.uint64)
+    rows = np.flatnonzero(fresh)
+    at = np.array(np.unravel_index(rows, found.shape))
     for axis in range(5):
         for step in (-1, 1):
             beside = at.copy()
@@ -107,26 +118,44 @@ def _carry_on(found: Flood, fresh: Int[np.ndarray, " f"]) -> Int[np.ndarray, " c
                 beside[axis] %= found.shape[4]
             inside = (beside[axis] >= 0) & (beside[axis] < found.shape[axis])
             line = np.ravel_multi_index(tuple(beside[:, inside]), found.shape)
-            source = fresh[inside]
-            # A neighbor's state gives about the turns that the neighbor has.
-            useful = (found.words[source] & ~found.words[line]) != 0
-            gained.append(_try(found, line[useful], found.states, source[useful]))
-    return np.unique(np.concatenate(gained))
+            _try_beside(found, line, rows[inside], fresh, gained)
+    return gained
+
+
+def _try_beside(
+    found: Flood,
+    line: Int[np.ndarray, " k"],
+    source: Int[np.ndarray, " k"],
+    fresh: UInt64[np.ndarray, " lines"],
+    gained: UInt64[np.ndarray, " lines"],
+) -> None:
+    """Aim at lines from the states of lines beside them, which give about the turns of those."""
+    tried = np.zeros((len(line), len(GROUPS)), bool)
+    for group, turns in enumerate(GROUPS):
+        wanted = np.flatnonzero(fresh[source] & ~found.words[line] & turns)
+        states = found.states[source[wanted]]
+        # One state mostly serves several groups.
+        same = (states[:, :group] == states[:, group : group + 1]).all(2)
+        anew = ~(same & tried[wanted, :group]).any(1)
+        wanted = wanted[anew]
+        tried[wanted, group] = True
+        _try(found, line[wanted], states[anew, group].astype(np.float32), gained)
 
 
 def _try(
     found: Flood,
     line: Int[np.ndarray, " k"],
-    starts: Float[np.ndarray, "s n"],
-    sources: Int[np.ndarray, " k"],
-) -> Int[np.ndarray, " c"]:
-    """Aim at lines from states, and keep what is new; returns the lines that gain."""
+    starts: Float[np.ndarray, "k n"],
+    gained: UInt64[np.ndarray, " lines"],
+) -> None:
+    """Aim at lines, each from a state; keep what is new, and add it to what is gained."""
     places = np.array(np.unravel_index(line, found.shape), float).T.copy()
-    words, states = _aimed(found, places, found.words[line], starts, sources)
-    new = np.flatnonzero(words)
-    np.bitwise_or.at(found.words, line[new], words[new])
-    found.states[line[new]] = states[new]
-    return np.unique(line[new])
+    words, states = _aimed(found, places, found.words[line], starts)
+    np.bitwise_or.at(found.words, line, words)
+    np.bitwise_or.at(gained, line, words)
+    for group, turns in enumerate(GROUPS):
+        new = np.flatnonzero(words & turns)
+        found.states[line[new], group] = states[new]
 
 
 def between(found: Flood, axis: int) -> tuple[Int[np.ndarray, " e"], UInt64[np.ndarray, " e"]]:
@@ -152,10 +181,12 @@ def between(found: Flood, axis: int) -> tuple[Int[np.ndarray, " e"], UInt64[np.n
     places[:, axis] += 0.5
     for source in (low, up):
         # From the end that has what the other lacks.
-        rows = np.flatnonzero((found.words[source] & ~words) != 0)
-        out, _ = _aimed(found, places[rows], words[rows], found.states, source[rows])
-        # Half-way between two that agree they are taken to agree.
-        words[rows] |= out & (found.words[low] | found.words[up])[rows]
+        for group, turns in enumerate(GROUPS):
+            rows = np.flatnonzero(found.words[source] & ~words & turns)
+            start = found.states[source[rows], group].astype(np.float32)
+            out, _ = _aimed(found, places[rows], words[rows], start)
+            # Half-way between two that agree they are taken to agree.
+            words[rows] |= out & (found.words[low] | found.words[up])[rows]
     return low, words
 
 
@@ -163,17 +194,15 @@ def _aimed(
     found: Flood,
     places: Float[np.ndarray, "k 5"],
     known: UInt64[np.ndarray, " k"],
-    starts: Float[np.ndarray, "s n"],
-    sources: Int[np.ndarray, " k"],
+    starts: Float[np.ndarray, "k n"],
 ) -> tuple[UInt64[np.ndarray, " k"], Float[np.ndarray, "k n"]]:
     """New turns on lines, and the states on them, each from one state; see `aim_all`."""
     count = len(places)
     words, states = np.empty(count, np.uint64), np.empty((count, starts.shape[1]), np.float32)
-    sources = np.ascontiguousarray(sources)
 
     def part(lo: int, hi: int) -> None:
         aim_all(
-            places[lo:hi], starts, sources[lo:hi], known[lo:hi], found.arm, found.grid,
+            places[lo:hi], starts[lo:hi], known[lo:hi], found.arm, found.grid,
             words[lo:hi], states[lo:hi],
         )  # fmt: skip
 

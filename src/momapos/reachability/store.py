@@ -21,6 +21,7 @@ from momapos.files import read_bytes_bounded
 from momapos.reachability.arm_axes import arm_frame, is_flooded, no_map
 from momapos.reachability.arm_length import ArmLength, arm_length
 from momapos.reachability.construct import build_map, default_config
+from momapos.reachability.flood import WAY
 from momapos.reachability.map import MAX_VALUES, ReachConfig, ReachMap
 from momapos.reachability.threads import Progress
 from momapos.robots.robot import MAX_REACH, Robot
@@ -69,7 +70,9 @@ def map_key(robot: Robot, config: ReachConfig) -> str:
     # A micrometer more or less is another machine's rounding, not another robot.
     rounded = (np.round(a, 6) + 0.0 if a.dtype.kind == "f" else a for a in arrays)
     settings = asdict(config)
-    if not is_flooded(robot, arm_frame(chain, robot.approach_axis)):
+    if is_flooded(robot, arm_frame(chain, robot.approach_axis)):
+        settings["way"] = WAY
+    else:
         del settings["states"]
     return content_key("reach", VERSION, sorted(settings.items()), *rounded)
 

@@ -202,6 +202,16 @@ class Robot:
         tool = float(np.linalg.norm(self.chain.tool_offset))
         return float(links[first + 1 :].sum() + travel[first + 1 :].sum()) + tool
 
+    @cached_property
+    def outreach(self) -> float:
+        """The reach, and how far joints before the first that turns slide outwards [m].
+
+        That is a telescope's way; a lift slides upwards.
+        """
+        chain, first = self.chain, self.chain.first_turn
+        level = np.linalg.norm(chain.h[:first, :2], axis=1)
+        return self.reach + float(level @ (2 * chain.half_travel[:first]))
+
 
 def load_robot(source: str | Path, *, arm: str | None = None, cache: Cache | None = None) -> Robot:
     """Load a robot by library name or from a TOML file.
