@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import socket
 import threading
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -15,7 +16,7 @@ from momapos.cli.main import main
 from momapos.errors import InputError
 from momapos.page.page import Page
 from momapos.page.playback import Player
-from momapos.page.question import VERBS, targets
+from momapos.page.question import VERBS, Machines, targets
 from momapos.page.serve import check_free, open_server, served
 from momapos.page.static import check_page
 from momapos.scene.files import load_scene
@@ -154,3 +155,11 @@ def test_a_player_stops_at_the_end_and_begins_anew() -> None:
     assert (np.diff(shown) < 0).sum() == 1
     player.seek(9.0)
     assert player.now == pytest.approx(0.2)
+
+
+def test_a_robot_that_is_chosen_again_is_not_loaded_again() -> None:
+    machines = Machines(user_cache())
+    told: list[str] = []
+    first = machines.load("segway_ur5e", "any", time.perf_counter, told.append)
+    machines.load("fetch", "any", time.perf_counter, told.append)
+    assert machines.load("segway_ur5e", "any", time.perf_counter, told.append) is first

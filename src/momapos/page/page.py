@@ -28,7 +28,7 @@ from momapos.page.motion_view import MotionView
 from momapos.page.opened import Opened, OpenedScan
 from momapos.page.panel import Panel, joint_ranges
 from momapos.page.playback import Story
-from momapos.page.question import Machine, Question, ask, ask_at, load_machine, targets
+from momapos.page.question import Machine, Machines, Question, ask, ask_at, targets
 from momapos.page.robot_view import RobotView, home_values, joint_values
 from momapos.page.room_view import RoomView, viewpoint
 from momapos.page.scan_view import ScanView
@@ -77,6 +77,7 @@ class Page:
                 chosen.
         """
         self.server, self._cache, self.folder = server, cache, folder
+        self._machines = Machines(cache)
         self._start: tuple[float, float, float] | None = None
         self._opened = opened
         self.shown = Shown()
@@ -265,7 +266,7 @@ class Page:
         """The robot that is chosen; of another robot than the last all arms are taken."""
         other = self.shown.machine_name[0] != choice.robot
         arm = "any" if other else choice.arm
-        machine = load_machine(choice.robot, arm, self._cache, clock, self.tell)
+        machine = self._machines.load(choice.robot, arm, clock, self.tell)
         names = ("any", *machine.arms[0].arms)
         self.panel.offer(self.panel.arm, names, arm)
         self.panel.arm.disabled = len(names) == 1
