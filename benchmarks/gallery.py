@@ -154,7 +154,7 @@ ITEMS = (
 
 def done(page: Page) -> None:
     """Wait until nothing is worked at any more."""
-    for work in (page.work, page.layers.work):
+    for work in (page.work, page.layers):
         if not work.wait(LONG):
             raise TimeoutError("the page did not finish")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -30,6 +31,8 @@ CELL = 0.06
 """Edge of a cell of the pictures on the floor [m]."""
 OF_ANSWER = ("way", "waypoints", "candidates", "potential", "free", "opening", "importance")
 """Layers that there is nothing of before there is an answer."""
+DEAR = ("opening",)
+"""Layers that take seconds."""
 VIRIDIS = ("#dde318", "#21918c", "#440f5c")
 
 
@@ -54,12 +57,33 @@ class AnswerLayers:
         self._of: Answered | None = None
         self._kinds: tuple[str, ...] = ()
         self.work = Latest("page layers", self._fail)
+        self.dear_work = Latest("page opening map", self._fail)
+        """For layers that take long, so that the others do not wait for them."""
 
     @property
     def drawn(self) -> tuple[str, ...]:
         """The layers that are drawn, seen or not."""
         with self._drawing:
             return tuple(self._roots)
+
+    @property
+    def busy(self) -> bool:
+        """Whether a layer is computed, or waits to be."""
+        return self.work.busy or self.dear_work.busy
+
+    def wait(self, timeout: float) -> bool:
+        """Wait until all are drawn; whether that came true, each kind in time [s]."""
+        return self.work.wait(timeout) and self.dear_work.wait(timeout)
+
+    def stop(self) -> None:
+        """End what is computed; what is not drawn then is when layers are next switched."""
+        self.work.stop()
+        self.dear_work.stop()
+
+    def close(self) -> None:
+        """End all work."""
+        self.work.close()
+        self.dear_work.close()
 
     def show(self, scene: Scene, answer: PlacementResult, reach: ReachScorer) -> None:
         """Draw the layers of another answer that are switched on."""
@@ -69,7 +93,7 @@ class AnswerLayers:
 
     def clear(self) -> None:
         """Draw nothing."""
-        self.work.stop()
+        self.stop()
         with self._drawing:
             self._of = None
             for root in self._roots.values():
@@ -82,7 +106,10 @@ class AnswerLayers:
         """Layers were switched on or off."""
         with self._drawing:
             self._robot.show_spheres(bool(self._panel.layers["spheres"].value))
-        self.work.put(self._update)
+        self.work.put(lambda clock: self._update(clock, [k for k in LAYERS if k not in DEAR]))
+        # What runs goes on where it is still wanted: it would begin anew.
+        wanted = any(self._panel.layers[key].value for key in DEAR)
+        self.dear_work.put(lambda clock: self._update(clock, DEAR), stop_running=not wanted)
 
     def height_changed(self) -> None:
         """The reach is asked for at another height."""
@@ -95,11 +122,12 @@ class AnswerLayers:
     def _fail(self, reason: str) -> None:
         self._panel.clicked.content = f"**This layer cannot be drawn.** {escaped(reason)}"
 
-    def _update(self, clock: Clock) -> None:
+    def _update(self, clock: Clock, keys: Sequence[str]) -> None:
+        """Draw those of some layers that are wanted, and hide the others."""
         of = self._of
         if of is None:
             return
-        for key in LAYERS:
+        for key in keys:
             wanted = bool(self._panel.layers[key].value)
             if wanted and key in DRAW and key not in self._roots:
                 self._draw(key, of, clock)
@@ -158,8 +186,10 @@ class AnswerLayers:
             self._panel.clicked.content = f"Opening map: {100 * share:.0f} %"
 
         robot, task = of.answer.prepared.robot, of.answer.plan.task
-        found = opening_map(of.scene, robot, task, of.reach, report=report)
-        self._panel.clicked.content = ""
+        try:
+            found = opening_map(of.scene, robot, task, of.reach, report=report)
+        finally:
+            self._panel.clicked.content = ""
         if found.farthest.size:
             draw.floor_image(
                 self._api, f"{name}/map", draw.opening_pixels(found), found.extent, height=0.006

@@ -107,7 +107,7 @@ class Page:
         self.motion.player.pause()
         self.work.close()
         self.follow.work.close()
-        self.layers.work.close()
+        self.layers.close()
         self.extras.close()
 
     # --------------------------------------------------------------------------- what is asked
@@ -184,6 +184,8 @@ class Page:
         """End what runs."""
         self.work.stop()
         self.follow.work.stop()
+        self.layers.stop()
+        self.extras.work.stop()
         self.motion.player.pause()
         self.panel.result.content = "Stopped."
 
@@ -371,5 +373,6 @@ class Page:
 
     def _stop_if_busy(self) -> None:
         """Nobody looks any more."""
-        if self.work.busy or self.follow.work.busy or self.motion.player.playing:
+        works = (self.work, self.follow.work, self.layers, self.extras.work)
+        if self.motion.player.playing or any(one.busy for one in works):
             self.stop()
