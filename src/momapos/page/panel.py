@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from momapos.execution.film_files import GIF, MP4
 from momapos.page.playback import SPEEDS
 from momapos.page.question import METHODS, VERBS
 from momapos.scene.scene import Scene
@@ -27,6 +28,8 @@ CLOUDS = ("by thing", "as seen", "none")
 """How the points of a scan are colored."""
 POINTS = {"100 thousand": 100_000, "400 thousand": 400_000, "all": None}
 """How many points of a scan are shown at most [-]."""
+FILM_KINDS = {"Film (GIF)": GIF, "Film (MP4, 720p)": MP4}
+"""Films of the motion that a browser may have, and how their names end."""
 SHOWN = ("way", "waypoints")
 """Those that are seen at first."""
 
@@ -152,8 +155,9 @@ class Panel:
         self._button("Save the scene", lambda: page.extras.save_scene(self.scene_name.value))
         picture = gui.add_button("Picture (PNG)")
         picture.on_click(lambda event: page.extras.picture(event.client))
-        film = gui.add_button("Film of the plan (GIF)")
-        film.on_click(lambda event: page.extras.film(event.client))
+        for words, ending in FILM_KINDS.items():
+            film = gui.add_button(words)
+            film.on_click(lambda event, ending=ending: page.extras.film(event.client, ending))
         self.files = gui.add_markdown("Files go into the folder where the page was started.")
 
     def _keys(self) -> None:
