@@ -181,4 +181,4 @@ def test_a_written_page_plays_without_a_network(
         first = time_shown.input_value(timeout=LONG)
         assert until(lambda: time_shown.input_value() != first)
     assert [url for url in asked if not url.startswith(("file:", "data:", "blob:"))] == []
-    assert Story.of(plan, robot).duration > 1.0
+    assert Story.of(plan, robot, answer.prepared.scene).duration > 1.0

@@ -279,3 +279,48 @@ def test_a_film_for_a_browser_that_has_gone_is_told_in_one_line() -> None:
         send_film(Browser(3), GIF, 2.0, lambda _: None, time.perf_counter)
     with pytest.raises(InputError, match="no motion"):
         send_film(Browser(), GIF, 0.0, lambda _: None, time.perf_counter)
+
+
+def test_an_answer_stands_at_its_end_and_another_question_puts_the_part_back(page: Page) -> None:
+    def doors() -> np.ndarray:
+        return np.concatenate([[*n.position, *n.wxyz] for n in page.room._links.values()])
+
+    panel, player = page.panel, page.motion.player
+    page.motion.seek(0.0)
+    closed = doors()
+    page.place()
+    assert page.work.wait(LONG)
+    assert player.now == player.duration == pytest.approx(panel.time.value, abs=0.02)
+    assert panel.moment.content.startswith(f"{player.duration:.1f} s")
+    assert panel.joint_values == {"door_hinge": pytest.approx(np.pi / 2, abs=1e-4)}
+    assert np.abs(doors() - closed).max() > 0.3
+    panel.to.value = "60deg"
+    page.change()
+    assert page.work.wait(LONG)
+    np.testing.assert_allclose(doors(), closed, atol=1e-12)
+    assert panel.joint_values == {}
+    panel.to.value = ""
+    page.place()
+    assert page.work.wait(LONG)
+
+
+def test_a_joint_that_is_moved_by_hand_leaves_the_others_where_they_stand(page: Page) -> None:
+    _, slider = page.panel._joints["freezer_door_hinge"]
+    slider.value = 30.0
+    page.motion.move_joints()
+    assert page.shown.joints == {
+        "door_hinge": pytest.approx(np.pi / 2, abs=1e-4),
+        "freezer_door_hinge": pytest.approx(np.pi / 6, abs=1e-4),
+    }
+
+
+def test_what_is_paused_by_a_hand_on_the_base_says_so(page: Page) -> None:
+    page.motion.seek(0.0)
+    page.motion.toggle()
+    ends = time.monotonic() + LONG
+    while page.motion.player.now == 0.0 and time.monotonic() < ends:
+        time.sleep(0.01)
+    assert page.panel.play.label == "Pause"
+    page.motion.pause()
+    assert page.panel.play.label == "Play"
+    assert not page.motion.player.playing

@@ -59,7 +59,7 @@ def test_boxes_are_drawn_by_their_twelve_edges() -> None:
 
 def test_a_story_begins_at_the_start_and_ends_as_the_plan_does(answer: PlacementResult) -> None:
     plan, robot = answer.plan, answer.prepared.robot
-    story = Story.of(plan, robot)
+    story = Story.of(plan, robot, answer.prepared.scene)
     first, last = story.at(-1.0), story.at(story.duration + 1.0)
     assert plan.motion is not None
     assert plan.base_pose is not None
@@ -80,3 +80,37 @@ def test_an_answer_says_where_to_stand(answer: PlacementResult) -> None:
 def test_words_from_files_are_no_markup() -> None:
     assert escaped("<img src=x>") == "\\<img src=x\\>"
     assert escaped("a*b_c") == "a\\*b\\_c"
+
+
+def test_a_picked_object_goes_along_with_the_hand_from_when_it_is_held(
+    robots: Callable[[str], Robot],
+) -> None:
+    scene, robot = load_scene("kitchen_small"), robots("segway_ur5e")
+    plan = plan_base_placement(scene, robot, make_task(scene, "pick", "cup")).plan
+    assert plan.motion is not None
+    story = Story.of(plan, robot, scene)
+    rest = scene.object("cup").link_poses()[scene.object("cup").model.urdf.root]
+    first, last = story.at(0.0), story.at(story.duration)
+    np.testing.assert_allclose(first.T_world_object, rest)
+    assert last.T_world_object is not None
+    moved = plan.motion.Ts_world_tool[-1] @ np.linalg.inv(plan.motion.Ts_world_tool[0])
+    np.testing.assert_allclose(last.T_world_object, moved @ rest, atol=2e-3)
+    assert last.T_world_object[2, 3] > rest[2, 3] + 0.05
+    begins = next(t for t in np.arange(0, story.duration, 0.04) if "gripper" in story.at(t).words)
+    np.testing.assert_allclose(story.at(begins).T_world_object, rest, atol=2e-3)  # it is no leap
+
+
+def test_a_placed_object_is_in_the_hand_until_it_stands_in_its_place(
+    robots: Callable[[str], Robot],
+) -> None:
+    scene, robot = load_scene("kitchen_small"), robots("segway_ur5e")
+    plan = plan_base_placement(scene, robot, make_task(scene, "place", "cup")).plan
+    assert plan.motion is not None
+    story = Story.of(plan, robot, scene)
+    rest = scene.object("cup").link_poses()[scene.object("cup").model.urdf.root]
+    T = story.at(0.0).T_world_object
+    assert T is not None
+    assert np.linalg.norm(T[:3, 3] - rest[:3, 3]) > 0.5
+    np.testing.assert_allclose(story.at(story.duration).T_world_object, rest)
+    steps = np.array([story.at(t).T_world_object for t in np.arange(0, story.duration, 0.04)])
+    assert np.linalg.norm(np.diff(steps[:, :3, 3], axis=0), axis=1).max() < 0.1  # it is no leap

@@ -69,7 +69,7 @@ class Extras:
                 page.panel.show_busy(page.work.busy)
             return f"The film is in the browser's downloads; it plays {faster:.1f} times as fast."
 
-        page.motion.player.pause()
+        page.motion.pause()
         if client is not None:
             self._do(work)
 

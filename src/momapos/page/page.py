@@ -104,7 +104,7 @@ class Page:
     def close(self) -> None:
         """End all work."""
         self.browsers.close()
-        self.motion.player.pause()
+        self.motion.pause()
         self.work.close()
         self.follow.work.close()
         self.layers.close()
@@ -186,7 +186,7 @@ class Page:
         self.follow.work.stop()
         self.layers.stop()
         self.extras.work.stop()
-        self.motion.player.pause()
+        self.motion.pause()
         self.panel.result.content = "Stopped."
 
     def start_here(self) -> None:
@@ -201,7 +201,7 @@ class Page:
         self.change()
 
     def _request(self, work: Callable[[Clock], None]) -> None:
-        self.motion.player.pause()
+        self.motion.pause()
         self.follow.work.stop()
         self.panel.show_busy(True)
 
@@ -286,6 +286,7 @@ class Page:
         if fresh and self.room.scene is not scene:
             self._look_at(scene)
         self.room.show(scene, name, collision=collision)
+        self.room.rest()
         self.panel.show_joints(joint_ranges(scene, name))
         if self.robot.robot is not robot or fresh:
             self.robot.show(robot, self._begin(scene))
@@ -311,6 +312,11 @@ class Page:
         for client in self.server.get_clients().values():
             client.camera.position, client.camera.look_at = eye, target
 
+    def look_at_room(self) -> None:
+        """Turn the cameras back to the whole room."""
+        if self.shown.scene is not None:
+            self._look_at(self.shown.scene)
+
     # ---------------------------------------------------------------------------- the answer
 
     def arm_of(self, machine: Machine) -> Any:
@@ -325,6 +331,7 @@ class Page:
 
     def _draw_answer(self, answer: PlacementResult, machine: Machine) -> None:
         shown, robot = self.shown, answer.prepared.robot
+        assert shown.scene is not None
         shown.answer = answer
         self.layers.clear()
         if self.robot.robot is not robot:
@@ -335,7 +342,7 @@ class Page:
         words = answer_words(answer)
         if plan.motion is not None and plan.base_pose is not None:
             try:
-                story = Story.of(plan, robot)
+                story = Story.of(plan, robot, shown.scene)
             except InputError as error:
                 words += f"\n- no motion to show: {escaped(str(error))}"
             self.robot.move(np.array(plan.base_pose), joint_values(robot, plan.motion.q[-1]))
@@ -346,7 +353,6 @@ class Page:
             self.robot.move(np.array(shown_base), home_values(robot))
         self.robot.verdict("feasible" if plan.motion is not None else "infeasible")
         self.motion.load(story)
-        assert shown.scene is not None
         self.layers.show(shown.scene, answer, machine.reach_of(robot.arm))
         self.tell(words)
 

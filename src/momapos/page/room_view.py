@@ -106,6 +106,16 @@ class RoomView:
         for node in self._nodes[self._active]:
             place(node, T)
 
+    def rest(self) -> None:
+        """Put the active object back to where the scene has it."""
+        if self.scene is None or not self._active:
+            return
+        item = self.scene.object(self._active)
+        if item.model.joints:
+            self.move({})
+        else:
+            self.carry(item.link_poses()[item.model.urdf.root])
+
     def show(self, scene: Scene, active: str = "", *, collision: bool = False) -> None:
         """Draw a scene instead of the last.
 
