@@ -12,6 +12,7 @@ from momapos.manipulation.tasks import hand_path
 from momapos.opening_map import opening_map
 from momapos.page import layers as draw
 from momapos.page.panel import LAYERS, Panel
+from momapos.page.robot_view import VERDICTS
 from momapos.page.words import escaped
 from momapos.page.work import Latest
 from momapos.placement_result import PlacementResult
@@ -19,7 +20,18 @@ from momapos.protocols import Clock, ReachScorer
 from momapos.scene.scene import Scene
 from momapos.viewer.candidate_markers import KINDS
 from momapos.viewer.heat import potential_map
-from momapos.viewer.palette import HANDLE, INK, POTENTIAL, RELATIONS, SELECTED, WAYPOINT
+from momapos.viewer.palette import (
+    BAD,
+    HANDLE,
+    INK,
+    PART,
+    POTENTIAL,
+    RELATIONS,
+    SELECTED,
+    SOFT_INK,
+    TARGET,
+    WAYPOINT,
+)
 
 if TYPE_CHECKING:
     from viser import SceneApi
@@ -33,6 +45,8 @@ OF_ANSWER = ("way", "waypoints", "candidates", "potential", "free", "opening", "
 """Layers that there is nothing of before there is an answer."""
 DEAR = ("opening",)
 """Layers that take seconds."""
+BASES = {"feasible": "can do it from here", "partly": "only in part", "infeasible": "not from here"}
+"""What the colors of the footprint say."""
 VIRIDIS = ("#dde318", "#21918c", "#440f5c")
 
 
@@ -99,7 +113,7 @@ class AnswerLayers:
             for root in self._roots.values():
                 root.remove()
             self._roots, self._kinds = {}, ()
-        self._panel.legend.content = ""
+        self._panel.legend.content = legend([], ())
         self._panel.clicked.content = ""
 
     def changed(self) -> None:
@@ -223,9 +237,11 @@ DRAW = {
 
 def legend(shown: list[str], kinds: tuple[str, ...]) -> str:
     """What the colors of the layers that are shown mean, as HTML."""
-    rows: list[tuple[str, str]] = []
+    rows = [(_box(TARGET), "asked about"), (_box(PART), "what moves of it"),
+            (_box(BAD), "in the way")]  # fmt: skip
+    rows += [(_box(VERDICTS[key]), f"base: {words}") for key, words in BASES.items()]
     if "way" in shown:
-        rows.append((_box(INK), "driven path"))
+        rows += [(_box(SOFT_INK), "start"), (_box(INK), "driven path")]
     if "waypoints" in shown:
         rows += [(_box(WAYPOINT), "way of the tool"), (_box(HANDLE), "grasps")]
     if "potential" in shown:
@@ -239,6 +255,8 @@ def legend(shown: list[str], kinds: tuple[str, ...]) -> str:
     if "importance" in shown:
         rows.append((_ramp(("#c3cad0", SELECTED)), "importance 0 to 1"))
         rows += [(_box(look.color), kind) for kind, look in RELATIONS.items()]
+    if "spheres" in shown:
+        rows.append((_box(PART), "collision spheres"))
     if "candidates" in shown:
         rows += [(_box(kind.color), kind.name) for kind in KINDS if kind.name in kinds]
     items = "".join(f"<div>{mark} {words}</div>" for mark, words in rows)

@@ -16,6 +16,7 @@ from momapos.errors import InputError
 from momapos.page.opened import Opened, OpenedScan
 from momapos.page.origin import own_pages_only
 from momapos.page.page import Page
+from momapos.page.panel import set_theme
 
 
 class Server(viser.ViserServer):  # type: ignore[misc]  # mypy does not read viser
@@ -79,10 +80,7 @@ def open_server(host: str, port: int) -> Server:
         with quiet():
             server.stop()
         raise _in_use(port)
-    # Nothing on the page leads out of this machine.
-    server.gui.configure_theme(
-        show_logo=False, show_share_button=False, control_width="medium", brand_color=(42, 122, 184)
-    )
+    set_theme(server.gui)
     server.scene.world_axes.visible = False
     return server
 
