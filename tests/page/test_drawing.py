@@ -250,7 +250,8 @@ class Browser:
             raise RuntimeError("the client has gone")
         return np.full((height, width, 4), 255, np.uint8)
 
-    def send_file_download(self, name: str, content: bytes) -> None:
+    def send_file_download(self, name: str, content: bytes, *, save_immediately: bool) -> None:
+        assert save_immediately  # else there is a link to it only
         self.files[name] = content
 
 

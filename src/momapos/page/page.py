@@ -288,6 +288,7 @@ class Page:
         self.room.show(scene, name, collision=collision)
         self.room.rest()
         self.panel.show_joints(joint_ranges(scene, name))
+        self.panel.to.disabled = question.verb not in ("open", "close")
         if self.robot.robot is not robot or fresh:
             self.robot.show(robot, self._begin(scene))
         else:

@@ -236,6 +236,7 @@ class Panel:
         for _, handle in self._joints.values():
             handle.remove()
         self._joints = {}
+        self.joints_folder.visible = bool(joints)
         with self.joints_folder:
             for joint in joints:
                 low, high = joint.shown(joint.low), joint.shown(joint.high)

@@ -233,8 +233,8 @@ def _moving(item: SceneObject) -> set[str]:
 
 def _colors(item: SceneObject, *, active: bool) -> tuple[str, str]:
     """Of the body of an object, and of its handles."""
-    if active:
-        return TARGET, TARGET_EDGE
+    if active:  # of a loose thing all moves
+        return (TARGET if item.model.joints else PART), TARGET_EDGE
     if item.category == "wall":
         return WALL, WALL
     small = np.prod(np.ptp(item.bounds, axis=0)) < SMALL_THING

@@ -129,7 +129,7 @@ def send_picture(client: Any) -> None:
 
     content = io.BytesIO()
     Image.fromarray(render(client, PICTURE)).save(content, "PNG")
-    client.send_file_download("momapos.png", content.getvalue())
+    client.send_file_download("momapos.png", content.getvalue(), save_immediately=True)
 
 
 def send_film(
@@ -162,5 +162,6 @@ def send_film(
             show(seconds)
             yield render(client, look.size)
 
-    client.send_file_download(f"momapos{ending}", encoded(pictures(), ending, look.rate))
+    film = encoded(pictures(), ending, look.rate)
+    client.send_file_download(f"momapos{ending}", film, save_immediately=True)
     return duration * look.rate / count
