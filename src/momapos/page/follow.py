@@ -38,6 +38,7 @@ class Follow:
         base = np.array([gizmo.position[0], gizmo.position[1], yaw])
         self._page.motion.pause()
         self._page.robot.base = base
+        self._page.settled.node(gizmo)
         asked = time.perf_counter()
         self.work.put(lambda clock: self._ask(base, asked, clock))
 

@@ -32,6 +32,7 @@ from momapos.page.question import Machine, Machines, Question, ask, ask_at, targ
 from momapos.page.robot_view import RobotView, home_values, joint_values
 from momapos.page.room_view import RoomView, viewpoint
 from momapos.page.scan_view import ScanView
+from momapos.page.settled import Settled
 from momapos.page.state import Choice, Shown
 from momapos.page.words import answer_words, escaped, run_words
 from momapos.page.work import Latest
@@ -84,6 +85,7 @@ class Page:
         self.drawing = threading.RLock()
         """Held while what is drawn is changed, and while it is looked at whether it still should
         be: several threads draw."""
+        self.settled = Settled()
         self.room = RoomView(server.scene, self._pick)
         self.robot = RobotView(server.scene, dragged=lambda event: self.follow.dragged(event))
         self.motion = MotionView(self)
@@ -104,6 +106,7 @@ class Page:
     def close(self) -> None:
         """End all work."""
         self.browsers.close()
+        self.settled.close()
         self.motion.pause()
         self.work.close()
         self.follow.work.close()

@@ -190,6 +190,8 @@ class Panel:
         for words, ending in FILM_KINDS.items():
             film = gui.add_button(words)
             film.on_click(lambda event, ending=ending: page.extras.film(event.client, ending))
+        for handle in (self.plan_name, self.scene_name):
+            self._listen(handle, lambda: None)  # what is typed is read when it is saved
         self.files = gui.add_markdown("Files go into the folder where the page was started.")
 
     def _keys(self) -> None:
@@ -217,7 +219,13 @@ class Panel:
 
     def _listen(self, handle: Any, action: Callable[[], None]) -> None:
         """Call an action when a person changes a control; not when the page itself does."""
-        handle.on_update(lambda event: action() if event.client is not None else None)
+
+        def changed(event: Any) -> None:
+            if event.client is not None:
+                self._page.settled.control(handle)
+                action()
+
+        handle.on_update(changed)
 
     # ---------------------------------------------------------------------------- what is shown
 
