@@ -49,6 +49,11 @@ def test_an_address_that_is_none_is_refused(host: str, port: int) -> None:
         check_free(host, port)
 
 
+def test_an_address_of_another_machine_is_told_as_one() -> None:
+    with pytest.raises(InputError, match=r"--host 192\.0\.2\.1: is no address of this machine"):
+        check_free("192.0.2.1", 0)
+
+
 def test_a_server_opens_no_tunnel_to_the_outside() -> None:
     server = open_server("127.0.0.1", 0)
     try:
@@ -81,13 +86,18 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
         yield page
 
 
-def test_a_scene_that_cannot_be_loaded_is_told_on_the_page_which_goes_on(page: Page) -> None:
+def test_a_scene_that_cannot_be_loaded_is_told_on_page_and_terminal_which_go_on(
+    page: Page, caplog: pytest.LogCaptureFixture
+) -> None:
     good, damaged = page.panel.scene.options
     page.panel.scene.value = damaged
     page.change()
     assert page.work.wait(LONG)
     assert "cannot be done" in page.panel.result.content
     assert "damaged" in page.panel.result.content
+    (line,) = caplog.messages
+    assert line.startswith(f"momapos: {damaged}")
+    assert "\n" not in line
     page.panel.scene.value = good
     page.change()
     assert page.work.wait(LONG)

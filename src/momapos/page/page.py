@@ -8,6 +8,7 @@ wins, and draws what it finds itself.
 
 from __future__ import annotations
 
+import logging
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -46,6 +47,7 @@ if TYPE_CHECKING:
     from viser import ViserServer
 
 
+LOG = logging.getLogger(__name__)
 READY = "Press **Place**, or drag the base."
 
 
@@ -226,6 +228,7 @@ class Page:
             self.tell(f"**Searching**: {escaped(stage)}")
 
     def fail(self, reason: str) -> None:
+        LOG.warning("momapos: %s", reason)
         self.panel.result.content = f"**It cannot be done so.** {escaped(reason)}"
 
     # ------------------------------------------------------------------------- what is loaded

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import io
 import socket
 from collections.abc import Iterator, Sequence
@@ -103,7 +104,7 @@ def check_free(host: str, port: int) -> None:
     except PermissionError as error:
         raise InputError(f"--port {port}: may not be used ({error.strerror})") from error
     except OSError as error:
-        if error.errno and "vail" in str(error.strerror):
+        if error.errno == errno.EADDRNOTAVAIL:
             raise InputError(f"--host {host}: is no address of this machine") from error
         raise _in_use(port) from error
 
