@@ -39,6 +39,9 @@ SMALL = {"width": 800, "height": 450}
 """Of the window, by which the size of words goes [px]."""
 LONG = 300.0
 """Nothing takes so long [s]."""
+FIELD = np.radians(50.0)
+"""How much the camera sees from top to bottom: less than in the page, for these are of one task
+[rad]."""
 SETTLED = 3.0
 """What is on its way to a browser is there after so long, or something of it [s]."""
 
@@ -211,6 +214,8 @@ def aim(page: Page, item: Item) -> None:
     look_at = middle + item.aside * np.array([-back[1], back[0], 0.0])
     camera.position = look_at + item.away * np.append(np.cos(steep) * back, np.sin(steep))
     camera.look_at, camera.up = look_at, np.array([0.0, 0.0, 1.0])
+    camera.fov = FIELD
+    page.robot.show_handle(False)
 
 
 def settled(client: Any) -> np.ndarray:

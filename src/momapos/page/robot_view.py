@@ -169,6 +169,12 @@ class RobotView:
         self._force.points = arrow.astype(np.float32)
         self._force.visible = True
 
+    def show_handle(self, shown: bool) -> None:
+        """Draw what the base is dragged by, or leave it out of a picture."""
+        if self._frame is not None and self._dragged is not None:
+            for part in ("axes", "sliders", "rotations"):
+                setattr(self._frame, f"disable_{part}", not shown)
+
     def verdict(self, word: str) -> None:
         """Color the footprint: "feasible", "partly", "infeasible", or "" where it is not known."""
         if word != self._verdict:
