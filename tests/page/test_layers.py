@@ -9,13 +9,12 @@ import pytest
 
 from momapos.geometry.transforms import pose_planar
 from momapos.manipulation.tasks import make_task
-from momapos.page.layers import box_edges, free_area, reach_slice
+from momapos.page.layers import box_edges, free_area
 from momapos.page.playback import Story
 from momapos.page.words import answer_words, escaped
 from momapos.pipeline import plan_base_placement
 from momapos.placement.area import BaseStatus, base_pose_status
 from momapos.placement_result import PlacementResult
-from momapos.reachability.store import load_reach
 from momapos.robots.robot import Robot
 from momapos.scene.files import load_scene
 from momapos.scene.scene import SceneObject, upright_boxes
@@ -41,14 +40,6 @@ def test_the_free_area_is_where_the_base_stands_clear(answer: PlacementResult) -
         clear = base_pose_status(geometry, poses)[0] == BaseStatus.CLEAR
         assert share[row, column] == pytest.approx(clear.mean())
     assert share.max() > 0
-
-
-def test_the_reach_is_a_share_that_falls_to_nothing(robots: Callable[[str], Robot]) -> None:
-    robot = robots("segway_ur5e")
-    share, half = reach_slice(robot, load_reach(robot), 0.9, cell=0.2)
-    assert 0 < share.max() <= 1
-    assert share[0].max() == 0
-    assert half >= robot.reach
 
 
 def test_boxes_are_drawn_by_their_twelve_edges() -> None:

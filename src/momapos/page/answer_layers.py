@@ -32,6 +32,7 @@ from momapos.viewer.palette import (
     TARGET,
     WAYPOINT,
 )
+from momapos.viewer.reach_slices import reach_slice, tool_axes
 
 if TYPE_CHECKING:
     from viser import SceneApi
@@ -39,6 +40,8 @@ if TYPE_CHECKING:
     from momapos.page.robot_view import RobotView
 
 ROOT = "/layers"
+BESIDE = 0.4
+"""The arm's reach is asked for so much farther from the base than the arm is long [m]."""
 CELL = 0.06
 """Edge of a cell of the pictures on the floor [m]."""
 OF_ANSWER = ("way", "waypoints", "candidates", "potential", "free", "opening", "importance")
@@ -211,7 +214,9 @@ class AnswerLayers:
 
     def _reach(self, name: str, of: Answered, _: Clock) -> None:
         height = float(self._panel.height.value)
-        share, half = draw.reach_slice(of.answer.prepared.robot, of.reach, height)
+        robot = of.answer.prepared.robot
+        axes = tool_axes(robot.approach_axis, robot.closing_axis)
+        share, half = reach_slice(of.reach, axes, robot.reach + BESIDE, height)
         draw.floor_image(
             self._api, f"{name}/map", draw.reach_pixels(share), (-half, half, -half, half),
             height=height,
