@@ -26,6 +26,7 @@ from playwright.sync_api import sync_playwright
 from momapos.cache import user_cache
 from momapos.cli.main import main
 from momapos.cli.view_sources import opened_source
+from momapos.geometry.planar import rotation
 from momapos.page.page import Page
 from momapos.page.room_view import viewpoint
 from momapos.page.saving import render
@@ -61,6 +62,8 @@ class Item:
     """How steeply it looks down [deg]."""
     aside: float = 0.0
     """How far to the right of the task it looks [m]."""
+    around: float = 0.0
+    """How far it stands round to the right, against where the page looks from [deg]."""
 
 
 def placed(**layers: bool) -> Callable[[Page], None]:
@@ -112,6 +115,17 @@ def beside(page: Page) -> None:
     page.compare.arrange()
 
 
+def on_the_floor(**layers: bool) -> Callable[[Page], None]:
+    """How the fridge is opened: layers on the floor, and nothing that stands on them."""
+
+    def act(page: Page) -> None:
+        asked("open", "fridge/door_hinge", page.panel.robot.value)(page)
+        shown(**layers)(page)
+        page.robot.remove()
+
+    return act
+
+
 def in_the_middle(page: Page) -> None:
     """A moment at which the hand pulls."""
     motion = page.motion.story
@@ -138,18 +152,18 @@ ITEMS = (
     Item("drawer", ("view kitchen_small --robot tiago",),
          asked("open", "cabinet_right/drawer_top_slide", "tiago", way=True, waypoints=True)),
     Item("reach", ("view kitchen_small --robot husky_ur5e",),
-         asked("open", "wall_cabinet/door_left_hinge", "husky_ur5e", reach=True, waypoints=True),
-         away=5.0),
+         asked("open", "fridge/door_hinge", "husky_ur5e", reach=True, waypoints=True), away=4.5),
     Item("candidates", ("view kitchen_small --robot ranger_rm63",),
-         asked("open", "fridge/door_hinge", "ranger_rm63", candidates=True), away=3.2, above=60.0),
+         on_the_floor(candidates=True), away=3.4, above=55.0),
     Item("opening", ("view kitchen_small --robot segway_ur5e",),
-         asked("open", "fridge/door_hinge", "segway_ur5e", opening=True), above=50.0),
+         on_the_floor(opening=True), above=50.0),
     Item("graph", ("view kitchen_small --robot segway_ur5e",),
          asked("open", "fridge/door_hinge", "segway_ur5e", importance=True)),
     Item("compare", ("view kitchen_small --robot segway_ur5e",), beside,
-         away=8.5, aside=2.4, above=32.0),
+         away=13.0, aside=2.4, above=32.0),
     Item("run", ("place open kitchen_small fridge/door_hinge --robot segway_ur5e --out plan.json",
-                 "run plan.json --out run.json", "view run.json"), in_the_middle),
+                 "run plan.json --out run.json", "view run.json"), in_the_middle,
+         away=3.2, around=-65.0),
     Item("scan", ("scene scan kitchen_small --out scan", "view scan --robot segway_ur5e"), points,
          away=4.5, above=35.0),
 )  # fmt: skip
@@ -209,6 +223,7 @@ def aim(page: Page, item: Item) -> None:
     thing = scene.object(question.target.partition("/")[0]).bounds.mean(0)
     middle = np.append((thing[:2] + page.robot.base[:2]) / 2, 0.8)
     back = (eye - target)[:2] / np.linalg.norm((eye - target)[:2])
+    back = rotation(np.radians(item.around)) @ back
     steep = np.radians(item.above)
     camera = page.server.initial_camera
     look_at = middle + item.aside * np.array([-back[1], back[0], 0.0])
@@ -223,7 +238,7 @@ def settled(client: Any) -> np.ndarray:
     before, ends = np.zeros(0), time.monotonic() + LONG
     while time.monotonic() < ends:
         time.sleep(SETTLED)
-        pixels = render(client, DRAWN)
+        pixels = render(client, DRAWN, patience=LONG)
         if np.array_equal(pixels, before):
             break
         before = pixels

@@ -103,8 +103,10 @@ def save_room(
     return path
 
 
-def render(client: Any, size: tuple[int, int]) -> UInt8[np.ndarray, "h w 3"]:
-    """What a browser sees, as a picture of a size [px].
+def render(
+    client: Any, size: tuple[int, int], *, patience: float = PATIENCE
+) -> UInt8[np.ndarray, "h w 3"]:
+    """What a browser sees, as a picture of a size [px]; it is waited for so long at most [s].
 
     Raises:
         InputError: It sends none, as one that has gone or is hidden.
@@ -112,7 +114,7 @@ def render(client: Any, size: tuple[int, int]) -> UInt8[np.ndarray, "h w 3"]:
     width, height = size
     try:
         picture: np.ndarray = client.get_render(
-            height=height, width=width, transport_format="png", timeout=PATIENCE
+            height=height, width=width, transport_format="png", timeout=patience
         )
     except (RuntimeError, TimeoutError) as error:
         raise InputError(
