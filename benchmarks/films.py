@@ -31,7 +31,8 @@ PAGE = (640, 360)
 """Size of the README's GIF [px]."""
 STRIP_WIDTH = 1800
 """Of the strip in the docs [px]."""
-COLORS = 128
+COLORS, EVERY = 64, 2
+"""Of pictures that are kept; of a film every second one is."""
 
 
 def carried_out() -> RunTrace:
@@ -62,11 +63,12 @@ def smaller(film: bytes) -> bytes:
     """A GIF for a page."""
     content = io.BytesIO()
     with Image.open(io.BytesIO(film)) as pictures:
-        wait = pictures.info["duration"]
+        wait = EVERY * pictures.info["duration"]
         first, *others = (
-            one.convert("RGB").resize(PAGE, Image.Resampling.LANCZOS).quantize(COLORS)
-            for one in ImageSequence.Iterator(pictures)
-        )
+            one.convert("RGB").resize(PAGE, Image.Resampling.LANCZOS)
+            .quantize(COLORS, dither=Image.Dither.NONE)
+            for k, one in enumerate(ImageSequence.Iterator(pictures)) if k % EVERY == 0
+        )  # fmt: skip
     first.save(
         content, "GIF", save_all=True, append_images=others, loop=0, duration=wait, optimize=True
     )
