@@ -206,7 +206,7 @@ def test_two_pages_act_on_one_state(
     assert complaints == []
 
 
-def test_a_page_gives_its_picture_and_keeps_its_plan(
+def test_a_page_gives_its_picture_and_film_and_keeps_its_plan(
     site: tuple[Page, str], opened: Callable[[str], Tab], complaints: list[str]
 ) -> None:
     page, address = site
@@ -217,6 +217,13 @@ def test_a_page_gives_its_picture_and_keeps_its_plan(
     with Image.open(download.value.path()) as picture:
         assert picture.size == (1280, 720)
         assert len(picture.convert("RGB").getcolors(1280 * 720) or ()) > 20
+    duration, page.motion.player.duration = page.motion.player.duration, 0.4
+    with tab.expect_download(timeout=LONG) as download:
+        press(tab, "button", "Film (GIF)")
+    page.motion.player.duration = duration
+    with Image.open(download.value.path()) as film:
+        assert film.n_frames >= 2  # type: ignore[attr-defined]
+        assert film.size == (640, 360)
     press(tab, "button", "Save the plan")
     tab.get_by_text("Saved as plan.json").wait_for(timeout=LONG)
     assert (page.folder / "plan.json").is_file()
