@@ -83,7 +83,7 @@ test-ros: $(ROS)/.ready
 		$(ROS)/bin/python -m pytest -n 0 tests/ros2
 
 test-film: $(VENV)/.film
-	$(BIN)/pytest tests/execution/test_film.py tests/execution/test_film_files.py
+	$(BIN)/pytest tests/execution/test_film.py tests/execution/test_film_files.py tests/page/test_drawing.py
 
 test-page: $(VENV)/.dev
 	$(BIN)/pytest tests/page

@@ -1,15 +1,19 @@
 """A large room on the page: how long it takes to draw, and how many bytes go to a browser.
 
-    python benchmarks/large_page.py [--objects 1000] [--points 2000000]
+    python benchmarks/large_page.py [--objects 1000] [--points 2000000] [--browser]
 
 The browser is a connection that counts. After the first load only what changes may be sent: what a
 moment of a motion, another active object, and more points of the scan cost is printed apart.
+
+With `--browser` a Chromium draws it instead, 1280 x 720, and tells how many pictures a second come
+while the camera turns; by what it draws is printed, for without a graphics card that is all.
 """
 
 from __future__ import annotations
 
 import argparse
 import asyncio
+import shutil
 import tempfile
 import time
 from collections.abc import Callable
@@ -17,9 +21,11 @@ from pathlib import Path
 
 import numpy as np
 
+from gallery import browsing
 from momapos.cache import user_cache
 from momapos.page.opened import OpenedScan
 from momapos.page.page import Page
+from momapos.page.panel import POINTS
 from momapos.page.serve import served
 from momapos.scan_records import Decision, Modeled
 from momapos.scene.copies import copied
@@ -30,6 +36,23 @@ from pages import Tab
 
 QUIET = 2.0
 """Nothing more is sent when nothing has come for so long [s]."""
+WINDOW = {"width": 1280, "height": 720}
+SETTLED, WATCHED = 8.0, 4.0
+"""A browser gets so long to take in what is new; then its pictures are counted for so long [s]."""
+RENDERER = """() => {
+  const gl = document.querySelector("canvas").getContext("webgl2");
+  return gl.getParameter(gl.getExtension("WEBGL_debug_renderer_info").UNMASKED_RENDERER_WEBGL);
+}"""
+RATE = """wait => new Promise(done => {
+  let drawn = 0;
+  const began = performance.now();
+  const next = () => {
+    drawn += 1;
+    const past = performance.now() - began;
+    if (past < wait) requestAnimationFrame(next); else done(1000 * drawn / past);
+  };
+  requestAnimationFrame(next);
+})"""
 SPREAD = 40.0
 """Edge of the room [m]."""
 
@@ -112,7 +135,30 @@ async def measured(page: Page, address: str) -> None:
     await tab.close()
 
 
-def run(objects: int, points: int) -> None:
+def pictures(page: Page, address: str) -> None:
+    """Let a Chromium draw the room without points, and with more and more of them."""
+    with browsing(shutil.which("chromium") or "chromium") as browser:
+        tab = browser.new_page(viewport=WINDOW)
+        tab.goto(address)
+        tab.locator("canvas").first.wait_for(timeout=60_000.0)
+        tab.wait_for_timeout(1000 * SETTLED)
+        print(f"drawn by {tab.evaluate(RENDERER)}", flush=True)
+        for points in ("none", *POINTS):
+            page.panel.cloud.value = "none" if points == "none" else "by thing"
+            page.panel.points.value = next(iter(POINTS)) if points == "none" else points
+            page.scan.changed()
+            tab.wait_for_timeout(1000 * SETTLED)
+            rates = []
+            for _ in range(3):
+                tab.mouse.move(300, 360)
+                tab.mouse.down()
+                tab.mouse.move(320, 360)
+                rates.append(tab.evaluate(RATE, 1000 * WATCHED))
+                tab.mouse.up()
+            print(f"{points + ' points':22} {sorted(rates)[1]:5.1f} pictures a second", flush=True)
+
+
+def run(objects: int, points: int, *, browser: bool) -> None:
     """Serve the room, and measure."""
     rng = np.random.default_rng(0)
     with tempfile.TemporaryDirectory() as folder:
@@ -132,12 +178,16 @@ def run(objects: int, points: int) -> None:
                 raise RuntimeError(page.panel.result.content)
             print(f"loaded and drawn: {time.monotonic() - began:.1f} s, "
                   f"{time.process_time() - own:.1f} s of processor")  # fmt: skip
-            asyncio.run(measured(page, address))
+            if browser:
+                pictures(page, address)
+            else:
+                asyncio.run(measured(page, address))
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--objects", type=int, default=1000)
     parser.add_argument("--points", type=int, default=2_000_000)
+    parser.add_argument("--browser", action="store_true")
     args = parser.parse_args()
-    run(args.objects, args.points)
+    run(args.objects, args.points, browser=args.browser)

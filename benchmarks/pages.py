@@ -214,8 +214,8 @@ async def acting(tab: Tab, rng: random.Random, until: float) -> None:
         await tab.act(rng)
 
 
-async def compared(tabs: list[Tab]) -> list[str]:
-    """Wait until nothing changes, and say what is wrong then."""
+async def compared(tabs: list[Tab]) -> tuple[list[str], int]:
+    """Wait until nothing changes; what is wrong then, and what a page costs that is opened [B]."""
     await tabs[0].press("Stop")
     await asyncio.sleep(0.5)
     wanted = random.Random(tabs[0].acts).choice(TARGETS)
@@ -229,7 +229,7 @@ async def compared(tabs: list[Tab]) -> list[str]:
         if still and not any(tab.told.busy for tab in tabs):
             break
     else:
-        return [f"work goes on for more than {LONG:.0f} s"]
+        return [f"work goes on for more than {LONG:.0f} s"], 0
     fresh = Tab(tabs[0].address, -1)
     await fresh.open()
     await asyncio.sleep(QUIET)
@@ -246,7 +246,7 @@ async def compared(tabs: list[Tab]) -> list[str]:
     if not answered or name not in answered[0]:
         wrong.append(f"{wanted} was asked, and the page says {answered or fresh.told.words}")
     await fresh.close()
-    return wrong
+    return wrong, fresh.told.received
 
 
 def different(seen: dict[str, Any], expected: dict[str, Any], key: str) -> str:
@@ -278,10 +278,12 @@ async def run(address: str, pid: int, pages: int, minutes: float, seed: int) -> 
     while time.monotonic() - began < 60 * minutes:
         until = min(time.monotonic() + ROUND, began + 60 * minutes)
         await asyncio.gather(*(acting(t, random.Random(rng.random()), until) for t in tabs))
-        wrong += await compared(tabs)
+        found, cost = await compared(tabs)
+        wrong += found
         held.append(memory(pid))
         acts = sum(tab.acts for tab in tabs)
         print(f"{time.monotonic() - began:5.0f} s: {acts} acts, {held[-1]:.0f} MB, "
+              f"{cost / 1e6:.2f} MB to a page that is opened, "
               f"{len(wrong)} wrong", flush=True)  # fmt: skip
         if wrong:
             break

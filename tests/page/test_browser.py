@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
 from playwright.sync_api import Browser, ConsoleMessage, sync_playwright
 from playwright.sync_api import Page as Tab
 from tests import optional
@@ -115,12 +116,33 @@ def ahead(page: Page, distance: float) -> np.ndarray:
     return np.array([x + distance * math.cos(yaw), y + distance * math.sin(yaw), 0.0])
 
 
+def pick_in_the_picture(page: Page, tab: Tab) -> None:
+    """Click one object after the other, where neither another nor the controls are before it."""
+    scene = page.shown.scene
+    assert scene is not None
+    tab.set_viewport_size(SIZE)  # type: ignore[arg-type]
+    (client,) = page.server.get_clients().values()
+    assert until(lambda: client.camera.image_height == SIZE["height"])
+    drawn(tab)
+    for name in ("microwave", "fridge"):
+        low, high = scene.object(name).bounds
+        tab.mouse.move(*pixel(client.camera, np.append((low + high)[:2] / 2, high[2])))
+        for act in (tab.mouse.down, tab.mouse.up):
+            drawn(tab)  # a click is one where the page has seen what the mouse is on
+            act()
+        assert until(lambda name=name: page.panel.target.value.startswith(f"{name}/"))  # type: ignore[misc]
+        assert page.work.wait(LONG / 1000)
+    tab.set_viewport_size(SMALL)  # type: ignore[arg-type]
+
+
 def test_a_person_asks_drags_plays_and_reloads(
     site: tuple[Page, str], opened: Callable[[str], Tab], complaints: list[str]
 ) -> None:
     page, address = site
-    tab, other = opened(address), opened(address)
+    tab = opened(address)
     tab.get_by_text("Press Place").wait_for(timeout=LONG)
+    pick_in_the_picture(page, tab)
+    other = opened(address)
     press(tab, "button", "Place")
     for one in (tab, other):  # both see the answer
         one.get_by_text("Solved").wait_for(timeout=LONG)
@@ -161,6 +183,53 @@ def test_a_person_asks_drags_plays_and_reloads(
     assert complaints == []
 
 
+def test_two_pages_act_on_one_state(
+    site: tuple[Page, str], opened: Callable[[str], Tab], complaints: list[str]
+) -> None:
+    page, address = site
+    one, two = opened(address), opened(address)
+    for tab in (one, two):
+        tab.get_by_text("Solved").wait_for(timeout=LONG)
+        press(tab, "tab", "Motion")
+    press(one, "button", "Play")
+    two.get_by_role("button", name="Pause", exact=True).wait_for(timeout=LONG)
+    two.keyboard.press("k")
+    one.get_by_role("button", name="Play", exact=True).wait_for(timeout=LONG)
+    at = page.motion.player.now
+    one.keyboard.press("l")
+    assert until(lambda: page.motion.player.now == pytest.approx(at + 1.0))
+    press(one, "tab", "Layers")
+    one.get_by_label("Potential", exact=True).click(force=True)
+    assert until(lambda: "potential" in page.layers.drawn)
+    press(two, "tab", "Layers")
+    assert two.get_by_label("Potential", exact=True).is_checked()
+    assert complaints == []
+
+
+def test_a_page_gives_its_picture_and_film_and_keeps_its_plan(
+    site: tuple[Page, str], opened: Callable[[str], Tab], complaints: list[str]
+) -> None:
+    page, address = site
+    tab = opened(address)
+    press(tab, "tab", "Files")
+    with tab.expect_download(timeout=LONG) as download:
+        press(tab, "button", "Picture (PNG)")
+    with Image.open(download.value.path()) as picture:
+        assert picture.size == (1280, 720)
+        assert len(picture.convert("RGB").getcolors(1280 * 720) or ()) > 20
+    duration, page.motion.player.duration = page.motion.player.duration, 0.4
+    with tab.expect_download(timeout=LONG) as download:
+        press(tab, "button", "Film (GIF)")
+    page.motion.player.duration = duration
+    with Image.open(download.value.path()) as film:
+        assert film.n_frames >= 2  # type: ignore[attr-defined]
+        assert film.size == (640, 360)
+    press(tab, "button", "Save the plan")
+    tab.get_by_text("Saved as plan.json").wait_for(timeout=LONG)
+    assert (page.folder / "plan.json").is_file()
+    assert complaints == []
+
+
 def test_a_written_page_plays_without_a_network(
     site: tuple[Page, str],
     browser: Browser,
@@ -181,4 +250,4 @@ def test_a_written_page_plays_without_a_network(
         first = time_shown.input_value(timeout=LONG)
         assert until(lambda: time_shown.input_value() != first)
     assert [url for url in asked if not url.startswith(("file:", "data:", "blob:"))] == []
-    assert Story.of(plan, robot).duration > 1.0
+    assert Story.of(plan, robot, answer.prepared.scene).duration > 1.0

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import threading
 import time
 import warnings
 from collections.abc import Iterator
@@ -10,14 +12,18 @@ from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
+from tests import optional
 
 from momapos.cache import user_cache
+from momapos.errors import InputError
+from momapos.execution.film_files import GIF, MP4
 from momapos.geometry.upright_boxes import box_axes
 from momapos.page import answer_layers
 from momapos.page.layers import box_edges
 from momapos.page.page import Page
 from momapos.page.panel import POINTS
-from momapos.page.saving import render
+from momapos.page.saving import FILMS, render, send_film
 from momapos.page.scan_view import ROOM, boxes_of, thing_colors
 from momapos.page.serve import served
 from momapos.scan_records import Decision, Modeled
@@ -37,7 +43,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
         assert page.work.wait(LONG)
         page.place()
         assert page.work.wait(LONG)
-        assert page.layers.work.wait(LONG)
+        assert page.layers.wait(LONG)
         yield page
 
 
@@ -97,12 +103,12 @@ def test_a_layer_of_an_answer_that_is_no_longer_shown_is_not_left(
     monkeypatch.setitem(answer_layers.DRAW, "way", answered_meanwhile)
     reach = machine.reach_of(answer.prepared.robot.arm)
     page.layers.show(scene, answer, reach)
-    assert page.layers.work.wait(LONG)
+    assert page.layers.wait(LONG)
     assert not page.layers.drawn
     assert page.server.scene.get_handle_by_name("/layers/way/late") is None
     monkeypatch.undo()
     page.layers.show(scene, answer, reach)
-    assert page.layers.work.wait(LONG)
+    assert page.layers.wait(LONG)
     assert "way" in page.layers.drawn
 
 
@@ -166,8 +172,11 @@ def test_boxes_of_a_scan_stand_as_they_were_found() -> None:
 
 def test_a_picture_is_white_where_nothing_is() -> None:
     class Browser:
-        def get_render(self, height: int, width: int, transport_format: str) -> np.ndarray:
+        def get_render(
+            self, height: int, width: int, transport_format: str, timeout: float
+        ) -> np.ndarray:
             assert transport_format == "png"
+            assert timeout > 0
             picture = np.zeros((height, width, 4), np.uint8)
             picture[: height // 2] = (10, 20, 30, 255)
             return picture
@@ -176,3 +185,143 @@ def test_a_picture_is_white_where_nothing_is() -> None:
     assert picture.shape == (6, 8, 3)
     assert picture[0, 0].tolist() == [10, 20, 30]
     assert picture[-1, 0].tolist() == [255, 255, 255]
+
+
+def test_a_dear_layer_does_not_hold_up_the_others_and_ends_when_it_is_switched_off(
+    page: Page, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun, ended = threading.Event(), threading.Event()
+
+    def endless(layers: Any, name: str, of: Any, clock: Any) -> None:
+        del layers, name, of
+        begun.set()
+        try:
+            while True:
+                clock()
+        finally:
+            ended.set()
+
+    monkeypatch.setitem(answer_layers.DRAW, "opening", endless)
+    boxes = page.panel.layers
+    boxes["opening"].value = True
+    page.layers.changed()
+    assert begun.wait(LONG)
+    boxes["potential"].value = True
+    page.layers.changed()
+    assert page.layers.work.wait(LONG)
+    assert "potential" in page.layers.drawn
+    assert not ended.is_set()
+    assert page.layers.busy
+    boxes["opening"].value = boxes["potential"].value = False
+    page.layers.changed()
+    assert page.layers.wait(LONG)
+    assert ended.is_set()
+
+
+def test_layers_that_nobody_looks_at_are_not_computed_on(
+    page: Page, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun = threading.Event()
+
+    def endless(layers: Any, name: str, of: Any, clock: Any) -> None:
+        del layers, name, of
+        begun.set()
+        while True:
+            clock()
+
+    monkeypatch.setitem(answer_layers.DRAW, "opening", endless)
+    page.panel.layers["opening"].value = True
+    page.layers.changed()
+    assert begun.wait(LONG)
+    page.browsers._alone()
+    assert page.layers.wait(LONG)
+    page.panel.layers["opening"].value = False
+
+
+class Browser:
+    """What a film needs of a browser; it sends white pictures as long as it is there."""
+
+    def __init__(self, pictures: int = 1000) -> None:
+        self.left, self.files = pictures, {}  # type: ignore[var-annotated]
+
+    def get_render(self, height: int, width: int, **_: Any) -> np.ndarray:
+        self.left -= 1
+        if self.left < 0:
+            raise RuntimeError("the client has gone")
+        return np.full((height, width, 4), 255, np.uint8)
+
+    def send_file_download(self, name: str, content: bytes, *, save_immediately: bool) -> None:
+        assert save_immediately  # else there is a link to it only
+        self.files[name] = content
+
+
+def test_a_film_of_the_page_shows_the_whole_motion() -> None:
+    shown: list[float] = []
+    browser = Browser()
+    faster = send_film(browser, GIF, 12.0, shown.append, time.perf_counter)
+    assert (shown[0], shown[-1]) == (0.0, 12.0)
+    with Image.open(io.BytesIO(browser.files["momapos.gif"])) as film:
+        assert film.size == FILMS[GIF].size
+    assert faster == pytest.approx(12.0 * FILMS[GIF].rate / len(shown))
+
+
+def test_a_film_as_mp4_is_720_high() -> None:
+    av = optional.module("av")
+    browser = Browser()
+    send_film(browser, MP4, 0.2, lambda _: None, time.perf_counter)
+    with av.open(io.BytesIO(browser.files["momapos.mp4"])) as film:
+        stream = film.streams.video[0]
+        assert (stream.codec_context.width, stream.codec_context.height) == (1280, 720)
+        assert sum(1 for _ in film.decode(video=0)) == 5
+
+
+def test_a_film_for_a_browser_that_has_gone_is_told_in_one_line() -> None:
+    with pytest.raises(InputError, match="the browser sent no picture"):
+        send_film(Browser(3), GIF, 2.0, lambda _: None, time.perf_counter)
+    with pytest.raises(InputError, match="no motion"):
+        send_film(Browser(), GIF, 0.0, lambda _: None, time.perf_counter)
+
+
+def test_an_answer_stands_at_its_end_and_another_question_puts_the_part_back(page: Page) -> None:
+    def doors() -> np.ndarray:
+        return np.concatenate([[*n.position, *n.wxyz] for n in page.room._links.values()])
+
+    panel, player = page.panel, page.motion.player
+    page.motion.seek(0.0)
+    closed = doors()
+    page.place()
+    assert page.work.wait(LONG)
+    assert player.now == player.duration == pytest.approx(panel.time.value, abs=0.02)
+    assert panel.moment.content.startswith(f"{player.duration:.1f} s")
+    assert panel.joint_values == {"door_hinge": pytest.approx(np.pi / 2, abs=1e-4)}
+    assert np.abs(doors() - closed).max() > 0.3
+    panel.to.value = "60deg"
+    page.change()
+    assert page.work.wait(LONG)
+    np.testing.assert_allclose(doors(), closed, atol=1e-12)
+    assert panel.joint_values == {}
+    panel.to.value = ""
+    page.place()
+    assert page.work.wait(LONG)
+
+
+def test_a_joint_that_is_moved_by_hand_leaves_the_others_where_they_stand(page: Page) -> None:
+    _, slider = page.panel._joints["freezer_door_hinge"]
+    slider.value = 30.0
+    page.motion.move_joints()
+    assert page.shown.joints == {
+        "door_hinge": pytest.approx(np.pi / 2, abs=1e-4),
+        "freezer_door_hinge": pytest.approx(np.pi / 6, abs=1e-4),
+    }
+
+
+def test_what_is_paused_by_a_hand_on_the_base_says_so(page: Page) -> None:
+    page.motion.seek(0.0)
+    page.motion.toggle()
+    ends = time.monotonic() + LONG
+    while page.motion.player.now == 0.0 and time.monotonic() < ends:
+        time.sleep(0.01)
+    assert page.panel.play.label == "Pause"
+    page.motion.pause()
+    assert page.panel.play.label == "Play"
+    assert not page.motion.player.playing

@@ -9,13 +9,12 @@ import pytest
 
 from momapos.geometry.transforms import pose_planar
 from momapos.manipulation.tasks import make_task
-from momapos.page.layers import box_edges, free_area, reach_slice
+from momapos.page.layers import box_edges, free_area
 from momapos.page.playback import Story
 from momapos.page.words import answer_words, escaped
 from momapos.pipeline import plan_base_placement
 from momapos.placement.area import BaseStatus, base_pose_status
 from momapos.placement_result import PlacementResult
-from momapos.reachability.store import load_reach
 from momapos.robots.robot import Robot
 from momapos.scene.files import load_scene
 from momapos.scene.scene import SceneObject, upright_boxes
@@ -43,14 +42,6 @@ def test_the_free_area_is_where_the_base_stands_clear(answer: PlacementResult) -
     assert share.max() > 0
 
 
-def test_the_reach_is_a_share_that_falls_to_nothing(robots: Callable[[str], Robot]) -> None:
-    robot = robots("segway_ur5e")
-    share, half = reach_slice(robot, load_reach(robot), 0.9, cell=0.2)
-    assert 0 < share.max() <= 1
-    assert share[0].max() == 0
-    assert half >= robot.reach
-
-
 def test_boxes_are_drawn_by_their_twelve_edges() -> None:
     box = SceneObject.box("crate", (1.0, 2.0, 3.0), (5.0, 0.0, 1.5), yaw=0.3)
     lengths = np.linalg.norm(np.diff(box_edges(upright_boxes([box])), axis=2)[0, :, 0], axis=-1)
@@ -59,7 +50,7 @@ def test_boxes_are_drawn_by_their_twelve_edges() -> None:
 
 def test_a_story_begins_at_the_start_and_ends_as_the_plan_does(answer: PlacementResult) -> None:
     plan, robot = answer.plan, answer.prepared.robot
-    story = Story.of(plan, robot)
+    story = Story.of(plan, robot, answer.prepared.scene)
     first, last = story.at(-1.0), story.at(story.duration + 1.0)
     assert plan.motion is not None
     assert plan.base_pose is not None
@@ -80,3 +71,37 @@ def test_an_answer_says_where_to_stand(answer: PlacementResult) -> None:
 def test_words_from_files_are_no_markup() -> None:
     assert escaped("<img src=x>") == "\\<img src=x\\>"
     assert escaped("a*b_c") == "a\\*b\\_c"
+
+
+def test_a_picked_object_goes_along_with_the_hand_from_when_it_is_held(
+    robots: Callable[[str], Robot],
+) -> None:
+    scene, robot = load_scene("kitchen_small"), robots("segway_ur5e")
+    plan = plan_base_placement(scene, robot, make_task(scene, "pick", "cup")).plan
+    assert plan.motion is not None
+    story = Story.of(plan, robot, scene)
+    rest = scene.object("cup").link_poses()[scene.object("cup").model.urdf.root]
+    first, last = story.at(0.0), story.at(story.duration)
+    np.testing.assert_allclose(first.T_world_object, rest)
+    assert last.T_world_object is not None
+    moved = plan.motion.Ts_world_tool[-1] @ np.linalg.inv(plan.motion.Ts_world_tool[0])
+    np.testing.assert_allclose(last.T_world_object, moved @ rest, atol=2e-3)
+    assert last.T_world_object[2, 3] > rest[2, 3] + 0.05
+    begins = next(t for t in np.arange(0, story.duration, 0.04) if "gripper" in story.at(t).words)
+    np.testing.assert_allclose(story.at(begins).T_world_object, rest, atol=2e-3)  # it is no leap
+
+
+def test_a_placed_object_is_in_the_hand_until_it_stands_in_its_place(
+    robots: Callable[[str], Robot],
+) -> None:
+    scene, robot = load_scene("kitchen_small"), robots("segway_ur5e")
+    plan = plan_base_placement(scene, robot, make_task(scene, "place", "cup")).plan
+    assert plan.motion is not None
+    story = Story.of(plan, robot, scene)
+    rest = scene.object("cup").link_poses()[scene.object("cup").model.urdf.root]
+    T = story.at(0.0).T_world_object
+    assert T is not None
+    assert np.linalg.norm(T[:3, 3] - rest[:3, 3]) > 0.5
+    np.testing.assert_allclose(story.at(story.duration).T_world_object, rest)
+    steps = np.array([story.at(t).T_world_object for t in np.arange(0, story.duration, 0.04)])
+    assert np.linalg.norm(np.diff(steps[:, :3, 3], axis=0), axis=1).max() < 0.1  # it is no leap

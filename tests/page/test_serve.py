@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import socket
 import threading
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -15,7 +16,7 @@ from momapos.cli.main import main
 from momapos.errors import InputError
 from momapos.page.page import Page
 from momapos.page.playback import Player
-from momapos.page.question import VERBS, targets
+from momapos.page.question import VERBS, Machines, targets
 from momapos.page.serve import check_free, open_server, served
 from momapos.page.static import check_page
 from momapos.scene.files import load_scene
@@ -46,6 +47,11 @@ def test_a_port_in_use_is_told_in_one_line(
 def test_an_address_that_is_none_is_refused(host: str, port: int) -> None:
     with pytest.raises(InputError):
         check_free(host, port)
+
+
+def test_an_address_of_another_machine_is_told_as_one() -> None:
+    with pytest.raises(InputError, match=r"--host 192\.0\.2\.1: is no address of this machine"):
+        check_free("192.0.2.1", 0)
 
 
 def test_a_server_opens_no_tunnel_to_the_outside() -> None:
@@ -80,13 +86,18 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
         yield page
 
 
-def test_a_scene_that_cannot_be_loaded_is_told_on_the_page_which_goes_on(page: Page) -> None:
+def test_a_scene_that_cannot_be_loaded_is_told_on_page_and_terminal_which_go_on(
+    page: Page, caplog: pytest.LogCaptureFixture
+) -> None:
     good, damaged = page.panel.scene.options
     page.panel.scene.value = damaged
     page.change()
     assert page.work.wait(LONG)
     assert "cannot be done" in page.panel.result.content
     assert "damaged" in page.panel.result.content
+    (line,) = caplog.messages
+    assert line.startswith(f"momapos: {damaged}")
+    assert "\n" not in line
     page.panel.scene.value = good
     page.change()
     assert page.work.wait(LONG)
@@ -154,3 +165,11 @@ def test_a_player_stops_at_the_end_and_begins_anew() -> None:
     assert (np.diff(shown) < 0).sum() == 1
     player.seek(9.0)
     assert player.now == pytest.approx(0.2)
+
+
+def test_a_robot_that_is_chosen_again_is_not_loaded_again() -> None:
+    machines = Machines(user_cache())
+    told: list[str] = []
+    first = machines.load("segway_ur5e", "any", time.perf_counter, told.append)
+    machines.load("fetch", "any", time.perf_counter, told.append)
+    assert machines.load("segway_ur5e", "any", time.perf_counter, told.append) is first

@@ -8,8 +8,12 @@ from tyro.conf import Positional
 
 from momapos.cli.options import OptionalPath, OptionalText
 from momapos.robots.names import find_named_robot
+from momapos.viewer.pictures import check_picture
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
+    from momapos.reachability.map import ReachMap
     from momapos.robots.robot import Robot
 
 
@@ -20,6 +24,7 @@ def reach_build(
     arm: str = "any",
     cache: OptionalPath = None,
     out: OptionalPath = None,
+    plot: OptionalPath = None,
     json: bool = False,
 ) -> int:
     """Build a robot's reachability map, or find it ready.
@@ -30,6 +35,7 @@ def reach_build(
         cache: Folder of the cache.
         out: Build it afresh into this file; NAME.reach beside NAME.toml is found by itself, and
             NAME.ARM.reach for one arm of several.
+        plot: Draw what one arm reaches in slices (PNG, SVG or PDF).
         json: Print one JSON object.
     """
     find_named_robot(robot)  # a mistyped name is told before anything heavy is imported
@@ -44,23 +50,27 @@ def reach_build(
     from momapos.reachability.store import encode, load_reach_map, map_key
     from momapos.robots.robot import load_arms
 
-    check_outputs([out], [cache])
+    check_outputs([out, plot], [cache])
+    check_picture(plot)
     kept = cache or default_cache_dir()
     machines, where = load_arms(robot, arm, cache=Cache(kept)), out or kept
     for machine in machines:
         _check_map(machine)
-    if out is not None and len(machines) > 1:
+    if (out or plot) is not None and len(machines) > 1:
         names = " or ".join(machine.arm for machine in machines)
-        raise InputError(f"{out} holds the map of one arm: give --arm {names}")
+        raise InputError(f"{out or plot} holds the map of one arm: give --arm {names}")
     began, worked = time.perf_counter(), time.process_time()
     for machine in machines:
         with progress(f"reachability map of {machine.title}") as report:
             if out is None:
-                load_reach_map(machine, where, report)
+                reach = load_reach_map(machine, where, report)
             else:
                 config = default_config(machine)
                 key = map_key(machine, config)
-                write_atomic(out, encode(build_map(machine, config, progress=report, key=key)))
+                reach = build_map(machine, config, progress=report, key=key)
+                write_atomic(out, encode(reach))
+    if plot is not None:
+        _draw(machines[0], reach, plot)
     seconds, worked = time.perf_counter() - began, time.process_time() - worked
     facts = {"path": str(where), "seconds": seconds, "processor_seconds": worked}
     if json:
@@ -130,6 +140,13 @@ def reach_eval(
         for name, value in facts.items():
             print(f"{name:<{width}}  {value:.4g}")
     return 0
+
+
+def _draw(robot: Robot, reach: ReachMap, path: Path) -> None:
+    from momapos.viewer.reach_slices import draw_reach, tool_axes
+
+    axes = tool_axes(robot.approach_axis, robot.closing_axis)
+    draw_reach(reach, axes, robot.reach, path, title=robot.title, footprint=robot.footprint)
 
 
 def _check_map(robot: Robot) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -11,6 +12,7 @@ from momapos.manipulation.tasks import hand_path
 from momapos.opening_map import opening_map
 from momapos.page import layers as draw
 from momapos.page.panel import LAYERS, Panel
+from momapos.page.robot_view import VERDICTS
 from momapos.page.words import escaped
 from momapos.page.work import Latest
 from momapos.placement_result import PlacementResult
@@ -18,7 +20,19 @@ from momapos.protocols import Clock, ReachScorer
 from momapos.scene.scene import Scene
 from momapos.viewer.candidate_markers import KINDS
 from momapos.viewer.heat import potential_map
-from momapos.viewer.palette import HANDLE, INK, POTENTIAL, RELATIONS, SELECTED, WAYPOINT
+from momapos.viewer.palette import (
+    BAD,
+    HANDLE,
+    INK,
+    PART,
+    POTENTIAL,
+    RELATIONS,
+    SELECTED,
+    SOFT_INK,
+    TARGET,
+    WAYPOINT,
+)
+from momapos.viewer.reach_slices import reach_slice, tool_axes
 
 if TYPE_CHECKING:
     from viser import SceneApi
@@ -26,10 +40,16 @@ if TYPE_CHECKING:
     from momapos.page.robot_view import RobotView
 
 ROOT = "/layers"
+BESIDE = 0.4
+"""The arm's reach is asked for so much farther from the base than the arm is long [m]."""
 CELL = 0.06
 """Edge of a cell of the pictures on the floor [m]."""
 OF_ANSWER = ("way", "waypoints", "candidates", "potential", "free", "opening", "importance")
 """Layers that there is nothing of before there is an answer."""
+DEAR = ("opening",)
+"""Layers that take seconds."""
+BASES = {"feasible": "can do it from here", "partly": "only in part", "infeasible": "not from here"}
+"""What the colors of the footprint say."""
 VIRIDIS = ("#dde318", "#21918c", "#440f5c")
 
 
@@ -54,12 +74,33 @@ class AnswerLayers:
         self._of: Answered | None = None
         self._kinds: tuple[str, ...] = ()
         self.work = Latest("page layers", self._fail)
+        self.dear_work = Latest("page opening map", self._fail)
+        """For layers that take long, so that the others do not wait for them."""
 
     @property
     def drawn(self) -> tuple[str, ...]:
         """The layers that are drawn, seen or not."""
         with self._drawing:
             return tuple(self._roots)
+
+    @property
+    def busy(self) -> bool:
+        """Whether a layer is computed, or waits to be."""
+        return self.work.busy or self.dear_work.busy
+
+    def wait(self, timeout: float) -> bool:
+        """Wait until all are drawn; whether that came true, each kind in time [s]."""
+        return self.work.wait(timeout) and self.dear_work.wait(timeout)
+
+    def stop(self) -> None:
+        """End what is computed; what is not drawn then is when layers are next switched."""
+        self.work.stop()
+        self.dear_work.stop()
+
+    def close(self) -> None:
+        """End all work."""
+        self.work.close()
+        self.dear_work.close()
 
     def show(self, scene: Scene, answer: PlacementResult, reach: ReachScorer) -> None:
         """Draw the layers of another answer that are switched on."""
@@ -69,20 +110,23 @@ class AnswerLayers:
 
     def clear(self) -> None:
         """Draw nothing."""
-        self.work.stop()
+        self.stop()
         with self._drawing:
             self._of = None
             for root in self._roots.values():
                 root.remove()
             self._roots, self._kinds = {}, ()
-        self._panel.legend.content = ""
+        self._panel.legend.content = legend([], ())
         self._panel.clicked.content = ""
 
     def changed(self) -> None:
         """Layers were switched on or off."""
         with self._drawing:
             self._robot.show_spheres(bool(self._panel.layers["spheres"].value))
-        self.work.put(self._update)
+        self.work.put(lambda clock: self._update(clock, [k for k in LAYERS if k not in DEAR]))
+        # What runs goes on where it is still wanted: it would begin anew.
+        wanted = any(self._panel.layers[key].value for key in DEAR)
+        self.dear_work.put(lambda clock: self._update(clock, DEAR), stop_running=not wanted)
 
     def height_changed(self) -> None:
         """The reach is asked for at another height."""
@@ -95,11 +139,12 @@ class AnswerLayers:
     def _fail(self, reason: str) -> None:
         self._panel.clicked.content = f"**This layer cannot be drawn.** {escaped(reason)}"
 
-    def _update(self, clock: Clock) -> None:
+    def _update(self, clock: Clock, keys: Sequence[str]) -> None:
+        """Draw those of some layers that are wanted, and hide the others."""
         of = self._of
         if of is None:
             return
-        for key in LAYERS:
+        for key in keys:
             wanted = bool(self._panel.layers[key].value)
             if wanted and key in DRAW and key not in self._roots:
                 self._draw(key, of, clock)
@@ -158,8 +203,10 @@ class AnswerLayers:
             self._panel.clicked.content = f"Opening map: {100 * share:.0f} %"
 
         robot, task = of.answer.prepared.robot, of.answer.plan.task
-        found = opening_map(of.scene, robot, task, of.reach, report=report)
-        self._panel.clicked.content = ""
+        try:
+            found = opening_map(of.scene, robot, task, of.reach, report=report)
+        finally:
+            self._panel.clicked.content = ""
         if found.farthest.size:
             draw.floor_image(
                 self._api, f"{name}/map", draw.opening_pixels(found), found.extent, height=0.006
@@ -167,7 +214,9 @@ class AnswerLayers:
 
     def _reach(self, name: str, of: Answered, _: Clock) -> None:
         height = float(self._panel.height.value)
-        share, half = draw.reach_slice(of.answer.prepared.robot, of.reach, height)
+        robot = of.answer.prepared.robot
+        axes = tool_axes(robot.approach_axis, robot.closing_axis)
+        share, half = reach_slice(of.reach, axes, robot.reach + BESIDE, height)
         draw.floor_image(
             self._api, f"{name}/map", draw.reach_pixels(share), (-half, half, -half, half),
             height=height,
@@ -193,9 +242,11 @@ DRAW = {
 
 def legend(shown: list[str], kinds: tuple[str, ...]) -> str:
     """What the colors of the layers that are shown mean, as HTML."""
-    rows: list[tuple[str, str]] = []
+    rows = [(_box(TARGET), "asked about"), (_box(PART), "what moves of it"),
+            (_box(BAD), "in the way")]  # fmt: skip
+    rows += [(_box(VERDICTS[key]), f"base: {words}") for key, words in BASES.items()]
     if "way" in shown:
-        rows.append((_box(INK), "driven path"))
+        rows += [(_box(SOFT_INK), "start"), (_box(INK), "driven path")]
     if "waypoints" in shown:
         rows += [(_box(WAYPOINT), "way of the tool"), (_box(HANDLE), "grasps")]
     if "potential" in shown:
@@ -209,6 +260,8 @@ def legend(shown: list[str], kinds: tuple[str, ...]) -> str:
     if "importance" in shown:
         rows.append((_ramp(("#c3cad0", SELECTED)), "importance 0 to 1"))
         rows += [(_box(look.color), kind) for kind, look in RELATIONS.items()]
+    if "spheres" in shown:
+        rows.append((_box(PART), "collision spheres"))
     if "candidates" in shown:
         rows += [(_box(kind.color), kind.name) for kind in KINDS if kind.name in kinds]
     items = "".join(f"<div>{mark} {words}</div>" for mark, words in rows)

@@ -110,6 +110,8 @@ class Compare:
                 moment = kept.story.at(seconds)
                 kept.robot.move(moment.base, moment.joints)
                 kept.room.move(moment.object_q)
+                if moment.T_world_object is not None:
+                    kept.room.carry(moment.T_world_object)
 
     def forget(self) -> None:
         """Forget the answers that are kept."""

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 from momapos.page.saving import save_plan, save_room, send_film, send_picture
 from momapos.page.words import escaped
-from momapos.page.work import Latest
+from momapos.page.work import Latest, Stopped
+from momapos.protocols import Clock
 
 if TYPE_CHECKING:
     from momapos.page.page import Page
@@ -23,44 +24,52 @@ class Extras:
     def _fail(self, reason: str) -> None:
         self._page.panel.files.content = f"**Not done.** {escaped(reason)}"
 
-    def _do(self, work: Callable[[], str]) -> None:
-        def tell(_: object) -> None:
-            self._page.panel.files.content = work()
+    def _do(self, work: Callable[[Clock], str]) -> None:
+        def tell(clock: Clock) -> None:
+            self._page.panel.files.content = work(clock)
 
         self.work.put(tell)
 
     def save_plan(self, name: str) -> None:
         """Write the plan into the working folder."""
         page = self._page
-        self._do(lambda: _saved(save_plan(page.folder, name, page.shown.answer).name))
+        self._do(lambda _: _saved(save_plan(page.folder, name, page.shown.answer).name))
 
     def save_scene(self, name: str) -> None:
         """Write the scene into the working folder."""
         page, shown = self._page, self._page.shown
         target = "" if shown.question is None else shown.question.target.partition("/")[0]
         joints = dict(shown.joints)
-        self._do(lambda: _saved(save_room(page.folder, name, shown.scene, target, joints).name))
+        self._do(lambda _: _saved(save_room(page.folder, name, shown.scene, target, joints).name))
 
     def picture(self, client: Any) -> None:
         """Give a browser a picture of what it sees."""
 
-        def work() -> str:
+        def work(_: Clock) -> str:
             send_picture(client)
             return "The picture is in the browser's downloads."
 
         if client is not None:
             self._do(work)
 
-    def film(self, client: Any) -> None:
+    def film(self, client: Any, ending: str) -> None:
         """Give a browser a film of the motion from where it looks."""
         page = self._page
 
-        def work() -> str:
-            page.panel.files.content = "Filming."
-            send_film(client, page.motion.player.duration, page.motion.player.seek)
-            return "The film is in the browser's downloads."
+        def work(clock: Clock) -> str:
+            page.panel.files.content = "Filming. *Stop* (key X) ends it."
+            page.panel.show_busy(True)
+            player = page.motion.player
+            try:
+                faster = send_film(client, ending, player.duration, player.seek, clock)
+            except Stopped:
+                page.panel.files.content = "The film was stopped."
+                raise
+            finally:
+                page.panel.show_busy(page.work.busy)
+            return f"The film is in the browser's downloads; it plays {faster:.1f} times as fast."
 
-        page.motion.player.pause()
+        page.motion.pause()
         if client is not None:
             self._do(work)
 

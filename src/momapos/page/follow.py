@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from viser.transforms import SO3
 
+from momapos.page.playback import Carried
 from momapos.page.probe import Finding, Probe
 from momapos.page.robot_view import home_values, joint_values
 from momapos.page.words import finding_words, verdict_of
@@ -35,8 +36,9 @@ class Follow:
         gizmo = event.target
         yaw = float(SO3(np.asarray(gizmo.wxyz)).compute_yaw_radians())
         base = np.array([gizmo.position[0], gizmo.position[1], yaw])
-        self._page.motion.player.pause()
+        self._page.motion.pause()
         self._page.robot.base = base
+        self._page.settled.node(gizmo)
         asked = time.perf_counter()
         self.work.put(lambda clock: self._ask(base, asked, clock))
 
@@ -70,11 +72,19 @@ class Follow:
                 return
             if finding.motion is None:
                 page.robot.move(None, home_values(robot))
-                page.room.move({})
+                page.room.rest()
+                page.panel.show_joint_values({})
             else:
-                q, value = finding.motion.q[-1], float(finding.motion.object_q[-1])
-                page.robot.move(None, joint_values(robot, q))
-                page.room.move({} if joint is None else {joint: value})
+                motion, carried = (
+                    finding.motion,
+                    Carried.of(probe.scene, probe.task, finding.motion),
+                )
+                page.robot.move(None, joint_values(robot, motion.q[-1]))
+                values = {} if joint is None else {joint: float(motion.object_q[-1])}
+                page.room.move(values)
+                page.panel.show_joint_values(values)
+                if carried is not None:
+                    page.room.carry(carried.at_end(probe.task, motion))
             page.robot.verdict(verdict_of(finding))
             page.room.mark(finding.in_the_way)
             page.tell(finding_words(finding, probe, seconds))

@@ -19,8 +19,6 @@ from momapos.opening_map import OpeningMap
 from momapos.page.room_view import rgb
 from momapos.placement.area import BaseStatus, PlacementGeometry, base_pose_status
 from momapos.placement_result import PlacementResult
-from momapos.protocols import ReachScorer
-from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene
 from momapos.viewer.candidate_markers import KINDS, outcomes, thin
 from momapos.viewer.heat import Heat
@@ -34,6 +32,7 @@ from momapos.viewer.palette import (
     WAYPOINT,
 )
 from momapos.viewer.plot import waypoints_by_hold
+from momapos.viewer.reach_slices import COLORS, DARK, PALE
 from momapos.viewer.room import room_bounds
 
 if TYPE_CHECKING:
@@ -240,54 +239,11 @@ def box_edges(boxes: Boxes) -> Float[np.ndarray, "b 12 2 3"]:
     return corners[:, np.array(_EDGES)]
 
 
-def reach_slice(
-    robot: Robot, reach: ReachScorer, height: float, *, cell: float = 0.06, directions: int = 26
-) -> tuple[Float[np.ndarray, "n n"], float]:
-    """From how many directions the tool reaches places at a height, as shares.
-
-    Args:
-        robot: The robot.
-        reach: Its map.
-        height: Above the floor [m].
-        cell: Edge of a cell [m].
-        directions: How many approach directions are tried, spread over the sphere [-].
-
-    Returns:
-        Shares over a square around the base, in the base frame, and half its edge [m].
-    """
-    half = cell * np.ceil((robot.reach + 0.4) / cell)
-    axis = np.arange(-half + cell / 2, half, cell)
-    x, y = np.meshgrid(axis, axis)
-    points = np.stack([x.ravel(), y.ravel(), np.full(x.size, height)], -1)
-    rotations = _rotations(robot, directions)
-    Ts = np.tile(np.eye(4), (len(points), len(rotations), 1, 1))
-    Ts[..., :3, :3] = rotations
-    Ts[..., :3, 3] = points[:, None]
-    scores = reach.min_score(np.zeros((1, 3)), np.ascontiguousarray(Ts.reshape(-1, 1, 4, 4)))
-    share = (scores.reshape(len(points), len(rotations)) > 0).mean(1)
-    return share.reshape(x.shape), float(half)
-
-
-def _rotations(robot: Robot, count: int) -> Float[np.ndarray, "r 3 3"]:
-    """Tool axes whose approach points along directions spread evenly over the sphere."""
-    k = np.arange(count) + 0.5
-    polar, around = np.arccos(1 - 2 * k / count), np.pi * (1 + 5**0.5) * k
-    ahead = np.stack([np.cos(around) * np.sin(polar), np.sin(around) * np.sin(polar),
-                      np.cos(polar)], -1)  # fmt: skip
-    up = np.where(np.abs(ahead[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
-    side = np.cross(up, ahead)
-    side /= np.linalg.norm(side, axis=1, keepdims=True)
-    world = np.stack([ahead, side, np.cross(ahead, side)], -1)
-    tool = np.stack([robot.approach_axis, robot.closing_axis,
-                     np.cross(robot.approach_axis, robot.closing_axis)], -1)  # fmt: skip
-    return world @ tool.T
-
-
 def reach_pixels(share: Float[np.ndarray, "n n"]) -> UInt8[np.ndarray, "n n 4"]:
     """A slice of the reachability as colors: the darker, the more directions."""
     from matplotlib import colormaps
 
-    colors = colormaps["viridis"](0.97 - 0.89 * share)
+    colors = colormaps[COLORS](PALE - (PALE - DARK) * share)
     colors[..., 3] = np.where(share > 0, 0.75, 0.0)
     return (255 * colors).astype(np.uint8)
 

@@ -41,15 +41,13 @@ class MotionView:
         self._page.robot.show_force(None)
         if story is None:
             self._page.panel.moment.content = NO_MOTION
-        elif at_end:
-            self.player.now = duration
         else:
-            self.player.seek(0.0)
+            self.player.seek(duration if at_end else 0.0)
 
     def toggle(self) -> None:
         """Play the motion, or pause it."""
         if self.player.playing:
-            self.player.pause()
+            self.pause()
             self._show(self.player.now, False)
         elif self.story is not None:
             with self._page.drawing:
@@ -57,18 +55,27 @@ class MotionView:
                 self._page.robot.verdict("feasible")
             self.player.play()
 
+    def pause(self) -> None:
+        """Stand still."""
+        self.player.pause()
+        self._page.panel.show_playing(False)
+
     def seek(self, seconds: float) -> None:
         """Show the motion at a time [s]."""
         self.player.seek(seconds)
+
+    def step(self, seconds: float) -> None:
+        """Go on by so long, or back [s]."""
+        self.player.seek(self.player.now + seconds)
 
     def set_speed(self, speed: float) -> None:
         """How many times faster than in truth it plays [-]."""
         self.player.speed = speed
 
-    def move_joint(self, joint: str, value: float) -> None:
-        """Move a joint of the object by hand [rad] or [m]."""
-        self.player.pause()
-        self._page.shown.joints[joint] = value
+    def move_joints(self) -> None:
+        """Move the joints of the object to where a person has put their sliders."""
+        self.pause()
+        self._page.shown.joints = self._page.panel.joint_values
         with self._page.drawing:
             self._page.room.move(self._page.shown.joints)
 
@@ -86,10 +93,13 @@ class MotionView:
                 page.room.carry(moment.T_world_object)
             page.compare.show(seconds)
         now = time.perf_counter()
-        tell = not playing or now - self._told > TELLS
-        if tell:
-            self._told = now
+        panel = page.panel
+        panel.show_playing(self.player.playing)
+        if playing and now - self._told <= TELLS:
+            return
+        self._told = now
         words = moment.words
         if moment.force is not None and moment.force.any():
             words += f", {np.linalg.norm(moment.force):.0f} N at the hand"
-        page.panel.show_moment(seconds, words, playing=playing, slider=tell)
+        panel.show_joint_values(moment.object_q)
+        panel.show_moment(seconds, words)

@@ -73,7 +73,7 @@ class Opened:
             InputError: There is no motion to show.
         """
         if self.run is None:
-            return Story.of(self.plan, self.robot)
+            return Story.of(self.plan, self.robot, self.scene)
         return RunStory.of(self.run, self.robot)
 
 

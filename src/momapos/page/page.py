@@ -8,6 +8,7 @@ wins, and draws what it finds itself.
 
 from __future__ import annotations
 
+import logging
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -28,10 +29,11 @@ from momapos.page.motion_view import MotionView
 from momapos.page.opened import Opened, OpenedScan
 from momapos.page.panel import Panel, joint_ranges
 from momapos.page.playback import Story
-from momapos.page.question import Machine, Question, ask, ask_at, load_machine, targets
+from momapos.page.question import Machine, Machines, Question, ask, ask_at, targets
 from momapos.page.robot_view import RobotView, home_values, joint_values
 from momapos.page.room_view import RoomView, viewpoint
 from momapos.page.scan_view import ScanView
+from momapos.page.settled import Settled
 from momapos.page.state import Choice, Shown
 from momapos.page.words import answer_words, escaped, run_words
 from momapos.page.work import Latest
@@ -45,6 +47,7 @@ if TYPE_CHECKING:
     from viser import ViserServer
 
 
+LOG = logging.getLogger(__name__)
 READY = "Press **Place**, or drag the base."
 
 
@@ -77,12 +80,14 @@ class Page:
                 chosen.
         """
         self.server, self._cache, self.folder = server, cache, folder
+        self._machines = Machines(cache)
         self._start: tuple[float, float, float] | None = None
         self._opened = opened
         self.shown = Shown()
         self.drawing = threading.RLock()
         """Held while what is drawn is changed, and while it is looked at whether it still should
         be: several threads draw."""
+        self.settled = Settled()
         self.room = RoomView(server.scene, self._pick)
         self.robot = RobotView(server.scene, dragged=lambda event: self.follow.dragged(event))
         self.motion = MotionView(self)
@@ -103,10 +108,11 @@ class Page:
     def close(self) -> None:
         """End all work."""
         self.browsers.close()
-        self.motion.player.pause()
+        self.settled.close()
+        self.motion.pause()
         self.work.close()
         self.follow.work.close()
-        self.layers.work.close()
+        self.layers.close()
         self.extras.close()
 
     # --------------------------------------------------------------------------- what is asked
@@ -183,7 +189,9 @@ class Page:
         """End what runs."""
         self.work.stop()
         self.follow.work.stop()
-        self.motion.player.pause()
+        self.layers.stop()
+        self.extras.work.stop()
+        self.motion.pause()
         self.panel.result.content = "Stopped."
 
     def start_here(self) -> None:
@@ -198,7 +206,7 @@ class Page:
         self.change()
 
     def _request(self, work: Callable[[Clock], None]) -> None:
-        self.motion.player.pause()
+        self.motion.pause()
         self.follow.work.stop()
         self.panel.show_busy(True)
 
@@ -220,6 +228,7 @@ class Page:
             self.tell(f"**Searching**: {escaped(stage)}")
 
     def fail(self, reason: str) -> None:
+        LOG.warning("momapos: %s", reason)
         self.panel.result.content = f"**It cannot be done so.** {escaped(reason)}"
 
     # ------------------------------------------------------------------------- what is loaded
@@ -265,7 +274,7 @@ class Page:
         """The robot that is chosen; of another robot than the last all arms are taken."""
         other = self.shown.machine_name[0] != choice.robot
         arm = "any" if other else choice.arm
-        machine = load_machine(choice.robot, arm, self._cache, clock, self.tell)
+        machine = self._machines.load(choice.robot, arm, clock, self.tell)
         names = ("any", *machine.arms[0].arms)
         self.panel.offer(self.panel.arm, names, arm)
         self.panel.arm.disabled = len(names) == 1
@@ -283,7 +292,9 @@ class Page:
         if fresh and self.room.scene is not scene:
             self._look_at(scene)
         self.room.show(scene, name, collision=collision)
+        self.room.rest()
         self.panel.show_joints(joint_ranges(scene, name))
+        self.panel.to.disabled = question.verb not in ("open", "close")
         if self.robot.robot is not robot or fresh:
             self.robot.show(robot, self._begin(scene))
         else:
@@ -308,6 +319,11 @@ class Page:
         for client in self.server.get_clients().values():
             client.camera.position, client.camera.look_at = eye, target
 
+    def look_at_room(self) -> None:
+        """Turn the cameras back to the whole room."""
+        if self.shown.scene is not None:
+            self._look_at(self.shown.scene)
+
     # ---------------------------------------------------------------------------- the answer
 
     def arm_of(self, machine: Machine) -> Any:
@@ -322,6 +338,7 @@ class Page:
 
     def _draw_answer(self, answer: PlacementResult, machine: Machine) -> None:
         shown, robot = self.shown, answer.prepared.robot
+        assert shown.scene is not None
         shown.answer = answer
         self.layers.clear()
         if self.robot.robot is not robot:
@@ -332,7 +349,7 @@ class Page:
         words = answer_words(answer)
         if plan.motion is not None and plan.base_pose is not None:
             try:
-                story = Story.of(plan, robot)
+                story = Story.of(plan, robot, shown.scene)
             except InputError as error:
                 words += f"\n- no motion to show: {escaped(str(error))}"
             self.robot.move(np.array(plan.base_pose), joint_values(robot, plan.motion.q[-1]))
@@ -343,7 +360,6 @@ class Page:
             self.robot.move(np.array(shown_base), home_values(robot))
         self.robot.verdict("feasible" if plan.motion is not None else "infeasible")
         self.motion.load(story)
-        assert shown.scene is not None
         self.layers.show(shown.scene, answer, machine.reach_of(robot.arm))
         self.tell(words)
 
@@ -370,5 +386,6 @@ class Page:
 
     def _stop_if_busy(self) -> None:
         """Nobody looks any more."""
-        if self.work.busy or self.follow.work.busy or self.motion.player.playing:
+        works = (self.work, self.follow.work, self.layers, self.extras.work)
+        if self.motion.player.playing or any(one.busy for one in works):
             self.stop()

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from momapos.execution.film_files import GIF, MP4
 from momapos.page.playback import SPEEDS
 from momapos.page.question import METHODS, VERBS
 from momapos.scene.scene import Scene
@@ -27,6 +28,8 @@ CLOUDS = ("by thing", "as seen", "none")
 """How the points of a scan are colored."""
 POINTS = {"100 thousand": 100_000, "400 thousand": 400_000, "all": None}
 """How many points of a scan are shown at most [-]."""
+FILM_KINDS = {"Film (GIF)": GIF, "Film (MP4, 720p)": MP4}
+"""Films of the motion that a browser may have, and how their names end."""
 SHOWN = ("way", "waypoints")
 """Those that are seen at first."""
 
@@ -40,8 +43,27 @@ class JointRange:
     high: float
     """[rad] or [m]"""
     value: float
+    turns: bool
+
+    @property
+    def unit(self) -> str:
+        """What a person reads it in."""
+        return "deg" if self.turns else "m"
+
+    def shown(self, value: float) -> float:
+        """A value as a person reads it [deg] or [m]."""
+        return math.degrees(value) if self.turns else value
+
+    def meant(self, shown: float) -> float:
+        """A value that a person set, within the limits [rad] or [m]."""
+        value = math.radians(shown) if self.turns else shown
+        return min(max(value, self.low), self.high)
 
 
+SEEN = 1e-4
+"""Joints that differ by less stand alike [rad] or [m]: sliders have no more digits."""
+FINE = {"deg": 1.0, "m": 0.01}
+"""Sliders of joints move by this, or by a twentieth of their way where that is less."""
 WIDEST = {"revolute": math.pi, "continuous": math.pi, "prismatic": 1.0}
 """Joints without limits are offered from minus to plus this [rad] or [m]."""
 
@@ -56,8 +78,17 @@ def joint_ranges(scene: Scene, name: str) -> tuple[JointRange, ...]:
             low, high = max(joint.lower, -wide), min(joint.upper, wide)
             if joint.mimic is None and high - low > 1e-6:
                 value = min(max(values[joint.name], low), high)
-                found.append(JointRange(joint.name, low, high, value))
+                turns = joint.kind != "prismatic"
+                found.append(JointRange(joint.name, low, high, value, turns))
     return tuple(found)
+
+
+def set_theme(gui: GuiApi, *, dark: bool = False) -> None:
+    """Make the page light or dark. Nothing on it leads out of this machine."""
+    gui.configure_theme(
+        show_logo=False, show_share_button=False, control_width="medium",
+        brand_color=(42, 122, 184), dark_mode=dark,
+    )  # fmt: skip
 
 
 class Panel:
@@ -114,7 +145,9 @@ class Panel:
 
     def _motion(self) -> None:
         gui, page = self._gui, self._page
-        self.play = self._button("Play", lambda: page.motion.toggle(), hint="Space", disabled=True)
+        self.play = self._button(
+            "Play", lambda: page.motion.toggle(), hint="Key K, or space", disabled=True
+        )
         self.time = gui.add_slider("Time [s]", min=0.0, max=1.0, step=0.01, initial_value=0.0,
                                    disabled=True)  # fmt: skip
         self._listen(self.time, lambda: page.motion.seek(float(self.time.value)))
@@ -122,7 +155,7 @@ class Panel:
         self._listen(self.speed, lambda: page.motion.set_speed(float(self.speed.value)))
         self.moment = gui.add_markdown("There is no motion yet.")
         self.joints_folder = gui.add_folder("Joints of the object")
-        self._joints: list[Any] = []
+        self._joints: dict[str, tuple[JointRange, Any]] = {}
 
     def _layers(self) -> None:
         gui, page = self._gui, self._page
@@ -135,6 +168,8 @@ class Panel:
             self._listen(handle, lambda: page.scan.changed())
         self._listen(self.furniture, lambda: page.room.set_visible(self.furniture.value))
         self.layers = {key: gui.add_checkbox(words, key in SHOWN) for key, words in LAYERS.items()}
+        self.dark = gui.add_checkbox("Dark page", False)
+        self._listen(self.dark, lambda: set_theme(gui, dark=bool(self.dark.value)))
         self.height = gui.add_slider("Height of reach [m]", min=0.0, max=2.0, step=0.05,
                                      initial_value=0.9)  # fmt: skip
         for handle in self.layers.values():
@@ -152,15 +187,23 @@ class Panel:
         self._button("Save the scene", lambda: page.extras.save_scene(self.scene_name.value))
         picture = gui.add_button("Picture (PNG)")
         picture.on_click(lambda event: page.extras.picture(event.client))
-        film = gui.add_button("Film of the plan (GIF)")
-        film.on_click(lambda event: page.extras.film(event.client))
+        for words, ending in FILM_KINDS.items():
+            film = gui.add_button(words)
+            film.on_click(lambda event, ending=ending: page.extras.film(event.client, ending))
+        for handle in (self.plan_name, self.scene_name):
+            self._listen(handle, lambda: None)  # what is typed is read when it is saved
         self.files = gui.add_markdown("Files go into the folder where the page was started.")
 
     def _keys(self) -> None:
         page = self._page
         keys: Mapping[str, tuple[Any, Callable[[], None]]] = {
             "Place": ("P", page.place), "Stop": ("X", page.stop),
-            "Play": ("space", lambda: page.motion.toggle()),
+            "Play or pause": ("space", lambda: page.motion.toggle()),
+            # The space bar presses what has the focus, such as the tab that was clicked last.
+            "Play or pause, too": ("K", lambda: page.motion.toggle()),
+            "Back by 1 s": ("J", lambda: page.motion.step(-1.0)),
+            "On by 1 s": ("L", lambda: page.motion.step(1.0)),
+            "Look at the whole room": ("H", page.look_at_room),
         }  # fmt: skip
         for label, (key, action) in keys.items():
             command = self._gui.add_command(label, hotkey=key)
@@ -176,7 +219,13 @@ class Panel:
 
     def _listen(self, handle: Any, action: Callable[[], None]) -> None:
         """Call an action when a person changes a control; not when the page itself does."""
-        handle.on_update(lambda event: action() if event.client is not None else None)
+
+        def changed(event: Any) -> None:
+            if event.client is not None:
+                self._page.settled.control(handle)
+                action()
+
+        handle.on_update(changed)
 
     # ---------------------------------------------------------------------------- what is shown
 
@@ -192,20 +241,32 @@ class Panel:
 
     def show_joints(self, joints: Sequence[JointRange]) -> None:
         """A slider for each joint of the object."""
-        for handle in self._joints:
+        for _, handle in self._joints.values():
             handle.remove()
-        self._joints = []
+        self._joints = {}
+        self.joints_folder.visible = bool(joints)
         with self.joints_folder:
             for joint in joints:
+                low, high = joint.shown(joint.low), joint.shown(joint.high)
                 slider = self._gui.add_slider(
-                    joint.name, min=joint.low, max=joint.high, initial_value=joint.value,
-                    step=(joint.high - joint.low) / 200,
+                    f"{joint.name} [{joint.unit}]", min=round(low, 3), max=round(high, 3),
+                    initial_value=_within(joint.shown(joint.value), low, high),
+                    step=min(FINE[joint.unit], (high - low) / 20),
                 )  # fmt: skip
-                self._listen(slider, self._mover(joint.name, slider))
-                self._joints.append(slider)
+                self._listen(slider, self._page.motion.move_joints)
+                self._joints[joint.name] = joint, slider
 
-    def _mover(self, joint: str, slider: Any) -> Callable[[], None]:
-        return lambda: self._page.motion.move_joint(joint, float(slider.value))
+    @property
+    def joint_values(self) -> dict[str, float]:
+        """Joints of the object that do not stand as the scene has them [rad] or [m]."""
+        values = {name: joint.meant(float(s.value)) for name, (joint, s) in self._joints.items()}
+        return {n: v for n, v in values.items() if abs(v - self._joints[n][0].value) > SEEN}
+
+    def show_joint_values(self, values: Mapping[str, float]) -> None:
+        """Where joints of the object stand [rad] or [m]; others are as the scene has them."""
+        for name, (joint, slider) in self._joints.items():
+            shown = joint.shown(values.get(name, joint.value))
+            slider.value = _within(shown, float(slider.min), float(slider.max))
 
     def show_busy(self, busy: bool) -> None:
         """Whether there is anything to stop."""
@@ -216,11 +277,20 @@ class Panel:
         self.play.disabled = self.time.disabled = duration <= 0
         self.time.value = 0.0
         if duration > 0:
-            self.time.max = duration
+            self.time.max = math.ceil(100 * duration) / 100  # whole steps of the slider
 
-    def show_moment(self, seconds: float, words: str, *, playing: bool, slider: bool) -> None:
+    def show_playing(self, playing: bool) -> None:
+        """Whether the motion goes on."""
+        label = "Pause" if playing else "Play"
+        if self.play.label != label:
+            self.play.label = label
+
+    def show_moment(self, seconds: float, words: str) -> None:
         """Where the motion stands."""
-        self.play.label = "Pause" if playing else "Play"
-        if slider:
-            self.time.value = min(round(seconds, 2), float(self.time.max))
-            self.moment.content = f"{seconds:.1f} s: {words}"
+        self.time.value = min(round(seconds, 2), float(self.time.max))
+        self.moment.content = f"{seconds:.1f} s: {words}"
+
+
+def _within(value: float, low: float, high: float) -> float:
+    """A value that a slider can stand at, with as many digits as are read."""
+    return min(max(round(value, 3), round(low, 3)), round(high, 3))

@@ -11,9 +11,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.export.phases import PhaseKind, Samples, phases_of, samples_of
-from momapos.page.robot_view import joint_values
+from momapos.geometry.transforms import invert
+from momapos.page.robot_view import joint_values, tool_pose
 from momapos.robots.robot import Robot
-from momapos.types import PlacementPlan, Task
+from momapos.scene.scene import Scene
+from momapos.types import Motion, PlacementPlan, Task
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -46,6 +48,31 @@ class Moment:
 
 
 @dataclass(frozen=True)
+class Carried:
+    """A loose object that the hand takes along."""
+
+    T_world_rest: Float[np.ndarray, "4 4"]
+    """Pose of its root link where it stands before it is picked, or after it is placed."""
+    T_tool_object: Float[np.ndarray, "4 4"]
+    """The same as the hand holds it."""
+
+    @classmethod
+    def of(cls, scene: Scene, task: Task, motion: Motion) -> Carried | None:
+        """What a motion takes along; None where it moves a joint of something that stands."""
+        if task.joint is not None:
+            return None
+        item = scene.object(task.object)
+        T_world_rest = item.link_poses()[item.model.urdf.root]
+        return cls(T_world_rest, invert(motion.Ts_world_tool[0]) @ T_world_rest)
+
+    def at_end(self, task: Task, motion: Motion) -> Float[np.ndarray, "4 4"]:
+        """Pose of its root link when all is done."""
+        if task.verb == "place":
+            return self.T_world_rest
+        return motion.Ts_world_tool[-1] @ self.T_tool_object
+
+
+@dataclass(frozen=True)
 class Story:
     """A plan as moments; for people, who need neither a controller's rate nor its speeds."""
 
@@ -53,16 +80,20 @@ class Story:
     task: Task
     samples: Samples
     kinds: tuple[PhaseKind, ...]
+    carried: Carried | None
 
     @classmethod
-    def of(cls, plan: PlacementPlan, robot: Robot) -> Story:
-        """The story of a solved plan.
+    def of(cls, plan: PlacementPlan, robot: Robot, scene: Scene) -> Story:
+        """The story of a solved plan in its room.
 
         Raises:
             InputError: The plan is not solved, or no trajectory keeps the robot's limits.
         """
         phases = phases_of(plan, robot, step=1.0 / RATE)
-        return cls(robot, plan.task, samples_of(phases), tuple(phase.kind for phase in phases))
+        assert plan.motion is not None
+        carried = Carried.of(scene, plan.task, plan.motion)
+        kinds = tuple(phase.kind for phase in phases)
+        return cls(robot, plan.task, samples_of(phases), kinds, carried)
 
     @property
     def duration(self) -> float:
@@ -73,13 +104,29 @@ class Story:
         """The moment nearest to a time [s]; the first and the last hold before and after."""
         times = self.samples.times
         i = int(np.clip(np.searchsorted(times, seconds, side="right") - 1, 0, len(times) - 1))
-        joint = self.task.joint
+        joint, phase = self.task.joint, int(self.samples.phase[i])
+        base, joints = self.samples.base[i], joint_values(self.robot, self.samples.positions[i])
         return Moment(
-            self.samples.base[i],
-            joint_values(self.robot, self.samples.positions[i]),
+            base,
+            joints,
             {} if joint is None else {joint: float(self.samples.object_q[i])},
-            WORDS[self.kinds[int(self.samples.phase[i])]],
+            WORDS[self.kinds[phase]],
+            T_world_object=self._object_pose(phase, base, joints),
         )
+
+    def _object_pose(
+        self, phase: int, base: Float[np.ndarray, "3"], joints: dict[str, float]
+    ) -> Float[np.ndarray, "4 4"] | None:
+        """A picked object is carried from when the gripper closes, a placed one until it opens."""
+        if self.carried is None:
+            return None
+        if self.task.verb == "pick":
+            held = phase >= self.kinds.index(PhaseKind.CLOSE)
+        else:
+            held = phase < self.kinds.index(PhaseKind.OPEN)
+        if not held:
+            return self.carried.T_world_rest
+        return tool_pose(self.robot, base, joints) @ self.carried.T_tool_object
 
 
 class Player:

@@ -81,25 +81,37 @@ class Machine:
         return next(m for one, m in zip(self.arms, self.maps, strict=True) if one.arm == arm)
 
 
-def load_machine(
-    name: str, arm: str, cache: Cache, clock: Clock, tell: Callable[[str], None]
-) -> Machine:
-    """Load a robot and its reachability maps, which are built at the first use.
+class Machines:
+    """The robots that were chosen so far, each loaded once.
 
-    Args:
-        name: A library robot or a robot file.
-        arm: Which arm; any: all of them.
-        cache: Where geometry and maps are kept.
-        clock: What it raises ends the work.
-        tell: Is told what is done.
+    What is computed of a robot is kept with it, dozens of robots long; one that were loaded at
+    every choice anew would stay in memory as often as it was chosen.
     """
-    arms = load_arms(name, arm, cache=cache)
 
-    def report(share: float, what: str = "") -> None:
-        clock()
-        tell(f"reachability map of {arms[0].name}: {100 * share:.0f} % {what}")
+    def __init__(self, cache: Cache) -> None:
+        """Load nothing yet; `cache` is where geometry and maps are kept."""
+        self._cache = cache
+        self._loaded: dict[tuple[str, str], Machine] = {}
 
-    return Machine(arms, tuple(load_reach(robot, cache.folder, report) for robot in arms))
+    def load(self, name: str, arm: str, clock: Clock, tell: Callable[[str], None]) -> Machine:
+        """A robot and its reachability maps, which are built at the first use.
+
+        Args:
+            name: A library robot or a robot file.
+            arm: Which arm; any: all of them.
+            clock: What it raises ends the work.
+            tell: Is told what is done.
+        """
+        if (name, arm) not in self._loaded:
+            arms = load_arms(name, arm, cache=self._cache)
+
+            def report(share: float, what: str = "") -> None:
+                clock()
+                tell(f"reachability map of {arms[0].name}: {100 * share:.0f} % {what}")
+
+            maps = tuple(load_reach(robot, self._cache.folder, report) for robot in arms)
+            self._loaded[name, arm] = Machine(arms, maps)
+        return self._loaded[name, arm]
 
 
 def targets(scene: Scene, verb: Verb) -> tuple[str, ...]:

@@ -42,6 +42,21 @@ def joint_values(robot: Robot, q: Float[np.ndarray, " m"]) -> dict[str, float]:
     return dict(zip(robot.moved_joints, q.tolist(), strict=True))
 
 
+def tool_pose(
+    robot: Robot, base: Float[np.ndarray, "3"], values: dict[str, float]
+) -> Float[np.ndarray, "4 4"]:
+    """The tool's pose in the world.
+
+    Args:
+        robot: The robot.
+        base: x [m], y [m], yaw [rad].
+        values: Of its joints by name [rad] or [m].
+    """
+    poses = robot.model.link_poses(values)
+    T_base_tool = invert(poses[robot.base_link]) @ poses[robot.tool_link]
+    return pose_planar(base) @ T_base_tool
+
+
 class RobotView:
     """Draws a robot at a base pose; all of it hangs from the handle that drags the base."""
 
@@ -144,9 +159,7 @@ class RobotView:
             if self._force is not None:
                 self._force.visible = False
             return
-        poses = self.robot.model.link_poses(self._values)
-        T_base_tool = invert(poses[self.robot.base_link]) @ poses[self.robot.tool_link]
-        hand = (pose_planar(self.base) @ T_base_tool)[:3, 3] + [0.0, 0.0, FORCE_ABOVE]
+        hand = tool_pose(self.robot, self.base, self._values)[:3, 3] + [0.0, 0.0, FORCE_ABOVE]
         arrow = np.stack([hand, hand - force * min(PER_NEWTON, LONGEST / size)])[None]
         if self._force is None:
             self._force = self._api.add_arrows(
@@ -155,6 +168,12 @@ class RobotView:
             )  # fmt: skip
         self._force.points = arrow.astype(np.float32)
         self._force.visible = True
+
+    def show_handle(self, shown: bool) -> None:
+        """Draw what the base is dragged by, or leave it out of a picture."""
+        if self._frame is not None and self._dragged is not None:
+            for part in ("axes", "sliders", "rotations"):
+                setattr(self._frame, f"disable_{part}", not shown)
 
     def verdict(self, word: str) -> None:
         """Color the footprint: "feasible", "partly", "infeasible", or "" where it is not known."""

@@ -106,6 +106,16 @@ class RoomView:
         for node in self._nodes[self._active]:
             place(node, T)
 
+    def rest(self) -> None:
+        """Put the active object back to where the scene has it."""
+        if self.scene is None or not self._active:
+            return
+        item = self.scene.object(self._active)
+        if item.model.joints:
+            self.move({})
+        else:
+            self.carry(item.link_poses()[item.model.urdf.root])
+
     def show(self, scene: Scene, active: str = "", *, collision: bool = False) -> None:
         """Draw a scene instead of the last.
 
@@ -223,8 +233,8 @@ def _moving(item: SceneObject) -> set[str]:
 
 def _colors(item: SceneObject, *, active: bool) -> tuple[str, str]:
     """Of the body of an object, and of its handles."""
-    if active:
-        return TARGET, TARGET_EDGE
+    if active:  # of a loose thing all moves
+        return (TARGET if item.model.joints else PART), TARGET_EDGE
     if item.category == "wall":
         return WALL, WALL
     small = np.prod(np.ptp(item.bounds, axis=0)) < SMALL_THING

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from momapos.errors import InputError
+from momapos.execution.film_files import GIF, MP4, encoded
 from momapos.placement_result import PlacementResult
 from momapos.plans import write_plan
+from momapos.protocols import Clock
 from momapos.scene.copies import copied
 from momapos.scene.files import save_scene
 from momapos.scene.scene import Scene
@@ -22,12 +25,28 @@ if TYPE_CHECKING:
     from jaxtyping import UInt8
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,79}\.json")
-PICTURE, FILM = (1280, 720), (640, 360)
+PICTURE = (1280, 720)
 """Width and height [px]."""
+PATIENCE = 30.0
+"""A browser sends a picture within this time, however slowly it draws [s]."""
 BEHIND = 255.0
 """White behind all that is drawn."""
-FRAMES, FILM_RATE = 72, 12
-"""Pictures in a film at most, and how many are shown a second."""
+
+
+@dataclass(frozen=True)
+class FilmLook:
+    """A kind of film."""
+
+    size: tuple[int, int]
+    """Width and height [px]."""
+    rate: float
+    """Pictures a second [1/s]."""
+    most: int
+    """Pictures at most [-]."""
+
+
+FILMS = {GIF: FilmLook((640, 360), 12.0, 72), MP4: FilmLook((1280, 720), 25.0, 250)}
+"""A browser sends each picture by itself, which takes most of the time."""
 
 
 def file_in(folder: Path, name: str) -> Path:
@@ -84,10 +103,23 @@ def save_room(
     return path
 
 
-def render(client: Any, size: tuple[int, int]) -> UInt8[np.ndarray, "h w 3"]:
-    """What a browser sees, as a picture of a size [px]."""
+def render(
+    client: Any, size: tuple[int, int], *, patience: float = PATIENCE
+) -> UInt8[np.ndarray, "h w 3"]:
+    """What a browser sees, as a picture of a size [px]; it is waited for so long at most [s].
+
+    Raises:
+        InputError: It sends none, as one that has gone or is hidden.
+    """
     width, height = size
-    picture: np.ndarray = client.get_render(height=height, width=width, transport_format="png")
+    try:
+        picture: np.ndarray = client.get_render(
+            height=height, width=width, transport_format="png", timeout=patience
+        )
+    except (RuntimeError, TimeoutError) as error:
+        raise InputError(
+            "the browser sent no picture; keep its page open and in front until it is done"
+        ) from error
     # Where nothing is drawn a browser leaves it open what is behind, and says black.
     opacity = picture[..., 3:] / 255.0
     return (picture[..., :3] * opacity + BEHIND * (1.0 - opacity)).astype(np.uint8)
@@ -99,32 +131,39 @@ def send_picture(client: Any) -> None:
 
     content = io.BytesIO()
     Image.fromarray(render(client, PICTURE)).save(content, "PNG")
-    client.send_file_download("momapos.png", content.getvalue())
+    client.send_file_download("momapos.png", content.getvalue(), save_immediately=True)
 
 
-def send_film(client: Any, duration: float, show: Callable[[float], None]) -> None:
-    """Give a browser what it sees of a motion as a GIF.
+def send_film(
+    client: Any, ending: str, duration: float, show: Callable[[float], None], clock: Clock
+) -> float:
+    """Give a browser what it sees of a motion as a film.
 
     Args:
         client: The browser.
+        ending: `GIF` or `MP4`.
         duration: How long the motion takes [s].
         show: Shows a moment [s].
+        clock: Looked at before each picture; what it raises ends the work.
+
+    Returns:
+        How many times faster than in truth it plays [-].
 
     Raises:
-        InputError: There is no motion.
+        InputError: There is no motion, or the browser has gone.
+        MissingExtraError: What writes such a film is not installed.
     """
     if duration <= 0:
         raise InputError("there is no motion to film; press Place first")
-    from PIL import Image
+    look = FILMS[ending]
+    count = int(np.clip(duration * look.rate, 2, look.most))
 
-    count = int(np.clip(duration * FILM_RATE, 2, FRAMES))
-    pictures = []
-    for seconds in np.linspace(0.0, duration, count).tolist():
-        show(seconds)
-        pictures.append(Image.fromarray(render(client, FILM)).quantize(128))
-    content = io.BytesIO()
-    pictures[0].save(
-        content, "GIF", save_all=True, append_images=pictures[1:], loop=0,
-        duration=round(1000 / FILM_RATE),
-    )  # fmt: skip
-    client.send_file_download("momapos.gif", content.getvalue())
+    def pictures() -> Iterator[UInt8[np.ndarray, "h w 3"]]:
+        for seconds in np.linspace(0.0, duration, count).tolist():
+            clock()
+            show(seconds)
+            yield render(client, look.size)
+
+    film = encoded(pictures(), ending, look.rate)
+    client.send_file_download(f"momapos{ending}", film, save_immediately=True)
+    return duration * look.rate / count

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import io
 import socket
 from collections.abc import Iterator, Sequence
@@ -16,6 +17,7 @@ from momapos.errors import InputError
 from momapos.page.opened import Opened, OpenedScan
 from momapos.page.origin import own_pages_only
 from momapos.page.page import Page
+from momapos.page.panel import set_theme
 
 
 class Server(viser.ViserServer):  # type: ignore[misc]  # mypy does not read viser
@@ -79,10 +81,7 @@ def open_server(host: str, port: int) -> Server:
         with quiet():
             server.stop()
         raise _in_use(port)
-    # Nothing on the page leads out of this machine.
-    server.gui.configure_theme(
-        show_logo=False, show_share_button=False, control_width="medium", brand_color=(42, 122, 184)
-    )
+    set_theme(server.gui)
     server.scene.world_axes.visible = False
     return server
 
@@ -105,7 +104,7 @@ def check_free(host: str, port: int) -> None:
     except PermissionError as error:
         raise InputError(f"--port {port}: may not be used ({error.strerror})") from error
     except OSError as error:
-        if error.errno and "vail" in str(error.strerror):
+        if error.errno == errno.EADDRNOTAVAIL:
             raise InputError(f"--host {host}: is no address of this machine") from error
         raise _in_use(port) from error
 

@@ -32,4 +32,4 @@ class Shown:
     answer: PlacementResult | None = None
     probe: Probe | None = None
     joints: dict[str, float] = field(default_factory=dict)
-    """Joints of the object that were moved by hand [rad] or [m]."""
+    """Joints of the object that were moved by hand, and how the others stood then [rad] or [m]."""

@@ -80,7 +80,7 @@ def page_of(
     active: str | None = None,
 ) -> str:
     """The page as HTML; see `write_page`."""
-    story = story or Story.of(plan, robot)
+    story = story or Story.of(plan, robot, scene)
     server = open_server("127.0.0.1", 0)  # viser records only what a server has drawn
     try:
         eye, target = viewpoint(scene)

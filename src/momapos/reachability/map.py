@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from importlib import import_module
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -88,6 +89,12 @@ class ReachMap:
     def __repr__(self) -> str:
         size = " x ".join(map(str, self.values.shape))
         return f"<ReachMap {self.key}: {size} values, {self.reach:.2f} m>"
+
+    def _repr_png_(self) -> bytes:
+        """The picture that a notebook shows."""
+        # By name: what draws records is downstream of them.
+        png: bytes = import_module("momapos.viewer.inline").reach_png(self)
+        return png
 
     @property
     def reach(self) -> float:

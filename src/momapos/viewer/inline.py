@@ -6,10 +6,14 @@ import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
+
 from momapos.placement_result import PlacementResult
+from momapos.reachability.map import ReachMap
 from momapos.reachability.store import load_reach
 from momapos.scene.scene import Scene
 from momapos.viewer.plot import draw_answer
+from momapos.viewer.reach_slices import draw_reach, tool_axes
 from momapos.viewer.scene_outlines import draw_scene
 
 
@@ -24,6 +28,17 @@ def answer_png(answer: PlacementResult) -> bytes:
     return _content(
         lambda path: draw_answer(prepared.scene, answer, load_reach(prepared.robot), path)
     )
+
+
+def reach_png(reach: ReachMap) -> bytes:
+    """A reachability map in slices; the tool comes along its last axis."""
+    along = reach.line_tool[0]
+    aside = np.eye(3)[np.argmin(np.abs(along))]
+    across = np.cross(along, aside) / np.linalg.norm(np.cross(along, aside))
+    point = reach.line_tool[1]
+    farthest = reach.reach + float(np.linalg.norm(point) + np.linalg.norm(reach.axis_xy))
+    axes = tool_axes(along, across)
+    return _content(lambda path: draw_reach(reach, axes, farthest, path, title="This map"))
 
 
 def _content(draw: Callable[[Path], None]) -> bytes:
