@@ -17,7 +17,7 @@ import numpy as np
 from momapos.base_pose import check_base_pose
 from momapos.baselines.answer import plan_by_method
 from momapos.config import PipelineConfig
-from momapos.errors import InputError, SceneError
+from momapos.errors import InputError, SceneError, TaskError
 from momapos.execution.config import ExecutionConfig
 from momapos.execution.joint_estimate import Learned
 from momapos.execution.record import Execution, Pose, RunRecord, Visit
@@ -172,8 +172,8 @@ def run_plan(
         if not outcome.at_home:
             break
         same = trip.learn(motion, outcome)
-        again = Again(trip.scene, outcome.value, outcome.collisions)
         here, motion = trip.try_anew(here, attempts, elsewhere=same and outcome.in_the_way)
+        again = Again(trip.scene, outcome.value, outcome.collisions)
     return RunRecord(
         scene=plan.scene,
         robot=robot.name,
@@ -276,26 +276,29 @@ class _Trip:
     def try_anew(
         self, here: Float[np.ndarray, "3"], attempts: int, *, elsewhere: bool
     ) -> tuple[Float[np.ndarray, "3"], Motion | None]:
-        """Another grasp at the same base pose, else another base pose.
+        """Another grasp at the same base pose, else another base pose, else another kind of part.
 
-        Args:
-            here: Where the base stands: x [m], y [m], yaw [rad].
-            attempts: Base poses that are driven to at most [-].
-            elsewhere: Whether something was in the arm's way, so that this pose is no good.
-
-        Returns:
-            The pose reached last, and the motion found there, if any.
+        `elsewhere` says that something was in the arm's way, so that the pose `here` is no good.
+        Returns the pose reached last, and the motion found there, if any.
         """
-        if not elsewhere:
-            others = other_grasps(self.scene, self.plan.task, self.grasps)
+        while (found := self._next(here, elsewhere)) is None:
+            other = self.beliefs.give_up()
+            if other is None:
+                return here, None
+            self._switch(other)
+            elsewhere = False
+        return self.go(here, found, attempts) if isinstance(found, PlacementPlan) else (here, found)
+
+    def _next(self, here: Float[np.ndarray, "3"], elsewhere: bool) -> Motion | PlacementPlan | None:
+        """A motion at a base pose, else the plan of another one, for the part as it is believed."""
+        try:
             with self.stopwatch.stage("plan"):
-                found = self._motion(here, others).motion
-            if found is not None:
-                return here, found
-        self.failed.append(here)
-        with self.stopwatch.stage("plan"):
-            plan = self._another(here)
-        return (here, None) if plan is None else self.go(here, plan, attempts)
+                others = other_grasps(self.scene, self.plan.task, self.grasps)
+                found = None if elsewhere else self._motion(here, others).motion
+                self.failed += [] if found is not None else [here]
+                return self._another(here) if found is None else found
+        except TaskError:  # no hand holds a part of that kind
+            return None
 
     def way_home(self, base: Float[np.ndarray, "3"]) -> WayHome:
         """Plans the arm's way home at a base pose, with the part where the hand left it."""
