@@ -29,7 +29,7 @@ from momapos.pipeline import plan_base_placement
 from momapos.placement_result import PlacementResult
 from momapos.plans import write_plan
 from momapos.reconstruction.build import build_scene
-from momapos.reconstruction.model import furniture_model
+from momapos.reconstruction.model import ModelConfig, furniture_model
 from momapos.robots.robot import load_robot
 from momapos.run_plan import run_plan
 from momapos.scene.files import load_scene
@@ -40,6 +40,7 @@ from momapos.verification.files import verify_files
 CONFIG = ComplianceConfig()
 Odds = tuple[tuple[PartKind, float], ...]
 MIDDLE = (0.6, 0.4, 0.66, 0.6)
+NEAR, FAR = 0.87, 0.75
 
 
 def room(
@@ -47,11 +48,13 @@ def room(
     odds: Odds,
     handle: tuple[float, float, float, float] = MIDDLE,
     *,
-    post: bool = False,
+    post: float | None = None,
+    turn: float = np.pi / 2,
 ) -> Scene:
     """A cupboard before a robot, its one part believed to move in some ways.
 
-    A post before it is in the way of a drawer, and of a door hinged at the right.
+    A post stands before it at an x [m]: at `NEAR` in the way of a drawer and of a door hinged at
+    the right, at `FAR` of such a door alone. A hinged part turns by `turn` at most [rad].
     """
     pixels = (240, 240)
     color = np.full((*pixels, 3), 200, np.uint8)
@@ -59,12 +62,13 @@ def room(
     part = Part(odds[0][0], (0.0, 0.0, 1.0, 1.0), 0.9, handle, odds)
     box = UprightBox(np.array([1.5, 0.0, 0.8]), np.array([0.6, 0.5, 0.6]), -np.pi / 2)
     found = Detection("cupboard", "cabinet", 0.9, box, np.arange(3))
-    piece = furniture_model(found, np.pi, face, [part], free=(True, True))
+    piece = furniture_model(found, np.pi, face, [part], ModelConfig(turn=turn), free=(True, True))
     floor = [(-2.0, -2.0), (2.0, -2.0), (2.0, 2.0), (-2.0, 2.0)]
-    box = UprightBox(np.array([0.87, -0.21, 0.75]), np.array([0.04, 0.04, 1.5]), 0.0)
-    posts = [Detection("post", "post", 0.9, box, np.arange(3))] if post else []
+    box = UprightBox(np.array([post or 0.0, -0.21, 0.75]), np.array([0.04, 0.04, 1.5]), 0.0)
+    posts = [Detection("post", "post", 0.9, box, np.arange(3))]
     folder.mkdir()
     out = folder / "scene.json"
+    posts = [] if post is None else posts
     build_scene([found, *posts], {"cupboard": piece}, floor, out, start=(0.0, 0.0, 0.0))
     return load_scene(out)
 
@@ -117,6 +121,22 @@ def test_a_part_that_does_not_yield_is_taken_for_the_next_likely_kind(guessed: S
     assert tried == ["door_right", "door_left", "drawer", "door_right"]
 
 
+def test_a_way_that_is_given_up_is_not_tried_again(guessed: Scene) -> None:
+    beliefs, held = beliefs_of(guessed), [np.array([1.22, 0.1, 0.8])]
+    tried = [beliefs.kind]
+    while (other := beliefs.give_up()) is not None:
+        tried.append(other.way.kind)
+        assert beliefs.kind == tried[-1]
+    assert tried == [kind for kind, _ in ALL]
+    assert beliefs.fail(held) is None
+
+
+def test_an_improbable_way_is_not_tried_where_the_others_are_given_up(tmp_path: Path) -> None:
+    beliefs = beliefs_of(room(tmp_path / "sure", (("door_right", 0.97), ("drawer", 0.03))))
+    assert beliefs.give_up() is None
+    assert beliefs.kind == "door_right"
+
+
 def test_where_the_scene_knows_how_a_part_moves_nothing_else_is_tried(tmp_path: Path) -> None:
     beliefs = beliefs_of(room(tmp_path / "known", (("door_left", 1.0),)))
     way = [np.array([1.22 - 0.01 * k, 0.001 * k, 0.8]) for k in range(20)]
@@ -124,6 +144,7 @@ def test_where_the_scene_knows_how_a_part_moves_nothing_else_is_tried(tmp_path: 
     assert not beliefs.speaks_against(way)
     assert beliefs.likelier(way) is None
     assert beliefs.fail(way) is None
+    assert beliefs.give_up() is None
 
 
 def test_a_door_hinged_at_the_other_side_than_believed_is_opened_and_remembered(
@@ -158,8 +179,8 @@ def test_where_the_likeliest_way_has_no_plan_the_next_is_planned_verified_and_ca
     tmp_path: Path,
 ) -> None:
     odds: Odds = (("drawer", 0.5), ("door_right", 0.3), ("door_left", 0.2))
-    guessed = room(tmp_path / "guessed", odds, post=True)
-    really = room(tmp_path / "really", (("door_left", 1.0),), post=True)
+    guessed = room(tmp_path / "guessed", odds, post=NEAR)
+    really = room(tmp_path / "really", (("door_left", 1.0),), post=NEAR)
     robot, asked = load_robot("segway_ur5e"), list[str]()
 
     def ask(scene: Scene, task: Task) -> list[PlacementResult]:
@@ -177,6 +198,18 @@ def test_where_the_likeliest_way_has_no_plan_the_next_is_planned_verified_and_ca
     assert again.object("cupboard").model.joint("drawer_slide").kind == "revolute"
     record = run_plan(plan, again, robot, Everywhere(), world=really)
     assert record.success, record.reason
+
+
+def test_a_run_goes_on_to_the_next_way_where_the_likeliest_has_no_plan(tmp_path: Path) -> None:
+    odds: Odds = (("drawer", 0.5), ("door_right", 0.3), ("door_left", 0.2))
+    guessed = room(tmp_path / "guessed", odds, post=FAR)
+    stuck = room(tmp_path / "stuck", (("door_right", 1.0),), turn=0.01)
+    robot = load_robot("segway_ur5e")
+    task = make_task(guessed, "open", "cupboard", "drawer_slide")
+    plan = plan_base_placement(guessed, robot, task, Everywhere(), config=PipelineConfig()).plan
+    assert plan.status == "solved"
+    record = run_plan(plan, guessed, robot, Everywhere(), world=stuck, tries=2)
+    assert record.kinds == ("drawer", "door_left")
 
 
 def test_where_no_way_has_a_plan_the_answer_is_about_the_likeliest(guessed: Scene) -> None:

@@ -112,6 +112,25 @@ class JointBeliefs:
         self.tried = _likeliest(self.beliefs)
         return None if self.tried == before else self.beliefs[self.tried]
 
+    def give_up(self) -> JointBelief | None:
+        """Leave the way that is tried, because no motion is found for it.
+
+        Returns:
+            The likeliest of the others; None where none is probable.
+        """
+        if not self.beliefs:
+            return None
+        weights = np.array([belief.log_weight for belief in self.beliefs])
+        weights -= np.logaddexp.reduce(weights)
+        found = list(self.beliefs)
+        found[self.tried] = replace(found[self.tried], log_weight=-np.inf)
+        weights[self.tried] = -np.inf
+        best = int(np.argmax(weights))
+        if weights[best] < np.log(PROBABLE):
+            return None
+        self.beliefs, self.tried = tuple(found), best
+        return found[best]
+
     def _pulled(self, hand_way: Sequence[Float[np.ndarray, "3"]]) -> tuple[JointBelief, ...]:
         """What is believed after the hand has pulled the part."""
         found = []

@@ -11,7 +11,7 @@ import numpy as np
 from momapos.base_pose import check_base_pose
 from momapos.baselines.answer import plan_by_method
 from momapos.config import PipelineConfig
-from momapos.errors import SceneError
+from momapos.errors import SceneError, TaskError
 from momapos.execution.joint_estimate import Learned
 from momapos.execution.record import Pose, Visit
 from momapos.execution.retreat import WayHome
@@ -167,7 +167,7 @@ class Trip:
     def try_anew(
         self, here: Float[np.ndarray, "3"], attempts: int, *, elsewhere: bool
     ) -> tuple[Float[np.ndarray, "3"], Motion | None]:
-        """Another grasp at the same base pose, else another base pose.
+        """Another grasp at the same base pose, else another base pose, else another belief.
 
         Args:
             here: Where the base stands: x [m], y [m], yaw [rad].
@@ -177,22 +177,29 @@ class Trip:
         Returns:
             The pose reached last, and the motion found there, if any.
         """
-        if not elsewhere:
-            others = other_grasps(self.scene, self.plan.task, self.grasps)
+        while (found := self._next(here, elsewhere)) is None:
+            if self.before is not None:  # no base pose serves the joint as felt
+                (self.whole, scene, task), self.before = self.before, None
+                self.plan = replace(self.plan, task=task)
+                self._believe(scene)
+                continue
+            other = self.beliefs.give_up()
+            if other is None:
+                return here, None
+            self._switch(other)
+            elsewhere = False
+        return self.go(here, found, attempts) if isinstance(found, PlacementPlan) else (here, found)
+
+    def _next(self, here: Float[np.ndarray, "3"], elsewhere: bool) -> Motion | PlacementPlan | None:
+        """A motion at a base pose, else the plan of another one, for the part as it is believed."""
+        try:
             with self.stopwatch.stage("plan"):
-                found = self._motion(here, others).motion
-            if found is not None:
-                return here, found
-        self.failed.append(here)
-        with self.stopwatch.stage("plan"):
-            plan = self._another(here)
-        if plan is None and self.before is not None:  # no base pose serves the joint as felt
-            (self.whole, scene, task), self.before = self.before, None
-            self.plan = replace(self.plan, task=task)
-            self._believe(scene)
-            with self.stopwatch.stage("plan"):
-                plan = self._another(here)
-        return (here, None) if plan is None else self.go(here, plan, attempts)
+                others = other_grasps(self.scene, self.plan.task, self.grasps)
+                found = None if elsewhere else self._motion(here, others).motion
+                self.failed += [] if found is not None else [here]
+                return self._another(here) if found is None else found
+        except TaskError:  # no hand holds a part of that kind
+            return None
 
     def way_home(self, base: Float[np.ndarray, "3"]) -> WayHome:
         """Plans the arm's way home at a base pose, with the part where the hand left it."""
