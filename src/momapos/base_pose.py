@@ -138,7 +138,9 @@ def plan_at_base_pose(
     pose = (float(base[0]), float(base[1]), float(base[2]))
     answered = replace(look.prepared.task, farthest=task.farthest and solved)
     plan = replace(
-        plan_of(replace(query, task=answered), found, first, way if solved else None),
+        plan_of(
+            replace(query, task=answered), look.prepared, found, first, way if solved else None
+        ),
         base_pose=pose,
         feasible_to=None if solved else attempt.farthest,
         feasible_from=None if solved or attempt.farthest is None else pose,

@@ -65,6 +65,16 @@ class PoseOutcome:
 
 
 @dataclass(frozen=True)
+class CostTerm:
+    """One term of what a base pose costs."""
+
+    value: float | None
+    """None where nobody has looked: it had no weight."""
+    weight: float | None
+    """None where it counts before all terms that have one."""
+
+
+@dataclass(frozen=True)
 class Tolerance:
     """How far beside a base pose the robot may stand, and still do it."""
 

@@ -16,7 +16,7 @@ import numpy as np
 from momapos import plan_members as members
 from momapos.errors import FileFormatError, InputError
 from momapos.files import read_bytes_bounded, read_text_bounded
-from momapos.outcomes import Tolerance
+from momapos.outcomes import CostTerm, Tolerance
 from momapos.plan_files import portable_name, sha256, sha256_of, write_text
 from momapos.plan_holds import holds_to_dict, read_holds
 from momapos.robots.amend import portable
@@ -81,6 +81,7 @@ def plan_to_dict(plan: PlacementPlan) -> dict[str, Any]:
             **holds_to_dict(motion.holds),
         },
         "navigation_cost": plan.navigation_cost,
+        "cost": {name: asdict(term) for name, term in plan.cost.items()},
         "candidates": {
             "sampled": plan.candidates.sampled,
             "checked": plan.candidates.checked,
@@ -267,6 +268,7 @@ def _record(data: members.Plan, path: Path) -> PlacementPlan:
         base_pose=_triple(data.base_pose),
         motion=_motion(data, path),
         navigation_cost=data.navigation_cost,
+        cost={name: CostTerm(**msgspec.structs.asdict(term)) for name, term in data.cost.items()},
         candidates=Candidates(**msgspec.structs.asdict(data.candidates)),
         key_objects=_key_objects(data.importance),
         timing=data.timing,

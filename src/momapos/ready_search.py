@@ -59,7 +59,7 @@ class ReadySearch:
     def result(self, found: Search) -> PlacementResult:
         """The answer that a search leads to."""
         start = self.problem.start
-        plan = plan_of(self.query, found, start, self.drives.path(found.base))
+        plan = plan_of(self.query, self.prepared, found, start, self.drives.path(found.base))
         if self.robust is not None and plan.motion is not None:
             plan = replace(plan, tolerance=self.robust.tolerance)
         return PlacementResult(plan, self.prepared, found, start)
@@ -135,6 +135,7 @@ def ready_search(query: PlacementQuery, modeled: Scene, motion: TaskMotion) -> R
         travel_cost=travel_cost,
         attempt=_accepted(feasible, drives, robust),
         screen=feasible.screen,
+        takes_hold=prepared.motion.grasp_step,
         infeasible_reason=infeasible_reason,
         start=start,
         out_of_time=out_of_time,

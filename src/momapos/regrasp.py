@@ -99,6 +99,7 @@ class TwoHolds:
             ways=self.ways,
             screen=self.screen,
             attempt=self,
+            takes_hold=second.grasp_step,
             infeasible_reason="",
         )
 

@@ -11,7 +11,7 @@ import numpy as np
 if TYPE_CHECKING:
     from jaxtyping import Float, Float32, Int, UInt8
 
-from momapos.outcomes import PoseOutcome, Tolerance
+from momapos.outcomes import CostTerm, PoseOutcome, Tolerance
 
 Verb = Literal["open", "close", "pick", "place"]
 Status = Literal["solved", "infeasible", "timeout"]
@@ -344,6 +344,8 @@ class PlacementPlan:
     motion: Motion | None = None
     navigation_cost: float | None = None
     """Driving length from the start [m]."""
+    cost: Mapping[str, CostTerm] = field(default_factory=dict)
+    """Terms of what the base pose costs, by name, with their weights."""
     candidates: Candidates = Candidates()
     timing: Mapping[str, float] = field(default_factory=dict)
     """Seconds by stage, and "total"."""

@@ -6,7 +6,7 @@ import math
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,11 +14,14 @@ from typing import TYPE_CHECKING
 from momapos.placement.config import OURS
 
 if TYPE_CHECKING:
-    from momapos.outcomes import Tolerance
+    from momapos.outcomes import CostTerm, Tolerance
     from momapos.placement_result import PlacementResult
     from momapos.types import KeyObjects
 
 MOST_REASONS = 8
+_USUAL_WEIGHTS = {
+    "driving": 1.0, "room": None, "clearance": 0.0, "manipulability": 0.0, "effort": 0.0,
+}  # fmt: skip
 
 
 @contextmanager
@@ -99,6 +102,7 @@ def summary(
             *_taken(answer),
             "  checked     base, arm and moving part over the whole motion, exact geometry",
             *_tolerance(plan.tolerance),
+            *_cost(plan.cost),
         ]
     else:
         lines.append(f"  {plan.status:<11} {_why_not(answer)}")
@@ -150,6 +154,19 @@ def _tolerance(found: Tolerance | None) -> list[str]:
         f"  tolerance   {100 * found.radius:g} cm and {turn:.1f} deg beside it: found anew from "
         f"{found.samples} of {found.samples} poses"
     ]
+
+
+def _cost(terms: Mapping[str, CostTerm]) -> list[str]:
+    """What the base pose costs, where other weights than the usual were asked for."""
+    if not terms or {name: term.weight for name, term in terms.items()} == _USUAL_WEIGHTS:
+        return []
+    said = [
+        f"{name} {term.value:.2f} x {term.weight:g}"
+        for name, term in terms.items()
+        if term.weight and term.value is not None
+    ]
+    first = ["room first"] if terms["room"].weight is None else []
+    return [f"  cost        {', '.join([*first, *said]) or 'nothing counts'}"]
 
 
 def _modeled(key: KeyObjects) -> str:
