@@ -33,7 +33,9 @@ class PoseStatus(Enum):
     ARM_COLLISION = "arm hits {detail} at {where}"
     NO_CONTINUOUS_PATH = "no continuous branch"
     NO_APPROACH = "no approach from home found within the arm planner's time"
+    NO_WAY_HOME = "no way of the arm home again found within the arm planner's time"
     EXACT_CHECK = "exact check: {detail}"
+    NOT_FOR_ALL = "not for all tasks: {detail}"
     LITTLE_ROOM = "not everywhere within {detail} of it"
 
 

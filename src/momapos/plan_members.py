@@ -113,6 +113,7 @@ class Plan(msgspec.Struct):
     base_path: list[list[float]] | None = None
     approach: list[list[float]] = []
     approach_times: list[float] | None = None
+    home: list[list[float]] | None = None
     manipulation: Manipulation | None = None
     navigation_cost: float | None = None
     cost: dict[str, CostTerm] = {}

@@ -80,6 +80,7 @@ def plan_to_dict(plan: PlacementPlan) -> dict[str, Any]:
             "T_world_tool": motion.Ts_world_tool.tolist(),
             **holds_to_dict(motion.holds),
         },
+        "home": None if motion is None or motion.home is None else motion.home.tolist(),
         "navigation_cost": plan.navigation_cost,
         "cost": {name: asdict(term) for name, term in plan.cost.items()},
         "candidates": {
@@ -342,6 +343,7 @@ def _motion(data: members.Plan, path: Path) -> Motion | None:
         approach_times=_read_times(data.approach_times, len(approach), path, "approach_times"),
         times=_read_times(motion.times, len(motion.q), path, "manipulation.times"),
         holds=read_holds(motion, path),
+        home=None if data.home is None else _array(data.home, (n,), path, "home"),
     )
 
 

@@ -246,6 +246,8 @@ class Motion:
     holds: tuple[Hold, ...] = ()
     """When the hand holds the part of a joint, in order; empty where it does so all along, and
     does not turn. Between two holds the part stands still."""
+    home: Float[np.ndarray, "h n"] | None = None
+    """Arm states from the last of these home, with what was picked; None where it stays there."""
 
     def __repr__(self) -> str:
         return f"<Motion: {len(self.approach)} states to the grasp, {len(self.q)} in it>"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -49,6 +49,26 @@ class DensePath:
         """Name a state in the plan's own numbers."""
         part = "approach" if state < self.approach else "manipulation"
         return f"{part} {self.at[state]:.2f}"
+
+
+def with_home(motion: Motion) -> Motion:
+    """The motion with its way home as part of the manipulation; the object's joint rests there."""
+    if motion.home is None:
+        return motion
+    rest = np.full(len(motion.home), motion.object_q[-1])
+    return replace(
+        motion,
+        q=np.concatenate([motion.q, motion.home]),
+        object_q=np.append(motion.object_q, rest),
+        home=None,
+    )
+
+
+def home_checks(motion: Motion, limits: Limits) -> Iterator[Check]:
+    """Whether the way home ends where the approach began."""
+    if motion.home is not None and len(motion.approach):
+        gap = np.abs(motion.home[-1] - motion.approach[0]).max()
+        yield at_most("way home ends where the approach starts", gap, limits.join, "rad|m")
 
 
 def count_states(motion: Motion, step: float) -> float:
@@ -121,7 +141,10 @@ def number_checks(
         min(lengths) == max(lengths) >= least,
         str(lengths),
     )
-    arrays = (motion.q, motion.approach, motion.object_q, motion.Ts_world_tool)
+    home = () if motion.home is None else (motion.home,)
+    if motion.home is not None:
+        yield verdict("way home is not empty", len(motion.home) > 0)
+    arrays = (motion.q, motion.approach, motion.object_q, motion.Ts_world_tool, *home)
     largest = max(float(np.abs(a).max(initial=0.0)) for a in (*arrays, np.array(base_pose)))
     finite = all(np.isfinite(array).all() for array in (*arrays, np.array(base_pose)))
     yield verdict("numbers are finite", finite and largest < LARGEST, f"largest {largest:g}")
