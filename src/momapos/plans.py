@@ -34,7 +34,7 @@ from momapos.types import (
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-FORMAT, VERSION = "momapos-plan", 1
+FORMAT, VERSION, TOUR = "momapos-plan", 1, "momapos-tour"
 MAX_BYTES = 20_000_000
 """A plan of 20,000 states, which is what the check takes, has some 10 MB."""
 
@@ -171,6 +171,11 @@ def read_plan(path: Path) -> PlacementPlan:
     """
     content = _content(path)
     head = _decode(content, members.PlanHead, path)
+    if head.format == TOUR:
+        raise FileFormatError(
+            f"{path}: a tour of several plans, which only verify takes; give one of the plans that "
+            "it names, in order"
+        )
     if head.format != FORMAT:
         raise FileFormatError(
             f'{path}: not a plan; a plan has "format": {FORMAT!r}, this file has '

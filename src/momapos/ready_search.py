@@ -78,7 +78,7 @@ class Drives:
         return None if base is None else self._paths.get(base.tobytes())
 
     def drivable(self, check: AttemptPose) -> AttemptPose:
-        """A check that asks for a way to the base pose as well."""
+        """A check that asks for a way to the base pose as well, and what the query does."""
 
         def attempt(
             base: Float[np.ndarray, "3"], screened: ArmPathResult, ways: Int[np.ndarray, " k"]
@@ -90,7 +90,9 @@ class Drives:
                 path = self._paths[base.tobytes()] = plan_path(self.query.nav_map, self.start, base)
             if path is None:
                 return Attempt(None, PoseOutcome(PoseStatus.NO_ROUTE_AT_HOME))
-            return found
+            also = self.query.also
+            refused = None if also is None else also(base)
+            return found if refused is None else Attempt(None, refused)
 
         return attempt
 

@@ -196,13 +196,18 @@ def _pose(pose: tuple[float, float, float]) -> str:
     return f"({pose[0]:.3f}, {pose[1]:.3f}, {math.degrees(pose[2]):.1f} deg)"
 
 
-def _question(answer: PlacementResult, most: bool) -> str:
-    plan, task = answer.plan, answer.plan.task
+def asked(answer: PlacementResult) -> str:
+    """What was asked for, as "open fridge/door_hinge to 90 deg"."""
+    task = answer.plan.task
     what = task.object if task.joint is None else f"{task.object}/{task.joint}"
-    to = "" if task.to is None else f" to {_value(answer, task.to)}"
+    return f"{task.verb} {what}" + ("" if task.to is None else f" to {_value(answer, task.to)}")
+
+
+def _question(answer: PlacementResult, most: bool) -> str:
+    plan, task, to = answer.plan, answer.plan.task, ""
     if most and plan.status == "solved":
-        to += ", the farthest" if task.farthest else ", the farthest found in the time"
-    return f"{plan.robot_name}: {task.verb} {what}{to}: {plan.status}"
+        to = ", the farthest" if task.farthest else ", the farthest found in the time"
+    return f"{plan.robot_name}: {asked(answer)}{to}: {plan.status}"
 
 
 def _value(answer: PlacementResult, value: float) -> str:

@@ -113,6 +113,10 @@ def _run(args: list[str]) -> int:
         return _print_completion(rest)
     if name not in COMMANDS:
         raise unknown_name("command", name, COMMANDS, "momapos")
+    if name == "place" and "then" in rest:
+        from momapos.cli.tour import run_tour
+
+        return run_tour(rest)
     function, prog = COMMANDS[name][1], f"momapos {name}"
     if isinstance(function, dict):
         if not rest or rest[0] in HELP:
