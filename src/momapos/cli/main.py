@@ -59,6 +59,7 @@ Modules of commands import nothing heavy: help, completion, lists and wrong name
 EXAMPLES = """examples:
   momapos place open kitchen_small fridge/door_hinge --robot segway_ur5e --plot plan.png
   momapos place open kitchen.json cabinet/door_left --robot fetch --to 90deg --out plan.json
+  momapos place open kitchen_small cabinet_right/drawer_top_slide then pick bottle --out tour.json
   momapos verify plan.json
   momapos run plan.json --record film.png
   momapos rank kitchen_small fridge --plot graph.png
