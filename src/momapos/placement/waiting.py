@@ -48,9 +48,9 @@ class Waiting:
         if problem.fit is not None:  # beside a fitted pose an arm of few joints does nothing
             looks = 0.0
         elif costs.room_first:
-            looks = config.looks if config.method == "ours" else 0
+            looks = float(config.looks) if config.method == "ours" else 0.0
         else:
-            looks = math.inf if config.weight_room > 0.0 else 0
+            looks = math.inf if config.weight_room > 0.0 else 0.0
         return cls(costs, margin_of(problem, score, config), looks)
 
     def take(

@@ -84,7 +84,7 @@ class PlanVerifier:
             checks += paths.hold_checks(self.part, motion)
         if all(check.ok for check in checks):
             # Before anything is allocated: a step of 1e6 would be cut into millions of states.
-            states = paths.count_states(paths.with_home(motion), self.limits.step)
+            states = paths.count_states(motion, self.limits.step)
             if self.part.joint is not None:
                 states += paths.count_cuts(motion.object_q, self.limits.step, SWEEP_STEPS)
             shapes = len(self._arm) + len(self._base) + len(self.part.shapes)
@@ -135,13 +135,12 @@ class PlanVerifier:
         self, checks: list[Check], base_pose: tuple[float, float, float], motion: Motion
     ) -> Report:
         machine, part, limits = self.robot_model, self.part, self.limits
-        whole = paths.with_home(motion)
-        path = paths.dense_path(whole, limits.step)
+        path = paths.dense_path(motion, limits.step)
         Ts_tool, Ts_base, Ts_arm = machine.poses(base_pose, path.q)
         Ts_planned = Ts_tool[path.planned[: len(motion.q)]]
         Ts_part = part.placed_at(paths.part_poses(part, self.task.verb, path, Ts_tool))
         checks += paths.object_checks(part, motion, limits)
-        checks += paths.joint_checks(machine, whole, limits)
+        checks += paths.joint_checks(machine, motion, limits)
         checks += paths.home_checks(motion, limits)
         checks += paths.tool_checks(Ts_planned, motion, limits)
         checks += paths.grasp_checks(part, path, Ts_tool, paths.holds_of(motion), limits)
