@@ -34,7 +34,8 @@ DEFAULT = PipelineConfig()
 MOST = 20
 """Tasks of a tour [-]."""
 JOINT_SHARE = 0.5
-"""Share of the time that is left within which one base pose for several tasks is looked for [-]."""
+"""Share of the time that is left for each task within which one base pose for several is looked
+for, so that enough remains for each by itself [-]."""
 
 
 class Request(NamedTuple):
@@ -184,9 +185,10 @@ class _Planner:
         Returns:
             One answer for each; where there is none even for the first, that alone.
         """
+        tasks = len(self.rooms) - first
         for last in range(len(self.rooms) - 1, first - 1, -1):
             left = max(self.deadline - self.clock(), 1e-3)
-            share = 1.0 if last == first else JOINT_SHARE
+            share = 1.0 if last == first else JOINT_SHARE / tasks
             found = self._from_one_pose(first, last, start, share * left)
             if found.plan.status == "solved" or last == first:
                 break
