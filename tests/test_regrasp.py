@@ -26,6 +26,7 @@ from momapos.robots.robot import Robot, load_robot
 from momapos.scene.files import load_scene
 from momapos.scene.scene import Scene
 from momapos.types import Motion, PlacementPlan
+from momapos.verification.exact import PlanVerifier
 from momapos.verification.files import verify_files
 from momapos.viewer.plot import waypoints_by_hold
 
@@ -136,6 +137,20 @@ def test_a_door_beside_a_wall_is_pushed_where_no_hand_has_room_to_pull(
     assert [hold.family for hold in motion_of(found).holds] == ["pinch", "push"]
     assert found.base_pose is not None
     assert check_base_pose(scene, robot, task, found.base_pose, reach).motion is not None
+
+
+def test_after_a_push_the_arm_comes_home_where_that_is_asked_for(
+    kitchen: Scene, robot: Robot, reach: ReachMap
+) -> None:
+    task = make_task(kitchen, "open", "cabinet_back", "door_hinge")
+    config = PipelineConfig(motion=MotionConfig(home_again=True))
+    plan = plan_base_placement(kitchen, robot, task, reach, config=config).plan
+    motion = motion_of(plan)
+    assert len(motion.holds) == 2
+    assert motion.home is not None
+    np.testing.assert_allclose(motion.home[-1], robot.chain.joint_values(robot.home))
+    assert plan.base_pose is not None
+    assert PlanVerifier(kitchen, robot, task).check(plan.base_pose, motion).valid
 
 
 def test_an_answer_tells_and_draws_both_holds(answer: PlacementResult, tmp_path: Path) -> None:

@@ -32,6 +32,9 @@ from .solve_scan import ScanAnswer as ScanAnswer
 from .solve_scan import ScanTask as ScanTask
 from .solve_scan import solve_scan as solve_scan
 from .tolerance import placement_tolerance as placement_tolerance
+from .tour import Request as Request
+from .tour import Tour as Tour
+from .tour import plan_tour as plan_tour
 from .trajectory import SpeedConfig as SpeedConfig
 from .trajectory import TimedTrajectory as TimedTrajectory
 from .trajectory import time_plan as time_plan

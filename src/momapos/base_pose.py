@@ -125,7 +125,9 @@ def plan_at_base_pose(
         look = _look(query, base, how_far=True)
     with watch.stage("drive"):
         first = start_pose(scene, robot, look.prepared.motion, start, query.nav_map)
-        length = float(driving_lengths(look.prepared, first)(base[None, :2])[0])
+        # Of a cell's own width the lengths know nothing.
+        stays = np.array_equal(first, base)
+        length = 0.0 if stays else float(driving_lengths(look.prepared, first)(base[None, :2])[0])
     with watch.stage("way"):
         way = plan_path(query.nav_map, first, base) if np.isfinite(length) else None
     attempt = look.attempt
@@ -138,7 +140,9 @@ def plan_at_base_pose(
     pose = (float(base[0]), float(base[1]), float(base[2]))
     answered = replace(look.prepared.task, farthest=task.farthest and solved)
     plan = replace(
-        plan_of(replace(query, task=answered), found, first, way if solved else None),
+        plan_of(
+            replace(query, task=answered), look.prepared, found, first, way if solved else None
+        ),
         base_pose=pose,
         feasible_to=None if solved else attempt.farthest,
         feasible_from=None if solved or attempt.farthest is None else pose,

@@ -33,7 +33,9 @@ class PoseStatus(Enum):
     ARM_COLLISION = "arm hits {detail} at {where}"
     NO_CONTINUOUS_PATH = "no continuous branch"
     NO_APPROACH = "no approach from home found within the arm planner's time"
+    NO_WAY_HOME = "no way of the arm home again found within the arm planner's time"
     EXACT_CHECK = "exact check: {detail}"
+    NOT_FOR_ALL = "not for all tasks: {detail}"
     LITTLE_ROOM = "not everywhere within {detail} of it"
 
 
@@ -62,6 +64,16 @@ class PoseOutcome:
         """The same without the waypoint, so that similar outcomes can be counted together."""
         words = _SUMMARY.get(self.status, self.status.value)
         return words.format(detail=self.detail)
+
+
+@dataclass(frozen=True)
+class CostTerm:
+    """One term of what a base pose costs."""
+
+    value: float | None
+    """None where nobody has looked: it had no weight."""
+    weight: float | None
+    """None where it counts before all terms that have one."""
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ from momapos.placement.place import search
 from momapos.placement.problem import PoseFilter
 from momapos.placement_result import PlacementResult
 from momapos.protocols import Clock, ReachScorer
-from momapos.query import PlacementQuery
+from momapos.query import AlsoAtPose, PlacementQuery
 from momapos.reachability.store import load_reach
 from momapos.ready_search import ready_search
 from momapos.regrasp import two_hold_searches
@@ -49,6 +49,7 @@ def plan_base_placement(
     *,
     start: Float[np.ndarray, "3"] | None = None,
     pose_filter: PoseFilter | None = None,
+    also: AlsoAtPose | None = None,
     region: BaseRegion = ANYWHERE,
     config: PipelineConfig = DEFAULT,
     cache_dir: Path | None = None,
@@ -71,6 +72,7 @@ def plan_base_placement(
         reach: The robot's reachability map; None to load it, or to build it at the first use.
         start: Where the base is now: x [m], y [m], yaw [rad]; the scene's start by default.
         pose_filter: Rules base poses out, such as those that were driven to in vain.
+        also: Asked of base poses where a motion and a way there were found.
         region: Where the base is allowed to stand.
         config: How to search.
         cache_dir: Where maps are kept; the user's cache folder by default.
@@ -91,8 +93,9 @@ def plan_base_placement(
     if reach is None:
         reach = load_reach(robot, cache_dir)
     query = PlacementQuery(
-        scene, robot, task, reach, start, pose_filter, config, seed, watch, region=region
-    )
+        scene, robot, task, reach, start, pose_filter, config, seed, watch, region=region,
+        also=also,
+    )  # fmt: skip
     return as_far_as_possible(query, answer) if task.farthest else answer(query)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from typing import TYPE_CHECKING
@@ -12,6 +12,9 @@ import numpy as np
 from momapos.errors import require
 from momapos.manipulation.tasks import slides
 from momapos.navigation.global_path import BasePath
+from momapos.outcomes import CostTerm
+from momapos.placement.config import OURS
+from momapos.placement.cost import cost_terms
 from momapos.placement.problem import Search
 from momapos.prepare import PreparedTask
 from momapos.query import PlacementQuery
@@ -103,12 +106,17 @@ def _moved(result: PlacementResult, to: float | None) -> float:
 
 
 def plan_of(
-    query: PlacementQuery, found: Search, start: Float[np.ndarray, "3"], path: BasePath | None
+    query: PlacementQuery,
+    prepared: PreparedTask,
+    found: Search,
+    start: Float[np.ndarray, "3"],
+    path: BasePath | None,
 ) -> PlacementPlan:
     """The plan that a search leads to.
 
     Args:
         query: What was asked.
+        prepared: The room and the task as they were modeled.
         found: What the search found.
         start: Where the base is: x [m], y [m], yaw [rad].
         path: The way from there to the base pose, if there is one.
@@ -136,12 +144,23 @@ def plan_of(
         base_pose=None if base is None else (float(base[0]), float(base[1]), float(base[2])),
         motion=found.motion,
         navigation_cost=float(found.cost) if solved else None,
+        cost=_cost(query, prepared, found),
         candidates=found.candidates(),
         method=query.config.place.method,
         seed=query.seed,
         region=query.region,
         versions={name: version_of(name) for name in DEPENDS_ON},
     )
+
+
+def _cost(query: PlacementQuery, prepared: PreparedTask, found: Search) -> Mapping[str, CostTerm]:
+    """The terms of what the base pose costs; none of one that another method chose."""
+    place, motion, base = query.config.place, found.motion, found.base
+    if motion is None or base is None or place.method not in OURS:
+        return {}
+    q = query.robot.chain.freedom_values(motion.q)
+    travel = float(found.cost)
+    return cost_terms(prepared.geometry, place, base, q, travel=travel, margin=found.margin)
 
 
 def _named_srdf(robot: Robot) -> str | None:

@@ -88,6 +88,13 @@ class Tolerance(msgspec.Struct):
     samples: Annotated[int, msgspec.Meta(ge=1)]
 
 
+class CostTerm(msgspec.Struct):
+    """One term of what the base pose costs."""
+
+    value: float | None
+    weight: float | None
+
+
 class Plan(msgspec.Struct):
     """All of a plan."""
 
@@ -106,8 +113,10 @@ class Plan(msgspec.Struct):
     base_path: list[list[float]] | None = None
     approach: list[list[float]] = []
     approach_times: list[float] | None = None
+    home: list[list[float]] | None = None
     manipulation: Manipulation | None = None
     navigation_cost: float | None = None
+    cost: dict[str, CostTerm] = {}
     candidates: Candidates = msgspec.field(default_factory=Candidates)
     importance: Importance | None = None
     tolerance: Tolerance | None = None

@@ -16,7 +16,7 @@ import numpy as np
 from momapos import plan_members as members
 from momapos.errors import FileFormatError, InputError
 from momapos.files import read_bytes_bounded, read_text_bounded
-from momapos.outcomes import Tolerance
+from momapos.outcomes import CostTerm, Tolerance
 from momapos.plan_files import portable_name, sha256, sha256_of, write_text
 from momapos.plan_holds import holds_to_dict, read_holds
 from momapos.robots.amend import portable
@@ -34,7 +34,7 @@ from momapos.types import (
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-FORMAT, VERSION = "momapos-plan", 1
+FORMAT, VERSION, TOUR = "momapos-plan", 1, "momapos-tour"
 MAX_BYTES = 20_000_000
 """A plan of 20,000 states, which is what the check takes, has some 10 MB."""
 
@@ -80,7 +80,9 @@ def plan_to_dict(plan: PlacementPlan) -> dict[str, Any]:
             "T_world_tool": motion.Ts_world_tool.tolist(),
             **holds_to_dict(motion.holds),
         },
+        "home": None if motion is None or motion.home is None else motion.home.tolist(),
         "navigation_cost": plan.navigation_cost,
+        "cost": {name: asdict(term) for name, term in plan.cost.items()},
         "candidates": {
             "sampled": plan.candidates.sampled,
             "checked": plan.candidates.checked,
@@ -169,6 +171,11 @@ def read_plan(path: Path) -> PlacementPlan:
     """
     content = _content(path)
     head = _decode(content, members.PlanHead, path)
+    if head.format == TOUR:
+        raise FileFormatError(
+            f"{path}: a tour of several plans, which only verify takes; give one of the plans that "
+            "it names, in order"
+        )
     if head.format != FORMAT:
         raise FileFormatError(
             f'{path}: not a plan; a plan has "format": {FORMAT!r}, this file has '
@@ -267,6 +274,7 @@ def _record(data: members.Plan, path: Path) -> PlacementPlan:
         base_pose=_triple(data.base_pose),
         motion=_motion(data, path),
         navigation_cost=data.navigation_cost,
+        cost={name: CostTerm(**msgspec.structs.asdict(term)) for name, term in data.cost.items()},
         candidates=Candidates(**msgspec.structs.asdict(data.candidates)),
         key_objects=_key_objects(data.importance),
         timing=data.timing,
@@ -340,6 +348,7 @@ def _motion(data: members.Plan, path: Path) -> Motion | None:
         approach_times=_read_times(data.approach_times, len(approach), path, "approach_times"),
         times=_read_times(motion.times, len(motion.q), path, "manipulation.times"),
         holds=read_holds(motion, path),
+        home=None if data.home is None else _array(data.home, (n,), path, "home"),
     )
 
 

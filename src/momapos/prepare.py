@@ -109,8 +109,9 @@ class PreparedTask:
                 return self.violation(base_pose, motion)
 
         return Feasibility(
-            self.robot, self.world, self.motion, config.arm_planner, violation, seed, out_of_time
-        )
+            self.robot, self.world, self.motion, config.arm_planner, violation, seed, out_of_time,
+            config.motion.home_again,
+        )  # fmt: skip
 
 
 def prepare(

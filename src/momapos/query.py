@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
 from momapos.config import PipelineConfig
 from momapos.manipulation.motion import GraspFilter
 from momapos.navigation.footprint_map import NavigationMap, build_navigation_map
+from momapos.outcomes import PoseOutcome
 from momapos.placement.problem import PoseFilter
 from momapos.protocols import ReachScorer
 from momapos.robots.robot import Robot
@@ -20,6 +22,9 @@ from momapos.types import ANYWHERE, BaseRegion, Task
 
 if TYPE_CHECKING:
     from jaxtyping import Float
+
+AlsoAtPose: TypeAlias = "Callable[[Float[np.ndarray, '3']], PoseOutcome | None]"
+"""What a base pose does not allow beside the task; None where it allows all."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +44,8 @@ class PlacementQuery:
     """Which grasps may be used; None for all."""
     region: BaseRegion = ANYWHERE
     """Where the base is allowed to stand."""
+    also: AlsoAtPose | None = None
+    """What else is asked of a base pose where a motion was found."""
 
     @cached_property
     def nav_map(self) -> NavigationMap:

@@ -59,7 +59,7 @@ class ReadySearch:
     def result(self, found: Search) -> PlacementResult:
         """The answer that a search leads to."""
         start = self.problem.start
-        plan = plan_of(self.query, found, start, self.drives.path(found.base))
+        plan = plan_of(self.query, self.prepared, found, start, self.drives.path(found.base))
         if self.robust is not None and plan.motion is not None:
             plan = replace(plan, tolerance=self.robust.tolerance)
         return PlacementResult(plan, self.prepared, found, start)
@@ -78,7 +78,7 @@ class Drives:
         return None if base is None else self._paths.get(base.tobytes())
 
     def drivable(self, check: AttemptPose) -> AttemptPose:
-        """A check that asks for a way to the base pose as well."""
+        """A check that asks for a way to the base pose as well, and what the query does."""
 
         def attempt(
             base: Float[np.ndarray, "3"], screened: ArmPathResult, ways: Int[np.ndarray, " k"]
@@ -90,7 +90,9 @@ class Drives:
                 path = self._paths[base.tobytes()] = plan_path(self.query.nav_map, self.start, base)
             if path is None:
                 return Attempt(None, PoseOutcome(PoseStatus.NO_ROUTE_AT_HOME))
-            return found
+            also = self.query.also
+            refused = None if also is None else also(base)
+            return found if refused is None else Attempt(None, refused)
 
         return attempt
 
@@ -135,6 +137,7 @@ def ready_search(query: PlacementQuery, modeled: Scene, motion: TaskMotion) -> R
         travel_cost=travel_cost,
         attempt=_accepted(feasible, drives, robust),
         screen=feasible.screen,
+        takes_hold=prepared.motion.grasp_step,
         infeasible_reason=infeasible_reason,
         start=start,
         out_of_time=out_of_time,

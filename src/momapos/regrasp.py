@@ -14,8 +14,8 @@ from momapos.geometry.transforms import pose_planar
 from momapos.kinematics.opening import opening_of
 from momapos.kinematics.world import motion_checker
 from momapos.manipulation.feasibility import Feasibility, near_home
-from momapos.manipulation.motion import GraspFilter, task_motion, with_retreat
-from momapos.manipulation.planner import RESOLUTION, interpolate, plan_with_room
+from momapos.manipulation.motion import GraspFilter, task_motion
+from momapos.manipulation.planner import BETWEEN, RESOLUTION, interpolate, plan_with_room
 from momapos.manipulation.resistance import stays
 from momapos.manipulation.turning import FULL
 from momapos.outcomes import PoseOutcome, PoseStatus
@@ -32,9 +32,6 @@ if TYPE_CHECKING:
 
 AJAR = (np.radians(30.0), np.radians(40.0), np.radians(50.0))
 """How far a door is pulled before it is pushed, the first that works [rad]."""
-
-BETWEEN = 0.1
-"""Time for the arm's way between the holds, of which most are easy or none [s]."""
 
 
 @dataclass(frozen=True)
@@ -99,6 +96,7 @@ class TwoHolds:
             ways=self.ways,
             screen=self.screen,
             attempt=self,
+            takes_hold=second.grasp_step,
             infeasible_reason="",
         )
 
@@ -137,6 +135,11 @@ class TwoHolds:
         if between is None:
             return Attempt(None, PoseOutcome(PoseStatus.NO_APPROACH))
         motion = self._joined(base, pulled.motion, between, replace(screened, q=q))
+        if self.config.motion.home_again:
+            home = self.second.way_home(base, q[-1], screened.grasp)
+            if home is None:
+                return Attempt(None, PoseOutcome(PoseStatus.NO_WAY_HOME))
+            motion = replace(motion, home=home)
         refusal = self.whole.violation(base, motion)
         if refusal is not None:
             return Attempt(None, PoseOutcome(PoseStatus.EXACT_CHECK, refusal))
@@ -267,9 +270,7 @@ def _two_holds(
         scene.with_joint(task.object, task.joint, value),
     )
     with watch.stage("model"):
-        pulling = with_retreat(
-            task_motion(scene, robot, pull, config.motion), robot, config.motion.grasps
-        )
+        pulling = task_motion(scene, robot, pull, replace(config.motion, home_again=True))
         pushing = task_motion(opened, robot, task, config.motion, inside=True)
     clearance = whole.geometry.clearance
     first = prepare(
@@ -280,7 +281,9 @@ def _two_holds(
     if first.no_grasp or second.no_grasp:
         return None
     one, other = (
-        part.feasibility(config, seed, out_of_time=out_of_time, watch=watch)
+        replace(
+            part.feasibility(config, seed, out_of_time=out_of_time, watch=watch), home_again=False
+        )
         for part in (first, second)
     )
     return TwoHolds(whole, one, other, config, seed)

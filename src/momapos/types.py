@@ -11,7 +11,7 @@ import numpy as np
 if TYPE_CHECKING:
     from jaxtyping import Float, Float32, Int, UInt8
 
-from momapos.outcomes import PoseOutcome, Tolerance
+from momapos.outcomes import CostTerm, PoseOutcome, Tolerance
 
 Verb = Literal["open", "close", "pick", "place"]
 Status = Literal["solved", "infeasible", "timeout"]
@@ -246,6 +246,8 @@ class Motion:
     holds: tuple[Hold, ...] = ()
     """When the hand holds the part of a joint, in order; empty where it does so all along, and
     does not turn. Between two holds the part stands still."""
+    home: Float[np.ndarray, "h n"] | None = None
+    """Arm states from the last of these home, with what was picked; None where it stays there."""
 
     def __repr__(self) -> str:
         return f"<Motion: {len(self.approach)} states to the grasp, {len(self.q)} in it>"
@@ -344,6 +346,8 @@ class PlacementPlan:
     motion: Motion | None = None
     navigation_cost: float | None = None
     """Driving length from the start [m]."""
+    cost: Mapping[str, CostTerm] = field(default_factory=dict)
+    """Terms of what the base pose costs, by name, with their weights."""
     candidates: Candidates = Candidates()
     timing: Mapping[str, float] = field(default_factory=dict)
     """Seconds by stage, and "total"."""

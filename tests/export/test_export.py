@@ -244,6 +244,38 @@ def test_a_planning_scene_holds_every_shape_where_it_is(kitchen: Scene, tmp_path
     assert len(found) == count
 
 
+def test_what_is_carried_is_attached_where_the_hand_holds_it(
+    kitchen: Scene, robot: Robot, tmp_path: Path
+) -> None:
+    for verb in ("pick", "place"):
+        plan = plan_base_placement(
+            kitchen, robot, make_task(kitchen, verb, "cup"), config=CONFIG
+        ).plan
+        write_plan(plan, tmp_path / f"{verb}.json")
+        room = tmp_path / f"{verb}.scene"
+        words = [str(tmp_path / f"{verb}.json"), "--to", "moveit", "--out", str(room)]
+        assert main(["export", *words]) == 0
+        said = json.loads((tmp_path / f"{verb}_attached.json").read_text())
+        assert said["link_name"] == robot.tool_link
+        assert said["touch_links"] == list(robot.gripper_links)
+        held, cup = said["object"], kitchen.object("cup")
+        at, turn = held["pose"]["position"], held["pose"]["orientation"]
+        T_tool_object = pose_wxyz(tuple(at[k] for k in "xyz"), tuple(turn[k] for k in "wxyz"))
+        assert plan.motion is not None
+        T = plan.motion.Ts_world_tool[0] @ T_tool_object
+        assert np.allclose(T, cup.T_world_object, atol=SAME)
+        count = sum(len(link.collisions) for link in cup.model.urdf.links.values())
+        assert len(held["primitives"]) + len(held["meshes"]) == count > 0
+        # Until it is let go, what is placed is in the hand and not in the room.
+        assert ("cup" in parsed_scene(room.read_text())) == (verb == "pick")
+
+
+def test_only_what_is_carried_is_attached(plan_file: Path, tmp_path: Path) -> None:
+    room = str(tmp_path / "room.scene")
+    assert main(["export", str(plan_file), "--to", "moveit", "--out", room]) == 0
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["room.scene", "room.srdf"]
+
+
 def test_an_srdf_disables_what_the_robot_disables(robot: Robot, tmp_path: Path) -> None:
     write_srdf(robot, tmp_path / "a.srdf")
     assert read_srdf(tmp_path / "a.srdf") == robot.disabled

@@ -110,7 +110,7 @@ def test_poses_of_objects_and_of_their_shapes_are_kept(tmp_path: Path) -> None:
 def test_what_a_planning_scene_has_beside_is_counted(tmp_path: Path) -> None:
     (tmp_path / "room.scene").write_text(SCENE)
     report = read_room(tmp_path / "room.scene", tmp_path).told()
-    assert report.dropped == {"subframes": 1, "floors": 1}
+    assert report.dropped == {"subframes": 1, "floors": 1, "colors": 1}
     assert report.approximated["cones as cylinders"] == 1
     assert report.kept["solid shapes"] == 4
 

@@ -6,7 +6,7 @@ import math
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,11 +14,14 @@ from typing import TYPE_CHECKING
 from momapos.placement.config import OURS
 
 if TYPE_CHECKING:
-    from momapos.outcomes import Tolerance
+    from momapos.outcomes import CostTerm, Tolerance
     from momapos.placement_result import PlacementResult
     from momapos.types import KeyObjects
 
 MOST_REASONS = 8
+_USUAL_WEIGHTS = {
+    "driving": 1.0, "room": None, "clearance": 0.0, "manipulability": 0.0, "effort": 0.0,
+}  # fmt: skip
 
 
 @contextmanager
@@ -99,6 +102,7 @@ def summary(
             *_taken(answer),
             "  checked     base, arm and moving part over the whole motion, exact geometry",
             *_tolerance(plan.tolerance),
+            *_cost(plan.cost),
         ]
     else:
         lines.append(f"  {plan.status:<11} {_why_not(answer)}")
@@ -152,6 +156,19 @@ def _tolerance(found: Tolerance | None) -> list[str]:
     ]
 
 
+def _cost(terms: Mapping[str, CostTerm]) -> list[str]:
+    """What the base pose costs, where other weights than the usual were asked for."""
+    if not terms or {name: term.weight for name, term in terms.items()} == _USUAL_WEIGHTS:
+        return []
+    said = [
+        f"{name} {term.value:.2f} x {term.weight:g}"
+        for name, term in terms.items()
+        if term.weight and term.value is not None
+    ]
+    first = ["room first"] if terms["room"].weight is None else []
+    return [f"  cost        {', '.join([*first, *said]) or 'nothing counts'}"]
+
+
 def _modeled(key: KeyObjects) -> str:
     text = f"{len(key.names)} of {len(key.scores)} objects ({key.scorer}, alpha {key.alpha:.2f})"
     again = "once" if key.rounds == 1 else f"{key.rounds} times"
@@ -179,13 +196,18 @@ def _pose(pose: tuple[float, float, float]) -> str:
     return f"({pose[0]:.3f}, {pose[1]:.3f}, {math.degrees(pose[2]):.1f} deg)"
 
 
-def _question(answer: PlacementResult, most: bool) -> str:
-    plan, task = answer.plan, answer.plan.task
+def asked(answer: PlacementResult) -> str:
+    """What was asked for, as "open fridge/door_hinge to 90 deg"."""
+    task = answer.plan.task
     what = task.object if task.joint is None else f"{task.object}/{task.joint}"
-    to = "" if task.to is None else f" to {_value(answer, task.to)}"
+    return f"{task.verb} {what}" + ("" if task.to is None else f" to {_value(answer, task.to)}")
+
+
+def _question(answer: PlacementResult, most: bool) -> str:
+    plan, task, to = answer.plan, answer.plan.task, ""
     if most and plan.status == "solved":
-        to += ", the farthest" if task.farthest else ", the farthest found in the time"
-    return f"{plan.robot_name}: {task.verb} {what}{to}: {plan.status}"
+        to = ", the farthest" if task.farthest else ", the farthest found in the time"
+    return f"{plan.robot_name}: {asked(answer)}{to}: {plan.status}"
 
 
 def _value(answer: PlacementResult, value: float) -> str:

@@ -31,8 +31,8 @@ def export(
 
     csv, npz: base, arm and object over time, as a table or as arrays. ros2: goals for Nav2, the
     arm's controller and the gripper, as JSON. mcap: a ROS 2 bag of frames, joints, trajectory and
-    room, for Foxglove, RViz and "ros2 bag play". moveit: the room as a planning scene, and an SRDF
-    of the robot beside it.
+    room, for Foxglove, RViz and "ros2 bag play". moveit: the room as a planning scene; beside it an
+    SRDF of the robot, and what the hand carries as an attached object.
 
     Exit status: 0 written, 2 a file cannot be used or written.
 
@@ -45,7 +45,8 @@ def export(
         frame: Name of the world's frame in messages.
     """
     target = out or Path(plan.stem + SUFFIXES[to])
-    files = [target, target.with_suffix(".srdf")] if to == "moveit" else [target]
+    attached = target.with_name(f"{target.stem}_attached.json")
+    files = [target, target.with_suffix(".srdf"), attached] if to == "moveit" else [target]
     if target.resolve() == plan.resolve():
         raise InputError(f"{target}: is the plan itself; give another name with --out")
     if to == "mcap":
@@ -67,10 +68,17 @@ def export(
     if to == "moveit":
         import numpy as np
 
+        from momapos.export.attached_object import is_carried, write_attached
         from momapos.export.planning_scene import write_scene, write_srdf
 
-        write_scene(scene, np.eye(4), target)
+        # Until it is let go, what is placed is in the hand and not in the room.
+        absent = {content.task.object} if content.task.verb == "place" else set()
+        write_scene(scene, np.eye(4), target, absent=absent)
         write_srdf(machine, files[1])
+        if is_carried(content):
+            write_attached(content, scene, machine, attached)
+        else:
+            files.pop()
     else:
         phases = phases_of(content, machine)
         if to == "csv":

@@ -59,6 +59,7 @@ Modules of commands import nothing heavy: help, completion, lists and wrong name
 EXAMPLES = """examples:
   momapos place open kitchen_small fridge/door_hinge --robot segway_ur5e --plot plan.png
   momapos place open kitchen.json cabinet/door_left --robot fetch --to 90deg --out plan.json
+  momapos place open kitchen_small cabinet_right/drawer_top_slide then pick bottle --out tour.json
   momapos verify plan.json
   momapos run plan.json --record film.png
   momapos rank kitchen_small fridge --plot graph.png
@@ -113,6 +114,10 @@ def _run(args: list[str]) -> int:
         return _print_completion(rest)
     if name not in COMMANDS:
         raise unknown_name("command", name, COMMANDS, "momapos")
+    if name == "place" and "then" in rest:
+        from momapos.cli.tour import run_tour
+
+        return run_tour(rest)
     function, prog = COMMANDS[name][1], f"momapos {name}"
     if isinstance(function, dict):
         if not rest or rest[0] in HELP:

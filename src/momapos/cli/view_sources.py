@@ -34,7 +34,10 @@ def kind_of(source: str) -> Kind:
         return "scene"
     if head.startswith(_SCANS):
         return "scan"
-    kinds: dict[bytes, Kind] = {b'"momapos-plan"': "plan", b'"momapos-run"': "run"}
+    kinds: dict[bytes, Kind] = {
+        b'"momapos-plan"': "plan", b'"momapos-run"': "run",
+        b'"momapos-tour"': "plan",  # whose reader says that it is none
+    }  # fmt: skip
     return next((kind for word, kind in kinds.items() if word in head), "scene")
 
 

@@ -81,6 +81,11 @@ def phases_of(
         else:
             phases.append(_arm(part, plan.task.verb, base, robot, speeds, step))
             q, value = phases[-1].positions[-1], float(phases[-1].object_q[-1])
+    if motion.home is not None:
+        back = np.concatenate([motion.q[-1:], motion.home])
+        rest = np.full(len(back), value)
+        way = _Stretch(back, rest, None)
+        phases.append(_arm(way, plan.task.verb, base, robot, speeds, step))
     return tuple(phases)
 
 

@@ -6,7 +6,7 @@ panel imports: an object's pose, its shapes with their poses in it, their colors
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 from xml.sax.saxutils import quoteattr
@@ -27,7 +27,13 @@ if TYPE_CHECKING:
 COLOR = "0.7 0.7 0.7 1"
 
 
-def write_scene(scene: Scene, T_frame_world: Float[np.ndarray, "4 4"], path: Path) -> None:
+def write_scene(
+    scene: Scene,
+    T_frame_world: Float[np.ndarray, "4 4"],
+    path: Path,
+    *,
+    absent: Collection[str] = (),
+) -> None:
     """Write a room as a planning scene; furniture with joints is one object for each of its links.
 
     Args:
@@ -35,9 +41,12 @@ def write_scene(scene: Scene, T_frame_world: Float[np.ndarray, "4 4"], path: Pat
         T_frame_world: Pose of the world in the planning frame, which is the robot's base where
             MoveIt knows no other.
         path: The file.
+        absent: Objects that are left out.
     """
     lines = [scene.name.replace("\n", " ")]
     for item in scene.objects:
+        if item.name in absent:
+            continue
         for link, T in item.link_poses().items():
             lines += _object(item, link, T_frame_world @ T)
     write_atomic(path, "\n".join([*lines, ".", ""]).encode())

@@ -91,6 +91,9 @@ class MotionConfig:
     """Number of waypoints, whatever the motion [-]; None to follow the two above."""
     substeps: int = 4
     """States between waypoints, all of which are checked [-]."""
+    home_again: bool = False
+    """Whether the hand lets go at the end, and the arm comes home with what it picked, as before
+    another task."""
     grasps: GraspConfig = field(default_factory=GraspConfig)
 
     def __post_init__(self) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, cached_property, partial
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -27,7 +27,7 @@ from momapos.manipulation.config import PlannerConfig
 from momapos.manipulation.free_turn import find_short_paths
 from momapos.manipulation.hand_room import hits_on_the_way
 from momapos.manipulation.motion import TaskMotion
-from momapos.manipulation.planner import RESOLUTION, interpolate, plan_with_room
+from momapos.manipulation.planner import BETWEEN, RESOLUTION, interpolate, plan_with_room
 from momapos.manipulation.turning import FULL
 from momapos.outcomes import PoseOutcome, PoseStatus
 from momapos.robots.robot import Robot
@@ -57,6 +57,8 @@ class Feasibility:
     seed: int
     out_of_time: Callable[[], bool]
     """Asked between steps of the work."""
+    home_again: bool = False
+    """Whether the arm comes home at the end."""
 
     def __call__(
         self, base: Float[np.ndarray, "3"], screened: ArmPathResult, grasps: Int[np.ndarray, " k"]
@@ -186,10 +188,44 @@ class Feasibility:
             self.motion.object_q[hold:], self._tools(q[hold:], base),
             holds=self.motion.holds(grasp),
         )  # fmt: skip
+        if self.home_again:
+            home = self.way_home(base, q[-1], grasp)
+            if home is None:
+                return None, PoseOutcome(PoseStatus.NO_WAY_HOME)
+            motion = replace(motion, home=home)
         refusal = self.refuse(base, motion)
         if refusal is not None:
             return None, PoseOutcome(PoseStatus.EXACT_CHECK, refusal)
         return motion, PoseOutcome(PoseStatus.FEASIBLE)
+
+    def way_home(
+        self, base: Float[np.ndarray, "3"], q: Float[np.ndarray, " n"], grasp: int
+    ) -> Float[np.ndarray, "h m"] | None:
+        """States of all joints from the end of the motion home, the end left out, or None.
+
+        What was picked comes along; a part stays where it was moved to.
+
+        Args:
+            base: Base pose x [m], y [m], yaw [rad].
+            q: Degrees of freedom at the end.
+            grasp: How it was held; for rigid objects.
+        """
+        motion, chain, spheres, last = self.motion, self.robot.chain, self.robot.spheres, -1
+        if motion.task.verb == "pick":
+            T = motion.Ts_world_tool[grasp, last]
+            spheres = with_payload(self.robot, motion, T, last)
+        # A hand that pushed has not drawn back from what it pushed.
+        pushes = motion.task.joint is not None and motion.release_step is None
+        checker = partial(
+            motion_checker, self.world, chain, spheres, base, value=int(motion.value[last]),
+            holding=pushes or motion.task.verb == "pick", step=RESOLUTION,
+        )  # fmt: skip
+        brief = replace(self.planner, budget=min(BETWEEN, self.planner.budget))
+        way = plan_with_room(
+            q, self.robot.home, chain.lower, chain.upper, lambda room: checker(room=room),
+            config=brief, seed=self.seed + grasp,
+        )  # fmt: skip
+        return None if way is None else chain.joint_values(interpolate(way)[1:])
 
     def _tools(self, q: np.ndarray, base: np.ndarray) -> Float[np.ndarray, "m 4 4"]:
         return pose_planar(base) @ self.robot.chain.tool_poses(q)
@@ -220,7 +256,7 @@ def _threads() -> ThreadPoolExecutor:
 def with_payload(
     robot: Robot, motion: TaskMotion, T_world_tool: Float[np.ndarray, "4 4"], step: int
 ) -> Spheres:
-    """The robot's spheres, with the object in its hand where the task is to place it.
+    """The robot's spheres, with the object in its hand.
 
     Args:
         robot: The robot.
@@ -228,8 +264,6 @@ def with_payload(
         T_world_tool: Where the tool is when it holds the object.
         step: The step of the motion at which that is so.
     """
-    if motion.task.verb != "place":
-        return robot.spheres
     chain = robot.chain
     center, radius = _object_spheres(motion, step)
     in_tool = apply(invert(T_world_tool), center)

@@ -174,7 +174,11 @@ def task_motion(
     target = scene.object(task.object)
     if task.joint is None:
         return _rigid_motion(scene, robot, task, target, config)
-    return _joint_motion(scene, robot, task, target, config, inside=inside)
+    motion = _joint_motion(scene, robot, task, target, config, inside=inside)
+    # A hand that pushes from behind holds nothing that it could draw back from.
+    return (
+        with_retreat(motion, robot, config.grasps) if config.home_again and not inside else motion
+    )
 
 
 def with_retreat(motion: TaskMotion, robot: Robot, config: GraspConfig) -> TaskMotion:

@@ -63,9 +63,12 @@ def near_boxes(
         boxes: In the world frame.
         margin: What counts as near [m].
     """
-    q = np.concatenate([found.approach, found.q])
+    home = found.q[:0] if found.home is None else found.home
+    q = np.concatenate([found.approach, found.q, home])
     bases, none = np.tile(base, (len(q), 1)), np.zeros(len(q), np.int64)
-    spheres = with_payload(robot, motion, found.Ts_world_tool[0], motion.grasp_step)
+    spheres = robot.spheres
+    if motion.task.verb == "place":
+        spheres = with_payload(robot, motion, found.Ts_world_tool[0], motion.grasp_step)
     nothing = MovingBoxes(np.zeros((1, 0, 3)), np.zeros((1, 0, 3, 3)), np.zeros((1, 0, 3)))
 
     def arm_hits(left: Boxes) -> Int[np.ndarray, " m"]:

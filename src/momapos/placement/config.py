@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
-from momapos.errors import refuse_below
+from momapos.errors import InputError, refuse_below
 
 Method = Literal[
     "ours", "exhaustive",
@@ -31,7 +32,8 @@ class PlaceConfig:
     together: int = 2
     """Candidates whose arm paths are looked for together (ours); the cheapest wins [-]."""
     improve: int = 2
-    """Steps from the base pose that is chosen to cheaper ones beside it (ours) [-]."""
+    """Steps from the base pose that is chosen to cheaper ones beside it (ours) [-]; eight times as
+    many where room does not come first."""
     margin: float = 0.02
     """How far off the base may end in x and in y, from where a motion should still be found (ours)
     [m]."""
@@ -44,6 +46,17 @@ class PlaceConfig:
     """Radius of a disc around the base pose from all of which the motion has to be found [m]."""
     robust_turn: float = 0.0
     """How far the base may be turned there, to either side [deg]."""
+    weight_driving: float = 1.0
+    """What each meter of driving adds to a base pose's cost (ours, exhaustive) [1/m]."""
+    weight_room: float = math.inf
+    """What no room to be off by --margin adds to it, a part of the room in proportion; inf: room
+    is compared first, among --looks poses, then the cost [-]."""
+    weight_clearance: float = 0.0
+    """What each meter adds by which the base is nearer than 20 cm to anything [1/m]."""
+    weight_manipulability: float = 0.0
+    """What an arm adds that comes to a singular state, any other in proportion [-]."""
+    weight_effort: float = 0.0
+    """What each radian adds by which the arm's joints turn, in sum [1/rad]."""
     sweep_room: float = 0.1
     """What the moving part should pass the base by, where it can: joints are not quite where they
     are modeled (ours) [m]."""
@@ -64,5 +77,9 @@ class PlaceConfig:
         refuse_below(self, 1, "count", "grasps", "together")
         refuse_below(self, 0, "rounds", "improve", "miss", "clearance", "looks", "margin")
         refuse_below(self, 0, "margin_turn", "sweep_room", "robust_radius", "robust_turn")
+        refuse_below(self, 0, "weight_driving", "weight_clearance")
+        refuse_below(self, 0, "weight_manipulability", "weight_effort")
+        if not self.weight_room >= 0:
+            raise InputError(f"--weight-room must be at least 0, or inf, not {self.weight_room:g}")
         refuse_below(self, 0.005, "grid_cell")
         refuse_below(self, 0.5, "grid_turn")

@@ -8,7 +8,6 @@ hinges are not quite where they are modeled.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
@@ -18,7 +17,6 @@ from momapos.placement.area import BaseStatus, base_pose_status, clear_of_sweep
 from momapos.placement.config import PlaceConfig
 from momapos.placement.holding import ScoreWays
 from momapos.placement.problem import Problem
-from momapos.types import ArmPathResult
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
@@ -78,49 +76,3 @@ def margin_of(problem: Problem, score: ScoreWays, config: PlaceConfig) -> Margin
         return float((works * np.where(roomy, 1.0, _CLOSE)).mean())
 
     return margin
-
-
-@dataclass
-class Waiting:
-    """Base poses with an arm path, by index, of which the one that may be off most is chosen."""
-
-    margin: Margin
-    looks: int
-    """Poses whose margin is looked at, at most; 0: the cheapest is chosen [-]."""
-    paths: dict[int, ArmPathResult] = field(default_factory=dict)
-    margins: dict[int, float] = field(default_factory=dict)
-
-    def choose(
-        self,
-        passed: dict[int, ArmPathResult],
-        poses: Float[np.ndarray, "n 3"],
-        travel: Float[np.ndarray, " n"],
-        *,
-        last: bool,
-    ) -> dict[int, ArmPathResult]:
-        """Take in poses with a path; give all that wait, in the order to be completed, as soon as
-        one has its full margin or no more are looked at.
-
-        Args:
-            passed: New ones.
-            poses: All base poses of the round.
-            travel: Driving length to each [m].
-            last: Whether no others come.
-        """
-        self.paths |= passed
-        full = False
-        for i in sorted(self.paths, key=lambda i: float(travel[i])):
-            if full or len(self.margins) >= self.looks:
-                break
-            if i not in self.margins:
-                self.margins[i] = self.margin(poses[i], self.paths[i].grasp)
-            full = self.margins[i] == 1.0
-        if not (full or last or len(self.margins) >= self.looks):
-            return {}
-        chosen = sorted(self.paths, key=lambda i: (-self.margins.get(i, 0.0), float(travel[i])))
-        paths, self.paths = self.paths, {}
-        return {i: paths[i] for i in chosen}
-
-    def no_less(self, pose: Float[np.ndarray, "3"], grasp: int, than: int) -> bool:
-        """Whether another base pose has the margin of one of these, where margins are looked at."""
-        return not self.looks or self.margin(pose, grasp) >= self.margins.get(than, 0.0)

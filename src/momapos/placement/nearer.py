@@ -10,7 +10,7 @@ import numpy as np
 
 from momapos.geometry.planar import compose
 from momapos.geometry.samples import latin_hypercube
-from momapos.placement.config import PlaceConfig
+from momapos.placement.cost import PoseCosts
 from momapos.placement.holding import ScoreWays
 from momapos.placement.margin import may_have_room
 from momapos.placement.problem import Problem, Search
@@ -24,12 +24,19 @@ _GAIN = 0.02
 """Driving length that a step saves at least [m]."""
 _MOST = 32
 """Poses whose room is looked up, the cheapest first [-]."""
+_STEPS = 8
+"""So many times the steps are made there [-]."""
+_NEAREST = 0.1
+"""There a step that fails is followed by one from half as far around, down to this share [-]."""
+_LOOKS = 8
+"""Poses at which a path is looked for where room does not come first, so that the cheapest mostly
+are at the edge of what the arm reaches [-]."""
 
 
 def nearer(
     problem: Problem,
     score: ScoreWays,
-    config: PlaceConfig,
+    costs: PoseCosts,
     rng: np.random.Generator,
     found: Search,
     first: Candidate,
@@ -38,7 +45,7 @@ def nearer(
 
     Args:
         problem, score: What is asked, and which ways of holding.
-        config: How many steps.
+        costs: What poses cost, and how many steps are made.
         rng: Source of the samples.
         found: What has been looked at; it is added to.
         first: Where to begin.
@@ -47,37 +54,52 @@ def nearer(
         Those with an arm path, the cheapest first.
     """
     steps: list[Candidate] = []
-    for _ in range(config.improve):
-        step = _step(problem, score, config, rng, found, steps[0] if steps else first)
-        if step is None:
+    improve, nearest = costs.config.improve, 1.0 if costs.room_first else _NEAREST
+    most = improve if costs.room_first else _STEPS * improve
+    around = 1.0
+    for _ in range(most):
+        best = steps[0] if steps else first
+        step = _step(problem, score, costs, rng, found, best, around)
+        if step is not None:
+            steps.insert(0, step)
+            continue
+        around /= 2.0
+        if around < nearest:
             break
-        steps.insert(0, step)
     return steps
 
 
 def _step(
     problem: Problem,
     score: ScoreWays,
-    config: PlaceConfig,
+    costs: PoseCosts,
     rng: np.random.Generator,
     found: Search,
     best: Candidate,
+    around: float,
 ) -> Candidate | None:
-    poses = compose(best.pose, (2.0 * latin_hypercube(rng, _COUNT, 3) - 1.0) * _AROUND)
-    limit = best.travel - _GAIN
-    near = near_poses(problem, poses[problem.travel_cost(poses[:, :2]) < limit], Search())
+    """The cheapest pose with a path that is looked at, some way around another [-]."""
+    config = costs.config
+    poses = compose(best.pose, (2.0 * latin_hypercube(rng, _COUNT, 3) - 1.0) * around * _AROUND)
+    limit = best.known - _GAIN * config.weight_driving
+    travel = problem.travel_cost(poses[:, :2])
+    poses, travel = poses[np.isfinite(travel)], travel[np.isfinite(travel)]
+    near = near_poses(problem, poses[costs.before_path(poses, travel) < limit], Search())
     if near is None:
         return None
     left = near.reached(problem, score, on_grid=False)
-    order = np.argsort(left.travel, kind="stable")
-    order = order[left.travel[order] < limit][:_MOST]
-    if config.looks and problem.fit is None:
+    known = costs.before_path(left.poses, left.travel)
+    order = np.argsort(known, kind="stable")
+    order = order[known[order] < limit][:_MOST]
+    if costs.room_first and config.looks and problem.fit is None:
         order = order[may_have_room(problem, score, config, left.poses[order])]
-    # Only the one that is looked at counts as a sample.
-    near = near_poses(problem, left.poses[order[:1]], found)
-    if near is None:
-        return None
-    left = near.reached(problem, score, on_grid=False)
-    for i, path in screen(problem, left, np.arange(len(left.poses)), config.grasps, found).items():
-        return Candidate(left, i, path)
+    # A pose that is looked at counts as a sample, and no other.
+    for i in order[: 1 if costs.room_first else _LOOKS]:
+        near = near_poses(problem, left.poses[i : i + 1], found)
+        if near is None:
+            return None
+        one = near.reached(problem, score, on_grid=False)
+        passed = screen(problem, one, np.arange(len(one.poses)), config.grasps, found)
+        for index, path in passed.items():
+            return Candidate(one, index, path, float(known[i]))
     return None

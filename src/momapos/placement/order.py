@@ -11,15 +11,15 @@ if TYPE_CHECKING:
 
 
 def by_expected_cost(
-    travel: Float[np.ndarray, " n"], odds: Float[np.ndarray, " n"], *, miss: float
+    known: Float[np.ndarray, " n"], odds: Float[np.ndarray, " n"], *, miss: float
 ) -> Int[np.ndarray, " m"]:
-    """Ours: driving length plus what a likely miss costs, cheapest first.
+    """Ours: what is known of the cost plus what a likely miss costs, cheapest first.
 
     Args:
-        travel: Driving length to each candidate [m]; those out of reach are left out.
+        known: What each candidate costs before it has a path; those at infinity are left out.
         odds: Chance that it works, in [0, 1].
-        miss: Driving length that a certain miss is worth [m].
+        miss: What a certain miss costs, in meters of driving of weight 1 [m].
     """
-    key = travel + miss * (1.0 - odds)
+    key = known + miss * (1.0 - odds)
     order = np.argsort(key, kind="stable")
     return order[np.isfinite(key[order])]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import heapq
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
@@ -18,21 +19,21 @@ from momapos.placement.area import (
     task_frame,
 )
 from momapos.placement.config import PlaceConfig
+from momapos.placement.cost import PoseCosts
 from momapos.placement.holding import ScoreWays
-from momapos.placement.margin import Waiting, margin_of
 from momapos.placement.nearer import nearer
 from momapos.placement.order import by_expected_cost
 from momapos.placement.potential import attraction
 from momapos.placement.problem import Problem, Search
 from momapos.placement.shortlist import Candidate, Shortlist, complete, cull, near_poses, screen
-from momapos.types import ArmPathResult
+from momapos.placement.waiting import Waiting
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
 _BLOCK = 512
 """Poses of the grid that are screened together [-]."""
-_TOGETHER = 8
+_TOGETHER = 16
 """Poses that are screened together where every one that works is asked for [-]."""
 _CHUNK = 32
 """Most poses whose reachability is looked up together where they come in a given order [-]."""
@@ -63,13 +64,14 @@ def search(problem: Problem, config: PlaceConfig, rng: np.random.Generator) -> S
             return found
         for score in problem.ways:
             shortlist = near.reached(problem, score, on_grid=on_grid)
-            # Beside a fitted pose an arm of few joints does nothing.
-            looks = 0 if problem.fit is not None or config.method != "ours" else config.looks
-            waiting = Waiting(margin_of(problem, score, config), looks)
+            waiting = Waiting.of(
+                problem, score, PoseCosts(problem.geometry, config, problem.takes_hold)
+            )
             if on_grid:
-                _check_grid(problem, shortlist, config, found, waiting)
+                _check_grid(problem, shortlist, found, waiting)
             else:
-                _check_samples(problem, score, shortlist, config, rng, found, waiting)
+                _check_samples(problem, score, shortlist, rng, found, waiting)
+            found.margin = None if found.base is None else waiting.known_margin(found.base)
             if found.motion is not None or found.timed_out:
                 return found
     return found
@@ -109,7 +111,8 @@ def search_every(
 ) -> Iterator[Search]:
     """Find base poses that work, one after the other, until no samples and no grid are left.
 
-    Every round of samples is in the order of driving length, and so is the grid after the last.
+    Every round of samples is in the order of cost, and so is the grid after the last; where room
+    comes first it does not count here.
 
     Args:
         problem: Room, task, and the checks.
@@ -123,29 +126,59 @@ def search_every(
     corners = sampling_box(problem.geometry)
     if corners is None or problem.infeasible_reason:
         return
-    frame = task_frame(problem.geometry)
+    frame, costs = (
+        task_frame(problem.geometry),
+        PoseCosts(problem.geometry, config, problem.takes_hold),
+    )
     for local, on_grid in _rounds(corners, config, rng):
         found = Search()
         near = near_poses(problem, compose(frame, local), found)
         if near is None:
             return
-        ways = [near.reached(problem, score, on_grid=on_grid) for score in problem.ways]
-        rows = near.clear.row[np.argsort(near.clear.travel, kind="stable")]
-        for first in range(0, len(rows), _TOGETHER):
-            block = rows[first : first + _TOGETHER]
-            passed: list[tuple[Shortlist, int, ArmPathResult]] = []
-            for left in ways:
-                which = np.flatnonzero(np.isin(left.row, block))
-                some = screen(problem, left, which, config.grasps, found)
-                passed += [(left, i, path) for i, path in some.items()]
-                block = np.setdiff1d(block, left.row[list(some)])
-            for left, i, path in sorted(passed, key=lambda one: float(one[0].travel[one[1]])):
-                found.base, found.motion = None, None
-                complete(problem, left, {i: path}, config.grasps, found)
-                if found.motion is not None:
-                    yield found
-            if problem.out_of_time():
-                return
+        ways = [
+            (near.reached(problem, score, on_grid=on_grid), Waiting.of(problem, score, costs))
+            for score in problem.ways
+        ]
+        for one, waiting in _in_order_of_cost(problem, near.clear, ways, costs, found):
+            found.base, found.motion, found.margin = None, None, waiting.known_margin(one.pose)
+            complete(problem, one.left, {one.index: one.path}, config.grasps, found)
+            if found.motion is not None:
+                yield found
+        if problem.out_of_time():
+            return
+
+
+def _in_order_of_cost(
+    problem: Problem,
+    clear: Shortlist,
+    ways: list[tuple[Shortlist, Waiting]],
+    costs: PoseCosts,
+    found: Search,
+) -> Iterator[tuple[Candidate, Waiting]]:
+    """Poses of a round with an arm path, each in the first way of holding that has one.
+
+    A pose waits until none that is left can cost less.
+    """
+    known = dict(zip(clear.row.tolist(), costs.before_path(clear.poses, clear.travel), strict=True))
+    rows = np.array(sorted(known, key=known.__getitem__), int)
+    waits: list[tuple[float, int, Candidate, Waiting]] = []
+    for first in range(0, len(rows), _TOGETHER):
+        block, rest = rows[first : first + _TOGETHER], rows[first + _TOGETHER :]
+        for left, waiting in ways:
+            which = np.flatnonzero(np.isin(left.row, block))
+            some = screen(problem, left, which, costs.config.grasps, found)
+            for i, path in some.items():
+                row = int(left.row[i])
+                cost = waiting.full_cost(left.poses[i], path, float(known[row]))
+                one = Candidate(left, i, path, float(known[row]))
+                heapq.heappush(waits, (cost, row, one, waiting))
+            block = np.setdiff1d(block, left.row[list(some)])
+        least = known[int(rest[0])] if len(rest) else np.inf
+        while waits and waits[0][0] <= least:
+            _, _, one, waiting = heapq.heappop(waits)
+            yield one, waiting
+        if problem.out_of_time():
+            return
 
 
 def _check_in_order(
@@ -209,48 +242,56 @@ def _check_samples(
     problem: Problem,
     score: ScoreWays,
     left: Shortlist,
-    config: PlaceConfig,
     rng: np.random.Generator,
     found: Search,
     waiting: Waiting,
 ) -> None:
     """Check a round's samples in order; from the one that is chosen cheaper ones are stepped to."""
-    rest = _order(problem, left, config)
+    costs, config = waiting.costs, waiting.costs.config
+    known = costs.before_path(left.poses, left.travel)
+    rest = _order(problem, left, known, config)
     while len(rest) and found.motion is None and not found.timed_out:
-        block, rest = rest[: config.together], rest[config.together :]
-        passed = screen(problem, left, block, config.grasps, found)
-        chosen = waiting.choose(passed, left.poses, left.travel, last=not len(rest))
+        block = rest[known[rest] < waiting.bound][: config.together]
+        rest = rest[~np.isin(rest, block)]
+        waiting.take(screen(problem, left, block, config.grasps, found), left.poses, known)
+        last = not (known[rest] < waiting.bound).any()
+        chosen = [
+            Candidate(left, i, path, float(known[i]))
+            for i, path in waiting.choose(left.poses, last=last).items()
+        ]
         if not chosen:
             continue
-        first = next(iter(chosen))
-        steps = nearer(problem, score, config, rng, found, Candidate(left, first, chosen[first]))
-        best = [one for one in steps[:1] if waiting.no_less(one.pose, one.path.grasp, first)]
-        others = [Candidate(left, i, path) for i, path in chosen.items()]
+        steps = nearer(problem, score, costs, rng, found, chosen[0])
+        best = [step for step in steps[:1] if waiting.prefers(step, chosen[0])]
         # A step that has less room is better than no answer.
-        for one in (*best, *others, *steps[len(best) :]):
+        for one in (*best, *chosen, *steps[len(best) :]):
             if found.motion is None:
                 complete(problem, one.left, {one.index: one.path}, config.grasps, found)
 
 
-def _check_grid(
-    problem: Problem, left: Shortlist, config: PlaceConfig, found: Search, waiting: Waiting
-) -> None:
+def _check_grid(problem: Problem, left: Shortlist, found: Search, waiting: Waiting) -> None:
     """Complete a pose of the grid, the cheapest where no margin is asked for.
 
     Poses are checked in blocks, cheapest first; with `whole_grid` all are looked at.
     """
-    order = np.argsort(left.travel, kind="stable")
+    costs = waiting.costs
+    known = costs.before_path(left.poses, left.travel)
+    order = np.argsort(known, kind="stable")
     for first in range(0, len(order), _BLOCK):
-        block = order[first : first + _BLOCK]
+        block, rest = order[first : first + _BLOCK], order[first + _BLOCK :]
         passed = screen(problem, left, block, None, found)
         if found.motion is None:
-            chosen = waiting.choose(passed, left.poses, left.travel, last=True)
-            complete(problem, left, chosen, None, found)
-        if found.timed_out or (found.motion is not None and not config.whole_grid):
+            waiting.take(passed, left.poses, known)
+            last = costs.room_first or not (known[rest] < waiting.bound).any()
+            complete(problem, left, waiting.choose(left.poses, last=last), None, found)
+        if found.timed_out or (found.motion is not None and not costs.config.whole_grid):
             return
 
 
-def _order(problem: Problem, left: Shortlist, config: PlaceConfig) -> Int[np.ndarray, " n"]:
+def _order(
+    problem: Problem, left: Shortlist, known: Float[np.ndarray, " n"], config: PlaceConfig
+) -> Int[np.ndarray, " n"]:
+    """The order of some poses by what they cost before they have a path, and what a miss costs."""
     if not len(left.poses):
         return np.zeros(0, int)
     geometry, xy = problem.geometry, left.poses[:, :2]
@@ -263,4 +304,4 @@ def _order(problem: Problem, left: Shortlist, config: PlaceConfig) -> Int[np.nda
     share = np.clip((left.scores > 0).sum(1) / left.held.asked * 4, 0.0, 1.0)
     odds = np.clip(0.4 * best + 0.4 * share + 0.2 * np.sqrt(field_value), 0.0, 1.0)
     odds[~clear_of_sweep(geometry, left.poses, config.sweep_room)] *= _CLOSE
-    return by_expected_cost(left.travel, odds, miss=config.miss)
+    return by_expected_cost(known, odds, miss=config.miss)

@@ -46,6 +46,9 @@ class Search:
     base: Float[np.ndarray, "3"] | None = None
     motion: Motion | None = None
     cost: float = np.inf
+    """Driving length to it [m]."""
+    margin: float | None = None
+    """Share of the poses beside it that work; None where nobody has looked."""
     timed_out: bool = False
 
     def note(self, poses: Float[np.ndarray, "n 3"], outcomes: np.ndarray) -> None:
@@ -64,7 +67,8 @@ class Search:
         self.checked += other.checked
         self.timed_out = other.timed_out
         if other.motion is not None:
-            self.base, self.motion, self.cost = other.base, other.motion, other.cost
+            self.base, self.motion = other.base, other.motion
+            self.cost, self.margin = other.cost, other.margin
             assert other.base is not None
             feasible = PoseOutcome(PoseStatus.FEASIBLE)
             self.note(other.base[None], np.array([feasible], object))
@@ -102,6 +106,8 @@ class Problem:
     """Where the robot is: x [m], y [m], yaw [rad]."""
     out_of_time: Callable[[], bool]
     """Asked between candidates."""
+    takes_hold: int = 0
+    """Index of the state of an arm path in which the hand takes hold [-]."""
     infeasible_reason: str = ""
     """Why no base pose can help, where that is known beforehand."""
     pose_filter: PoseFilter | None = None

@@ -94,16 +94,13 @@ class Candidate:
     index: int
     """Of the pose in its shortlist."""
     path: ArmPathResult
+    known: float
+    """What it costs before it has a path."""
 
     @property
     def pose(self) -> Float[np.ndarray, "3"]:
         """x [m], y [m], yaw [rad]."""
         return self.left.poses[self.index]
-
-    @property
-    def travel(self) -> float:
-        """Driving length to it [m]."""
-        return float(self.left.travel[self.index])
 
 
 @dataclass(frozen=True)

@@ -137,10 +137,11 @@ class PlanVerifier:
         machine, part, limits = self.robot_model, self.part, self.limits
         path = paths.dense_path(motion, limits.step)
         Ts_tool, Ts_base, Ts_arm = machine.poses(base_pose, path.q)
-        Ts_planned = Ts_tool[path.planned]
+        Ts_planned = Ts_tool[path.planned[: len(motion.q)]]
         Ts_part = part.placed_at(paths.part_poses(part, self.task.verb, path, Ts_tool))
         checks += paths.object_checks(part, motion, limits)
         checks += paths.joint_checks(machine, motion, limits)
+        checks += paths.home_checks(motion, limits)
         checks += paths.tool_checks(Ts_planned, motion, limits)
         checks += paths.grasp_checks(part, path, Ts_tool, paths.holds_of(motion), limits)
         checks.append(paths.reach_check(part, self.task.verb, motion, Ts_planned, limits))

@@ -51,9 +51,22 @@ class DensePath:
         return f"{part} {self.at[state]:.2f}"
 
 
+def from_grasp(motion: Motion) -> Float[np.ndarray, "s n"]:
+    """Arm states of the manipulation, and of the way home after it."""
+    return motion.q if motion.home is None else np.concatenate([motion.q, motion.home])
+
+
+def home_checks(motion: Motion, limits: Limits) -> Iterator[Check]:
+    """Whether the way home ends where the approach began."""
+    if motion.home is not None and len(motion.approach):
+        gap = np.abs(motion.home[-1] - motion.approach[0]).max()
+        yield at_most("way home ends where the approach starts", gap, limits.join, "rad|m")
+
+
 def count_states(motion: Motion, step: float) -> float:
     """How many states a dense path would have, before it is made."""
-    return float(sum(_pieces(q, step).sum() + 1 for q in (motion.approach, motion.q) if len(q)))
+    both = motion.approach, from_grasp(motion)
+    return float(sum(_pieces(q, step).sum() + 1 for q in both if len(q)))
 
 
 def count_cuts(values: Float[np.ndarray, " s"], step: float, least: int) -> float:
@@ -62,8 +75,11 @@ def count_cuts(values: Float[np.ndarray, " s"], step: float, least: int) -> floa
 
 
 def dense_path(motion: Motion, step: float) -> DensePath:
-    """Fill in states so that no joint moves more than a step [rad] or [m]."""
-    q, at = _densify(motion.q, step)
+    """Fill in states so that no joint moves more than a step [rad] or [m].
+
+    On the way home the object's joint rests where it was left.
+    """
+    q, at = _densify(from_grasp(motion), step)
     object_q = np.interp(at, np.arange(len(motion.object_q)), motion.object_q)
     if not len(motion.approach):
         return DensePath(q, object_q, at, 0)
@@ -121,7 +137,10 @@ def number_checks(
         min(lengths) == max(lengths) >= least,
         str(lengths),
     )
-    arrays = (motion.q, motion.approach, motion.object_q, motion.Ts_world_tool)
+    home = () if motion.home is None else (motion.home,)
+    if motion.home is not None:
+        yield verdict("way home is not empty", len(motion.home) > 0)
+    arrays = (motion.q, motion.approach, motion.object_q, motion.Ts_world_tool, *home)
     largest = max(float(np.abs(a).max(initial=0.0)) for a in (*arrays, np.array(base_pose)))
     finite = all(np.isfinite(array).all() for array in (*arrays, np.array(base_pose)))
     yield verdict("numbers are finite", finite and largest < LARGEST, f"largest {largest:g}")
@@ -149,15 +168,16 @@ def object_checks(part: MovedPart, motion: Motion, limits: Limits) -> Iterator[C
 
 def joint_checks(machine: RobotCollisionModel, motion: Motion, limits: Limits) -> Iterator[Check]:
     """Whether the arm's states are within limits and connected."""
-    both = np.vstack([motion.approach, motion.q])
+    held = from_grasp(motion)
+    both = np.vstack([motion.approach, held])
     excess = np.maximum(machine.lower - both, both - machine.upper).max(0)
     worst = machine.joints[int(excess.argmax())]
     yield at_most(
         "joint limits (excess)", max(0.0, excess.max()), limits.joint, "rad|m", worst, worst
     )
     yield from _follower_checks(machine, both, limits)
-    if len(motion.q) > 1:
-        steps = np.abs(np.diff(motion.q, axis=0))
+    if len(held) > 1:
+        steps = np.abs(np.diff(held, axis=0))
         state, joint = np.unravel_index(int(steps.argmax()), steps.shape)
         yield at_most(
             "largest step of the manipulation", steps.max(), limits.jump, "rad|m",

@@ -136,7 +136,8 @@ class _Reader:
         else:
             raise self.error(f"{kind!r:.60} is no shape: mesh, {', '.join(_SIZES)}")
         T = self._pose()
-        self.values(4, "a color")
+        # All zeros are what is written for no color.
+        self.report.dropped["colors"] += any(self.values(4, "a color"))
         if kind == "plane":
             normal = T_world_object[:3, :3] @ T[:3, :3] @ size[:3]
             level = abs(normal[2]) >= LEVEL * float(np.linalg.norm(normal))

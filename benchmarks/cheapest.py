@@ -1,0 +1,81 @@
+"""How much farther than to the cheapest base pose of the grid does an answer drive?
+
+    python benchmarks/cheapest.py [--robots fetch ...] [--tasks 40] [--out DIR]
+
+Doors and drawers of the kitchens of placement.py, drawn at random, are answered three times: as
+usual, where room beside a base pose comes first; with no weight on room, so that the shortest drive
+is asked for; and by a grid of 5 cm and 10 degrees that is gone through in the order of driving.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from momapos.cache import default_cache_dir
+from momapos.config import PipelineConfig
+from momapos.manipulation.tasks import make_task, openable
+from momapos.pipeline import plan_base_placement
+from momapos.placement.config import PlaceConfig
+from momapos.reachability.store import load_reach_map
+from momapos.robots.robot import load_robot
+from placement import ROBOTS, SCENES, machine, scene_of
+
+ASKED = {
+    "usual": PlaceConfig(),
+    "no weight on room": PlaceConfig(weight_room=0.0),
+    "grid": PlaceConfig(method="exhaustive", weight_room=0.0),
+}
+
+
+def main() -> None:
+    """Run it."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--robots", nargs="+", default=list(ROBOTS))
+    parser.add_argument("--tasks", type=int, default=40, help="solved openings, drawn at random")
+    parser.add_argument("--out", type=Path, help="folder for cheapest.json")
+    args = parser.parse_args()
+    every = [
+        (robot, name, item, joint)
+        for robot in args.robots
+        for name in SCENES
+        for item, joint in openable(scene_of(name))
+    ]
+    rows: list[dict[str, Any]] = []
+    for index in np.random.default_rng(1).permutation(len(every)):
+        if len(rows) == args.tasks:
+            break
+        of_robot, name, item, joint = every[index]
+        row: dict[str, Any] = {"robot": of_robot, "scene": name, "object": item, "joint": joint}
+        scene, robot = scene_of(name), load_robot(of_robot)
+        reach = load_reach_map(robot, default_cache_dir(), None)
+        task = make_task(scene, "open", item, joint)
+        for asked, place in ASKED.items():
+            began = time.process_time()
+            config = PipelineConfig(place=place, timeout=120.0)
+            plan = plan_base_placement(scene, robot, task, reach, config=config).plan
+            row[asked] = {"drive": plan.navigation_cost, "seconds": time.process_time() - began}
+        if all(row[asked]["drive"] is not None for asked in ASKED):
+            rows.append(row)
+            print(json.dumps(row), flush=True)
+    print(f"machine: {machine()}; {len(rows)} openings solved by all")
+    grid = np.array([row["grid"]["drive"] for row in rows])
+    for asked in ASKED:
+        drives = np.array([row[asked]["drive"] for row in rows])
+        spent = np.median([row[asked]["seconds"] for row in rows])
+        print(
+            f"{asked}: {drives.mean():.3f} m on average, {drives.sum() / grid.sum() - 1.0:+.1%} in "
+            f"all, {np.median(drives / grid) - 1.0:+.1%} at the median; {spent:.2f} s of processor"
+        )
+    if args.out is not None:
+        args.out.mkdir(parents=True, exist_ok=True)
+        (args.out / "cheapest.json").write_text(json.dumps(rows, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,78 @@
+"""How long does each further answer of `iter_placements` take?
+
+    python benchmarks/further_answers.py [--answers 40] [--out DIR]
+
+Six openings of the built-in kitchen by four robots; of each, so many answers after the second,
+which waits for the whole room to be modeled.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from momapos.cache import default_cache_dir
+from momapos.config import PipelineConfig
+from momapos.manipulation.tasks import make_task
+from momapos.placements import iter_placements
+from momapos.reachability.store import load_reach_map
+from momapos.robots.robot import load_robot
+from momapos.scene.files import load_scene
+from placement import machine
+
+ASKED = (
+    ("segway_ur5e", "cabinet_right", "drawer_middle_slide"),
+    ("segway_ur5e", "fridge", "door_hinge"),
+    ("fetch", "fridge", "door_hinge"),
+    ("fetch", "cabinet_left", "door_hinge"),
+    ("husky_ur5e", "cabinet_left", "drawer_slide"),
+    ("ranger_rm63", "fridge", "door_hinge"),
+)
+
+
+def main() -> None:
+    """Run it."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--answers", type=int, default=40)
+    parser.add_argument("--out", type=Path, help="folder for further_answers.json")
+    args = parser.parse_args()
+    scene, config = load_scene("kitchen_small"), PipelineConfig()
+    rows: list[dict[str, Any]] = []
+    for name, item, joint in ASKED:
+        robot = load_robot(name)
+        reach = load_reach_map(robot, default_cache_dir(), None)
+        given = iter_placements(
+            scene, robot, make_task(scene, "open", item, joint), reach, config=config
+        )
+        times, used = [], []
+        for _ in range(2 + args.answers):
+            began, spent = time.perf_counter(), time.process_time()
+            if next(given, None) is None:
+                break
+            times.append(time.perf_counter() - began)
+            used.append(time.process_time() - spent)
+        rows.append({"robot": name, "task": f"{item}/{joint}", "seconds": times, "used": used})
+        print(
+            f"{name} {item}/{joint}: first {1000 * times[0]:.0f} ms, second {1000 * times[1]:.0f} "
+            f"ms, {len(times) - 2} others {1000 * np.median(times[2:]):.1f} ms at the median, "
+            f"{1000 * np.percentile(times[2:], 95):.0f} ms at the 95th percentile",
+            flush=True,
+        )
+    every = 1000 * np.concatenate([row["seconds"][2:] for row in rows])
+    print(f"machine: {machine()}")
+    print(
+        f"all {len(every)}: {np.median(every):.1f} ms at the median, "
+        f"{np.percentile(every, 95):.0f} ms at the 95th percentile"
+    )
+    if args.out is not None:
+        args.out.mkdir(parents=True, exist_ok=True)
+        (args.out / "further_answers.json").write_text(json.dumps(rows, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,94 @@
+"""How many stops do several tasks take, and how long does the answer?
+
+    python benchmarks/tours.py [--robots fetch ...] [--tours 12] [--timeout 20] [--out DIR]
+
+Tours of the two built-in kitchens, drawn at random: a part is opened, another is opened, and both
+are closed again. Only parts count that the robot can open by themselves. Every plan is checked
+by the exact check in the room as the tasks before it leave it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from momapos.cache import default_cache_dir
+from momapos.config import PipelineConfig
+from momapos.manipulation.tasks import make_task, openable
+from momapos.pipeline import plan_base_placement
+from momapos.reachability.store import load_reach_map
+from momapos.robots.robot import load_robot
+from momapos.scene.files import load_scene
+from momapos.tour import Request, Tour, plan_tour
+from momapos.verification.exact import PlanVerifier
+from placement import ROBOTS, machine
+
+KITCHENS = ("kitchen_small", "kitchen_island")
+
+
+def valid(tour: Tour) -> bool:
+    """Whether every plan holds where the tasks before it have left the room."""
+    held = []
+    for step in tour.steps:
+        plan, scene = step.plan, step.prepared.scene
+        if plan.motion is None or plan.base_pose is None:
+            continue
+        verifier = PlanVerifier(scene, step.prepared.robot, plan.task)
+        checks = verifier.check(plan.base_pose, plan.motion).checks
+        held += [check.ok for check in (*checks, *verifier.drive_checks(plan))]
+    return all(held)
+
+
+def main() -> None:
+    """Run it."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--robots", nargs="+", default=list(ROBOTS))
+    parser.add_argument("--tours", type=int, default=12)
+    parser.add_argument("--timeout", type=float, default=20.0, help="of each tour [s]")
+    parser.add_argument("--out", type=Path, help="folder for tours.json")
+    args = parser.parse_args()
+    rng = np.random.default_rng(0)
+    config = PipelineConfig(timeout=args.timeout)
+    rows: list[dict[str, Any]] = []
+    while len(rows) < args.tours:
+        kitchen, name = str(rng.choice(KITCHENS)), str(rng.choice(args.robots))
+        scene, robot = load_scene(kitchen), load_robot(name)
+        reach = load_reach_map(robot, default_cache_dir(), None)
+        parts = openable(scene)
+        one, two = (parts[i] for i in rng.choice(len(parts), 2, replace=False))
+        alone = [
+            plan_base_placement(scene, robot, make_task(scene, "open", *part), reach, config=config)
+            for part in (one, two)
+        ]
+        if any(answer.plan.status != "solved" for answer in alone):
+            continue
+        requests = [
+            Request("open", *one), Request("open", *two),
+            Request("close", *one), Request("close", *two),
+        ]  # fmt: skip
+        began = time.process_time()
+        tour = plan_tour(scene, robot, requests, reach, config=config, clock=time.process_time)
+        rows.append({
+            "kitchen": kitchen, "robot": name, "parts": [one, two], "status": tour.status,
+            "stops": list(tour.stops), "driving": tour.driving, "valid": valid(tour),
+            "seconds": time.process_time() - began,
+        })  # fmt: skip
+        print(json.dumps(rows[-1]), flush=True)
+    done = [row for row in rows if row["status"] == "solved"]
+    stops = np.array([max(row["stops"]) for row in done])
+    counts = {int(n): int((stops == n).sum()) for n in np.unique(stops)}
+    print(f"machine: {machine()}; {len(done)} of {len(rows)} tours of four tasks are solved")
+    print(f"tours by their stops: {counts}; all plans hold: {all(row['valid'] for row in rows)}")
+    print(f"processor time: {np.median([row['seconds'] for row in rows]):.1f} s at the median")
+    if args.out is not None:
+        args.out.mkdir(parents=True, exist_ok=True)
+        (args.out / "tours.json").write_text(json.dumps(rows, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
