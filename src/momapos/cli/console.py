@@ -99,6 +99,7 @@ def summary(
             *_taken(answer),
             "  checked     base, arm and moving part over the whole motion, exact geometry",
             *_tolerance(plan.tolerance),
+            *_afterward(answer.touched_after),
         ]
     else:
         lines.append(f"  {plan.status:<11} {_why_not(answer)}")
@@ -150,6 +151,13 @@ def _tolerance(found: Tolerance | None) -> list[str]:
         f"  tolerance   {100 * found.radius:g} cm and {turn:.1f} deg beside it: found anew from "
         f"{found.samples} of {found.samples} poses"
     ]
+
+
+def _afterward(touched: str) -> list[str]:
+    """That the arm cannot be brought home from there, where that is so."""
+    if not touched:
+        return []
+    return [f"  afterward   the arm cannot be brought home there: it would touch {touched}"]
 
 
 def _modeled(key: KeyObjects) -> str:

@@ -70,7 +70,10 @@ def _step(
         return None
     left = near.reached(problem, score, on_grid=False)
     order = np.argsort(left.travel, kind="stable")
-    order = order[left.travel[order] < limit][:_MOST]
+    order = order[left.travel[order] < limit]
+    if problem.goes_home is not None:
+        order = order[problem.goes_home(left.poses[order])]
+    order = order[:_MOST]
     if config.looks and problem.fit is None:
         order = order[may_have_room(problem, score, config, left.poses[order])]
     # Only the one that is looked at counts as a sample.

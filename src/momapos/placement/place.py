@@ -62,17 +62,26 @@ def search(problem: Problem, config: PlaceConfig, rng: np.random.Generator) -> S
             found.timed_out = True
             return found
         for score in problem.ways:
-            shortlist = near.reached(problem, score, on_grid=on_grid)
+            reached = near.reached(problem, score, on_grid=on_grid)
             # Beside a fitted pose an arm of few joints does nothing.
             looks = 0 if problem.fit is not None or config.method != "ours" else config.looks
-            waiting = Waiting(margin_of(problem, score, config), looks)
-            if on_grid:
-                _check_grid(problem, shortlist, config, found, waiting)
-            else:
-                _check_samples(problem, score, shortlist, config, rng, found, waiting)
-            if found.motion is not None or found.timed_out:
-                return found
+            for shortlist in _home_first(problem, reached, config):
+                waiting = Waiting(margin_of(problem, score, config), looks)
+                if on_grid:
+                    _check_grid(problem, shortlist, config, found, waiting)
+                else:
+                    _check_samples(problem, score, shortlist, config, rng, found, waiting)
+                if found.motion is not None or found.timed_out:
+                    return found
     return found
+
+
+def _home_first(problem: Problem, left: Shortlist, config: PlaceConfig) -> tuple[Shortlist, ...]:
+    """The poses from which the arm can be brought home after the task, then the others."""
+    if problem.goes_home is None or config.method != "ours":
+        return (left,)
+    home = problem.goes_home(left.poses)
+    return (left,) if home.all() else (left.only(home), left.only(~home))
 
 
 def search_in_order(
