@@ -1,6 +1,6 @@
 """What importance costs and saves in an answer: misses, rounds, time of modeling.
 
-    python benchmarks/importance_answers.py [--robot segway_ur5e]
+    python benchmarks/importance_answers.py [--robot segway_ur5e] [--runs everything reach]
 
 Every door and drawer with a handle in the five kitchens of the BestMan simulator and the built-in
 ones, by each scorer and with everything modeled. A miss is a plan that the exact check with all
@@ -101,6 +101,8 @@ def main() -> None:
     """Run and print Markdown."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--robot", default="segway_ur5e")
+    labels = [label for label, _, _ in RUNS]
+    parser.add_argument("--runs", nargs="+", choices=labels, default=labels, help="lines")
     args = parser.parse_args()
     robot, asked = load_robot(args.robot), questions()
     rooms = len({Path(name).stem for name, _ in asked})
@@ -110,7 +112,7 @@ def main() -> None:
         "| median / 95th percentile | modeling |"
     )
     print("|" + "---|" * 9)
-    for label, scorer, alpha in RUNS:
+    for label, scorer, alpha in (run for run in RUNS if run[0] in args.runs):
         config = PipelineConfig(importance=ImportanceConfig(scorer=scorer, alpha=alpha))
         print(row(label, robot, asked, config), flush=True)
 
