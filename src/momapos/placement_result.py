@@ -12,6 +12,7 @@ import numpy as np
 from momapos.errors import require
 from momapos.manipulation.tasks import slides
 from momapos.navigation.global_path import BasePath
+from momapos.navigation.start import outlines_after, touched_at_home
 from momapos.outcomes import CostTerm
 from momapos.placement.config import OURS
 from momapos.placement.cost import cost_terms
@@ -54,6 +55,15 @@ class PlacementResult:
             return tuple(hold.words for hold in found.holds)
         away = np.abs(motion.Ts_world_tool[:, motion.grasp_step] - found.Ts_world_tool[0])
         return (motion.grasps.describe(int(away.sum((1, 2)).argmin())),)
+
+    @property
+    def touched_after(self) -> str:
+        """What the robot touches where it brings its arm home after the task; "" for nothing."""
+        base, robot, task = self.plan.base_pose, self.prepared.robot, self.plan.task
+        if base is None or self.plan.motion is None:
+            return ""
+        outlines = outlines_after(self.prepared.scene, robot, task)
+        return touched_at_home(np.array(base), robot, outlines)
 
     def __repr__(self) -> str:
         task = self.plan.task

@@ -11,7 +11,9 @@ import numpy as np
 
 from momapos.config import PipelineConfig
 from momapos.manipulation.motion import GraspFilter
+from momapos.navigation.convex_polygons import ConvexPolygons
 from momapos.navigation.footprint_map import NavigationMap, build_navigation_map
+from momapos.navigation.start import outlines_after
 from momapos.outcomes import PoseOutcome
 from momapos.placement.problem import PoseFilter
 from momapos.protocols import ReachScorer
@@ -51,3 +53,8 @@ class PlacementQuery:
     def nav_map(self) -> NavigationMap:
         """Where the robot fits with its arm at home, among all objects as they are."""
         return build_navigation_map(self.scene, self.robot)
+
+    @cached_property
+    def outlines_after(self) -> ConvexPolygons:
+        """What the task moves, as it leaves it."""
+        return outlines_after(self.scene, self.robot, self.task)

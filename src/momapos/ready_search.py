@@ -13,6 +13,7 @@ from momapos.manipulation.free_turn import fitted_bases
 from momapos.manipulation.motion import TaskMotion
 from momapos.manipulation.turning import FULL
 from momapos.navigation.global_path import BasePath, plan_path
+from momapos.navigation.start import clear_at_home
 from momapos.outcomes import PoseOutcome, PoseStatus
 from momapos.placement.problem import AttemptPose, Problem, Search
 from momapos.placement_result import PlacementResult, plan_of
@@ -26,7 +27,7 @@ from momapos.scene.scene import Scene
 from momapos.types import ArmPathResult, Attempt
 
 if TYPE_CHECKING:
-    from jaxtyping import Float, Int
+    from jaxtyping import Bool, Float, Int
 
 DOUBT = 1.0
 """So many cells outside its boundary a map may be wrong: there the grid asks the arm [-]."""
@@ -142,10 +143,16 @@ def ready_search(query: PlacementQuery, modeled: Scene, motion: TaskMotion) -> R
         start=start,
         out_of_time=out_of_time,
         pose_filter=query.pose_filter,
+        goes_home=None if query.task.joint is None else partial(_goes_home, query),
         region=query.region,
         fit=None if robot.chain.size >= FULL else partial(fitted_bases, robot, prepared.motion),
     )
     return ReadySearch(query, prepared, problem, drives, robust)
+
+
+def _goes_home(query: PlacementQuery, poses: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
+    """From which base poses the robot can start anew when the task is done."""
+    return clear_at_home(poses, query.robot, query.outlines_after)
 
 
 def _accepted(check: AttemptPose, drives: Drives, robust: RobustChecks | None) -> AttemptPose:

@@ -5,11 +5,13 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
+from pathlib import Path
 
 import pytest
 
 from momapos import ImportanceConfig, PipelineConfig, PlaceConfig
 from momapos.cli.main import main
+from momapos.cli.scan import ScanOptions
 from momapos.errors import InputError
 
 
@@ -34,6 +36,28 @@ def test_every_field_is_an_option_of_place(verb: str, capsys: pytest.CaptureFixt
     shown = capsys.readouterr().out
     names = list(options(PipelineConfig()))
     assert [name for name in names if not re.search(rf"{name}[ ,]", shown)] == []
+
+
+def test_solve_has_the_options_of_a_question_and_those_of_a_scan_by_its_name(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main(["solve", "--help"]) == 0
+    shown = capsys.readouterr().out
+    names = list(options(PipelineConfig()))
+    names += [f"--scan.{item.name.replace('_', '-')}" for item in fields(ScanOptions)]
+    assert [name for name in names if not re.search(rf"{re.escape(name)}[ ,]", shown)] == []
+
+
+@pytest.mark.parametrize("more", [(), ("--timeout", "3")])
+def test_solve_reads_the_options_of_a_scan(
+    more: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """With an option of a question and without one, which tyro is told in two ways."""
+    words = ["solve", str(tmp_path / "none"), "open", "fridge", "--out", str(tmp_path / "out")]
+    assert main([*words, *more, "--scan.voxel", "0.02"]) == 2
+    assert "no such scan" in capsys.readouterr().err
+    assert main([*words, *more, "--scan.voxel", "2"]) == 2
+    assert "voxel" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

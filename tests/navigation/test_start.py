@@ -9,17 +9,25 @@ import numpy as np
 import pytest
 from tests.rooms import Everywhere, cabinet_room
 
+from momapos.cache import default_cache_dir
 from momapos.config import PipelineConfig
 from momapos.errors import SceneError
 from momapos.manipulation.tasks import make_task
 from momapos.navigation.footprint_map import build_navigation_map
 from momapos.navigation.judge import FootprintCollisionChecker
+from momapos.navigation.start import (
+    check_arm_at_home,
+    clear_at_home,
+    outlines_after,
+    touched_at_home,
+)
 from momapos.pipeline import plan_base_placement
 from momapos.placement.config import PlaceConfig
+from momapos.reachability.store import load_reach
 from momapos.robots.robot import Robot, load_robot, read_robot
 from momapos.scene.files import load_scene
 from momapos.scene.scene import Scene
-from momapos.types import PlacementPlan
+from momapos.types import PlacementPlan, Task
 from momapos.verification.exact import PlanVerifier
 
 CONFIG = PipelineConfig(place=PlaceConfig(count=256, improve=1), timeout=300.0)
@@ -141,3 +149,42 @@ def test_a_base_pose_that_cannot_be_driven_to_with_the_arm_at_home_is_no_answer(
     assert plan.status == "infeasible"
     reasons = " ".join(plan.candidates.rejections)
     assert "no way to drive there" in reasons
+
+
+def test_outlines_after_a_task_are_what_the_room_has_of_the_object_then(
+    robots: Callable[[str], Robot], room: Scene
+) -> None:
+    robot, task = robots("segway_ur5e"), make_task(room, "open", "cabinet", to=1.2)
+    assert task.joint is not None
+    after = room.with_joint("cabinet", task.joint, 1.2)
+    nav_map = build_navigation_map(after, robot)
+    rng = np.random.default_rng(0)
+    poses = rng.uniform([-1.5, -1.5, -np.pi], [1.5, 0.5, np.pi], (200, 3))
+    outlines = outlines_after(room, robot, task)
+    clear = clear_at_home(poses, robot, outlines)
+    judge = FootprintCollisionChecker(nav_map.prisms, nav_map.obstacles, None)
+    touched = judge.distance(poses)[1]
+    assert 20 < clear.sum() < 180
+    assert [not name for name in touched] == clear.tolist()
+    assert [touched_at_home(pose, robot, outlines) for pose in poses] == touched
+
+
+def test_a_task_without_a_joint_leaves_nothing_in_the_way(robots: Callable[[str], Robot]) -> None:
+    scene, robot = load_scene("kitchen_small"), robots("segway_ur5e")
+    thing = next(item.name for item in scene.objects if not item.model.joints)
+    outlines = outlines_after(scene, robot, Task("pick", thing))
+    assert not len(outlines)
+    assert clear_at_home(np.zeros((3, 3)), robot, outlines).all()
+    assert touched_at_home(np.zeros(3), robot, outlines) == ""
+
+
+def test_the_next_task_starts_where_a_door_was_opened(robots: Callable[[str], Robot]) -> None:
+    scene, robot = load_scene("kitchen_small"), robots("segway_ur5e")
+    reach = load_reach(robot, default_cache_dir())
+    task = make_task(scene, "open", "fridge", "door_hinge")
+    answer = plan_base_placement(scene, robot, task, reach)
+    assert answer.plan.base_pose is not None
+    assert task.to is not None
+    assert answer.touched_after == ""
+    opened = scene.with_joint("fridge", "door_hinge", task.to)
+    check_arm_at_home(build_navigation_map(opened, robot), np.array(answer.plan.base_pose))

@@ -44,6 +44,7 @@ def find(
     *,
     method: Method = "ours",
     seed: int = 0,
+    goes_home: Works | None = None,
     **changes: int | float,
 ) -> Search:
     def screen(
@@ -65,8 +66,9 @@ def find(
 
     ways = ways_of_holding(geometry.Ts_world_tool, np.zeros((0, 1), int))
     problem = Problem(
-        geometry, Everywhere(), Everywhere(), ways, length, attempt, screen, START, lambda: False
-    )
+        geometry, Everywhere(), Everywhere(), ways, length, attempt, screen, START, lambda: False,
+        goes_home=goes_home,
+    )  # fmt: skip
     coarse = {"grid_cell": 0.2, "grid_turn": 45.0}
     config = PlaceConfig(method=method, **{**coarse, **changes})  # type: ignore[arg-type]
     return search(problem, config, np.random.default_rng(seed))
@@ -90,6 +92,38 @@ def test_the_grid_gives_the_cheapest_of_its_poses(geometry: PlacementGeometry) -
     passed = poses[[one in (FOUND.outcome, FEASIBLE) for one in np.concatenate(found.outcomes)]]
     assert len(passed) > 10
     assert found.cost == pytest.approx(np.linalg.norm(passed[:, :2] - START[:2], axis=1).min())
+
+
+@pytest.mark.parametrize("changes", [{}, {"rounds": 0}, {"improve": 4}])
+def test_where_the_arm_can_be_brought_home_afterward_comes_first(
+    geometry: PlacementGeometry, changes: dict[str, int]
+) -> None:
+    """Left of the door poses are farther from the start than right of it."""
+    free = find(geometry, always, always, **changes)
+    assert free.base is not None
+    assert not left(free.base[None])[0]
+    home = find(geometry, always, always, goes_home=left, **changes)
+    assert home.base is not None
+    assert left(home.base[None])[0]
+    assert home.cost > free.cost
+
+
+@pytest.mark.parametrize("changes", [{}, {"rounds": 0}])
+def test_no_answer_is_lost_where_the_arm_cannot_be_brought_home(
+    geometry: PlacementGeometry, changes: dict[str, int]
+) -> None:
+    plain = find(geometry, left, left, **changes)
+    nowhere = find(geometry, left, left, goes_home=never, **changes)
+    assert plain.base is not None
+    assert nowhere.base is not None
+    assert left(nowhere.base[None])[0]
+
+    def right(poses: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
+        return ~left(poses)
+
+    elsewhere = find(geometry, left, left, goes_home=right, **changes)
+    assert elsewhere.base is not None
+    assert left(elsewhere.base[None])[0]
 
 
 def test_the_base_may_end_beside_the_pose_that_is_chosen(geometry: PlacementGeometry) -> None:

@@ -103,6 +103,7 @@ def summary(
             "  checked     base, arm and moving part over the whole motion, exact geometry",
             *_tolerance(plan.tolerance),
             *_cost(plan.cost),
+            *_afterward(answer.touched_after),
         ]
     else:
         lines.append(f"  {plan.status:<11} {_why_not(answer)}")
@@ -167,6 +168,13 @@ def _cost(terms: Mapping[str, CostTerm]) -> list[str]:
     ]
     first = ["room first"] if terms["room"].weight is None else []
     return [f"  cost        {', '.join([*first, *said]) or 'nothing counts'}"]
+
+
+def _afterward(touched: str) -> list[str]:
+    """That the arm cannot be brought home from there, where that is so."""
+    if not touched:
+        return []
+    return [f"  afterward   the arm cannot be brought home there: it would touch {touched}"]
 
 
 def _modeled(key: KeyObjects) -> str:

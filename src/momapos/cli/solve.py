@@ -78,7 +78,7 @@ def solve(
     /,
     *,
     out: Path,
-    options: Annotated[SolveOptions, OmitArgPrefixes] = DEFAULT,
+    options: Annotated[SolveOptions, arg(name="")] = DEFAULT,
 ) -> int:
     """From a scan to an opened door: survey, importance, models, base pose, drive, physics.
 

@@ -6,6 +6,7 @@ One rule for all who plan and drive: at the start the robot, its arm at home, to
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,15 +18,23 @@ from momapos.kinematics.base_collision import base_hits
 from momapos.kinematics.collision import FREE
 from momapos.kinematics.hulls import Boxes
 from momapos.navigation.clearance import gaps
-from momapos.navigation.convex_polygons import on_floor
+from momapos.navigation.convex_polygons import (
+    ConvexPolygons,
+    obstacles_of,
+    on_floor,
+    pack,
+    prisms_of,
+)
 from momapos.navigation.cost_map import CELL, FloorPlan
 from momapos.navigation.footprint_map import HEADINGS, NavigationMap
 from momapos.navigation.grid_distance import clearance
 from momapos.navigation.judge import FootprintCollisionChecker
 from momapos.robots.robot import Robot
+from momapos.scene.scene import Scene
+from momapos.types import Task
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
+    from jaxtyping import Bool, Float
 
 ROOM = 0.8
 """Clearance around the start [m]."""
@@ -51,6 +60,34 @@ def check_arm_at_home(nav_map: NavigationMap, pose: Float[np.ndarray, "3"]) -> N
             f"start ({x:.2f}, {y:.2f}, {np.degrees(yaw):.0f} deg): {nav_map.robot.name} with its "
             f"arm at home would touch {touched}; give another --start"
         )
+
+
+def outlines_after(scene: Scene, robot: Robot, task: Task) -> ConvexPolygons:
+    """Outlines of the object whose part a task moves, with the part where the task leaves it.
+
+    The rest of the room stays as it is when the robot comes, with its arm at home.
+
+    Args:
+        scene: The room.
+        robot: Who does the task; its prisms tell which outlines count.
+        task: One without a joint leaves no outline.
+    """
+    if task.joint is None or task.to is None:
+        return pack([], [], [])
+    after = scene.with_joint(task.object, task.joint, task.to)
+    return obstacles_of(replace(after, objects=(after.object(task.object),)), prisms_of(robot))
+
+
+def clear_at_home(
+    poses: Float[np.ndarray, "n 3"], robot: Robot, outlines: ConvexPolygons
+) -> Bool[np.ndarray, " n"]:
+    """Whether a robot with its arm at home is clear of some outlines at base poses."""
+    return gaps(poses, prisms_of(robot), outlines) > 0.0
+
+
+def touched_at_home(pose: Float[np.ndarray, "3"], robot: Robot, outlines: ConvexPolygons) -> str:
+    """Which of some outlines a robot with its arm at home touches; "" for none."""
+    return FootprintCollisionChecker(prisms_of(robot), outlines, None).distance(pose[None])[1][0]
 
 
 def find_start(

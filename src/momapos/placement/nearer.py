@@ -90,7 +90,10 @@ def _step(
     left = near.reached(problem, score, on_grid=False)
     known = costs.before_path(left.poses, left.travel)
     order = np.argsort(known, kind="stable")
-    order = order[known[order] < limit][:_MOST]
+    order = order[known[order] < limit]
+    if problem.goes_home is not None:
+        order = order[problem.goes_home(left.poses[order])]
+    order = order[:_MOST]
     if costs.room_first and config.looks and problem.fit is None:
         order = order[may_have_room(problem, score, config, left.poses[order])]
     # A pose that is looked at counts as a sample, and no other.

@@ -63,18 +63,27 @@ def search(problem: Problem, config: PlaceConfig, rng: np.random.Generator) -> S
             found.timed_out = True
             return found
         for score in problem.ways:
-            shortlist = near.reached(problem, score, on_grid=on_grid)
-            waiting = Waiting.of(
-                problem, score, PoseCosts(problem.geometry, config, problem.takes_hold)
-            )
-            if on_grid:
-                _check_grid(problem, shortlist, found, waiting)
-            else:
-                _check_samples(problem, score, shortlist, rng, found, waiting)
-            found.margin = None if found.base is None else waiting.known_margin(found.base)
-            if found.motion is not None or found.timed_out:
-                return found
+            reached = near.reached(problem, score, on_grid=on_grid)
+            for shortlist in _home_first(problem, reached, config):
+                waiting = Waiting.of(
+                    problem, score, PoseCosts(problem.geometry, config, problem.takes_hold)
+                )
+                if on_grid:
+                    _check_grid(problem, shortlist, found, waiting)
+                else:
+                    _check_samples(problem, score, shortlist, rng, found, waiting)
+                found.margin = None if found.base is None else waiting.known_margin(found.base)
+                if found.motion is not None or found.timed_out:
+                    return found
     return found
+
+
+def _home_first(problem: Problem, left: Shortlist, config: PlaceConfig) -> tuple[Shortlist, ...]:
+    """The poses from which the arm can be brought home after the task, then the others."""
+    if problem.goes_home is None or config.method != "ours":
+        return (left,)
+    home = problem.goes_home(left.poses)
+    return (left,) if home.all() else (left.only(home), left.only(~home))
 
 
 def search_in_order(

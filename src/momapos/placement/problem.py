@@ -27,7 +27,9 @@ ScreenPoses: TypeAlias = (
 )
 """Look for an arm path at each of many base poses, from the scores of all grasps and the number
 of grasps to be tried; None: out of time."""
-PoseFilter: TypeAlias = "Callable[[Float[np.ndarray, 'n 3']], Bool[np.ndarray, ' n']]"
+PoseMask: TypeAlias = "Callable[[Float[np.ndarray, 'n 3']], Bool[np.ndarray, ' n']]"
+"""Which of some base poses have a property."""
+PoseFilter: TypeAlias = PoseMask
 """Which of some base poses are no candidates, for reasons that this stage does not know."""
 AttemptPose: TypeAlias = (
     "Callable[[Float[np.ndarray, '3'], ArmPathResult, Int[np.ndarray, ' k']], Attempt]"
@@ -112,6 +114,9 @@ class Problem:
     """Why no base pose can help, where that is known beforehand."""
     pose_filter: PoseFilter | None = None
     """Rules base poses out."""
+    goes_home: PoseMask | None = None
+    """From which base poses the arm can be brought home once the task is done; others are answers
+    where none of these is one. None: from all."""
     region: BaseRegion = ANYWHERE
     """Where the base is allowed to stand."""
     fit: FitPoses | None = None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -57,9 +57,14 @@ class Shortlist:
         which = ways.scores.max(1, initial=0.0) > 0
         beyond = self.row[~which]
         self.outcomes[beyond[~self.tried[beyond]]] = PoseOutcome(PoseStatus.OUT_OF_REACH)
+        return replace(self, held=ways).only(which)
+
+    def only(self, which: Bool[np.ndarray, " n"]) -> Shortlist:
+        """Some of them, whose outcomes are written where those of all are."""
+        assert self.held is not None
         return Shortlist(
             self.poses[which], self.row[which], self.travel[which], self.outcomes, self.tried,
-            WayScores(ways.scores[which], ways.asked),
+            WayScores(self.held.scores[which], self.held.asked),
         )  # fmt: skip
 
     def ways(self, i: int) -> Int[np.ndarray, " k"]:
