@@ -183,7 +183,7 @@ def attempt(
     seal = seal_of(item, joint, resistance.pull, config.furniture.seal_range)
     begin = None if again is None else again.value
     world = build(there, deviation, begin)
-    if deviation is not None and joint is not None:
+    if deviation is not None and joint is not None and item.values()[joint.name] == seal.closed:
         first = world if begin is None else build(there, deviation, None)
         # What is shut has not been opened by its weight.
         if seal.outward * first.weight_on_part > resistance.friction:
