@@ -23,7 +23,7 @@ from momapos.page.serve import served
 from momapos.page.static import write_page
 
 pytestmark = optional.needs("Chromium", optional.chromium() is not None)
-LONG = 60_000.0
+LONG = 120_000.0
 """Nothing on the page takes so long [ms]; a software renderer draws few pictures a second."""
 SIZE = {"width": 820, "height": 520}
 SMALL = {"width": 620, "height": 240}
@@ -133,6 +133,7 @@ def pick_in_the_picture(page: Page, tab: Tab) -> None:
         assert until(lambda name=name: page.panel.target.value.startswith(f"{name}/"))  # type: ignore[misc]
         assert page.work.wait(LONG / 1000)
     tab.set_viewport_size(SMALL)  # type: ignore[arg-type]
+    drawn(tab)  # the controls have moved
 
 
 def test_a_person_asks_drags_plays_and_reloads(
