@@ -24,6 +24,7 @@ from momapos.pipeline import plan_base_placement
 from momapos.reachability.store import load_reach_map
 from momapos.robots.robot import load_robot
 from momapos.scene.files import load_scene
+from momapos.scene.scene import Scene
 from momapos.tour import Request, Tour, plan_tour
 from momapos.verification.exact import PlanVerifier
 from placement import ROBOTS, machine
@@ -31,14 +32,15 @@ from placement import ROBOTS, machine
 KITCHENS = ("kitchen_small", "kitchen_island")
 
 
-def valid(tour: Tour) -> bool:
+def valid(tour: Tour, scene: Scene) -> bool:
     """Whether every plan holds where the tasks before it have left the room."""
     held = []
     for step in tour.steps:
-        plan, scene = step.plan, step.prepared.scene
+        plan = step.plan
         if plan.motion is None or plan.base_pose is None:
             continue
-        verifier = PlanVerifier(scene, step.prepared.robot, plan.task)
+        left = scene.with_joints(plan.scene_joints)
+        verifier = PlanVerifier(left, step.prepared.robot, plan.task)
         checks = verifier.check(plan.base_pose, plan.motion).checks
         held += [check.ok for check in (*checks, *verifier.drive_checks(plan))]
     return all(held)
@@ -75,7 +77,7 @@ def main() -> None:
         tour = plan_tour(scene, robot, requests, reach, config=config, clock=time.process_time)
         rows.append({
             "kitchen": kitchen, "robot": name, "parts": [one, two], "status": tour.status,
-            "stops": list(tour.stops), "driving": tour.driving, "valid": valid(tour),
+            "stops": list(tour.stops), "driving": tour.driving, "valid": valid(tour, scene),
             "seconds": time.process_time() - began,
         })  # fmt: skip
         print(json.dumps(rows[-1]), flush=True)
