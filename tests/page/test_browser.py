@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
-from playwright.sync_api import Browser, ConsoleMessage, sync_playwright
+from playwright.sync_api import Browser, ConsoleMessage, expect, sync_playwright
 from playwright.sync_api import Page as Tab
 from tests import optional
 from viser.transforms import SO3
@@ -203,7 +203,7 @@ def test_two_pages_act_on_one_state(
     one.get_by_label("Potential", exact=True).click(force=True)
     assert until(lambda: "potential" in page.layers.drawn)
     press(two, "tab", "Layers")
-    assert two.get_by_label("Potential", exact=True).is_checked()
+    expect(two.get_by_label("Potential", exact=True)).to_be_checked(timeout=LONG)
     assert complaints == []
 
 
