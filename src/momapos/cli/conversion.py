@@ -12,6 +12,7 @@ import numpy as np
 
 from momapos.errors import InputError, SceneError
 from momapos.export.planning_scene import write_scene
+from momapos.robots.xacro import expand_xacro, is_xacro
 from momapos.scene.copies import copied, model_files
 from momapos.scene.files import load_scene, save_scene
 from momapos.scene.formats.importing import write_room
@@ -36,6 +37,8 @@ def convert(
     Raises:
         MomaposError: It cannot be converted; nothing is written then.
     """
+    if is_xacro(path):
+        return _convert_xacro(path, out, root=root, without=without)
     kind, suffix = kind_of_file(path), out.suffix.lower()
     if suffix not in FORMATS:
         written = ", ".join(f"{ending} ({name})" for ending, name in FORMATS.items())
@@ -62,6 +65,20 @@ def convert(
         save_scene(scene, out)
     again = load_scene(out)
     return replace(again, warnings=(*scene.warnings, *again.warnings)), None
+
+
+def _convert_xacro(
+    path: Path, out: Path, *, root: Path | None, without: Sequence[str]
+) -> tuple[Scene, Report | None]:
+    """Convert what a xacro file expands to; its files are copied, for that lies nowhere else."""
+    text, _ = expand_xacro(path, {}, {})
+    try:
+        with tempfile.TemporaryDirectory(dir=path.parent) as folder:
+            urdf = Path(folder) / path.with_suffix("").with_suffix(".urdf").name
+            urdf.write_text(text)
+            return convert(urdf, out, copy=True, root=root, without=without)
+    except OSError as error:
+        raise InputError(f"{path.parent}: cannot be written ({error.strerror})") from error
 
 
 def _write_foreign(scene: Scene, out: Path) -> Scene:

@@ -130,8 +130,8 @@ def scene_convert(
     """Write a scene of another kind as a momapos scene, as MJCF or for MoveIt.
 
     Args:
-        source: The scene to convert: a momapos scene, a BestMan list, a URDF, MJCF, a planning
-            scene of MoveIt, SDF or USD.
+        source: The scene to convert: a momapos scene, a BestMan list, a URDF or xacro file,
+            MJCF, a planning scene of MoveIt, SDF or USD.
         out: The file to write: .json, .xml (MJCF) or .scene (MoveIt). A .json must lie above its
             URDF files, or --copy them; those of a room that has none are written beside it.
         copy: Copy the URDF and mesh files into the folder `<out>_files` beside the new file.
