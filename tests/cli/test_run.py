@@ -32,9 +32,10 @@ from momapos.pipeline import plan_base_placement
 from momapos.placement.config import PlaceConfig
 from momapos.plans import write_plan
 from momapos.robots.robot import Robot, load_robot
-from momapos.run_plan import APART, NONE_LEFT, TURN, Drive, run_plan
+from momapos.run_plan import run_plan
 from momapos.scene.files import load_scene
 from momapos.scene.scene import Scene
+from momapos.trip import APART, NONE_LEFT, TURN, Drive
 from momapos.types import Attempt, Motion, PlacementPlan, Task
 from momapos.verification.exact import PlanVerifier
 
@@ -187,7 +188,7 @@ def test_where_no_other_base_pose_is_left_the_robot_docks_once_more(
     plan: PlacementPlan, kitchen: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     goals: list[np.ndarray] = []
-    monkeypatch.setattr("momapos.run_plan._Trip._another", lambda *_: None)
+    monkeypatch.setattr("momapos.trip.Trip._another", lambda *_: None)
     record = run_plan(
         plan, kitchen, load_robot("segway_ur5e"), Everywhere(), go=astray_at_first(goals),
         config=CONFIG,
@@ -269,7 +270,7 @@ def test_a_pose_in_which_the_physics_find_the_robot_in_something_is_a_failure(
 
     motion = plan.motion
     monkeypatch.setattr(
-        "momapos.run_plan.check_base_pose",
+        "momapos.trip.check_base_pose",
         lambda *_, **__: Attempt(motion, PoseOutcome(PoseStatus.FEASIBLE)),
     )
     record = run_plan(plan, kitchen, load_robot("segway_ur5e"), Everywhere(), go=go, config=CONFIG)

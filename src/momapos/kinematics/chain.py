@@ -124,7 +124,7 @@ class Chain:
 
     def tool_poses(self, q: Float[np.ndarray, "*batch n"]) -> Float[np.ndarray, "*batch 4 4"]:
         """Tool poses in the base frame."""
-        q = np.asarray(q, float)
+        q = np.ascontiguousarray(q, float)  # as the kernel is compiled for
         flat = tool_poses(
             q.reshape(-1, self.size),
             chain_arrays(self),
