@@ -65,7 +65,6 @@ from momapos.types import (
 )
 from momapos.views.faces import box_faces, stands_free
 from momapos.views.front_view import Seen, View, choose_view
-from momapos.views.leaf_edges import leaf_rear
 from momapos.views.projection import sights
 from momapos.views.rows import split_row
 
@@ -374,11 +373,7 @@ def _decide(
         return replace(box, view=view, reason="a front without doors or drawers")
     others = [one.box for one in (*survey.detections, *survey.walls) if one is not item]
     left, right = (stands_free(faces[k], others) for k in view.face.beside)
-    beside = [faces[k] for k in view.face.beside]
-    rear = leaf_rear(view.face, beside, parts, [survey.frames[one.frame] for one in seen])
-    piece = furniture_model(
-        item, facing, view.image, parts, config.model, free=(left, right), leaf_rear=rear
-    )
+    piece = furniture_model(item, facing, view.image, parts, config.model, free=(left, right))
     return replace(box, view=view, parts=parts, source=source, model=piece)
 
 

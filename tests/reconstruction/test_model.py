@@ -282,37 +282,6 @@ def test_a_hinge_lies_deeper_where_nothing_is_beside_it(free: tuple[bool, bool])
     assert [motion.upper for motion in motions if motion] == [np.pi / 2] * 2
 
 
-@pytest.mark.parametrize("free", [True, False])
-@pytest.mark.parametrize("out", [0.0, 0.03])
-def test_a_free_hinge_lies_before_the_seam_behind_its_leaf(free: bool, out: float) -> None:
-    face, config = face_of(0.6, 0.9), ModelConfig()
-    raised(face, (0.0, 0.0, 1.0, 1.0), out)
-    parts = [Part("door_left", (0.0, 0.0, 1.0, 1.0), 0.9)]
-    found = detection(0.6, 0.6, 0.9)
-    piece = furniture_model(
-        found, 0.3 - np.pi / 2, face, parts, config, free=(free, free), leaf_rear=0.04
-    )
-    door = piece.parts[1]
-    assert door.motion is not None
-    front, rear = -0.3 - out, -0.26
-    low, high = door.boxes[0].low[1], door.boxes[0].high[1]
-    assert (low, high) == pytest.approx((front, rear))
-    deep = rear - config.hinge_before_rear if free else front + config.hinge_depth
-    assert door.motion.pivot[1] == pytest.approx(deep)
-    assert door.motion.upper == np.pi / 2
-
-
-@pytest.mark.parametrize("rear", [0.005, 0.15])
-def test_a_seam_too_near_or_too_far_is_that_of_no_leaf(rear: float) -> None:
-    found, face = detection(0.6, 0.6, 0.9), face_of(0.6, 0.9)
-    parts = [Part("door_left", (0.0, 0.0, 1.0, 1.0), 0.9)]
-    seen, unseen = (
-        furniture_model(found, 0.3 - np.pi / 2, face, parts, free=(True, True), leaf_rear=behind)
-        for behind in (rear, None)
-    )
-    assert seen == unseen
-
-
 @pytest.mark.parametrize("proud", [0.0, 0.008])
 @pytest.mark.parametrize("kind", ["door_left", "door_right", "door_down", "door_up"])
 def test_a_door_with_neighbors_stays_within_its_own_part_as_it_opens(

@@ -55,10 +55,7 @@ class ModelConfig:
     panel: float = 0.018
     """Thickness of the body's walls [m]."""
     thickness: tuple[float, float] = (0.02, 0.06)
-    """Of a door in the face's plane, and of one that stands proud of it at most, where no seam is
-    seen behind it [m]."""
-    seen_thickness: tuple[float, float] = (0.01, 0.1)
-    """Of a leaf with a seam behind it: what would be thinner or thicker is no leaf [m]."""
+    """Of a door in the face's plane, and of one that stands proud of it at most [m]."""
     gap: float = 0.002
     """Between a moving part and what is beside and behind it [m]."""
     hinge_depth: float = 0.0
@@ -67,9 +64,6 @@ class ModelConfig:
     beside the hinge. Real ones have that room, or hinges that travel [m]."""
     free_hinge_depth: float = 0.01
     """The same where nothing is beside it, about half the thickness of a leaf [m]."""
-    hinge_before_rear: float = 0.005
-    """How far before the seam behind its leaf the hinge lies, where nothing is beside it and the
-    seam is seen [m]."""
     turn: float = np.pi / 2
     """How far doors open [rad]."""
     travel: float = 0.4
@@ -92,8 +86,6 @@ class _Layers:
     """Thickness of the walls."""
     shallow: float
     """What heights and doors are scaled by, so that they fit into the front of a thin box [-]."""
-    leaf_rear: float | None
-    """Distance from the face to the seam behind its doors; None where none is seen."""
 
 
 def furniture_model(
@@ -104,15 +96,13 @@ def furniture_model(
     config: ModelConfig | None = None,
     *,
     free: tuple[bool, bool] = (False, False),
-    leaf_rear: float | None = None,
 ) -> Piece:
     """Make the model of one object: its box, hollow, with doors and drawers that open.
 
     A door with something beside its hinge turns about an axis in its front, and stays
-    within its own width as it opens. Real hinges lie deeper, mostly near the rear of the leaf; so
-    are those here that have nothing beside them, by the thickness of the leaf where that is seen,
-    else by `ModelConfig.free_hinge_depth`. Every joint ends before its part would hit the rest of
-    the piece.
+    within its own width as it opens. Real hinges lie deeper, mostly by 1 to 2 cm, in fridges by 2
+    to 8; so are those here that have nothing beside them (`ModelConfig.free_hinge_depth`). Every
+    joint ends before its part would hit the rest of the piece.
 
     Args:
         detection: The object with its box.
@@ -121,8 +111,6 @@ def furniture_model(
         parts: The doors and drawers on it.
         config: What cannot be seen.
         free: Whether nothing stands beside the object, left and right as seen from the front.
-        leaf_rear: How far behind the front its doors end, as a seam on the object's side shows [m];
-            None where none is seen.
 
     Returns:
         The piece; its moving parts are named by what they are, top to bottom and left to right:
@@ -143,7 +131,7 @@ def furniture_model(
     center = vec(detection.box.center)
     if not aligned:
         return solid(detection.name, detection.label, vec(size), center, yaw)
-    layers = _layers(size, aligned, config, leaf_rear)
+    layers = _layers(size, aligned, config)
     body = FurniturePart("body", tuple(_body(face, aligned, layers, config)))
     moving = [
         _moving(name, part, [p.area for p in aligned], face, layers, config, free)
@@ -184,14 +172,11 @@ def _names(parts: Sequence[AlignedPart]) -> list[str]:
 
 
 def _layers(
-    size: tuple[float, float, float],
-    parts: Sequence[AlignedPart],
-    config: ModelConfig,
-    leaf_rear: float | None,
+    size: tuple[float, float, float], parts: Sequence[AlignedPart], config: ModelConfig
 ) -> _Layers:
     """Lay the walls behind the rearmost door."""
     depth = size[1]
-    front = _Layers(-depth / 2, 0.0, depth / 2, min(config.panel, min(size) / 8), 1.0, leaf_rear)
+    front = _Layers(-depth / 2, 0.0, depth / 2, min(config.panel, min(size) / 8), 1.0)
     rear = max(sum(_slab(part, front, config)) for part in parts) - front.face
     shallow = min(1.0, depth / 3 / max(rear, 1e-3))
     return replace(front, opening=front.face + shallow * rear + config.gap, shallow=shallow)
@@ -199,18 +184,8 @@ def _layers(
 
 def _slab(part: AlignedPart, layers: _Layers, config: ModelConfig) -> tuple[float, float]:
     """Where the front of a part lies along y, and its thickness [m]."""
-    seen = _seen_thickness(part, layers, config)
-    thickness = float(np.clip(part.out, *config.thickness)) if seen is None else seen
+    thickness = float(np.clip(part.out, *config.thickness))
     return layers.face - part.out * layers.shallow, thickness * layers.shallow
-
-
-def _seen_thickness(part: AlignedPart, layers: _Layers, config: ModelConfig) -> float | None:
-    """Thickness of a part from its front to the seam behind it [m]; None where none is seen."""
-    if layers.leaf_rear is None:
-        return None
-    least, most = config.seen_thickness
-    thickness = layers.leaf_rear + part.out
-    return thickness if least <= thickness <= most else None
 
 
 # -------------------------------------------------------------------------------------- what stands
@@ -308,10 +283,8 @@ def _moving(
     """A door, or a drawer with its tray."""
     front, thickness = _slab(part, layers, config)
     tray = config.tray * (layers.back - layers.wall - layers.opening)
-    seen = _seen_thickness(part, layers, config) is not None
-    deep = thickness - config.hinge_before_rear if seen else config.free_hinge_depth
     motions = Motions(
-        part.area, part.out, front, thickness, deep, face, config, min(config.travel, tray), free,
+        part.area, part.out, front, thickness, face, config, min(config.travel, tray), free,
         any(part.area.stands_on(other) for other in areas),
     )  # fmt: skip
     boxes = [_box(f"{name}_panel", motions.leaf(part.kind), front, front + thickness, face)]

@@ -6,8 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from momapos.reconstruction.alignment import front_of
 from momapos.reconstruction.height_maps import Area
 from momapos.scene.library.furniture import JointMotion, Vec, vec
@@ -34,8 +32,6 @@ class Motions:
     """The y coordinate of its front, in the frame of the piece [m]."""
     thickness: float
     """Of its leaf [m]."""
-    free_depth: float
-    """How far behind its front its hinge lies where nothing is beside it [m]."""
     face: FaceImage
     config: ModelConfig
     travel: float
@@ -57,8 +53,9 @@ class Motions:
 
     def depth(self, kind: PartKind) -> float:
         """How far behind the front the hinge of a kind of part lies [m]."""
-        depth = self.free_depth if self.is_free(kind) else self.config.hinge_depth
-        return float(np.clip(depth, 0.0, self.thickness))
+        config = self.config
+        depth = config.free_hinge_depth if self.is_free(kind) else config.hinge_depth
+        return min(depth, self.thickness)
 
     def of(self, kind: PartKind) -> JointMotion:
         """The joint of a kind of part; all open with a positive value."""
