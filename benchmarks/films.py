@@ -77,6 +77,8 @@ def smaller(film: bytes) -> bytes:
 
 def run(out: Path | None) -> None:
     """Film the demo, and tell."""
+    if out is not None:
+        out.mkdir(parents=True, exist_ok=True)
     trace = carried_out()
     whole = sum(act.duration for act in trace.acts)
     print(f"the run: {whole:.1f} s", flush=True)
