@@ -173,7 +173,7 @@ def read_plan(path: Path) -> PlacementPlan:
     head = _decode(content, members.PlanHead, path)
     if head.format == TOUR:
         raise FileFormatError(
-            f"{path}: a tour of several plans, which only verify takes; give one of the plans that "
+            f"{path}: a tour of several plans, for verify and run; give one of the plans that "
             "it names, in order"
         )
     if head.format != FORMAT:

@@ -15,7 +15,11 @@ from momapos.errors import InputError
 from momapos.files import check_outputs
 
 if TYPE_CHECKING:
+    import numpy as np
+    from jaxtyping import Float
+
     from momapos.execution.record import RunRecord
+    from momapos.execution.run_trace import RunTrace
 
 MOST_COLLISIONS = 5
 
@@ -40,6 +44,9 @@ def run(
 ) -> int:
     """Drive there and do it: carry a plan out in a physics engine, and say what came of it.
 
+    Of a tour the plans are carried out one after the other, each from where the base has come to,
+    until one fails; records and films are NAME_1, NAME_2 and so on.
+
     The arm is planned anew where the base really arrives; where it cannot, or the base does not
     arrive, the next base pose is driven to, three at most. Where a motion fails, the arm comes home
     and another grasp or base pose is tried; in a --world also another hypothesis of how the part
@@ -48,7 +55,7 @@ def run(
     Exit status: 0 the task was done, 1 it was not, 2 a file or the start cannot be used.
 
     Args:
-        plan: The plan file.
+        plan: The plan file, or the file of a tour.
         scene_root: Folder for names not found beside the plan, and for a BestMan scene's models.
         robot: A library robot or a robot file; by default the one that the plan names.
         start: Where the robot is at first [m, m, rad or deg]; as the plan says by default.
@@ -70,17 +77,22 @@ def run(
     """
     # Told before anything heavy is imported.
     check_seed(seed)
-    check_outputs([out, record, out_scene])
+    check_plan_file(plan)
+    plans = _plans(plan)
+    if len(plans) > 1 and (world is not None or out_scene is not None):
+        raise InputError("--world and --out-scene are for one plan; give one that the tour names")
+    outs, films = ([_numbered(path, plans, k) for k in range(len(plans))] for path in (out, record))
+    check_outputs([*outs, *films, out_scene])
     if out_scene is not None:
         refuse_existing(out_scene)
     if record is not None:
         from momapos.execution.film_files import check_film
 
         check_film(record)
-    check_plan_file(plan)
+    for path in plans:
+        check_plan_file(path)
     if tries < 1:
         raise InputError(f"--tries {tries}: at least one motion must be tried")
-    from dataclasses import replace
     from json import dumps
 
     import numpy as np
@@ -95,11 +107,10 @@ def run(
     if world is None and world_at is not None:
         raise InputError("--world-at says where a --world lies; give that too, or leave it out")
     at = np.zeros(3) if world_at is None else np.array(parse_pose(world_at, "world-at"))
-    content, scene, machine = open_plan(plan, scene_root, robot, "to execute")
+    opened = [open_plan(path, scene_root, robot, "to execute") for path in plans]
     with require("physics"):
         from momapos.execution.config import ExecutionConfig, FurnitureConfig
-        from momapos.execution.film import write_film
-        from momapos.execution.record import run_to_dict, with_files, write_run
+        from momapos.execution.record import run_to_dict
         from momapos.execution.run_trace import RunTrace
         from momapos.execution.true_world import moved
         from momapos.joint_beliefs import save_learned
@@ -109,30 +120,79 @@ def run(
     there = None
     if world is not None:
         there = moved(load_scene(world, root=scene_root, cache=user_cache()), at)
-    trace, watched = RunTrace(), out is not None or record is not None
-    with progress(f"reachability map of {machine.name}") as report:
-        reach = load_reach(machine, default_cache_dir(), report)
-    result = run_plan(
-        content, scene, machine, reach, start=begin, world=there, tries=tries,
-        seed=seed,
-        driving=DriveConfig() if noise else DriveConfig(noise=QUIET),
-        physics=ExecutionConfig(hold=hold, furniture=FurnitureConfig(spread=0.3 if noise else 0.0)),
-        trace=trace.drive if watched else None, watch=trace if watched else None,
-    )  # fmt: skip
+    physics = ExecutionConfig(hold=hold, furniture=FurnitureConfig(spread=0.3 if noise else 0.0))
+    done = []
+    for k, (content, scene, machine) in enumerate(opened):
+        trace, watched = RunTrace(), out is not None or record is not None
+        with progress(f"reachability map of {machine.name}") as report:
+            reach = load_reach(machine, default_cache_dir(), report)
+        result = run_plan(
+            content, scene, machine, reach, start=begin, world=there, tries=tries, seed=seed,
+            driving=DriveConfig() if noise else DriveConfig(noise=QUIET), physics=physics,
+            trace=trace.drive if watched else None, watch=trace if watched else None,
+        )  # fmt: skip
+        done.append(result)
+        _keep(result, trace, outs[k], films[k], plans[k], world, at)
+        if out_scene is not None and save_learned(result, scene, out_scene) is None:
+            print(
+                f"momapos: {out_scene}: not written, for no joint was moved as asked",
+                file=sys.stderr,
+            )
+        if not json:
+            print(summary(result))
+        if not result.success:
+            break
+        begin = np.array(result.visits[-1].reached)
+    if json:
+        records = [run_to_dict(result) for result in done]
+        print(dumps(records if len(plans) > 1 else records[0]))
+    if len(plans) > len(done):
+        print(f"momapos: {len(plans) - len(done)} of {len(plans)} tasks were left", file=sys.stderr)
+    return 0 if done[-1].success else 1
+
+
+def _plans(path: Path) -> list[Path]:
+    """The plan files that a file stands for: those of a tour in order, else itself."""
+    from momapos.tour_files import is_tour, read_tour
+
+    if not is_tour(path):
+        return [path]
+    tour = read_tour(path)
+    if tour.status != "solved":
+        raise InputError(f"{path}: the tour is {tour.status!r}: there is nothing to execute")
+    return [path.with_name(step.plan) for step in tour.steps]
+
+
+def _numbered(path: Path | None, plans: list[Path], k: int) -> Path | None:
+    """Where the output of a task goes: NAME itself of a plan, NAME_1 and so on of a tour."""
+    if path is None or len(plans) == 1:
+        return path
+    return path.with_name(f"{path.stem}_{k + 1}{path.suffix}")
+
+
+def _keep(
+    result: RunRecord,
+    trace: RunTrace,
+    out: Path | None,
+    film: Path | None,
+    plan: Path,
+    world: str | None,
+    at: Float[np.ndarray, "3"],
+) -> None:
+    """Write the record and draw the film of a run, where they are asked for."""
+    from dataclasses import replace
+
+    from momapos.execution.film import write_film
+    from momapos.execution.record import with_files, write_run
+
     if out is not None:
         named = with_files(result, out, plan, world, None if world is None else at)
         write_run(replace(named, motion=trace.motion()), out)
-    if out_scene is not None and save_learned(result, scene, out_scene) is None:
-        print(
-            f"momapos: {out_scene}: not written, for no joint was moved as asked", file=sys.stderr
-        )
-    if record is not None:
+    if film is not None:
         if result.execution is None:
-            print(f"momapos: {record}: not drawn, for nothing was executed", file=sys.stderr)
+            print(f"momapos: {film}: not drawn, for nothing was executed", file=sys.stderr)
         else:
-            write_film(trace, record, ending="done" if result.success else result.reason)
-    print(dumps(run_to_dict(result)) if json else summary(result))
-    return 0 if result.success else 1
+            write_film(trace, film, ending="done" if result.success else result.reason)
 
 
 def refuse_existing(out: Path) -> None:
