@@ -30,7 +30,7 @@ $(VENV)/.usd: $(VENV)/.dev
 	touch $@
 
 $(VENV)/.docs: $(VENV)/.core
-	$(INSTALL) --editable '.[docs]'
+	$(INSTALL) --editable '.[docs,view]'
 	touch $@
 
 # rclpy from wheels, which re-execute Python with libraries of their own: an environment apart, which

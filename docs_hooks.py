@@ -1,4 +1,4 @@
-"""What the site shows beside docs/: the files that its pages link to, and the public names.
+"""What the site shows beside docs/: files that its pages link to, public names, a plan that plays.
 
 A page names a file of the repository by its path, as editors and hosting sites follow it. Such a
 file becomes a page of its own, files/PATH.md; a link to what is not there stays as it is, and
@@ -9,6 +9,9 @@ from __future__ import annotations
 
 import json
 import re
+import subprocess
+import sys
+import tempfile
 from pathlib import Path
 from posixpath import dirname, normpath, relpath
 from typing import TYPE_CHECKING
@@ -22,6 +25,9 @@ ROOT = Path(__file__).parent
 LINK = re.compile(r"(?<=\]\()([^)#\s:]+)(?=[)#])")
 """The target of a link within the repository, without its anchor."""
 PUBLIC_NAME = re.compile(r"^\| `(\w+)[^|]*\|.*$", re.MULTILINE)
+PLAYS = "gallery/plan.html"
+"""The plan that plays in the gallery."""
+ANSWER = ("place", "open", "kitchen_small", "fridge/door_hinge", "--robot", "segway_ur5e")
 LANGUAGES = {".py": "python", ".toml": "toml", ".urdf": "xml", ".xml": "xml"}
 
 
@@ -39,6 +45,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
             shown.add(target)
             texts.append((target, _content(target)))
             files.append(File.generated(config, _page_of(target), content=texts[-1][1]))
+    files.append(File.generated(config, PLAYS, content=playing_plan()))
     return files
 
 
@@ -55,6 +62,9 @@ def on_page_markdown(markdown: str, *, page: Page, config: MkDocsConfig, files: 
 
     if uri == "reference.md":
         markdown += public_names()
+    if uri == "gallery.md":
+        frame = f'<iframe src="{PLAYS}" title="A plan" width="100%" height="480"></iframe>'
+        markdown += f"\n\nThe first task, to turn about and to play:\n\n{frame}\n"
     return LINK.sub(led, markdown)
 
 
@@ -93,6 +103,17 @@ def _notebook(text: str) -> str:
 
 def _fenced(text: str, language: str) -> str:
     return f"````{language}\n{text.rstrip()}\n````\n"
+
+
+def playing_plan() -> bytes:
+    """The first task of the gallery as `momapos view --static` writes it."""
+    program = [sys.executable, "-c", "from momapos.cli.main import entry; entry()"]
+    with tempfile.TemporaryDirectory() as folder:
+        plan, page = Path(folder) / "plan.json", Path(folder) / "plan.html"
+        subprocess.run([*program, *ANSWER, "--out", str(plan)], check=True, capture_output=True)
+        view = [*program, "view", str(plan), "--static", str(page)]
+        subprocess.run(view, check=True, capture_output=True)
+        return page.read_bytes()
 
 
 def public_names() -> str:
