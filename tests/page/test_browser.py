@@ -25,6 +25,8 @@ from momapos.page.static import write_page
 pytestmark = optional.needs("Chromium", optional.chromium() is not None)
 LONG = 120_000.0
 """Nothing on the page takes so long [ms]; a software renderer draws few pictures a second."""
+SLOW = 0.05
+"""So fast the motion plays that no machine is too slow to stop it before it ends [-]."""
 SIZE = {"width": 820, "height": 520}
 SMALL = {"width": 620, "height": 240}
 """Of a window in which only the controls are used: a software renderer's time goes by pixels."""
@@ -176,10 +178,12 @@ def test_a_person_asks_drags_plays_and_reloads(
     press(tab, "button", "Place")
     tab.get_by_text("Solved").wait_for(timeout=LONG)
     press(tab, "tab", "Motion")
+    page.motion.set_speed(SLOW)
     press(tab, "button", "Play")
     assert until(lambda: 0.0 < page.motion.player.now < page.motion.player.duration)
     press(tab, "button", "Pause")
     assert until(lambda: not page.motion.player.playing)
+    page.motion.set_speed(1.0)
     assert len(tab.screenshot()) > 10_000
     assert complaints == []
 
@@ -188,6 +192,7 @@ def test_two_pages_act_on_one_state(
     site: tuple[Page, str], opened: Callable[[str], Tab], complaints: list[str]
 ) -> None:
     page, address = site
+    page.motion.set_speed(SLOW)
     one, two = opened(address), opened(address)
     for tab in (one, two):
         tab.get_by_text("Solved").wait_for(timeout=LONG)
@@ -199,6 +204,7 @@ def test_two_pages_act_on_one_state(
     at = page.motion.player.now
     one.keyboard.press("l")
     assert until(lambda: page.motion.player.now == pytest.approx(at + 1.0))
+    page.motion.set_speed(1.0)
     press(one, "tab", "Layers")
     one.get_by_label("Potential", exact=True).click(force=True)
     assert until(lambda: "potential" in page.layers.drawn)

@@ -319,9 +319,11 @@ def test_what_is_paused_by_a_hand_on_the_base_says_so(page: Page) -> None:
     page.motion.seek(0.0)
     page.motion.toggle()
     ends = time.monotonic() + LONG
-    while page.motion.player.now == 0.0 and time.monotonic() < ends:
+    # The player's thread tells the time before it tells the button.
+    while page.panel.play.label != "Pause" and time.monotonic() < ends:
         time.sleep(0.01)
     assert page.panel.play.label == "Pause"
+    assert page.motion.player.playing
     page.motion.pause()
     assert page.panel.play.label == "Play"
     assert not page.motion.player.playing

@@ -77,12 +77,13 @@ def run(
     """
     # Told before anything heavy is imported.
     check_seed(seed)
+    check_outputs([out, record, out_scene])
     check_plan_file(plan)
     plans = _plans(plan)
     if len(plans) > 1 and (world is not None or out_scene is not None):
         raise InputError("--world and --out-scene are for one plan; give one that the tour names")
     outs, films = ([_numbered(path, plans, k) for k in range(len(plans))] for path in (out, record))
-    check_outputs([*outs, *films, out_scene])
+    check_outputs([*outs, *films])
     if out_scene is not None:
         refuse_existing(out_scene)
     if record is not None:
