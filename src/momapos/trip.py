@@ -154,7 +154,8 @@ class Trip:
 
     def _switch(self, belief: JointBelief) -> None:
         """Take the part for another kind; no grasp and no base pose has failed for that yet."""
-        self.whole, self.grasps, self.failed, self.before = belief.scene, [], [], None
+        self.whole, self.grasps, self.failed = belief.scene, [], []
+        self.before, self.otherwise = None, None
         self.plan = replace(self.plan, task=belief.task)
         self._believe(belief.as_left()[0])
 
@@ -180,6 +181,7 @@ class Trip:
         while (found := self._next(here, elsewhere)) is None:
             if self.before is not None:  # no base pose serves the joint as felt
                 (self.whole, scene, task), self.before = self.before, None
+                self.otherwise = None
                 self.plan = replace(self.plan, task=task)
                 self._believe(scene)
                 continue
