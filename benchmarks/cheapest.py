@@ -19,12 +19,12 @@ import numpy as np
 
 from momapos.cache import default_cache_dir
 from momapos.config import PipelineConfig
-from momapos.manipulation.tasks import make_task, openable
+from momapos.manipulation.tasks import make_task
 from momapos.pipeline import plan_base_placement
 from momapos.placement.config import PlaceConfig
 from momapos.reachability.store import load_reach_map
 from momapos.robots.robot import load_robot
-from placement import ROBOTS, SCENES, machine, scene_of
+from placement import ROBOTS, machine, openings, scene_of
 
 ASKED = {
     "usual": PlaceConfig(),
@@ -40,12 +40,7 @@ def main() -> None:
     parser.add_argument("--tasks", type=int, default=40, help="solved openings, drawn at random")
     parser.add_argument("--out", type=Path, help="folder for cheapest.json")
     args = parser.parse_args()
-    every = [
-        (robot, name, item, joint)
-        for robot in args.robots
-        for name in SCENES
-        for item, joint in openable(scene_of(name))
-    ]
+    every = openings(args.robots)
     rows: list[dict[str, Any]] = []
     for index in np.random.default_rng(1).permutation(len(every)):
         if len(rows) == args.tasks:

@@ -14,6 +14,7 @@ import json
 import os
 import platform
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -53,6 +54,16 @@ def shared() -> Path:
 def scene_of(name: str) -> Scene:
     """A built-in kitchen by its name, or a scene of the real data."""
     return load_scene(name if name in builtin_names() else shared() / "bestman" / name)
+
+
+def openings(robots: Sequence[str]) -> list[tuple[str, str, str, str]]:
+    """Robot, scene, object and joint of every door and drawer of the kitchens."""
+    return [
+        (robot, name, item, joint)
+        for robot in robots
+        for name in SCENES
+        for item, joint in openable(scene_of(name))
+    ]
 
 
 def machine() -> str:

@@ -20,7 +20,7 @@ import numpy as np
 from momapos.base_pose import BasePoseChecks
 from momapos.cache import default_cache_dir
 from momapos.config import PipelineConfig
-from momapos.manipulation.tasks import make_task, openable
+from momapos.manipulation.tasks import make_task
 from momapos.pipeline import plan_base_placement
 from momapos.query import PlacementQuery
 from momapos.reachability.store import load_reach_map
@@ -28,7 +28,7 @@ from momapos.robots.robot import load_robot
 from momapos.robust import unit_offsets
 from momapos.stopwatch import Stopwatch
 from momapos.tolerance import placement_tolerance
-from placement import ROBOTS, SCENES, machine, scene_of
+from placement import ROBOTS, machine, openings, scene_of
 
 CONFIG = PipelineConfig()
 
@@ -42,12 +42,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="folder for tolerance.json")
     args = parser.parse_args()
     rng = np.random.default_rng(0)
-    every = [
-        (robot, name, item, joint)
-        for robot in args.robots
-        for name in SCENES
-        for item, joint in openable(scene_of(name))
-    ]
+    every = openings(args.robots)
     rows: list[dict[str, Any]] = []
     for index in rng.permutation(len(every)):
         if len(rows) == args.tasks:
