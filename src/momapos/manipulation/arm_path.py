@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from momapos.compiled import B1, F1, F2, F3, I1, entry
+from momapos.compiled import B1, F1, F2, F3, I1, I2, entry
 from momapos.geometry.transforms import invert, pose_planar
 from momapos.kinematics.collision import FREE
 from momapos.kinematics.ik import EXACT, arm_arrays
@@ -133,12 +133,12 @@ def _connect(
     states = np.column_stack([stacked, motion.turning.angles[grasps]])
     free, steps = np.append(full_turn, False), np.append(scale, MAX_STEP / MAX_TURN)
     count, number = len(nodes), motion.layer_of
+    lanes, row = motion.lanes
+    lane = np.ascontiguousarray(lanes[:, grasps])
     worst = ArmPath(BROKEN, 0, count, FREE)
     for _ in range(4):
         chosen = np.full(count, -1)
-        reached = _shortest(
-            states, start, grasps, motion.keeps_grasp, banned, free, steps, chosen
-        )  # fmt: skip
+        reached = _shortest(states, start, lane, row, banned, free, steps, chosen)
         if reached < count:
             broken = ArmPath(BROKEN, int(number[reached]), count, FREE)
             return worst if worst.obstacle != FREE else broken
@@ -203,8 +203,8 @@ def _hand_codes(
 def _shortest(
     q: F2,
     start: I1,
-    grasp: I1,
-    keeps: B1,
+    lane: I2,
+    row: I1,
     banned: B1,
     full_turn: B1,
     scale: F1,
@@ -212,7 +212,7 @@ def _shortest(
 ) -> int:
     """Path with the smallest sum of steps through the layers; returns the layers reached.
 
-    To layers that `keeps` names the hand comes with the grasp that it has in the one before.
+    To a layer the hand comes from states of the same lane, in the row of lanes that is the layer's.
     """
     count, layers = len(q), len(start) - 1
     cost, parent = np.full(count, np.inf), np.full(count, -1)
@@ -225,7 +225,7 @@ def _shortest(
             if banned[i]:
                 continue
             for j in range(start[w - 1], start[w]):
-                if cost[j] >= cost[i] or (keeps[w] and grasp[i] != grasp[j]):
+                if cost[j] >= cost[i] or lane[row[w], i] != lane[row[w], j]:
                     continue
                 d = joint_step(q[j], q[i], full_turn, scale, MAX_STEP)
                 if d < MAX_STEP and cost[j] + d < cost[i]:

@@ -108,9 +108,11 @@ class TaskMotion:
         return (0,) if self.release_step is None else (0, len(self.object_q) - 1)
 
     @property
-    def keeps_grasp(self) -> Bool[np.ndarray, " w"]:
-        """Waypoints to which the hand comes in the grasp of the one before: on the approach."""
-        return np.arange(len(self.waypoint_steps)) == 1
+    def lanes(self) -> tuple[Int[np.ndarray, "k g"], Int[np.ndarray, " w"]]:
+        """Grasps between which the hand may go on its way to a waypoint: those with the same
+        number in the row of numbers that is the waypoint's. On the approach it keeps its grasp."""
+        grasps = np.arange(len(self.Ts_world_tool))
+        return np.stack([0 * grasps, grasps]), (self.layer_of == 1).astype(np.int64)
 
     @property
     def layer_of(self) -> Int[np.ndarray, " w"]:

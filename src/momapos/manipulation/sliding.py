@@ -1,8 +1,8 @@
-"""Hooks that slide along what they hold.
+"""Hooks that slide along what they hold, and turn about it.
 
 While the part rests, the fingers open, the hand goes on along the handle, and the fingers close
-there. Grasps that differ by such a way alone are one group, and at every waypoint the hand may go
-from one to another: to slide is a step of the path over the waypoints.
+there. At every waypoint the hand may go so from one grasp to another: to slide is a step of the
+path over the waypoints. Between waypoints a hand that holds a bar may turn about it.
 """
 
 from __future__ import annotations
@@ -14,8 +14,10 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
-from momapos.geometry.transforms import invert
+from momapos.geometry.transforms import invert, rotation_about
 from momapos.manipulation.config import GraspConfig
 from momapos.manipulation.grasp_hold import stands_clear
 from momapos.manipulation.hand import Hand, hand_of
@@ -46,17 +48,24 @@ _DIGITS = 4
 class SlidingMotion(TaskMotion):
     """A motion on which the part rests at waypoints, so that the hand can slide there.
 
-    Such a waypoint comes twice, before and after. The groups of `turning` are grasps along the
-    handle.
+    Such a waypoint comes twice, before and after. The groups of `turning` are grasps between which
+    the hand may slide and turn.
     """
 
+    turn_lane: Int[np.ndarray, " g"] = field(default_factory=lambda: np.zeros(0, np.int64))
+    """Grasps with the same number differ by a turn about the handle alone."""
+    slide_lane: Int[np.ndarray, " g"] = field(default_factory=lambda: np.zeros(0, np.int64))
+    """Grasps with the same number differ by a free way along the handle alone."""
     after: Bool[np.ndarray, " w"] = field(default_factory=lambda: np.zeros(0, bool))
     """Waypoints that come after a slide; the one before each is the same without it."""
 
     @property
-    def keeps_grasp(self) -> Bool[np.ndarray, " w"]:
-        """Between waypoints the hand holds on."""
-        return ~self.after
+    def lanes(self) -> tuple[Int[np.ndarray, "k g"], Int[np.ndarray, " w"]]:
+        """The hand turns between waypoints and slides at them."""
+        approach = np.arange(len(self.turn_lane))
+        row = np.where(self.after, 2, 1)
+        row[1] = 0
+        return np.stack([approach, self.turn_lane, self.slide_lane]), row
 
     @property
     def layer_of(self) -> Int[np.ndarray, " w"]:
@@ -82,15 +91,16 @@ class SlidingMotion(TaskMotion):
         )
 
     def tool_poses(self, grasps: Int[np.ndarray, " w"]) -> Float[np.ndarray, "d 4 4"]:
-        """Tool poses at every step; between two grasps the tool goes straight."""
-        steps = np.arange(len(self.object_q))
+        """Tool poses at every step; the tool goes straight along the handle and turns about it."""
+        steps, turning = np.arange(len(self.object_q)), self.turning
         next_one = np.searchsorted(self.waypoint_steps, steps)
-        before = self.Ts_world_tool[grasps[np.maximum(next_one - 1, 0)], steps]
-        after = self.Ts_world_tool[grasps[next_one], steps]
-        share = np.interp(steps, self.waypoint_steps, np.arange(len(grasps))) % 1.0
-        share[share == 0.0] = 1.0
-        Ts = before.copy()
-        Ts[:, :3, 3] += share[:, None] * (after - before)[:, :3, 3]
+        before, after = grasps[np.maximum(next_one - 1, 0)], grasps[next_one]
+        share = np.interp(steps, self.waypoint_steps, np.arange(len(grasps))) - next_one + 1.0
+        Ts, goal = self.Ts_world_tool[before, steps], self.Ts_world_tool[after, steps, :3, 3]
+        Ts[:, :3, 3] += share[:, None] * (goal - Ts[:, :3, 3])
+        axis = turning.axis @ turning.R_part_tool[grasps[0]]
+        turn = share * (turning.angles[after] - turning.angles[before])
+        Ts[:, :3, :3] = Ts[:, :3, :3] @ rotation_about(axis, turn)
         return Ts
 
     def carried_out(
@@ -108,14 +118,17 @@ class SlidingMotion(TaskMotion):
         lasts = [*begins[slid].tolist(), last]
         grasps = self.turning.members(np.array([way]))[0]
         grasps = grasps[grasps >= 0]
+        turns = len(np.unique(self.turn_lane[grasps])) < len(grasps)
+        axis = self.turning.axis_of(way) if turns else None
         number = np.cumsum(kept) - 1 - self.grasp_step
         holds: list[Hold] = []
         for first, end in zip(firsts, lasts, strict=True):
             away = self.Ts_world_tool[grasps, first, :3, 3] - Ts_world_tool[first, :3, 3]
             grasp = int(grasps[np.linalg.norm(away, axis=1).argmin()])
-            words = self.grasps.describe(grasp) + (", after a slide" if holds else "")
+            words = self.grasps.describe(grasp) + (", about which the hand turns" if turns else "")
+            words += ", after a slide" if holds else ""
             range_ = int(number[first]), int(number[end])
-            holds.append(Hold(*range_, None, str(self.grasps.family[grasp]), words))
+            holds.append(Hold(*range_, axis, str(self.grasps.family[grasp]), words))
         return np.flatnonzero(kept), tuple(holds)
 
 
@@ -149,7 +162,9 @@ def sliding_motion(
         elements = tuple(e for e, own in zip(elements, held, strict=True) if not own)
         held = np.zeros(len(elements), bool)
     way = partial(_way_is_free, hand_of(robot), elements, held, config)
-    groups = _groups(Ts_part_tool, np.flatnonzero(hooks), handle, way)
+    turn_lane = _turn_lanes(motion.turning, len(hooks))
+    slide_lane = _slide_lanes(Ts_part_tool, hooks, handle, way)
+    groups = _groups(hooks, turn_lane, slide_lane)
     if not groups:
         return None
     kept = np.isin(np.arange(len(hooks)), np.concatenate(groups))
@@ -157,10 +172,13 @@ def sliding_motion(
     table = np.full((len(groups), max(map(len, groups))), -1)
     for row, group in zip(table, groups, strict=True):
         row[: len(group)] = number[group]
-    turning = Turning(np.zeros(kept.sum()), table, handle.long, Ts_part_tool[kept, :3, :3])
+    turning = replace(
+        motion.turning, angles=motion.turning.angles[kept], groups=table,
+        R_part_tool=Ts_part_tool[kept, :3, :3],
+    )  # fmt: skip
     Ts_world_tool, grasps = motion.Ts_world_tool[kept], motion.grasps.take(kept)
     alone = replace(motion, Ts_world_tool=Ts_world_tool, grasps=grasps, turning=turning)
-    return _with_rests(alone, rests)
+    return _with_rests(alone, rests, turn_lane[kept], slide_lane[kept])
 
 
 def _rests(motion: TaskMotion, target: SceneObject, config: GraspConfig) -> Int[np.ndarray, " r"]:
@@ -177,22 +195,47 @@ Way: TypeAlias = "Callable[[Float[np.ndarray, '4 4'], Float[np.ndarray, '4 4']],
 """Whether an open hand finds its way from one pose in the part to another free."""
 
 
-def _groups(
-    Ts: Float[np.ndarray, "g 4 4"], rows: Int[np.ndarray, " h"], handle: Handle, is_free: Way
-) -> list[Int[np.ndarray, " k"]]:
-    """Grasps that differ by a way along the handle alone, which is free for the open hand."""
-    away = Ts[rows, :3, 3] - handle.grip
+def _turn_lanes(turning: Turning, count: int) -> Int[np.ndarray, " g"]:
+    """A number for the grasps of each group that turns, one for each other grasp."""
+    lanes = np.arange(count) + len(turning.groups)
+    for number, group in enumerate(turning.groups):
+        lanes[group[group >= 0]] = number
+    return lanes
+
+
+def _slide_lanes(
+    Ts: Float[np.ndarray, "g 4 4"], hooks: Bool[np.ndarray, " g"], handle: Handle, is_free: Way
+) -> Int[np.ndarray, " g"]:
+    """A number for hooks that differ by a free way along the handle, one for each other grasp."""
+    away = Ts[:, :3, 3] - handle.grip
     along = away @ handle.long
     beside = away - along[:, None] * handle.long
-    keys = np.round(np.column_stack([Ts[rows, :3, :3].reshape(-1, 9), beside]), _DIGITS) + 0.0
+    keys = np.round(np.column_stack([Ts[:, :3, :3].reshape(-1, 9), beside]), _DIGITS) + 0.0
     _, alike = np.unique(keys, axis=0, return_inverse=True)
-    found = []
-    for group in range(int(alike.max(initial=-1)) + 1):
-        mine = np.flatnonzero(alike.ravel() == group)
-        mine = rows[mine[np.argsort(along[mine], kind="stable")]]
-        free = [is_free(Ts[a], Ts[b]) for a, b in pairwise(mine)]
-        found += np.split(mine, np.flatnonzero(~np.array(free, bool)) + 1)
-    return [group for group in found if len(group) > 1]
+    lanes = np.arange(len(Ts))
+    for group in np.unique(alike[hooks]):
+        mine = np.flatnonzero(hooks & (alike.ravel() == group))
+        for one, next_one in pairwise(mine[np.argsort(along[mine], kind="stable")]):
+            if is_free(Ts[one], Ts[next_one]):
+                lanes[next_one] = lanes[one]
+    return lanes
+
+
+def _groups(
+    hooks: Bool[np.ndarray, " g"],
+    turn_lane: Int[np.ndarray, " g"],
+    slide_lane: Int[np.ndarray, " g"],
+) -> list[Int[np.ndarray, " k"]]:
+    """Hooks that some slides and turns join; each group has a slide."""
+    rows = np.flatnonzero(hooks)
+    first = len(turn_lane)
+    lanes = [turn_lane[rows] + first, slide_lane[rows] + first + int(turn_lane.max()) + 1]
+    count = int(lanes[1].max()) + 1
+    ends = np.tile(rows, 2), np.concatenate(lanes)
+    joined = coo_array((np.ones(len(ends[0])), ends), (count, count))
+    label = connected_components(joined, directed=False)[1][rows]
+    groups = [rows[label == number] for number in np.unique(label)]
+    return [group for group in groups if len(np.unique(slide_lane[group])) < len(group)]
 
 
 def _way_is_free(
@@ -211,7 +254,12 @@ def _way_is_free(
     return bool(stands_clear(hand, elements, held, R, p, config).all())
 
 
-def _with_rests(motion: TaskMotion, rests: Int[np.ndarray, " r"]) -> SlidingMotion:
+def _with_rests(
+    motion: TaskMotion,
+    rests: Int[np.ndarray, " r"],
+    turn_lane: Int[np.ndarray, " g"],
+    slide_lane: Int[np.ndarray, " g"],
+) -> SlidingMotion:
     """A motion on which the part rests at some waypoints for as long as a slide takes."""
     copies = np.ones(len(motion.object_q), np.int64)
     copies[motion.waypoint_steps[rests]] += STATES
@@ -231,6 +279,8 @@ def _with_rests(motion: TaskMotion, rests: Int[np.ndarray, " r"]) -> SlidingMoti
             "value": motion.value[old],
             "waypoint_steps": steps,
             "release_step": None if release is None else int(first[release]),
+            "turn_lane": turn_lane,
+            "slide_lane": slide_lane,
             "after": after,
         }
     )
