@@ -33,7 +33,7 @@ class PlaceConfig:
     """Candidates whose arm paths are looked for together (ours); the cheapest wins [-]."""
     improve: int = 16
     """Most steps from the base pose that is chosen to cheaper ones beside it (ours) [-]."""
-    margin: float = 0.02
+    margin: float = 0.03
     """How far off the base may end in x and in y, from where a motion should still be found (ours)
     [m]."""
     margin_turn: float = 1.0
