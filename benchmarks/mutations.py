@@ -1,14 +1,14 @@
 """Spoiled plans: does our check refuse all that an independent one refuses?
 
-    python benchmarks/mutations.py [--count 500] [--plans 25] [--half tuned|measured]
+    python benchmarks/mutations.py [--count 500] [--plans 25] [--half tuned|measured] [--kitchens]
                                    [--robots fetch ...] [--verifier verify_plan.py] [--out DIR]
 
-Takes plans of the objects of `objects.py` in which the hand turns about a bar or takes hold a
-second time, spoils each in random ways and by random amounts, and checks the spoiled files with
-`momapos verify` and with an independent program, which is imported where one is named. A spoiled
-plan that the other refuses and ours does not is a miss. What both let pass was spoiled by less than
-the tolerances. Tool poses are computed anew where arm states change, so that the states are judged
-and not the poses beside them.
+Takes plans of the objects of `objects.py`, or of the built-in kitchens, in which the hand turns
+about a bar or takes hold a second time, spoils each in random ways and by random amounts, and
+checks the spoiled files with `momapos verify` and with an independent program, which is imported
+where one is named. A spoiled plan that the other refuses and ours does not is a miss. What both let
+pass was spoiled by less than the tolerances. Tool poses are computed anew where arm states change,
+so that the states are judged and not the poses beside them.
 """
 
 from __future__ import annotations
@@ -31,13 +31,15 @@ import numpy as np
 from momapos.cache import default_cache_dir
 from momapos.errors import MomaposError
 from momapos.geometry.transforms import pose_planar
-from momapos.manipulation.tasks import make_task
+from momapos.manipulation.tasks import make_task, openable
 from momapos.pipeline import plan_base_placement
 from momapos.plans import write_plan
 from momapos.reachability.store import load_reach_map
 from momapos.robots.robot import Robot, load_robot
 from momapos.scene.copies import copied
-from momapos.scene.files import save_scene
+from momapos.scene.files import load_scene, save_scene
+from momapos.scene.names import builtin_names
+from momapos.scene.scene import Scene
 from momapos.verification.files import verify_files
 from objects import CONFIG, HALVES, tasks
 from placement import ROBOTS, machine
@@ -264,18 +266,31 @@ def another_goal(plan: dict[str, Any], rng: np.random.Generator) -> bool:
     return True
 
 
+def openings(args: argparse.Namespace) -> Iterator[tuple[str, Scene, str, str]]:
+    """Robot, room, object and joint of what is opened."""
+    if not args.kitchens:
+        for name, _, scene, joint in tasks(args.half, args.robots):
+            yield name, scene, "object", joint
+        return
+    scenes = [load_scene(name) for name in builtin_names()]
+    for name in args.robots:
+        for scene in scenes:
+            for item, joint in openable(scene):
+                yield name, scene, item, joint
+
+
 def plans(args: argparse.Namespace, folder: Path) -> Iterator[tuple[Path, Robot]]:
     """Plan files of openings in which the hand turns or takes hold a second time."""
     robots = {name: load_robot(name) for name in args.robots}
     found = 0
-    for k, (name, _, scene, joint) in enumerate(tasks(args.half, args.robots)):
+    for k, (name, scene, item, joint) in enumerate(openings(args)):
         robot = robots[name]
         reach = load_reach_map(robot, default_cache_dir(), None)
         file = folder / f"scene_{k}.json"
         try:
             with copied(scene, file) as near:
                 written = save_scene(near, file)
-            task = make_task(written, "open", "object", joint)
+            task = make_task(written, "open", item, joint)
             plan = plan_base_placement(written, robot, task, reach, config=CONFIG).plan
         except MomaposError as error:
             print(f"{name}, {scene.name}/{joint}: {error}", file=sys.stderr)
@@ -356,6 +371,7 @@ def main() -> None:
     parser.add_argument("--plans", type=int, default=25, help="plans to spoil")
     parser.add_argument("--robots", nargs="+", default=list(ROBOTS))
     parser.add_argument("--half", choices=HALVES, help="only the objects of one half")
+    parser.add_argument("--kitchens", action="store_true", help="the built-in kitchens")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--verifier", type=Path, help="independent check of plan files")
     parser.add_argument("--out", type=Path, help="folder for mutations.json")
