@@ -11,9 +11,13 @@ from pathlib import Path
 from placement import shared
 
 HERE = Path(__file__).parent
+ROBOTS = ["robots.py", "bench_out/packages", "--get", "--table", "--place", "2"]
 RUNS = (
     ["startup.py"],
     ["reach.py"],
+    ["inverse.py"],
+    ["self_collision.py"],
+    [*ROBOTS, "--out", "bench_out/robots"],
     ["placement.py", "--out", "bench_out"],
     ["placement.py", "--exhaustive", "--out", "bench_out/grid"],
     ["execution.py", "--out", "bench_out"],

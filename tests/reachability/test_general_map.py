@@ -13,11 +13,14 @@ from scipy.spatial.transform import Rotation
 from test_store import LINE, MAP, VALUES
 
 from momapos.geometry.transforms import invert, pose_planar
-from momapos.kinematics.chain import chain_arrays
+from momapos.kinematics.chain import chain_arrays, chain_limits
+from momapos.kinematics.collision import FREE, check_states
 from momapos.kinematics.ik import build_ik
+from momapos.kinematics.ik_model import bounded
+from momapos.kinematics.records import ObstacleArrays
 from momapos.kinematics.spheres import Spheres
 from momapos.reachability import ReachConfig, ReachMap, build_map, evaluate
-from momapos.reachability.aim import ALL, TURNS, LineGrid, aim_all, lines_of
+from momapos.reachability.aim import ALL, SPAN, TURNS, LineGrid, aim_all, lines_of
 from momapos.reachability.arm_axes import arm_frame, is_flooded, no_map
 from momapos.reachability.evaluation import poses_near_reach
 from momapos.reachability.general import _aimed
@@ -25,6 +28,9 @@ from momapos.reachability.map import OUTSIDE
 from momapos.reachability.store import decode, encode, map_key
 from momapos.robots.robot import Robot, load_robot
 
+NO_BOXES = ObstacleArrays(
+    np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3)), np.zeros(0, bool)
+)
 COARSE = ReachConfig(cell=0.1, directions=9, azimuths=16, states=200_000, threshold=-1.5)
 
 
@@ -127,6 +133,54 @@ def test_an_aimed_state_is_on_its_line_and_makes_its_turns(robot: Robot) -> None
     assert (words & ~ALL == 0).all()
     assert np.bitwise_count(words).max() <= TURNS * 4.0 / (2 * np.pi) + 1
     assert chain_arrays(chain).h.shape == (6, 3)
+
+
+@pytest.mark.parametrize("name", ["husky_ur5e", "tiago", "tiago_dual"])
+def test_turns_are_free_where_the_arm_touches_nothing_with_its_last_joint_so(name: str) -> None:
+    robot = load_robot(name)
+    chain, frame = robot.chain, arm_frame(robot.chain, robot.approach_axis)
+    arm, grid = _aimed(robot, frame), LineGrid(-0.1, 0.05, 13, 32)
+    lower, upper = bounded(chain)
+    q = np.random.default_rng(6).uniform(lower, upper, (300, chain.size)).astype(np.float32)
+    places = np.empty((300, 5))
+    lines_of(q.astype(float), arm, grid, places)
+    words, states = np.empty(300, np.uint64), np.empty_like(q)
+    aim_all(places, q, np.zeros(300, np.uint64), arm, grid, words, states)
+    np.testing.assert_array_equal(states, q)
+    expected = [free_turns(robot, state.astype(float)) for state in q]
+    sure = [i for i, word in enumerate(expected) if word is not None]
+    assert [expected[i] for i in sure] == words[sure].tolist()
+    assert len(sure) > 290
+    assert 0.2 < (words > 0).mean() < 1
+
+
+def free_turns(robot: Robot, q: np.ndarray) -> int | None:
+    """A plain twin: for each group of turns all is checked once, at the last that can be made.
+
+    None where one is so near to a limit that the polynomial for the azimuth decides.
+    """
+    chain, frame = robot.chain, arm_frame(robot.chain, robot.approach_axis)
+    R = chain.tool_poses(q)[:3, :3]
+    d, across = R @ frame.tool[0], R @ frame.tool[1]
+    level = np.array([-d[1], d[0], 0.0]) / np.hypot(d[0], d[1])
+    lower, upper = (limits[-1] for limits in chain_limits(chain))
+    now = np.arctan2(across @ np.cross(d, level), across @ level) / (2 * np.pi)
+    word = 0
+    for group in np.split(np.arange(TURNS), TURNS // SPAN):
+        values = q[-1] + 2 * np.pi * ((group + 0.5) / TURNS - now % 1)
+        if not frame.full_roll:
+            values = lower + (values - lower) % (2 * np.pi)
+            if abs(values - upper).min() < 1e-4:
+                return None
+            group, values = group[values <= upper], values[values <= upper]
+        if not len(group):
+            continue
+        state = np.append(q[:-1], values[-1])[None]
+        code = check_states(
+            state, np.zeros(3), chain_arrays(chain), robot.spheres.arrays(), NO_BOXES, False, 0.0
+        )
+        word |= int((1 << group).sum()) if code[0] == FREE else 0
+    return word
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from tests.urdf_parts import LIMIT, box, joint, link, mobile_manipulator, telescope, twin_armed
 
+from momapos.cli.robot import robot_check, robot_show
 from momapos.errors import MomaposError, RobotError, UnknownNameError
 from momapos.robots.derive import derive_robot
 from momapos.robots.examine import examine
@@ -227,6 +228,29 @@ def test_two_robots_of_one_name_are_told_apart(
         find_named_robot("fetch")
     assert str(library_file("fetch")) in str(caught.value)
     assert find_named_robot("./fetch.toml") == Path("fetch.toml")
+    for command in (robot_show, lambda name: robot_check(Path(name))):
+        with pytest.raises(RobotError, match="two robots are called 'fetch'"):
+            command("fetch")
+
+
+@pytest.mark.parametrize(
+    ("was", "is_"),
+    [
+        ('tool_link = "tcp"', 'tool_link = "nothing"'),
+        ('"lift"', '"nothing"'),
+        ("[rest]", "[rest]\nnothing = 0.1"),
+    ],
+)
+def test_a_name_that_the_urdf_does_not_have_is_told_with_the_robot_file(
+    tmp_path: Path, was: str, is_: str
+) -> None:
+    path = tmp_path / "robot.urdf"
+    path.write_text(mobile_manipulator())
+    made, _ = write_robot(path)
+    made.write_text(made.read_text().replace(was, is_, 1))
+    with pytest.raises(UnknownNameError, match=r"robot\.toml: no .*'nothing' in ") as caught:
+        load_robot(made)
+    assert "\n" not in str(caught.value)
 
 
 def test_a_word_is_a_name_and_what_has_a_slash_a_path(

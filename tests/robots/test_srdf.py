@@ -8,6 +8,7 @@ import pytest
 from tests.urdf_parts import mobile_manipulator
 
 from momapos.errors import RobotError
+from momapos.robots.derive import derive_robot
 from momapos.robots.robot import load_robot
 from momapos.robots.srdf import find_srdf, read_srdf, srdf_text
 from momapos.robots.write import write_robot
@@ -17,7 +18,8 @@ TEXT = (
     '<group_state name="home" group="arm"><joint name="j0" value="0.5"/></group_state>'
     '<group name="hand"><link name="palm"/><link name="left_finger"/></group>'
     '<end_effector name="hand" parent_link="arm_5" group="hand"/>'
-    '<virtual_joint name="world" type="planar"/></robot>'
+    '<group name="arm"><chain base_link="torso" tip_link="arm_5"/></group>'
+    '<group name="wrist"><joint name="j4"/><joint name="no such joint"/></group></robot>'
 )
 PAIR = frozenset(("torso", "arm_1"))
 
@@ -54,7 +56,7 @@ def test_an_srdf_of_another_robot_is_left_alone(tmp_path: Path) -> None:
         find_srdf(urdf, "test robot")
 
 
-def test_pairs_hands_states_and_drives_are_taken_from_it(tmp_path: Path) -> None:
+def test_pairs_hands_states_and_groups_are_taken_from_it(tmp_path: Path) -> None:
     urdf = tmp_path / "robot.urdf"
     (tmp_path / "robot.srdf").write_text(TEXT)
     found = find_srdf(urdf, "test robot")
@@ -62,7 +64,30 @@ def test_pairs_hands_states_and_drives_are_taken_from_it(tmp_path: Path) -> None
     assert found.reasons == {("torso", "arm_1"): "Never"}
     assert found.hands == {"arm_5": ("palm", "left_finger")}
     assert found.states == ({"j0": 0.5},)
-    assert found.drives == ("world",)
+    assert found.groups["arm"].chains == (("torso", "arm_5"),)
+    assert found.groups["wrist"].joints == ("j4", "no such joint")
+
+
+@pytest.mark.parametrize(
+    ("inner", "words"),
+    [
+        ('<chain base_link="torso" tip_link="palm"/>', "no lift"),
+        ('<joint name="lift"/><chain base_link="torso" tip_link="palm"/>', "the same joints"),
+        (
+            '<joint name="head_joint"/><chain base_link="base_link" tip_link="palm"/>',
+            "head_joint too",
+        ),
+        ('<chain base_link="arm_5" tip_link="palm"/><joint name="j5"/>', None),
+    ],
+)
+def test_arms_are_held_against_the_groups_of_an_srdf(
+    tmp_path: Path, inner: str, words: str | None
+) -> None:
+    urdf = tmp_path / "robot.urdf"
+    urdf.write_text(mobile_manipulator())
+    urdf.with_suffix(".srdf").write_text(f'<robot name="r"><group name="g">{inner}</group></robot>')
+    told = [note for note in derive_robot(urdf).assumptions if "SRDF's group" in note]
+    assert told == ([] if words is None else [f"arm_joints: the SRDF's group 'g' has {words}"])
 
 
 def test_what_is_written_is_read_back(tmp_path: Path) -> None:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import subprocess
 import sys
 from importlib.util import find_spec
+from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import pytest
 from tests import optional
@@ -59,6 +62,27 @@ def test_what_cannot_be_expanded_is_refused_in_one_line(
         write_robot(path)
     assert "\n" not in str(caught.value)
     assert list(tmp_path.iterdir()) == [path]
+
+
+@needs_xacrodoc
+def test_all_runs_of_one_file_share_its_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    names, given = ("a_description", "b_description", "c_description"), []
+    for name in names:
+        (tmp_path / name).mkdir()
+    path = tmp_path / "robot.xacro"
+    path.write_text(HEAD + "".join(f'<link name="$(find {name})"/>' for name in names) + "</robot>")
+    run = subprocess.run
+
+    def noted(*words: Any, **options: Any) -> subprocess.CompletedProcess[str]:
+        given.append(options["timeout"])
+        return run(*words, **options)
+
+    monkeypatch.setattr(xacro.subprocess, "run", noted)
+    expand_xacro(path, {}, {})
+    assert len(given) == 1 + len(names)
+    assert all(later < earlier for earlier, later in pairwise([xacro.SECONDS, *given]))
 
 
 @needs_xacrodoc

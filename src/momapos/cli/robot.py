@@ -122,10 +122,12 @@ def robot_check(
     packages = {name: Path(folder) for name, folder in _pairs(package, "--package").items()}
     args, box = _pairs(xacro_arg, "--xacro-arg"), _box(on_box)
     derives = file.suffix.lower() in DERIVED_FROM
-    if not derives and (out, on_box, package, xacro_arg) != (None, None, (), ()):
-        raise RobotError(
-            f"--out, --on-box, --package and --xacro-arg are for a URDF; {file} is a robot file"
-        )
+    if not derives:
+        if (out, on_box, package, xacro_arg) != (None, None, (), ()):
+            raise RobotError(
+                f"--out, --on-box, --package and --xacro-arg are for a URDF; {file} is a robot file"
+            )
+        find_named_robot(str(file))
     for name, folder in packages.items():
         if not folder.is_dir():
             raise RobotError(f"--package {name}={folder}: there is no such folder")

@@ -50,7 +50,8 @@ class MeshFinder:
             looked = ", ".join(str(folder) for folder in self._folders)
             raise UrdfError(
                 f"{self.path}: package {name!r} of mesh {filename!r} was not found (looked in "
-                f"{looked}); say where it is: momapos robot check ... --package {name}=DIR"
+                f"{looked}); put it there, or say where it is: --package {name}=DIR of momapos "
+                "robot check, [packages] in a robot file"
             )
         beside = self.path.resolve().parent
         where = self.packages.get(name, self._root) if scheme else beside

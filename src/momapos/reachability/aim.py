@@ -44,7 +44,10 @@ class AimedArm(NamedTuple):
     line: LineTool
     turns: bool
     """Whether the last joint turns about the line; else the tool's turn is that of the state."""
-    spheres: SphereArrays
+    still: SphereArrays
+    """What the last joint does not move, to be held against each other."""
+    turned: SphereArrays
+    """What it moves, to be held against all."""
     foot: F1
     """Foot of the axis that the grid stands around, in the base frame [m]."""
 
@@ -141,13 +144,13 @@ def _free_turns(q, known, direction, arm, R, p, bounds):
         arm: `AimedArm`.
         R, p, bounds: Memory.
     """
-    chain, spheres = arm.chain, arm.spheres
+    chain, spheres = arm.chain, arm.turned
     last, n = len(chain.slides), len(q) - 1
     stand_at_origin(R, p)
     forward(q, chain, R, p)
     now, held = _turn_of(R[last], direction, arm), q[n]
     lower, upper = arm.limits.lower[n], arm.limits.upper[n]
-    word = np.uint64(0)
+    word, looked = np.uint64(0), False
     for group in range(TURNS // SPAN):
         wanted, middle, count = np.uint64(0), 0.0, 0
         for i in range(group * SPAN, (group + 1) * SPAN):
@@ -173,6 +176,10 @@ def _free_turns(q, known, direction, arm, R, p, bounds):
             q[n] = middle
             forward(q, chain, R, p)
             place_bounds(R, p, spheres, bounds)
+            # What the turn does not move touches at each of them or at none.
+            if not looked and hit_self(R, p, bounds, arm.still) != FREE:
+                break
+            looked = True
             if hit_floor(R, p, bounds, spheres) == FREE and hit_self(R, p, bounds, spheres) == FREE:
                 word |= wanted
     q[n] = held
@@ -201,7 +208,7 @@ def aim_all(
         states: The state on each line, to be filled (k, n).
     """
     n = starts.shape[1]
-    newton, placed = newton_scratch(arm.chain, n), scratch_of(len(arm.chain.slides), arm.spheres)
+    newton, placed = newton_scratch(arm.chain, n), scratch_of(len(arm.chain.slides), arm.turned)
     R, p, bounds = placed
     active = np.arange(n - 1 if arm.turns else n)
     q = np.empty(n)

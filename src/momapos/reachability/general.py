@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.kinematics.chain import chain_arrays, chain_limits
-from momapos.kinematics.records import JointLimits
+from momapos.kinematics.records import JointLimits, SphereArrays
 from momapos.reachability.aim import ALL, AimedArm, LineGrid, LineTool
 from momapos.reachability.arm_axes import FULL_TURN, ArmAxes
 from momapos.reachability.flood import Flood, between, flood
@@ -85,7 +85,23 @@ def _aimed(robot: Robot, frame: ArmAxes) -> AimedArm:
         lower, upper = lower.copy(), upper.copy()
         lower[-1], upper[-1] = -np.inf, np.inf
     limits = JointLimits(lower, upper)
-    return AimedArm(chain_arrays(chain), limits, line, turns, robot.spheres.arrays(), frame.axis)
+    still, turned = _parted(robot.spheres.arrays(), len(chain.joints))
+    return AimedArm(chain_arrays(chain), limits, line, turns, still, turned, frame.axis)
+
+
+def _parted(spheres: SphereArrays, last: int) -> tuple[SphereArrays, SphereArrays]:
+    """Checks among what does not move with the last segment, and those of what does."""
+    own = spheres.segment == last
+    pairs = own[spheres.pairs].any(1)
+    still, turned = (
+        spheres._replace(
+            pairs=spheres.pairs[pick],
+            exact=spheres.exact[pick],
+            base_pairs=spheres.base_pairs & mine[:, None],
+        )
+        for pick, mine in ((~pairs, ~own), (pairs, own))
+    )
+    return still, turned
 
 
 def _close_poles(found: Flood) -> None:

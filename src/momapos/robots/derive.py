@@ -38,7 +38,7 @@ from momapos.robots.never_checked import NESTED, nested_pairs, rigid_pairs, with
 from momapos.robots.robot_text import ArmText, RobotText
 from momapos.robots.srdf import Srdf, beside, find_srdf
 from momapos.robots.states import inevitable_pairs, resting_state, sample_states
-from momapos.robots.tree import ArmChain, find_anchor, find_arms
+from momapos.robots.tree import LEAST, ArmChain, find_anchor, find_arms
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -120,6 +120,7 @@ def derive_robot(
     anchor = find_anchor(model, notes)
     srdf = find_srdf(source.near or urdf, model.urdf.name)
     chains = find_arms(model, anchor, _fingers(model, srdf), notes)
+    _note_groups(model, chains, srdf, notes)
     report(0.1, "geometry")
     if source.mount is None:
         refuse_without_base(model, anchor, [chain.joints[0] for chain in chains])
@@ -189,6 +190,22 @@ def _fingers(model: Articulated, srdf: Srdf) -> set[str]:
         for link in model.links_below(parent)
         if link != parent and link in links
     }
+
+
+def _note_groups(
+    model: Articulated, chains: Sequence[ArmChain], srdf: Srdf, notes: list[str]
+) -> None:
+    """Hold arms against the groups of an SRDF, each against the one that is most like it."""
+    groups = {name: group.members(model) for name, group in srdf.groups.items()}
+    for own in (set(chain.joints) for chain in chains):
+        shared = {name: len(own & group) / len(own | group) for name, group in groups.items()}
+        name = max(shared, key=lambda name: shared[name], default="")
+        if not name or len(own & groups[name]) < LEAST:
+            continue
+        more, less = sorted(groups[name] - own), sorted(own - groups[name])
+        words = [f"{', '.join(more)} too"] * bool(more) + [f"no {', '.join(less)}"] * bool(less)
+        differs = " and ".join(words) or "the same joints"
+        notes.append(f"arm_joints: the SRDF's group {name!r} has {differs}")
 
 
 def _same_shapes(record: Urdf, model: Articulated, held: Mapping[str, float]) -> Articulated:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cached_property
@@ -12,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from momapos.cache import Cache
-from momapos.errors import FileFormatError, RobotError, unknown_name
+from momapos.errors import FileFormatError, RobotError, UnknownNameError, unknown_name
 from momapos.files import read_bytes_bounded
 from momapos.geometry.transforms import apply, invert
 from momapos.kinematics.articulated import Articulated
@@ -256,7 +258,8 @@ def read_robot(path: Path, *, arm: str | None = None, cache: Cache | None = None
     own = arms[chosen]
     urdf = beside(path, table.text("urdf"))
     record, text = amendments_of(table).read(urdf, cache)
-    model = at_rest(Articulated(record, cache=cache), table, arms, chosen)
+    with _names_of(path):
+        model = at_rest(Articulated(record, cache=cache), table, arms, chosen)
     base, tool = table.table("base"), own.table("tool")
     srdf = _srdf_of(table, urdf)
     grips = Grip(tool.choice("grips", tuple(Grip), Grip.FINGERS))
@@ -323,9 +326,19 @@ def _srdf_of(table: Table, urdf: Path) -> Path | None:
     return named
 
 
+@contextmanager
+def _names_of(path: Path) -> Iterator[None]:
+    """Say which robot file gives a name that its URDF does not have."""
+    try:
+        yield
+    except UnknownNameError as error:
+        raise UnknownNameError(f"{path}: {error}") from error
+
+
 def _check(robot: Robot) -> None:
     try:
-        chain = robot.chain
+        with _names_of(robot.path):
+            chain = robot.chain
     except RobotError as error:  # a tool that no arm moves, joints out of order
         raise RobotError(f"{robot.path}: {error}") from error
     if robot.reach > MAX_REACH:

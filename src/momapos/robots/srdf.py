@@ -13,12 +13,35 @@ from momapos.files import read_xml
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
 
+    from momapos.kinematics.articulated import Articulated
+
 MAX_SRDF_BYTES = 5_000_000
 _FOLDERS = (".", "../srdf", "srdf", "../config", "..")
 """Where an SRDF may lie, relative to the URDF's folder, the nearest first."""
 _MOVEIT = ("*_moveit_config/config", "../*_moveit_config/config", "../../*_moveit_config/config")
 _MOST = 200
 """Files that are looked at [-]."""
+
+
+@dataclass(frozen=True)
+class Group:
+    """A group of joints, such as an arm."""
+
+    joints: tuple[str, ...]
+    chains: tuple[tuple[str, str], ...]
+    """First and last link of the chains whose joints belong to it too."""
+
+    def members(self, model: Articulated) -> set[str]:
+        """The movable joints of a robot that belong to the group."""
+        above = {joint.child: joint for joint in model.urdf.joints}
+        names = set(self.joints)
+        for base, link in self.chains:
+            way = set()
+            while link != base and link in above:
+                way.add(above[link].name)
+                link = above[link].parent
+            names |= way if link == base else set()
+        return names & set(model.joints)
 
 
 @dataclass(frozen=True)
@@ -34,8 +57,8 @@ class Srdf:
     """Links of the hand that hangs from a link, by that link."""
     states: tuple[Mapping[str, float], ...] = ()
     """States of joints that it names [rad] or [m]."""
-    drives: tuple[str, ...] = ()
-    """Joints between world and robot that are planar or floating."""
+    groups: Mapping[str, Group] = field(default_factory=dict)
+    """What it groups, by name."""
 
 
 def read_srdf(path: Path) -> frozenset[frozenset[str]]:
@@ -90,14 +113,21 @@ def _open(path: Path, robot: str | None = None) -> Srdf:
         a, b = element.get("link1"), element.get("link2")
         if a is not None and b is not None:
             reasons[a, b] = element.get("reason", "User")
-    virtual = root.iter("virtual_joint")
     return Srdf(
         path=path,
         disabled=frozenset(frozenset(pair) for pair in reasons),
         reasons=reasons,
         hands=_hands(root),
         states=tuple(filter(None, map(_state, root.iter("group_state")))),
-        drives=tuple(e.get("name", "") for e in virtual if e.get("type") in ("planar", "floating")),
+        groups={element.get("name", ""): _group(element) for element in root.findall("group")},
+    )
+
+
+def _group(element: Element) -> Group:
+    chains = element.findall("chain")
+    return Group(
+        tuple(joint.get("name", "") for joint in element.findall("joint")),
+        tuple((chain.get("base_link", ""), chain.get("tip_link", "")) for chain in chains),
     )
 
 

@@ -7,6 +7,7 @@ import os
 import re
 import subprocess
 import sys
+import time
 from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
@@ -16,7 +17,8 @@ from momapos.files import parse_xml
 from momapos.kinematics.mesh_files import PARENTS
 
 SECONDS, MEMORY, MOST = 60, 2_000_000_000, 50_000_000
-"""What expanding a file may take: time [s], memory [bytes], size of the result [bytes]."""
+"""What expanding a file may take: time of all its runs together [s], memory [bytes], size of the
+result [bytes]."""
 MAX_RUNS = 30
 """Packages that are found one after the other [-]."""
 _MISSING = re.compile(r"Package not found: (\S+)")
@@ -63,8 +65,9 @@ def expand_xacro(
     if not path.is_file():
         raise RobotError(f"{path}: no such file")
     known = {name: folder.resolve() for name, folder in packages.items()}
+    until = time.monotonic() + SECONDS
     for _ in range(MAX_RUNS):
-        done = _run(path, known, args)
+        done = _run(path, known, args, until - time.monotonic())
         last = done.stderr.strip().splitlines()[-1:] or [""]
         if done.returncode == 0:
             return _named_by_packages(done.stdout, path, known)
@@ -76,7 +79,7 @@ def expand_xacro(
 
 
 def _run(
-    path: Path, known: Mapping[str, Path], args: Mapping[str, str]
+    path: Path, known: Mapping[str, Path], args: Mapping[str, str], seconds: float
 ) -> subprocess.CompletedProcess[str]:
     folders = {name: str(folder) for name, folder in known.items()}
     try:
@@ -92,7 +95,7 @@ def _run(
             cwd=path.resolve().parent,  # macros are included relative to it
             capture_output=True,
             text=True,
-            timeout=SECONDS,
+            timeout=seconds,
             check=False,
         )
     except subprocess.TimeoutExpired as error:
