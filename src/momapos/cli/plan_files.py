@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from momapos.cli.loading import tell
 from momapos.errors import FileFormatError, InputError
 
 if TYPE_CHECKING:
@@ -35,9 +35,9 @@ def plans_of(path: Path, purpose: str) -> list[Path]:
     Raises:
         InputError: The tour is not solved, or names a file that does not exist.
     """
+    check_plan_file(path)
     from momapos.tour_files import is_tour, read_tour
 
-    check_plan_file(path)
     if not is_tour(path):
         return [path]
     tour = read_tour(path)
@@ -82,8 +82,7 @@ def open_plan(
     check_unchanged(plan, scene_file, urdf)
     scene = as_planned(read_scene(scene_file, scene_root, cache=user_cache()), content)
     machine = _robot(content, plan, urdf, robot)
-    for warning in scene.warnings:
-        print(f"momapos: {warning}", file=sys.stderr)
+    tell(scene.warnings)
     return content, scene, machine
 
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from momapos.cli.loading import tell
 from momapos.errors import MomaposError
 from momapos.files import open_regular
 
@@ -89,6 +89,5 @@ def _scan(path: Path, folder: Path) -> OpenedScan:
     from momapos.scan_io.scan import read_scan
 
     scan = read_scan(path)
-    for warning in scan.warnings:
-        print(f"momapos: {warning}", file=sys.stderr)
+    tell(scan.warnings)
     return OpenedScan(str(path), scan, folder)
