@@ -106,6 +106,10 @@ def test_what_a_task_means_depends_on_the_tasks_before_it(kitchen: Scene, segway
         plan_tour(kitchen, segway, [Request("close", *DRAWER)])
     with pytest.raises(TaskError, match="nothing to open"):
         plan_tour(kitchen, segway, [Request("open", *DRAWER)] * 2)
+    for verb, other in (("pick", "place"), ("place", "pick")):
+        twice = [Request(verb, "cup"), Request("open", *DRAWER), Request(verb, "cup")]
+        with pytest.raises(TaskError, match=f"{verb} cup.*before; {other} it in between"):
+            plan_tour(kitchen, segway, twice)
     with pytest.raises(TaskError, match="how far"):
         plan_tour(kitchen, segway, [Request("open", *DRAWER, "max")])
     with pytest.raises(TaskError, match="1 to 20"):
