@@ -12,6 +12,7 @@ import numpy as np
 
 from momapos.config import PipelineConfig
 from momapos.farthest import from_the_top, values_before
+from momapos.manipulation.feasibility import Feasibility
 from momapos.manipulation.motion import GraspFilter
 from momapos.manipulation.tasks import slides
 from momapos.navigation.global_path import plan_path
@@ -28,6 +29,7 @@ from momapos.reachability.store import load_reach
 from momapos.regrasp import TwoHolds, every_two_holds
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene
+from momapos.sliding_hook import SlidingHook, sliding_hooks
 from momapos.stopwatch import Stopwatch
 from momapos.types import Attempt, Task
 
@@ -203,7 +205,7 @@ def _attempt(query: PlacementQuery, base: Float[np.ndarray, "3"]) -> _Look:
 
 
 class BasePoseChecks:
-    """The check of base poses with the room modeled once, in one hold or else in two."""
+    """The check of base poses with the room modeled once, in one hold or else in more."""
 
     def __init__(self, query: PlacementQuery) -> None:
         self.query = query
@@ -211,10 +213,8 @@ class BasePoseChecks:
             query.scene, query.robot, query.task, query.config, clearance=0.0,
             grasp_filter=query.grasp_filter,
         )  # fmt: skip
-        self._two: list[TwoHolds] = []
-        self._others = every_two_holds(
-            self.prepared, query.config, query.seed, grasp_filter=query.grasp_filter
-        )
+        self._made: list[SlidingHook | TwoHolds] = []
+        self._others = self._more()
 
     def __call__(self, base: Float[np.ndarray, "3"]) -> Attempt:
         """The motion at a base pose x [m], y [m], yaw [rad], or why there is none."""
@@ -222,8 +222,9 @@ class BasePoseChecks:
         # What stands in something is not held otherwise.
         if attempt.motion is not None or attempt.outcome in BASE_OUTCOMES.values():
             return attempt
-        for two in self._two_holds():
-            again = two.at(base, self.query.reach)
+        for way in self._more_holds():
+            scores = way.ways[0](self.query.reach, base[None]).at_least(LEAST_SCORE).scores
+            again = _best_way(way, base, scores)
             if again.motion is not None:
                 return again
         return attempt
@@ -246,12 +247,21 @@ class BasePoseChecks:
             return Attempt(None, BASE_OUTCOMES[status])
         return _in_one_hold(self.query, prepared, base, out_of_time)
 
-    def _two_holds(self) -> Iterator[TwoHolds]:
+    def _more(self) -> Iterator[SlidingHook | TwoHolds]:
+        """A hook that slides, then two holds."""
+        prepared, query = self.prepared, self.query
+        feasible = prepared.feasibility(query.config, query.seed)
+        yield from sliding_hooks(prepared, feasible, query.config)
+        yield from every_two_holds(
+            prepared, query.config, query.seed, grasp_filter=query.grasp_filter
+        )
+
+    def _more_holds(self) -> Iterator[SlidingHook | TwoHolds]:
         """Those that were made before, then others."""
-        yield from self._two
-        for two in self._others:
-            self._two.append(two)
-            yield two
+        yield from self._made
+        for way in self._others:
+            self._made.append(way)
+            yield way
 
 
 def _in_one_hold(
@@ -263,12 +273,22 @@ def _in_one_hold(
     """Try all ways of holding at a base pose that stands clear, the best reached first."""
     feasible = prepared.feasibility(query.config, query.seed, out_of_time=out_of_time)
     # The map is right for most poses, not for all: it orders the grasps and rules none out.
-    scores = np.maximum(prepared.ways[0](query.reach, base[None]).scores, LEAST_SCORE)
+    scores = prepared.ways[0](query.reach, base[None]).at_least(LEAST_SCORE).scores
     turning = np.full((1, prepared.motion.turning.ways - scores.shape[1]), LEAST_SCORE / 2)
     scores = np.concatenate([scores, turning], axis=1)
-    screened = feasible.screen(base[None], scores, None)
+    return _best_way(feasible, base, scores)
+
+
+def _best_way(
+    check: Feasibility | SlidingHook | TwoHolds,
+    base: Float[np.ndarray, "3"],
+    scores: Float[np.ndarray, "1 h"],
+) -> Attempt:
+    """Try the ways of holding at a base pose, the best reached first."""
+    screened = check.screen(base[None], scores, None)
     if screened is None:
         return Attempt(None, PoseOutcome(PoseStatus.NOT_TRIED))
     if screened[0].q is None:
         return Attempt(None, screened[0].outcome)
-    return feasible(base, screened[0], np.argsort(-scores[0], kind="stable"))
+    order = np.argsort(-scores[0], kind="stable")
+    return check(base, screened[0], order[scores[0, order] > 0])

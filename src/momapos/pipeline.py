@@ -29,7 +29,6 @@ from momapos.protocols import Clock, ReachScorer
 from momapos.query import AlsoAtPose, PlacementQuery
 from momapos.reachability.store import load_reach
 from momapos.ready_search import ready_search
-from momapos.regrasp import two_hold_searches
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene
 from momapos.stopwatch import Stopwatch
@@ -135,8 +134,7 @@ def _search(query: PlacementQuery, selection: Selection, motion: TaskMotion) -> 
     with watch.stage("search"):
         found = search(ready.problem, config, np.random.default_rng(query.seed))
     if found.is_no and not selection.boxes:
-        for two, again in two_hold_searches(ready.two_holds(), config):
-            problem = ready.in_two_holds(two)
+        for problem, again in ready.otherwise(config):
             with watch.stage("search"):
                 found.join(search(problem, again, np.random.default_rng(query.seed)))
             if not found.is_no:

@@ -9,21 +9,24 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from momapos.manipulation.feasibility import Feasibility
 from momapos.manipulation.free_turn import fitted_bases
 from momapos.manipulation.motion import TaskMotion
 from momapos.manipulation.turning import FULL
 from momapos.navigation.global_path import BasePath, plan_path
 from momapos.navigation.start import clear_at_home
 from momapos.outcomes import PoseOutcome, PoseStatus
+from momapos.placement.config import PlaceConfig
 from momapos.placement.problem import AttemptPose, Problem, Search
 from momapos.placement_result import PlacementResult, plan_of
 from momapos.prepare import PreparedTask, driving_lengths, prepare, start_pose
 from momapos.protocols import ReachScorer
 from momapos.query import PlacementQuery
 from momapos.reachability.map import ReachMap
-from momapos.regrasp import TwoHolds, every_two_holds
+from momapos.regrasp import TwoHolds, every_two_holds, two_hold_searches
 from momapos.robust import RobustChecks
 from momapos.scene.scene import Scene
+from momapos.sliding_hook import SlidingHook, sliding_hooks
 from momapos.types import ArmPathResult, Attempt
 
 if TYPE_CHECKING:
@@ -41,9 +44,15 @@ class ReadySearch:
     prepared: PreparedTask
     problem: Problem
     """One hold, or one hand that turns about a bar."""
+    feasible: Feasibility
+    """The check of base poses behind that of the problem."""
     drives: Drives
     robust: RobustChecks | None
     """What asks for room around base poses, where that is asked for."""
+
+    def slides(self) -> Iterator[SlidingHook]:
+        """The task by a hook that slides along the handle, if some hook can."""
+        return sliding_hooks(self.prepared, self.feasible, self.query.config)
 
     def two_holds(self) -> Iterator[TwoHolds]:
         """The task in two holds, for each value at which the hand may let go."""
@@ -53,9 +62,22 @@ class ReadySearch:
             out_of_time=self.problem.out_of_time, watch=query.watch,
         )  # fmt: skip
 
-    def in_two_holds(self, two: TwoHolds) -> Problem:
-        """The same problem, to be done in two holds."""
-        return replace(two.problem(self.problem), attempt=_accepted(two, self.drives, self.robust))
+    def more_holds(self) -> Iterator[SlidingHook | TwoHolds]:
+        """The task in more than one hold, the ways in which it may be in turn."""
+        yield from self.slides()
+        yield from self.two_holds()
+
+    def otherwise(self, place: PlaceConfig) -> Iterator[tuple[Problem, PlaceConfig]]:
+        """The same problem in more than one hold, and how to search it; each is made when it is
+        asked for, since mostly the first is enough."""
+        for slide in self.slides():
+            yield self.held_so(slide), place
+        for two, again in two_hold_searches(self.two_holds(), place):
+            yield self.held_so(two), again
+
+    def held_so(self, way: SlidingHook | TwoHolds) -> Problem:
+        """The same problem, to be done in more than one hold."""
+        return replace(way.problem(self.problem), attempt=_accepted(way, self.drives, self.robust))
 
     def result(self, found: Search) -> PlacementResult:
         """The answer that a search leads to."""
@@ -148,7 +170,7 @@ def ready_search(query: PlacementQuery, modeled: Scene, motion: TaskMotion) -> R
         rules=() if robust is None else (robust.rule(prepared.geometry),),
         fit=None if robot.chain.size >= FULL else partial(fitted_bases, robot, prepared.motion),
     )
-    return ReadySearch(query, prepared, problem, drives, robust)
+    return ReadySearch(query, prepared, problem, feasible, drives, robust)
 
 
 def _goes_home(query: PlacementQuery, poses: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:

@@ -20,10 +20,9 @@ from momapos.manipulation.resistance import stays
 from momapos.manipulation.turning import FULL
 from momapos.outcomes import PoseOutcome, PoseStatus
 from momapos.placement.config import PlaceConfig
-from momapos.placement.holding import LEAST_SCORE, ScoreWays, scores_of_two_holds
+from momapos.placement.holding import ScoreWays, scores_of_two_holds
 from momapos.placement.problem import Problem
 from momapos.prepare import PreparedTask, prepare
-from momapos.protocols import ReachScorer
 from momapos.stopwatch import Stopwatch
 from momapos.types import ArmPathResult, Attempt, Motion, Task
 
@@ -56,15 +55,6 @@ class TwoHolds:
     def _pulls(self) -> int:
         """Ways of the first hold: columns of scores that come before those of the second."""
         return len(self.first.motion.Ts_world_tool)
-
-    def at(self, base: Float[np.ndarray, "3"], reach: ReachScorer) -> Attempt:
-        """Try all ways of both holds at one base pose, the best reached first."""
-        score = self.ways[0](reach, base[None]).scores
-        scores = np.maximum(score, LEAST_SCORE)
-        screened = self.screen(base[None], scores, None)
-        if screened is None or screened[0].q is None:
-            return Attempt(None, PoseOutcome(PoseStatus.NO_GRASP_IN_REACH))
-        return self(base, screened[0], np.argsort(-scores[0], kind="stable"))
 
     @property
     def ways(self) -> tuple[ScoreWays, ...]:

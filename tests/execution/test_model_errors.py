@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from momapos.execution.config import ExecutionConfig, FurnitureConfig, ModelErrorConfig, Stage
+from momapos.execution.furniture import Deviation
 from momapos.execution.model_errors import draw_deviation, mirrored
 from momapos.execution.run import execute
 from momapos.execution.simulation import Simulation
@@ -55,3 +56,32 @@ def test_a_drawer_whose_slide_is_tilted_stays_shut_until_it_is_pulled() -> None:
         )  # fmt: skip
         assert len(before) > 10
         assert max(before) < 0.005
+
+
+@pytest.mark.parametrize("verb", ["open", "close"])
+def test_only_what_stands_shut_is_known_not_to_run_by_its_weight(
+    verb: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene, robot = load_scene("kitchen_small"), load_robot("segway_ur5e")
+    if verb == "close":
+        scene = scene.with_joint("cabinet_right", "drawer_middle_slide", 0.15)
+    task = make_task(scene, verb, "cabinet_right", "drawer_middle_slide")
+    plan = plan_base_placement(scene, robot, task).plan
+    assert plan.motion is not None
+    assert plan.base_pose is not None
+    turned: list[int] = []
+
+    def spy(deviation: Deviation, axis: np.ndarray) -> Deviation:
+        turned.append(1)
+        return mirrored(deviation, axis)
+
+    monkeypatch.setattr("momapos.execution.run.mirrored", spy)
+    config = ExecutionConfig(
+        furniture=replace(FurnitureConfig(), density=5000.0, latch_force=0.0),
+        errors=ModelErrorConfig(tilt=TILT),
+    )
+    for seed in (4, 7, 8):
+        execute(
+            scene, robot, plan.base_pose, plan.motion, task, config, np.random.default_rng(seed)
+        )  # fmt: skip
+    assert bool(turned) == (verb == "open")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,8 @@ import pytest
 from tests.execution.toy import gripping
 from tests.verification.door_case import BASE
 
+from momapos.base_pose import check_base_pose
+from momapos.config import PipelineConfig
 from momapos.execution.approach import PacedTrajectory
 from momapos.execution.config import Ending, ExecutionConfig, Hold, Stage
 from momapos.execution.dynamics import read_dynamics
@@ -18,10 +21,11 @@ from momapos.execution.run import execute
 from momapos.execution.shapes import HAND, Kind
 from momapos.execution.simulation import Simulation, build_simulation
 from momapos.execution.stages import ExecutionRun, Stretch
+from momapos.manipulation.config import GraspConfig, MotionConfig
 from momapos.manipulation.tasks import make_task
 from momapos.pipeline import plan_base_placement
 from momapos.reachability.store import load_reach_map
-from momapos.robots.robot import load_robot
+from momapos.robots.robot import Grip, load_robot
 from momapos.scene.files import load_scene
 from momapos.scene.scene import Scene
 from momapos.trajectory import still
@@ -63,6 +67,24 @@ def test_a_door_opens_in_two_holds_and_about_a_bar(
     assert done.success, done.reason
     assert done.ending in (Ending.DONE, Ending.STOPPED_AT_END)
     assert done.hold == hold
+
+
+@pytest.mark.parametrize("hold", ["contact", "weld"])
+def test_a_hook_slides_along_a_bar(hold: Hold, tmp_path: Path) -> None:
+    scene, robot = load_scene("kitchen_small"), load_robot("segway_ur5e")
+    hooked, base = replace(robot, grips=Grip.HOOK), (0.300476, -1.502722, -3.024759)
+    config = PipelineConfig(motion=MotionConfig(grasps=GraspConfig(turning=False)))
+    task, reach = make_task(scene, "open", "fridge", "door_hinge"), load_reach_map(robot, tmp_path)
+    motion = check_base_pose(
+        scene, hooked, task, base, reach, how_far=False, config=config
+    ).motion  # fmt: skip
+    assert motion is not None
+    assert "after a slide" in motion.holds[1].words
+    done = execute(
+        scene, hooked, base, motion, task, ExecutionConfig(hold=hold), np.random.default_rng(0)
+    )
+    assert done.success, done.reason
+    assert all(touch.force < 150.0 for touch in done.collisions)
 
 
 def test_a_hand_that_found_a_handle_beside_the_plan_pushes_from_the_plan_later(

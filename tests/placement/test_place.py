@@ -136,10 +136,30 @@ def test_the_base_may_end_beside_the_pose_that_is_chosen(geometry: PlacementGeom
         return bool(0.02 <= found.base[0] % 0.12 < 0.06)
 
     seeds = range(8)
-    some = [find(geometry, stripes, always, seed=seed, looks=0, count=64) for seed in seeds]
+    asked = {"count": 64, "margin": 0.02}
+    some = [find(geometry, stripes, always, seed=seed, looks=0, **asked) for seed in seeds]
     assert not all(inside(found) for found in some)
-    all_of_it = [find(geometry, stripes, always, seed=seed, looks=64, count=64) for seed in seeds]
+    all_of_it = [find(geometry, stripes, always, seed=seed, looks=64, **asked) for seed in seeds]
     assert all(inside(found) for found in all_of_it)
+
+
+def test_room_beside_the_base_costs_little_more_than_the_room(geometry: PlacementGeometry) -> None:
+    grid = find(geometry, left, always, method="exhaustive", grid_cell=0.05, grid_turn=15.0)
+    for seed in range(8):
+        found = find(geometry, left, always, seed=seed, sweep_room=0.0, margin=0.02)
+        assert found.margin == 1.0
+        assert found.cost < grid.cost + 0.1
+
+
+def test_poses_with_as_little_room_are_stepped_to_where_there_is_no_more(
+    geometry: PlacementGeometry,
+) -> None:
+    everything = 3.0  # wider than the room: no pose has all of its margin
+    costs = [
+        find(geometry, always, always, sweep_room=everything, improve=n, count=64).cost
+        for n in (0, 16)
+    ]
+    assert costs[1] < costs[0] - 0.05
 
 
 def test_where_no_pose_has_a_margin_the_answer_is_still_found(

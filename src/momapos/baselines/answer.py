@@ -142,7 +142,7 @@ def _search(ready: ReadySearch, placer: BasePlacer, *, last: bool = True) -> Sea
     Args:
         ready: The question and its checks.
         placer: Who proposes the poses.
-        last: Whether two holds are tried at all of them where one hold works at none.
+        last: Whether more holds are tried at all of them where one hold works at none.
     """
     query, problem = ready.query, ready.problem
     place, watch = query.config.place, query.watch
@@ -156,8 +156,8 @@ def _search(ready: ReadySearch, placer: BasePlacer, *, last: bool = True) -> Sea
 
     with watch.stage("search"):
         found = search_in_order(problem, proposals(), place)
-    for two in ready.two_holds() if last and found.is_no else ():
-        again = ready.in_two_holds(two)
+    for way in ready.more_holds() if last and found.is_no else ():
+        again = ready.held_so(way)
         with watch.stage("search"):
             # Where no single hold can work, nobody has been asked yet.
             poses = list(proposed) if proposed else proposals()

@@ -20,6 +20,8 @@ ANSWER = (
     "momapos.manipulation.arm_path._track",
     "momapos.manipulation.hand_room._hand_hits",
     "momapos.manipulation.layers._solve_layer",
+    "momapos.manipulation.swept_boxes._surface",
+    "momapos.manipulation.swept_boxes._touches",
     "momapos.navigation.clearance._gaps",
     "momapos.navigation.convex_hull._chain",
     "momapos.navigation.grid_distance._clearance",

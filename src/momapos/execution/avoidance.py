@@ -59,8 +59,7 @@ class Surroundings:
         joint = known.model.body_jntadr[known.part_body]
         self._loose = known.model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE
         self.part_gaps = np.inf, np.inf
-        """Distance of the part from the robot's base and from its arm at the last look; inf unless
-        near [m]."""
+        """`gaps` where bounds were asked for last."""
 
     def bounds(
         self,
@@ -84,16 +83,8 @@ class Surroundings:
                 will hold.
         """
         known, model, data, config = self.known, self._model, self._data, self._config
-        data.qpos[known.arm_q] = q
-        if not self._loose:
-            T = self._T_world_part if T_off is None else T_off @ self._T_world_part
-            model.body_pos[known.part_body] = T[:3, 3]
-            model.body_quat[known.part_body] = matrix_quat(T[:3, :3])
-            data.qpos[known.part_q] = value
-        mujoco.mj_kinematics(model, data)
+        self.part_gaps = self.gaps(q, value, T_off)
         mujoco.mj_comPos(model, data)
-        mujoco.mj_collision(model, data)
-        self.part_gaps = self._gap(Kind.BASE, Kind.PART), self._gap(Kind.ARM, Kind.PART)
         near = np.flatnonzero(self._counts(hand) & (data.contact.dist < config.avoid))
         near = near[np.argsort(data.contact.dist[near], kind="stable")]
         _, first = np.unique(data.contact.geom[near], axis=0, return_index=True)
@@ -106,6 +97,27 @@ class Surroundings:
         size = np.linalg.norm(rows, axis=1)
         able = size > _LEVER  # else no joint does much about it
         return Bounds(rows[able] / size[able, None], speed[able] / size[able])
+
+    def gaps(
+        self,
+        q: Float[np.ndarray, " n"],
+        value: float,
+        T_off: Float[np.ndarray, "4 4"] | None = None,
+    ) -> tuple[float, float]:
+        """Distance of the part from the robot's base and from its arm; infinite unless near [m].
+
+        Arguments are those of `bounds`.
+        """
+        known, model, data = self.known, self._model, self._data
+        data.qpos[known.arm_q] = q
+        if not self._loose:
+            T = self._T_world_part if T_off is None else T_off @ self._T_world_part
+            model.body_pos[known.part_body] = T[:3, 3]
+            model.body_quat[known.part_body] = matrix_quat(T[:3, :3])
+            data.qpos[known.part_q] = value
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_collision(model, data)
+        return self._gap(Kind.BASE, Kind.PART), self._gap(Kind.ARM, Kind.PART)
 
     def _gap(self, one: Kind, other: Kind) -> float:
         """Distance between what is of two kinds [m]; infinite where none of it is near."""

@@ -119,8 +119,7 @@ class _PartWay:
             return True
         if base > compliance.base_room:
             return False
-        surroundings.bounds(self.run.arm.q, float(self.values[k]))
-        planned, _ = surroundings.part_gaps
+        planned, _ = surroundings.gaps(self.run.arm.q, float(self.values[k]))
         return base < planned - compliance.apart
 
     def _learned(self, point: Float[np.ndarray, "3"]) -> Learned:

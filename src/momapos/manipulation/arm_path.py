@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from momapos.compiled import B1, F1, F2, F3, I1, entry
+from momapos.compiled import B1, F1, F2, F3, I1, I2, entry
 from momapos.geometry.transforms import invert, pose_planar
 from momapos.kinematics.collision import FREE
 from momapos.kinematics.ik import EXACT, arm_arrays
@@ -76,12 +76,13 @@ def find_paths(
         ways: The way of holding at each.
         hand: What is known of this hand in this room and motion; it is added to.
     """
-    count = len(motion.waypoint_steps)
+    waypoint_of = np.unique(motion.layer_of, return_index=True)[1].tolist()
     paths: list[ArmPath | None] = [None] * len(ways)
     layers: list[Layer] = []
     alive, grasps = np.arange(len(ways)), motion.turning.members(ways)
-    for passed, w in enumerate(_ends_first(count)):
-        layer = solve_layer(robot, world, motion, bases, grasps, alive, w, layers)
+    for passed, w in enumerate(_ends_first(len(waypoint_of))):
+        at = waypoint_of[w]
+        layer = solve_layer(robot, world, motion, bases, grasps, alive, at, layers)
         failed = layer.counts == 0
         for j, code in zip(alive[failed].tolist(), layer.codes[failed].tolist(), strict=True):
             paths[j] = _failure(code, w, passed)
@@ -91,7 +92,8 @@ def find_paths(
             break
     layers.sort(key=lambda layer: layer.waypoint)
     for j in alive:
-        nodes = [layer.nodes(int(j)) for layer in layers]
+        each = [layer.nodes(int(j)) for layer in layers]
+        nodes = [each[number] for number in motion.layer_of]
         paths[j] = _connect(robot, world, motion, bases[j], nodes, hand)
     return [path for path in paths if path is not None]
 
@@ -130,13 +132,16 @@ def _connect(
     # The turn of the hand is one more joint of the path.
     states = np.column_stack([stacked, motion.turning.angles[grasps]])
     free, steps = np.append(full_turn, False), np.append(scale, MAX_STEP / MAX_TURN)
-    count = len(nodes)
+    count, number = len(nodes), motion.layer_of
+    lanes, row = motion.lanes
+    lane = np.ascontiguousarray(lanes[:, grasps])
     worst = ArmPath(BROKEN, 0, count, FREE)
     for _ in range(4):
         chosen = np.full(count, -1)
-        reached = _shortest(states, start, grasps, banned, free, steps, chosen)
+        reached = _shortest(states, start, lane, row, banned, free, steps, chosen)
         if reached < count:
-            return worst if worst.obstacle != FREE else ArmPath(BROKEN, reached, count, FREE)
+            broken = ArmPath(BROKEN, int(number[reached]), count, FREE)
+            return worst if worst.obstacle != FREE else broken
         q = _unwrap(stacked[chosen], full_turn, chain.lower, chain.upper)
         tools = motion.tool_poses(grasps[chosen])
         targets = invert(pose_planar(base)) @ tools
@@ -161,7 +166,7 @@ def _connect(
                 return ArmPath(FOUND, count, count, FREE, dense)
             bad = int(hit[0])
             step = int(np.searchsorted(motion.waypoint_steps, bad))
-            worst = ArmPath(HIT, step, count, int(codes[bad]))
+            worst = ArmPath(HIT, int(number[step]), count, int(codes[bad]))
         # Without the node after the failure the next path must take another way.
         banned[chosen[min(int(np.searchsorted(motion.waypoint_steps, bad)), count - 1)]] = True
     return worst
@@ -198,7 +203,8 @@ def _hand_codes(
 def _shortest(
     q: F2,
     start: I1,
-    grasp: I1,
+    lane: I2,
+    row: I1,
     banned: B1,
     full_turn: B1,
     scale: F1,
@@ -206,7 +212,7 @@ def _shortest(
 ) -> int:
     """Path with the smallest sum of steps through the layers; returns the layers reached.
 
-    From the pre-grasp, the first layer, to the grasp itself the hand does not turn.
+    To a layer the hand comes from states of the same lane, in the row of lanes that is the layer's.
     """
     count, layers = len(q), len(start) - 1
     cost, parent = np.full(count, np.inf), np.full(count, -1)
@@ -219,7 +225,7 @@ def _shortest(
             if banned[i]:
                 continue
             for j in range(start[w - 1], start[w]):
-                if cost[j] >= cost[i] or (w == 1 and grasp[i] != grasp[j]):
+                if cost[j] >= cost[i] or lane[row[w], i] != lane[row[w], j]:
                     continue
                 d = joint_step(q[j], q[i], full_turn, scale, MAX_STEP)
                 if d < MAX_STEP and cost[j] + d < cost[i]:

@@ -44,6 +44,8 @@ class GraspConfig:
     """Families of grasps that are tried; without push no door is opened in two holds."""
     turning: bool = True
     """Whether hands turn about bars."""
+    sliding: bool = True
+    """Whether hooks slide along what they hold, from where the part rests on its way."""
     turns: tuple[float, ...] = (0.0, 20.0, -20.0, 40.0, -40.0, 60.0, -60.0, 90.0, -90.0)
     """Turns about the handle's long axis [deg]."""
     tilts: tuple[float, ...] = (0.0, 25.0, -25.0)

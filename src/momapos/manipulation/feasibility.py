@@ -183,10 +183,12 @@ class Feasibility:
         if way is None:
             return None, PoseOutcome(PoseStatus.NO_APPROACH)
         approach = np.concatenate([interpolate(way), q[1 : hold + 1]])
+        Ts_world_tool = self._tools(q, base)
+        steps, holds = self.motion.carried_out(grasp, Ts_world_tool)
+        steps = steps[hold:]
         motion = Motion(
-            chain.joint_values(approach), chain.joint_values(q[hold:]),
-            self.motion.object_q[hold:], self._tools(q[hold:], base),
-            holds=self.motion.holds(grasp),
+            chain.joint_values(approach), chain.joint_values(q[steps]),
+            self.motion.object_q[steps], Ts_world_tool[steps], holds=holds,
         )  # fmt: skip
         if self.home_again:
             home = self.way_home(base, q[-1], grasp)

@@ -108,6 +108,18 @@ class TaskMotion:
         return (0,) if self.release_step is None else (0, len(self.object_q) - 1)
 
     @property
+    def lanes(self) -> tuple[Int[np.ndarray, "k g"], Int[np.ndarray, " w"]]:
+        """Grasps between which the hand may go on its way to a waypoint: those with the same
+        number in the row of numbers that is the waypoint's. On the approach it keeps its grasp."""
+        grasps = np.arange(len(self.Ts_world_tool))
+        return np.stack([0 * grasps, grasps]), (self.layer_of == 1).astype(np.int64)
+
+    @property
+    def layer_of(self) -> Int[np.ndarray, " w"]:
+        """Waypoints with the same number have the same states of the arm."""
+        return np.arange(len(self.waypoint_steps))
+
+    @property
     def handle(self) -> Handle | None:
         """What the first grasp holds; None for rigid objects."""
         handles = self.grasps.handles
@@ -141,6 +153,17 @@ class TaskMotion:
         )
         family = str(self.grasps.family[grasp])
         return (Hold(0, last - self.grasp_step, axis, family, words),)
+
+    def carried_out(
+        self, way: int, Ts_world_tool: Float[np.ndarray, "d 4 4"]
+    ) -> tuple[Int[np.ndarray, " k"], tuple[Hold, ...]]:
+        """The steps of a motion that are carried out, and its holds.
+
+        Args:
+            way: The way of holding.
+            Ts_world_tool: Where the tool is at every step.
+        """
+        return np.arange(len(Ts_world_tool)), self.holds(way)
 
     def sweep(self) -> Boxes:
         """The moving boxes at all values, as one set."""

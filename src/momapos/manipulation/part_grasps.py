@@ -209,7 +209,7 @@ def _closed(
     config: GraspConfig,
 ) -> PartGrasps:
     """Grasps with fingers that close."""
-    elements, held = _surroundings(model, joint, handle)
+    elements, held = surroundings(model, joint, handle)
     lines = lines_onto(robot, handle, config)
     what = handle.name if handle.found is not HandleSource.EDGE else f"the edge of {handle.name}"
     R, p, plain, line, obstacle = _deep_enough(hand, elements, lines, handle, config)
@@ -247,7 +247,7 @@ def _closed(
     )
 
 
-def _surroundings(
+def surroundings(
     model: Articulated, joint: str, handle: Handle
 ) -> tuple[tuple[Element, ...], Bool[np.ndarray, " e"]]:
     """The elements near a handle, and which of them the pads may touch."""
@@ -320,7 +320,7 @@ def _touching(
     """Poses of a hand that touches and does not close: a cup, a hook, fingertips that push."""
     if robot.grips is Grip.SUCTION and handle.kind is HandleKind.EDGE:
         handle = front_face(model, joint, sign) or handle
-    elements, held = _surroundings(model, joint, handle)
+    elements, held = surroundings(model, joint, handle)
     lines = lines_onto(robot, handle, config)
     hooks = robot.grips is not Grip.SUCTION and handle.kind is not HandleKind.FACE
     if hooks:

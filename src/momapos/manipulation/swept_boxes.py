@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from momapos.compiled import F1, F2, F3, entry, kernel
 from momapos.kinematics.hulls import Boxes, Hull
+from momapos.kinematics.records import BoxArrays
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -46,13 +48,12 @@ class Convex:
             Depth, negative outside; cosine between the line and the normal of the face by which
             it leaves.
         """
-        inside = self.offsets - points @ self.normals.T
-        rate = outward @ self.normals.T
-        ahead = np.where(rate > _STILL, rate, np.nan)[:, None]
-        with np.errstate(invalid="ignore"):
-            way = np.where(np.isnan(ahead), np.inf, inside / ahead)
-        face = way.argmin(-1)
-        return inside.min(-1), np.take_along_axis(rate, face, 1)
+        depth, cosine = np.empty(points.shape[:2]), np.empty(points.shape[:2])
+        _surface(
+            np.ascontiguousarray(points), np.ascontiguousarray(outward), self.normals,
+            self.offsets, depth, cosine,
+        )  # fmt: skip
+        return depth, cosine
 
     def span(
         self, origin: Float[np.ndarray, "3"], direction: Float[np.ndarray, "3"]
@@ -111,40 +112,109 @@ def touches_hull(
         direction: Unit vector of the motion in the frame of the tool.
         margin: Distance that counts as a touch [m].
     """
-    count = len(boxes)
-    axes = boxes.rotation.transpose(1, 0, 2).reshape(3, -1)  # columns: all axes of all boxes
-    # Along the normals of the hull.
-    normals = np.einsum("kj,gji->gki", hull.normals, R)
-    middle = normals @ boxes.center.T
-    reach = (np.abs(normals @ axes).reshape(*normals.shape[:2], count, 3) * boxes.half).sum(-1)
-    gap = middle - reach - (hull.offsets - p @ hull.normals.T)[..., None] - margin
-    rate = np.broadcast_to((normals @ direction)[..., None], gap.shape)
-    one = _interval(gap, rate)
-    # Along the axes of the boxes, both ways.
-    span = ((hull.vertices - p[:, None]) @ R) @ axes
-    low = span.min(1).reshape(-1, count, 3) - margin
-    high = span.max(1).reshape(-1, count, 3) + margin
-    at = np.einsum("bi,bij->bj", boxes.center, boxes.rotation)
-    gap = np.stack([low - at - boxes.half, at - boxes.half - high], 1)
-    gap = gap.transpose(0, 1, 3, 2).reshape(len(R), 6, count)
-    turn = np.einsum("i,bij->jb", direction, boxes.rotation)
-    rate = np.broadcast_to(np.concatenate([-turn, turn]), gap.shape)
-    other = _interval(gap, rate)
-    begin = np.maximum(one[0], other[0])
-    end = np.minimum(one[1], other[1])
-    begin = np.where(begin <= end, begin, NEVER)
-    return Touch(begin, end, np.where(one[0] > other[0], one[2], other[2]))
+    begin, end, cosine = (np.empty((len(R), len(boxes))) for _ in range(3))
+    _touches(
+        BoxArrays(boxes.center, boxes.rotation, boxes.half), hull.vertices, hull.normals,
+        hull.offsets, np.ascontiguousarray(R), np.ascontiguousarray(p), direction, margin,
+        begin, end, cosine,
+    )  # fmt: skip
+    return Touch(begin, end, cosine)
 
 
-def _interval(
-    gap: Float[np.ndarray, "g k b"], rate: Float[np.ndarray, "g k b"]
-) -> tuple[Float[np.ndarray, "g b"], Float[np.ndarray, "g b"], Float[np.ndarray, "g b"]]:
-    """Travel from which on no axis separates, until one does again, and the last one's cosine."""
-    nearing, parting = rate < -_STILL, rate > _STILL
-    safe = np.where(nearing | parting, rate, 1.0)
-    when = -gap / safe
-    begin = np.where(nearing, when, np.where(~parting & (gap > 0), NEVER, -np.inf))
-    end = np.where(parting, when, np.inf)
-    last = begin.argmax(1)
-    cosine = np.abs(np.take_along_axis(rate, last[:, None], 1)[:, 0])
-    return begin.max(1), end.min(1), cosine
+@entry
+def _touches(
+    boxes: BoxArrays,
+    vertices: F2,
+    normals: F2,
+    offsets: F1,
+    R: F3,
+    p: F2,
+    direction: F1,
+    margin: float,
+    begin: F2,
+    end: F2,
+    cosine: F2,
+) -> None:
+    """All in the frame of the tool, in which the boxes and their axes stay as they are."""
+    center, rotation, half = boxes
+    own_normals, own_offsets = np.empty_like(normals), np.empty(len(normals))
+    own = np.empty_like(vertices)
+    for g in range(len(R)):
+        for k in range(len(normals)):
+            own_offsets[k] = offsets[k]
+            for i in range(3):
+                own_offsets[k] -= normals[k, i] * p[g, i]
+                own_normals[k, i] = 0.0
+                for j in range(3):
+                    own_normals[k, i] += normals[k, j] * R[g, j, i]
+        for m in range(len(vertices)):
+            for i in range(3):
+                own[m, i] = 0.0
+                for j in range(3):
+                    own[m, i] += (vertices[m, j] - p[g, j]) * R[g, j, i]
+        for b in range(len(center)):
+            first, last, lean = -np.inf, np.inf, 0.0
+            # Along the normals of the hull.
+            for k in range(len(normals)):
+                middle, reach, rate = 0.0, 0.0, 0.0
+                for i in range(3):
+                    middle += own_normals[k, i] * center[b, i]
+                    rate += own_normals[k, i] * direction[i]
+                    along = 0.0
+                    for j in range(3):
+                        along += own_normals[k, j] * rotation[b, j, i]
+                    reach += abs(along) * half[b, i]
+                gap = middle - reach - own_offsets[k] - margin
+                when = _nearing(gap, rate)
+                if when > first:
+                    first, lean = when, abs(rate)
+                if rate > _STILL:
+                    last = min(last, -gap / rate)
+            # Along the axes of the box, both ways.
+            for i in range(3):
+                at, rate, low, high = 0.0, 0.0, np.inf, -np.inf
+                for j in range(3):
+                    at += center[b, j] * rotation[b, j, i]
+                    rate += direction[j] * rotation[b, j, i]
+                for m in range(len(own)):
+                    along = 0.0
+                    for j in range(3):
+                        along += own[m, j] * rotation[b, j, i]
+                    low, high = min(low, along), max(high, along)
+                for sign in (-1.0, 1.0):
+                    gap = (at - high if sign > 0 else low - at) - half[b, i] - margin
+                    when = _nearing(gap, sign * rate)
+                    if when > first:
+                        first, lean = when, abs(rate)
+                    if sign * rate > _STILL:
+                        last = min(last, -gap / (sign * rate))
+            begin[g, b] = first if first <= last else np.inf
+            end[g, b], cosine[g, b] = last, lean
+
+
+@kernel
+def _nearing(gap, rate):
+    """Travel from which on an axis does not separate any more what nears along it."""
+    if rate < -_STILL:
+        return -gap / rate
+    return np.inf if gap > 0.0 and rate <= _STILL else -np.inf
+
+
+@entry
+def _surface(points: F3, outward: F2, normals: F2, offsets: F1, depth: F2, cosine: F2) -> None:
+    rates = np.empty(len(normals))
+    for g in range(len(points)):
+        for k in range(len(normals)):
+            rates[k] = 0.0
+            for i in range(3):
+                rates[k] += outward[g, i] * normals[k, i]
+        for n in range(points.shape[1]):
+            least, nearest, leaves = np.inf, np.inf, 0
+            for k in range(len(normals)):
+                inside = offsets[k]
+                for i in range(3):
+                    inside -= points[g, n, i] * normals[k, i]
+                least = min(least, inside)
+                if rates[k] > _STILL and inside / rates[k] < nearest:
+                    nearest, leaves = inside / rates[k], k
+            depth[g, n], cosine[g, n] = least, rates[leaves]

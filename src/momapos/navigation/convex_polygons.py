@@ -192,10 +192,10 @@ def obstacles_of(scene: Scene, prisms: RobotPrisms) -> ConvexPolygons:
                 met = (low < prisms.heights[1:]) & (high > np.maximum(prisms.heights[:-1], STEP))
                 # Within a wider prism that is met as well, a prism asks nothing more.
                 wider = prisms.inside & met & ~(prisms.inside.T & (index[:, None] <= index))
-                for layer in np.flatnonzero(met & ~wider.any(axis=1)):
-                    polygons.append(convex_hull(points[:, :2]))
-                    layers.append(int(layer))
-                    names.append(f"{item.name}/{link}")
+                own = np.flatnonzero(met & ~wider.any(axis=1)).tolist()
+                polygons += [convex_hull(points[:, :2])] * len(own) if own else []
+                layers += own
+                names += [f"{item.name}/{link}"] * len(own)
     return pack(polygons, layers, names)
 
 

@@ -31,10 +31,9 @@ class PlaceConfig:
     """Grasps tried at one base pose, best reached first [-]."""
     together: int = 2
     """Candidates whose arm paths are looked for together (ours); the cheapest wins [-]."""
-    improve: int = 2
-    """Steps from the base pose that is chosen to cheaper ones beside it (ours) [-]; eight times as
-    many where room does not come first."""
-    margin: float = 0.02
+    improve: int = 16
+    """Most steps from the base pose that is chosen to cheaper ones beside it (ours) [-]."""
+    margin: float = 0.03
     """How far off the base may end in x and in y, from where a motion should still be found (ours)
     [m]."""
     margin_turn: float = 1.0

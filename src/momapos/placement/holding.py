@@ -32,6 +32,13 @@ class WayScores(NamedTuple):
         ways = np.arange(self.scores.shape[1])
         return WayScores(np.where(ways == own[:, None], self.scores, 0.0), self.asked)
 
+    def at_least(self, score: float) -> WayScores:
+        """The same, no way that is asked for scoring less."""
+        scores = self.scores.copy()
+        asked = scores[:, scores.shape[1] - self.asked :]
+        np.maximum(asked, score, out=asked)
+        return WayScores(scores, self.asked)
+
 
 ScoreWays: TypeAlias = "Callable[[ReachScorer, Float[np.ndarray, 'n 3']], WayScores]"
 

@@ -44,16 +44,20 @@ def _beside(pose: Float[np.ndarray, "3"], config: PlaceConfig) -> Float[np.ndarr
 
 
 def may_have_room(
-    problem: Problem, score: ScoreWays, config: PlaceConfig, poses: Float[np.ndarray, "n 3"]
+    problem: Problem,
+    score: ScoreWays,
+    config: PlaceConfig,
+    poses: Float[np.ndarray, "n 3"],
+    least: float,
 ) -> Bool[np.ndarray, " n"]:
-    """Whether base poses may have their whole margin: the map and the base's room say so."""
+    """Whether base poses may have a margin as large: the map and the base's room say so."""
     around = np.concatenate([np.empty((0, 3)), *(_beside(pose, config) for pose in poses)])
     status, _ = base_pose_status(problem.geometry, around)
-    clear = (status == BaseStatus.CLEAR) & clear_of_sweep(
-        problem.geometry, around, config.sweep_room
-    )
+    clear = status == BaseStatus.CLEAR
     clear[clear] = score(problem.reach, around[clear]).scores.max(1, initial=0.0) > 0
-    return clear.reshape(len(poses), len(_AROUND)).all(1)
+    roomy = clear_of_sweep(problem.geometry, around, config.sweep_room)
+    most = clear * np.where(roomy, 1.0, _CLOSE)
+    return most.reshape(len(poses), len(_AROUND)).mean(1) >= least
 
 
 def margin_of(problem: Problem, score: ScoreWays, config: PlaceConfig) -> Margin:

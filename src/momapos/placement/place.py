@@ -270,10 +270,9 @@ def _check_samples(
         ]
         if not chosen:
             continue
-        steps = nearer(problem, score, costs, rng, found, chosen[0])
-        best = [step for step in steps[:1] if waiting.prefers(step, chosen[0])]
-        # A step that has less room is better than no answer.
-        for one in (*best, *chosen, *steps[len(best) :]):
+        better, others = nearer(problem, score, waiting, rng, found, chosen[0])
+        # A pose that has less room is better than no answer.
+        for one in (*better, *chosen, *others):
             if found.motion is None:
                 complete(problem, one.left, {one.index: one.path}, config.grasps, found)
 

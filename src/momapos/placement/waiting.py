@@ -103,15 +103,15 @@ class Waiting:
         paths, self.paths, self.bound = self.paths, {}, math.inf
         return {i: paths[i] for i in by_cost}
 
-    def prefers(self, step: Candidate, chosen: Candidate) -> bool:
-        """Whether a pose beside one that was chosen is better: it has no less room, or costs less.
+    def prefers(self, step: Candidate, to: Candidate) -> bool:
+        """Whether a base pose is better than another: it has no less room, or costs less.
 
         It was stepped to because it costs less before it has a path.
         """
         if not self.costs.room_first:
-            cost = self.full_cost(step.pose, step.path, step.known)
-            return cost < self.cost[chosen.index]
-        least = self.margins.get(chosen.pose.tobytes(), 0.0)
+            cost, before = (self.full_cost(one.pose, one.path, one.known) for one in (step, to))
+            return cost < before
+        least = self.margins.get(to.pose.tobytes(), 0.0)
         return not self.looks or self.margin_at(step.pose, step.path.grasp) >= least
 
     def known_margin(self, pose: Float[np.ndarray, "3"]) -> float | None:
