@@ -15,7 +15,7 @@ from momapos.export.timeline import Timeline, planned
 from momapos.page.robot_view import joint_values
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene
-from momapos.types import PlacementPlan
+from momapos.types import PlacementPlan, Task
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -64,6 +64,11 @@ class Story:
         return cls(robot, planned(plan, phases_of(plan, robot, step=1.0 / RATE), scene, robot))
 
     @property
+    def task(self) -> Task:
+        """What is done."""
+        return self.timeline.task
+
+    @property
     def duration(self) -> float:
         """[s]"""
         return float(self.timeline.samples.times[-1])
@@ -71,7 +76,7 @@ class Story:
     def at(self, seconds: float) -> Moment:
         """The moment nearest to a time [s]; the first and the last hold before and after."""
         samples, poses = self.timeline.samples, self.timeline.Ts_world_object
-        times, joint = samples.times, self.timeline.task.joint
+        times, joint = samples.times, self.task.joint
         i = int(np.clip(np.searchsorted(times, seconds, side="right") - 1, 0, len(times) - 1))
         return Moment(
             samples.base[i],
