@@ -25,6 +25,7 @@ from momapos.placement.config import PlaceConfig
 from momapos.reachability.store import load_reach_map
 from momapos.robots.robot import load_robot
 from placement import ROBOTS, machine, openings, scene_of
+from rows import keep_rows
 
 ASKED = {
     "usual": PlaceConfig(),
@@ -67,9 +68,7 @@ def main() -> None:
             f"{asked}: {drives.mean():.3f} m on average, {drives.sum() / grid.sum() - 1.0:+.1%} in "
             f"all, {np.median(drives / grid) - 1.0:+.1%} at the median; {spent:.2f} s of processor"
         )
-    if args.out is not None:
-        args.out.mkdir(parents=True, exist_ok=True)
-        (args.out / "cheapest.json").write_text(json.dumps(rows, indent=1) + "\n")
+    keep_rows(rows, args.out, "cheapest")
 
 
 if __name__ == "__main__":

@@ -41,6 +41,7 @@ from momapos.run_plan import QUIET, run_plan
 from momapos.scene.files import load_scene
 from momapos.scene.scene import Scene
 from placement import shared
+from rows import keep_rows
 
 REAL = (
     "Asset/Scene/Scene/Kitchen.json",
@@ -245,9 +246,7 @@ def main() -> None:
             rows.append(row)
             print(json.dumps(row), flush=True)
     print(report(rows))
-    if args.out is not None:
-        args.out.mkdir(parents=True, exist_ok=True)
-        (args.out / "execution.json").write_text(json.dumps(rows, indent=1) + "\n")
+    keep_rows(rows, args.out, "execution")
 
 
 if __name__ == "__main__":

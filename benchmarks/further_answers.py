@@ -9,7 +9,6 @@ which waits for the whole room to be modeled.
 from __future__ import annotations
 
 import argparse
-import json
 import time
 from pathlib import Path
 from typing import Any
@@ -24,6 +23,7 @@ from momapos.reachability.store import load_reach_map
 from momapos.robots.robot import load_robot
 from momapos.scene.files import load_scene
 from placement import machine
+from rows import keep_rows
 
 ASKED = (
     ("segway_ur5e", "cabinet_right", "drawer_middle_slide"),
@@ -69,9 +69,7 @@ def main() -> None:
         f"all {len(every)}: {np.median(every):.1f} ms at the median, "
         f"{np.percentile(every, 95):.0f} ms at the 95th percentile"
     )
-    if args.out is not None:
-        args.out.mkdir(parents=True, exist_ok=True)
-        (args.out / "further_answers.json").write_text(json.dumps(rows, indent=1) + "\n")
+    keep_rows(rows, args.out, "further_answers")
 
 
 if __name__ == "__main__":

@@ -43,6 +43,7 @@ from momapos.scene.scene import Scene
 from momapos.verification.files import verify_files
 from objects import CONFIG, HALVES, tasks
 from placement import ROBOTS, machine
+from rows import keep_rows
 
 Spoil = Callable[[dict[str, Any], np.random.Generator], bool]
 """Changes the content of a plan file; False where the plan has nothing of the kind."""
@@ -395,9 +396,7 @@ def main() -> None:
             if said == REFUSED and verdict == ACCEPTED:
                 print(json.dumps(rows[-1]), flush=True)
     print(report(rows))
-    if args.out is not None:
-        args.out.mkdir(parents=True, exist_ok=True)
-        (args.out / "mutations.json").write_text(json.dumps(rows, indent=1) + "\n")
+    keep_rows(rows, args.out, "mutations")
 
 
 if __name__ == "__main__":

@@ -29,6 +29,7 @@ from momapos.robust import unit_offsets
 from momapos.stopwatch import Stopwatch
 from momapos.tolerance import placement_tolerance
 from placement import ROBOTS, machine, openings, scene_of
+from rows import keep_rows
 
 CONFIG = PipelineConfig()
 
@@ -79,9 +80,7 @@ def main() -> None:
     print(f"{len(rows)} answers, {(radii == 0).sum()} of them without any tolerance")
     print(f"radius: median {100 * np.median(radii):.1f} cm; median processor time: {spent:.1f} s")
     print(f"poses drawn anew in the discs: {done} of {runs} work ({done / max(runs, 1):.1%})")
-    if args.out is not None:
-        args.out.mkdir(parents=True, exist_ok=True)
-        (args.out / "tolerance.json").write_text(json.dumps(rows, indent=1) + "\n")
+    keep_rows(rows, args.out, "tolerance")
 
 
 if __name__ == "__main__":

@@ -28,6 +28,7 @@ from momapos.scene.scene import Scene
 from momapos.tour import Request, Tour, plan_tour
 from momapos.verification.exact import PlanVerifier
 from placement import ROBOTS, machine
+from rows import keep_rows
 
 KITCHENS = ("kitchen_small", "kitchen_island")
 
@@ -87,9 +88,7 @@ def main() -> None:
     print(f"machine: {machine()}; {len(done)} of {len(rows)} tours of four tasks are solved")
     print(f"tours by their stops: {counts}; all plans hold: {all(row['valid'] for row in rows)}")
     print(f"processor time: {np.median([row['seconds'] for row in rows]):.1f} s at the median")
-    if args.out is not None:
-        args.out.mkdir(parents=True, exist_ok=True)
-        (args.out / "tours.json").write_text(json.dumps(rows, indent=1) + "\n")
+    keep_rows(rows, args.out, "tours")
 
 
 if __name__ == "__main__":

@@ -19,6 +19,7 @@ from momapos.plans import read_plan
 from momapos.query import PlacementQuery
 from momapos.reachability.store import load_reach
 from momapos.robots.robot import load_robot
+from momapos.robust import RobustChecks, unit_offsets, works_around
 from momapos.scene.files import load_scene
 from momapos.stopwatch import Stopwatch
 
@@ -59,6 +60,31 @@ def test_where_no_base_pose_has_the_room_the_answer_is_no_and_says_so(
     assert result.plan.tolerance is None
     reasons = result.plan.candidates.rejections
     assert reasons[PoseStatus.LITTLE_ROOM.value.format(detail="5 cm and 3 deg")] > 0
+
+
+def test_where_the_base_alone_has_no_room_no_arm_path_is_looked_for(tmp_path: Path) -> None:
+    file = tmp_path / "no.json"
+    assert main([*SEGWAY, "--robust", "80cm,30deg", "--out", str(file)]) == 3
+    counts = read_plan(file).candidates
+    assert counts.checked == 0
+    assert counts.rejections[PoseStatus.LITTLE_ROOM.value.format(detail="80 cm and 30 deg")] > 0
+
+
+def test_around_what_the_base_alone_refuses_the_motion_is_not_found() -> None:
+    scene, robot = load_scene("kitchen_small"), load_robot("segway_ur5e")
+    task = make_task(scene, "open", "cabinet_right", "drawer_middle_slide")
+    config = PipelineConfig(place=PlaceConfig(robust_radius=0.1, robust_turn=5.0))
+    query = PlacementQuery(
+        scene, robot, task, load_reach(robot, None), None, None, config, 0, Stopwatch(lambda: 0.0)
+    )
+    checks, robust = BasePoseChecks(query), RobustChecks(query)
+    poses = np.array([1.95, -1.35, 0.6]) + np.random.default_rng(1).uniform(-0.4, 0.4, (60, 3))
+    kept = robust.rule(checks.prepared.geometry).keeps(poses, np.zeros(len(poses)))
+    assert 0 < kept.sum() < len(poses)
+    offsets = unit_offsets(150, np.random.default_rng(0)) * [0.1, 0.1, np.radians(5.0)]
+    order = np.argsort(-np.abs(offsets[:, 2]) / np.radians(5.0) - np.hypot(*offsets.T[:2]) / 0.1)
+    for pose in poses[~kept]:
+        assert not works_around(checks, pose, offsets[order])
 
 
 @pytest.mark.parametrize(

@@ -39,6 +39,15 @@ class PoseStatus(Enum):
     LITTLE_ROOM = "not everywhere within {detail} of it"
 
 
+RULED_OUT = (
+    PoseStatus.NOT_KEPT_IN, PoseStatus.NOT_KEPT_OUT, PoseStatus.NOT_FACING,
+    PoseStatus.TOO_LONG_A_DRIVE,
+)  # fmt: skip
+"""Where the base could stand, and may not."""
+NO_STAND = (
+    PoseStatus.BASE_BLOCKED, PoseStatus.OFF_FLOOR, PoseStatus.BEYOND_ARM, PoseStatus.NO_ROUTE,
+)  # fmt: skip
+"""Where it cannot stand, or not for this task."""
 _SUMMARY = {
     PoseStatus.WAYPOINT_OUT_OF_REACH: "out of reach at a waypoint",
     PoseStatus.ARM_COLLISION: "arm hits {detail}",

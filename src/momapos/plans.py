@@ -161,6 +161,15 @@ def write_plan(plan: PlacementPlan, path: Path) -> None:
 # ------------------------------------------------------------------------------------------ reading
 
 
+def format_of(path: Path) -> Any:
+    """What a file calls its format; None where it says nothing. Nothing else is looked at."""
+    content = read_bytes_bounded(path, MAX_BYTES).removeprefix(b"\xef\xbb\xbf")
+    try:
+        return msgspec.json.decode(content, type=members.PlanHead).format
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
+        return None
+
+
 def read_plan(path: Path) -> PlacementPlan:
     """Read a plan file.
 
@@ -173,8 +182,8 @@ def read_plan(path: Path) -> PlacementPlan:
     head = _decode(content, members.PlanHead, path)
     if head.format == TOUR:
         raise FileFormatError(
-            f"{path}: a tour of several plans, for verify and run; give one of the plans that "
-            "it names, in order"
+            f"{path}: a tour of several plans, for verify, run and export; give one of the plans "
+            "that it names, in order"
         )
     if head.format != FORMAT:
         raise FileFormatError(

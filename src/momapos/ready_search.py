@@ -167,6 +167,7 @@ def ready_search(query: PlacementQuery, modeled: Scene, motion: TaskMotion) -> R
         pose_filter=query.pose_filter,
         goes_home=None if query.task.joint is None else partial(_goes_home, query),
         region=query.region,
+        rules=() if robust is None else (robust.rule(prepared.geometry),),
         fit=None if robot.chain.size >= FULL else partial(fitted_bases, robot, prepared.motion),
     )
     return ReadySearch(query, prepared, problem, feasible, drives, robust)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -10,15 +10,21 @@ import numpy as np
 
 from momapos.base_pose import BasePoseChecks
 from momapos.outcomes import PoseOutcome, PoseStatus, Tolerance
+from momapos.placement.area import BaseStatus, PlacementGeometry, base_pose_status
 from momapos.placement.problem import AttemptPose
+from momapos.placement.region import Rule
 from momapos.query import PlacementQuery
 from momapos.types import ArmPathResult, Attempt
 
 if TYPE_CHECKING:
-    from jaxtyping import Float, Int
+    from jaxtyping import Bool, Float, Int
 
 SAMPLES = 150
 """Where so many poses work and none fails, at least 98 % do at a confidence of 95 % [-]."""
+
+
+FARTHEST = 16
+"""Of the poses around one, those at which the base alone is looked at first [-]."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +51,29 @@ class RobustChecks:
         order = np.argsort(-np.abs(unit[:, 2]) - np.hypot(*unit[:, :2].T))
         return unit[order] * np.array([asked.radius, asked.radius, asked.turn])
 
+    def rule(self, geometry: PlacementGeometry) -> Rule:
+        """Around a base pose the base stands clear and the arm is long enough.
+
+        Without that the motion is not found there, and no arm path has to be looked for.
+        """
+        exact = replace(geometry, clearance=0.0)
+
+        def keeps(
+            poses: Float[np.ndarray, "n 3"], _: Float[np.ndarray, " n"]
+        ) -> Bool[np.ndarray, " n"]:
+            kept = np.ones(len(poses), bool)
+            for offset in self._offsets[:FARTHEST]:
+                left = np.flatnonzero(kept)
+                status, _outline = base_pose_status(exact, poses[left] + offset)
+                kept[left] = status == BaseStatus.CLEAR
+            return kept
+
+        return Rule(keeps, self._little_room)
+
+    @property
+    def _little_room(self) -> PoseOutcome:
+        return PoseOutcome(PoseStatus.LITTLE_ROOM, str(self.tolerance))
+
     def around(self, check: AttemptPose) -> AttemptPose:
         """A check that asks for the poses around as well."""
 
@@ -54,7 +83,7 @@ class RobustChecks:
             found = check(base, screened, ways)
             if found.motion is None or works_around(self._checks, base, self._offsets):
                 return found
-            return Attempt(None, PoseOutcome(PoseStatus.LITTLE_ROOM, str(self.tolerance)))
+            return Attempt(None, self._little_room)
 
         return attempt
 

@@ -33,6 +33,8 @@ if TYPE_CHECKING:
 DEFAULT = PipelineConfig()
 MOST = 20
 """Tasks of a tour [-]."""
+OTHER = {"pick": "place", "place": "pick"}
+"""What has to come before a loose object can be picked, or placed, once more."""
 JOINT_SHARE = 0.5
 """Share of the time that is left for each task within which one base pose for several is looked
 for, so that enough remains for each by itself [-]."""
@@ -135,7 +137,14 @@ def _rooms(scene: Scene, requests: Sequence[Request]) -> list[tuple[Scene, Task]
     if not 1 <= len(requests) <= MOST:
         raise TaskError(f"a tour has 1 to {MOST} tasks, not {len(requests)}")
     rooms: list[tuple[Scene, Task]] = []
+    last: dict[str, str] = {}
     for verb, name, joint, to in requests:
+        if joint is None and verb in OTHER:
+            if last.get(name) == verb:
+                raise TaskError(
+                    f"{verb} {name}: the tour has done that before; {OTHER[verb]} it in between"
+                )
+            last[name] = verb
         task = make_task(scene, verb, name, joint, to)
         if task.farthest:
             raise TaskError(

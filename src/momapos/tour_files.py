@@ -13,7 +13,7 @@ from momapos import plan_members as members
 from momapos.errors import FileFormatError
 from momapos.files import read_bytes_bounded
 from momapos.plan_files import write_text
-from momapos.plans import MAX_BYTES, TOUR, write_plan
+from momapos.plans import MAX_BYTES, TOUR, format_of, write_plan
 from momapos.types import PlacementPlan, Status
 
 VERSION = 1
@@ -94,12 +94,7 @@ def tour_of(
 
 def is_tour(path: Path) -> bool:
     """Whether a file says that it is a tour; of what it holds else nothing is looked at."""
-    content = read_bytes_bounded(path, MAX_BYTES).removeprefix(b"\xef\xbb\xbf")
-    try:
-        head = msgspec.json.decode(content, type=members.PlanHead)
-    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
-        return False
-    return bool(head.format == TOUR)
+    return bool(format_of(path) == TOUR)
 
 
 def read_tour(path: Path) -> TourFile:

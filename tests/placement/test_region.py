@@ -21,7 +21,7 @@ def kept(
 ) -> dict[PoseStatus, list[bool]]:
     travel = np.hypot(poses[:, 0], poses[:, 1])
     every = rules(region, geometry)
-    return {rule.otherwise: rule.keeps(poses, travel).tolist() for rule in every}
+    return {rule.otherwise.status: rule.keeps(poses, travel).tolist() for rule in every}
 
 
 def test_without_a_region_the_base_may_stand_anywhere(geometry: PlacementGeometry) -> None:

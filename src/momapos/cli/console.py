@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from momapos.outcomes import NO_STAND, RULED_OUT
 from momapos.placement.config import OURS
 
 if TYPE_CHECKING:
@@ -194,10 +195,22 @@ def _why_not(answer: PlacementResult) -> str:
         instead = "" if smaller is None else f"; to {_value(answer, smaller)} from there"
         return f"from {_pose(plan.base_pose)}: {reason}{instead}"
     if smaller is None or plan.feasible_from is None or task.to is None:
+        if _only_kept_out(plan.candidates.rejections):
+            return (
+                "every base pose that the robot could take breaks a rule about where it may stand; "
+                "the reasons are below"
+            )
         return "there is no base pose; the reasons are below"
     asked = f"to {_value(answer, task.to)}"
     found = f"{asked}; to {_value(answer, smaller)} from {_pose(plan.feasible_from)}"
     return found if plan.feasible_sure else f"{found}, and the time ended before more was ruled out"
+
+
+def _only_kept_out(rejections: Mapping[str, int]) -> bool:
+    """Whether areas, facing and length of the drive leave nothing to ask the arm about."""
+    words = set(rejections)
+    ruled_out = {status.value for status in RULED_OUT}
+    return bool(words & ruled_out) and words <= ruled_out | {s.value for s in NO_STAND}
 
 
 def _pose(pose: tuple[float, float, float]) -> str:

@@ -21,7 +21,7 @@ COMMANDS: dict[str, tuple[str, str | dict[str, str]]] = {
     "view": ("a web page: ask, drag the base, watch the answer move", "view:view"),
     "verify": ("check a plan again, from the files alone", "verify:verify"),
     "run": ("carry a plan out in physics: is it really open then?", "run:run"),
-    "export": ("a plan for ROS 2, MoveIt, Foxglove, spreadsheets", "export:export"),
+    "export": ("plans and runs for ROS 2, MoveIt, Foxglove, spreadsheets", "export:export"),
     "rank": ("which objects matter for a task with one of them", "rank:rank_objects"),
     "scene": (
         "rooms: list, show, generate, convert, scan",

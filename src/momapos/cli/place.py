@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-import sys
 from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
+from momapos.cli.loading import load_arms_with_maps, load_room
 from momapos.cli.options import (
     EXIT_STATUS,
     AreasArg,
@@ -248,17 +248,12 @@ def _answer(
     from momapos.joint_beliefs import ask_in_turn
     from momapos.manipulation.tasks import make_task
     from momapos.placement_result import cheapest
-    from momapos.reachability.store import load_reach
-    from momapos.robots.robot import Robot, load_arms
-    from momapos.scene.files import load_scene
-    from momapos.scene.joints import set_joints
+    from momapos.robots.robot import Robot
     from momapos.smaller_opening import smaller_opening
     from momapos.types import ANYWHERE
 
     cache = user_cache()
-    scene = set_joints(load_scene(scene_name, cache=cache), options.joint)
-    for warning in scene.warnings:
-        print(f"momapos: {warning}", file=sys.stderr)
+    scene = load_room(scene_name, options.joint, cache)
     task = make_task(scene, verb, name, joint or None, to)
     region = read_region(options, scene)
     if at is not None and region != ANYWHERE:
@@ -267,9 +262,7 @@ def _answer(
         raise TaskError("--at names the one base pose; ask for its --tolerance instead of --robust")
     walks = (*RANK, *WALKS) if config.ranking.scorer == "deepwalk" else ()
     compile_once(tuple(dict.fromkeys((*ANSWER, *walks))))
-    arms = load_arms(options.robot, options.arm, cache=cache)
-    with progress(f"reachability map of {arms[0].name}") as report:
-        maps = [load_reach(robot, cache.folder, report) for robot in arms]
+    arms, maps = load_arms_with_maps(options.robot, options.arm, cache)
     begin = None if start is None else np.array(start)
 
     def ask(scene: Scene, task: Task, robot: Robot, reach: ReachMap | ArmLength) -> PlacementResult:

@@ -1,14 +1,15 @@
-"""What a plan file names: its scene and its robot."""
+"""What a plan file names: its scene and its robot; of a tour its plans, of a run its plan."""
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from momapos.errors import FileFormatError
+from momapos.cli.loading import tell
+from momapos.errors import FileFormatError, InputError
 
 if TYPE_CHECKING:
+    from momapos.execution.record import RunRecord
     from momapos.robots.robot import Robot
     from momapos.scene.scene import Scene
     from momapos.types import PlacementPlan
@@ -22,6 +23,35 @@ def check_plan_file(plan: Path) -> None:
     """
     if not plan.exists():
         raise FileFormatError(f"{plan}: no such plan file")
+
+
+def plans_of(path: Path, purpose: str) -> list[Path]:
+    """The plan files that a file stands for: those of a tour in order, else itself.
+
+    Args:
+        path: The file of a plan or of a tour.
+        purpose: What there is nothing for where the tour is not solved, such as "to execute".
+
+    Raises:
+        InputError: The tour is not solved, or names a file that does not exist.
+    """
+    check_plan_file(path)
+    from momapos.tour_files import is_tour, read_tour
+
+    if not is_tour(path):
+        return [path]
+    tour = read_tour(path)
+    if tour.status != "solved":
+        raise InputError(f"{path}: the tour is {tour.status!r}: there is nothing {purpose}")
+    plans = [path.with_name(step.plan) for step in tour.steps]
+    for plan in plans:
+        check_plan_file(plan)
+    return plans
+
+
+def numbered(path: Path, count: int, k: int) -> Path:
+    """Where the output of a task goes: NAME itself of a plan, NAME_1 and so on of a tour."""
+    return path if count == 1 else path.with_name(f"{path.stem}_{k + 1}{path.suffix}")
 
 
 def open_plan(
@@ -39,7 +69,6 @@ def open_plan(
         MomaposError: A file cannot be used, or the plan is not solved.
     """
     from momapos.cache import user_cache
-    from momapos.errors import InputError
     from momapos.plans import check_unchanged, read_plan
     from momapos.scene.other_motion import as_planned
     from momapos.verification.files import find_file, read_scene
@@ -53,9 +82,43 @@ def open_plan(
     check_unchanged(plan, scene_file, urdf)
     scene = as_planned(read_scene(scene_file, scene_root, cache=user_cache()), content)
     machine = _robot(content, plan, urdf, robot)
-    for warning in scene.warnings:
-        print(f"momapos: {warning}", file=sys.stderr)
+    tell(scene.warnings)
     return content, scene, machine
+
+
+def open_run(
+    path: Path, scene_root: Path | None, robot: str | None, purpose: str
+) -> tuple[RunRecord, PlacementPlan, Scene, Robot]:
+    """Read the record of a run, its plan, what was really there, and its robot.
+
+    Args:
+        path: The record.
+        scene_root, robot, purpose: See `open_plan`.
+
+    Raises:
+        MomaposError: A file cannot be used, or the record does not say what moved.
+    """
+    import numpy as np
+
+    from momapos.cache import user_cache
+    from momapos.execution.record import read_run
+    from momapos.execution.true_world import moved
+    from momapos.scene.files import load_scene
+
+    record = read_run(path)
+    if not record.plan or record.motion is None:
+        raise InputError(
+            f"{path}: the record does not say what moved, or of which plan; momapos run PLAN "
+            "--out FILE writes one that does"
+        )
+    plan, scene, machine = open_plan(path.parent / record.plan, scene_root, robot, purpose)
+    if record.world:
+        beside = path.parent / record.world
+        there = load_scene(
+            beside if beside.is_file() else record.world, root=scene_root, cache=user_cache()
+        )
+        scene = moved(there, np.array(record.world_at or (0.0, 0.0, 0.0)))
+    return record, plan, scene, machine
 
 
 def _robot(content: PlacementPlan, plan: Path, urdf: Path, given: str | None) -> Robot:
@@ -65,7 +128,7 @@ def _robot(content: PlacementPlan, plan: Path, urdf: Path, given: str | None) ->
         RobotError: There is none, or it describes another robot.
     """
     from momapos.cache import user_cache
-    from momapos.errors import InputError, RobotError
+    from momapos.errors import RobotError
     from momapos.robots.names import find_named_robot, library_names
     from momapos.robots.robot import load_robot
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import OmitArgPrefixes, Positional
 
 from momapos.cli.console import busy
+from momapos.cli.loading import load_room
 from momapos.cli.options import JointsArg, OptionalPath, Target, check_seed, unread
 from momapos.files import check_outputs
 from momapos.importance.config import ImportanceConfig
@@ -71,12 +71,8 @@ def rank_objects(
     from momapos.cli.compile import RANK, WALKS, compile_once
     from momapos.importance.rank import rank
     from momapos.manipulation.tasks import hand_path
-    from momapos.scene.files import load_scene
-    from momapos.scene.joints import set_joints
 
-    loaded = set_joints(load_scene(scene, cache=user_cache()), joint)
-    for warning in loaded.warnings:
-        print(f"momapos: {warning}", file=sys.stderr)
+    loaded = load_room(scene, joint, user_cache())
     path = hand_path(loaded, name, moved or None)
     compile_once(RANK + WALKS if config.scorer == "deepwalk" else RANK)
     with busy(f"{loaded.name}: scoring {len(loaded.objects)} objects"):

@@ -10,7 +10,7 @@ from tyro.conf import Positional
 
 from momapos.cli.options import OptionalPath, OptionalText, PoseArg, check_seed
 from momapos.cli.place import parse_pose
-from momapos.cli.plan_files import check_plan_file, open_plan
+from momapos.cli.plan_files import numbered, open_plan, plans_of
 from momapos.errors import InputError
 from momapos.files import check_outputs
 
@@ -78,11 +78,14 @@ def run(
     # Told before anything heavy is imported.
     check_seed(seed)
     check_outputs([out, record, out_scene])
-    check_plan_file(plan)
-    plans = _plans(plan)
+    plans = plans_of(plan, "to execute")
     if len(plans) > 1 and (world is not None or out_scene is not None):
         raise InputError("--world and --out-scene are for one plan; give one that the tour names")
-    outs, films = ([_numbered(path, plans, k) for k in range(len(plans))] for path in (out, record))
+    count = len(plans)
+    outs, films = (
+        [None if path is None else numbered(path, count, k) for k in range(count)]
+        for path in (out, record)
+    )
     check_outputs([*outs, *films])
     if out_scene is not None:
         refuse_existing(out_scene)
@@ -90,8 +93,6 @@ def run(
         from momapos.execution.film_files import check_film
 
         check_film(record)
-    for path in plans:
-        check_plan_file(path)
     if tries < 1:
         raise InputError(f"--tries {tries}: at least one motion must be tried")
     from json import dumps
@@ -150,25 +151,6 @@ def run(
     if len(plans) > len(done):
         print(f"momapos: {len(plans) - len(done)} of {len(plans)} tasks were left", file=sys.stderr)
     return 0 if done[-1].success else 1
-
-
-def _plans(path: Path) -> list[Path]:
-    """The plan files that a file stands for: those of a tour in order, else itself."""
-    from momapos.tour_files import is_tour, read_tour
-
-    if not is_tour(path):
-        return [path]
-    tour = read_tour(path)
-    if tour.status != "solved":
-        raise InputError(f"{path}: the tour is {tour.status!r}: there is nothing to execute")
-    return [path.with_name(step.plan) for step in tour.steps]
-
-
-def _numbered(path: Path | None, plans: list[Path], k: int) -> Path | None:
-    """Where the output of a task goes: NAME itself of a plan, NAME_1 and so on of a tour."""
-    if path is None or len(plans) == 1:
-        return path
-    return path.with_name(f"{path.stem}_{k + 1}{path.suffix}")
 
 
 def _keep(

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
+from momapos.cli.loading import tell
 from momapos.cli.options import LabelsArg, OptionalNumber, OptionalPath, OptionalText
 from momapos.errors import InputError
 from momapos.importance.config import ImportanceConfig, ScorerName
@@ -126,8 +127,7 @@ def scan_room(
             config=config,
             progress=lambda what, share: report(share, what),
         )  # fmt: skip
-    for warning in (text for decision in result.decisions for text in decision.warnings):
-        print(f"momapos: {warning}", file=sys.stderr)
+    tell(text for decision in result.decisions for text in decision.warnings)
     if later is not None and not any(decision.moved for decision in result.decisions):
         print(f"momapos: {after}: no part stands elsewhere than in {source}", file=sys.stderr)
     data = report_to_dict(result, scan, result.target)
@@ -201,8 +201,7 @@ def read(source: Path, options: ScanOptions) -> Scan:
     scan = read_scan(
         source, max_frames=options.max_frames, depth_scale=options.depth_scale, topics=topics
     )
-    for warning in scan.warnings:
-        print(f"momapos: {warning}", file=sys.stderr)
+    tell(scan.warnings)
     return scan
 
 

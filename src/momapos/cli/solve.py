@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
+from momapos.cli.loading import load_arms_with_maps
 from momapos.cli.options import EXIT_STATUS, Target, ValueArg, check_seed, unread
 from momapos.cli.scan import ScanOptions
 from momapos.config import PipelineConfig
@@ -131,8 +132,6 @@ def _solve(
         tools_for,
     )
     from momapos.plans import write_plan
-    from momapos.reachability.store import load_reach
-    from momapos.robots.robot import load_arms
     from momapos.scan_io.clouds import write_cloud
     from momapos.scan_report import outputs_of, report_to_dict, write_report
     from momapos.solve_scan import ScanTask, solve_scan
@@ -146,9 +145,7 @@ def _solve(
     scan = read(source, options.scan)
     compile_once(ANSWER)
     cache = user_cache()
-    arms = load_arms(options.robot, options.arm, cache=cache)
-    with progress(f"reachability map of {arms[0].name}") as report:
-        reach = [load_reach(robot, cache.folder, report) for robot in arms]
+    arms, reach = load_arms_with_maps(options.robot, options.arm, cache)
     with progress("solve") as report:
         answer = solve_scan(
             scan, list(zip(arms, reach, strict=True)),

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, get_args
 
 from tyro.conf import Positional
 
+from momapos.cli.loading import load_arms_with_maps, load_room
 from momapos.cli.options import EXIT_STATUS, Target, ValueArg
 from momapos.cli.parse import parse
 from momapos.cli.place import DEFAULT, Options, Shared, parse_pose, read_region, tyro_rules
@@ -158,24 +158,15 @@ def _answer(scene_name: str, tasks: Sequence[tuple[str, str, str | None]], optio
 
     from momapos.cache import user_cache
     from momapos.cli.compile import ANSWER, compile_once
-    from momapos.cli.console import busy, progress
-    from momapos.reachability.store import load_reach
-    from momapos.robots.robot import load_arms
-    from momapos.scene.files import load_scene
-    from momapos.scene.joints import set_joints
+    from momapos.cli.console import busy
     from momapos.tour import plan_tour
 
     cache = user_cache()
-    scene = set_joints(load_scene(scene_name, cache=cache), options.joint)
-    for warning in scene.warnings:
-        print(f"momapos: {warning}", file=sys.stderr)
+    scene = load_room(scene_name, options.joint, cache)
     region = read_region(options, scene)
     compile_once(ANSWER)
-    arms = load_arms(options.robot, options.arm, cache=cache)
     tours = []
-    for robot in arms:
-        with progress(f"reachability map of {robot.name}") as report:
-            reach = load_reach(robot, cache.folder, report)
+    for robot, reach in zip(*load_arms_with_maps(options.robot, options.arm, cache), strict=True):
         with busy(f"{robot.name}: searching", options.config.timeout):
             tours.append(plan_tour(
                 scene, robot, requests, reach, start=None if start is None else np.array(start),

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from momapos.errors import InputError, MomaposError
+from momapos.cli.loading import tell
+from momapos.errors import MomaposError
 from momapos.files import open_regular
 
 if TYPE_CHECKING:
@@ -73,29 +73,13 @@ def opened_source(
 
 def _opened(path: Path, kind: Kind, scene_root: Path | None, robot: str | None) -> Opened:
     """Read a plan, or the record of a run and the plan that it names."""
-    from momapos.cli.plan_files import open_plan
+    from momapos.cli.plan_files import open_plan, open_run
     from momapos.page.opened import Opened
 
     if kind == "plan":
         plan, scene, machine = open_plan(path, scene_root, robot, "to show")
         return Opened(str(path), scene, machine, plan)
-    import numpy as np
-
-    from momapos.execution.record import read_run
-    from momapos.execution.true_world import moved
-    from momapos.scene.files import load_scene
-
-    record = read_run(path)
-    if not record.plan or record.motion is None:
-        raise InputError(
-            f"{path}: the record does not say what moved, or of which plan; momapos run PLAN "
-            "--out FILE writes one that does"
-        )
-    plan, scene, machine = open_plan(path.parent / record.plan, scene_root, robot, "to show")
-    if record.world:
-        beside = path.parent / record.world
-        there = load_scene(beside if beside.is_file() else record.world, root=scene_root)
-        scene = moved(there, np.array(record.world_at or (0.0, 0.0, 0.0)))
+    record, plan, scene, machine = open_run(path, scene_root, robot, "to show")
     return Opened(str(path), scene, machine, plan, record)
 
 
@@ -105,6 +89,5 @@ def _scan(path: Path, folder: Path) -> OpenedScan:
     from momapos.scan_io.scan import read_scan
 
     scan = read_scan(path)
-    for warning in scan.warnings:
-        print(f"momapos: {warning}", file=sys.stderr)
+    tell(scan.warnings)
     return OpenedScan(str(path), scan, folder)

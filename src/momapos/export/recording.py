@@ -1,8 +1,8 @@
-"""A plan as a recording of ROS 2 messages in MCAP: Foxglove, RViz and `ros2 bag play` show it.
+"""What moves as ROS 2 messages in MCAP: Foxglove, RViz and `ros2 bag play` show it.
 
-Topics: /tf and /tf_static (frames of robot and moving furniture), /joint_states,
-/robot_description, /base_pose, /base_path, /trajectory (moveit_msgs/RobotTrajectory), /scene
-(markers of the room's shapes).
+Topics: /tf (frames of the robot and of what it moves), /joint_states, /robot_description,
+/base_pose, /base_path, /trajectory (moveit_msgs/RobotTrajectory), /scene (markers of the room's
+shapes).
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from momapos.errors import InputError, require
-from momapos.export.phases import Phase, PhaseKind, Samples, samples_of
+from momapos.export.phases import Samples
 from momapos.export.ros2 import stamp
-from momapos.geometry.transforms import pose_planar
+from momapos.export.timeline import Timeline
+from momapos.geometry.transforms import invert, pose_planar
 from momapos.kinematics.hulls import Hull
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene, SceneObject
-from momapos.types import PlacementPlan
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -95,20 +95,14 @@ class _Messages:
 
 
 def write_recording(
-    plan: PlacementPlan,
-    phases: tuple[Phase, ...],
-    scene: Scene,
-    robot: Robot,
-    frame: str,
-    folder: Path,
+    timeline: Timeline, scene: Scene, robot: Robot, frame: str, folder: Path
 ) -> None:
     """Write a ROS 2 bag with MCAP storage: a folder that holds one `.mcap` file.
 
     Args:
-        plan: A solved plan.
-        phases: Its phases.
-        scene: Its room.
-        robot: Its robot.
+        timeline: What moves.
+        scene: The room.
+        robot: The robot.
         frame: Name of the world's frame, such as "map".
         folder: The bag; it must not exist yet.
 
@@ -127,7 +121,7 @@ def write_recording(
         with tempfile.TemporaryDirectory(dir=folder.parent, prefix=".momapos-") as near:
             draft = Path(near) / folder.name
             with Writer(draft, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-                _fill(_Messages(store), _opener(writer, store), plan, phases, scene, robot, frame)
+                _fill(_Messages(store), _opener(writer, store), timeline, scene, robot, frame)
             os.rename(draft, folder)
     except OSError as error:
         raise InputError(f"{folder}: cannot be written ({error.strerror})") from error
@@ -150,17 +144,13 @@ def _opener(writer: Any, store: Any) -> Send:
 
 
 def _fill(
-    make: _Messages,
-    send: Send,
-    plan: PlacementPlan,
-    phases: tuple[Phase, ...],
-    scene: Scene,
-    robot: Robot,
-    frame: str,
+    make: _Messages, send: Send, timeline: Timeline, scene: Scene, robot: Robot, frame: str
 ) -> None:
     """Everything that does not change first, then what moves."""
-    target = scene.object(plan.task.object)
-    moving = () if plan.task.joint is None else target.model.moved_by(plan.task.joint)
+    task, samples = timeline.task, timeline.samples
+    target = scene.object(task.object)
+    model = target.model
+    moving = model.links if task.joint is None else model.moved_by(task.joint)
     text = robot.amended
     if text is None and robot.model.urdf.path is not None:
         text = robot.model.urdf.path.read_text(encoding="utf-8", errors="replace")
@@ -168,20 +158,15 @@ def _fill(
         kind = "std_msgs/msg/String"
         send("/robot_description", kind, 0.0, make.make(kind, data=text))
     _send_scene(make, send, scene, target, moving, frame)
-    _send_path(make, send, plan, frame)
-    for start, phase in _starts(phases):
-        if phase.kind is PhaseKind.ARM:
+    _send_path(make, send, timeline, frame)
+    for stage, part in timeline.stretches():
+        if timeline.arm[stage]:
             kind = "moveit_msgs/msg/RobotTrajectory"
-            send("/trajectory", kind, start, _trajectory(make, phase, plan.joints))
-    samples = samples_of(phases)
+            began = float(samples.times[part.start])
+            send("/trajectory", kind, began, _trajectory(make, samples, part, timeline.joints))
     for i in _at_rate(samples.times):
-        _send_state(make, send, plan, robot, frame, samples, int(i))
-        _send_part(make, send, plan, target, moving, frame, samples, int(i))
-
-
-def _starts(phases: tuple[Phase, ...]) -> list[tuple[float, Phase]]:
-    begin = np.cumsum([0.0, *(phase.duration for phase in phases)]).tolist()
-    return list(zip(begin, phases, strict=False))
+        _send_state(make, send, timeline, robot, frame, int(i))
+        _send_part(make, send, timeline, target, moving, frame, int(i))
 
 
 def _at_rate(times: Float[np.ndarray, " t"]) -> Any:
@@ -191,19 +176,14 @@ def _at_rate(times: Float[np.ndarray, " t"]) -> Any:
 
 
 def _send_state(
-    make: _Messages,
-    send: Send,
-    plan: PlacementPlan,
-    robot: Robot,
-    frame: str,
-    samples: Samples,
-    i: int,
+    make: _Messages, send: Send, timeline: Timeline, robot: Robot, frame: str, i: int
 ) -> None:
     """The robot at one sample: its joints, its base, the frames of its links."""
+    samples, joints = timeline.samples, timeline.joints
     now, q, v = float(samples.times[i]), samples.positions[i], samples.velocities[i]
     kind = "sensor_msgs/msg/JointState"
     state = make.make(
-        kind, header=make.header(now, ""), name=list(plan.joints), position=q, velocity=v,
+        kind, header=make.header(now, ""), name=list(joints), position=q, velocity=v,
         effort=np.zeros(0),
     )  # fmt: skip
     send("/joint_states", kind, now, state)
@@ -211,7 +191,7 @@ def _send_state(
     kind = "geometry_msgs/msg/PoseStamped"
     header = make.header(now, frame)
     send("/base_pose", kind, now, make.make(kind, header=header, pose=make.pose(T_world_base)))
-    poses = robot.model.link_poses(dict(zip(plan.joints, q.tolist(), strict=True)))
+    poses = robot.model.link_poses(dict(zip(joints, q.tolist(), strict=True)))
     T_world_root = T_world_base @ np.linalg.inv(poses[robot.base_link])
     links = {name: T_world_root @ T for name, T in poses.items()}
     send("/tf", "tf2_msgs/msg/TFMessage", now, make.frames(now, frame, links))
@@ -220,19 +200,20 @@ def _send_state(
 def _send_part(
     make: _Messages,
     send: Send,
-    plan: PlacementPlan,
+    timeline: Timeline,
     target: SceneObject,
     moving: tuple[str, ...],
     frame: str,
-    samples: Samples,
     i: int,
 ) -> None:
-    """The frames of the part that a task moves."""
-    if plan.task.joint is None:
-        return
-    now = float(samples.times[i])
-    poses = target.link_poses({plan.task.joint: float(samples.object_q[i])})
+    """The frames of what the task moves: a part, or a loose object."""
+    samples, joint, loose = timeline.samples, timeline.task.joint, timeline.Ts_world_object
+    poses = target.link_poses({} if joint is None else {joint: float(samples.object_q[i])})
+    if loose is not None:
+        T_now_rest = loose[i] @ invert(poses[target.model.urdf.root])
+        poses = {link: T_now_rest @ T for link, T in poses.items()}
     named = {f"{target.name}/{link}": poses[link] for link in moving}
+    now = float(samples.times[i])
     send("/tf", "tf2_msgs/msg/TFMessage", now, make.frames(now, frame, named))
 
 
@@ -244,7 +225,7 @@ def _send_scene(
     moving: tuple[str, ...],
     frame: str,
 ) -> None:
-    """The hulls of all objects as markers; those of the moving part in frames of their own."""
+    """The hulls of all objects as markers; those of what moves in frames of their own."""
     markers: list[Any] = []
     for item in scene.objects:
         for link, T in item.link_poses().items():
@@ -288,28 +269,30 @@ def _marker(
     )  # fmt: skip
 
 
-def _send_path(make: _Messages, send: Send, plan: PlacementPlan, frame: str) -> None:
+def _send_path(make: _Messages, send: Send, timeline: Timeline, frame: str) -> None:
     """The way that the base drives."""
-    if plan.base_path is None:
+    if timeline.base_path is None:
         return
     header = make.header(0.0, frame)
     poses = [
         make.make("geometry_msgs/msg/PoseStamped", header=header, pose=make.pose(T))
-        for T in pose_planar(plan.base_path)
+        for T in pose_planar(timeline.base_path)
     ]
     kind = "nav_msgs/msg/Path"
     send("/base_path", kind, 0.0, make.make(kind, header=header, poses=poses))
 
 
-def _trajectory(make: _Messages, phase: Phase, joints: tuple[str, ...]) -> Any:
-    """A `moveit_msgs/RobotTrajectory` of one phase."""
+def _trajectory(make: _Messages, samples: Samples, part: slice, joints: tuple[str, ...]) -> Any:
+    """A `moveit_msgs/RobotTrajectory` of one phase; its times begin at 0."""
+    times = samples.times[part] - samples.times[part.start]
+    rows = zip(times, samples.positions[part], samples.velocities[part], strict=True)
     header, none = make.header(0.0, ""), np.zeros(0)
     points = [
         make.make(
             "trajectory_msgs/msg/JointTrajectoryPoint", positions=q, velocities=v,
             accelerations=none, effort=none, time_from_start=make.duration(float(t)),
         )
-        for t, q, v in zip(phase.times, phase.positions, phase.velocities, strict=True)
+        for t, q, v in rows
     ]  # fmt: skip
     return make.make(
         "moveit_msgs/msg/RobotTrajectory",

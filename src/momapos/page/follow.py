@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from viser.transforms import SO3
 
-from momapos.page.playback import Carried
+from momapos.export.carried import Carried
 from momapos.page.probe import Finding, Probe
 from momapos.page.robot_view import home_values, joint_values
 from momapos.page.words import finding_words, verdict_of

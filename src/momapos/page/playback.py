@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.export.phases import PhaseKind, Samples, phases_of, samples_of
-from momapos.geometry.transforms import invert
-from momapos.page.robot_view import joint_values, tool_pose
+from momapos.export.phases import PhaseKind, phases_of
+from momapos.export.timeline import Timeline, planned
+from momapos.page.robot_view import joint_values
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene
-from momapos.types import Motion, PlacementPlan, Task
+from momapos.types import PlacementPlan, Task
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 RATE = 25.0
 """Pictures a second while it plays [1/s]."""
 SPEEDS = ("0.5", "1", "2", "4", "8")
-WORDS = {
+WORDS: dict[str, str] = {
     PhaseKind.DRIVE: "drive", PhaseKind.ARM: "move the arm", PhaseKind.CLOSE: "close the gripper",
     PhaseKind.OPEN: "open the gripper",
 }  # fmt: skip
@@ -48,39 +48,11 @@ class Moment:
 
 
 @dataclass(frozen=True)
-class Carried:
-    """A loose object that the hand takes along."""
-
-    T_world_rest: Float[np.ndarray, "4 4"]
-    """Pose of its root link where it stands before it is picked, or after it is placed."""
-    T_tool_object: Float[np.ndarray, "4 4"]
-    """The same as the hand holds it."""
-
-    @classmethod
-    def of(cls, scene: Scene, task: Task, motion: Motion) -> Carried | None:
-        """What a motion takes along; None where it moves a joint of something that stands."""
-        if task.joint is not None:
-            return None
-        item = scene.object(task.object)
-        T_world_rest = item.link_poses()[item.model.urdf.root]
-        return cls(T_world_rest, invert(motion.Ts_world_tool[0]) @ T_world_rest)
-
-    def at_end(self, task: Task, motion: Motion) -> Float[np.ndarray, "4 4"]:
-        """Pose of its root link when all is done."""
-        if task.verb == "place":
-            return self.T_world_rest
-        return motion.Ts_world_tool[-1] @ self.T_tool_object
-
-
-@dataclass(frozen=True)
 class Story:
     """A plan as moments; for people, who need neither a controller's rate nor its speeds."""
 
     robot: Robot
-    task: Task
-    samples: Samples
-    kinds: tuple[PhaseKind, ...]
-    carried: Carried | None
+    timeline: Timeline
 
     @classmethod
     def of(cls, plan: PlacementPlan, robot: Robot, scene: Scene) -> Story:
@@ -89,44 +61,30 @@ class Story:
         Raises:
             InputError: The plan is not solved, or no trajectory keeps the robot's limits.
         """
-        phases = phases_of(plan, robot, step=1.0 / RATE)
-        assert plan.motion is not None
-        carried = Carried.of(scene, plan.task, plan.motion)
-        kinds = tuple(phase.kind for phase in phases)
-        return cls(robot, plan.task, samples_of(phases), kinds, carried)
+        return cls(robot, planned(plan, phases_of(plan, robot, step=1.0 / RATE), scene, robot))
+
+    @property
+    def task(self) -> Task:
+        """What is done."""
+        return self.timeline.task
 
     @property
     def duration(self) -> float:
         """[s]"""
-        return float(self.samples.times[-1])
+        return float(self.timeline.samples.times[-1])
 
     def at(self, seconds: float) -> Moment:
         """The moment nearest to a time [s]; the first and the last hold before and after."""
-        times = self.samples.times
+        samples, poses = self.timeline.samples, self.timeline.Ts_world_object
+        times, joint = samples.times, self.task.joint
         i = int(np.clip(np.searchsorted(times, seconds, side="right") - 1, 0, len(times) - 1))
-        joint, phase = self.task.joint, int(self.samples.phase[i])
-        base, joints = self.samples.base[i], joint_values(self.robot, self.samples.positions[i])
         return Moment(
-            base,
-            joints,
-            {} if joint is None else {joint: float(self.samples.object_q[i])},
-            WORDS[self.kinds[phase]],
-            T_world_object=self._object_pose(phase, base, joints),
+            samples.base[i],
+            joint_values(self.robot, samples.positions[i]),
+            {} if joint is None else {joint: float(samples.object_q[i])},
+            WORDS[self.timeline.stages[samples.phase[i]]],
+            T_world_object=None if poses is None else poses[i],
         )
-
-    def _object_pose(
-        self, phase: int, base: Float[np.ndarray, "3"], joints: dict[str, float]
-    ) -> Float[np.ndarray, "4 4"] | None:
-        """A picked object is carried from when the gripper closes, a placed one until it opens."""
-        if self.carried is None:
-            return None
-        if self.task.verb == "pick":
-            held = phase >= self.kinds.index(PhaseKind.CLOSE)
-        else:
-            held = phase < self.kinds.index(PhaseKind.OPEN)
-        if not held:
-            return self.carried.T_world_rest
-        return tool_pose(self.robot, base, joints) @ self.carried.T_tool_object
 
 
 class Player:

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from viser.transforms import SO3
 
-from momapos.errors import InputError
 from momapos.execution.record import RunRecord
 from momapos.execution.run_motion import RunMotion
+from momapos.export.timeline import recorded_motion
 from momapos.page.playback import Moment
 from momapos.page.robot_view import home_values
 from momapos.robots.robot import Robot
@@ -35,14 +35,7 @@ class RunStory:
         Raises:
             InputError: Its record does not say what moved, or it is one of another robot.
         """
-        motion, task = record.motion, record.true_task or record.task
-        if motion is None or len(motion.times) < 2:
-            raise InputError(
-                "the record does not say what moved; momapos run ... --out writes one that does"
-            )
-        unknown = [name for name in motion.joints if name not in robot.model.joints]
-        if unknown:
-            raise InputError(f"the record moves {unknown[0]!r:.60}, which {robot.name} has not")
+        motion, task = recorded_motion(record, robot), record.true_task or record.task
         return cls(robot, task.joint, motion)
 
     @property

@@ -13,6 +13,7 @@ from momapos.outcomes import PoseOutcome, PoseStatus
 from momapos.placement.area import PlacementGeometry
 from momapos.placement.fitting import FitPoses
 from momapos.placement.holding import ScoreWays
+from momapos.placement.region import Rule
 from momapos.protocols import ReachScorer, TravelCost
 from momapos.types import ANYWHERE, ArmPathResult, Attempt, BaseRegion, Candidates, Motion
 
@@ -119,5 +120,7 @@ class Problem:
     where none of these is one. None: from all."""
     region: BaseRegion = ANYWHERE
     """Where the base is allowed to stand."""
+    rules: tuple[Rule, ...] = ()
+    """Further conditions on base poses."""
     fit: FitPoses | None = None
     """Finds base poses beside given ones from which an arm of few joints can do the task."""

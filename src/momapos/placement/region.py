@@ -10,7 +10,7 @@ import numpy as np
 from momapos.geometry.planar import place_points
 from momapos.geometry.polygons import all_inside, any_overlap
 from momapos.geometry.transforms import wrap_angle
-from momapos.outcomes import PoseStatus
+from momapos.outcomes import PoseOutcome, PoseStatus
 from momapos.placement.area import PlacementGeometry
 from momapos.types import BaseRegion
 
@@ -23,7 +23,7 @@ class Rule(NamedTuple):
 
     keeps: Callable[[Float[np.ndarray, "n 3"], Float[np.ndarray, " n"]], Bool[np.ndarray, " n"]]
     """Which base poses keep it, by the poses and the driving length to each [m]."""
-    otherwise: PoseStatus
+    otherwise: PoseOutcome
     """What becomes of the others."""
 
 
@@ -54,4 +54,4 @@ def rules(region: BaseRegion, geometry: PlacementGeometry) -> list[Rule]:
         (region.facing is not None, faces, PoseStatus.NOT_FACING),
         (region.most_driving is not None, is_near, PoseStatus.TOO_LONG_A_DRIVE),
     )
-    return [Rule(keeps, otherwise) for asked, keeps, otherwise in every if asked]
+    return [Rule(keeps, PoseOutcome(otherwise)) for asked, keeps, otherwise in every if asked]

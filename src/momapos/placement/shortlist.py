@@ -46,9 +46,9 @@ class Shortlist:
         assert self.held is not None
         return self.held.scores
 
-    def keep(self, which: Bool[np.ndarray, " n"], otherwise: PoseStatus) -> None:
+    def keep(self, which: Bool[np.ndarray, " n"], otherwise: PoseOutcome) -> None:
         """Drop the others, and say what became of them."""
-        self.outcomes[self.row[~which]] = PoseOutcome(otherwise)
+        self.outcomes[self.row[~which]] = otherwise
         self.poses, self.row = self.poses[which], self.row[which]
         self.travel = self.travel[which]
 
@@ -82,11 +82,11 @@ def cull(problem: Problem, poses: Float[np.ndarray, "n 3"], found: Search) -> Sh
     row = np.flatnonzero(status == BaseStatus.CLEAR)
     travel = problem.travel_cost(poses[row, :2])
     left = Shortlist(poses[row], row, travel, outcomes, np.zeros(len(poses), bool))
-    left.keep(np.isfinite(travel), PoseStatus.NO_ROUTE)
-    for rule in rules(problem.region, problem.geometry):
+    left.keep(np.isfinite(travel), PoseOutcome(PoseStatus.NO_ROUTE))
+    for rule in (*rules(problem.region, problem.geometry), *problem.rules):
         left.keep(rule.keeps(left.poses, left.travel), rule.otherwise)
     if problem.pose_filter is not None:
-        left.keep(~problem.pose_filter(left.poses), PoseStatus.FILTERED)
+        left.keep(~problem.pose_filter(left.poses), PoseOutcome(PoseStatus.FILTERED))
     found.note(poses, outcomes)
     return left
 
@@ -131,7 +131,7 @@ def near_poses(problem: Problem, poses: Float[np.ndarray, "n 3"], found: Search)
     poses, own = near
     clear = cull(problem, poses, found)
     if own is not None:
-        clear.keep(own[clear.row] >= 0, PoseStatus.TOO_FEW_JOINTS)
+        clear.keep(own[clear.row] >= 0, PoseOutcome(PoseStatus.TOO_FEW_JOINTS))
     return Near(clear, own)
 
 

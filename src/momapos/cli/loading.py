@@ -1,0 +1,61 @@
+"""What commands that answer begin with: the room with its joints set, the arms with their maps."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from momapos.cache import Cache
+    from momapos.reachability.arm_length import ArmLength
+    from momapos.reachability.map import ReachMap
+    from momapos.robots.robot import Robot
+    from momapos.scene.scene import Scene
+
+
+def tell(warnings: Iterable[str]) -> None:
+    """Print warnings, a line each, where they do not disturb the answer."""
+    for warning in warnings:
+        print(f"momapos: {warning}", file=sys.stderr)
+
+
+def load_room(name: str, joints: Sequence[str], cache: Cache) -> Scene:
+    """Load a scene, set its joints as --joint says, and tell its warnings.
+
+    Args:
+        name: A scene file or the name of a built-in kitchen.
+        joints: As OBJECT/JOINT=VALUE.
+        cache: Where its models are kept.
+
+    Raises:
+        MomaposError: The scene cannot be used, or has no such joint.
+    """
+    from momapos.scene.files import load_scene
+    from momapos.scene.joints import set_joints
+
+    scene = set_joints(load_scene(name, cache=cache), joints)
+    tell(scene.warnings)
+    return scene
+
+
+def load_arms_with_maps(
+    robot: str, arm: str, cache: Cache
+) -> tuple[tuple[Robot, ...], list[ReachMap | ArmLength]]:
+    """Load the arms of a robot that are asked for, and their maps, built where there are none.
+
+    Args:
+        robot: A library robot or a robot file.
+        arm: The name of an arm, or any.
+        cache: Where models and maps are kept.
+
+    Raises:
+        RobotError: The robot cannot be used.
+    """
+    from momapos.cli.console import progress
+    from momapos.reachability.store import load_reach
+    from momapos.robots.robot import load_arms
+
+    arms = load_arms(robot, arm, cache=cache)
+    with progress(f"reachability map of {arms[0].name}") as report:
+        return arms, [load_reach(one, cache.folder, report) for one in arms]
