@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from momapos.page.cameras import viewpoint
 from momapos.page.playback import Story
 from momapos.page.robot_view import RobotView, joint_values
-from momapos.page.room_view import RoomView, viewpoint
+from momapos.page.room_view import RoomView
 from momapos.page.words import escaped
 from momapos.placement_result import PlacementResult
 from momapos.scene.scene import Scene

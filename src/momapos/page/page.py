@@ -22,6 +22,7 @@ from momapos.errors import InputError
 from momapos.manipulation.tasks import in_front_of_parts
 from momapos.page.answer_layers import AnswerLayers
 from momapos.page.browsers import Browsers
+from momapos.page.cameras import look_at
 from momapos.page.compare import Compare
 from momapos.page.extras import Extras
 from momapos.page.follow import Follow
@@ -31,7 +32,7 @@ from momapos.page.panel import Panel, joint_ranges
 from momapos.page.playback import Story
 from momapos.page.question import Machine, Machines, Question, ask, ask_at, targets
 from momapos.page.robot_view import RobotView, home_values, joint_values
-from momapos.page.room_view import RoomView, viewpoint
+from momapos.page.room_view import RoomView
 from momapos.page.scan_view import ScanView
 from momapos.page.settled import Settled
 from momapos.page.state import Choice, Shown
@@ -290,7 +291,7 @@ class Page:
         name = question.target.partition("/")[0]
         collision = bool(self.panel.layers["collision"].value)
         if fresh and self.room.scene is not scene:
-            self._look_at(scene)
+            look_at(self.server, scene)
         self.room.show(scene, name, collision=collision)
         self.room.rest()
         self.panel.show_joints(joint_ranges(scene, name))
@@ -311,18 +312,10 @@ class Page:
             return scene.start
         return np.append(in_front_of_parts(scene), np.pi / 2)
 
-    def _look_at(self, scene: Scene) -> None:
-        """Turn the cameras to a room."""
-        eye, target = viewpoint(scene)
-        camera = self.server.initial_camera
-        camera.position, camera.look_at, camera.up = eye, target, np.array([0.0, 0.0, 1.0])
-        for client in self.server.get_clients().values():
-            client.camera.position, client.camera.look_at = eye, target
-
     def look_at_room(self) -> None:
         """Turn the cameras back to the whole room."""
         if self.shown.scene is not None:
-            self._look_at(self.shown.scene)
+            look_at(self.server, self.shown.scene)
 
     # ---------------------------------------------------------------------------- the answer
 

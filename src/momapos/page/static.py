@@ -10,10 +10,11 @@ import numpy as np
 
 from momapos.cache import write_atomic
 from momapos.errors import InputError
+from momapos.page.cameras import look_at
 from momapos.page.layers import draw_path
 from momapos.page.playback import RATE, Story
 from momapos.page.robot_view import RobotView
-from momapos.page.room_view import RoomView, viewpoint
+from momapos.page.room_view import RoomView
 from momapos.page.run_story import RunStory
 from momapos.page.serve import open_server, quiet
 from momapos.robots.robot import Robot
@@ -83,9 +84,7 @@ def page_of(
     story = story or Story.of(plan, robot, scene)
     server = open_server("127.0.0.1", 0)  # viser records only what a server has drawn
     try:
-        eye, target = viewpoint(scene)
-        camera = server.initial_camera
-        camera.position, camera.look_at, camera.up = eye, target, np.array([0.0, 0.0, 1.0])
+        look_at(server, scene)
         room, machine = RoomView(server.scene), RobotView(server.scene)
         room.show(scene, active or plan.task.object)
         first = story.at(0.0)
