@@ -179,12 +179,11 @@ def test_what_is_no_tour_is_one_line(changes: dict[str, Any], tmp_path: Path) ->
         read_tour(tmp_path / "tour.json")
 
 
-@pytest.mark.parametrize("words", [["view"], ["export", "--to", "csv"]], ids=["view", "export"])
 def test_what_takes_one_plan_says_so_of_a_tour(
-    words: list[str], written: Path, capsys: pytest.CaptureFixture[str]
+    written: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     capsys.readouterr()
-    assert main([words[0], str(written), *words[1:]]) == 2
+    assert main(["export", str(written), "--to", "csv"]) == 2
     (line,) = capsys.readouterr().err.strip().splitlines()
     assert "a tour of several plans" in line
 

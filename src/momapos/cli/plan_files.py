@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -24,8 +25,42 @@ def check_plan_file(plan: Path) -> None:
         raise FileFormatError(f"{plan}: no such plan file")
 
 
+def plans_of(path: Path, purpose: str) -> list[Path]:
+    """The plan files that a file stands for: those of a tour in order, else itself.
+
+    Args:
+        path: A plan, or a tour.
+        purpose: What there is nothing for where the tour is not solved, such as "to execute".
+
+    Raises:
+        InputError: The tour cannot be used, or is not solved.
+    """
+    from momapos.errors import InputError
+    from momapos.tour_files import is_tour, read_tour
+
+    if not is_tour(path):
+        return [path]
+    tour = read_tour(path)
+    if tour.status != "solved":
+        raise InputError(f"{path}: the tour is {tour.status!r}: there is nothing {purpose}")
+    return [path.with_name(step.plan) for step in tour.steps]
+
+
+def open_plans(
+    plans: Sequence[Path], scene_root: Path | None, robot: str | None, purpose: str
+) -> list[tuple[PlacementPlan, Scene, Robot]]:
+    """Read several plans as `open_plan` does; what their rooms share is the same in all."""
+    read: dict[Path, Scene] = {}
+    return [open_plan(plan, scene_root, robot, purpose, read=read) for plan in plans]
+
+
 def open_plan(
-    plan: Path, scene_root: Path | None, robot: str | None, purpose: str
+    plan: Path,
+    scene_root: Path | None,
+    robot: str | None,
+    purpose: str,
+    *,
+    read: dict[Path, Scene] | None = None,
 ) -> tuple[PlacementPlan, Scene, Robot]:
     """Read a solved plan, its scene as the plan left it, and its robot.
 
@@ -34,6 +69,7 @@ def open_plan(
         scene_root: Folder for names not found beside the plan.
         robot: A library robot or a robot file; None for the one that the plan names.
         purpose: What there is nothing for where the plan is not solved, such as "to execute".
+        read: Scenes that were read already, by their file; others are added.
 
     Raises:
         MomaposError: A file cannot be used, or the plan is not solved.
@@ -51,11 +87,13 @@ def open_plan(
     scene_file = find_file("scene", content.scene, folders, plan)
     urdf = find_file("robot.urdf", content.robot_urdf, folders, plan)
     check_unchanged(plan, scene_file, urdf)
-    scene = as_planned(read_scene(scene_file, scene_root, cache=user_cache()), content)
-    machine = _robot(content, plan, urdf, robot)
-    for warning in scene.warnings:
-        print(f"momapos: {warning}", file=sys.stderr)
-    return content, scene, machine
+    rooms = {} if read is None else read
+    if scene_file not in rooms:
+        rooms[scene_file] = read_scene(scene_file, scene_root, cache=user_cache())
+        for warning in rooms[scene_file].warnings:
+            print(f"momapos: {warning}", file=sys.stderr)
+    scene = as_planned(rooms[scene_file], content)
+    return content, scene, _robot(content, plan, urdf, robot)
 
 
 def _robot(content: PlacementPlan, plan: Path, urdf: Path, given: str | None) -> Robot:

@@ -10,7 +10,7 @@ from tyro.conf import Positional
 
 from momapos.cli.options import OptionalPath, OptionalText, PoseArg, check_seed
 from momapos.cli.place import parse_pose
-from momapos.cli.plan_files import check_plan_file, open_plan
+from momapos.cli.plan_files import check_plan_file, open_plans, plans_of
 from momapos.errors import InputError
 from momapos.files import check_outputs
 
@@ -79,7 +79,7 @@ def run(
     check_seed(seed)
     check_outputs([out, record, out_scene])
     check_plan_file(plan)
-    plans = _plans(plan)
+    plans = plans_of(plan, "to execute")
     if len(plans) > 1 and (world is not None or out_scene is not None):
         raise InputError("--world and --out-scene are for one plan; give one that the tour names")
     outs, films = ([_numbered(path, plans, k) for k in range(len(plans))] for path in (out, record))
@@ -108,7 +108,7 @@ def run(
     if world is None and world_at is not None:
         raise InputError("--world-at says where a --world lies; give that too, or leave it out")
     at = np.zeros(3) if world_at is None else np.array(parse_pose(world_at, "world-at"))
-    opened = [open_plan(path, scene_root, robot, "to execute") for path in plans]
+    opened = open_plans(plans, scene_root, robot, "to execute")
     with require("physics"):
         from momapos.execution.config import ExecutionConfig, FurnitureConfig
         from momapos.execution.record import run_to_dict
@@ -150,18 +150,6 @@ def run(
     if len(plans) > len(done):
         print(f"momapos: {len(plans) - len(done)} of {len(plans)} tasks were left", file=sys.stderr)
     return 0 if done[-1].success else 1
-
-
-def _plans(path: Path) -> list[Path]:
-    """The plan files that a file stands for: those of a tour in order, else itself."""
-    from momapos.tour_files import is_tour, read_tour
-
-    if not is_tour(path):
-        return [path]
-    tour = read_tour(path)
-    if tour.status != "solved":
-        raise InputError(f"{path}: the tour is {tour.status!r}: there is nothing to execute")
-    return [path.with_name(step.plan) for step in tour.steps]
 
 
 def _numbered(path: Path | None, plans: list[Path], k: int) -> Path | None:

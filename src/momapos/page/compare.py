@@ -108,11 +108,7 @@ class Compare:
         """Show all kept motions at a time [s]."""
         for kept in self._kept:
             if kept.story is not None:
-                moment = kept.story.at(seconds)
-                kept.robot.move(moment.base, moment.joints)
-                kept.room.move(moment.object_q)
-                if moment.T_world_object is not None:
-                    kept.room.carry(moment.T_world_object)
+                kept.story.at(seconds).show(kept.room, kept.robot)
 
     def forget(self) -> None:
         """Forget the answers that are kept."""

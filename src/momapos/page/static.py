@@ -12,10 +12,9 @@ from momapos.cache import write_atomic
 from momapos.errors import InputError
 from momapos.page.cameras import look_at
 from momapos.page.layers import draw_path
-from momapos.page.playback import RATE, Story
+from momapos.page.playback import RATE, Playable, Story
 from momapos.page.robot_view import RobotView
 from momapos.page.room_view import RoomView
-from momapos.page.run_story import RunStory
 from momapos.page.serve import open_server, quiet
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene
@@ -49,7 +48,7 @@ def write_page(
     plan: PlacementPlan,
     path: Path,
     *,
-    story: Story | RunStory | None = None,
+    story: Playable | None = None,
     active: str | None = None,
 ) -> None:
     """Write a solved plan as a page that plays it over and over.
@@ -77,7 +76,7 @@ def page_of(
     scene: Scene,
     robot: Robot,
     plan: PlacementPlan,
-    story: Story | RunStory | None = None,
+    story: Playable | None = None,
     active: str | None = None,
 ) -> str:
     """The page as HTML; see `write_page`."""
@@ -94,12 +93,7 @@ def page_of(
             draw_path(server.scene, "/way", plan.base_path)
         recording = server.get_scene_serializer()
         for seconds in _times(story.duration):
-            moment = story.at(seconds)
-            machine.move(moment.base, moment.joints)
-            machine.show_force(moment.force)
-            room.move(moment.object_q)
-            if moment.T_world_object is not None:
-                room.carry(moment.T_world_object)
+            story.at(seconds).show(room, machine)
             recording.insert_sleep(1.0 / RATE)
         recording.insert_sleep(REST)
         html: str = recording.as_html()
