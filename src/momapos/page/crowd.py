@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from jaxtyping import Float
     from viser import SceneApi
 
-MOST_TRIANGLES = 3000
+MOST_TRIANGLES = 1000
 """Of a node, unless a thing has more; where one thing changes, so many are sent again [-]."""
 
 
