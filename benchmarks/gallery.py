@@ -27,8 +27,8 @@ from momapos.cache import user_cache
 from momapos.cli.main import main
 from momapos.cli.view_sources import opened_source
 from momapos.geometry.planar import rotation
+from momapos.page.cameras import viewpoint
 from momapos.page.page import Page
-from momapos.page.room_view import viewpoint
 from momapos.page.saving import render
 from momapos.page.serve import served
 

@@ -19,7 +19,12 @@ from momapos.robots.robot import Robot, load_robot
 from momapos.scene.files import load_scene
 from momapos.scene.scene import Scene
 from momapos.types import Task
-from momapos.viewer.opening import _picture, draw_opening_map
+from momapos.viewer.opening import (
+    _picture,
+    _picture_alone,
+    draw_opening_map,
+    draw_opening_map_alone,
+)
 
 
 @pytest.fixture(scope="module")
@@ -86,6 +91,8 @@ def test_a_cell_has_the_color_that_stands_beside_its_value(
         np.testing.assert_array_equal(colors[row, column], beside[k, 0])
     assert (colors[np.isnan(seen.farthest)][:, 3] == 0).all()
     assert len(np.unique(beside[:, 0], axis=0)) == len(seen.values)
+    alone = _picture_alone(seen).axes[0].images[0]
+    np.testing.assert_array_equal(alone.to_rgba(alone.get_array()), colors)
     path = tmp_path / "map.png"
     draw_opening_map(kitchen, answer, seen, path)
     assert size_of(path) == (1600, 1120)
@@ -99,6 +106,8 @@ def test_a_part_that_opens_from_nowhere_has_a_picture_too(
     empty = replace(seen, farthest=none, yaw=none)
     path = tmp_path / "map.svg"
     draw_opening_map(kitchen, unsolved(answer, Search()), empty, path)
+    assert path.read_bytes().startswith(b"<?xml")
+    draw_opening_map_alone(empty, path)
     assert path.read_bytes().startswith(b"<?xml")
 
 

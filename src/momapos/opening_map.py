@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from importlib import import_module
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -38,6 +39,8 @@ WAVES = (1, 4, YAWS)
 class OpeningMap:
     """The farthest value of a joint from each cell of the floor."""
 
+    scene: Scene
+    """The room."""
     task: Task
     begin: float
     """Where the part is at first [rad] or [m]."""
@@ -58,6 +61,12 @@ class OpeningMap:
         rows, columns = self.farthest.shape
         right, top = self.low + self.cell * np.array([columns, rows])
         return (float(self.low[0]), float(right), float(self.low[1]), float(top))
+
+    def _repr_png_(self) -> bytes:
+        """The picture that a notebook shows."""
+        # By name: what draws records is downstream of them.
+        png: bytes = import_module("momapos.viewer.inline").opening_png(self)
+        return png
 
 
 def opening_map(
@@ -108,7 +117,7 @@ def opening_map(
         yaw[left[works]] = poses[0, best[works], 2]
     grids = (farthest.reshape(shape), yaw.reshape(shape))
     begin = scene.object(task.object).values()[task.joint or ""]
-    return OpeningMap(task, begin, *grids, low, cell, values)
+    return OpeningMap(scene, task, begin, *grids, low, cell, values)
 
 
 def waypoint_values(scene: Scene, task: Task, config: PipelineConfig) -> Float[np.ndarray, " k"]:

@@ -11,7 +11,8 @@ import pytest
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.urdf import read_urdf
 from momapos.page.bodies import facing, joined, looks, standing
-from momapos.page.room_view import triangulated, viewpoint
+from momapos.page.cameras import viewpoint
+from momapos.page.room_view import triangulated
 from momapos.robots.robot import Robot
 from momapos.scene.files import load_scene
 from momapos.scene.scene import SceneObject

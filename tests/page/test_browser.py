@@ -21,6 +21,7 @@ from momapos.page.page import Page
 from momapos.page.playback import Story
 from momapos.page.serve import served
 from momapos.page.static import write_page
+from momapos.page.words import escaped
 
 pytestmark = optional.needs("Chromium", optional.chromium() is not None)
 LONG = 120_000.0
@@ -185,6 +186,70 @@ def test_a_person_asks_drags_plays_and_reloads(
     assert until(lambda: not page.motion.player.playing)
     page.motion.set_speed(1.0)
     assert len(tab.screenshot()) > 10_000
+    assert complaints == []
+
+
+def look_at_a_candidate(page: Page, client: Any) -> np.ndarray:
+    """Bring the camera of a browser over a candidate that no thing is before; where it lies [m]."""
+    scene, above = page.shown.scene, np.array([0.0, -0.5, 1.5])
+    assert scene is not None
+    assert scene.floor_polygon is not None
+    node = page.server.scene.get_handle_by_name("/layers/candidates/all")
+    points = np.array(node.batched_positions)  # type: ignore[union-attr]
+    things = np.array([item.bounds for item in scene.objects])
+    things += [[-0.3, -0.3, 0.0], [0.3, 1.0, 0.0]]  # what stands before them, seen from there
+    free = (scene.floor_polygon.min(0) < points[:, :2]) & (
+        points[:, :2] < scene.floor_polygon.max(0)
+    )
+    over = (points[:, None, :2] > things[None, :, 0, :2]) & (
+        points[:, None, :2] < things[None, :, 1, :2]
+    )
+    away = np.linalg.norm(points[:, :2] - page.robot.base[:2], axis=1) > 0.8
+    (point, *_) = points[free.all(1) & ~over.all(2).any(1) & away]
+    client.camera.position, client.camera.look_at = point + above, point
+    middle = np.array([SIZE["width"], SIZE["height"]]) / 2
+    assert until(lambda: bool(np.abs(np.array(pixel(client.camera, point)) - middle).max() < 3))
+    return np.array(point)
+
+
+def test_a_candidate_that_is_clicked_says_why_and_the_speed_is_chosen(
+    site: tuple[Page, str], opened: Callable[[str], Tab], complaints: list[str]
+) -> None:
+    page, address = site
+    page.place()
+    assert page.work.wait(LONG / 1000)
+    answer = page.shown.answer
+    assert answer is not None
+    tab = opened(address)
+    press(tab, "tab", "Motion")
+    tab.get_by_label("Speed", exact=True).click(force=True, timeout=LONG)
+    tab.get_by_role("option", name="4", exact=True).click(force=True, timeout=LONG)
+    assert until(lambda: page.motion.player.speed == 4.0)
+    page.panel.speed.value = "1"
+    page.motion.set_speed(1.0)
+
+    press(tab, "tab", "Layers")
+    tab.get_by_label("Candidates", exact=True).click(force=True)
+    assert until(lambda: "candidates" in page.layers.drawn)
+    assert until(lambda: len(page.server.get_clients()) == 1)
+    (client,) = page.server.get_clients().values()
+    tab.set_viewport_size(SIZE)  # type: ignore[arg-type]
+    assert until(lambda: client.camera.image_height == SIZE["height"])
+    drawn(tab)
+    point = look_at_a_candidate(page, client)
+    drawn(tab)
+    tab.mouse.move(*pixel(client.camera, point))
+    for act in (tab.mouse.down, tab.mouse.up):
+        drawn(tab)
+        act()
+    assert until(lambda: bool(page.panel.clicked.content))
+    every = [outcome for block in answer.search.outcomes for outcome in block]
+    away = np.linalg.norm(np.concatenate(answer.search.poses)[:, :2] - point[:2], axis=1)
+    reasons = {escaped(str(every[k])) for k in np.flatnonzero(away < 0.1)}
+    assert page.panel.clicked.content in {f"This candidate: **{words}**" for words in reasons}
+    tab.get_by_text("This candidate:").wait_for(timeout=LONG)
+    tab.get_by_label("Candidates", exact=True).click(force=True)
+    assert until(lambda: not page.panel.layers["candidates"].value)
     assert complaints == []
 
 

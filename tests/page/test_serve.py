@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import socket
 import threading
 import time
@@ -10,6 +11,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from viser import _messages as messages
+from viser.infra import ClientId
 
 from momapos.cache import user_cache
 from momapos.cli.main import main
@@ -17,7 +20,7 @@ from momapos.errors import InputError
 from momapos.page.page import Page
 from momapos.page.playback import Player
 from momapos.page.question import VERBS, Machines, targets
-from momapos.page.serve import check_free, open_server, served
+from momapos.page.serve import check_free, open_server, quiet, served
 from momapos.page.static import check_page
 from momapos.scene.files import load_scene
 
@@ -60,6 +63,20 @@ def test_a_server_opens_no_tunnel_to_the_outside() -> None:
         assert server.request_share_url() is None
         assert server.get_host() == "127.0.0.1"
     finally:
+        server.stop()
+
+
+def test_files_that_no_control_asks_for_are_not_kept() -> None:
+    server = open_server("127.0.0.1", 0)
+    gui = server.gui
+    start = messages.FileTransferStartUpload(
+        gui.add_text("Name", "")._impl.uuid, "transfer", "a.bin", "", 2, 10**12
+    )
+    part = messages.FileTransferPart("", "transfer", 0, b"x" * 1000)
+    for message in (start, part):
+        asyncio.run(gui._websock_interface._handle_incoming_message(ClientId(0), message))
+    assert gui._current_file_upload_states == {}
+    with quiet():
         server.stop()
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -54,8 +55,21 @@ def numbered(path: Path, count: int, k: int) -> Path:
     return path if count == 1 else path.with_name(f"{path.stem}_{k + 1}{path.suffix}")
 
 
+def open_plans(
+    plans: Sequence[Path], scene_root: Path | None, robot: str | None, purpose: str
+) -> list[tuple[PlacementPlan, Scene, Robot]]:
+    """Read several plans as `open_plan` does; what their rooms share is the same in all."""
+    read: dict[Path, Scene] = {}
+    return [open_plan(plan, scene_root, robot, purpose, read=read) for plan in plans]
+
+
 def open_plan(
-    plan: Path, scene_root: Path | None, robot: str | None, purpose: str
+    plan: Path,
+    scene_root: Path | None,
+    robot: str | None,
+    purpose: str,
+    *,
+    read: dict[Path, Scene] | None = None,
 ) -> tuple[PlacementPlan, Scene, Robot]:
     """Read a solved plan, its scene as the plan left it, and its robot.
 
@@ -64,6 +78,7 @@ def open_plan(
         scene_root: Folder for names not found beside the plan.
         robot: A library robot or a robot file; None for the one that the plan names.
         purpose: What there is nothing for where the plan is not solved, such as "to execute".
+        read: Scenes that were read already, by their file; others are added.
 
     Raises:
         MomaposError: A file cannot be used, or the plan is not solved.
@@ -80,10 +95,12 @@ def open_plan(
     scene_file = find_file("scene", content.scene, folders, plan)
     urdf = find_file("robot.urdf", content.robot_urdf, folders, plan)
     check_unchanged(plan, scene_file, urdf)
-    scene = as_planned(read_scene(scene_file, scene_root, cache=user_cache()), content)
-    machine = _robot(content, plan, urdf, robot)
-    tell(scene.warnings)
-    return content, scene, machine
+    rooms = {} if read is None else read
+    if scene_file not in rooms:
+        rooms[scene_file] = read_scene(scene_file, scene_root, cache=user_cache())
+        tell(rooms[scene_file].warnings)
+    scene = as_planned(rooms[scene_file], content)
+    return content, scene, _robot(content, plan, urdf, robot)
 
 
 def open_run(

@@ -10,7 +10,7 @@ from tyro.conf import Positional
 
 from momapos.cli.options import OptionalPath, OptionalText, PoseArg, check_seed
 from momapos.cli.place import parse_pose
-from momapos.cli.plan_files import numbered, open_plan, plans_of
+from momapos.cli.plan_files import numbered, open_plans, plans_of
 from momapos.errors import InputError
 from momapos.files import check_outputs
 
@@ -109,7 +109,7 @@ def run(
     if world is None and world_at is not None:
         raise InputError("--world-at says where a --world lies; give that too, or leave it out")
     at = np.zeros(3) if world_at is None else np.array(parse_pose(world_at, "world-at"))
-    opened = [open_plan(path, scene_root, robot, "to execute") for path in plans]
+    opened = open_plans(plans, scene_root, robot, "to execute")
     with require("physics"):
         from momapos.execution.config import ExecutionConfig, FurnitureConfig
         from momapos.execution.record import run_to_dict

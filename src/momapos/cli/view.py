@@ -35,17 +35,19 @@ def view(
 ) -> int:
     """Show a room and a robot on a web page: ask, drag the base, watch the answer move.
 
-    A plan plays, a run plays as physics did it, of a scan the points are shown and a scene is made.
+    A plan plays, a tour task by task, a run as physics did it; of a scan the points are shown and a
+    scene is made.
 
     The page can be reached from this machine alone, unless another address is given. All browsers
     see the same. It ends with Ctrl-C.
 
     Args:
-        source: A scene file, the name of a built-in kitchen, a plan, the record of a run, a scan,
-            or a folder that momapos solve has written.
+        source: A scene file, the name of a built-in kitchen, a plan, a tour, the record of a run,
+            a scan, or a folder that momapos solve has written.
         robot: A library robot or a robot file; by default the one of the plan.
         scene_root: Folder for what a plan names and does not lie beside it.
-        static: Write a solved plan or a run as one page that plays without a server; serve nothing.
+        static: Write a solved plan, tour or run as one page that plays without a server; serve
+            nothing.
         host: The address on which the page can be reached; 0.0.0.0 for all of this machine.
         port: Its port; 0 for any that is free.
     """

@@ -5,6 +5,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -36,7 +37,7 @@ def kind_of(source: str) -> Kind:
         return "scan"
     kinds: dict[bytes, Kind] = {
         b'"momapos-plan"': "plan", b'"momapos-run"': "run",
-        b'"momapos-tour"': "plan",  # whose reader says that it is none
+        b'"momapos-tour"': "plan",
     }  # fmt: skip
     return next((kind for word, kind in kinds.items() if word in head), "scene")
 
@@ -72,13 +73,14 @@ def opened_source(
 
 
 def _opened(path: Path, kind: Kind, scene_root: Path | None, robot: str | None) -> Opened:
-    """Read a plan, or the record of a run and the plan that it names."""
-    from momapos.cli.plan_files import open_plan, open_run
+    """Read a plan, the plans of a tour, or the record of a run and the plan that it names."""
+    from momapos.cli.plan_files import open_plans, open_run, plans_of
     from momapos.page.opened import Opened
 
     if kind == "plan":
-        plan, scene, machine = open_plan(path, scene_root, robot, "to show")
-        return Opened(str(path), scene, machine, plan)
+        plans = open_plans(plans_of(path, "to show"), scene_root, robot, "to show")
+        first, *then = (Opened(str(path), scene, one, plan) for plan, scene, one in plans)
+        return replace(first, then=tuple(then))
     record, plan, scene, machine = open_run(path, scene_root, robot, "to show")
     return Opened(str(path), scene, machine, plan, record)
 

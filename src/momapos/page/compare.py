@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from momapos.page.cameras import viewpoint
 from momapos.page.playback import Story
 from momapos.page.robot_view import RobotView, joint_values
-from momapos.page.room_view import RoomView, viewpoint
+from momapos.page.room_view import RoomView
 from momapos.page.words import escaped
 from momapos.placement_result import PlacementResult
 from momapos.scene.scene import Scene
@@ -107,11 +108,7 @@ class Compare:
         """Show all kept motions at a time [s]."""
         for kept in self._kept:
             if kept.story is not None:
-                moment = kept.story.at(seconds)
-                kept.robot.move(moment.base, moment.joints)
-                kept.room.move(moment.object_q)
-                if moment.T_world_object is not None:
-                    kept.room.carry(moment.T_world_object)
+                kept.story.at(seconds).show(kept.room, kept.robot)
 
     def forget(self) -> None:
         """Forget the answers that are kept."""

@@ -39,7 +39,8 @@ def show(answer: PlacementResult) -> None:
 
 def frame_of(page: str) -> str:
     """A page within a page; nothing of it reaches what is around it."""
+    # Within another element: of a bare frame IPython warns, and asks for one with an address.
     return (
-        f'<iframe srcdoc="{html.escape(page, quote=True)}" sandbox="allow-scripts" '
-        f'style="width:100%;height:{HEIGHT}px;border:0"></iframe>'
+        f'<div><iframe srcdoc="{html.escape(page, quote=True)}" sandbox="allow-scripts" '
+        f'style="width:100%;height:{HEIGHT}px;border:0"></iframe></div>'
     )

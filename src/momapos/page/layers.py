@@ -48,7 +48,7 @@ LIT = 0.5
 legend [-]."""
 POINTS = 1200
 """Candidates that are drawn at most [-]."""
-MARK = 0.08
+MARK = 0.11
 """Edge of a candidate's mark [m]."""
 _EDGES = ((0, 1), (0, 2), (0, 4), (1, 3), (1, 5), (2, 3), (2, 6), (3, 7), (4, 5), (4, 6), (5, 7),
           (6, 7))  # fmt: skip

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.page.playback import Player, Story
-from momapos.page.run_story import RunStory
+from momapos.page.playback import Playable, Player
 
 if TYPE_CHECKING:
     from momapos.page.page import Page
@@ -25,9 +24,9 @@ class MotionView:
         self._page = page
         self._told = 0.0
         self.player = Player(self._show)
-        self.story: Story | RunStory | None = None
+        self.story: Playable | None = None
 
-    def load(self, story: Story | RunStory | None, *, at_end: bool = True) -> None:
+    def load(self, story: Playable | None, *, at_end: bool = True) -> None:
         """Take another story; None: there is none.
 
         Args:
@@ -77,6 +76,7 @@ class MotionView:
         self.pause()
         self._page.shown.joints = self._page.panel.joint_values
         with self._page.drawing:
+            self._page.show_room()
             self._page.room.move(self._page.shown.joints)
 
     def _show(self, seconds: float, playing: bool) -> None:
@@ -86,11 +86,7 @@ class MotionView:
             if story is None:
                 return
             moment = story.at(seconds)
-            page.robot.move(moment.base, moment.joints)
-            page.robot.show_force(moment.force)
-            page.room.move(moment.object_q)
-            if moment.T_world_object is not None:
-                page.room.carry(moment.T_world_object)
+            moment.show(page.room, page.robot)
             page.compare.show(seconds)
         now = time.perf_counter()
         panel = page.panel
@@ -101,5 +97,6 @@ class MotionView:
         words = moment.words
         if moment.force is not None and moment.force.any():
             words += f", {np.linalg.norm(moment.force):.0f} N at the hand"
-        panel.show_joint_values(moment.object_q)
+        if page.room.active == page.asked_object:
+            panel.show_joint_values(moment.object_q)
         panel.show_moment(seconds, words)

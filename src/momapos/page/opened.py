@@ -1,4 +1,4 @@
-"""What the page is opened with, instead of a scene: a plan, the record of a run, a scan."""
+"""What the page is opened with, instead of a scene: a plan, a tour, the record of a run, a scan."""
 
 from __future__ import annotations
 
@@ -12,9 +12,11 @@ import numpy as np
 
 from momapos.execution.record import RunRecord
 from momapos.manipulation.tasks import slides
-from momapos.page.playback import Story
+from momapos.page.playback import Playable, Story
 from momapos.page.question import METHODS, Question
 from momapos.page.run_story import RunStory
+from momapos.page.tour_story import TourStory
+from momapos.page.words import run_words, tour_words
 from momapos.placement.problem import Search
 from momapos.placement_result import PlacementResult
 from momapos.prepare import prepare
@@ -39,6 +41,15 @@ class Opened:
     robot: Robot
     plan: PlacementPlan
     run: RunRecord | None = None
+    then: tuple[Opened, ...] = ()
+    """Of a tour the tasks after this one."""
+
+    @property
+    def words(self) -> str:
+        """What there is to say beside the answer; "" of a single plan."""
+        if self.run is not None:
+            return run_words(self.run)
+        return tour_words([self.plan, *(one.plan for one in self.then)]) if self.then else ""
 
     @property
     def question(self) -> Question:
@@ -66,15 +77,18 @@ class Opened:
         assert start is not None
         return PlacementResult(plan, prepared, Search(), np.array(start))
 
-    def story(self) -> Story | RunStory:
-        """The plan, or what physics made of it, over time.
+    def story(self) -> Playable:
+        """The plan, the tour, or what physics made of the plan, over time.
 
         Raises:
             InputError: There is no motion to show.
         """
-        if self.run is None:
-            return Story.of(self.plan, self.robot, self.scene)
-        return RunStory.of(self.run, self.robot)
+        if self.run is not None:
+            return RunStory.of(self.run, self.robot)
+        if self.then:
+            tasks = (self, *self.then)
+            return TourStory.of([t.plan for t in tasks], [t.scene for t in tasks], self.robot)
+        return Story.of(self.plan, self.robot, self.scene)
 
 
 def far_text(to: float, *, slides: bool) -> str:

@@ -22,6 +22,7 @@ from momapos.errors import InputError
 from momapos.manipulation.tasks import in_front_of_parts
 from momapos.page.answer_layers import AnswerLayers
 from momapos.page.browsers import Browsers
+from momapos.page.cameras import look_at
 from momapos.page.compare import Compare
 from momapos.page.extras import Extras
 from momapos.page.follow import Follow
@@ -31,11 +32,11 @@ from momapos.page.panel import Panel, joint_ranges
 from momapos.page.playback import Story
 from momapos.page.question import Machine, Machines, Question, ask, ask_at, targets
 from momapos.page.robot_view import RobotView, home_values, joint_values
-from momapos.page.room_view import RoomView, viewpoint
+from momapos.page.room_view import RoomView
 from momapos.page.scan_view import ScanView
 from momapos.page.settled import Settled
 from momapos.page.state import Choice, Shown
-from momapos.page.words import answer_words, escaped, run_words
+from momapos.page.words import answer_words, escaped
 from momapos.page.work import Latest
 from momapos.placement_result import PlacementResult
 from momapos.protocols import Clock
@@ -155,9 +156,9 @@ class Page:
             answer = opened.answer()
             if answer is not None:
                 self._take(answer, machine)
-            if opened.run is not None:
+            if opened.words:
                 self.motion.load(opened.story(), at_end=False)
-                self.tell(run_words(opened.run))
+                self.tell(opened.words)
 
         self._request(work)
 
@@ -287,13 +288,11 @@ class Page:
         shown.joints = {}
         self.motion.load(None)
         self.layers.clear()  # before the robot, from which one of them hangs
-        name = question.target.partition("/")[0]
-        collision = bool(self.panel.layers["collision"].value)
         if fresh and self.room.scene is not scene:
-            self._look_at(scene)
-        self.room.show(scene, name, collision=collision)
+            look_at(self.server, scene)
+        self.show_room()
         self.room.rest()
-        self.panel.show_joints(joint_ranges(scene, name))
+        self.panel.show_joints(joint_ranges(scene, self.asked_object))
         self.panel.to.disabled = question.verb not in ("open", "close")
         if self.robot.robot is not robot or fresh:
             self.robot.show(robot, self._begin(scene))
@@ -311,18 +310,10 @@ class Page:
             return scene.start
         return np.append(in_front_of_parts(scene), np.pi / 2)
 
-    def _look_at(self, scene: Scene) -> None:
-        """Turn the cameras to a room."""
-        eye, target = viewpoint(scene)
-        camera = self.server.initial_camera
-        camera.position, camera.look_at, camera.up = eye, target, np.array([0.0, 0.0, 1.0])
-        for client in self.server.get_clients().values():
-            client.camera.position, client.camera.look_at = eye, target
-
     def look_at_room(self) -> None:
         """Turn the cameras back to the whole room."""
         if self.shown.scene is not None:
-            self._look_at(self.shown.scene)
+            look_at(self.server, self.shown.scene)
 
     # ---------------------------------------------------------------------------- the answer
 
@@ -341,6 +332,7 @@ class Page:
         assert shown.scene is not None
         shown.answer = answer
         self.layers.clear()
+        self.show_room()
         if self.robot.robot is not robot:
             self.robot.show(robot, self.robot.base)
             shown.probe = None
@@ -365,11 +357,24 @@ class Page:
 
     def change_look(self) -> None:
         """Things are drawn as what is checked, or as what they look like."""
-        if self.room.scene is not None and self.shown.question is not None:
-            name = self.shown.question.target.partition("/")[0]
-            collision = bool(self.panel.layers["collision"].value)
+        if self.room.scene is not None:
             with self.drawing:
-                self.room.show(self.room.scene, name, collision=collision)
+                self.room.show(self.room.scene, self.room.active, collision=self._collision)
+
+    def show_room(self) -> None:
+        """Draw the room that is asked about, where another moment of a tour is shown."""
+        if self.shown.scene is not None:
+            self.room.show(self.shown.scene, self.asked_object, collision=self._collision)
+
+    @property
+    def asked_object(self) -> str:
+        """The object that is asked about; "" where nothing is."""
+        question = self.shown.question
+        return "" if question is None else question.target.partition("/")[0]
+
+    @property
+    def _collision(self) -> bool:
+        return bool(self.panel.layers["collision"].value)
 
     # -------------------------------------------------------------------- clicks and browsers
 

@@ -6,13 +6,14 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from momapos.export.phases import PhaseKind, phases_of
 from momapos.export.timeline import Timeline, planned
-from momapos.page.robot_view import joint_values
+from momapos.page.robot_view import RobotView, joint_values
+from momapos.page.room_view import RoomView
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene
 from momapos.types import PlacementPlan, Task
@@ -27,6 +28,15 @@ WORDS: dict[str, str] = {
     PhaseKind.DRIVE: "drive", PhaseKind.ARM: "move the arm", PhaseKind.CLOSE: "close the gripper",
     PhaseKind.OPEN: "open the gripper",
 }  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Setting:
+    """The room in which something happens."""
+
+    scene: Scene
+    active: str
+    """The object that is moved."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +55,18 @@ class Moment:
     """Of what is held on the hand [N]; None where nobody knows."""
     T_world_object: Float[np.ndarray, "4 4"] | None = None
     """Pose of the root link of a loose object; None where it stays."""
+    setting: Setting | None = None
+    """Where it is; None in the room that is shown."""
+
+    def show(self, room: RoomView, robot: RobotView) -> None:
+        """Put everything where it is."""
+        if self.setting is not None:
+            room.show(self.setting.scene, self.setting.active)
+        robot.move(self.base, self.joints)
+        robot.show_force(self.force)
+        room.move(self.object_q)
+        if self.T_world_object is not None:
+            room.carry(self.T_world_object)
 
 
 @dataclass(frozen=True)
@@ -85,6 +107,19 @@ class Story:
             WORDS[self.timeline.stages[samples.phase[i]]],
             T_world_object=None if poses is None else poses[i],
         )
+
+
+class Playable(Protocol):
+    """What can be played."""
+
+    @property
+    def duration(self) -> float:
+        """[s]"""
+        ...
+
+    def at(self, seconds: float) -> Moment:
+        """What was where at a time [s]; the first and the last hold before and after."""
+        ...
 
 
 class Player:

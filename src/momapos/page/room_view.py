@@ -10,8 +10,8 @@ from viser.transforms import SO3
 
 from momapos.geometry.polygons import signed_area
 from momapos.geometry.transforms import invert
-from momapos.manipulation.tasks import in_front_of_parts
 from momapos.page.bodies import Surface, facing, joined, looks, standing
+from momapos.page.crowd import Crowd, Part
 from momapos.scene.scene import Scene, SceneObject
 from momapos.viewer.palette import (
     BAD,
@@ -30,6 +30,10 @@ if TYPE_CHECKING:
     from viser import SceneApi
 
 ROOT = "/room"
+_FLOOR = " floor"
+"""No object is called so."""
+MOST_NODES = 200
+"""A room of more objects is drawn as a crowd; else each is marked when the mouse is on it [-]."""
 BEYOND = 1.0
 """The floor of a room without an outline goes on for so long beyond its things [m]."""
 SMALL_THING = 0.02
@@ -74,13 +78,21 @@ class RoomView:
             name: Of the node from which all others hang.
         """
         self._api, self._picked, self.name = api, picked, name
+        self._crowd = Crowd(api, f"{name}/crowd", picked)
+        self._standing: dict[str, list[Part]] = {}
+        """In a large room, the objects as the crowd draws them."""
         self._nodes: dict[str, list[Any]] = {}
+        """The nodes of objects that are drawn by themselves."""
+        self._drawn = 0
         self._links: dict[str, Any] = {}
         self._marks: list[Any] = []
-        self._active = ""
+        self._moved: dict[str, float] = {}
+        self._carried: np.ndarray | None = None
         self._collision = False
         self._root: Any = None
         self.scene: Scene | None = None
+        self.active = ""
+        """The object whose parts may move."""
 
     def set_visible(self, visible: bool) -> None:
         """Show all of the room, or nothing of it."""
@@ -91,58 +103,85 @@ class RoomView:
     def remove(self) -> None:
         """Draw it no more."""
         self.mark(())
-        self._clear()
-        self.scene, self._links = None, {}
+        for name in [*self._nodes]:
+            self._remove(name)
+        self._crowd.show(())
+        self.scene, self.active, self._links = None, "", {}
         if self._root is not None:
             self._root.remove()
             self._root = None
 
     def carry(self, T_world_root: Float[np.ndarray, "4 4"]) -> None:
         """Move the active object, which is loose, as a whole: the pose of its root link."""
-        if self.scene is None or not self._active:
+        if self.scene is None or not self.active:
             return
-        item = self.scene.object(self._active)
+        self._carried = T_world_root
+        item = self.scene.object(self.active)
         T = T_world_root @ invert(item.link_poses()[item.model.urdf.root])
-        for node in self._nodes[self._active]:
+        for node in self._nodes[self.active]:
             place(node, T)
 
     def rest(self) -> None:
         """Put the active object back to where the scene has it."""
-        if self.scene is None or not self._active:
+        if self.scene is None or not self.active:
             return
-        item = self.scene.object(self._active)
+        item = self.scene.object(self.active)
         if item.model.joints:
             self.move({})
         else:
             self.carry(item.link_poses()[item.model.urdf.root])
 
-    def show(self, scene: Scene, active: str = "", *, collision: bool = False) -> None:
-        """Draw a scene instead of the last.
+    def show(self, scene: Scene, active: str = "", *, collision: bool | None = None) -> None:
+        """Draw a scene instead of the last; what is the same in both is not drawn again.
 
         Args:
             scene: The room.
             active: The object whose parts may move; it is set off by its color.
-            collision: Whether to draw the hulls that are checked instead of what things look like.
+            collision: Whether to draw the hulls that are checked instead of what things look like;
+                None: as before.
         """
-        same = self.scene is scene and self._collision == collision
-        if same and self._active == active:
+        collision = self._collision if collision is None else collision
+        same_look, same_active = self._collision == collision, self.active == active
+        if self.scene is scene and same_look and same_active:
             return
-        changed = {self._active, active} if same else {o.name for o in scene.objects}
-        if not same:
-            self._clear()
+        alike = same_look and self.scene is not None and _large(self.scene) == _large(scene)
+        before = {o.name: o for o in self.scene.objects} if self.scene and alike else {}
+        names = {item.name for item in scene.objects}
+        changed = {item.name for item in scene.objects if before.get(item.name) is not item}
+        changed |= set() if same_active else {self.active, active} & names
+        still = same_active and (not same_look or active not in changed)
+        if self.scene is not scene:
+            self._remove(_FLOOR)
             self._draw_floor(scene)
-        self._links = {}
-        self.scene, self._active, self._collision = scene, active, collision
+        for name in [*self._nodes]:
+            if name != _FLOOR and (name in changed or name not in names):
+                self._remove(name)
+        self.scene, self.active, self._collision = scene, active, collision
         self.mark(())
-        for index, item in enumerate(scene.objects):
+        if active in changed or not same_active:
+            self._links = {}
+        for item in scene.objects:
             if item.name in changed:
-                self._draw(index, item)
+                self._draw(item)
+        parts = [one for item in scene.objects for one in self._standing.get(item.name, ())]
+        self._crowd.show(parts, left_out=active)
+        if still:
+            self._as_it_was()
+        else:
+            self._moved, self._carried = {}, None
+
+    def _as_it_was(self) -> None:
+        """Put the active object to where it was moved before it was drawn anew."""
+        if self._carried is not None:
+            self.carry(self._carried)
+        self.move(self._moved)
 
     def move(self, values: Mapping[str, float]) -> None:
         """Move joints of the active object [rad] or [m]; all others are as the scene has them."""
-        if self.scene is None or not self._active:
+        if self.scene is None or not self.active:
             return
-        poses = self.scene.object(self._active).link_poses(values)
+        self._moved = dict(values)
+        poses = self.scene.object(self.active).link_poses(values)
         for key, handle in self._links.items():
             place(handle, poses[key.rpartition("|")[0]])
 
@@ -165,15 +204,16 @@ class RoomView:
             ]
             for surface in wanted:
                 name = f"{self.name}/mark{len(self._marks)}"
-                self._marks.append(self._mesh(name, swollen(surface, SWELL), color, opacity=0.75))
+                self._marks.append(
+                    self._mesh(name, swollen(surface, SWELL), rgb(color), opacity=0.75)
+                )
 
     # ------------------------------------------------------------------------------------ parts
 
-    def _clear(self) -> None:
-        for nodes in self._nodes.values():
-            for node in nodes:
-                node.remove()
-        self._nodes, self._links = {}, {}
+    def _remove(self, name: str) -> None:
+        for node in self._nodes.pop(name, []):
+            node.remove()
+        self._standing.pop(name, None)
 
     def _draw_floor(self, scene: Scene) -> None:
         polygon = scene.floor_polygon
@@ -181,37 +221,52 @@ class RoomView:
             low, high = room_bounds(scene) + np.array([[-BEYOND], [BEYOND]])
             polygon = np.array([low, [high[0], low[1]], high, [low[0], high[1]]])
         corners = np.column_stack([polygon, np.full(len(polygon), -0.002)])
-        floor = self._mesh(f"{self.name}/floor", Surface(corners, triangulated(polygon)), FLOOR)
-        self._nodes[" floor"] = [floor]
+        surface = Surface(corners, triangulated(polygon))
+        floor = self._mesh(f"{self.name}/floor", surface, rgb(FLOOR), shaded=not _large(scene))
+        self._nodes[_FLOOR] = [floor]
 
-    def _draw(self, index: int, item: SceneObject) -> None:
-        for node in self._nodes.pop(item.name, []):
-            node.remove()
-        color, dark = _colors(item, active=item.name == self._active)
-        root, nodes = f"{self.name}/o{index}", []
-        if item.name == self._active and item.model.joints:
-            poses = item.link_poses()
-            for k, look in enumerate(looks(item.model, collision=self._collision)):
-                for part, surface, own in (("body", look.body, color), ("h", look.handle, dark)):
-                    if len(surface.faces):
-                        moves = look.link in _moving(item)
-                        node = self._mesh(f"{root}/l{k}{part}", surface,
-                                          PART if moves and part == "body" else own)  # fmt: skip
-                        place(node, poses[look.link])
-                        self._links[f"{look.link}|{part}"] = node
-                        nodes.append(node)
+    def _draw(self, item: SceneObject) -> None:
+        """Draw an object; what was drawn of it is gone."""
+        assert self.scene is not None
+        self._drawn += 1
+        root, active = f"{self.name}/o{self._drawn}", item.name == self.active
+        self._nodes[item.name] = []
+        if _large(self.scene):
+            self._standing[item.name] = self._parts(item, active=False)
+            if not active:
+                return
+        if active and item.model.joints:
+            self._draw_links(item, root)
         else:
-            body = standing(item, lambda look: look.body, collision=self._collision)
-            handles = standing(item, lambda look: look.handle, collision=self._collision)
-            if item.category == "wall" and self.scene is not None:
-                middle = room_bounds(self.scene).mean(0)
-                body = facing(body, np.append(middle, 1.0))
-            for part, surface, own in (("body", body, color), ("h", handles, dark)):
-                if len(surface.faces):
-                    nodes.append(self._mesh(f"{root}/{part}", surface, own))
-        for node in nodes:
+            self._nodes[item.name] = [
+                self._mesh(f"{root}/p{k}", part.surface, part.color)
+                for k, part in enumerate(self._parts(item, active=active))
+            ]
+        for node in self._nodes[item.name]:
             self._listen(node, item.name)
-        self._nodes[item.name] = nodes
+
+    def _draw_links(self, item: SceneObject, root: str) -> None:
+        """Draw each link as a node that can be moved."""
+        poses, moving = item.link_poses(), _moving(item)
+        color, dark = _colors(item, active=True)
+        for k, look in enumerate(looks(item.model, collision=self._collision)):
+            body = PART if look.link in moving else color
+            for part, surface, own in (("body", look.body, body), ("h", look.handle, dark)):
+                if len(surface.faces):
+                    node = self._mesh(f"{root}/l{k}{part}", surface, rgb(own))
+                    place(node, poses[look.link])
+                    self._links[f"{look.link}|{part}"] = node
+                    self._nodes[item.name].append(node)
+
+    def _parts(self, item: SceneObject, *, active: bool) -> list[Part]:
+        """An object as it stands, of a wall those sides that look into the room."""
+        body = standing(item, lambda look: look.body, collision=self._collision)
+        handles = standing(item, lambda look: look.handle, collision=self._collision)
+        if item.category == "wall" and self.scene is not None:
+            middle = room_bounds(self.scene).mean(0)
+            body = facing(body, np.append(middle, 1.0))
+        both = zip((body, handles), _colors(item, active=active), strict=True)
+        return [Part(item.name, one, rgb(color)) for one, color in both if len(one.faces)]
 
     def _listen(self, node: Any, name: str) -> None:
         picked = self._picked
@@ -219,12 +274,19 @@ class RoomView:
             node.on_click(lambda _: picked(name))
 
     def _mesh(
-        self, name: str, surface: Surface, color: str, *, opacity: float | None = None
-    ) -> Any:
+        self, name: str, surface: Surface, color: Color, *, opacity: float | None = None,
+        shaded: bool = True,
+    ) -> Any:  # fmt: skip
+        """Draw triangles; where they are shaded, shadows are seen on them."""
         return self._api.add_mesh_simple(
             name, surface.vertices.astype(np.float32), surface.faces.astype(np.uint32),
-            color=rgb(color), flat_shading=True, opacity=opacity, cast_shadow=opacity is None,
+            color=color, flat_shading=True, opacity=opacity, cast_shadow=opacity is None,
+            receive_shadow=shaded,
         )  # fmt: skip
+
+
+def _large(scene: Scene) -> bool:
+    return len(scene.objects) > MOST_NODES
 
 
 def _moving(item: SceneObject) -> set[str]:
@@ -272,22 +334,3 @@ def _inside(points: np.ndarray, a: np.ndarray, b: np.ndarray, c: np.ndarray) -> 
     for p, q in ((a, b), (b, c), (c, a)):
         inside &= np.asarray(_turn(p, q, points)) >= 0
     return inside
-
-
-def viewpoint(scene: Scene) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-    """Where to look from at first, and at what: from the side to which doors open [m]."""
-    low, high = room_bounds(scene)
-    size = float(np.linalg.norm(high - low))
-    movable = [o.bounds.mean(0)[:2] for o in scene.objects if o.model.joints]
-    middle = (low + high) / 2
-    ahead = np.array([0.4, -1.0])
-    if movable:
-        front = in_front_of_parts(scene) - np.mean(movable, axis=0)
-        if np.linalg.norm(front) > 0.1:
-            ahead = front / np.linalg.norm(front) + 0.35 * np.array([-front[1], front[0]])
-    ahead /= np.linalg.norm(ahead)
-    eye = np.append(0.6 * ahead, 0.48) * size
-    # The controls are at the right; the room is in the middle of what they leave.
-    aside = 0.1 * size * np.array([-ahead[1], ahead[0], 0.0])
-    target = np.append(middle, 0.5) + aside
-    return target + eye, target

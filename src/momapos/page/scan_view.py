@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from momapos.types import Detection, UprightBox
 
 ROOT = "/scan"
-THINGS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#8c7ae6", "#a6761d")
+THINGS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#8c7ae6", "#5a3a00")
 """Colors of things, one after the other (Okabe and Ito, and two more)."""
-ROOM = "#a7adb3"
+ROOM = "#c9ced3"
 """Of points that are in no thing."""
 NAME = 0.08
 """Height of the letters of a name [m]."""

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import contextlib
 import errno
-import io
 import socket
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
 import viser
+from viser import _messages as messages
 
 from momapos.cache import Cache
 from momapos.errors import InputError
@@ -81,9 +80,16 @@ def open_server(host: str, port: int) -> Server:
         with quiet():
             server.stop()
         raise _in_use(port)
+    refuse_files(server)
     set_theme(server.gui)
     server.scene.world_axes.visible = False
     return server
+
+
+def refuse_files(server: viser.ViserServer) -> None:
+    """Take no files: viser keeps what is sent, of any size, though no control asks for any."""
+    for kind in (messages.FileTransferStartUpload, messages.FileTransferPart):
+        server.gui._websock_interface.unregister_handler(kind)
 
 
 def check_free(host: str, port: int) -> None:
@@ -113,6 +119,14 @@ def _in_use(port: int) -> InputError:
     return InputError(f"--port {port} is in use; give another one, or 0 for any that is free")
 
 
-def quiet() -> contextlib.redirect_stdout[io.StringIO]:
-    """Keep a server's own remarks off the terminal; ours say what matters."""
-    return contextlib.redirect_stdout(io.StringIO())
+@contextmanager
+def quiet() -> Iterator[None]:
+    """Keep a server's own remarks off the terminal and out of notebooks; ours say what matters."""
+    from rich import get_console  # what viser speaks by
+
+    console = get_console()
+    before, console.quiet = console.quiet, True
+    try:
+        yield
+    finally:
+        console.quiet = before

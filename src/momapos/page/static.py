@@ -10,11 +10,11 @@ import numpy as np
 
 from momapos.cache import write_atomic
 from momapos.errors import InputError
+from momapos.page.cameras import look_at
 from momapos.page.layers import draw_path
-from momapos.page.playback import RATE, Story
+from momapos.page.playback import RATE, Playable, Story
 from momapos.page.robot_view import RobotView
-from momapos.page.room_view import RoomView, viewpoint
-from momapos.page.run_story import RunStory
+from momapos.page.room_view import RoomView
 from momapos.page.serve import open_server, quiet
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene
@@ -48,7 +48,7 @@ def write_page(
     plan: PlacementPlan,
     path: Path,
     *,
-    story: Story | RunStory | None = None,
+    story: Playable | None = None,
     active: str | None = None,
 ) -> None:
     """Write a solved plan as a page that plays it over and over.
@@ -76,16 +76,14 @@ def page_of(
     scene: Scene,
     robot: Robot,
     plan: PlacementPlan,
-    story: Story | RunStory | None = None,
+    story: Playable | None = None,
     active: str | None = None,
 ) -> str:
     """The page as HTML; see `write_page`."""
     story = story or Story.of(plan, robot, scene)
     server = open_server("127.0.0.1", 0)  # viser records only what a server has drawn
     try:
-        eye, target = viewpoint(scene)
-        camera = server.initial_camera
-        camera.position, camera.look_at, camera.up = eye, target, np.array([0.0, 0.0, 1.0])
+        look_at(server, scene)
         room, machine = RoomView(server.scene), RobotView(server.scene)
         room.show(scene, active or plan.task.object)
         first = story.at(0.0)
@@ -95,12 +93,7 @@ def page_of(
             draw_path(server.scene, "/way", plan.base_path)
         recording = server.get_scene_serializer()
         for seconds in _times(story.duration):
-            moment = story.at(seconds)
-            machine.move(moment.base, moment.joints)
-            machine.show_force(moment.force)
-            room.move(moment.object_q)
-            if moment.T_world_object is not None:
-                room.carry(moment.T_world_object)
+            story.at(seconds).show(room, machine)
             recording.insert_sleep(1.0 / RATE)
         recording.insert_sleep(REST)
         html: str = recording.as_html()

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 from momapos.execution.record import RunRecord
 from momapos.page.probe import Finding, Probe
 from momapos.placement_result import PlacementResult
+from momapos.types import PlacementPlan
 from momapos.viewer.panel import question, value_text
 
 MOST_REASONS = 6
@@ -75,6 +77,20 @@ def run_words(record: RunRecord) -> str:
             f"  - touched: {escaped(hit.one)} and {escaped(hit.other)}, {hit.force:.0f} N"
             for hit in one.collisions[:MOST_REASONS]
         ]
+    return "\n".join(lines)
+
+
+def tour_words(plans: Sequence[PlacementPlan]) -> str:
+    """The tasks of a tour, and where each is done."""
+    driven = sum(plan.navigation_cost or 0.0 for plan in plans)
+    lines = [f"**Solved**: {len(plans)} tasks, {driven:.2f} m driven", ""]
+    for number, plan in enumerate(plans, start=1):
+        task = plan.task
+        what = task.object if task.joint is None else f"{task.object}/{task.joint}"
+        at = "" if plan.base_pose is None else f" from {pose_text(plan.base_pose)}"
+        lines.append(f"{number}. {task.verb} {escaped(what)}{at}")
+    if any(plan.task.verb == "pick" for plan in plans[:-1]):
+        lines += ["", "When the next task begins, what was picked is drawn where it was."]
     return "\n".join(lines)
 
 

@@ -54,10 +54,10 @@ KINDS = (
         ),
         "#555555", "*", size=3.4,
     ),
-    MarkerKind("arm hits", (_S.ARM_COLLISION, _S.HOME_COLLISION), "#aa4499", "^", size=3.2),
+    MarkerKind("arm hits", (_S.ARM_COLLISION, _S.HOME_COLLISION), "#b52ad6", "^", size=3.2),
     MarkerKind("no continuous path", (_S.NO_CONTINUOUS_PATH,), "#7a4a1e", "s"),
     MarkerKind("no approach", (_S.NO_APPROACH, _S.NO_WAY_HOME), "#7d7a1f", "D"),
-    MarkerKind("exact check", (_S.EXACT_CHECK,), "#661100", "P", size=3.6),
+    MarkerKind("exact check", (_S.EXACT_CHECK,), "#330000", "P", size=3.6),
     MarkerKind("feasible", (_S.FEASIBLE,), "#009e73", "o", filled=True, size=5.0),
 )  # fmt: skip
 """From what fails first to what succeeds; the order in which they are drawn."""

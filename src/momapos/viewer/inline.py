@@ -8,10 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
+from momapos.opening_map import OpeningMap
 from momapos.placement_result import PlacementResult
 from momapos.reachability.map import ReachMap
 from momapos.reachability.store import load_reach
 from momapos.scene.scene import Scene
+from momapos.viewer.opening import draw_opening_map_alone
 from momapos.viewer.plot import draw_answer
 from momapos.viewer.reach_slices import draw_reach, tool_axes
 from momapos.viewer.scene_outlines import draw_scene
@@ -28,6 +30,11 @@ def answer_png(answer: PlacementResult) -> bytes:
     return _content(
         lambda path: draw_answer(prepared.scene, answer, load_reach(prepared.robot), path)
     )
+
+
+def opening_png(opening: OpeningMap) -> bytes:
+    """How far a part can be moved, by where the base stands."""
+    return _content(lambda path: draw_opening_map_alone(opening, path))
 
 
 def reach_png(reach: ReachMap) -> bytes:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from momapos.geometry.planar import place_points
+from momapos.manipulation.tasks import slides
 from momapos.opening_map import YAWS, OpeningMap
 from momapos.placement_result import PlacementResult
 from momapos.scene.scene import Scene
@@ -56,15 +58,41 @@ def draw_opening_map(
     save_figure(_picture(scene, answer, opening), path, dpi=DPI)
 
 
-def _picture(scene: Scene, answer: PlacementResult, opening: OpeningMap) -> Figure:
+def draw_opening_map_alone(opening: OpeningMap, path: Path) -> None:
+    """Draw an opening map without an answer, into a PNG, SVG or PDF file, as `draw_opening_map`."""
+    check_picture(path)
+    save_figure(_picture_alone(opening), path, dpi=DPI)
+
+
+def _picture_alone(opening: OpeningMap) -> Figure:
+    scene, task = opening.scene, opening.task
+    matters = np.concatenate([scene.object(task.object).bounds[:, :2], *_colored(opening)])
+    figure, axes = _framed(scene, matters)
+    room(axes, scene, target=task.object)
+    _draw_cells(figure, axes, opening, slides=slides(scene, task))
+    name_objects(axes, scene, target=task.object, keep_clear=_colored(opening))
+    _write(figure, f"How far a robot can {task.verb} {task.object}/{task.joint}", ["the base"])
+    return figure
+
+
+def _framed(scene: Scene, matters: Float[np.ndarray, "n 2"]) -> tuple[Figure, Any]:
+    """A figure and its axes in meters, in which points of the floor are seen [m]."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=SIZE, dpi=DPI, facecolor="white")
     FigureCanvasAgg(figure)
     axes = figure.add_axes(_MAP)
+    bounds = room_bounds(scene) + np.array([[-0.1], [0.1]])
+    ratio = _MAP[2] * SIZE[0] / (_MAP[3] * SIZE[1])
+    view = np.stack([matters.min(0) - AROUND, matters.max(0) + AROUND])
+    frame(axes, widen(view, ratio, bounds))
+    return figure, axes
+
+
+def _picture(scene: Scene, answer: PlacementResult, opening: OpeningMap) -> Figure:
     chosen = shown_base(answer)
-    frame(axes, _view(scene, answer, opening, chosen))
+    figure, axes = _framed(scene, _matters(scene, answer, opening, chosen))
     target = opening.task.object
     room(axes, scene, target=target, moving=moving_links(scene, answer))
     _draw_cells(figure, axes, opening, slides=answer.slides)
@@ -75,26 +103,30 @@ def _picture(scene: Scene, answer: PlacementResult, opening: OpeningMap) -> Figu
         xy = place_points(chosen[None], answer.prepared.robot.footprint)[0]
         clear.append(np.stack([xy.min(0), xy.max(0)]))
     name_objects(axes, scene, target=target, keep_clear=[*clear, *_colored(opening)])
-    _write(figure, answer, opening, chosen)
+    task, robot = opening.task, answer.prepared.robot
+    lines = [robot.base_link]
+    if chosen is not None:
+        reached = reached_value(answer)
+        to = "" if reached is None else f", {_value(reached, answer.slides)}"
+        lines.append(f"dot: the answer{to}")
+    what = f"{answer.plan.robot_name}: how far it can {task.verb} {task.object}/{task.joint}"
+    _write(figure, what, lines)
     return figure
 
 
-def _view(
+def _matters(
     scene: Scene,
     answer: PlacementResult,
     opening: OpeningMap,
     chosen: Float[np.ndarray, "3"] | None,
-) -> Float[np.ndarray, "2 2"]:
-    """What must be seen: the part, the colored cells, the base [m]."""
+) -> Float[np.ndarray, "n 2"]:
+    """What must be seen: corners of the part, the colored cells, the base [m]."""
     motion = answer.prepared.motion
     points = [scene.object(opening.task.object).bounds[:, :2], box_bounds(motion.sweep())]
     points += _colored(opening)
     if chosen is not None:
         points.append(place_points(chosen[None], answer.prepared.robot.footprint)[0])
-    every = np.concatenate(points)
-    bounds = room_bounds(scene) + np.array([[-0.1], [0.1]])
-    ratio = _MAP[2] * SIZE[0] / (_MAP[3] * SIZE[1])
-    return widen(np.stack([every.min(0) - AROUND, every.max(0) + AROUND]), ratio, bounds)
+    return np.concatenate(points)
 
 
 def _colored(opening: OpeningMap) -> list[Float[np.ndarray, "2 2"]]:
@@ -162,22 +194,20 @@ def _draw_part(axes: Any, answer: PlacementResult) -> list[Float[np.ndarray, "c 
     return before + after
 
 
-def _write(
-    figure: Any,
-    answer: PlacementResult,
-    opening: OpeningMap,
-    chosen: Float[np.ndarray, "3"] | None,
-) -> None:
-    """The title above, and at the right what a cell is and which pose is drawn."""
-    task = opening.task
-    what = f"{answer.plan.robot_name}: how far it can {task.verb} {task.object}/{task.joint}"
+def _write(figure: Any, what: str, lines: Sequence[str]) -> None:
+    """The title above, and at the right what a cell is.
+
+    Args:
+        figure: The picture.
+        what: It shows, in the title.
+        lines: What stands in a cell, and what else is drawn.
+    """
     title = figure.text(_MAP[0], 0.94, f"{what}, by where it stands", size=11, weight="bold")
     width = title.get_window_extent(figure.canvas.get_renderer()).width
     title.set(color=INK, size=11 * min(1.0, _TITLE * SIZE[0] * DPI / width))
-    lines = [f"{answer.prepared.robot.base_link}", "stands in a cell,", f"best of {YAWS} yaws"]
-    lines += ["", "no color: the part", "stays where it is"]
-    if chosen is not None:
-        reached = reached_value(answer)
-        to = "" if reached is None else f", {_value(reached, answer.slides)}"
-        lines += ["", f"dot: the answer{to}"]
-    figure.text(_BAR[0], 0.27, "\n".join(lines), size=7.5, color=SOFT_INK, va="top")
+    base, *further = lines
+    beside = [base, "stands in a cell,", f"best of {YAWS} yaws", "", "no color: the part",
+              "stays where it is"]  # fmt: skip
+    for line in further:
+        beside += ["", line]
+    figure.text(_BAR[0], 0.27, "\n".join(beside), size=7.5, color=SOFT_INK, va="top")

@@ -38,6 +38,6 @@ class Line:
 RELATIONS = {
     "on": Line("#1d2731", 1.4),
     "in": Line("#d55e00", 1.6, (0, (4, 1.5))),
-    "inside": Line("#cc3311", 1.8, (0, (1.2, 1.2))),
+    "inside": Line("#7a1fa2", 1.8, (0, (1.2, 1.2))),
     "near": Line("#8a96a0", 0.6, "-", 0.65),
 }

@@ -1,0 +1,43 @@
+"""Where browsers look from."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from momapos.manipulation.tasks import in_front_of_parts
+from momapos.scene.scene import Scene
+from momapos.viewer.room import room_bounds
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+    from viser import ViserServer
+
+
+def look_at(server: ViserServer, scene: Scene) -> None:
+    """Turn the cameras of all browsers to a room, and of those that come."""
+    eye, target = viewpoint(scene)
+    camera = server.initial_camera
+    camera.position, camera.look_at, camera.up = eye, target, np.array([0.0, 0.0, 1.0])
+    for client in server.get_clients().values():
+        client.camera.position, client.camera.look_at = eye, target
+
+
+def viewpoint(scene: Scene) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+    """Where to look from at first, and at what: from the side to which doors open [m]."""
+    low, high = room_bounds(scene)
+    size = float(np.linalg.norm(high - low))
+    movable = [o.bounds.mean(0)[:2] for o in scene.objects if o.model.joints]
+    middle = (low + high) / 2
+    ahead = np.array([0.4, -1.0])
+    if movable:
+        front = in_front_of_parts(scene) - np.mean(movable, axis=0)
+        if np.linalg.norm(front) > 0.1:
+            ahead = front / np.linalg.norm(front) + 0.35 * np.array([-front[1], front[0]])
+    ahead /= np.linalg.norm(ahead)
+    eye = np.append(0.6 * ahead, 0.48) * size
+    # The controls are at the right; the room is in the middle of what they leave.
+    aside = 0.1 * size * np.array([-ahead[1], ahead[0], 0.0])
+    target = np.append(middle, 0.5) + aside
+    return target + eye, target
