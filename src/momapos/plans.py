@@ -182,8 +182,8 @@ def read_plan(path: Path) -> PlacementPlan:
     head = _decode(content, members.PlanHead, path)
     if head.format == TOUR:
         raise FileFormatError(
-            f"{path}: a tour of several plans, for verify, run and export; give one of the plans "
-            "that it names, in order"
+            f"{path}: a tour of several plans, for verify, run, view and export; give one of the "
+            "plans that it names, in order"
         )
     if head.format != FORMAT:
         raise FileFormatError(

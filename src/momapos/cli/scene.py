@@ -149,7 +149,8 @@ def scene_convert(
         told = {} if report is None else {"report": report.as_json()}
         _print_json({**describe(scene), "warnings": list(scene.warnings), **told})
         return SOLVED
-    print(f"{out}: {len(scene.objects)} objects")
+    count = len(scene.objects)
+    print(f"{out}: {count} object{'' if count == 1 else 's'}")
     for line in [] if report is None else report.lines():
         print(f"  {line}")
     _warn(scene)
