@@ -223,7 +223,8 @@ def driving_lengths(prepared: PreparedTask, start: Float[np.ndarray, "3"]) -> Tr
     """
     robot, obstacles = prepared.robot, prepared.motion.static_obstacles()
     polygon = prepared.scene.floor_polygon
-    plan = floor_plan(obstacles, height=base_height(robot), floor_polygon=polygon)
+    height = base_height(robot)
+    plan = floor_plan(obstacles, height=height, floor_polygon=polygon, start=start[:2])
     return build_cost_map(plan, start[:2], radius=inscribed_radius(robot.footprint)).lengths
 
 

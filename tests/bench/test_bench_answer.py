@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from momapos.baselines.answer import plan_by_method
 from momapos.bench import answer
 from momapos.bench.answer import answer_job
 from momapos.bench.folder import all_rows
@@ -17,6 +18,7 @@ from momapos.bench.records import Container, Job, Settings, SuiteTask, from_plai
 from momapos.bench.records import Row as BenchRow
 from momapos.cli.main import main
 from momapos.errors import SceneError
+from momapos.manipulation import handle_shapes, handles, part_grasps, resistance
 from momapos.scene.files import load_scene
 from momapos.scene.names import find_scene
 
@@ -49,6 +51,38 @@ def test_what_cannot_be_asked_is_a_row_that_failed() -> None:
     row = ask(replace(CUP, object="cupp"), "ours")
     assert row.outcome == "failed"
     assert "did you mean cup" in row.reason
+
+
+@pytest.mark.parametrize("method", ["ours", "m3"])
+def test_what_a_process_keeps_of_a_task_is_made_before_the_clock_starts(
+    method: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Else whoever is asked first pays for it."""
+    kept = [
+        one
+        for module in (handle_shapes, handles, part_grasps, resistance)
+        for one in vars(module).values()
+        if hasattr(one, "cache_info")
+    ]
+    assert len(kept) > 5
+    drawer = SuiteTask(
+        "d", "", "kitchen_small", "segway_ur5e", "open", "cabinet_left", "drawer_slide"
+    )
+    ask(CUP, method)  # what is loaded once
+    for one in kept:
+        one.cache_clear()
+    made: list[int] = []
+
+    def watched(*args: Any, **kwargs: Any) -> Any:
+        before = sum(one.cache_info().misses for one in kept)
+        assert before > 0
+        result = plan_by_method(*args, **kwargs)
+        made.append(sum(one.cache_info().misses for one in kept) - before)
+        return result
+
+    monkeypatch.setattr(answer, "plan_by_method", watched)
+    assert ask(drawer, method).outcome == "solved"
+    assert made == [0]
 
 
 def with_egg(folder: Path) -> SuiteTask:

@@ -94,6 +94,14 @@ def test_numbers_know_the_rows_that_they_count() -> None:
     assert sum(int(cell.text or 0) for line in reasons.lines for cell in line[2:]) == 3
 
 
+def test_the_time_of_a_class_is_that_of_what_is_solved() -> None:
+    table = by_title(all_tables(suite(), results()))["Time by class, of what is solved"]
+    assert cells(table, 0) == {"method": "ours", "door": "150 ms", "drawer": "300 ms"}
+    assert cells(table, 1) == {"method": "m3", "door": "200 ms", "drawer": "800 ms"}
+    none = by_title(all_tables(suite(), [row("a", outcome="gave up")]))
+    assert cells(none["Time by class, of what is solved"])["door"] == "-"
+
+
 def test_what_physics_did_not_do_is_no_success() -> None:
     rows = [row("a", done=True), row("b", done=False, reason="slipped"), row("c", done=None)]
     tables = by_title(all_tables(suite(), rows))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from momapos.kinematics.hulls import Boxes
 from momapos.navigation.cost_map import CELL, build_cost_map, floor_plan
@@ -23,6 +24,20 @@ def test_in_the_open_a_length_is_the_distance() -> None:
     # Sixteen directions: at most 2.8 % too long, give or take the cells at both ends.
     assert (lengths <= straight * 1.028 + 3 * CELL).all()
     assert (lengths >= straight - 3 * CELL).all()
+
+
+@pytest.mark.parametrize("start", [(3.3, 0.4), (-0.1, 9.0), (-40.0, 25.0), (5e3, 0.0)])
+def test_a_start_beside_what_is_mapped_is_as_far_as_it_is(start: tuple[float, float]) -> None:
+    xy, box = np.array(start), wall((0, 0, 0.5), (0.1, 0.1, 0.5))
+    plan = floor_plan(box, height=0.5, margin=2.0, floor_polygon=None, start=xy)
+    assert plan.blocked.size < 1e6
+    goals = np.random.default_rng(0).uniform(-1.5, 1.5, (200, 2))
+    goals = goals[np.linalg.norm(goals, axis=1) > 0.6]
+    straight = np.linalg.norm(goals - xy, axis=1)
+    lengths = build_cost_map(plan, xy, radius=0.3).lengths(goals)
+    assert (lengths >= straight - 3 * CELL).all()
+    # Past the box, and from far away by the nearest point of the map.
+    assert (lengths <= straight * 1.028 + 3 * CELL + (0.5 if straight.max() < 12 else 6.0)).all()
 
 
 def test_a_wall_makes_the_way_longer_and_a_closed_room_cuts_it_off() -> None:

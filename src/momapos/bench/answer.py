@@ -21,14 +21,18 @@ from momapos.bench.scans import scanned_room
 from momapos.cache import user_cache
 from momapos.config import PipelineConfig
 from momapos.errors import MomaposError, SceneError, require
+from momapos.manipulation.motion import task_motion
 from momapos.manipulation.tasks import make_task
 from momapos.placement.config import OURS
 from momapos.protocols import ReachScorer
+from momapos.query import PlacementQuery
 from momapos.reachability.store import load_reach
+from momapos.ready_search import ready_search
 from momapos.robots.robot import Robot, load_robot
 from momapos.scene.files import load_scene
 from momapos.scene.scene import Scene
-from momapos.types import PlacementPlan
+from momapos.stopwatch import Stopwatch
+from momapos.types import PlacementPlan, Task
 from momapos.verification.exact import PlanVerifier
 
 if TYPE_CHECKING:
@@ -195,6 +199,7 @@ def _step(
     config = method_config(job.method, job.settings.timeout)
     asked = make_task(scene, verb, *target)
     seed = job.task.seed
+    _make_ready(scene, robot, asked, reach, start, config)
     plan = plan_by_method(
         scene, robot, asked, reach, start=start, config=config, seed=seed, clock=time.process_time
     ).plan
@@ -217,6 +222,19 @@ def _step(
     if job.settings.execute:
         trace.carry_out(_execute(plan, scene, robot, reach, config, seed, world))
     return None if trace.done is False else plan
+
+
+def _make_ready(
+    scene: Scene, robot: Robot, task: Task, reach: ReachScorer,
+    start: Float[np.ndarray, "3"] | None, config: PipelineConfig,
+) -> None:  # fmt: skip
+    """Make what a process keeps of a room and a task: bodies, handles, grasps.
+
+    Else the method that is asked first pays for it, and those that are asked next do not.
+    """
+    watch = Stopwatch(time.process_time)
+    query = PlacementQuery(scene, robot, task, reach, start, None, config, 0, watch)
+    ready_search(query, scene, task_motion(scene, robot, task, config.motion))
 
 
 def _refusal(plan: PlacementPlan, config: PipelineConfig) -> tuple[Outcome, str]:

@@ -30,7 +30,7 @@ GRID = "exhaustive"
 
 def all_tables(suite: Suite, rows: Sequence[Row]) -> list[Table]:
     """The tables of one results folder."""
-    tables = [summary_table(rows), class_table(rows, "class", "group")]
+    tables = [summary_table(rows), class_table(rows, "class", "group"), time_table(rows)]
     if len({row.robot for row in rows}) > 1:
         tables.append(class_table(rows, "robot", "robot"))
     tables += [reason_table(rows), stage_table(rows)]
@@ -191,6 +191,21 @@ def class_table(rows: Sequence[Row], title: str, field: str) -> Table:
             line.append(Cell(f"{_of(part)} ({_interval(part)})" if mine else "-", _keys(good)))
         lines.append(tuple(line))
     return Table(f"Success by {title}", ("method", *classes), tuple(lines))
+
+
+def time_table(rows: Sequence[Row]) -> Table:
+    """Median time that every method takes for the tasks of a class that it solves."""
+    classes = list(dict.fromkeys(row.group for row in rows))
+    lines = []
+    for method, members in grouped(rows, lambda row: row.method).items():
+        line = [Cell(method, _keys(members))]
+        for name in classes:
+            mine = [row for row in members if row.group == name and row.outcome == "solved"]
+            seconds = [row.seconds for row in mine if row.seconds is not None]
+            half = percentile(seconds, 50)
+            line.append(Cell("-" if half is None else f"{1000 * half:.0f} ms", _keys(mine)))
+        lines.append(tuple(line))
+    return Table("Time by class, of what is solved", ("method", *classes), tuple(lines))
 
 
 def reason_table(rows: Sequence[Row]) -> Table:

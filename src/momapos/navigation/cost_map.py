@@ -20,6 +20,8 @@ CELL = 0.05
 """Edge of a cell [m]."""
 ROOM_MARGIN = 2.0
 """Free border that is mapped around a room without a known floor [m]."""
+_TO_START = 10.0
+"""The border is wider where a start lies beyond it, at most so much [m]."""
 
 
 @dataclass(frozen=True)
@@ -71,6 +73,7 @@ def floor_plan(
     height: float,
     floor_polygon: Float[np.ndarray, "k 2"] | None,
     margin: float = ROOM_MARGIN,
+    start: Float[np.ndarray, "2"] | None = None,
 ) -> FloorPlan:
     """Project what stands in the way of a base onto the floor.
 
@@ -79,14 +82,19 @@ def floor_plan(
         height: Height of the base; what hangs above it is no obstacle [m].
         floor_polygon: Outline of the floor; None where it has no known end.
         margin: Width of the free border around everything that is mapped [m].
+        start: Where a base comes from, which is mapped too where the floor has no known end [m].
     """
     low_z = boxes.center[:, 2] - np.einsum("bj,bj->b", np.abs(boxes.rotation[:, 2]), boxes.half)
     outlines = _outlines(boxes, np.flatnonzero(low_z < height))
     points = np.concatenate(outlines) if outlines else np.zeros((1, 2))
     if floor_polygon is not None:
         points = floor_polygon
-    low = np.floor((points.min(0) - margin) / CELL) * CELL
-    columns, rows = (int(np.ceil(v)) for v in (points.max(0) + margin - low) / CELL)
+    low, high = points.min(0) - margin, points.max(0) + margin
+    if start is not None and floor_polygon is None:
+        low = np.minimum(low, np.maximum(start - CELL, low - _TO_START))
+        high = np.maximum(high, np.minimum(start + CELL, high + _TO_START))
+    low = np.floor(low / CELL) * CELL
+    columns, rows = (int(np.ceil(v)) for v in (high - low) / CELL)
     image = Image.new("L", (columns, rows), 0 if floor_polygon is None else 1)
     draw = ImageDraw.Draw(image)
 
@@ -126,11 +134,14 @@ def build_cost_map(plan: FloorPlan, start: Float[np.ndarray, "2"], *, radius: fl
 
     Args:
         plan: What is blocked.
-        start: Where the base is [m].
+        start: Where the base is [m]; from beyond the map the way to it is straight.
         radius: Radius of the disc that must fit: the base's inscribed circle [m].
     """
     rows, columns = plan.blocked.shape
     free = clearance(plan.blocked) * CELL > radius
     j, i = np.clip(((start - plan.origin) / CELL).astype(int), 0, [columns - 1, rows - 1])
     free[i, j] = True
-    return CostMap(plan.origin, path_lengths(free, np.array([i * columns + j]), CELL), free)
+    distance = path_lengths(free, np.array([i * columns + j]), CELL)
+    edge = plan.origin + np.array([columns, rows]) * CELL
+    beyond = float(np.linalg.norm(start - np.clip(start, plan.origin, edge)))
+    return CostMap(plan.origin, distance + beyond, free)
