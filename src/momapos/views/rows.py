@@ -16,6 +16,7 @@ import numpy as np
 
 from momapos.geometry.transforms import apply
 from momapos.types import Frame, Part, UprightBox
+from momapos.views.agreement import surest
 from momapos.views.faces import Face, box_faces, camera_position_of, face_image, solid
 from momapos.views.front_view import (
     Look,
@@ -26,7 +27,6 @@ from momapos.views.front_view import (
     look_at,
     placed,
     showing,
-    surest,
 )
 from momapos.views.projection import projection
 
