@@ -8,7 +8,6 @@ from tests.views.painted_box import FRIDGE, camera, image
 
 from momapos.geometry.transforms import apply
 from momapos.types import FaceImage, Frame, Front, Part, UprightBox
-from momapos.views.agreement import surest
 from momapos.views.faces import box_faces
 from momapos.views.front_view import (
     Seen,
@@ -17,6 +16,7 @@ from momapos.views.front_view import (
     door_evidence,
     front_evidence,
     placed,
+    surest,
 )
 from momapos.views.projection import sights
 from momapos.views.rows import RowConfig, split_row

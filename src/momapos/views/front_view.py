@@ -10,7 +10,6 @@ import numpy as np
 
 from momapos.geometry.transforms import invert
 from momapos.types import FaceImage, Frame, Front, Part, UprightBox
-from momapos.views.agreement import agreed, doubtful, surest
 from momapos.views.faces import (
     FACES,
     Face,
@@ -20,7 +19,7 @@ from momapos.views.faces import (
     shown,
     solid,
 )
-from momapos.views.projection import Sight
+from momapos.views.projection import Sight, area, common_area
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -39,6 +38,8 @@ STAND_OFF = 0.04
 PARALLEL, COPLANAR = 0.99, 0.12
 """Two faces are in one plane where the cosine between them is more than the first, and the distance
 less than the second [m]."""
+SAME = 0.5
+"""Of two parts that share this much of the smaller one, one is left out [-]."""
 UNBACKED = 0.5
 """What is said for a face counts so much less where another one has a wall behind the thing: what
 stands against a wall opens away from it [-]."""
@@ -75,10 +76,6 @@ class ViewConfig:
     """Part of a face that an image must show [-]."""
     votes: int = 2
     """Images that vote for a face [-]."""
-    further: int = 2
-    """Images of the front that are asked besides where it is doubtful how a part opens [-]."""
-    sure: float = 0.9
-    """It is doubtful where the likeliest is less probable than this [-]."""
     partly: float = 0.15
     """Images that show less of it do not help to measure its height map [-]."""
     merged: int = 12
@@ -173,11 +170,7 @@ def _voting(
     if not len(indices):
         return None
     evidence = [float("nan")] * FACES
-    best: tuple[float, Face, list[int], FaceImage, list[Front]] | None = None
-
-    def vote(face: Face, index: int, merged: Sequence[int]) -> Front:
-        return _with(_vote(face, frames, index, merged, look, config), face, frames[index], before)
-
+    best: tuple[float, Face, int, FaceImage, Front] | None = None
     for face in box_faces(box):
         order, partly = showing(face, frames, indices, config)
         if not order:
@@ -188,7 +181,10 @@ def _voting(
         if flat < config.flat:  # open, as the side of a table: no vote makes it a front
             evidence[face.index] = 0.0
             continue
-        votes = [vote(face, i, merged) for i in order[: config.votes]]
+        votes = [
+            _with(_vote(face, frames, i, merged, look, config), face, frames[i], before)
+            for i in order[: config.votes]
+        ]
         doors = float(np.mean([front_evidence(front, image) for front in votes]))
         # Where faces compete, doors do not make up for looks: both count, or one side of a
         # fridge with a seam and a shadow on it passes for the front.
@@ -198,15 +194,12 @@ def _voting(
             rank *= UNBACKED
         evidence[face.index] = rank
         if doors >= config.least and (best is None or rank > best[0]):
-            best = rank, face, [*order, *partly], image, votes
+            best = rank, face, order[0], image, votes[0]
     if best is None:
         return None
-    _, face, order, image, votes = best
-    if doubtful(votes[0], config.sure):
-        merged, more = order[: config.merged], order[len(votes) : len(votes) + config.further]
-        votes += [vote(face, i, merged) for i in more]
-    angle = float(np.arccos(min(1.0, cosines_to(face, [frames[order[0]]])[0])))
-    return View(face, order[0], angle, image, agreed(votes), tuple(evidence))
+    _, face, chosen, image, front = best
+    angle = float(np.arccos(min(1.0, cosines_to(face, [frames[chosen]])[0])))
+    return View(face, chosen, angle, image, front, tuple(evidence))
 
 
 def _vote(
@@ -338,6 +331,21 @@ def handles_seen_from(
         return _rectangle((box + sign * STAND_OFF * (origin - middle) / camera[2] / size).ravel())
 
     return tuple(p if p.handle is None else replace(p, handle=moved(p.handle)) for p in parts)
+
+
+def surest(parts: Sequence[Part]) -> tuple[Part, ...]:
+    """The surest of parts that were seen twice, as one or as two, the surest first."""
+    kept: list[Part] = []
+    for part in sorted(parts, key=lambda p: -p.score):
+        if all(_shared(part, other) < SAME for other in kept):
+            kept.append(part)
+    return tuple(kept)
+
+
+def _shared(a: Part, b: Part) -> float:
+    """Common area of two parts, as a share of the smaller [-]."""
+    least = min(area(a.box), area(b.box))
+    return common_area(a.box, b.box) / least if least > 0 else 1.0
 
 
 def _rectangle(values: Float[np.ndarray, "4"]) -> tuple[float, float, float, float]:

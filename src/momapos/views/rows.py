@@ -16,7 +16,6 @@ import numpy as np
 
 from momapos.geometry.transforms import apply
 from momapos.types import Frame, Part, UprightBox
-from momapos.views.agreement import surest
 from momapos.views.faces import Face, box_faces, camera_position_of, face_image
 from momapos.views.front_view import (
     Look,
@@ -27,6 +26,7 @@ from momapos.views.front_view import (
     look_at,
     placed,
     showing,
+    surest,
 )
 from momapos.views.projection import projection
 
