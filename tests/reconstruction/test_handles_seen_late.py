@@ -102,5 +102,13 @@ def test_other_lines_are_no_stack(face: FaceImage) -> None:
     assert len(drawers_on(face)) == 1
 
 
+def test_a_line_that_is_shorter_than_the_handles_is_none_of_them() -> None:
+    face = gripped([0.1, 0.35, 0.6])
+    h, w = face.color.shape[:2]
+    face.color[round(0.85 * h), round(0.45 * w) : round(0.55 * w)] = 150
+    found = drawers_on(face)
+    np.testing.assert_allclose([part.box[1] for part in found], [0.1, 0.35, 0.6], atol=0.02)
+
+
 def test_a_flap_is_never_a_stack() -> None:
     assert len(drawers_on(gripped([0.1, 0.4, 0.7]), "door_down")) == 1

@@ -36,6 +36,16 @@ def test_two_that_are_clearly_flaps_stay_flaps() -> None:
     assert [part.kind for part in found] == ["door_down", "door_down"]
 
 
+def test_two_as_high_as_ovens_are_taken_for_what_they_look_like() -> None:
+    tall = face_of(0.6, 1.2, 0.0)
+    high = replace(HIGH, box=(0.0, 0.0, 1.0, 0.5))
+    low = replace(LOW, box=(0.0, 0.5, 1.0, 1.0), handle=(0.1, 0.55, 0.9, 0.58))
+    found = opening_alike(tall, [doubted(high, 0.3), doubted(low, 0.3)])
+    assert [part.kind for part in found] == ["door_down", "door_down"]
+    found = opening_alike(face_of(0.6, 0.5, 0.0), [doubted(high, 0.3), doubted(low, 0.3)])
+    assert [part.kind for part in found] == ["drawer", "drawer"]
+
+
 @pytest.mark.parametrize(
     "low",
     [

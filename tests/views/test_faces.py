@@ -117,5 +117,8 @@ def test_what_lies_behind_a_face_makes_it_less_solid() -> None:
     rows = image.height_map.shape[0]
     legs = image.height_map - 0.3 * (np.arange(rows) > rows / 2)[:, None]
     assert solid(image) > 0.99
-    assert solid(replace(image, height_map=legs.astype("f4"))) == pytest.approx(0.5, abs=0.02)
+    half = replace(image, height_map=legs.astype("f4"))
+    assert solid(half) == pytest.approx(0.5, abs=0.02)
+    assert solid(half, (0.1, 0.0, 0.9, 0.4)) == 1.0
+    assert solid(half, (0.1, 0.6, 0.9, 1.0)) == 0.0
     assert solid(replace(image, height_map=np.full_like(image.height_map, np.nan))) == 1.0

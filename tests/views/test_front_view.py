@@ -3,6 +3,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from tests.views.painted_box import FRIDGE, camera, image
 
 from momapos.geometry.transforms import apply
@@ -13,6 +14,7 @@ from momapos.views.front_view import (
     ViewConfig,
     choose_view,
     door_evidence,
+    front_evidence,
     placed,
     surest,
 )
@@ -110,6 +112,22 @@ def test_handles_are_evidence_for_a_front_that_looks_like_a_panel() -> None:
     assert door_evidence(Front(0.4, (held,))) > 0.5
     assert door_evidence(Front(0.4, (held, held))) > door_evidence(Front(0.4, (held,)))
     assert door_evidence(Front(1.0, ())) == 1.0
+
+
+def test_parts_beside_room_for_the_knees_make_a_front_and_parts_in_it_do_not() -> None:
+    color = np.full((40, 80, 3), 150, np.uint8)
+    height_map = np.where(np.arange(80) < 40, 0.0, -0.4) * np.ones((40, 1))
+    desk = FaceImage(color, height_map.astype(np.float32), 1.6, 0.8)
+    handle = (0.2, 0.2, 0.3, 0.25)
+    beside = Part("drawer", (0.05, 0.1, 0.45, 0.9), 0.6, handle)
+    within = replace(beside, box=(0.55, 0.1, 0.95, 0.9))
+    looks = Front(0.4, ())
+    assert front_evidence(looks, desk) == pytest.approx(0.2)
+    assert front_evidence(replace(looks, parts=(within,)), desk) == pytest.approx(0.2)
+    assert front_evidence(replace(looks, parts=(beside,)), desk) == pytest.approx(0.68)
+    shut = replace(desk, height_map=np.zeros((40, 80), np.float32))
+    front = replace(looks, parts=(beside, within))
+    assert front_evidence(front, shut) == pytest.approx(door_evidence(front))
 
 
 ROW = UprightBox(np.array([2.0, 0.0, 0.45]), np.array([0.6, 2.4, 0.9]))

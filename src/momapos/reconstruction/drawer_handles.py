@@ -24,6 +24,8 @@ FEWEST = 3
 """Fewer lines are no stack [-]."""
 BROAD = (0.08, 0.6)
 """Width of a handle as a share of its part [-]."""
+ALIKE = 1.5
+"""They differ in width from the usual one by less than this factor: else it is another line [-]."""
 THIN = 0.04
 """And its height at most [-]."""
 OFF = 0.1
@@ -88,5 +90,9 @@ def _rows(
     broad, thick = ((found[:, 2:] - found[:, :2]) / inner.shape[::-1]).T
     off = np.abs(found[:, [0, 2]].mean(axis=1) / inner.shape[1] - 0.5)
     grip = (broad > BROAD[0]) & (broad < BROAD[1]) & (thick < THIN) & (off < OFF)
+    if not grip.any():
+        return none
+    usual = float(np.median(broad[grip]))
+    grip &= (broad < ALIKE * usual) & (usual < ALIKE * broad)
     stack = found[grip][np.argsort(found[grip, 1], kind="stable")]
     return (stack + np.array([left, top, left, top])) / [wide, high, wide, high]

@@ -21,6 +21,8 @@ SAME_LENGTH = 1.25
 """And differ in length by less than this factor [-]."""
 DRAWERS = 20.0
 """So many times likelier are drawers above each other than flaps [-]."""
+HIGHEST = 0.42
+"""Where one of them is lower than this: the doors of two ovens are above each other, too [m]."""
 
 
 def opening_alike(face: FaceImage, parts: Sequence[Part]) -> tuple[Part, ...]:
@@ -39,10 +41,11 @@ def opening_alike(face: FaceImage, parts: Sequence[Part]) -> tuple[Part, ...]:
         drawers, flaps = (
             float(np.prod([each.get(kind, 0.0) for each in odds])) for kind in LEVEL_KINDS
         )
-        weight = DRAWERS * drawers + flaps
-        if len(stack) < 2 or weight <= 0.0:
+        low = min(area_of(parts[k].box, face).height for k in stack) < HIGHEST
+        drawers *= DRAWERS if low else 1.0
+        if len(stack) < 2 or drawers + flaps <= 0.0:
             continue
-        share = DRAWERS * drawers / weight
+        share = drawers / (drawers + flaps)
         for k, each in zip(stack, odds, strict=True):
             both = each.get("drawer", 0.0) + each.get("door_down", 0.0)
             new = {**each, "drawer": share * both, "door_down": (1.0 - share) * both}

@@ -124,12 +124,20 @@ def _weight(camera: Float[np.ndarray, "3"], first: Float[np.ndarray, "3"]) -> fl
     return float(np.exp(-(slopes @ slopes) / (2 * ALIKE**2))) / length**4
 
 
-def solid(image: FaceImage) -> float:
-    """Part of what was measured of a face that lies in its plane, in [0, 1]; 1 without depth."""
-    measured = np.isfinite(image.height_map)
-    if not measured.any():
-        return 1.0
-    return float((np.abs(image.height_map[measured]) < FLAT).mean())
+def solid(image: FaceImage, box: tuple[float, float, float, float] | None = None) -> float:
+    """Part of what was measured of a face that lies in its plane, in [0, 1]; 1 without depth.
+
+    Args:
+        image: The face.
+        box: Only within this rectangle, (left, top, right, bottom) as fractions of the face.
+    """
+    height_map = image.height_map
+    if box is not None:
+        h, w = height_map.shape
+        left, top, right, bottom = np.round(np.array(box) * [w, h, w, h]).astype(int)
+        height_map = height_map[top : bottom + 1, left : right + 1]
+    measured = height_map[np.isfinite(height_map)]
+    return float((np.abs(measured) < FLAT).mean()) if len(measured) else 1.0
 
 
 def shown(face: Face, frame: Frame, *, pixels: int = 48) -> float:

@@ -70,6 +70,8 @@ class ViewConfig:
     """Where there is none within `frontal`, images up to here are taken [deg]."""
     least: float = 0.5
     """A face is a front from this probability on [-]."""
+    flat: float = 0.3
+    """And where so much of it lies in its plane: half of a desk is room for knees [-]."""
     shown: float = 0.55
     """Part of a face that an image must show [-]."""
     votes: int = 2
@@ -149,7 +151,7 @@ def _first(
             continue
         image = face_image(face, [frame])
         front = _with(look_at(face, [frame], look, config.least), face, frame, before)
-        if door_evidence(front) * solid(image) >= config.least:
+        if front_evidence(front, image) >= config.least:
             angle = float(np.arccos(min(1.0, cosines.max())))
             return View(face, sight.frame, angle, image, front, ())
     return None
@@ -176,17 +178,18 @@ def _voting(
         merged = [*order, *partly][: config.merged]
         image = face_image(face, [frames[i] for i in merged])
         flat = solid(image)
-        if flat < config.least:  # open, as the side of a table: no vote makes it a front
+        if flat < config.flat:  # open, as the side of a table: no vote makes it a front
             evidence[face.index] = 0.0
             continue
         votes = [
             _with(_vote(face, frames, i, merged, look, config), face, frames[i], before)
             for i in order[: config.votes]
         ]
-        doors = flat * float(np.mean([door_evidence(front) for front in votes]))
+        doors = float(np.mean([front_evidence(front, image) for front in votes]))
         # Where faces compete, doors do not make up for looks: both count, or one side of a
         # fridge with a seam and a shadow on it passes for the front.
-        rank = flat * float(np.mean([(f.score + handle_evidence(f)) / 2 for f in votes]))
+        looks = [(flat * f.score + handle_evidence(f, image)) / 2 for f in votes]
+        rank = float(np.mean(looks))
         if any(backed) and not backed[face.index]:
             rank *= UNBACKED
         evidence[face.index] = rank
@@ -226,6 +229,20 @@ def _with(front: Front, face: Face, frame: Frame, before: Sequence[Seen]) -> Fro
     return front
 
 
+def front_evidence(front: Front, image: FaceImage) -> float:
+    """How probable it is that there is a door or a drawer in the plane of a face, in [0, 1].
+
+    The looks of the whole face count as far as it lies in its plane, each part as far as it does:
+    between the legs of a table there is nothing that opens, beside the knees at a desk there is.
+
+    Args:
+        front: What is on the face.
+        image: The face; its height map tells.
+    """
+    looks = solid(image) * front.score
+    return 1.0 - (1.0 - looks) * (1.0 - handle_evidence(front, image))
+
+
 def door_evidence(front: Front) -> float:
     """How probable it is that there is a door or a drawer on a face, in [0, 1].
 
@@ -235,10 +252,16 @@ def door_evidence(front: Front) -> float:
     return 1.0 - (1.0 - front.score) * (1.0 - handle_evidence(front))
 
 
-def handle_evidence(front: Front) -> float:
-    """How probable it is that any of the parts with a handle is one, in [0, 1]."""
-    held = [part.score for part in front.parts if part.handle is not None]
-    return 1.0 - float(np.prod(1.0 - np.array(held)))
+def handle_evidence(front: Front, image: FaceImage | None = None) -> float:
+    """How probable it is that any of the parts with a handle is one, in [0, 1].
+
+    Args:
+        front: What is on a face.
+        image: The face, so that a part counts as far as it lies in its plane.
+    """
+    held = [part for part in front.parts if part.handle is not None]
+    flat = [1.0 if image is None else solid(image, part.box) for part in held]
+    return 1.0 - float(np.prod([1.0 - p.score * f for p, f in zip(held, flat, strict=True)]))
 
 
 def look_at(face: Face, frames: Sequence[Frame], look: Look, least: float) -> Front:

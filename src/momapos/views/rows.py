@@ -16,12 +16,12 @@ import numpy as np
 
 from momapos.geometry.transforms import apply
 from momapos.types import Frame, Part, UprightBox
-from momapos.views.faces import Face, box_faces, camera_position_of, face_image, solid
+from momapos.views.faces import Face, box_faces, camera_position_of, face_image
 from momapos.views.front_view import (
     Look,
     Seen,
     ViewConfig,
-    door_evidence,
+    front_evidence,
     handles_seen_from,
     look_at,
     placed,
@@ -87,8 +87,8 @@ def _front_of(
         if not chosen:
             continue
         front = look_at(window, chosen, look, view.least)
-        flat = solid(face_image(window, chosen, pixels=COARSE))
-        if flat * door_evidence(front) >= view.least:
+        likely = front_evidence(front, face_image(window, chosen, pixels=COARSE))
+        if likely >= view.least:
             ends = (
                 bool(left > config.margin), bool(left + wide < face.width - config.margin)
             )  # fmt: skip
@@ -97,7 +97,7 @@ def _front_of(
                 whole, window, camera_position_of(window, chosen[0]), undo=True
             )
             found += placed(whole, window, face)
-            evidence.append(door_evidence(front))
+            evidence.append(likely)
     return Seen(face, max(evidence), surest(found))
 
 

@@ -1,0 +1,94 @@
+"""Rooms with known furniture: one object alone, or many along the walls of a kitchen."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from momapos.geometry.transforms import invert, pose_planar
+from momapos.scene.scene import Scene, SceneObject
+
+BETWEEN = 0.08
+"""Free wall between two objects of a kitchen [m]."""
+AISLE = 2.4
+"""Between the fronts of the two rows [m]."""
+WALL = 0.1
+"""Thickness of walls [m]."""
+CEILING = 2.6
+"""Their height [m]."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """A room with objects whose parts are known."""
+
+    name: str
+    scene: Scene
+    objects: dict[str, tuple[str, np.ndarray]]
+    """Of each by its name in the room: its name in the list of objects, and the transform from the
+    room's frame to the object's own, in which its front is toward -x."""
+
+
+def kitchen(name: str, alone: Sequence[tuple[str, Scene]]) -> Place:
+    """Stand objects in two rows along opposite walls, in turn, with what carries them.
+
+    Args:
+        name: Of the room.
+        alone: Each object's name, and its own room as `objects.room` makes it: its front toward
+            -x, a wall behind it, for small ones a counter below.
+    """
+    rows = (alone[0::2], alone[1::2])
+    depth = max(-_span(scene)[0][0] for _, scene in alone)
+    ends = AISLE / 2 + depth
+    things: list[SceneObject] = []
+    objects: dict[str, tuple[str, np.ndarray]] = {}
+    lengths = [sum(_wide(scene) for _, scene in row) for row in rows]
+    for row, length, turn in zip(rows, lengths, (0.0, np.pi), strict=True):
+        T_room_row = pose_planar(np.array([0.0, 0.0, turn]))
+        at = -length / 2
+        for object_name, scene in row:
+            low, high = _span(scene)
+            wide = _wide(scene)
+            shift = np.array([ends, at + wide / 2 - (low[1] + high[1]) / 2, 0.0])
+            T = T_room_row @ pose_planar(shift)
+            own = f"object_{len(objects) + 1}"
+            objects[own] = (object_name, invert(T))
+            for thing in scene.objects:
+                if thing.name != "wall":
+                    new = own if thing.name == "object" else f"{thing.name}_{len(objects)}"
+                    where = T @ thing.T_world_object
+                    things.append(replace(thing, name=new, T_world_object=where))
+            at += wide
+    y = max(lengths) / 2 + 0.5
+    x = ends + max(_behind(scene) for _, scene in alone)
+    for k, (size, middle) in enumerate(
+        (
+            ((WALL, 2 * y), (x + WALL / 2, 0.0)),
+            ((WALL, 2 * y), (-x - WALL / 2, 0.0)),
+            ((2 * x, WALL), (0.0, y + WALL / 2)),
+            ((2 * x, WALL), (0.0, -y - WALL / 2)),
+        ),
+        start=1,
+    ):
+        things.append(SceneObject.box(f"wall_{k}", (*size, CEILING), (*middle, CEILING / 2)))
+    floor = np.array([[-x, -y], [x, -y], [x, y], [-x, y]])
+    return Place(name, Scene(name, tuple(things), floor_polygon=floor), objects)
+
+
+def _span(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """Corners of the object of a room [m]."""
+    low, high = scene.object("object").bounds
+    return low, high
+
+
+def _behind(scene: Scene) -> float:
+    """How far the wall of a room is behind its object [m]."""
+    return float(scene.object("wall").bounds[0][0])
+
+
+def _wide(scene: Scene) -> float:
+    """How much of a wall an object takes [m]."""
+    low, high = _span(scene)
+    return float(high[1] - low[1]) + BETWEEN
