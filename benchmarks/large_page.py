@@ -6,23 +6,28 @@ The browser is a connection that counts. After the first load only what changes 
 moment of a motion, another active object, and more points of the scan cost is printed apart.
 
 With `--browser` a Chromium draws it instead, 1280 x 720, and tells how many pictures a second come
-while the camera turns; by what it draws is printed, for without a graphics card that is all.
+while the mouse turns the room, and what each takes of the processor; by what it draws is printed,
+for without a graphics card that is all.
 """
 
 from __future__ import annotations
 
 import argparse
 import asyncio
+import os
 import shutil
 import tempfile
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from gallery import browsing
 from momapos.cache import user_cache
+from momapos.page import room_view
 from momapos.page.opened import OpenedScan
 from momapos.page.page import Page
 from momapos.page.panel import POINTS
@@ -37,22 +42,44 @@ from pages import Tab
 QUIET = 2.0
 """Nothing more is sent when nothing has come for so long [s]."""
 WINDOW = {"width": 1280, "height": 720}
-SETTLED, WATCHED = 8.0, 4.0
+START = (300, 360)
+"""Where the mouse takes hold of the room [px]."""
+SETTLED, WATCHED = 30.0, 5.0
 """A browser gets so long to take in what is new; then its pictures are counted for so long [s]."""
+COUNT = """(() => {
+  window.counted = {calls: 0, pictures: 0, seen: 0};
+  const gl = WebGL2RenderingContext.prototype;
+  for (const name of ["drawElements", "drawArrays", "drawElementsInstanced",
+                      "drawArraysInstanced"]) {
+    const draw = gl[name];
+    gl[name] = function (...given) { window.counted.calls += 1; return draw.apply(this, given); };
+  }
+  const next = () => {
+    if (window.counted.calls > window.counted.seen) window.counted.pictures += 1;
+    window.counted.seen = window.counted.calls;
+    requestAnimationFrame(next);
+  };
+  requestAnimationFrame(next);
+})();"""
+"""A page draws only when something changes, so that its pictures are those in which it drew."""
+STEADY = """most => new Promise(done => {
+  const began = performance.now();
+  let last = began, good = 0;
+  const next = () => {
+    const now = performance.now();
+    good = now - last < 60 ? good + 1 : 0;
+    last = now;
+    if (good < 30 && now - began < most) requestAnimationFrame(next); else done(now - began);
+  };
+  requestAnimationFrame(next);
+})"""
+"""What is new is taken in when the page has had time for 30 pictures in a row."""
 RENDERER = """() => {
   const gl = document.querySelector("canvas").getContext("webgl2");
   return gl.getParameter(gl.getExtension("WEBGL_debug_renderer_info").UNMASKED_RENDERER_WEBGL);
 }"""
-RATE = """wait => new Promise(done => {
-  let drawn = 0;
-  const began = performance.now();
-  const next = () => {
-    drawn += 1;
-    const past = performance.now() - began;
-    if (past < wait) requestAnimationFrame(next); else done(1000 * drawn / past);
-  };
-  requestAnimationFrame(next);
-})"""
+ROUNDS = 2
+"""So many times the two ways of drawing are compared, one after the other [-]."""
 SPREAD = 40.0
 """Edge of the room [m]."""
 
@@ -136,26 +163,65 @@ async def measured(page: Page, address: str) -> None:
 
 
 def pictures(page: Page, address: str) -> None:
-    """Let a Chromium draw the room without points, and with more and more of them."""
+    """Let a Chromium draw the room thing by thing, then as the page does, then with points."""
     with browsing(shutil.which("chromium") or "chromium") as browser:
         tab = browser.new_page(viewport=WINDOW)
+        tab.add_init_script(COUNT)
         tab.goto(address)
         tab.locator("canvas").first.wait_for(timeout=60_000.0)
-        tab.wait_for_timeout(1000 * SETTLED)
         print(f"drawn by {tab.evaluate(RENDERER)}", flush=True)
-        for points in ("none", *POINTS):
-            page.panel.cloud.value = "none" if points == "none" else "by thing"
-            page.panel.points.value = next(iter(POINTS)) if points == "none" else points
+        page.panel.cloud.value = "none"
+        page.scan.changed()
+        most, scene, active = room_view.MOST_NODES, page.room.scene, page.room.active
+        assert scene is not None
+        looks = (("each thing by itself", len(scene.objects)), ("as a crowd", most))
+        for name, limit in ROUNDS * looks:
+            room_view.MOST_NODES = limit
+            page.room.remove()
+            page.room.show(scene, active)
+            turn(tab, f"no points, {name}")
+        page.panel.cloud.value = "by thing"
+        for points in POINTS:
+            page.panel.points.value = points
             page.scan.changed()
-            tab.wait_for_timeout(1000 * SETTLED)
-            rates = []
-            for _ in range(3):
-                tab.mouse.move(300, 360)
-                tab.mouse.down()
-                tab.mouse.move(320, 360)
-                rates.append(tab.evaluate(RATE, 1000 * WATCHED))
-                tab.mouse.up()
-            print(f"{points + ' points':22} {sorted(rates)[1]:5.1f} pictures a second", flush=True)
+            turn(tab, f"{points} points")
+
+
+def turn(tab: Any, name: str) -> None:
+    """Drag the room round, and tell how many pictures came meanwhile."""
+    tab.wait_for_timeout(1000 * QUIET)
+    ready = QUIET + tab.evaluate(STEADY, 1000 * SETTLED) / 1000
+    x, y = START
+    tab.mouse.move(x, y)
+    tab.mouse.down()
+    first, used, began = tab.evaluate("() => window.counted"), processor_time(), time.monotonic()
+    step = 0
+    while time.monotonic() - began < WATCHED:
+        step += 1
+        tab.mouse.move(x + 3 * (step % 100), y)
+    last, took = tab.evaluate("() => window.counted"), time.monotonic() - began
+    spent = processor_time() - used
+    tab.mouse.up()
+    drawn = max(last["pictures"] - first["pictures"], 1)
+    calls = (last["calls"] - first["calls"]) / drawn
+    print(f"{name:32} {drawn / took:5.1f} pictures a second, {calls:5.0f} calls and "
+          f"{1000 * spent / drawn:4.0f} ms of processor each; ready after {ready:.1f} s",
+          flush=True)  # fmt: skip
+
+
+def processor_time() -> float:
+    """Of all processes that this one has begun, the browser's among them [s]."""
+    used: dict[int, tuple[int, float]] = {}
+    for file in Path("/proc").glob("[0-9]*/stat"):
+        with suppress(OSError):  # it has ended meanwhile
+            fields = file.read_text().rpartition(")")[2].split()
+            ticks = int(fields[11]) + int(fields[12])
+            used[int(file.parent.name)] = int(fields[1]), ticks / os.sysconf("SC_CLK_TCK")
+    ours, grown = {os.getpid()}, True
+    while grown:
+        more = {pid for pid, (parent, _) in used.items() if parent in ours} - ours
+        ours, grown = ours | more, bool(more)
+    return sum(used[pid][1] for pid in ours - {os.getpid()} if pid in used)
 
 
 def run(objects: int, points: int, *, browser: bool) -> None:
