@@ -43,7 +43,7 @@ FLOOR_IMAGE = 0.004
 """Pictures lie so high above the floor [m]."""
 CRISP = 8
 """Browsers blur pictures; with so many pixels along the edge of a cell its border is seen [-]."""
-LIT = 0.4
+LIT = 0.45
 """What lies on the floor is lit so strongly that it is drawn so much darker, to look as in the
 legend [-]."""
 POINTS = 1200
@@ -161,7 +161,8 @@ def draw_candidates(
     node = api.add_batched_meshes_simple(
         name, head.astype(np.float32), faces.astype(np.uint32), turns, positions,
         batched_scales=scales, batched_colors=colors, cast_shadow=False,
-        lod="off", side="double", material="toon3",  # which shines not, and so is not pale
+        receive_shadow=False, lod="off", side="double",
+        material="toon3",  # which shines not, and so is not pale
     )  # fmt: skip
 
     def clicked(event: Any) -> None:
