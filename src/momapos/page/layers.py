@@ -43,13 +43,15 @@ FLOOR_IMAGE = 0.004
 """Pictures lie so high above the floor [m]."""
 CRISP = 8
 """Browsers blur pictures; with so many pixels along the edge of a cell its border is seen [-]."""
-LIT = 0.5
+LIT = 0.45
 """What lies on the floor is lit so strongly that it is drawn so much darker, to look as in the
 legend [-]."""
 POINTS = 1200
 """Candidates that are drawn at most [-]."""
 MARK = 0.11
 """Edge of a candidate's mark [m]."""
+LOWEST, ABOVE = 0.015, 0.001
+"""Height of the mark of the worst candidate, and how much higher each better kind lies [m]."""
 _EDGES = ((0, 1), (0, 2), (0, 4), (1, 3), (1, 5), (2, 3), (2, 6), (3, 7), (4, 5), (4, 6), (5, 7),
           (6, 7))  # fmt: skip
 _CORNERS = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
@@ -146,7 +148,8 @@ def draw_candidates(
     places = np.concatenate([np.zeros((0, 3)), *answer.search.poses])
     texts = {pose.tobytes(): str(outcome) for pose, outcome in zip(places, every, strict=True)}
     words = [texts[pose.tobytes()] for pose in seen.poses[chosen]]
-    positions = np.column_stack([seen.poses[chosen, :2], np.full(len(chosen), 0.015)])
+    height = LOWEST + ABOVE * seen.kind[chosen]  # the best are seen over the others
+    positions = np.column_stack([seen.poses[chosen, :2], height])
     own = np.array([rgb(KINDS[k].color) for k in seen.kind[chosen]], float).reshape(-1, 3)
     colors = (LIT * own).astype(np.uint8)
     scales = np.array([MARK * (1.8 if KINDS[k].filled else 1.0) for k in seen.kind[chosen]])
@@ -158,7 +161,8 @@ def draw_candidates(
     node = api.add_batched_meshes_simple(
         name, head.astype(np.float32), faces.astype(np.uint32), turns, positions,
         batched_scales=scales, batched_colors=colors, cast_shadow=False,
-        lod="off", side="double",
+        receive_shadow=False, lod="off", side="double",
+        material="toon3",  # which shines not, and so is not pale
     )  # fmt: skip
 
     def clicked(event: Any) -> None:
