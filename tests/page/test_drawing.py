@@ -62,17 +62,22 @@ def test_kept_answers_stand_over_the_room_or_beside_it_and_are_forgotten(page: P
     one, two = compare.kept
     np.testing.assert_allclose(one.frame.position, 0.0)
     assert one.room.scene is None
+    alone = np.array(page.server.initial_camera.look_at)
     page.panel.beside.value = True
     compare.arrange()
     one_at, two_at = (np.array(kept.frame.position) for kept in (one, two))
     assert np.linalg.norm(one_at) > 4.0  # the room is 4.2 m wide
     np.testing.assert_allclose(two_at, 2 * one_at)
     assert one.room.scene is page.shown.scene
+    # All three rooms are looked at, from farther away.
+    target = np.array(page.server.initial_camera.look_at)
+    assert (target - alone) @ one_at > 0.7 * one_at @ one_at
     page.motion.seek(0.0)
     np.testing.assert_allclose(one.robot.base, page.robot.base)  # in step
     page.panel.beside.value = False
     compare.arrange()
     np.testing.assert_allclose(one.frame.position, 0.0)
+    np.testing.assert_allclose(page.server.initial_camera.look_at, alone)
     compare.forget()
     assert compare.kept == ()
     assert page.panel.kept.content == "Nothing is kept."

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,18 +16,30 @@ if TYPE_CHECKING:
     from viser import ViserServer
 
 
-def look_at(server: ViserServer, scene: Scene) -> None:
-    """Turn the cameras of all browsers to a room, and of those that come."""
-    eye, target = viewpoint(scene)
+def look_at(
+    server: ViserServer, scene: Scene, shifts: Sequence[Float[np.ndarray, "3"]] = ()
+) -> None:
+    """Turn the cameras of all browsers to a room, and of those that come.
+
+    Args:
+        server: Whose browsers.
+        scene: The room.
+        shifts: How far aside it stands as well [m].
+    """
+    eye, target = viewpoint(scene, shifts)
     camera = server.initial_camera
     camera.position, camera.look_at, camera.up = eye, target, np.array([0.0, 0.0, 1.0])
     for client in server.get_clients().values():
         client.camera.position, client.camera.look_at = eye, target
 
 
-def viewpoint(scene: Scene) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+def viewpoint(
+    scene: Scene, shifts: Sequence[Float[np.ndarray, "3"]] = ()
+) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
     """Where to look from at first, and at what: from the side to which doors open [m]."""
-    low, high = room_bounds(scene)
+    corners = room_bounds(scene)
+    every = np.concatenate([corners, *(corners + np.asarray(shift)[:2] for shift in shifts)])
+    low, high = every.min(0), every.max(0)
     size = float(np.linalg.norm(high - low))
     movable = [o.bounds.mean(0)[:2] for o in scene.objects if o.model.joints]
     middle = (low + high) / 2

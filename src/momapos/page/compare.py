@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from momapos.page.cameras import viewpoint
+from momapos.page.cameras import look_at, viewpoint
 from momapos.page.playback import Story
 from momapos.page.robot_view import RobotView, joint_values
 from momapos.page.room_view import RoomView
@@ -87,9 +87,14 @@ class Compare:
         self._arrange()
 
     def arrange(self) -> None:
-        """Put the answers over the room, or beside it."""
+        """Put the answers over the room, or beside it, and turn to all of them."""
         with self._page.drawing:
             self._arrange()
+            scene = self._page.shown.scene
+            if scene is not None and self._kept:
+                beside = self._kept if self._beside else []
+                shifts = [self._shift(kept.scene, k + 1) for k, kept in enumerate(beside)]
+                look_at(self._page.server, scene, shifts)
 
     def _arrange(self) -> None:
         self._remove_captions()
