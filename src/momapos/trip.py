@@ -193,15 +193,27 @@ class Trip:
         return self.go(here, found, attempts) if isinstance(found, PlacementPlan) else (here, found)
 
     def _next(self, here: Float[np.ndarray, "3"], elsewhere: bool) -> Motion | PlacementPlan | None:
-        """A motion at a base pose, else the plan of another one, for the part as it is believed."""
+        """A motion at a base pose, else the plan of another one, for the part as it is believed.
+
+        A second hold comes past the edge of a part that was let go, by less than what is known of
+        it after a failure: one hold from elsewhere is tried before two from here.
+        """
         try:
             with self.stopwatch.stage("plan"):
                 others = other_grasps(self.scene, self.plan.task, self.grasps)
-                found = None if elsewhere else self._motion(here, others).motion
-                self.failed += [] if found is not None else [here]
-                return self._another(here) if found is None else found
+                opens = self.plan.task.verb == "open"
+                once = [without_pushes(self.config)] if opens else []
+                for config in (*once, self.config):
+                    found = None if elsewhere else self._motion(here, config, others).motion
+                    if found is not None:
+                        return found
+                    self.failed.append(here)
+                    other = self._another(here, config)
+                    if other is not None:
+                        return other
         except TaskError:  # no hand holds a part of that kind
             return None
+        return None
 
     def way_home(self, base: Float[np.ndarray, "3"]) -> WayHome:
         """Plans the arm's way home at a base pose, with the part where the hand left it."""
@@ -236,7 +248,7 @@ class Trip:
             here, reason, now, plan = driven.pose, driven.reason, plan, None
             if driven.arrived:
                 with self.stopwatch.stage("plan"):
-                    attempt = self._motion(here)
+                    attempt = self._motion(here, self.config)
                 motion, reason = attempt.motion, attempt.reason
                 self.failed.append(here)
             self.failed.append(goal)
@@ -244,25 +256,32 @@ class Trip:
             # A base that touched something is not driven on: that is an accident, no detour.
             if motion is None and not driven.hit and len(self.visits) < most:
                 with self.stopwatch.stage("plan"):
-                    plan = self._another(here)
+                    plan = self._another(here, self.config)
                 if plan is None:
                     reason = f"{reason}; {NONE_LEFT}"
                     self.visits[-1] = replace(self.visits[-1], reason=reason)
                     plan = now if driven.arrived and _beside(goal, here) else None
         return here, motion
 
-    def _motion(self, pose: Float[np.ndarray, "3"], grasps: GraspFilter | None = None) -> Attempt:
+    def _motion(
+        self,
+        pose: Float[np.ndarray, "3"],
+        config: PipelineConfig,
+        grasps: GraspFilter | None = None,
+    ) -> Attempt:
         return check_base_pose(
             self.scene, self.ground.robot, self.plan.task, pose, self.reach,
-            how_far=False, grasp_filter=grasps, config=self.config, seed=self.plan.seed,
+            how_far=False, grasp_filter=grasps, config=config, seed=self.plan.seed,
         )  # fmt: skip
 
-    def _another(self, pose: Float[np.ndarray, "3"]) -> PlacementPlan | None:
+    def _another(
+        self, pose: Float[np.ndarray, "3"], config: PipelineConfig
+    ) -> PlacementPlan | None:
         """The cheapest base pose seen from where the robot is, those that failed ruled out."""
         try:
             result = plan_by_method(
                 self.scene, self.ground.robot, self.plan.task, self.reach, start=pose,
-                pose_filter=self._ruled_out, region=self.plan.region, config=self.config,
+                pose_filter=self._ruled_out, region=self.plan.region, config=config,
                 seed=self.plan.seed,
             )  # fmt: skip
         except SceneError:  # boxes hold more than the outlines that were driven by
