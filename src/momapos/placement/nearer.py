@@ -23,7 +23,7 @@ _COUNT = 128
 """Samples of one step [-]."""
 _AROUND = np.array([0.3, 0.3, np.radians(30.0)])
 """They lie so far to either side [m], [m], [rad]."""
-_GAIN = 0.04
+_GAIN = 0.06
 """Driving length that a step saves at least [m]."""
 _MOST = 32
 """Poses whose room is looked up, the cheapest first [-]."""
