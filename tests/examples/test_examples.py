@@ -20,7 +20,7 @@ SAYS = {
     "06": "18.5 s",
     "07": "fridge",
     "08": "solved",
-    "09": "(1.91 m, -1.39 m, 0.96 rad) after 0.19 m",
+    "09": "(2.00 m, -1.43 m, 0.78 rad) after 0.17 m",
 }
 LINES = 15
 """Statements and comments of an example, without its docstring and blank lines."""
