@@ -20,6 +20,7 @@ from momapos.execution.true_world import TrueWorld
 from momapos.geometry.transforms import wrap_angle
 from momapos.joint_beliefs import JointBelief, JointBeliefs
 from momapos.manipulation.motion import GraspFilter
+from momapos.manipulation.tasks import slides
 from momapos.navigation.clearance import gaps
 from momapos.navigation.drive_record import DriveRecord
 from momapos.navigation.footprint_map import NavigationMap, build_navigation_map
@@ -198,12 +199,15 @@ class Trip:
         A second hold comes past the edge of a part that was let go, by less than what is known of
         it after a failure: one hold from elsewhere is tried before two from here.
         """
+        task = self.plan.task
+        configs = [self.config]
+        once = without_pushes(self.config)
+        if task.verb == "open" and not slides(self.scene, task) and once != self.config:
+            configs.insert(0, once)
         try:
             with self.stopwatch.stage("plan"):
-                others = other_grasps(self.scene, self.plan.task, self.grasps)
-                opens = self.plan.task.verb == "open"
-                once = [without_pushes(self.config)] if opens else []
-                for config in (*once, self.config):
+                others = other_grasps(self.scene, task, self.grasps)
+                for config in configs:
                     found = None if elsewhere else self._motion(here, config, others).motion
                     if found is not None:
                         return found

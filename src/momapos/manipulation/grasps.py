@@ -68,14 +68,15 @@ class Grasps:
         kept[chosen[first]] = True
         return kept
 
-    def describe(self, grasp: int) -> str:
-        """What a grasp holds and how, in words."""
+    def describe(self, grasp: int, *, turns: bool = False) -> str:
+        """What a grasp holds and how, in words, and whether the hand turns about it."""
         family, width = FAMILIES[self.code[grasp]], 100 * self.width[grasp]
         what = f"{self.handles[self.handle[grasp]]}" if self.handles else "the object"
         if family is Family.PUSH:
             return f"{family} at {what}"
         strong = f"{self.capacity[grasp]:.0f} N of {self.need[grasp]:.0f} N needed"
-        return f"{family} of {what}; {width:.1f} cm between the fingers, {strong}"
+        words = f"{family} of {what}; {width:.1f} cm between the fingers, {strong}"
+        return f"{words}, about which the hand turns" if turns else words
 
     def take(self, rows: Int[np.ndarray, " k"] | Bool[np.ndarray, " g"]) -> Grasps:
         """Some of the grasps."""

@@ -148,9 +148,7 @@ class TaskMotion:
         grasp = int(self.turning.members(np.array([way]))[0, 0])
         last = len(self.object_q) - 1 if self.release_step is None else self.release_step
         axis = self.turning.axis_of(way)
-        words = self.grasps.describe(grasp) + (
-            "" if axis is None else ", about which the hand turns"
-        )
+        words = self.grasps.describe(grasp, turns=axis is not None)
         family = str(self.grasps.family[grasp])
         return (Hold(0, last - self.grasp_step, axis, family, words),)
 

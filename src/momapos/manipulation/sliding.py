@@ -125,8 +125,7 @@ class SlidingMotion(TaskMotion):
         for first, end in zip(firsts, lasts, strict=True):
             away = self.Ts_world_tool[grasps, first, :3, 3] - Ts_world_tool[first, :3, 3]
             grasp = int(grasps[np.linalg.norm(away, axis=1).argmin()])
-            words = self.grasps.describe(grasp) + (", about which the hand turns" if turns else "")
-            words += ", after a slide" if holds else ""
+            words = self.grasps.describe(grasp, turns=turns) + (", after a slide" if holds else "")
             range_ = int(number[first]), int(number[end])
             holds.append(Hold(*range_, axis, str(self.grasps.family[grasp]), words))
         return np.flatnonzero(kept), tuple(holds)
