@@ -14,7 +14,7 @@ from momapos.geometry.polygons import all_inside, contains
 from momapos.kinematics.base_collision import base_hits
 from momapos.kinematics.collision import FREE
 from momapos.kinematics.world import check
-from momapos.manipulation.layers import solve_layer
+from momapos.manipulation.layers import solve_layers
 from momapos.manipulation.tasks import slides
 from momapos.placement.area import arm_radius
 from momapos.prepare import PreparedTask
@@ -207,7 +207,8 @@ class Room:
         if not len(jobs):
             return jobs
         prepared = self.prepared
-        layer = solve_layer(
-            self.robot, prepared.world, prepared.motion, bases, grasps, jobs, waypoint, ()
-        )
-        return layer.jobs[layer.counts > 0]
+        layers = solve_layers(
+            self.robot, prepared.world, prepared.motion, bases[jobs], grasps[jobs],
+            np.array([waypoint]), np.array([0]),
+        )  # fmt: skip
+        return jobs[layers.passed > 0]

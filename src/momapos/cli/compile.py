@@ -19,7 +19,7 @@ ANSWER = (
     "momapos.manipulation.arm_path._shortest",
     "momapos.manipulation.arm_path._track",
     "momapos.manipulation.hand_room._hand_hits",
-    "momapos.manipulation.layers._solve_layer",
+    "momapos.manipulation.layers._solve_layers",
     "momapos.manipulation.swept_boxes._surface",
     "momapos.manipulation.swept_boxes._touches",
     "momapos.navigation.clearance._gaps",

@@ -27,7 +27,7 @@ class _Lower(Lower):
 
     Arguments, which the caller holds, and views and members of them need no count: counting is
     atomic, LLVM removes only a part of it, and there is one for each array of a record. With it
-    `_solve_layer` takes half as long again.
+    `_solve_layers` takes half as long again.
     """
 
     context: Any

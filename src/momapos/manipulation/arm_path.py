@@ -19,11 +19,11 @@ from momapos.manipulation.layers import (
     CUT_OFF,
     MAX_STEP,
     NOWHERE,
-    Layer,
+    Layers,
     full_turns,
     joint_scale,
     joint_step,
-    solve_layer,
+    solve_layers,
 )
 from momapos.manipulation.motion import TaskMotion
 from momapos.manipulation.turning_arm import Arm, hand_poses, robot_of
@@ -76,30 +76,29 @@ def find_paths(
         ways: The way of holding at each.
         hand: What is known of this hand in this room and motion; it is added to.
     """
-    waypoint_of = np.unique(motion.layer_of, return_index=True)[1].tolist()
-    paths: list[ArmPath | None] = [None] * len(ways)
-    layers: list[Layer] = []
-    alive, grasps = np.arange(len(ways)), motion.turning.members(ways)
-    for passed, w in enumerate(_ends_first(len(waypoint_of))):
-        at = waypoint_of[w]
-        layer = solve_layer(robot, world, motion, bases, grasps, alive, at, layers)
-        failed = layer.counts == 0
-        for j, code in zip(alive[failed].tolist(), layer.codes[failed].tolist(), strict=True):
-            paths[j] = _failure(code, w, passed)
-        alive = alive[~failed]
-        layers.append(layer)
-        if not len(alive):
-            break
-    layers.sort(key=lambda layer: layer.waypoint)
-    for j in alive:
-        each = [layer.nodes(int(j)) for layer in layers]
-        nodes = [each[number] for number in motion.layer_of]
-        paths[j] = _connect(robot, world, motion, bases[j], nodes, hand)
-    return [path for path in paths if path is not None]
+    waypoint_of = np.unique(motion.layer_of, return_index=True)[1]
+    order = np.array(_ends_first(len(waypoint_of)))
+    layers = solve_layers(
+        robot, world, motion, bases, motion.turning.members(ways), waypoint_of, order
+    )
+    return [
+        _connect(robot, world, motion, bases[j], _nodes(layers, motion, j), hand)
+        if passed == len(order)
+        else _failure(int(layers.codes[j]), int(order[passed]), passed)
+        for j, passed in enumerate(layers.passed.tolist())
+    ]
+
+
+def _nodes(
+    layers: Layers, motion: TaskMotion, job: int
+) -> list[tuple[Float[np.ndarray, "_ n"], Int[np.ndarray, " _"]]]:
+    """The configurations of a job at every waypoint, and their grasps."""
+    each = [layers.nodes(job, layer) for layer in range(layers.counts.shape[1])]
+    return [(layers.q[each[number]], layers.grasps[each[number]]) for number in motion.layer_of]
 
 
 def _failure(code: int, waypoint: int, passed: int) -> ArmPath:
-    """What a layer without configurations means for a job."""
+    """What a waypoint without configurations means for a job."""
     if code == CUT_OFF:
         return ArmPath(BROKEN, waypoint, passed, FREE)
     return ArmPath(UNREACHABLE if code == NOWHERE else HIT, waypoint, passed, code)

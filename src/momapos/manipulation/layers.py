@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from momapos.compiled import B1, F1, F2, F3, I1, entry, kernel
-from momapos.geometry.transforms import invert, pose_planar
+from momapos.compiled import B1, F1, F2, F4, I1, I2, entry, kernel
 from momapos.kinematics.chain import Chain
 from momapos.kinematics.closed_forms import MAX_BRANCHES
 from momapos.kinematics.collision import FREE, scratch_of
@@ -36,27 +34,29 @@ MAX_STEP = 0.8
 SLIDE = 4.0
 """Radians that a meter of a sliding joint counts as [rad/m]."""
 NOWHERE, CUT_OFF = FREE, FREE - 10
-"""Why a layer is empty where nothing is hit: out of reach, or too far from its neighbors."""
+"""Why there is none where nothing is hit: out of reach, or too far from its neighbors."""
 
 
 @dataclass(frozen=True)
-class Layer:
-    """The free configurations of all living jobs at one waypoint."""
+class Layers:
+    """The free configurations of jobs at the waypoints, those of each one after the other."""
 
-    waypoint: int
-    jobs: Int[np.ndarray, " a"]
-    q: Float[np.ndarray, "a b n"]
-    """Free configurations first; beyond the count there is nothing of meaning."""
-    counts: Int[np.ndarray, " a"]
-    codes: Int[np.ndarray, " a"]
-    """What the first configuration hit, else NOWHERE or CUT_OFF; of use where the count is 0."""
-    grasps: Int[np.ndarray, "a b"]
+    q: Float[np.ndarray, "m n"]
+    grasps: Int[np.ndarray, " m"]
     """The grasp of each configuration."""
+    first: Int[np.ndarray, "j l"]
+    """Where the configurations of each job at each waypoint begin."""
+    counts: Int[np.ndarray, "j l"]
+    """How many there are; 0 as well where none was looked for."""
+    passed: Int[np.ndarray, " j"]
+    """How many waypoints had some, in the order in which they were looked at."""
+    codes: Int[np.ndarray, " j"]
+    """What the first configuration hit where there was none, else NOWHERE or CUT_OFF."""
 
-    def nodes(self, job: int) -> tuple[Float[np.ndarray, "k n"], Int[np.ndarray, " k"]]:
-        """The configurations of one job, and their grasps."""
-        row = int(np.searchsorted(self.jobs, job))
-        return self.q[row, : self.counts[row]], self.grasps[row, : self.counts[row]]
+    def nodes(self, job: int, layer: int) -> slice:
+        """Where the configurations of one job at one waypoint are."""
+        first = int(self.first[job, layer])
+        return slice(first, first + int(self.counts[job, layer]))
 
 
 class JointSteps(NamedTuple):
@@ -70,22 +70,39 @@ class JointSteps(NamedTuple):
     """The same of the joints that inverse kinematics does not solve for, 0 of the others."""
 
 
-class Neighbor(NamedTuple):
-    """A known layer as the kernel takes it."""
+class Jobs(NamedTuple):
+    """Pairs of base pose and way of holding."""
 
-    states: F3
-    counts: I1
-    rows: I1
-    """Row of each job in the states."""
-    limit: float
-    """Largest joint step to it [rad]; infinite where there is no layer."""
+    bases: F2
+    """Base pose of each: x [m], y [m], yaw [rad]."""
+    grasps: I2
+    """Grasps that each may have at a waypoint, -1 where it has fewer."""
 
 
-class Neighbors(NamedTuple):
-    """The known layers next to a waypoint."""
+class Waypoints(NamedTuple):
+    """The waypoints of a motion."""
 
-    before: Neighbor
-    after: Neighbor
+    order: I1
+    """The order in which they are looked at."""
+    place: I1
+    """How far each is along the motion, counted in waypoints."""
+    step: I1
+    """The step of the motion at each."""
+    value: I1
+    """The same for the configuration of the moved part."""
+    holding: B1
+    """Whether the hand holds the part there."""
+    Ts_world_tool: F4
+    """Tool pose of each grasp at every step."""
+
+
+class Found(NamedTuple):
+    """Configurations as the kernel fills them in, see `Layers`."""
+
+    q: F2
+    grasps: I1
+    first: I2
+    counts: I2
 
 
 def joint_scale(chain: Chain) -> Float[np.ndarray, " n"]:
@@ -98,89 +115,42 @@ def full_turns(chain: Chain) -> Bool[np.ndarray, " n"]:
     return ~chain.prismatic & (chain.upper - chain.lower > 2 * np.pi + 0.1)
 
 
-def solve_layer(
+def solve_layers(
     robot: Arm,
     world: CollisionWorld,
     motion: TaskMotion,
     bases: Float[np.ndarray, "j 3"],
     grasps: Int[np.ndarray, "j k"],
-    alive: Int[np.ndarray, " a"],
-    waypoint: int,
-    known: Sequence[Layer],
-) -> Layer:
-    """Find the free configurations at a waypoint that known layers can be joined to.
+    waypoints: Int[np.ndarray, " l"],
+    order: Int[np.ndarray, " o"],
+) -> Layers:
+    """Find the free configurations of each job at some waypoints, until there is none at one.
 
-    A configuration that is farther from all those of the nearest layer on either side than
-    `MAX_STEP` a waypoint is on no path, and is dropped before it is checked.
+    A configuration that is farther from all those of the nearest waypoint on either side that has
+    been looked at than `MAX_STEP` a waypoint is on no path, and is dropped before it is checked.
 
     Args:
         robot, world, motion: Whose arm, in which room, for what.
         bases: Base pose of each job.
-        grasps: Grasps that each job may have at this waypoint, -1 where it has fewer.
-        alive: Indices of the jobs to be solved.
-        waypoint: Index into the coarse waypoints.
-        known: Layers that have been solved, for these jobs at least.
+        grasps: Grasps that each job may have at a waypoint, -1 where it has fewer.
+        waypoints: Indices into the coarse waypoints, ascending.
+        order: Indices into these: which are looked at, one after the other.
     """
-    step, chain, ik = motion.waypoint_steps[waypoint], robot.chain, robot.ik
-    job, column = np.nonzero(grasps[alive] >= 0)
-    row, grasp = alive[job], grasps[alive[job], column]
-    poses = invert(pose_planar(bases[row])) @ motion.Ts_world_tool[grasp, step]
-    before = max((k for k in known if k.waypoint < waypoint), key=_waypoint, default=None)
-    after = min((k for k in known if k.waypoint > waypoint), key=_waypoint, default=None)
+    step, chain, ik = motion.waypoint_steps[waypoints], robot.chain, robot.ik
     scale = joint_scale(chain)
     locked = scale.copy()
     locked[ik.active] = 0.0
-    around = Neighbors(
-        _neighbor(before, row, waypoint, chain.size),
-        _neighbor(after, row, waypoint, chain.size),
-    )
-    q, counts, codes = _solve_layer(
-        np.ascontiguousarray(poses),
-        bases[row],
-        TaskState(int(motion.value[step]), bool(motion.holding[step])),
+    q, held, first, counts, passed, codes = _solve_layers(
+        Jobs(np.ascontiguousarray(bases), np.ascontiguousarray(grasps)),
+        Waypoints(
+            order, waypoints, step, motion.value[step], motion.holding[step],
+            np.ascontiguousarray(motion.Ts_world_tool),
+        ),
         arm_arrays(chain, ik),
         collision_arrays(arm_spheres(robot_of(robot)), world),
         JointSteps(full_turns(chain), scale, locked),
-        around,
-    )
-    if grasps.shape[1] == 1:
-        return Layer(waypoint, alive, q, counts, codes, np.tile(grasp[:, None], (1, q.shape[1])))
-    return _merged(waypoint, alive, job, grasp, q, counts, codes)
-
-
-def _merged(
-    waypoint: int,
-    alive: Int[np.ndarray, " a"],
-    job: Int[np.ndarray, " r"],
-    grasp: Int[np.ndarray, " r"],
-    q: Float[np.ndarray, "r b n"],
-    counts: Int[np.ndarray, " r"],
-    codes: Int[np.ndarray, " r"],
-) -> Layer:
-    """One layer of what was found for every grasp of every job; `job` is sorted."""
-    total = np.bincount(job, counts, len(alive)).astype(np.int64)
-    row = np.repeat(np.arange(len(job)), counts)
-    within = np.arange(len(row)) - np.repeat(np.cumsum(counts) - counts, counts)
-    place = np.arange(len(row)) - (np.cumsum(total) - total)[job[row]]
-    states = np.empty((len(alive), int(total.max(initial=0)), q.shape[2]))
-    grasps = np.full(states.shape[:2], -1)
-    states[job[row], place], grasps[job[row], place] = q[row, within], grasp[row]
-    worst = np.full(len(alive), CUT_OFF)
-    np.maximum.at(worst, job, codes)
-    return Layer(waypoint, alive, states, total, worst, grasps)
-
-
-def _waypoint(layer: Layer) -> int:
-    return layer.waypoint
-
-
-def _neighbor(layer: Layer | None, jobs: np.ndarray, waypoint: int, n: int) -> Neighbor:
-    """A known layer as the kernel takes it; the limit is infinite where there is none."""
-    if layer is None:
-        none = np.empty(0, np.int64)
-        return Neighbor(np.empty((0, 0, n)), none, none, np.inf)
-    limit = MAX_STEP * abs(waypoint - layer.waypoint)
-    return Neighbor(layer.q, layer.counts, np.searchsorted(layer.jobs, jobs), float(limit))
+    )  # fmt: skip
+    return Layers(q, held, first, counts, passed, codes)
 
 
 @kernel
@@ -198,61 +168,125 @@ def joint_step(a, b, full_turn, scale, limit):
 
 
 @kernel
-def _joined(q, job, around, full_turn, scale):
-    """Whether some configuration of each neighboring layer is near enough."""
-    return _near(q, job, around.before, full_turn, scale) and _near(
-        q, job, around.after, full_turn, scale
-    )
-
-
-@kernel
-def _near(q, job, neighbor, full_turn, scale):
-    """Whether some configuration of a neighboring layer is near enough."""
-    states, counts, rows, limit = neighbor
-    if limit == np.inf:
-        return True
-    row = rows[job]
-    for i in range(counts[row]):
-        if joint_step(q, states[row, i], full_turn, scale, limit) <= limit:
+def _near(q, limit, states, full_turn, scale):
+    """Whether some of the states at another waypoint is near enough."""
+    for i in range(len(states)):
+        if joint_step(q, states[i], full_turn, scale, limit) <= limit:
             return True
     return False
 
 
-@entry
-def _solve_layer(
-    poses: F3,
-    bases: F2,
-    state: TaskState,
-    arm: ArmArrays,
-    room: CollisionArrays,
-    steps: JointSteps,
-    around: Neighbors,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    chain, samples = arm.chain, arm.ik.samples
-    full_turn, n = steps.full_turn, len(steps.full_turn)
-    scratch, placed = ik_scratch(arm), scratch_of(len(chain.slides), room.spheres)
-    solutions = np.empty((MAX_BRANCHES, n))
-    out = np.empty((len(poses), max_solutions(arm.ik), n))
-    counts, codes = np.zeros(len(poses), np.int64), np.full(len(poses), NOWHERE)
-    for j in range(len(poses)):
-        R, p = poses[j, :3, :3], poses[j, :3, 3]
+@kernel
+def _joined(q, limits, before, after, full_turn, scale):
+    """Whether some state of the waypoint looked at on either side is near enough."""
+    return (limits[0] == np.inf or _near(q, limits[0], before, full_turn, scale)) and (
+        limits[1] == np.inf or _near(q, limits[1], after, full_turn, scale)
+    )
+
+
+@kernel
+def _around(at, order, looked, place):
+    """The waypoints next to one, on either side, of those looked at; -1 where there is none."""
+    before, after = -1, -1
+    for i in range(looked):
+        other = order[i]
+        if place[other] < place[at] and (before < 0 or place[other] > place[before]):
+            before = other
+        if place[other] > place[at] and (after < 0 or place[other] < place[after]):
+            after = other
+    return before, after
+
+
+@kernel
+def _tool_in_base(T, base, R, p):
+    """A tool pose relative to a base pose: rotation and position, filled in."""
+    c, s = np.cos(base[2]), np.sin(base[2])
+    for k in range(3):
+        R[0, k] = c * T[0, k] + s * T[1, k]
+        R[1, k] = c * T[1, k] - s * T[0, k]
+        R[2, k] = T[2, k]
+    x, y = T[0, 3] - base[0], T[1, 3] - base[1]
+    p[0], p[1], p[2] = c * x + s * y, c * y - s * x, T[2, 3]
+
+
+@kernel
+def _solve_layer(j, looked, used, jobs, path, arm, room, steps, found, scratch, placed, memory):
+    """Fill in the configurations of a job at one waypoint; returns how many, and the code."""
+    R, p, solutions, limits = memory
+    base, w = jobs.bases[j], path.order[looked]
+    full_turn, n, samples = steps.full_turn, len(steps.full_turn), arm.ik.samples
+    state = TaskState(path.value[w], path.holding[w])
+    low, high = _around(w, path.order, looked, path.place)
+    limits[0] = limits[1] = np.inf
+    before, after = found.q[:0], found.q[:0]
+    if low >= 0:
+        limits[0] = MAX_STEP * (path.place[w] - path.place[low])
+        before = found.q[found.first[j, low] : found.first[j, low] + found.counts[j, low]]
+    if high >= 0:
+        limits[1] = MAX_STEP * (path.place[high] - path.place[w])
+        after = found.q[found.first[j, high] : found.first[j, high] + found.counts[j, high]]
+    count, worst = 0, CUT_OFF
+    for column in range(jobs.grasps.shape[1]):
+        grasp, code = jobs.grasps[j, column], NOWHERE
+        if grasp < 0:
+            break
+        _tool_in_base(path.Ts_world_tool[grasp, path.step[w]], base, R, p)
         begin_pose(scratch)
         for s in range(sample_count(arm.ik)):
             # Locked joints are known beforehand, so most samples need no inverse kinematics.
-            if s < len(samples) and not _joined(samples[s], j, around, full_turn, steps.locked):
+            if s < len(samples) and not _joined(
+                samples[s], limits, before, after, full_turn, steps.locked
+            ):
                 continue
-            found = solve_sample(s, R, p, arm, COARSE, solutions, scratch)
-            for b in range(found):
+            for b in range(solve_sample(s, R, p, arm, COARSE, solutions, scratch)):
                 q = solutions[b]
-                if not _joined(q, j, around, full_turn, steps.scale):
-                    if codes[j] == NOWHERE:
-                        codes[j] = CUT_OFF
+                if not _joined(q, limits, before, after, full_turn, steps.scale):
+                    if code == NOWHERE:
+                        code = CUT_OFF
                     continue
-                code = check_one(q, bases[j], state, chain, room, placed)
-                if code == FREE:
+                hit = check_one(q, base, state, arm.chain, room, placed)
+                if hit == FREE:
                     for k in range(n):
-                        out[j, counts[j], k] = q[k]
-                    counts[j] += 1
-                elif codes[j] == NOWHERE or codes[j] == CUT_OFF:
-                    codes[j] = code
-    return out, counts, codes
+                        found.q[used + count, k] = q[k]
+                    found.grasps[used + count] = grasp
+                    count += 1
+                elif code in (NOWHERE, CUT_OFF):
+                    code = hit
+        worst = max(worst, code)
+    return count, worst
+
+
+@entry
+def _solve_layers(
+    jobs: Jobs,
+    path: Waypoints,
+    arm: ArmArrays,
+    room: CollisionArrays,
+    steps: JointSteps,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    count, n = len(jobs.bases), len(steps.full_turn)
+    first = np.zeros((count, len(path.place)), np.int64)
+    counts, passed, codes = (
+        np.zeros_like(first),
+        np.zeros(count, np.int64),
+        np.zeros(count, np.int64),
+    )
+    scratch, placed = ik_scratch(arm), scratch_of(len(arm.chain.slides), room.spheres)
+    memory = np.empty((3, 3)), np.empty(3), np.empty((MAX_BRANCHES, n)), np.empty(2)
+    # Those of one job at one waypoint always find room.
+    most, used = jobs.grasps.shape[1] * max_solutions(arm.ik), 0
+    q, grasps = np.empty((4 * most, n)), np.empty(4 * most, np.int64)
+    for j in range(count):
+        for looked in range(len(path.order)):
+            if used + most > len(q):
+                q, grasps = np.concatenate((q, np.empty_like(q))), np.append(grasps, grasps)
+            found = Found(q, grasps, first, counts)
+            added, code = _solve_layer(
+                j, looked, used, jobs, path, arm, room, steps, found, scratch, placed, memory
+            )
+            if added == 0:
+                codes[j] = code
+                break
+            first[j, path.order[looked]], counts[j, path.order[looked]] = used, added
+            used, passed[j] = used + added, looked + 1
+    return q[:used], grasps[:used], first, counts, passed, codes
