@@ -29,7 +29,7 @@ from momapos.manipulation.motion import TaskMotion
 from momapos.manipulation.turning_arm import Arm, hand_poses, robot_of
 
 if TYPE_CHECKING:
-    from jaxtyping import Float, Int
+    from jaxtyping import Bool, Float, Int
 
 HandCodes: TypeAlias = "dict[int, Int[np.ndarray, ' d']]"
 """What the hand by itself hits at every step of a motion, of grasps that it keeps all the way."""
@@ -82,19 +82,35 @@ def find_paths(
         robot, world, motion, bases, motion.turning.members(ways), waypoint_of, order
     )
     return [
-        _connect(robot, world, motion, bases[j], _nodes(layers, motion, j), hand)
+        _connect(robot, world, motion, bases[j], _Graph.of(layers, motion, j), hand)
         if passed == len(order)
         else _failure(int(layers.codes[j]), int(order[passed]), passed)
         for j, passed in enumerate(layers.passed.tolist())
     ]
 
 
-def _nodes(
-    layers: Layers, motion: TaskMotion, job: int
-) -> list[tuple[Float[np.ndarray, "_ n"], Int[np.ndarray, " _"]]]:
-    """The configurations of a job at every waypoint, and their grasps."""
-    each = [layers.nodes(job, layer) for layer in range(layers.counts.shape[1])]
-    return [(layers.q[each[number]], layers.grasps[each[number]]) for number in motion.layer_of]
+@dataclass(frozen=True)
+class _Graph:
+    """The configurations of a job at every waypoint, those of a waypoint together."""
+
+    q: Float[np.ndarray, "m n"]
+    grasps: Int[np.ndarray, " m"]
+    checked: Bool[np.ndarray, " m"]
+    """Whether it is known what a configuration hits; added to."""
+    banned: Bool[np.ndarray, " m"]
+    """Those that are on no path; added to."""
+    first: Int[np.ndarray, " w+1"]
+    """Where those of each waypoint begin, and where the last end."""
+
+    @classmethod
+    def of(cls, layers: Layers, motion: TaskMotion, job: int) -> _Graph:
+        """What was found for a job."""
+        counts = layers.counts[job, motion.layer_of]
+        first = np.append(0, np.cumsum(counts))
+        begin = layers.first[job, motion.layer_of] - first[:-1]
+        which = np.arange(first[-1]) + np.repeat(begin, counts)
+        q, grasps, checked = (x[which] for x in (layers.q, layers.grasps, layers.checked))
+        return cls(q, grasps, checked, np.zeros(len(q), bool), first)
 
 
 def _failure(code: int, waypoint: int, passed: int) -> ArmPath:
@@ -119,29 +135,28 @@ def _connect(
     world: CollisionWorld,
     motion: TaskMotion,
     base: np.ndarray,
-    nodes: list[tuple[Float[np.ndarray, "_ n"], Int[np.ndarray, " _"]]],
+    graph: _Graph,
     hand: HandCodes,
 ) -> ArmPath:
-    """Shortest path through the layers of one job, then every state between, checked."""
-    start = np.cumsum([0, *(len(q) for q, _ in nodes)])
-    stacked, grasps = (np.concatenate(parts) for parts in zip(*nodes, strict=True))
-    chain = robot.chain
+    """Shortest path through the waypoints of one job, then every state between, checked."""
+    chain, grasps = robot.chain, graph.grasps
     full_turn, scale = full_turns(chain), joint_scale(chain)
-    banned = np.zeros(len(stacked), bool)
     # The turn of the hand is one more joint of the path.
-    states = np.column_stack([stacked, motion.turning.angles[grasps]])
+    states = np.column_stack([graph.q, motion.turning.angles[grasps]])
     free, steps = np.append(full_turn, False), np.append(scale, MAX_STEP / MAX_TURN)
-    count, number = len(nodes), motion.layer_of
+    count, number = len(motion.layer_of), motion.layer_of
     lanes, row = motion.lanes
     lane = np.ascontiguousarray(lanes[:, grasps])
     worst = ArmPath(BROKEN, 0, count, FREE)
     for _ in range(4):
         chosen = np.full(count, -1)
-        reached = _shortest(states, start, lane, row, banned, free, steps, chosen)
+        reached = _shortest(states, graph.first, lane, row, graph.banned, free, steps, chosen)
+        if reached == count and _hits(robot, world, motion, base, graph, chosen):
+            reached = _shortest(states, graph.first, lane, row, graph.banned, free, steps, chosen)
         if reached < count:
             broken = ArmPath(BROKEN, int(number[reached]), count, FREE)
             return worst if worst.obstacle != FREE else broken
-        q = _unwrap(stacked[chosen], full_turn, chain.lower, chain.upper)
+        q = _unwrap(graph.q[chosen], full_turn, chain.lower, chain.upper)
         tools = motion.tool_poses(grasps[chosen])
         targets = invert(pose_planar(base)) @ tools
         dense = np.empty((len(motion.object_q), chain.size))
@@ -167,8 +182,34 @@ def _connect(
             step = int(np.searchsorted(motion.waypoint_steps, bad))
             worst = ArmPath(HIT, int(number[step]), count, int(codes[bad]))
         # Without the node after the failure the next path must take another way.
-        banned[chosen[min(int(np.searchsorted(motion.waypoint_steps, bad)), count - 1)]] = True
+        at = min(int(np.searchsorted(motion.waypoint_steps, bad)), count - 1)
+        graph.banned[chosen[at]] = True
     return worst
+
+
+def _hits(
+    robot: Arm,
+    world: CollisionWorld,
+    motion: TaskMotion,
+    base: np.ndarray,
+    graph: _Graph,
+    chosen: Int[np.ndarray, " w"],
+) -> bool:
+    """Whether a node of a path hits something; then all others are checked as well."""
+    step = np.repeat(motion.waypoint_steps, np.diff(graph.first))
+
+    def check_those(nodes: Int[np.ndarray, " k"]) -> None:
+        graph.checked[nodes] = True
+        graph.banned[nodes] |= check(
+            world, robot.chain, arm_spheres(robot_of(robot)), graph.q[nodes],
+            np.tile(base, (len(nodes), 1)), motion.value[step[nodes]], motion.holding[step[nodes]],
+        ) != FREE  # fmt: skip
+
+    check_those(chosen[~graph.checked[chosen]])
+    if not graph.banned[chosen].any():
+        return False
+    check_those(np.flatnonzero(~graph.checked))
+    return True
 
 
 def _hand_codes(

@@ -1,4 +1,4 @@
-"""Free arm configurations at one waypoint, for many pairs of base pose and grasp at a time."""
+"""Arm configurations at the waypoints, for many pairs of base pose and grasp at a time."""
 
 from __future__ import annotations
 
@@ -39,11 +39,13 @@ NOWHERE, CUT_OFF = FREE, FREE - 10
 
 @dataclass(frozen=True)
 class Layers:
-    """The free configurations of jobs at the waypoints, those of each one after the other."""
+    """Configurations of jobs at the waypoints, those of each one after the other."""
 
     q: Float[np.ndarray, "m n"]
     grasps: Int[np.ndarray, " m"]
     """The grasp of each configuration."""
+    checked: Bool[np.ndarray, " m"]
+    """Whether it is known to be free; at every waypoint with configurations one is."""
     first: Int[np.ndarray, "j l"]
     """Where the configurations of each job at each waypoint begin."""
     counts: Int[np.ndarray, "j l"]
@@ -101,6 +103,7 @@ class Found(NamedTuple):
 
     q: F2
     grasps: I1
+    checked: B1
     first: I2
     counts: I2
 
@@ -124,8 +127,10 @@ def solve_layers(
     waypoints: Int[np.ndarray, " l"],
     order: Int[np.ndarray, " o"],
 ) -> Layers:
-    """Find the free configurations of each job at some waypoints, until there is none at one.
+    """Find configurations of each job at some waypoints, until none is free at one.
 
+    Most are on no path in the end, so that no more are checked at a waypoint than it takes to find
+    one that is free; those that are found to hit something are left out.
     A configuration that is farther from all those of the nearest waypoint on either side that has
     been looked at than `MAX_STEP` a waypoint is on no path, and is dropped before it is checked.
 
@@ -140,7 +145,7 @@ def solve_layers(
     scale = joint_scale(chain)
     locked = scale.copy()
     locked[ik.active] = 0.0
-    q, held, first, counts, passed, codes = _solve_layers(
+    return Layers(*_solve_layers(
         Jobs(np.ascontiguousarray(bases), np.ascontiguousarray(grasps)),
         Waypoints(
             order, waypoints, step, motion.value[step], motion.holding[step],
@@ -149,8 +154,7 @@ def solve_layers(
         arm_arrays(chain, ik),
         collision_arrays(arm_spheres(robot_of(robot)), world),
         JointSteps(full_turns(chain), scale, locked),
-    )  # fmt: skip
-    return Layers(q, held, first, counts, passed, codes)
+    ))  # fmt: skip
 
 
 @kernel
@@ -211,7 +215,7 @@ def _tool_in_base(T, base, R, p):
 
 @kernel
 def _solve_layer(j, looked, used, jobs, path, arm, room, steps, found, scratch, placed, memory):
-    """Fill in the configurations of a job at one waypoint; returns how many, and the code."""
+    """Fill in the configurations of a job at one waypoint; returns how many, and a code."""
     R, p, solutions, limits = memory
     base, w = jobs.bases[j], path.order[looked]
     full_turn, n, samples = steps.full_turn, len(steps.full_turn), arm.ik.samples
@@ -244,11 +248,12 @@ def _solve_layer(j, looked, used, jobs, path, arm, room, steps, found, scratch, 
                     if code == NOWHERE:
                         code = CUT_OFF
                     continue
-                hit = check_one(q, base, state, arm.chain, room, placed)
+                known = count == 0
+                hit = check_one(q, base, state, arm.chain, room, placed) if known else FREE
                 if hit == FREE:
                     for k in range(n):
                         found.q[used + count, k] = q[k]
-                    found.grasps[used + count] = grasp
+                    found.grasps[used + count], found.checked[used + count] = grasp, known
                     count += 1
                 elif code in (NOWHERE, CUT_OFF):
                     code = hit
@@ -263,7 +268,7 @@ def _solve_layers(
     arm: ArmArrays,
     room: CollisionArrays,
     steps: JointSteps,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+) -> tuple[np.ndarray, ...]:
     count, n = len(jobs.bases), len(steps.full_turn)
     first = np.zeros((count, len(path.place)), np.int64)
     counts, passed, codes = (
@@ -276,11 +281,13 @@ def _solve_layers(
     # Those of one job at one waypoint always find room.
     most, used = jobs.grasps.shape[1] * max_solutions(arm.ik), 0
     q, grasps = np.empty((4 * most, n)), np.empty(4 * most, np.int64)
+    checked = np.empty(4 * most, np.bool_)
     for j in range(count):
         for looked in range(len(path.order)):
             if used + most > len(q):
                 q, grasps = np.concatenate((q, np.empty_like(q))), np.append(grasps, grasps)
-            found = Found(q, grasps, first, counts)
+                checked = np.append(checked, checked)
+            found = Found(q, grasps, checked, first, counts)
             added, code = _solve_layer(
                 j, looked, used, jobs, path, arm, room, steps, found, scratch, placed, memory
             )
@@ -289,4 +296,4 @@ def _solve_layers(
                 break
             first[j, path.order[looked]], counts[j, path.order[looked]] = used, added
             used, passed[j] = used + added, looked + 1
-    return q[:used], grasps[:used], first, counts, passed, codes
+    return q[:used], grasps[:used], checked[:used], first, counts, passed, codes
