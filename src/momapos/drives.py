@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from momapos.errors import SceneError
 from momapos.navigation.clearance import gaps
-from momapos.navigation.footprint_map import NavigationMap, build_navigation_map
+from momapos.navigation.convex_polygons import ConvexPolygons, on_floor
+from momapos.navigation.footprint_map import NavigationMap
 from momapos.navigation.global_path import BasePath, direct_path, plan_path
 from momapos.navigation.start import ROOM
 from momapos.outcomes import PoseOutcome, PoseStatus
@@ -22,6 +24,10 @@ from momapos.types import ArmPathResult, Attempt
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
+
+_STEPS = np.arange(-3.0, 3.1, 0.4)
+_BESIDE = np.array(sorted(product(_STEPS, _STEPS), key=lambda xy: np.hypot(*xy)))
+"""Where room is looked for around a start, the nearest first [m]."""
 
 
 @dataclass(frozen=True)
@@ -111,12 +117,30 @@ class WaysOn:
 
     @cached_property
     def _map_after(self) -> NavigationMap:
-        return build_navigation_map(self._after, self.drives.query.robot)
+        # Only what is moved is drawn anew: of the rest the map is known.
+        query = self.drives.query
+        before, moved = query.nav_map, f"{query.task.object}/"
+
+        def afterward(outlines: ConvexPolygons) -> ConvexPolygons:
+            stays = np.array([not name.startswith(moved) for name in outlines.names], bool)
+            return outlines.only(stays).joined(query.outlines_after)
+
+        return replace(
+            before, obstacles=afterward(before.obstacles),
+            planning_obstacles=afterward(before.planning_obstacles),
+        )  # fmt: skip
 
     @cached_property
     def _roomy(self) -> Float[np.ndarray, "3"] | None:
         """A place with room near the start; None where there is none in all of the room."""
+        start, after = self.drives.start, self._map_after
+        beside = start + np.column_stack([_BESIDE, np.zeros(len(_BESIDE))])
+        beside = beside[on_floor(after.prisms, after.floor_polygon, beside)]
+        room = gaps(beside, after.prisms, after.planning_obstacles, cap=ROOM) >= ROOM
+        if room.any():
+            place: Float[np.ndarray, "3"] = beside[np.argmax(room)]
+            return place
         try:
-            return roomy_place(self._after, self._map_after, self.drives.start[:2])
+            return roomy_place(self._after, after, start[:2])
         except SceneError:
             return None

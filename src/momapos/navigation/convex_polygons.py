@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property, lru_cache
-from itertools import pairwise
+from itertools import compress, pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -115,6 +115,26 @@ class ConvexPolygons:
         return PolygonArrays(
             self.corner, self.normal, self.level, self.first, self.layer, self.bounds
         )
+
+    def only(self, kept: Bool[np.ndarray, " o"]) -> ConvexPolygons:
+        """Some of them."""
+        sizes = np.diff(self.first)
+        corners = np.repeat(kept, sizes)
+        return ConvexPolygons(
+            self.corner[corners], self.normal[corners], self.level[corners],
+            np.append(0, np.cumsum(sizes[kept])), self.layer[kept], self.bounds[kept],
+            tuple(compress(self.names, kept.tolist())),
+        )  # fmt: skip
+
+    def joined(self, other: ConvexPolygons) -> ConvexPolygons:
+        """These and others."""
+        corner, normal, level, layer, bounds = (
+            np.concatenate([getattr(self, name), getattr(other, name)])
+            for name in ("corner", "normal", "level", "layer", "bounds")
+        )
+        first = np.append(self.first, self.first[-1] + other.first[1:])
+        names = self.names + other.names
+        return ConvexPolygons(corner, normal, level, first, layer, bounds, names)
 
     def polygon(self, index: int) -> Float[np.ndarray, "k 2"]:
         """Corners of one polygon [m]."""
