@@ -25,7 +25,6 @@ from momapos.errors import MomaposError
 from momapos.manipulation.tasks import make_task, openable
 from momapos.pipeline import plan_base_placement
 from momapos.placement.config import PlaceConfig
-from momapos.reachability.evaluation import exact_ik
 from momapos.reachability.map import ReachMap
 from momapos.reachability.store import load_reach_map
 from momapos.robots.robot import Robot, load_robot
@@ -64,15 +63,8 @@ def ask(
     if plan.status != "infeasible":
         return row
     generous = replace(reach, threshold=reach.threshold - cells)
-    found = plan_base_placement(scene, finely(robot), task, generous, config=GRID).plan
+    found = plan_base_placement(scene, robot.finer, task, generous, config=GRID).plan
     return {**row, "grid": found.status, "base_pose": found.base_pose}
-
-
-def finely(robot: Robot) -> Robot:
-    """The robot, whose redundant joints are locked at more values."""
-    fine = replace(robot)
-    vars(fine)["ik"] = exact_ik(robot)
-    return fine
 
 
 def report(rows: list[dict[str, Any]]) -> str:

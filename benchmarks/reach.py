@@ -2,10 +2,10 @@
 
     python benchmarks/reach.py [ROBOT ...] [--count 20000] [--ready]
 
-"Exact" is inverse kinematics (`exact_ik`) with self-collision and floor; the redundant joints of a
-longer arm are locked at 33 values for it. Poses near reach are up to 17 cm along each axis and half
-a radian beside some that the arm takes; the others fill the ball around the shoulder that the tool
-can reach.
+"Exact" is inverse kinematics (`Robot.finer`) with self-collision and floor; the redundant joints of
+a longer arm are locked at 33 values for it. Poses near reach are up to 17 cm along each axis and
+half a radian beside some that the arm takes; the others fill the ball around the shoulder that the
+tool can reach.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from momapos.kinematics.collision import FREE, check_states
 from momapos.kinematics.ik_model import one_turn
 from momapos.reachability import ReachConfig, ReachMap, build_map, evaluate
 from momapos.reachability.arm_axes import no_map
-from momapos.reachability.evaluation import exact_ik, random_poses
+from momapos.reachability.evaluation import random_poses
 from momapos.reachability.store import decode, encode, load_reach_map
 from momapos.robots.names import library_names
 from momapos.robots.robot import Robot, load_arms, load_robot
@@ -83,7 +83,7 @@ def row(robot: Robot, count: int, ready: bool) -> str:
     began = time.perf_counter()
     reach = decode(content)
     loaded = time.perf_counter() - began
-    exact = exact_ik(robot)
+    exact = robot.finer.ik
     near, ball = (
         evaluate(reach, robot, np.random.default_rng(0), count, exact, near=beside)
         for beside in (True, False)

@@ -29,7 +29,7 @@ from momapos.outcomes import PoseStatus
 from momapos.pipeline import plan_base_placement
 from momapos.placement.config import PlaceConfig
 from momapos.protocols import ReachScorer
-from momapos.reachability.evaluation import evaluate, exact_ik
+from momapos.reachability.evaluation import evaluate
 from momapos.reachability.map import ReachMap
 from momapos.reachability.store import encode, load_reach
 from momapos.robots.robot import Robot, load_robot
@@ -88,7 +88,7 @@ def of_map(reach: ReachScorer, robot: Robot) -> dict[str, float]:
     """
     if not isinstance(reach, ReachMap):
         return {}
-    near = evaluate(reach, robot, np.random.default_rng(0), POSES, exact_ik(robot), near=True)
+    near = evaluate(reach, robot, np.random.default_rng(0), POSES, robot.finer.ik, near=True)
     size = len(encode(reach)) / 1e6
     return {"misses": near.misses, "false_positives": near.false_positives, "megabytes": size}
 

@@ -48,6 +48,10 @@ NO_STAND = (
     PoseStatus.BASE_BLOCKED, PoseStatus.OFF_FLOOR, PoseStatus.BEYOND_ARM, PoseStatus.NO_ROUTE,
 )  # fmt: skip
 """Where it cannot stand, or not for this task."""
+NO_PATH = (
+    PoseStatus.WAYPOINT_OUT_OF_REACH, PoseStatus.ARM_COLLISION, PoseStatus.NO_CONTINUOUS_PATH,
+)  # fmt: skip
+"""From where the arm cannot follow the motion, as far as its inverse kinematics tells."""
 _SUMMARY = {
     PoseStatus.WAYPOINT_OUT_OF_REACH: "out of reach at a waypoint",
     PoseStatus.ARM_COLLISION: "arm hits {detail}",

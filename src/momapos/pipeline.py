@@ -136,6 +136,9 @@ def _search(query: PlacementQuery, selection: Selection, motion: TaskMotion) -> 
     if found.timed_out or not selection.boxes:
         found.settle()
     if found.is_no and not selection.boxes:
+        with watch.stage("search"):
+            found.join(ready.finely(found, config))
+    if found.is_no and not selection.boxes:
         for problem, again in ready.otherwise(config):
             with watch.stage("search"):
                 found.join(search(problem, again, np.random.default_rng(query.seed)))

@@ -16,6 +16,7 @@ from momapos.manipulation.motion import TaskMotion
 from momapos.manipulation.turning import FULL
 from momapos.navigation.start import clear_at_home
 from momapos.placement.config import PlaceConfig
+from momapos.placement.place import search_in_order
 from momapos.placement.problem import AttemptPose, Problem, Search
 from momapos.placement_result import PlacementResult, plan_of
 from momapos.prepare import PreparedTask, driving_lengths, prepare, start_pose
@@ -32,6 +33,8 @@ if TYPE_CHECKING:
 
 DOUBT = 1.0
 """So many cells outside its boundary a map may be wrong: there the grid asks the arm [-]."""
+_FINE = 64
+"""Base poses without an arm path that are looked at more finely, the nearest [-]."""
 
 
 @dataclass(frozen=True)
@@ -64,6 +67,30 @@ class ReadySearch:
         """The task in more than one hold, the ways in which it may be in turn."""
         yield from self.slides()
         yield from self.two_holds()
+
+    def finely(self, found: Search, place: PlaceConfig) -> Search:
+        """Look again from where inverse kinematics may have overlooked an arm path.
+
+        A redundant arm that is locked at more values passes where it hit, or broke off. Few poses
+        of a "no" come so far that it matters.
+
+        Args:
+            found: A search of the whole grid that found nothing.
+            place: How to search.
+        """
+        robot, problem = self.query.robot, self.problem
+        poses = found.without_path()
+        if robot.ik.complete or problem.fit is not None or not (len(poses) and place.grid):
+            return Search()
+        order = np.argsort(problem.travel_cost(poses[:, :2]), kind="stable")
+        fine = replace(self.feasible, robot=robot.finer)
+        problem = replace(
+            problem, reach=problem.grid_reach, screen=fine.screen,
+            attempt=_accepted(fine, self.drives, self.robust),
+        )  # fmt: skip
+        # As on the grid every grasp counts.
+        every = replace(place, grasps=self.prepared.motion.turning.ways)
+        return search_in_order(problem, iter([poses[order[:_FINE]]]), every)
 
     def otherwise(self, place: PlaceConfig) -> Iterator[tuple[Problem, PlaceConfig]]:
         """The same problem in more than one hold, and how to search it; each is made when it is

@@ -113,7 +113,7 @@ def reach_eval(
     from momapos.cli.options import check_seed
     from momapos.errors import InputError
     from momapos.files import check_outputs
-    from momapos.reachability.evaluation import evaluate, exact_ik
+    from momapos.reachability.evaluation import evaluate
     from momapos.reachability.store import load_reach_map
     from momapos.robots.robot import load_robot
 
@@ -126,7 +126,7 @@ def reach_eval(
     _check_map(machine)
     with progress(f"reachability map of {machine.title}") as report:
         reach = load_reach_map(machine, kept, report)
-    ik = exact_ik(machine)
+    ik = machine.finer.ik
     near, ball = (
         asdict(evaluate(reach, machine, np.random.default_rng(seed), count, ik, near=beside))
         for beside in (True, False)

@@ -10,7 +10,7 @@ Newton steps from the seeds whose tool poses are nearest.
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -80,6 +80,11 @@ class IkModel:
         return NAMES[self.kind] + (", seen from the tool" if self.reverse else "")
 
     @property
+    def complete(self) -> bool:
+        """Whether every solution is found: by a closed form, and no joint is locked."""
+        return len(self.samples) == 1
+
+    @property
     def max_solutions(self) -> int:
         """Upper bound on the number of solutions for one pose."""
         return max(len(self.samples) * MAX_BRANCHES, self.tries)
@@ -111,6 +116,14 @@ def build_ik(
             if model is not None:
                 return model
     return _numeric(chain)
+
+
+def fine_ik(chain: Chain) -> IkModel:
+    """Inverse kinematics that finds what planning's own overlooks, and takes some ten times as
+    long: redundant joints are locked at 33 values instead of 9, and four times as many seeds tried.
+    """
+    ik = build_ik(chain, samples_per_joint=33, most_samples=1000)
+    return replace(ik, tries=4 * ik.tries)
 
 
 def ik_arrays(ik: IkModel) -> IkArrays:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Protocol, TypeAlias
 
 import numpy as np
 
-from momapos.outcomes import PoseOutcome, PoseStatus
+from momapos.outcomes import NO_PATH, PoseOutcome, PoseStatus
 from momapos.placement.area import PlacementGeometry
 from momapos.placement.fitting import FitPoses
 from momapos.placement.holding import ScoreWays
@@ -85,6 +85,12 @@ class Search:
     def is_no(self) -> bool:
         """Whether all was looked at, and nothing found."""
         return self.motion is None and not self.timed_out
+
+    def without_path(self) -> Float[np.ndarray, "n 3"]:
+        """Base poses of the last round within reach from which no arm path was found."""
+        if not self.poses:
+            return np.zeros((0, 3))
+        return self.poses[-1][[one.status in NO_PATH for one in self.outcomes[-1]]]
 
     def join(self, other: Search) -> None:
         """Add what another search of the same poses has found; why it found nothing does not

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from momapos.kinematics.chain import chain_arrays
 from momapos.kinematics.collision import FREE, check_states
-from momapos.kinematics.ik import IkModel, build_ik, solve_ik
+from momapos.kinematics.ik import IkModel, solve_ik
 from momapos.kinematics.ik_model import bounded
 from momapos.reachability.map import ReachMap
 from momapos.reachability.store import encode
@@ -39,16 +39,6 @@ class ReachEvaluation:
     """Size of the map's file."""
     build_seconds: float
     """What building it took."""
-
-
-def exact_ik(robot: Robot) -> IkModel:
-    """Inverse kinematics that maps are held against: what planning's own overlooks is not told.
-
-    Redundant joints are locked at 33 values, not at the 9 that planning uses, and four times as
-    many seeds are tried.
-    """
-    ik = build_ik(robot.chain, samples_per_joint=33, most_samples=1000)
-    return replace(ik, tries=4 * ik.tries)
 
 
 def reachable(

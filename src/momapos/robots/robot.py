@@ -5,6 +5,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
+from copy import copy
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cached_property
@@ -20,7 +21,7 @@ from momapos.geometry.transforms import apply, invert
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.chain import Chain, Segments, build_chain
 from momapos.kinematics.hulls import Boxes
-from momapos.kinematics.ik import IkModel, build_ik
+from momapos.kinematics.ik_model import IkModel, build_ik, fine_ik
 from momapos.kinematics.kept import once
 from momapos.kinematics.self_collision import arm_spheres
 from momapos.kinematics.spheres import LinkHulls, Spheres
@@ -156,6 +157,13 @@ class Robot:
         return build_ik(self.chain)
 
     @cached_property
+    def finer(self) -> Robot:
+        """The same robot with inverse kinematics that overlooks less and takes longer."""
+        ik, finer = fine_ik(self.chain), copy(self)
+        vars(finer)["ik"] = ik
+        return finer
+
+    @cached_property
     def spheres(self) -> Spheres:
         """Collision spheres of the arm, boxes of the base."""
         return self.model.kept(
@@ -197,12 +205,11 @@ class Robot:
     @cached_property
     def reach(self) -> float:
         """Upper bound on the distance from the first revolute axis to the tool [m]."""
-        links = np.linalg.norm(self.chain.d, axis=1)
+        links, first = np.linalg.norm(self.chain.d, axis=1), self.chain.first_turn
         farthest = np.maximum(abs(self.chain.lower), abs(self.chain.upper))[self.chain.dof]
         travel = np.where(self.chain.slides, abs(self.chain.ratio) * farthest, 0.0)
-        first = self.chain.first_turn
-        tool = float(np.linalg.norm(self.chain.tool_offset))
-        return float(links[first + 1 :].sum() + travel[first + 1 :].sum()) + tool
+        tool = np.linalg.norm(self.chain.tool_offset)
+        return float((links + travel)[first + 1 :].sum() + tool)
 
     @cached_property
     def outreach(self) -> float:
