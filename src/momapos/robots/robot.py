@@ -208,8 +208,8 @@ class Robot:
         links, first = np.linalg.norm(self.chain.d, axis=1), self.chain.first_turn
         farthest = np.maximum(abs(self.chain.lower), abs(self.chain.upper))[self.chain.dof]
         travel = np.where(self.chain.slides, abs(self.chain.ratio) * farthest, 0.0)
-        tool = np.linalg.norm(self.chain.tool_offset)
-        return float((links + travel)[first + 1 :].sum() + tool)
+        tool = float(np.linalg.norm(self.chain.tool_offset))
+        return float(links[first + 1 :].sum() + travel[first + 1 :].sum()) + tool
 
     @cached_property
     def outreach(self) -> float:
