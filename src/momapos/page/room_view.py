@@ -144,7 +144,7 @@ class RoomView:
         same_look, same_active = self._collision == collision, self.active == active
         if self.scene is scene and same_look and same_active:
             return
-        alike = same_look and self.scene is not None and _large(self.scene) == _large(scene)
+        alike = same_look and self.scene is not None and large(self.scene) == large(scene)
         before = {o.name: o for o in self.scene.objects} if self.scene and alike else {}
         names = {item.name for item in scene.objects}
         changed = {item.name for item in scene.objects if before.get(item.name) is not item}
@@ -222,7 +222,7 @@ class RoomView:
             polygon = np.array([low, [high[0], low[1]], high, [low[0], high[1]]])
         corners = np.column_stack([polygon, np.full(len(polygon), -0.002)])
         surface = Surface(corners, triangulated(polygon))
-        floor = self._mesh(f"{self.name}/floor", surface, rgb(FLOOR), shaded=not _large(scene))
+        floor = self._mesh(f"{self.name}/floor", surface, rgb(FLOOR), shaded=not large(scene))
         self._nodes[_FLOOR] = [floor]
 
     def _draw(self, item: SceneObject) -> None:
@@ -231,7 +231,7 @@ class RoomView:
         self._drawn += 1
         root, active = f"{self.name}/o{self._drawn}", item.name == self.active
         self._nodes[item.name] = []
-        if _large(self.scene):
+        if large(self.scene):
             self._standing[item.name] = self._parts(item, active=False)
             if not active:
                 return
@@ -285,7 +285,8 @@ class RoomView:
         )  # fmt: skip
 
 
-def _large(scene: Scene) -> bool:
+def large(scene: Scene) -> bool:
+    """Whether a room has so many things that it is drawn as a crowd."""
     return len(scene.objects) > MOST_NODES
 
 
