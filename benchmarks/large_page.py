@@ -137,7 +137,7 @@ async def measured(page: Page, address: str) -> None:
         page.room.show(scene, "oven")
 
     def more_points() -> None:
-        page.panel.points.value = "400 thousand"
+        page.panel.points.value = "200 thousand"
         page.scan.changed()
 
     def all_points() -> None:
@@ -145,13 +145,13 @@ async def measured(page: Page, address: str) -> None:
         page.scan.changed()
 
     def fewer_points() -> None:
-        page.panel.points.value = "100 thousand"
+        page.panel.points.value = "50 thousand"
         page.scan.changed()
 
     changes: dict[str, Callable[[], None]] = {
         "the base is moved": drag, "another object is asked about": activate,
-        "400 thousand points": more_points, "all points": all_points,
-        "100 thousand again": fewer_points, "all again": all_points,
+        "200 thousand points": more_points, "all points": all_points,
+        "50 thousand again": fewer_points, "all again": all_points,
     }  # fmt: skip
     for name, change in changes.items():
         before, own = tab.told.received, time.process_time()

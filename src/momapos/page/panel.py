@@ -26,8 +26,9 @@ LAYERS = {
 """Layers in the order of the stages, and what they are called."""
 CLOUDS = ("by thing", "as seen", "none")
 """How the points of a scan are colored."""
-POINTS = {"100 thousand": 100_000, "400 thousand": 400_000, "all": None}
-"""How many points of a scan are shown at most [-]."""
+POINTS = {"50 thousand": 50_000, "200 thousand": 200_000, "all": None}
+"""How many points of a scan are shown at most; without a graphics card 100 thousand of them take a
+tenth of a second of processor for each picture [-]."""
 PLAIN = "No shadows: about twice as many pictures a second without a graphics card"
 FILM_KINDS = {"Film (GIF)": GIF, "Film (MP4, 720p)": MP4}
 """Films of the motion that a browser may have, and how their names end."""
@@ -163,6 +164,7 @@ class Panel:
         with gui.add_folder("Scan", visible=False) as self.scan_folder:
             self.cloud = gui.add_dropdown("Points", CLOUDS)
             self.points = gui.add_dropdown("How many", tuple(POINTS))
+            self.points_shown = gui.add_markdown("")
             self.boxes = gui.add_checkbox("Boxes and names", True)
             self.furniture = gui.add_checkbox("Scene of it", True)
         for handle in (self.cloud, self.points, self.boxes):
