@@ -86,6 +86,8 @@ class RoomView:
         self._drawn = 0
         self._links: dict[str, Any] = {}
         self._marks: list[Any] = []
+        self._marked: set[tuple[str, str]] = set()
+        """Labels and colors of what is marked."""
         self._moved: dict[str, float] = {}
         self._carried: np.ndarray | None = None
         self._collision = False
@@ -187,6 +189,10 @@ class RoomView:
 
     def mark(self, labels: Collection[str], color: str = BAD) -> None:
         """Mark what labels "object/link" name, and nothing else."""
+        wanted = {(label, color) for label in labels}
+        if wanted == self._marked:
+            return
+        self._marked = wanted
         for node in self._marks:
             node.remove()
         self._marks = []
@@ -197,12 +203,12 @@ class RoomView:
             if item is None:
                 continue
             poses = item.link_poses()
-            wanted = [
+            surfaces = [
                 joined((look.body, look.handle)).moved(poses[look.link])
                 for look in looks(item.model, collision=True)
                 if look.link == link or link not in poses
             ]
-            for surface in wanted:
+            for surface in surfaces:
                 name = f"{self.name}/mark{len(self._marks)}"
                 self._marks.append(
                     self._mesh(name, swollen(surface, SWELL), rgb(color), opacity=0.75)
