@@ -34,6 +34,8 @@ _FLOOR = " floor"
 """No object is called so."""
 MOST_NODES = 200
 """A room of more objects is drawn as a crowd; else each is marked when the mouse is on it [-]."""
+MOST_OF_ONE = 500
+"""In a large room, a thing of more triangles is drawn as its hulls, or as a box about it [-]."""
 BEYOND = 1.0
 """The floor of a room without an outline goes on for so long beyond its things [m]."""
 SMALL_THING = 0.02
@@ -238,15 +240,15 @@ class RoomView:
         root, active = f"{self.name}/o{self._drawn}", item.name == self.active
         self._nodes[item.name] = []
         if large(self.scene):
-            self._standing[item.name] = self._parts(item, active=False)
+            self._standing[item.name] = self._one_of_many(item)
             if not active:
                 return
         if active and item.model.joints:
             self._draw_links(item, root)
         else:
+            parts = self._parts(item, active=active, collision=self._collision)
             self._nodes[item.name] = [
-                self._mesh(f"{root}/p{k}", part.surface, part.color)
-                for k, part in enumerate(self._parts(item, active=active))
+                self._mesh(f"{root}/p{k}", part.surface, part.color) for k, part in enumerate(parts)
             ]
         for node in self._nodes[item.name]:
             self._listen(node, item.name)
@@ -264,10 +266,18 @@ class RoomView:
                     self._links[f"{look.link}|{part}"] = node
                     self._nodes[item.name].append(node)
 
-    def _parts(self, item: SceneObject, *, active: bool) -> list[Part]:
+    def _one_of_many(self, item: SceneObject) -> list[Part]:
+        """An object by the finest of its looks that has few triangles."""
+        for collision in (self._collision, True):
+            parts = self._parts(item, active=False, collision=collision)
+            if self._collision or sum(len(one.surface.faces) for one in parts) <= MOST_OF_ONE:
+                return parts
+        return self._parts(item.box_proxy, active=False, collision=False)
+
+    def _parts(self, item: SceneObject, *, active: bool, collision: bool) -> list[Part]:
         """An object as it stands, of a wall those sides that look into the room."""
-        body = standing(item, lambda look: look.body, collision=self._collision)
-        handles = standing(item, lambda look: look.handle, collision=self._collision)
+        body = standing(item, lambda look: look.body, collision=collision)
+        handles = standing(item, lambda look: look.handle, collision=collision)
         if item.category == "wall" and self.scene is not None:
             middle = room_bounds(self.scene).mean(0)
             body = facing(body, np.append(middle, 1.0))
