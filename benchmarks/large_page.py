@@ -38,8 +38,8 @@ QUIET = 2.0
 """Nothing more is sent when nothing has come for so long [s]."""
 WATCHED = 5.0
 """Rest, and a motion that plays, are watched for so long [s]."""
-SPREAD = 40.0
-"""Edge of the room [m]."""
+SPREAD = 36.0
+"""Edge of the hall [m]; with the kitchen beside it a robot may still drive there, in 2,500 m^2."""
 
 
 def crowded(count: int, rng: np.random.Generator) -> Scene:
@@ -90,12 +90,17 @@ async def measured(page: Page, address: str) -> None:
 
     async def drag() -> None:
         await tab.drag(random.Random(0))
+        await asyncio.sleep(0.1)
+        while page.follow.work.busy:
+            await asyncio.sleep(0.05)
 
     async def place() -> None:
         await tab.press("Place")
         await asyncio.sleep(0.5)
         while tab.told.busy:
             await asyncio.sleep(0.1)
+        if page.motion.story is None:
+            raise RuntimeError(page.panel.result.content)
 
     async def play() -> None:
         await tab.press("Play")
