@@ -33,7 +33,7 @@ START, WAY = (300, 360), 300
 QUIET, SETTLED = 2.0, 30.0
 """A browser gets at least and at most so long to take in what is new [s]."""
 COUNT = """(() => {
-  const all = window.counted = {calls: 0, triangles: 0, points: 0, pictures: 0, done: 0, seen: 0};
+  const all = {calls: 0, triangles: 0, points: 0, pictures: 0, done: 0, seen: 0};
   const gl = WebGL2RenderingContext.prototype;
   const watch = (name, at, copies) => {
     const draw = gl[name];
@@ -55,11 +55,15 @@ COUNT = """(() => {
   const next = () => {
     if (all.done > all.seen) all.pictures += 1;
     all.seen = all.done;
+    window.whole = {...all};
     requestAnimationFrame(next);
   };
   requestAnimationFrame(next);
 })();"""
-"""A page draws only when something changes, so that its pictures are those in which it drew."""
+"""A page draws only when something changes, so that its pictures are those in which it drew; what
+was counted is read between two of them."""
+LEAST, LONGEST = 3, 6.0
+"""So many pictures are waited for [-], so many times longer at most than others are watched [-]."""
 STEADY = """most => new Promise(done => {
   const began = performance.now();
   let last = began, good = 0;
@@ -113,9 +117,12 @@ class Watch:
         tab.mouse.move(x, y)
         tab.mouse.down()
         first, used, began = self._counted(), processor_time(), time.monotonic()
-        while (share := (time.monotonic() - began) / self._seconds) < 1.0:
-            tab.mouse.move(x + WAY * share, y)
-        last, took = self._counted(), time.monotonic() - began
+        last, share = first, 0.0
+        while share < 1.0 or (last["pictures"] - first["pictures"] < LEAST and share < LONGEST):
+            tab.mouse.move(x + WAY * (share % 1.0), y)
+            share = (time.monotonic() - began) / self._seconds
+            last = self._counted()
+        took = time.monotonic() - began
         spent = processor_time() - used
         tab.mouse.up()
         drawn = max(last["pictures"] - first["pictures"], 1)
@@ -127,7 +134,7 @@ class Watch:
               flush=True)  # fmt: skip
 
     def _counted(self) -> dict[str, float]:
-        counted: dict[str, float] = self._tab.evaluate("() => ({...window.counted})")
+        counted: dict[str, float] = self._tab.evaluate("() => window.whole")
         return counted
 
 
