@@ -63,6 +63,8 @@ class Told:
     nodes: set[str] = field(default_factory=set)
     received: int = 0
     """[B]"""
+    drawn: int = 0
+    """How many nodes came, those that came again among them."""
     last: float = 0.0
     """When anything came."""
 
@@ -87,6 +89,7 @@ class Told:
                 self.nodes = {n for n in self.nodes if n != gone and not n.startswith(gone + "/")}
             elif "name" in message and "props" in message:
                 self.nodes.add(message["name"])
+                self.drawn += 1
 
     def named(self, label: str) -> str:
         """The control with a label."""

@@ -150,6 +150,7 @@ def test_points_of_a_scan_are_sent_once_and_only_as_many_as_are_asked_for(page: 
     scan.show(modeled)
     assert page.panel.scan_folder.visible
     assert scan.sent == few
+    assert page.panel.points_shown.content == "50,000 of 150,000 points are drawn."
     page.panel.points.value = "all"
     scan.changed()
     assert scan.sent == count
@@ -161,6 +162,10 @@ def test_points_of_a_scan_are_sent_once_and_only_as_many_as_are_asked_for(page: 
     colors = thing_colors(modeled)
     assert len(np.unique(colors, axis=0)) == 2
     assert "#{:02x}{:02x}{:02x}".format(*colors[-1]) == ROOM
+    page.panel.cloud.value = "none"
+    scan.changed()
+    assert page.panel.points_shown.content == "0 of 150,000 points are drawn."
+    page.panel.cloud.value = "by thing"
     scan.show(None)
     assert scan.sent == 0
     assert not page.panel.scan_folder.visible

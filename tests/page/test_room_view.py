@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import trimesh
 from viser import SceneApi
 
 from momapos.page.bodies import Surface
@@ -63,6 +65,33 @@ def test_a_thousand_things_are_few_nodes(room: RoomView) -> None:
     parts = [part for item in HALL.objects for part in room._standing[item.name]]
     assert drawn == sum(len(part.surface.faces) for part in parts if part.thing != "fridge")
     assert all(len(node.faces) <= MOST_TRIANGLES for node in room._crowd.nodes)
+
+
+@pytest.mark.parametrize(("checked", "hulls"), [("box", 12), ("ball", 1280)])
+def test_in_a_large_room_a_thing_of_many_triangles_is_drawn_as_what_has_few(
+    room: RoomView, tmp_path: Path, checked: str, hulls: int
+) -> None:
+    shapes = {"box": '<box size="1 1 1"/>', "ball": '<mesh filename="ball.obj"/>'}
+    trimesh.creation.icosphere(3, 0.5).export(tmp_path / "ball.obj")
+    (tmp_path / "ball.urdf").write_text(
+        '<robot name="ball"><link name="base">'
+        f"<visual><geometry>{shapes['ball']}</geometry></visual>"
+        f"<collision><geometry>{shapes[checked]}</geometry></collision></link></robot>"
+    )
+    ball = SceneObject.from_urdf("ball", tmp_path / "ball.urdf", (3.0, -4.0, 0.5))
+    scene = Scene("hall", (*HALL.objects, ball))
+
+    def triangles() -> int:
+        return sum(len(part.surface.faces) for part in room._standing["ball"])
+
+    room.show(scene, "fridge")
+    assert triangles() == 12
+    corners = room._standing["ball"][0].surface.vertices
+    np.testing.assert_allclose(np.stack([corners.min(0), corners.max(0)]), ball.bounds, atol=1e-3)
+    room.show(scene, "fridge", collision=True)
+    assert triangles() == hulls  # as it is checked, whatever that costs
+    room.show(scene, "ball", collision=False)
+    assert sum(len(node.faces) for node in room._nodes["ball"]) == 1280  # it is asked about
 
 
 def test_what_has_many_triangles_is_drawn_by_itself() -> None:

@@ -108,9 +108,17 @@ def _surface(model: Articulated, link: str, shape: Geometry) -> Surface:
         if 0 < len(triangles) <= MOST_TRIANGLES:
             if np.prod(shape.size) < 0:  # mirrored: what was outside is inside
                 triangles = triangles[:, ::-1]
-            points = apply(shape.T_link_geometry, triangles.reshape(-1, 3))
-            return Surface(points, np.arange(len(points)).reshape(-1, 3))
+            return _sharing_corners(apply(shape.T_link_geometry, triangles.reshape(-1, 3)))
     return hull_surface(model.hull(link, shape))
+
+
+def _sharing_corners(corners: Float[np.ndarray, "c 3"]) -> Surface:
+    """Triangles by their corners, three each; those at one place are one vertex.
+
+    A browser gets, and moves, a tenth of the vertices; each triangle is lit by itself anyway.
+    """
+    points, at = np.unique(corners, axis=0, return_inverse=True)
+    return Surface(points, at.reshape(-1, 3))
 
 
 def standing(

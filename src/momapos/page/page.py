@@ -26,6 +26,7 @@ from momapos.page.cameras import look_at
 from momapos.page.compare import Compare
 from momapos.page.extras import Extras
 from momapos.page.follow import Follow
+from momapos.page.light import Light
 from momapos.page.motion_view import MotionView
 from momapos.page.opened import Opened, OpenedScan
 from momapos.page.panel import Panel, joint_ranges
@@ -94,6 +95,7 @@ class Page:
         self.motion = MotionView(self)
         self.panel = Panel(server.gui, self, scenes=scenes, robots=robots, scene=scene, robot=robot)
         self._told = 0.0
+        self.light = Light(server.scene, self.panel)
         self.extras = Extras(self)
         self.compare = Compare(self)
         self.scan = ScanView(server.scene, self.panel)
@@ -290,6 +292,7 @@ class Page:
         self.layers.clear()  # before the robot, from which one of them hangs
         if fresh and self.room.scene is not scene:
             look_at(self.server, scene)
+            self.light.of_room(scene)
         self.show_room()
         self.room.rest()
         self.panel.show_joints(joint_ranges(scene, self.asked_object))

@@ -26,8 +26,10 @@ LAYERS = {
 """Layers in the order of the stages, and what they are called."""
 CLOUDS = ("by thing", "as seen", "none")
 """How the points of a scan are colored."""
-POINTS = {"100 thousand": 100_000, "400 thousand": 400_000, "all": None}
-"""How many points of a scan are shown at most [-]."""
+POINTS = {"50 thousand": 50_000, "200 thousand": 200_000, "all": None}
+"""How many points of a scan are shown at most; without a graphics card 100 thousand of them take a
+tenth of a second of processor for each picture [-]."""
+PLAIN = "No shadows: about twice as many pictures a second without a graphics card"
 FILM_KINDS = {"Film (GIF)": GIF, "Film (MP4, 720p)": MP4}
 """Films of the motion that a browser may have, and how their names end."""
 SHOWN = ("way", "waypoints")
@@ -162,6 +164,7 @@ class Panel:
         with gui.add_folder("Scan", visible=False) as self.scan_folder:
             self.cloud = gui.add_dropdown("Points", CLOUDS)
             self.points = gui.add_dropdown("How many", tuple(POINTS))
+            self.points_shown = gui.add_markdown("")
             self.boxes = gui.add_checkbox("Boxes and names", True)
             self.furniture = gui.add_checkbox("Scene of it", True)
         for handle in (self.cloud, self.points, self.boxes):
@@ -170,6 +173,8 @@ class Panel:
         self.layers = {key: gui.add_checkbox(words, key in SHOWN) for key, words in LAYERS.items()}
         self.dark = gui.add_checkbox("Dark page", False)
         self._listen(self.dark, lambda: set_theme(gui, dark=bool(self.dark.value)))
+        self.plain = gui.add_checkbox("Plain light", False, hint=PLAIN)
+        self._listen(self.plain, lambda: page.light.changed())
         self.height = gui.add_slider("Height of reach [m]", min=0.0, max=2.0, step=0.05,
                                      initial_value=0.9)  # fmt: skip
         for handle in self.layers.values():

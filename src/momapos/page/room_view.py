@@ -34,6 +34,8 @@ _FLOOR = " floor"
 """No object is called so."""
 MOST_NODES = 200
 """A room of more objects is drawn as a crowd; else each is marked when the mouse is on it [-]."""
+MOST_OF_ONE = 500
+"""In a large room, a thing of more triangles is drawn as its hulls, or as a box about it [-]."""
 BEYOND = 1.0
 """The floor of a room without an outline goes on for so long beyond its things [m]."""
 SMALL_THING = 0.02
@@ -86,6 +88,8 @@ class RoomView:
         self._drawn = 0
         self._links: dict[str, Any] = {}
         self._marks: list[Any] = []
+        self._marked: set[tuple[str, str]] = set()
+        """Labels and colors of what is marked."""
         self._moved: dict[str, float] = {}
         self._carried: np.ndarray | None = None
         self._collision = False
@@ -144,7 +148,7 @@ class RoomView:
         same_look, same_active = self._collision == collision, self.active == active
         if self.scene is scene and same_look and same_active:
             return
-        alike = same_look and self.scene is not None and _large(self.scene) == _large(scene)
+        alike = same_look and self.scene is not None and large(self.scene) == large(scene)
         before = {o.name: o for o in self.scene.objects} if self.scene and alike else {}
         names = {item.name for item in scene.objects}
         changed = {item.name for item in scene.objects if before.get(item.name) is not item}
@@ -187,6 +191,10 @@ class RoomView:
 
     def mark(self, labels: Collection[str], color: str = BAD) -> None:
         """Mark what labels "object/link" name, and nothing else."""
+        wanted = {(label, color) for label in labels}
+        if wanted == self._marked:
+            return
+        self._marked = wanted
         for node in self._marks:
             node.remove()
         self._marks = []
@@ -197,12 +205,12 @@ class RoomView:
             if item is None:
                 continue
             poses = item.link_poses()
-            wanted = [
+            surfaces = [
                 joined((look.body, look.handle)).moved(poses[look.link])
                 for look in looks(item.model, collision=True)
                 if look.link == link or link not in poses
             ]
-            for surface in wanted:
+            for surface in surfaces:
                 name = f"{self.name}/mark{len(self._marks)}"
                 self._marks.append(
                     self._mesh(name, swollen(surface, SWELL), rgb(color), opacity=0.75)
@@ -222,7 +230,7 @@ class RoomView:
             polygon = np.array([low, [high[0], low[1]], high, [low[0], high[1]]])
         corners = np.column_stack([polygon, np.full(len(polygon), -0.002)])
         surface = Surface(corners, triangulated(polygon))
-        floor = self._mesh(f"{self.name}/floor", surface, rgb(FLOOR), shaded=not _large(scene))
+        floor = self._mesh(f"{self.name}/floor", surface, rgb(FLOOR), shaded=not large(scene))
         self._nodes[_FLOOR] = [floor]
 
     def _draw(self, item: SceneObject) -> None:
@@ -231,16 +239,16 @@ class RoomView:
         self._drawn += 1
         root, active = f"{self.name}/o{self._drawn}", item.name == self.active
         self._nodes[item.name] = []
-        if _large(self.scene):
-            self._standing[item.name] = self._parts(item, active=False)
+        if large(self.scene):
+            self._standing[item.name] = self._one_of_many(item)
             if not active:
                 return
         if active and item.model.joints:
             self._draw_links(item, root)
         else:
+            parts = self._parts(item, active=active, collision=self._collision)
             self._nodes[item.name] = [
-                self._mesh(f"{root}/p{k}", part.surface, part.color)
-                for k, part in enumerate(self._parts(item, active=active))
+                self._mesh(f"{root}/p{k}", part.surface, part.color) for k, part in enumerate(parts)
             ]
         for node in self._nodes[item.name]:
             self._listen(node, item.name)
@@ -258,10 +266,18 @@ class RoomView:
                     self._links[f"{look.link}|{part}"] = node
                     self._nodes[item.name].append(node)
 
-    def _parts(self, item: SceneObject, *, active: bool) -> list[Part]:
+    def _one_of_many(self, item: SceneObject) -> list[Part]:
+        """An object by the finest of its looks that has few triangles."""
+        for collision in (self._collision, True):
+            parts = self._parts(item, active=False, collision=collision)
+            if self._collision or sum(len(one.surface.faces) for one in parts) <= MOST_OF_ONE:
+                return parts
+        return self._parts(item.box_proxy, active=False, collision=False)
+
+    def _parts(self, item: SceneObject, *, active: bool, collision: bool) -> list[Part]:
         """An object as it stands, of a wall those sides that look into the room."""
-        body = standing(item, lambda look: look.body, collision=self._collision)
-        handles = standing(item, lambda look: look.handle, collision=self._collision)
+        body = standing(item, lambda look: look.body, collision=collision)
+        handles = standing(item, lambda look: look.handle, collision=collision)
         if item.category == "wall" and self.scene is not None:
             middle = room_bounds(self.scene).mean(0)
             body = facing(body, np.append(middle, 1.0))
@@ -285,7 +301,8 @@ class RoomView:
         )  # fmt: skip
 
 
-def _large(scene: Scene) -> bool:
+def large(scene: Scene) -> bool:
+    """Whether a room has so many things that it is drawn as a crowd."""
     return len(scene.objects) > MOST_NODES
 
 

@@ -12,6 +12,7 @@ from momapos.kinematics.hulls import Boxes
 from momapos.page.layers import box_edges
 from momapos.page.panel import POINTS, Panel
 from momapos.page.room_view import rgb
+from momapos.page.spread import spread_order
 from momapos.viewer.palette import INK
 
 if TYPE_CHECKING:
@@ -56,8 +57,7 @@ class ScanView:
         self._panel.scan_folder.visible = modeled is not None
         if modeled is not None:
             # The same points for every number, so that more of them are sent and none again.
-            count = len(modeled.cloud.points)
-            self._order = np.random.default_rng(0).permutation(count)
+            self._order = spread_order(modeled.cloud.points, np.random.default_rng(0))
             self._draw_boxes([decision.detection for decision in modeled.decisions])
             self.changed()
 
@@ -76,6 +76,8 @@ class ScanView:
                     part.visible = wanted and other == coloring
             if wanted and (coloring, level) not in self._parts:
                 self._parts[coloring, level] = self._draw(coloring, level, begin, end)
+        shown = 0 if coloring == "none" else min(count, most or count)
+        self._panel.points_shown.content = f"{shown:,} of {count:,} points are drawn."
         for node in self._boxes:
             node.visible = bool(self._panel.boxes.value)
 
