@@ -133,10 +133,13 @@ def _search(query: PlacementQuery, selection: Selection, motion: TaskMotion) -> 
     config = brief if selection.boxes else place
     with watch.stage("search"):
         found = search(ready.problem, config, np.random.default_rng(query.seed))
+    if found.timed_out or not selection.boxes:
+        found.settle()
     if found.is_no and not selection.boxes:
         for problem, again in ready.otherwise(config):
             with watch.stage("search"):
                 found.join(search(problem, again, np.random.default_rng(query.seed)))
+            found.settle()
             if not found.is_no:
                 break
     return ready.result(found)

@@ -258,7 +258,23 @@ def start_pose(
 
 @lru_cache(maxsize=32)
 def _roomy_start(scene: Scene, nav_map: NavigationMap) -> Float[np.ndarray, "3"]:
-    """A roomy place in front of the furniture, all of it modeled."""
+    """A roomy place in front of the furniture."""
+    return roomy_place(scene, nav_map, in_front_of_parts(scene))
+
+
+def roomy_place(
+    scene: Scene, nav_map: NavigationMap, wish: Float[np.ndarray, "2"]
+) -> Float[np.ndarray, "3"]:
+    """A pose with room around it near a place, among all objects as they are modeled.
+
+    Args:
+        scene: The whole room.
+        nav_map: Where the robot fits in it.
+        wish: Where the pose would best be [m].
+
+    Raises:
+        SceneError: Nowhere is there room.
+    """
     height = base_height(nav_map.robot)
     plan = floor_plan(room_boxes(scene), height=height, floor_polygon=scene.floor_polygon)
-    return find_start(plan, in_front_of_parts(scene), nav_map)
+    return find_start(plan, wish, nav_map)

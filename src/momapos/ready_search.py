@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from momapos.drives import Drives, WaysOn
 from momapos.manipulation.feasibility import Feasibility
 from momapos.manipulation.free_turn import fitted_bases
 from momapos.manipulation.motion import TaskMotion
 from momapos.manipulation.turning import FULL
-from momapos.navigation.global_path import BasePath, plan_path
 from momapos.navigation.start import clear_at_home
-from momapos.outcomes import PoseOutcome, PoseStatus
 from momapos.placement.config import PlaceConfig
 from momapos.placement.problem import AttemptPose, Problem, Search
 from momapos.placement_result import PlacementResult, plan_of
@@ -27,10 +26,9 @@ from momapos.regrasp import TwoHolds, every_two_holds, two_hold_searches
 from momapos.robust import RobustChecks
 from momapos.scene.scene import Scene
 from momapos.sliding_hook import SlidingHook, sliding_hooks
-from momapos.types import ArmPathResult, Attempt
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Float, Int
+    from jaxtyping import Bool, Float
 
 DOUBT = 1.0
 """So many cells outside its boundary a map may be wrong: there the grid asks the arm [-]."""
@@ -88,38 +86,6 @@ class ReadySearch:
         return PlacementResult(plan, self.prepared, found, start)
 
 
-@dataclass(frozen=True)
-class Drives:
-    """The ways to base poses with the arm at home."""
-
-    query: PlacementQuery
-    start: Float[np.ndarray, "3"]
-    _paths: dict[bytes, BasePath | None] = field(default_factory=dict)
-
-    def path(self, base: Float[np.ndarray, "3"] | None) -> BasePath | None:
-        """The way to a base pose that was checked, if there is one."""
-        return None if base is None else self._paths.get(base.tobytes())
-
-    def drivable(self, check: AttemptPose) -> AttemptPose:
-        """A check that asks for a way to the base pose as well, and what the query does."""
-
-        def attempt(
-            base: Float[np.ndarray, "3"], screened: ArmPathResult, ways: Int[np.ndarray, " k"]
-        ) -> Attempt:
-            found = check(base, screened, ways)
-            if found.motion is None:
-                return found
-            with self.query.watch.stage("way"):
-                path = self._paths[base.tobytes()] = plan_path(self.query.nav_map, self.start, base)
-            if path is None:
-                return Attempt(None, PoseOutcome(PoseStatus.NO_ROUTE_AT_HOME))
-            also = self.query.also
-            refused = None if also is None else also(base)
-            return found if refused is None else Attempt(None, refused)
-
-        return attempt
-
-
 def ready_search(query: PlacementQuery, modeled: Scene, motion: TaskMotion) -> ReadySearch:
     """Make a question ready.
 
@@ -149,7 +115,7 @@ def ready_search(query: PlacementQuery, modeled: Scene, motion: TaskMotion) -> R
         return watch.clock() - begun > left
 
     feasible = prepared.feasibility(config, query.seed, out_of_time=out_of_time, watch=watch)
-    drives = Drives(query, start)
+    drives, moves = Drives(query, start), query.task.joint is not None
     asked = config.place.robust_radius > 0.0 or config.place.robust_turn > 0.0
     robust = RobustChecks(query) if asked else None
     problem = Problem(
@@ -165,7 +131,8 @@ def ready_search(query: PlacementQuery, modeled: Scene, motion: TaskMotion) -> R
         start=start,
         out_of_time=out_of_time,
         pose_filter=query.pose_filter,
-        goes_home=None if query.task.joint is None else partial(_goes_home, query),
+        goes_home=partial(_goes_home, query) if moves else None,
+        leads_on=WaysOn(drives) if moves else None,
         region=query.region,
         rules=() if robust is None else (robust.rule(prepared.geometry),),
         fit=None if robot.chain.size >= FULL else partial(fitted_bases, robot, prepared.motion),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
@@ -25,6 +26,22 @@ Works = Callable[[Float[np.ndarray, "n 3"]], Bool[np.ndarray, " n"]]
 START = np.array([0.0, -2.5, np.pi / 2])
 
 
+@dataclass
+class Leads:
+    """Where base poses lead on, and whether others are known not to once one was looked at."""
+
+    which: Works
+    knows: bool = False
+    looked: list[np.ndarray] = field(default_factory=list)
+
+    def __call__(self, base: Float[np.ndarray, "3"]) -> bool:
+        self.looked.append(base)
+        return bool(self.which(base[None])[0])
+
+    def hopeless(self, base: Float[np.ndarray, "3"]) -> bool:
+        return self.knows and not self.which(base[None])[0]
+
+
 def always(poses: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
     return np.ones(len(poses), bool)
 
@@ -45,6 +62,7 @@ def find(
     method: Method = "ours",
     seed: int = 0,
     goes_home: Works | None = None,
+    leads_on: Leads | None = None,
     **changes: int | float,
 ) -> Search:
     def screen(
@@ -67,7 +85,7 @@ def find(
     ways = ways_of_holding(geometry.Ts_world_tool, np.zeros((0, 1), int))
     problem = Problem(
         geometry, Everywhere(), Everywhere(), ways, length, attempt, screen, START, lambda: False,
-        goes_home=goes_home,
+        goes_home=goes_home, leads_on=leads_on,
     )  # fmt: skip
     coarse = {"grid_cell": 0.2, "grid_turn": 45.0}
     config = PlaceConfig(method=method, **{**coarse, **changes})  # type: ignore[arg-type]
@@ -124,6 +142,50 @@ def test_no_answer_is_lost_where_the_arm_cannot_be_brought_home(
     elsewhere = find(geometry, left, left, goes_home=right, **changes)
     assert elsewhere.base is not None
     assert left(elsewhere.base[None])[0]
+
+
+@pytest.mark.parametrize("knows", [False, True])
+@pytest.mark.parametrize("changes", [{}, {"rounds": 0}, {"improve": 4}])
+def test_where_the_robot_can_drive_on_afterward_comes_first(
+    geometry: PlacementGeometry, changes: dict[str, int], knows: bool
+) -> None:
+    """Left of the door poses are farther from the start than right of it."""
+    leads = Leads(left, knows)
+    on = find(geometry, always, always, leads_on=leads, **changes)
+    assert on.base is not None
+    assert left(on.base[None])[0]
+    assert on.spare is not None
+    assert not left(on.spare[0][None])[0]
+    assert on.spare[2] < on.cost
+    on.settle()
+    assert left(on.base[None])[0]
+    assert not on.shut_in
+    assert len(leads.looked) == 2 or not knows
+
+
+@pytest.mark.parametrize("changes", [{}, {"rounds": 0}])
+def test_no_answer_is_lost_where_the_robot_cannot_drive_on(
+    geometry: PlacementGeometry, changes: dict[str, int]
+) -> None:
+    leads = Leads(never, knows=True)
+    found = find(geometry, always, left, leads_on=leads, **changes)
+    assert found.is_no
+    assert len(leads.looked) == 1
+    found.settle()
+    assert found.base is not None
+    assert left(found.base[None])[0]
+    assert found.shut_in
+    assert found.cost == pytest.approx(np.linalg.norm(found.base[:2] - START[:2]))
+
+
+def test_the_cheapest_pose_of_the_grid_is_not_asked_what_it_leads_to(
+    geometry: PlacementGeometry,
+) -> None:
+    plain = find(geometry, always, always, method="exhaustive")
+    asked = find(geometry, always, always, method="exhaustive", leads_on=Leads(never))
+    assert plain.base is not None
+    assert asked.base is not None
+    np.testing.assert_array_equal(asked.base, plain.base)
 
 
 def test_the_base_may_end_beside_the_pose_that_is_chosen(geometry: PlacementGeometry) -> None:

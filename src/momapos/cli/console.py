@@ -104,7 +104,7 @@ def summary(
             "  checked     base, arm and moving part over the whole motion, exact geometry",
             *_tolerance(plan.tolerance),
             *_cost(plan.cost),
-            *_afterward(answer.touched_after),
+            *_afterward(answer),
         ]
     else:
         lines.append(f"  {plan.status:<11} {_why_not(answer)}")
@@ -171,11 +171,14 @@ def _cost(terms: Mapping[str, CostTerm]) -> list[str]:
     return [f"  cost        {', '.join([*first, *said]) or 'nothing counts'}"]
 
 
-def _afterward(touched: str) -> list[str]:
-    """That the arm cannot be brought home from there, where that is so."""
-    if not touched:
-        return []
-    return [f"  afterward   the arm cannot be brought home there: it would touch {touched}"]
+def _afterward(answer: PlacementResult) -> list[str]:
+    """That the robot cannot go on from there when the task is done, where that is so."""
+    if touched := answer.touched_after:
+        return [f"  afterward   the arm cannot be brought home there: it would touch {touched}"]
+    if answer.search.shut_in:
+        name = answer.plan.task.object
+        return [f"  afterward   the base cannot drive on from there: {name} leaves it no way"]
+    return []
 
 
 def _modeled(key: KeyObjects) -> str:

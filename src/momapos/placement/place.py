@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -25,7 +26,15 @@ from momapos.placement.nearer import nearer
 from momapos.placement.order import by_expected_cost
 from momapos.placement.potential import attraction
 from momapos.placement.problem import Problem, Search
-from momapos.placement.shortlist import Candidate, Shortlist, complete, cull, near_poses, screen
+from momapos.placement.shortlist import (
+    Candidate,
+    Shortlist,
+    complete,
+    cull,
+    hopeless,
+    near_poses,
+    screen,
+)
 from momapos.placement.waiting import Waiting
 
 if TYPE_CHECKING:
@@ -50,11 +59,14 @@ def search(problem: Problem, config: PlaceConfig, rng: np.random.Generator) -> S
         rng: Source of the samples.
 
     Returns:
-        The best pose found, if any, and what became of all others.
+        The best pose found, if any, and what became of all others. One that shuts the robot in is a
+        spare, see `Search.settle`.
     """
     corners = sampling_box(problem.geometry)
     if corners is None or problem.infeasible_reason:
         return known_no(problem)
+    if config.method != "ours":
+        problem = replace(problem, leads_on=None)
     found = Search()
     frame = task_frame(problem.geometry)
     for local, on_grid in _rounds(corners, config, rng):
@@ -101,6 +113,7 @@ def search_in_order(
     """
     if problem.infeasible_reason or sampling_box(problem.geometry) is None:
         return known_no(problem)
+    problem = replace(problem, leads_on=None)
     found, size = Search(), 1
     for poses in proposals:
         first = 0
@@ -135,6 +148,7 @@ def search_every(
     corners = sampling_box(problem.geometry)
     if corners is None or problem.infeasible_reason:
         return
+    problem = replace(problem, leads_on=None)
     frame, costs = (
         task_frame(problem.geometry),
         PoseCosts(problem.geometry, config, problem.takes_hold),
@@ -267,6 +281,7 @@ def _check_samples(
         chosen = [
             Candidate(left, i, path, float(known[i]))
             for i, path in waiting.choose(left.poses, last=last).items()
+            if not hopeless(problem, left.poses[i], found)
         ]
         if not chosen:
             continue

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Protocol, TypeAlias
 
 import numpy as np
 
@@ -38,6 +38,18 @@ AttemptPose: TypeAlias = (
 """Complete the arm path found at a base pose, or else one with the other grasps, best first."""
 
 
+class LeadsOn(Protocol):
+    """Whether a robot can drive on from base poses once its task is done."""
+
+    def __call__(self, base: Float[np.ndarray, "3"]) -> bool:
+        """Look at a base pose that was completed: x [m], y [m], yaw [rad]."""
+        ...
+
+    def hopeless(self, base: Float[np.ndarray, "3"]) -> bool:
+        """Whether it is known beforehand that it cannot, from those that were looked at."""
+        ...
+
+
 @dataclass
 class Search:
     """What has been looked at so far, and the best of it."""
@@ -53,11 +65,21 @@ class Search:
     margin: float | None = None
     """Share of the poses beside it that work; None where nobody has looked."""
     timed_out: bool = False
+    shut_in: bool = False
+    """Whether the robot cannot drive on from there when the task is done."""
+    spare: tuple[Float[np.ndarray, "3"], Motion, float] | None = None
+    """Base pose, motion and cost [m] of the first that shuts the robot in."""
 
     def note(self, poses: Float[np.ndarray, "n 3"], outcomes: np.ndarray) -> None:
         """Remember a round; what becomes of its poses is written into `outcomes` later."""
         self.poses.append(poses)
         self.outcomes.append(outcomes)
+
+    def settle(self) -> None:
+        """Be content with a base pose that shuts the robot in, where no other was found."""
+        if self.motion is None and self.spare is not None:
+            self.base, self.motion, self.cost = self.spare
+            self.shut_in, self.timed_out = True, False
 
     @property
     def is_no(self) -> bool:
@@ -68,7 +90,7 @@ class Search:
         """Add what another search of the same poses has found; why it found nothing does not
         count beside why this one did not."""
         self.checked += other.checked
-        self.timed_out = other.timed_out
+        self.timed_out, self.spare = other.timed_out, self.spare or other.spare
         if other.motion is not None:
             self.base, self.motion = other.base, other.motion
             self.cost, self.margin = other.cost, other.margin
@@ -118,6 +140,9 @@ class Problem:
     goes_home: PoseMask | None = None
     """From which base poses the arm can be brought home once the task is done; others are answers
     where none of these is one. None: from all."""
+    leads_on: LeadsOn | None = None
+    """Whether the robot can drive on from a base pose once the task is done; others are answers
+    where no search finds one. None: nobody asks."""
     region: BaseRegion = ANYWHERE
     """Where the base is allowed to stand."""
     rules: tuple[Rule, ...] = ()

@@ -153,6 +153,13 @@ def screen(
     return {i: one for i, one in zip(block.tolist(), screened, strict=True) if one.q is not None}
 
 
+def hopeless(problem: Problem, pose: Float[np.ndarray, "3"], found: Search) -> bool:
+    """Whether a base pose is known to be no better than the spare."""
+    if found.spare is None or problem.leads_on is None:
+        return False
+    return problem.leads_on.hopeless(pose)
+
+
 def complete(
     problem: Problem,
     left: Shortlist,
@@ -160,13 +167,20 @@ def complete(
     most: int | None,
     found: Search,
 ) -> None:
-    """Complete the first of some arm paths that can be completed."""
+    """Complete the first of some arm paths that can be completed; one after which the robot cannot
+    drive on is a spare."""
     for i in passed:
         if problem.out_of_time():
             found.timed_out = True
             return
-        result = problem.attempt(left.poses[i], passed[i], left.ways(i)[:most])
+        pose, travel = left.poses[i], float(left.travel[i])
+        if hopeless(problem, pose, found):
+            continue
+        result = problem.attempt(pose, passed[i], left.ways(i)[:most])
         left.outcomes[left.row[i]] = result.outcome
-        if result.motion is not None:
-            found.base, found.motion, found.cost = left.poses[i], result.motion, left.travel[i]
+        if result.motion is None:
+            continue
+        if problem.leads_on is None or problem.leads_on(pose):
+            found.base, found.motion, found.cost = pose, result.motion, travel
             return
+        found.spare = found.spare or (pose, result.motion, travel)

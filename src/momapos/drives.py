@@ -1,0 +1,122 @@
+"""The ways to base poses, and on from there when the task is done."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from momapos.errors import SceneError
+from momapos.navigation.clearance import gaps
+from momapos.navigation.footprint_map import NavigationMap, build_navigation_map
+from momapos.navigation.global_path import BasePath, direct_path, plan_path
+from momapos.navigation.start import ROOM
+from momapos.outcomes import PoseOutcome, PoseStatus
+from momapos.placement.problem import AttemptPose
+from momapos.prepare import roomy_place
+from momapos.query import PlacementQuery
+from momapos.scene.scene import Scene
+from momapos.types import ArmPathResult, Attempt
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
+
+
+@dataclass(frozen=True)
+class Drives:
+    """The ways to base poses with the arm at home."""
+
+    query: PlacementQuery
+    start: Float[np.ndarray, "3"]
+    _paths: dict[bytes, BasePath | None] = field(default_factory=dict)
+
+    def path(self, base: Float[np.ndarray, "3"] | None) -> BasePath | None:
+        """The way to a base pose that was checked, if there is one."""
+        return None if base is None else self._paths.get(base.tobytes())
+
+    def drivable(self, check: AttemptPose) -> AttemptPose:
+        """A check that asks for a way to the base pose as well, and what the query does."""
+
+        def attempt(
+            base: Float[np.ndarray, "3"], screened: ArmPathResult, ways: Int[np.ndarray, " k"]
+        ) -> Attempt:
+            found = check(base, screened, ways)
+            if found.motion is None:
+                return found
+            with self.query.watch.stage("way"):
+                path = self._paths[base.tobytes()] = plan_path(self.query.nav_map, self.start, base)
+            if path is None:
+                return Attempt(None, PoseOutcome(PoseStatus.NO_ROUTE_AT_HOME))
+            also = self.query.also
+            refused = None if also is None else also(base)
+            return found if refused is None else Attempt(None, refused)
+
+        return attempt
+
+
+@dataclass(frozen=True)
+class WaysOn:
+    """Whether the robot can drive on from base poses when the task is done.
+
+    Mostly the way that it came is free still. Else there has to be a way for the whole footprint to
+    where it came from, or, where the part has come near to that, to a roomy place close by.
+    """
+
+    drives: Drives
+    _known: dict[bool, list[Float[np.ndarray, "3"]]] = field(
+        default_factory=lambda: {True: [], False: []}
+    )
+    """Base poses from which a way leads there, and from which none does."""
+
+    def __call__(self, base: Float[np.ndarray, "3"]) -> bool:
+        """Look at a base pose to which a way was found."""
+        came, query = self.drives.path(base), self.drives.query
+        assert came is not None
+        room = gaps(came.poses, query.nav_map.prisms, query.outlines_after)
+        if room[0] >= ROOM and (room > 0.0).all():
+            return True
+        if room[-1] <= 0.0:
+            return False
+        with query.watch.stage("way"):
+            if any(self._beside(base, free) for free in self._known[True]):
+                return True
+            goal = came.poses[0] if room[0] >= ROOM else self._roomy
+            leads = goal is not None and plan_path(self._map_after, base, goal) is not None
+        self._known[leads].append(base)
+        return leads
+
+    def hopeless(self, base: Float[np.ndarray, "3"]) -> bool:
+        """Whether it touches what was moved, or is beside a pose from which no way leads on.
+
+        A search comes to many poses in the same corner, and that no way leads out is told slowly.
+        """
+        query = self.drives.query
+        if (gaps(base[None], query.nav_map.prisms, query.outlines_after) <= 0.0).any():
+            return True
+        with query.watch.stage("way"):
+            return any(self._beside(base, shut_in) for shut_in in self._known[False])
+
+    def _beside(self, one: Float[np.ndarray, "3"], other: Float[np.ndarray, "3"]) -> bool:
+        """Whether a straight leg joins two poses in the room as the task leaves it."""
+        return direct_path(self._map_after, one, other) is not None
+
+    @cached_property
+    def _after(self) -> Scene:
+        task = self.drives.query.task
+        assert task.joint is not None
+        assert task.to is not None
+        return self.drives.query.scene.with_joint(task.object, task.joint, task.to)
+
+    @cached_property
+    def _map_after(self) -> NavigationMap:
+        return build_navigation_map(self._after, self.drives.query.robot)
+
+    @cached_property
+    def _roomy(self) -> Float[np.ndarray, "3"] | None:
+        """A place with room near the start; None where there is none in all of the room."""
+        try:
+            return roomy_place(self._after, self._map_after, self.drives.start[:2])
+        except SceneError:
+            return None

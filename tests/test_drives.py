@@ -1,0 +1,92 @@
+"""Laws of what follows a task: the robot can drive on, wherever there is such a base pose."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tests.rooms import Everywhere, cabinet_room
+
+from momapos.cli.console import summary
+from momapos.config import PipelineConfig
+from momapos.drives import WaysOn
+from momapos.manipulation.tasks import make_task
+from momapos.navigation.footprint_map import build_navigation_map
+from momapos.navigation.global_path import plan_path
+from momapos.pipeline import plan_base_placement
+from momapos.placement.config import PlaceConfig
+from momapos.placement_result import PlacementResult
+from momapos.robots.robot import Robot
+from momapos.scene.scene import Scene
+
+QUICK = PipelineConfig(place=PlaceConfig(count=256, improve=1, grid=False), timeout=300.0)
+START = np.array([-2.8, -0.8, 0.0])
+
+
+@pytest.fixture(scope="module")
+def corridor(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    """The cabinet in a corridor with a dead end behind its hinge: the base is 64 cm wide, and the
+    door leaves 54 cm."""
+    scene = cabinet_room(tmp_path_factory.mktemp("corridor"))
+    floor = np.array([[-4.0, -1.3], [2.2, -1.3], [2.2, 0.1], [-4.0, 0.1]])
+    return replace(scene, floor_polygon=floor)
+
+
+@pytest.fixture(scope="module")
+def segway(robots: Callable[[str], Robot]) -> Robot:
+    return robots("segway_ur5e")
+
+
+def ask(scene: Scene, robot: Robot, to: float, start: np.ndarray = START) -> PlacementResult:
+    task = make_task(scene, "open", "cabinet", to=to)
+    return plan_base_placement(scene, robot, task, Everywhere(), start=start, config=QUICK)
+
+
+def way_out(answer: PlacementResult, robot: Robot, goal: np.ndarray = START) -> bool:
+    """Whether a way leads from the base pose to where the robot came from, past the open door."""
+    task, scene = answer.plan.task, answer.prepared.scene
+    assert task.joint is not None
+    assert task.to is not None
+    assert answer.plan.base_pose is not None
+    after = scene.with_joint(task.object, task.joint, task.to)
+    base = np.array(answer.plan.base_pose)
+    return plan_path(build_navigation_map(after, robot), base, goal) is not None
+
+
+def test_a_door_that_would_shut_the_robot_in_is_opened_from_its_other_side(
+    corridor: Scene, segway: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answer = ask(corridor, segway, 1.2)
+    assert answer.plan.status == "solved"
+    assert way_out(answer, segway)
+    assert not answer.search.shut_in
+    assert "afterward" not in summary(answer, None)
+    with monkeypatch.context() as patch:
+        patch.setattr(WaysOn, "__call__", lambda _self, _base: True)
+        unasked = ask(corridor, segway, 1.2)
+    assert unasked.plan.status == "solved"
+    assert not way_out(unasked, segway)
+
+
+def test_no_answer_is_lost_where_every_base_pose_shuts_the_robot_in(
+    corridor: Scene, segway: Robot
+) -> None:
+    answer = ask(corridor, segway, 1.57)
+    assert answer.plan.status == "solved"
+    assert not way_out(answer, segway)
+    assert answer.search.shut_in
+    assert answer.touched_after == ""
+    assert "the base cannot drive on from there: cabinet" in summary(answer, None)
+
+
+def test_a_start_that_the_open_door_comes_near_is_no_goal_of_the_way_out(
+    corridor: Scene, segway: Robot
+) -> None:
+    start = np.array([0.0, -0.95, 0.0])
+    answer = ask(corridor, segway, 1.2, start)
+    assert answer.plan.status == "solved"
+    assert not way_out(answer, segway, start)
+    assert not answer.search.shut_in
+    assert way_out(answer, segway)
