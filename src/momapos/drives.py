@@ -10,7 +10,7 @@ import numpy as np
 
 from momapos.errors import SceneError
 from momapos.navigation.clearance import gaps
-from momapos.navigation.footprint_map import NavigationMap, build_navigation_map
+from momapos.navigation.footprint_map import NavigationMap, with_object_moved
 from momapos.navigation.global_path import BasePath, direct_path, plan_path
 from momapos.navigation.start import ROOM
 from momapos.outcomes import PoseOutcome, PoseStatus
@@ -111,7 +111,8 @@ class WaysOn:
 
     @cached_property
     def _map_after(self) -> NavigationMap:
-        return build_navigation_map(self._after, self.drives.query.robot)
+        query = self.drives.query
+        return with_object_moved(query.nav_map, query.task.object, query.outlines_after)
 
     @cached_property
     def _roomy(self) -> Float[np.ndarray, "3"] | None:

@@ -120,6 +120,38 @@ class ConvexPolygons:
         """Corners of one polygon [m]."""
         return self.corner[self.first[index] : self.first[index + 1]]
 
+    def only(self, which: Bool[np.ndarray, " o"]) -> ConvexPolygons:
+        """Some of the polygons."""
+        lengths = np.diff(self.first)
+        corners = np.repeat(which, lengths)
+        return ConvexPolygons(
+            self.corner[corners],
+            self.normal[corners],
+            self.level[corners],
+            np.concatenate([[0], np.cumsum(lengths[which])]),
+            self.layer[which],
+            self.bounds[which],
+            tuple(name for name, kept in zip(self.names, which, strict=True) if kept),
+        )
+
+    def of(self, name: str) -> Bool[np.ndarray, " o"]:
+        """Which polygons are those of an object's links."""
+        return np.array([one.startswith(f"{name}/") for one in self.names], bool)
+
+
+def joined(parts: Sequence[ConvexPolygons]) -> ConvexPolygons:
+    """All polygons of several, in order."""
+    lengths = np.concatenate([np.diff(part.first) for part in parts])
+    return ConvexPolygons(
+        np.concatenate([part.corner for part in parts]),
+        np.concatenate([part.normal for part in parts]),
+        np.concatenate([part.level for part in parts]),
+        np.concatenate([[0], np.cumsum(lengths)]),
+        np.concatenate([part.layer for part in parts]),
+        np.concatenate([part.bounds for part in parts]),
+        tuple(name for part in parts for name in part.names),
+    )
+
 
 def pack(
     polygons: Sequence[Float[np.ndarray, "_ 2"]], layers: Sequence[int], names: Sequence[str]
