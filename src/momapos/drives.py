@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import product
 from typing import TYPE_CHECKING
@@ -11,8 +11,8 @@ import numpy as np
 
 from momapos.errors import SceneError
 from momapos.navigation.clearance import gaps
-from momapos.navigation.convex_polygons import ConvexPolygons, on_floor
-from momapos.navigation.footprint_map import NavigationMap
+from momapos.navigation.convex_polygons import on_floor
+from momapos.navigation.footprint_map import NavigationMap, with_object_moved
 from momapos.navigation.global_path import BasePath, direct_path, plan_path
 from momapos.navigation.start import ROOM
 from momapos.outcomes import PoseOutcome, PoseStatus
@@ -117,18 +117,8 @@ class WaysOn:
 
     @cached_property
     def _map_after(self) -> NavigationMap:
-        # Only what is moved is drawn anew: of the rest the map is known.
         query = self.drives.query
-        before, moved = query.nav_map, f"{query.task.object}/"
-
-        def afterward(outlines: ConvexPolygons) -> ConvexPolygons:
-            stays = np.array([not name.startswith(moved) for name in outlines.names], bool)
-            return outlines.only(stays).joined(query.outlines_after)
-
-        return replace(
-            before, obstacles=afterward(before.obstacles),
-            planning_obstacles=afterward(before.planning_obstacles),
-        )  # fmt: skip
+        return with_object_moved(query.nav_map, query.task.object, query.outlines_after)
 
     @cached_property
     def _roomy(self) -> Float[np.ndarray, "3"] | None:

@@ -85,6 +85,21 @@ def test_one_line_a_method_sums_up_its_rows() -> None:
     assert (ours["wrong no"], other["wrong no"]) == ("1", "0")
 
 
+def test_what_fails_counts_in_the_time_for_a_task_that_is_done() -> None:
+    doors = [task("task 0"), task("task 1")]
+    inside = replace(task("task 2"), verb="pick", inside=Container("fridge", "door_hinge"))
+    loose = replace(task("task 3"), verb="pick")
+    grid = [replace(one, key=f"grid {one.key}", method="exhaustive") for one in results()[:1]]
+    rows = [*results(), *grid]
+    table = by_title(all_tables(suite(*doors, inside, loose), rows))["Time for what is done"]
+    ours, other, whole = ([cell.text for cell in line] for line in table.lines)
+    assert ours == ["ours", "3 of 4", "0.10 s", "0.33 s", "3 of 3", "0.10 s", "0.20 s"]
+    assert other == ["m3", "2 of 4", "0.20 s", "1.00 s", "1 of 3", "0.20 s", "1.20 s"]
+    assert whole == ["exhaustive", "1 of 1", "0.10 s", "0.10 s", "1 of 1", "0.10 s", "0.10 s"]
+    none = by_title(all_tables(suite(loose), results()))["Time for what is done"]
+    assert [cell.text for cell in none.lines[0]][4:] == ["0 of 0", "-", "-"]
+
+
 def test_numbers_know_the_rows_that_they_count() -> None:
     tables = by_title(all_tables(suite(), results()))
     solved = tables["Methods"].lines[0][2]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,9 +15,15 @@ from momapos.geometry.transforms import apply, invert
 from momapos.navigation.clearance import gaps
 from momapos.navigation.convex_polygons import obstacles_of, prisms_of, thinned
 from momapos.navigation.cost_map import CELL
-from momapos.navigation.footprint_map import HEADINGS, build_navigation_map, navigation_map_of
+from momapos.navigation.footprint_map import (
+    HEADINGS,
+    build_navigation_map,
+    navigation_map_of,
+    with_object_moved,
+)
 from momapos.navigation.judge import FootprintCollisionChecker
 from momapos.robots.robot import Robot
+from momapos.scene.files import load_scene
 
 CLUTTER = [
     (0.5, 0.3, 0.6, 0.4, 0.3),
@@ -130,3 +137,29 @@ def test_a_room_too_large_to_be_mapped_is_refused(robots: Callable[[str], Robot]
     body = prisms_of(robot)
     with pytest.raises(SceneError, match="can be mapped"):
         navigation_map_of(robot, body, obstacles_of(room([]), body), square(1000.0))
+
+
+@pytest.mark.parametrize("back", [False, True])
+def test_a_map_in_which_an_object_has_moved_is_that_of_the_room_after(
+    robots: Callable[[str], Robot], back: bool
+) -> None:
+    """A drawer is pulled out, or shut; what lies in it stays where it is."""
+    scene, robot = load_scene("kitchen_small"), robots("segway_ur5e")
+    name, joint = "cabinet_right", "drawer_middle_slide"
+    after = scene.with_joint(name, joint, 0.4)
+    if back:
+        scene, after = after, scene
+    outlines = obstacles_of(replace(after, objects=(after.object(name),)), prisms_of(robot))
+    before = build_navigation_map(scene, robot)
+    moved, anew = with_object_moved(before, name, outlines), build_navigation_map(after, robot)
+    rng = np.random.default_rng(2)
+    low, high = anew.obstacles.bounds[:, :2].min(0), anew.obstacles.bounds[:, 2:].max(0)
+    xy = rng.uniform(low - 0.5, high + 0.5, (4000, 2))
+    poses = np.column_stack([xy, rng.uniform(-3.14, 3.14, 4000)])
+    free = gaps(poses, anew.prisms, anew.planning_obstacles) > 0
+    assert (free == (gaps(poses, moved.prisms, moved.planning_obstacles) > 0)).all()
+    every = [gaps(poses, one.prisms, one.obstacles) > 0 for one in (anew, moved)]
+    assert (every[0] == every[1]).all()
+    assert (free != (gaps(poses, before.prisms, before.planning_obstacles) > 0)).any()
+    assert sorted(moved.obstacles.names) == sorted(anew.obstacles.names)
+    assert moved.shape == before.shape

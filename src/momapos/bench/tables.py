@@ -24,6 +24,8 @@ from momapos.bench.printed import MODELING, printed_stages, printed_table
 from momapos.bench.records import Row, Suite
 
 MOST_REASONS = 25
+LOOSE = ("pick", "place")
+"""What is done with loose things; all else moves a part."""
 GRID = "exhaustive"
 """The method that looks at every base pose."""
 
@@ -31,6 +33,7 @@ GRID = "exhaustive"
 def all_tables(suite: Suite, rows: Sequence[Row]) -> list[Table]:
     """The tables of one results folder."""
     tables = [summary_table(rows), class_table(rows, "class", "group"), time_table(rows)]
+    tables.append(effort_table(suite, rows))
     if len({row.robot for row in rows}) > 1:
         tables.append(class_table(rows, "robot", "robot"))
     tables += [reason_table(rows), stage_table(rows)]
@@ -206,6 +209,37 @@ def time_table(rows: Sequence[Row]) -> Table:
             line.append(Cell("-" if half is None else f"{1000 * half:.0f} ms", _keys(mine)))
         lines.append(tuple(line))
     return Table("Time by class, of what is solved", ("method", *classes), tuple(lines))
+
+
+def effort_table(suite: Suite, rows: Sequence[Row]) -> Table:
+    """Time of each method for tasks that all methods do, and for one that is done."""
+    moved = {t.name for t in suite.tasks if t.verb not in LOOSE or t.inside is not None}
+    kinds = {"all tasks": rows, "doors and drawers": [r for r in rows if r.task in moved]}
+    methods = grouped(rows, lambda row: row.method)
+    cells = {method: [Cell(method, _keys(mine))] for method, mine in methods.items()}
+    columns = ["method"]
+    for kind, some in kinds.items():
+        columns += [f"{kind}: done", "median where all do it", "for one that is done"]
+        compared = [row for row in some if row.method != GRID]
+        failed = {row.task for row in compared if not succeeded(row)}
+        shared = {row.task for row in compared} - failed
+        for method, line in cells.items():
+            mine = [row for row in some if row.method == method]
+            good = [row for row in mine if succeeded(row)]
+            same = [row for row in good if row.task in shared and row.seconds is not None]
+            half = percentile([row.seconds or 0.0 for row in same], 50)
+            spent = sum(row.seconds or 0.0 for row in mine)
+            line += [
+                Cell(_of(share(len(good), len(mine))), _keys(good)),
+                Cell(_number(half, "s"), _keys(same)),
+                Cell(_number(spent / len(good) if good else None, "s"), _keys(mine)),
+            ]
+    note = (
+        "Processor time. Where all do it: tasks that every method but exhaustive succeeds in. For "
+        "one that is done: the time of all answers, failures too, over the tasks that succeed."
+    )
+    lines = tuple(tuple(line) for line in cells.values())
+    return Table("Time for what is done", tuple(columns), lines, note)
 
 
 def reason_table(rows: Sequence[Row]) -> Table:

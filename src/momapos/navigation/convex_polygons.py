@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property, lru_cache
-from itertools import compress, pairwise
+from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -116,29 +116,41 @@ class ConvexPolygons:
             self.corner, self.normal, self.level, self.first, self.layer, self.bounds
         )
 
-    def only(self, kept: Bool[np.ndarray, " o"]) -> ConvexPolygons:
-        """Some of them."""
-        sizes = np.diff(self.first)
-        corners = np.repeat(kept, sizes)
-        return ConvexPolygons(
-            self.corner[corners], self.normal[corners], self.level[corners],
-            np.append(0, np.cumsum(sizes[kept])), self.layer[kept], self.bounds[kept],
-            tuple(compress(self.names, kept.tolist())),
-        )  # fmt: skip
-
-    def joined(self, other: ConvexPolygons) -> ConvexPolygons:
-        """These and others."""
-        corner, normal, level, layer, bounds = (
-            np.concatenate([getattr(self, name), getattr(other, name)])
-            for name in ("corner", "normal", "level", "layer", "bounds")
-        )
-        first = np.append(self.first, self.first[-1] + other.first[1:])
-        names = self.names + other.names
-        return ConvexPolygons(corner, normal, level, first, layer, bounds, names)
-
     def polygon(self, index: int) -> Float[np.ndarray, "k 2"]:
         """Corners of one polygon [m]."""
         return self.corner[self.first[index] : self.first[index + 1]]
+
+    def only(self, which: Bool[np.ndarray, " o"]) -> ConvexPolygons:
+        """Some of the polygons."""
+        lengths = np.diff(self.first)
+        corners = np.repeat(which, lengths)
+        return ConvexPolygons(
+            self.corner[corners],
+            self.normal[corners],
+            self.level[corners],
+            np.concatenate([[0], np.cumsum(lengths[which])]),
+            self.layer[which],
+            self.bounds[which],
+            tuple(name for name, kept in zip(self.names, which, strict=True) if kept),
+        )
+
+    def of(self, name: str) -> Bool[np.ndarray, " o"]:
+        """Which polygons are those of an object's links."""
+        return np.array([one.startswith(f"{name}/") for one in self.names], bool)
+
+
+def joined(parts: Sequence[ConvexPolygons]) -> ConvexPolygons:
+    """All polygons of several, in order."""
+    lengths = np.concatenate([np.diff(part.first) for part in parts])
+    return ConvexPolygons(
+        np.concatenate([part.corner for part in parts]),
+        np.concatenate([part.normal for part in parts]),
+        np.concatenate([part.level for part in parts]),
+        np.concatenate([[0], np.cumsum(lengths)]),
+        np.concatenate([part.layer for part in parts]),
+        np.concatenate([part.bounds for part in parts]),
+        tuple(name for part in parts for name in part.names),
+    )
 
 
 def pack(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING
 
@@ -14,6 +14,7 @@ from momapos.navigation.clearance import gaps
 from momapos.navigation.convex_polygons import (
     ConvexPolygons,
     RobotPrisms,
+    joined,
     obstacles_of,
     prisms_of,
     thinned,
@@ -38,6 +39,8 @@ OFF_FLOOR = -1.0
 BORDER = 2.0
 """Free border that is mapped around a room without a known floor [m]."""
 MOST_CELLS = 1_000_000
+_TOUCH = 1e-6
+"""Outlines that end together within this lie within each other [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,4 +133,29 @@ def navigation_map_of(
         )
     return NavigationMap(
         robot, prisms, obstacles, planning_obstacles, floor_polygon, origin, (rows, columns)
+    )
+
+
+def with_object_moved(nav_map: NavigationMap, name: str, outlines: ConvexPolygons) -> NavigationMap:
+    """The map of a room in which one object has changed its outlines.
+
+    What lay within its outlines before is no longer left out of the obstacles to plan with, for it
+    may lie bare now.
+
+    Args:
+        nav_map: Of the room before.
+        name: Of the object.
+        outlines: Of the object, for the prisms of the same robot.
+    """
+    every, planned = nav_map.obstacles, nav_map.planning_obstacles
+    was = every.of(name)
+    low, high = every.bounds[:, None, :2], every.bounds[:, None, 2:]
+    above = (low >= every.bounds[was, :2] - _TOUCH).all(axis=2)
+    within = above & (high <= every.bounds[was, 2:] + _TOUCH).all(axis=2)
+    bare = every.only(np.any(within, axis=1) & ~was)
+    anew = thinned(joined((bare, outlines)), None)
+    return replace(
+        nav_map,
+        obstacles=joined((every.only(~was), outlines)),
+        planning_obstacles=joined((planned.only(~planned.of(name)), anew)),
     )
