@@ -18,18 +18,22 @@ class Stopwatch:
     """Seconds spent so far, by stage [s]."""
     began: float = field(init=False)
     """When it was made [s]."""
+    _inner: float = 0.0
+    """Seconds spent so far in stages within the one that runs [s]."""
 
     def __post_init__(self) -> None:
         self.began = self.clock()
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Count the time of a block for a stage."""
-        began = self.clock()
+        """Count the time of a block for a stage, but for that of stages within the block."""
+        began, before, self._inner = self.clock(), self._inner, 0.0
         try:
             yield
         finally:
-            self.seconds[name] = self.seconds.get(name, 0.0) + self.clock() - began
+            spent = self.clock() - began
+            self.seconds[name] = self.seconds.get(name, 0.0) + spent - self._inner
+            self._inner = before + spent
 
     @property
     def timing(self) -> dict[str, float]:
