@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,10 +14,12 @@ from momapos.anew import Depth, FoundAnew
 from momapos.base_pose import check_base_pose
 from momapos.cli.main import main
 from momapos.cli.place import Options
+from momapos.cli.tour import room_beside
 from momapos.errors import InputError
 from momapos.geometry.transforms import pose_planar
 from momapos.manipulation.carried import carried
 from momapos.manipulation.tasks import make_task
+from momapos.outcomes import Tolerance
 from momapos.pipeline import plan_base_placement
 from momapos.placement_result import PlacementResult
 from momapos.plans import read_plan
@@ -223,6 +226,14 @@ def test_a_stop_of_a_tour_has_the_least_of_its_tasks(
 
 def test_the_command_asks_as_many_poses_as_python() -> None:
     assert Options().tolerance_samples == SAMPLES
+
+
+def test_a_stop_without_room_says_so(answer: PlacementResult) -> None:
+    some, none = Tolerance(0.05, 0.05 * TURN, 12), Tolerance(0.0, 0.0, 12)
+    plans = [replace(answer.plan, tolerance=one) for one in (some, none)]
+    assert room_beside(plans) == "; no tolerance beside it"
+    assert room_beside(plans[:1]) == "; 5 cm and 3 deg beside it"
+    assert room_beside([answer.plan]) == ""
 
 
 @pytest.mark.parametrize("samples", [0, 10**9])

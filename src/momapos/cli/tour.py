@@ -220,7 +220,7 @@ def _summary(tour: Tour, options: Options) -> str:
         if stop != before:
             pose = f"x {x:.3f} m, y {y:.3f} m, yaw {math.degrees(yaw):.1f} deg"
             here = [one for at, one in zip(tour.stops, done, strict=False) if at == stop]
-            room = _room_beside([one.plan for one in here])
+            room = room_beside([one.plan for one in here])
             lines.append(f"  stop {stop}      {pose}; {plan.navigation_cost:.2f} m to drive{room}")
         lines += [f"    {asked(step)}; {words}" for words in step.holds[:1]]
     lines += [f"  assumed     {words}" for words in tour.assumed]
@@ -233,9 +233,10 @@ def _summary(tour: Tour, options: Options) -> str:
     return "\n".join(lines)
 
 
-def _room_beside(plans: Sequence[PlacementPlan]) -> str:
+def room_beside(plans: Sequence[PlacementPlan]) -> str:
     """How far beside a stop the robot may stand for all its tasks, where that is known."""
     known = [plan.tolerance for plan in plans if plan.tolerance is not None]
     if not known:
         return ""
-    return f"; {min(known, key=lambda one: one.radius)} beside it"
+    least = min(known, key=lambda one: one.radius)
+    return f"; {least} beside it" if least.radius > 0.0 else "; no tolerance beside it"
