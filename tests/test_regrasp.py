@@ -23,6 +23,7 @@ from momapos.reachability.map import ReachMap
 from momapos.reachability.store import load_reach_map
 from momapos.regrasp import every_two_holds, two_hold_searches
 from momapos.robots.robot import Robot, load_robot
+from momapos.robust import unit_offsets
 from momapos.scene.files import load_scene
 from momapos.scene.scene import Scene
 from momapos.types import Motion, PlacementPlan
@@ -104,6 +105,20 @@ def test_one_base_pose_is_asked_for_two_holds_as_well(
     attempt = check_base_pose(kitchen, robot, plan.task, plan.base_pose, reach, how_far=False)
     assert attempt.motion is not None
     assert len(attempt.motion.holds) == 2
+
+
+def test_beside_its_base_pose_the_door_opens_in_two_holds_as_well(
+    answer: PlacementResult, kitchen: Scene, robot: Robot, reach: ReachMap
+) -> None:
+    found = answer.tolerance
+    assert found is not None
+    assert found.radius > 0.0
+    size = np.array([found.radius, found.radius, found.turn])
+    for offset in unit_offsets(4, np.random.default_rng(1)):
+        base = np.array(answer.plan.base_pose) + offset * size
+        attempt = check_base_pose(kitchen, robot, answer.plan.task, base, reach, how_far=False)
+        assert attempt.motion is not None, attempt.reason
+        assert len(attempt.motion.holds) == 2
 
 
 def test_a_door_that_would_fall_is_not_let_go(kitchen: Scene, robot: Robot) -> None:

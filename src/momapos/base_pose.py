@@ -151,7 +151,7 @@ def plan_at_base_pose(
         feasible_sure=not solved and attempt.farthest is not None,
         timing=watch.timing,
     )
-    return PlacementResult(plan, look.prepared, found, first)
+    return PlacementResult(plan, look.prepared, found, first, query)
 
 
 @dataclass(frozen=True)

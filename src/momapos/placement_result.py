@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 from importlib import import_module
 from typing import TYPE_CHECKING
 
@@ -13,7 +14,7 @@ from momapos.errors import require
 from momapos.manipulation.tasks import slides
 from momapos.navigation.global_path import BasePath
 from momapos.navigation.start import outlines_after, touched_at_home
-from momapos.outcomes import CostTerm
+from momapos.outcomes import CostTerm, Tolerance
 from momapos.placement.config import OURS
 from momapos.placement.cost import cost_terms
 from momapos.placement.problem import Search
@@ -39,6 +40,20 @@ class PlacementResult:
     search: Search
     start: Float[np.ndarray, "3"]
     """Where the base was: x [m], y [m], yaw [rad]."""
+    query: PlacementQuery | None = field(default=None, repr=False)
+    """What was asked; None of a plan that was read."""
+
+    @cached_property
+    def tolerance(self) -> Tolerance | None:
+        """How far beside the base pose the robot may stand, measured when it is first asked for;
+        None where there is no motion, and of a plan that was read and has none."""
+        return self.with_tolerance().plan.tolerance
+
+    def with_tolerance(self) -> PlacementResult:
+        """The same answer, its plan with the tolerance, as `momapos place` writes it."""
+        # By name: it plans anew, so that it is downstream of answers.
+        answer: PlacementResult = import_module("momapos.tolerance").with_tolerance(self)
+        return answer
 
     @property
     def slides(self) -> bool:

@@ -112,7 +112,7 @@ class ReadySearch:
         plan = plan_of(self.query, self.prepared, found, start, self.drives.path(found.base))
         if self.robust is not None and plan.motion is not None:
             plan = replace(plan, tolerance=self.robust.tolerance)
-        return PlacementResult(plan, self.prepared, found, start)
+        return PlacementResult(plan, self.prepared, found, start, self.query)
 
 
 def ready_search(query: PlacementQuery, modeled: Scene, motion: TaskMotion) -> ReadySearch:

@@ -350,7 +350,7 @@ class PlacementPlan:
     """Terms of what the base pose costs, by name, with their weights."""
     candidates: Candidates = Candidates()
     timing: Mapping[str, float] = field(default_factory=dict)
-    """Seconds by stage, and "total"."""
+    """Seconds by stage, and "total"; "tolerance" is measured after the answer and not in it."""
     key_objects: KeyObjects | None = None
     """What was modeled; None where nothing says."""
     method: str = "ours"
@@ -382,7 +382,7 @@ class PlacementPlan:
     feasible_sure: bool = False
     """Whether the grid has ruled out what lies a waypoint beyond; else the time ended before."""
     tolerance: Tolerance | None = None
-    """How far beside the base pose it may stand; None where that was not asked."""
+    """How far beside the base pose it may stand; None where nobody has measured it."""
     region: BaseRegion = ANYWHERE
     """Where the base was allowed to stand."""
 

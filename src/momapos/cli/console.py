@@ -15,9 +15,9 @@ from momapos.outcomes import NO_STAND, RULED_OUT
 from momapos.placement.config import OURS
 
 if TYPE_CHECKING:
-    from momapos.outcomes import CostTerm, Tolerance
+    from momapos.outcomes import CostTerm
     from momapos.placement_result import PlacementResult
-    from momapos.types import KeyObjects
+    from momapos.types import KeyObjects, PlacementPlan
 
 MOST_REASONS = 8
 _USUAL_WEIGHTS = {
@@ -102,7 +102,7 @@ def summary(
             *_holds(answer),
             *_taken(answer),
             "  checked     base, arm and moving part over the whole motion, exact geometry",
-            *_tolerance(plan.tolerance),
+            *_tolerance(plan),
             *_cost(plan.cost),
             *_afterward(answer),
         ]
@@ -145,17 +145,18 @@ def _taken(answer: PlacementResult) -> list[str]:
     return [f"  taken       for a {kind}: as what it is likelier there is no base pose"]
 
 
-def _tolerance(found: Tolerance | None) -> list[str]:
-    """How far beside its base pose the robot may stand, where that was asked."""
+def _tolerance(plan: PlacementPlan) -> list[str]:
+    """How far beside its base pose the robot may stand, where that is known."""
+    found = plan.tolerance
     if found is None:
         return []
+    spent = plan.timing.get("tolerance")
+    took = "" if spent is None else f" ({1000 * spent:.0f} ms)"
     if found.radius == 0.0:
-        return ["  tolerance   none: the motion is not found anew from all around it"]
-    turn = math.degrees(found.turn)
-    return [
-        f"  tolerance   {100 * found.radius:g} cm and {turn:.1f} deg beside it: found anew from "
-        f"{found.samples} of {found.samples} poses"
-    ]
+        return [f"  tolerance   none: the motion is not found anew from all around it{took}"]
+    room = f"{100 * found.radius:g} cm and {math.degrees(found.turn):.1f} deg"
+    poses = f"{found.samples} of {found.samples} poses"
+    return [f"  tolerance   {room} beside it: found anew from {poses}{took}"]
 
 
 def _cost(terms: Mapping[str, CostTerm]) -> list[str]:
@@ -246,6 +247,7 @@ def _span(answer: PlacementResult) -> str:
 def _times(timing: object) -> str:
     stages = dict(timing)  # type: ignore[call-overload]
     total = stages.pop("total", 0.0)
+    stages.pop("tolerance", None)  # stands beside what it measures
     parts = [f"{name} {1000 * value:.0f}" for name, value in stages.items() if value >= 0.0005]
     return f"{1000 * total:.0f} ms ({', '.join(parts)})"
 

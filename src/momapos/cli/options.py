@@ -39,6 +39,7 @@ else:  # tyro takes the members of a plain tuple for texts, and imports typeguar
     XacroArg = Annotated[UseAppendAction[tuple], arg(metavar="NAME=VALUE")]
     ObjectsArg = Annotated[UseAppendAction[tuple], arg(metavar="OBJECT")]
 MAX_SEED = 2**63 - 1
+MAX_SAMPLES = 10_000
 EXIT_STATUS = {"solved": 0, "infeasible": 3, "timeout": 4}
 """Of commands that answer, by the status of the answer."""
 
@@ -51,6 +52,16 @@ def check_seed(seed: int) -> None:
     """
     if not 0 <= seed <= MAX_SEED:
         raise InputError(f"--seed must be between 0 and {MAX_SEED}")
+
+
+def check_samples(samples: int) -> None:
+    """Refuse what is no number of poses for a tolerance.
+
+    Raises:
+        InputError: It is below one or beyond all sense.
+    """
+    if not 1 <= samples <= MAX_SAMPLES:
+        raise InputError(f"--tolerance-samples must be between 1 and {MAX_SAMPLES}, not {samples}")
 
 
 def unread(kind: type, plain: Collection[str], words: Sequence[str]) -> ConstructorRegistry | None:

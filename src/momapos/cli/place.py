@@ -19,6 +19,7 @@ from momapos.cli.options import (
     Target,
     Thing,
     ValueArg,
+    check_samples,
     check_seed,
     unread,
 )
@@ -72,8 +73,10 @@ class Options:
     robust: RoomArg = None
     """Ask for a base pose beside which the robot may stand, too: so far away and turned so far to
     either side, as 0.05m,3deg."""
-    tolerance: bool = False
-    """Say how far beside the base pose the robot may stand; takes 3 s and more."""
+    tolerance: bool = True
+    """Measure how far beside the base pose the robot may stand, after the answer."""
+    tolerance_samples: int = 100
+    """Poses beside the base pose from which the motion has to be found anew for that [-]."""
     out: OptionalPath = None
     """Write the plan here (JSON)."""
     plot: OptionalPath = None
@@ -84,12 +87,14 @@ class Options:
 
     def __post_init__(self) -> None:
         check_seed(self.seed)
+        check_samples(self.tolerance_samples)
 
 
 Shared = Annotated[Options, OmitArgPrefixes]
 MapArg = Annotated[OptionalPath, arg(name="map")]
 DEFAULT = Options()
-_PLAIN = {f"--{item.name}" for item in fields(Options) if item.name != "config"} | {"--to", "--map"}
+_PLAIN = {f"--{item.name.replace('_', '-')}" for item in fields(Options) if item.name != "config"}
+_PLAIN |= {"--to", "--map", "--no-tolerance"}
 
 
 def tyro_rules(words: Sequence[str]) -> ConstructorRegistry | None:
@@ -250,6 +255,7 @@ def _answer(
     from momapos.placement_result import cheapest
     from momapos.robots.robot import Robot
     from momapos.smaller_opening import smaller_opening
+    from momapos.tolerance import with_tolerance
     from momapos.types import ANYWHERE
 
     cache = user_cache()
@@ -259,7 +265,9 @@ def _answer(
     if at is not None and region != ANYWHERE:
         raise TaskError("--at names the one base pose that is asked about; leave the areas out")
     if at is not None and options.robust is not None:
-        raise TaskError("--at names the one base pose; ask for its --tolerance instead of --robust")
+        raise TaskError(
+            "--at names the one base pose; its answer has the tolerance, so leave --robust out"
+        )
     walks = (*RANK, *WALKS) if config.ranking.scorer == "deepwalk" else ()
     compile_once(tuple(dict.fromkeys((*ANSWER, *walks))))
     arms, maps = load_arms_with_maps(options.robot, options.arm, cache)
@@ -294,15 +302,9 @@ def _answer(
         answer = cheapest(answers, farthest=task.farthest)
     chosen = next(i for i, one in enumerate(answers) if one is answer)
     robot, reach = arms[chosen], maps[chosen]
-    if options.tolerance and answer.plan.base_pose is not None and answer.plan.motion is not None:
-        from momapos.tolerance import placement_tolerance
-
+    if options.tolerance:
         with busy(f"{robot.name}: tolerance"):
-            around = placement_tolerance(
-                scene, robot, answer.plan.task, answer.plan.base_pose, reach,
-                config=config, seed=options.seed,
-            )  # fmt: skip
-        answer = replace(answer, plan=replace(answer.plan, tolerance=around))
+            answer = with_tolerance(answer, samples=options.tolerance_samples)
     # Files come first: who reads what is printed may stop reading at any line.
     if options.plot is not None:
         from momapos.viewer.plot import draw_answer

@@ -46,6 +46,8 @@ class SolveOptions:
     """How the hand holds in physics, see run."""
     seed: int = 0
     """Same seed, same answer."""
+    tolerance: bool = True
+    """Measure how far beside the base pose the robot may stand."""
     pictures: bool = True
     """Draw why every object was modeled as it was."""
     json: bool = False
@@ -63,7 +65,7 @@ _PLAIN = {
     "--out",
     *(f"--scan.{item.name.replace('_', '-')}" for item in fields(ScanOptions)),
     *(f"--{item.name}" for item in fields(SolveOptions) if item.name not in _GROUPS),
-    *(f"--no-{name}" for name in ("run", "pictures", "json")),
+    *(f"--no-{name}" for name in ("run", "tolerance", "pictures", "json")),
 }
 
 
@@ -135,6 +137,7 @@ def _solve(
     from momapos.scan_io.clouds import write_cloud
     from momapos.scan_report import outputs_of, report_to_dict, write_report
     from momapos.solve_scan import ScanTask, solve_scan
+    from momapos.tolerance import with_tolerance
     from momapos.trajectory import with_times
 
     scanning, given = scan_config(options.scan, options.config.ranking), given_models(options.scan)
@@ -157,6 +160,8 @@ def _solve(
     data = report_to_dict(answer.modeled, scan, name)
     write_report(answer.modeled, data, out / SCENE, pictures=options.pictures)
     write_cloud(answer.modeled.cloud, out / CLOUD)
+    if options.tolerance:
+        answer = replace(answer, result=with_tolerance(answer.result))
     result = answer.result
     robot = result.prepared.robot
     write_plan(with_times(result.plan, robot), out / PLAN)

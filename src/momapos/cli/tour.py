@@ -22,6 +22,7 @@ from momapos.types import Verb
 
 if TYPE_CHECKING:
     from momapos.tour import Request, Tour
+    from momapos.types import PlacementPlan
 
 THEN = "then"
 VERBS = get_args(Verb)
@@ -124,10 +125,7 @@ def _check(options: Options) -> None:
     Raises:
         TaskError: One is given.
     """
-    one = {
-        "--at": options.at, "--plot": options.plot, "--robust": options.robust,
-        "--tolerance": options.tolerance or None,
-    }  # fmt: skip
+    one = {"--at": options.at, "--plot": options.plot, "--robust": options.robust}
     for name, value in one.items():
         if value is not None:
             raise TaskError(f"{name} belongs to one task; ask for each by itself, or leave it out")
@@ -159,6 +157,7 @@ def _answer(scene_name: str, tasks: Sequence[tuple[str, str, str | None]], optio
     from momapos.cache import user_cache
     from momapos.cli.compile import ANSWER, compile_once
     from momapos.cli.console import busy
+    from momapos.tolerance import with_tolerance
     from momapos.tour import plan_tour
 
     cache = user_cache()
@@ -174,6 +173,11 @@ def _answer(scene_name: str, tasks: Sequence[tuple[str, str, str | None]], optio
             ))  # fmt: skip
     order = tuple(EXIT_STATUS)
     tour = min(tours, key=lambda t: (-len(t.steps), order.index(t.status), max(t.stops), t.driving))
+    if options.tolerance:
+        with busy(f"{tour.steps[0].plan.robot_name}: tolerance"):
+            tour = replace(tour, steps=tuple(
+                with_tolerance(step, samples=options.tolerance_samples) for step in tour.steps
+            ))  # fmt: skip
     _deliver(tour, options)
     return EXIT_STATUS[tour.status]
 
@@ -215,7 +219,9 @@ def _summary(tour: Tour, options: Options) -> str:
         x, y, yaw = plan.base_pose
         if stop != before:
             pose = f"x {x:.3f} m, y {y:.3f} m, yaw {math.degrees(yaw):.1f} deg"
-            lines.append(f"  stop {stop}      {pose}; {plan.navigation_cost:.2f} m to drive")
+            here = [one for at, one in zip(tour.stops, done, strict=False) if at == stop]
+            room = room_beside([one.plan for one in here])
+            lines.append(f"  stop {stop}      {pose}; {plan.navigation_cost:.2f} m to drive{room}")
         lines += [f"    {asked(step)}; {words}" for words in step.holds[:1]]
     lines += [f"  assumed     {words}" for words in tour.assumed]
     lines += [f"  time        {1000 * tour.seconds:.0f} ms"]
@@ -225,3 +231,12 @@ def _summary(tour: Tour, options: Options) -> str:
         files = [f"{options.out.stem}_{k}.json" for k in range(1, 1 + len(tour.steps))]
         lines.append(f"  plans       {options.out}, {', '.join(files)}")
     return "\n".join(lines)
+
+
+def room_beside(plans: Sequence[PlacementPlan]) -> str:
+    """How far beside a stop the robot may stand for all its tasks, where that is known."""
+    known = [plan.tolerance for plan in plans if plan.tolerance is not None]
+    if not known:
+        return ""
+    least = min(known, key=lambda one: one.radius)
+    return f"; {least} beside it" if least.radius > 0.0 else "; no tolerance beside it"

@@ -299,6 +299,28 @@ def _unwrap(
     return out
 
 
+def follow(
+    arm: Arm, states: Float[np.ndarray, "d n"], targets: Float[np.ndarray, "d 4 4"]
+) -> Float[np.ndarray, "d n"] | None:
+    """Arm states with the tool at given poses, each found from one nearby.
+
+    Args:
+        arm: Whose arm.
+        states: States of the arm with the tool beside those poses.
+        targets: Tool poses in the base frame.
+
+    Returns:
+        None where the arm does not come there within its limits and in small steps.
+    """
+    chain = arm.chain
+    found = np.empty_like(states)
+    bad = _track(
+        np.ascontiguousarray(states), np.arange(len(states)), np.ascontiguousarray(targets),
+        arm_arrays(chain, arm.ik), joint_scale(chain), found,
+    )  # fmt: skip
+    return found if bad < 0 else None
+
+
 @entry
 def _track(
     q: F2,

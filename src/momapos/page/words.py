@@ -43,7 +43,10 @@ def answer_words(answer: PlacementResult) -> str:
         to = value_text(answer, plan.feasible_to)
         lines.append(f"- to {to} from {pose_text(plan.feasible_from)}")
     total = plan.timing.get("total", 0.0)
-    stages = sorted(((t, name) for name, t in plan.timing.items() if name != "total"), reverse=True)
+    beside = ("total", "tolerance")
+    stages = sorted(
+        ((t, name) for name, t in plan.timing.items() if name not in beside), reverse=True
+    )
     slowest = ", ".join(f"{name} {1000 * t:.0f}" for t, name in stages[:3])
     lines.append(f"- time {1000 * total:.0f} ms ({slowest})")
     counts = plan.candidates

@@ -8,6 +8,7 @@ than the execution's.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -35,6 +36,18 @@ MOST_PAIRS = 6
 """Overlapping pairs that are named one by one [-]."""
 
 
+@dataclass(frozen=True)
+class _Placed:
+    """Where everything is at every state of a motion, in the world."""
+
+    path: paths.DensePath
+    Ts_tool: Float[np.ndarray, "s 4 4"]
+    Ts_base: Float[np.ndarray, "1 b 4 4"]
+    """Of the base's shapes."""
+    Ts_arm: Float[np.ndarray, "s a 4 4"]
+    Ts_part: Float[np.ndarray, "s p 4 4"]
+
+
 class PlanVerifier:
     """A scene, a robot and a task, prepared for the check of motions.
 
@@ -51,16 +64,18 @@ class PlanVerifier:
         self.floor_polygon = scene.floor_polygon
         self._base, self._arm = self.robot_model.base, self.robot_model.arm
         self._arm_fixed = all_pairs(len(self._arm), len(self.fixed))
+        self._base_fixed = all_pairs(len(self._base), len(self.fixed))
+        self._part_base = all_pairs(len(self.part.shapes), len(self._base))
         on_part = all_pairs(len(self._arm), len(self.part.shapes))
         holds = self.robot_model.gripper[on_part[:, 0]]
         self._arm_part, self._gripper_part = on_part[~holds], on_part[holds]
 
     def first_violation(self, base_pose: tuple[float, float, float], motion: Motion) -> str | None:
         """Why a motion is refused, in words that are the same for similar motions; None if not."""
-        violations = self.check(base_pose, motion).violations
-        if not violations:
+        checks, _ = self._checks(base_pose, motion)
+        first = next((check for check in checks if not check.ok), None)
+        if first is None:
             return None
-        first = violations[0]
         return f"{first.name}: {first.culprit}" if first.culprit else first.name
 
     def blocked(self, lift: float) -> str | None:
@@ -79,23 +94,35 @@ class PlanVerifier:
             base_pose: x [m], y [m], yaw [rad] of the base link on the floor.
             motion: The motion of the arm and the object.
         """
+        checks, placed = self._checks(base_pose, motion)
+        if placed is None:
+            return Report(checks)
+        depth = self._gripper_depth(placed)
+        return Report(checks, self._notes(placed.path, depth), depth)
+
+    def _checks(
+        self, base_pose: tuple[float, float, float], motion: Motion
+    ) -> tuple[tuple[Check, ...], _Placed | None]:
+        """All checks, and where everything is at every state; None where it makes no sense."""
         checks = list(paths.number_checks(self.part, motion, base_pose))
         if all(check.ok for check in checks):
             checks += paths.hold_checks(self.part, motion)
-        if all(check.ok for check in checks):
-            # Before anything is allocated: a step of 1e6 would be cut into millions of states.
-            states = paths.count_states(motion, self.limits.step)
-            if self.part.joint is not None:
-                states += paths.count_cuts(motion.object_q, self.limits.step, SWEEP_STEPS)
-            shapes = len(self._arm) + len(self._base) + len(self.part.shapes)
-            few = [
-                at_most("states to check", states, self.limits.states),
-                at_most("poses of shapes to check", states * shapes, self.limits.poses),
-            ]
-            if all(check.ok for check in few):
-                return self._check(checks, base_pose, motion)
-            checks.append(next(check for check in few if not check.ok))
-        return Report(tuple(checks))
+        if not all(check.ok for check in checks):
+            return tuple(checks), None
+        # Before anything is allocated: a step of 1e6 would be cut into millions of states.
+        states = paths.count_states(motion, self.limits.step)
+        if self.part.joint is not None:
+            states += paths.count_cuts(motion.object_q, self.limits.step, SWEEP_STEPS)
+        shapes = len(self._arm) + len(self._base) + len(self.part.shapes)
+        few = [
+            at_most("states to check", states, self.limits.states),
+            at_most("poses of shapes to check", states * shapes, self.limits.poses),
+        ]
+        if not all(check.ok for check in few):
+            first = next(check for check in few if not check.ok)
+            return (*checks, first), None
+        placed = self._placed(base_pose, motion)
+        return (*checks, *self._of_placed(placed, motion)), placed
 
     def drive_checks(self, plan: PlacementPlan) -> tuple[Check, ...]:
         """Check the start that a plan names, and its way from there, with the arm at home.
@@ -131,29 +158,29 @@ class PlanVerifier:
                 found.add(shapes, Ts, part.shapes, placed, pairs, _where)
         return (*checks, found.check("start and way, arm at home"))
 
-    def _check(
-        self, checks: list[Check], base_pose: tuple[float, float, float], motion: Motion
-    ) -> Report:
-        machine, part, limits = self.robot_model, self.part, self.limits
-        path = paths.dense_path(motion, limits.step)
-        Ts_tool, Ts_base, Ts_arm = machine.poses(base_pose, path.q)
-        Ts_planned = Ts_tool[path.planned[: len(motion.q)]]
-        Ts_part = part.placed_at(paths.part_poses(part, self.task.verb, path, Ts_tool))
-        checks += paths.object_checks(part, motion, limits)
-        checks += paths.joint_checks(machine, motion, limits)
-        checks += paths.home_checks(motion, limits)
-        checks += paths.tool_checks(Ts_planned, motion, limits)
-        checks += paths.grasp_checks(part, path, Ts_tool, paths.holds_of(motion), limits)
-        checks.append(paths.reach_check(part, self.task.verb, motion, Ts_planned, limits))
-        Ts_way, where = self._way(Ts_part, path)
-        checks.append(self._part_check(Ts_way, where))
-        checks.append(self._base_check(Ts_base, Ts_way, where))
-        checks.append(self._arm_check(Ts_arm, Ts_part, path))
-        checks.append(self._self_check(Ts_base, Ts_arm, path))
-        checks.append(_above_floor(self._arm, Ts_arm, path, limits))
-        checks += self._on_floor(Ts_base)
-        depth = self._gripper_depth(Ts_arm, Ts_part)
-        return Report(tuple(checks), self._notes(path, depth), depth)
+    def _placed(self, base_pose: tuple[float, float, float], motion: Motion) -> _Placed:
+        path = paths.dense_path(motion, self.limits.step)
+        Ts_tool, Ts_base, Ts_arm = self.robot_model.poses(base_pose, path.q)
+        Ts = paths.part_poses(self.part, self.task.verb, path, Ts_tool)
+        return _Placed(path, Ts_tool, Ts_base, Ts_arm, self.part.placed_at(Ts))
+
+    def _of_placed(self, placed: _Placed, motion: Motion) -> Iterator[Check]:
+        """The checks of what is placed."""
+        machine, part, limits, path = self.robot_model, self.part, self.limits, placed.path
+        Ts_planned = placed.Ts_tool[path.planned[: len(motion.q)]]
+        yield from paths.object_checks(part, motion, limits)
+        yield from paths.joint_checks(machine, motion, limits)
+        yield from paths.home_checks(motion, limits)
+        yield from paths.tool_checks(Ts_planned, motion, limits)
+        yield from paths.grasp_checks(part, path, placed.Ts_tool, paths.holds_of(motion), limits)
+        yield paths.reach_check(part, self.task.verb, motion, Ts_planned, limits)
+        Ts_way, where = self._way(placed.Ts_part, path)
+        yield self._part_check(Ts_way, where)
+        yield self._base_check(placed.Ts_base, Ts_way, where)
+        yield self._arm_check(placed.Ts_arm, placed.Ts_part, path)
+        yield self._self_check(placed.Ts_base, placed.Ts_arm, path)
+        yield _above_floor(self._arm, placed.Ts_arm, path, limits)
+        yield from self._on_floor(placed.Ts_base)
 
     def _way(
         self, Ts_part: Float[np.ndarray, "s p 4 4"], path: paths.DensePath
@@ -191,11 +218,10 @@ class PlanVerifier:
         found = _Overlaps(self.limits.penetration)
         found.add(
             self._base, Ts_base, fixed, fixed.Ts_body_shape[None],
-            all_pairs(len(self._base), len(fixed)), lambda _: "any state",
+            self._base_fixed, lambda _: "any state",
         )  # fmt: skip
         found.add(
-            part.shapes, Ts_way, self._base, Ts_base,
-            all_pairs(len(part.shapes), len(self._base)), where, swapped=True,
+            part.shapes, Ts_way, self._base, Ts_base, self._part_base, where, swapped=True,
         )  # fmt: skip
         return found.check("base in the scene")
 
@@ -224,10 +250,10 @@ class PlanVerifier:
         found.add(arm, Ts_arm, arm, Ts_arm, machine.arm_arm_pairs, path.where)
         return found.check("robot in itself")
 
-    def _gripper_depth(
-        self, Ts_arm: Float[np.ndarray, "s a 4 4"], Ts_part: Float[np.ndarray, "s p 4 4"]
-    ) -> float:
-        depth, _ = deepest(self._arm, Ts_arm, self.part.shapes, Ts_part, self._gripper_part, 0.0)
+    def _gripper_depth(self, placed: _Placed) -> float:
+        depth, _ = deepest(
+            self._arm, placed.Ts_arm, self.part.shapes, placed.Ts_part, self._gripper_part, 0.0
+        )
         return float(depth.max(initial=0.0))
 
     def _on_floor(self, Ts_base: Float[np.ndarray, "1 b 4 4"]) -> Iterator[Check]:

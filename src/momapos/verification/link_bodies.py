@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from momapos.geometry.transforms import rotation_about
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.urdf import Joint
 from momapos.kinematics.urdf_records import Mimic
@@ -94,7 +93,7 @@ def body_poses(
         assert joint is not None
         value = np.atleast_1d(np.asarray(_value(joint, values, bodies), float))
         T = poses[bodies.parent[body]]
-        poses.append(T @ bodies.Ts_parent_joint[body] @ joint_motions(joint, value))
+        poses.append(T @ joint_motions(joint, value, bodies.Ts_parent_joint[body]))
     return np.stack([np.broadcast_to(T, (count, 4, 4)) for T in poses], axis=1)
 
 
@@ -116,12 +115,27 @@ def _leader(joint: Joint | None) -> str | None:
     return None if joint is None or joint.mimic is None else joint.mimic.joint
 
 
-def joint_motions(joint: Joint, values: Float[np.ndarray, " s"]) -> Float[np.ndarray, "s 4 4"]:
-    """Transforms of a joint's child in the joint's frame at values [rad] or [m]."""
-    T = np.zeros((len(values), 4, 4))
-    T[:] = np.eye(4)
+def joint_motions(
+    joint: Joint,
+    values: Float[np.ndarray, " s"],
+    T_parent_joint: Float[np.ndarray, "4 4"] | None = None,
+) -> Float[np.ndarray, "s 4 4"]:
+    """Poses of a joint's child at values [rad] or [m].
+
+    Args:
+        joint: The joint.
+        values: Its values.
+        T_parent_joint: The joint's frame in that of its parent; the poses are in the latter, in the
+            joint's frame by default.
+    """
+    T = np.tile(np.eye(4) if T_parent_joint is None else T_parent_joint, (len(values), 1, 1))
+    R, (x, y, z) = T[0, :3, :3].copy() if len(T) else np.eye(3), joint.axis
     if joint.kind == "prismatic":
-        T[:, :3, 3] = values[:, None] * joint.axis
-    else:
-        T[:, :3, :3] = rotation_about(joint.axis, values)
+        T[:, :3, 3] += values[:, None] * (R @ joint.axis)
+        return T
+    # Rodrigues: what is along the axis stays, what is across turns.
+    along = np.outer(joint.axis, joint.axis)
+    across = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    cosine, sine = np.cos(values)[:, None, None], np.sin(values)[:, None, None]
+    T[:, :3, :3] = R @ along + cosine * (R @ (np.eye(3) - along)) + sine * (R @ across)
     return T

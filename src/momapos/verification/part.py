@@ -35,7 +35,7 @@ class MovedPart:
     """Value that the task asks for."""
     T_world_joint: Float[np.ndarray, "4 4"]
     shapes: Shapes
-    """With their poses in the frame of the part."""
+    """With their poses in the frame of the part, which is their one body."""
 
     def poses(self, values: Float[np.ndarray, " s"]) -> Float[np.ndarray, "s 4 4"]:
         """World poses of the part at joint values."""
@@ -51,7 +51,7 @@ class MovedPart:
 
     def placed_at(self, Ts_world_part: Float[np.ndarray, "s 4 4"]) -> Float[np.ndarray, "s k 4 4"]:
         """World poses of the shapes from those of the part."""
-        return np.asarray(Ts_world_part[:, None] @ self.shapes.Ts_body_shape)
+        return self.shapes.placed(Ts_world_part[:, None])
 
     def distance(self, point: Float[np.ndarray, "3"]) -> float:
         """Distance of a point in the part's frame from its shapes [m]; negative inside."""
