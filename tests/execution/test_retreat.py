@@ -78,6 +78,26 @@ def test_a_hand_that_lost_its_hold_draws_back_goes_home_and_knows_where_the_door
     assert np.linalg.norm(came.learned.offset) < 0.03
 
 
+def test_a_hand_that_meets_something_on_its_way_home_goes_back_and_asks_for_another(
+    tmp_path: Path,
+) -> None:
+    toy, asked = gripping(tmp_path), []
+
+    def way_home(q: np.ndarray, _: Learned) -> np.ndarray:
+        asked.append(q)
+        home = toy.robot.home
+        if len(asked) == 1:  # past where it drew back from, into the door
+            ahead = q + 2.0 * (toy.motion.q[0] - q)
+            return np.linspace(q, ahead, 40)
+        aside = np.concatenate([home[:1], q[1:]])
+        return np.concatenate([np.linspace(q, aside, 40), np.linspace(aside, home, 40)])
+
+    came = attempt(toy.scene, toy.robot, BASE, toy.motion, toy.task, SLIPPERY, way_home=way_home)
+    assert len(asked) == 2
+    assert np.abs(asked[1] - asked[0]).max() < 0.1
+    assert came.at_home
+
+
 def test_another_try_begins_where_the_one_before_left_the_part(tmp_path: Path) -> None:
     came, _, _ = slipped(tmp_path / "first")
     toy = gripping(tmp_path / "then")
