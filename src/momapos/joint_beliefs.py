@@ -13,6 +13,7 @@ from momapos.errors import TaskError
 from momapos.execution.config import ComplianceConfig
 from momapos.execution.joint_estimate import Axis, JointEstimate
 from momapos.execution.record import RunRecord
+from momapos.execution.true_world import DRAWN, WIDE_OPEN
 from momapos.geometry.transforms import apply
 from momapos.kinematics.opening import opening_of
 from momapos.placement_result import PlacementResult
@@ -29,8 +30,6 @@ HAND_ERROR = 0.01
 """A hand strays so far on the part that it pulls, where it does not find its joint [m]."""
 DOUBT = float(np.log(5.0))
 """The hand lets go where another way to move is so many times likelier, as a logarithm [-]."""
-WIDE_OPEN = np.pi / 2
-"""A part that turns out to be hinged is opened so far at most [rad]."""
 PROBABLE = 0.01
 """A less probable way to move is not planned for, where the likelier ones have no plan [-]."""
 
@@ -161,11 +160,12 @@ def joint_beliefs(scene: Scene, task: Task) -> tuple[JointBelief, ...]:
     opening = opening_of(item.model, task.joint)
     if len(ways) < 2 or item.values()[task.joint] != opening.closed:
         return ()
-    whole, asked = abs(opening.wide - opening.closed), abs(task.to - opening.closed)
+    asked = abs(task.to - opening.closed)
+    first = min(abs(opening.wide - opening.closed), _wide(ways[0]))
     beliefs = [JointBelief(scene, task, ways[0], _log(ways[0].probability))]
     for index, way in enumerate(ways[1:], start=1):
         same = (way.kind == "drawer") == (ways[0].kind == "drawer")
-        to = asked if same else asked / whole * min(way.upper, WIDE_OPEN)
+        to = asked if same else min(asked / first, 1.0) * _wide(way)
         beliefs.append(
             JointBelief(
                 scene_taking(scene, task.object, task.joint, index),
@@ -247,6 +247,11 @@ def save_learned(record: RunRecord, scene: Scene, out: Path) -> Scene | None:
     found = np.array(done.joint.direction), np.array(done.joint.point)
     way = way_about(item, task.joint, *found, moved)
     return save_moving_as(scene, task.object, task.joint, way, moved, out)
+
+
+def _wide(way: Hypothesis) -> float:
+    """Where a part that moves in a way is wide open [rad] or [m]."""
+    return min(way.upper, DRAWN if way.kind == "drawer" else WIDE_OPEN)
 
 
 def _log(share: float) -> float:
