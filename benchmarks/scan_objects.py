@@ -2,7 +2,7 @@
 
     python benchmarks/scan_objects.py [--half tuned|measured] [--robot segway_ur5e] [--frames 60]
                                       [--folder bench_out/scan_objects] [--no-answers] [--anew]
-                                      [--together 1]
+                                      [--together 1] [--misled 1]
 
 Every object of `objects.py` stands alone in its small room, or, with --together 10, ten of one half
 in a kitchen. The room is scanned, the scan is made
@@ -11,6 +11,9 @@ the rectangles seen from before it 0.5), how it moves, where its axis and its ha
 opened: planned in the scene made, checked exactly in the room with a margin of 2 cm, and executed
 by contact with noise in the room as it truly is (`run_plan(..., world=)`). Only what can be planned
 in the room itself counts. What is done is kept in the folder and not done again.
+
+With --misled N the robot is led to believe, as firmly as it believed what is right, that the part
+moves in the Nth likely of the other ways: only parts count whose kind and side are right before.
 """
 
 from __future__ import annotations
@@ -42,6 +45,7 @@ from momapos.scan_io.scan import read_scan
 from momapos.scan_pipeline import default_tools, scan_to_scene
 from momapos.scan_records import Tools
 from momapos.scene.files import load_scene
+from momapos.scene.other_motion import scene_moving_as
 from momapos.scene.scene import Scene
 from momapos.synthetic_scans.depth_sensor import DepthSensor
 from momapos.synthetic_scans.recording import synthetic_scan, write_scan
@@ -115,6 +119,23 @@ def opened_share(truth: Scene, true: tuple[str, str], plan: PlacementPlan) -> fl
     return abs(float(plan.motion.object_q[-1] - plan.motion.object_q[0])) / way
 
 
+def misled(scene: Scene, name: str, joint: str, index: int) -> Scene:
+    """A scene in which a part is believed to move in another way, which changes places with the
+    likeliest one.
+
+    Raises:
+        SceneError: That way does not fit the object.
+    """
+    ways = list(scene.object(name).hypotheses[joint])
+    first, other = ways[0], ways[index]
+    ways[index] = replace(first, probability=other.probability)
+    ways[0] = replace(other, probability=first.probability)
+    taken = scene_moving_as(scene, name, joint, ways[0])
+    item = taken.object(name)
+    led = replace(item, hypotheses={**item.hypotheses, joint: tuple(ways)})
+    return replace(taken, objects=tuple(led if o is item else o for o in taken.objects))
+
+
 def places(half: str | None, together: int) -> Iterator[Place]:
     """The rooms of the objects of either half: each in its own, or so many to a kitchen."""
     alone = [
@@ -142,7 +163,9 @@ def scan_of(place: Place, folder: Path, frames: int) -> Path:
     return home
 
 
-def measure(place: Place, home: Path, tools: Tools, robot: Robot | None, reach: Any) -> list[Row]:
+def measure(
+    place: Place, home: Path, tools: Tools, robot: Robot | None, reach: Any, wrong: int
+) -> list[Row]:
     """Everything about the objects of a room; only what was seen where there is no robot."""
     truth = place.scene
     try:
@@ -162,7 +185,15 @@ def measure(place: Place, home: Path, tools: Tools, robot: Robot | None, reach: 
     ]
     if robot is None:
         return rows
-    return [opened(row, truth, scanned, result.T_scene_scan, robot, reach) for row in rows]
+    if not wrong:
+        return [opened(row, truth, scanned, result.T_scene_scan, robot, reach) for row in rows]
+    made = []
+    for row in filter(lambda row: row.side, rows):
+        name, _, joint = row.match.partition("/")
+        if len(scanned.object(name).hypotheses[joint]) > wrong:
+            taken = misled(scanned, name, joint, wrong)
+            made.append(opened(row, truth, taken, result.T_scene_scan, robot, reach))
+    return made
 
 
 def main() -> None:
@@ -176,7 +207,10 @@ def main() -> None:
     parser.add_argument("--no-answers", action="store_true", help="only what is seen")
     parser.add_argument("--anew", action="store_true", help="do again what was done")
     parser.add_argument("--only", help="only rooms with this in their name")
+    parser.add_argument("--misled", type=int, default=0, help="believe the Nth of the other ways")
     args = parser.parse_args()
+    if args.misled and args.no_answers:
+        parser.error("--misled is about what is opened; leave out --no-answers")
     if args.together < 1:
         parser.error(f"--together must be 1 or more, not {args.together}")
     tools, robot, reach = default_tools(), None, None
@@ -188,9 +222,10 @@ def main() -> None:
         if args.only is not None and args.only not in place.name:
             continue
         home = scan_of(place, args.folder, args.frames)
-        file = home / ("seen.json" if args.no_answers else "answers.json")
+        name = "seen" if args.no_answers else f"misled_{args.misled}" if args.misled else "answers"
+        file = home / f"{name}.json"
         if args.anew or not file.exists():
-            made = measure(place, home, tools, robot, reach)
+            made = measure(place, home, tools, robot, reach, args.misled)
             file.write_text(json.dumps([asdict(row) for row in made], indent=1) + "\n")
         found = [
             Row(**{**row, "handle": tuple(row["handle"])}) for row in json.loads(file.read_text())

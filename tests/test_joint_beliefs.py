@@ -118,7 +118,33 @@ def test_a_part_that_does_not_yield_is_taken_for_the_next_likely_kind(guessed: S
     for _ in range(3):
         beliefs.fail(held)
         tried.append(beliefs.kind)
-    assert tried == ["door_right", "door_left", "drawer", "door_right"]
+    assert tried == ["door_right", "door_left", "drawer", "door_down"]
+
+
+def test_a_hand_that_does_not_find_the_part_again_learns_no_way_but_doubts(guessed: Scene) -> None:
+    beliefs = beliefs_of(guessed)
+    assert not beliefs.moved
+    before = beliefs.beliefs
+    other = beliefs.fail(())
+    assert other is not None
+    assert other.way.kind == "door_left"
+    assert [b.moved for b in beliefs.beliefs] == [b.moved for b in before]
+    beliefs.fail([np.array([1.22 - 0.01 * k, 0.1, 0.8]) for k in range(10)])
+    assert beliefs.moved
+
+
+def test_the_ways_are_ranked_by_what_the_hand_did_and_the_one_tried_is_marked(
+    guessed: Scene,
+) -> None:
+    beliefs = beliefs_of(guessed)
+    pulled = [np.array([1.22 - 0.01 * k, 0.1, 0.8]) for k in range(25)]
+    ranked = beliefs.ranked(pulled)
+    assert len(ranked) == len(ALL)
+    assert ranked.count(None) == 1
+    assert ranked[0] is not None
+    assert ranked[0].way.kind == "drawer"
+    weights = [belief.log_weight for belief in ranked if belief is not None]
+    assert weights == sorted(weights, reverse=True)
 
 
 def test_a_way_that_is_given_up_is_not_tried_again(guessed: Scene) -> None:
@@ -132,7 +158,7 @@ def test_a_way_that_is_given_up_is_not_tried_again(guessed: Scene) -> None:
 
 
 def test_an_improbable_way_is_not_tried_where_the_others_are_given_up(tmp_path: Path) -> None:
-    beliefs = beliefs_of(room(tmp_path / "sure", (("door_right", 0.97), ("drawer", 0.03))))
+    beliefs = beliefs_of(room(tmp_path / "sure", (("door_right", 0.995), ("drawer", 0.005))))
     assert beliefs.give_up() is None
     assert beliefs.kind == "door_right"
 
@@ -142,7 +168,7 @@ def test_where_the_scene_knows_how_a_part_moves_nothing_else_is_tried(tmp_path: 
     way = [np.array([1.22 - 0.01 * k, 0.001 * k, 0.8]) for k in range(20)]
     assert beliefs.kind == ""
     assert not beliefs.speaks_against(way)
-    assert beliefs.likelier(way) is None
+    assert beliefs.ranked(way) == [None]
     assert beliefs.fail(way) is None
     assert beliefs.give_up() is None
 

@@ -13,6 +13,7 @@ from momapos.errors import TaskError
 from momapos.execution.config import ComplianceConfig
 from momapos.execution.joint_estimate import Axis, JointEstimate
 from momapos.execution.record import RunRecord
+from momapos.execution.true_world import DRAWN, WIDE_OPEN
 from momapos.geometry.transforms import apply
 from momapos.kinematics.opening import opening_of
 from momapos.placement_result import PlacementResult
@@ -23,15 +24,13 @@ from momapos.types import Hypothesis, Task
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-FAILS = 0.15
+FAILS = 0.05
 """Share of the motions that fail although the joint is as believed [-]."""
 HAND_ERROR = 0.01
 """A hand strays so far on the part that it pulls, where it does not find its joint [m]."""
-DOUBT = float(np.log(20.0))
+DOUBT = float(np.log(5.0))
 """The hand lets go where another way to move is so many times likelier, as a logarithm [-]."""
-WIDE_OPEN = np.pi / 2
-"""A part that turns out to be hinged is opened so far at most [rad]."""
-PROBABLE = 0.05
+PROBABLE = 0.01
 """A less probable way to move is not planned for, where the likelier ones have no plan [-]."""
 
 Ask: TypeAlias = "Callable[[Scene, Task], Sequence[PlacementResult]]"
@@ -84,6 +83,11 @@ class JointBeliefs:
         """As what kind of part the part is taken; "" where the scene knows how it moves."""
         return self.beliefs[self.tried].way.kind if self.beliefs else ""
 
+    @property
+    def moved(self) -> bool:
+        """Whether the hand has moved the part, so that it is elsewhere for each way to move."""
+        return any(belief.moved > 0.0 for belief in self.beliefs)
+
     def speaks_against(self, hand_way: Sequence[Float[np.ndarray, "3"]]) -> bool:
         """Whether the way of a hand that holds the part [m] makes another one much likelier."""
         if not self.beliefs:
@@ -91,21 +95,23 @@ class JointBeliefs:
         weights = [belief.log_weight for belief in self._pulled(hand_way)]
         return max(weights) - weights[self.tried] > DOUBT
 
-    def likelier(self, hand_way: Sequence[Float[np.ndarray, "3"]]) -> JointBelief | None:
-        """The one that is the likeliest after the hand went a way [m]; None where it is tried."""
+    def ranked(self, hand_way: Sequence[Float[np.ndarray, "3"]]) -> list[JointBelief | None]:
+        """All of them after the hand went a way [m], the likeliest first; None is what is tried."""
         found = self._pulled(hand_way)
-        best = _likeliest(found)
-        return None if not found or best == self.tried else found[best]
+        order = np.argsort([-belief.log_weight for belief in found], kind="stable")
+        return [None if k == self.tried else found[k] for k in order] or [None]
 
     def fail(self, hand_way: Sequence[Float[np.ndarray, "3"]]) -> JointBelief | None:
         """Take in that a motion failed after the hand had pulled the part along a way [m].
+
+        The way is empty where the hand did not come to pull it.
 
         Returns:
             The one to try next; None where it is the one that was tried.
         """
         if not self.beliefs:
             return None
-        found = list(self._pulled(hand_way))
+        found = list(self._pulled(hand_way) if hand_way else self.beliefs)
         tried = found[self.tried]
         found[self.tried] = replace(tried, log_weight=tried.log_weight + float(np.log(FAILS)))
         self.beliefs, before = tuple(found), self.tried
@@ -154,11 +160,12 @@ def joint_beliefs(scene: Scene, task: Task) -> tuple[JointBelief, ...]:
     opening = opening_of(item.model, task.joint)
     if len(ways) < 2 or item.values()[task.joint] != opening.closed:
         return ()
-    whole, asked = abs(opening.wide - opening.closed), abs(task.to - opening.closed)
+    asked = abs(task.to - opening.closed)
+    first = min(abs(opening.wide - opening.closed), _wide(ways[0]))
     beliefs = [JointBelief(scene, task, ways[0], _log(ways[0].probability))]
     for index, way in enumerate(ways[1:], start=1):
         same = (way.kind == "drawer") == (ways[0].kind == "drawer")
-        to = asked if same else asked / whole * min(way.upper, WIDE_OPEN)
+        to = asked if same else min(asked / first, 1.0) * _wide(way)
         beliefs.append(
             JointBelief(
                 scene_taking(scene, task.object, task.joint, index),
@@ -240,6 +247,11 @@ def save_learned(record: RunRecord, scene: Scene, out: Path) -> Scene | None:
     found = np.array(done.joint.direction), np.array(done.joint.point)
     way = way_about(item, task.joint, *found, moved)
     return save_moving_as(scene, task.object, task.joint, way, moved, out)
+
+
+def _wide(way: Hypothesis) -> float:
+    """Where a part that moves in a way is wide open [rad] or [m]."""
+    return min(way.upper, DRAWN if way.kind == "drawer" else WIDE_OPEN)
 
 
 def _log(share: float) -> float:

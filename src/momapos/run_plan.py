@@ -44,6 +44,8 @@ DRIVING = DriveConfig()
 QUIET = NoiseConfig(position=0.0, heading=0.0, odometry=0.0)
 """Sensors without errors."""
 STAGES = ("drive", "plan", "execute")
+TRIES = 3
+"""Motions that are executed at most, where the scene knows how the part moves [-]."""
 
 
 def run_plan(
@@ -55,7 +57,7 @@ def run_plan(
     start: Float[np.ndarray, "3"] | None = None,
     world: Scene | None = None,
     attempts: int = 3,
-    tries: int = 3,
+    tries: int | None = None,
     config: PipelineConfig = DEFAULT,
     driving: DriveConfig = DRIVING,
     physics: ExecutionConfig = PHYSICS,
@@ -80,7 +82,8 @@ def run_plan(
             the one that is the most probable after what the hand has felt.
         attempts: Base poses that are driven to for one motion at most [-].
         tries: Motions that are executed at most, one after the other, each after one that failed
-            and after which the arm came home [-].
+            and after which the arm came home [-]; by default three, and one more for each further
+            way in which the part may move.
         config: How to plan anew.
         driving: How the base drives, and how wrong its sensors are.
         physics: How to model and judge.
@@ -127,12 +130,13 @@ def run_plan(
             () if world is None else joint_beliefs(scene, plan.task), physics.compliance
         ),
     )  # fmt: skip
+    most = tries or TRIES + max(len(trip.beliefs.beliefs) - 1, 0)
     here, motion = trip.go(begin, plan, attempts)
     executions: list[Execution] = []
     kinds: list[str] = []
     again: Again | None = None
     while motion is not None:
-        last = len(executions) + 1 >= tries
+        last = len(executions) + 1 >= most
         try:
             with stopwatch.stage("execute"):
                 outcome = attempt(

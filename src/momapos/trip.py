@@ -111,8 +111,9 @@ class Trip:
         Returns:
             Whether the part is still taken for the same kind.
         """
-        if outcome.learned is not None:
-            other = self.beliefs.fail(outcome.learned.way)
+        # A hand that does not find a part again that it has moved is led by a wrong belief, too.
+        if outcome.learned is not None or self.beliefs.moved:
+            other = self.beliefs.fail(() if outcome.learned is None else outcome.learned.way)
             if other is not None:
                 self._switch(other)
                 return False
@@ -220,14 +221,21 @@ class Trip:
         return None
 
     def way_home(self, base: Float[np.ndarray, "3"]) -> WayHome:
-        """Plans the arm's way home at a base pose, with the part where the hand left it."""
+        """Plans the arm's way home at a base pose, with the part where the hand left it.
+
+        Asked again, it has the part where the next likely way to move has left it.
+        """
+        asked = 0
 
         def plan(q: Float[np.ndarray, " n"], learned: Learned) -> Float[np.ndarray, "k n"] | None:
-            task = self.plan.task
+            nonlocal asked
+            ways, task = self.beliefs.ranked(learned.way)[asked:], self.plan.task
+            asked += 1
+            if not ways:
+                return None
             scene = believed_scene(self.scene, task, learned.value, learned.offset)
-            other = self.beliefs.likelier(learned.way)
-            if other is not None:
-                scene, task = other.as_left()
+            if ways[0] is not None:
+                scene, task = ways[0].as_left()
             return arm_way_home(
                 scene, self.ground.robot, task, base, q, config=self.config, seed=self.plan.seed
             )

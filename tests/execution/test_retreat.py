@@ -14,7 +14,9 @@ from momapos.execution.config import ComplianceConfig, Ending, ExecutionConfig, 
 from momapos.execution.joint_estimate import Axis, JointEstimate, Learned
 from momapos.execution.run import Again, Outcome, attempt
 from momapos.execution.simulation import Simulation
+from momapos.execution.true_world import true_world
 from momapos.geometry.transforms import apply, rotation_of
+from momapos.scene.scene import Scene, SceneObject
 
 SLIPPERY = ExecutionConfig(gripper=GripConfig(friction=0.02))
 
@@ -76,6 +78,49 @@ def test_a_hand_that_lost_its_hold_draws_back_goes_home_and_knows_where_the_door
     assert came.learned is asked[0]
     assert came.learned.value == pytest.approx(true, abs=0.1)
     assert np.linalg.norm(came.learned.offset) < 0.03
+
+
+def test_a_hand_that_meets_something_on_its_way_home_goes_back_and_asks_for_another(
+    tmp_path: Path,
+) -> None:
+    toy, asked = gripping(tmp_path), []
+
+    def way_home(q: np.ndarray, _: Learned) -> np.ndarray:
+        asked.append(q)
+        home = toy.robot.home
+        if len(asked) == 1:  # past where it drew back from, into the door
+            ahead = q + 2.0 * (toy.motion.q[0] - q)
+            return np.linspace(q, ahead, 40)
+        aside = np.concatenate([home[:1], q[1:]])
+        return np.concatenate([np.linspace(q, aside, 40), np.linspace(aside, home, 40)])
+
+    came = attempt(toy.scene, toy.robot, BASE, toy.motion, toy.task, SLIPPERY, way_home=way_home)
+    assert len(asked) == 2
+    assert np.abs(asked[1] - asked[0]).max() < 0.1
+    assert came.at_home
+
+
+def test_a_hand_that_feels_too_much_opens_under_its_load_and_goes_home(tmp_path: Path) -> None:
+    toy, asked = gripping(tmp_path), []
+    file = tmp_path / "stuck.urdf"
+    file.write_text(cupboard_urdf().replace('upper="1.2"', 'upper="0.1"'))
+    stuck = Scene("stuck", (SceneObject.from_urdf("chest", file, (0.4, 0.0, 0.8)),))
+    world = true_world(stuck, toy.scene, toy.task, toy.motion.Ts_world_tool[0, :3, 3])
+    strong = ExecutionConfig(gripper=GripConfig(friction=5.0))
+
+    def way_home(q: np.ndarray, _: Learned) -> np.ndarray:
+        asked.append(q)
+        home = toy.robot.home
+        aside = np.concatenate([home[:1], q[1:]])
+        return np.concatenate([np.linspace(q, aside, 40), np.linspace(aside, home, 40)])
+
+    came = attempt(
+        toy.scene, toy.robot, BASE, toy.motion, toy.task, strong,
+        true_world=world, way_home=way_home,
+    )  # fmt: skip
+    assert came.ending == Ending.TOO_HARD
+    assert came.at_home
+    assert asked
 
 
 def test_another_try_begins_where_the_one_before_left_the_part(tmp_path: Path) -> None:

@@ -100,11 +100,14 @@ def test_a_room_moved_there_and_back_is_as_it_was(tmp_path: Path) -> None:
     np.testing.assert_allclose(back.floor_polygon, room.floor_polygon, atol=1e-9)
 
 
-def test_a_drawer_for_a_door_opens_as_large_a_share_of_its_way(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("travel", "wide"), [(0.2, 0.2), (0.3, 0.3), (0.5, 0.3)])
+def test_a_drawer_for_a_door_opens_as_large_a_share_of_its_way_or_of_30_cm(
+    tmp_path: Path, travel: float, wide: float
+) -> None:
     toy = gripping(tmp_path)
     text = cupboard_urdf().replace('type="revolute"', 'type="prismatic"')
     text = text.replace('axis xyz="0 0 1"', 'axis xyz="-1 0 0"').replace(
-        'upper="1.2"', 'upper="0.3"'
+        'upper="1.2"', f'upper="{travel}"'
     )
     world = true_world(really(tmp_path, text), toy.scene, toy.task, HANDLE)
-    assert world.task.to == pytest.approx(0.3 * OPEN / 1.2)
+    assert world.task.to == pytest.approx(wide * OPEN / 1.2)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from momapos.reconstruction import decode
-from momapos.types import FaceImage
+from momapos.types import FaceImage, Part, PartKind
 
 
 @pytest.fixture
@@ -57,3 +59,16 @@ def test_a_face_without_height_map_has_none(wood: np.ndarray) -> None:
     assert stack.shape == (200, 300, 7)
     assert np.isfinite(stack).all()
     assert not stack[..., 3:5].any()
+
+
+@pytest.mark.parametrize("kind", decode.KINDS)
+def test_a_part_that_is_doubted_may_open_in_every_way_and_most_likely_in_the_same(
+    kind: PartKind,
+) -> None:
+    sure = Part(kind, (0.0, 0.0, 1.0, 1.0), 0.9, None, ((kind, 1.0),))
+    odds = decode.doubted(sure).odds
+    assert {name for name, _ in odds} == set(decode.KINDS)
+    assert sum(share for _, share in odds) == pytest.approx(1.0)
+    assert odds[0][0] == kind
+    assert min(share for _, share in odds) == pytest.approx(decode.DOUBT / len(decode.KINDS))
+    assert decode.doubted(replace(sure, odds=())).odds == ()

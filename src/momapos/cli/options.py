@@ -18,6 +18,7 @@ from momapos.errors import InputError
 OptionalPath = Optional[Path]  # noqa: UP045
 OptionalText = Optional[str]  # noqa: UP045
 OptionalNumber = Optional[float]  # noqa: UP045
+OptionalCount = Optional[int]  # noqa: UP045
 Target = Annotated[str, arg(metavar="OBJECT[/JOINT]")]
 Thing = Annotated[str, arg(metavar="OBJECT")]
 PoseArg = Annotated[OptionalText, arg(metavar="X,Y,YAW")]

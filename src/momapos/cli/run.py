@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 
 from tyro.conf import Positional
 
-from momapos.cli.options import OptionalPath, OptionalText, PoseArg, check_seed
+from momapos.cli.options import OptionalCount, OptionalPath, OptionalText, PoseArg, check_seed
 from momapos.cli.place import parse_pose
 from momapos.cli.plan_files import numbered, open_plans, plans_of
 from momapos.errors import InputError
@@ -35,7 +35,7 @@ def run(
     world_at: PoseArg = None,
     hold: Literal["contact", "weld"] = "contact",
     noise: bool = True,
-    tries: int = 3,
+    tries: OptionalCount = None,
     seed: int = 0,
     out: OptionalPath = None,
     out_scene: OptionalPath = None,
@@ -67,7 +67,8 @@ def run(
             the grasp, as for a robot without fingers.
         noise: Let the base believe to be where noisy sensors say, and draw how heavily the
             furniture moves; without it, both are as modeled.
-        tries: Motions that are executed at most, each after one that failed.
+        tries: Motions that are executed at most, each after one that failed; by default 3, and in a
+            --world one more for each further hypothesis of how the part moves.
         seed: Same seed, same run.
         out: Write the record here (JSON).
         out_scene: Write the scene here, a new file, with the joint of the part as the arm has found
@@ -93,7 +94,7 @@ def run(
         from momapos.execution.film_files import check_film
 
         check_film(record)
-    if tries < 1:
+    if tries is not None and tries < 1:
         raise InputError(f"--tries {tries}: at least one motion must be tried")
     from json import dumps
 

@@ -25,7 +25,9 @@ if TYPE_CHECKING:
 
 WayHome: TypeAlias = "Callable[[Float[np.ndarray, ' n'], Learned], Float[np.ndarray, 'k n'] | None]"
 """Plans the arm's states from one back to home, with the part where it was left; None where it
-finds no way."""
+finds no way. Asked again where something was in that way, it has the part elsewhere."""
+_WAYS = 3
+"""Ways home that are tried at most [-]."""
 _MORE = 1.2
 """On its way back the arm stops where it bears so many times more than when it let go [-]."""
 _ARRIVED = 0.05
@@ -39,23 +41,39 @@ def retreat(run: ExecutionRun, robot: Robot, way: PacedTrajectory, way_home: Way
     part, against its approach, and asks for a way.
     """
     run.arm.stop()
-    run.bearable = np.inf
+    run.bearable, run.opening = np.inf, True
     if _let_go(run) is not None:
         return False
+    run.opening = False
     run.bearable = max(1.0, _MORE * run.arm.load)
     run.aside, run.ahead = 0.0, np.zeros(3)
     if run.learned is None:
         return go_back(run, way) is None and _at_home(run, robot)
     if _draw_back(run, run.learned.value) is not None:
         return False
-    path = way_home(run.world.data.qpos[run.world.arm_q].copy(), run.learned)
-    if path is None:
-        return False
+    for _ in range(_WAYS):
+        path = way_home(run.world.data.qpos[run.world.arm_q].copy(), run.learned)
+        if path is None:
+            return False
+        home = _timed(run, robot, path)
+        if _goes_home(run, home):
+            return _at_home(run, robot)
+        if go_back(run, home) is not None:
+            return False
+    return False
+
+
+def _timed(run: ExecutionRun, robot: Robot, path: Float[np.ndarray, "k n"]) -> PacedTrajectory:
+    """A way home, slow where the arm is near what the robot knows of the room."""
     tool = np.array([run.arm.kinematics.at(q)[0] for q in path])
     back = Motion(path, path[-1:], np.zeros(1), tool[-1:])
     plan, _ = time_motion(robot, back, run.config.speed, run.step)
     known = run.surroundings.known
-    home = paced(plan, path, tool[:, :3, 3], known, run.config, careful=True)
+    return paced(plan, path, tool[:, :3, 3], known, run.config, careful=True)
+
+
+def _goes_home(run: ExecutionRun, home: PacedTrajectory) -> bool:
+    """Bring the arm along a way; whether nothing was in it."""
     run.passed = 0.0
     while run.passed < home.last:
         pace = float(home.pace[round(run.passed)])
@@ -66,7 +84,7 @@ def retreat(run: ExecutionRun, robot: Robot, way: PacedTrajectory, way_home: Way
             run.arm.stop()
             return False
         run.passed += pace
-    return _at_home(run, robot)
+    return True
 
 
 def _let_go(run: ExecutionRun) -> Ending | None:

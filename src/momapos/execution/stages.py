@@ -110,6 +110,8 @@ class ExecutionRun:
         how often it has tried anew [-]."""
         self.bearable = 1.0
         """Share of what its joints may bear by what is in the way, at which the arm stops [-]."""
+        self.opening = False
+        """Whether the hand lets go of what strains it."""
         self.learned: Learned | None = None
         """None where the hand has not moved the part."""
         self.ahead = np.zeros(3)
@@ -202,7 +204,7 @@ class ExecutionRun:
                 return Ending.BROKE
             return None
         force, torque = (float(np.linalg.norm(v)) for v in np.split(self.arm.wrench, 2))
-        hard = force > most.force or torque > most.torque
+        hard = not self.opening and (force > most.force or torque > most.torque)
         blocked = self.arm.load > self.bearable
         self.strained = self.strained + 1 if hard or blocked else 0
         if self.strained < LASTING:

@@ -19,7 +19,9 @@ if TYPE_CHECKING:
 AT_HAND = 0.3
 """The part that a hand closes on is no farther from it [m]."""
 WIDE_OPEN = np.pi / 2
-"""A hinged part is wide open there [rad]; no drawer is so long."""
+"""A hinged part is wide open there [rad]."""
+DRAWN = 0.3
+"""And a drawer there: how far it slides is not to be seen from before it [m]."""
 KNOB = 0.1
 """What is nowhere larger than this is a knob or a button [m]."""
 
@@ -37,7 +39,7 @@ class TrueWorld:
     ) -> Float[np.ndarray, " m"]:
         """Values of this world's joint where another one has opened by so much [rad] or [m].
 
-        Where one is hinged and the other slides, as large a share of its way.
+        Where one is hinged and the other slides, as large a share of what is wide open.
 
         Args:
             believed: Values of the joint that the robot believes to move.
@@ -50,14 +52,16 @@ class TrueWorld:
         other = scene.object(task.object).model
         theirs, joint = opening_of(other, task.joint), item.model.joint(self.task.joint)
         slides = [j.kind == "prismatic" for j in (joint, other.joint(task.joint))]
-        ratio = 1.0 if slides[0] == slides[1] else _way(ours) / _way(theirs)
-        values = ours.closed + ours.sign * theirs.sign * ratio * (believed - theirs.closed)
+        moved = theirs.sign * (believed - theirs.closed)
+        if slides[0] != slides[1]:
+            moved = np.clip(moved / _way(theirs, slides[1]), 0.0, 1.0) * _way(ours, slides[0])
+        values = ours.closed + ours.sign * moved
         return np.clip(values, joint.lower, joint.upper)
 
 
-def _way(opening: Opening) -> float:
-    """How far a part opens, a quarter turn at most [rad] or [m]."""
-    return min(abs(opening.wide - opening.closed), WIDE_OPEN)
+def _way(opening: Opening, slides: bool) -> float:
+    """How far a part opens until it is wide open [rad] or [m]."""
+    return min(abs(opening.wide - opening.closed), DRAWN if slides else WIDE_OPEN)
 
 
 def true_world(there: Scene, scene: Scene, task: Task, hand: Float[np.ndarray, "3"]) -> TrueWorld:

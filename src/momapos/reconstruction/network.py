@@ -124,7 +124,8 @@ class FrontNetwork:
         upright, level = stack[..., decode.UPRIGHT], stack[..., decode.LEVEL]
         drawers = [one for part in parts for one in into_drawers(face, part, level)]
         divided = by_bars(face, drawers, upright, level)
-        return opening_alike(face, [with_bar(face, part) for part in divided])
+        alike = opening_alike(face, [with_bar(face, part) for part in divided])
+        return tuple(decode.doubted(part) for part in alike)
 
 
 def _look_at_face(face: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
