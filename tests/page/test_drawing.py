@@ -24,7 +24,7 @@ from momapos.page.layers import box_edges
 from momapos.page.page import Page
 from momapos.page.panel import POINTS
 from momapos.page.saving import FILMS, render, send_film
-from momapos.page.scan_view import ROOM, boxes_of, thing_colors
+from momapos.page.scan_view import ROOM, SIZE, boxes_of, thing_colors
 from momapos.page.serve import served
 from momapos.scan_records import Decision, Modeled
 from momapos.types import Cloud, Detection, UprightBox
@@ -147,13 +147,19 @@ def test_points_of_a_scan_are_sent_once_and_only_as_many_as_are_asked_for(page: 
     modeled = Modeled(Path("x.json"), cloud, (), np.eye(4),
                       (Decision(thing, None, None, (), None, ""),))  # fmt: skip
     scan, few = page.scan, next(most for most in POINTS.values() if most is not None)
+
+    def sizes() -> set[float]:
+        return {part.point_size for part in scan._parts.values()}
+
     scan.show(modeled)
     assert page.panel.scan_folder.visible
     assert scan.sent == few
     assert page.panel.points_shown.content == "50,000 of 150,000 points are drawn."
+    assert sizes() == {SIZE * float(np.sqrt(3.0))}  # they cover as much as all do
     page.panel.points.value = "all"
     scan.changed()
     assert scan.sent == count
+    assert sizes() == {SIZE}
     page.panel.points.value = next(iter(POINTS))
     scan.changed()
     page.panel.points.value = "all"

@@ -29,8 +29,8 @@ ROOM = "#c9ced3"
 """Of points that are in no thing."""
 NAME = 0.08
 """Height of the letters of a name [m]."""
-SIZE = 0.012
-"""Edge of a point [m]."""
+SIZE, LARGEST = 0.012, 0.024
+"""Edge of a point where all are shown; and at most, where fewer are to cover as much [m]."""
 
 
 class ScanView:
@@ -76,7 +76,11 @@ class ScanView:
                     part.visible = wanted and other == coloring
             if wanted and (coloring, level) not in self._parts:
                 self._parts[coloring, level] = self._draw(coloring, level, begin, end)
-        shown = 0 if coloring == "none" else min(count, most or count)
+        shown = min(count, most or count)
+        for part in self._parts.values():
+            part.point_size = min(SIZE * float(np.sqrt(count / max(shown, 1))), LARGEST)
+        if coloring == "none":
+            shown = 0
         self._panel.points_shown.content = f"{shown:,} of {count:,} points are drawn."
         for node in self._boxes:
             node.visible = bool(self._panel.boxes.value)
