@@ -93,7 +93,7 @@ def test_around_what_the_base_alone_refuses_the_motion_is_not_found() -> None:
         (["--robust", "5cm"], "write it as 0.05m,3deg"),
         (["--robust", "3deg,5cm"], "--robust: length"),
         (["--robust=-5cm,3deg"], "from 0 up"),
-        (["--robust", "5cm,3deg", "--at", "1,-1,0"], "--tolerance instead"),
+        (["--robust", "5cm,3deg", "--at", "1,-1,0"], "leave --robust out"),
     ],
 )
 def test_what_is_no_room_is_one_line(
