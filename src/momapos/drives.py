@@ -12,7 +12,6 @@ from momapos.errors import SceneError
 from momapos.navigation.clearance import gaps
 from momapos.navigation.footprint_map import NavigationMap, with_object_moved
 from momapos.navigation.global_path import BasePath, direct_path, plan_path
-from momapos.navigation.start import ROOM
 from momapos.outcomes import PoseOutcome, PoseStatus
 from momapos.placement.problem import AttemptPose
 from momapos.prepare import roomy_place
@@ -22,6 +21,9 @@ from momapos.types import ArmPathResult, Attempt
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
+
+_AWAY = 0.3
+"""A part that stays so far from where the robot came from leaves it there as free as it was [m]."""
 
 
 @dataclass(frozen=True)
@@ -75,14 +77,14 @@ class WaysOn:
         came, query = self.drives.path(base), self.drives.query
         assert came is not None
         room = gaps(came.poses, query.nav_map.prisms, query.outlines_after)
-        if room[0] >= ROOM and (room > 0.0).all():
+        if room[0] >= _AWAY and (room > 0.0).all():
             return True
         if room[-1] <= 0.0:
             return False
         with query.watch.stage("way"):
             if any(self._beside(base, free) for free in self._known[True]):
                 return True
-            goal = came.poses[0] if room[0] >= ROOM else self._roomy
+            goal = came.poses[0] if room[0] >= _AWAY else self._roomy
             leads = goal is not None and plan_path(self._map_after, base, goal) is not None
         self._known[leads].append(base)
         return leads
