@@ -209,8 +209,9 @@ def _tool_in_base(T, base, R, p):
         R[0, k] = c * T[0, k] + s * T[1, k]
         R[1, k] = c * T[1, k] - s * T[0, k]
         R[2, k] = T[2, k]
-    x, y = T[0, 3] - base[0], T[1, 3] - base[1]
-    p[0], p[1], p[2] = c * x + s * y, c * y - s * x, T[2, 3]
+    p[0] = c * T[0, 3] + s * T[1, 3] - (c * base[0] + s * base[1])
+    p[1] = c * T[1, 3] - s * T[0, 3] - (c * base[1] - s * base[0])
+    p[2] = T[2, 3]
 
 
 @kernel
