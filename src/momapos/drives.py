@@ -25,6 +25,8 @@ from momapos.types import ArmPathResult, Attempt
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
+_AWAY = 0.3
+"""A part that stays so far from where the robot came from leaves it there as free as it was [m]."""
 _STEPS = np.arange(-3.0, 3.1, 0.4)
 _BESIDE = np.array(sorted(product(_STEPS, _STEPS), key=lambda xy: np.hypot(*xy)))
 """Where room is looked for around a start, the nearest first [m]."""
@@ -81,14 +83,14 @@ class WaysOn:
         came, query = self.drives.path(base), self.drives.query
         assert came is not None
         room = gaps(came.poses, query.nav_map.prisms, query.outlines_after)
-        if room[0] >= ROOM and (room > 0.0).all():
+        if room[0] >= _AWAY and (room > 0.0).all():
             return True
         if room[-1] <= 0.0:
             return False
         with query.watch.stage("way"):
             if any(self._beside(base, free) for free in self._known[True]):
                 return True
-            goal = came.poses[0] if room[0] >= ROOM else self._roomy
+            goal = came.poses[0] if room[0] >= _AWAY else self._roomy
             leads = goal is not None and plan_path(self._map_after, base, goal) is not None
         self._known[leads].append(base)
         return leads

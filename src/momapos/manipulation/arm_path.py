@@ -312,11 +312,11 @@ def follow(
     Returns:
         None where the arm does not come there within its limits and in small steps.
     """
-    chain = arm.chain
-    found = np.empty_like(states)
+    chain, near = arm.chain, np.ascontiguousarray(states)
+    found = np.empty_like(near)
     bad = _track(
-        np.ascontiguousarray(states), np.arange(len(states)), np.ascontiguousarray(targets),
-        arm_arrays(chain, arm.ik), joint_scale(chain), found,
+        near, np.arange(len(near)), np.ascontiguousarray(targets), arm_arrays(chain, arm.ik),
+        joint_scale(chain), found,
     )  # fmt: skip
     return found if bad < 0 else None
 
