@@ -327,6 +327,9 @@ def test_one_command_leads_from_a_scan_to_an_opened_door(
     stages = {k: v for k, v in record["timing"].items() if k != "total"}
     assert {"fuse", "boxes", "rows", "importance", "model", "place", "execute"} <= set(stages)
     assert sum(stages.values()) <= record["timing"]["total"] + 0.01
+    plan = json.loads((out / record["plan"]).read_text())
+    assert plan["tolerance"]["samples"] == 100
+    assert plan["tolerance"]["radius"] > 0.0
     assert main(["verify", str(out / record["plan"])]) == 0
     assert json.loads((out / record["run"]).read_text())["success"]
 
