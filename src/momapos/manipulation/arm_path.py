@@ -99,7 +99,7 @@ class _Graph:
     """Whether it is known what a configuration hits; added to."""
     banned: Bool[np.ndarray, " m"]
     """Those that are on no path; added to."""
-    first: Int[np.ndarray, " w+1"]
+    first: Int[np.ndarray, " w_plus_1"]
     """Where those of each waypoint begin, and where the last end."""
 
     @classmethod
