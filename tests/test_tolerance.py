@@ -247,3 +247,16 @@ def test_there_have_to_be_samples(answer: PlacementResult) -> None:
     assert answer.query is not None
     with pytest.raises(InputError, match="at least 1"):
         measured_tolerance(answer.query, base, motion, samples=0)
+
+
+@pytest.mark.parametrize("name", ["ranger_rm63", "fetch"])
+def test_the_motion_that_is_known_is_found_where_it_is(name: str) -> None:
+    """A hand holds what its spheres stick into: it is not they that are asked there."""
+    scene, robot = load_scene("kitchen_small"), load_robot(name)
+    answer = plan_base_placement(scene, robot, make_task(scene, "open", "microwave"))
+    base, motion = np.array(answer.plan.base_pose), answer.plan.motion
+    assert motion is not None
+    assert answer.query is not None
+    anew = FoundAnew.around(answer.query, base, motion)
+    assert anew.failure(base[None], "all") is None
+    assert anew.asked == 0

@@ -13,6 +13,7 @@ from momapos.kinematics.collision import FREE
 from momapos.kinematics.world import check
 from momapos.manipulation.carried import carried
 from momapos.manipulation.feasibility import with_payload
+from momapos.manipulation.hand_room import arm_spheres
 from momapos.manipulation.planner import BETWEEN
 from momapos.placement.area import BaseStatus, base_pose_status
 from momapos.query import PlacementQuery
@@ -115,7 +116,9 @@ class FoundAnew:
         )  # fmt: skip
         if (codes != FREE).any():
             return False
+        # The hand is held against what it holds by its boxes, and here by the exact check.
         codes = check(
-            prepared.world, chain, robot.spheres, q[way:], where[way:], task.value, task.holding
-        )
+            prepared.world, chain, arm_spheres(robot), q[way:], where[way:], task.value,
+            task.holding,
+        )  # fmt: skip
         return bool((codes == FREE).all())
