@@ -4,17 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from momapos.errors import SceneError
 from momapos.navigation.clearance import gaps
-from momapos.navigation.convex_polygons import on_floor
 from momapos.navigation.footprint_map import NavigationMap, with_object_moved
 from momapos.navigation.global_path import BasePath, direct_path, plan_path
-from momapos.navigation.start import ROOM
 from momapos.outcomes import PoseOutcome, PoseStatus
 from momapos.placement.problem import AttemptPose
 from momapos.prepare import roomy_place
@@ -27,9 +24,6 @@ if TYPE_CHECKING:
 
 _AWAY = 0.3
 """A part that stays so far from where the robot came from leaves it there as free as it was [m]."""
-_STEPS = np.arange(-3.0, 3.1, 0.4)
-_BESIDE = np.array(sorted(product(_STEPS, _STEPS), key=lambda xy: np.hypot(*xy)))
-"""Where room is looked for around a start, the nearest first [m]."""
 
 
 @dataclass(frozen=True)
@@ -125,14 +119,7 @@ class WaysOn:
     @cached_property
     def _roomy(self) -> Float[np.ndarray, "3"] | None:
         """A place with room near the start; None where there is none in all of the room."""
-        start, after = self.drives.start, self._map_after
-        beside = start + np.column_stack([_BESIDE, np.zeros(len(_BESIDE))])
-        beside = beside[on_floor(after.prisms, after.floor_polygon, beside)]
-        room = gaps(beside, after.prisms, after.planning_obstacles, cap=ROOM) >= ROOM
-        if room.any():
-            place: Float[np.ndarray, "3"] = beside[np.argmax(room)]
-            return place
         try:
-            return roomy_place(self._after, after, start[:2])
+            return roomy_place(self._after, self._map_after, self.drives.start[:2])
         except SceneError:
             return None
