@@ -55,7 +55,8 @@ def _only_free(ready: PreparedTask, robot: Robot, bases: np.ndarray, found: Laye
     motion, (jobs, layers) = ready.motion, found.counts.shape
     job, layer = np.divmod(np.repeat(np.arange(jobs * layers), found.counts.ravel()), layers)
     which = np.concatenate([
-        np.arange(len(found.q))[found.nodes(j, w)] for j in range(jobs) for w in range(layers)
+        np.arange(first, first + count)
+        for first, count in zip(found.first.flat, found.counts.flat, strict=True)
     ])  # fmt: skip
     step = motion.waypoint_steps[layer]
     free = FREE == check(  # noqa: SIM300

@@ -55,11 +55,6 @@ class Layers:
     codes: Int[np.ndarray, " j"]
     """What the first configuration hit where there was none, else NOWHERE or CUT_OFF."""
 
-    def nodes(self, job: int, layer: int) -> slice:
-        """Where the configurations of one job at one waypoint are."""
-        first = int(self.first[job, layer])
-        return slice(first, first + int(self.counts[job, layer]))
-
 
 class JointSteps(NamedTuple):
     """How steps of n joints are measured."""
