@@ -8,8 +8,9 @@ base pose is driven to, from there.
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from momapos.config import PipelineConfig
 from momapos.errors import InputError, SceneError
 from momapos.execution.config import ExecutionConfig
 from momapos.execution.record import Execution, RunRecord
-from momapos.execution.run import Again, attempt
+from momapos.execution.run import Again, Outcome, attempt
 from momapos.execution.stages import Watch
 from momapos.execution.true_world import true_world
 from momapos.joint_beliefs import JointBeliefs, joint_beliefs
@@ -32,7 +33,7 @@ from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene
 from momapos.stopwatch import Stopwatch
 from momapos.trip import Drive, Trace, Trip, base_triple
-from momapos.types import PlacementPlan, Task
+from momapos.types import Motion, PlacementPlan, Task
 from momapos.versions import version_of
 
 if TYPE_CHECKING:
@@ -44,6 +45,8 @@ DRIVING = DriveConfig()
 QUIET = NoiseConfig(position=0.0, heading=0.0, odometry=0.0)
 """Sensors without errors."""
 STAGES = ("drive", "plan", "execute")
+_Execute: TypeAlias = "Callable[[Float[np.ndarray, '3'], Motion, Again | None, bool], Outcome]"
+"""Executes a motion from a base pose, after what earlier tries left, as the last one or not."""
 TRIES = 3
 """Motions that are executed at most, where the scene knows how the part moves [-]."""
 
@@ -131,32 +134,19 @@ def run_plan(
         ),
     )  # fmt: skip
     most = tries or TRIES + max(len(trip.beliefs.beliefs) - 1, 0)
-    here, motion = trip.go(begin, plan, attempts)
-    executions: list[Execution] = []
-    kinds: list[str] = []
-    again: Again | None = None
-    while motion is not None:
-        last = len(executions) + 1 >= most
-        try:
-            with stopwatch.stage("execute"):
-                outcome = attempt(
-                    trip.whole, robot, base_triple(here), motion, trip.plan.task, physics,
-                    np.random.default_rng(of_world), true_world=trip.true_world(there),
-                    again=again,
-                    way_home=None if last else trip.way_home(here),
-                    doubt=None if last else trip.beliefs.speaks_against,
-                    watch=watch, clock=clock,
-                )  # fmt: skip
-        except SceneError as error:  # by the exact shapes of the physics, which nothing before uses
-            trip.visits[-1] = replace(trip.visits[-1], reason=str(error))
-            break
-        executions.append(outcome.execution)
-        kinds.append(trip.beliefs.kind)
-        if not outcome.at_home:
-            break
-        same = trip.learn(motion, outcome)
-        here, motion = trip.try_anew(here, attempts, elsewhere=same and outcome.in_the_way)
-        again = Again(trip.scene, outcome.value, outcome.collisions)
+
+    def execute(
+        here: Float[np.ndarray, "3"], motion: Motion, again: Again | None, last: bool
+    ) -> Outcome:
+        return attempt(
+            trip.whole, robot, base_triple(here), motion, trip.plan.task, physics,
+            np.random.default_rng(of_world), true_world=trip.true_world(there), again=again,
+            way_home=None if last else trip.way_home(here),
+            doubt=None if last else trip.beliefs.speaks_against,
+            watch=watch, clock=clock,
+        )  # fmt: skip
+
+    executions, kinds = _carry_out(trip, execute, begin, attempts, most)
     return RunRecord(
         scene=plan.scene,
         robot=robot.name,
@@ -171,6 +161,42 @@ def run_plan(
         versions={name: version_of(name) for name in ("momapos", "mujoco", "toppra")},
         true_task=None if there is None else there.task,
     )
+
+
+def _carry_out(
+    trip: Trip, execute: _Execute, begin: Float[np.ndarray, "3"], attempts: int, most: int
+) -> tuple[list[Execution], list[str]]:
+    """Execute motions, each after one that failed and after which the arm came home.
+
+    Args:
+        trip: The drives, and what the robot believes.
+        execute: Executes a motion.
+        begin: Where the base is at first: x [m], y [m], yaw [rad].
+        attempts: Base poses that are driven to for one motion at most [-].
+        most: Motions that are executed at most [-].
+
+    Returns:
+        What came of each, and as which kind it took the part.
+    """
+    executions: list[Execution] = []
+    kinds: list[str] = []
+    again: Again | None = None
+    here, motion = trip.go(begin, trip.plan, attempts)
+    while motion is not None:
+        try:
+            with trip.stopwatch.stage("execute"):
+                outcome = execute(here, motion, again, len(executions) + 1 >= most)
+        except SceneError as error:  # by the exact shapes of the physics, which nothing before uses
+            trip.visits[-1] = replace(trip.visits[-1], reason=str(error))
+            break
+        executions.append(outcome.execution)
+        kinds.append(trip.beliefs.kind)
+        if not outcome.at_home:
+            break
+        same = trip.learn(motion, outcome)
+        here, motion = trip.try_anew(here, attempts, elsewhere=same and outcome.in_the_way)
+        again = Again(trip.scene, outcome.value, outcome.collisions)
+    return executions, kinds
 
 
 def _unseen(_: Float[np.ndarray, " t"], __: Float[np.ndarray, "t 3"]) -> None:

@@ -75,7 +75,7 @@ def test_only_what_stands_shut_is_known_not_to_run_by_its_weight(
         turned.append(1)
         return mirrored(deviation, axis)
 
-    monkeypatch.setattr("momapos.execution.run.mirrored", spy)
+    monkeypatch.setattr("momapos.execution.worlds.mirrored", spy)
     config = ExecutionConfig(
         furniture=replace(FurnitureConfig(), density=5000.0, latch_force=0.0),
         errors=ModelErrorConfig(tilt=TILT),

@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from momapos.placement_result import PlacementResult
     from momapos.reachability.arm_length import ArmLength
     from momapos.reachability.map import ReachMap
+    from momapos.robots.robot import Robot
     from momapos.scene.scene import Scene
     from momapos.types import BaseRegion, Task
 
@@ -223,6 +224,58 @@ def with_room(options: Options) -> PipelineConfig:
     return replace(options.config, place=place)
 
 
+@dataclass(frozen=True)
+class _Question:
+    """What is asked of each arm, beside the room and the task."""
+
+    start: list[float] | None
+    at: list[float] | None
+    region: BaseRegion
+    config: PipelineConfig
+    seed: int
+
+    def ask(
+        self, scene: Scene, task: Task, robot: Robot, reach: ReachMap | ArmLength
+    ) -> PlacementResult:
+        """Where this arm stands for it, or whether it can from the one base pose asked about."""
+        import numpy as np
+
+        start = None if self.start is None else np.array(self.start)
+        if self.at is None:
+            from momapos.baselines.answer import plan_by_method
+
+            return plan_by_method(
+                scene, robot, task, reach, start=start, region=self.region, config=self.config,
+                seed=self.seed,
+            )  # fmt: skip
+        from momapos.base_pose import plan_at_base_pose
+
+        return plan_at_base_pose(
+            scene, robot, task, self.at, reach, start=start, config=self.config, seed=self.seed
+        )
+
+    def asks_for_less(self, task: Task, answers: Sequence[PlacementResult]) -> bool:
+        """Whether a smaller opening is looked for where none of the answers solves the task."""
+        solved = any(answer.plan.status == "solved" for answer in answers)
+        given_up = not solved and self.at is None and not task.farthest
+        return given_up and self.config.place.method in OURS
+
+
+def _read_question(options: Options, scene: Scene, config: PipelineConfig) -> _Question:
+    from momapos.types import ANYWHERE
+
+    start = None if options.start is None else parse_pose(options.start, "start")
+    at = None if options.at is None else parse_pose(options.at, "--at")
+    region = read_region(options, scene)
+    if at is not None and region != ANYWHERE:
+        raise TaskError("--at names the one base pose that is asked about; leave the areas out")
+    if at is not None and options.robust is not None:
+        raise TaskError(
+            "--at names the one base pose; its answer has the tolerance, so leave --robust out"
+        )
+    return _Question(start, at, region, config, options.seed)
+
+
 def _answer(
     verb: str,
     scene_name: str,
@@ -233,8 +286,6 @@ def _answer(
 ) -> int:
     if to is not None and to != MAX:
         parse_quantity(to)
-    start = None if options.start is None else parse_pose(options.start, "start")
-    at = None if options.at is None else parse_pose(options.at, "--at")
     config = with_room(options)
     check_outputs([options.out, options.plot, map_file])
     for picture in (options.plot, map_file):
@@ -244,73 +295,61 @@ def _answer(
     find_named_robot(options.robot)
     refuse_unknown_object(find_scene(scene_name), name)
 
-    import numpy as np
-
-    from momapos.baselines.answer import plan_by_method
     from momapos.cache import user_cache
     from momapos.cli.compile import ANSWER, RANK, WALKS, compile_once
-    from momapos.cli.console import busy, progress
+    from momapos.cli.console import busy
     from momapos.joint_beliefs import ask_in_turn
     from momapos.manipulation.tasks import make_task
     from momapos.placement_result import cheapest
-    from momapos.robots.robot import Robot
     from momapos.smaller_opening import smaller_opening
     from momapos.tolerance import with_tolerance
-    from momapos.types import ANYWHERE
 
     cache = user_cache()
     scene = load_room(scene_name, options.joint, cache)
     task = make_task(scene, verb, name, joint or None, to)
-    region = read_region(options, scene)
-    if at is not None and region != ANYWHERE:
-        raise TaskError("--at names the one base pose that is asked about; leave the areas out")
-    if at is not None and options.robust is not None:
-        raise TaskError(
-            "--at names the one base pose; its answer has the tolerance, so leave --robust out"
-        )
+    question = _read_question(options, scene, config)
     walks = (*RANK, *WALKS) if config.ranking.scorer == "deepwalk" else ()
     compile_once(tuple(dict.fromkeys((*ANSWER, *walks))))
-    arms, maps = load_arms_with_maps(options.robot, options.arm, cache)
-    begin = None if start is None else np.array(start)
+    arms = tuple(zip(*load_arms_with_maps(options.robot, options.arm, cache), strict=True))
 
-    def ask(scene: Scene, task: Task, robot: Robot, reach: ReachMap | ArmLength) -> PlacementResult:
-        if at is None:
-            return plan_by_method(
-                scene, robot, task, reach, start=begin, region=region, config=config,
-                seed=options.seed,
-            )  # fmt: skip
-        from momapos.base_pose import plan_at_base_pose
-
-        return plan_at_base_pose(
-            scene, robot, task, at, reach, start=begin, config=config, seed=options.seed
-        )
-
-    with busy(f"{arms[0].name}: searching", len(arms) * config.timeout):
+    with busy(f"{arms[0][0].name}: searching", len(arms) * config.timeout):
         scene, task, answers = ask_in_turn(
-            scene, task,
-            lambda scene, task: [ask(scene, task, *arm) for arm in zip(arms, maps, strict=True)],
-        )  # fmt: skip
-        solved = any(answer.plan.status == "solved" for answer in answers)
-        if at is None and not task.farthest and not solved and config.place.method in OURS:
-            smaller = [
-                smaller_opening(answer.plan, scene, robot, reach, config=config)
-                for answer, robot, reach in zip(answers, arms, maps, strict=True)
-            ]
+            scene, task, lambda scene, task: [question.ask(scene, task, *arm) for arm in arms]
+        )
+        if question.asks_for_less(task, answers):
             answers = [
-                replace(answer, plan=plan) for answer, plan in zip(answers, smaller, strict=True)
+                replace(answer, plan=smaller_opening(answer.plan, scene, *arm, config=config))
+                for answer, arm in zip(answers, arms, strict=True)
             ]
         answer = cheapest(answers, farthest=task.farthest)
-    chosen = next(i for i, one in enumerate(answers) if one is answer)
-    robot, reach = arms[chosen], maps[chosen]
+    chosen = next(arm for arm, one in zip(arms, answers, strict=True) if one is answer)
     if options.tolerance:
-        with busy(f"{robot.name}: tolerance"):
+        with busy(f"{chosen[0].name}: tolerance"):
             answer = with_tolerance(answer, samples=options.tolerance_samples)
     # Files come first: who reads what is printed may stop reading at any line.
+    _draw(scene, task, chosen, answer, options, config, map_file)
+    tried = [f"{arm[0].arm}: {one.plan.status}" for arm, one in zip(arms, answers, strict=True)]
+    _deliver(answer, options, most=to == MAX, tried=", ".join(tried) if len(arms) > 1 else "")
+    return EXIT_STATUS[answer.plan.status]
+
+
+def _draw(
+    scene: Scene,
+    task: Task,
+    arm: tuple[Robot, ReachMap | ArmLength],
+    answer: PlacementResult,
+    options: Options,
+    config: PipelineConfig,
+    map_file: Path | None,
+) -> None:
+    """The pictures that were asked for."""
+    robot, reach = arm
     if options.plot is not None:
         from momapos.viewer.plot import draw_answer
 
         draw_answer(scene, answer, reach, options.plot)
     if map_file is not None:
+        from momapos.cli.console import progress
         from momapos.opening_map import opening_map
         from momapos.viewer.opening import draw_opening_map
 
@@ -319,9 +358,6 @@ def _answer(
                 scene, robot, task, reach, config=config, seed=options.seed, report=report
             )
         draw_opening_map(scene, answer, farthest, map_file)
-    tried = [f"{one.arm}: {given.plan.status}" for one, given in zip(arms, answers, strict=True)]
-    _deliver(answer, options, most=to == MAX, tried=", ".join(tried) if len(arms) > 1 else "")
-    return EXIT_STATUS[answer.plan.status]
 
 
 def _deliver(answer: PlacementResult, options: Options, *, most: bool, tried: str) -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import sys
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -15,11 +17,9 @@ from momapos.errors import InputError
 from momapos.files import check_outputs
 
 if TYPE_CHECKING:
-    import numpy as np
-    from jaxtyping import Float
-
-    from momapos.execution.record import RunRecord
+    from momapos.execution.record import Execution, RunRecord
     from momapos.execution.run_trace import RunTrace
+    from momapos.scene.scene import Scene
 
 MOST_COLLISIONS = 5
 
@@ -78,25 +78,13 @@ def run(
     """
     # Told before anything heavy is imported.
     check_seed(seed)
-    check_outputs([out, record, out_scene])
-    plans = plans_of(plan, "to execute")
-    if len(plans) > 1 and (world is not None or out_scene is not None):
-        raise InputError("--world and --out-scene are for one plan; give one that the tour names")
-    count = len(plans)
-    outs, films = (
-        [None if path is None else numbered(path, count, k) for k in range(count)]
-        for path in (out, record)
-    )
-    check_outputs([*outs, *films])
-    if out_scene is not None:
-        refuse_existing(out_scene)
-    if record is not None:
-        from momapos.execution.film_files import check_film
-
-        check_film(record)
+    files = _check_files(plan, world, out, out_scene, record)
     if tries is not None and tries < 1:
         raise InputError(f"--tries {tries}: at least one motion must be tried")
-    from json import dumps
+    if world is None and world_at is not None:
+        raise InputError("--world-at says where a --world lies; give that too, or leave it out")
+    begin = None if start is None else parse_pose(start, "start")
+    at = [0.0, 0.0, 0.0] if world_at is None else parse_pose(world_at, "world-at")
 
     import numpy as np
 
@@ -106,77 +94,121 @@ def run(
     from momapos.reachability.store import load_reach
     from momapos.scene.files import load_scene
 
-    begin = None if start is None else np.array(parse_pose(start, "start"))
-    if world is None and world_at is not None:
-        raise InputError("--world-at says where a --world lies; give that too, or leave it out")
-    at = np.zeros(3) if world_at is None else np.array(parse_pose(world_at, "world-at"))
-    opened = open_plans(plans, scene_root, robot, "to execute")
+    opened = open_plans(files.plans, scene_root, robot, "to execute")
     with require("physics"):
         from momapos.execution.config import ExecutionConfig, FurnitureConfig
-        from momapos.execution.record import run_to_dict
         from momapos.execution.run_trace import RunTrace
         from momapos.execution.true_world import moved
-        from momapos.joint_beliefs import save_learned
         from momapos.navigation.drive import DriveConfig
         from momapos.run_plan import QUIET, run_plan
 
     there = None
     if world is not None:
-        there = moved(load_scene(world, root=scene_root, cache=user_cache()), at)
+        there = moved(load_scene(world, root=scene_root, cache=user_cache()), np.array(at))
     physics = ExecutionConfig(hold=hold, furniture=FurnitureConfig(spread=0.3 if noise else 0.0))
-    done = []
+    done: list[RunRecord] = []
     for k, (content, scene, machine) in enumerate(opened):
-        trace, watched = RunTrace(), out is not None or record is not None
+        trace = RunTrace()
         with progress(f"reachability map of {machine.name}") as report:
             reach = load_reach(machine, default_cache_dir(), report)
         result = run_plan(
-            content, scene, machine, reach, start=begin, world=there, tries=tries, seed=seed,
+            content, scene, machine, reach, start=None if begin is None else np.array(begin),
+            world=there, tries=tries, seed=seed,
             driving=DriveConfig() if noise else DriveConfig(noise=QUIET), physics=physics,
-            trace=trace.drive if watched else None, watch=trace if watched else None,
+            trace=trace.drive if files.watched else None, watch=trace if files.watched else None,
         )  # fmt: skip
         done.append(result)
-        _keep(result, trace, outs[k], films[k], plans[k], world, at)
-        if out_scene is not None and save_learned(result, scene, out_scene) is None:
-            print(
-                f"momapos: {out_scene}: not written, for no joint was moved as asked",
-                file=sys.stderr,
-            )
+        _keep(result, trace, scene, files, k, world, at)
         if not json:
             print(summary(result))
         if not result.success:
             break
-        begin = np.array(result.visits[-1].reached)
-    if json:
-        records = [run_to_dict(result) for result in done]
-        print(dumps(records if len(plans) > 1 else records[0]))
-    if len(plans) > len(done):
-        print(f"momapos: {len(plans) - len(done)} of {len(plans)} tasks were left", file=sys.stderr)
-    return 0 if done[-1].success else 1
+        begin = list(result.visits[-1].reached)
+    return _conclude(done, files, json=json)
+
+
+@dataclass(frozen=True)
+class _Files:
+    """What is read and written."""
+
+    plans: list[Path]
+    outs: list[Path | None]
+    """The record of each plan."""
+    films: list[Path | None]
+    out_scene: Path | None
+
+    @property
+    def watched(self) -> bool:
+        """Whether a run is recorded step by step."""
+        return any((*self.outs, *self.films))
+
+
+def _check_files(
+    plan: Path, world: str | None, out: Path | None, out_scene: Path | None, film: Path | None
+) -> _Files:
+    check_outputs([out, film, out_scene])
+    plans = plans_of(plan, "to execute")
+    if len(plans) > 1 and (world is not None or out_scene is not None):
+        raise InputError("--world and --out-scene are for one plan; give one that the tour names")
+    outs, films = (
+        [None if path is None else numbered(path, len(plans), k) for k in range(len(plans))]
+        for path in (out, film)
+    )
+    check_outputs([*outs, *films])
+    if out_scene is not None:
+        refuse_existing(out_scene)
+    if film is not None:
+        from momapos.execution.film_files import check_film
+
+        check_film(film)
+    return _Files(plans, outs, films, out_scene)
 
 
 def _keep(
     result: RunRecord,
     trace: RunTrace,
-    out: Path | None,
-    film: Path | None,
-    plan: Path,
+    scene: Scene,
+    files: _Files,
+    k: int,
     world: str | None,
-    at: Float[np.ndarray, "3"],
+    at: list[float],
 ) -> None:
-    """Write the record and draw the film of a run, where they are asked for."""
-    from dataclasses import replace
+    """Write what is asked for of the run of plan k: its record, its film, the scene as learned."""
+    import numpy as np
 
     from momapos.execution.film import write_film
     from momapos.execution.record import with_files, write_run
+    from momapos.joint_beliefs import save_learned
 
+    out, film = files.outs[k], files.films[k]
     if out is not None:
-        named = with_files(result, out, plan, world, None if world is None else at)
+        there = None if world is None else np.array(at)
+        named = with_files(result, out, files.plans[k], world, there)
         write_run(replace(named, motion=trace.motion()), out)
     if film is not None:
         if result.execution is None:
             print(f"momapos: {film}: not drawn, for nothing was executed", file=sys.stderr)
         else:
             write_film(trace, film, ending="done" if result.success else result.reason)
+    if files.out_scene is not None and save_learned(result, scene, files.out_scene) is None:
+        print(
+            f"momapos: {files.out_scene}: not written, for no joint was moved as asked",
+            file=sys.stderr,
+        )
+
+
+def _conclude(done: list[RunRecord], files: _Files, *, json: bool) -> int:
+    from json import dumps
+
+    from momapos.execution.record import run_to_dict
+
+    if json:
+        records = [run_to_dict(result) for result in done]
+        print(dumps(records if len(files.plans) > 1 else records[0]))
+    left = len(files.plans) - len(done)
+    if left:
+        print(f"momapos: {left} of {len(files.plans)} tasks were left", file=sys.stderr)
+    return 0 if done[-1].success else 1
 
 
 def refuse_existing(out: Path) -> None:
@@ -192,8 +224,6 @@ def refuse_existing(out: Path) -> None:
 
 def summary(record: RunRecord) -> str:
     """A run in a few lines."""
-    import math
-
     task = record.task
     what = task.object if task.joint is None else f"{task.object}/{task.joint}"
     lines = [f"{record.robot}: {task.verb} {what}: {'done' if record.success else 'failed'}"]
@@ -217,7 +247,11 @@ def summary(record: RunRecord) -> str:
         return "\n".join(lines)
     if record.kinds:
         lines.append(f"  part        taken for a {record.kinds[-1]}")
-    lines += [
+    return "\n".join(lines + _execution_lines(done))
+
+
+def _execution_lines(done: Execution) -> list[str]:
+    lines = [
         f"  reached     {done.reached:.3f} of {done.asked:.3f}, from {done.start:.3f}",
         f"  hold        {done.hold}, {done.load.force:.0f} N and {done.load.torque:.1f} Nm at most;"
         f" slipped {1000 * done.slip.position:.1f} mm, {math.degrees(done.slip.angle):.1f} deg",
@@ -245,4 +279,4 @@ def summary(record: RunRecord) -> str:
         f"  time        {done.simulated:.1f} s simulated in {done.wall:.1f} s "
         f"({done.simulated / max(done.wall, 1e-9):.0f} times real time)"
     )
-    return "\n".join(lines)
+    return lines

@@ -11,23 +11,17 @@ import numpy as np
 from momapos.execution.approach import PacedTrajectory, paced
 from momapos.execution.arm_control import ArmKinematics
 from momapos.execution.config import AT_END, GOOD, RECOVERABLE, Ending, ExecutionConfig
-from momapos.execution.dynamics import read_dynamics
-from momapos.execution.furniture import (
-    Deviation,
-    Resistance,
-    draw_resistance,
-    reached_elements,
-    seal_of,
-)
+from momapos.execution.dynamics import Dynamics, read_dynamics
+from momapos.execution.furniture import Resistance
 from momapos.execution.hand import find_hand
 from momapos.execution.joint_estimate import Axis, Doubt, JointEstimate, Learned
-from momapos.execution.model_errors import draw_deviation, mirrored, resisting
 from momapos.execution.record import Collision, Execution, JointFound, Pose
 from momapos.execution.retreat import WayHome, retreat
-from momapos.execution.simulation import Simulation, build_simulation
+from momapos.execution.simulation import Simulation
 from momapos.execution.stages import Belief, ExecutionRun, Stretch, Watch
 from momapos.execution.true_world import TrueWorld
 from momapos.execution.verdict import TaskOutcome, judge
+from momapos.execution.worlds import Setting, draw_worlds
 from momapos.kinematics.opening import opening_of
 from momapos.protocols import Clock
 from momapos.robots.robot import Robot
@@ -36,8 +30,6 @@ from momapos.trajectory import time_motion
 from momapos.types import Hold, Motion, Task
 
 DEFAULT = ExecutionConfig()
-_STATES = 5
-"""States of the motion for which the motors are tuned [-]."""
 _IN_THE_WAY = (Ending.BLOCKED, Ending.BEHIND, Ending.MEETS_ROBOT, Ending.TOO_HARD)
 _WELD_INSTEAD = "the fingers of {} do not close on anything: a weld stands for its hold"
 
@@ -151,50 +143,28 @@ def attempt(
         SceneError: The robot stands in something at the beginning.
         InputError: The motion cannot be timed, or the engine refuses the model.
     """
-    there = true_world or TrueWorld(scene, task)
-    item = there.scene.object(there.task.object)
-    joint = None if there.task.joint is None else item.model.joint(there.task.joint)
     assert robot.model.urdf.path is not None
     dynamics = read_dynamics(robot.model.urdf.path)
     hand, notes = find_hand(robot, dynamics.mimics), []
     if config.hold == "contact" and not hand.closes:
         config = replace(config, hold="weld")
         notes.append(_WELD_INSTEAD.format(robot.name))
-    rng = rng or np.random.default_rng(0)
-    resistance, deviation = draw_resistance(item, joint, config.furniture, rng), None
-    if config.errors.any:
-        resistance = resisting(resistance, config.errors, rng)
-        axis = np.array([0.0, 0.0, 1.0]) if joint is None else joint.axis
-        deviation = draw_deviation(axis, config.errors, rng)
-    states = np.concatenate([motion.approach, motion.q])
-    tuned = states[np.linspace(0, len(states) - 1, _STATES).astype(int)]
-
-    def build(room: TrueWorld, deviation: Deviation | None, begin: float | None) -> Simulation:
-        reached: set[tuple[str, int]] = set()
-        if room.task.joint is not None:
-            values = room.values(motion.object_q, scene, task)
-            thing = room.scene.object(room.task.object)
-            reached = reached_elements(thing, room.task.joint, replace(motion, object_q=values))
-        return build_simulation(
-            room.scene, robot, base_pose, tuned, room.task, hand, dynamics, resistance, deviation,
-            config, begin=begin, reached=reached,
-        )  # fmt: skip
-
-    seal = seal_of(item, joint, resistance.pull, config.furniture.seal_range)
-    begin = None if again is None else again.value
-    world = build(there, deviation, begin)
-    if deviation is not None and joint is not None and item.values()[joint.name] == seal.closed:
-        first = world if begin is None else build(there, deviation, None)
-        # What is shut has not been opened by its weight.
-        if seal.outward * first.weight_on_part > resistance.friction:
-            deviation = mirrored(deviation, joint.axis)
-            world = build(there, deviation, begin)
+    worlds = draw_worlds(
+        Setting(scene, robot, base_pose, motion, task, hand, dynamics, config),
+        rng or np.random.default_rng(0),
+        true_world=true_world,
+        believed=None if again is None else again.scene,
+        begin=None if again is None else again.value,
+    )
+    world, known = worlds.there, worlds.known
+    there = true_world or TrueWorld(scene, task)
+    item = there.scene.object(there.task.object)
     believed = scene if again is None else again.scene
-    as_known = deviation is None and again is None and true_world is None
-    known = world if as_known else build(TrueWorld(believed, task), None, None)
     belief = _belief(believed.object(task.object), task.joint)
     touched = None if again is None else again.collisions
-    run = ExecutionRun(world, motion, task, config, seal, belief, known, watch, touched, doubt)
+    run = ExecutionRun(
+        world, motion, task, config, worlds.seal, belief, known, watch, touched, doubt
+    )
     if task.verb == "place":
         run.carry(item)
     run.check_start()
@@ -208,6 +178,17 @@ def attempt(
     how = f"{ending}: {detail}" if detail else str(ending)
     stopped = "" if ending in GOOD else how
     verdict = judge(world, run.observer, there.task, item, run.first, motion, config, stopped)
+    notes += _effort_notes(robot, dynamics, world)
+    if ending in AT_END:
+        notes.append(how)
+    execution = _outcome(run, base_pose, ending, verdict, worlds.resistance, wall, notes)
+    value = float(world.data.qpos[world.part_q])
+    return Outcome(execution, ending, run.learned, value, run.observer.collisions, at_home)
+
+
+def _effort_notes(robot: Robot, dynamics: Dynamics, world: Simulation) -> list[str]:
+    """What is assumed of the motors."""
+    notes = []
     unknown = [name for name in robot.moved_joints if name not in dynamics.efforts]
     if unknown:
         notes.append(f"no effort limit is known of {', '.join(unknown)}")
@@ -216,11 +197,7 @@ def attempt(
             "the URDF's efforts are less than the arm's own weight takes, which springs are taken "
             f"to bear: {', '.join(world.balanced)}"
         )
-    if ending in AT_END:
-        notes.append(how)
-    execution = _outcome(run, base_pose, ending, verdict, resistance, wall, notes)
-    value = float(world.data.qpos[world.part_q])
-    return Outcome(execution, ending, run.learned, value, run.observer.collisions, at_home)
+    return notes
 
 
 def _stretches(
