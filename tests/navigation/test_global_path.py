@@ -19,9 +19,10 @@ from momapos.navigation.footprint_map import (
     NavigationMap,
     build_navigation_map,
 )
-from momapos.navigation.global_path import NEEDED, BasePath, direct_path, plan_path
+from momapos.navigation.global_path import BasePath, direct_path, plan_path
 from momapos.navigation.judge import FootprintCollisionChecker
 from momapos.navigation.lattice import Lattice, PathModel, standable
+from momapos.navigation.path_ends import NEEDED
 from momapos.robots.robot import Robot
 from momapos.scene.files import load_scene
 

@@ -21,9 +21,10 @@ from momapos.navigation.docking import BEGIN, Docking, aimed, can_stop, stands
 from momapos.navigation.drive_record import DriveEnding, DriveRecord
 from momapos.navigation.dynamic_window import Steering, WindowConfig, velocity_window
 from momapos.navigation.footprint_map import NavigationMap, navigation_map_of
-from momapos.navigation.global_path import TURN, BasePath, PathConfig, direct_path, plan_path
+from momapos.navigation.global_path import TURN, BasePath, direct_path, plan_path
 from momapos.navigation.judge import FootprintCollisionChecker
 from momapos.navigation.localization import Localiser, NoiseConfig
+from momapos.navigation.path_ends import PathConfig
 from momapos.protocols import Clock
 
 if TYPE_CHECKING:

@@ -10,46 +10,38 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from momapos.geometry.transforms import wrap_angle
-from momapos.navigation.clearance import CostWeights, Surroundings, gaps
+from momapos.navigation.clearance import gaps
 from momapos.navigation.convex_polygons import on_floor
 from momapos.navigation.cost_map import CELL
 from momapos.navigation.footprint_map import FARTHEST, HEADINGS, MOVES, NavigationMap
 from momapos.navigation.grid_distance import path_lengths
 from momapos.navigation.lattice import Lattice, PathModel, astar, connections, shorten, standable
-from momapos.navigation.lattice_connection import Exits, shuffled, straight
+from momapos.navigation.path_ends import (
+    DEFAULT,
+    NEEDED,
+    Attached,
+    PathConfig,
+    lattice_poses,
+    lattice_shape,
+    path_end,
+    path_model,
+)
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
-NEEDED = 0.01
-"""Gap that every pose of a path has, but where it begins and ends [m]."""
 TURN = 0.3
 """A radian of turning counts as this much path where progress is measured [m/rad]."""
-_AROUND = 0.15, 0.3
-"""How far lattice states may be from an exit, and from the start or goal itself [m]."""
 _SPACING = 0.15
 """Straight stretches of the lattice are offered for shortening at this spacing [m]."""
 _FINER = 0.97
 """Sixteen directions measure lengths at most 2.7 % too long; more directions need less."""
-
-
-@dataclass(frozen=True)
-class PathConfig:
-    """What makes one path better than another of the same length."""
-
-    preferred_clearance: float = 0.08
-    """Gap to everything that is kept where there is room [m]."""
-    weight: float = 1.0
-    """By which a meter along obstacles costs more than one with room [-]."""
-    turning: float = 0.1
-    """Cost of turning [m/rad]."""
-    reversing: float = 1.3
-    """Cost of a meter driven backwards, where a base has a front [-]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +79,7 @@ def plan_path(
     nav_map: NavigationMap,
     start: Float[np.ndarray, "3"],
     goal: Float[np.ndarray, "3"],
-    config: PathConfig = PathConfig(),
+    config: PathConfig = DEFAULT,
 ) -> BasePath | None:
     """Find a short path for the whole footprint; None where there is none.
 
@@ -114,7 +106,7 @@ def direct_path(
     nav_map: NavigationMap,
     start: Float[np.ndarray, "3"],
     goal: Float[np.ndarray, "3"],
-    config: PathConfig = PathConfig(),
+    config: PathConfig = DEFAULT,
 ) -> BasePath | None:
     """The path of one leg between two poses, None where it is blocked; see `plan_path`."""
     nodes = np.stack([start, goal])
@@ -124,18 +116,6 @@ def direct_path(
     plan = _Planner(nav_map, config, np.minimum(needs, NEEDED))
     cost, _ = connections(nodes[:1], nodes[1:], plan.model(float(plan.needs.min())))
     return plan.sampled(nodes) if np.isfinite(cost[0]) else None
-
-
-@dataclass(frozen=True, eq=False)
-class _LatticePath:
-    """A path between two trees of exits."""
-
-    states: Int[np.ndarray, " k"]
-    """Of the lattice, flat."""
-    before: Float[np.ndarray, "n 3"]
-    """Exits on the path from the start."""
-    after: Float[np.ndarray, "m 3"]
-    """Exits on the path from the goal."""
 
 
 @dataclass(frozen=True)
@@ -151,21 +131,9 @@ class _Planner:
     def omni(self) -> bool:
         return self.nav_map.robot.drive == "omni"
 
-    @property
-    def _shape(self) -> tuple[int, int, int]:
-        """Headings, rows and columns of the lattice."""
-        return len(HEADINGS), *self.nav_map.shape
-
     def model(self, needed_clearance: float = NEEDED) -> PathModel:
         """What the kernels search by."""
-        c, nav_map = self.config, self.nav_map
-        return PathModel(
-            self.omni,
-            Surroundings(nav_map.prisms.arrays, nav_map.planning_obstacles.arrays),
-            CostWeights(
-                float(needed_clearance), c.preferred_clearance, c.weight, c.turning, c.reversing
-            ),
-        )
+        return path_model(self.nav_map, self.config, needed_clearance)
 
     def rough(
         self, start: Float[np.ndarray, "3"], goal: Float[np.ndarray, "3"]
@@ -183,107 +151,34 @@ class _Planner:
             if direct[0] <= bound + self.config.turning * turn + 1e-6:
                 yield simple
                 return
+        begin, end = (
+            path_end(self.nav_map, self.config, pose, need, is_goal=is_goal)
+            for pose, need, is_goal in zip((start, goal), self.needs, (False, True), strict=True)
+        )
         for shuffle in (False, True):
-            ends = (self._exits(start, 0, shuffle), self._exits(goal, 1, shuffle))
-            found = self._over_lattice(*ends)
-            if found is not None:
-                every = self._states(found.states)
-                for states in (_thinned(every), every):
-                    yield np.concatenate(
-                        [start[None], found.before, states, found.after[::-1], goal[None]]
-                    )
+            first, last = (e.shuffling if shuffle else e.simply for e in (begin, end))
+            states = self._over_lattice(first, last)
+            if len(states):
+                before, after = first.path(int(states[0])), last.path(int(states[-1]))
+                every = lattice_poses(self.nav_map, states)
+                for between in (_thinned(every), every):
+                    yield np.concatenate([start[None], before, between, after[::-1], goal[None]])
             if np.isfinite(direct[0]):
                 yield simple
                 return
 
-    def _exits(self, pose: Float[np.ndarray, "3"], end: int, shuffle: bool) -> Exits:
-        """Poses from which the lattice can be entered; `end` is 0 at the start, 1 at the goal."""
-
-        def joined(a: np.ndarray, b: np.ndarray, tight: bool) -> np.ndarray:
-            return self._joined(a, b, end, tight)
-
-        def room(poses: np.ndarray) -> np.ndarray:
-            return gaps(poses, self.nav_map.prisms, self.nav_map.planning_obstacles, cap=FARTHEST)
-
-        sides = 4 if self.omni else 2
-        return shuffled(pose, sides, joined, room) if shuffle else straight(pose, sides, joined)
-
-    def _joined(
-        self,
-        inner: Float[np.ndarray, "n 3"],
-        outer: Float[np.ndarray, "n 3"],
-        end: int,
-        tight: bool,
-    ) -> Float[np.ndarray, " n"]:
-        """Cost of the simple path from each inner pose to the outer one; to it at the goal [m]."""
-        model = self.model(float(self.needs[end]) if tight else NEEDED)
-        inner, outer = np.ascontiguousarray(inner), np.ascontiguousarray(outer)
-        return connections(*((outer, inner) if end else (inner, outer)), model)[0]
-
-    def _over_lattice(self, first: Exits, last: Exits) -> _LatticePath | None:
-        """The cheapest path from one tree of exits to the other."""
-        costs, via = zip(*(self._attached(e, k) for k, e in enumerate((first, last))), strict=True)
+    def _over_lattice(self, first: Attached, last: Attached) -> Int[np.ndarray, " k"]:
+        """States of the cheapest path over the lattice, flat; empty where there is none."""
         nav_map = self.nav_map
         rows, columns = nav_map.shape
-        cells = np.unique(np.flatnonzero(np.isfinite(costs[1])) % (rows * columns))
-        if not len(cells) or not np.isfinite(costs[0]).any():
-            return None
-        lattice, model = Lattice(nav_map.origin, CELL, MOVES, HEADINGS, FARTHEST), self.model()
-        ahead = _FINER * path_lengths(standable(nav_map.inside, lattice, model), cells, CELL)
-        states = astar(nav_map.known_gaps, ahead, *costs, lattice, model)
-        if not len(states):
-            return None
-        before = first.path(via[0][int(states[0])])
-        return _LatticePath(states, before, last.path(via[1][int(states[-1])]))
-
-    def _states(self, index: Int[np.ndarray, " k"]) -> Float[np.ndarray, "k 3"]:
-        h, i, j = np.unravel_index(index, self._shape)
-        xy = self.nav_map.origin + (np.stack([j, i], -1) + 0.5) * CELL
-        return np.column_stack([xy, HEADINGS[h]])
-
-    def _attached(
-        self, exits: Exits, end: int
-    ) -> tuple[Float[np.ndarray, " states"], dict[int, int]]:
-        """Costs between the root of a tree and the lattice around it, and by which exit each is."""
-        found = [
-            self._near(pose, _AROUND[k == 0], outward=not end) for k, pose in enumerate(exits.poses)
-        ]
-        which = np.repeat(np.arange(len(found)), [len(f) for f in found])
-        cost = np.full(math.prod(self._shape), np.inf)
-        if not len(which):
-            return cost, {}
-        index = np.concatenate(found)
-        states, total = self._states(index), exits.cost[which]
-        tight = exits.near_root()[which]
-        for part, same in ((tight, True), (~tight, False)):
-            total[part] += self._joined(exits.poses[which[part]], states[part], end, same)
-        order = np.argsort(-total)
-        cost[index[order]] = total[order]  # of several paths to one state the last, cheapest stays
-        return cost, {int(index[k]): int(which[k]) for k in order if np.isfinite(total[k])}
-
-    def _near(
-        self, end: Float[np.ndarray, "3"], radius: float, outward: bool
-    ) -> Int[np.ndarray, " k"]:
-        """Free lattice states around a pose, with the headings that suit going there or turning."""
-        nav_map = self.nav_map
-        count, rows, columns = self._shape
-        j0, i0 = np.floor((end[:2] - nav_map.origin) / CELL).astype(int)
-        span = np.arange(-int(radius / CELL), int(radius / CELL) + 1)
-        i, j = (a.ravel() for a in np.meshgrid(i0 + span, j0 + span, indexing="ij"))
-        inside = (i >= 0) & (j >= 0) & (i < rows) & (j < columns)
-        i, j = i[inside], j[inside]
-        away = nav_map.origin + (np.stack([j, i], -1) + 0.5) * CELL - end[:2]
-        near = np.hypot(*away.T) <= radius
-        i, j, away = i[near], j[near], away[near] * (1 if outward else -1)
-        toward = np.arctan2(away[:, 1], away[:, 0])
-        headings = np.stack([np.full(len(i), end[2]), toward, toward + np.pi], -1)
-        apart = np.abs(wrap_angle((headings[..., None] - HEADINGS).ravel()))
-        h = apart.reshape(*headings.shape, count).argmin(-1)
-        h = np.column_stack([h, (h[:, 0] + 1) % count, (h[:, 0] - 1) % count])
-        index = np.unique(np.ravel_multi_index((h, i[:, None], j[:, None]), self._shape))
-        index = index[nav_map.inside.ravel()[index % nav_map.inside.size]]
-        states = self._states(index)
-        return index[gaps(states, nav_map.prisms, nav_map.planning_obstacles, cap=NEEDED) >= NEEDED]
+        if not len(first.states) or not len(last.states):
+            return np.zeros(0, int)
+        costs = np.full((2, math.prod(lattice_shape(nav_map))), np.inf)
+        for cost, end in zip(costs, (first, last), strict=True):
+            cost[end.states] = end.cost
+        cells = np.unique(last.states % (rows * columns))
+        ahead = _FINER * path_lengths(_standable(nav_map), cells, CELL)
+        return astar(nav_map.known_gaps, ahead, *costs, _lattice(nav_map), self.model())
 
     def merged(self, nodes: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
         """Turn at each node from one leg to the next at once, not by way of the node's heading."""
@@ -323,6 +218,16 @@ class _Planner:
         s = np.concatenate([[0.0], np.cumsum(move + TURN * turn)])
         room = gaps(path, self.nav_map.prisms, self.nav_map.planning_obstacles, cap=0.3)
         return BasePath(path, s, room, float(move.sum()), nodes, backwards)
+
+
+def _lattice(nav_map: NavigationMap) -> Lattice:
+    return Lattice(nav_map.origin, CELL, MOVES, HEADINGS, FARTHEST)
+
+
+@lru_cache(maxsize=8)
+def _standable(nav_map: NavigationMap) -> Bool[np.ndarray, "rows columns"]:
+    """Where the base can be with some heading."""
+    return standable(nav_map.inside, _lattice(nav_map), path_model(nav_map, DEFAULT))
 
 
 def _line(

@@ -83,12 +83,14 @@ def shuffled(
     sides: int,
     joined: Joined,
     room: Callable[[Float[np.ndarray, "n 3"]], Float[np.ndarray, " n"]],
+    needed: float,
 ) -> Exits:
     """Leave a pose by slight turns and straight stretches, toward where there is room.
 
     Args:
         pose, sides, joined: See `straight`.
         room: Gap around the robot at poses [m].
+        needed: Gap that every pose needs but those next to the start or goal [m].
     """
     poses, cost, parent = pose[None], np.zeros(1), np.array([-1])
     level = np.array([0])
@@ -96,14 +98,18 @@ def shuffled(
         ends = _stretches(poses[level], _SLIGHTLY, sides)
         before = np.repeat(level, ends.shape[1])
         ends = ends.reshape(-1, 3)
-        total = cost[before] + joined(poses[before], ends, stretch == 0)
-        good = np.flatnonzero(np.isfinite(total))
-        good = good[_best(ends[good], room(ends[good]), total[good])]
+        free = room(ends)
+        # Where the base does not fit no path ends; next to the root a smaller gap may do.
+        good = np.flatnonzero(free >= (0.0 if stretch == 0 else needed))
+        total = cost[before[good]] + joined(poses[before[good]], ends[good], stretch == 0)
+        good, total = good[np.isfinite(total)], total[np.isfinite(total)]
+        best = _best(ends[good], free[good], total)
+        good, total = good[best], total[best]
         if not len(good):
             break
         level = len(poses) + np.arange(len(good))
         poses = np.concatenate([poses, ends[good]])
-        cost = np.concatenate([cost, total[good]])
+        cost = np.concatenate([cost, total])
         parent = np.concatenate([parent, before[good]])
     return Exits(poses, cost, parent)
 
