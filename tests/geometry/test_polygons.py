@@ -18,6 +18,7 @@ from momapos.geometry.polygons import (
 
 # A room with a niche: walking straight across the gap means walking through the wall.
 U_SHAPE = np.array([[0.0, 0], [3, 0], [3, 3], [2, 3], [2, 1], [1, 1], [1, 3], [0, 3]])
+HEXAGON = np.array([[0.0, 0], [2, -0.4], [3.2, 0.1], [3, 2.2], [1.5, 3.1], [-0.1, 2.5]])
 
 
 def star(corners: int, rng: np.random.Generator) -> Float[np.ndarray, "k 2"]:
@@ -64,7 +65,8 @@ def rectangles(count: int, rng: np.random.Generator, size: float) -> Float[np.nd
     return corners @ np.swapaxes(R, 1, 2) + rng.uniform(-0.5, 3.5, (count, 1, 2))
 
 
-def test_an_outline_is_inside_when_all_of_its_edge_is() -> None:
+@pytest.mark.parametrize("floor", [U_SHAPE, U_SHAPE[::-1], HEXAGON, HEXAGON[::-1]])
+def test_an_outline_is_inside_when_all_of_its_edge_is(floor: Float[np.ndarray, "k 2"]) -> None:
     rng = np.random.default_rng(0)
     outlines = rectangles(1500, rng, 0.5)
     t = np.linspace(0, 1, 60)[:, None, None]
@@ -73,12 +75,12 @@ def test_an_outline_is_inside_when_all_of_its_edge_is() -> None:
     along = outlines + t[..., None] * (ends - outlines)
     points = np.moveaxis(along, 1, 0).reshape(1500, -1, 2)
     flat = points.reshape(-1, 2)
-    inside = contains(U_SHAPE, flat).reshape(1500, -1)
-    corner_near = np.array([to_edges(o, U_SHAPE).min() for o in outlines]) < 0.03
+    inside = contains(floor, flat).reshape(1500, -1)
+    corner_near = np.array([to_edges(o, floor).min() for o in outlines]) < 0.03
     sure = ~corner_near
     expected = inside.all(1)
     assert 0.05 < expected.mean() < 0.9
-    np.testing.assert_array_equal(all_inside(U_SHAPE, outlines)[sure], expected[sure])
+    np.testing.assert_array_equal(all_inside(floor, outlines)[sure], expected[sure])
 
 
 def test_all_corners_inside_is_not_enough() -> None:

@@ -32,10 +32,23 @@ def all_inside(
 ) -> Bool[np.ndarray, " n"]:
     """Whether whole convex outlines lie in a polygon: corners inside, no edges that cross."""
     n, m, _ = outlines.shape
+    if _is_convex(polygon):
+        edge = following(polygon) - polygon
+        inward = np.stack([-edge[:, 1], edge[:, 0]], -1) * np.sign(signed_area(polygon))
+        beyond = outlines.reshape(-1, 2) @ inward.T - (inward * polygon).sum(-1)
+        return (beyond > 0).reshape(n, -1).all(1)
     rows = np.flatnonzero(contains(polygon, outlines.reshape(-1, 2)).reshape(n, m).all(1))
     inside = np.zeros(n, bool)
     inside[rows] = ~_edges_cross(polygon, outlines[rows])
     return inside
+
+
+def _is_convex(polygon: Float[np.ndarray, "k 2"]) -> bool:
+    """Whether a simple polygon is convex."""
+    edge = following(polygon) - polygon
+    after = following(edge)
+    turn = edge[:, 0] * after[:, 1] - edge[:, 1] * after[:, 0]
+    return bool((turn >= 0).all() or (turn <= 0).all())
 
 
 def any_overlap(
