@@ -80,6 +80,26 @@ def test_after_a_velocity_that_is_allowed_the_base_can_brake_without_touching(
     assert checked > 50
 
 
+@pytest.mark.parametrize("ahead", [0.2, 0.5])
+def test_what_walks_ahead_may_stop_at_once(robots: Callable[[str], Robot], ahead: float) -> None:
+    robot = robots("fetch")
+    nav_map = build_navigation_map(room([]), robot)
+    judge = FootprintCollisionChecker(nav_map.prisms, nav_map.obstacles, nav_map.floor_polygon)
+    path = plan_path(nav_map, np.array([-1.5, 0.0, 0.0]), np.array([1.5, 0.0, 0.0]))
+    assert path is not None
+    pose, pace = path.poses[0], 0.6 * robot.max_speed
+    disc = np.array([[pose[0] + 2.0, pose[1], pace, 0.0, 0.3]])
+    disc[0, 0] -= judge.to_discs(pose, disc)[0] - ahead
+    speeds = np.linspace(0.0, robot.max_speed, 40)
+    window = np.column_stack([speeds, np.zeros((40, 2))])
+    steering = Steering(nav_map, path, WindowConfig(), DT)
+    # Each alone: of several, those that cannot be the best are left out.
+    alone = [np.isfinite(steering.ratings(pose, v[None], 0, disc)[0]) for v in window]
+    allowed = speeds[np.array(alone)]
+    assert (allowed * DT + allowed**2 / (2 * robot.max_acceleration) < ahead).all()
+    assert 0 < len(allowed) < len(speeds)
+
+
 def test_the_separation_from_a_disc_is_that_of_the_nearest_of_all_prisms(robot: Robot) -> None:
     nav_map = build_navigation_map(room([]), robot)
     judge = FootprintCollisionChecker(nav_map.prisms, nav_map.obstacles, nav_map.floor_polygon)

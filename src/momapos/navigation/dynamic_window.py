@@ -237,10 +237,13 @@ def rate(
     scratch = scratch_for(surroundings)
     out, at, keep = np.empty(len(samples)), np.empty(3), np.empty(len(discs))
     cap = max(2 * preferred, 0.15)
+    # What walks may stop at once: who follows it must be able to stop behind it.
+    halted, apart = discs.copy(), np.empty(len(discs))
     for d in range(len(discs)):
         now = disc_separation(pose, discs[d, 0], discs[d, 1], prisms) - discs[d, 4]
-        keep[d] = min(weights.distance, now)
-    moving = Moving(discs, keep, look)
+        keep[d], apart[d] = min(weights.distance, now), min(weights.needed_clearance, now)
+        halted[d, 2] = halted[d, 3] = 0.0
+    moving, standing = Moving(discs, keep, look), Moving(halted, apart, look)
     worth = np.zeros(len(samples))
     for m in range(len(samples)):
         out[m] = -np.inf
@@ -267,6 +270,8 @@ def rate(
         waits = 0.0
         if len(discs):
             if _meets(pose, v, dt, braking, moving, prisms, at) < np.inf:
+                continue
+            if _meets(pose, v, dt, braking, standing, prisms, at) < np.inf:
                 continue
             hit = _meets(pose, v, look, braking, moving, prisms, at)
             waits = max(0.0, 1 - hit / look)
