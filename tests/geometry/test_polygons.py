@@ -83,6 +83,11 @@ def test_an_outline_is_inside_when_all_of_its_edge_is(floor: Float[np.ndarray, "
     np.testing.assert_array_equal(all_inside(floor, outlines)[sure], expected[sure])
 
 
+@pytest.mark.parametrize("floor", [U_SHAPE, HEXAGON])
+def test_of_no_outlines_none_is_inside(floor: Float[np.ndarray, "k 2"]) -> None:
+    assert all_inside(floor, np.zeros((0, 4, 2))).shape == (0,)
+
+
 def test_all_corners_inside_is_not_enough() -> None:
     """A beam across the niche has its corners on the floor and its middle in the wall."""
     beam = np.array([[[0.2, 2.0], [2.8, 2.0], [2.8, 2.3], [0.2, 2.3]]])

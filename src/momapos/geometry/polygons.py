@@ -36,7 +36,7 @@ def all_inside(
         edge = following(polygon) - polygon
         inward = np.stack([-edge[:, 1], edge[:, 0]], -1) * np.sign(signed_area(polygon))
         beyond = outlines.reshape(-1, 2) @ inward.T - (inward * polygon).sum(-1)
-        return (beyond > 0).reshape(n, -1).all(1)
+        return (beyond > 0).reshape(n, m * len(polygon)).all(1)
     rows = np.flatnonzero(contains(polygon, outlines.reshape(-1, 2)).reshape(n, m).all(1))
     inside = np.zeros(n, bool)
     inside[rows] = ~_edges_cross(polygon, outlines[rows])
