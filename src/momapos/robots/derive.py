@@ -119,15 +119,10 @@ def derive_robot(
     notes: list[str] = []
     anchor = find_anchor(model, notes)
     srdf = find_srdf(source.near or urdf, model.urdf.name)
-    chains = find_arms(model, anchor, _fingers(model, srdf), notes)
-    _note_groups(model, chains, srdf, notes)
     report(0.1, "geometry")
-    if source.mount is None:
-        refuse_without_base(model, anchor, [chain.joints[0] for chain in chains])
-    chains = [replace(chain, joints=lift_as_base(model, chain.joints, notes)) for chain in chains]
+    chains = _chains(model, anchor, source, srdf, notes)
     couplings = {name: mimic for chain in chains for name, mimic in chain.coupled}
     firsts = [chain.joints[0] for chain in chains]
-    boxed = source.mount is not None
     base_link, floor = find_base_link(model, anchor, firsts, notes)
     names = _arm_names(model, chains)
     arms = {
@@ -135,16 +130,9 @@ def derive_robot(
     }
     frames = [frame for frame in (floor, *(arm.frame for arm in arms.values())) if frame]
     record, _ = replace(amendments, frames=tuple(frames), coupled=couplings).read(urdf, cache)
-    # A gripper that rests open is planned for, drawn and executed as it comes to a handle.
-    fingers = {
-        name: value
-        for arm in arms.values()
-        for name, value in arm.text.grip.rest.items()
-        if value != model.rest[name]
-    }
-    model = _same_shapes(record, model, {**model.held, **fingers})
+    model = _same_shapes(record, model, {**model.held, **_resting_fingers(model, arms)})
     footprint = find_footprint(model, base_link, firsts, notes)
-    drive = find_drive(model, anchor, boxed, notes)
+    drive = find_drive(model, anchor, source.mount is not None, notes)
     pairs: dict[tuple[str, str], str] = {}
     for index, name in enumerate(names):
         report(0.2 + 0.8 * index / len(names), f"states of the arm {name}")
@@ -152,14 +140,12 @@ def derive_robot(
             model, base_link, arms, name, srdf, np.random.default_rng(seed), notes
         )
         pairs |= found
-    ours = f"{out.stem}.srdf" if pairs else ""
-    _note_pairs(pairs, srdf, ours, notes)
-    if boxed and BOX in model.links:
+    ours = _our_srdf(pairs, srdf, urdf, out, notes)
+    if source.mount is not None and BOX in model.links:
         notes.append(f"base: a box, {' x '.join(f'{v:g}' for v in _box(source))} m, that drives")
     notes.sort(key=lambda note: not note.startswith("IMPORTANT"))
-    if not pairs and srdf.path is not None and srdf.path != beside(urdf.resolve()):
-        ours = _relative(srdf.path, out)
     taken = {joint for arm in arms.values() for joint in arm.text.joints}
+    mount_urdf = None if source.mount is None else source.mount.urdf
     text = RobotText(
         name=_name(model, out, notes),
         urdf=_relative(urdf, out),
@@ -172,13 +158,50 @@ def derive_robot(
         coupled=couplings,
         frames=frames,
         mount=source.mount,
-        mount_urdf=""
-        if source.mount is None or source.mount.urdf is None
-        else _relative(source.mount.urdf, out),
+        mount_urdf="" if mount_urdf is None else _relative(mount_urdf, out),
         packages={name: _relative(folder, out) for name, folder in source.packages.items()},
     )
     known = dict(srdf.reasons) if pairs else {}
     return Derived(text.text(), {**known, **pairs}, tuple(dict.fromkeys(notes)))
+
+
+def _chains(
+    model: Articulated, anchor: str, source: Source, srdf: Srdf, notes: list[str]
+) -> list[ArmChain]:
+    """The arms, with the lift that stands for a part of the base where there is one.
+
+    Raises:
+        RobotError: There is none, or no base below it.
+    """
+    chains = find_arms(model, anchor, _fingers(model, srdf), notes)
+    _note_groups(model, chains, srdf, notes)
+    if source.mount is None:
+        refuse_without_base(model, anchor, [chain.joints[0] for chain in chains])
+    return [replace(chain, joints=lift_as_base(model, chain.joints, notes)) for chain in chains]
+
+
+def _resting_fingers(model: Articulated, arms: dict[str, _Arm]) -> dict[str, float]:
+    """Where fingers rest that do not rest where the URDF has them.
+
+    A gripper that rests open is planned for, drawn and executed as it comes to a handle.
+    """
+    return {
+        name: value
+        for arm in arms.values()
+        for name, value in arm.text.grip.rest.items()
+        if value != model.rest[name]
+    }
+
+
+def _our_srdf(
+    pairs: dict[tuple[str, str], str], srdf: Srdf, urdf: Path, out: Path, notes: list[str]
+) -> str:
+    """The SRDF that the robot file names: ours, or the user's where it is not beside the URDF."""
+    ours = f"{out.stem}.srdf" if pairs else ""
+    _note_pairs(pairs, srdf, ours, notes)
+    if not pairs and srdf.path is not None and srdf.path != beside(urdf.resolve()):
+        return _relative(srdf.path, out)
+    return ours
 
 
 def _fingers(model: Articulated, srdf: Srdf) -> set[str]:
