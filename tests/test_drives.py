@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.rooms import Everywhere, cabinet_room
+from tests.rooms import Everywhere, corridor_room
 
 from momapos.cli.console import summary
 from momapos.config import PipelineConfig
@@ -27,11 +26,7 @@ START = np.array([-2.8, -0.8, 0.0])
 
 @pytest.fixture(scope="module")
 def corridor(tmp_path_factory: pytest.TempPathFactory) -> Scene:
-    """The cabinet in a corridor with a dead end behind its hinge: the base is 64 cm wide, and the
-    door leaves 54 cm."""
-    scene = cabinet_room(tmp_path_factory.mktemp("corridor"))
-    floor = np.array([[-4.0, -1.3], [2.2, -1.3], [2.2, 0.1], [-4.0, 0.1]])
-    return replace(scene, floor_polygon=floor)
+    return corridor_room(tmp_path_factory.mktemp("corridor"))
 
 
 @pytest.fixture(scope="module")
@@ -90,3 +85,19 @@ def test_a_start_that_the_open_door_comes_near_is_no_goal_of_the_way_out(
     assert not way_out(answer, segway, start)
     assert not answer.search.shut_in
     assert way_out(answer, segway)
+
+
+def test_base_poses_are_compared_once_with_each_that_shuts_the_robot_in(
+    corridor: Scene, segway: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    compared: list[tuple[bytes, bytes]] = []
+    beside = WaysOn._beside
+
+    def spied(self: WaysOn, one: np.ndarray, other: np.ndarray) -> bool:
+        compared.append((one.tobytes(), other.tobytes()))
+        return beside(self, one, other)
+
+    monkeypatch.setattr(WaysOn, "_beside", spied)
+    assert ask(corridor, segway, 1.57).search.shut_in
+    assert len(compared) > 10
+    assert len(set(compared)) == len(compared)
