@@ -11,14 +11,18 @@ from tests.rooms import Everywhere, corridor_room
 from momapos.cli.console import summary
 from momapos.config import PipelineConfig
 from momapos.drives import WaysOn
+from momapos.manipulation.motion import task_motion
 from momapos.manipulation.tasks import make_task
 from momapos.navigation.footprint_map import build_navigation_map
 from momapos.navigation.global_path import plan_path
 from momapos.pipeline import plan_base_placement
-from momapos.placement.config import PlaceConfig
+from momapos.placement.config import Method, PlaceConfig
 from momapos.placement_result import PlacementResult
+from momapos.query import PlacementQuery
+from momapos.ready_search import ready_search
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene
+from momapos.stopwatch import Stopwatch
 
 QUICK = PipelineConfig(place=PlaceConfig(count=256, improve=1, grid=False), timeout=300.0)
 START = np.array([-2.8, -0.8, 0.0])
@@ -85,6 +89,28 @@ def test_a_start_that_the_open_door_comes_near_is_no_goal_of_the_way_out(
     assert not way_out(answer, segway, start)
     assert not answer.search.shut_in
     assert way_out(answer, segway)
+
+
+@pytest.mark.parametrize(
+    ("method", "way_on", "asked"),
+    [
+        ("ours", True, True),
+        ("ours", False, False),
+        ("exhaustive", True, False),
+        ("m3", True, False),
+    ],
+)
+def test_base_poses_are_asked_for_a_way_on_where_it_counts(
+    corridor: Scene, segway: Robot, method: Method, way_on: bool, asked: bool
+) -> None:
+    """The cheapest pose of the grid is that, and other methods choose as they do."""
+    config = PipelineConfig(place=PlaceConfig(method=method, way_on=way_on))
+    task = make_task(corridor, "open", "cabinet", to=1.2)
+    query = PlacementQuery(
+        corridor, segway, task, Everywhere(), START, None, config, 0, Stopwatch(lambda: 0.0)
+    )
+    motion = task_motion(corridor, segway, task, config.motion)
+    assert (ready_search(query, corridor, motion).problem.leads_on is not None) == asked
 
 
 def test_base_poses_are_compared_once_with_each_that_shuts_the_robot_in(
