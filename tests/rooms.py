@@ -69,6 +69,16 @@ def cabinet_room(folder: Path, *, left: bool = False, extra: str = "") -> Scene:
     return load_scene(folder / "room.json")
 
 
+def corridor_room(folder: Path, *, end: float = 2.2, extra: str = "") -> Scene:
+    """The cabinet in a corridor with a dead end behind its hinge, which ends at x = `end` [m].
+
+    A base of 64 cm does not pass the door: opened by 1.2 rad or more it leaves at most 54 cm.
+    """
+    floor = np.array([[-4.0, -1.3], [end, -1.3], [end, 0.1], [-4.0, 0.1]])
+    start = np.array([-2.8, -0.8, 0.0])
+    return replace(cabinet_room(folder, extra=extra), floor_polygon=floor, start=start)
+
+
 def move_scene(scene: Scene, x: float, y: float, yaw: float) -> Scene:
     """The same room at another place: turned about the world's z, then shifted."""
     R = rotation_about(np.array([0.0, 0.0, 1.0]), yaw)

@@ -3,23 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.rooms import Everywhere, cabinet_room
+from tests.rooms import Everywhere, corridor_room
 
 from momapos.cli.console import summary
 from momapos.config import PipelineConfig
 from momapos.drives import WaysOn
+from momapos.manipulation.motion import task_motion
 from momapos.manipulation.tasks import make_task
 from momapos.navigation.footprint_map import build_navigation_map
 from momapos.navigation.global_path import plan_path
 from momapos.pipeline import plan_base_placement
-from momapos.placement.config import PlaceConfig
+from momapos.placement.config import Method, PlaceConfig
 from momapos.placement_result import PlacementResult
+from momapos.query import PlacementQuery
+from momapos.ready_search import ready_search
 from momapos.robots.robot import Robot
 from momapos.scene.scene import Scene
+from momapos.stopwatch import Stopwatch
 
 QUICK = PipelineConfig(place=PlaceConfig(count=256, improve=1, grid=False), timeout=300.0)
 START = np.array([-2.8, -0.8, 0.0])
@@ -27,11 +30,7 @@ START = np.array([-2.8, -0.8, 0.0])
 
 @pytest.fixture(scope="module")
 def corridor(tmp_path_factory: pytest.TempPathFactory) -> Scene:
-    """The cabinet in a corridor with a dead end behind its hinge: the base is 64 cm wide, and the
-    door leaves 54 cm."""
-    scene = cabinet_room(tmp_path_factory.mktemp("corridor"))
-    floor = np.array([[-4.0, -1.3], [2.2, -1.3], [2.2, 0.1], [-4.0, 0.1]])
-    return replace(scene, floor_polygon=floor)
+    return corridor_room(tmp_path_factory.mktemp("corridor"))
 
 
 @pytest.fixture(scope="module")
@@ -90,3 +89,41 @@ def test_a_start_that_the_open_door_comes_near_is_no_goal_of_the_way_out(
     assert not way_out(answer, segway, start)
     assert not answer.search.shut_in
     assert way_out(answer, segway)
+
+
+@pytest.mark.parametrize(
+    ("method", "way_on", "asked"),
+    [
+        ("ours", True, True),
+        ("ours", False, False),
+        ("exhaustive", True, False),
+        ("m3", True, False),
+    ],
+)
+def test_base_poses_are_asked_for_a_way_on_where_it_counts(
+    corridor: Scene, segway: Robot, method: Method, way_on: bool, asked: bool
+) -> None:
+    """The cheapest pose of the grid is that, and other methods choose as they do."""
+    config = PipelineConfig(place=PlaceConfig(method=method, way_on=way_on))
+    task = make_task(corridor, "open", "cabinet", to=1.2)
+    query = PlacementQuery(
+        corridor, segway, task, Everywhere(), START, None, config, 0, Stopwatch(lambda: 0.0)
+    )
+    motion = task_motion(corridor, segway, task, config.motion)
+    assert (ready_search(query, corridor, motion).problem.leads_on is not None) == asked
+
+
+def test_base_poses_are_compared_once_with_each_that_shuts_the_robot_in(
+    corridor: Scene, segway: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    compared: list[tuple[bytes, bytes]] = []
+    beside = WaysOn._beside
+
+    def spied(self: WaysOn, one: np.ndarray, other: np.ndarray) -> bool:
+        compared.append((one.tobytes(), other.tobytes()))
+        return beside(self, one, other)
+
+    monkeypatch.setattr(WaysOn, "_beside", spied)
+    assert ask(corridor, segway, 1.57).search.shut_in
+    assert len(compared) > 10
+    assert len(set(compared)) == len(compared)

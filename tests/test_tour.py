@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.rooms import Everywhere, corridor_room
 
 from momapos.cli.main import main
 from momapos.cli.tour import split
@@ -88,6 +89,28 @@ def test_where_no_base_pose_serves_all_the_stops_are_few(kitchen: Scene, segway:
     assert last.navigation_cost is not None
     assert last.navigation_cost > 0.1
     assert tour.driving == pytest.approx((first.navigation_cost or 0.0) + last.navigation_cost)
+
+
+@pytest.mark.parametrize("asked", [True, False])
+def test_a_stop_from_which_the_next_task_cannot_be_done_is_made_elsewhere(
+    tmp_path: Path, segway: Robot, monkeypatch: pytest.MonkeyPatch, asked: bool
+) -> None:
+    """The open door parts the mug from the side on which the robot has a way on."""
+    mug = ', {"name": "mug", "pose": {"xyz": [3.3, -0.1, 0.9]}, "box": [0.06, 0.06, 0.1]}'
+    corridor = corridor_room(tmp_path, end=4.0, extra=mug)
+    requests = [Request("open", "cabinet", None, 1.2), Request("pick", "mug")]
+    config = PipelineConfig(
+        place=PlaceConfig(count=256, improve=1, rounds=2, grid=False), timeout=300.0
+    )
+    if not asked:
+        monkeypatch.setattr("momapos.tour.base_poses_elsewhere", lambda *_: None)
+    tour = plan_tour(corridor, segway, requests, Everywhere(), config=config)
+    assert tour.status == ("solved" if asked else "infeasible")
+    assert tour.stops == (1, 2)
+    first, last = (step.plan for step in tour.steps)
+    assert last.start == first.base_pose
+    assert first.base_pose is not None
+    assert (first.base_pose[0] > 0.3) == asked
 
 
 def test_a_task_without_an_answer_ends_the_tour_with_its_reasons(

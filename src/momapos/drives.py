@@ -71,6 +71,9 @@ class WaysOn:
         default_factory=lambda: {True: [], False: []}
     )
     """Base poses from which a way leads there, and from which none does."""
+    _compared: dict[bytes, tuple[int, bool]] = field(default_factory=dict)
+    """By base pose: with how many that shut the robot in it was compared, and whether one of them
+    is beside it."""
 
     def __call__(self, base: Float[np.ndarray, "3"]) -> bool:
         """Look at a base pose to which a way was found."""
@@ -94,11 +97,14 @@ class WaysOn:
 
         A search comes to many poses in the same corner, and that no way leads out is told slowly.
         """
-        query = self.drives.query
-        if (gaps(base[None], query.nav_map.prisms, query.outlines_after) <= 0.0).any():
-            return True
+        query, shut_in, key = self.drives.query, self._known[False], base.tobytes()
+        before, out = self._compared.get(key, (0, False))
+        if key not in self._compared:
+            out = bool((gaps(base[None], query.nav_map.prisms, query.outlines_after) <= 0.0).any())
         with query.watch.stage("way"):
-            return any(self._beside(base, shut_in) for shut_in in self._known[False])
+            out = out or any(self._beside(base, other) for other in shut_in[before:])
+        self._compared[key] = len(shut_in), out
+        return out
 
     def _beside(self, one: Float[np.ndarray, "3"], other: Float[np.ndarray, "3"]) -> bool:
         """Whether a straight leg joins two poses in the room as the task leaves it."""

@@ -138,6 +138,7 @@ def _search(query: PlacementQuery, selection: Selection, motion: TaskMotion) -> 
     if found.is_no and not selection.boxes:
         with watch.stage("search"):
             found.join(ready.finely(found, config))
+        found.settle()
     if found.is_no and not selection.boxes:
         for problem, again in ready.otherwise(config):
             with watch.stage("search"):

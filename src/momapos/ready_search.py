@@ -162,12 +162,17 @@ def ready_search(query: PlacementQuery, modeled: Scene, motion: TaskMotion) -> R
         out_of_time=out_of_time,
         pose_filter=query.pose_filter,
         goes_home=partial(_goes_home, query) if moves else None,
-        leads_on=WaysOn(drives) if moves else None,
+        leads_on=WaysOn(drives) if moves and _asks_way_on(config.place) else None,
         region=query.region,
         rules=() if robust is None else (robust.rule(prepared.geometry),),
         fit=None if robot.chain.size >= FULL else partial(fitted_bases, robot, prepared.motion),
     )
     return ReadySearch(query, prepared, problem, feasible, drives, robust)
+
+
+def _asks_way_on(place: PlaceConfig) -> bool:
+    """Whether base poses are asked for a way on: other methods choose theirs without."""
+    return place.way_on and place.method == "ours"
 
 
 def _goes_home(query: PlacementQuery, poses: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:

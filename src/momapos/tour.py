@@ -12,11 +12,13 @@ import numpy as np
 
 from momapos.base_pose import BasePoseChecks, plan_at_base_pose
 from momapos.config import PipelineConfig
+from momapos.elsewhere import OTHERS, base_poses_elsewhere
 from momapos.errors import SceneError, TaskError
 from momapos.manipulation.tasks import make_task
 from momapos.outcomes import PoseOutcome, PoseStatus
 from momapos.pipeline import plan_base_placement
 from momapos.placement.area import BaseStatus, base_pose_status
+from momapos.placement.problem import PoseFilter
 from momapos.placement_result import PlacementResult
 from momapos.prepare import start_pose
 from momapos.protocols import Clock, ReachScorer
@@ -119,16 +121,9 @@ def plan_tour(
         robot, load_reach(robot, cache_dir) if reach is None else reach, region, config, seed,
         clock, began + config.timeout, list(_rooms(scene, requests)), tuple(requests),
     )  # fmt: skip
-    steps: list[PlacementResult] = []
-    stops: list[int] = []
-    while len(steps) < len(requests):
-        done = planner.stop(len(steps), start)
-        stops += [1 + max(stops, default=0)] * len(done)
-        steps += done
-        pose = done[-1].plan.base_pose
-        if done[-1].plan.status != "solved" or pose is None:
-            break
-        start = np.array(pose)
+    visits = planner.stops(0, start)
+    steps = [step for visit in visits for step in visit]
+    stops = [k for k, visit in enumerate(visits, 1) for _ in visit]
     return Tour(tuple(steps), tuple(stops), _assumed(requests), clock() - began)
 
 
@@ -171,6 +166,22 @@ def _assumed(requests: Sequence[Request]) -> tuple[str, ...]:
     return (*free, *brings)
 
 
+def _solved(visit: list[PlacementResult]) -> bool:
+    """Whether all tasks of a stop have an answer."""
+    return visit[-1].plan.status == "solved"
+
+
+def _base(visit: list[PlacementResult]) -> Float[np.ndarray, "3"]:
+    """Where the robot stands at a stop that has an answer: x [m], y [m], yaw [rad]."""
+    pose = visit[-1].plan.base_pose
+    assert pose is not None
+    return np.array(pose)
+
+
+def _tasks_done(visits: list[list[PlacementResult]]) -> int:
+    return sum(len(visit) for visit in visits if _solved(visit))
+
+
 @dataclass
 class _Planner:
     """All tasks, and what is known of them so far."""
@@ -188,8 +199,48 @@ class _Planner:
     _checks: dict[int, BasePoseChecks] = field(default_factory=dict)
     """Of base poses, by task."""
 
-    def stop(self, first: int, start: Float[np.ndarray, "3"] | None) -> list[PlacementResult]:
+    def stops(
+        self, first: int, start: Float[np.ndarray, "3"] | None
+    ) -> list[list[PlacementResult]]:
+        """The answers of each stop, from a task on; of the last there is none where it fails.
+
+        Where the stop after one fails at once, that one is made elsewhere, as long as there is
+        time; the tour that comes farthest is the answer.
+        """
+        visit = self.stop(first, start)
+        best: list[list[PlacementResult]] = []
+        tried: list[Float[np.ndarray, "3"]] = []
+        while _solved(visit):
+            found, after = [visit], first + len(visit)
+            if after < len(self.rooms):
+                tried.append(_base(visit))
+                found += self.stops(after, tried[-1])
+            best = max(best, found, key=_tasks_done)
+            fails_at_once = len(found) == 2 and not _solved(found[1])
+            if not fails_at_once or len(tried) > OTHERS or self.clock() > self.deadline:
+                break
+            elsewhere = self._elsewhere(first, visit, tried)
+            if elsewhere is None:
+                break
+            visit = self.stop(first, start, elsewhere)
+        return best or [visit]
+
+    def _elsewhere(
+        self, first: int, visit: list[PlacementResult], tried: list[Float[np.ndarray, "3"]]
+    ) -> PoseFilter | None:
+        """What rules out base poses of a stop from which the robot gets nowhere else."""
+        after, _ = self.rooms[first + len(visit)]
+        return base_poses_elsewhere(visit[0].prepared.geometry, after, tried)
+
+    def stop(
+        self, first: int, start: Float[np.ndarray, "3"] | None, elsewhere: PoseFilter | None = None
+    ) -> list[PlacementResult]:
         """The longest run of tasks from the first on that one base pose serves.
+
+        Args:
+            first: The task with which it begins.
+            start: Where the base is: x [m], y [m], yaw [rad]; the scene's start by default.
+            elsewhere: Rules base poses out that are no other than those that were tried.
 
         Returns:
             One answer for each; where there is none even for the first, that alone.
@@ -198,7 +249,7 @@ class _Planner:
         for last in range(len(self.rooms) - 1, first - 1, -1):
             left = max(self.deadline - self.clock(), 1e-3)
             share = 1.0 if last == first else JOINT_SHARE / tasks
-            found = self._from_one_pose(first, last, start, share * left)
+            found = self._from_one_pose(first, last, start, elsewhere, share * left)
             if found.plan.status == "solved" or last == first:
                 break
         if found.plan.status != "solved" or found.plan.base_pose is None:
@@ -214,8 +265,9 @@ class _Planner:
         return [found, *others]
 
     def _from_one_pose(
-        self, first: int, last: int, start: Float[np.ndarray, "3"] | None, timeout: float
-    ) -> PlacementResult:
+        self, first: int, last: int, start: Float[np.ndarray, "3"] | None,
+        elsewhere: PoseFilter | None, timeout: float,
+    ) -> PlacementResult:  # fmt: skip
         """The answer of the first task from a base pose that serves all up to the last."""
         scene, robot, task = self._asked(first)
         known: dict[bytes, PoseOutcome | None] = {}
@@ -227,16 +279,18 @@ class _Planner:
             return known[key]
 
         def ruled_out(poses: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
-            out = np.zeros(len(poses), bool)
+            out = np.zeros(len(poses), bool) if elsewhere is None else elsewhere(poses)
             for k in range(first + 1, last + 1):
                 left = np.flatnonzero(~out)
                 out[left] = ~self._may_serve(k, poses[left])
             return out
 
+        config = replace(self._config(first), timeout=timeout)
+        if elsewhere is not None:  # what they lead to has been asked already
+            config = replace(config, place=replace(config.place, way_on=False))
         return plan_base_placement(
             scene, robot, task, self.reach, start=start, pose_filter=ruled_out, also=also,
-            region=self.region, config=replace(self._config(first), timeout=timeout),
-            seed=self.seed, clock=self.clock,
+            region=self.region, config=config, seed=self.seed, clock=self.clock,
         )  # fmt: skip
 
     def _refused(self, base: Float[np.ndarray, "3"], first: int, last: int) -> PoseOutcome | None:

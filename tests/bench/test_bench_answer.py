@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.rooms import corridor_room
 
 from momapos.baselines.answer import plan_by_method
-from momapos.bench import answer
+from momapos.bench import steps
 from momapos.bench.answer import answer_job
 from momapos.bench.folder import all_rows
 from momapos.bench.records import Container, Job, Settings, SuiteTask, from_plain, to_plain
@@ -80,7 +81,7 @@ def test_what_a_process_keeps_of_a_task_is_made_before_the_clock_starts(
         made.append(sum(one.cache_info().misses for one in kept) - before)
         return result
 
-    monkeypatch.setattr(answer, "plan_by_method", watched)
+    monkeypatch.setattr(steps, "plan_by_method", watched)
     assert ask(drawer, method).outcome == "solved"
     assert made == [0]
 
@@ -115,20 +116,49 @@ def test_a_thing_in_a_drawer_is_taken_after_the_drawer_was_opened(tmp_path: Path
 def test_who_stands_where_it_cannot_go_on_from_gave_up(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    task, plan = with_egg(tmp_path), answer.plan_by_method
+    task, plan = with_egg(tmp_path), steps.plan_by_method
 
     def in_the_way(*args: Any, **named: Any) -> Any:
         if named["start"] is not None:
             raise SceneError("start (1.00, 2.00, 0 deg): its arm would touch a; give another")
         return plan(*args, **named)
 
-    monkeypatch.setattr(answer, "plan_by_method", in_the_way)
+    monkeypatch.setattr(steps, "plan_by_method", in_the_way)
     row = ask(task, "ours", tmp_path)
     assert row.outcome == "gave up"
     assert row.reason == "where it opened cabinet_left: its arm would touch a"
     assert len(row.bases) == 1
     alone = ask(replace(CUP, start=(0.0, 0.0, 0.0)), "ours")
     assert alone.outcome == "failed"
+
+
+@pytest.mark.parametrize("asked", [True, False])
+def test_where_the_thing_cannot_be_taken_the_door_is_opened_from_its_other_side(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, asked: bool
+) -> None:
+    """The mug is in a dead end that the open door parts from the side that the robot prefers."""
+    scene = corridor_room(tmp_path, end=4.0)
+    urdf = (tmp_path / "cabinet.urdf").read_text()
+    (tmp_path / "cabinet.urdf").write_text(urdf.replace('upper="1.9"', 'upper="1.2"'))
+    room = json.loads((tmp_path / "room.json").read_text())
+    assert scene.floor_polygon is not None
+    assert scene.start is not None
+    mug = {"name": "mug", "pose": {"xyz": [3.3, -0.1, 0.9]}, "box": [0.06, 0.06, 0.1]}
+    room["objects"].append(mug)
+    room["floor"] = scene.floor_polygon.tolist()
+    room["start"] = dict(zip(("x", "y", "yaw"), scene.start.tolist(), strict=True))
+    (tmp_path / "room.json").write_text(json.dumps(room))
+    task = SuiteTask(
+        "mug", "in cabinet", "room.json", "segway_ur5e", "pick", "mug",
+        inside=Container("cabinet", "hinge"),
+    )  # fmt: skip
+    if not asked:
+        monkeypatch.setattr(steps, "base_poses_elsewhere", lambda *_: None)
+    row = ask(task, "ours:place.grid=false", tmp_path)
+    assert (row.outcome, row.verified) == ("solved" if asked else "infeasible", True)
+    assert (row.bases[0][0] > 0.3) == asked
+    assert steps.ELSEWHERE in row.stages
+    assert row.seconds == pytest.approx(sum(row.stages.values()), abs=0.1)
 
 
 def test_a_drawer_that_cannot_be_opened_ends_the_job(tmp_path: Path) -> None:

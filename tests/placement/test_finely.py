@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from momapos.config import PipelineConfig
+from momapos.drives import WaysOn
 from momapos.kinematics.ik import build_ik
 from momapos.manipulation.tasks import make_task
 from momapos.pipeline import plan_base_placement
@@ -39,9 +41,18 @@ def test_what_coarse_inverse_kinematics_overlooks_is_found(monkeypatch: pytest.M
         return looked[-1]
 
     monkeypatch.setattr(ReadySearch, "finely", spied)
+    asked: list[bytes] = []
+    leads = WaysOn.__call__
+
+    def asks(self: WaysOn, base: np.ndarray) -> bool:
+        asked.append(base.tobytes())
+        return leads(self, base)
+
+    monkeypatch.setattr(WaysOn, "__call__", asks)
     task = make_task(scene, "open", "fridge", "door_hinge")
     plan = plan_base_placement(scene, robot, task, config=PipelineConfig(place=COARSE)).plan
     assert len(looked) == 1
     assert plan.status == "solved"
     assert looked[0].base is not None
     assert plan.base_pose == tuple(looked[0].base.tolist())
+    assert looked[0].base.tobytes() in asked

@@ -178,16 +178,6 @@ def test_no_answer_is_lost_where_the_robot_cannot_drive_on(
     assert found.cost == pytest.approx(np.linalg.norm(found.base[:2] - START[:2]))
 
 
-def test_the_cheapest_pose_of_the_grid_is_not_asked_what_it_leads_to(
-    geometry: PlacementGeometry,
-) -> None:
-    plain = find(geometry, always, always, method="exhaustive")
-    asked = find(geometry, always, always, method="exhaustive", leads_on=Leads(never))
-    assert plain.base is not None
-    assert asked.base is not None
-    np.testing.assert_array_equal(asked.base, plain.base)
-
-
 def test_the_base_may_end_beside_the_pose_that_is_chosen(geometry: PlacementGeometry) -> None:
     def stripes(poses: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
         # Works in stripes of 8 cm, every 12 cm.

@@ -56,6 +56,8 @@ class PlaceConfig:
     """What an arm adds that comes to a singular state, any other in proportion [-]."""
     weight_effort: float = 0.0
     """What each radian adds by which the arm's joints turn, in sum [1/rad]."""
+    way_on: bool = True
+    """Whether base poses from which the robot can drive on after the task come first (ours)."""
     sweep_room: float = 0.1
     """What the moving part should pass the base by, where it can: joints are not quite where they
     are modeled (ours) [m]."""

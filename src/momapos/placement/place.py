@@ -65,8 +65,6 @@ def search(problem: Problem, config: PlaceConfig, rng: np.random.Generator) -> S
     corners = sampling_box(problem.geometry)
     if corners is None or problem.infeasible_reason:
         return known_no(problem)
-    if config.method != "ours":
-        problem = replace(problem, leads_on=None)
     found = Search()
     frame = task_frame(problem.geometry)
     for local, on_grid in _rounds(corners, config, rng):
@@ -113,7 +111,6 @@ def search_in_order(
     """
     if problem.infeasible_reason or sampling_box(problem.geometry) is None:
         return known_no(problem)
-    problem = replace(problem, leads_on=None)
     found, size = Search(), 1
     for poses in proposals:
         first = 0
