@@ -16,6 +16,9 @@ from momapos.kinematics.subproblems import cross, dot, sub
 
 TRIES = 40
 """Directions that are tried; 3 are enough as a rule [-]."""
+FEW = 200
+"""Vertices of which all are looked at for the one that lies farthest along a direction; those of a
+mesh may be thousands, and are climbed from neighbor to neighbor [-]."""
 
 
 @kernel
@@ -87,17 +90,55 @@ def _overlap(R, p, hulls, h, k):
 @kernel
 def _outermost(R, segment, hulls, h, toward, sign):
     """Index of the vertex of a hull that lies farthest along a direction, or against it."""
-    T, vertices = R[segment], hulls.vertices
+    T = R[segment]
     x, y, z = sign * toward[0], sign * toward[1], sign * toward[2]
-    i = T[0, 0] * x + T[1, 0] * y + T[2, 0] * z
-    j = T[0, 1] * x + T[1, 1] * y + T[2, 1] * z
-    k = T[0, 2] * x + T[1, 2] * y + T[2, 2] * z
+    direction = (
+        T[0, 0] * x + T[1, 0] * y + T[2, 0] * z,
+        T[0, 1] * x + T[1, 1] * y + T[2, 1] * z,
+        T[0, 2] * x + T[1, 2] * y + T[2, 2] * z,
+    )
+    if hulls.first[h + 1] - hulls.first[h] > FEW:
+        return climbed(hulls, hulls.begin[h, part_of_space(direction)], direction)
     best, farthest = hulls.first[h], -math.inf
     for v in range(hulls.first[h], hulls.first[h + 1]):
-        along = vertices[v, 0] * i + vertices[v, 1] * j + vertices[v, 2] * k
+        along = _along(hulls.vertices, v, direction)
         if along > farthest:
             best, farthest = v, along
     return best
+
+
+@kernel
+def climbed(hulls, v, direction):
+    """The farthest vertex, over neighbors from another: on a convex body each is nearer to it."""
+    best, farthest = v, _along(hulls.vertices, v, direction)
+    while True:
+        for e in range(hulls.beside_from[v], hulls.beside_from[v + 1]):
+            along = _along(hulls.vertices, hulls.beside[e], direction)
+            if along > farthest:
+                best, farthest = hulls.beside[e], along
+        if best == v:
+            return v
+        v = best
+
+
+@kernel
+def _along(vertices, v, direction):
+    return (
+        vertices[v, 0] * direction[0]
+        + vertices[v, 1] * direction[1]
+        + vertices[v, 2] * direction[2]
+    )
+
+
+@kernel
+def part_of_space(direction):
+    """Which of 27 parts of space a direction points to: along each axis back, nowhere or ahead."""
+    x, y, z = direction
+    half = 0.5 * max(abs(x), abs(y), abs(z))
+    part = 0
+    for a in (x, y, z):
+        part = 3 * part + (2 if a > half else 0 if a < -half else 1)
+    return part
 
 
 @kernel

@@ -107,6 +107,9 @@ class HullArrays(NamedTuple):
     segment: I1
     of_group: I1
     of_base: I1
+    beside: I1
+    beside_from: I1
+    begin: I2
     room: float
 
 

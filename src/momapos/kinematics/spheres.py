@@ -18,39 +18,14 @@ from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.chain import Segments
 from momapos.kinematics.collision import FINGER, OTHER, PALM
 from momapos.kinematics.hulls import Boxes
-from momapos.kinematics.records import HullArrays, SphereArrays
+from momapos.kinematics.link_hulls import LinkHulls, link_hulls
+from momapos.kinematics.records import SphereArrays
 from momapos.kinematics.sphere_cover import ARM, BODY, GRIPPER, MARGIN, box_spheres, cover_shapes
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
 __all__ = ["MARGIN", "Spheres", "box_spheres", "build_spheres", "carry"]
-
-
-@dataclass(frozen=True)
-class LinkHulls:
-    """Convex hulls of the links' shapes, each relative to the joint origin of its segment."""
-
-    vertices: Float[np.ndarray, "v 3"]
-    """Of all hulls, one hull after the other [m]."""
-    first: Int[np.ndarray, " hulls_plus_1"]
-    """Vertices of hull h are first[h]:first[h + 1]."""
-    center: Float[np.ndarray, "hulls 3"]
-    """A point within each [m]."""
-    segment: Int[np.ndarray, " hulls"]
-    of_group: Int[np.ndarray, " groups_plus_1"]
-    """Hulls of group g are of_group[g]:of_group[g + 1]."""
-    of_base: Int[np.ndarray, " b"]
-    """The hull that each box of the base covers."""
-    room: float = 0.0
-    """Hulls that are nearer to each other overlap [m]."""
-
-    def arrays(self) -> HullArrays:
-        """The hulls as the kernels take them."""
-        return HullArrays(
-            self.vertices, self.first, self.center, self.segment, self.of_group, self.of_base,
-            self.room,
-        )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -176,7 +151,7 @@ def build_spheres(
         base=base,
         base_pairs=against,
         base_links=tuple(base_links),
-        hulls=_hulls(model, segments, moving),
+        hulls=link_hulls(model, segments, moving, _standing(model, segments)),
         exact=np.zeros(len(pairs), bool),
         base_exact=np.zeros_like(against),
     )
@@ -269,23 +244,6 @@ def _base_boxes(model: Articulated, segments: Segments) -> tuple[Boxes, list[str
             half.append(boxes.half)
             names += [link] * len(boxes)
     return Boxes(np.concatenate(center), np.concatenate(rotation), np.concatenate(half)), names
-
-
-def _hulls(model: Articulated, segments: Segments, moving: Sequence[str]) -> LinkHulls:
-    """Hulls of the links that move, then those of the base."""
-    standing = _standing(model, segments)
-    links = [(link, hull) for link in (*moving, *standing) for hull in model.hulls[link]]
-    vertices = [apply(segments.T_segment_link[link], hull.vertices) for link, hull in links]
-    counts = [len(model.hulls[link]) for link in moving]
-    boxes = [len(boxes) for link in standing for boxes in model.boxes[link]]
-    return LinkHulls(
-        vertices=np.concatenate([np.zeros((0, 3)), *vertices]),
-        first=np.cumsum([0, *map(len, vertices)]),
-        center=np.array([points.mean(0) for points in vertices]).reshape(-1, 3),
-        segment=np.array([segments.of_link[link] for link, _ in links], np.int64),
-        of_group=np.cumsum([0, *counts]),
-        of_base=np.repeat(sum(counts) + np.arange(len(boxes)), boxes),
-    )
 
 
 def _standing(model: Articulated, segments: Segments) -> list[str]:

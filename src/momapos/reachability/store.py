@@ -58,10 +58,10 @@ def map_key(robot: Robot, config: ReachConfig) -> str:
     chain = robot.chain
     spheres = robot.spheres.arrays()
     # Bounds of the base, left out, follow from its boxes; hulls matter where they decide, all but
-    # how near they may be, which is last.
+    # how near they may be. What lies beside what follows from the vertices.
     shapes: list[np.ndarray] = list(spheres[:12])
     if spheres.exact.any() or spheres.base_exact.any():
-        shapes += [*spheres.hulls[:-1], spheres.exact, spheres.base_exact]
+        shapes += [*spheres.hulls[:6], spheres.exact, spheres.base_exact]
     coupling = (chain.dof, chain.ratio) if chain.coupled else ()
     arrays = (
         chain.h, chain.d, chain.slides, *coupling, chain.lower, chain.upper, chain.tool_offset,

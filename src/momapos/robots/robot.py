@@ -23,8 +23,9 @@ from momapos.kinematics.chain import Chain, Segments, build_chain
 from momapos.kinematics.hulls import Boxes
 from momapos.kinematics.ik_model import IkModel, build_ik, fine_ik
 from momapos.kinematics.kept import once
+from momapos.kinematics.link_hulls import LinkHulls
 from momapos.kinematics.self_collision import arm_spheres
-from momapos.kinematics.spheres import LinkHulls, Spheres
+from momapos.kinematics.spheres import Spheres
 from momapos.robots.gripper import FINGER, HAND
 from momapos.robots.names import find_robot, library_file
 from momapos.robots.robot_tables import (
