@@ -179,7 +179,7 @@ class Panel:
                                      initial_value=0.9)  # fmt: skip
         for handle in self.layers.values():
             self._listen(handle, lambda: page.layers.changed())
-        self._listen(self.layers["collision"], page.change_look)
+        self._listen(self.layers["collision"], lambda: page.answer.change_look())
         self._listen(self.height, lambda: page.layers.height_changed())
         self.legend = gui.add_html("")
         self.clicked = gui.add_markdown("Click a candidate: why it was refused.")
