@@ -13,7 +13,7 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from momapos.cache import Cache
 from momapos.page.answer_layers import AnswerLayers
@@ -36,6 +36,7 @@ from momapos.page.state import Choice, Shown
 from momapos.page.words import answer_words, escaped
 from momapos.page.work import Latest
 from momapos.protocols import Clock
+from momapos.robots.robot import Robot
 from momapos.scene.files import load_scene
 from momapos.scene.scene import Scene
 
@@ -276,17 +277,17 @@ class Page:
         self.panel.arm.disabled = len(names) == 1
         return machine
 
-    def look_at_room(self) -> None:
-        """Turn the cameras back to the whole room."""
-        if self.shown.scene is not None:
-            look_at(self.server, self.shown.scene)
-
-    def arm_of(self, machine: Machine) -> Any:
+    def arm_of(self, machine: Machine) -> Robot:
         """The arm that is drawn, which is the one that was last answered for."""
         robot = self.robot.robot
         return robot if robot in machine.arms else machine.arms[0]
 
     # -------------------------------------------------------------------- clicks and browsers
+
+    def look_at_room(self) -> None:
+        """Turn the cameras back to the whole room."""
+        if self.shown.scene is not None:
+            look_at(self.server, self.shown.scene)
 
     def _pick(self, name: str) -> None:
         """An object is clicked: ask about it."""
