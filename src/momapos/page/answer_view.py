@@ -101,6 +101,22 @@ class AnswerView:
         page.layers.show(shown.scene, answer, machine.reach_of(robot.arm))
         page.tell(words)
 
+    def measured(self, before: PlacementResult, answer: PlacementResult) -> None:
+        """The tolerance of an answer is known: take it instead, and say it where that is said.
+
+        Args:
+            before: The answer that may be shown still.
+            answer: The same with its tolerance.
+        """
+        page = self._page
+        with page.drawing:
+            if page.shown.answer is not before:
+                return
+            page.shown.answer = answer
+            said, known = page.panel.result.content, answer_words(before)
+            if said.startswith(known):
+                page.tell(answer_words(answer) + said.removeprefix(known))
+
     def change_look(self) -> None:
         """Things are drawn as what is checked, or as what they look like."""
         room = self._page.room

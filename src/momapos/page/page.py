@@ -93,8 +93,10 @@ class Page:
         self.extras = Extras(self)
         self.compare = Compare(self)
         self.scan = ScanView(server.scene, self.panel)
-        self.layers = AnswerLayers(server.scene, self.panel, self.robot, self.drawing)
         self.answer = AnswerView(self)
+        self.layers = AnswerLayers(
+            server.scene, self.panel, self.robot, self.drawing, self.answer.measured
+        )
         self.work = Latest("page work", self.fail)
         self.follow = Follow(self)
         self.browsers = Browsers(server, self._stop_if_busy)
