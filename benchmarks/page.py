@@ -20,8 +20,8 @@ from pathlib import Path
 import numpy as np
 
 from momapos.manipulation.tasks import make_task
+from momapos.page.answer_view import READY
 from momapos.page.follow import FOLLOW
-from momapos.page.page import READY
 from momapos.page.probe import Probe
 from momapos.pipeline import plan_base_placement
 from momapos.reachability.store import load_reach

@@ -184,6 +184,21 @@ def test_the_answer_has_its_tolerance_and_poses_in_it_do(answer: PlacementResult
         assert there.motion is not None, there.reason
 
 
+def test_what_the_clock_raises_ends_the_work(answer: PlacementResult) -> None:
+    looks = 0
+
+    def clock() -> float:
+        nonlocal looks
+        looks += 1
+        if looks == 10:
+            raise TimeoutError
+        return 0.0
+
+    with pytest.raises(TimeoutError):
+        with_tolerance(answer, clock=clock)
+    assert looks <= 12  # those of the stopwatch, which counts what was spent
+
+
 def test_without_a_motion_there_is_no_tolerance() -> None:
     scene, robot = load_scene("kitchen_small"), load_robot("segway_ur5e")
     task = make_task(scene, "open", "cabinet_right", "drawer_middle_slide")

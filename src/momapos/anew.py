@@ -60,6 +60,8 @@ class FoundAnew:
     def failure(self, poses: Float[np.ndarray, "n 3"], how: Depth) -> int | None:
         """Index of a pose where no motion is found; None where one is found at all.
 
+        The query's clock is looked at before each pose; what it raises ends the work.
+
         Args:
             poses: x [m], y [m], yaw [rad], those that fail most first.
             how: How much is asked.
@@ -69,6 +71,7 @@ class FoundAnew:
         if len(blocked):
             return int(blocked[-1])
         for index, pose in enumerate(poses if how != "base" else ()):
+            self.checks.query.watch.clock()
             if not self._found(pose, exact=how == "all"):
                 return index
         return None

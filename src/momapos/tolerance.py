@@ -124,16 +124,15 @@ def with_tolerance(
     Args:
         answer: An answer of the pipeline; unchanged where it has no motion, or its tolerance.
         samples: Poses in a disc [-].
-        clock: Measures the time, which is not in the plan's total.
+        clock: Measures the time, which is not in the plan's total; what it raises ends the work.
     """
     plan, query = answer.plan, answer.query
     if plan.tolerance is not None or plan.motion is None or query is None:
         return answer
     watch, base = Stopwatch(clock), np.array(plan.base_pose, float)
+    asked = replace(query, task=plan.task, watch=watch)
     with watch.stage("tolerance"):
-        found = measured_tolerance(
-            replace(query, task=plan.task), base, plan.motion, samples=samples
-        )
+        found = measured_tolerance(asked, base, plan.motion, samples=samples)
     timing = {**plan.timing, "tolerance": watch.timing["tolerance"]}
     return replace(answer, plan=replace(plan, tolerance=found, timing=timing))
 

@@ -12,7 +12,17 @@ from momapos.page.robot_view import VERDICTS
 from momapos.page.room_view import rgb
 from momapos.page.scan_view import ROOM, THINGS
 from momapos.viewer.candidate_markers import KINDS
-from momapos.viewer.palette import BAD, HANDLE, INK, PART, RELATIONS, SOFT_INK, TARGET, WAYPOINT
+from momapos.viewer.palette import (
+    BAD,
+    GOOD,
+    HANDLE,
+    INK,
+    PART,
+    RELATIONS,
+    SOFT_INK,
+    TARGET,
+    WAYPOINT,
+)
 
 SEEN = {
     "all cones": np.eye(3),
@@ -36,7 +46,7 @@ TOGETHER = {
     "things of a scan": [*THINGS, ROOM],
     "answers that are kept": list(COLORS),
     "relations": [line.color for line in RELATIONS.values()],
-    "lines of an answer": [INK, SOFT_INK, WAYPOINT, HANDLE],
+    "lines of an answer": [INK, SOFT_INK, WAYPOINT, HANDLE, GOOD],
     "objects": [TARGET, PART, BAD],
 }
 """What is seen side by side, and means something else by its color."""

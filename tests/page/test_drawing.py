@@ -7,6 +7,7 @@ import threading
 import time
 import warnings
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ import numpy as np
 import pytest
 from PIL import Image
 from tests import optional
+from viser import LineSegmentsHandle
 
 from momapos.cache import user_cache
 from momapos.errors import InputError
@@ -26,6 +28,8 @@ from momapos.page.panel import POINTS
 from momapos.page.saving import FILMS, render, send_film
 from momapos.page.scan_view import ROOM, SIZE, boxes_of, thing_colors
 from momapos.page.serve import served
+from momapos.page.words import answer_words
+from momapos.plans import read_plan
 from momapos.scan_records import Decision, Modeled
 from momapos.types import Cloud, Detection, UprightBox
 
@@ -115,6 +119,40 @@ def test_a_layer_of_an_answer_that_is_no_longer_shown_is_not_left(
     page.layers.show(scene, answer, reach)
     assert page.layers.wait(LONG)
     assert "way" in page.layers.drawn
+
+
+def test_the_tolerance_is_measured_after_the_answer_and_saved_with_it(page: Page) -> None:
+    answer = page.shown.answer
+    assert answer is not None
+    found = answer.plan.tolerance
+    assert found is not None
+    assert page.panel.result.content == answer_words(answer)
+    assert f"{100 * found.radius:g} cm beside" in page.panel.result.content
+    cover = page.server.scene.get_handle_by_name("/layers/tolerance/cover")
+    assert isinstance(cover, LineSegmentsHandle)
+    base = np.array(answer.plan.base_pose)
+    away = np.linalg.norm(cover.points[..., :2] - base[:2], axis=-1)
+    outer = np.linalg.norm(answer.prepared.robot.footprint, axis=-1).max()
+    assert away.max() == pytest.approx(outer + found.radius, abs=2e-3)
+    page.extras.save_plan("kept.json")
+    assert page.extras.work.wait(LONG)
+    assert read_plan(page.folder / "kept.json").tolerance == found
+
+
+def test_the_tolerance_of_an_answer_that_is_no_longer_shown_is_not_told(page: Page) -> None:
+    answer = page.shown.answer
+    assert answer is not None
+    before = replace(answer, plan=replace(answer.plan, tolerance=None))
+    said = page.panel.result.content
+    page.answer.measured(before, before)
+    assert page.shown.answer is answer
+    assert page.panel.result.content == said
+    page.shown.answer = before
+    page.tell("Something else.")
+    page.answer.measured(before, answer)
+    assert page.shown.answer is answer  # but what is said by now stays
+    assert page.panel.result.content == "Something else."
+    page.tell(said)
 
 
 def test_what_is_found_for_a_question_of_before_is_not_shown(page: Page) -> None:

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from momapos.geometry.planar import place_points
 from momapos.geometry.transforms import pose_planar
 from momapos.manipulation.tasks import make_task
-from momapos.page.layers import box_edges, free_area
+from momapos.outcomes import Tolerance
+from momapos.page.layers import box_edges, covered, free_area
 from momapos.page.playback import Story
 from momapos.page.words import answer_words, escaped
 from momapos.pipeline import plan_base_placement
 from momapos.placement.area import BaseStatus, base_pose_status
 from momapos.placement_result import PlacementResult
 from momapos.robots.robot import Robot
+from momapos.robust import unit_offsets
 from momapos.scene.files import load_scene
 from momapos.scene.scene import SceneObject, upright_boxes
 
@@ -66,6 +70,38 @@ def test_an_answer_says_where_to_stand(answer: PlacementResult) -> None:
     words = answer_words(answer)
     assert words.startswith("**Solved**")
     assert f"x {answer.plan.base_pose[0]:.3f} m" in words  # type: ignore[index]
+
+
+def test_a_known_tolerance_is_said_and_one_of_nothing_too(answer: PlacementResult) -> None:
+    assert "tolerance" not in answer_words(answer)
+    some, none = Tolerance(0.03, np.radians(1.8), 100), Tolerance(0.0, 0.0, 100)
+    timing = {**answer.plan.timing, "tolerance": 0.4567}
+
+    def said(found: Tolerance) -> str:
+        plan = replace(answer.plan, tolerance=found, timing=timing)
+        return answer_words(replace(answer, plan=plan))
+
+    line = "\n- tolerance: 3 cm beside, 1.8° turned (100 poses tried, 457 ms)"
+    assert line in said(some)
+    assert "- tolerance: none" in said(none)
+    # Its time counts neither in the total nor among the slowest.
+    assert said(some).replace(line, "") == answer_words(answer)
+
+
+def test_the_hull_holds_the_footprint_of_all_poses_of_a_tolerance_and_no_more() -> None:
+    footprint = np.array([[0.4, -0.3], [0.4, 0.3], [-0.3, 0.3], [-0.3, -0.3]])
+    base, found = np.array([1.0, -2.0, 0.7]), Tolerance(0.1, np.radians(6.0), 100)
+    hull = covered(footprint, base, found)
+    edges = np.roll(hull, -1, 0) - hull
+    outward = np.stack([edges[:, 1], -edges[:, 0]], -1) / np.linalg.norm(edges, axis=1)[:, None]
+    offset = (outward * hull).sum(1)
+    size = np.array([found.radius, found.radius, found.turn])
+    poses = base + unit_offsets(4000, np.random.default_rng(0)) * size
+    corners = place_points(poses, footprint).reshape(-1, 2)
+    beyond = corners @ outward.T - offset
+    assert beyond.max() < 0.003  # the circle has 48 corners, and 9 yaws are drawn
+    # Each edge of the hull is nearly reached by some pose.
+    assert (beyond.max(0) > -0.012).all()
 
 
 def test_words_from_files_are_no_markup() -> None:

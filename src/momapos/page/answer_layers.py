@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from momapos.importance.rank import rank
 from momapos.manipulation.tasks import hand_path
@@ -18,10 +21,12 @@ from momapos.page.work import Latest
 from momapos.placement_result import PlacementResult
 from momapos.protocols import Clock, ReachScorer
 from momapos.scene.scene import Scene
+from momapos.tolerance import with_tolerance
 from momapos.viewer.candidate_markers import KINDS
 from momapos.viewer.heat import potential_map
 from momapos.viewer.palette import (
     BAD,
+    GOOD,
     HANDLE,
     INK,
     PART,
@@ -44,10 +49,8 @@ BESIDE = 0.4
 """The arm's reach is asked for so much farther from the base than the arm is long [m]."""
 CELL = 0.06
 """Edge of a cell of the pictures on the floor [m]."""
-OF_ANSWER = ("way", "waypoints", "candidates", "potential", "free", "opening", "importance")
-"""Layers that there is nothing of before there is an answer."""
-DEAR = ("opening",)
-"""Layers that take seconds."""
+DEAR = ("tolerance", "opening")
+"""Layers that take half a second, and seconds: each has a thread of its own."""
 BASES = {"feasible": "can do it from here", "partly": "only in part", "infeasible": "not from here"}
 """What the colors of the footprint say."""
 VIRIDIS = ("#dde318", "#21918c", "#440f5c")
@@ -66,15 +69,29 @@ class AnswerLayers:
     """Draws the layers of one answer."""
 
     def __init__(
-        self, api: SceneApi, panel: Panel, robot: RobotView, drawing: AbstractContextManager[Any]
+        self,
+        api: SceneApi,
+        panel: Panel,
+        robot: RobotView,
+        drawing: AbstractContextManager[Any],
+        measured: Callable[[PlacementResult, PlacementResult], None],
     ) -> None:
-        """`drawing` is held while what is drawn is changed."""
+        """Draw nothing yet.
+
+        Args:
+            api: Where to draw.
+            panel: Which layers are wanted.
+            robot: From which the arm's reach hangs.
+            drawing: Is held while what is drawn is changed.
+            measured: Is told an answer, and the same with its tolerance.
+        """
         self._api, self._panel, self._robot, self._drawing = api, panel, robot, drawing
+        self._measured = measured
         self._roots: dict[str, Any] = {}
         self._of: Answered | None = None
         self._kinds: tuple[str, ...] = ()
         self.work = Latest("page layers", self._fail)
-        self.dear_work = Latest("page opening map", self._fail)
+        self._dear = {key: Latest(f"page {key}", self._fail) for key in DEAR}
         """For layers that take long, so that the others do not wait for them."""
 
     @property
@@ -84,23 +101,27 @@ class AnswerLayers:
             return tuple(self._roots)
 
     @property
+    def _works(self) -> tuple[Latest, ...]:
+        return (self.work, *self._dear.values())
+
+    @property
     def busy(self) -> bool:
         """Whether a layer is computed, or waits to be."""
-        return self.work.busy or self.dear_work.busy
+        return any(work.busy for work in self._works)
 
     def wait(self, timeout: float) -> bool:
         """Wait until all are drawn; whether that came true, each kind in time [s]."""
-        return self.work.wait(timeout) and self.dear_work.wait(timeout)
+        return all(work.wait(timeout) for work in self._works)
 
     def stop(self) -> None:
         """End what is computed; what is not drawn then is when layers are next switched."""
-        self.work.stop()
-        self.dear_work.stop()
+        for work in self._works:
+            work.stop()
 
     def close(self) -> None:
         """End all work."""
-        self.work.close()
-        self.dear_work.close()
+        for work in self._works:
+            work.close()
 
     def show(self, scene: Scene, answer: PlacementResult, reach: ReachScorer) -> None:
         """Draw the layers of another answer that are switched on."""
@@ -124,9 +145,10 @@ class AnswerLayers:
         with self._drawing:
             self._robot.show_spheres(bool(self._panel.layers["spheres"].value))
         self.work.put(lambda clock: self._update(clock, [k for k in LAYERS if k not in DEAR]))
-        # What runs goes on where it is still wanted: it would begin anew.
-        wanted = any(self._panel.layers[key].value for key in DEAR)
-        self.dear_work.put(lambda clock: self._update(clock, DEAR), stop_running=not wanted)
+        for key, work in self._dear.items():
+            # What runs goes on where it is still wanted: it would begin anew.
+            wanted = bool(self._panel.layers[key].value)
+            work.put(partial(self._update, keys=(key,)), stop_running=not wanted)
 
     def height_changed(self) -> None:
         """The reach is asked for at another height."""
@@ -212,6 +234,14 @@ class AnswerLayers:
                 self._api, f"{name}/map", draw.opening_pixels(found), found.extent, height=0.006
             )
 
+    def _tolerance(self, name: str, of: Answered, clock: Clock) -> None:
+        answer = with_tolerance(of.answer, clock=clock)
+        self._measured(of.answer, answer)
+        plan, found = answer.plan, answer.plan.tolerance
+        if found is not None and found.radius and plan.base_pose is not None:
+            footprint = answer.prepared.robot.footprint
+            draw.draw_tolerance(self._api, name, footprint, np.array(plan.base_pose), found)
+
     def _reach(self, name: str, of: Answered, _: Clock) -> None:
         height = float(self._panel.height.value)
         robot = of.answer.prepared.robot
@@ -236,7 +266,7 @@ DRAW = {
     "way": AnswerLayers._way, "waypoints": AnswerLayers._waypoints,
     "candidates": AnswerLayers._candidates, "potential": AnswerLayers._potential,
     "free": AnswerLayers._free, "opening": AnswerLayers._opening, "reach": AnswerLayers._reach,
-    "importance": AnswerLayers._importance,
+    "importance": AnswerLayers._importance, "tolerance": AnswerLayers._tolerance,
 }  # fmt: skip
 
 
@@ -249,6 +279,8 @@ def legend(shown: list[str], kinds: tuple[str, ...]) -> str:
         rows += [(_box(SOFT_INK), "start"), (_box(INK), "driven path")]
     if "waypoints" in shown:
         rows += [(_box(WAYPOINT), "way of the tool"), (_box(HANDLE), "grasps")]
+    if "tolerance" in shown:
+        rows.append((_box(GOOD), "tolerance: base, and what it may cover"))
     if "potential" in shown:
         rows.append((_ramp(POTENTIAL), "potential, low to high"))
     if "free" in shown:

@@ -70,7 +70,7 @@ class Follow:
         with page.drawing, page.server.atomic():
             if page.shown.probe is not probe:  # something else is asked by now
                 return
-            page.show_room()
+            page.answer.show_room()
             if finding.motion is None:
                 page.robot.move(None, home_values(robot))
                 page.room.rest()

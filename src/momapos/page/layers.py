@@ -11,11 +11,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from momapos.geometry.planar import place_points
 from momapos.geometry.transforms import apply, pose_planar
 from momapos.importance.rank import Importance
 from momapos.importance.relations import KINDS as RELATION_KINDS
 from momapos.kinematics.hulls import Boxes
 from momapos.opening_map import OpeningMap
+from momapos.outcomes import Tolerance
 from momapos.page.room_view import rgb
 from momapos.placement.area import BaseStatus, PlacementGeometry, base_pose_status
 from momapos.placement_result import PlacementResult
@@ -23,6 +25,7 @@ from momapos.scene.scene import Scene
 from momapos.viewer.candidate_markers import KINDS, outcomes, thin
 from momapos.viewer.heat import Heat
 from momapos.viewer.palette import (
+    GOOD,
     HANDLE,
     INK,
     POTENTIAL,
@@ -52,6 +55,10 @@ MARK = 0.11
 """Edge of a candidate's mark [m]."""
 LOWEST, ABOVE = 0.015, 0.001
 """Height of the mark of the worst candidate, and how much higher each better kind lies [m]."""
+CIRCLE = np.stack([f(2 * np.pi / 48 * np.arange(48)) for f in (np.cos, np.sin)], -1)
+"""Corners of a circle of radius 1 [-]."""
+TURNS = 9
+"""So many yaws are drawn of all that a base may have [-]."""
 _EDGES = ((0, 1), (0, 2), (0, 4), (1, 3), (1, 5), (2, 3), (2, 6), (3, 7), (4, 5), (4, 6), (5, 7),
           (6, 7))  # fmt: skip
 _CORNERS = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
@@ -204,6 +211,50 @@ def draw_way(api: SceneApi, name: str, answer: PlacementResult) -> None:
     )  # fmt: skip
     if answer.plan.base_path is not None:
         draw_path(api, f"{name}/way", answer.plan.base_path)
+
+
+def draw_tolerance(
+    api: SceneApi,
+    name: str,
+    footprint: Float[np.ndarray, "k 2"],
+    base: Float[np.ndarray, "3"],
+    found: Tolerance,
+) -> None:
+    """Draw the disc in which the base may stand, and all that its footprint covers from there.
+
+    Args:
+        api: Where to draw.
+        name: Of the node.
+        footprint: Corners of the base in its frame [m].
+        base: x [m], y [m], yaw [rad].
+        found: How far beside it the base may stand.
+    """
+    rings = {"disc": base[:2] + found.radius * CIRCLE, "cover": covered(footprint, base, found)}
+    for part, ring in rings.items():
+        corners = np.column_stack([ring, np.full(len(ring), 0.009)])
+        api.add_line_segments(
+            f"{name}/{part}", np.stack([corners, np.roll(corners, -1, 0)], 1), rgb(GOOD),
+            thickness=0.012,
+        )  # fmt: skip
+
+
+def covered(
+    footprint: Float[np.ndarray, "k 2"], base: Float[np.ndarray, "3"], found: Tolerance
+) -> Float[np.ndarray, "m 2"]:
+    """Hull of what a footprint covers wherever the base stands within a tolerance [m].
+
+    Args:
+        footprint: Corners of the base in its frame [m].
+        base: x [m], y [m], yaw [rad].
+        found: How far beside it the base may stand.
+    """
+    from scipy.spatial import ConvexHull
+
+    turns = np.zeros((TURNS, 3))
+    turns[:, 2] = np.linspace(-found.turn, found.turn, TURNS)
+    corners = place_points(turns, footprint).reshape(-1, 1, 2)
+    every = (corners + found.radius * CIRCLE).reshape(-1, 2)
+    return place_points(base[None], every[ConvexHull(every).vertices])[0]
 
 
 def draw_path(api: SceneApi, name: str, path: Float[np.ndarray, "k 3"]) -> None:

@@ -76,7 +76,7 @@ class MotionView:
         self.pause()
         self._page.shown.joints = self._page.panel.joint_values
         with self._page.drawing:
-            self._page.show_room()
+            self._page.answer.show_room()
             self._page.room.move(self._page.shown.joints)
 
     def _show(self, seconds: float, playing: bool) -> None:
@@ -97,6 +97,6 @@ class MotionView:
         words = moment.words
         if moment.force is not None and moment.force.any():
             words += f", {np.linalg.norm(moment.force):.0f} N at the hand"
-        if page.room.active == page.asked_object:
+        if page.room.active == page.answer.asked_object:
             panel.show_joint_values(moment.object_q)
         panel.show_moment(seconds, words)

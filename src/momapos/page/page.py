@@ -13,14 +13,11 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from momapos.cache import Cache
-from momapos.errors import InputError
-from momapos.manipulation.tasks import in_front_of_parts
 from momapos.page.answer_layers import AnswerLayers
+from momapos.page.answer_view import READY, AnswerView
 from momapos.page.browsers import Browsers
 from momapos.page.cameras import look_at
 from momapos.page.compare import Compare
@@ -29,28 +26,25 @@ from momapos.page.follow import Follow
 from momapos.page.light import Light
 from momapos.page.motion_view import MotionView
 from momapos.page.opened import Opened, OpenedScan
-from momapos.page.panel import Panel, joint_ranges
-from momapos.page.playback import Story
+from momapos.page.panel import Panel
 from momapos.page.question import Machine, Machines, Question, ask, ask_at, targets
-from momapos.page.robot_view import RobotView, home_values, joint_values
+from momapos.page.robot_view import RobotView
 from momapos.page.room_view import RoomView
 from momapos.page.scan_view import ScanView
 from momapos.page.settled import Settled
 from momapos.page.state import Choice, Shown
 from momapos.page.words import answer_words, escaped
 from momapos.page.work import Latest
-from momapos.placement_result import PlacementResult
 from momapos.protocols import Clock
+from momapos.robots.robot import Robot
 from momapos.scene.files import load_scene
 from momapos.scene.scene import Scene
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
     from viser import ViserServer
 
 
 LOG = logging.getLogger(__name__)
-READY = "Press **Place**, or drag the base."
 
 
 class Page:
@@ -99,7 +93,10 @@ class Page:
         self.extras = Extras(self)
         self.compare = Compare(self)
         self.scan = ScanView(server.scene, self.panel)
-        self.layers = AnswerLayers(server.scene, self.panel, self.robot, self.drawing)
+        self.answer = AnswerView(self)
+        self.layers = AnswerLayers(
+            server.scene, self.panel, self.robot, self.drawing, self.answer.measured
+        )
         self.work = Latest("page work", self.fail)
         self.follow = Follow(self)
         self.browsers = Browsers(server, self._stop_if_busy)
@@ -157,7 +154,7 @@ class Page:
             _, machine, _ = self._update(clock)
             answer = opened.answer()
             if answer is not None:
-                self._take(answer, machine)
+                self.answer.show(answer, machine)
             if opened.words:
                 self.motion.load(opened.story(), at_end=False)
                 self.tell(opened.words)
@@ -170,7 +167,7 @@ class Page:
         def work(clock: Clock) -> None:
             scene, machine, question = self._update(clock)
             self.tell("**Searching**")
-            self._take(ask(scene, machine, question, clock, self._tell_stage), machine)
+            self.answer.show(ask(scene, machine, question, clock, self._tell_stage), machine)
 
         self._request(work)
 
@@ -182,7 +179,7 @@ class Page:
             scene, machine, question = self._update(clock)
             robot = self.arm_of(machine)
             self.tell("**Planning from here**")
-            self._take(
+            self.answer.show(
                 ask_at(scene, robot, machine.reach_of(robot.arm), question, base, clock), machine
             )
 
@@ -259,8 +256,7 @@ class Page:
         assert shown.machine is not None
         question = Question(**{**vars(self.choice.question), "target": target})
         if fresh or shown.question != question:
-            with self.drawing:
-                self._draw(scene, shown.machine, question, fresh=fresh)
+            self.answer.ask(scene, shown.machine, question, fresh=fresh)
             shown.scene_name = choice.scene
         return scene, shown.machine, question
 
@@ -283,103 +279,17 @@ class Page:
         self.panel.arm.disabled = len(names) == 1
         return machine
 
-    def _draw(self, scene: Scene, machine: Machine, question: Question, *, fresh: bool) -> None:
-        """Draw what is asked, before there is an answer."""
-        shown, robot = self.shown, machine.arms[0]
-        shown.question, shown.answer, shown.probe = question, None, None
-        shown.joints = {}
-        self.motion.load(None)
-        self.layers.clear()  # before the robot, from which one of them hangs
-        if fresh and self.room.scene is not scene:
-            look_at(self.server, scene)
-            self.light.of_room(scene)
-        self.show_room()
-        self.room.rest()
-        self.panel.show_joints(joint_ranges(scene, self.asked_object))
-        self.panel.to.disabled = question.verb not in ("open", "close")
-        if self.robot.robot is not robot or fresh:
-            self.robot.show(robot, self._begin(scene))
-        else:
-            self.robot.move(self._begin(scene), home_values(robot))
-        self.robot.verdict("")
-        warnings = "".join(f"\n- {escaped(text)}" for text in scene.warnings)
-        self.tell(f"{READY}{warnings}")
+    def arm_of(self, machine: Machine) -> Robot:
+        """The arm that is drawn, which is the one that was last answered for."""
+        robot = self.robot.robot
+        return robot if robot in machine.arms else machine.arms[0]
 
-    def _begin(self, scene: Scene) -> Float[np.ndarray, "3"]:
-        """Where the robot is drawn before there is an answer."""
-        if self._start is not None:
-            return np.array(self._start)
-        if scene.start is not None:
-            return scene.start
-        return np.append(in_front_of_parts(scene), np.pi / 2)
+    # -------------------------------------------------------------------- clicks and browsers
 
     def look_at_room(self) -> None:
         """Turn the cameras back to the whole room."""
         if self.shown.scene is not None:
             look_at(self.server, self.shown.scene)
-
-    # ---------------------------------------------------------------------------- the answer
-
-    def arm_of(self, machine: Machine) -> Any:
-        """The arm that is drawn, which is the one that was last answered for."""
-        robot = self.robot.robot
-        return robot if robot in machine.arms else machine.arms[0]
-
-    def _take(self, answer: PlacementResult, machine: Machine) -> None:
-        """Draw an answer."""
-        with self.drawing:
-            self._draw_answer(answer, machine)
-
-    def _draw_answer(self, answer: PlacementResult, machine: Machine) -> None:
-        shown, robot = self.shown, answer.prepared.robot
-        assert shown.scene is not None
-        shown.answer = answer
-        self.layers.clear()
-        self.show_room()
-        if self.robot.robot is not robot:
-            self.robot.show(robot, self.robot.base)
-            shown.probe = None
-        plan, story = answer.plan, None
-        self.room.mark(())
-        words = answer_words(answer)
-        if plan.motion is not None and plan.base_pose is not None:
-            try:
-                story = Story.of(plan, robot, shown.scene)
-            except InputError as error:
-                words += f"\n- no motion to show: {escaped(str(error))}"
-            self.robot.move(np.array(plan.base_pose), joint_values(robot, plan.motion.q[-1]))
-            if plan.task.joint is not None:
-                self.room.move({plan.task.joint: float(plan.motion.object_q[-1])})
-        shown_base = plan.base_pose or plan.feasible_from
-        if plan.motion is None and shown_base is not None:
-            self.robot.move(np.array(shown_base), home_values(robot))
-        self.robot.verdict("feasible" if plan.motion is not None else "infeasible")
-        self.motion.load(story)
-        self.layers.show(shown.scene, answer, machine.reach_of(robot.arm))
-        self.tell(words)
-
-    def change_look(self) -> None:
-        """Things are drawn as what is checked, or as what they look like."""
-        if self.room.scene is not None:
-            with self.drawing:
-                self.room.show(self.room.scene, self.room.active, collision=self._collision)
-
-    def show_room(self) -> None:
-        """Draw the room that is asked about, where another moment of a tour is shown."""
-        if self.shown.scene is not None:
-            self.room.show(self.shown.scene, self.asked_object, collision=self._collision)
-
-    @property
-    def asked_object(self) -> str:
-        """The object that is asked about; "" where nothing is."""
-        question = self.shown.question
-        return "" if question is None else question.target.partition("/")[0]
-
-    @property
-    def _collision(self) -> bool:
-        return bool(self.panel.layers["collision"].value)
-
-    # -------------------------------------------------------------------- clicks and browsers
 
     def _pick(self, name: str) -> None:
         """An object is clicked: ask about it."""

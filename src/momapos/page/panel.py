@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 LAYERS = {
     "importance": "Importance, graph", "reach": "Arm's reach", "free": "Free area",
     "potential": "Potential", "opening": "Opening map", "candidates": "Candidates",
-    "waypoints": "Waypoints, grasps", "way": "Start and path", "spheres": "Collision spheres",
+    "waypoints": "Waypoints, grasps", "way": "Start and path",
+    "tolerance": "Tolerance of the base", "spheres": "Collision spheres",
     "collision": "Collision shapes",
 }  # fmt: skip
 """Layers in the order of the stages, and what they are called."""
@@ -32,7 +33,7 @@ tenth of a second of processor for each picture [-]."""
 PLAIN = "No shadows: about twice as many pictures a second without a graphics card"
 FILM_KINDS = {"Film (GIF)": GIF, "Film (MP4, 720p)": MP4}
 """Films of the motion that a browser may have, and how their names end."""
-SHOWN = ("way", "waypoints")
+SHOWN = ("way", "waypoints", "tolerance")
 """Those that are seen at first."""
 
 
@@ -179,7 +180,7 @@ class Panel:
                                      initial_value=0.9)  # fmt: skip
         for handle in self.layers.values():
             self._listen(handle, lambda: page.layers.changed())
-        self._listen(self.layers["collision"], page.change_look)
+        self._listen(self.layers["collision"], lambda: page.answer.change_look())
         self._listen(self.height, lambda: page.layers.height_changed())
         self.legend = gui.add_html("")
         self.clicked = gui.add_markdown("Click a candidate: why it was refused.")

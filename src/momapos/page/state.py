@@ -22,7 +22,8 @@ class Choice:
 
 @dataclass
 class Shown:
-    """What is loaded and drawn; only the thread that answers changes it."""
+    """What is loaded and drawn; the thread that answers changes it, and what is measured of an
+    answer afterward is added to it."""
 
     scene_name: str = ""
     scene: Scene | None = None

@@ -39,6 +39,7 @@ def answer_words(answer: PlacementResult) -> str:
             lines.append(f"- drive {plan.navigation_cost:.2f} m")
         lines += [f"- hold: {escaped(words)}" for words in answer.holds]
         lines.append("- checked: base, arm and moving part over the whole motion")
+        lines += tolerance_words(plan)
     elif plan.feasible_to is not None and plan.feasible_from is not None:
         to = value_text(answer, plan.feasible_to)
         lines.append(f"- to {to} from {pose_text(plan.feasible_from)}")
@@ -57,6 +58,18 @@ def answer_words(answer: PlacementResult) -> str:
         rest = sum(count for _, count in ranked[MOST_REASONS:])
         lines.append(f"  - {rest} for {len(ranked) - MOST_REASONS} other reasons")
     return "\n".join(lines)
+
+
+def tolerance_words(plan: PlacementPlan) -> list[str]:
+    """How far beside its base pose the robot may stand; nothing where that is not known."""
+    found, spent = plan.tolerance, plan.timing.get("tolerance")
+    if found is None:
+        return []
+    took = "" if spent is None else f", {1000 * spent:.0f} ms"
+    if found.radius == 0.0:
+        return [f"- tolerance: none, the motion is not found anew from all around{took}"]
+    room = f"{100 * found.radius:g} cm beside, {math.degrees(found.turn):.1f}° turned"
+    return [f"- tolerance: {room} ({found.samples} poses tried{took})"]
 
 
 def run_words(record: RunRecord) -> str:

@@ -58,7 +58,10 @@ class Answer:
         """One line for people."""
         where, count = self.plan.base_pose, self.plan.candidates
         if where is not None:
-            return f"stand at x {where[0]:.3f} m, y {where[1]:.3f} m, yaw {where[2]:.3f} rad"
+            found = self.plan.tolerance
+            beside = "" if found is None else f"; found anew within {found} of it"
+            pose = f"x {where[0]:.3f} m, y {where[1]:.3f} m, yaw {where[2]:.3f} rad"
+            return f"stand at {pose}{beside}"
         worst = sorted(count.rejections.items(), key=lambda item: -item[1])[:3]
         reasons = ", ".join(f"{number} x {reason}" for reason, number in worst)
         return f"{self.plan.status}: {reasons or 'no base pose was sampled'}"
@@ -76,8 +79,8 @@ def task_of(question: Question) -> momapos.Task:
     )
 
 
-def answer(question: Question, timeout: float) -> Answer:
-    """Where to stand, and how to move.
+def answer(question: Question, timeout: float, *, tolerance: bool = False) -> Answer:
+    """Where to stand, and how to move; with a tolerance, how far beside it as well.
 
     Raises:
         MomaposError: Scene, robot or task cannot be used.
@@ -88,7 +91,7 @@ def answer(question: Question, timeout: float) -> Answer:
         start=None if question.start is None else np.array(question.start),
         config=momapos.PipelineConfig(timeout=timeout),
     )  # fmt: skip
-    return Answer(result.plan, question)
+    return Answer((result.with_tolerance() if tolerance else result).plan, question)
 
 
 def answer_at(given: Answer, reached: Pose) -> Answer:

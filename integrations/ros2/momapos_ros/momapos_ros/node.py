@@ -77,14 +77,15 @@ class MomaposNode(Node):
             planar(request.start[0].pose) if request.start else None,
         )  # fmt: skip
 
-    def _answer(self, request: Any) -> Answer:
+    def _answer(self, request: Any, *, tolerance: bool = False) -> Answer:
+        question, timeout = self._question(request), self._value("timeout")
         with self._planning:
-            return answer(self._question(request), self._value("timeout"))
+            return answer(question, timeout, tolerance=tolerance)
 
     def _plan(self, request: Any, response: Any) -> Any:
         """Answer a request; one that makes no sense is refused, with the reason."""
         try:
-            given = self._answer(request)
+            given = self._answer(request, tolerance=True)
         except MomaposError as error:
             response.status, response.message = "refused", str(error)
             return response
