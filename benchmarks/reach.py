@@ -26,8 +26,8 @@ from momapos.kinematics.collision import FREE, check_states
 from momapos.kinematics.ik_model import one_turn
 from momapos.reachability import ReachConfig, ReachMap, build_map, evaluate
 from momapos.reachability.arm_axes import no_map
-from momapos.reachability.evaluation import random_poses
-from momapos.reachability.store import decode, encode, load_reach_map
+from momapos.reachability.exact import random_poses
+from momapos.reachability.store import build_true_map, decode, encode, load_reach_map
 from momapos.robots.names import library_names
 from momapos.robots.robot import Robot, load_arms, load_robot
 
@@ -78,7 +78,7 @@ def main(
 def row(robot: Robot, count: int, ready: bool) -> str:
     """One line of the table."""
     began, cpu = time.perf_counter(), time.process_time()
-    content = encode(load_reach_map(robot) if ready else build_map(robot))
+    content = encode(load_reach_map(robot) if ready else build_true_map(robot))
     built, cpu = time.perf_counter() - began, time.process_time() - cpu
     began = time.perf_counter()
     reach = decode(content)

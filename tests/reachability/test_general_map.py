@@ -22,7 +22,7 @@ from momapos.kinematics.spheres import Spheres
 from momapos.reachability import ReachConfig, ReachMap, build_map, evaluate
 from momapos.reachability.aim import ALL, SPAN, TURNS, LineGrid, aim_all, lines_of
 from momapos.reachability.arm_axes import arm_frame, is_flooded, no_map
-from momapos.reachability.evaluation import poses_near_reach
+from momapos.reachability.exact import poses_near_reach
 from momapos.reachability.general import _aimed
 from momapos.reachability.map import OUTSIDE
 from momapos.reachability.store import decode, encode, map_key

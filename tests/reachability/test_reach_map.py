@@ -21,12 +21,13 @@ from momapos.reachability import (
     load_reach_map,
     store,
 )
+from momapos.reachability.arm_length import ArmLength
 from momapos.reachability.construct import default_config
-from momapos.reachability.evaluation import random_poses
+from momapos.reachability.exact import random_poses
 from momapos.reachability.floor import SPACING
 from momapos.reachability.grid import oct_decode, turns_of
 from momapos.reachability.map import YAWS
-from momapos.reachability.store import decode, encode, map_key
+from momapos.reachability.store import decode, encode, load_reach, map_key
 from momapos.robots.robot import Robot, load_robot
 
 COARSE = ReachConfig(cell=0.08, directions=13, azimuths=32, spins=4)
@@ -163,6 +164,27 @@ def test_a_second_load_does_not_build(
     np.testing.assert_array_equal(first.values, second.values)
     np.testing.assert_array_equal(first.line_tool, second.line_tool)
     assert (first.low, first.cell, first.key) == (second.low, second.cell, second.key)
+
+
+def test_a_map_that_takes_too_long_is_given_up_at_once_the_next_time(
+    robot: Robot, reach: ReachMap, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    other = replace(robot, tool_link="wrist_3_link")
+    shares: list[float] = []
+    stand_in = load_reach(other, tmp_path, shares.append, limit=0.01)
+    assert isinstance(stand_in, ArmLength)
+    assert "momapos reach build" in stand_in.note
+    assert "slower" in stand_in.note
+    assert max(shares, default=0.0) < 1.0
+    with monkeypatch.context() as patch:
+        patch.setattr(store, "build_map", lambda *_, **__: pytest.fail("built again"))
+        again = load_reach(other, tmp_path, limit=0.01)
+        assert isinstance(again, ArmLength)
+        assert again.note == stand_in.note
+    # More time may be enough, and who asks for the map itself waits for it.
+    monkeypatch.setattr(store, "build_true_map", lambda *_, **__: reach)
+    assert load_reach(other, tmp_path, limit=60.0) is reach
+    assert isinstance(load_reach(other, tmp_path, limit=0.01), ReachMap)
 
 
 @pytest.mark.parametrize("damage", ["flip", "cut", "foreign", "empty"])

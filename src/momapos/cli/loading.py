@@ -57,5 +57,8 @@ def load_arms_with_maps(
     from momapos.robots.robot import load_arms
 
     arms = load_arms(robot, arm, cache=cache)
-    with progress(f"reachability map of {arms[0].name}") as report:
-        return arms, [load_reach(one, cache.folder, report) for one in arms]
+    maps = []
+    for one in arms:
+        with progress(f"reachability map of {one.title}") as report:
+            maps.append(load_reach(one, cache.folder, report))
+    return arms, maps

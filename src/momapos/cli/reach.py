@@ -46,8 +46,8 @@ def reach_build(
     from momapos.cli.console import progress
     from momapos.errors import InputError
     from momapos.files import check_outputs
-    from momapos.reachability.construct import build_map, default_config
-    from momapos.reachability.store import encode, load_reach_map, map_key
+    from momapos.reachability.construct import default_config
+    from momapos.reachability.store import build_true_map, encode, load_reach_map, map_key
     from momapos.robots.robot import load_arms
 
     check_outputs([out, plot], [cache])
@@ -65,9 +65,8 @@ def reach_build(
             if out is None:
                 reach = load_reach_map(machine, where, report)
             else:
-                config = default_config(machine)
-                key = map_key(machine, config)
-                reach = build_map(machine, config, progress=report, key=key)
+                key = map_key(machine, default_config(machine))
+                reach = build_true_map(machine, progress=report, key=key)
                 write_atomic(out, encode(reach))
     if plot is not None:
         _draw(machines[0], reach, plot)

@@ -44,6 +44,9 @@ FEW = 0.005
 ROLLS = 8
 """Rolls of the tool that must all be reachable where the last joint does not turn fully."""
 
+MANY = 8
+"""An arm of more degrees of freedom has several to spare [-]."""
+
 
 def default_config(robot: Robot) -> ReachConfig:
     """Resolution at which a map is true enough and quickly built.
@@ -52,12 +55,18 @@ def default_config(robot: Robot) -> ReachConfig:
     rounded outwards as well, where either of two spins and half a step of the first joint count.
     A map that is flooded errs on the side of what is reached: a line that is missed costs an
     answer, one that is invented costs time. Where the last joint turns fully, half of all turns of
-    the tool must be free, which rounds its set inwards.
+    the tool must be free, which rounds its set inwards. The more joints an arm has to spare, the
+    more lines it reaches, and the smoother is their boundary.
     An arm of several meters has larger cells, so that the map keeps within `MAX_VALUES`.
     """
     frame = arm_frame(robot.chain, robot.approach_axis)
     if is_flooded(robot, frame):
-        config = ReachConfig(cell=0.05, directions=13, threshold=-2.0 if frame.full_roll else -1.75)
+        config = ReachConfig(
+            cell=0.05,
+            directions=13,
+            azimuths=16 if robot.chain.size > MANY else 32,
+            threshold=-2.0 if frame.full_roll else -1.75,
+        )
     elif robot.chain.size > 6:
         config = ReachConfig(cell=0.05, directions=13, spins=2, threshold=0.0)
     else:

@@ -9,6 +9,7 @@ workspace structure (IROS 2007), with neighbors' states in place of inverse kine
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -86,9 +87,13 @@ def flood(
     for k in range(WAVES):
         if not gained.any():
             break
-        gained = _carry_on(found, gained)
-        progress(0.5 + 0.5 * (k + 1) / WAVES)
+        gained = _carry_on(found, gained, partial(_tell_wave, progress, k))
     return found
+
+
+def _tell_wave(progress: Progress, k: int, share: float) -> None:
+    """Tell how far all is when wave k is so far."""
+    progress(0.5 + 0.5 * (k + share) / WAVES)
 
 
 def _draw(found: Flood, q: Float[np.ndarray, "k n"], gained: UInt64[np.ndarray, " lines"]) -> None:
@@ -105,7 +110,9 @@ def _draw(found: Flood, q: Float[np.ndarray, "k n"], gained: UInt64[np.ndarray, 
     _try(found, line[open_], q[inside][open_].astype(np.float32), gained)
 
 
-def _carry_on(found: Flood, fresh: UInt64[np.ndarray, " lines"]) -> UInt64[np.ndarray, " lines"]:
+def _carry_on(
+    found: Flood, fresh: UInt64[np.ndarray, " lines"], progress: Progress
+) -> UInt64[np.ndarray, " lines"]:
     """Try the lines beside those that have gained, from their states; returns what gains now."""
     gained = np.zeros(len(fresh), np.uint64)
     rows = np.flatnonzero(fresh)
@@ -119,6 +126,7 @@ def _carry_on(found: Flood, fresh: UInt64[np.ndarray, " lines"]) -> UInt64[np.nd
             inside = (beside[axis] >= 0) & (beside[axis] < found.shape[axis])
             line = np.ravel_multi_index(tuple(beside[:, inside]), found.shape)
             _try_beside(found, line, rows[inside], fresh, gained)
+            progress((2 * axis + (step > 0) + 1) / 10)
     return gained
 
 

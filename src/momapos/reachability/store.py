@@ -7,6 +7,7 @@ import logging
 import math
 import os
 import struct
+import time
 import zlib
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -16,14 +17,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from momapos.cache import Cache, content_key, default_cache_dir
-from momapos.errors import FileFormatError
+from momapos.errors import FileFormatError, MomaposError
 from momapos.files import read_bytes_bounded
 from momapos.reachability.arm_axes import arm_frame, is_flooded, no_map
 from momapos.reachability.arm_length import ArmLength, arm_length
+from momapos.reachability.calibrate import calibrated
 from momapos.reachability.construct import build_map, default_config
 from momapos.reachability.flood import WAY
 from momapos.reachability.map import MAX_VALUES, ReachConfig, ReachMap
-from momapos.reachability.threads import Progress
+from momapos.reachability.threads import Progress, silent
 from momapos.robots.robot import MAX_REACH, Robot
 
 if TYPE_CHECKING:
@@ -39,6 +41,8 @@ MAX_BYTES = 50_000_000
 """Maps of arms have some 1 MB."""
 _MAX_HEADER = 10_000
 _MAX_BEARINGS = 64
+LIMIT = 300.0
+"""Processor time that building a map may take where an answer waits for it [s]."""
 _PART, _MOST_OF_PART = 1 << 14, 1 << 18
 """Bytes of compressed values that are read at once, and what they become at most."""
 _FIELDS = (
@@ -203,18 +207,34 @@ def shipped(robot: Robot, key: str) -> ReachMap | None:
     return found if found.key == key else None
 
 
+class MapTakesLong(MomaposError):
+    """Building a map has taken all the processor time that it may."""
+
+
 def load_reach(
     robot: Robot,
     cache_dir: Path | None = None,
     progress: Progress | None = None,
+    *,
+    limit: float = LIMIT,
 ) -> ReachMap | ArmLength:
-    """The map of a robot as `load_reach_map` has it, or its arm's length where it can have none."""
+    """The map of a robot as `load_reach_map` has it, or its arm's length where it can have none.
+
+    Args:
+        robot: The robot.
+        cache_dir: Folder of the cache; the user's by default.
+        progress: Called with the share that is done, in [0, 1], while the map is built.
+        limit: Processor time that building it may take [s]; the arm's length is taken beyond.
+    """
     why = no_map(robot)
-    if why:
-        stand_in = arm_length(robot, why)
-        log.warning("%s", stand_in.note)
-        return stand_in
-    return load_reach_map(robot, cache_dir, progress)
+    if not why:
+        try:
+            return load_reach_map(robot, cache_dir, progress, limit=limit)
+        except MapTakesLong as error:
+            why = str(error)
+    stand_in = arm_length(robot, why)
+    log.warning("%s", stand_in.note)
+    return stand_in
 
 
 def load_reach_map(
@@ -223,6 +243,7 @@ def load_reach_map(
     progress: Progress | None = None,
     *,
     config: ReachConfig | None = None,
+    limit: float = math.inf,
 ) -> ReachMap:
     """The map of a robot: shipped with it, from the cache, or built and kept there.
 
@@ -230,24 +251,75 @@ def load_reach_map(
         robot: The robot.
         cache_dir: Folder of the cache; the user's by default.
         progress: Called with the share that is done, in [0, 1], while the map is built.
-        config: How finely; `default_config(robot)` where None.
+        config: How finely; as `build_true_map` does where None.
+        limit: Processor time that building it may take [s].
+
+    Raises:
+        MapTakesLong: It takes more, or has taken as much before.
     """
-    config = config or default_config(robot)
-    key = map_key(robot, config)
+    key = map_key(robot, config or default_config(robot))
     ready = shipped(robot, key)
     if ready is not None:
         return ready
     cache = Cache(cache_dir or default_cache_dir())
-    entry = f"reach-{key}"
+    entry, late = f"reach-{key}", f"reach-{key}-takes-long"
     data = cache.get(entry)
     if data is not None:
         try:
             return decode(data)
         except FileFormatError as error:
             log.warning("%s: %s; building it again", cache.path(entry), error)
-    built = build_map(robot, config, progress=progress, key=key)
     try:
-        cache.put(entry, encode(built))
+        if _taken(cache.get(late)) >= limit:
+            raise _takes_long(robot, limit)
+        within = _within(limit, progress or silent, robot)
+        if config is None:
+            built = build_true_map(robot, progress=within, key=key)
+        else:
+            built = build_map(robot, config, progress=within, key=key)
+    except MapTakesLong:
+        _keep(cache, late, b"%g" % limit, robot)
+        raise
+    _keep(cache, entry, encode(built), robot)
+    return built
+
+
+def build_true_map(robot: Robot, *, progress: Progress | None = None, key: str = "") -> ReachMap:
+    """Build the map of a robot as `default_config` has it, see `build_map`, and calibrate it."""
+    built = build_map(robot, default_config(robot), progress=progress, key=key)
+    return calibrated(built, robot)
+
+
+def _within(limit: float, progress: Progress, robot: Robot) -> Progress:
+    """Progress that ends the work once it has taken so much processor time [s]."""
+    began = time.process_time()
+
+    def report(share: float) -> None:
+        if time.process_time() - began > limit:
+            raise _takes_long(robot, limit)
+        progress(share)
+
+    return report
+
+
+def _takes_long(robot: Robot, limit: float) -> MapTakesLong:
+    arm = f" --arm {robot.arm}" if robot.arm else ""
+    return MapTakesLong(
+        f"it is not built within {limit:.0f} s of processor time, while 'momapos reach build "
+        f"{robot.path}{arm}' takes what it takes"
+    )
+
+
+def _taken(kept: bytes | None) -> float:
+    """Processor time that building has taken without an end, as kept [s]; 0 where it is unknown."""
+    try:
+        return float(kept or b"0")
+    except ValueError:
+        return 0.0
+
+
+def _keep(cache: Cache, entry: str, data: bytes, robot: Robot) -> None:
+    try:
+        cache.put(entry, data)
     except OSError as error:
         log.warning("the reachability map of %s cannot be kept: %s", robot.name, error)
-    return built
