@@ -23,6 +23,7 @@ from pathlib import Path
 import numpy as np
 
 from momapos.cache import user_cache
+from momapos.page.moving import GAPS, SLOW
 from momapos.page.opened import OpenedScan
 from momapos.page.page import Page
 from momapos.page.panel import POINTS
@@ -32,7 +33,7 @@ from momapos.scene.copies import copied
 from momapos.scene.files import load_scene, save_scene
 from momapos.scene.scene import Scene, SceneObject
 from momapos.types import Cloud, Detection, Scan, UprightBox
-from pages import Tab
+from pages import CAMERA, Tab
 
 QUIET = 2.0
 """Nothing more is sent when nothing has come for so long [s]."""
@@ -107,6 +108,11 @@ async def measured(page: Page, address: str) -> None:
         await asyncio.sleep(WATCHED)
         await tab.press("Pause")
 
+    async def turn() -> None:
+        for k in range(2 * GAPS):
+            await tab.send({**CAMERA, "position": (3.0, 3.0, 3.0 + 0.1 * k)})
+            await asyncio.sleep(2 * SLOW)
+
     async def activate() -> None:
         assert page.shown.scene is not None
         page.room.show(page.shown.scene, "oven")
@@ -119,7 +125,7 @@ async def measured(page: Page, address: str) -> None:
     changes: dict[str, Callable[[], Awaitable[None]]] = {
         f"{WATCHED:.0f} s of rest": rest, "the base is dragged": drag,
         "an answer is searched": place, f"{WATCHED:.0f} s of motion": play,
-        "another object is asked about": activate,
+        "another object is asked about": activate, "a slow camera moves and rests": turn,
         f"{more} points": partial(show, more), f"{every} points": partial(show, every),
         f"{few} again": partial(show, few), f"{every} again": partial(show, every),
     }  # fmt: skip

@@ -11,18 +11,20 @@ other work the ratios count, not the pictures a second.
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import shutil
 import tempfile
 import time
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 from gallery import browsing
 from large_page import serving
 from momapos.cache import user_cache
-from momapos.page import room_view
+from momapos.page import moving, room_view
 from momapos.page.page import Page
 from momapos.page.panel import POINTS
 from momapos.page.serve import open_server, quiet, served
@@ -204,13 +206,31 @@ def hall(watch: Watch, page: Page, address: str, rounds: int) -> None:
         watch.turn("large room, many things in one mesh")
         light(page, plain=True)
         watch.turn("large room, plain light too")
+    first, second, _ = POINTS
+    for number in (first, second):
+        points(page, "by thing", number)
+        with all_drawn():
+            watch.turn(f"and its scan, {number} points all the time")
+    points(page, "by thing", first)
+    watch.turn("the page finds that this browser is slow")
     for number in POINTS:
         points(page, "by thing", number)
-        watch.turn(f"large room and its scan, {number} points")
-    points(page, "by thing", next(iter(POINTS)))
-    watch.open(f"{address}/?fixedDpr=0.5")
-    watch.turn(f"{next(iter(POINTS))}, a quarter of the pixels")
+        watch.turn(f"and its scan, {number} points at rest")
+    points(page, "by thing", first)
+    with all_drawn():
+        watch.open(f"{address}/?fixedDpr=0.5")
+        watch.turn(f"{first} all the time, a quarter of the pixels")
     watch.close()
+
+
+@contextmanager
+def all_drawn() -> Iterator[None]:
+    """No browser counts as slow."""
+    slow, moving.SLOW = moving.SLOW, math.inf
+    try:
+        yield
+    finally:
+        moving.SLOW = slow
 
 
 def one_by_one(page: Page, *, apart: bool) -> None:

@@ -44,7 +44,8 @@ ROBOTS = ("segway_ur5e", "fetch")
 TARGETS = ("fridge/door_hinge", "oven/door_hinge", "cabinet_right/drawer_top_slide",
            "microwave/door_hinge", "wall_cabinet/door_left_hinge")  # fmt: skip
 LABELS = ("Importance, graph", "Arm's reach", "Free area", "Potential", "Candidates",
-          "Waypoints, grasps", "Start and path", "Collision spheres")  # fmt: skip
+          "Waypoints, grasps", "Start and path", "Tolerance of the base",
+          "Collision spheres")  # fmt: skip
 KINDS = {"drag": 6, "layer": 4, "place": 3, "target": 3, "play": 3, "keep": 1, "forget": 1,
          "stop": 1, "reload": 1, "robot": 1, "beside": 1}  # fmt: skip
 """What pages do, and how often."""

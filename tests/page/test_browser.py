@@ -18,11 +18,15 @@ from tests import optional
 from viser.transforms import SO3
 
 from momapos.cache import user_cache
+from momapos.page import moving
 from momapos.page.page import Page
 from momapos.page.playback import Story
+from momapos.page.scan_view import FEW
 from momapos.page.serve import served
 from momapos.page.static import write_page
 from momapos.page.words import escaped
+from momapos.scan_records import Modeled
+from momapos.types import Cloud
 
 pytestmark = optional.needs("Chromium", optional.chromium() is not None)
 LONG = 120_000.0
@@ -34,6 +38,17 @@ SMALL = {"width": 620, "height": 240}
 """Of a window in which only the controls are used: a software renderer's time goes by pixels."""
 FLAGS = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
          "--no-sandbox"]  # fmt: skip
+
+
+WATCH_POINTS = """() => {
+  window.clouds = [];
+  const gl = WebGL2RenderingContext.prototype, draw = gl.drawArrays;
+  gl.drawArrays = function (mode, first, count) {
+    if (mode === gl.POINTS) window.clouds.push(count);
+    return draw.call(this, mode, first, count);
+  };
+}"""
+"""Has a page remember how many points each cloud has that it draws."""
 
 
 @pytest.fixture(scope="module")
@@ -313,6 +328,48 @@ def test_a_page_gives_its_picture_and_film_and_keeps_its_plan(
     press(tab, "button", "Save the plan")
     tab.get_by_text("Saved as plan.json").wait_for(timeout=LONG)
     assert (page.folder / "plan.json").is_file()
+    assert complaints == []
+
+
+def of_points(tab: Tab) -> set[int]:
+    """How many points the clouds have that a tab has drawn since this was last asked."""
+    return set(tab.evaluate("() => { const all = window.clouds; window.clouds = []; return all; }"))
+
+
+def test_few_points_of_a_scan_are_drawn_while_a_slow_camera_moves_and_all_at_rest(
+    site: tuple[Page, str],
+    opened: Callable[[str], Tab],
+    complaints: list[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    page, address = site
+    monkeypatch.setattr(moving, "SLOW", 0.0)  # whatever draws here
+    monkeypatch.setattr(moving, "REST", 5.0)  # however slow the mouse is
+    points = np.random.default_rng(0).uniform([0.0, -3.0, 0.0], [4.0, 0.0, 2.0], (60_000, 3))
+    cloud = Cloud(points, np.tile([0.0, 0.0, 1.0], (len(points), 1)),
+                  np.zeros((len(points), 3), np.uint8))  # fmt: skip
+    page.scan.show(Modeled(Path("scan.json"), cloud, (), np.eye(4), ()))
+    shown, few = {50_000}, {FEW}
+    tab = opened(address)
+    tab.locator("canvas").first.wait_for(timeout=LONG)
+    tab.evaluate(WATCH_POINTS)
+    assert until(lambda: of_points(tab) & (shown | few) == shown)
+    x, y = 100, 200  # below what the browser says of its graphics
+    tab.mouse.move(x, y)
+    tab.mouse.down()
+
+    def turned(times: int) -> set[int]:
+        """Move the camera by so many pictures; the clouds that were drawn."""
+        for k in range(times):
+            tab.mouse.move(x + 5 * k, y)
+            drawn(tab)
+        return of_points(tab) & (shown | few)
+
+    assert until(lambda: turned(6) == few)
+    assert turned(10) == few
+    tab.mouse.up()
+    assert until(lambda: of_points(tab) & (shown | few) == shown)
+    page.scan.show(None)
     assert complaints == []
 
 

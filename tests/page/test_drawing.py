@@ -26,7 +26,7 @@ from momapos.page.layers import box_edges
 from momapos.page.page import Page
 from momapos.page.panel import POINTS
 from momapos.page.saving import FILMS, render, send_film
-from momapos.page.scan_view import ROOM, SIZE, boxes_of, thing_colors
+from momapos.page.scan_view import FEW, FINE, ROOM, SIZE, boxes_of, thing_colors
 from momapos.page.serve import served
 from momapos.page.words import answer_words
 from momapos.plans import read_plan
@@ -187,27 +187,29 @@ def test_points_of_a_scan_are_sent_once_and_only_as_many_as_are_asked_for(page: 
     scan, few = page.scan, next(most for most in POINTS.values() if most is not None)
 
     def sizes() -> set[float]:
-        return {part.point_size for part in scan._parts.values()}
+        return {node.point_size for part, node in scan._parts.items() if part[0] == FINE}
 
     scan.show(modeled)
     assert page.panel.scan_folder.visible
-    assert scan.sent == few
+    assert scan.sent == few + FEW
     assert page.panel.points_shown.content == "50,000 of 150,000 points are drawn."
     assert sizes() == {SIZE * float(np.sqrt(3.0))}  # they cover as much as all do
     page.panel.points.value = "all"
     scan.changed()
-    assert scan.sent == count
+    assert scan.sent == count + FEW
     assert sizes() == {SIZE}
     page.panel.points.value = next(iter(POINTS))
     scan.changed()
     page.panel.points.value = "all"
     scan.changed()
-    assert scan.sent == count
+    assert scan.sent == count + FEW
     colors = thing_colors(modeled)
     assert len(np.unique(colors, axis=0)) == 2
     assert "#{:02x}{:02x}{:02x}".format(*colors[-1]) == ROOM
+    assert scan.many
     page.panel.cloud.value = "none"
     scan.changed()
+    assert not scan.many
     assert page.panel.points_shown.content == "0 of 150,000 points are drawn."
     page.panel.cloud.value = "by thing"
     scan.show(None)

@@ -37,6 +37,7 @@ class Follow:
         yaw = float(SO3(np.asarray(gizmo.wxyz)).compute_yaw_radians())
         base = np.array([gizmo.position[0], gizmo.position[1], yaw])
         self._page.motion.pause()
+        self._page.moving.stirred()
         self._page.robot.base = base
         self._page.settled.node(gizmo)
         asked = time.perf_counter()

@@ -88,6 +88,8 @@ class MotionView:
             moment = story.at(seconds)
             moment.show(page.room, page.robot)
             page.compare.show(seconds)
+        if playing:
+            page.moving.stirred()
         now = time.perf_counter()
         panel = page.panel
         panel.show_playing(self.player.playing)

@@ -25,12 +25,13 @@ from momapos.page.extras import Extras
 from momapos.page.follow import Follow
 from momapos.page.light import Light
 from momapos.page.motion_view import MotionView
+from momapos.page.moving import Moving
 from momapos.page.opened import Opened, OpenedScan
 from momapos.page.panel import Panel
 from momapos.page.question import Machine, Machines, Question, ask, ask_at, targets
 from momapos.page.robot_view import RobotView
 from momapos.page.room_view import RoomView
-from momapos.page.scan_view import ScanView
+from momapos.page.scan_view import COARSE, FINE, ScanView
 from momapos.page.settled import Settled
 from momapos.page.state import Choice, Shown
 from momapos.page.words import answer_words, escaped
@@ -93,6 +94,12 @@ class Page:
         self.extras = Extras(self)
         self.compare = Compare(self)
         self.scan = ScanView(server.scene, self.panel)
+        self.moving = Moving(
+            server,
+            fine=FINE,
+            coarse=COARSE,
+            wanted=lambda: self.scan.many and not self.extras.work.busy,
+        )
         self.answer = AnswerView(self)
         self.layers = AnswerLayers(
             server.scene, self.panel, self.robot, self.drawing, self.answer.measured
