@@ -13,7 +13,7 @@ from tests import optional
 from tests.real import DATA
 
 from momapos.bench import laboratory, suites
-from momapos.bench.answer import opened, without
+from momapos.bench.containers import opened, without
 from momapos.bench.laboratory import TASKS, laboratory_tasks, shared_data
 from momapos.bench.records import Container, SuiteTask
 from momapos.bench.rooms import PLACES, THINGS, Room, make_room
