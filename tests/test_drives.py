@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from tests.rooms import Everywhere, corridor_room
 
+from momapos import drives
 from momapos.cli.console import summary
 from momapos.config import PipelineConfig
 from momapos.drives import WaysOn
 from momapos.manipulation.motion import task_motion
 from momapos.manipulation.tasks import make_task
-from momapos.navigation.footprint_map import build_navigation_map
-from momapos.navigation.global_path import plan_path
+from momapos.navigation.footprint_map import NavigationMap, build_navigation_map
+from momapos.navigation.global_path import BasePath, plan_path
 from momapos.pipeline import plan_base_placement
 from momapos.placement.config import Method, PlaceConfig
 from momapos.placement_result import PlacementResult
@@ -117,13 +120,36 @@ def test_base_poses_are_compared_once_with_each_that_shuts_the_robot_in(
     corridor: Scene, segway: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     compared: list[tuple[bytes, bytes]] = []
-    beside = WaysOn._beside
+    beside = drives.direct_path
 
-    def spied(self: WaysOn, one: np.ndarray, other: np.ndarray) -> bool:
+    def spied(nav_map: NavigationMap, one: np.ndarray, other: np.ndarray) -> BasePath | None:
         compared.append((one.tobytes(), other.tobytes()))
-        return beside(self, one, other)
+        return beside(nav_map, one, other)
 
-    monkeypatch.setattr(WaysOn, "_beside", spied)
+    monkeypatch.setattr(drives, "direct_path", spied)
     assert ask(corridor, segway, 1.57).search.shut_in
     assert len(compared) > 10
     assert len(set(compared)) == len(compared)
+
+
+def test_that_no_way_leads_to_a_place_is_told_few_times(
+    tmp_path: Path, segway: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A disc passes the open door, the robot does not, and most base poses beyond do the task."""
+    mug = ', {"name": "mug", "pose": {"xyz": [3.3, -0.1, 0.9]}, "box": [0.06, 0.06, 0.1]}'
+    room = corridor_room(tmp_path, end=4.0, extra=mug).with_joint("cabinet", "hinge", 1.2)
+    floor = np.array([[-4.0, -1.4], [4.0, -1.4], [4.0, 0.1], [-4.0, 0.1]])
+    told: list[bool] = []
+
+    def spied(nav_map: NavigationMap, start: np.ndarray, goal: np.ndarray) -> BasePath | None:
+        path = plan_path(nav_map, start, goal)
+        told.append(path is not None)
+        return path
+
+    monkeypatch.setattr(drives, "plan_path", spied)
+    scene, task = replace(room, floor_polygon=floor), make_task(room, "pick", "mug")
+    plan = plan_base_placement(scene, segway, task, Everywhere(), start=START, config=QUICK).plan
+    assert plan.status == "infeasible"
+    cut_off = plan.candidates.rejections["no way to drive there with the arm at home"]
+    assert 0 < 10 * len(told) < cut_off
+    assert not any(told)

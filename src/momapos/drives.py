@@ -33,6 +33,8 @@ class Drives:
     query: PlacementQuery
     start: Float[np.ndarray, "3"]
     _paths: dict[bytes, BasePath | None] = field(default_factory=dict)
+    _cut_off: list[Float[np.ndarray, "3"]] = field(default_factory=list)
+    """Base poses to which no way was found, which is told slowly."""
 
     def path(self, base: Float[np.ndarray, "3"] | None) -> BasePath | None:
         """The way to a base pose that was checked, if there is one."""
@@ -44,13 +46,18 @@ class Drives:
         def attempt(
             base: Float[np.ndarray, "3"], screened: ArmPathResult, ways: Int[np.ndarray, " k"]
         ) -> Attempt:
+            nav_map, no_way = self.query.nav_map, PoseOutcome(PoseStatus.NO_ROUTE_AT_HOME)
+            with self.query.watch.stage("way"):
+                if any(_beside(nav_map, base, other) for other in self._cut_off):
+                    return Attempt(None, no_way)
             found = check(base, screened, ways)
             if found.motion is None:
                 return found
             with self.query.watch.stage("way"):
-                path = self._paths[base.tobytes()] = plan_path(self.query.nav_map, self.start, base)
+                path = self._paths[base.tobytes()] = plan_path(nav_map, self.start, base)
             if path is None:
-                return Attempt(None, PoseOutcome(PoseStatus.NO_ROUTE_AT_HOME))
+                self._cut_off.append(base)
+                return Attempt(None, no_way)
             also = self.query.also
             refused = None if also is None else also(base)
             return found if refused is None else Attempt(None, refused)
@@ -85,7 +92,7 @@ class WaysOn:
         if room[-1] <= 0.0:
             return False
         with query.watch.stage("way"):
-            if any(self._beside(base, free) for free in self._known[True]):
+            if any(_beside(self._map_after, base, free) for free in self._known[True]):
                 return True
             goal = came.poses[0] if room[0] >= _AWAY else self._roomy
             leads = goal is not None and plan_path(self._map_after, base, goal) is not None
@@ -102,13 +109,9 @@ class WaysOn:
         if key not in self._compared:
             out = bool((gaps(base[None], query.nav_map.prisms, query.outlines_after) <= 0.0).any())
         with query.watch.stage("way"):
-            out = out or any(self._beside(base, other) for other in shut_in[before:])
+            out = out or any(_beside(self._map_after, base, other) for other in shut_in[before:])
         self._compared[key] = len(shut_in), out
         return out
-
-    def _beside(self, one: Float[np.ndarray, "3"], other: Float[np.ndarray, "3"]) -> bool:
-        """Whether a straight leg joins two poses in the room as the task leaves it."""
-        return direct_path(self._map_after, one, other) is not None
 
     @cached_property
     def _after(self) -> Scene:
@@ -129,3 +132,10 @@ class WaysOn:
             return roomy_place(self._after, self._map_after, self.drives.start[:2])
         except SceneError:
             return None
+
+
+def _beside(
+    nav_map: NavigationMap, one: Float[np.ndarray, "3"], other: Float[np.ndarray, "3"]
+) -> bool:
+    """Whether a straight leg joins two poses, so that a way to one leads to the other as well."""
+    return direct_path(nav_map, one, other) is not None
