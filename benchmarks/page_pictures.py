@@ -1,6 +1,7 @@
 """What a picture of the page costs: nothing, the demo kitchen, a large room, in one run.
 
     python benchmarks/page_pictures.py [--objects 1000] [--points 2000000] [--rounds 2]
+                                       [--only nothing|cloud|kitchen|hall ...]
 
 A Chromium draws, 1280 x 720, while the mouse turns the room; how many pictures come a second, what
 each takes of the processor, and what is drawn for it. By what it draws is printed: without a
@@ -21,14 +22,20 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from gallery import browsing
 from large_page import serving
 from momapos.cache import user_cache
 from momapos.page import moving, room_view
 from momapos.page.page import Page
 from momapos.page.panel import POINTS
+from momapos.page.scan_view import FEW
 from momapos.page.serve import open_server, quiet, served
 
+LOOKS = ("nothing", "cloud", "kitchen", "hall")
+SIZES = (0.001, 0.012, 0.024, 0.05)
+"""Of points whose cost is measured [m]."""
 WINDOW = {"width": 1280, "height": 720}
 START, WAY = (300, 360), 300
 """Where the mouse takes hold of the room, and how far it then drags it round [px]."""
@@ -180,6 +187,27 @@ def empty(watch: Watch) -> None:
         server.stop()
 
 
+def cloud(watch: Watch) -> None:
+    """Points and nothing else: what their number costs, and what their size."""
+    server = open_server("127.0.0.1", 0)
+    server.scene.configure_default_lights(cast_shadow=False)
+    server.scene.configure_environment_map(None)
+    watch.open(f"http://127.0.0.1:{server.get_port()}")
+    rng = np.random.default_rng(0)
+    for number in (FEW, 50_000):
+        places = rng.uniform([-5.0, -5.0, 0.0], [5.0, 5.0, 2.5], (number, 3))
+        colors = rng.integers(0, 255, (number, 3)).astype(np.uint8)
+        for size in SIZES:
+            server.scene.add_point_cloud(
+                "/points", places, colors, point_size=size, point_shape="square",
+                precision="float16",
+            )  # fmt: skip
+            watch.turn(f"{number} points of {1000 * size:.0f} mm")
+    watch.close()
+    with quiet():
+        server.stop()
+
+
 def kitchen(watch: Watch) -> None:
     """The demo kitchen, in both lights."""
     with tempfile.TemporaryDirectory() as folder, served(
@@ -251,11 +279,14 @@ if __name__ == "__main__":
     parser.add_argument("--points", type=int, default=2_000_000)
     parser.add_argument("--rounds", type=int, default=2)
     parser.add_argument("--seconds", type=float, default=5.0, help="of each look")
+    parser.add_argument("--only", nargs="*", choices=LOOKS, default=LOOKS)
     parser.add_argument("--chromium", default=shutil.which("chromium") or "chromium")
     args = parser.parse_args()
     with browsing(args.chromium) as browser:
         watch = Watch(browser, args.seconds)
-        empty(watch)
-        kitchen(watch)
-        with serving(args.objects, args.points) as (page, address):
-            hall(watch, page, address, args.rounds)
+        for name, look in {"nothing": empty, "cloud": cloud, "kitchen": kitchen}.items():
+            if name in args.only:
+                look(watch)
+        if "hall" in args.only:
+            with serving(args.objects, args.points) as (page, address):
+                hall(watch, page, address, args.rounds)

@@ -13,7 +13,6 @@ import asyncio
 import itertools
 from collections import deque
 from collections.abc import Callable
-from statistics import median_low
 from typing import TYPE_CHECKING
 
 from viser import _messages as messages
@@ -23,14 +22,15 @@ if TYPE_CHECKING:
 
 SLOW = 0.12
 """Pictures that come farther apart than this are slow [s]."""
-GAPS = 4
-"""How many times between pictures are looked at, of which one in the middle counts [-]."""
+GAPS = 2
+"""So many times between pictures are looked at, of which the shortest counts: the others may be
+pauses of the hand [-]."""
 TOGETHER, APART = 0.03, 5.0
 """What is told within so short a time is of one picture; what is told after so long a time is of
 another movement [s]."""
-TRUST = 300.0
+TRUST = 100.0
 """A browser counts as slow for so many times longer than a picture took: to find it out again then
-costs a hundredth of the time [-]."""
+costs few hundredths of the time [-]."""
 REST = 0.4
 """A camera rests when nothing was told for so long, or for two pictures [s]."""
 
@@ -53,7 +53,7 @@ class Pace:
             self._seen.append(now)
             if len(self._seen) > GAPS:
                 times = list(self._seen)
-                self.gap = median_low(b - a for a, b in itertools.pairwise(times))
+                self.gap = min(b - a for a, b in itertools.pairwise(times))
                 if self.gap > SLOW:
                     self._until = now + TRUST * self.gap
         return self.slow(now)
