@@ -38,7 +38,7 @@ to a change: they count as tuned."""
 TABLE = (
     "pr2", "fetch_maniskill", "tiago_no_hand", "tiago_pro", "ur10", "panda", "frankie",
     "mobile_panda_dual", "stretch4", "stretch_re2v0", "stretch_re1v0", "mobile_panda_single",
-    "kinova", "iiwa14", "xarm7", "xarm7_ability", "vega",
+    "kinova", "iiwa14", "xarm7", "xarm7_ability", "vega", "vega_1u",
 )  # fmt: skip
 """Robots that are asked for openings of five kitchens in docs/robots.md."""
 PACKAGES = (
