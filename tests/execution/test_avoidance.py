@@ -17,8 +17,15 @@ from momapos.execution.avoidance import Surroundings
 from momapos.execution.config import ComplianceConfig, Ending, ExecutionConfig
 from momapos.execution.dynamics import read_dynamics
 from momapos.execution.furniture import Resistance
+from momapos.execution.hand import find_hand
 from momapos.execution.simulation import Simulation, build_simulation
+from momapos.execution.true_world import TrueWorld
+from momapos.execution.worlds import Setting
 from momapos.geometry.transforms import invert, pose_planar
+from momapos.manipulation.tasks import make_task
+from momapos.pipeline import plan_base_placement
+from momapos.robots.robot import load_robot
+from momapos.scene.files import load_scene
 from momapos.trajectory import time_motion
 
 CONFIG = ExecutionConfig()
@@ -147,3 +154,24 @@ def test_the_arm_stops_before_the_part_comes_upon_its_own_base(tmp_path: Path) -
     assert done.ending == Ending.MEETS_ROBOT
     assert 0.5 * halfway < done.reached < halfway
     assert all("post" not in (touch.one, touch.other) for touch in done.collisions)
+
+
+def test_the_hand_keeps_apart_from_what_it_will_pick_as_long_as_that_stands() -> None:
+    scene, robot = load_scene("kitchen_small"), load_robot("segway_ur5e")
+    task = make_task(scene, "pick", "apple")
+    plan = plan_base_placement(scene, robot, task).plan
+    assert plan.motion is not None
+    assert plan.base_pose is not None
+    path = robot.model.urdf.path
+    assert path is not None
+    dynamics = read_dynamics(path)
+    setting = Setting(
+        scene, robot, plan.base_pose, plan.motion, task, find_hand(robot, dynamics.mimics),
+        dynamics, CONFIG,
+    )  # fmt: skip
+    world = setting.build(TrueWorld(scene, task), Resistance(0.2, 0.0, 0.0, 0.0))
+    surroundings, q = Surroundings(world, ComplianceConfig()), plan.motion.q[0]
+    # The open fingers are around the apple.
+    given_way = surroundings.bounds(q, 0.0, hand=True)
+    standing = surroundings.bounds(q, 0.0, hand=True, stands=True)
+    assert len(standing.rows) > len(given_way.rows)

@@ -69,23 +69,25 @@ class Surroundings:
         *,
         part_speed: float = 0.0,
         hand: bool = False,
+        stands: bool = False,
     ) -> Bounds:
         """Bounds at a state of the arm.
 
         Args:
             q: The state [rad] or [m].
-            value: Of the part's joint there [rad] or [m]; any for a loose object, which is left
-                out: it gives way, or is in the hand.
+            value: Of the part's joint there [rad] or [m]; any for a loose object.
             T_off: Moves the part from where it is modeled to where the hand found it; None for
                 where it is modeled.
             part_speed: Of the part's joint [rad/s] or [m/s].
             hand: Whether the hand, too, keeps apart from the room: where it is not near what it
                 will hold.
+            stands: Whether a loose object stands where it is modeled; else it is left out, for it
+                gives way, or is in the hand.
         """
         known, model, data, config = self.known, self._model, self._data, self._config
         self.part_gaps = self.gaps(q, value, T_off)
         mujoco.mj_comPos(model, data)
-        near = np.flatnonzero(self._counts(hand) & (data.contact.dist < config.avoid))
+        near = np.flatnonzero(self._counts(hand, stands) & (data.contact.dist < config.avoid))
         near = near[np.argsort(data.contact.dist[near], kind="stable")]
         _, first = np.unique(data.contact.geom[near], axis=0, return_index=True)
         chosen = near[np.sort(first)[:_MOST]]
@@ -125,11 +127,11 @@ class Surroundings:
         pairs = (kinds == sorted((one, other))).all(1)
         return float(self._data.contact.dist[pairs].min(initial=np.inf))
 
-    def _counts(self, hand: bool) -> Bool[np.ndarray, " c"]:
+    def _counts(self, hand: bool, stands: bool) -> Bool[np.ndarray, " c"]:
         """Which of the near pairs are of the arm with something that it must not touch."""
         kinds: Int[np.ndarray, "c 2"] = self.known.kinds[self._data.contact.geom]
         own = np.isin(kinds, ROBOT).all(1)
-        kind = Kind.ROOM if self._loose else (Kind.ROOM, Kind.PART)
+        kind = Kind.ROOM if self._loose and not stands else (Kind.ROOM, Kind.PART)
         things = np.isin(kinds, kind).any(1)
         arm = np.isin(kinds, (Kind.ARM, *HAND) if hand else Kind.ARM).any(1)
         return np.asarray(own | (things & arm))

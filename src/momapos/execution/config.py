@@ -147,6 +147,9 @@ class ComplianceConfig:
 
     near: float = 0.1
     """The hand comes to the grasp slowly over this way [m]."""
+    straight: float = 0.085
+    """Nearer to the grasp the hand may pass things as closely as planned: it comes in straight, and
+    goes around what it will hold [m]."""
     near_speed: float = 0.05
     """Its speed there [m/s], and where the arm would touch what is as modeled."""
     beside_speed: float = 0.25

@@ -27,7 +27,10 @@ def come_in(run: ExecutionRun, way: PacedTrajectory) -> Ending | None:
         pace = sign * float(way.pace[round(run.passed)]) * _easing(run)
         if steps % LOOK == 0:
             close = way.gap[round(run.passed)] < compliance.avoid
-            bounds = run.surroundings.bounds(run.arm.q, begin, hand=not near) if close else None
+            apart, bounds = left >= compliance.straight, None
+            if close:
+                stands = apart and not run.held
+                bounds = run.surroundings.bounds(run.arm.q, begin, hand=apart, stands=stands)
         T, steps = _go_along(run, way, pace, bounds, stiff=near), steps + 1
         ending = run.tick(Stage.APPROACH) or run.lost()
         if ending is not None:
