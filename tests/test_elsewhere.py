@@ -73,3 +73,20 @@ def test_a_base_pose_is_left_out_where_the_arm_cannot_come_home(prepared: Prepar
     touches = gaps(beyond, room.prisms, room.obstacles) <= 0.0
     assert 10 < touches.sum() < 390
     np.testing.assert_array_equal(out(beyond), touches)
+
+
+def test_of_a_base_pose_where_the_arm_cannot_come_home_others_beside_it_are_left(
+    prepared: PreparedTask,
+) -> None:
+    room = build_navigation_map(prepared.scene.with_joint("cabinet", "hinge", OPEN), prepared.robot)
+    poses = np.random.default_rng(2).uniform([-1.5, -0.9, -np.pi], [1.0, 0.0, np.pi], (400, 3))
+    touches = gaps(poses, room.prisms, room.obstacles) <= 0.0
+    assert 10 < touches.sum() < 390
+    out = elsewhere(prepared, OPEN, [poses[touches][0]])
+    assert out is not None
+    np.testing.assert_array_equal(out(poses), touches)
+    again = elsewhere(prepared, OPEN, [poses[touches][0], OUTSIDE])
+    alone = elsewhere(prepared, OPEN, [OUTSIDE])
+    assert again is not None
+    assert alone is not None
+    np.testing.assert_array_equal(again(poses), alone(poses))

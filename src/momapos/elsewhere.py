@@ -37,6 +37,7 @@ class _Left:
 
     room: NavigationMap
     tried: tuple[CostMap, ...]
+    """Of those where it can bring its arm home."""
 
     def no_other(self, poses: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
         """Base poses where the robot gets anyway, or where it cannot bring its arm home."""
@@ -44,7 +45,7 @@ class _Left:
         for one in self.tried:
             out |= np.isfinite(one.lengths(poses[:, :2]))
         rest = np.flatnonzero(~out)
-        out[rest] = gaps(poses[rest], self.room.prisms, self.room.obstacles) <= 0.0
+        out[rest] = _touches(self.room, poses[rest])
         return out
 
     def beyond(self) -> Float[np.ndarray, "n 2"]:
@@ -52,6 +53,11 @@ class _Left:
         cells = self.tried[0].free & ~np.isfinite([one.distance for one in self.tried]).any(axis=0)
         i, j = np.nonzero(cells)
         return self.tried[0].origin + (np.stack([j, i], -1) + 0.5) * CELL
+
+
+def _touches(room: NavigationMap, poses: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
+    """Base poses where a robot with its arm at home touches something."""
+    return gaps(poses, room.prisms, room.obstacles) <= 0.0
 
 
 def base_poses_elsewhere(
@@ -66,14 +72,18 @@ def base_poses_elsewhere(
 
     Returns:
         What rules out base poses from which the robot, the task done, would only get where it gets
-        from the others; None where that rules out all.
+        from the others, or could not bring its arm home; None where that rules out all.
     """
     robot = geometry.robot
     floor, height = after.floor_polygon, base_height(robot)
     plan = floor_plan(room_boxes(after), height=height, floor_polygon=floor)
     radius = inscribed_radius(robot.footprint)
-    maps = tuple(build_cost_map(plan, pose[:2], radius=radius) for pose in tried)
-    left = _Left(build_navigation_map(after, robot), maps)
+    room = build_navigation_map(after, robot)
+    # Where the arm cannot come home the next task does not begin: that says nothing of the place.
+    begun = np.array(tried)[~_touches(room, np.array(tried))]
+    left = _Left(room, tuple(build_cost_map(plan, pose[:2], radius=radius) for pose in begun))
+    if not left.tried:
+        return left.no_other
     cells = left.beyond()
     poses = np.column_stack([np.repeat(cells, len(_YAWS), 0), np.tile(_YAWS, len(cells))])
     stands = base_pose_status(geometry, poses)[0] == BaseStatus.CLEAR
