@@ -295,7 +295,7 @@ def _within(limit: float, progress: Progress, robot: Robot) -> Progress:
     began = time.process_time()
 
     def report(share: float) -> None:
-        if time.process_time() - began > limit:
+        if share < 1.0 and time.process_time() - began > limit:
             raise _takes_long(robot, limit)
         progress(share)
 
