@@ -247,7 +247,11 @@ def whole_page(browser: Any) -> Image.Image:
 
 def keep(drawn: Image.Image, file: Path) -> None:
     """Write a picture, and tell how large it is."""
-    drawn.quantize(COLORS, dither=Image.Dither.NONE).save(file, optimize=True)
+    # The median cut would turn thin red lines orange: few pixels have their color.
+    few = drawn.quantize(
+        COLORS, method=Image.Quantize.MAXCOVERAGE, kmeans=1, dither=Image.Dither.NONE
+    )
+    few.save(file, optimize=True)
     print(f"{file}: {file.stat().st_size / 1e3:.0f} kB", flush=True)
 
 
