@@ -10,6 +10,7 @@ import numpy as np
 from momapos.detection.coco import WITHOUT_DOORS
 from momapos.reconstruction.build import GivenModel, place_model
 from momapos.reconstruction.model import furniture_model
+from momapos.reconstruction.open_parts import opened_piece
 from momapos.reconstruction.seen_motion import moved_piece
 from momapos.scan_records import Decision, PartSource, ScanConfig, Survey, Tools
 from momapos.scene.library.furniture import Piece
@@ -65,7 +66,8 @@ def decide(
     others = [one.box for one in (*survey.detections, *survey.walls) if one is not item]
     left, right = (stands_free(faces[k], others) for k in view.face.beside)
     piece = furniture_model(item, facing, view.image, parts, config.model, free=(left, right))
-    return replace(box, view=view, parts=parts, source=source, model=piece)
+    piece, moved = opened_piece(piece, survey.leaves)
+    return replace(box, view=view, parts=parts, source=source, model=piece, moved=moved)
 
 
 def watched(decision: Decision, before: Cloud, later: Cloud, config: ScanConfig) -> Decision:
@@ -73,7 +75,7 @@ def watched(decision: Decision, before: Cloud, later: Cloud, config: ScanConfig)
     if not isinstance(decision.model, Piece):
         return decision
     piece, moved = moved_piece(decision.model, before, later, config.seen_motion)
-    return replace(decision, model=piece, moved=moved)
+    return replace(decision, model=piece, moved={**decision.moved, **moved})
 
 
 def _parts(view: View, label: str, tools: Tools) -> tuple[tuple[Part, ...], PartSource]:

@@ -26,6 +26,7 @@ from momapos.reconstruction.network import FrontNetwork
 from momapos.reconstruction.templates import TemplatePredictor
 from momapos.scan_decisions import decide, watched
 from momapos.scan_labels import with_labels
+from momapos.scan_open import open_leaves, shut
 from momapos.scan_records import (
     Decision,
     Found,
@@ -171,11 +172,13 @@ def survey(
         room = find_room(cloud, config.room)
         walls = [(wall.axis, wall.offset) for wall in room.walls]
         cloud = complete(cloud, frames, walls, config.voxel, config.completion)
+        leaves = open_leaves(cloud, frames, config)
+        cloud, frames, known = shut(leaves, cloud, frames, tools, config)
         things = [item for item in tools.segment(cloud) if item.label not in BUILDING]
         detections = boxes(cloud, things, room, config.boxes)
     with watch.stage("rows"):
         progress("dividing rows", 0.3)
-        instances, rows = divide(detections, cloud, frames, tools.look, config)
+        instances, rows = divide(detections, cloud, frames, tools.look, config, known)
         if len(instances) > len(detections):
             detections = boxes(cloud, instances, room, config.boxes)
         detections = without_pieces(detections, cloud)
@@ -187,8 +190,9 @@ def survey(
         boards = wall_detections(room, config.boxes)
         detections = with_coverage(detections, cloud, boards, measured)
     return Survey(
-        cloud, frames, T, room, tuple(detections), tuple(boards), tuple(rows), found, watch.seconds
-    )
+        cloud, frames, T, room, tuple(detections), tuple(boards), (*known, *rows), leaves, found,
+        watch.seconds,
+    )  # fmt: skip
 
 
 def model_room(
@@ -260,8 +264,17 @@ def divide(
     frames: Sequence[Frame],
     look: ArticulationPredictor,
     config: ScanConfig,
+    known: Sequence[Seen] = (),
 ) -> tuple[list[Instance], list[Seen]]:
     """Cut rows of furniture between their fronts.
+
+    Args:
+        detections: Things with their boxes.
+        cloud: In the upright world.
+        frames: In the upright world.
+        look: What is on a face.
+        config: How to cut.
+        known: Parts that are known to be there.
 
     Returns:
         All things, the pieces of rows without a label yet; and what was seen on the rows.
@@ -273,7 +286,7 @@ def divide(
         def seen(face: FaceImage, label: str = item.label) -> Front:
             return look(face, label)
 
-        pieces, front = split_row(item.box, frames, seen, config.rows, config.view)
+        pieces, front = split_row(item.box, frames, seen, config.rows, config.view, known)
         before += [front] if front is not None else []
         if len(pieces) == 1:
             instances.append(Instance(item.label, item.score, item.members, item.box, item.guesses))
