@@ -24,12 +24,18 @@ LEAST = 0.5
 """Of a leaf's outer face so much must be seen for its handle to be looked for [-]."""
 
 
-def open_leaves(cloud: Cloud, frames: Sequence[Frame], config: ScanConfig) -> tuple[OpenLeaf, ...]:
+def open_leaves(
+    cloud: Cloud,
+    frames: Sequence[Frame],
+    walls: Sequence[tuple[int, float]],
+    config: ScanConfig,
+) -> tuple[OpenLeaf, ...]:
     """The doors and flaps that stand open in a room; none where no image tells what is empty.
 
     Args:
         cloud: Upright, fronts along x and y.
         frames: In the same world.
+        walls: Axis of the normal, 0 or 1, and coordinate [m] of each wall.
         config: What is taken for one.
     """
     through = config.completion.through
@@ -37,7 +43,7 @@ def open_leaves(cloud: Cloud, frames: Sequence[Frame], config: ScanConfig) -> tu
     def free(points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
         return seen_empty(frames, points, through)
 
-    return tuple(find_open_leaves(cloud, free, config.open_leaves))
+    return tuple(find_open_leaves(cloud, free, walls, config.open_leaves))
 
 
 def shut(

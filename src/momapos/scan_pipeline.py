@@ -172,7 +172,7 @@ def survey(
         room = find_room(cloud, config.room)
         walls = [(wall.axis, wall.offset) for wall in room.walls]
         cloud = complete(cloud, frames, walls, config.voxel, config.completion)
-        leaves = open_leaves(cloud, frames, config)
+        leaves = open_leaves(cloud, frames, walls, config)
         cloud, frames, known = shut(leaves, cloud, frames, tools, config)
         things = [item for item in tools.segment(cloud) if item.label not in BUILDING]
         detections = boxes(cloud, things, room, config.boxes)

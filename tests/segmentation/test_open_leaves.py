@@ -48,6 +48,12 @@ def test_a_board_that_stands_out_of_a_closed_front_shuts_nothing() -> None:
     assert find_open_leaves(room.cloud(), room.free) == []
 
 
+def test_what_stands_out_of_a_wall_is_no_leaf() -> None:
+    room = cupboard(leaf_of("door_left", np.radians(80.0)))
+    assert find_open_leaves(room.cloud(), room.free, [(1, 0.0)])
+    assert find_open_leaves(room.cloud(), room.free, [(1, -0.5), (1, -0.48)]) == []
+
+
 def test_where_nothing_is_seen_to_be_empty_no_leaf_is_found() -> None:
     room = cupboard(leaf_of("door_left", np.radians(80.0)))
     assert find_open_leaves(room.cloud(), lambda p: np.zeros(len(p), bool)) == []

@@ -45,8 +45,9 @@ class OpenLeafConfig:
     """What is this near to its plane belongs to it [m]."""
     thickness: tuple[float, float] = (0.02, 0.1)
     """Of a leaf of which one side is seen, and of any at most [m]."""
-    hinge_depth: float = 0.01
-    """How far behind its outer face its axis is taken to be [m]."""
+    hinge_depth: float = 0.005
+    """How far behind its outer face its axis is taken to be: between what models of shut doors are
+    given that have something beside them and those that have not [m]."""
     hollow: float = 0.6
     """Share of the place of the shut leaf through which one sees, at least [-]."""
     depth: float = 1.3
@@ -59,6 +60,8 @@ class OpenLeafConfig:
     """... for this share of the edge, and of one of those beside it at least [-]."""
     around: float = 0.6
     """Fronts are looked for so far around it [m]."""
+    wall: float = 0.05
+    """What is this near to a wall's plane is no front [m]."""
     fewest: int = 30
     """And have so many points, at least [-]."""
     same: float = 0.3

@@ -7,7 +7,7 @@ what the leaf closes against.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -33,13 +33,18 @@ ROUNDS = 6
 
 
 def find_open_leaves(
-    cloud: Cloud, free: Free, config: OpenLeafConfig | None = None
+    cloud: Cloud,
+    free: Free,
+    walls: Sequence[tuple[int, float]] = (),
+    config: OpenLeafConfig | None = None,
 ) -> list[OpenLeaf]:
     """Find doors and flaps that stand open, the largest first.
 
     Args:
         cloud: Upright, fronts along x and y.
         free: Whether places were seen to be empty.
+        walls: Axis of the normal, 0 or 1, and coordinate [m] of each wall: what stands out of one
+            is no leaf.
         config: Constants.
     """
     config = config or OpenLeafConfig()
@@ -51,7 +56,7 @@ def find_open_leaves(
     found: list[tuple[float, OpenLeaf]] = []
     for hinge in np.eye(3)[[2, 0, 1]]:
         for patch in _patches(cloud, among, thin, hinge, config):
-            found += _leaves_of(patch, cloud, free, thin, hinge, config)
+            found += _leaves_of(patch, cloud, free, thin, hinge, walls, config)
     found.sort(key=lambda pair: -pair[0])
     kept: list[OpenLeaf] = []
     for _, leaf in found:
@@ -123,6 +128,7 @@ def _leaves_of(
     free: Free,
     thin: Bool[np.ndarray, " n"],
     hinge: Float[np.ndarray, "3"],
+    walls: Sequence[tuple[int, float]],
     config: OpenLeafConfig,
 ) -> Iterator[tuple[float, OpenLeaf]]:
     """The leaves that a flat group of points may be, and how much speaks for each.
@@ -137,6 +143,8 @@ def _leaves_of(
         if abs(out @ hinge) > 0.5 or abs(normals.mean(0) @ out) > np.cos(config.turns[0] - TURN):
             continue
         for front, likely in _fronts(cloud, out, config):
+            if any(abs(front * out[axis] - at) < config.wall and out[axis] for axis, at in walls):
+                continue
             ahead = points @ out > front
             if ahead.sum() * config.cell**2 < config.area:
                 continue
