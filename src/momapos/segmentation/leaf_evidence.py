@@ -54,6 +54,8 @@ class OpenLeafConfig:
     """So far behind is what closes the hollow, at most [m]."""
     aside: float = 0.3
     """What is so near beside it in or behind its front belongs to the same furniture [m]."""
+    before: float = 0.3
+    """Share of a shut leaf that another front may hide [-]."""
     beyond: tuple[float, ...] = (0.05, 0.065, 0.08)
     """A leaf ends at its free edge: so far beyond that it is empty [m] ..."""
     ends: float = 0.4
@@ -88,7 +90,7 @@ def evidence(leaf: OpenLeaf, cloud: Cloud, free: Free, config: OpenLeafConfig) -
     hollow = empty(2 * config.layer)
     if hollow < config.hollow or empty(config.depth) > 1.0 - config.hollow:
         return 0.0
-    if _free_ends(leaf, free, config) < config.ends:
+    if _free_ends(leaf, free, config) < config.ends or _hidden(leaf, cloud, config):
         return 0.0
     shares, flush = _jambs(leaf, cloud, config)
     if min(shares[:2]) < config.jamb or max(shares[2:]) < config.jamb:
@@ -119,6 +121,17 @@ def _jambs(leaf: OpenLeaf, cloud: Cloud, config: OpenLeafConfig) -> tuple[list[f
         # The rim that a leaf covers is no front beside it.
         flush.append(_covered(place[front & (away > config.layer), axis], length, config))
     return shares, flush
+
+
+def _hidden(leaf: OpenLeaf, cloud: Cloud, config: OpenLeafConfig) -> bool:
+    """Whether another front lies before the one that a leaf belongs to: it is inside of that."""
+    place = leaf.local(cloud.points)
+    before = (place > [0.0, config.beside, 0.0]).all(1)
+    reach = leaf.size[0] + config.beside + config.thickness[1]
+    before &= (place < [leaf.size[0], reach, leaf.size[1]]).all(1)
+    before &= cloud.normals @ leaf.out > config.straight
+    cells = np.unique(np.floor(place[before][:, [0, 2]] / config.cell), axis=0)
+    return len(cells) * config.cell**2 > config.before * leaf.size[0] * leaf.size[1]
 
 
 def _free_ends(leaf: OpenLeaf, free: Free, config: OpenLeafConfig) -> float:
