@@ -50,6 +50,10 @@ class OpenLeafConfig:
     given that have something beside them and those that have not [m]."""
     hollow: float = 0.6
     """Share of the place of the shut leaf through which one sees, at least [-]."""
+    shallow: float = 0.12
+    """So far behind it there is room [m] ..."""
+    deep: float = 0.2
+    """... in this share of it, at least: racks and shelves fill the rest [-]."""
     depth: float = 1.3
     """So far behind is what closes the hollow, at most [m]."""
     aside: float = 0.3
@@ -88,7 +92,9 @@ def evidence(leaf: OpenLeaf, cloud: Cloud, free: Free, config: OpenLeafConfig) -
         return float(free(leaf.world(grid.reshape(-1, 3))).mean())
 
     hollow = empty(2 * config.layer)
-    if hollow < config.hollow or empty(config.depth) > 1.0 - config.hollow:
+    if hollow < config.hollow or empty(config.shallow) < config.deep:
+        return 0.0
+    if empty(config.depth) > 1.0 - config.hollow:
         return 0.0
     if _free_ends(leaf, free, config) < config.ends or _hidden(leaf, cloud, config):
         return 0.0
