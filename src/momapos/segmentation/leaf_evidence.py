@@ -39,10 +39,12 @@ class OpenLeafConfig:
     """How far it is open, at least and at most [rad]."""
     lifted: float = np.radians(70.0)
     """Flaps that are lifted farther look like shelves, and are left out [rad]."""
+    facing: float = 0.85
+    """Cosine between the normals of one leaf, which are uneven where it is seen from far [-]."""
     straight: float = 0.95
-    """Cosine between the normals of one leaf [-]."""
+    """And of a front [-]."""
     layer: float = 0.015
-    """What is this near to its plane belongs to it [m]."""
+    """What is this near to its plane belongs to it, twice that where it is uneven [m]."""
     thickness: tuple[float, float] = (0.02, 0.1)
     """Of a leaf of which one side is seen, and of any at most [m]."""
     hinge_depth: float = 0.005

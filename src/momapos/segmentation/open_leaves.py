@@ -211,8 +211,9 @@ def _slab(
     low, high = coarse.min(0) - config.cell, coarse.max(0) + config.cell
     place = (cloud.points - middle) @ axes
     on = ((place[:, [0, 2]] > low[[0, 2]]) & (place[:, [0, 2]] < high[[0, 2]])).all(1)
-    on &= (np.abs(place[:, 1]) < config.layer) & (cloud.normals @ facing > config.straight)
-    on &= cloud.points @ out > front
+    uneven = 2.0 * float(np.median(np.abs((kept - middle) @ facing)))
+    on &= np.abs(place[:, 1]) < np.clip(uneven, config.layer, 2 * config.layer)
+    on &= (cloud.normals @ facing > config.facing) & (cloud.points @ out > front)
     if not on.any():
         return None
     low, high = np.percentile(place[on], (1.0, 99.0), axis=0)
