@@ -10,6 +10,7 @@ import numpy as np
 
 from momapos.geometry.leaves import OpenLeaf
 from momapos.geometry.transforms import apply, invert
+from momapos.geometry.upright_boxes import between
 from momapos.types import Cloud
 
 if TYPE_CHECKING:
@@ -114,8 +115,11 @@ def _jambs(leaf: OpenLeaf, cloud: Cloud, config: OpenLeafConfig) -> tuple[list[f
     """
     width, height = leaf.size
     place = leaf.local(cloud.points)
-    beside = (place > [-config.beside, -leaf.thickness - config.behind, -config.beside]).all(1)
-    beside &= (place < [width + config.beside, config.layer, height + config.beside]).all(1)
+    beside = between(
+        place,
+        (-config.beside, -leaf.thickness - config.behind, -config.beside),
+        (width + config.beside, config.layer, height + config.beside),
+    )
     opened = leaf.local(apply(leaf.T_shut_open, cloud.points[beside]))
     still = (opened[:, 0] < 0.0) | (np.abs(opened[:, 1]) > 2 * config.layer)
     place = place[beside][still]
@@ -134,9 +138,8 @@ def _jambs(leaf: OpenLeaf, cloud: Cloud, config: OpenLeafConfig) -> tuple[list[f
 def _hidden(leaf: OpenLeaf, cloud: Cloud, config: OpenLeafConfig) -> bool:
     """Whether another front lies before the one that a leaf belongs to: it is inside of that."""
     place = leaf.local(cloud.points)
-    before = (place > [0.0, config.beside, 0.0]).all(1)
     reach = leaf.size[0] + config.beside + config.thickness[1]
-    before &= (place < [leaf.size[0], reach, leaf.size[1]]).all(1)
+    before = between(place, (0.0, config.beside, 0.0), (leaf.size[0], reach, leaf.size[1]))
     before &= cloud.normals @ leaf.out > config.straight
     cells = np.unique(np.floor(place[before][:, [0, 2]] / config.cell), axis=0)
     return len(cells) * config.cell**2 > config.before * leaf.size[0] * leaf.size[1]

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.geometry.leaves import OpenLeaf
+from momapos.geometry.upright_boxes import between
 from momapos.segmentation.leaf_evidence import Free, OpenLeafConfig, evidence, same
 from momapos.segmentation.room import peaks
 from momapos.segmentation.supports import components
@@ -138,7 +139,7 @@ def _leaves_of(
     """
     points, normals = cloud.points[patch], cloud.normals[patch]
     around = max(config.around, float(np.ptp(points, axis=0).max()) + config.beside)
-    cloud = _between(cloud, points.min(0) - around, points.max(0) + around)
+    cloud = _part(cloud, points.min(0) - around, points.max(0) + around)
     for out in np.concatenate([np.eye(3)[:2], -np.eye(3)[:2]]):
         if abs(out @ hinge) > 0.5 or abs(normals.mean(0) @ out) > np.cos(config.turns[0] - TURN):
             continue
@@ -159,9 +160,9 @@ def _leaves_of(
                     yield share + LARGE * likely, leaf
 
 
-def _between(cloud: Cloud, low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"]) -> Cloud:
+def _part(cloud: Cloud, low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"]) -> Cloud:
     """What of a cloud is in a box."""
-    there = ((cloud.points > low) & (cloud.points < high)).all(1)
+    there = between(cloud.points, low, high)
     return Cloud(cloud.points[there], cloud.normals[there], cloud.colors[there])
 
 
@@ -209,6 +210,8 @@ def _slab(
     axes = np.stack([along, facing, hinge], axis=1)
     coarse = (kept - middle) @ axes
     low, high = coarse.min(0) - config.cell, coarse.max(0) + config.cell
+    reach = config.cell + 2 * config.layer
+    cloud = _part(cloud, kept.min(0) - reach, kept.max(0) + reach)
     place = (cloud.points - middle) @ axes
     on = ((place[:, [0, 2]] > low[[0, 2]]) & (place[:, [0, 2]] < high[[0, 2]])).all(1)
     uneven = 2.0 * float(np.median(np.abs((kept - middle) @ facing)))

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.geometry.leaves import OpenLeaf
+from momapos.geometry.upright_boxes import between
 from momapos.types import Cloud
 
 if TYPE_CHECKING:
@@ -42,7 +43,7 @@ def _shut(cloud: Cloud, leaf: OpenLeaf, spacing: float) -> Cloud:
     on, handle = on_leaf(leaf, cloud.points)
     place = leaf.local(cloud.points)
     width, height = leaf.size
-    behind = (place > [0.0, -INSIDE, 0.0]).all(1) & (place < [width, 0.0, height]).all(1)
+    behind = between(place, (0.0, -INSIDE, 0.0), (width, 0.0, height))
     behind &= cloud.normals @ leaf.out > AWAY
     keep = ~on & ~behind
     T = leaf.T_shut_open
