@@ -74,5 +74,5 @@ def _part_on(leaf: ShutLeaf, tools: Tools) -> Part | None:
     """The largest part with a handle on a leaf, as far as its outer face was seen."""
     if leaf.known.mean() < LEAST:
         return None
-    parts = [part for part in tools.predict(leaf.image, "").parts if part.handle is not None]
+    parts = [part for part in tools.look(leaf.image, "").parts if part.handle is not None]
     return max(parts, key=lambda part: area(part.box), default=None)
