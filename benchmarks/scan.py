@@ -217,8 +217,12 @@ def why_not(
     true: tuple[str, str],
     found: tuple[str, str],
     robot: Robot,
+    task: Task | None = None,
 ) -> str:
-    """Why a plan for the scene made does not hold in the room, checked exactly; "" if it does."""
+    """Why a plan for the scene made does not hold in the room, checked exactly; "" if it does.
+
+    What is asked in the room is by default to open the part.
+    """
     assert plan.motion is not None
     assert plan.base_pose is not None
     ours = opening_of(truth.object(true[0]).model, true[1])
@@ -235,7 +239,7 @@ def why_not(
         penetration=MARGIN, slip_position=MARGIN, slip_rotation=np.radians(10.0),
         reach=Limits().reach + MARGIN, floor_edge=0.1, goal=1.0,
     )  # fmt: skip
-    task = make_task(truth, "open", *true)
+    task = task or make_task(truth, "open", *true)
     refusal = PlanVerifier(truth, robot, task, limits).first_violation(_triple(base), motion)
     return refusal or ""
 

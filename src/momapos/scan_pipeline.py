@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.detection.coco import WITHOUT_DOORS
 from momapos.errors import InputError
 from momapos.fusion.completion import complete
 from momapos.fusion.gravity import align_to_gravity
@@ -22,17 +21,16 @@ from momapos.importance.rank import Importance, rank
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.urdf import box_urdf
 from momapos.protocols import ArticulationPredictor, Clock
-from momapos.reconstruction.build import GivenModel, build_scene, place_model
-from momapos.reconstruction.model import furniture_model
+from momapos.reconstruction.build import GivenModel, build_scene
 from momapos.reconstruction.network import FrontNetwork
-from momapos.reconstruction.seen_motion import moved_piece
 from momapos.reconstruction.templates import TemplatePredictor
+from momapos.scan_decisions import decide, watched
 from momapos.scan_labels import with_labels
+from momapos.scan_open import open_leaves, shut
 from momapos.scan_records import (
     Decision,
     Found,
     Modeled,
-    PartSource,
     Progress,
     ScanConfig,
     Survey,
@@ -40,7 +38,6 @@ from momapos.scan_records import (
     Tools,
     silent,
 )
-from momapos.scene.library.furniture import Piece
 from momapos.scene.scene import Scene, SceneObject
 from momapos.segmentation.boxes import (
     boxes,
@@ -50,7 +47,7 @@ from momapos.segmentation.boxes import (
 )
 from momapos.segmentation.coverage import with_coverage
 from momapos.segmentation.pointing import pointed_at
-from momapos.segmentation.room import at_wall, find_room
+from momapos.segmentation.room import find_room
 from momapos.segmentation.segmenter import ClassicalSegmenter
 from momapos.stopwatch import Stopwatch
 from momapos.types import (
@@ -60,12 +57,9 @@ from momapos.types import (
     Frame,
     Front,
     Instance,
-    Part,
     Scan,
 )
-from momapos.views.faces import box_faces, stands_free
-from momapos.views.front_view import Seen, View, choose_view
-from momapos.views.projection import sights
+from momapos.views.front_view import Seen
 from momapos.views.rows import split_row
 
 if TYPE_CHECKING:
@@ -73,8 +67,6 @@ if TYPE_CHECKING:
 
 BUILDING = ("wall", "floor", "ceiling", "window", "door")
 """Labels of segmenters for what is no furniture."""
-TOLD = 0.1
-"""From this share of its points on it is told that a thing is completed [-]."""
 DEFAULT = ScanConfig()
 
 
@@ -180,11 +172,13 @@ def survey(
         room = find_room(cloud, config.room)
         walls = [(wall.axis, wall.offset) for wall in room.walls]
         cloud = complete(cloud, frames, walls, config.voxel, config.completion)
+        leaves = open_leaves(cloud, frames, walls, config)
+        cloud, frames, known = shut(leaves, cloud, frames, tools, config)
         things = [item for item in tools.segment(cloud) if item.label not in BUILDING]
         detections = boxes(cloud, things, room, config.boxes)
     with watch.stage("rows"):
         progress("dividing rows", 0.3)
-        instances, rows = divide(detections, cloud, frames, tools.look, config)
+        instances, rows = divide(detections, cloud, frames, tools.look, config, known)
         if len(instances) > len(detections):
             detections = boxes(cloud, instances, room, config.boxes)
         detections = without_pieces(detections, cloud)
@@ -196,8 +190,9 @@ def survey(
         boards = wall_detections(room, config.boxes)
         detections = with_coverage(detections, cloud, boards, measured)
     return Survey(
-        cloud, frames, T, room, tuple(detections), tuple(boards), tuple(rows), found, watch.seconds
-    )
+        cloud, frames, T, room, tuple(detections), tuple(boards), (*known, *rows), leaves, found,
+        watch.seconds,
+    )  # fmt: skip
 
 
 def model_room(
@@ -239,10 +234,10 @@ def model_room(
                 reason = f"importance {score:.2f} is below alpha {least:.2f}"
                 decisions.append(Decision(item, score, None, (), None, reason, looked=False))
             else:
-                decision = _decide(item, score, seen, tools, given or {}, config)
+                decision = decide(item, score, seen, tools, given or {}, config)
                 decisions.append(replace(decision, seconds=clock() - at))
         if later is not None:
-            decisions = [_watched(d, seen.cloud, later, config) for d in decisions]
+            decisions = [watched(d, seen.cloud, later, config) for d in decisions]
         decisions += [Decision(wall, None, None, (), None, "a wall") for wall in seen.walls]
     with watch.stage("write"):
         models = {d.detection.name: d.model for d in decisions if d.model is not None}
@@ -269,8 +264,17 @@ def divide(
     frames: Sequence[Frame],
     look: ArticulationPredictor,
     config: ScanConfig,
+    known: Sequence[Seen] = (),
 ) -> tuple[list[Instance], list[Seen]]:
     """Cut rows of furniture between their fronts.
+
+    Args:
+        detections: Things with their boxes.
+        cloud: In the upright world.
+        frames: In the upright world.
+        look: What is on a face.
+        config: How to cut.
+        known: Parts that are known to be there.
 
     Returns:
         All things, the pieces of rows without a label yet; and what was seen on the rows.
@@ -282,7 +286,7 @@ def divide(
         def seen(face: FaceImage, label: str = item.label) -> Front:
             return look(face, label)
 
-        pieces, front = split_row(item.box, frames, seen, config.rows, config.view)
+        pieces, front = split_row(item.box, frames, seen, config.rows, config.view, known)
         before += [front] if front is not None else []
         if len(pieces) == 1:
             instances.append(Instance(item.label, item.score, item.members, item.box, item.guesses))
@@ -327,68 +331,3 @@ def _boxed(item: Detection) -> SceneObject:
     model = Articulated(box_urdf(item.name, (x, y, z)))
     R = rotation_about(np.array([0.0, 0.0, 1.0]), item.box.yaw)
     return SceneObject(item.name, item.label, pose(item.box.center, R), model)
-
-
-# ------------------------------------------------------------------------------------ how it moves
-
-
-def _decide(
-    item: Detection,
-    score: float | None,
-    survey: Survey,
-    tools: Tools,
-    given: Mapping[str, GivenModel],
-    config: ScanConfig,
-) -> Decision:
-    """Look at one object that matters, and model it if it has a front."""
-    box = Decision(item, score, None, (), None, "")
-    if item.completed >= TOLD:
-        text = (
-            f"{item.name}: {item.completed:.0%} of it has no depth and is completed from around it"
-        )
-        box = replace(box, warnings=(text,))
-    if (np.sort(item.box.size)[:2] < config.least_sides).any():
-        return replace(box, reason="too small for doors or drawers")
-    if item.label in WITHOUT_DOORS and item.label_from in ("detector", "given"):
-        return replace(box, reason=f"a {item.label} has no doors or drawers")
-
-    def look(face: FaceImage) -> Front:
-        return tools.look(face, item.label)
-
-    seen = sights(item.box, survey.frames, survey.found) or sights(item.box, survey.frames)
-    faces = box_faces(item.box)
-    sides = [at_wall(survey.room, face.T_world_face[:3, 3], face.outward) for face in faces]
-    backed = [sides[face.opposite] for face in faces]
-    view = choose_view(item.box, survey.frames, seen, look, config.view, survey.rows, backed)
-    if view is None:
-        return replace(box, reason="no image shows a front")
-    facing = float(np.arctan2(view.face.outward[1], view.face.outward[0]))
-    own = given.get(item.name, given.get(item.label))
-    if own is not None:
-        model, warnings = place_model(item, facing, own)
-        warnings = (*box.warnings, *warnings)
-        return replace(box, view=view, source=PartSource.GIVEN, model=model, warnings=warnings)
-    parts, source = _parts(view, item.label, tools)
-    if not parts:
-        return replace(box, view=view, reason="a front without doors or drawers")
-    others = [one.box for one in (*survey.detections, *survey.walls) if one is not item]
-    left, right = (stands_free(faces[k], others) for k in view.face.beside)
-    piece = furniture_model(item, facing, view.image, parts, config.model, free=(left, right))
-    return replace(box, view=view, parts=parts, source=source, model=piece)
-
-
-def _watched(decision: Decision, before: Cloud, later: Cloud, config: ScanConfig) -> Decision:
-    """Give parts that were opened between two scans the joints that these show."""
-    if not isinstance(decision.model, Piece):
-        return decision
-    piece, moved = moved_piece(decision.model, before, later, config.seen_motion)
-    return replace(decision, model=piece, moved=moved)
-
-
-def _parts(view: View, label: str, tools: Tools) -> tuple[tuple[Part, ...], PartSource]:
-    """Doors and drawers of a front, and where they are from."""
-    same = tools.predict is tools.look
-    parts = view.front.parts if same else tools.predict(view.image, label).parts
-    if parts or tools.guess is None:
-        return parts, PartSource.PREDICTED
-    return tools.guess(view.image, label).parts, PartSource.GUESSED

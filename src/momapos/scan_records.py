@@ -15,6 +15,7 @@ from momapos.fusion.completion import CompletionConfig
 from momapos.fusion.gravity import GravityConfig
 from momapos.fusion.registration import RegistrationConfig
 from momapos.fusion.tsdf import FusionConfig
+from momapos.geometry.leaves import OpenLeaf
 from momapos.importance.config import ImportanceConfig
 from momapos.protocols import ArticulationPredictor, Detector, Segmenter
 from momapos.reconstruction.model import ModelConfig
@@ -22,6 +23,7 @@ from momapos.reconstruction.seen_motion import SeenMotion, SeenMotionConfig
 from momapos.scene.library.furniture import Piece
 from momapos.scene.scene import SceneObject
 from momapos.segmentation.boxes import BoxConfig
+from momapos.segmentation.leaf_evidence import OpenLeafConfig
 from momapos.segmentation.pointing import PixelOf, PointAt
 from momapos.segmentation.room import Room, RoomConfig
 from momapos.types import Cloud, Detection, Frame, ImageDetection, Part
@@ -51,6 +53,8 @@ class ScanConfig:
     completion: CompletionConfig = field(default_factory=CompletionConfig)
     """Which holes in depth images are taken for black, mirrored or glass fronts."""
     gravity: GravityConfig = field(default_factory=GravityConfig)
+    open_leaves: OpenLeafConfig = field(default_factory=OpenLeafConfig)
+    """What is taken for a door that stands open."""
     room: RoomConfig = field(default_factory=RoomConfig)
     boxes: BoxConfig = field(default_factory=BoxConfig)
     rows: RowConfig = field(default_factory=RowConfig)
@@ -113,7 +117,7 @@ class Decision:
     """What stands in the scene; None for a box."""
     warnings: tuple[str, ...] = ()
     moved: Mapping[str, SeenMotion] = field(default_factory=dict)
-    """Parts that stand elsewhere in the second scan, by name."""
+    """Parts that stand elsewhere in the second scan, or stand open in the only one, by name."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +133,9 @@ class Survey:
     detections: tuple[Detection, ...]
     walls: tuple[Detection, ...]
     rows: tuple[Seen, ...]
-    """What was seen on rows of furniture when they were cut."""
+    """What was seen on rows of furniture when they were cut, after the leaves that stand open."""
+    leaves: tuple[OpenLeaf, ...]
+    """Doors and flaps that stand open; in the cloud and the images they are shut."""
     found: Found | None
     """What another program found in the images; None where there is no such file."""
     timing: Mapping[str, float]

@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from momapos.geometry.transforms import apply, invert
+from momapos.fusion.free_space import seen_through
 from momapos.types import Cloud, Frame
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Float, Float32, Int, UInt8
+    from jaxtyping import Float, Float32, Int, UInt8
 
 TILE = 4
 """Pixels along a square that counts as one [-]."""
@@ -123,7 +123,7 @@ def complete(
         points, colors = _agreed(group, max(voxel, FINEST), config.images)
         free = points[:, 2] < 0.0
         for _, frame in seen:
-            free |= _seen_through(frame, points, config.through)
+            free |= seen_through(frame, points, config.through)
         normal = np.zeros(3)
         normal[group[0].axis] = group[0].sign
         points, colors = points[~free], colors[~free]
@@ -348,18 +348,3 @@ def _agreed(
     points[:, axis] = np.average([patch.offset for patch in group], weights=weights)
     points[:, [1 - axis, 2]] = low + (cells + 0.5) * voxel
     return points, color[tuple(cells.T)]
-
-
-def _seen_through(
-    frame: Frame, points: Float[np.ndarray, "n 3"], through: float
-) -> Bool[np.ndarray, " n"]:
-    """Whether an image measures something this far [m] behind places."""
-    assert frame.depth is not None
-    h, w = frame.depth.shape
-    local = apply(invert(frame.T_world_camera), points)
-    z = np.maximum(local[:, 2], 1e-3)
-    pixels = local @ frame.intrinsics.T
-    u, v = (np.round(pixels[:, k] / z).astype(int) for k in (0, 1))
-    there = (local[:, 2] > 0.1) & (u >= 0) & (v >= 0) & (u < w) & (v < h)
-    depth = frame.depth[np.clip(v, 0, h - 1), np.clip(u, 0, w - 1)]
-    return there & (depth > z + through)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy as np
 from momapos.types import UprightBox
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
+    from jaxtyping import Bool, Float
 
 
 def box_axes(yaw: float) -> Float[np.ndarray, "2 2"]:
@@ -28,6 +29,17 @@ def along_edges(vectors: Float[np.ndarray, "n 3"], yaw: float) -> Float[np.ndarr
     turned = np.array(vectors, float)
     turned[:, :2] = turned[:, :2] @ box_axes(yaw).T
     return turned
+
+
+def between(
+    points: Float[np.ndarray, "n 3"],
+    low: Float[np.ndarray, "3"] | Sequence[float],
+    high: Float[np.ndarray, "3"] | Sequence[float],
+) -> Bool[np.ndarray, " n"]:
+    """Which points lie between two corners; one coordinate after the other, which is quicker."""
+    x, y, z = points.T
+    inside = (x > low[0]) & (x < high[0]) & (y > low[1]) & (y < high[1])
+    return np.asarray(inside & (z > low[2]) & (z < high[2]))
 
 
 def corners(box: UprightBox) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:

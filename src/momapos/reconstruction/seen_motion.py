@@ -78,7 +78,7 @@ class Side:
 
 @dataclass(frozen=True)
 class SeenMotion:
-    """A part that stands elsewhere in the second scan."""
+    """A part that stands elsewhere in the second scan, or stands open in the only one."""
 
     kind: PartKind
     motion: JointMotion
@@ -115,12 +115,13 @@ def moved_piece(
             found = _moved(part, there[0], there[1], new, config)
         if found is not None:
             seen[part.name] = found
-        parts.append(part if found is None else _as_seen(part, found))
+        parts.append(part if found is None else as_seen(part, found))
     return replace(piece, parts=tuple(parts)), seen
 
 
-def _as_seen(part: FurniturePart, seen: SeenMotion) -> FurniturePart:
-    """The part with a joint that is known; a leaf alone where what was modeled slides or turns."""
+def as_seen(part: FurniturePart, seen: SeenMotion) -> FurniturePart:
+    """The part with a joint that is known, as open as it was seen; a leaf alone where what was
+    modeled slides and it turns, or the other way round."""
     assert part.motion is not None
     same = part.motion.kind == seen.motion.kind
     motion = replace(seen.motion, upper=max(part.motion.upper if same else 0.0, seen.value))

@@ -57,15 +57,24 @@ def split_row(
     look: Look,
     config: RowConfig,
     view: ViewConfig,
+    before: Sequence[Seen] = (),
 ) -> tuple[list[UprightBox], Seen | None]:
     """Divide a box between its fronts, seen on its longer faces.
+
+    Args:
+        box: The row.
+        frames: All images.
+        look: What is on a face.
+        config: How to divide.
+        view: How faces are looked at.
+        before: Parts that are known to be there.
 
     Returns:
         The pieces from left to right as seen from the front, the box itself where no fronts are
         seen or they are one thing; and the front with the parts on it, None where there is none.
     """
     wide = [face for face in box_faces(box) if face.width >= config.least_width]
-    fronts = [_front_of(face, frames, look, config, view) for face in wide]
+    fronts = [_front_of(face, frames, look, config, view, before) for face in wide]
     best = max(fronts, key=lambda front: sum(part.score for part in front.parts), default=None)
     if best is None or not best.parts:
         return [box], None
@@ -74,13 +83,22 @@ def split_row(
 
 
 def _front_of(
-    face: Face, frames: Sequence[Frame], look: Look, config: RowConfig, view: ViewConfig
+    face: Face,
+    frames: Sequence[Frame],
+    look: Look,
+    config: RowConfig,
+    view: ViewConfig,
+    before: Sequence[Seen],
 ) -> Seen:
-    """What is on a long face, found in overlapping windows."""
+    """What is on a long face, found in overlapping windows, and what is known to be there."""
     wide = min(face.width, max(config.window * face.height, config.least_width))
     count = max(1, int(np.ceil(2 * (face.width - wide) / wide)) + 1)
     found: list[Part] = []
     evidence = [0.0]
+    for seen in before:
+        known = placed(seen.parts, seen.face, face)
+        found += known
+        evidence += [seen.score] if known else []
     for left in np.linspace(0.0, face.width - wide, count):
         window = _window(face, float(left), wide)
         chosen = _frames_for(window, frames, view)

@@ -1,0 +1,78 @@
+"""Doors and flaps that stand open in a scan: found and shut, so that the rest sees fronts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from momapos.fusion.free_space import seen_empty
+from momapos.geometry.leaves import OpenLeaf
+from momapos.scan_records import ScanConfig, Tools
+from momapos.segmentation.open_leaves import find_open_leaves
+from momapos.segmentation.shut_leaves import shut_cloud
+from momapos.types import Cloud, Frame, Part
+from momapos.views.front_view import Seen
+from momapos.views.projection import area
+from momapos.views.shut_images import ShutLeaf, part_on, shut_frames, shut_leaf
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
+
+LEAST = 0.5
+"""Of a leaf's outer face so much must be seen for its handle to be looked for [-]."""
+
+
+def open_leaves(
+    cloud: Cloud,
+    frames: Sequence[Frame],
+    walls: Sequence[tuple[int, float]],
+    config: ScanConfig,
+) -> tuple[OpenLeaf, ...]:
+    """The doors and flaps that stand open in a room; none where no image tells what is empty.
+
+    Args:
+        cloud: Upright, fronts along x and y.
+        frames: In the same world.
+        walls: Axis of the normal, 0 or 1, and coordinate [m] of each wall.
+        config: What is taken for one.
+    """
+    through = config.completion.through
+
+    def free(points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
+        return seen_empty(frames, points, through)
+
+    return tuple(find_open_leaves(cloud, free, walls, config.open_leaves))
+
+
+def shut(
+    leaves: Sequence[OpenLeaf],
+    cloud: Cloud,
+    frames: Sequence[Frame],
+    tools: Tools,
+    config: ScanConfig,
+) -> tuple[Cloud, tuple[Frame, ...], tuple[Seen, ...]]:
+    """The room with all leaves shut, and these as parts that are known.
+
+    Args:
+        leaves: That stand open.
+        cloud, frames: As they were seen.
+        tools: Look for the handles of the leaves.
+        config: Constants.
+    """
+    if not leaves:
+        return cloud, tuple(frames), ()
+    seen = [shut_leaf(leaf, frames) for leaf in leaves]
+    known = [
+        part_on(leaf, one, _part_on(one, tools)) for leaf, one in zip(leaves, seen, strict=True)
+    ]
+    return shut_cloud(cloud, leaves, config.voxel), shut_frames(frames, seen), tuple(known)
+
+
+def _part_on(leaf: ShutLeaf, tools: Tools) -> Part | None:
+    """The largest part with a handle on a leaf, as far as its outer face was seen."""
+    if leaf.known.mean() < LEAST:
+        return None
+    parts = [part for part in tools.look(leaf.image, "").parts if part.handle is not None]
+    return max(parts, key=lambda part: area(part.box), default=None)
