@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from copy import copy
@@ -10,13 +9,12 @@ from dataclasses import dataclass
 from enum import StrEnum
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from momapos.cache import Cache
-from momapos.errors import FileFormatError, RobotError, UnknownNameError, unknown_name
-from momapos.files import read_bytes_bounded
+from momapos.errors import RobotError, UnknownNameError, unknown_name
 from momapos.geometry.transforms import apply, invert
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.chain import Chain, Segments, build_chain
@@ -36,16 +34,15 @@ from momapos.robots.robot_tables import (
     beside,
     check_version,
     choose_arms,
+    read_table,
+    srdf_of,
 )
-from momapos.robots.srdf import beside as srdf_beside
 from momapos.robots.srdf import read_srdf
 from momapos.robots.table import Table
 
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-MAX_TOML_BYTES = 20_000
-"""A robot file has a page; the time that a parser takes for dotted keys grows with their square."""
 MAX_OUTLINE = 1_000
 """Corners of a footprint [-]."""
 MAX_REACH = 5.0
@@ -246,7 +243,7 @@ def load_arms(
         RobotError, FileFormatError, UnknownNameError: It cannot be used; one line says why.
     """
     path = find_robot(source)
-    table = Table(_read_toml(path), path)
+    table = read_table(path)
     names = choose_arms(arm_tables(table), arm, path)
     return tuple(read_robot(path, arm=name or None, cache=cache) for name in names)
 
@@ -259,7 +256,7 @@ def read_robot(path: Path, *, arm: str | None = None, cache: Cache | None = None
         arm: Which arm, of a robot with several; the first one where None.
         cache: Where its geometry is kept, so that it is computed once.
     """
-    table = Table(_read_toml(path), path)
+    table = read_table(path)
     check_version(table)
     arms = arm_tables(table)
     (chosen,) = choose_arms(arms, arm, path)
@@ -269,7 +266,7 @@ def read_robot(path: Path, *, arm: str | None = None, cache: Cache | None = None
     with _names_of(path):
         model = at_rest(Articulated(record, cache=cache), table, arms, chosen)
     base, tool = table.table("base"), own.table("tool")
-    srdf = _srdf_of(table, urdf)
+    srdf = srdf_of(table, urdf)
     grips = Grip(tool.choice("grips", tuple(Grip), Grip.FINGERS))
     robot = Robot(
         name=table.text("name"),
@@ -320,20 +317,6 @@ def _assumed(tool: Table, grips: Grip) -> tuple[str, ...]:
     )
 
 
-def _srdf_of(table: Table, urdf: Path) -> Path | None:
-    """The SRDF that a robot file names, or the one of the URDF's name beside it, if any.
-
-    Raises:
-        RobotError: The one that is named does not exist.
-    """
-    if "srdf" not in table.data:
-        return srdf_beside(urdf)
-    named = beside(table.path, table.text("srdf"), "srdf")
-    if not named.is_file():
-        raise RobotError(f"{table.path}: srdf names {named}, which does not exist")
-    return named
-
-
 @contextmanager
 def _names_of(path: Path) -> Iterator[None]:
     """Say which robot file gives a name that its URDF does not have."""
@@ -370,14 +353,6 @@ def _check(robot: Robot) -> None:
         )
     if abs(float(robot.approach_axis @ robot.closing_axis)) > 1e-3:
         raise RobotError(f"{robot.path}: approach_axis and closing_axis must be perpendicular")
-
-
-def _read_toml(path: Path) -> dict[str, Any]:
-    data = read_bytes_bounded(path, MAX_TOML_BYTES)
-    try:
-        return tomllib.loads(data.decode())
-    except (ValueError, RecursionError) as error:  # also no UTF-8, and too many digits
-        raise FileFormatError(f"{path}: not a robot file in TOML ({error})") from error
 
 
 def _footprint(base: Table, path: Path, cache: Cache | None) -> Float[np.ndarray, "k 2"]:

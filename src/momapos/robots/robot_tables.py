@@ -1,14 +1,17 @@
-"""Tables of a robot file that change what its URDF says, and those of its arms."""
+"""Robot files: the tables that change what the URDF says, those of the arms, and the SRDF."""
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 
-from momapos.errors import RobotError, unknown_name
+from momapos.errors import FileFormatError, RobotError, unknown_name
+from momapos.files import read_bytes_bounded
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.urdf import Mimic
 from momapos.robots.amend import ZERO, Amendments, Frame, Mount, Triple
+from momapos.robots.srdf import beside as srdf_beside
 from momapos.robots.table import Table
 
 VERSION = 1
@@ -16,6 +19,35 @@ VERSION = 1
 ANY = "any"
 """Stands for every arm where one is asked for."""
 MAX_FRAMES, MAX_PACKAGES = 50, 200
+MAX_TOML_BYTES = 20_000
+"""A robot file has a page; the time that a parser takes for dotted keys grows with their square."""
+
+
+def read_table(path: Path) -> Table:
+    """Read a robot file.
+
+    Raises:
+        FileFormatError: It is no TOML, or too large.
+    """
+    data = read_bytes_bounded(path, MAX_TOML_BYTES)
+    try:
+        return Table(tomllib.loads(data.decode()), path)
+    except (ValueError, RecursionError) as error:  # also no UTF-8, and too many digits
+        raise FileFormatError(f"{path}: not a robot file in TOML ({error})") from error
+
+
+def srdf_of(table: Table, urdf: Path) -> Path | None:
+    """The SRDF that a robot file names, or the one of the URDF's name beside it, if any.
+
+    Raises:
+        RobotError: The one that is named does not exist.
+    """
+    if "srdf" not in table.data:
+        return srdf_beside(urdf)
+    named = beside(table.path, table.text("srdf"), "srdf")
+    if not named.is_file():
+        raise RobotError(f"{table.path}: srdf names {named}, which does not exist")
+    return named
 
 
 def check_version(table: Table) -> None:
