@@ -24,7 +24,8 @@ if TYPE_CHECKING:
 
 ROOT = "/scan"
 FINE, COARSE = f"{ROOT}/fine", f"{ROOT}/coarse"
-"""Nodes of the points that are asked for, and of few that stand for them, see `Moving`."""
+"""Nodes of what is asked for: points, boxes and names; and of few points that stand for all of it,
+see `Moving`."""
 THINGS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#8c7ae6", "#5a3a00")
 """Colors of things, one after the other (Okabe and Ito, and two more)."""
 ROOM = "#c9ced3"
@@ -135,12 +136,12 @@ class ScanView:
             return
         edges = box_edges(boxes_of([one.box for one in things])).reshape(-1, 2, 3)
         self._boxes.append(
-            self._api.add_line_segments(f"{ROOT}/boxes", edges, rgb(INK), thickness=0.008)
+            self._api.add_line_segments(f"{FINE}/boxes", edges, rgb(INK), thickness=0.008)
         )
         for k, one in enumerate(things):
             top = one.box.center + np.array([0.0, 0.0, one.box.size[2] / 2])
             self._boxes.append(self._api.add_label(
-                f"{ROOT}/name{k}", one.name, position=top, font_size_mode="scene",
+                f"{FINE}/name{k}", one.name, position=top, font_size_mode="scene",
                 font_scene_height=NAME, anchor="bottom-center",
             ))  # fmt: skip
 
