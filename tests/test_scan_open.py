@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from tests.segmentation.cupboards import cupboard, leaf_of
 
 from momapos.geometry.transforms import apply
 from momapos.manipulation.tasks import make_task, openable
 from momapos.scan_io.scan import read_scan
+from momapos.scan_open import open_leaves
 from momapos.scan_pipeline import default_tools, scan_to_scene
-from momapos.scan_records import Modeled
+from momapos.scan_records import Modeled, ScanConfig
 from momapos.scan_report import report_to_dict
 from momapos.scene.files import load_scene
 from momapos.scene.scene import Scene, SceneObject
+from momapos.segmentation.open_leaves import find_open_leaves
 from momapos.synthetic_scans.depth_sensor import DepthSensor
 from momapos.synthetic_scans.recording import synthetic_scan, write_scan
+from momapos.types import Cloud
 
 OPEN = np.radians(65.0)
 
@@ -91,3 +95,10 @@ def test_the_flap_can_be_shut_and_opened_wider_and_the_rest_is_found(
     wider = make_task(scene, "open", name, joint).to
     assert wider is not None
     assert wider > now + np.radians(10.0)
+
+
+def test_a_cloud_without_images_tells_of_no_open_leaf() -> None:
+    room = cupboard(leaf_of("door_left", np.radians(80.0)))
+    assert open_leaves(room.cloud(), (), (), ScanConfig()) == ()
+    nothing = Cloud(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3), np.uint8))
+    assert find_open_leaves(nothing, room.free) == []

@@ -38,6 +38,8 @@ def open_leaves(
         walls: Axis of the normal, 0 or 1, and coordinate [m] of each wall.
         config: What is taken for one.
     """
+    if all(frame.depth is None for frame in frames):
+        return ()
     through = config.completion.through
 
     def free(points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
