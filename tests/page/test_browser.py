@@ -111,6 +111,13 @@ def press(tab: Tab, role: Any, name: str) -> None:
     found = tab.get_by_role(role, name=name, exact=True)
     found.wait_for(timeout=LONG)
     found.click(force=True, timeout=LONG)
+    tried = time.monotonic()
+    # What is drawn meanwhile may move a tab from under the click.
+    while role == "tab" and found.get_attribute("aria-selected") != "true":
+        if time.monotonic() - tried > LONG / 1000:
+            raise NotInTime(f"the tab {name!r} is not taken")
+        tab.wait_for_timeout(200)
+        found.click(force=True, timeout=LONG)
 
 
 def choose(tab: Tab, name: str, value: str) -> None:
