@@ -11,6 +11,7 @@ import numpy as np
 from momapos.geometry.leaves import OpenLeaf
 from momapos.geometry.transforms import apply, invert
 from momapos.geometry.upright_boxes import between
+from momapos.segmentation.room import area
 from momapos.types import Cloud
 
 if TYPE_CHECKING:
@@ -141,8 +142,8 @@ def _hidden(leaf: OpenLeaf, cloud: Cloud, config: OpenLeafConfig) -> bool:
     reach = leaf.size[0] + config.beside + config.thickness[1]
     before = between(place, (0.0, config.beside, 0.0), (leaf.size[0], reach, leaf.size[1]))
     before &= cloud.normals @ leaf.out > config.straight
-    cells = np.unique(np.floor(place[before][:, [0, 2]] / config.cell), axis=0)
-    return len(cells) * config.cell**2 > config.before * leaf.size[0] * leaf.size[1]
+    seen = area(place[before, 0], place[before, 2], config.cell)
+    return seen > config.before * leaf.size[0] * leaf.size[1]
 
 
 def _free_ends(leaf: OpenLeaf, free: Free, config: OpenLeafConfig) -> float:

@@ -16,7 +16,7 @@ import numpy as np
 from momapos.geometry.leaves import OpenLeaf
 from momapos.geometry.upright_boxes import between
 from momapos.segmentation.leaf_evidence import Free, OpenLeafConfig, evidence, same
-from momapos.segmentation.room import peaks
+from momapos.segmentation.room import area, peaks
 from momapos.segmentation.supports import components
 from momapos.types import Cloud
 
@@ -223,8 +223,7 @@ def _slab(
     width, height = (high - low)[[0, 2]]
     if min(width, height) < config.sides[0] or max(width, height) > config.sides[1]:
         return None
-    cells = np.unique(np.floor(place[on][:, [0, 2]] / config.cell), axis=0)
-    if len(cells) * config.cell**2 < config.filled * width * height:
+    if area(place[on, 0], place[on, 2], config.cell) < config.filled * width * height:
         return None
     edge = middle + axes @ [low[0], np.median(place[on, 1]), low[2]]
     return _Slab(edge, along, facing, out, hinge, front, (float(width), float(height)))
@@ -289,8 +288,8 @@ def _other_side(slab: _Slab, cloud: Cloud, config: OpenLeafConfig) -> float | No
     on = ((place[:, [0, 2]] > 0.0) & (place[:, [0, 2]] < slab.size)).all(1)
     on &= (place[:, 1] < 0.0) & (place[:, 1] > -config.thickness[1])
     on &= cloud.normals @ slab.facing < -config.straight
-    cells = np.unique(np.floor(place[on][:, [0, 2]] / config.cell), axis=0)
-    if len(cells) * config.cell**2 < config.other_side * slab.size[0] * slab.size[1]:
+    seen = area(place[on, 0], place[on, 2], config.cell)
+    if seen < config.other_side * slab.size[0] * slab.size[1]:
         return None
     return max(-float(np.median(place[on, 1])), config.thickness[0] / 2)
 
