@@ -8,11 +8,12 @@ not at yet are worth being asked for.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from momapos.config import PipelineConfig
 from momapos.geometry.polygons import inscribed_radius
 from momapos.manipulation.task_boxes import room_boxes
 from momapos.navigation.clearance import gaps
@@ -88,3 +89,8 @@ def base_poses_elsewhere(
     poses = np.column_stack([np.repeat(cells, len(_YAWS), 0), np.tile(_YAWS, len(cells))])
     stands = base_pose_status(geometry, poses)[0] == BaseStatus.CLEAR
     return None if left.no_other(poses[stands]).all() else left.no_other
+
+
+def without_way_on(config: PipelineConfig) -> PipelineConfig:
+    """How base poses elsewhere are asked for: what they lead to has been told already."""
+    return replace(config, place=replace(config.place, way_on=False))

@@ -12,7 +12,7 @@ import numpy as np
 
 from momapos.base_pose import BasePoseChecks, plan_at_base_pose
 from momapos.config import PipelineConfig
-from momapos.elsewhere import OTHERS, base_poses_elsewhere
+from momapos.elsewhere import OTHERS, base_poses_elsewhere, without_way_on
 from momapos.errors import SceneError, TaskError
 from momapos.manipulation.tasks import make_task
 from momapos.outcomes import PoseOutcome, PoseStatus
@@ -286,8 +286,8 @@ class _Planner:
             return out
 
         config = replace(self._config(first), timeout=timeout)
-        if elsewhere is not None:  # what they lead to has been asked already
-            config = replace(config, place=replace(config.place, way_on=False))
+        if elsewhere is not None:
+            config = without_way_on(config)
         return plan_base_placement(
             scene, robot, task, self.reach, start=start, pose_filter=ruled_out, also=also,
             region=self.region, config=config, seed=self.seed, clock=self.clock,

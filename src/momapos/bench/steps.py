@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,7 +13,7 @@ from momapos.bench.containers import opened, without
 from momapos.bench.records import Container, Job, Outcome, Pose
 from momapos.bench.trace import Trace
 from momapos.config import PipelineConfig
-from momapos.elsewhere import OTHERS, base_poses_elsewhere
+from momapos.elsewhere import OTHERS, base_poses_elsewhere, without_way_on
 from momapos.errors import SceneError
 from momapos.manipulation.motion import task_motion
 from momapos.manipulation.tasks import make_task
@@ -63,8 +63,8 @@ class Who:
             SceneError: The base cannot stand where the step begins.
         """
         scene, robot, config = asked.scene, self.robot, self.config
-        if pose_filter is not None:  # what they lead to has been asked already
-            config = replace(config, place=replace(config.place, way_on=False))
+        if pose_filter is not None:
+            config = without_way_on(config)
         _make_ready(scene, robot, asked.task, self.reach, asked.start, config)
         result = plan_by_method(
             scene, robot, asked.task, self.reach, start=asked.start, pose_filter=pose_filter,
