@@ -157,7 +157,7 @@ def attempt(
         begin=None if again is None else again.value,
     )
     world, known = worlds.there, worlds.known
-    there = true_world or TrueWorld(scene, task)
+    there = worlds.room
     item = there.scene.object(there.task.object)
     believed = scene if again is None else again.scene
     belief = _belief(believed.object(task.object), task.joint)

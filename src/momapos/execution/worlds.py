@@ -78,8 +78,10 @@ class Setting:
 class Worlds:
     """The worlds of one motion."""
 
+    room: TrueWorld
+    """What is really there, and the task in it."""
     there: Simulation
-    """What is really there."""
+    """The same, simulated."""
     known: Simulation
     """What the robot believes, and asks for room and weight; the same where nothing differs."""
     resistance: Resistance
@@ -123,6 +125,6 @@ def draw_worlds(
             deviation = mirrored(deviation, joint.axis)
             world = setting.build(there, resistance, deviation, begin)
     if deviation is None and believed is None and true_world is None:
-        return Worlds(world, world, resistance, seal)
+        return Worlds(there, world, world, resistance, seal)
     known = TrueWorld(believed or setting.scene, setting.task)
-    return Worlds(world, setting.build(known, resistance), resistance, seal)
+    return Worlds(there, world, setting.build(known, resistance), resistance, seal)
