@@ -7,9 +7,11 @@ from collections.abc import Callable
 from contextlib import nullcontext
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
+from viser import ClientHandle, ViserServer
 
 from momapos.page import moving
 from momapos.page.moving import APART, GAPS, REST, SLOW, TOGETHER, TRUST, Look, Moving, Pace
@@ -21,6 +23,7 @@ class Loop:
     def __init__(self) -> None:
         self.now = 100.0
         self.calls: list[list[Any]] = []
+        self.asyncio = Mock(asyncio.AbstractEventLoop, time=self.time, call_later=self.call_later)
 
     def time(self) -> float:
         return self.now
@@ -56,7 +59,7 @@ class Browser:
         """Move the camera; so many pictures are drawn, so far apart."""
         for _ in range(pictures):
             self.loop.go(gap)
-            self.look.moved(self.loop)  # type: ignore[arg-type]
+            self.look.moved(self.loop.asyncio)
 
 
 @pytest.fixture
@@ -87,15 +90,15 @@ def test_a_slow_browser_shows_few_points_while_its_camera_moves_and_all_at_rest(
 
 
 def test_a_slow_browser_shows_few_points_while_something_else_moves(browser: Browser) -> None:
-    loop: Any = browser.loop
-    browser.look.stirred(loop)
+    loop = browser.loop
+    browser.look.stirred(loop.asyncio)
     assert browser.told == []  # nobody knows that it is slow
     browser.move(GAPS + 1, 0.3)
     loop.go(REST + 1.0)
     assert browser.told == [True, False]
     for _ in range(50):
         loop.go(0.04)
-        browser.look.stirred(loop)
+        browser.look.stirred(loop.asyncio)
     assert browser.told == [True, False, True]
     loop.go(2 * REST)
     assert browser.told == [True, False, True, False]
@@ -164,16 +167,17 @@ def test_only_the_browser_whose_camera_moves_is_told(monkeypatch: pytest.MonkeyP
     came: list[Any] = []
     went: list[Any] = []
     loop = asyncio.new_event_loop()
-    server = SimpleNamespace(
-        on_client_connect=came.append, on_client_disconnect=went.append, get_event_loop=lambda: loop
-    )
-    Moving(server, fine="/fine", coarse="/coarse", wanted=lambda: True)  # type: ignore[arg-type]
+    server = Mock(
+        ViserServer, on_client_connect=came.append, on_client_disconnect=went.append,
+        get_event_loop=lambda: loop,
+    )  # fmt: skip
+    Moving(server, fine="/fine", coarse="/coarse", wanted=lambda: True)
 
     def client(number: int) -> Any:
         told: asyncio.Queue[Any] = asyncio.Queue()
         cameras: list[Any] = []
-        return SimpleNamespace(
-            client_id=number, told=told, cameras=cameras, atomic=nullcontext,
+        return Mock(
+            ClientHandle, client_id=number, told=told, cameras=cameras, atomic=nullcontext,
             camera=SimpleNamespace(on_update=cameras.append),
             _websock_connection=SimpleNamespace(queue_message=told.put_nowait),
         )  # fmt: skip

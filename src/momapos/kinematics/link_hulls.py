@@ -91,7 +91,7 @@ def link_hulls(
 
 
 def _neighbors(
-    faces: Sequence[Int[np.ndarray, "f 3"]], count: int
+    faces: Sequence[Int[np.ndarray, "_ 3"]], count: int
 ) -> tuple[Int[np.ndarray, " e"], Int[np.ndarray, " v_plus_1"]]:
     """The vertices beside each of so many, one vertex after the other, and where those begin."""
     corners = np.concatenate([np.zeros((0, 3), np.int64), *faces])
