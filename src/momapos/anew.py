@@ -53,7 +53,7 @@ class FoundAnew:
     ) -> FoundAnew:
         """Around a base pose with a motion."""
         planner = query.config.planner
-        brief = replace(planner, budget=min(BETWEEN, planner.budget))
+        brief = replace(planner, checks=min(BETWEEN, planner.checks))
         asked = replace(query, config=replace(query.config, planner=brief))
         return cls(BasePoseChecks(asked), [_Known(base, motion)])
 

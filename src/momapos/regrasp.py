@@ -147,7 +147,7 @@ class TwoHolds:
         planner = self.config.arm_planner
         return plan_with_room(
             start, goal, chain.lower, chain.upper, checker,
-            config=replace(planner, budget=min(BETWEEN, planner.budget)), seed=self.seed,
+            config=replace(planner, checks=min(BETWEEN, planner.checks)), seed=self.seed,
         )  # fmt: skip
 
     def _joined(

@@ -64,7 +64,7 @@ def test_solve_reads_the_options_of_a_scan(
     ("option", "value"),
     [
         ("--count", "0"), ("--grid-cell", "0"), ("--k0", "2"), ("--timeout", "nan"),
-        ("--waypoints", "1"), ("--budget", "-1"), ("--clearance", "inf"), ("--substeps", "0"),
+        ("--waypoints", "1"), ("--checks", "0"), ("--clearance", "inf"), ("--substeps", "0"),
     ],
 )  # fmt: skip
 def test_a_value_without_meaning_is_one_line_that_names_the_option(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from itertools import pairwise
 
 import numpy as np
@@ -9,7 +10,14 @@ import pytest
 
 from momapos.kinematics.world import CheckMotion
 from momapos.manipulation.config import PlannerConfig
-from momapos.manipulation.planner import RESOLUTION, ROOM, interpolate, plan_motion, plan_with_room
+from momapos.manipulation.planner import (
+    RESOLUTION,
+    ROOM,
+    _Effort,
+    interpolate,
+    plan_motion,
+    plan_with_room,
+)
 
 LOW, HIGH = np.full(2, -3.0), np.full(2, 3.0)
 A, B = np.array([-2.0, 0.0]), np.array([2.0, 0.0])
@@ -33,7 +41,7 @@ def test_a_free_straight_line_is_the_answer() -> None:
 @pytest.mark.parametrize("algorithm", ["RRTConnect", "RRTstar"])
 def test_a_way_round_starts_and_ends_where_it_must_and_is_free(algorithm: str) -> None:
     free = disc(1.0)
-    config = PlannerConfig(planner=algorithm, budget=0.2)  # type: ignore[arg-type]
+    config = PlannerConfig(planner=algorithm, checks=3000)  # type: ignore[arg-type]
     path = plan_motion(A, B, LOW, HIGH, free, config=config, seed=3)
     assert path is not None
     assert len(path) > 2
@@ -42,10 +50,16 @@ def test_a_way_round_starts_and_ends_where_it_must_and_is_free(algorithm: str) -
     assert (np.abs(path) <= 3.0 + 1e-9).all()
 
 
-def test_the_same_seed_gives_the_same_way() -> None:
-    paths = [
-        plan_motion(A, B, LOW, HIGH, disc(1.0), config=PlannerConfig(), seed=5) for _ in range(2)
-    ]
+@pytest.mark.parametrize("algorithm", ["RRTConnect", "RRTstar", "BITstar"])
+def test_the_same_seed_gives_the_same_way_however_long_a_check_takes(algorithm: str) -> None:
+    free, config = disc(1.0), PlannerConfig(planner=algorithm, checks=400)  # type: ignore[arg-type]
+
+    def slowly(a: np.ndarray, b: np.ndarray) -> bool:
+        time.sleep(5e-4)
+        return free(a, b)
+
+    paths = [plan_motion(A, B, LOW, HIGH, check, config=config, seed=5) for check in (free, slowly)]
+    assert paths[0] is not None
     np.testing.assert_array_equal(*paths)
 
 
@@ -56,11 +70,23 @@ def test_there_is_no_way_from_or_to_a_state_that_is_not_free() -> None:
         )
 
 
-def test_there_is_no_way_through_a_closed_wall() -> None:
+@pytest.mark.parametrize("algorithm", ["RRTConnect", "RRTstar", "BITstar"])
+def test_the_search_for_a_way_through_a_closed_wall_ends(algorithm: str) -> None:
+    asked = []
+
     def free(a: np.ndarray, b: np.ndarray) -> bool:
+        asked.append(not np.array_equal(a, b))
         return bool(a[0] * b[0] > 0 and min(abs(a[0]), abs(b[0])) > 0.1)
 
-    assert plan_motion(A, B, LOW, HIGH, free, config=PlannerConfig(budget=0.05), seed=0) is None
+    config = PlannerConfig(planner=algorithm, checks=500)  # type: ignore[arg-type]
+    assert plan_motion(A, B, LOW, HIGH, free, config=config, seed=0) is None
+    assert 500 < sum(asked) < 550  # a turn checks several
+
+
+def test_a_search_that_checks_nothing_ends() -> None:
+    effort = _Effort(20)
+    assert sum(1 for _ in iter(effort.spent, True)) == 20 * _Effort.IDLE
+    assert effort.checks == 20
 
 
 def test_no_step_of_a_filled_path_is_longer_than_the_resolution() -> None:

@@ -111,10 +111,10 @@ class PlannerConfig:
     """How the arm gets from home to the first waypoint."""
 
     planner: Optional[Planner] = None  # noqa: UP045 (see cli.options)
-    """OMPL's planner; RRTstar uses its whole budget. None: RRTstar for the paper's method of
-    placement, else RRTConnect."""
-    budget: float = 0.25
-    """Time for one motion [s]."""
+    """OMPL's planner; RRTstar and BITstar check as many motions as they may. None: RRTstar for the
+    paper's method of placement, else RRTConnect."""
+    checks: int = 7000
+    """Motions of the arm checked for one way at most, some 35 microseconds each [-]."""
 
     def __post_init__(self) -> None:
-        refuse_below(self, 0.001, "budget")
+        refuse_below(self, 1, "checks")

@@ -222,7 +222,7 @@ class Feasibility:
             motion_checker, self.world, chain, spheres, base, value=int(motion.value[last]),
             holding=pushes or motion.task.verb == "pick", step=RESOLUTION,
         )  # fmt: skip
-        brief = replace(self.planner, budget=min(BETWEEN, self.planner.budget))
+        brief = replace(self.planner, checks=min(BETWEEN, self.planner.checks))
         way = plan_with_room(
             q, self.robot.home, chain.lower, chain.upper, lambda room: checker(room=room),
             config=brief, seed=self.seed + grasp,

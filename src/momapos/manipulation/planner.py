@@ -18,8 +18,8 @@ RESOLUTION = 0.04
 ROOM = 0.005
 """What a free motion keeps from everything where it can, from the robot itself as well: an arm is
 some millimeters off its way, and between the states that are checked it may come nearer [m]."""
-BETWEEN = 0.1
-"""Most time for a way between holds or home again, of which most are easy or none [s]."""
+BETWEEN = 3000
+"""Most motions checked for a way between holds or home again; most are easy, or none [-]."""
 USUAL = "RRTConnect"
 """OMPL's planner where none is named."""
 _UNBOUNDED = np.pi
@@ -61,8 +61,8 @@ def plan_motion(
         start, goal: Configurations; a joint without limits is not wrapped.
         lower, upper: Joint limits, infinite where there are none.
         free: Checks straight motions, at `RESOLUTION` or finer.
-        config: Which planner, for how long.
-        seed: Same seed, same path, as long as the budget is not exhausted.
+        config: Which planner, and how much it may check.
+        seed: Same seed, same path.
 
     Returns:
         Corner states, start and goal included, or None.
@@ -103,6 +103,21 @@ def plan_with_room(
     return None
 
 
+class _Effort:
+    """Ends a search after so many checks; a count, since a clock would let the load decide."""
+
+    IDLE = 10
+    """A search ends after so many times more turns as well, for a turn may check nothing [-]."""
+
+    def __init__(self, most: int) -> None:
+        self.checks, self.turns = most, self.IDLE * most
+
+    def spent(self) -> bool:
+        """Whether it ends; OMPL asks once a turn."""
+        self.turns -= 1
+        return min(self.checks, self.turns) < 0
+
+
 def _ompl(
     start: np.ndarray,
     goal: np.ndarray,
@@ -118,7 +133,7 @@ def _ompl(
 
     ou.setLogLevel(ou.LogLevel.LOG_NONE)
     ou.RNG.setSeed(seed + 1)  # OMPL takes 0 for "from the clock"
-    n = len(start)
+    n, effort = len(start), _Effort(config.checks)
     space = ob.RealVectorStateSpace(n)
     bounds = ob.RealVectorBounds(n)
     for k in range(n):
@@ -134,6 +149,7 @@ def _ompl(
         """Checks the states of a whole edge in one call of the kernel."""
 
         def checkMotion(self, a: object, b: object, *_: object) -> bool:
+            effort.checks -= 1
             return free(read(a), read(b))
 
     def valid(state: object) -> bool:
@@ -152,10 +168,11 @@ def _ompl(
     setup.setStartAndGoalStates(ends[0], ends[1])
     planner = config.planner or USUAL
     setup.setPlanner(getattr(og, planner)(info))
-    solved = setup.solve(config.budget)
+    solved = setup.solve(ob.PlannerTerminationCondition(lambda: effort.spent()))
     if not solved or "Approximate" in solved.asString():
         return None
     if planner == "RRTConnect":
-        setup.simplifySolution(config.budget)
+        effort = _Effort(config.checks)
+        setup.simplifySolution(ob.PlannerTerminationCondition(lambda: effort.spent()))
     path = setup.getSolutionPath()
     return np.array([[path.getState(i)[k] for k in range(n)] for i in range(path.getStateCount())])
