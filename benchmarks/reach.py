@@ -118,7 +118,7 @@ def marked(reach: ReachMap, robot: Robot, count: int = 5_000) -> float:
     q = rng.uniform(*one_turn(chain), (10 * count, chain.size))
     boxes = (np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3)), np.zeros(0, bool))
     codes = check_states(
-        q, np.zeros(3), chain_arrays(chain), robot.spheres.arrays(), boxes, False, 0.0
+        q, np.zeros(3), chain_arrays(chain), robot.spheres.arrays, boxes, False, 0.0
     )
     return float((reach.score(chain.tool_poses(q[codes == FREE][:count])) > 0).mean())
 

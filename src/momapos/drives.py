@@ -11,7 +11,7 @@ import numpy as np
 from momapos.errors import SceneError
 from momapos.navigation.clearance import gaps
 from momapos.navigation.footprint_map import NavigationMap, with_object_moved
-from momapos.navigation.global_path import BasePath, direct_path, plan_path
+from momapos.navigation.global_path import BasePath, leads_straight, plan_path
 from momapos.outcomes import PoseOutcome, PoseStatus
 from momapos.placement.problem import AttemptPose
 from momapos.prepare import roomy_place
@@ -48,7 +48,7 @@ class Drives:
         ) -> Attempt:
             nav_map, no_way = self.query.nav_map, PoseOutcome(PoseStatus.NO_ROUTE_AT_HOME)
             with self.query.watch.stage("way"):
-                if any(_beside(nav_map, base, other) for other in self._cut_off):
+                if any(leads_straight(nav_map, base, other) for other in self._cut_off):
                     return Attempt(None, no_way)
             found = check(base, screened, ways)
             if found.motion is None:
@@ -86,13 +86,13 @@ class WaysOn:
         """Look at a base pose to which a way was found."""
         came, query = self.drives.path(base), self.drives.query
         assert came is not None
-        room = gaps(came.poses, query.nav_map.prisms, query.outlines_after)
+        room = gaps(came.poses, query.nav_map.prisms, query.outlines_after, cap=_AWAY)
         if room[0] >= _AWAY and (room > 0.0).all():
             return True
         if room[-1] <= 0.0:
             return False
         with query.watch.stage("way"):
-            if any(_beside(self._map_after, base, free) for free in self._known[True]):
+            if any(leads_straight(self._map_after, base, free) for free in self._known[True]):
                 return True
             goal = came.poses[0] if room[0] >= _AWAY else self._roomy
             leads = goal is not None and plan_path(self._map_after, base, goal) is not None
@@ -109,7 +109,8 @@ class WaysOn:
         if key not in self._compared:
             out = bool((gaps(base[None], query.nav_map.prisms, query.outlines_after) <= 0.0).any())
         with query.watch.stage("way"):
-            out = out or any(_beside(self._map_after, base, other) for other in shut_in[before:])
+            nav_map = self._map_after
+            out = out or any(leads_straight(nav_map, base, other) for other in shut_in[before:])
         self._compared[key] = len(shut_in), out
         return out
 
@@ -132,10 +133,3 @@ class WaysOn:
             return roomy_place(self._after, self._map_after, self.drives.start[:2])
         except SceneError:
             return None
-
-
-def _beside(
-    nav_map: NavigationMap, one: Float[np.ndarray, "3"], other: Float[np.ndarray, "3"]
-) -> bool:
-    """Whether a straight leg joins two poses, so that a way to one leads to the other as well."""
-    return direct_path(nav_map, one, other) is not None

@@ -13,7 +13,7 @@ from tests.verification.door_case import BASE, HINGE, make_case
 
 from momapos.execution.approach import paced
 from momapos.execution.arm_control import CompliantArm, Reference
-from momapos.execution.avoidance import Surroundings
+from momapos.execution.avoidance import Bounds, Surroundings
 from momapos.execution.config import ComplianceConfig, Ending, ExecutionConfig
 from momapos.execution.dynamics import read_dynamics
 from momapos.execution.furniture import Resistance
@@ -80,6 +80,64 @@ def test_bounds_are_the_change_of_the_distance_with_the_joints(
     distance = np.array([gap(world, state) for state in moved])
     slope = (distance[1:] - distance[0]) / step
     np.testing.assert_allclose(bounds.rows[0], slope / np.linalg.norm(slope), atol=0.02)
+
+
+def into_the_post(world: Simulation, q: np.ndarray) -> np.ndarray:
+    """A state whose forearm is 5 mm or more in the post, as only a wrong belief has it."""
+    turn = np.eye(6)[0] * np.sign(gap(world, q - 1e-3 * np.eye(6)[0]) - gap(world, q))
+    while gap(world, q) > -5e-3:
+        q = q + 2e-3 * turn
+    return q
+
+
+def test_what_overlaps_as_it_is_believed_is_left_slowly(beside: tuple[Toy, Simulation]) -> None:
+    toy, world = beside
+    q, config = into_the_post(world, toy.motion.q[0]), CONFIG.compliance
+    bounds = Surroundings(world, config).bounds(q, 0.0)
+    assert len(bounds.rows) == 1
+    step = 1e-4
+    away = (gap(world, q + step * bounds.rows[0]) - gap(world, q)) / step
+    assert config.avoid_rate * (config.apart - gap(world, q)) > 1.5 * config.speed
+    assert bounds.least[0] * away == pytest.approx(config.speed, rel=0.05)
+
+
+def test_between_two_things_the_arm_leaves_the_nearer_one(tmp_path: Path) -> None:
+    bare = world_of(gripping(tmp_path / "bare"))
+    fore = bare.model.body("robot/fore").id
+    middle = bare.data.xpos[fore] + 0.18 * bare.data.xmat[fore].reshape(3, 3)[:, 2]
+    case, size = make_case(), 0.04
+    for side, room in ((1.0, 0.008), (-1.0, 0.012)):
+        place = middle + side * np.array([0.0, 0.035 + room + size / 2, 0.0])
+        case.obstacle([size] * 3, place.tolist(), name="nearer" if side > 0 else "other")
+    toy = gripping(tmp_path / "between", case)
+    near = Surroundings(world_of(toy), CONFIG.compliance)
+    q = toy.motion.q[0]
+    (row,), step = near.bounds(q, 0.0).rows, 1e-3
+    data = mujoco.MjData(near.known.model)
+
+    def room_at(state: np.ndarray, post: str) -> float:
+        data.qpos[:] = near.known.data.qpos
+        data.qpos[near.known.arm_q] = state
+        mujoco.mj_kinematics(near.known.model, data)
+        pair = (near.known.names.index(name) for name in ("fore", post))
+        return float(mujoco.mj_geomDistance(near.known.model, data, *pair, 0.1, None))
+
+    nearer, other = "nearer/box", "other/box"
+    assert room_at(q, nearer) < room_at(q, other) < CONFIG.compliance.avoid
+    assert room_at(q + step * row, nearer) > room_at(q, nearer)
+    assert room_at(q + step * row, other) < room_at(q, other)
+
+
+def test_no_joint_is_hurried_by_a_bound(beside: tuple[Toy, Simulation]) -> None:
+    toy, world = beside
+    arm = CompliantArm(world, CONFIG.compliance, STEP)
+    q = toy.motion.q[0].copy()
+    arm.go(q, np.zeros(6))
+    T, _ = arm.kinematics.at(q)
+    hurry = Bounds(np.eye(6)[:1], np.array([400.0]))
+    free = np.zeros((3, 3))
+    arm.follow(Reference(q, np.zeros(6), T, np.zeros(6), free, free, None, hurry))
+    assert np.abs(arm.q - q).max() == pytest.approx(CONFIG.compliance.joint_speed * STEP)
 
 
 def test_an_arm_that_follows_a_reference_into_a_post_stays_apart_from_it(

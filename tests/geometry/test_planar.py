@@ -30,3 +30,9 @@ def test_poses_compose_as_rigid_transforms_do() -> None:
     poses = compose(frame, POSES)
     assert_allclose(pose_planar(poses), pose_planar(frame) @ pose_planar(POSES), atol=1e-12)
     assert_allclose(poses[:, 2], wrap_angle(poses[:, 2]))
+
+
+def test_poses_compose_with_a_frame_each_as_with_that_frame_alone() -> None:
+    poses = POSES[::-1]
+    each = [compose(POSES[k], poses[k : k + 1])[0] for k in range(len(poses))]
+    assert_allclose(compose(POSES, poses), each, atol=1e-12)

@@ -193,9 +193,7 @@ def test_both_kernels_give_one_verdict(robot: Robot) -> None:
     base = np.array([0.2, -0.1, 0.7])
     many = check(world, robot.chain, robot.spheres, q, np.tile(base, (400, 1)), value, holding)
     boxes = (world.static.center, world.static.rotation, world.static.half, np.zeros(8, bool))
-    one = check_states(
-        q, base, chain_arrays(robot.chain), robot.spheres.arrays(), boxes, False, 0.01
-    )
+    one = check_states(q, base, chain_arrays(robot.chain), robot.spheres.arrays, boxes, False, 0.01)
     np.testing.assert_array_equal(np.minimum(one, 0), np.minimum(many, 0))
 
 

@@ -42,7 +42,7 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> tuple[Chain, Spheres]:
 
 def test_climbing_ends_at_a_vertex_as_far_out_as_any(arm: tuple[Chain, Spheres]) -> None:
     hulls = arm[1].hulls
-    arrays = hulls.arrays()
+    arrays = hulls.arrays
     large = np.flatnonzero(np.diff(hulls.first) > FEW)
     assert len(large) == 2
     axes = np.vstack([np.eye(3), -np.eye(3), np.zeros((1, 3))])
@@ -66,6 +66,6 @@ def test_hulls_of_many_vertices_overlap_where_the_exact_check_says_so(
     for q in random_states(chain, 200, np.random.default_rng(0)):
         place_segments(q, np.zeros(3), chain_arrays(chain), R, p)
         Ts[:, :3, :3], Ts[:, :3, 3] = R, p
-        meet.append(hulls_overlap(R, p, hulls.arrays(), egg, pair[1], pair[1] + 1))
+        meet.append(hulls_overlap(R, p, hulls.arrays, egg, pair[1], pair[1] + 1))
         assert meet[-1] == hulls_meet(spheres, Ts, pair)
     assert 0.05 < np.mean(meet) < 0.95

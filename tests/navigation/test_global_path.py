@@ -19,7 +19,7 @@ from momapos.navigation.footprint_map import (
     NavigationMap,
     build_navigation_map,
 )
-from momapos.navigation.global_path import BasePath, direct_path, plan_path
+from momapos.navigation.global_path import BasePath, direct_path, leads_straight, plan_path
 from momapos.navigation.judge import FootprintCollisionChecker
 from momapos.navigation.lattice import Lattice, PathModel, standable
 from momapos.navigation.path_ends import NEEDED
@@ -61,7 +61,9 @@ def test_there_is_no_way_through_a_door_narrower_than_the_footprint(robot: Robot
     path = plan_path(wide, start, goal)
     assert path is not None
     assert touches_nothing(wide, path)
+    assert all(leads_straight(wide, *path.nodes[k : k + 2]) for k in range(len(path.nodes) - 1))
     assert direct_path(narrow, start, goal) is None
+    assert not leads_straight(narrow, start, goal)
 
 
 def test_a_way_touches_nothing_and_is_little_longer_than_a_disc_would_need(

@@ -24,6 +24,14 @@ def test_clearance_is_the_exact_euclidean_distance_transform(
     np.testing.assert_array_equal(clearance(blocked), distance_transform_edt(~blocked))
 
 
+def test_clearance_tells_distances_apart_up_to_the_largest_that_is_asked_for() -> None:
+    rng = np.random.default_rng(2)
+    blocked = rng.random((40, 55)) < 0.01
+    every = clearance(blocked)
+    assert every.max() > 5.3
+    np.testing.assert_array_equal(clearance(blocked, most=5.3), np.minimum(every, 5.3))
+
+
 def test_clearance_is_infinite_where_nothing_is_blocked() -> None:
     assert np.isinf(clearance(np.zeros((3, 4), bool))).all()
 

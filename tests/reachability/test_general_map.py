@@ -177,7 +177,7 @@ def free_turns(robot: Robot, q: np.ndarray) -> int | None:
             continue
         state = np.append(q[:-1], values[-1])[None]
         code = check_states(
-            state, np.zeros(3), chain_arrays(chain), robot.spheres.arrays(), NO_BOXES, False, 0.0
+            state, np.zeros(3), chain_arrays(chain), robot.spheres.arrays, NO_BOXES, False, 0.0
         )
         word |= int((1 << group).sum()) if code[0] == FREE else 0
     return word

@@ -49,7 +49,7 @@ def _free_states(robot: Robot, rng: np.random.Generator, count: int) -> np.ndarr
     q = rng.uniform(np.maximum(chain.lower, -np.pi), np.minimum(chain.upper, np.pi), (count, 6))
     boxes = (np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3)), np.zeros(0, bool))
     codes = check_states(
-        q, np.zeros(3), chain_arrays(chain), robot.spheres.arrays(), boxes, False, 0.0
+        q, np.zeros(3), chain_arrays(chain), robot.spheres.arrays, boxes, False, 0.0
     )
     return q[codes == FREE]
 

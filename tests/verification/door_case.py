@@ -160,10 +160,10 @@ class Case:
         """All states of the arm, approach first; changes go into the plan."""
         return [*self.plan["approach"], *self.plan["manipulation"]["q"]]
 
-    def obstacle(self, size: list[float], xyz: list[float]) -> None:
+    def obstacle(self, size: list[float], xyz: list[float], name: str = "post") -> None:
         """Put a box into the scene."""
         upright = [1.0, 0.0, 0.0, 0.0]
-        box = {"name": "post", "box": size, "pose": {"xyz": xyz, "wxyz": upright}}
+        box = {"name": name, "box": size, "pose": {"xyz": xyz, "wxyz": upright}}
         self.scene["objects"].append(box)
 
     def regrasp(self, values: np.ndarray) -> None:

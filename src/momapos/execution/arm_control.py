@@ -182,6 +182,7 @@ class CompliantArm:
             if not (over & ~met).any():
                 break
             met |= over
+        v = v * min(1.0, self.config.joint_speed / max(float(np.abs(v).max()), 1e-12))
         return np.clip(self.q + self.step * v, self._low, self._high)
 
 

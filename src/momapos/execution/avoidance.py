@@ -20,6 +20,8 @@ LOOK = 4
 """Steps of the controller between two looks at what is near the arm [-]."""
 _LEVER = 0.03
 """Change of a distance with the joints, below which they are no way to keep it [m/rad]."""
+_OPPOSITE = -0.9
+"""Cosine of bounds that can hardly be kept at once [-]."""
 _MOST = 3
 """Pairs that are kept apart at a time, the nearest ones [-]."""
 
@@ -93,12 +95,18 @@ class Surroundings:
         chosen = near[np.sort(first)[:_MOST]]
         changes = np.array([self._change(i) for i in chosen.tolist()]).reshape(-1, model.nv)
         rows = changes[:, known.arm_v]
-        speed = -config.avoid_rate * (data.contact.dist[chosen] - config.apart)
+        # What overlaps as it is believed is left slowly: the belief may be wrong.
+        speed = np.minimum(
+            -config.avoid_rate * (data.contact.dist[chosen] - config.apart), config.speed
+        )
         if not self._loose:
             speed -= changes[:, known.part_v] * part_speed
         size = np.linalg.norm(rows, axis=1)
         able = size > _LEVER  # else no joint does much about it
-        return Bounds(rows[able] / size[able, None], speed[able] / size[able])
+        rows, speed = rows[able] / size[able, None], speed[able] / size[able]
+        # Between two things the arm leaves the nearer one.
+        kept = ~(np.tril(rows @ rows.T < _OPPOSITE)).any(1)
+        return Bounds(rows[kept], speed[kept])
 
     def gaps(
         self,

@@ -182,6 +182,9 @@ class ComplianceConfig:
     """The hand gives way and makes up at this speed at most [m/s]."""
     turn_speed: float = 0.4
     """[rad/s]"""
+    joint_speed: float = 2.0
+    """No joint goes faster than this while the hand gives way, whatever is asked [rad/s] or [m/s]:
+    near singular states, and between bounds that contradict each other, much is."""
     push_speed: float = 0.1
     """The tool pushes at this speed at most: what is pushed is not held back, and runs on [m/s]."""
     home: float = 1.5

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,6 +20,9 @@ if TYPE_CHECKING:
 
     from momapos.execution.stages import Belief, ExecutionRun, Stretch
 
+_STRAYED = 0.02
+"""A hand that brings a part back may have strayed so far on it [m]."""
+
 
 def follow_part(
     run: ExecutionRun, plan: Trajectory, stretch: Stretch, belief: Belief
@@ -28,6 +32,8 @@ def follow_part(
     extra = round(run.config.dwell / run.step)  # in which the arm makes up what it lags behind
     for i in range(len(plan) + extra):
         ending = way.step(i)
+        if ending is Ending.OTHERWISE:
+            way.bring_back()
         if ending is not None:
             return ending
     return way.end()
@@ -56,6 +62,8 @@ class _PartWay:
         self.length = float(np.linalg.norm(np.diff(tools, axis=0), axis=1).sum())
         self.bounds: Bounds | None = None
         self.pushes, self.most_felt = stretch.pushes, 0.0
+        self.trail = [(run.world.data.qpos[run.world.arm_q].copy(), T_held)]
+        """States of the arm and poses of the tool on the way, `LOOK` steps apart."""
 
     def _hand(self) -> Float[np.ndarray, "4 4"]:
         return self.run.arm.kinematics.at(self.run.world.data.qpos[self.run.world.arm_q])[0]
@@ -98,6 +106,8 @@ class _PartWay:
         )
         ending = run.tick(Stage.MANIPULATE) or run.lost()
         self.most_felt = max(self.most_felt, run.touch.size[0])
+        if i % LOOK == 0:
+            self.trail.append((run.world.data.qpos[run.world.arm_q].copy(), here))
         if max(run.touch.pads) > 1.0 or run.world.welded:
             run.learned = self._learned(here[:3, 3])
             if farther and run.doubt is not None and run.doubt(self.estimate.points):
@@ -110,6 +120,34 @@ class _PartWay:
             run.arm.stop()
             return Ending.STOPPED_AT_END
         return ending
+
+    def bring_back(self) -> None:
+        """Bring the part back to where the hand took it, as long as it holds it.
+
+        How the part moves is in doubt then, and so is where it stands when it is let go on its way:
+        where it stood at first is not. The hand goes as it came, gives way across that, and stops
+        where the part resists: it is back, and the hand has strayed on it.
+        """
+        run, still, start = self.run, np.zeros_like(self.run.arm.q), self.trail[0][1][:3, 3]
+        for (q, T), (_, T_after) in reversed(list(pairwise(self.trail))):
+            twist = twist_between(T_after, T) / (LOOK * run.step)
+            way = twist[:3] / max(float(np.linalg.norm(twist[:3])), 1e-9)
+            across = EVERYWHERE - np.outer(way, way)
+            for k in range(LOOK):
+                goal = T_after + (k + 1) / LOOK * (T - T_after)
+                here = self._hand()[:3, 3]
+                run.arm.follow(Reference(q, still, goal, twist, across, across, here))
+                if run.tick(Stage.MANIPULATE) is not None or run.lost() is not None:
+                    return
+            if -run.arm.wrench[:3] @ way > run.config.control.stop_force:
+                run.arm.stop()
+                if np.linalg.norm(here - start) > _STRAYED:
+                    return
+                here = start
+            self.estimate.see(here)
+            run.learned = self._learned(here)
+            if here is start:
+                return
 
     def _meets_robot(self, k: int) -> bool:
         """Whether the part, as it is found to move, comes upon the base or an arm in a corner."""

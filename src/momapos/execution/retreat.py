@@ -88,11 +88,18 @@ def _goes_home(run: ExecutionRun, home: PacedTrajectory) -> bool:
 
 
 def _let_go(run: ExecutionRun) -> Ending | None:
-    """Open the hand as slowly as it closes: fingers that snap open knock the part away."""
+    """Open the hand as slowly as it closes: fingers that snap open knock the part away.
+
+    The arm gives way meanwhile: a finger that opens against something would press with all force.
+    """
+    q, still = run.arm.q.copy(), np.zeros_like(run.arm.q)
+    T, _ = run.arm.kinematics.at(q)
+    stay = Reference(q, still, T, np.zeros(6), EVERYWHERE, EVERYWHERE)
     grip, fingers, ctrl = run.config.gripper, run.world.fingers, run.world.data.ctrl
     way = max((abs(ctrl[motor] - one.open) * one.lever for one, motor in fingers), default=0.0)
     for k in range(0 if run.world.welded else round(way / grip.speed / run.step)):
         run.close(way - grip.speed * k * run.step)
+        run.arm.follow(stay)
         ending = run.tick(Stage.GRIP)
         if ending is not None:
             return ending

@@ -36,11 +36,10 @@ def local_points(
 
 
 def compose(
-    frame: Float[np.ndarray, "3"], poses: Float[np.ndarray, "n 3"]
+    frame: Float[np.ndarray, "*#frames 3"], poses: Float[np.ndarray, "n 3"]
 ) -> Float[np.ndarray, "n 3"]:
-    """Map poses of a frame on the floor to the world."""
-    c, s = np.cos(frame[2]), np.sin(frame[2])
+    """Map poses of a frame on the floor, or of a frame each, to the world."""
+    at_x, at_y, turn = frame.T
+    c, s = np.cos(turn), np.sin(turn)
     x, y, yaw = poses.T
-    return np.stack(
-        [frame[0] + c * x - s * y, frame[1] + s * x + c * y, wrap_angle(frame[2] + yaw)], -1
-    )
+    return np.stack([at_x + c * x - s * y, at_y + s * x + c * y, wrap_angle(turn + yaw)], -1)

@@ -53,7 +53,7 @@ def hit_boxes(R, p, bounds, spheres, boxes, skip_gripper, margin):
     Args:
         R, p: Segment poses (n + 1, 3, 3), (n + 1, 3) as `forward` leaves them.
         bounds: As `place_bounds` leaves them (groups, 3).
-        spheres: `Spheres.arrays()`.
+        spheres: `Spheres.arrays`.
         boxes: `ObstacleArrays`.
         skip_gripper: Whether the gripper holds: then its fingers may touch all these boxes (they
             close about the handle), its palm only those marked as grasped.

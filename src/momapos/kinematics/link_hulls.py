@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -46,6 +47,7 @@ class LinkHulls:
     room: float = 0.0
     """Hulls that are nearer to each other overlap [m]."""
 
+    @cached_property
     def arrays(self) -> HullArrays:
         """The hulls as the kernels take them."""
         return HullArrays(

@@ -89,7 +89,7 @@ def contacts(chain: Chain, spheres: Spheres, q: Float[np.ndarray, "m n"]) -> Con
     pairs += against
     by_spheres, by_hulls = np.zeros((2, len(q), len(pairs)), bool)
     _contacts(
-        np.ascontiguousarray(q), chain_arrays(chain), spheres.arrays(), column, by_spheres, by_hulls
+        np.ascontiguousarray(q), chain_arrays(chain), spheres.arrays, column, by_spheres, by_hulls
     )
     return Contacts(tuple(pairs), by_spheres, by_hulls)
 

@@ -60,6 +60,7 @@ class Spheres:
     base_exact: Bool[np.ndarray, "groups b"]
     """The same for groups and boxes of the base."""
 
+    @cached_property
     def arrays(self) -> SphereArrays:
         """The spheres as the kernels take them."""
         return SphereArrays(
@@ -77,7 +78,7 @@ class Spheres:
             self.base_pairs,
             self.base_bounds,
             np.linalg.norm(self.base.half, axis=1),
-            self.hulls.arrays(),
+            self.hulls.arrays,
             self.exact,
             self.base_exact,
         )

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
@@ -74,6 +75,7 @@ class CollisionWorld:
             return "the robot itself"
         return "the floor" if code == FLOOR else self.labels[code]
 
+    @cached_property
     def arrays(self) -> WorldArrays:
         """The world as the kernel takes it."""
         return WorldArrays(
@@ -286,7 +288,7 @@ def _first_hits(
 
 def collision_arrays(spheres: Spheres, world: CollisionWorld) -> CollisionArrays:
     """What an arm is checked with, as the kernels take it."""
-    return CollisionArrays(spheres.arrays(), world.arrays(), world.clearance)
+    return CollisionArrays(spheres.arrays, world.arrays, world.clearance)
 
 
 def check(

@@ -111,8 +111,8 @@ class PlannerConfig:
     """How the arm gets from home to the first waypoint."""
 
     planner: Optional[Planner] = None  # noqa: UP045 (see cli.options)
-    """OMPL's planner; RRTstar and BITstar check as many motions as they may. None: RRTstar for the paper's method of
-    placement, else RRTConnect."""
+    """OMPL's planner; RRTstar and BITstar check as many motions as they may. None: RRTstar for the
+    paper's method of placement, else RRTConnect."""
     checks: int = 7000
     """Motions of the arm checked for one way at most, some 35 microseconds each [-]."""
 

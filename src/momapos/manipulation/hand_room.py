@@ -229,7 +229,7 @@ def _hand_arrays(robot: Robot) -> HandArrays:
     segment = np.where(moves, np.where((-hand_of(robot).fixed or aside) >= 0, *_SIDES), _PALM)
     rows = [np.arange(spheres.start[g], spheres.start[g + 1]) for g in groups]
     index = np.concatenate([np.zeros(0, np.int64), *rows])
-    arrays = spheres.arrays()._replace(
+    arrays = spheres.arrays._replace(
         center=_in_tool(robot, spheres.center[index]),
         radius=spheres.radius[index],
         start=np.cumsum([0, *map(len, rows)]),
@@ -307,7 +307,7 @@ def hand_hits(
         np.ascontiguousarray(holding),
         np.ascontiguousarray(exact),
         hand,
-        world.arrays(),
+        world.arrays,
         world.clearance,
     )
     low = np.where(exact, *_lowest(hand, Ts_world_tool, travel))

@@ -19,7 +19,7 @@ ROOM = 0.005
 """What a free motion keeps from everything where it can, from the robot itself as well: an arm is
 some millimeters off its way, and between the states that are checked it may come nearer [m]."""
 BETWEEN = 3000
-"""Most motions checked for a way between holds or home again, of which most are easy or none [-]."""
+"""Most motions checked for a way between holds or home again; most are easy, or none [-]."""
 USUAL = "RRTConnect"
 """OMPL's planner where none is named."""
 _UNBOUNDED = np.pi

@@ -72,14 +72,13 @@ def static_boxes(
     """
     center, rotation, half, labels = [], [], [], []
     for item in scene.objects:
-        for link, T in item.link_poses().items():
+        for link, boxes in item.link_boxes.items():
             if item is target and link in moved:
                 continue
-            for boxes in item.model.boxes[link]:
-                center.append(boxes.center @ T[:3, :3].T + T[:3, 3])
-                rotation.append(T[:3, :3] @ boxes.rotation)
-                half.append(boxes.half)
-                labels += [f"{item.name}/{link}"] * len(boxes)
+            center.append(boxes.center)
+            rotation.append(boxes.rotation)
+            half.append(boxes.half)
+            labels += [f"{item.name}/{link}"] * len(boxes)
     return Boxes(*_stack(center, rotation, half)), labels
 
 

@@ -214,21 +214,25 @@ def prisms_of(robot: Robot) -> RobotPrisms:
 
 def obstacles_of(scene: Scene, prisms: RobotPrisms) -> ConvexPolygons:
     """Everything between the floor and the robot's top, for each prism that it is in the way of."""
-    polygons, layers, names = [], [], []
+    hulls = [
+        (f"{item.name}/{link}", apply(T, hull.vertices))
+        for item in scene.objects
+        for link, T in item.link_poses().items()
+        for hull in item.model.hulls[link]
+    ]
+    if not hulls:
+        return pack([], [], [])
+    low = np.array([points[:, 2].min() for _, points in hulls])[:, None]
+    high = np.array([points[:, 2].max() for _, points in hulls])[:, None]
+    met = (low < prisms.heights[1:]) & (high > np.maximum(prisms.heights[:-1], STEP))
+    # Within a wider prism that is met as well, a prism asks nothing more.
     index = np.arange(len(prisms.outlines))
-    for item in scene.objects:
-        for link, T in item.link_poses().items():
-            for hull in item.model.hulls[link]:
-                points = apply(T, hull.vertices)
-                low, high = points[:, 2].min(), points[:, 2].max()
-                met = (low < prisms.heights[1:]) & (high > np.maximum(prisms.heights[:-1], STEP))
-                # Within a wider prism that is met as well, a prism asks nothing more.
-                wider = prisms.inside & met & ~(prisms.inside.T & (index[:, None] <= index))
-                own = np.flatnonzero(met & ~wider.any(axis=1)).tolist()
-                polygons += [convex_hull(points[:, :2])] * len(own) if own else []
-                layers += own
-                names += [f"{item.name}/{link}"] * len(own)
-    return pack(polygons, layers, names)
+    wider = prisms.inside & ~(prisms.inside.T & (index[:, None] <= index))
+    which, layers = np.nonzero(met & ~(met[:, None] & wider).any(axis=2))
+    outlines = {i: convex_hull(hulls[i][1][:, :2]) for i in dict.fromkeys(which.tolist())}
+    return pack(
+        [outlines[i] for i in which.tolist()], layers.tolist(), [hulls[i][0] for i in which]
+    )
 
 
 def thinned(outlines: ConvexPolygons, floor: Float[np.ndarray, "k 2"] | None) -> ConvexPolygons:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,6 +21,8 @@ CELL = 0.05
 """Edge of a cell [m]."""
 ROOM_MARGIN = 2.0
 """Free border that is mapped around a room without a known floor [m]."""
+_NEIGHBORS = np.array([(dj, di) for di in (-1, 0, 1) for dj in (-1, 0, 1)])
+"""Steps (columns, rows) to a cell and those around it."""
 _TO_START = 10.0
 """The border is wider where a start lies beyond it, at most so much [m]."""
 
@@ -41,17 +44,19 @@ class CostMap:
         closer to furniture than the disc's cell center does.
         """
         rows, columns = self.distance.shape
-        base = np.floor((xy - self.origin) / CELL).astype(int)
-        best = np.full(len(xy), np.inf)
-        for di in (-1, 0, 1):
-            for dj in (-1, 0, 1):
-                j, i = base[:, 0] + dj, base[:, 1] + di
-                inside = (i >= 0) & (i < rows) & (j >= 0) & (j < columns)
-                center = self.origin + (np.stack([j, i], -1) + 0.5) * CELL
-                value = np.full(len(xy), np.inf)
-                value[inside] = self.distance[i[inside], j[inside]]
-                best = np.minimum(best, value + np.linalg.norm(center - xy, axis=1))
-        return best
+        x, y = np.ascontiguousarray(xy.T, float)
+        j = np.floor((x - self.origin[0]) / CELL).astype(int) + _NEIGHBORS[:, :1]
+        i = np.floor((y - self.origin[1]) / CELL).astype(int) + _NEIGHBORS[:, 1:]
+        dx = self.origin[0] + (j + 0.5) * CELL - x
+        dy = self.origin[1] + (i + 0.5) * CELL - y
+        # What is off the map falls into its border.
+        value = self._bordered[np.clip(i + 1, 0, rows + 1), np.clip(j + 1, 0, columns + 1)]
+        return (value + np.sqrt(dx * dx + dy * dy)).min(axis=0)
+
+    @cached_property
+    def _bordered(self) -> Float[np.ndarray, "rows_and_2 columns_and_2"]:
+        """The distances, with a border of cells to which there is no path [m]."""
+        return np.pad(self.distance, 1, constant_values=np.inf)
 
 
 @dataclass(frozen=True)
@@ -138,7 +143,7 @@ def build_cost_map(plan: FloorPlan, start: Float[np.ndarray, "2"], *, radius: fl
         radius: Radius of the disc that must fit: the base's inscribed circle [m].
     """
     rows, columns = plan.blocked.shape
-    free = clearance(plan.blocked) * CELL > radius
+    free = clearance(plan.blocked, most=radius / CELL + 1.0) * CELL > radius
     j, i = np.clip(((start - plan.origin) / CELL).astype(int), 0, [columns - 1, rows - 1])
     free[i, j] = True
     distance = path_lengths(free, np.array([i * columns + j]), CELL)

@@ -110,12 +110,27 @@ def direct_path(
 ) -> BasePath | None:
     """The path of one leg between two poses, None where it is blocked; see `plan_path`."""
     nodes = np.stack([start, goal])
+    plan = _direct(nav_map, nodes, config)
+    return None if plan is None else plan.sampled(nodes)
+
+
+def leads_straight(
+    nav_map: NavigationMap, start: Float[np.ndarray, "3"], goal: Float[np.ndarray, "3"]
+) -> bool:
+    """Whether there is a path of one leg between two poses, see `direct_path`."""
+    return _direct(nav_map, np.stack([start, goal]), DEFAULT) is not None
+
+
+def _direct(
+    nav_map: NavigationMap, nodes: Float[np.ndarray, "2 3"], config: PathConfig
+) -> _Planner | None:
+    """What plans the path of one leg; None where it is blocked."""
     needs = 0.5 * gaps(nodes, nav_map.prisms, nav_map.planning_obstacles)
     if (needs <= 0).any():
         return None
     plan = _Planner(nav_map, config, np.minimum(needs, NEEDED))
     cost, _ = connections(nodes[:1], nodes[1:], plan.model(float(plan.needs.min())))
-    return plan.sampled(nodes) if np.isfinite(cost[0]) else None
+    return plan if np.isfinite(cost[0]) else None
 
 
 @dataclass(frozen=True)

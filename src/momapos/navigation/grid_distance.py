@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import heapq
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,12 +17,16 @@ _MOVES = np.array([m for a, b in _QUADRANT for m in ((a, b), (-b, a), (-a, -b), 
 _LENGTHS: np.ndarray = np.hypot(_MOVES[:, 0], _MOVES[:, 1])
 
 
-def clearance(blocked: Bool[np.ndarray, "rows columns"]) -> Float[np.ndarray, "rows columns"]:
+def clearance(
+    blocked: Bool[np.ndarray, "rows columns"], *, most: float = np.inf
+) -> Float[np.ndarray, "rows columns"]:
     """Distance of each cell's center from that of the nearest blocked cell [cells].
 
-    Infinite where nothing is blocked.
+    Args:
+        blocked: Which cells are blocked; where none is, distances are infinite.
+        most: Larger distances are not told apart and come out as this [cells].
     """
-    return _clearance(np.ascontiguousarray(blocked))
+    return _clearance(np.ascontiguousarray(blocked), float(most))
 
 
 def path_lengths(
@@ -44,7 +47,7 @@ def path_lengths(
 
 
 @entry
-def _clearance(blocked: B2) -> np.ndarray:
+def _clearance(blocked: B2, most: float) -> np.ndarray:
     """The exact Euclidean distance transform: along the columns, then along the rows."""
     rows, columns = blocked.shape
     out = np.full((rows, columns), np.inf)
@@ -60,7 +63,7 @@ def _clearance(blocked: B2) -> np.ndarray:
         for j in range(columns):
             line[j] = out[i, j]
         for j in range(columns):
-            best = line[j] ** 2
+            best = min(line[j], most) ** 2
             for d in range(1, columns):
                 if d * d >= best:
                     break
@@ -74,24 +77,40 @@ def _clearance(blocked: B2) -> np.ndarray:
 
 @entry
 def _path_lengths(free: B2, sources: I1, moves: I2, lengths: F1) -> np.ndarray:
-    """Dijkstra 1959."""
+    """Dijkstra 1959, with the cells that come next in two heaps unsorted (Davidson et al. 2014).
+
+    Cells nearer than a bound are taken in any order, all others wait; then the bound rises by the
+    shortest step. A cell that is found to be nearer than it was is taken once more, so that the
+    lengths are those of any other order, to the last bit.
+    """
     rows, columns = free.shape
-    out = np.full((rows, columns), np.inf)
-    queue = [(np.inf, np.int64(-1))]
+    out, taken = np.full((rows, columns), np.inf), np.full((rows, columns), np.inf)
+    step = lengths.min()
+    bound = step
+    near, far = [np.int64(-1)], [np.int64(-1)]
     for source in sources:
         out[source // columns, source % columns] = 0.0
-        heapq.heappush(queue, (0.0, source))
+        near.append(source)
     while True:
-        length, cell = heapq.heappop(queue)
-        if cell < 0:
-            return out
-        i, j = cell // columns, cell % columns
-        if length > out[i, j]:
-            continue
-        for k in range(len(moves)):
-            a, b = i + moves[k, 0], j + moves[k, 1]
-            if a < 0 or b < 0 or a >= rows or b >= columns or not free[a, b]:
+        while near[-1] >= 0:
+            cell = near.pop()
+            i, j = cell // columns, cell % columns
+            length = out[i, j]
+            if length == taken[i, j]:
                 continue
-            if length + lengths[k] < out[a, b]:
-                out[a, b] = length + lengths[k]
-                heapq.heappush(queue, (out[a, b], a * columns + b))
+            taken[i, j] = length
+            for k in range(len(moves)):
+                a, b = i + moves[k, 0], j + moves[k, 1]
+                if a < 0 or b < 0 or a >= rows or b >= columns or not free[a, b]:
+                    continue
+                if length + lengths[k] < out[a, b]:
+                    out[a, b] = length + lengths[k]
+                    (near if out[a, b] < bound else far).append(a * columns + b)
+        if len(far) == 1:
+            return out
+        bound += step
+        waiting, far = far, [np.int64(-1)]
+        for cell in waiting[1:]:
+            length = out[cell // columns, cell % columns]
+            if length < taken[cell // columns, cell % columns]:
+                (near if length < bound else far).append(cell)

@@ -38,6 +38,8 @@ if TYPE_CHECKING:
 
 ROOM = 0.8
 """Clearance around the start [m]."""
+_TELLING = 0.01
+"""Gaps are looked for up to this where only their sign counts [m]."""
 _AT_ONCE = 64
 """Cells that are looked at together [-]."""
 
@@ -82,7 +84,7 @@ def clear_at_home(
     poses: Float[np.ndarray, "n 3"], robot: Robot, outlines: ConvexPolygons
 ) -> Bool[np.ndarray, " n"]:
     """Whether a robot with its arm at home is clear of some outlines at base poses."""
-    return gaps(poses, prisms_of(robot), outlines) > 0.0
+    return gaps(poses, prisms_of(robot), outlines, cap=_TELLING) > 0.0
 
 
 def touched_at_home(pose: Float[np.ndarray, "3"], robot: Robot, outlines: ConvexPolygons) -> str:
@@ -112,7 +114,7 @@ def find_start(
         for k in range(0, len(nearest), _AT_ONCE):
             # The heading along x comes first, as does the nearer of two cells.
             poses = np.array([[*xy, yaw] for xy in nearest[k : k + _AT_ONCE] for yaw in _HEADINGS])
-            fits = gaps(poses, nav_map.prisms, nav_map.planning_obstacles) > 0.0
+            fits = gaps(poses, nav_map.prisms, nav_map.planning_obstacles, cap=_TELLING) > 0.0
             fits &= on_floor(nav_map.prisms, nav_map.floor_polygon, poses)
             if fits.any():
                 return poses[int(np.argmax(fits))]

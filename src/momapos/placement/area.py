@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -42,6 +43,16 @@ class PlacementGeometry:
     floor_polygon: Float[np.ndarray, "k 2"] | None
     clearance: float
     """Distance that the base keeps from everything [m]."""
+
+    @cached_property
+    def boxes(self) -> Boxes:
+        """All boxes, those that stand still first."""
+        static, sweep = self.static, self.sweep
+        return Boxes(
+            np.concatenate([static.center, sweep.center]),
+            np.concatenate([static.rotation, sweep.rotation]),
+            np.concatenate([static.half, sweep.half]),
+        )
 
     @property
     def shoulder(self) -> Float[np.ndarray, "3"]:
@@ -120,14 +131,19 @@ def within_reach(
     """Whether every waypoint is within the arm's length of its axis (dist_xy <= Delta_r)."""
     x, y = geometry.shoulder[:2]
     c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-    axis = np.stack([poses[:, 0] + c * x - s * y, poses[:, 1] + s * x + c * y], -1)
+    axis_x, axis_y = poses[:, 0] + c * x - s * y, poses[:, 1] + s * x + c * y
     targets, radius = geometry.Ts_world_tool[0, :, :2, 3], arm_radius(geometry)
-    within = np.ones(len(poses), bool)
-    # The ends of the motion rule most poses out.
-    for some in ([0, -1], slice(1, -1)):
-        left = np.flatnonzero(within)
-        away = axis[left, None] - targets[some]
-        within[left] = ((away**2).sum(-1) <= radius[some] ** 2).all(1)
+    left = np.arange(len(poses))
+    # The ends of the motion rule most poses out. Waypoints go along the rows: few, and long.
+    for some in ([0], [-1], slice(1, -1)):
+        away_x = axis_x[left] - targets[some, :1]
+        away_y = axis_y[left] - targets[some, 1:]
+        away_x *= away_x
+        away_y *= away_y
+        away_x += away_y
+        left = left[(away_x <= radius[some, None] ** 2).all(0)]
+    within = np.zeros(len(poses), bool)
+    within[left] = True
     return within  # where a waypoint is out of reach at any distance, its radius is NaN
 
 
@@ -155,13 +171,10 @@ def base_pose_status(
             geometry.floor_polygon, place_points(poses[near], geometry.robot.footprint)
         )
         outcome[near[off]] = BaseStatus.OFF_FLOOR
-    boxes = Boxes(
-        np.concatenate([geometry.static.center, geometry.sweep.center]),
-        np.concatenate([geometry.static.rotation, geometry.sweep.rotation]),
-        np.concatenate([geometry.static.half, geometry.sweep.half]),
-    )
     code = np.full(len(poses), FREE, np.int64)
     near = np.flatnonzero(outcome == BaseStatus.CLEAR)
-    code[near] = base_hits(poses[near], geometry.robot.base, boxes, clearance=geometry.clearance)
+    code[near] = base_hits(
+        poses[near], geometry.robot.base, geometry.boxes, clearance=geometry.clearance
+    )
     outcome[code != FREE] = BaseStatus.BLOCKED
     return outcome, code

@@ -12,7 +12,6 @@ import numpy as np
 from momapos.kinematics.base_collision import base_hits
 from momapos.kinematics.collision import FREE
 from momapos.kinematics.dexterity import least_dexterity, travel_of_arm
-from momapos.kinematics.hulls import Boxes
 from momapos.outcomes import CostTerm
 from momapos.placement.area import PlacementGeometry
 from momapos.placement.config import PlaceConfig
@@ -110,12 +109,7 @@ def missing_clearance(
     geometry: PlacementGeometry, poses: Float[np.ndarray, "n 3"]
 ) -> Float[np.ndarray, " n"]:
     """How much base poses lack of 20 cm to the room and to the moving part, to 2 cm [m]."""
-    robot, static, sweep = geometry.robot, geometry.static, geometry.sweep
-    boxes = Boxes(
-        np.concatenate([static.center, sweep.center]),
-        np.concatenate([static.rotation, sweep.rotation]),
-        np.concatenate([static.half, sweep.half]),
-    )
+    robot, boxes = geometry.robot, geometry.boxes
     kept, left = np.zeros(len(poses)), np.arange(len(poses))
     for level in _LEVELS:
         left = left[base_hits(poses[left], robot.base, boxes, clearance=level) == FREE]

@@ -35,12 +35,12 @@ _GRASPS = 2
 """Grasps that are tried at a pose beside another: that one's, then the best reached [-]."""
 
 
-def _beside(pose: Float[np.ndarray, "3"], config: PlaceConfig) -> Float[np.ndarray, "k 3"]:
-    """The poses around one."""
+def _beside(poses: Float[np.ndarray, "n 3"], config: PlaceConfig) -> Float[np.ndarray, "m 3"]:
+    """The poses around some, those around each one after the other."""
     # The corners of the box are as far away as the disc's edge.
     way = max(config.margin, config.robust_radius / np.sqrt(2.0))
     off = np.array([way, way, np.radians(max(config.margin_turn, config.robust_turn))])
-    return compose(pose, _AROUND * off)
+    return compose(np.repeat(poses, len(_AROUND), axis=0), np.tile(_AROUND * off, (len(poses), 1)))
 
 
 def may_have_room(
@@ -51,7 +51,7 @@ def may_have_room(
     least: float,
 ) -> Bool[np.ndarray, " n"]:
     """Whether base poses may have a margin as large: the map and the base's room say so."""
-    around = np.concatenate([np.empty((0, 3)), *(_beside(pose, config) for pose in poses)])
+    around = _beside(poses, config)
     status, _ = base_pose_status(problem.geometry, around)
     clear = status == BaseStatus.CLEAR
     clear[clear] = score(problem.reach, around[clear]).scores.max(1, initial=0.0) > 0
@@ -64,7 +64,7 @@ def margin_of(problem: Problem, score: ScoreWays, config: PlaceConfig) -> Margin
     """The margin of base poses, for one of the ways of holding."""
 
     def margin(pose: Float[np.ndarray, "3"], grasp: int) -> float:
-        poses = _beside(pose, config)
+        poses = _beside(pose[None], config)
         status, _ = base_pose_status(problem.geometry, poses)
         # Where the base cannot stand no drive ends.
         poses = poses[status == BaseStatus.CLEAR]

@@ -91,7 +91,7 @@ def touched(wanted, R, p, spheres, first, axis, table):
     Args:
         wanted: Mask of azimuths.
         R, p: Segment poses at azimuth 0, base at the origin.
-        spheres: `Spheres.arrays()`.
+        spheres: `Spheres.arrays`.
         first: Index of the first turning joint.
         axis: Foot of its axis (3,) [m].
         table: (words (classes, heights, distances, PHASES), low [m], kind (bodies, spheres)).

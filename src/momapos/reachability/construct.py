@@ -263,7 +263,7 @@ def _turning(spheres: Spheres, first: int) -> SphereArrays:
         base=nothing,
         base_pairs=no_pairs,
         base_exact=no_pairs,
-    ).arrays()
+    ).arrays
 
 
 def _bearing_free(masks: np.ndarray) -> bool:

@@ -34,7 +34,7 @@ def reachable(
             np.ascontiguousarray(q[valid]),
             np.zeros(3),
             chain_arrays(robot.chain),
-            robot.spheres.arrays(),
+            robot.spheres.arrays,
             boxes,
             False,
             0.0,

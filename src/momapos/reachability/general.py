@@ -85,7 +85,7 @@ def _aimed(robot: Robot, frame: ArmAxes) -> AimedArm:
         lower, upper = lower.copy(), upper.copy()
         lower[-1], upper[-1] = -np.inf, np.inf
     limits = JointLimits(lower, upper)
-    still, turned = _parted(robot.spheres.arrays(), len(chain.joints))
+    still, turned = _parted(robot.spheres.arrays, len(chain.joints))
     return AimedArm(chain_arrays(chain), limits, line, turns, still, turned, frame.axis)
 
 

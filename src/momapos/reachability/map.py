@@ -159,6 +159,8 @@ class ReachMap:
             bases: x, y [m], yaw [rad] of the base on the floor, in the world frame.
             Ts_world_tool: Tool poses of g grasps at w waypoints.
         """
+        # The last waypoint rules most bases out that the first does not, so it is looked at first.
+        Ts_world_tool = np.roll(np.asarray(Ts_world_tool, float), 1, axis=1)
         lines = np.ascontiguousarray(self.lines(Ts_world_tool))
         bases = np.ascontiguousarray(bases, float)
         out = np.empty((len(bases), len(lines)), np.float32)

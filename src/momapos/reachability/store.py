@@ -60,7 +60,7 @@ def map_key(robot: Robot, config: ReachConfig) -> str:
     so that a comment in a file changes nothing and a mesh on the disk does.
     """
     chain = robot.chain
-    spheres = robot.spheres.arrays()
+    spheres = robot.spheres.arrays
     # Bounds of the base, left out, follow from its boxes; hulls matter where they decide, all but
     # how near they may be. What lies beside what follows from the vertices.
     shapes: list[np.ndarray] = list(spheres[:12])

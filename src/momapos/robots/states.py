@@ -74,7 +74,7 @@ def touches(
     chain: Chain, spheres: Spheres, q: Float[np.ndarray, "m n"], *, floor: bool = False
 ) -> Bool[np.ndarray, " m"]:
     """Which states touch the robot itself or, where asked, the floor."""
-    return _touches(q, chain_arrays(chain), spheres.arrays(), floor)
+    return _touches(q, chain_arrays(chain), spheres.arrays, floor)
 
 
 def sample_states(chain: Chain, rng: np.random.Generator) -> Float[np.ndarray, "m n"]:

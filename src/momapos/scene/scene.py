@@ -128,6 +128,20 @@ class SceneObject:
         return {name: self.T_world_object @ T for name, T in poses.items()}
 
     @cached_property
+    def link_boxes(self) -> dict[str, Boxes]:
+        """Boxes of the links that have any, in the world."""
+        found = {}
+        for link, T in self.link_poses().items():
+            boxes = self.model.boxes[link]
+            if boxes:
+                found[link] = Boxes(
+                    np.concatenate([b.center @ T[:3, :3].T + T[:3, 3] for b in boxes]),
+                    np.concatenate([T[:3, :3] @ b.rotation for b in boxes]),
+                    np.concatenate([b.half for b in boxes]),
+                )
+        return found
+
+    @cached_property
     def vertices(self) -> Float[np.ndarray, "v 3"]:
         """Corners of all hulls in the world [m]; the origin where there is no geometry."""
         points = [
