@@ -1,9 +1,10 @@
 """How well the front network finds doors, drawers and handles on faces it never saw.
 
     PYTHONPATH=. python benchmarks/parts.py [--drawn 100] [--variants 3] [--pictures DIR]
+                                            [--half tuned|measured]
 
-Four sets: freshly drawn faces, ordinary and hard; the simulator's objects, rendered; and real
-photos.
+Four sets: freshly drawn faces, ordinary and hard; the simulator's objects, rendered, of one half
+(`objects.py`) if so asked; and real photos. Of the measured half only sums are printed.
 A part is located where a predicted one covers it with an IoU of 0.5, whatever its kind; a handle,
 where the middle of the predicted one lies within it.
 """
@@ -11,10 +12,11 @@ where the middle of the predicted one lies within it.
 from __future__ import annotations
 
 import time
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import tyro
@@ -24,6 +26,7 @@ from training.fronts import generator
 from momapos.reconstruction.decode import overlaps
 from momapos.reconstruction.network import FrontNetwork
 from momapos.types import Front
+from objects import HALVES
 from parts_real import TrueFace, TruePart, photo_faces, real_faces
 
 COLORS = {
@@ -49,6 +52,8 @@ class Tally:
     held: int = 0
     faces: int = 0
     seconds: list[float] = field(default_factory=list)
+    wrong: Counter[tuple[str, str]] = field(default_factory=Counter)
+    """How often a part of the first kind is taken for the second."""
 
     def row(self, name: str) -> str:
         """One line of the table."""
@@ -90,6 +95,7 @@ def count(true: TrueFace, front: Front, tallies: Iterable[Tally]) -> None:
         for i, j in pairs:
             part, said = true.parts[i], front.parts[j]
             tally.kinds += part.kind == said.kind
+            tally.wrong[str(part.kind), said.kind] += part.kind != said.kind
             if part.kind in ("door_left", "door_right"):
                 tally.doors += 1
                 tally.hinges += part.kind == said.kind
@@ -128,8 +134,15 @@ def picture(true: TrueFace, front: Front, side: int = 320) -> Image.Image:
     return sheet
 
 
-def evaluate(name: str, faces: Iterable[TrueFace], network: FrontNetwork, out: Path | None) -> None:
-    """Print a table of one set."""
+def evaluate(
+    name: str,
+    faces: Iterable[TrueFace],
+    network: FrontNetwork,
+    out: Path | None,
+    *,
+    sums: bool = False,
+) -> None:
+    """Print a table of one set; one line where only the sums are wanted."""
     tallies: defaultdict[str, Tally] = defaultdict(Tally)
     whole = Tally()
     right = [0, 0, 0, 0]
@@ -146,9 +159,11 @@ def evaluate(name: str, faces: Iterable[TrueFace], network: FrontNetwork, out: P
             picture(true, front).save(out / f"{name}_{i:03d}.png")
     print(f"\n| {name} | faces | located | precision | kind | hinge side | handles |")
     print("|---|---|---|---|---|---|---|")
-    for key in sorted(tallies):
+    for key in () if sums else sorted(tallies):
         print(tallies[key].row(key))
     print(whole.row("all"))
+    for (kind, said), times in () if sums else (+whole.wrong).most_common():
+        print(f"{times} {kind} taken for {said}")
     print(
         f"fronts told: {_share(right[3], right[2])}, others told: {_share(right[1], right[0])}; "
         f"{1000 * float(np.median(whole.seconds)):.0f} ms a face, "
@@ -162,6 +177,7 @@ def main(
     variants: int = 3,
     seed: int = 90001,
     pictures: Path | None = None,
+    half: Literal["tuned", "measured"] | None = None,
 ) -> None:
     """Print a table of each set.
 
@@ -171,12 +187,15 @@ def main(
         variants: How often each real object is rendered.
         seed: Of drawn faces, light, view and noise; training used others.
         pictures: Folder for a picture of each face.
+        half: Of the real objects only those of one half, see `objects.py`.
     """
     network = FrontNetwork()
     evaluate("drawn", drawn_faces(drawn, seed, generator.ORDINARY), network, pictures)
     evaluate("drawn, hard", drawn_faces(drawn, seed + 1, generator.HARD), network, pictures)
     if (shared / "bestman").is_dir():
-        evaluate("simulator objects", real_faces(shared, variants, seed), network, pictures)
+        objects, sums = real_faces(shared, variants, seed, half), half == HALVES[1]
+        kept = None if sums else pictures
+        evaluate("simulator objects", objects, network, kept, sums=sums)
         evaluate("photos", photo_faces(shared), network, pictures)
 
 

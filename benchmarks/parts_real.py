@@ -19,6 +19,7 @@ from PIL import Image
 from scipy import ndimage
 
 from momapos.types import FaceImage, PartKind
+from objects import half_of
 
 PIXEL = 0.003
 """Size of a rendered pixel [m]."""
@@ -65,19 +66,24 @@ class _Solid:
     """Type, axis and origin of each joint, in the object's frame."""
 
 
-def real_faces(shared: Path, variants: int, seed: int) -> Iterator[TrueFace]:
+def real_faces(
+    shared: Path, variants: int, seed: int, half: str | None = None
+) -> Iterator[TrueFace]:
     """Render the closed fronts of the numbered objects.
 
     Args:
         shared: Folder of the real data.
         variants: How often each is rendered, in other light and from another side.
         seed: Of light, view and noise.
+        half: Only the objects of one half, see `objects.py`.
     """
     scene = shared / "bestman" / "Asset" / "Scene"
     scales = _scales(scene)
     for path in sorted((scene / "Kitchen_models" / "models").glob("*/*/mobility.urdf")):
         family = path.parent.parent.name
         if not family.startswith(FAMILIES) or family in OTHER_AXES:
+            continue
+        if half not in (None, half_of(f"Kitchen_models/models/{family}/{path.parent.name}")):
             continue
         solid = _load(path, scales.get(f"{family}/{path.parent.name}", 1.0))
         for i in range(variants):

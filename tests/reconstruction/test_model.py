@@ -33,7 +33,7 @@ from momapos.types import Detection, FaceImage, Part, PartKind, UprightBox
 
 UP = np.array([0.0, 0.0, 1.0])
 CENTER = np.array([1.0, -2.0, 0.9])
-AT_FRONT = ModelConfig(hinge_depth=0.0, free_hinge_depth=0.0)
+AT_FRONT = ModelConfig(hinge_depth=0.0, tight_hinge_depth=0.0)
 """Hinges at the front edge of their doors, as those of the drawn furniture."""
 
 
@@ -266,7 +266,7 @@ def test_the_true_front_of_a_kitchens_piece_gives_its_true_handle_paths(name: st
 
 
 @pytest.mark.parametrize("free", [(True, False), (False, True), (False, False)])
-def test_a_hinge_lies_deeper_where_nothing_is_beside_it(free: tuple[bool, bool]) -> None:
+def test_a_hinge_lies_deeper_where_no_other_object_is_beside_it(free: tuple[bool, bool]) -> None:
     parts = [
         Part("door_left", (0.0, 0.0, 0.5, 1.0), 0.9),
         Part("door_right", (0.5, 0.0, 1.0, 1.0), 0.9),
@@ -277,9 +277,22 @@ def test_a_hinge_lies_deeper_where_nothing_is_beside_it(free: tuple[bool, bool])
     piece = furniture_model(found, 0.3 - np.pi / 2, face, parts, config, free=free)
     motions = [part.motion for part in piece.parts[1:]]
     depths = [motion.pivot[1] + 0.33 for motion in motions if motion]
-    deep = config.free_hinge_depth
-    assert depths == pytest.approx([deep if side else config.hinge_depth for side in free])
+    deep, tight = config.hinge_depth, config.tight_hinge_depth
+    assert deep > tight
+    assert depths == pytest.approx([deep if side else tight for side in free])
     assert [motion.upper for motion in motions if motion] == [np.pi / 2] * 2
+
+
+def test_a_hinge_beside_another_part_lies_as_deep_between_objects() -> None:
+    parts = [
+        Part("drawer", (0.0, 0.0, 0.5, 1.0), 0.9),
+        Part("door_left", (0.5, 0.0, 1.0, 1.0), 0.9),
+    ]
+    found, config = detection(0.8, 0.6, 0.9), ModelConfig()
+    piece = furniture_model(found, 0.3 - np.pi / 2, face_of(0.8, 0.9), parts, config)
+    (motion,) = (p.motion for p in piece.parts if p.motion and p.motion.kind == "revolute")
+    assert motion.pivot[1] == pytest.approx(-0.3 + config.hinge_depth)
+    assert motion.upper == np.pi / 2
 
 
 @pytest.mark.parametrize("proud", [0.0, 0.008])
@@ -303,15 +316,14 @@ def test_a_door_with_neighbors_stays_within_its_own_part_as_it_opens(
 
 
 @pytest.mark.parametrize("below", [True, False])
-def test_a_flap_over_another_part_turns_close_behind_its_front(below: bool) -> None:
+def test_a_flap_turns_as_far_behind_its_front_over_another_part(below: bool) -> None:
     flap = Part("door_down", (0.0, 0.0, 1.0, 0.8), 0.9)
     drawer = Part("drawer", (0.0, 0.8, 1.0, 1.0), 0.9)
     found, config = detection(0.6, 0.6, 0.9), ModelConfig()
     parts = [flap, drawer] if below else [flap]
     piece = furniture_model(found, 0.3 - np.pi / 2, face_of(0.6, 0.9), parts, config)
     (motion,) = (p.motion for p in piece.parts if p.motion and p.motion.kind == "revolute")
-    depth = config.hinge_depth if below else config.free_hinge_depth
-    assert motion.pivot[1] == pytest.approx(-0.3 + depth)
+    assert motion.pivot[1] == pytest.approx(-0.3 + config.hinge_depth)
     assert motion.upper == np.pi / 2
 
 

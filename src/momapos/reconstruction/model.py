@@ -58,12 +58,12 @@ class ModelConfig:
     """Of a door in the face's plane, and of one that stands proud of it at most [m]."""
     gap: float = 0.002
     """Between a moving part and what is beside and behind it [m]."""
-    hinge_depth: float = 0.0
-    """How far behind its front a door's hinge lies where something is beside it: a door that turns
-    about a deeper axis needs that much more room, and the hand has a long lever against what is
-    beside the hinge. Real ones have that room, or hinges that travel [m]."""
-    free_hinge_depth: float = 0.01
-    """The same where nothing is beside it, about half the thickness of a leaf [m]."""
+    hinge_depth: float = 0.01
+    """How far behind its front a door's hinge lies, about half the thickness of a leaf [m]."""
+    tight_hinge_depth: float = 0.0
+    """The same where another object is beside it: a door that turns about a deeper axis needs that
+    much more room, and the hand has a long lever against what is beside the hinge; how far that
+    stands out the face does not show. Real ones have that room, or hinges that travel [m]."""
     turn: float = np.pi / 2
     """How far doors open [rad]."""
     travel: float = 0.4
@@ -99,10 +99,10 @@ def furniture_model(
 ) -> Piece:
     """Make the model of one object: its box, hollow, with doors and drawers that open.
 
-    A door with something beside its hinge turns about an axis in its front, and stays
-    within its own width as it opens. Real hinges lie deeper, mostly by 1 to 2 cm, in fridges by 2
-    to 8; so are those here that have nothing beside them (`ModelConfig.free_hinge_depth`). Every
-    joint ends before its part would hit the rest of the piece.
+    A door turns about an axis behind its front (`ModelConfig.hinge_depth`), as real ones do, mostly
+    by 1 to 2 cm, in fridges by 2 to 8; in its front where another object is beside its hinge. Where
+    anything is beside it, it stays within its own width as it opens. Every joint ends before its
+    part would hit the rest of the piece.
 
     Args:
         detection: The object with its box.

@@ -43,18 +43,28 @@ class Motions:
 
     def is_free(self, kind: PartKind) -> bool:
         """Whether the hinge of a kind of part has nothing beside it."""
+        if kind == "door_down":
+            return not self.below  # a plinth lies farther back
+        return self._at_rim(kind) and not self._is_tight(kind)
+
+    def _at_rim(self, kind: PartKind) -> bool:
+        """Whether the hinge of a kind of part is at the rim of the face."""
         at_rim = {
-            "door_left": self.area.left <= 0.0 and self.free[0],
-            "door_right": self.area.right >= self.face.width and self.free[1],
-            "door_down": not self.below,  # a plinth lies farther back
+            "door_left": self.area.left <= 0.0,
+            "door_right": self.area.right >= self.face.width,
             "door_up": self.area.top >= self.face.height,
         }
         return at_rim.get(kind, False)
 
+    def _is_tight(self, kind: PartKind) -> bool:
+        """Whether another object is beside the hinge of a kind of part."""
+        free = {"door_left": self.free[0], "door_right": self.free[1]}.get(kind, True)
+        return self._at_rim(kind) and not free
+
     def depth(self, kind: PartKind) -> float:
         """How far behind the front the hinge of a kind of part lies [m]."""
         config = self.config
-        depth = config.free_hinge_depth if self.is_free(kind) else config.hinge_depth
+        depth = config.tight_hinge_depth if self._is_tight(kind) else config.hinge_depth
         return min(depth, self.thickness)
 
     def of(self, kind: PartKind) -> JointMotion:
