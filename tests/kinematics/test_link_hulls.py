@@ -10,7 +10,8 @@ from exact_shapes import directions, hulls_meet, random_states
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.chain import Chain, build_chain, chain_arrays
 from momapos.kinematics.collision import place_segments
-from momapos.kinematics.overlap import FEW, climbed, hulls_overlap, part_of_space
+from momapos.kinematics.link_hulls import MIDDLES
+from momapos.kinematics.overlap import FEW, PARTS, climbed, hulls_overlap, part_of_space
 from momapos.kinematics.self_collision import arm_spheres
 from momapos.kinematics.spheres import Spheres
 from momapos.kinematics.urdf import read_urdf
@@ -52,6 +53,12 @@ def test_climbing_ends_at_a_vertex_as_far_out_as_any(arm: tuple[Chain, Spheres])
             v = climbed(arrays, hulls.begin[h, part_of_space(direction)], direction)
             assert hulls.first[h] <= v < hulls.first[h + 1]
             assert hulls.vertices[v] @ direction >= (own @ direction).max() - 1e-12
+
+
+def test_each_part_of_space_holds_its_middle_and_directions_of_no_length_have_one() -> None:
+    assert [part_of_space(tuple(middle)) for middle in MIDDLES] == list(range(PARTS))
+    for direction in ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), (-1.0, 1.0, -1.0), (1e-310, 0.0, 0.0)):
+        assert 0 <= part_of_space(direction) < PARTS
 
 
 def test_hulls_of_many_vertices_overlap_where_the_exact_check_says_so(

@@ -139,9 +139,9 @@ def _apart(a, b, distance):
 @kernel
 def _base_touched(R, p, bounds, spheres):
     """Whether a link of the arm touches the base."""
-    segment, bound_radius = spheres.segment, spheres.bound_radius
+    bound_radius = spheres.bound_radius
     base_pairs, base_bounds, exact = spheres.base_pairs, spheres.base_bounds, spheres.base_exact
-    for g in range(len(segment)):
+    for g in spheres.against_base:
         c = _into_base(R, p, (bounds[g, 0], bounds[g, 1], bounds[g, 2]))
         r, far = bound_radius[g] + MARGIN, False
         for k in range(3):

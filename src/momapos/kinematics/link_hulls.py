@@ -13,14 +13,20 @@ import numpy as np
 from momapos.geometry.transforms import apply
 from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.chain import Segments
-from momapos.kinematics.overlap import FEW
+from momapos.kinematics.overlap import CELLS, FEW, PARTS
 from momapos.kinematics.records import HullArrays
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
-_PARTS = np.array(list(itertools.product((-1.0, 0.0, 1.0), repeat=3)))
-"""The middles of the 27 parts of space, see `overlap.part_of_space`."""
+_CELL = (np.arange(CELLS) + 0.5) * 2.0 / CELLS - 1.0
+MIDDLES = np.array(
+    [
+        np.roll((along, u, v), k)
+        for k, along, u, v in itertools.product(range(3), (1.0, -1.0), _CELL, _CELL)
+    ]
+)
+"""The middles of the parts of space, see `overlap.part_of_space`."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +48,7 @@ class LinkHulls:
     """Of each vertex those that an edge joins it to; none of hulls with few vertices."""
     beside_from: Int[np.ndarray, " v_plus_1"]
     """Those of vertex v are beside[beside_from[v]:beside_from[v + 1]]."""
-    begin: Int[np.ndarray, "hulls 27"]
+    begin: Int[np.ndarray, "hulls parts"]
     """The vertex that lies farthest along the middle of each part of space."""
     room: float = 0.0
     """Hulls that are nearer to each other overlap [m]."""
@@ -73,10 +79,10 @@ def link_hulls(
     counts = [len(model.hulls[link]) for link in moving]
     boxes = [len(boxes) for link in standing for boxes in model.boxes[link]]
     many = [k for k, points in enumerate(vertices) if len(points) > FEW]
-    begin = np.zeros((len(links), len(_PARTS)), np.int64)
+    begin = np.zeros((len(links), PARTS), np.int64)
     for k in many:
         used = np.unique(links[k][1].faces)
-        begin[k] = first[k] + used[(vertices[k][used] @ _PARTS.T).argmax(0)]
+        begin[k] = first[k] + used[(vertices[k][used] @ MIDDLES.T).argmax(0)]
     faces = [first[k] + links[k][1].faces for k in many]
     beside, beside_from = _neighbors(faces, int(first[-1]))
     return LinkHulls(

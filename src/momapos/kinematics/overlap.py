@@ -19,6 +19,10 @@ TRIES = 40
 FEW = 200
 """Vertices of which all are looked at for the one that lies farthest along a direction; those of a
 mesh may be thousands, and are climbed from neighbor to neighbor [-]."""
+CELLS = 8
+"""Cells along each side of a cube's face, which tell directions apart [-]."""
+PARTS = 6 * CELLS * CELLS
+"""Parts of space in each of which climbing begins at a vertex of its own [-]."""
 
 
 @kernel
@@ -132,13 +136,19 @@ def _along(vertices, v, direction):
 
 @kernel
 def part_of_space(direction):
-    """Which of 27 parts of space a direction points to: along each axis back, nowhere or ahead."""
+    """Which of `PARTS` parts of space a direction points to: cells of a cube's faces."""
     x, y, z = direction
-    half = 0.5 * max(abs(x), abs(y), abs(z))
-    part = 0
-    for a in (x, y, z):
-        part = 3 * part + (2 if a > half else 0 if a < -half else 1)
-    return part
+    along, u, v, face = x, y, z, 0
+    if abs(y) > abs(along):
+        along, u, v, face = y, z, x, 2
+    if abs(z) > abs(along):
+        along, u, v, face = z, x, y, 4
+    if along < 0.0:
+        face += 1
+    half = 0.5 * CELLS / max(abs(along), 1e-300)
+    i = min(max(int((u * half) + 0.5 * CELLS), 0), CELLS - 1)
+    j = min(max(int((v * half) + 0.5 * CELLS), 0), CELLS - 1)
+    return (face * CELLS + i) * CELLS + j
 
 
 @kernel

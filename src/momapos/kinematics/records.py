@@ -133,6 +133,8 @@ class SphereArrays(NamedTuple):
     hulls: HullArrays
     exact: B1
     base_exact: B2
+    against_base: I1
+    """The groups that are held against any box of the base."""
 
 
 class BoxArrays(NamedTuple):

@@ -81,6 +81,7 @@ class Spheres:
             self.hulls.arrays,
             self.exact,
             self.base_exact,
+            np.flatnonzero(self.base_pairs.any(1)),
         )
 
     def grown(self, room: float) -> Spheres:

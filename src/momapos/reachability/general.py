@@ -98,6 +98,7 @@ def _parted(spheres: SphereArrays, last: int) -> tuple[SphereArrays, SphereArray
             pairs=spheres.pairs[pick],
             exact=spheres.exact[pick],
             base_pairs=spheres.base_pairs & mine[:, None],
+            against_base=np.flatnonzero(mine & spheres.base_pairs.any(1)),
         )
         for pick, mine in ((~pairs, ~own), (pairs, own))
     )
