@@ -120,13 +120,13 @@ def test_base_poses_are_compared_once_with_each_that_shuts_the_robot_in(
     corridor: Scene, segway: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     compared: list[tuple[bytes, bytes]] = []
-    beside = drives.direct_path
+    beside = drives.leads_straight
 
-    def spied(nav_map: NavigationMap, one: np.ndarray, other: np.ndarray) -> BasePath | None:
+    def spied(nav_map: NavigationMap, one: np.ndarray, other: np.ndarray) -> bool:
         compared.append((one.tobytes(), other.tobytes()))
         return beside(nav_map, one, other)
 
-    monkeypatch.setattr(drives, "direct_path", spied)
+    monkeypatch.setattr(drives, "leads_straight", spied)
     assert ask(corridor, segway, 1.57).search.shut_in
     assert len(compared) > 10
     assert len(set(compared)) == len(compared)

@@ -32,7 +32,7 @@ def follow_part(
     extra = round(run.config.dwell / run.step)  # in which the arm makes up what it lags behind
     for i in range(len(plan) + extra):
         ending = way.step(i)
-        if ending is Ending.OTHERWISE:
+        if ending is Ending.OTHERWISE and not stretch.pushes:
             way.bring_back()
         if ending is not None:
             return ending

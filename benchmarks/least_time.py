@@ -1,0 +1,137 @@
+"""What no method can leave out of an answer: its time with the base pose told.
+
+    python benchmarks/least_time.py DIR [--methods ours m3 ...] [--limit 60] [--out bench_out]
+
+DIR is a results folder of `momapos bench run`. Of its tasks of one step that move a joint and that
+all methods solve, each is asked again by each method, and once more with the base pose that the
+method chose as the only one that is proposed: what is left is what every method pays, however it
+chooses. Processor time by stage, warm; what a process keeps of a room and a task is made before.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from momapos.baselines.answer import plan_by_method
+from momapos.bench.folder import all_rows, read_folder, scene_path
+from momapos.bench.methods import method_config
+from momapos.bench.records import SuiteTask
+from momapos.cache import default_cache_dir
+from momapos.config import PipelineConfig
+from momapos.manipulation.motion import task_motion
+from momapos.manipulation.tasks import make_task
+from momapos.placement.place import search_in_order
+from momapos.placement_result import PlacementResult
+from momapos.query import PlacementQuery
+from momapos.reachability.store import load_reach_map
+from momapos.ready_search import ready_search
+from momapos.robots.robot import load_robot
+from momapos.scene.files import load_scene
+from momapos.stopwatch import Stopwatch
+from placement import machine
+from rows import keep_rows
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+TIMEOUT = 20.0
+"""Processor time for one answer [s]."""
+PLAIN = method_config("m3", TIMEOUT)
+"""Neither a way on nor terms of a cost are asked for, as of every method but ours."""
+
+
+def told(query: PlacementQuery, base: Float[np.ndarray, "3"]) -> PlacementResult:
+    """The answer where one base pose is proposed, in one hold.
+
+    Args:
+        query: What is asked.
+        base: x [m], y [m], yaw [rad].
+    """
+    with query.watch.stage("model"):
+        motion = task_motion(query.scene, query.robot, query.task, query.config.motion)
+    ready = ready_search(query, query.scene, motion)
+    with query.watch.stage("search"):
+        found = search_in_order(ready.problem, iter([base[None]]), query.config.place)
+    result = ready.result(found)
+    return replace(result, plan=replace(result.plan, timing=query.watch.timing))
+
+
+def measure(folder: Path, task: SuiteTask, methods: Sequence[str]) -> dict[str, dict[str, float]]:
+    """Seconds by stage of each method's answer, and of the one with its base pose told.
+
+    Nothing where a method does not solve the task, or not in one hold.
+    """
+    robot = load_robot(task.robot)
+    reach = load_reach_map(robot, default_cache_dir(), None)
+    scene = load_scene(scene_path(folder, task.scene)).with_joints(task.joints)
+    wanted = make_task(scene, task.verb, task.object, task.joint, task.to)
+    start = None if task.start is None else np.array(task.start)
+
+    def asked(config: PipelineConfig) -> PlacementQuery:
+        watch = Stopwatch(time.process_time)
+        return PlacementQuery(scene, robot, wanted, reach, start, None, config, task.seed, watch)
+
+    told(asked(PLAIN), np.zeros(3))  # so that bodies, handles and grasps are there
+    found = {}
+    for method in methods:
+        plan = plan_by_method(
+            scene, robot, wanted, reach, start=start, config=method_config(method, TIMEOUT),
+            seed=task.seed, clock=time.process_time,
+        ).plan  # fmt: skip
+        if plan.status != "solved" or plan.base_pose is None:
+            return {}
+        least = told(asked(PLAIN), np.array(plan.base_pose)).plan
+        if least.status != "solved":
+            return {}
+        found[method] = dict(plan.timing)
+        found[f"{method}, told"] = dict(least.timing)
+    return found
+
+
+def report(measured: Sequence[dict[str, dict[str, float]]]) -> str:
+    """Medians as Markdown [ms]."""
+    columns: dict[str, list[dict[str, float]]] = defaultdict(list)
+    for one in measured:
+        for name, timing in one.items():
+            columns[name].append(timing)
+    stages = dict.fromkeys(stage for timings in columns.values() for t in timings for stage in t)
+    names = ["total", *(stage for stage in stages if stage != "total")]
+    lines = [f"| | {' | '.join(names)} |", f"|{'---|' * (len(names) + 1)}"]
+    for name, timings in columns.items():
+        cells = [1000 * np.median([t.get(stage, 0.0) for t in timings]) for stage in names]
+        lines.append(f"| {name} | {' | '.join(f'{cell:.1f} ms' for cell in cells)} |")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Run and print Markdown."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--methods", nargs="+", default=["ours", "m3"])
+    parser.add_argument("--limit", type=int, default=60, help="tasks, drawn evenly from all")
+    parser.add_argument("--out", type=Path)
+    args = parser.parse_args()
+    contents = read_folder(args.folder)
+    unsolved = {row.task for row in all_rows(args.folder) if row.outcome != "solved"}
+    tasks = [
+        task
+        for task in contents.suite.tasks
+        if task.joint is not None and task.inside is None and task.name not in unsolved
+    ]
+    tasks = [tasks[k] for k in np.unique(np.linspace(0, len(tasks) - 1, args.limit).astype(int))]
+    measured = [found for task in tasks if (found := measure(args.folder, task, args.methods))]
+    print(f"machine: {machine()}; {len(measured)} of {len(tasks)} tasks, processor time\n")
+    print(report(measured))
+    keep_rows(measured, args.out, "least_time")
+
+
+if __name__ == "__main__":
+    main()
