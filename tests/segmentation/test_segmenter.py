@@ -139,6 +139,17 @@ def test_a_fridge_flush_with_its_row_ends_there_though_its_top_is_seen_raggedly(
     assert best_overlap(row, found) > 0.85
 
 
+def test_a_wall_cabinet_whose_top_is_seen_raggedly_at_one_end_is_one_thing() -> None:
+    cabinet: Corners = ((-2.5, 0.65, 1.3), (-0.5, 1.0, 2.1))
+    cloud = cloud_of([*ROOM, cabinet], np.random.default_rng(2))
+    strip = np.floor(cloud.points[:, 0] / 0.03).astype(int)
+    missed = (cloud.points[:, 2] > 1.85 - 0.015 * (strip % 4)) & (cloud.points[:, 1] < 0.95)
+    kept = np.flatnonzero(~missed | (cloud.points[:, 0] < -0.9))
+    cloud = Cloud(cloud.points[kept], cloud.normals[kept], cloud.colors[kept])
+    found = boxes(cloud, ClassicalSegmenter()(cloud), find_room(cloud))
+    assert best_overlap(cabinet, found) > 0.9
+
+
 def test_a_top_that_hangs_over_is_a_thing_of_its_own() -> None:
     body: Corners = ((0.0, -1.6, 0.0), (1.0, -1.2, 0.86))
     top: Corners = ((-0.02, -1.84, 0.86), (1.02, -1.18, 0.9))

@@ -18,7 +18,8 @@ if TYPE_CHECKING:
 
 
 CLEAR = 4.0
-"""A step is clear that is so many times as high as its edges are ragged [-]."""
+"""A step of what stands on the floor is clear that is so many times as high as its edges are
+ragged; the upper edges of what hangs are above the cameras, and seen as they chance to be [-]."""
 
 
 @dataclass(frozen=True)
@@ -161,27 +162,28 @@ def _divided(
     bottom = np.array([z[order[starts[k] + 1]] for k in seen])
     hangs = float(np.median(bottom)) > config.hung
     tall = not hangs and float(np.median(top)) > config.tall
-    cuts = _steps(top, config.ragged if tall else config.profile)
+    cuts = _steps(top, config.ragged if tall else config.profile, np.inf if hangs else CLEAR)
     # Lower edges near the floor are hidden by what stands before them.
     if hangs:
-        cuts |= _steps(bottom, config.profile)
+        cuts |= _steps(bottom, config.profile, np.inf)
     edges = low + strip * np.array([float(seen[k]) for k in sorted(cuts)])
     part = np.searchsorted(edges, along)
     for k in range(len(edges) + 1):
         yield members[part == k]
 
 
-def _steps(profile: Float[np.ndarray, " n"], least: float, side: int = 4) -> set[int]:
+def _steps(profile: Float[np.ndarray, " n"], least: float, clear: float, side: int = 4) -> set[int]:
     """Where a profile changes for good: the medians on both sides differ.
 
-    By more than `least` [m], and by far more than either side is ragged.
+    By more than `least` [m] where neither side is ragged by that, else by more than `clear` times
+    as much as either is ragged [-].
     """
     n = len(profile)
     jumps = np.zeros(n)
     for k in range(side, n - side + 1):
         before, after = profile[k - side : k], profile[k : k + side]
         jump = abs(float(np.median(after) - np.median(before)))
-        if max(np.ptp(before), np.ptp(after)) < max(least, jump / CLEAR):
+        if max(np.ptp(before), np.ptp(after)) < max(least, jump / clear):
             jumps[k] = jump
     cuts: set[int] = set()
     while jumps.max(initial=0.0) > least:
