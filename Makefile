@@ -14,7 +14,7 @@ $(VENV)/.core: pyproject.toml
 	touch $@
 
 $(VENV)/.dev: $(VENV)/.core
-	$(INSTALL) --editable '.[dev,kitchens,physics,scan,view,xacro]'
+	$(INSTALL) --editable '.[bench,dev,kitchens,physics,scan,view,xacro]'
 	touch $@
 
 $(VENV)/.torch: $(VENV)/.dev
