@@ -160,8 +160,11 @@ def answers(
     asked = {"close": ("close", 0.0), "open wider": ("open", float(farther))}
     found: dict[str, str] = {}
     for name, (verb, way) in asked.items():
-        task = make_task(truth, verb, thing, joint, ours.closed + ours.sign * way)
-        there = plan_base_placement(truth, robot, task, reach, config=CONFIG)
+        try:
+            task = make_task(truth, verb, thing, joint, ours.closed + ours.sign * way)
+            there = plan_base_placement(truth, robot, task, reach, config=CONFIG)
+        except MomaposError:  # it is wide open, or open where the robot begins
+            continue
         if there.plan.status != "solved":
             continue
         if not row.match:
