@@ -14,7 +14,7 @@ from test_store import LINE, MAP, VALUES
 
 from momapos.geometry.transforms import invert, pose_planar
 from momapos.kinematics.chain import chain_arrays, chain_limits
-from momapos.kinematics.collision import FREE, check_states
+from momapos.kinematics.collision import FREE, KNOWN, check_states
 from momapos.kinematics.ik import build_ik
 from momapos.kinematics.ik_model import bounded
 from momapos.kinematics.records import ObstacleArrays
@@ -133,6 +133,35 @@ def test_an_aimed_state_is_on_its_line_and_makes_its_turns(robot: Robot) -> None
     assert (words & ~ALL == 0).all()
     assert np.bitwise_count(words).max() <= TURNS * 4.0 / (2 * np.pi) + 1
     assert chain_arrays(chain).h.shape == (6, 3)
+
+
+def test_lines_beside_are_found_where_joints_stay_at_their_limits() -> None:
+    """A step that counts on a joint at its limit falls short; one that leaves it out does not."""
+    robot = load_robot("tiago")
+    arm, grid = _aimed(robot, arm_frame(robot.chain, robot.approach_axis)), LineGrid(-1, 0.1, 13, 8)
+    rng, (lower, upper) = np.random.default_rng(8), bounded(robot.chain)
+    shape = 1000, robot.chain.size
+    beyond = 0.3 * (upper - lower)
+    q = np.clip(rng.uniform(lower - beyond, upper + beyond, shape), lower, upper)
+    held = (q == lower) | (q == upper)
+    assert 2 < held.sum(1).mean() < 4
+    there = np.clip(np.where(held, q, q + rng.uniform(-0.2, 0.2, shape)), lower, upper)
+    places = np.empty((1000, 5))
+    lines_of(there, arm, grid, places)
+    none = {
+        "against_base": np.zeros(0, np.int64), "pairs": np.zeros((0, 2), np.int64),
+        "exact": np.zeros(0, bool),
+    }  # fmt: skip
+    still, turned = (
+        spheres._replace(**none, gripper=np.full_like(spheres.gripper, KNOWN))
+        for spheres in (arm.still, arm.turned)
+    )
+    words, states = np.empty(1000, np.uint64), np.empty(shape, np.float32)
+    alone = arm._replace(still=still, turned=turned)
+    aim_all(places, q.astype(np.float32), np.zeros(1000, np.uint64), alone, grid, words, states)
+    assert (words > 0).mean() > 0.9
+    assert (states >= lower - 1e-6).all()
+    assert (states <= upper + 1e-6).all()
 
 
 @pytest.mark.parametrize("name", ["husky_ur5e", "tiago", "tiago_dual"])

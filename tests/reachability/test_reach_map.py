@@ -187,6 +187,20 @@ def test_a_map_that_takes_too_long_is_given_up_at_once_the_next_time(
     assert isinstance(load_reach(other, tmp_path, limit=0.01), ReachMap)
 
 
+def test_a_map_that_was_kept_by_an_earlier_way_to_build_is_built_anew(
+    robot: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    load_reach_map(robot, tmp_path, config=TINY)
+    (path,) = tmp_path.iterdir()
+    monkeypatch.setattr(store, "_BUILD", store._BUILD + 1)
+    load_reach_map(robot, tmp_path, config=TINY)
+    kept = sorted(file.name for file in tmp_path.iterdir())
+    assert len(kept) == 2
+    assert path.name in kept
+    # What was kept before it was counted how maps are built has no count in its name.
+    assert path.name != f"reach-{map_key(robot, TINY)}"
+
+
 @pytest.mark.parametrize("damage", ["flip", "cut", "foreign", "empty"])
 def test_a_damaged_file_is_rebuilt(robot: Robot, tmp_path: Path, damage: str) -> None:
     first = load_reach_map(robot, tmp_path, config=TINY)

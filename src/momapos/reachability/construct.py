@@ -65,7 +65,7 @@ def default_config(robot: Robot) -> ReachConfig:
             cell=0.05,
             directions=13,
             azimuths=16 if robot.chain.size > MANY else 32,
-            threshold=-2.0 if frame.full_roll else -1.75,
+            threshold=-1.5 if frame.full_roll else -1.0,
         )
     elif robot.chain.size > 6:
         config = ReachConfig(cell=0.05, directions=13, spins=2, threshold=0.0)

@@ -23,7 +23,7 @@ from momapos.reachability.threads import Progress, in_threads
 if TYPE_CHECKING:
     from jaxtyping import Float, Float16, Int, UInt64
 
-WAY = 2
+WAY = 3
 """Counts the ways in which maps have been flooded: a map of another one is not this one's."""
 DRAW = 300_000
 """Random states that are drawn at a time [-]."""
@@ -83,7 +83,7 @@ def flood(
         q = rng.uniform(lower - beyond, upper + beyond, (min(DRAW, count - done), chain.size))
         q = np.clip(q, lower, upper)
         _draw(found, q, gained)
-        progress(0.5 * (done + len(q)) / count)
+        progress(0.05 * (done + len(q)) / count)
     for k in range(WAVES):
         if not gained.any():
             break
@@ -93,7 +93,8 @@ def flood(
 
 def _tell_wave(progress: Progress, k: int, share: float) -> None:
     """Tell how far all is when wave k is so far."""
-    progress(0.5 + 0.5 * (k + share) / WAVES)
+    # Each wave takes about two thirds of the one before.
+    progress(1.0 - 0.95 * 0.65 ** (k + share))
 
 
 def _draw(found: Flood, q: Float[np.ndarray, "k n"], gained: UInt64[np.ndarray, " lines"]) -> None:
@@ -166,13 +167,20 @@ def _try(
         found.states[line[new], group] = states[new]
 
 
-def between(found: Flood, axis: int) -> tuple[Int[np.ndarray, " e"], UInt64[np.ndarray, " e"]]:
+def between(
+    found: Flood, axis: int, asked: np.uint64
+) -> tuple[Int[np.ndarray, " e"], UInt64[np.ndarray, " e"]]:
     """Turns reached half-way to the next line along an axis, where the two differ.
+
+    Args:
+        found: What is known of the lines.
+        axis: Along which.
+        asked: The turns that matter, as a word; of the others the answer says nothing.
 
     Returns:
         The lines at the lower ends, and the words.
     """
-    grown = found.words.reshape(found.shape)
+    grown = (found.words & asked).reshape(found.shape)
     if axis == 4:
         differ = grown != np.roll(grown, -1, 4)
     else:
@@ -190,9 +198,9 @@ def between(found: Flood, axis: int) -> tuple[Int[np.ndarray, " e"], UInt64[np.n
     for source in (low, up):
         # From the end that has what the other lacks.
         for group, turns in enumerate(GROUPS):
-            rows = np.flatnonzero(found.words[source] & ~words & turns)
+            rows = np.flatnonzero(found.words[source] & ~words & turns & asked)
             start = found.states[source[rows], group].astype(np.float32)
-            out, _ = _aimed(found, places[rows], words[rows], start)
+            out, _ = _aimed(found, places[rows], words[rows] | ~asked, start)
             # Half-way between two that agree they are taken to agree.
             words[rows] |= out & (found.words[low] | found.words[up])[rows]
     return low, words

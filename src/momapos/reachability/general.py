@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.kinematics.chain import chain_arrays, chain_limits
+from momapos.kinematics.collision import KNOWN
 from momapos.kinematics.records import JointLimits, SphereArrays
 from momapos.reachability.aim import ALL, AimedArm, LineGrid, LineTool
 from momapos.reachability.arm_axes import FULL_TURN, ArmAxes
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Int8, UInt64
 
 _EACH = TURNS // TOLD_APART
+TOLD = np.bitwise_or.reduce(np.uint64(1) << np.arange(FIRST_TURN, TURNS, _EACH, dtype=np.uint64))
+"""The turns that are told apart, as a word."""
 
 
 def flooded_map(
@@ -47,13 +50,14 @@ def flooded_map(
     grid = LineGrid(low, config.cell, config.directions, config.azimuths)
     found = flood(
         robot.chain, _aimed(robot, frame), grid, shape, config.states,
-        lambda share: progress(0.8 * share),
+        lambda share: progress(0.9 * share),
     )  # fmt: skip
     _close_poles(found)
+    asked = ALL if frame.full_roll else TOLD
     edges = []
     for axis in range(5):
-        edges.append(between(found, axis))
-        progress(0.8 + 0.03 * (axis + 1))
+        edges.append(between(found, axis, asked))
+        progress(0.9 + 0.015 * (axis + 1))
     if frame.full_roll:
         turned = _values(found, edges, None)[None]
     else:
@@ -85,13 +89,18 @@ def _aimed(robot: Robot, frame: ArmAxes) -> AimedArm:
         lower, upper = lower.copy(), upper.copy()
         lower[-1], upper[-1] = -np.inf, np.inf
     limits = JointLimits(lower, upper)
-    still, turned = _parted(robot.spheres.arrays, len(chain.joints))
-    return AimedArm(chain_arrays(chain), limits, line, turns, still, turned, frame.axis)
+    spheres = robot.spheres.arrays
+    own = spheres.segment == len(chain.joints)
+    still, turned = _parted(spheres, own)
+    return AimedArm(
+        chain_arrays(chain), limits, line, turns, still, turned, np.flatnonzero(own), frame.axis
+    )
 
 
-def _parted(spheres: SphereArrays, last: int) -> tuple[SphereArrays, SphereArrays]:
+def _parted(
+    spheres: SphereArrays, own: Bool[np.ndarray, " groups"]
+) -> tuple[SphereArrays, SphereArrays]:
     """Checks among what does not move with the last segment, and those of what does."""
-    own = spheres.segment == last
     pairs = own[spheres.pairs].any(1)
     still, turned = (
         spheres._replace(
@@ -99,6 +108,8 @@ def _parted(spheres: SphereArrays, last: int) -> tuple[SphereArrays, SphereArray
             exact=spheres.exact[pick],
             base_pairs=spheres.base_pairs & mine[:, None],
             against_base=np.flatnonzero(mine & spheres.base_pairs.any(1)),
+            # The floor is asked of each link once.
+            gripper=np.where(mine, spheres.gripper, KNOWN),
         )
         for pick, mine in ((~pairs, ~own), (pairs, own))
     )

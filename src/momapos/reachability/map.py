@@ -53,7 +53,7 @@ class ReachConfig:
     spins: int = 4
     """Turns of the tool about its last axis that vote on a line: tools are not round, and half of
     them must be free of collision [-]."""
-    states: int = 2_000_000
+    states: int = 300_000
     """Random arm states that the map of an arm begins with whose first axis is not vertical, or
     whose last joint does not turn fully [-]."""
 

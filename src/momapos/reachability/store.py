@@ -34,6 +34,9 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 VERSION = 3
 """Of maps: where it is raised, those that were built or stored before are not used."""
+_BUILD = 2
+"""Of how maps are put together and held against inverse kinematics: where it is raised, those that
+the cache keeps of before are built anew. Maps beside robot files are known by their key alone."""
 _TURNS_LAST = 4
 """Of a file in which turns of the tool lie side by side; in those of `VERSION` they come first."""
 _MAGIC = b"momapos-reach\n"
@@ -262,7 +265,7 @@ def load_reach_map(
     if ready is not None:
         return ready
     cache = Cache(cache_dir or default_cache_dir())
-    entry, late = f"reach-{key}", f"reach-{key}-takes-long"
+    entry, late = f"reach-{_BUILD}-{key}", f"reach-{_BUILD}-{key}-takes-long"
     data = cache.get(entry)
     if data is not None:
         try:
