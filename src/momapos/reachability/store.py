@@ -44,7 +44,7 @@ MAX_BYTES = 50_000_000
 """Maps of arms have some 1 MB."""
 _MAX_HEADER = 10_000
 _MAX_BEARINGS = 64
-LIMIT = 150.0
+LIMIT = 140.0
 """Processor time that building a map may take where an answer waits for it [s]."""
 _PART, _MOST_OF_PART = 1 << 14, 1 << 18
 """Bytes of compressed values that are read at once, and what they become at most."""
