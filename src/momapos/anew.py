@@ -14,7 +14,7 @@ from momapos.kinematics.world import check
 from momapos.manipulation.carried import carried
 from momapos.manipulation.feasibility import with_payload
 from momapos.manipulation.hand_room import arm_spheres
-from momapos.manipulation.planner import BETWEEN
+from momapos.manipulation.planner import brief
 from momapos.placement.area import BaseStatus, base_pose_status
 from momapos.query import PlacementQuery
 from momapos.types import Motion
@@ -52,9 +52,8 @@ class FoundAnew:
         cls, query: PlacementQuery, base: Float[np.ndarray, "3"], motion: Motion
     ) -> FoundAnew:
         """Around a base pose with a motion."""
-        planner = query.config.planner
-        brief = replace(planner, checks=min(BETWEEN, planner.checks))
-        asked = replace(query, config=replace(query.config, planner=brief))
+        config = replace(query.config, planner=brief(query.config.planner))
+        asked = replace(query, config=config)
         return cls(BasePoseChecks(asked), [_Known(base, motion)])
 
     def failure(self, poses: Float[np.ndarray, "n 3"], how: Depth) -> int | None:

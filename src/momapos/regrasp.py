@@ -15,7 +15,7 @@ from momapos.kinematics.opening import opening_of
 from momapos.kinematics.world import motion_checker
 from momapos.manipulation.feasibility import Feasibility, near_home
 from momapos.manipulation.motion import GraspFilter, task_motion
-from momapos.manipulation.planner import BETWEEN, RESOLUTION, interpolate, plan_with_room
+from momapos.manipulation.planner import RESOLUTION, brief, interpolate, plan_with_room
 from momapos.manipulation.resistance import stays
 from momapos.manipulation.turning import FULL
 from momapos.outcomes import PoseOutcome, PoseStatus
@@ -144,10 +144,9 @@ class TwoHolds:
             motion_checker, self.second.world, chain, self.second.robot.spheres, base,
             value=int(self.second.motion.value[0]), holding=False, step=RESOLUTION,
         )  # fmt: skip
-        planner = self.config.arm_planner
         return plan_with_room(
             start, goal, chain.lower, chain.upper, checker,
-            config=replace(planner, checks=min(BETWEEN, planner.checks)), seed=self.seed,
+            config=brief(self.config.arm_planner), seed=self.seed,
         )  # fmt: skip
 
     def _joined(

@@ -139,14 +139,15 @@ class _PartWay:
                 run.arm.follow(Reference(q, still, goal, twist, across, across, here))
                 if run.tick(Stage.MANIPULATE) is not None or run.lost() is not None:
                     return
-            if -run.arm.wrench[:3] @ way > run.config.control.stop_force:
+            resists = -run.arm.wrench[:3] @ way > run.config.control.stop_force
+            if resists:
                 run.arm.stop()
                 if np.linalg.norm(here - start) > _STRAYED:
                     return
                 here = start
             self.estimate.see(here)
             run.learned = self._learned(here)
-            if here is start:
+            if resists:
                 return
 
     def _meets_robot(self, k: int) -> bool:

@@ -27,7 +27,7 @@ from momapos.manipulation.config import PlannerConfig
 from momapos.manipulation.free_turn import find_short_paths
 from momapos.manipulation.hand_room import hits_on_the_way
 from momapos.manipulation.motion import TaskMotion
-from momapos.manipulation.planner import BETWEEN, RESOLUTION, interpolate, plan_with_room
+from momapos.manipulation.planner import RESOLUTION, brief, interpolate, plan_with_room
 from momapos.manipulation.turning import FULL
 from momapos.outcomes import PoseOutcome, PoseStatus
 from momapos.robots.robot import Robot
@@ -222,10 +222,9 @@ class Feasibility:
             motion_checker, self.world, chain, spheres, base, value=int(motion.value[last]),
             holding=pushes or motion.task.verb == "pick", step=RESOLUTION,
         )  # fmt: skip
-        brief = replace(self.planner, checks=min(BETWEEN, self.planner.checks))
         way = plan_with_room(
             q, self.robot.home, chain.lower, chain.upper, lambda room: checker(room=room),
-            config=brief, seed=self.seed + grasp,
+            config=brief(self.planner), seed=self.seed + grasp,
         )  # fmt: skip
         return None if way is None else chain.joint_values(interpolate(way)[1:])
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Protocol
 
@@ -24,6 +25,11 @@ USUAL = "RRTConnect"
 """OMPL's planner where none is named."""
 _UNBOUNDED = np.pi
 """Half range in which a joint without limits is sampled, about its start [rad]."""
+
+
+def brief(config: PlannerConfig) -> PlannerConfig:
+    """The same planner for a way between holds or home again, see `BETWEEN`."""
+    return replace(config, checks=min(BETWEEN, config.checks))
 
 
 class CheckerWithRoom(Protocol):
