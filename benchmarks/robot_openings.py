@@ -37,7 +37,7 @@ from momapos.run_plan import run_plan
 from momapos.types import PlacementPlan
 from placement import CONFIG, SCENES, scene_of
 
-POSES, DRAWN = 3_000, 4_000
+POSES, DRAWN = 12_000, 4_000
 """Tool poses near reach that a map is held against, and tool poses of random arm states that
 inverse kinematics is asked for [-]."""
 

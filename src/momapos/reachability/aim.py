@@ -17,7 +17,7 @@ from momapos.kinematics.chain import forward, rotate_by, stand_at_origin
 from momapos.kinematics.collision import FREE, hit_floor, hit_self, place_bounds
 from momapos.kinematics.newton import jacobian, newton_scratch, step_toward
 from momapos.kinematics.overlap import moved
-from momapos.kinematics.records import ChainArrays, JointLimits, SphereArrays
+from momapos.kinematics.records import ChainArrays, JointLimits, NewtonScratch, SphereArrays
 from momapos.kinematics.subproblems import cross, dot, mul
 from momapos.reachability.grid import TURNS, oct_decode, relative_line, turns_of
 
@@ -228,6 +228,52 @@ def _hit(R, p, bounds, spheres):
     return hit_floor(R, p, bounds, spheres) != FREE or hit_self(R, p, bounds, spheres) != FREE
 
 
+class Memory(NamedTuple):
+    """What one aim after another needs; see `memory`."""
+
+    newton: NewtonScratch
+    bounds: F2
+    """Where the spheres of each link are."""
+    active: I1
+    """The joints that are moved toward a line: the last one only where it does more than turn."""
+    q: F1
+    """The state that the last aim came to."""
+
+
+@kernel
+def memory(arm):
+    """Memory for `aim_from`."""
+    n = len(arm.limits.lower)
+    return Memory(
+        newton_scratch(arm.chain, n),
+        np.empty((len(arm.turned.segment), 3)),
+        np.arange(n - 1 if arm.turns else n),
+        np.empty(n),
+    )
+
+
+@kernel
+def aim_from(place, start, known, arm, grid, own):
+    """Bring an arm onto a line from a state near it: the turns beyond the known ones, a word.
+
+    Args:
+        place: z, r, u, v, azimuth of the line in steps of the grid.
+        start: The state to begin at (n,).
+        known: Turns that need no look.
+        arm: `AimedArm`.
+        grid: `LineGrid`.
+        own: `Memory`; its q is the state on the line then, where the word is not 0.
+    """
+    for k in range(len(start)):
+        own.q[k] = start[k]
+    point, direction = line_at(place, grid)
+    if not _aim(own.q, own.active, point, direction, arm, own.newton):
+        return np.uint64(0)
+    return _free_turns(
+        own.q[len(start) - 1], known, direction, arm, own.newton.R, own.newton.p, own.bounds
+    )
+
+
 @entry
 def aim_all(
     places: F2,
@@ -249,20 +295,11 @@ def aim_all(
         words: New turns of each, to be filled (k,).
         states: The state on each line, to be filled (k, n).
     """
-    n = starts.shape[1]
-    scratch = newton_scratch(arm.chain, n)
-    bounds = np.empty((len(arm.turned.segment), 3))
-    active = np.arange(n - 1 if arm.turns else n)
-    q = np.empty(n)
+    own = memory(arm)
     for i in range(len(places)):
-        for k in range(n):
-            q[k] = starts[i, k]
-        point, direction = line_at(places[i], grid)
-        words[i] = np.uint64(0)
-        if _aim(q, active, point, direction, arm, scratch):
-            words[i] = _free_turns(q[n - 1], known[i], direction, arm, scratch.R, scratch.p, bounds)
-        for k in range(n):
-            states[i, k] = q[k]
+        words[i] = aim_from(places[i], starts[i], known[i], arm, grid, own)
+        for k in range(starts.shape[1]):
+            states[i, k] = own.q[k]
 
 
 @entry

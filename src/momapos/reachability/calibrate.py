@@ -19,9 +19,10 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 POSES = 6000
 """Tool poses near reach that a map is held against [-]."""
-MISSED, INVENTED = 0.008, 0.02
+MISSED, INVENTED = 0.006, 0.02
 """Share of what is reachable that may be missed, and what may be taken for reachable on top, of
-that which already is [-]."""
+that which already is [-]. Some 4000 of the poses are reachable, which tell 0.6 % to 0.12 points: up
+to 1 % three of these are left."""
 BELOW = 0.01
 """So far below the value of a line the threshold is put that lets the line in [1/8 cell]."""
 

@@ -61,10 +61,11 @@ def default_config(robot: Robot) -> ReachConfig:
     """
     frame = arm_frame(robot.chain, robot.approach_axis)
     if is_flooded(robot, frame):
+        many = robot.chain.size > MANY
         config = ReachConfig(
-            cell=0.05,
+            cell=0.06 if many else 0.05,
             directions=13,
-            azimuths=16 if robot.chain.size > MANY else 32,
+            azimuths=16 if many else 32,
             threshold=-1.5 if frame.full_roll else -1.0,
         )
     elif robot.chain.size > 6:

@@ -8,6 +8,7 @@ workspace structure (IROS 2007), with neighbors' states in place of inverse kine
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
@@ -16,14 +17,15 @@ import numpy as np
 
 from momapos.kinematics.chain import Chain
 from momapos.kinematics.ik_model import bounded
-from momapos.reachability.aim import ALL, SPAN, AimedArm, LineGrid, aim_all, lines_of
-from momapos.reachability.grid import TURNS
+from momapos.reachability.aim import AimedArm, LineGrid, aim_all, lines_of
+from momapos.reachability.grid import GridShape
+from momapos.reachability.spread import GROUPS, Lines, add, aim_beside, aim_between
 from momapos.reachability.threads import Progress, in_threads
 
 if TYPE_CHECKING:
-    from jaxtyping import Float, Float16, Int, UInt64
+    from jaxtyping import Float, Int, UInt64
 
-WAY = 3
+WAY = 4
 """Counts the ways in which maps have been flooded: a map of another one is not this one's."""
 DRAW = 300_000
 """Random states that are drawn at a time [-]."""
@@ -32,32 +34,27 @@ AT_LIMITS = 0.125
 joint at its limit, such as a torso at its height, is found from no state between the limits."""
 WAVES = 16
 """How often what is new is carried on to the lines beside it, at most [-]."""
-GROUPS = tuple(np.uint64(((1 << SPAN) - 1) << low) for low in range(0, TURNS, SPAN))
-"""The turns of each group, as words; a state is kept for each."""
-_PART = 40_000
-"""Lines a thread takes at once."""
+AZIMUTH = 4
+"""The axis of the grid that goes around."""
+_PARTS, _LEAST = 32, 500
+"""In how many parts work is divided, so that no thread waits long for another, and the fewest lines
+of a part."""
 
 
 @dataclass(frozen=True)
 class Flood:
-    """What is known of the lines of a grid."""
+    """What is known of the lines of a grid, and what it takes to know more."""
 
-    shape: tuple[int, ...]
-    """Number of lines along z, r, u, v and azimuth."""
+    lines: Lines
     grid: LineGrid
     arm: AimedArm
-    words: UInt64[np.ndarray, " lines"]
-    """Turns of the tool that are reached on each."""
-    states: Float16[np.ndarray, "lines groups n"]
-    """For each group of turns a state on each line that gave some of them: turns that lie apart are
-    served by different states, and each is wanted by lines beside this one."""
 
 
 def flood(
     chain: Chain,
     arm: AimedArm,
     grid: LineGrid,
-    shape: tuple[int, ...],
+    shape: GridShape,
     count: int,
     progress: Progress,
 ) -> Flood:
@@ -70,14 +67,12 @@ def flood(
         count: Random states to begin with [-].
         progress: Called with the share that is done, in [0, 1].
     """
-    lines = int(np.prod(shape))
-    found = Flood(
-        shape, grid, arm, np.zeros(lines, np.uint64),
-        np.zeros((lines, len(GROUPS), chain.size), np.float16),
-    )  # fmt: skip
+    size = int(np.prod(shape))
+    states = np.zeros((size, GROUPS, chain.size), np.float32)
+    found = Flood(Lines(shape, np.zeros(size, np.uint64), states), grid, arm)
     rng = np.random.default_rng(0)
     lower, upper = bounded(chain)
-    gained = np.zeros(lines, np.uint64)
+    gained = np.zeros(size, np.uint64)
     beyond = AT_LIMITS * (upper - lower)
     for done in range(0, count, DRAW):
         q = rng.uniform(lower - beyond, upper + beyond, (min(DRAW, count - done), chain.size))
@@ -99,16 +94,22 @@ def _tell_wave(progress: Progress, k: int, share: float) -> None:
 
 def _draw(found: Flood, q: Float[np.ndarray, "k n"], gained: UInt64[np.ndarray, " lines"]) -> None:
     """Bring random states onto the grid lines nearest to theirs, and add what these gain."""
+    lines, arm, grid = found.lines, found.arm, found.grid
     places = np.empty((len(q), 5))
-    in_threads(
-        lambda lo, hi: lines_of(q[lo:hi], found.arm, found.grid, places[lo:hi]), len(q), _PART
+    _in_parts(lambda lo, hi: lines_of(q[lo:hi], arm, grid, places[lo:hi]), len(q))
+    nearest = np.round(places)
+    nearest[:, AZIMUTH] %= lines.shape.azimuth
+    inside = ((nearest >= 0) & (nearest < lines.shape)).all(1)
+    line = np.ravel_multi_index(tuple(nearest[inside].T.astype(np.int64)), lines.shape)
+    at, starts, known = nearest[inside], q[inside].astype(np.float32), lines.words[line]
+    words, states = np.empty(len(line), np.uint64), np.empty_like(starts)
+    _in_parts(
+        lambda lo, hi: aim_all(
+            at[lo:hi], starts[lo:hi], known[lo:hi], arm, grid, words[lo:hi], states[lo:hi]
+        ),
+        len(line),
     )
-    nearest = np.round(places).astype(np.int64)
-    nearest[:, 4] %= found.shape[4]
-    inside = ((nearest >= 0) & (nearest < found.shape)).all(1)
-    line = np.ravel_multi_index(tuple(nearest[inside].T), found.shape)
-    open_ = found.words[line] != ALL
-    _try(found, line[open_], q[inside][open_].astype(np.float32), gained)
+    add(line, words, states[:, None].repeat(GROUPS, 1), lines, gained)
 
 
 def _carry_on(
@@ -117,54 +118,26 @@ def _carry_on(
     """Try the lines beside those that have gained, from their states; returns what gains now."""
     gained = np.zeros(len(fresh), np.uint64)
     rows = np.flatnonzero(fresh)
-    at = np.array(np.unravel_index(rows, found.shape))
+    lines, words = np.empty_like(rows), np.empty(len(rows), np.uint64)
+    states = np.empty((len(rows), *found.lines.states.shape[1:]), np.float32)
     for axis in range(5):
         for step in (-1, 1):
-            beside = at.copy()
-            beside[axis] += step
-            if axis == 4:
-                beside[axis] %= found.shape[4]
-            inside = (beside[axis] >= 0) & (beside[axis] < found.shape[axis])
-            line = np.ravel_multi_index(tuple(beside[:, inside]), found.shape)
-            _try_beside(found, line, rows[inside], fresh, gained)
+
+            def aim(lo: int, hi: int, axis: int = axis, step: int = step) -> None:
+                aim_beside(
+                    rows[lo:hi], axis, step, fresh, found.lines, found.arm, found.grid,
+                    lines[lo:hi], words[lo:hi], states[lo:hi],
+                )  # fmt: skip
+
+            _in_parts(aim, len(rows))
+            _in_parts(
+                lambda lo, hi: add(
+                    lines[lo:hi], words[lo:hi], states[lo:hi], found.lines, gained
+                ),
+                len(rows),
+            )  # fmt: skip
             progress((2 * axis + (step > 0) + 1) / 10)
     return gained
-
-
-def _try_beside(
-    found: Flood,
-    line: Int[np.ndarray, " k"],
-    source: Int[np.ndarray, " k"],
-    fresh: UInt64[np.ndarray, " lines"],
-    gained: UInt64[np.ndarray, " lines"],
-) -> None:
-    """Aim at lines from the states of lines beside them, which give about the turns of those."""
-    tried = np.zeros((len(line), len(GROUPS)), bool)
-    for group, turns in enumerate(GROUPS):
-        wanted = np.flatnonzero(fresh[source] & ~found.words[line] & turns)
-        states = found.states[source[wanted]]
-        # One state mostly serves several groups.
-        same = (states[:, :group] == states[:, group : group + 1]).all(2)
-        anew = ~(same & tried[wanted, :group]).any(1)
-        wanted = wanted[anew]
-        tried[wanted, group] = True
-        _try(found, line[wanted], states[anew, group].astype(np.float32), gained)
-
-
-def _try(
-    found: Flood,
-    line: Int[np.ndarray, " k"],
-    starts: Float[np.ndarray, "k n"],
-    gained: UInt64[np.ndarray, " lines"],
-) -> None:
-    """Aim at lines, each from a state; keep what is new, and add it to what is gained."""
-    places = np.array(np.unravel_index(line, found.shape), float).T.copy()
-    words, states = _aimed(found, places, found.words[line], starts)
-    np.bitwise_or.at(found.words, line, words)
-    np.bitwise_or.at(gained, line, words)
-    for group, turns in enumerate(GROUPS):
-        new = np.flatnonzero(words & turns)
-        found.states[line[new], group] = states[new]
 
 
 def between(
@@ -180,47 +153,23 @@ def between(
     Returns:
         The lines at the lower ends, and the words.
     """
-    grown = (found.words & asked).reshape(found.shape)
-    if axis == 4:
-        differ = grown != np.roll(grown, -1, 4)
-    else:
-        differ = np.zeros(found.shape, bool)
-        near = np.moveaxis(grown, axis, 0)
-        np.moveaxis(differ, axis, 0)[:-1] = near[1:] != near[:-1]
-    low = np.flatnonzero(differ.reshape(-1))
-    at = np.array(np.unravel_index(low, found.shape))
-    high = at.copy()
-    high[axis] = (high[axis] + 1) % found.shape[axis]
-    up = np.ravel_multi_index(tuple(high), found.shape)
-    both = found.words[low] & found.words[up]
-    words, places = both.copy(), at.astype(float).T.copy()
-    places[:, axis] += 0.5
-    for source in (low, up):
-        # From the end that has what the other lacks.
-        for group, turns in enumerate(GROUPS):
-            rows = np.flatnonzero(found.words[source] & ~words & turns & asked)
-            start = found.states[source[rows], group].astype(np.float32)
-            out, _ = _aimed(found, places[rows], words[rows] | ~asked, start)
-            # Half-way between two that agree they are taken to agree.
-            words[rows] |= out & (found.words[low] | found.words[up])[rows]
+    grown = (found.lines.words & asked).reshape(found.lines.shape)
+    near = np.moveaxis(grown, axis, 0)
+    differ = np.moveaxis(np.zeros(grown.shape, bool), axis, 0)
+    differ[:-1] = near[1:] != near[:-1]
+    if axis == AZIMUTH:
+        differ[-1] = near[0] != near[-1]
+    low = np.flatnonzero(np.moveaxis(differ, 0, axis))
+    words = np.empty(len(low), np.uint64)
+    _in_parts(
+        lambda lo, hi: aim_between(
+            low[lo:hi], axis, asked, found.lines, found.arm, found.grid, words[lo:hi]
+        ),
+        len(low),
+    )
     return low, words
 
 
-def _aimed(
-    found: Flood,
-    places: Float[np.ndarray, "k 5"],
-    known: UInt64[np.ndarray, " k"],
-    starts: Float[np.ndarray, "k n"],
-) -> tuple[UInt64[np.ndarray, " k"], Float[np.ndarray, "k n"]]:
-    """New turns on lines, and the states on them, each from one state; see `aim_all`."""
-    count = len(places)
-    words, states = np.empty(count, np.uint64), np.empty((count, starts.shape[1]), np.float32)
-
-    def part(lo: int, hi: int) -> None:
-        aim_all(
-            places[lo:hi], starts[lo:hi], known[lo:hi], found.arm, found.grid,
-            words[lo:hi], states[lo:hi],
-        )  # fmt: skip
-
-    in_threads(part, count, _PART)
-    return words, states
+def _in_parts(work: Callable[[int, int], None], count: int) -> None:
+    """Work over rows on all threads, none of which waits long for another."""
+    in_threads(work, count, max(_LEAST, count // _PARTS))

@@ -49,7 +49,7 @@ def flooded_map(
     low, shape = extent
     grid = LineGrid(low, config.cell, config.directions, config.azimuths)
     found = flood(
-        robot.chain, _aimed(robot, frame), grid, shape, config.states,
+        robot.chain, _aimed(robot, frame), grid, pack_shape(shape), config.states,
         lambda share: progress(0.9 * share),
     )  # fmt: skip
     _close_poles(found)
@@ -121,8 +121,8 @@ def _close_poles(found: Flood) -> None:
 
     The turn counts from the level direction across the line, of which a vertical line has many.
     """
-    words = found.words.reshape(found.shape)
-    middle = found.shape[2] // 2
+    words = found.lines.words.reshape(found.lines.shape)
+    middle = found.lines.shape.u // 2
     for u, v in ((middle, middle), (0, 0), (0, -1), (-1, 0), (-1, -1)):
         words[:, :, u, v] = np.where(words[:, :, u, v] > 0, ALL, np.uint64(0))
 
@@ -131,15 +131,15 @@ def _values(
     found: Flood, edges: list[tuple[np.ndarray, np.ndarray]], turn: int | None
 ) -> Int8[np.ndarray, "z r u v azimuth"]:
     """Signed distances for one turn of the tool, or where at least half of all turns count."""
-    shape = pack_shape(found.shape)
-    state = _reached(found.words, turn).astype(np.int8)
+    shape, reached = found.lines.shape, found.lines.words
+    state = _reached(reached, turn).astype(np.int8)
     middles = np.full((5, len(state)), -1, np.int8)
     for axis, (low, words) in enumerate(edges):
         middles[axis, low] = _reached(words, turn)
     out = np.empty(len(state), np.int8)
-    gap = np.zeros(len(state), np.int8) if turn is None else _turn_gap(found.words, turn)
+    gap = np.zeros(len(state), np.int8) if turn is None else _turn_gap(reached, turn)
     flood_signed_distances(state, middles, gap, shape, out)
-    values = out.reshape(found.shape)
+    values = out.reshape(shape)
     close_seam(values)
     deepen(values.reshape(-1), shape)
     return values

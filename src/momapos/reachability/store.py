@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 VERSION = 3
 """Of maps: where it is raised, those that were built or stored before are not used."""
-_BUILD = 2
+_BUILD = 3
 """Of how maps are put together and held against inverse kinematics: where it is raised, those that
 the cache keeps of before are built anew. Maps beside robot files are known by their key alone."""
 _TURNS_LAST = 4
