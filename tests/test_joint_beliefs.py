@@ -62,7 +62,7 @@ def room(
     part = Part(odds[0][0], (0.0, 0.0, 1.0, 1.0), 0.9, handle, odds)
     box = UprightBox(np.array([1.5, 0.0, 0.8]), np.array([0.6, 0.5, 0.6]), -np.pi / 2)
     found = Detection("cupboard", "cabinet", 0.9, box, np.arange(3))
-    piece = furniture_model(found, np.pi, face, [part], ModelConfig(turn=turn), free=(True, True))
+    piece = furniture_model(found, np.pi, face, [part], ModelConfig(turn=turn), beside=(None, None))
     floor = [(-2.0, -2.0), (2.0, -2.0), (2.0, 2.0), (-2.0, 2.0)]
     box = UprightBox(np.array([post or 0.0, -0.21, 0.75]), np.array([0.04, 0.04, 1.5]), 0.0)
     posts = [Detection("post", "post", 0.9, box, np.arange(3))]

@@ -16,7 +16,7 @@ from momapos.scan_records import Decision, PartSource, ScanConfig, Survey, Tools
 from momapos.scene.library.furniture import Piece
 from momapos.segmentation.room import at_wall
 from momapos.types import Cloud, Detection, FaceImage, Front, Part
-from momapos.views.faces import box_faces, stands_free
+from momapos.views.faces import box_faces, standing_beside
 from momapos.views.front_view import View, choose_view
 from momapos.views.projection import sights
 
@@ -64,8 +64,9 @@ def decide(
     if not parts:
         return replace(box, view=view, reason="a front without doors or drawers")
     others = [one.box for one in (*survey.detections, *survey.walls) if one is not item]
-    left, right = (stands_free(faces[k], others) for k in view.face.beside)
-    piece = furniture_model(item, facing, view.image, parts, config.model, free=(left, right))
+    left, right = (standing_beside(faces[k], view.face, others) for k in view.face.beside)
+    beside = (left, right)
+    piece = furniture_model(item, facing, view.image, parts, config.model, beside=beside)
     piece, moved = opened_piece(piece, survey.leaves)
     return replace(box, view=view, parts=parts, source=source, model=piece, moved=moved)
 

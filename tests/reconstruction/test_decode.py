@@ -19,28 +19,6 @@ def wood() -> np.ndarray:
     return np.clip(70.0 + grain, 0, 255)[..., None].repeat(3, axis=-1).astype(np.uint8)
 
 
-def test_a_seam_that_is_hardly_darker_than_the_grain_stands_out(wood: np.ndarray) -> None:
-    wood[:, 120] -= np.uint8(14)
-    lines = decode.dark_lines(wood, 1)
-    column = lines.mean(axis=0)
-    assert column.argmax() == 120
-    assert column[120] > 2 * np.delete(column, 120).max()
-    assert decode.dark_lines(wood, 0).max() < column[120]
-
-
-def test_lines_turn_and_mirror_with_the_image(wood: np.ndarray) -> None:
-    lines = decode.dark_lines(wood, 1)
-    np.testing.assert_allclose(decode.dark_lines(wood.swapaxes(0, 1), 0), lines.T, atol=1e-5)
-    np.testing.assert_allclose(decode.dark_lines(wood[:, ::-1], 1), lines[:, ::-1], atol=1e-5)
-
-
-def test_a_step_in_brightness_is_no_line() -> None:
-    step = np.full((60, 60, 3), 40, np.uint8)
-    step[:, 30:] = 200
-    assert decode.dark_lines(step, 1).max() == 0.0
-    assert decode.dark_lines(step, 0).max() == 0.0
-
-
 def test_height_map_counts_from_the_fronts_and_not_from_the_plane_of_the_box(
     wood: np.ndarray,
 ) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from tests.reconstruction.fronts import face_of, raised
 
-from momapos.reconstruction import decode
+from momapos.geometry.dark_lines import dark_lines
 from momapos.reconstruction.bars import with_bar
 from momapos.reconstruction.drawer_handles import into_drawers
 from momapos.types import FaceImage, Part, PartKind
@@ -67,7 +67,7 @@ def gripped(rows: list[float], *, left: float = 0.4, wide: float = 0.2) -> FaceI
 
 
 def drawers_on(face: FaceImage, kind: PartKind = "door_right") -> tuple[Part, ...]:
-    return into_drawers(face, Part(kind, WHOLE, 0.5), decode.dark_lines(face.color, 0))
+    return into_drawers(face, Part(kind, WHOLE, 0.5), dark_lines(face.color, 0))
 
 
 @pytest.mark.parametrize(

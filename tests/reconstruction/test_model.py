@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from itertools import product
+from itertools import permutations, product
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +25,7 @@ from momapos.manipulation.handles import (
 )
 from momapos.reconstruction.build import build_scene
 from momapos.reconstruction.model import ModelConfig, furniture_model
+from momapos.reconstruction.motions import Beside
 from momapos.scene.files import load_scene
 from momapos.scene.library.furniture import Piece
 from momapos.scene.library.writer import urdf_text
@@ -265,8 +266,8 @@ def test_the_true_front_of_a_kitchens_piece_gives_its_true_handle_paths(name: st
     assert off.max(-1).min(1).max() < 0.005
 
 
-@pytest.mark.parametrize("free", [(True, False), (False, True), (False, False)])
-def test_a_hinge_lies_deeper_where_no_other_object_is_beside_it(free: tuple[bool, bool]) -> None:
+@pytest.mark.parametrize("beside", [(None, 0.0), (0.0, None), (0.02, -0.1), (0.05, 1.0)])
+def test_a_hinge_lies_deeper_the_less_is_beside_it(beside: Beside) -> None:
     parts = [
         Part("door_left", (0.0, 0.0, 0.5, 1.0), 0.9),
         Part("door_right", (0.5, 0.0, 1.0, 1.0), 0.9),
@@ -274,13 +275,40 @@ def test_a_hinge_lies_deeper_where_no_other_object_is_beside_it(free: tuple[bool
     face, config = face_of(0.8, 0.9), ModelConfig()
     raised(face, (0.0, 0.0, 1.0, 1.0), 0.03)
     found = detection(0.8, 0.6, 0.9)
-    piece = furniture_model(found, 0.3 - np.pi / 2, face, parts, config, free=free)
+    piece = furniture_model(found, 0.3 - np.pi / 2, face, parts, config, beside=beside)
     motions = [part.motion for part in piece.parts[1:]]
     depths = [motion.pivot[1] + 0.33 for motion in motions if motion]
     deep, tight = config.hinge_depth, config.tight_hinge_depth
-    assert deep > tight
-    assert depths == pytest.approx([deep if side else tight for side in free])
+    assert deep > tight > 0.0
+    wall = config.passed * 0.4
+    expected = [deep if out is None else tight if out < wall else 0.0 for out in beside]
+    assert depths == pytest.approx(expected)
     assert [motion.upper for motion in motions if motion] == [np.pi / 2] * 2
+
+
+@pytest.mark.parametrize("out", [-0.1, 0.0, 0.02, 0.12, 0.3, np.inf])
+@pytest.mark.parametrize("kind", ["door_left", "door_right"])
+def test_a_door_beside_another_object_stays_clear_of_it_as_it_opens(
+    kind: PartKind, out: float
+) -> None:
+    part, box = Part(kind, (0.0, 0.0, 1.0, 1.0), 0.9), detection(0.5, 0.6, 0.9)
+    piece = furniture_model(
+        box, 0.3 - np.pi / 2, face_of(0.5, 0.9), [part], beside=(out, out)
+    )  # fmt: skip
+    (door,) = piece.parts[1:]
+    assert door.motion
+    assert door.motion.upper == np.pi / 2
+    pivot = np.array(door.motion.pivot)
+    for angle in np.linspace(0.0, np.pi / 2, 46):
+        R = rotation_about(np.array(door.motion.axis), angle)
+        for leaf in door.boxes:
+            corners = np.array(list(product(*zip(leaf.low, leaf.high, strict=True))))
+            moved = (corners - pivot) @ R.T + pivot
+            # Dense along the edges: a corner outside passes the neighbor's own corner.
+            edges = np.concatenate([a + (b - a) * np.linspace(0, 1, 200)[:, None]
+                                    for a, b in permutations(moved, 2)])  # fmt: skip
+            beside = np.abs(edges[:, 0]) > 0.25 + 1e-9
+            assert not (beside & (edges[:, 1] > -0.3 - out + 1e-9)).any()
 
 
 def test_a_hinge_beside_another_part_lies_as_deep_between_objects() -> None:

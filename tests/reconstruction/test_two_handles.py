@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from tests.reconstruction.fronts import face_of, raised
 
-from momapos.reconstruction import decode
+from momapos.geometry.dark_lines import dark_lines
 from momapos.reconstruction.bars import by_bars
 from momapos.types import FaceImage, Part, PartKind
 
@@ -31,7 +31,7 @@ def front(*bars: Box) -> FaceImage:
 
 
 def divided(face: FaceImage, *parts: Part) -> tuple[Part, ...]:
-    lines = (decode.dark_lines(face.color, axis) for axis in (1, 0))
+    lines = (dark_lines(face.color, axis) for axis in (1, 0))
     return by_bars(face, parts, *lines)
 
 

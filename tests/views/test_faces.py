@@ -8,7 +8,7 @@ from tests.views.painted_box import FRIDGE, camera, image
 
 from momapos.geometry.transforms import apply, invert
 from momapos.types import Frame, UprightBox
-from momapos.views.faces import box_faces, face_image, shown, solid, stands_free
+from momapos.views.faces import box_faces, face_image, shown, solid, standing_beside
 from momapos.views.projection import corners
 
 
@@ -36,14 +36,18 @@ def test_faces_lie_on_the_box_and_look_outward() -> None:
         assert face.T_world_face[2, 1] == 1.0  # its y axis is up
 
 
-def test_a_face_stands_free_where_no_other_box_is_close_before_it() -> None:
-    for face in box_faces(FRIDGE):
-        across = face.T_world_face[:3, 0]
-        for gap, free in ((0.01, False), (0.3, True)):
-            place = face.T_world_face[:3, 3] + (gap + 0.25) * face.outward
-            small = UprightBox(place - 0.2 * across, np.array([0.5, 0.5, 0.8]), FRIDGE.yaw)
-            assert stands_free(face, [small]) is free
-        assert stands_free(face, [])
+@pytest.mark.parametrize("out", [-0.2, 0.0, 0.07])
+def test_what_stands_beside_a_thing_is_as_far_out_of_its_front_as_it_is(out: float) -> None:
+    for front in box_faces(FRIDGE):
+        for k in front.beside:
+            side = box_faces(FRIDGE)[k]
+            edge = front.T_world_face[:3, 3] + side.outward * front.width / 2
+            for gap, near in ((0.01, True), (0.3, False)):
+                place = edge + (gap + 0.25) * side.outward + (out - 0.25) * front.outward
+                small = UprightBox(place, np.array([0.5, 0.5, 1.0]), FRIDGE.yaw)
+                found = standing_beside(side, front, [small])
+                assert found == (pytest.approx(out) if near else None)
+            assert standing_beside(side, front, []) is None
 
 
 def test_faces_beside_and_opposite_are_told_as_seen_from_outside() -> None:

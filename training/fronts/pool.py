@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
+from momapos.geometry.dark_lines import SEAM_MOST
 from momapos.reconstruction import decode
 
 from . import generator
@@ -50,7 +51,7 @@ def packed(stack: np.ndarray) -> UInt8[np.ndarray, "6 s s"]:
     share = np.maximum(stack[4], 1e-6)
     relief = np.clip(stack[3] / share, -1, 1) * 127 + 128.5
     code = np.where(stack[4] > 0.5, relief, 0)
-    lines = stack[5:] * (255 / decode.SEAM_MOST) + 0.5
+    lines = stack[5:] * (255 / SEAM_MOST) + 0.5
     return np.concatenate((color, code[None], lines)).astype(np.uint8)
 
 
@@ -59,7 +60,7 @@ def unpacked(codes: UInt8[np.ndarray, "n 6 s s"]) -> np.ndarray:
     color = (codes[:, :3].astype(np.float32) - 127.5) / 64
     known = codes[:, 3:4] > 0
     relief = np.where(known, (codes[:, 3:4].astype(np.float32) - 128) / 127, 0)
-    lines = codes[:, 4:].astype(np.float32) * (decode.SEAM_MOST / 255)
+    lines = codes[:, 4:].astype(np.float32) * (SEAM_MOST / 255)
     return np.concatenate((color, relief, known, lines), axis=1, dtype=np.float32)
 
 

@@ -40,7 +40,7 @@ ALIKE = 1.6
 LEAST_PART = 0.12
 """A part that is told by its handle alone has sides of at least this [m]."""
 SEAM = 0.1
-"""Contrast of a seam between two handles, as `decode.dark_lines` tells it [-]."""
+"""Contrast of a seam between two handles, as `dark_lines` tells it [-]."""
 
 
 def with_bar(face: FaceImage, part: Part) -> Part:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 FLAPS = ("door_down", "door_up")
 """What is never a stack: the racks behind an oven's window look like one."""
 SEEN = 0.08
-"""Contrast of a handle, as `decode.dark_lines` tells it [-]."""
+"""Contrast of a handle, as `dark_lines` tells it [-]."""
 PLAIN = 0.9
 """Share of a front that is without any line, where handles can be told from its grain [-]."""
 FEWEST = 3

@@ -23,7 +23,7 @@ from momapos.reconstruction.alignment import (
     front_of,
 )
 from momapos.reconstruction.height_maps import Area
-from momapos.reconstruction.motions import Motions
+from momapos.reconstruction.motions import Beside, Motions
 from momapos.scene.library.furniture import (
     Box,
     FurniturePart,
@@ -60,10 +60,12 @@ class ModelConfig:
     """Between a moving part and what is beside and behind it [m]."""
     hinge_depth: float = 0.01
     """How far behind its front a door's hinge lies, about half the thickness of a leaf [m]."""
-    tight_hinge_depth: float = 0.0
-    """The same where another object is beside it: a door that turns about a deeper axis needs that
-    much more room, and the hand has a long lever against what is beside the hinge; how far that
-    stands out the face does not show. Real ones have that room, or hinges that travel [m]."""
+    tight_hinge_depth: float = 0.005
+    """The same where another object is beside it: half of the doors that have neighbors turn about
+    their front, half about an axis 1 to 2 cm deep [m]."""
+    passed: float = 0.5
+    """Where that object stands out of the face by more than this share of the door's width, as a
+    wall does, the hinge lies in the front [-]."""
     turn: float = np.pi / 2
     """How far doors open [rad]."""
     travel: float = 0.4
@@ -95,14 +97,14 @@ def furniture_model(
     parts: Sequence[SeenPart],
     config: ModelConfig | None = None,
     *,
-    free: tuple[bool, bool] = (False, False),
+    beside: Beside = (np.inf, np.inf),
 ) -> Piece:
     """Make the model of one object: its box, hollow, with doors and drawers that open.
 
     A door turns about an axis behind its front (`ModelConfig.hinge_depth`), as real ones do, mostly
-    by 1 to 2 cm, in fridges by 2 to 8; in its front where another object is beside its hinge. Where
-    anything is beside it, it stays within its own width as it opens. Every joint ends before its
-    part would hit the rest of the piece.
+    by 1 to 2 cm, in fridges by 2 to 8; less deep where another object is beside its hinge, and in
+    its front beside a wall. Where anything is beside it, it stays within its own width as
+    it opens. Every joint ends before its part would hit the rest of the piece.
 
     Args:
         detection: The object with its box.
@@ -110,7 +112,8 @@ def furniture_model(
         face: That side, seen straight on.
         parts: The doors and drawers on it.
         config: What cannot be seen.
-        free: Whether nothing stands beside the object, left and right as seen from the front.
+        beside: How far what stands beside the object stands out of the face, left and right as
+            seen from the front [m]; None where nothing does, infinite where that is not known.
 
     Returns:
         The piece; its moving parts are named by what they are, top to bottom and left to right:
@@ -134,7 +137,7 @@ def furniture_model(
     layers = _layers(size, aligned, config)
     body = FurniturePart("body", tuple(_body(face, aligned, layers, config)))
     moving = [
-        _moving(name, part, [p.area for p in aligned], face, layers, config, free)
+        _moving(name, part, [p.area for p in aligned], face, layers, config, beside)
         for name, part in zip(_names(aligned), aligned, strict=True)
     ]
     piece = Piece(detection.name, detection.label, center, yaw, (body, *moving))
@@ -278,16 +281,20 @@ def _moving(
     face: FaceImage,
     layers: _Layers,
     config: ModelConfig,
-    free: tuple[bool, bool],
+    beside: Beside,
 ) -> FurniturePart:
     """A door, or a drawer with its tray."""
     front, thickness = _slab(part, layers, config)
     tray = config.tray * (layers.back - layers.wall - layers.opening)
     motions = Motions(
-        part.area, part.out, front, thickness, face, config, min(config.travel, tray), free,
+        part.area, part.out, front, thickness, face, config, min(config.travel, tray), beside,
         any(part.area.stands_on(other) for other in areas),
     )  # fmt: skip
-    boxes = [_box(f"{name}_panel", motions.leaf(part.kind), front, front + thickness, face)]
+    strip, leaf = motions.recess(part.kind)
+    boxes = [_box(f"{name}_panel", leaf, front, front + thickness, face)]
+    if strip is not None:
+        inner = front + motions.depth(part.kind)
+        boxes.append(_box(f"{name}_hinge_side", strip, inner, front + thickness, face))
     if part.kind == "drawer":
         rear = layers.opening + tray
         boxes += _tray(name, part.area, front + thickness, rear, face, layers, config)

@@ -18,6 +18,8 @@ STRIP = 0.03
 """So wide is what is looked at beside a hinge [m]."""
 LEAST = 0.005
 """What is less probable is no hypothesis [-]."""
+Beside = tuple[float | None, float | None]
+"""How far the neighbors of an object stand out of its face, left and right [m]; None: nothing."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,8 +38,9 @@ class Motions:
     config: ModelConfig
     travel: float
     """How far it would slide [m]."""
-    free: tuple[bool, bool]
-    """Whether nothing stands beside the object, left and right as seen from the front."""
+    beside: Beside
+    """How far what stands beside the object stands out of the face [m], left and right as seen
+    from the front; None where nothing does."""
     below: bool = False
     """Whether another part adjoins from below."""
 
@@ -58,13 +61,18 @@ class Motions:
 
     def _is_tight(self, kind: PartKind) -> bool:
         """Whether another object is beside the hinge of a kind of part."""
-        free = {"door_left": self.free[0], "door_right": self.free[1]}.get(kind, True)
-        return self._at_rim(kind) and not free
+        return self._at_rim(kind) and self._neighbor(kind) is not None
+
+    def _neighbor(self, kind: PartKind) -> float | None:
+        """How far what stands beside the object at a hinge stands out of the face [m]."""
+        return {"door_left": self.beside[0], "door_right": self.beside[1]}.get(kind)
 
     def depth(self, kind: PartKind) -> float:
         """How far behind the front the hinge of a kind of part lies [m]."""
-        config = self.config
-        depth = config.tight_hinge_depth if self._is_tight(kind) else config.hinge_depth
+        config, depth = self.config, self.config.hinge_depth
+        if self._is_tight(kind):
+            past = (self._neighbor(kind) or 0.0) - self.out
+            depth = config.tight_hinge_depth if past < config.passed * self.area.width else 0.0
         return min(depth, self.thickness)
 
     def of(self, kind: PartKind) -> JointMotion:
@@ -108,6 +116,23 @@ class Motions:
             "door_down": replace(area, bottom=area.bottom + cut, top=area.top - swing),
             "door_up": replace(area, bottom=area.bottom + swing, top=area.top - cut),
         }[kind]
+
+    def recess(self, kind: PartKind) -> tuple[Area | None, Area]:
+        """The strip of a leaf at its hinge that lies behind the rest, and that rest.
+
+        At a right angle the front of a leaf is as far beside its axis as that lies behind it, so
+        what passes an object that stands out of the face is set back by that depth.
+        """
+        leaf, depth = self.leaf(kind), self.depth(kind)
+        out = (self._neighbor(kind) or 0.0) - self.out if self._is_tight(kind) else 0.0
+        if out <= 0.0 or depth <= 0.0:
+            return None, leaf
+        past = depth + out + self.config.gap
+        if kind == "door_left":
+            edge = self.area.left + past
+            return replace(leaf, right=edge), replace(leaf, left=edge)
+        edge = self.area.right - past
+        return replace(leaf, left=edge), replace(leaf, right=edge)
 
     def _beside(self, kind: PartKind) -> float:
         """How far what is beside a hinge stands out of the part's front [m]."""

@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 
 from momapos.geometry.transforms import apply, invert, pose
-from momapos.geometry.upright_boxes import to_local
+from momapos.geometry.upright_boxes import along_edges, to_local
 from momapos.types import FaceImage, Frame, UprightBox
 
 if TYPE_CHECKING:
@@ -77,12 +77,29 @@ def box_faces(box: UprightBox) -> tuple[Face, ...]:
     return tuple(faces)
 
 
-def stands_free(face: Face, others: Sequence[UprightBox]) -> bool:
-    """Whether nothing stands before a face, nearer than `BESIDE`."""
+def standing_beside(side: Face, front: Face, others: Sequence[UprightBox]) -> float | None:
+    """How far what stands close before one face of a thing stands out of another face of it.
+
+    Args:
+        side: Before which others may stand, nearer than `BESIDE`.
+        front: Out of which they may stand, another face of the same box.
+        others: What may stand there.
+
+    Returns:
+        Of what stands out farthest [m], negative where that ends behind the front; None where
+        nothing stands before the side.
+    """
     across, up, out = np.meshgrid([-0.45, -0.2, 0.0, 0.2, 0.45], [-0.4, 0.0, 0.4], [0.02, BESIDE])
-    local = np.stack([across * face.width, up * face.height, out], axis=-1).reshape(-1, 3)
-    points = apply(face.T_world_face, local)
-    return not any((np.abs(to_local(points, o)) < o.size / 2).all(axis=1).any() for o in others)
+    local = np.stack([across * side.width, up * side.height, out], axis=-1).reshape(-1, 3)
+    points = apply(side.T_world_face, local)
+    plane = float(front.outward @ front.T_world_face[:3, 3])
+    reaches = [
+        float(front.outward @ box.center + np.abs(along_edges(front.outward[None], box.yaw)[0])
+              @ box.size / 2)
+        for box in others
+        if (np.abs(to_local(points, box)) < box.size / 2).all(axis=1).any()
+    ]  # fmt: skip
+    return max(reaches) - plane if reaches else None
 
 
 def face_image(face: Face, frames: Sequence[Frame], *, pixels: int = 384) -> FaceImage:

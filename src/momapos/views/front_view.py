@@ -10,6 +10,7 @@ import numpy as np
 
 from momapos.geometry.transforms import invert
 from momapos.types import FaceImage, Frame, Front, Part, UprightBox
+from momapos.views.even_doors import evened
 from momapos.views.faces import (
     FACES,
     Face,
@@ -194,7 +195,8 @@ def _voting(
             rank *= UNBACKED
         evidence[face.index] = rank
         if doors >= config.least and (best is None or rank > best[0]):
-            best = rank, face, order[0], image, votes[0]
+            front = replace(votes[0], parts=evened(image, votes[0].parts))
+            best = rank, face, order[0], image, front
     if best is None:
         return None
     _, face, chosen, image, front = best

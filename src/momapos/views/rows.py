@@ -16,6 +16,7 @@ import numpy as np
 
 from momapos.geometry.transforms import apply
 from momapos.types import Frame, Part, UprightBox
+from momapos.views.even_doors import evened
 from momapos.views.faces import Face, box_faces, camera_position_of, face_image
 from momapos.views.front_view import (
     Look,
@@ -111,6 +112,7 @@ def _front_of(
                 bool(left > config.margin), bool(left + wide < face.width - config.margin)
             )  # fmt: skip
             whole = _whole(front.parts, wide, ends, config.margin)
+            whole = evened(face_image(window, chosen), whole)
             whole = handles_seen_from(
                 whole, window, camera_position_of(window, chosen[0]), undo=True
             )
