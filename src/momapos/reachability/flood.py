@@ -19,7 +19,7 @@ from momapos.kinematics.chain import Chain
 from momapos.kinematics.ik_model import bounded
 from momapos.reachability.aim import AimedArm, LineGrid, aim_all, lines_of
 from momapos.reachability.grid import GridShape
-from momapos.reachability.spread import GROUPS, Lines, add, aim_beside, aim_between
+from momapos.reachability.spread import AZIMUTH, GROUPS, Lines, add, aim_beside, aim_between
 from momapos.reachability.threads import Progress, in_threads
 
 if TYPE_CHECKING:
@@ -34,8 +34,6 @@ AT_LIMITS = 0.125
 joint at its limit, such as a torso at its height, is found from no state between the limits."""
 WAVES = 16
 """How often what is new is carried on to the lines beside it, at most [-]."""
-AZIMUTH = 4
-"""The axis of the grid that goes around."""
 _PARTS, _LEAST = 32, 500
 """In how many parts work is divided, so that no thread waits long for another, and the fewest lines
 of a part."""

@@ -10,6 +10,8 @@ from momapos.compiled import I1, S3, U1, entry, kernel
 from momapos.reachability.aim import SPAN, AimedArm, LineGrid, aim_from, memory
 from momapos.reachability.grid import TURNS, GridShape
 
+AZIMUTH = 4
+"""The axis of the grid that goes around."""
 GROUPS = TURNS // SPAN
 """Groups of turns; a line keeps a state for each [-]."""
 
@@ -45,8 +47,8 @@ def _beside(line, axis, step, shape, at):
     """The line so many steps along an axis, and its place; -1 where there is none."""
     _unravel(line, shape, at)
     at[axis] += step
-    if axis == 4:
-        at[4] = (at[4] + shape[4]) % shape[4]
+    if axis == AZIMUTH:
+        at[AZIMUTH] = (at[AZIMUTH] + shape[AZIMUTH]) % shape[AZIMUTH]
     elif at[axis] < 0 or at[axis] >= shape[axis]:
         return -1
     beside = 0
@@ -127,10 +129,11 @@ def _keep(word, q, states):
 
 @entry
 def add(lines: I1, words: U1, states: S3, known: Lines, gained: U1) -> None:
-    """Add turns found on lines, each named once, to what is known and to what is gained.
+    """Add turns found on lines to what is known and to what is gained.
 
     Args:
-        lines: The lines (k,); -1 for none.
+        lines: The lines (k,); -1 for none. Of one that is named twice the last states are kept;
+            threads that share the work name none twice.
         words: Turns found on each (k,).
         states: The states that serve them (k, groups, n).
         known: What is known, changed in place.
