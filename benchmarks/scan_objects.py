@@ -153,12 +153,12 @@ def places(half: str | None, together: int) -> Iterator[Place]:
             yield kitchen(f"{one}_{k // together}", mine[k : k + together])
 
 
-def scan_of(place: Place, folder: Path, frames: int) -> Path:
+def scan_of(place: Place, folder: Path, frames: int, seed: int) -> Path:
     """The folder of a room, with its scan, which is made where there is none."""
     home = folder / place.name
     if not (home / "scan").exists():
         home.mkdir(parents=True, exist_ok=True)
-        scan = synthetic_scan(place.scene, frames=frames, seed=0, sensor=DepthSensor())
+        scan = synthetic_scan(place.scene, frames=frames, seed=seed, sensor=DepthSensor())
         write_scan(scan, home / "scan")
     return home
 
@@ -202,6 +202,7 @@ def main() -> None:
     parser.add_argument("--half", choices=HALVES, help="only the objects of one half")
     parser.add_argument("--robot", default="segway_ur5e")
     parser.add_argument("--frames", type=int, default=60)
+    parser.add_argument("--seed", type=int, default=0, help="of the walk, materials and noise")
     parser.add_argument("--together", type=int, default=1, help="so many objects to a kitchen")
     parser.add_argument("--folder", type=Path, default=Path("bench_out/scan_objects"))
     parser.add_argument("--no-answers", action="store_true", help="only what is seen")
@@ -221,7 +222,7 @@ def main() -> None:
     for place in places(args.half, args.together):
         if args.only is not None and args.only not in place.name:
             continue
-        home = scan_of(place, args.folder, args.frames)
+        home = scan_of(place, args.folder, args.frames, args.seed)
         name = "seen" if args.no_answers else f"misled_{args.misled}" if args.misled else "answers"
         file = home / f"{name}.json"
         if args.anew or not file.exists():
