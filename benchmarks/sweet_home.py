@@ -1,4 +1,4 @@
-"""Furniture of Sweet Home 3D as URDFs: real-geometry doors and drawers that nothing here was tuned to.
+"""Furniture of Sweet Home 3D as URDFs: doors and drawers that nothing here was tuned to.
 
     apt-get download sweethome3d sweethome3d-furniture && for f in *.deb; do dpkg-deb -x $f x; done
     python benchmarks/sweet_home.py x/usr/share/sweethome3d --out FOLDER
