@@ -15,9 +15,8 @@ from momapos.views.front_view import (
     choose_view,
     door_evidence,
     front_evidence,
-    placed,
-    surest,
 )
+from momapos.views.placed_parts import placed, surest
 from momapos.views.projection import sights
 from momapos.views.rows import RowConfig, split_row
 

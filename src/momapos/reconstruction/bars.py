@@ -33,6 +33,8 @@ FLAPS = ("door_down", "door_up")
 """What has one handle: what else stands out of it is a towel bar."""
 APART = 0.06
 """Handles of two parts are at least this far from each other [m]."""
+FLUSH, BETWEEN = 0.03, 0.1
+"""Or they lie end to end, within the first, with more than the second between them [m]."""
 BESIDE = 0.5
 """And lie side by side over this share of the shorter one [-]."""
 ALIKE = 1.6
@@ -96,7 +98,7 @@ def _divided(
     face: FaceImage,
     part: Part,
     others: Sequence[Part],
-    upright: Float32[np.ndarray, "h w"],
+    upright_lines: Float32[np.ndarray, "h w"],
     level: Float32[np.ndarray, "h w"],
 ) -> tuple[Part, ...]:
     """A part, divided between its handles, from the left or from below."""
@@ -107,20 +109,61 @@ def _divided(
     if not own:
         return (part,)
     tall = own[0].height > own[0].width
-    alike = sorted(_alike(own), key=lambda bar: _place(bar, upright=tall))
+    for in_line in (False, True):
+        alike, upright = _alike(own, in_line=in_line), tall != in_line
+        if len(alike) < 2:
+            continue
+        cuts = _cuts(face, part, alike, upright_lines if upright else level, upright=upright)
+        if np.diff(cuts).min() >= LEAST_PART:
+            return _pieces(face, part, alike, cuts, upright=upright)
+    return (part,)
+
+
+def _cuts(
+    face: FaceImage,
+    part: Part,
+    handles: Sequence[Area],
+    lines: Float32[np.ndarray, "h w"],
+    *,
+    upright: bool,
+) -> list[float]:
+    """Edges of the pieces of a part, each with one of the handles, from the left or from below [m].
+
+    Where a seam is seen between two handles, it is there; else where `_even` says.
+    """
     area = area_of(part.box, face)
-    edges = (area.left, area.right) if tall else (area.bottom, area.top)
-    places = [_place(bar, upright=tall) for bar in alike]
+    edges = (area.left, area.right) if upright else (area.bottom, area.top)
+    places = [_place(bar, upright=upright) for bar in handles]
     cuts = [edges[0], *_even(edges, places), edges[1]]
-    for k, between in enumerate(pairwise(places), start=1):
-        cuts[k] = _seam(face, area, between, upright if tall else level, upright=tall) or cuts[k]
-    if len(alike) < 2 or np.diff(cuts).min() < LEAST_PART:
-        return (part,)
+    for k, (one, other) in enumerate(pairwise(handles), start=1):
+        between = _between(one, other, upright=upright)
+        if not between[0] < cuts[k] < between[1]:
+            cuts[k] = sum(between) / 2
+        cuts[k] = _seam(face, area, between, lines, upright=upright) or cuts[k]
+    return cuts
+
+
+def _between(one: Area, other: Area, *, upright: bool) -> tuple[float, float]:
+    """Where a seam between two handles may be: between their ends where they lie end to end, else
+    between their middles [m]."""
+    tall = one.height > one.width
+    if tall == upright:
+        return _place(one, upright=upright), _place(other, upright=upright)
+    return _span(one, upright=tall)[1], _span(other, upright=tall)[0]
+
+
+def _pieces(
+    face: FaceImage, part: Part, handles: Sequence[Area], cuts: Sequence[float], *, upright: bool
+) -> tuple[Part, ...]:
+    """The pieces of a part between cuts, each with its handle."""
+    area = area_of(part.box, face)
     found = []
-    for bar, (low, high) in zip(alike, pairwise(cuts), strict=True):
-        one = replace(area, left=low, right=high) if tall else replace(area, bottom=low, top=high)
+    for bar, (low, high) in zip(handles, pairwise(cuts), strict=True):
+        one = (
+            replace(area, left=low, right=high) if upright else replace(area, bottom=low, top=high)
+        )
         kind = _opening(part.kind, one, bar)
-        if not tall and one.width > one.height:
+        if bar.width > bar.height and one.width > one.height:
             kind = "drawer"
         box, handle = _fractions(one, face), _fractions(bar, face)
         found.append(replace(decode.told(part, kind), box=box, handle=handle))
@@ -132,24 +175,43 @@ def _place(bar: Area, *, upright: bool) -> float:
     return (bar.left + bar.right if upright else bar.bottom + bar.top) / 2
 
 
-def _alike(found: Sequence[Area]) -> list[Area]:
-    """The longest bar, and those beside it that are like it, as the handles of other parts are."""
+def _alike(found: Sequence[Area], *, in_line: bool) -> list[Area]:
+    """The longest bar, and those that are like it, as the handles of other parts are.
+
+    Args:
+        found: Bars, the longest first.
+        in_line: Those end to end with it, as of a freezer's door above a fridge's; else those side
+            by side with it.
+
+    Returns:
+        Bars from the left or from below.
+    """
     upright = found[0].height > found[0].width
     kept: list[Area] = []
     for bar in found:
         if upright != (bar.height > bar.width):
             continue
-        low, high = (bar.bottom, bar.top) if upright else (bar.left, bar.right)
+        low, high = _span(bar, upright=upright)
         for other in kept:
-            start, end = (other.bottom, other.top) if upright else (other.left, other.right)
+            start, end = _span(other, upright=upright)
             lengths = sorted((high - low, end - start))
-            beside = min(high, end) - max(low, start) > BESIDE * lengths[0]
-            apart = abs(_place(bar, upright=upright) - _place(other, upright=upright)) > APART
-            if not (beside and apart and lengths[1] < ALIKE * lengths[0]):
+            off = abs(_place(bar, upright=upright) - _place(other, upright=upright))
+            common = min(high, end) - max(low, start)
+            there = (
+                off < FLUSH and common < -BETWEEN
+                if in_line
+                else off > APART and common > BESIDE * lengths[0]
+            )
+            if not (there and lengths[1] < ALIKE * lengths[0]):
                 break
         else:
             kept.append(bar)
-    return kept
+    return sorted(kept, key=lambda bar: _place(bar, upright=upright != in_line))
+
+
+def _span(bar: Area, *, upright: bool) -> tuple[float, float]:
+    """Ends of an upright bar along z, or of a level one along x [m]."""
+    return (bar.bottom, bar.top) if upright else (bar.left, bar.right)
 
 
 def _even(edges: tuple[float, float], places: Sequence[float]) -> list[float]:

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from momapos.geometry.transforms import invert
 from momapos.types import FaceImage, Frame, Front, Part, UprightBox
+from momapos.views.agreement import agreed
 from momapos.views.even_doors import evened
 from momapos.views.faces import (
     FACES,
@@ -20,7 +20,8 @@ from momapos.views.faces import (
     shown,
     solid,
 )
-from momapos.views.projection import Sight, area, common_area
+from momapos.views.placed_parts import handles_seen_from, placed, surest
+from momapos.views.projection import Sight
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -32,15 +33,6 @@ STRAIGHT = 10
 """How much more an image counts that is taken straight on: power of the cosine [-]."""
 NEAREST = 0.5
 """Images taken from nearer than this are no better for it [m]."""
-WITHIN = 0.6
-"""Share of a part that must lie on the face [-]."""
-STAND_OFF = 0.04
-"""Handles stand out about this far [m]."""
-PARALLEL, COPLANAR = 0.99, 0.12
-"""Two faces are in one plane where the cosine between them is more than the first, and the distance
-less than the second [m]."""
-SAME = 0.5
-"""Of two parts that share this much of the smaller one, one is left out [-]."""
 UNBACKED = 0.5
 """What is said for a face counts so much less where another one has a wall behind the thing: what
 stands against a wall opens away from it [-]."""
@@ -77,6 +69,8 @@ class ViewConfig:
     """Part of a face that an image must show [-]."""
     votes: int = 2
     """Images that vote for a face [-]."""
+    agreeing: int = 4
+    """Images whose parts are brought together on the face that is the front [-]."""
     partly: float = 0.15
     """Images that show less of it do not help to measure its height map [-]."""
     merged: int = 12
@@ -171,7 +165,7 @@ def _voting(
     if not len(indices):
         return None
     evidence = [float("nan")] * FACES
-    best: tuple[float, Face, int, FaceImage, Front] | None = None
+    best: tuple[float, Face, list[int], list[int], FaceImage, list[Front]] | None = None
     for face in box_faces(box):
         order, partly = showing(face, frames, indices, config)
         if not order:
@@ -182,9 +176,9 @@ def _voting(
         if flat < config.flat:  # open, as the side of a table: no vote makes it a front
             evidence[face.index] = 0.0
             continue
+        own = [_vote(face, frames, i, merged, look, config) for i in order[: config.votes]]
         votes = [
-            _with(_vote(face, frames, i, merged, look, config), face, frames[i], before)
-            for i in order[: config.votes]
+            _with(front, face, frames[i], before) for front, i in zip(own, order, strict=False)
         ]
         doors = float(np.mean([front_evidence(front, image) for front in votes]))
         # Where faces compete, doors do not make up for looks: both count, or one side of a
@@ -195,11 +189,14 @@ def _voting(
             rank *= UNBACKED
         evidence[face.index] = rank
         if doors >= config.least and (best is None or rank > best[0]):
-            front = replace(votes[0], parts=evened(image, votes[0].parts))
-            best = rank, face, order[0], image, front
+            best = rank, face, order, merged, image, own
     if best is None:
         return None
-    _, face, chosen, image, front = best
+    _, face, order, merged, image, own = best
+    chosen = order[0]
+    front = together(face, frames, order[: config.agreeing], merged, look, config, own)
+    front = _with(front, face, frames[chosen], before)
+    front = replace(front, parts=evened(image, front.parts))
     angle = float(np.arccos(min(1.0, cosines_to(face, [frames[chosen]])[0])))
     return View(face, chosen, angle, image, front, tuple(evidence))
 
@@ -215,6 +212,37 @@ def _vote(
     """What one image's colors say of a face, with the height map that the best ones measured."""
     rest = [frames[i] for i in merged if i != chosen]
     return look_at(face, [frames[chosen], *rest], look, config.least)
+
+
+def together(
+    face: Face,
+    frames: Sequence[Frame],
+    chosen: Sequence[int],
+    merged: Sequence[int],
+    look: Look,
+    config: ViewConfig,
+    known: Sequence[Front] = (),
+) -> Front:
+    """What several images of a face agree on, with handles as the first of them shows them.
+
+    Args:
+        face: The face.
+        frames: All images.
+        chosen: Indices of those whose colors are looked at, the best first.
+        merged: Indices of those whose depth is merged.
+        look: What is on a face.
+        config: How faces are looked at.
+        known: What the first of the chosen images were found to show.
+    """
+    rest = [_vote(face, frames, i, merged, look, config) for i in chosen[len(known) :]]
+    fronts = [*known, *rest]
+    cameras = [camera_position_of(face, frames[i]) for i in chosen]
+    upright = [
+        handles_seen_from(front.parts, face, camera, undo=True)
+        for front, camera in zip(fronts, cameras, strict=True)
+    ]
+    parts = handles_seen_from(agreed(upright), face, cameras[0])
+    return replace(fronts[0], parts=parts)
 
 
 def _with(front: Front, face: Face, frame: Frame, before: Sequence[Seen]) -> Front:
@@ -280,79 +308,6 @@ def look_at(face: Face, frames: Sequence[Frame], look: Look, least: float) -> Fr
         if door_evidence(fronts[-1]) >= least:
             break
     return max(fronts, key=door_evidence)
-
-
-def placed(parts: Sequence[Part], source: Face, target: Face) -> tuple[Part, ...]:
-    """Parts of one face as parts of another that lies in its plane.
-
-    Args:
-        parts: Rectangles as fractions of `source`.
-        source: Where they were seen.
-        target: The other face.
-
-    Returns:
-        Rectangles as fractions of `target`, cut off at its rim; without those that lie mostly
-        beside it. None where the faces look different ways or are apart.
-    """
-    T = invert(target.T_world_face) @ source.T_world_face
-    if T[2, 2] < PARALLEL or abs(T[2, 3]) > COPLANAR:
-        return ()
-    scale = np.array([source.width / target.width, source.height / target.height] * 2)
-    at = np.array([T[0, 3] / target.width, -T[1, 3] / target.height] * 2)
-
-    def moved(box: tuple[float, ...]) -> Float[np.ndarray, "4"]:
-        return (np.array(box) - 0.5) * scale + 0.5 + at
-
-    there = []
-    for part in parts:
-        box = moved(part.box)
-        kept = np.clip(box, 0.0, 1.0)
-        if np.prod(kept[2:] - kept[:2]) > WITHIN * np.prod(box[2:] - box[:2]):
-            grip = None if part.handle is None else _rectangle(moved(part.handle))
-            there.append(replace(part, box=_rectangle(kept), handle=grip))
-    return tuple(there)
-
-
-def handles_seen_from(
-    parts: Sequence[Part], face: Face, camera: Float[np.ndarray, "3"], *, undo: bool = False
-) -> tuple[Part, ...]:
-    """Move handles from where they are on a face to where they appear on it, or back.
-
-    Args:
-        parts: Rectangles as fractions of the face.
-        face: The face.
-        camera: Where the image is taken, in the face's frame [m].
-        undo: From where they appear to where they are.
-    """
-    sign = 1.0 if undo else -1.0
-    size, origin = np.array([face.width, face.height]), np.array([camera[0], -camera[1]])
-
-    def moved(handle: tuple[float, ...]) -> tuple[float, float, float, float]:
-        box = np.array(handle).reshape(2, 2)
-        middle = (box.mean(axis=0) - 0.5) * size
-        return _rectangle((box + sign * STAND_OFF * (origin - middle) / camera[2] / size).ravel())
-
-    return tuple(p if p.handle is None else replace(p, handle=moved(p.handle)) for p in parts)
-
-
-def surest(parts: Sequence[Part]) -> tuple[Part, ...]:
-    """The surest of parts that were seen twice, as one or as two, the surest first."""
-    kept: list[Part] = []
-    for part in sorted(parts, key=lambda p: -p.score):
-        if all(_shared(part, other) < SAME for other in kept):
-            kept.append(part)
-    return tuple(kept)
-
-
-def _shared(a: Part, b: Part) -> float:
-    """Common area of two parts, as a share of the smaller [-]."""
-    least = min(area(a.box), area(b.box))
-    return common_area(a.box, b.box) / least if least > 0 else 1.0
-
-
-def _rectangle(values: Float[np.ndarray, "4"]) -> tuple[float, float, float, float]:
-    left, top, right, bottom = np.clip(values, 0.0, 1.0).tolist()
-    return left, top, right, bottom
 
 
 def showing(

@@ -23,12 +23,10 @@ from momapos.views.front_view import (
     Seen,
     ViewConfig,
     front_evidence,
-    handles_seen_from,
     look_at,
-    placed,
     showing,
-    surest,
 )
+from momapos.views.placed_parts import handles_seen_from, placed, surest
 from momapos.views.projection import projection
 
 if TYPE_CHECKING:

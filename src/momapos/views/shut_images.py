@@ -13,7 +13,8 @@ from momapos.geometry.leaves import UP, OpenLeaf
 from momapos.geometry.transforms import invert, pose
 from momapos.types import FaceImage, Frame, Part
 from momapos.views.faces import APART, Face, camera_position_of, face_image
-from momapos.views.front_view import Seen, handles_seen_from
+from momapos.views.front_view import Seen
+from momapos.views.placed_parts import handles_seen_from
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float32, UInt8

@@ -1,0 +1,121 @@
+"""The parts on a front that several images agree on.
+
+What one image shows of a front depends on where it was taken: a seam or a knob is a pixel there
+and none here, and the networks then take two drawers for one. Each image's parts are hypotheses;
+those of different images that lie on each other are one, and what is kept is the set of parts, free
+of overlaps, that explains most of what was seen in all of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from momapos.types import Part, PartKind
+from momapos.views.projection import area, common_area, overlap
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
+
+SAME = 0.6
+"""Parts of two images that overlap by this much are one (IoU) [-]."""
+APART = 0.3
+"""Two parts of a front share less than this of the smaller one [-]."""
+LEAST = 0.12
+"""Mean score over all images from which on there is a part, 0 where one shows none [-]."""
+UNSEEN = 0.01
+"""How probable a kind is where an image says nothing of it [-]."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Voices:
+    """One part as several images show it."""
+
+    parts: list[Part]
+    """At most one of each image, the surest first."""
+    images: set[int]
+
+    def support(self, count: int) -> float:
+        """Mean score over all images [-]."""
+        return sum(part.score for part in self.parts) / count
+
+
+def agreed(fronts: Sequence[Sequence[Part]]) -> tuple[Part, ...]:
+    """The parts that images of one face agree on, the surest first.
+
+    Args:
+        fronts: What each image shows, as fractions of the face; the best image first.
+    """
+    voices = [v for v in _voices(fronts) if v.support(len(fronts)) >= LEAST]
+    weights = np.array([v.support(len(fronts)) * area(v.parts[0].box) for v in voices])
+    boxes = [v.parts[0].box for v in voices]
+    apart = np.array(
+        [[common_area(a, b) < APART * min(area(a), area(b)) for b in boxes] for a in boxes], bool
+    ).reshape(len(boxes), len(boxes))
+    kept = [_joined(voices[k]) for k in _heaviest(weights, apart)]
+    return tuple(sorted(kept, key=lambda part: -part.score))
+
+
+def _voices(fronts: Sequence[Sequence[Part]]) -> list[_Voices]:
+    """Parts that lie on each other in different images, the surest first."""
+    every = sorted(
+        ((part, image) for image, parts in enumerate(fronts) for part in parts),
+        key=lambda pair: -pair[0].score,
+    )
+    found: list[_Voices] = []
+    for part, image in every:
+        free = [v for v in found if image not in v.images]
+        best = max(free, key=lambda v: overlap(v.parts[0].box, part.box), default=None)
+        if best is not None and overlap(best.parts[0].box, part.box) >= SAME:
+            best.parts.append(part)
+            best.images.add(image)
+        else:
+            found.append(_Voices([part], {image}))
+    return found
+
+
+def _heaviest(weights: Float[np.ndarray, " n"], apart: Bool[np.ndarray, "n n"]) -> list[int]:
+    """Indices of the heaviest set of parts that are all apart."""
+    from scipy.optimize import Bounds, LinearConstraint, milp
+
+    if not len(weights):
+        return []
+    pairs = np.argwhere(np.triu(~apart, k=1))
+    rows = np.zeros((len(pairs), len(weights)))
+    rows[np.arange(len(pairs))[:, None], pairs] = 1.0
+    solved = milp(
+        -weights,
+        integrality=np.ones(len(weights)),
+        bounds=Bounds(0.0, 1.0),
+        constraints=[LinearConstraint(rows, ub=1.0)] if len(pairs) else (),
+    )
+    return np.flatnonzero(solved.x > 0.5).tolist()
+
+
+def _joined(voices: _Voices) -> Part:
+    """One part of what several images say of it."""
+    parts = voices.parts
+    scores = np.array([part.score for part in parts])
+    box = np.average([part.box for part in parts], axis=0, weights=scores).tolist()
+    odds = _odds(parts, scores)
+    held = next((part.handle for part in parts if part.handle is not None), None)
+    kind = odds[0][0] if odds else parts[0].kind
+    left, top, right, bottom = box
+    return replace(parts[0], kind=kind, box=(left, top, right, bottom), handle=held, odds=odds)
+
+
+def _odds(
+    parts: Sequence[Part], scores: Float[np.ndarray, " n"]
+) -> tuple[tuple[PartKind, float], ...]:
+    """How a part may open: the geometric mean of what the images say, the surer the more."""
+    known = [(dict(p.odds), s) for p, s in zip(parts, scores, strict=True) if p.odds]
+    if not known:
+        return ()
+    kinds = list(known[0][0])
+    rows = [[np.log(max(odds.get(kind, 0.0), UNSEEN)) for kind in kinds] for odds, _ in known]
+    mean = np.exp(np.average(np.array(rows), axis=0, weights=[s for _, s in known]))
+    pairs = zip(kinds, (mean / mean.sum()).tolist(), strict=True)
+    return tuple(sorted(pairs, key=lambda pair: -pair[1]))
