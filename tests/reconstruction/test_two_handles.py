@@ -84,6 +84,20 @@ def test_a_seam_between_the_handles_tells_more_than_their_places() -> None:
     assert left.box[2] == right.box[0] == pytest.approx(0.4, abs=0.01)
 
 
+def test_handles_end_to_end_are_of_doors_above_each_other() -> None:
+    bars = ((0.035, 0.2, 0.065, 0.45), (0.035, 0.65, 0.065, 0.9))
+    face = front(*bars)
+    part = Part("door_right", WHOLE, 0.5)
+    top, low = sorted(divided(face, part), key=lambda one: one.box[1])
+    assert (top.kind, low.kind) == ("door_right", "door_right")
+    assert top.box[3] == low.box[1] == pytest.approx(0.5, abs=0.01)
+    row = round(0.6 * face.color.shape[0])
+    face.color[row : row + 2] //= 2
+    top, low = sorted(divided(face, part), key=lambda one: one.box[1])
+    assert top.box[3] == low.box[1] == pytest.approx(0.6, abs=0.01)
+    np.testing.assert_allclose((top.handle, low.handle), bars, atol=0.01)
+
+
 @pytest.mark.parametrize(
     "bars",
     [

@@ -129,7 +129,8 @@ def _cuts(
 ) -> list[float]:
     """Edges of the pieces of a part, each with one of the handles, from the left or from below [m].
 
-    Where a seam is seen between two handles, it is there; else where `_even` says.
+    Where a seam is seen between two handles, it is there; else where `_even` says, or in the middle
+    between handles end to end where that is beside one of them.
     """
     area = area_of(part.box, face)
     edges = (area.left, area.right) if upright else (area.bottom, area.top)

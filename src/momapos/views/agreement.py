@@ -9,13 +9,14 @@ of overlaps, that explains most of what was seen in all of them.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from momapos.types import Part, PartKind
-from momapos.views.projection import area, common_area, overlap
+from momapos.views.placed_parts import shared
+from momapos.views.projection import area, overlap
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
@@ -30,17 +31,8 @@ UNSEEN = 0.01
 """How probable a kind is where an image says nothing of it [-]."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Voices:
-    """One part as several images show it."""
-
-    parts: list[Part]
-    """At most one of each image, the surest first."""
-    images: set[int]
-
-    def support(self, count: int) -> float:
-        """Mean score over all images [-]."""
-        return sum(part.score for part in self.parts) / count
+Voices = dict[int, Part]
+"""One part as several images show it, by their indices; the surest first."""
 
 
 def agreed(fronts: Sequence[Sequence[Part]]) -> tuple[Part, ...]:
@@ -49,31 +41,31 @@ def agreed(fronts: Sequence[Sequence[Part]]) -> tuple[Part, ...]:
     Args:
         fronts: What each image shows, as fractions of the face; the best image first.
     """
-    voices = [v for v in _voices(fronts) if v.support(len(fronts)) >= LEAST]
-    weights = np.array([v.support(len(fronts)) * area(v.parts[0].box) for v in voices])
-    boxes = [v.parts[0].box for v in voices]
-    apart = np.array(
-        [[common_area(a, b) < APART * min(area(a), area(b)) for b in boxes] for a in boxes], bool
-    ).reshape(len(boxes), len(boxes))
+    voices = _voices(fronts)
+    support = np.array([sum(p.score for p in v.values()) / len(fronts) for v in voices])
+    voices = [voice for voice, share in zip(voices, support, strict=True) if share >= LEAST]
+    first = [next(iter(voice.values())) for voice in voices]
+    weights = support[support >= LEAST] * [area(part.box) for part in first]
+    apart = np.array([[shared(a, b) < APART for b in first] for a in first], bool)
+    apart = apart.reshape(len(first), len(first))
     kept = [_joined(voices[k]) for k in _heaviest(weights, apart)]
     return tuple(sorted(kept, key=lambda part: -part.score))
 
 
-def _voices(fronts: Sequence[Sequence[Part]]) -> list[_Voices]:
+def _voices(fronts: Sequence[Sequence[Part]]) -> list[Voices]:
     """Parts that lie on each other in different images, the surest first."""
     every = sorted(
         ((part, image) for image, parts in enumerate(fronts) for part in parts),
         key=lambda pair: -pair[0].score,
     )
-    found: list[_Voices] = []
+    found: list[Voices] = []
     for part, image in every:
-        free = [v for v in found if image not in v.images]
-        best = max(free, key=lambda v: overlap(v.parts[0].box, part.box), default=None)
-        if best is not None and overlap(best.parts[0].box, part.box) >= SAME:
-            best.parts.append(part)
-            best.images.add(image)
-        else:
-            found.append(_Voices([part], {image}))
+        free = [(overlap(next(iter(v.values())).box, part.box), v) for v in found if image not in v]
+        common, voice = max(free, key=lambda pair: pair[0], default=(0.0, {}))
+        if common < SAME:
+            voice = {}
+            found.append(voice)
+        voice[image] = part
     return found
 
 
@@ -95,9 +87,9 @@ def _heaviest(weights: Float[np.ndarray, " n"], apart: Bool[np.ndarray, "n n"]) 
     return np.flatnonzero(solved.x > 0.5).tolist()
 
 
-def _joined(voices: _Voices) -> Part:
+def _joined(voices: Voices) -> Part:
     """One part of what several images say of it."""
-    parts = voices.parts
+    parts = list(voices.values())
     scores = np.array([part.score for part in parts])
     box = np.average([part.box for part in parts], axis=0, weights=scores).tolist()
     odds = _odds(parts, scores)

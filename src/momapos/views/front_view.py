@@ -194,7 +194,7 @@ def _voting(
         return None
     _, face, order, merged, image, own = best
     chosen = order[0]
-    front = together(face, frames, order[: config.agreeing], merged, look, config, own)
+    front = _together(face, frames, order[: config.agreeing], merged, look, config, own)
     front = _with(front, face, frames[chosen], before)
     front = replace(front, parts=evened(image, front.parts))
     angle = float(np.arccos(min(1.0, cosines_to(face, [frames[chosen]])[0])))
@@ -214,7 +214,7 @@ def _vote(
     return look_at(face, [frames[chosen], *rest], look, config.least)
 
 
-def together(
+def _together(
     face: Face,
     frames: Sequence[Frame],
     chosen: Sequence[int],

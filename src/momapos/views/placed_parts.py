@@ -84,12 +84,12 @@ def surest(parts: Sequence[Part]) -> tuple[Part, ...]:
     """The surest of parts that were seen twice, as one or as two, the surest first."""
     kept: list[Part] = []
     for part in sorted(parts, key=lambda p: -p.score):
-        if all(_shared(part, other) < SAME for other in kept):
+        if all(shared(part, other) < SAME for other in kept):
             kept.append(part)
     return tuple(kept)
 
 
-def _shared(a: Part, b: Part) -> float:
+def shared(a: Part, b: Part) -> float:
     """Common area of two parts, as a share of the smaller [-]."""
     least = min(area(a.box), area(b.box))
     return common_area(a.box, b.box) / least if least > 0 else 1.0
