@@ -31,8 +31,16 @@ def test_a_flap_below_a_drawer_that_is_like_it_is_a_drawer() -> None:
         assert dict(part.odds)["door_up"] == pytest.approx(0.02)
 
 
+def test_two_that_may_be_either_are_drawers_however_many_there_are() -> None:
+    parts = [doubted(HIGH, 0.15), doubted(LOW, 0.15)]
+    first, second = opening_alike(FACE, parts)
+    assert (first.kind, second.kind) == ("drawer", "drawer")
+    share = 20 * 0.15 / (20 * 0.15 + 0.85)
+    assert dict(first.odds)["drawer"] == pytest.approx(0.98 * share)
+
+
 def test_two_that_are_clearly_flaps_stay_flaps() -> None:
-    found = opening_alike(FACE, [doubted(HIGH, 0.05), doubted(LOW, 0.05)])
+    found = opening_alike(FACE, [doubted(HIGH, 0.02), doubted(LOW, 0.02)])
     assert [part.kind for part in found] == ["door_down", "door_down"]
 
 

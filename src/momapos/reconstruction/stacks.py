@@ -29,7 +29,8 @@ def opening_alike(face: FaceImage, parts: Sequence[Part]) -> tuple[Part, ...]:
     """Weigh what is thought of parts that are alike together: as drawers, or as flaps.
 
     A flap alone looks like a drawer with a handle at its top; above another one it hardly ever is
-    one, unless it is clear of both, as of two ovens.
+    one, unless it is clear of both, as of two ovens. What the networks say of parts that look alike
+    is one and the same evidence, so it counts once: as the geometric mean over them.
 
     Args:
         face: The face.
@@ -39,7 +40,8 @@ def opening_alike(face: FaceImage, parts: Sequence[Part]) -> tuple[Part, ...]:
     for stack in _stacks(face, parts):
         odds = [dict(parts[k].odds) for k in stack]
         drawers, flaps = (
-            float(np.prod([each.get(kind, 0.0) for each in odds])) for kind in LEVEL_KINDS
+            float(np.prod([each.get(kind, 0.0) for each in odds]) ** (1.0 / len(stack)))
+            for kind in LEVEL_KINDS
         )
         low = min(area_of(parts[k].box, face).height for k in stack) < HIGHEST
         drawers *= DRAWERS if low else 1.0
