@@ -31,3 +31,22 @@ def test_a_part_of_one_image_among_many_is_none() -> None:
     weak = Part("drawer", WHOLE.box, 0.3)
     assert agreed([(weak,), (), (), ()]) == ()
     assert agreed([]) == ()
+
+
+def test_parts_that_explain_every_handle_are_kept_before_one_that_does_not() -> None:
+    high, low = (
+        Part("drawer", half.box, 0.6, (0.3, half.box[1] + 0.05, 0.7, half.box[1] + 0.1))
+        for half in HALVES
+    )
+    whole = Part("drawer", WHOLE.box, 0.75, low.handle)
+    plain = (Part("drawer", part.box, 0.6) for part in (high, low))
+    assert [part.box for part in agreed([tuple(plain), (whole,), (whole,)])] == [WHOLE.box]
+    parts = agreed([(high, low), (high, low), (whole,), (whole,)])
+    assert sorted(part.box for part in parts) == [part.box for part in HALVES]
+    assert {part.handle for part in parts} == {high.handle, low.handle}
+
+
+def test_the_handle_of_a_neighbor_on_the_rim_does_not_speak_against_a_part() -> None:
+    high = Part("drawer", HALVES[0].box, 0.6, (0.3, 0.05, 0.7, 0.1))
+    low = Part("drawer", (0.0, 0.45, 1.0, 1.0), 0.6, (0.3, 0.46, 0.7, 0.49))
+    assert len(agreed([(high, low), (high, low)])) == 2

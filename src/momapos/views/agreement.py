@@ -3,7 +3,8 @@
 What one image shows of a front depends on where it was taken: a seam or a knob is a pixel there
 and none here, and the networks then take two drawers for one. Each image's parts are hypotheses;
 those of different images that lie on each other are one, and what is kept is the set of parts, free
-of overlaps, that explains most of what was seen in all of them.
+of overlaps, that explains most of what was seen in all of them. A part with the handle of another
+one in it explains the less, the more images show that handle.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import numpy as np
 
 from momapos.types import Part, PartKind
 from momapos.views.placed_parts import shared
-from momapos.views.projection import area, overlap
+from momapos.views.projection import area, common_area, overlap
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
@@ -46,6 +47,7 @@ def agreed(fronts: Sequence[Sequence[Part]]) -> tuple[Part, ...]:
     voices = [voice for voice, share in zip(voices, support, strict=True) if share >= LEAST]
     first = [next(iter(voice.values())) for voice in voices]
     weights = support[support >= LEAST] * [area(part.box) for part in first]
+    weights *= [1.0 - _unexplained(voice, fronts) for voice in voices]
     apart = np.array([[shared(a, b) < APART for b in first] for a in first], bool)
     apart = apart.reshape(len(first), len(first))
     kept = [_joined(voices[k]) for k in _heaviest(weights, apart)]
@@ -67,6 +69,26 @@ def _voices(fronts: Sequence[Sequence[Part]]) -> list[Voices]:
             found.append(voice)
         voice[image] = part
     return found
+
+
+def _unexplained(voices: Voices, fronts: Sequence[Sequence[Part]]) -> float:
+    """Share of the images that show the handle of another part within a part [-].
+
+    Only of parts that cannot be there beside it: the handles of neighbors are explained by these.
+    """
+    part = next(iter(voices.values()))
+    own = [v.handle for v in voices.values() if v.handle is not None]
+    shows = [
+        any(
+            other.handle is not None
+            and shared(part, other) >= APART
+            and common_area(part.box, other.handle) > 0.5 * area(other.handle)
+            and all(not common_area(other.handle, one) for one in own)
+            for other in parts
+        )
+        for parts in fronts
+    ]
+    return sum(shows) / len(fronts)
 
 
 def _heaviest(weights: Float[np.ndarray, " n"], apart: Bool[np.ndarray, "n n"]) -> list[int]:
