@@ -113,10 +113,18 @@ def test_a_handle_in_pieces_or_with_something_else_beside_it_is_one(bars: tuple[
     assert divided(front(*bars), part) == (part,)
 
 
+def test_a_flap_with_two_level_bars_of_one_width_is_two_drawers() -> None:
+    face = front(level(0.05), level(0.45))
+    found = divided(face, Part("door_down", WHOLE, 0.5))
+    assert [part.kind for part in found] == ["drawer", "drawer"]
+
+
 def test_a_flap_has_one_handle_and_a_neighbors_handle_is_none_of_a_part() -> None:
     face = front(upright(0.05), upright(0.55))
     flap = Part("door_down", WHOLE, 0.5)
     assert divided(face, flap) == (flap,)
+    towels = (0.4, 0.535, 0.7, 0.565)
+    assert divided(front(level(0.05), towels), flap) == (flap,)
     parts = (
         Part("door_left", (0.0, 0.0, 0.6, 1.0), 0.5),
         Part("door_right", (0.5, 0.0, 1.0, 1.0), 0.5, handle=upright(0.55)),

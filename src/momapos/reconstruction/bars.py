@@ -39,6 +39,8 @@ BESIDE = 0.5
 """And lie side by side over this share of the shorter one [-]."""
 ALIKE = 1.6
 """Handles of two like parts differ in length by less than this factor [-]."""
+TWINS = 0.02
+"""Level bars of two like parts begin and end at the same places, within this [m]."""
 LEAST_PART = 0.12
 """A part that is told by its handle alone has sides of at least this [m]."""
 SEAM = 0.1
@@ -102,8 +104,6 @@ def _divided(
     level: Float32[np.ndarray, "h w"],
 ) -> tuple[Part, ...]:
     """A part, divided between its handles, from the left or from below."""
-    if part.kind in FLAPS:
-        return (part,)
     held = [area_of(other.handle, face) for other in others if other.handle is not None]
     own = [bar for bar in handles_on(face, part) if not any(bar.within(area) for area in held)]
     if not own:
@@ -111,7 +111,7 @@ def _divided(
     tall = own[0].height > own[0].width
     for in_line in (False, True):
         alike, upright = _alike(own, in_line=in_line), tall != in_line
-        if len(alike) < 2:
+        if len(alike) < 2 or (part.kind in FLAPS and not _twins(alike)):
             continue
         cuts = _cuts(face, part, alike, upright_lines if upright else level, upright=upright)
         if np.diff(cuts).min() >= LEAST_PART:
@@ -208,6 +208,12 @@ def _alike(found: Sequence[Area], *, in_line: bool) -> list[Area]:
         else:
             kept.append(bar)
     return sorted(kept, key=lambda bar: _place(bar, upright=upright != in_line))
+
+
+def _twins(alike: Sequence[Area]) -> bool:
+    """Whether level bars above each other begin and end alike: a towel bar is no second handle."""
+    ends = np.array([_span(bar, upright=False) for bar in alike])
+    return alike[0].width > alike[0].height and bool((np.ptp(ends, axis=0) < TWINS).all())
 
 
 def _span(bar: Area, *, upright: bool) -> tuple[float, float]:
