@@ -92,8 +92,8 @@ class View:
     front: Front
     evidence: tuple[float, ...]
     """Mean of what the images say for each face: by its looks and by the handles on it, half
-    and half, times how flat it is, less where another side has the wall behind it; NaN for faces
-    that no image shows."""
+    and half, times how flat it is, less where another side has the wall behind it; of as many
+    images as it took to see which face wins. NaN for faces that no image was asked about."""
 
 
 def choose_view(
@@ -166,7 +166,8 @@ def _voting(
         return None
     evidence = [float("nan")] * FACES
     best: tuple[float, Face, list[int], list[int], FaceImage, list[Front]] | None = None
-    for face in box_faces(box):
+    worth = [1.0 if behind or not any(backed) else UNBACKED for behind in backed]
+    for face in sorted(box_faces(box), key=lambda face: -worth[face.index]):
         order, partly = showing(face, frames, indices, config)
         if not order:
             continue
@@ -176,20 +177,25 @@ def _voting(
         if flat < config.flat:  # open, as the side of a table: no vote makes it a front
             evidence[face.index] = 0.0
             continue
-        own = [_vote(face, frames, i, merged, look, config) for i in order[: config.votes]]
-        votes = [
-            _with(front, face, frames[i], before) for front, i in zip(own, order, strict=False)
-        ]
-        doors = float(np.mean([front_evidence(front, image) for front in votes]))
+        asked, least = order[: config.votes], best[0] if best is not None else -1.0
+        own: list[Front] = []
+        doors: list[float] = []
+        looks: list[float] = []
         # Where faces compete, doors do not make up for looks: both count, or one side of a
         # fridge with a seam and a shadow on it passes for the front.
-        looks = [(flat * f.score + handle_evidence(f, image)) / 2 for f in votes]
-        rank = float(np.mean(looks))
-        if any(backed) and not backed[face.index]:
-            rank *= UNBACKED
-        evidence[face.index] = rank
-        if doors >= config.least and (best is None or rank > best[0]):
-            best = rank, face, order, merged, image, own
+        most = worth[face.index] * (flat + 1.0) / 2
+        for i in asked:
+            if most * (len(asked) - len(looks)) + sum(looks) <= least * len(asked):
+                break
+            own.append(_vote(face, frames, i, merged, look, config))
+            vote = _with(own[-1], face, frames[i], before)
+            doors.append(front_evidence(vote, image))
+            rank = (flat * vote.score + handle_evidence(vote, image)) / 2
+            looks.append(worth[face.index] * rank)
+        if looks:
+            evidence[face.index] = float(np.mean(looks))
+        if len(looks) == len(asked) and np.mean(doors) >= config.least and np.mean(looks) > least:
+            best = evidence[face.index], face, order, merged, image, own
     if best is None:
         return None
     _, face, order, merged, image, own = best
