@@ -4,9 +4,11 @@
     python benchmarks/sweet_home.py x/usr/share/sweethome3d --out FOLDER
     python benchmarks/scan_objects.py --models FOLDER --no-answers
 
-The interior design program names the parts of its models that move (`opening_on_hinge_1`), what
-they turn about (`hinge_1`) and what they slide along (`rail_1`, `unique_rail`). Each becomes a
-joint: a hinge turns about the longest side of the box about its fittings, a drawer slides forward.
+The interior design program names the parts of its models that move (`opening_on_hinge_1`), and what
+they turn about (`hinge_1`). Each becomes a joint: a hinge turns about the longest side of the box
+about its fittings, toward the front, or upward where a lid lies on top; a drawer slides forward.
+What has no fittings, or is as slim as a tap, stays where it is. A color comes from the material
+file beside a model or from the program's own list; materials with textures or in neither have none.
 Nothing of these models is part of the repository. Of furniture of this kind, a hash of the name
 says which half may be looked at, as in `objects.py`.
 """
@@ -33,15 +35,18 @@ KINDS = frozenset(
     )
 )  # fmt: skip
 """Furniture with doors or drawers, by the names of its models."""
-ON_COUNTER = frozenset(("oven", "small-oven"))
-COUNTER = 0.9
-"""Height of what small ovens stand on [m]."""
+SMALL, COUNTER = 0.5, 0.9
+"""What is lower than the one and does not hang stands on a counter as high as the other [m]."""
+LEAST = 0.2
+"""What is narrower in two directions is no door or drawer, but a tap or a knob [m]."""
 TURN, SLIDE = np.pi / 2, 0.7
 """How far doors open [rad], and drawers, as a share of their depth."""
 _LIST = "FurnitureCatalog.properties"
 _LOADER = "OBJLoader.class"
-_MOVING = re.compile(r"sweethome3d_(?:opening|window_pane)_on_(hinge|rail)_(\d+)")
-_MATERIAL = re.compile(rb"newmtl ([\w.]+)\n(?:K[as] [^\n]*\n)*?Kd ([\d. ]+)\n")
+_MOVING = re.compile(
+    r"(?<!\S)sweethome3d_(?:opening|window_pane|window_mirror)_on_(hinge|rail)_([^\W_]+)", re.I
+)
+_SPECIAL = re.compile(r"(?<!\S)sweethome3d_", re.I)
 _TURNED = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 """From y up, front toward z, to z up, front toward -y."""
 
@@ -56,10 +61,12 @@ class Model:
     """Width, depth, height [m]."""
     above: float
     """Floor to its lower side [m]."""
+    counter: bool
+    """Whether it stands on something."""
     text: str
     """Its OBJ file."""
     paints: dict[str, str]
-    """Diffuse color of each material, as its files write it."""
+    """Diffuse color of each material that has one, as its files write it."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +74,8 @@ class Group:
     """A named part of an OBJ file."""
 
     name: str
+    """What a part of it that moves is named; of an object's groups without such names, the
+    object's."""
     faces: dict[str, list[list[int]]]
     """Corners of its faces by material, counted from 0."""
 
@@ -86,22 +95,31 @@ def models(folder: Path) -> Iterator[Model]:
         sys.exit(f"{folder}: holds no sweethome3d.jar; name the folder of the unpacked package")
     usual: dict[str, str] = {}
     for archive in archives:
-        with zipfile.ZipFile(archive) as file:
-            for name in file.namelist():
-                if name.endswith(_LOADER):
-                    usual = _paints(file.read(name))
-            catalog = next(n for n in file.namelist() if n.endswith(_LIST))
-            for entry in _entries(file.read(catalog).decode("latin-1")):
-                if (path := entry.get("model", "").lstrip("/")).endswith(".obj"):
-                    name = Path(path).stem
-                    if name not in KINDS or "rotation" in entry:
-                        continue
-                    text = file.read(path).decode("latin-1")
-                    if not _MOVING.search(text):
-                        continue
-                    beside = path.removesuffix(".obj") + ".mtl"
-                    own = _paints(file.read(beside)) if beside in file.namelist() else {}
-                    yield _model(name, entry, text, usual | own)
+        try:
+            with zipfile.ZipFile(archive) as file:
+                for name in file.namelist():
+                    if name.endswith(_LOADER):
+                        usual = paints(file.read(name))
+                yield from _of_archive(file, usual)
+        except (zipfile.BadZipFile, KeyError, ValueError) as error:
+            sys.exit(f"{archive}: not a furniture library of Sweet Home 3D ({error})")
+
+
+def _of_archive(file: zipfile.ZipFile, usual: dict[str, str]) -> Iterator[Model]:
+    """Furniture with doors or drawers of one archive."""
+    names = frozenset(file.namelist())
+    catalogs = [name for name in names if name.endswith(_LIST)]
+    if not catalogs:
+        raise ValueError(f"it holds no {_LIST}")
+    for entry in _entries(file.read(catalogs[0]).decode("latin-1")):
+        path = entry.get("model", "").lstrip("/")
+        if Path(path).stem not in KINDS or not path.endswith(".obj") or "modelRotation" in entry:
+            continue
+        text = file.read(path).decode(errors="replace")
+        if _MOVING.search(text):
+            beside = path.removesuffix(".obj") + ".mtl"
+            own = paints(file.read(beside)) if beside in names else {}
+            yield _model(Path(path).stem, entry, text, usual | own)
 
 
 def _entries(text: str) -> list[dict[str, str]]:
@@ -112,28 +130,51 @@ def _entries(text: str) -> list[dict[str, str]]:
     return list(found.values())
 
 
-def _model(name: str, entry: dict[str, str], text: str, paints: dict[str, str]) -> Model:
+def _model(name: str, entry: dict[str, str], text: str, found: dict[str, str]) -> Model:
     width, depth, height = (float(entry[key]) / 100 for key in ("width", "depth", "height"))
     above = float(entry.get("elevation", "0")) / 100
-    above = COUNTER if name in ON_COUNTER else above
-    return Model(name, entry["creator"], (width, depth, height), above, text, paints)
+    counter = height < SMALL and above == 0.0
+    given = {material: color for material, color in found.items() if color}
+    size, above = (width, depth, height), COUNTER if counter else above
+    creator = re.sub(r"^\.+|[^\w .-]", "_", entry["creator"])  # it becomes a folder
+    return Model(name, creator, size, above, counter, text, given)
 
 
-def _paints(data: bytes) -> dict[str, str]:
-    return {name.decode(): color.decode() for name, color in _MATERIAL.findall(data)}
+def paints(data: bytes) -> dict[str, str]:
+    """Diffuse color of each material; "" of those with a texture or without a color.
+
+    Args:
+        data: A material file, or a class file with the text of one in it.
+    """
+    found: dict[str, str] = {}
+    for block in data.decode(errors="replace").split("newmtl ")[1:]:
+        name, _, rest = block.partition("\n")
+        keys = [line.split(None, 1) for line in rest.split("\n")]
+        values = {words[0]: words[1].strip() for words in keys if len(words) == 2}
+        color = "" if "map_Kd" in values else values.get("Kd", "")
+        found[name.strip()] = color if re.fullmatch(r"[\d.eE+-]+(\s+[\d.eE+-]+){2}", color) else ""
+    return found
 
 
 def read_groups(text: str) -> tuple[np.ndarray, list[Group]]:
-    """Vertices (n, 3) of an OBJ file, and its groups."""
+    """Vertices (n, 3) of an OBJ file, and its groups.
+
+    Exporters write groups, objects or both: a group counts, unless only its object has a name that
+    the program knows.
+    """
     points: list[list[float]] = []
     groups: dict[str, Group] = {}
-    group, material = "body", ""
-    for line in text.splitlines():
-        head, _, rest = line.strip().partition(" ")
+    whole, group, material = "body", "body", ""
+    for line in text.split("\n"):
+        head, *words = line.split(None, 1)[:2] or ("",)
+        rest = words[0] if words else ""
         if head == "v":
             points.append([float(word) for word in rest.split()[:3]])
+        elif head == "o":
+            whole = group = rest.strip()
         elif head == "g":
-            group = rest.strip()
+            known = _SPECIAL.search(rest) or not _SPECIAL.search(whole)
+            group = rest.strip() if known else whole
         elif head == "usemtl":
             material = rest.strip()
         elif head == "f":
@@ -144,6 +185,15 @@ def read_groups(text: str) -> tuple[np.ndarray, list[Group]]:
     return np.array(points), list(groups.values())
 
 
+def placed(model: Model) -> tuple[np.ndarray, list[Group]]:
+    """Vertices [m] (n, 3) with z up, the front toward -y and the origin amid, and the groups."""
+    points, groups = read_groups(model.text)
+    points = points @ _TURNED.T
+    used = points[sorted({k for group in groups for k in group.corners()})]
+    low, high = used.min(axis=0), used.max(axis=0)
+    return (points - (low + high) / 2) * (np.array(model.size) / (high - low)), groups
+
+
 def write(model: Model, home: Path) -> Path:
     """Write a model as a URDF with a mesh for each group; its front is toward -y.
 
@@ -151,20 +201,11 @@ def write(model: Model, home: Path) -> Path:
         The URDF file.
     """
     home.mkdir(parents=True, exist_ok=True)
-    points, groups = read_groups(model.text)
-    points = points @ _TURNED.T
-    used = points[sorted({k for group in groups for k in group.corners()})]
-    low, high = used.min(axis=0), used.max(axis=0)
-    points = (points - (low + high) / 2) * (np.array(model.size) / (high - low))
-
+    points, groups = placed(model)
     robot = ElementTree.Element("robot", name=model.name)
     links: dict[str, ElementTree.Element] = {}
     origins: dict[str, np.ndarray] = {}
-    moving: dict[str, list[Group]] = {}
-    for group in groups:
-        match = _MOVING.match(group.name)
-        key = f"{match[1]}_{match[2]}" if match else "body"
-        moving.setdefault(key, []).append(group)
+    moving, _ = moving_parts(points, groups)
     for key in sorted(moving):
         links[key] = ElementTree.SubElement(robot, "link", name=key)
         origins[key] = np.zeros(3)
@@ -172,12 +213,13 @@ def write(model: Model, home: Path) -> Path:
         if key != "body":
             origins[key] = _joint(robot, key, points, groups, moving[key])
     (home / "paints.mtl").write_text(
-        "".join(f"newmtl {name}\nKd {color}\n" for name, color in model.paints.items())
+        "".join(f"newmtl {name}\nKd {color}\n" for name, color in model.paints.items()),
+        encoding="utf-8",
     )
     for key, own in moving.items():
         for k, group in enumerate(own):
             mesh = home / f"{key}_{k}.obj"
-            mesh.write_text(_mesh(points - origins[key], group))
+            mesh.write_text(_mesh(points - origins[key], group), encoding="utf-8")
             for kind in ("visual", "collision"):
                 shape = ElementTree.SubElement(links[key], kind, name=group.name)
                 ElementTree.SubElement(
@@ -189,25 +231,59 @@ def write(model: Model, home: Path) -> Path:
     return file
 
 
+def _key(group: Group) -> str:
+    """The joint that a group's name asks for: `hinge_1`, `rail_2`; `body` for none."""
+    match = _MOVING.search(group.name)
+    return f"{match[1].lower()}_{match[2]}" if match else "body"
+
+
+def _fittings(key: str, groups: list[Group]) -> list[int]:
+    """Every vertex of what a hinge turns about."""
+    names = re.compile(rf"(?<!\S)sweethome3d_{key}(?![^\W_])", re.I)
+    return sorted({k for group in groups if names.search(group.name) for k in group.corners()})
+
+
+def moving_parts(
+    points: np.ndarray, groups: list[Group]
+) -> tuple[dict[str, list[Group]], dict[str, str]]:
+    """Tell what moves from what stays.
+
+    Returns:
+        Groups of the body and by joint, and why other groups that are said to move stay.
+    """
+    asked: dict[str, list[Group]] = {"body": []}
+    for group in groups:
+        asked.setdefault(_key(group), []).append(group)
+    fixed: dict[str, str] = {}
+    for key in sorted(asked.keys() - {"body"}):
+        own = [k for group in asked[key] for k in group.corners()]
+        if np.sort(np.ptp(points[own], axis=0))[1] < LEAST:
+            fixed[key] = "slim"
+        elif key.startswith("hinge") and not _fittings(key, groups):
+            fixed[key] = "no fittings"
+    for key in fixed:
+        asked["body"] += asked.pop(key)
+    return asked, fixed
+
+
 def _joint(
     robot: ElementTree.Element, key: str, points: np.ndarray, groups: list[Group], own: list[Group]
 ) -> np.ndarray:
     """Add the joint of a moving part; return its origin [m]."""
     part = points[sorted({k for group in own for k in group.corners()})]
-    kind, number = key.split("_")
+    kind = key.split("_")[0]
     origin = np.zeros(3)
     if kind == "rail":
         axis, upper = np.array([0.0, -1.0, 0.0]), SLIDE * float(np.ptp(part[:, 1]))
     else:
-        names = re.compile(rf"sweethome3d_hinge_{number}(?:_|$)")
-        corners = {k for group in groups if names.match(group.name) for k in group.corners()}
-        fittings = points[sorted(corners)]
+        fittings = points[_fittings(key, groups)]
         low, high = fittings.min(axis=0), fittings.max(axis=0)
         origin = (low + high) / 2
         axis, upper = np.eye(3)[np.argmax(high - low)], TURN
-        # it opens toward the front
         way = np.cross(axis, (part.min(axis=0) + part.max(axis=0)) / 2 - origin)
-        axis = axis if way[1] < 0 else -axis
+        # A door first moves to the front or back, a lid up or down: the larger motion decides.
+        toward = -way[1] if abs(way[1]) >= abs(way[2]) else way[2]
+        axis = axis if toward > 0 else -axis
     joint = ElementTree.SubElement(
         robot, "joint", name=key, type="revolute" if kind == "hinge" else "prismatic"
     )
@@ -233,23 +309,41 @@ def _mesh(points: np.ndarray, group: Group) -> str:
     return "\n".join(lines) + "\n"
 
 
+def told(model: Model) -> str:
+    """What became of a model, in a line."""
+    points, groups = placed(model)
+    moving, fixed = moving_parts(points, groups)
+    used = {material for group in groups for material in group.faces}
+    bare = len(used - model.paints.keys())
+    line = f"{len(moving) - 1} joints, {bare} of {len(used)} materials have no color"
+    return "; ".join([line, *(f"{key} is fixed: {why}" for key, why in fixed.items())])
+
+
 def main() -> None:
     """Run it."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path, help="the unpacked packages")
     parser.add_argument("--out", type=Path, required=True, help="folder for the URDFs")
     args = parser.parse_args()
-    rows = []
+    rows: dict[str, dict[str, object]] = {}
     for model in models(args.folder):
         name = f"SweetHome3D/{model.name}/{model.creator}"
-        file = write(model, args.out / model.creator / model.name)
-        rows.append(
-            {
-                "name": name, "urdf": file.relative_to(args.out).as_posix(),
-                "above": model.above, "counter": model.name in ON_COUNTER,
-            }
-        )  # fmt: skip
-    (args.out / "models.json").write_text(json.dumps(rows, indent=1) + "\n")
+        if name in rows:
+            continue
+        try:
+            print(f"{name}: {told(model)}")
+            if len(moving_parts(*placed(model))[0]) == 1:
+                continue
+            file = write(model, args.out / model.creator / model.name)
+        except (ValueError, IndexError) as error:
+            sys.exit(f"{name}: not a usable OBJ file ({error})")
+        rows[name] = {
+            "name": name, "urdf": file.relative_to(args.out).as_posix(),
+            "above": model.above, "counter": model.counter,
+        }  # fmt: skip
+    if not rows:
+        sys.exit(f"{args.folder}: none of its furniture has doors or drawers that move")
+    (args.out / "models.json").write_text(json.dumps(list(rows.values()), indent=1) + "\n")
     print(f"{len(rows)} models in {args.out}")
 
 
