@@ -84,6 +84,8 @@ class Usual:
     """Floor to its lower side [m]."""
     counter: bool = False
     """Whether it stands on something."""
+    front: tuple[float, float] | None = None
+    """Where its front is toward, in its own frame; None where its parts tell by opening there."""
 
 
 USUAL = {
@@ -147,7 +149,8 @@ def room(name: str, file: Path, usual: Usual) -> Scene | None:
     scale = usual.height / (high[2] - low[2]) if file.name == "mobility.urdf" else 1.0
     item = SceneObject.from_urdf("object", file, (0.0, 0.0, 0.0), scale=scale, category=name)
     item = replace(item, category=name.split("/")[-2].lower())
-    front = np.sum([opening_direction(item, j.name)[1] for j in parts(item.model)], axis=0)
+    opens = [opening_direction(item, j.name)[1][:2] for j in parts(item.model)]
+    front = np.sum(opens, axis=0) if usual.front is None else np.array(usual.front)
     yaw = np.round((np.pi - np.arctan2(front[1], front[0])) / (np.pi / 2)) * np.pi / 2
     item = replace(item, T_world_object=pose_planar(np.array([0.0, 0.0, yaw])))
     low, high = item.bounds

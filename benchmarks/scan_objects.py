@@ -2,7 +2,7 @@
 
     python benchmarks/scan_objects.py [--half tuned|measured] [--robot segway_ur5e] [--frames 60]
                                       [--folder bench_out/scan_objects] [--no-answers] [--anew]
-                                      [--together 1] [--misled 1]
+                                      [--together 1] [--misled 1] [--models FOLDER]
 
 Every object of `objects.py` stands alone in its small room, or, with --together 10, ten of one half
 in a kitchen. The room is scanned, the scan is made
@@ -11,6 +11,8 @@ the rectangles seen from before it 0.5), how it moves, where its axis and its ha
 opened: planned in the scene made, checked exactly in the room with a margin of 2 cm, and executed
 by contact with noise in the room as it truly is (`run_plan(..., world=)`). Only what can be planned
 in the room itself counts. What is done is kept in the folder and not done again.
+
+With --models the objects are those of a folder's models.json, such as sweet_home.py writes it.
 
 With --misled N the robot is led to believe, as firmly as it believed what is right, that the part
 moves in the Nth likely of the other ways: only parts count whose kind and side are right before.
@@ -21,7 +23,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -51,7 +53,8 @@ from momapos.synthetic_scans.depth_sensor import DepthSensor
 from momapos.synthetic_scans.recording import synthetic_scan, write_scan
 from momapos.types import PlacementPlan
 from object_kitchens import Place, kitchen
-from objects import HALVES, half_of, objects, parts, room
+from object_rooms import listed
+from objects import HALVES, Usual, half_of, objects, parts, room
 from scan import moved, plan_in_scan, why_not
 from scan_parts import Row, compare, shown, table, way_of
 
@@ -136,11 +139,13 @@ def misled(scene: Scene, name: str, joint: str, index: int) -> Scene:
     return replace(taken, objects=tuple(led if o is item else o for o in taken.objects))
 
 
-def places(half: str | None, together: int) -> Iterator[Place]:
+def places(
+    things: Iterable[tuple[str, Path, Usual]], half: str | None, together: int
+) -> Iterator[Place]:
     """The rooms of the objects of either half: each in its own, or so many to a kitchen."""
     alone = [
         (name, truth)
-        for name, file, usual in objects()
+        for name, file, usual in things
         if half in (None, half_of(name)) and (truth := room(name, file, usual)) is not None
     ]
     if together == 1:
@@ -209,17 +214,23 @@ def main() -> None:
     parser.add_argument("--anew", action="store_true", help="do again what was done")
     parser.add_argument("--only", help="only rooms with this in their name")
     parser.add_argument("--misled", type=int, default=0, help="believe the Nth of the other ways")
+    parser.add_argument("--models", type=Path, help="folder with a models.json of other objects")
     args = parser.parse_args()
     if args.misled and args.no_answers:
         parser.error("--misled is about what is opened; leave out --no-answers")
     if args.together < 1:
         parser.error(f"--together must be 1 or more, not {args.together}")
+    things = objects() if args.models is None else listed(args.models)
+    try:
+        rooms = list(places(things, args.half, args.together))
+    except MomaposError as error:
+        sys.exit(str(error))
     tools, robot, reach = default_tools(), None, None
     if not args.no_answers:
         robot = load_robot(args.robot)
         reach = load_reach_map(robot, default_cache_dir(), None)
     rows: list[Row] = []
-    for place in places(args.half, args.together):
+    for place in rooms:
         if args.only is not None and args.only not in place.name:
             continue
         home = scan_of(place, args.folder, args.frames, args.seed)
