@@ -126,3 +126,12 @@ def test_what_lies_behind_a_face_makes_it_less_solid() -> None:
     assert solid(half, (0.1, 0.0, 0.9, 0.4)) == 1.0
     assert solid(half, (0.1, 0.6, 0.9, 1.0)) == 0.0
     assert solid(replace(image, height_map=np.full_like(image.height_map, np.nan))) == 1.0
+
+
+def test_a_front_below_a_top_that_stands_out_is_as_solid_as_one_in_the_face() -> None:
+    image = face_image(box_faces(FRIDGE)[0], [view_of(0)])
+    rows = image.height_map.shape[0]
+    below = image.height_map - 0.12 * (np.arange(rows) > rows / 10)[:, None]
+    desk = replace(image, height_map=below.astype("f4"))
+    assert solid(desk, (0.0, 0.2, 1.0, 1.0)) > 0.99
+    assert 0.85 < solid(desk) < 0.95

@@ -30,6 +30,8 @@ BESIDE = 0.08
 """What stands beside a thing is nearer to it [m]."""
 HIDDEN, CLEAR = 1, 2
 """What frames showed of a place: another thing, or the face."""
+PLANE_STEP = 4
+"""Every so many pixels of a face tell where its plane is [-]."""
 FLAT = 0.1
 """Doors, handles and frames stay within this of a front's plane; legs and shelves do not [m]."""
 
@@ -142,19 +144,25 @@ def _weight(camera: Float[np.ndarray, "3"], first: Float[np.ndarray, "3"]) -> fl
 
 
 def solid(image: FaceImage, box: tuple[float, float, float, float] | None = None) -> float:
-    """Part of what was measured of a face that lies in its plane, in [0, 1]; 1 without depth.
+    """Part of what was measured of a face that lies in one plane, in [0, 1]; 1 without depth.
+
+    The plane is that of what was measured near the face: below a top that stands out a front lies
+    behind the face.
 
     Args:
         image: The face.
         box: Only within this rectangle, (left, top, right, bottom) as fractions of the face.
     """
     height_map = image.height_map
+    sparse = height_map[::PLANE_STEP, ::PLANE_STEP]
+    near = sparse[np.abs(sparse) < APART]  # NaN compares as false
+    plane = float(np.median(near)) if len(near) else 0.0
     if box is not None:
         h, w = height_map.shape
         left, top, right, bottom = np.round(np.array(box) * [w, h, w, h]).astype(int)
         height_map = height_map[top : bottom + 1, left : right + 1]
     measured = height_map[np.isfinite(height_map)]
-    return float((np.abs(measured) < FLAT).mean()) if len(measured) else 1.0
+    return float((np.abs(measured - plane) < FLAT).mean()) if len(measured) else 1.0
 
 
 def shown(face: Face, frame: Frame, *, pixels: int = 48) -> float:
