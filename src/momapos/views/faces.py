@@ -14,7 +14,7 @@ from momapos.geometry.upright_boxes import along_edges, to_local
 from momapos.types import FaceImage, Frame, UprightBox
 
 if TYPE_CHECKING:
-    from jaxtyping import Float, Float32, UInt8
+    from jaxtyping import Float, Float32, Int, Int16, UInt8
 
 FACES = 4
 """Upright faces of a box: outward along its x, y, -x, -y."""
@@ -105,30 +105,73 @@ def standing_beside(side: Face, front: Face, others: Sequence[UprightBox]) -> fl
 
 
 def face_image(face: Face, frames: Sequence[Frame], *, pixels: int = 384) -> FaceImage:
-    """Look straight at a face.
-
-    Color comes from the first frame that shows a place with nothing before it. The height map is
-    the mean of what all such frames measured there, since one depth image alone is too noisy to
-    tell a handle from a door. Each counts by the inverse variance of a stereo camera at its
-    distance, and the more the nearer its line of sight is to that of the first: what stands out
-    is seen displaced. Only where something else hides a place in all frames is that looked at.
+    """Look straight at a face, as `Sampled.image` does.
 
     Args:
         face: Where to look.
         frames: Images that show the face, the best first.
         pixels: Length of the longer side of the result [px].
     """
-    shape = _shape(face, pixels)
-    view = _View.of(shape)
-    cameras = [camera_position_of(face, frame) for frame in frames]
-    for frame, camera in zip(frames, cameras, strict=True):
-        _look(face, frame, view, _weight(camera, cameras[0]))
-    height_map = _mean(view.far)
-    near = _mean(view.near)
-    known = np.isfinite(near)
-    height_map[known] = near[known]
-    seen_from = cameras[0] if cameras else None
-    return FaceImage(view.color, height_map, face.width, face.height, seen_from)
+    return Sampled.of(face, frames, pixels=pixels).image(range(len(frames)))
+
+
+@dataclass(frozen=True, eq=False)
+class Sampled:
+    """What each of several frames shows at every pixel of a face.
+
+    Their depth is looked up once, however many images of the face are made of it.
+    """
+
+    face: Face
+    frames: Sequence[Frame]
+    cameras: Float[np.ndarray, "n 3"]
+    """Where they were taken, in the frame of the face [m]."""
+    heights: Float32[np.ndarray, "n h w"]
+    """What lies at a place, out of the face [m]; NaN where that was not measured."""
+    states: UInt8[np.ndarray, "n h w"]
+    """0 where a frame does not look, `HIDDEN` where it shows something else, `CLEAR` elsewhere."""
+
+    @staticmethod
+    def of(face: Face, frames: Sequence[Frame], *, pixels: int = 384) -> Sampled:
+        """Look along the rays of all frames.
+
+        Args:
+            face: Where to look.
+            frames: Images that show the face.
+            pixels: Along its longer side [px].
+        """
+        shape = (len(frames), *_shape(face, pixels))
+        heights, states = np.full(shape, np.nan, np.float32), np.zeros(shape, np.uint8)
+        for frame, height_map, state in zip(frames, heights, states, strict=True):
+            photo = _photo(face, frame)
+            if photo is not None:
+                _sample(photo, face.width, face.height, height_map, state)
+        cameras = np.array([camera_position_of(face, frame) for frame in frames]).reshape(-1, 3)
+        return Sampled(face, frames, cameras, heights, states)
+
+    def image(self, order: Sequence[int]) -> FaceImage:
+        """The face, seen straight on.
+
+        Color comes from the first frame that shows a place with nothing before it. The height map
+        is the mean of what all such frames measured there, since one depth image alone is too noisy
+        to tell a handle from a door. Each counts by the inverse variance of a stereo camera at its
+        distance, and the more the nearer its line of sight is to that of the first: what stands out
+        is seen displaced. Only where something else hides a place in all frames is that looked at.
+
+        Args:
+            order: Indices of the frames to make it of, the best first.
+        """
+        face, chosen = self.face, np.array(order, int)
+        cameras = self.cameras[chosen]
+        weights = np.array([_weight(camera, cameras[0]) for camera in cameras])
+        height_map, source = _merged(self.heights, self.states, chosen, weights)
+        color = np.zeros((*source.shape, 3), np.uint8)
+        for k in np.unique(source[source >= 0]).tolist():
+            photo = _photo(face, self.frames[k])
+            assert photo is not None
+            _paint(photo, face.width, face.height, source, k, color)
+        seen_from = cameras[0] if len(cameras) else None
+        return FaceImage(color, height_map, face.width, face.height, seen_from)
 
 
 def camera_position_of(face: Face, frame: Frame) -> Float[np.ndarray, "3"]:
@@ -167,31 +210,12 @@ def solid(image: FaceImage, box: tuple[float, float, float, float] | None = None
 
 def shown(face: Face, frame: Frame, *, pixels: int = 48) -> float:
     """Part of a face that a frame shows, and not something before or behind it, in [0, 1]."""
-    view = _View.of(_shape(face, pixels))
-    _look(face, frame, view, 1.0)
-    return float((view.state == CLEAR).mean())
+    return float((Sampled.of(face, [frame], pixels=pixels).states == CLEAR).mean())
 
 
 def _shape(face: Face, pixels: int) -> tuple[int, int]:
     scale = pixels / max(face.width, face.height)
     return max(8, round(face.height * scale)), max(8, round(face.width * scale))
-
-
-class _View(NamedTuple):
-    """What frames have shown of a face so far, as the kernel takes it."""
-
-    color: UInt8[np.ndarray, "h w 3"]
-    state: UInt8[np.ndarray, "h w"]
-    """0 where no frame looked, `HIDDEN` where all saw something else, `CLEAR` elsewhere."""
-    near: Float32[np.ndarray, "h w 2"]
-    """Sum of weighted height maps of the face itself, and of the weights."""
-    far: Float32[np.ndarray, "h w 2"]
-    """The same of what is before or behind it."""
-
-    @staticmethod
-    def of(shape: tuple[int, int]) -> _View:
-        sums = (np.zeros((*shape, 2), np.float32) for _ in range(2))
-        return _View(np.zeros((*shape, 3), np.uint8), np.zeros(shape, np.uint8), *sums)
 
 
 class _Photo(NamedTuple):
@@ -205,64 +229,118 @@ class _Photo(NamedTuple):
     T_camera_face: Float[np.ndarray, "4 4"]
 
 
-def _mean(sums: Float32[np.ndarray, "h w 2"]) -> Float32[np.ndarray, "h w"]:
-    """Weighted mean; NaN where nothing was measured."""
-    weight = sums[..., 1]
-    return np.where(weight > 0, sums[..., 0] / np.maximum(weight, 1e-12), np.float32(np.nan))
-
-
-def _look(face: Face, frame: Frame, view: _View, weight: float) -> None:
-    """Add what one frame shows of a face; its depth counts by a weight."""
-    depth = np.zeros((1, 1), np.float32) if frame.depth is None else frame.depth
+def _photo(face: Face, frame: Frame) -> _Photo | None:
+    """A frame as the kernels take it; None where its camera is not on the outer side."""
     T_camera_face = invert(frame.T_world_camera) @ face.T_world_face
-    if T_camera_face[:3, 2] @ T_camera_face[:3, 3] < 0:  # the camera is on the outer side
-        intrinsics, T = map(np.ascontiguousarray, (frame.intrinsics, T_camera_face))
-        photo = _Photo(frame.color, depth, frame.depth is not None, intrinsics, T)
-        _sample(photo, face.width, face.height, weight, view)
+    if T_camera_face[:3, 2] @ T_camera_face[:3, 3] >= 0:
+        return None
+    depth = np.zeros((1, 1), np.float32) if frame.depth is None else frame.depth
+    intrinsics, T = map(np.ascontiguousarray, (frame.intrinsics, T_camera_face))
+    return _Photo(frame.color, depth, frame.depth is not None, intrinsics, T)
 
 
 @njit(cache=True)
-def _sample(photo: _Photo, width: float, height: float, weight: float, view: _View) -> None:
-    """Look along the ray through every pixel of a face, and add to what is known of it.
+def _pixel(photo: _Photo, x: float, y: float) -> tuple[bool, float, float, float, float, float]:
+    """Where a place of a face [m] is in a photo: whether there, u, v [px], x, y, z [m]."""
+    K, T = photo.intrinsics, photo.T_camera_face
+    tall, wide = photo.image.shape[:2]
+    pz = T[2, 0] * x + T[2, 1] * y + T[2, 3]
+    if pz < NEAREST:
+        return False, 0.0, 0.0, 0.0, 0.0, 0.0
+    px = T[0, 0] * x + T[0, 1] * y + T[0, 3]
+    py = T[1, 0] * x + T[1, 1] * y + T[1, 3]
+    u, v = K[0, 0] * px / pz + K[0, 2], K[1, 1] * py / pz + K[1, 2]
+    there = u >= 0.0 and v >= 0.0 and u <= wide - 1.001 and v <= tall - 1.001
+    return there, u, v, px, py, pz
 
-    Args:
-        photo: What is looked at.
-        width, height: Size of the face [m].
-        weight: By which its depth counts.
-        view: What is known, in place.
-    """
-    image, depth, intrinsics, T = photo.image, photo.depth, photo.intrinsics, photo.T_camera_face
-    color, state = view.color, view.state
+
+@njit(cache=True)
+def _sample(
+    photo: _Photo,
+    width: float,
+    height: float,
+    height_map: Float32[np.ndarray, "h w"],
+    state: UInt8[np.ndarray, "h w"],
+) -> None:
+    """Look along the ray through every pixel of a face of a size [m]; the last two in place."""
+    T = photo.T_camera_face
     rows, columns = state.shape
-    tall, wide = image.shape[:2]
-    fx, fy, cx, cy = intrinsics[0, 0], intrinsics[1, 1], intrinsics[0, 2], intrinsics[1, 2]
     for i in range(rows):
         y = height * (0.5 - (i + 0.5) / rows)
         for j in range(columns):
             x = width * ((j + 0.5) / columns - 0.5)
-            pz = T[2, 0] * x + T[2, 1] * y + T[2, 3]
-            if pz < NEAREST:
+            there, u, v, px, py, pz = _pixel(photo, x, y)
+            if not there:
                 continue
-            px = T[0, 0] * x + T[0, 1] * y + T[0, 3]
-            py = T[1, 0] * x + T[1, 1] * y + T[1, 3]
-            u, v = fx * px / pz + cx, fy * py / pz + cy
-            if u < 0.0 or v < 0.0 or u > wide - 1.001 or v > tall - 1.001:
-                continue
-            found = CLEAR
+            state[i, j] = CLEAR
             if photo.has_depth:
-                z = depth[int(v + 0.5), int(u + 0.5)]
+                z = photo.depth[int(v + 0.5), int(u + 0.5)]
                 if z > 0.0:
                     # The measured point lies on the same ray, at z instead of pz.
                     out = T[0, 2] * px + T[1, 2] * py + T[2, 2] * pz
-                    height_map = (z / pz - 1.0) * out
-                    sums = view.near
-                    if abs(height_map) > APART:
-                        found, sums = HIDDEN, view.far
-                    sums[i, j, 0] += weight * height_map
-                    sums[i, j, 1] += weight
-            if found <= state[i, j]:
+                    height_map[i, j] = (z / pz - 1.0) * out
+                    if abs(height_map[i, j]) > APART:
+                        state[i, j] = HIDDEN
+
+
+@njit(cache=True)
+def _merged(
+    heights: Float32[np.ndarray, "n h w"],
+    states: UInt8[np.ndarray, "n h w"],
+    order: Int[np.ndarray, " m"],
+    weights: Float[np.ndarray, " m"],
+) -> tuple[Float32[np.ndarray, "h w"], Int16[np.ndarray, "h w"]]:
+    """Mean height map of a face, and which frame shows the color of each place, -1 where none.
+
+    Args:
+        heights, states: Of all frames.
+        order: Those that count, the best first.
+        weights: By which their depth counts.
+    """
+    _, rows, columns = heights.shape
+    height_map = np.full((rows, columns), np.nan, np.float32)
+    source = np.full((rows, columns), -1, np.int16)
+    for i in range(rows):
+        for j in range(columns):
+            best = 0
+            near, near_weight, far, far_weight = 0.0, 0.0, 0.0, 0.0
+            for m in range(len(order)):
+                state, out = states[order[m], i, j], heights[order[m], i, j]
+                if state > best:
+                    best = state
+                    source[i, j] = order[m]
+                if not np.isnan(out):
+                    if state == CLEAR:
+                        near += weights[m] * out
+                        near_weight += weights[m]
+                    else:
+                        far += weights[m] * out
+                        far_weight += weights[m]
+            if near_weight > 0.0:
+                height_map[i, j] = near / near_weight
+            elif far_weight > 0.0:
+                height_map[i, j] = far / far_weight
+    return height_map, source
+
+
+@njit(cache=True)
+def _paint(
+    photo: _Photo,
+    width: float,
+    height: float,
+    source: Int16[np.ndarray, "h w"],
+    index: int,
+    color: UInt8[np.ndarray, "h w 3"],
+) -> None:
+    """Color the places of a face of a size [m] that a photo is the source of, in place."""
+    image = photo.image
+    rows, columns = source.shape
+    for i in range(rows):
+        y = height * (0.5 - (i + 0.5) / rows)
+        for j in range(columns):
+            if source[i, j] != index:
                 continue
-            state[i, j] = found
+            _, u, v, _, _, _ = _pixel(photo, width * ((j + 0.5) / columns - 0.5), y)
             a, b = int(u), int(v)
             s, t = u - a, v - b
             for k in range(3):

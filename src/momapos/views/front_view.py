@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -14,6 +14,7 @@ from momapos.views.even_doors import evened
 from momapos.views.faces import (
     FACES,
     Face,
+    Sampled,
     box_faces,
     camera_position_of,
     face_image,
@@ -145,7 +146,8 @@ def _first(
         if shown(face, frame) < config.shown:
             continue
         image = face_image(face, [frame])
-        front = _with(look_at(face, [frame], look, config.least), face, frame, before)
+        front = Views(face, [frame], [0]).look(0, look, config.least)
+        front = _with(front, face, frame, before)
         if front_evidence(front, image) >= config.least:
             angle = float(np.arccos(min(1.0, cosines.max())))
             return View(face, sight.frame, angle, image, front, ())
@@ -165,13 +167,14 @@ def _voting(
     if not len(indices):
         return None
     evidence = [float("nan")] * FACES
-    best: tuple[float, Face, list[int], list[int], FaceImage, list[Front]] | None = None
+    best: tuple[float, Views, list[int], FaceImage, list[Front]] | None = None
     worth = [1.0 if behind or not any(backed) else UNBACKED for behind in backed]
     for face in sorted(box_faces(box), key=lambda face: -worth[face.index]):
         order, partly = showing(face, frames, indices, config)
         if not order:
             continue
         merged = [*order, *partly][: config.merged]
+        views = Views(face, frames, merged)
         image = face_image(face, [frames[i] for i in merged])
         flat = solid(image)
         if flat < config.flat:  # open, as the side of a table: no vote makes it a front
@@ -187,7 +190,7 @@ def _voting(
         for i in asked:
             if most * (len(asked) - len(looks)) + sum(looks) <= least * len(asked):
                 break
-            own.append(_vote(face, frames, i, merged, look, config))
+            own.append(views.look(i, look, config.least))
             vote = _with(own[-1], face, frames[i], before)
             doors.append(front_evidence(vote, image))
             rank = (flat * vote.score + handle_evidence(vote, image)) / 2
@@ -195,54 +198,33 @@ def _voting(
         if looks:
             evidence[face.index] = float(np.mean(looks))
         if len(looks) == len(asked) and np.mean(doors) >= config.least and np.mean(looks) > least:
-            best = evidence[face.index], face, order, merged, image, own
+            best = evidence[face.index], views, order, image, own
     if best is None:
         return None
-    _, face, order, merged, image, own = best
-    chosen = order[0]
-    front = _together(face, frames, order[: config.agreeing], merged, look, config, own)
+    _, views, order, image, own = best
+    face, chosen = views.face, order[0]
+    front = _together(views, order[: config.agreeing], look, config.least, own)
     front = _with(front, face, frames[chosen], before)
     front = replace(front, parts=evened(image, front.parts))
     angle = float(np.arccos(min(1.0, cosines_to(face, [frames[chosen]])[0])))
     return View(face, chosen, angle, image, front, tuple(evidence))
 
 
-def _vote(
-    face: Face,
-    frames: Sequence[Frame],
-    chosen: int,
-    merged: Sequence[int],
-    look: Look,
-    config: ViewConfig,
-) -> Front:
-    """What one image's colors say of a face, with the height map that the best ones measured."""
-    rest = [frames[i] for i in merged if i != chosen]
-    return look_at(face, [frames[chosen], *rest], look, config.least)
-
-
 def _together(
-    face: Face,
-    frames: Sequence[Frame],
-    chosen: Sequence[int],
-    merged: Sequence[int],
-    look: Look,
-    config: ViewConfig,
-    known: Sequence[Front] = (),
+    views: Views, chosen: Sequence[int], look: Look, least: float, known: Sequence[Front] = ()
 ) -> Front:
     """What several images of a face agree on, with handles as the first of them shows them.
 
     Args:
-        face: The face.
-        frames: All images.
-        chosen: Indices of those whose colors are looked at, the best first.
-        merged: Indices of those whose depth is merged.
+        views: The face.
+        chosen: Indices of the images whose colors are looked at, the best first.
         look: What is on a face.
-        config: How faces are looked at.
+        least: From this evidence of a door on, no more of what surrounds the face is looked at.
         known: What the first of the chosen images were found to show.
     """
-    rest = [_vote(face, frames, i, merged, look, config) for i in chosen[len(known) :]]
-    fronts = [*known, *rest]
-    cameras = [camera_position_of(face, frames[i]) for i in chosen]
+    face = views.face
+    fronts = [*known, *(views.look(i, look, least) for i in chosen[len(known) :])]
+    cameras = [camera_position_of(face, views.frames[i]) for i in chosen]
     upright = [
         handles_seen_from(front.parts, face, camera, undo=True)
         for front, camera in zip(fronts, cameras, strict=True)
@@ -300,20 +282,50 @@ def handle_evidence(front: Front, image: FaceImage | None = None) -> float:
     return 1.0 - float(np.prod([1.0 - p.score * f for p, f in zip(held, flat, strict=True)]))
 
 
-def look_at(face: Face, frames: Sequence[Frame], look: Look, least: float) -> Front:
-    """What is on a face, seen with some of what surrounds it.
+@dataclass(frozen=True, eq=False)
+class Views:
+    """A face with some of what surrounds it, as several images show it."""
 
-    The edges of a door that fills its face show only against what is beside it. Parts that lie
-    mostly beside the face belong to another thing.
-    """
-    fronts = []
-    for around in AROUND:
-        wide = replace(face, width=face.width + 2 * around, height=face.height + 2 * around)
-        front = look(face_image(wide, frames))
-        fronts.append(replace(front, parts=placed(front.parts, wide, face)))
-        if door_evidence(fronts[-1]) >= least:
-            break
-    return max(fronts, key=door_evidence)
+    face: Face
+    frames: Sequence[Frame]
+    merged: Sequence[int]
+    """Indices of those whose depth is merged, the best first."""
+    _sampled: dict[float, Sampled] = field(default_factory=dict)
+    """By how much of what surrounds the face is seen [m]."""
+
+    def look(self, chosen: int, look: Look, least: float) -> Front:
+        """What one image's colors say of the face, with the height map that all measured.
+
+        The edges of a door that fills its face show only against what is beside it. Parts that lie
+        mostly beside the face belong to another thing.
+
+        Args:
+            chosen: Index of that image.
+            look: What is on a face.
+            least: From this evidence of a door on, no more of what surrounds the face is looked at.
+        """
+        fronts = []
+        for around in AROUND:
+            sampled, order = self._around(around, chosen)
+            front = look(sampled.image(order))
+            fronts.append(replace(front, parts=placed(front.parts, sampled.face, self.face)))
+            if door_evidence(fronts[-1]) >= least:
+                break
+        return max(fronts, key=door_evidence)
+
+    def _around(self, around: float, chosen: int) -> tuple[Sampled, list[int]]:
+        """The face and some of what surrounds it [m], and the frames of it, one of them first."""
+        wide = replace(
+            self.face, width=self.face.width + 2 * around, height=self.face.height + 2 * around
+        )
+        if chosen not in self.merged:
+            few = [chosen, *self.merged]
+            return Sampled.of(wide, [self.frames[i] for i in few]), list(range(len(few)))
+        if around not in self._sampled:
+            self._sampled[around] = Sampled.of(wide, [self.frames[i] for i in self.merged])
+        first = list(self.merged).index(chosen)
+        rest = (k for k in range(len(self.merged)) if k != first)
+        return self._sampled[around], [first, *rest]
 
 
 def showing(

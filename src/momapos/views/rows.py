@@ -22,8 +22,8 @@ from momapos.views.front_view import (
     Look,
     Seen,
     ViewConfig,
+    Views,
     front_evidence,
-    look_at,
     showing,
 )
 from momapos.views.placed_parts import handles_seen_from, placed, surest
@@ -103,7 +103,7 @@ def _front_of(
         chosen = _frames_for(window, frames, view)
         if not chosen:
             continue
-        front = look_at(window, chosen, look, view.least)
+        front = Views(window, chosen, range(len(chosen))).look(0, look, view.least)
         likely = front_evidence(front, face_image(window, chosen, pixels=COARSE))
         if likely >= view.least:
             ends = (
