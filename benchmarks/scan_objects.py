@@ -188,6 +188,8 @@ def measure(
         for thing, (name, T) in place.objects.items()
         for row in compare(name, thing, truth, scanned, invert(result.T_scene_scan), T)
     ]
+    took = {one.detection.name: one.seconds for one in result.decisions}
+    rows = [replace(row, seconds=took.get(row.match.partition("/")[0], 0.0)) for row in rows]
     if robot is None:
         return rows
     if not wrong:

@@ -68,6 +68,8 @@ class Row:
     """Why the run did not open it."""
     thing: str = "object"
     """Name of the object in its room."""
+    seconds: float = 0.0
+    """How long looking at the object found took [s]."""
 
     @property
     def right(self) -> bool:
@@ -196,8 +198,17 @@ def table(rows: Sequence[Row]) -> str:
     if len(errors):
         medians = ", ".join(f"{100 * v:.1f}" for v in np.median(errors, axis=0))
         lines.append(f"| handle shut, half, wide open, where the side is right | {medians} cm |")
+    times = [*{(r.object, r.match.partition("/")[0]): r.seconds for r in located}.values()]
+    if times:
+        lines.append(
+            f"| looking at an object | {np.median(times):.2f} s, most {max(times):.2f} s |"
+        )
     reasons = Counter(cause(r) for r in solvable if not r.done)
-    lines += [f"  {count} {reason}" for reason, count in reasons.most_common()]
+    taken = Counter((r.kind, r.found) for r in located if r.found != r.kind)
+    lines += [
+        f"  {count} {one} taken for a {other}" for (one, other), count in sorted(taken.items())
+    ]
+    lines += [f"  {count} not opened: {reason}" for reason, count in reasons.most_common()]
     return "\n".join(lines)
 
 
