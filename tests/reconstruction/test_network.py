@@ -115,7 +115,7 @@ def test_a_missing_runtime_names_its_extra(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
     network._session.cache_clear()
     with pytest.raises(MissingExtraError, match=r"momapos\[scan\]"):
-        FrontNetwork()(wall(), "")
+        FrontNetwork()
 
 
 BOXES = hnp.arrays(float, (6, 2, 2), elements=st.floats(0, 1)).map(

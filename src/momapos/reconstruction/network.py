@@ -43,9 +43,15 @@ class FrontNetworkConfig:
 
 
 class FrontNetwork:
-    """An `ArticulationPredictor` that needs no download and no graphics card."""
+    """An `ArticulationPredictor` that needs no download and no graphics card.
+
+    Raises:
+        MissingExtraError: onnxruntime is not installed.
+    """
 
     def __init__(self, config: FrontNetworkConfig | None = None) -> None:
+        for name in ("face", "part"):
+            _session(name)
         self.config = config or FrontNetworkConfig()
 
     def __call__(self, face: FaceImage, label: str) -> Front:  # noqa: ARG002
@@ -60,7 +66,6 @@ class FrontNetwork:
 
         Raises:
             InputError: The image is empty, or height map and color differ in size.
-            MissingExtraError: onnxruntime is not installed.
         """
         height, width = face.color.shape[:2]
         if min(height, width) < 2 or face.height_map.shape != (height, width):
