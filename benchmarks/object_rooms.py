@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,7 @@ _HIGHEST = 10.0
 """No furniture hangs higher [m]."""
 
 
-def listed(folder: Path) -> Iterator[tuple[str, Path, Usual]]:
+def listed(folder: Path) -> list[tuple[str, Path, Usual]]:
     """Articulated objects that a folder lists: name, URDF, and how they stand.
 
     The program ends with a line where the list cannot be used.
@@ -46,7 +45,7 @@ def listed(folder: Path) -> Iterator[tuple[str, Path, Usual]]:
             sys.exit(f"{file}: model {number}: {why}")
         usual = Usual(0.0, row["above"], counter=row["counter"], front=FRONT)
         found.append((row["name"], folder / row["urdf"], usual))
-    yield from found
+    return found
 
 
 def _why_not(row: Any, folder: Path) -> str:

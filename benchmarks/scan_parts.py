@@ -20,6 +20,8 @@ APART = 0.2
 """Their planes are no farther apart [m]."""
 AXIS, TILT = 0.02, np.radians(3.0)
 """An axis is right within these [m], [rad]."""
+SOON = 0.4
+"""Looking at an object may take so long [s]."""
 
 
 @dataclass(frozen=True)
@@ -200,9 +202,9 @@ def table(rows: Sequence[Row]) -> str:
         lines.append(f"| handle shut, half, wide open, where the side is right | {medians} cm |")
     times = [*{(r.object, r.match.partition("/")[0]): r.seconds for r in located}.values()]
     if times:
-        lines.append(
-            f"| looking at an object | {np.median(times):.2f} s, most {max(times):.2f} s |"
-        )
+        soon = f"{sum(time <= SOON for time in times)} of {len(times)} within {SOON} s"
+        spread = f"{np.median(times):.2f} s, most {max(times):.2f} s"
+        lines.append(f"| looking at an object | {spread}, {soon} |")
     reasons = Counter(cause(r) for r in solvable if not r.done)
     taken = Counter((r.kind, r.found) for r in located if r.found != r.kind)
     lines += [

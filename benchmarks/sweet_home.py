@@ -22,6 +22,7 @@ import sys
 import zipfile
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -67,6 +68,20 @@ class Model:
     """Its OBJ file."""
     paints: dict[str, str]
     """Diffuse color of each material that has one, as its files write it."""
+
+    @cached_property
+    def placed(self) -> tuple[np.ndarray, list[Group]]:
+        """Vertices [m] (n, 3), z up, front toward -y, origin in the middle; and the groups."""
+        points, groups = read_groups(self.text)
+        points = points @ _TURNED.T
+        used = points[sorted({k for group in groups for k in group.corners()})]
+        low, high = used.min(axis=0), used.max(axis=0)
+        return (points - (low + high) / 2) * (np.array(self.size) / (high - low)), groups
+
+    @cached_property
+    def moving(self) -> tuple[dict[str, list[Group]], dict[str, str]]:
+        """Groups of the body and by joint, and why others that are said to move stay."""
+        return moving_parts(*self.placed)
 
 
 @dataclass(frozen=True)
@@ -185,15 +200,6 @@ def read_groups(text: str) -> tuple[np.ndarray, list[Group]]:
     return np.array(points), list(groups.values())
 
 
-def placed(model: Model) -> tuple[np.ndarray, list[Group]]:
-    """Vertices [m] (n, 3) with z up, the front toward -y and the origin amid, and the groups."""
-    points, groups = read_groups(model.text)
-    points = points @ _TURNED.T
-    used = points[sorted({k for group in groups for k in group.corners()})]
-    low, high = used.min(axis=0), used.max(axis=0)
-    return (points - (low + high) / 2) * (np.array(model.size) / (high - low)), groups
-
-
 def write(model: Model, home: Path) -> Path:
     """Write a model as a URDF with a mesh for each group; its front is toward -y.
 
@@ -201,11 +207,11 @@ def write(model: Model, home: Path) -> Path:
         The URDF file.
     """
     home.mkdir(parents=True, exist_ok=True)
-    points, groups = placed(model)
+    points, groups = model.placed
+    moving, _ = model.moving
     robot = ElementTree.Element("robot", name=model.name)
     links: dict[str, ElementTree.Element] = {}
     origins: dict[str, np.ndarray] = {}
-    moving, _ = moving_parts(points, groups)
     for key in sorted(moving):
         links[key] = ElementTree.SubElement(robot, "link", name=key)
         origins[key] = np.zeros(3)
@@ -311,9 +317,8 @@ def _mesh(points: np.ndarray, group: Group) -> str:
 
 def told(model: Model) -> str:
     """What became of a model, in a line."""
-    points, groups = placed(model)
-    moving, fixed = moving_parts(points, groups)
-    used = {material for group in groups for material in group.faces}
+    moving, fixed = model.moving
+    used = {material for group in model.placed[1] for material in group.faces}
     bare = len(used - model.paints.keys())
     line = f"{len(moving) - 1} joints, {bare} of {len(used)} materials have no color"
     return "; ".join([line, *(f"{key} is fixed: {why}" for key, why in fixed.items())])
@@ -332,7 +337,7 @@ def main() -> None:
             continue
         try:
             print(f"{name}: {told(model)}")
-            if len(moving_parts(*placed(model))[0]) == 1:
+            if len(model.moving[0]) == 1:
                 continue
             file = write(model, args.out / model.creator / model.name)
         except (ValueError, IndexError) as error:

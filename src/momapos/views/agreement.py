@@ -28,6 +28,8 @@ APART = 0.3
 """Two parts of a front share less than this of the smaller one [-]."""
 LEAST = 0.12
 """Mean score over all images from which on there is a part, 0 where one shows none [-]."""
+HELD = 0.5
+"""A handle is within a part by more than this share of it [-]."""
 UNSEEN = 0.01
 """How probable a kind is where an image says nothing of it [-]."""
 
@@ -82,7 +84,7 @@ def _unexplained(voices: Voices, fronts: Sequence[Sequence[Part]]) -> float:
         any(
             other.handle is not None
             and shared(part, other) >= APART
-            and common_area(part.box, other.handle) > 0.5 * area(other.handle)
+            and common_area(part.box, other.handle) > HELD * area(other.handle)
             and all(not common_area(other.handle, one) for one in own)
             for other in parts
         )

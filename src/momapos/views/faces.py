@@ -240,10 +240,20 @@ def _photo(face: Face, frame: Frame) -> _Photo | None:
 
 
 @njit(cache=True)
-def _pixel(photo: _Photo, x: float, y: float) -> tuple[bool, float, float, float, float, float]:
-    """Where a place of a face [m] is in a photo: whether there, u, v [px], x, y, z [m]."""
+def _pixel(
+    photo: _Photo, width: float, height: float, shape: tuple[int, int], i: int, j: int
+) -> tuple[bool, float, float, float, float, float]:
+    """Where a pixel of a face is in a photo: whether there, u, v [px], x, y, z [m].
+
+    Args:
+        photo: What is looked at.
+        width, height: Size of the face [m].
+        shape: Rows and columns of the face.
+        i, j: Row and column of the pixel.
+    """
     K, T = photo.intrinsics, photo.T_camera_face
     tall, wide = photo.image.shape[:2]
+    x, y = width * ((j + 0.5) / shape[1] - 0.5), height * (0.5 - (i + 0.5) / shape[0])
     pz = T[2, 0] * x + T[2, 1] * y + T[2, 3]
     if pz < NEAREST:
         return False, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -263,13 +273,10 @@ def _sample(
     state: UInt8[np.ndarray, "h w"],
 ) -> None:
     """Look along the ray through every pixel of a face of a size [m]; the last two in place."""
-    T = photo.T_camera_face
-    rows, columns = state.shape
-    for i in range(rows):
-        y = height * (0.5 - (i + 0.5) / rows)
-        for j in range(columns):
-            x = width * ((j + 0.5) / columns - 0.5)
-            there, u, v, px, py, pz = _pixel(photo, x, y)
+    T, shape = photo.T_camera_face, state.shape
+    for i in range(shape[0]):
+        for j in range(shape[1]):
+            there, u, v, px, py, pz = _pixel(photo, width, height, shape, i, j)
             if not there:
                 continue
             state[i, j] = CLEAR
@@ -333,14 +340,12 @@ def _paint(
     color: UInt8[np.ndarray, "h w 3"],
 ) -> None:
     """Color the places of a face of a size [m] that a photo is the source of, in place."""
-    image = photo.image
-    rows, columns = source.shape
-    for i in range(rows):
-        y = height * (0.5 - (i + 0.5) / rows)
-        for j in range(columns):
+    image, shape = photo.image, source.shape
+    for i in range(shape[0]):
+        for j in range(shape[1]):
             if source[i, j] != index:
                 continue
-            _, u, v, _, _, _ = _pixel(photo, width * ((j + 0.5) / columns - 0.5), y)
+            _, u, v, _, _, _ = _pixel(photo, width, height, shape, i, j)
             a, b = int(u), int(v)
             s, t = u - a, v - b
             for k in range(3):

@@ -193,12 +193,13 @@ def _voting(
             own.append(views.look(i, look, config.least))
             vote = _with(own[-1], face, frames[i], before)
             doors.append(front_evidence(vote, image))
-            rank = (flat * vote.score + handle_evidence(vote, image)) / 2
-            looks.append(worth[face.index] * rank)
-        if looks:
-            evidence[face.index] = float(np.mean(looks))
-        if len(looks) == len(asked) and np.mean(doors) >= config.least and np.mean(looks) > least:
-            best = evidence[face.index], views, order, image, own
+            evident = (flat * vote.score + handle_evidence(vote, image)) / 2
+            looks.append(worth[face.index] * evident)
+        if not looks:
+            continue
+        rank = evidence[face.index] = float(np.mean(looks))
+        if len(looks) == len(asked) and np.mean(doors) >= config.least and rank > least:
+            best = rank, views, order, image, own
     if best is None:
         return None
     _, views, order, image, own = best
@@ -318,14 +319,13 @@ class Views:
         wide = replace(
             self.face, width=self.face.width + 2 * around, height=self.face.height + 2 * around
         )
+        order = [chosen, *(i for i in self.merged if i != chosen)]
         if chosen not in self.merged:
-            few = [chosen, *self.merged]
-            return Sampled.of(wide, [self.frames[i] for i in few]), list(range(len(few)))
+            return Sampled.of(wide, [self.frames[i] for i in order]), list(range(len(order)))
         if around not in self._sampled:
             self._sampled[around] = Sampled.of(wide, [self.frames[i] for i in self.merged])
-        first = list(self.merged).index(chosen)
-        rest = (k for k in range(len(self.merged)) if k != first)
-        return self._sampled[around], [first, *rest]
+        places = {i: place for place, i in enumerate(self.merged)}
+        return self._sampled[around], [places[i] for i in order]
 
 
 def showing(
