@@ -77,6 +77,15 @@ def test_a_part_that_nothing_stops_is_not_moved_without_end(kind: str, tmp_path:
         make_task(scene, "open", "cabinet", "hinge", 1e9)
 
 
+def test_a_wrong_joint_names_the_object_and_not_the_file_of_its_model(tmp_path: Path) -> None:
+    room = cabinet_room(tmp_path)
+    item = room.objects[0]
+    room = replace(room, objects=(replace(item, name="elementE"), *room.objects[1:]))
+    assert item.model.urdf.name != "elementE"
+    with pytest.raises(UnknownNameError, match=r"movable joint 'dor'.*elementE"):
+        make_task(room, "open", "elementE", "dor", None)
+
+
 def test_a_wrong_name_is_answered_with_the_nearest() -> None:
     scene = load_scene("kitchen_small")
     with pytest.raises(UnknownNameError, match="did you mean microwave"):

@@ -116,7 +116,7 @@ def opening_direction(
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
     """Middle of the part that a joint moves, and where it moves when it opens, in the world."""
     middle, direction = _opening(item.model, joint)
-    T_world_part = item.link_poses()[item.model.joint(joint).child]
+    T_world_part = item.link_poses()[item.joint(joint).child]
     return apply(T_world_part, middle[None])[0], T_world_part[:3, :3] @ direction
 
 
@@ -249,7 +249,7 @@ def handle_path(item: SceneObject, joint: str, to: float) -> Float[np.ndarray, "
         joint: The joint.
         to: Value it goes to [rad] or [m].
     """
-    record = item.model.joint(joint)
+    record = item.joint(joint)
     handle = find_handle(item.model, joint, opening_of(item.model, joint).sign)
     values = np.linspace(item.values()[joint], to, _POINTS)
     T_world_joint = item.link_poses()[record.parent] @ record.T_parent_joint

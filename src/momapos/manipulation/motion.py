@@ -262,7 +262,7 @@ def _joint_motion(
 ) -> TaskMotion:
     assert task.joint is not None
     assert task.to is not None
-    joint = target.model.joint(task.joint)
+    joint = target.joint(task.joint)
     start = target.values()[joint.name]
     count = config.waypoints or _count(joint.kind, abs(task.to - start), config)
     values = np.linspace(start, task.to, (count - 1) * config.substeps + 1)

@@ -41,7 +41,7 @@ def resistance_of(
         handle_lever: Distance of the handle from the axis [m]; 1 for a slide.
         config: What nobody measured.
     """
-    record = item.model.joint(joint)
+    record = item.joint(joint)
     slides = record.kind == "prismatic"
     words = f"{item.category} {item.name}".lower()
     sealed = not slides and any(word in words for word in config.sealed)
@@ -54,7 +54,7 @@ def weight_at(
     item: SceneObject, joint: str, values: Float[np.ndarray, " v"], config: ResistanceConfig
 ) -> Float[np.ndarray, " v"]:
     """Torque [Nm] or force [N] of a part's weight at its joint, at some values of it [rad], [m]."""
-    record = item.model.joint(joint)
+    record = item.joint(joint)
     mass, center = _mass(item.model, joint, config)
     down = (item.link_poses()[record.parent] @ record.T_parent_joint)[:3, :3].T @ [0.0, 0.0, -1.0]
     if record.kind == "prismatic":
@@ -65,7 +65,7 @@ def weight_at(
 
 def stays(item: SceneObject, joint: str, value: float, config: ResistanceConfig) -> bool:
     """Whether a part that nobody holds stays where it is, by its friction."""
-    slides = item.model.joint(joint).kind == "prismatic"
+    slides = item.joint(joint).kind == "prismatic"
     friction = config.slide_friction if slides else config.hinge_friction
     return float(weight_at(item, joint, np.array([value]), config)[0]) < friction
 

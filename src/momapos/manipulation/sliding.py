@@ -149,7 +149,7 @@ def sliding_motion(
     if motion.task.joint is None or motion.handle is None or not config.sliding:
         return None
     rests = _rests(motion, target, config)
-    joint, handle = target.model.joint(motion.task.joint), motion.handle
+    joint, handle = target.joint(motion.task.joint), motion.handle
     T_part = target.link_poses()[joint.child]
     Ts_part_tool = invert(T_part) @ motion.Ts_world_tool[:, motion.grasp_step]
     hooks = motion.grasps.code == _HOOK

@@ -64,7 +64,7 @@ def make_task(
         if target.model.joints:
             raise TaskError(f"{object_name!r} has joints; {verb} is for rigid objects")
         return Task(verb, object_name)  # type: ignore[arg-type]
-    record = target.model.joint(joint) if joint else _only_joint(target)
+    record = target.joint(joint) if joint else _only_joint(target)
     start = target.values()[record.name]
     farthest = isinstance(to, str) and to.strip() == MAX
     if farthest:
@@ -106,7 +106,7 @@ def slides(scene: Scene, task: Task) -> bool:
     """Whether a task moves a part along a line, and does not turn it."""
     if task.joint is None:
         return False
-    return scene.object(task.object).model.joint(task.joint).kind == "prismatic"
+    return scene.object(task.object).joint(task.joint).kind == "prismatic"
 
 
 def hand_path(
@@ -129,7 +129,7 @@ def hand_path(
     if not joints:
         return item.box_proxy.T_world_object[None, :3, 3]
     goals = [
-        _goal(item.model, item.model.joint(name), "open", item.values()[name]) if to is None else to
+        _goal(item.model, item.joint(name), "open", item.values()[name]) if to is None else to
         for name in joints
     ]
     paths = [handle_path(item, name, goal) for name, goal in zip(joints, goals, strict=True)]

@@ -42,7 +42,7 @@ def set_joints(scene: Scene, words: Sequence[str]) -> Scene:
         name, _, joint = target.partition("/")
         if not (found and joint):
             raise SceneError(f"--joint {text!r} is not OBJECT/JOINT=VALUE, as fridge/door=60deg")
-        record = scene.object(name).model.joint(joint)
+        record = scene.object(name).joint(joint)
         number = joint_value(record, parse_quantity(value), f"--joint {target}:")
         if not math.isfinite(number):
             raise SceneError(f"--joint {target}: {value} is no finite number")

@@ -91,7 +91,7 @@ def way_about(
 
 def _kind(item: SceneObject, joint: str, axis: Float[np.ndarray, "3"]) -> PartKind:
     """What kind of part it is, by its joint; of flaps, by what the scene says."""
-    slides = item.model.joint(joint).kind == "prismatic"
+    slides = item.joint(joint).kind == "prismatic"
     ways = item.hypotheses.get(joint, ())
     near = [way for way in ways if (way.kind == "drawer") == slides]
     if near:

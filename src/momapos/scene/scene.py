@@ -21,6 +21,8 @@ from momapos.types import Confidence, Hypothesis, Outline
 if TYPE_CHECKING:
     from jaxtyping import Float
 
+    from momapos.kinematics.urdf_records import Joint
+
 SMALLEST = 1e-4
 """Edges of a box are at least this [m]."""
 
@@ -108,6 +110,16 @@ class SceneObject:
         x, y, z = self.T_world_object[:3, 3]
         at = f"at ({x:.3f}, {y:.3f}, {z:.3f})"
         return f"<SceneObject {self.name!r} ({self.category}) {at}{joints and f', {joints}'}>"
+
+    def joint(self, name: str) -> Joint:
+        """Look a movable joint up by name.
+
+        Raises:
+            UnknownNameError: There is none; the message names the object, not its model's file.
+        """
+        if name not in self.model.joints:
+            raise unknown_name("movable joint", name, self.model.joints, self.name)
+        return self.model.joints[name]
 
     def values(self, change: Mapping[str, float] | None = None) -> dict[str, float]:
         """All joint values, with some of them changed."""
@@ -233,7 +245,7 @@ class Scene:
     def with_joint(self, name: str, joint: str, value: float) -> Scene:
         """The same scene with one joint of one object at another value."""
         target = self.object(name)
-        target.model.joint(joint)
+        target.joint(joint)
         changed = replace(target, joints={**target.joints, joint: value})
         return replace(
             self,
@@ -251,7 +263,7 @@ class Scene:
         scene = self
         for name, joints in values.items():
             for joint, value in joints.items():
-                record = scene.object(name).model.joint(joint)
+                record = scene.object(name).joint(joint)
                 if not record.lower - 1e-6 <= value <= record.upper + 1e-6:
                     raise SceneError(
                         f"{name}/{joint}: {value:g} is outside its limits {record.lower:g} to "

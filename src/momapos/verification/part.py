@@ -88,7 +88,7 @@ def split(scene: Scene, task: Task) -> tuple[MovedPart, Shapes, Bool[np.ndarray,
     if task.joint is not None and task.to is None:
         raise TaskError(f"task: joint {task.joint!r} of {task.object!r} needs a value to reach")
     if task.joint is not None:
-        target.model.joint(task.joint)
+        target.joint(task.joint)
     fixed, prefixes, own = [], [], []
     for item in scene.objects:
         bodies, shapes = _world_shapes(item)

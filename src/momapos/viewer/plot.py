@@ -206,7 +206,7 @@ def _draw_handle(axes: Any, scene: Scene, answer: PlacementResult) -> None:
     if task.joint is None or task.to is None or handle is None:
         return
     item = scene.object(task.object)
-    joint = item.model.joint(task.joint)
+    joint = item.joint(task.joint)
     values = np.array([item.values()[task.joint], task.to])
     T = item.link_poses()[joint.parent] @ joint.T_parent_joint @ joint_motion(joint, values)
     ends = handle.center + np.outer((-1, 1), handle.half_length * handle.long)
