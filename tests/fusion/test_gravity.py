@@ -63,6 +63,25 @@ def test_the_camera_may_be_held_on_its_side(turns: tuple[int, ...]) -> None:
     assert back[2, 3] == pytest.approx(0.0, abs=0.012)
 
 
+@settings(max_examples=25, deadline=None)
+@given(
+    st.integers(0, 10_000), st.floats(0.2, 0.5), st.floats(0.2, 0.4), st.sampled_from([0.0, 0.5])
+)
+def test_who_looks_at_one_wall_alone_is_not_taken_to_lie_on_the_side(
+    seed: int, turning: float, nodding: float, on_side: float
+) -> None:
+    rng = np.random.default_rng(seed)
+    frames = []
+    for yaw, pitch in rng.normal((np.pi / 2, -0.4), (turning, nodding), (40, 2)):
+        way = np.array([np.cos(yaw) * np.cos(pitch), np.sin(yaw) * np.cos(pitch), np.sin(pitch)])
+        roll = rng.normal(0.0, 2.0) + (90.0 if rng.random() < on_side else 0.0)
+        T = look_at((0.0, -2.4, 1.4), tuple(np.array([0.0, -2.4, 1.4]) + way))
+        T = T @ pose((0, 0, 0), Rotation.from_euler("z", roll, degrees=True).as_matrix())
+        frames.append(photograph([], T))
+    back = align_to_gravity(ROOM, frames)
+    assert np.degrees(np.arccos(np.clip(back[2, 2], -1, 1))) < 0.3
+
+
 def test_an_upright_room_is_left_as_it_is() -> None:
     cloud, frames = moved(np.eye(4))
     T = align_to_gravity(cloud, frames)

@@ -20,10 +20,13 @@ from momapos.types import Cloud, Frame
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
-EDGES = np.array([1.0, 0.97, 0.97, 0.94])
+EDGES = np.array([1.0, 0.99, 0.99, 0.98])
 """How much is believed that the top, right, left and lower edge of an image is up [-]."""
-DOWN = 0.02
+DOWN = 0.005
 """And that it was taken looking down [-]."""
+STEEP = 0.5
+"""Of an image taken steeply up or down, its edges tell less: the cosine of its pitch from which on
+they do [-]."""
 MOST_FRAMES = 100
 """Images that are asked; more add nothing."""
 
@@ -88,23 +91,32 @@ def align_to_gravity(
 def _camera_up(frames: Sequence[Frame]) -> Float[np.ndarray, "3"]:
     """Where up roughly is, if the images were taken upright or with the camera on its side.
 
-    It is the direction that one of the four edges of nearly every image points in. Edges that
-    are level point anywhere once the camera has turned around; before it has, the top edge is
-    taken, and the one for which the camera looks down.
+    However far cameras look up or down, they are held level: of the four edges of nearly every
+    image one points up, and the two beside it are square to up. Where cameras turn to many sides
+    and look more and less down, that holds for one direction alone; before they have, the top edge
+    is taken, and the one for which the camera looks down.
     """
     if not frames:
         return np.array([0.0, 0.0, 1.0])
     step = -(-len(frames) // MOST_FRAMES)
     R = np.array([frame.T_world_camera[:3, :3] for frame in frames[::step]], float)
     edges = np.stack([-R[:, :, 1], R[:, :, 0], -R[:, :, 0], R[:, :, 1]], axis=1)
-    tried = edges.reshape(-1, 3)
-    near = (np.einsum("fek,tk->tfe", edges, tried) * EDGES).max(axis=2)
+    tried = np.concatenate([edges.reshape(-1, 3), *map(_square_to, (R[:, :, 0], R[:, :, 1]))])
+    along = np.einsum("fek,tk->tfe", edges, tried)
+    in_image = np.hypot(along, along[..., [1, 0, 3, 2]])
+    held = along / np.maximum(in_image, 1e-9) * np.minimum(in_image / STEEP, 1.0)
     down = -R[:, :, 2] @ tried.T
-    best = tried[np.argmax(near.mean(axis=1) + DOWN * down.mean(axis=0))]
+    best = tried[np.argmax((held * EDGES).max(axis=2).mean(axis=1) + DOWN * down.mean(axis=0))]
     own = np.argmax(edges @ best * EDGES, axis=1)
     mean = edges[np.arange(len(edges)), own].mean(axis=0)
     length = np.linalg.norm(mean)
     return mean / length if length > 0.1 else np.array([0.0, 0.0, 1.0])
+
+
+def _square_to(edges: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "2 3"]:
+    """The direction most square to all of some unit vectors, and its opposite."""
+    direction = np.linalg.eigh(edges.T @ edges)[1][:, 0]
+    return np.stack([direction, -direction])
 
 
 def _search(
