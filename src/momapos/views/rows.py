@@ -44,6 +44,8 @@ class RowConfig:
     """Boxes narrower than this are one thing [m]."""
     window: float = 1.5
     """Width of what is looked at in one go, in heights of the row [-]."""
+    least_window: float = 1.3
+    """And at least so much: the drawers of a low row are as wide as those of a high one [m]."""
     margin: float = 0.03
     """Parts that end this near to a window's end may go on beyond it [m]."""
     least_piece: float = 0.2
@@ -90,7 +92,7 @@ def _front_of(
     before: Sequence[Seen],
 ) -> Seen:
     """What is on a long face, found in overlapping windows, and what is known to be there."""
-    wide = min(face.width, max(config.window * face.height, config.least_width))
+    wide = min(face.width, max(config.window * face.height, config.least_window))
     count = max(1, int(np.ceil(2 * (face.width - wide) / wide)) + 1)
     found: list[Part] = []
     evidence = [0.0]
