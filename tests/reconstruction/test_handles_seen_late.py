@@ -47,13 +47,27 @@ def test_noise_is_no_bar() -> None:
     assert with_bar(face, part) == part
 
 
-def test_a_handle_that_was_seen_stays_and_no_depth_tells_nothing() -> None:
+def test_a_handle_that_stands_out_stays_and_no_depth_tells_nothing() -> None:
     face = face_of(0.6, 0.6, 0.0)
     raised(face, (0.9, 0.7, 0.93, 0.95), 0.03)
+    raised(face, (0.1, 0.1, 0.2, 0.12), 0.015)
     part = Part("door_right", WHOLE, 0.5, handle=(0.1, 0.1, 0.2, 0.12))
     assert with_bar(face, part) == part
     bare = Part("door_right", WHOLE, 0.5)
     assert with_bar(face_of(0.6, 0.6), bare) == bare
+
+
+def test_a_bar_is_the_handle_and_not_a_label() -> None:
+    face = face_of(0.6, 0.6, 0.0)
+    labeled = Part("door_left", WHOLE, 0.5, handle=(0.9, 0.6, 0.95, 0.8))
+    assert with_bar(face, labeled) == labeled
+    raised(face, (0.0, 0.0, 1.0, 0.04), 0.03)
+    assert with_bar(face, labeled) == labeled, "a worktop above it is no handle"
+    raised(face, (0.1, 0.08, 0.8, 0.11), 0.03)
+    found = with_bar(face, labeled)
+    assert found.kind == "door_down"
+    assert found.handle is not None
+    np.testing.assert_allclose(found.handle, (0.1, 0.08, 0.8, 0.11), atol=0.01)
 
 
 def gripped(rows: list[float], *, left: float = 0.4, wide: float = 0.2) -> FaceImage:

@@ -23,6 +23,10 @@ if TYPE_CHECKING:
 
 CLEAR, NOISES = 0.02, 4.0
 """A bar stands out by the first [m] and by this many standard deviations of the noise [-]."""
+FLAT = 0.01
+"""What stands out by less is a label or a recess [m]."""
+OFF_EDGE = 0.01
+"""And what lies nearer to an edge of a part than this may be what is beside it [m]."""
 LEAST, THICKEST = 0.06, 0.06
 """It is at least so long and at most so thick [m]."""
 SIDE = 1 / 3
@@ -48,19 +52,31 @@ SEAM = 0.1
 
 
 def with_bar(face: FaceImage, part: Part) -> Part:
-    """A part that has no handle, with the bar that stands out of it, if one does.
+    """A part with the bar that stands out of it, if one does and no other handle does.
 
     Args:
         face: The face; its height map tells.
-        part: As the networks saw it.
+        part: As the networks saw it. They take a dark label for a handle, too.
     """
-    if part.handle is not None:
-        return part
     found = handles_on(face, part)
+    if part.handle is not None:
+        if not found or _stands_out(face, part, part.handle):
+            return part
+        area = area_of(part.box, face)
+        found = tuple(bar for bar in found if bar.within(area, OFF_EDGE) == bar)
     if not found:
         return part
     kind = _opening(part.kind, area_of(part.box, face), found[0])
     return replace(decode.told(part, kind), handle=_fractions(found[0], face))
+
+
+def _stands_out(face: FaceImage, part: Part, handle: tuple[float, float, float, float]) -> bool:
+    """Whether anything stands out of a part where its handle is taken to be, or may: no depth."""
+    area, grip = area_of(part.box, face), area_of(handle, face)
+    there = heights_in(face, grip)
+    if len(there) < FEWEST:
+        return True
+    return float(np.percentile(there, 90)) > float(np.median(heights_in(face, area, grip))) + FLAT
 
 
 def by_bars(
