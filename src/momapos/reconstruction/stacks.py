@@ -15,7 +15,7 @@ LEVEL_KINDS: tuple[PartKind, ...] = ("drawer", "door_down")
 """What has a level bar near its top."""
 FLUSH = 0.04
 """Sides of one stack are in line, and its parts meet, within this [m]."""
-SAME_PLACE = 0.05
+SAME_PLACE = 0.08
 """Handles are as far below the tops of their parts, within this [m]."""
 SAME_LENGTH = 1.25
 """And differ in length by less than this factor [-]."""
