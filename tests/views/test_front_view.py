@@ -206,6 +206,16 @@ def test_of_parts_seen_twice_the_surer_stays_be_they_one_or_two() -> None:
     assert surest(wings) == tuple(wings)
 
 
+def test_a_part_without_a_handle_gives_way_to_several_with_theirs_in_it() -> None:
+    plain = Part("door_down", (0.0, 0.1, 1.0, 1.0), 0.9)
+    low = Part("drawer", (0.0, 0.5, 1.0, 1.0), 0.3, handle=(0.4, 0.5, 0.6, 0.52))
+    high = Part("drawer", (0.0, 0.0, 1.0, 0.5), 0.3, handle=(0.4, 0.1, 0.6, 0.12))
+    assert surest([plain, low, high]) == (low, high)
+    assert surest([plain, low, replace(low, score=0.2)]) == (plain,), "the same one twice"
+    held = replace(plain, handle=(0.1, 0.15, 0.9, 0.18))
+    assert surest([held, low, high]) == (held,)
+
+
 def test_a_door_that_only_the_row_showed_makes_a_piece_of_it_a_front() -> None:
     frames = around([0.0, 0.2], FRONT)
     seen, face = sights(FRIDGE, frames), box_faces(FRIDGE)[FRONT]

@@ -81,12 +81,26 @@ def handles_seen_from(
 
 
 def surest(parts: Sequence[Part]) -> tuple[Part, ...]:
-    """The surest of parts that were seen twice, as one or as two, the surest first."""
+    """The surest of parts that were seen twice, as one or as several, the surest first.
+
+    What shows no handle is none where several others lie in it that do.
+    """
+    held = _apart([part for part in parts if part.handle is not None])
+    return _apart([part for part in parts if part.handle or sum(_in(h, part) for h in held) < 2])
+
+
+def _apart(parts: Sequence[Part]) -> tuple[Part, ...]:
+    """The surest of parts that lie on each other, the surest first."""
     kept: list[Part] = []
     for part in sorted(parts, key=lambda p: -p.score):
         if all(shared(part, other) < SAME for other in kept):
             kept.append(part)
     return tuple(kept)
+
+
+def _in(small: Part, large: Part) -> bool:
+    """Whether a part lies mostly in a larger one."""
+    return area(small.box) < area(large.box) and shared(small, large) >= SAME
 
 
 def shared(a: Part, b: Part) -> float:
