@@ -19,7 +19,7 @@ SAME_PLACE = 0.08
 """Handles are as far below the tops of their parts, within this [m]."""
 SAME_LENGTH = 1.25
 """And differ in length by less than this factor [-]."""
-DRAWERS = 20.0
+DRAWERS = 100.0
 """So many times likelier are drawers above each other than flaps [-]."""
 HIGHEST = 0.42
 """Where one of them is lower than this: the doors of two ovens are above each other, too [m]."""
