@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 from tests.reconstruction.fronts import face_of
 
-from momapos.reconstruction.stacks import opening_alike
+from momapos.reconstruction.stacks import DRAWERS, opening_alike
 from momapos.types import Part, PartKind
 
 FACE = face_of(0.8, 0.8, 0.0)
@@ -35,12 +35,12 @@ def test_two_that_may_be_either_are_drawers_however_many_there_are() -> None:
     parts = [doubted(HIGH, 0.15), doubted(LOW, 0.15)]
     first, second = opening_alike(FACE, parts)
     assert (first.kind, second.kind) == ("drawer", "drawer")
-    share = 20 * 0.15 / (20 * 0.15 + 0.85)
+    share = DRAWERS * 0.15 / (DRAWERS * 0.15 + 0.85)
     assert dict(first.odds)["drawer"] == pytest.approx(0.98 * share)
 
 
 def test_two_that_are_clearly_flaps_stay_flaps() -> None:
-    found = opening_alike(FACE, [doubted(HIGH, 0.02), doubted(LOW, 0.02)])
+    found = opening_alike(FACE, [doubted(HIGH, 0.005), doubted(LOW, 0.005)])
     assert [part.kind for part in found] == ["door_down", "door_down"]
 
 

@@ -66,8 +66,8 @@ def with_bar(face: FaceImage, part: Part) -> Part:
         found = tuple(bar for bar in found if bar.within(area, OFF_EDGE) == bar)
     if not found:
         return part
-    kind = _opening(part.kind, area_of(part.box, face), found[0])
-    return replace(decode.told(part, kind), handle=_fractions(found[0], face))
+    kind = opening(part.kind, area_of(part.box, face), found[0])
+    return replace(decode.told(part, kind), handle=fractions(found[0], face))
 
 
 def _stands_out(face: FaceImage, part: Part, handle: tuple[float, float, float, float]) -> bool:
@@ -179,10 +179,10 @@ def _pieces(
         one = (
             replace(area, left=low, right=high) if upright else replace(area, bottom=low, top=high)
         )
-        kind = _opening(part.kind, one, bar)
+        kind = opening(part.kind, one, bar)
         if bar.width > bar.height and one.width > one.height:
             kind = "drawer"
-        box, handle = _fractions(one, face), _fractions(bar, face)
+        box, handle = fractions(one, face), fractions(bar, face)
         found.append(replace(decode.told(part, kind), box=box, handle=handle))
     return tuple(found)
 
@@ -280,7 +280,7 @@ def _seam(
     return float(places[mean.argmax()]) if mean.max(initial=0.0) > SEAM else None
 
 
-def _fractions(area: Area, face: FaceImage) -> tuple[float, float, float, float]:
+def fractions(area: Area, face: FaceImage) -> tuple[float, float, float, float]:
     """An area as (left, top, right, bottom) in fractions of the face."""
     return (
         area.left / face.width,
@@ -290,7 +290,7 @@ def _fractions(area: Area, face: FaceImage) -> tuple[float, float, float, float]
     )
 
 
-def _opening(kind: PartKind, part: Area, bar: Area) -> PartKind:
+def opening(kind: PartKind, part: Area, bar: Area) -> PartKind:
     """How a part with a bar opens; as was thought where the bar does not tell."""
     if bar.height > bar.width:
         from_left = ((bar.left + bar.right) / 2 - part.left) / part.width

@@ -7,6 +7,7 @@ none. Both were trained on drawn faces only; `training/fronts` holds everything 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
@@ -18,11 +19,12 @@ from momapos.errors import InputError, require
 from momapos.reconstruction import decode
 from momapos.reconstruction.bars import by_bars, with_bar
 from momapos.reconstruction.drawer_handles import into_drawers
+from momapos.reconstruction.free_bars import told_by_bars
 from momapos.reconstruction.stacks import opening_alike
 from momapos.types import FaceImage, Front, Part
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
+    from jaxtyping import Float, Float32
 
 FIRST_SHARE = 0.75
 """Weight of the first look in a part's score, a weighted geometric mean [-]."""
@@ -36,6 +38,8 @@ class FrontNetworkConfig:
     """Largest number of proposals that are looked at again [-]."""
     part: float = 0.27
     """Confidence from which on a proposal is a part [-]; chosen on drawn faces."""
+    front: float = 0.5
+    """Probability that a face is a front from which on handles alone tell parts of it [-]."""
     handle: float = 0.5
     """Probability from which on a part has a handle [-]."""
     overlap: float = 0.4
@@ -83,7 +87,10 @@ class FrontNetwork:
         if len(boxes):
             kept = decode.distinct(boxes, kinds.max(axis=1), 0.7, nested=False)
             boxes, kinds = boxes[kept], kinds[kept]
-        return Front(float(front[0]), self._parts(face, stack, boxes, kinds))
+        parts = self._parts(face, stack, boxes, kinds)
+        if front[0] >= self.config.front:
+            parts = (*parts, *told_by_bars(face, parts))
+        return Front(float(front[0]), _by_handles(face, stack, parts))
 
     def _parts(
         self,
@@ -126,11 +133,18 @@ class FrontNetwork:
             )
             for i in good
         )
-        upright, level = stack[..., decode.UPRIGHT], stack[..., decode.LEVEL]
-        drawers = [one for part in parts for one in into_drawers(face, part, level)]
-        divided = by_bars(face, drawers, upright, level)
-        alike = opening_alike(face, [with_bar(face, part) for part in divided])
-        return tuple(decode.doubted(part) for part in alike)
+        return tuple(parts)
+
+
+def _by_handles(
+    face: FaceImage, stack: Float32[np.ndarray, "h w 7"], parts: Sequence[Part]
+) -> tuple[Part, ...]:
+    """Parts, divided and told apart by the handles on them."""
+    upright, level = stack[..., decode.UPRIGHT], stack[..., decode.LEVEL]
+    drawers = [one for part in parts for one in into_drawers(face, part, level)]
+    divided = by_bars(face, drawers, upright, level)
+    alike = opening_alike(face, [with_bar(face, part) for part in divided])
+    return tuple(decode.doubted(part) for part in alike)
 
 
 def _look_at_face(face: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
