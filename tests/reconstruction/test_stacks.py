@@ -44,6 +44,11 @@ def test_two_that_are_clearly_flaps_stay_flaps() -> None:
     assert [part.kind for part in found] == ["door_down", "door_down"]
 
 
+def test_an_oven_above_its_drawer_stays_a_flap() -> None:
+    found = opening_alike(FACE, [doubted(HIGH, 0.03), doubted(LOW, 0.99)])
+    assert [part.kind for part in found] == ["door_down", "drawer"]
+
+
 def test_two_as_high_as_ovens_are_taken_for_what_they_look_like() -> None:
     tall = face_of(0.6, 1.2, 0.0)
     high = replace(HIGH, box=(0.0, 0.0, 1.0, 0.5))

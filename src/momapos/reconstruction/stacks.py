@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -15,12 +15,16 @@ LEVEL_KINDS: tuple[PartKind, ...] = ("drawer", "door_down")
 """What has a level bar near its top."""
 FLUSH = 0.04
 """Sides of one stack are in line, and its parts meet, within this [m]."""
-SAME_PLACE = 0.08
+SAME_PLACE = 0.05
 """Handles are as far below the tops of their parts, within this [m]."""
 SAME_LENGTH = 1.25
 """And differ in length by less than this factor [-]."""
 DRAWERS = 100.0
 """So many times likelier are drawers above each other than flaps [-]."""
+CONTRARY = 1000.0
+"""What is so many times likelier a drawer than another one is, is not like it [-]."""
+LEAST = 1e-4
+"""No kind is less probable [-]."""
 HIGHEST = 0.42
 """Where one of them is lower than this: the doors of two ovens are above each other, too [m]."""
 
@@ -43,9 +47,11 @@ def opening_alike(face: FaceImage, parts: Sequence[Part]) -> tuple[Part, ...]:
             float(np.prod([each.get(kind, 0.0) for each in odds]) ** (1.0 / len(stack)))
             for kind in LEVEL_KINDS
         )
+        if len(stack) < 2 or _contrary(odds):
+            continue
         low = min(area_of(parts[k].box, face).height for k in stack) < HIGHEST
         drawers *= DRAWERS if low else 1.0
-        if len(stack) < 2 or drawers + flaps <= 0.0:
+        if drawers + flaps <= 0.0:
             continue
         share = drawers / (drawers + flaps)
         for k, each in zip(stack, odds, strict=True):
@@ -54,6 +60,16 @@ def opening_alike(face: FaceImage, parts: Sequence[Part]) -> tuple[Part, ...]:
             ranked = decode.ranked(new)
             found[k] = replace(parts[k], kind=ranked[0][0], odds=ranked)
     return tuple(found)
+
+
+def _contrary(odds: Sequence[Mapping[PartKind, float]]) -> bool:
+    """Whether one part is clearly a drawer and another one clearly a flap: an oven above its
+    drawer has handles that are alike, but does not look like it."""
+    ratios = [
+        max(each.get("drawer", 0.0), LEAST) / max(each.get("door_down", 0.0), LEAST)
+        for each in odds
+    ]
+    return max(ratios) > CONTRARY * min(ratios)
 
 
 def _stacks(face: FaceImage, parts: Sequence[Part]) -> list[list[int]]:
