@@ -28,6 +28,7 @@ from momapos.reconstruction.network import FrontNetwork
 from momapos.types import Front
 from objects import HALVES
 from parts_real import TrueFace, TruePart, photo_faces, real_faces
+from placement import shared as default_shared
 
 COLORS = {
     "door_left": "red",
@@ -172,7 +173,7 @@ def evaluate(
 
 
 def main(
-    shared: Path = Path("../shared/data"),
+    shared: Path | None = None,
     drawn: int = 100,
     variants: int = 3,
     seed: int = 90001,
@@ -182,7 +183,8 @@ def main(
     """Print a table of each set.
 
     Args:
-        shared: Folder of the real data; its sets are left out where it is missing.
+        shared: Folder of the real data, by default that of MOMAPOS_SHARED; its sets are left out
+            where it is missing.
         drawn: Number of freshly drawn faces of each of the two mixes.
         variants: How often each real object is rendered.
         seed: Of drawn faces, light, view and noise; training used others.
@@ -192,11 +194,14 @@ def main(
     network = FrontNetwork()
     evaluate("drawn", drawn_faces(drawn, seed, generator.ORDINARY), network, pictures)
     evaluate("drawn, hard", drawn_faces(drawn, seed + 1, generator.HARD), network, pictures)
-    if (shared / "bestman").is_dir():
-        objects, sums = real_faces(shared, variants, seed, half), half == HALVES[1]
-        kept = None if sums else pictures
-        evaluate("simulator objects", objects, network, kept, sums=sums)
-        evaluate("photos", photo_faces(shared), network, pictures)
+    data = default_shared() if shared is None else shared
+    if not (data / "bestman").is_dir():
+        print(f"\nno simulator objects and no photos: {data / 'bestman'} is not there")
+        return
+    objects, sums = real_faces(data, variants, seed, half), half == HALVES[1]
+    kept = None if sums else pictures
+    evaluate("simulator objects", objects, network, kept, sums=sums)
+    evaluate("photos", photo_faces(data), network, pictures)
 
 
 if __name__ == "__main__":
