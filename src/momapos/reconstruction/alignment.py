@@ -12,7 +12,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.errors import InputError
-from momapos.reconstruction.height_maps import FEWEST, Area, area_of, bars, heights_in
+from momapos.reconstruction.height_maps import (
+    FEWEST,
+    Area,
+    area_of,
+    bars,
+    heights_in,
+    stands_out,
+)
 from momapos.types import FaceImage, Part, PartKind
 
 if TYPE_CHECKING:
@@ -269,31 +276,16 @@ def _placed(middle: float, size: float, low: float, high: float) -> tuple[float,
 def _standing_out(
     face: FaceImage, part: Area, handle: Area, config: AlignmentConfig
 ) -> tuple[float, bool]:
-    """How far a handle stands out of what is around it [m], and whether depth shows that.
-
-    A handle's rectangle holds some of the part behind it, so its upper quartile is taken.
-    """
+    """How far a handle stands out of what is around it [m], and whether depth shows that."""
     least, most = config.handle_height_map
-    out = _measured_out(face, part, handle)
+    out = stands_out(face, part, handle)
     if out is None or out < least:
         return config.handle_out, False
     return min(out, most), True
 
 
-def _measured_out(face: FaceImage, part: Area, handle: Area) -> float | None:
-    """The same as measured [m]; None where it was not."""
-    side = 0.02 + max(min(handle.width, handle.height), 0.0)
-    around = Area(handle.left - side, handle.bottom - side, handle.right + side, handle.top + side)
-    ring = around.within(part)
-    assert ring is not None
-    inside, beside = heights_in(face, handle), heights_in(face, ring, without=handle)
-    if min(len(inside), len(beside)) < FEWEST:
-        return None
-    return float(np.percentile(inside, 75) - np.median(beside))
-
-
 def _is_flat(face: FaceImage, part: Area, seen: Area, config: AlignmentConfig) -> bool:
     """Whether what was taken for a handle was measured not to stand out: a sign, a lock."""
     inside = seen.within(part)
-    out = None if inside is None else _measured_out(face, part, inside)
+    out = None if inside is None else stands_out(face, part, inside)
     return out is not None and out < config.handle_height_map[0]

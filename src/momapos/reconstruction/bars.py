@@ -15,7 +15,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.reconstruction import decode
-from momapos.reconstruction.height_maps import FEWEST, Area, area_of, bars, heights_in
+from momapos.reconstruction.height_maps import (
+    FEWEST,
+    Area,
+    area_of,
+    bars,
+    heights_in,
+    stands_out,
+)
 from momapos.types import FaceImage, Part, PartKind
 
 if TYPE_CHECKING:
@@ -60,7 +67,7 @@ def with_bar(face: FaceImage, part: Part) -> Part:
     """
     found = handles_on(face, part)
     if part.handle is not None:
-        if not found or _stands_out(face, part, part.handle):
+        if not found or not _is_flat(face, part, part.handle):
             return part
         area = area_of(part.box, face)
         found = tuple(bar for bar in found if bar.within(area, OFF_EDGE) == bar)
@@ -70,13 +77,12 @@ def with_bar(face: FaceImage, part: Part) -> Part:
     return replace(decode.told(part, kind), handle=fractions(found[0], face))
 
 
-def _stands_out(face: FaceImage, part: Part, handle: tuple[float, float, float, float]) -> bool:
-    """Whether anything stands out of a part where its handle is taken to be, or may: no depth."""
-    area, grip = area_of(part.box, face), area_of(handle, face)
-    there = heights_in(face, grip)
-    if len(there) < FEWEST:
-        return True
-    return float(np.percentile(there, 90)) > float(np.median(heights_in(face, area, grip))) + FLAT
+def _is_flat(face: FaceImage, part: Part, handle: tuple[float, float, float, float]) -> bool:
+    """Whether what is taken for a handle was measured not to stand out: a label, a lock."""
+    area = area_of(part.box, face)
+    grip = area_of(handle, face).within(area)
+    out = None if grip is None else stands_out(face, area, grip)
+    return out is not None and out < FLAT
 
 
 def by_bars(

@@ -121,3 +121,19 @@ def bars(
         if length >= max(least, 2 * thick) and thick <= thickest:
             found.append((length, area))
     return tuple(area for _, area in sorted(found, key=lambda bar: -bar[0]))
+
+
+def stands_out(face: FaceImage, part: Area, handle: Area) -> float | None:
+    """How far a handle that lies within a part stands out of what is around it [m].
+
+    Its rectangle holds some of the part behind it, so its upper quartile counts. None where too
+    little of it was measured.
+    """
+    side = 0.02 + max(min(handle.width, handle.height), 0.0)
+    around = Area(handle.left - side, handle.bottom - side, handle.right + side, handle.top + side)
+    ring = around.within(part)
+    assert ring is not None
+    inside, beside = heights_in(face, handle), heights_in(face, ring, without=handle)
+    if min(len(inside), len(beside)) < FEWEST:
+        return None
+    return float(np.percentile(inside, 75) - np.median(beside))
