@@ -24,7 +24,7 @@ EDGES = np.array([1.0, 0.99, 0.99, 0.98])
 """How much is believed that the top, right, left and lower edge of an image is up [-]."""
 DOWN = 0.005
 """And that it was taken looking down [-]."""
-STEEP = 0.5
+STEEP = 0.25
 """Of an image taken steeply up or down, its edges tell less: the cosine of its pitch from which on
 they do [-]."""
 MOST_FRAMES = 100
