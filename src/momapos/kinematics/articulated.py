@@ -49,14 +49,18 @@ class Articulated:
         """The movable joints by name, parents before children."""
         return {joint.name: joint for joint in self.urdf.joints if joint.movable}
 
-    def joint(self, name: str) -> Joint:
+    def joint(self, name: str, of: str | None = None) -> Joint:
         """Look a movable joint up by name.
+
+        Args:
+            name: The joint.
+            of: What a message calls the model; as its file does by default.
 
         Raises:
             UnknownNameError: There is none; the message offers the nearest.
         """
         if name not in self.joints:
-            raise unknown_name("movable joint", name, self.joints, self.urdf.name)
+            raise unknown_name("movable joint", name, self.joints, of or self.urdf.name)
         return self.joints[name]
 
     @cached_property

@@ -18,6 +18,7 @@ from momapos.reconstruction.height_maps import (
     area_of,
     bars,
     heights_in,
+    is_flat,
     stands_out,
 )
 from momapos.types import FaceImage, Part, PartKind
@@ -221,7 +222,7 @@ def _too_small(kind: PartKind, area: Area, config: AlignmentConfig) -> bool:
 def _aligned(face: FaceImage, part: Part, area: Area, config: AlignmentConfig) -> AlignedPart:
     """Measure how far a part and its handle stand out."""
     seen = None if part.handle is None else area_of(part.handle, face)
-    if seen is not None and _is_flat(face, area, seen, config):
+    if seen is not None and is_flat(face, area, seen, config.handle_height_map[0]):
         found = bars(face, area, config.bar_out, config.bar_length, config.bar_thickness)
         seen = found[0] if found else seen
     out = front_of(face, area, config.most_height_map, without=seen)
@@ -282,10 +283,3 @@ def _standing_out(
     if out is None or out < least:
         return config.handle_out, False
     return min(out, most), True
-
-
-def _is_flat(face: FaceImage, part: Area, seen: Area, config: AlignmentConfig) -> bool:
-    """Whether what was taken for a handle was measured not to stand out: a sign, a lock."""
-    inside = seen.within(part)
-    out = None if inside is None else stands_out(face, part, inside)
-    return out is not None and out < config.handle_height_map[0]

@@ -15,14 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.reconstruction import decode
-from momapos.reconstruction.height_maps import (
-    FEWEST,
-    Area,
-    area_of,
-    bars,
-    heights_in,
-    stands_out,
-)
+from momapos.reconstruction.height_maps import FEWEST, Area, area_of, bars, heights_in, is_flat
 from momapos.types import FaceImage, Part, PartKind
 
 if TYPE_CHECKING:
@@ -66,23 +59,15 @@ def with_bar(face: FaceImage, part: Part) -> Part:
         part: As the networks saw it. They take a dark label for a handle, too.
     """
     found = handles_on(face, part)
+    area = area_of(part.box, face)
     if part.handle is not None:
-        if not found or not _is_flat(face, part, part.handle):
+        if not found or not is_flat(face, area, area_of(part.handle, face), FLAT):
             return part
-        area = area_of(part.box, face)
         found = tuple(bar for bar in found if bar.within(area, OFF_EDGE) == bar)
     if not found:
         return part
-    kind = opening(part.kind, area_of(part.box, face), found[0])
+    kind = opening(part.kind, area, found[0])
     return replace(decode.told(part, kind), handle=fractions(found[0], face))
-
-
-def _is_flat(face: FaceImage, part: Part, handle: tuple[float, float, float, float]) -> bool:
-    """Whether what is taken for a handle was measured not to stand out: a label, a lock."""
-    area = area_of(part.box, face)
-    grip = area_of(handle, face).within(area)
-    out = None if grip is None else stands_out(face, area, grip)
-    return out is not None and out < FLAT
 
 
 def by_bars(

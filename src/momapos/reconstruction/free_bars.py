@@ -46,15 +46,13 @@ def told_by_bars(face: FaceImage, parts: Sequence[Part]) -> tuple[Part, ...]:
     Returns:
         The parts that they did not see, each with one handle.
     """
-    inner = Area(0.0, 0.0, face.width, face.height).within(
-        Area(0.0, 0.0, face.width, face.height), EDGE
-    )
+    rim = Area(0.0, 0.0, face.width, face.height)
     whole = Part("drawer", (0.0, 0.0, 1.0, 1.0), SCORE)
     free: Bool[np.ndarray, "h w"] | None = None
     found: list[Part] = []
     for bar in handles_on(face, whole):
         known = any(bar.within(area_of(part.box, face)) for part in (*parts, *found))
-        if known or inner is None or bar.within(inner) != bar:
+        if known or bar.within(rim, EDGE) != bar:
             continue
         free = _free(face, parts) if free is None else free
         part = _around(face, bar, free)

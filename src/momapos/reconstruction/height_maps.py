@@ -123,6 +123,14 @@ def bars(
     return tuple(area for _, area in sorted(found, key=lambda bar: -bar[0]))
 
 
+def is_flat(face: FaceImage, part: Area, handle: Area, least: float) -> bool:
+    """Whether what was taken for a handle of a part was measured to stand out by less [m]: a sign,
+    a label, a lock."""
+    inside = handle.within(part)
+    out = None if inside is None else stands_out(face, part, inside)
+    return out is not None and out < least
+
+
 def stands_out(face: FaceImage, part: Area, handle: Area) -> float | None:
     """How far a handle that lies within a part stands out of what is around it [m].
 

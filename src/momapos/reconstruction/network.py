@@ -124,7 +124,7 @@ class FrontNetwork:
         rank = (1.0 - sure[good, -1]) * kinds[good].max(axis=1)
         good = good[decode.distinct(found[good], rank, self.config.overlap, nested=True)]
         good = good[np.argsort(-score[good], kind="stable")]
-        parts = (
+        return tuple(
             decode.part(
                 vote[i].astype(float),
                 found[i],
@@ -133,7 +133,6 @@ class FrontNetwork:
             )
             for i in good
         )
-        return tuple(parts)
 
 
 def _by_handles(

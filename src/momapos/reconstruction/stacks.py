@@ -43,12 +43,12 @@ def opening_alike(face: FaceImage, parts: Sequence[Part]) -> tuple[Part, ...]:
     found = list(parts)
     for stack in _stacks(face, parts):
         odds = [dict(parts[k].odds) for k in stack]
+        if len(stack) < 2 or _contrary(odds):
+            continue
         drawers, flaps = (
             float(np.prod([each.get(kind, 0.0) for each in odds]) ** (1.0 / len(stack)))
             for kind in LEVEL_KINDS
         )
-        if len(stack) < 2 or _contrary(odds):
-            continue
         low = min(area_of(parts[k].box, face).height for k in stack) < HIGHEST
         drawers *= DRAWERS if low else 1.0
         if drawers + flaps <= 0.0:

@@ -117,9 +117,7 @@ class SceneObject:
         Raises:
             UnknownNameError: There is none; the message names the object, not its model's file.
         """
-        if name not in self.model.joints:
-            raise unknown_name("movable joint", name, self.model.joints, self.name)
-        return self.model.joints[name]
+        return self.model.joint(name, self.name)
 
     def values(self, change: Mapping[str, float] | None = None) -> dict[str, float]:
         """All joint values, with some of them changed."""

@@ -86,7 +86,11 @@ def surest(parts: Sequence[Part]) -> tuple[Part, ...]:
     What shows no handle is none where several others lie in it that do.
     """
     held = _apart([part for part in parts if part.handle is not None])
-    return _apart([part for part in parts if part.handle or sum(_in(h, part) for h in held) < 2])
+
+    def gives_way(part: Part) -> bool:
+        return part.handle is None and sum(_in(other, part) for other in held) > 1
+
+    return _apart([part for part in parts if not gives_way(part)])
 
 
 def _apart(parts: Sequence[Part]) -> tuple[Part, ...]:
