@@ -3,6 +3,7 @@
     python benchmarks/scan_objects.py [--half tuned|measured] [--robot segway_ur5e] [--frames 60]
                                       [--folder bench_out/scan_objects] [--no-answers] [--anew]
                                       [--together 1] [--misled 1] [--models FOLDER]
+                                      [--detector FILE]
 
 Every object of `objects.py` stands alone in its small room, or, with --together 10, ten of one half
 in a kitchen. The room is scanned, the scan is made
@@ -13,6 +14,8 @@ by contact with noise in the room as it truly is (`run_plan(..., world=)`). Only
 in the room itself counts. What is done is kept in the folder and not done again.
 
 With --models the objects are those of a folder's models.json, such as sweet_home.py writes it.
+
+With --detector the images are looked at with it, as `momapos scan --detector` does.
 
 With --misled N the robot is led to believe, as firmly as it believed what is right, that the part
 moves in the Nth likely of the other ways: only parts count whose kind and side are right before.
@@ -33,6 +36,7 @@ import numpy as np
 from execution import SPREAD
 from momapos.cache import default_cache_dir
 from momapos.config import PipelineConfig
+from momapos.detection.yolox import YoloxDetector
 from momapos.errors import MomaposError
 from momapos.execution.config import ExecutionConfig, FurnitureConfig
 from momapos.execution.true_world import moved as elsewhere
@@ -217,6 +221,7 @@ def main() -> None:
     parser.add_argument("--only", help="only rooms with this in their name")
     parser.add_argument("--misled", type=int, default=0, help="believe the Nth of the other ways")
     parser.add_argument("--models", type=Path, help="folder with a models.json of other objects")
+    parser.add_argument("--detector", type=Path, help="ONNX file; tells what things are")
     args = parser.parse_args()
     if args.misled and args.no_answers:
         parser.error("--misled is about what is opened; leave out --no-answers")
@@ -228,6 +233,8 @@ def main() -> None:
     except MomaposError as error:
         sys.exit(str(error))
     tools, robot, reach = default_tools(), None, None
+    if args.detector is not None:
+        tools = replace(tools, detect=YoloxDetector(args.detector))
     if not args.no_answers:
         robot = load_robot(args.robot)
         reach = load_reach_map(robot, default_cache_dir(), None)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
-from momapos.detection.coco import LABELS
+from momapos.detection.coco import LABELS, WITHOUT_DOORS
 from momapos.detection.frames import detect
 from momapos.detection.relabel import relabeled, with_given_labels
 from momapos.detection.votes import vote
@@ -22,6 +23,7 @@ def with_labels(
     found: Found | None,
     given: Mapping[str, str] | None,
     config: ScanConfig,
+    opens: Callable[[Detection], bool],
 ) -> list[Detection]:
     """Name the things of a scan, the surest word first.
 
@@ -33,6 +35,8 @@ def with_labels(
         found: What was found in the images, by the frame's name.
         given: Labels from the user, by the names that things have without them.
         config: Constants.
+        opens: Whether doors or drawers with handles are seen on a thing. It is asked of what the
+            images take for a bed or another thing that has none; they then err.
 
     Raises:
         UnknownNameError, InputError: A given label is of nothing, or is none.
@@ -43,6 +47,12 @@ def with_labels(
     if found is not None:
         looked_at = [frame for frame in frames if frame.name in found]
         verdicts = vote(things, cloud, looked_at, found, config.votes)
+        verdicts = [
+            replace(verdict, label="", confidence=0.0, hits=0)
+            if verdict.label in WITHOUT_DOORS and opens(thing)
+            else verdict
+            for verdict, thing in zip(verdicts, things, strict=True)
+        ]
         things = relabeled(things, verdicts, told, config.votes)
     things = named(things)
     return named(with_given_labels(things, given)) if given else list(things)

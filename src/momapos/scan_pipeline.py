@@ -24,7 +24,7 @@ from momapos.protocols import ArticulationPredictor, Clock
 from momapos.reconstruction.build import GivenModel, build_scene
 from momapos.reconstruction.network import FrontNetwork
 from momapos.reconstruction.templates import TemplatePredictor
-from momapos.scan_decisions import decide, watched
+from momapos.scan_decisions import decide, opens, watched
 from momapos.scan_labels import with_labels
 from momapos.scan_open import open_leaves, shut
 from momapos.scan_records import (
@@ -184,15 +184,19 @@ def survey(
         detections = without_pieces(detections, cloud)
     if not detections:
         raise InputError(f"{scan.name}: nothing was found in the scan but floor and walls")
-    with watch.stage("labels"):
-        progress("looking what it is", 0.35)
-        detections = with_labels(detections, cloud, frames, tools.detect, found, labels, config)
-        boards = wall_detections(room, config.boxes)
-        detections = with_coverage(detections, cloud, boards, measured)
-    return Survey(
+    boards = wall_detections(room, config.boxes)
+    seen = Survey(
         cloud, frames, T, room, tuple(detections), tuple(boards), (*known, *rows), leaves, found,
         watch.seconds,
     )  # fmt: skip
+    with watch.stage("labels"):
+        progress("looking what it is", 0.35)
+        detections = with_labels(
+            detections, cloud, frames, tools.detect, found, labels, config,
+            lambda item: opens(item, seen, tools, config),
+        )  # fmt: skip
+        detections = with_coverage(detections, cloud, boards, measured)
+    return replace(seen, detections=tuple(detections))
 
 
 def model_room(

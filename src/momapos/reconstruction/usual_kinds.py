@@ -1,0 +1,66 @@
+"""How the doors of things of a label usually open, weighed against what is seen of them.
+
+A front alone leaves doubt: a level bar near the top is that of a flap or of a drawer, a door
+without a handle may be hinged at either side. Whoever knows that it is an oven or a microwave
+doubts less.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+from momapos.reconstruction import decode
+from momapos.reconstruction.templates import ALIASES
+from momapos.types import Part, PartKind
+
+ANY: Mapping[PartKind, float] = {
+    "door_left": 0.3, "door_right": 0.3, "door_down": 0.1, "door_up": 0.05, "drawer": 0.25,
+}  # fmt: skip
+"""Shares of the kinds among what opens in a home [-]."""
+USUAL: Mapping[str, Mapping[PartKind, float]] = {
+    "fridge": {
+        "door_left": 0.38, "door_right": 0.45, "door_down": 0.01, "door_up": 0.01, "drawer": 0.15,
+    },
+    "microwave": {
+        "door_left": 0.85, "door_right": 0.04, "door_down": 0.09, "door_up": 0.01, "drawer": 0.01,
+    },
+    "oven": {
+        "door_left": 0.04, "door_right": 0.03, "door_down": 0.8, "door_up": 0.01, "drawer": 0.12,
+    },
+    "dishwasher": {
+        "door_left": 0.01, "door_right": 0.01, "door_down": 0.89, "door_up": 0.01, "drawer": 0.08,
+    },
+    "washing machine": {
+        "door_left": 0.85, "door_right": 0.05, "door_down": 0.03, "door_up": 0.01, "drawer": 0.06,
+    },
+}  # fmt: skip
+"""Shares of the kinds among the parts of things of a label [-]. They are estimates from what shops
+sell: most fridges are hinged on the right and some have drawers for the freezer, nearly all
+microwaves and washing machines are hinged on the left, ovens drop down, a few stand above a drawer
+or are hinged at a side. A cabinet may have anything."""
+
+
+def weighed(parts: Sequence[Part], label: str, sure: float) -> tuple[Part, ...]:
+    """Weigh what is seen of parts with how such parts usually open, by Bayes' rule.
+
+    Args:
+        parts: What is on a front; of parts without odds nothing is changed.
+        label: What the thing is called; of labels that tell nothing nothing is changed.
+        sure: Probability that it is what it is called, in [0, 1]; it is anything else otherwise.
+    """
+    name = label.casefold().replace("_", " ").strip()
+    usual = USUAL.get(ALIASES.get(name, name))
+    if usual is None:
+        return tuple(parts)
+    factors = {kind: 1.0 - sure + sure * usual[kind] / share for kind, share in ANY.items()}
+    return tuple(_weighed(part, factors) for part in parts)
+
+
+def _weighed(part: Part, factors: Mapping[PartKind, float]) -> Part:
+    if not part.odds:
+        return part
+    raw = {kind: probability * factors[kind] for kind, probability in part.odds}
+    total = sum(raw.values())
+    odds = decode.ranked({kind: weight / total for kind, weight in raw.items()})
+    return replace(part, kind=odds[0][0], odds=odds)
