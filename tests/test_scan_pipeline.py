@@ -18,6 +18,7 @@ from momapos.manipulation.tasks import hand_path, openable
 from momapos.reconstruction.build import GivenModel
 from momapos.reconstruction.network import FrontNetwork
 from momapos.reconstruction.templates import TemplatePredictor
+from momapos.scan_decisions import decide
 from momapos.scan_io.scan import read_scan
 from momapos.scan_pipeline import cloud_after, model_room, scan_to_scene, survey
 from momapos.scan_records import Modeled, ScanConfig, Tools
@@ -199,6 +200,35 @@ def test_what_a_thing_is_may_be_seen_said_or_pointed_at(
     assert said.target == "wine_cellar_1"
     (item,) = (d.detection for d in said.decisions if d.detection.name == said.target)
     assert (item.label_from, item.score) == ("given", 1.0)
+
+
+def test_how_a_doubtful_part_opens_is_told_by_a_label_that_is_believed(
+    scan: Scan, tools: Tools, folder: Path
+) -> None:
+    def doubtful(face: FaceImage, label: str) -> Front:
+        front = tools.look(face, label)
+        odds = (("drawer", 0.5), ("door_down", 0.4), ("door_left", 0.1))
+        return replace(
+            front, parts=tuple(replace(part, kind="drawer", odds=odds) for part in front.parts)
+        )
+
+    unsure = replace(tools, look=doubtful, predict=doubtful)
+    seen = survey(scan, unsure)
+    gaps = [
+        float(np.linalg.norm(item.box.center - true_fridge(folder).center))
+        for item in seen.detections
+    ]
+    fridge = seen.detections[int(np.argmin(gaps))]
+    for label, source, kind in (
+        ("oven", "given", "door_down"),
+        ("oven", "detector", "door_down"),
+        ("oven", "size", "drawer"),
+        ("fridge", "detector", "drawer"),
+        ("cabinet", "given", "drawer"),
+    ):
+        item = replace(fridge, label=label, label_from=source, score=1.0)
+        parts = decide(item, None, seen, unsure, {}, ScanConfig()).parts
+        assert {part.kind for part in parts} == {kind}
 
 
 def test_how_sure_a_scan_is_stands_in_its_scene(made: Modeled) -> None:
