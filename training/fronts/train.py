@@ -6,7 +6,7 @@ import argparse
 import copy
 import multiprocessing as mp
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,7 +22,9 @@ WEIGHTS = Path(__file__).parents[2] / "src" / "momapos" / "reconstruction" / "we
 MIRROR = np.array(decode.MIRRORED_KINDS)
 """What each kind is in a mirror."""
 REFINING_RATE = 6e-4
-"""Highest learning rate of the second round, which has no normalization to steady it."""
+"""Highest learning rate of further rounds, which have no normalization to steady them."""
+FACE_STEPS, PART_STEPS = (1700, 1200, 2400), (2000, 1250, 2800)
+"""How long both networks learn, by round [-]."""
 
 
 @dataclass(frozen=True)
@@ -199,26 +201,40 @@ def _follow(averaged: nn.Module, net: nn.Module, keep: float) -> None:
             old.copy_(new)
 
 
-def train_face(pools: list[Path], out: Path, plans: tuple[Schedule, Schedule], seed: int) -> None:
-    """Train the first network in two rounds: ordinary faces, then hard ones among them."""
-    _settle(seed)
+def train_face(pools: list[Path], out: Path, plans: Sequence[Schedule], seed: int) -> None:
+    """Train the first network: on ordinary faces, then in further rounds on hard ones as well."""
     data = [(each, np.arange(len(each.faces))) for each in map(pool.Pool.read, pools)]
-    if plans[0].steps:
-        fit(networks.FaceNetwork(), face_step, data[:1], plans[0], seed, out)
-    refined = networks.fused(networks.FaceNetwork())
-    export.restore(refined, out)
-    fit(refined, face_step, data, plans[1], seed + 1, out)
+    _rounds(networks.FaceNetwork, face_step, data, out, plans, seed)
 
 
-def train_part(pools: list[Path], out: Path, plans: tuple[Schedule, Schedule], seed: int) -> None:
+def train_part(pools: list[Path], out: Path, plans: Sequence[Schedule], seed: int) -> None:
     """Train the second network, likewise."""
-    _settle(seed)
     data = [(each, np.nonzero(each.crop_kinds[:] >= 0)[0]) for each in map(pool.Pool.read, pools)]
-    if plans[0].steps:
-        fit(networks.PartNetwork(), part_step, data[:1], plans[0], seed, out)
-    refined = networks.fused(networks.PartNetwork())
-    export.restore(refined, out)
-    fit(refined, part_step, data, plans[1], seed + 1, out)
+    _rounds(networks.PartNetwork, part_step, data, out, plans, seed)
+
+
+def _rounds(
+    make: Callable[[], nn.Module],
+    step: Step,
+    data: list[tuple[pool.Pool, np.ndarray]],
+    out: Path,
+    plans: Sequence[Schedule],
+    seed: int,
+) -> None:
+    """Train a network in rounds, of which each goes on from the file that the one before wrote.
+
+    The first learns from the first pool alone. A round without steps is left out.
+    """
+    _settle(seed)
+    for number, plan in enumerate(plans):
+        if not plan.steps:
+            continue
+        if number == 0:
+            fit(make(), step, data[:1], plan, seed, out)
+            continue
+        refined = networks.fused(make())
+        export.restore(refined, out)
+        fit(refined, step, data, plan, seed + number, out)
 
 
 def _settle(seed: int) -> None:
@@ -233,8 +249,8 @@ def main() -> None:
     parser.add_argument("--pools", type=Path, default=Path("build/fronts"), help="scratch folder")
     parser.add_argument("--out", type=Path, default=WEIGHTS, help="where the networks go")
     parser.add_argument("--faces", type=int, nargs=2, default=(8000, 5000), help="to draw")
-    parser.add_argument("--face-steps", type=int, nargs=2, default=(1700, 1200), help="by round")
-    parser.add_argument("--part-steps", type=int, nargs=2, default=(2000, 1250), help="by round")
+    parser.add_argument("--face-steps", type=int, nargs="+", default=FACE_STEPS, help="by round")
+    parser.add_argument("--part-steps", type=int, nargs="+", default=PART_STEPS, help="by round")
     parser.add_argument("--seed", type=int, default=1)
     given = parser.parse_args()
     mixes = {"ordinary": generator.ORDINARY, "hard": generator.HARD}
@@ -249,8 +265,9 @@ def main() -> None:
     ]
     context = mp.get_context("spawn")
     jobs = []
-    for target, name, batch, (first, second) in tasks:
-        plans = Schedule(first, batch), Schedule(second, batch, rate=REFINING_RATE)
+    for target, name, batch, steps in tasks:
+        first, *further = steps
+        plans = [Schedule(first, batch), *(Schedule(n, batch, REFINING_RATE) for n in further)]
         jobs.append(
             context.Process(target=target, args=(pools, given.out / name, plans, given.seed))
         )
