@@ -74,9 +74,7 @@ def resample(
     return np.ascontiguousarray(wide.reshape(side, side, -1).transpose(2, 1, 0))
 
 
-def _taps(
-    length: int, low: float, high: float, count: int
-) -> tuple[slice, csr_array]:
+def _taps(length: int, low: float, high: float, count: int) -> tuple[slice, csr_array]:
     """Weights of a triangle filter that samples [low, high] of a line of pixels."""
     step = max((high - low) * length / count, 1e-6)
     centers = low * length + (np.arange(count) + 0.5) * step - 0.5
