@@ -79,10 +79,9 @@ def front_of(item: Detection, survey: Survey, tools: Tools, config: ScanConfig) 
         return tools.look(face, item.label)
 
     seen = sights(item.box, survey.frames, survey.found) or sights(item.box, survey.frames)
-    sides = [
-        at_wall(survey.room, face.T_world_face[:3, 3], face.outward) for face in box_faces(item.box)
-    ]
-    backed = [sides[face.opposite] for face in box_faces(item.box)]
+    faces = box_faces(item.box)
+    sides = [at_wall(survey.room, face.T_world_face[:3, 3], face.outward) for face in faces]
+    backed = [sides[face.opposite] for face in faces]
     return choose_view(item.box, survey.frames, seen, look, config.view, survey.rows, backed)
 
 

@@ -110,8 +110,7 @@ class TemplatePredictor:
 
     def __call__(self, face: FaceImage, label: str) -> Front:
         """Lay the label's template over the face; an unknown label has no parts and score 0."""
-        name = label.casefold().replace("_", " ").strip()
-        choices = TEMPLATES.get(ALIASES.get(name, name))
+        choices = TEMPLATES.get(common_name(label))
         if choices is None:
             return Front(0.0, ())
         template = next(choice for choice in choices if face.height <= choice.up_to)
@@ -121,6 +120,12 @@ class TemplatePredictor:
             parts += _fill(band, top, face.width, face.height)
             top += band.share
         return Front(GUESS, tuple(parts))
+
+
+def common_name(label: str) -> str:
+    """What things of a label are called in the tables of this folder."""
+    name = label.casefold().replace("_", " ").strip()
+    return ALIASES.get(name, name)
 
 
 def _fill(band: Band, top: float, width: float, height: float) -> list[Part]:

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from momapos.reconstruction import decode
-from momapos.reconstruction.templates import ALIASES
+from momapos.reconstruction.templates import common_name
 from momapos.types import Part, PartKind
 
 ANY: Mapping[PartKind, float] = {
@@ -49,8 +49,7 @@ def weighed(parts: Sequence[Part], label: str, sure: float) -> tuple[Part, ...]:
         label: What the thing is called; of labels that tell nothing nothing is changed.
         sure: Probability that it is what it is called, in [0, 1]; it is anything else otherwise.
     """
-    name = label.casefold().replace("_", " ").strip()
-    usual = USUAL.get(ALIASES.get(name, name))
+    usual = USUAL.get(common_name(label))
     if usual is None:
         return tuple(parts)
     factors = {kind: 1.0 - sure + sure * usual[kind] / share for kind, share in ANY.items()}
