@@ -99,6 +99,16 @@ def test_a_face_behind_something_is_not_shown() -> None:
     assert shown(box_faces(FRIDGE)[3], hidden) == pytest.approx(0.5, abs=0.1)
 
 
+def test_what_is_open_in_a_face_is_nothing_that_could_be_shown() -> None:
+    face, frame = box_faces(FRIDGE)[3], view_of(3)
+    assert frame.depth is not None
+    left, right = np.arange(640) < 315, np.arange(640) > 325
+    through = np.where(left, frame.depth + 0.5, frame.depth).astype("f4")
+    assert shown(face, replace(frame, depth=through)) > 0.9
+    both = np.where(right, 0.5, through).astype("f4")
+    assert shown(face, replace(frame, depth=both)) < 0.3
+
+
 def test_what_hides_a_face_in_one_frame_is_looked_past_in_another() -> None:
     face = box_faces(FRIDGE)[0]
     free = view_of(0)

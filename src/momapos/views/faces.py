@@ -209,8 +209,14 @@ def solid(image: FaceImage, box: tuple[float, float, float, float] | None = None
 
 
 def shown(face: Face, frame: Frame, *, pixels: int = 48) -> float:
-    """Part of a face that a frame shows, and not something before or behind it, in [0, 1]."""
-    return float((Sampled.of(face, [frame], pixels=pixels).states == CLEAR).mean())
+    """Part of a face that a frame shows with nothing before it, in [0, 1].
+
+    Of what is not open: where a frame sees through the face, as into the room for knees at a desk,
+    there is nothing to show.
+    """
+    seen = Sampled.of(face, [frame], pixels=pixels)
+    through = seen.heights < -APART  # NaN compares as false
+    return float((seen.states == CLEAR).sum() / max((~through).sum(), 1))
 
 
 def _shape(face: Face, pixels: int) -> tuple[int, int]:
