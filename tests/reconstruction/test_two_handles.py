@@ -57,6 +57,16 @@ def test_a_door_with_two_upright_handles_is_two_alike_that_open_at_them(
         np.testing.assert_allclose(part.handle, bar, atol=0.01)
 
 
+def test_a_handle_that_noise_breaks_is_one() -> None:
+    face = front(upright(0.05), upright(0.95))
+    for gap in ((0.0, 0.7, 0.1, 0.75), (0.0, 0.8, 0.1, 0.82)):
+        raised(face, gap, 0.0)
+    left, right = divided(face, Part("door_left", WHOLE, 0.5))
+    assert (left.kind, right.kind) == ("door_right", "door_left")
+    assert left.handle is not None
+    np.testing.assert_allclose(left.handle, upright(0.05), atol=0.01)
+
+
 def test_three_handles_are_three_doors() -> None:
     found = divided(front(*map(upright, (0.03, 0.62, 0.71))), Part("door_left", WHOLE, 0.5))
     assert [part.kind for part in found] == ["door_right", "door_left", "door_right"]

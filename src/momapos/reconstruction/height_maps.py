@@ -5,6 +5,7 @@ Areas are in meters from the face's lower left corner, x to the right and z up.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
 
 FEWEST = 12
 """Measured pixels that a median needs [-]."""
+BROKEN = 0.06
+"""Pieces of a bar are one where noise breaks it by less than this [m]."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +41,10 @@ class Area:
     def height(self) -> float:
         """Size along z [m]."""
         return self.top - self.bottom
+
+    def turned(self) -> Area:
+        """With x and z in each other's place."""
+        return Area(self.bottom, self.left, self.top, self.right)
 
     def within(self, other: Area, margin: float = 0.0) -> Area | None:
         """What of it lies inside another and off its edges by a margin [m]; None if nothing."""
@@ -107,20 +114,47 @@ def bars(
     if np.isfinite(height_map).sum() < FEWEST:
         return ()
     stands = height_map > np.nanmedian(height_map) + out  # NaN compares as false
-    label, count = ndimage.label(stands, np.ones((3, 3)))
     tall, wide = face.height / face.height_map.shape[0], face.width / face.height_map.shape[1]
-    found = []
-    for down, across in ndimage.find_objects(label, count):
-        area = Area(
+    label, count = ndimage.label(stands, np.ones((3, 3)))
+    pieces = [
+        Area(
             (columns.start + across.start) * wide,
             face.height - (rows.start + down.stop) * tall,
             (columns.start + across.stop) * wide,
             face.height - (rows.start + down.start) * tall,
         )
-        thick, length = sorted((area.width, area.height))
-        if length >= max(least, 2 * thick) and thick <= thickest:
-            found.append((length, area))
-    return tuple(area for _, area in sorted(found, key=lambda bar: -bar[0]))
+        for down, across in ndimage.find_objects(label, count)
+    ]
+    turned = [piece.turned() for piece in pieces]
+    found = [bar for bar in _joined(pieces, thickest) if bar.height > bar.width]
+    found += [bar.turned() for bar in _joined(turned, thickest) if bar.height >= bar.width]
+    sides = [sorted((area.width, area.height)) for area in found]
+    bars = [
+        (length, area)
+        for (thick, length), area in zip(sides, found, strict=True)
+        if length >= max(least, 2 * thick) and thick <= thickest
+    ]
+    return tuple(area for _, area in sorted(bars, key=lambda bar: -bar[0]))
+
+
+def _joined(pieces: Sequence[Area], thickest: float) -> list[Area]:
+    """Upright bars, of which noise may have broken some; others stay as they are."""
+    whole: list[Area] = []
+    for piece in sorted(pieces, key=lambda piece: piece.bottom):
+        for k, below in enumerate(whole):
+            beside = piece.left < below.right and below.left < piece.right
+            both = Area(
+                min(piece.left, below.left),
+                below.bottom,
+                max(piece.right, below.right),
+                max(piece.top, below.top),
+            )
+            if beside and piece.bottom - below.top < BROKEN and both.width <= thickest:
+                whole[k] = both
+                break
+        else:
+            whole.append(piece)
+    return whole
 
 
 def is_flat(face: FaceImage, part: Area, handle: Area, least: float) -> bool:
