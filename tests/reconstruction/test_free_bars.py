@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from tests.reconstruction.fronts import face_of, raised
@@ -51,6 +53,32 @@ def test_other_bars_tell_nothing(bar: tuple[float, float, float, float], why: st
     face = front()
     raised(face, bar, 0.03)
     assert not told_by_bars(face, [DRAWER]), why
+
+
+def test_a_bar_that_ends_near_an_edge_is_a_handle() -> None:
+    face = face_of(0.6, 0.8, 0.0)
+    raised(face, (0.85, 0.7, 0.88, 0.97), 0.03)
+    (door,) = told_by_bars(face, [DRAWER])
+    assert door.kind == "door_left"
+
+
+def test_a_part_that_reaches_over_the_end_of_a_bar_is_not_its() -> None:
+    face = front()
+    raised(face, (0.85, 0.35, 0.88, 0.65), 0.03)
+    (door,) = told_by_bars(face, [replace(DRAWER, box=(0.0, 0.0, 1.0, 0.42))])
+    assert door.kind == "door_left"
+    np.testing.assert_allclose(door.box, (0.0, 0.35, 1.0, 0.9), atol=0.01)
+    assert not told_by_bars(face, [replace(DRAWER, box=(0.0, 0.0, 1.0, 0.55))]), "most is in it"
+
+
+def test_a_bar_over_the_whole_width_is_a_handle_beside_another_such_one() -> None:
+    face = face_of(0.6, 0.8, 0.0)
+    for top in (0.1, 0.55):
+        raised(face, (0.05, top, 0.95, top + 0.03), 0.03)
+    low = Part("drawer", (0.0, 0.5, 1.0, 1.0), 0.9)
+    (drawer,) = told_by_bars(face, [low])
+    assert drawer.kind == "drawer"
+    np.testing.assert_allclose(drawer.box, (0.0, 0.0, 1.0, 0.5), atol=0.01)
 
 
 def test_a_strip_with_a_knob_is_no_door_and_no_depth_tells_nothing() -> None:

@@ -118,7 +118,7 @@ def _divided(
     tall = own[0].height > own[0].width
     for in_line in (False, True):
         alike, upright = _alike(own, in_line=in_line), tall != in_line
-        if len(alike) < 2 or (part.kind in FLAPS and not _twins(alike)):
+        if len(alike) < 2 or (part.kind in FLAPS and not twins(alike)):
             continue
         cuts = _cuts(face, part, alike, upright_lines if upright else level, upright=upright)
         if np.diff(cuts).min() >= LEAST_PART:
@@ -217,7 +217,7 @@ def _alike(found: Sequence[Area], *, in_line: bool) -> list[Area]:
     return sorted(kept, key=lambda bar: _place(bar, upright=upright != in_line))
 
 
-def _twins(alike: Sequence[Area]) -> bool:
+def twins(alike: Sequence[Area]) -> bool:
     """Whether level bars above each other begin and end alike: a towel bar is no second handle."""
     ends = np.array([_span(bar, upright=False) for bar in alike])
     return alike[0].width > alike[0].height and bool((np.ptp(ends, axis=0) < TWINS).all())

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.reconstruction import decode
-from momapos.reconstruction.bars import LEAST_PART, fractions, handles_on, opening
+from momapos.reconstruction.bars import LEAST_PART, fractions, handles_on, opening, twins
 from momapos.reconstruction.height_maps import Area, area_of
 from momapos.types import FaceImage, Part, PartKind
 
@@ -21,8 +21,8 @@ LEAST_DOOR = 0.2
 SCORE = 0.35
 """How sure a part is that only its handle tells [-]."""
 EDGE = 0.05
-"""What stands out this near to an edge of the face may be a worktop, or belong to what is beside
-it [m]."""
+"""What stands out along an edge of the face, this near to it, may be a worktop, or belong to what
+is beside it [m]."""
 FLUSH = 0.02
 """A front lies in one plane, within this [m]."""
 HIDDEN = 0.2
@@ -30,7 +30,10 @@ HIDDEN = 0.2
 CENTERED = 0.1
 """A level handle is in the middle of its part, within this share of its width [-]."""
 LONGEST = 0.8
-"""Handles are shorter than this share of their part: longer ones are boards and rails [-]."""
+"""Handles are shorter than this share of their part: longer ones are boards and rails, but where a
+part is known that has one like it [-]."""
+MOSTLY = 0.5
+"""A bar belongs to a part that holds more than this share of it [-]."""
 
 
 def told_by_bars(face: FaceImage, parts: Sequence[Part]) -> tuple[Part, ...]:
@@ -46,19 +49,33 @@ def told_by_bars(face: FaceImage, parts: Sequence[Part]) -> tuple[Part, ...]:
     Returns:
         The parts that they did not see, each with one handle.
     """
-    rim = Area(0.0, 0.0, face.width, face.height)
     whole = Part("drawer", (0.0, 0.0, 1.0, 1.0), SCORE)
-    free: Bool[np.ndarray, "h w"] | None = None
+    bars = handles_on(face, whole)
+    held = [bar for bar in bars if _known(bar, parts, face)]
+    free = _free(face, parts) if len(held) < len(bars) else None
     found: list[Part] = []
-    for bar in handles_on(face, whole):
-        known = any(bar.within(area_of(part.box, face)) for part in (*parts, *found))
-        if known or bar.within(rim, EDGE) != bar:
+    for bar in bars:
+        if free is None or _known(bar, (*parts, *found), face) or _along_edge(bar, face):
             continue
-        free = _free(face, parts) if free is None else free
-        part = _around(face, bar, free)
+        longest = 1.0 if any(twins((bar, other)) for other in held) else LONGEST
+        part = _around(face, bar, free, longest)
         if part is not None:
             found.append(part)
     return tuple(found)
+
+
+def _known(bar: Area, parts: Sequence[Part], face: FaceImage) -> bool:
+    """Whether a bar belongs to one of some parts."""
+    inside = (bar.within(area_of(part.box, face)) for part in parts)
+    least = MOSTLY * bar.width * bar.height
+    return any(area is not None and area.width * area.height > least for area in inside)
+
+
+def _along_edge(bar: Area, face: FaceImage) -> bool:
+    """Whether a bar runs along an edge of the face, near to it; the ends of others may be there."""
+    if bar.height > bar.width:
+        return min(bar.left, face.width - bar.right) < EDGE
+    return min(bar.bottom, face.height - bar.top) < EDGE
 
 
 def _free(face: FaceImage, parts: Sequence[Part]) -> Bool[np.ndarray, "h w"]:
@@ -73,13 +90,18 @@ def _free(face: FaceImage, parts: Sequence[Part]) -> Bool[np.ndarray, "h w"]:
     return free
 
 
-def _around(face: FaceImage, bar: Area, free: Bool[np.ndarray, "h w"]) -> Part | None:
-    """The largest free rectangle about a bar, None where it is too small for a part with it."""
+def _around(
+    face: FaceImage, bar: Area, free: Bool[np.ndarray, "h w"], longest: float
+) -> Part | None:
+    """The largest free rectangle about a bar, None where it is too small for a part with it, or
+    the bar is longer than a share of it."""
     h, w = free.shape
     x = np.array([bar.left, bar.right]) / face.width * w
     y = (1 - np.array([bar.top, bar.bottom]) / face.height) * h
     rows = (int(np.clip(y[0], 0, h - 1)), int(np.clip(np.ceil(y[1]), 1, h)))
     columns = (int(np.clip(x[0], 0, w - 1)), int(np.clip(np.ceil(x[1]), 1, w)))
+    free = free.copy()
+    free[slice(*rows), slice(*columns)] = True  # though a known part may reach over some of the bar
     wide = _reach(free[slice(*rows)].mean(axis=0), columns)
     high = _reach(free[:, slice(*columns)].mean(axis=1), rows)
     first = (wide, _reach(free[:, slice(*wide)].mean(axis=1), rows))
@@ -90,7 +112,7 @@ def _around(face: FaceImage, bar: Area, free: Bool[np.ndarray, "h w"]) -> Part |
     level = bar.width > bar.height
     share = bar.width / area.width if level else bar.height / area.height
     least = LEAST_PART if level else LEAST_DOOR
-    if min(area.width, area.height) < least or share > LONGEST:
+    if min(area.width, area.height) < least or share > longest:
         return None
     off = abs(bar.left + bar.right - area.left - area.right) / 2
     if level and off > CENTERED * area.width:
