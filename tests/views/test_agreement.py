@@ -46,6 +46,14 @@ def test_parts_that_explain_every_handle_are_kept_before_one_that_does_not() -> 
     assert {part.handle for part in parts} == {high.handle, low.handle}
 
 
+def test_one_image_that_sees_a_part_too_large_takes_no_room_from_its_neighbor() -> None:
+    high = Part("drawer", (0.0, 0.0, 1.0, 0.35), 0.4)
+    low = Part("drawer", (0.0, 0.37, 1.0, 1.0), 0.4)
+    large = Part("drawer", (0.0, 0.1, 1.0, 1.0), 0.6)
+    parts = agreed([(high, low), (high, low), (high, low), (large,)])
+    assert sorted(part.box for part in parts) == [high.box, low.box]
+
+
 def test_the_handle_of_a_neighbor_on_the_rim_does_not_speak_against_a_part() -> None:
     high = Part("drawer", HALVES[0].box, 0.6, (0.3, 0.05, 0.7, 0.1))
     low = Part("drawer", (0.0, 0.45, 1.0, 1.0), 0.6, (0.3, 0.46, 0.7, 0.49))

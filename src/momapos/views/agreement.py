@@ -47,12 +47,12 @@ def agreed(fronts: Sequence[Sequence[Part]]) -> tuple[Part, ...]:
     voices = _voices(fronts)
     support = np.array([sum(p.score for p in v.values()) / len(fronts) for v in voices])
     voices = [voice for voice, share in zip(voices, support, strict=True) if share >= LEAST]
-    first = [next(iter(voice.values())) for voice in voices]
-    weights = support[support >= LEAST] * [area(part.box) for part in first]
-    weights *= [1.0 - _unexplained(voice, fronts) for voice in voices]
-    apart = np.array([[shared(a, b) < APART for b in first] for a in first], bool)
-    apart = apart.reshape(len(first), len(first))
-    kept = [_joined(voices[k]) for k in _heaviest(weights, apart)]
+    joined = [_joined(voice) for voice in voices]
+    weights = support[support >= LEAST] * [area(part.box) for part in joined]
+    weights *= [1.0 - _unexplained(*pair, fronts) for pair in zip(joined, voices, strict=True)]
+    apart = np.array([[shared(a, b) < APART for b in joined] for a in joined], bool)
+    apart = apart.reshape(len(joined), len(joined))
+    kept = [joined[k] for k in _heaviest(weights, apart)]
     return tuple(sorted(kept, key=lambda part: -part.score))
 
 
@@ -73,12 +73,11 @@ def _voices(fronts: Sequence[Sequence[Part]]) -> list[Voices]:
     return found
 
 
-def _unexplained(voices: Voices, fronts: Sequence[Sequence[Part]]) -> float:
+def _unexplained(part: Part, voices: Voices, fronts: Sequence[Sequence[Part]]) -> float:
     """Share of the images that show the handle of another part within a part [-].
 
     Only of parts that cannot be there beside it: the handles of neighbors are explained by these.
     """
-    part = next(iter(voices.values()))
     own = [v.handle for v in voices.values() if v.handle is not None]
     shows = [
         any(
@@ -115,7 +114,7 @@ def _joined(voices: Voices) -> Part:
     """One part of what several images say of it."""
     parts = list(voices.values())
     scores = np.array([part.score for part in parts])
-    box = np.average([part.box for part in parts], axis=0, weights=scores).tolist()
+    box = np.median([part.box for part in parts], axis=0).tolist()
     odds = _odds(parts, scores)
     held = next((part.handle for part in parts if part.handle is not None), None)
     kind = odds[0][0] if odds else parts[0].kind
