@@ -177,6 +177,17 @@ def test_a_row_without_fronts_stays_one_thing() -> None:
     assert front is None
 
 
+def test_of_a_row_that_is_one_thing_a_look_says_what_a_window_as_wide_would() -> None:
+    frames = [image(camera((-0.3, 0, 0.9), (2.0, 0, 0.45)), ROW, row_paint)]
+    door = Front(0.9, (Part("door_down", (0.02, 0.1, 0.98, 0.9), 0.9),))
+    pieces, front = split_row(ROW, frames, lambda _: door, RowConfig(window=3.0), ViewConfig())
+    assert pieces == [ROW]
+    assert front is None
+    pieces, front = split_row(ROW, frames, doors_in, RowConfig(window=3.0), ViewConfig())
+    assert len(pieces) == 4
+    assert front is not None
+
+
 def test_parts_seen_on_a_row_lie_at_the_same_place_on_its_pieces() -> None:
     whole = box_faces(ROW)[2]
     part = Part("door_left", (0.55, 0.1, 0.75, 0.9), 0.9, handle=(0.7, 0.4, 0.72, 0.6))

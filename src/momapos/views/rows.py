@@ -72,7 +72,8 @@ def split_row(
 
     Returns:
         The pieces from left to right as seen from the front, the box itself where no fronts are
-        seen or they are one thing; and the front with the parts on it, None where there is none.
+        seen or they are one thing; and the front with the parts on it, None where there is none, or
+        where a look at the box shows it as well.
     """
     wide = [face for face in box_faces(box) if face.width >= config.least_width]
     fronts = [_front_of(face, frames, look, config, view, before) for face in wide]
@@ -80,7 +81,14 @@ def split_row(
     if best is None or not best.parts:
         return [box], None
     cuts = _cuts(best.parts, best.face.width, config)
-    return (_pieces(box, best.face, cuts) if cuts else [box]), best
+    if not cuts:
+        return [box], None if _at_once(best.face, config) == best.face.width else best
+    return _pieces(box, best.face, cuts), best
+
+
+def _at_once(face: Face, config: RowConfig) -> float:
+    """Width of the windows in which a face is looked at [m]."""
+    return min(face.width, max(config.window * face.height, config.least_window))
 
 
 def _front_of(
@@ -92,7 +100,7 @@ def _front_of(
     before: Sequence[Seen],
 ) -> Seen:
     """What is on a long face, found in overlapping windows, and what is known to be there."""
-    wide = min(face.width, max(config.window * face.height, config.least_window))
+    wide = _at_once(face, config)
     count = max(1, int(np.ceil(2 * (face.width - wide) / wide)) + 1)
     found: list[Part] = []
     evidence = [0.0]
