@@ -78,9 +78,10 @@ def kitchen(name: str, alone: Sequence[tuple[str, Scene]]) -> Place:
 
 
 def _span(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """Corners of the object of a room [m]."""
-    low, high = scene.object("object").bounds
-    return low, high
+    """Corners of the object of a room and of what carries it [m]."""
+    corners = [thing.bounds for thing in scene.objects if thing.name != "wall"]
+    lows, highs = zip(*corners, strict=True)
+    return np.min(lows, axis=0), np.max(highs, axis=0)
 
 
 def _behind(scene: Scene) -> float:
@@ -89,6 +90,6 @@ def _behind(scene: Scene) -> float:
 
 
 def _wide(scene: Scene) -> float:
-    """How much of a wall an object takes [m]."""
+    """How much of a wall an object takes, with what carries it [m]."""
     low, high = _span(scene)
     return float(high[1] - low[1]) + BETWEEN
