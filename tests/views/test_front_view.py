@@ -225,6 +225,8 @@ def test_a_part_without_a_handle_gives_way_to_several_with_theirs_in_it() -> Non
     assert surest([plain, low, replace(low, score=0.2)]) == (plain,), "the same one twice"
     held = replace(plain, handle=(0.1, 0.15, 0.9, 0.18))
     assert surest([held, low, high]) == (held,)
+    theirs = replace(plain, handle=(0.35, 0.5, 0.55, 0.53))
+    assert surest([theirs, low, high]) == (low, high)
 
 
 def test_a_door_that_only_the_row_showed_makes_a_piece_of_it_a_front() -> None:

@@ -83,12 +83,16 @@ def handles_seen_from(
 def surest(parts: Sequence[Part]) -> tuple[Part, ...]:
     """The surest of parts that were seen twice, as one or as several, the surest first.
 
-    What shows no handle is none where several others lie in it that do.
+    What shows no handle, or that of a part in it, is none where several others lie in it that have
+    theirs.
     """
-    held = _apart([part for part in parts if part.handle is not None])
 
     def gives_way(part: Part) -> bool:
-        return part.handle is None and sum(_in(other, part) for other in held) > 1
+        inner = _apart([one for one in parts if one.handle is not None and _in(one, part)])
+        theirs = [one.handle for one in inner if one.handle is not None]
+        own = part.handle
+        known = own is None or any(common_area(own, handle) for handle in theirs)
+        return len(inner) > 1 and known
 
     return _apart([part for part in parts if not gives_way(part)])
 
