@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from tests.reconstruction.fronts import face_of, raised
@@ -81,7 +83,7 @@ def gripped(rows: list[float], *, left: float = 0.4, wide: float = 0.2) -> FaceI
 
 
 def drawers_on(face: FaceImage, kind: PartKind = "door_right") -> tuple[Part, ...]:
-    return into_drawers(face, Part(kind, WHOLE, 0.5), dark_lines(face.color, 0))
+    return into_drawers(face, [Part(kind, WHOLE, 0.5)], dark_lines(face.color, 0))
 
 
 @pytest.mark.parametrize(
@@ -99,6 +101,34 @@ def test_grips_evenly_above_each_other_are_those_of_drawers(
     for part, row in zip(found, rows, strict=True):
         assert part.handle is not None
         assert part.handle[1] <= row + 0.01 <= part.handle[3] + 0.02
+
+
+def cabinet(rows: list[float]) -> tuple[FaceImage, Part, Part]:
+    """Handles on a front below a board farther back; two stretches of it taken for drawers."""
+    face = gripped(rows)
+    face.height_map[:] = 0.0
+    raised(face, (0.0, 0.0, 1.0, 0.08), -0.05)
+    handle = (0.4, rows[1], 0.6, rows[1] + 0.01)
+    return face, Part("drawer", (0, 0.25, 1, 0.6), 0.7, handle), Part("drawer", (0, 0.6, 1, 1), 0.6)
+
+
+def test_a_stack_is_found_from_any_stretch_of_it() -> None:
+    face, high, low = cabinet([0.1, 0.4, 0.7])
+    lines = dark_lines(face.color, 0)
+    above = Part("drawer", (0.1, 0.0, 0.9, 0.07), 0.5)
+    for parts in ([high], [high, low], [low, high]):
+        *drawers, board = into_drawers(face, [*parts, above], lines)
+        assert board == above, "what lies above it is another part"
+        np.testing.assert_allclose([part.box[1] for part in drawers], [0.1, 0.4, 0.7], atol=0.02)
+        np.testing.assert_allclose([part.box[3] for part in drawers], [0.4, 0.7, 1.0], atol=0.02)
+        assert all(part.kind == "drawer" for part in drawers)
+
+
+def test_parts_that_have_each_a_handle_of_the_stack_stay_as_they_are_seen() -> None:
+    face, _, _ = cabinet([0.1, 0.4, 0.7])
+    edges = [0.1, 0.39, 0.69, 0.98]
+    parts = [Part("drawer", (0.02, top, 0.98, bottom), 0.8) for top, bottom in pairwise(edges)]
+    assert into_drawers(face, parts, dark_lines(face.color, 0)) == tuple(parts)
 
 
 @pytest.mark.parametrize(

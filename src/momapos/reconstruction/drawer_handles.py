@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -34,31 +35,58 @@ EVEN = 0.2
 """Their distances differ by less, as a share of the usual one [-]."""
 PITCH = (0.08, 0.5)
 """Height of a drawer [m]."""
+FLUSH, HIDDEN = 0.02, 0.2
+"""A front ends where more than the second share of a row lies farther behind it than the first [m],
+or was not measured."""
+MEASURED = 0.5
+"""Share of a part that must have depth for that [-]."""
+INSIDE = 0.5
+"""What lies in a stack by more than this share is of it [-]."""
 BELOW = 0.75
 """With more than this share of a drawer below the last handle, they are at the tops [-]."""
 
 
 def into_drawers(
-    face: FaceImage, part: Part, lines: Float32[np.ndarray, "h w"]
+    face: FaceImage, parts: Sequence[Part], lines: Float32[np.ndarray, "h w"]
 ) -> tuple[Part, ...]:
-    """The drawers that a part is, where evenly stacked handles are seen on it; else the part.
+    """Parts of which those that are a stack are the drawers of it.
+
+    Where no gap is seen, what the networks take for a part may be all of a stack or any stretch of
+    it. So handles are looked for above and below each part, as far as its front goes on.
 
     Args:
         face: The face.
-        part: What was taken for one door or drawer.
+        parts: What was taken for doors and drawers.
         lines: Level dark lines of the face.
     """
-    if part.kind in FLAPS:
-        return (part,)
-    box = np.array(part.box)
+    left = sorted(parts, key=lambda part: -part.score)
+    kept: list[Part] = []
+    while left:
+        part = left.pop(0)
+        drawers = () if part.kind in FLAPS else _stack(face, part, lines)
+        whole = _around(drawers) if drawers else part.box
+        if not drawers or _share(part.box, whole) <= INSIDE:
+            kept.append(part)
+            continue
+        inside = [other for other in left if _share(other.box, whole) > INSIDE]
+        left = [other for other in left if other not in inside]
+        seen = [part, *inside]
+        fit = [sum(_share(d.handle or d.box, one.box) > INSIDE for d in drawers) for one in seen]
+        kept += seen if len(seen) == len(drawers) and set(fit) == {1} else drawers
+    return tuple(kept)
+
+
+def _stack(face: FaceImage, part: Part, lines: Float32[np.ndarray, "h w"]) -> tuple[Part, ...]:
+    """The drawers of which a part is one, or some, or all; none where it is no stack."""
+    box = _column(face, part)
     rows = _rows(lines, box)
     if len(rows) < FEWEST:
-        return (part,)
+        return ()
     middle = rows[:, [1, 3]].mean(axis=1)
     pitch = float(np.median(np.diff(middle)))
     even = np.abs(np.diff(middle) - pitch).max() < EVEN * pitch
     if not (even and PITCH[0] < pitch * face.height < PITCH[1]):
-        return (part,)
+        return ()
     at_top = box[3] - middle[-1] > BELOW * pitch
     edges = middle if at_top else middle - pitch / 2
     edges = np.clip(np.append(edges, edges[-1] + pitch), box[1], box[3])
@@ -70,6 +98,37 @@ def into_drawers(
         )
         for top, bottom, (x0, y0, x1, y1) in zip(edges[:-1], edges[1:], rows, strict=True)
     )
+
+
+def _around(drawers: Sequence[Part]) -> tuple[float, float, float, float]:
+    """The rectangle of a stack, from its highest drawer to its lowest."""
+    left, top, right, _ = drawers[0].box
+    return left, top, right, drawers[-1].box[3]
+
+
+def _column(face: FaceImage, part: Part) -> Float[np.ndarray, "4"]:
+    """A part and what of its front is above and below it; the part itself without depth."""
+    box = np.array(part.box)
+    high, wide = face.height_map.shape
+    left, top, right, bottom = np.rint(box * [wide, high, wide, high]).astype(int)
+    own = face.height_map[top:bottom, left:right]
+    if np.isfinite(own).mean() < MEASURED:
+        return box
+    column = face.height_map[:, left:right]
+    behind = ~(column > np.nanmedian(own) - FLUSH)  # where nothing was measured, too
+    ends = np.flatnonzero(behind.mean(axis=1) > HIDDEN)
+    middle = (top + bottom) // 2
+    above, below = ends[ends < middle], ends[ends >= middle]
+    box[1] = min(box[1], (above[-1] + 1) / high if len(above) else 0.0)
+    box[3] = max(box[3], below[0] / high if len(below) else 1.0)
+    return box
+
+
+def _share(inner: tuple[float, ...], outer: tuple[float, ...]) -> float:
+    """How much of a rectangle lies in another [-]."""
+    a, b = np.array(inner), np.array(outer)
+    size = np.minimum(a[2:], b[2:]) - np.maximum(a[:2], b[:2])
+    return float(np.prod(np.maximum(size, 0.0)) / max(np.prod(a[2:] - a[:2]), 1e-12))
 
 
 def _rows(

@@ -140,7 +140,7 @@ def _by_handles(
 ) -> tuple[Part, ...]:
     """Parts, divided and told apart by the handles on them."""
     upright, level = stack[..., decode.UPRIGHT], stack[..., decode.LEVEL]
-    drawers = [one for part in parts for one in into_drawers(face, part, level)]
+    drawers = into_drawers(face, parts, level)
     divided = by_bars(face, drawers, upright, level)
     alike = opening_alike(face, [with_bar(face, part) for part in divided])
     return tuple(decode.doubted(part) for part in alike)
