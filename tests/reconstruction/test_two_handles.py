@@ -7,7 +7,7 @@ import pytest
 from tests.reconstruction.fronts import face_of, raised
 
 from momapos.geometry.dark_lines import dark_lines
-from momapos.reconstruction.bars import by_bars
+from momapos.reconstruction.bars import by_bars, fractions, handles_on
 from momapos.types import FaceImage, Part, PartKind
 
 WHOLE = (0.0, 0.0, 1.0, 1.0)
@@ -65,6 +65,13 @@ def test_a_handle_that_noise_breaks_is_one() -> None:
     assert (left.kind, right.kind) == ("door_right", "door_left")
     assert left.handle is not None
     np.testing.assert_allclose(left.handle, upright(0.05), atol=0.01)
+
+
+def test_specks_in_line_are_no_handle() -> None:
+    specks = [(0.3 + 0.04 * k, 0.5, 0.305 + 0.04 * k, 0.505) for k in range(10)]
+    face = front(upright(0.05), *specks)
+    (bar,) = handles_on(face, Part("door_right", WHOLE, 0.5))
+    np.testing.assert_allclose(fractions(bar, face), upright(0.05), atol=0.01)
 
 
 def test_three_handles_are_three_doors() -> None:

@@ -21,6 +21,8 @@ FEWEST = 12
 """Measured pixels that a median needs [-]."""
 BROKEN = 0.06
 """Pieces of a bar are one where noise breaks it by less than this [m]."""
+FILLED = 0.6
+"""And where they make up more than this share of it: specks in line are no bar [-]."""
 
 
 @dataclass(frozen=True)
@@ -139,22 +141,24 @@ def bars(
 
 def _joined(pieces: Sequence[Area], thickest: float) -> list[Area]:
     """Upright bars, of which noise may have broken some; others stay as they are."""
-    whole: list[Area] = []
+    whole: list[tuple[Area, float]] = []
     for piece in sorted(pieces, key=lambda piece: piece.bottom):
-        for k, below in enumerate(whole):
-            beside = piece.left < below.right and below.left < piece.right
+        for k, (below, filled) in enumerate(whole):
             both = Area(
                 min(piece.left, below.left),
                 below.bottom,
                 max(piece.right, below.right),
                 max(piece.top, below.top),
             )
-            if beside and piece.bottom - below.top < BROKEN and both.width <= thickest:
-                whole[k] = both
+            beside = piece.left < below.right and below.left < piece.right
+            near = beside and piece.bottom - below.top < BROKEN
+            solid = filled + piece.height > FILLED * both.height
+            if near and solid and both.width <= thickest:
+                whole[k] = (both, filled + piece.height)
                 break
         else:
-            whole.append(piece)
-    return whole
+            whole.append((piece, piece.height))
+    return [area for area, _ in whole]
 
 
 def is_flat(face: FaceImage, part: Area, handle: Area, least: float) -> bool:
