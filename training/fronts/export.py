@@ -80,27 +80,6 @@ def _write(
     onnx.save(model, path)
 
 
-def restore(net: nn.Module, path: Path) -> None:
-    """Give a network without normalization the weights of a file that `write` wrote.
-
-    The file lists its layers in the order in which they are used, and names only some.
-    """
-    used: list[nn.Module] = []
-    layers = [m for m in net.modules() if isinstance(m, nn.Conv2d | nn.Conv1d | nn.Linear)]
-    hooks = [m.register_forward_hook(lambda m, *_: used.append(m)) for m in layers]
-    with torch.no_grad():
-        net(*_example(net))
-    for hook in hooks:
-        hook.remove()
-    graph = onnx.load(path).graph
-    values = {w.name.removesuffix("_half"): numpy_helper.to_array(w) for w in graph.initializer}
-    nodes = [node for node in graph.node if node.op_type in ("Conv", "Gemm")]
-    for layer, node in zip(used, nodes, strict=True):
-        with torch.no_grad():
-            layer.weight.copy_(torch.tensor(values[node.input[1]]))
-            layer.bias.copy_(torch.tensor(values[node.input[2]]))
-
-
 def _example(net: nn.Module) -> tuple[Tensor, ...]:
     """Something that a network takes."""
     if isinstance(net, networks.FaceNetwork):

@@ -121,17 +121,3 @@ class PartNetwork(nn.Module):
         )
         handle = self.handle(y)
         return logits, edges, handle[:, 0], handle[:, 1:]
-
-
-def fused(net: nn.Module) -> nn.Module:
-    """A network without normalization: it is folded into the convolutions, as for shipping.
-
-    Normalization helps to learn from scratch; what is learnt can be refined without.
-    """
-    net.eval()
-    for block in [m for m in net.modules() if isinstance(m, nn.Sequential)]:
-        for i in range(1, len(block)):
-            if isinstance(block[i], nn.BatchNorm2d):
-                block[i - 1] = nn.utils.fuse_conv_bn_eval(block[i - 1], block[i])
-                block[i] = nn.Identity()
-    return net

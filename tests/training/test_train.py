@@ -1,0 +1,56 @@
+"""A few steps of training: files of the shipped form, the same ones from the same seed."""
+
+from __future__ import annotations
+
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from tests import optional
+from training.fronts import generator, pool
+
+FACES = 6
+
+
+@pytest.fixture(scope="module")
+def faces(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A small pool."""
+    folder = tmp_path_factory.mktemp("faces")
+    pool.fill(folder, generator.ORDINARY, seed=5, count=FACES, workers=1)
+    return folder
+
+
+def form(data: bytes) -> list[tuple[str, str, list[Any]]]:
+    """Names, types and shapes of what a network takes and gives."""
+    session = optional.module("onnxruntime").InferenceSession(data)
+    return [
+        (one.name, one.type, one.shape) for one in (*session.get_inputs(), *session.get_outputs())
+    ]
+
+
+@pytest.mark.parametrize("which", ["face", "part"])
+def test_training_writes_networks_of_the_shipped_form_and_the_same_again(
+    which: str, faces: Path, tmp_path: Path
+) -> None:
+    train = optional.module("training.fronts.train", "torch")
+    fit = {"face": train.train_face, "part": train.train_part}[which]
+    made = []
+    for name in ("one", "again"):
+        fit([faces, faces], tmp_path / f"{name}.onnx", train.Schedule(steps=3, batch=4), seed=3)
+        made.append((tmp_path / f"{name}.onnx").read_bytes())
+    assert made[0] == made[1]
+    weights = resources.files("momapos.reconstruction") / "weights" / f"front_{which}.onnx"
+    assert form(made[0]) == form(weights.read_bytes())
+
+
+def test_some_pictures_of_a_step_have_no_lines_and_some_no_relief(faces: Path) -> None:
+    train = optional.module("training.fronts.train", "torch")
+    codes = np.repeat(pool.Pool.read(faces).faces[:1], 200, axis=0)
+    stack = train.disturbed(np.random.default_rng(1), codes).numpy()
+    assert np.abs(pool.unpacked(codes)[0, 5:]).max() > 0
+    lines = np.abs(stack[:, 5:]).max(axis=(1, 2, 3)) > 0
+    relief = stack[:, 4].max(axis=(1, 2)) > 0
+    assert 0.35 < lines.mean() < 0.65
+    assert 0.4 < relief.mean() < 0.7
