@@ -21,7 +21,7 @@ FEWEST = 12
 """Measured pixels that a median needs [-]."""
 BROKEN = 0.06
 """Pieces of a bar are one where noise breaks it by less than this [m]."""
-FILLED = 0.6
+FILLED = 0.3
 """And where they make up more than this share of it: specks in line are no bar [-]."""
 
 
@@ -152,13 +152,12 @@ def _joined(pieces: Sequence[Area], thickest: float) -> list[Area]:
             )
             beside = piece.left < below.right and below.left < piece.right
             near = beside and piece.bottom - below.top < BROKEN
-            solid = filled + piece.height > FILLED * both.height
-            if near and solid and both.width <= thickest:
+            if near and both.width <= thickest:
                 whole[k] = (both, filled + piece.height)
                 break
         else:
             whole.append((piece, piece.height))
-    return [area for area, _ in whole]
+    return [area for area, filled in whole if filled > FILLED * area.height]
 
 
 def is_flat(face: FaceImage, part: Area, handle: Area, least: float) -> bool:
