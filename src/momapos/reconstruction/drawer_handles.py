@@ -10,6 +10,8 @@ import numpy as np
 from scipy import ndimage
 
 from momapos.reconstruction import decode
+from momapos.reconstruction.free_bars import FLUSH, HIDDEN
+from momapos.reconstruction.height_maps import area_of
 from momapos.types import FaceImage, Part
 
 if TYPE_CHECKING:
@@ -35,11 +37,8 @@ EVEN = 0.2
 """Their distances differ by less, as a share of the usual one [-]."""
 PITCH = (0.08, 0.5)
 """Height of a drawer [m]."""
-FLUSH, HIDDEN = 0.02, 0.2
-"""A front ends where more than the second share of a row lies farther behind it than the first [m],
-or was not measured."""
 MEASURED = 0.5
-"""Share of a part that must have depth for that [-]."""
+"""Share of a part that must have depth to tell how far its front goes on [-]."""
 INSIDE = 0.5
 """What lies in a stack by more than this share is of it [-]."""
 BELOW = 0.75
@@ -64,15 +63,17 @@ def into_drawers(
     while left:
         part = left.pop(0)
         drawers = () if part.kind in FLAPS else _stack(face, part, lines)
-        whole = _around(drawers) if drawers else part.box
-        if not drawers or _share(part.box, whole) <= INSIDE:
+        whole = area_of(_around(drawers) if drawers else part.box, face)
+        if not drawers or area_of(part.box, face).share_in(whole) <= INSIDE:
             kept.append(part)
             continue
-        inside = [other for other in left if _share(other.box, whole) > INSIDE]
+        inside = [other for other in left if area_of(other.box, face).share_in(whole) > INSIDE]
         left = [other for other in left if other not in inside]
         seen = [part, *inside]
-        fit = [sum(_share(d.handle or d.box, one.box) > INSIDE for d in drawers) for one in seen]
-        kept += seen if len(seen) == len(drawers) and set(fit) == {1} else drawers
+        fronts = [area_of(one.box, face) for one in seen]
+        handles = [area_of(drawer.handle or drawer.box, face) for drawer in drawers]
+        fit = {sum(bar.share_in(front) > INSIDE for bar in handles) for front in fronts}
+        kept += seen if len(seen) == len(drawers) and fit == {1} else drawers
     return tuple(kept)
 
 
@@ -122,13 +123,6 @@ def _column(face: FaceImage, part: Part) -> Float[np.ndarray, "4"]:
     box[1] = min(box[1], (above[-1] + 1) / high if len(above) else 0.0)
     box[3] = max(box[3], below[0] / high if len(below) else 1.0)
     return box
-
-
-def _share(inner: tuple[float, ...], outer: tuple[float, ...]) -> float:
-    """How much of a rectangle lies in another [-]."""
-    a, b = np.array(inner), np.array(outer)
-    size = np.minimum(a[2:], b[2:]) - np.maximum(a[:2], b[:2])
-    return float(np.prod(np.maximum(size, 0.0)) / max(np.prod(a[2:] - a[:2]), 1e-12))
 
 
 def _rows(

@@ -52,10 +52,13 @@ def told_by_bars(face: FaceImage, parts: Sequence[Part]) -> tuple[Part, ...]:
     whole = Part("drawer", (0.0, 0.0, 1.0, 1.0), SCORE)
     bars = handles_on(face, whole)
     held = [bar for bar in bars if _known(bar, parts, face)]
-    free = _free(face, parts) if len(held) < len(bars) else None
+    others = [bar for bar in bars if bar not in held and not _along_edge(bar, face)]
+    if not others:
+        return ()
+    free = _free(face, parts)
     found: list[Part] = []
-    for bar in bars:
-        if free is None or _known(bar, (*parts, *found), face) or _along_edge(bar, face):
+    for bar in others:
+        if _known(bar, found, face):
             continue
         longest = 1.0 if any(twins((bar, other)) for other in held) else LONGEST
         part = _around(face, bar, free, longest)
@@ -66,9 +69,7 @@ def told_by_bars(face: FaceImage, parts: Sequence[Part]) -> tuple[Part, ...]:
 
 def _known(bar: Area, parts: Sequence[Part], face: FaceImage) -> bool:
     """Whether a bar belongs to one of some parts."""
-    inside = (bar.within(area_of(part.box, face)) for part in parts)
-    least = MOSTLY * bar.width * bar.height
-    return any(area is not None and area.width * area.height > least for area in inside)
+    return any(bar.share_in(area_of(part.box, face)) > MOSTLY for part in parts)
 
 
 def _along_edge(bar: Area, face: FaceImage) -> bool:

@@ -60,6 +60,11 @@ class Area:
         )
         return area if area.width > 0 and area.height > 0 else None
 
+    def share_in(self, other: Area) -> float:
+        """How much of it lies inside another [-]."""
+        inside = self.within(other)
+        return 0.0 if inside is None else inside.width * inside.height / (self.width * self.height)
+
     def stands_on(self, other: Area) -> bool:
         """Whether another area adjoins it from below."""
         beside = self.left < other.right and other.left < self.right
