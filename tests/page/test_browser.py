@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
-from playwright.sync_api import Browser, ConsoleMessage, expect, sync_playwright
+from playwright.sync_api import Browser, ConsoleMessage, Error, Locator, expect, sync_playwright
 from playwright.sync_api import Page as Tab
 from playwright.sync_api import TimeoutError as NotInTime
 from tests import optional
@@ -110,14 +110,23 @@ def press(tab: Tab, role: Any, name: str) -> None:
     """Click a control at once: a software renderer leaves no time to see that it stands still."""
     found = tab.get_by_role(role, name=name, exact=True)
     found.wait_for(timeout=LONG)
-    found.click(force=True, timeout=LONG)
     tried = time.monotonic()
-    # What is drawn meanwhile may move a tab from under the click.
-    while role == "tab" and found.get_attribute("aria-selected") != "true":
+    while not clicked(found) or (role == "tab" and found.get_attribute("aria-selected") != "true"):
+        # What is drawn meanwhile may move a tab from under the click.
         if time.monotonic() - tried > LONG / 1000:
-            raise NotInTime(f"the tab {name!r} is not taken")
+            raise NotInTime(f"the {role} {name!r} is not taken")
         tab.wait_for_timeout(200)
+
+
+def clicked(found: Locator) -> bool:
+    """Click a control; not where the page has not yet laid it out within the viewport."""
+    try:
         found.click(force=True, timeout=LONG)
+    except Error as error:
+        if "outside of the viewport" not in error.message:
+            raise
+        return False
+    return True
 
 
 def choose(tab: Tab, name: str, value: str) -> None:
@@ -125,7 +134,7 @@ def choose(tab: Tab, name: str, value: str) -> None:
     option = tab.get_by_role("option", name=value, exact=True)
     tried = time.monotonic()
     while True:
-        tab.get_by_label(name, exact=True).click(force=True, timeout=LONG)
+        clicked(tab.get_by_label(name, exact=True))
         try:
             option.click(force=True, timeout=LONG / 12)
             return
