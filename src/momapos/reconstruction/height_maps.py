@@ -24,6 +24,10 @@ BROKEN = 0.06
 FILLED = 0.3
 """And where they make up more than this share of it: specks in line are no bar [-]."""
 
+FRAYED, GONE = 0.015, 0.05
+"""Where a face ends, and what lies beyond is behind it by the second or not measured, its edge
+frays: what stands out there and is thinner than the first is noise [m]."""
+
 
 @dataclass(frozen=True)
 class Area:
@@ -120,7 +124,8 @@ def bars(
     height_map = np.array(face.height_map[rows, columns], float)
     if np.isfinite(height_map).sum() < FEWEST:
         return ()
-    stands = height_map > np.nanmedian(height_map) + out  # NaN compares as false
+    plane = float(np.nanmedian(height_map))
+    stands = height_map > plane + out  # NaN compares as false
     tall, wide = face.height / face.height_map.shape[0], face.width / face.height_map.shape[1]
     label, count = ndimage.label(stands, np.ones((3, 3)))
     pieces = [
@@ -139,9 +144,23 @@ def bars(
     bars = [
         (length, area)
         for (thick, length), area in zip(sides, found, strict=True)
-        if length >= max(least, 2 * thick) and thick <= thickest
+        if length >= max(least, 2 * thick)
+        and thick <= thickest
+        and not (thick < FRAYED and _at_an_end(face, area, plane))
     ]
     return tuple(area for _, area in sorted(bars, key=lambda bar: -bar[0]))
+
+
+def _at_an_end(face: FaceImage, bar: Area, plane: float) -> bool:
+    """Whether a face ends along a side of a bar: beyond it lies what is behind the plane [m]."""
+    upright = bar.height > bar.width
+    along = bar if upright else bar.turned()
+    for left, right in ((along.left - FRAYED, along.left), (along.right, along.right + FRAYED)):
+        strip = Area(left, along.bottom, right, along.top)
+        beyond = face.height_map[_pixels(face, strip if upright else strip.turned())]
+        if beyond.size and (beyond > plane - GONE).mean() < 0.5:  # NaN compares as false
+            return True
+    return False
 
 
 def _joined(pieces: Sequence[Area], thickest: float) -> list[Area]:
