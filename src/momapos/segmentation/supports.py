@@ -22,6 +22,8 @@ MOST_CELLS = 200_000_000
 
 Rectangle = tuple[float, float, float, float]
 """Low x, low y, high x, high y [m]."""
+_Cells = tuple[int, int, int, int]
+"""Low x, low y, high x, high y (exclusive), in cells of a raster."""
 
 
 @dataclass(frozen=True)
@@ -233,20 +235,22 @@ def _hidden_too(
 
 
 def rectangles(
-    mask: Bool[np.ndarray, "x y"], raster: FloorRaster, least: float = 0.2
+    mask: Bool[np.ndarray, "x y"], raster: FloorRaster, least: float = 0.2, deepest: float = 1.0
 ) -> list[Rectangle]:
     """Cover an outline by rectangles that do not overlap, largest first.
 
     Where two arms meet, as in the corner of a row of cabinets, the corner is a rectangle of its
-    own: neither arm's fronts reach into it.
+    own: neither arm's fronts reach into it. Where one piece of a row is deeper than its neighbors,
+    its rectangle reaches from its front to the wall.
 
     Args:
         mask: The outline.
         raster: What its cells mean.
         least: Sides are at least this long [m]; smaller remains are left out.
+        deepest: A piece of a row that is wider than deep is as deep as this at most [m].
     """
     rest = mask.copy()
-    cells: list[tuple[int, int, int, int]] = []
+    cells: list[_Cells] = []
     shortest = max(1, round(least / raster.cell))
     while rest.any():
         box = _largest(rest)
@@ -254,15 +258,43 @@ def rectangles(
             break
         cells.append(box)
         rest[box[0] : box[2], box[1] : box[3]] = False
-    cells = _cut_at_corners(cells, shortest)
     x, y = raster.low
     c = raster.cell
+    cells = _to_the_wall(_cut_at_corners(cells, shortest), shortest, deepest / c)
     boxes = [(x + a * c, y + b * c, x + d * c, y + e * c) for a, b, d, e in cells]
     return sorted(boxes, key=lambda r: -(r[2] - r[0]) * (r[3] - r[1]))
 
 
-def _largest(mask: Bool[np.ndarray, "x y"]) -> tuple[int, int, int, int]:
-    """The largest rectangle of set cells: low x, low y, high x, high y (exclusive)."""
+def _to_the_wall(cells: list[_Cells], shortest: int, deepest: float) -> list[_Cells]:
+    """Join the front and the rear of what is deeper than its neighbors.
+
+    The rear may end earlier where taller neighbors hide it, by less than `shortest`; not where
+    there is another rectangle.
+    """
+    out: list[_Cells] = []
+    for j, box in enumerate(cells):
+        for k, other in enumerate(out):
+            low, high = np.minimum(box[:2], other[:2]), np.maximum(box[2:], other[2:])
+            size = high - low
+            ends = np.abs(np.subtract(box, other)).reshape(2, 2).max(axis=0)
+            behind = (size == np.add(_size(box), _size(other))) & (ends[::-1] < shortest)
+            behind &= (size <= deepest) & (size <= size[::-1])
+            rest = np.array([*out[:k], *out[k + 1 :], *cells[j + 1 :]]).reshape(-1, 4)
+            free = (rest[:, :2] >= high) | (rest[:, 2:] <= low)
+            if behind.any() and free.any(axis=1).all():
+                out[k] = (int(low[0]), int(low[1]), int(high[0]), int(high[1]))
+                break
+        else:
+            out.append(box)
+    return out
+
+
+def _size(box: _Cells) -> tuple[int, int]:
+    return box[2] - box[0], box[3] - box[1]
+
+
+def _largest(mask: Bool[np.ndarray, "x y"]) -> _Cells:
+    """The largest rectangle of set cells."""
     best, area = (0, 0, 0, 0), 0
     xs = np.flatnonzero(mask.any(axis=1))
     for start in range(xs[0], xs[-1] + 1):
@@ -282,11 +314,9 @@ def _largest(mask: Bool[np.ndarray, "x y"]) -> tuple[int, int, int, int]:
     return best
 
 
-def _cut_at_corners(
-    cells: list[tuple[int, int, int, int]], shortest: int
-) -> list[tuple[int, int, int, int]]:
+def _cut_at_corners(cells: list[_Cells], shortest: int) -> list[_Cells]:
     """Cut a rectangle where another one that meets its long side ends."""
-    out: list[tuple[int, int, int, int]] = []
+    out: list[_Cells] = []
     for k, box in enumerate(cells):
         axis = 0 if box[2] - box[0] >= box[3] - box[1] else 1
         low, high = box[axis], box[axis + 2]
@@ -294,8 +324,8 @@ def _cut_at_corners(
         for other in cells[:k] + cells[k + 1 :]:
             side = 1 - axis
             touches = abs(other[side] - box[side + 2]) <= 1 or abs(other[side + 2] - box[side]) <= 1
-            inside = other[axis] >= low - 1 and other[axis + 2] <= high + 1
-            if touches and inside and other[axis + 2] - other[axis] < high - low - shortest:
+            along = min(high, other[axis + 2]) - max(low, other[axis]) >= shortest
+            if touches and along and other[axis + 2] - other[axis] < high - low - shortest:
                 cuts |= {other[axis], other[axis + 2]}
         edges = [low]
         for cut in [*sorted(cuts), high]:
