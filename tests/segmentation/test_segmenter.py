@@ -28,6 +28,11 @@ def best_overlap(corners: Corners, found: list[Detection]) -> float:
     return float(best)
 
 
+def kept(cloud: Cloud, seen: np.ndarray) -> Cloud:
+    """What is seen of a cloud."""
+    return Cloud(cloud.points[seen], cloud.normals[seen], cloud.colors[seen])
+
+
 @pytest.fixture(scope="module")
 def cloud() -> Cloud:
     return cloud_of(kitchen(), np.random.default_rng(1))
@@ -204,3 +209,24 @@ def test_a_side_stands_against_a_wall_that_it_looks_at_from_near() -> None:
     assert not at_wall(room, np.array([1.95, 0.0, 0.5]), np.array([0.0, 1.0, 0.0]))
     assert not at_wall(room, np.array([1.6, 0.0, 0.5]), toward)
     assert not at_wall(room, np.array([1.95, 1.6, 0.5]), toward)
+
+
+def test_a_machine_beside_a_taller_one_ends_before_the_gap_between_them() -> None:
+    machine: Corners = ((0.0, 0.4, 0.0), (0.6, 1.0, 0.85))
+    fridge: Corners = ((0.68, 0.2, 0.0), (1.6, 1.0, 1.75))
+    cloud = cloud_of([*ROOM, machine, fridge], np.random.default_rng(8))
+    x, y, z = cloud.points.T
+    cloud = kept(cloud, ~((x > 0.59) & (x < 0.69) & (y > 0.45) & (z < 0.8)))  # the gap hides it
+    assert best_overlap(machine, boxes(cloud, ClassicalSegmenter()(cloud), find_room(cloud))) > 0.95
+
+
+def test_what_hides_the_middle_of_a_top_is_one_thing_on_one_counter() -> None:
+    counter: Corners = ((-1.0, 0.4, 0.0), (1.0, 1.0, 0.9))
+    microwave: Corners = ((-0.4, 0.52, 0.9), (0.2, 0.98, 1.22))
+    cloud = cloud_of([*ROOM, counter, microwave], np.random.default_rng(9))
+    x, _, z = cloud.points.T
+    cloud = kept(cloud, ~((np.abs(z - 0.9) < 0.02) & (x > -0.7) & (x < 0.1)))
+    found = boxes(cloud, ClassicalSegmenter()(cloud), find_room(cloud))
+    assert best_overlap(microwave, found) > 0.95
+    assert best_overlap(((-1.0, 0.4, 0.0), (1.0, 1.0, 0.86)), found) > 0.95
+    assert {item.label for item in found} == {"microwave", "cabinet", "counter"}

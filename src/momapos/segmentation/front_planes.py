@@ -221,16 +221,39 @@ def _front(
     if wall is not None:
         back = wall.offset
     else:
-        around = cloud.points[among]
+        around, facing = cloud.points[among], sign * cloud.normals[among, axis]
+        away = sign * (face - around[:, axis])
         column = (around[:, other] > low[other]) & (around[:, other] < high[other])
         column &= (around[:, 2] > low[2]) & (around[:, 2] < high[2] + 0.03)
-        away = sign * (face - around[column, axis])
-        away = away[(away > -0.02) & (away < config.depth)]
+        column &= (away > -0.02) & (away < config.depth)
+        alike = column & (facing > 0.8)
+        end = _next_front(away[alike], around[alike][:, [other, 2]], config)
+        away = away[column & (away < end)]
         back = face - sign * max(config.shallow, float(np.percentile(away, 98, method="higher")))
     low[axis], high[axis] = min(face, back), max(face, back)
     low[2] = 0.0 if low[2] < config.foot else low[2]
     box = from_corners(low, high)
     return FrontPlane(axis, sign, box, members, size * (1.0 if wall is None else 3.0))
+
+
+def _next_front(
+    away: Float[np.ndarray, " n"],
+    places: Float[np.ndarray, "n 2"],
+    config: FrontPlaneConfig,
+) -> float:
+    """Behind a front, where the side or front of the next thing is; at most `depth` [m].
+
+    Args:
+        away: How far behind the front surfaces are that look the same way [m].
+        places: Where they are across it [m].
+        config: Constants.
+    """
+    behind = away[away > config.stands_out]
+    for at in sorted(peaks(behind, config.step, 10, 2 * config.step)):
+        flat = np.abs(away - at) < config.step
+        if area(*places[flat].T) > config.area:
+            return at - config.step
+    return config.depth
 
 
 def _wall_behind(

@@ -84,17 +84,20 @@ class _Division:
         if not len(among):
             return []
         supports = find_supports(self.cloud, self.room, among, self.raster, self.config.support)
+        supports = self._lengthened(supports, self._fronts())
         things = [thing for support in supports for thing in self._things_on(support, supports)]
         tops = [support for support in supports if self.free[support.members].mean() > 0.5]
-        fronts = find_front_planes(
-            self.cloud, self.room, np.flatnonzero(self.free), self.config.front
-        )
+        fronts = self._fronts()  # without those of what stands on a top
         tops = self._lengthened(tops, fronts)
         furniture = [body for top in tops for body in self._below(top)]
         furniture += self._behind_fronts(fronts)
         rest = self._rest([body.box for body in furniture if body.box is not None])
         furniture, rest = without_handles(furniture, rest, self.cloud, self.config.front)
         return hung_together(furniture, rest, self.cloud, self.config.touching) + things
+
+    def _fronts(self) -> list[FrontPlane]:
+        among = np.flatnonzero(self.free)
+        return find_front_planes(self.cloud, self.room, among, self.config.front)
 
     # ------------------------------------------------------------ what stands on a surface
 
@@ -143,24 +146,27 @@ class _Division:
     # ------------------------------------------------------------ furniture with a visible top
 
     def _lengthened(self, tops: Sequence[Support], fronts: Sequence[FrontPlane]) -> list[Support]:
-        """Tops that reach as far as the fronts that end just below them.
+        """Tops that reach as far as the fronts that end just below them; of one front they are one.
 
-        A camera held low sees a counter's front, but little of its top.
+        A camera held low sees a counter's front, but little of its top, and what stands on it hides
+        the middle.
         """
-        outlines = [top.outline for top in tops]
-        taken = np.any([*outlines, np.zeros(self.raster.shape, bool)], axis=0)
+        config, found = self.config.support, list(tops)
         for front in fronts:
             low, high = corners(front.box)
             mask = self.raster.filled((low[0], low[1], high[0], high[1]))
-            near = [
-                (abs(top.height - high[2]), k)
-                for k, top in enumerate(tops)
-                if (top.outline & mask).any() and abs(top.height - high[2]) < self.config.lip
-            ]
-            if near and low[2] < self.config.support.lowest:
-                _, k = min(near)
-                outlines[k] = outlines[k] | (mask & ~taken)
-        return [replace(top, outline=line) for top, line in zip(tops, outlines, strict=True)]
+            level = [top for top in found if abs(top.height - high[2]) < self.config.lip]
+            below = [top for top in level if (top.outline & mask).any()]
+            if not below or low[2] >= config.lowest:
+                continue
+            height = min(below, key=lambda top: abs(top.height - high[2])).height
+            own = [top for top in below if abs(top.height - height) < config.layer]
+            others = np.any([~mask, *(top.outline for top in level if top not in own)], axis=0)
+            outline = np.any([~others, *(top.outline for top in own)], axis=0)
+            members = np.concatenate([top.members for top in own])
+            found = [top for top in found if top not in own]
+            found.append(Support(height, outline, members))
+        return sorted(found, key=lambda top: -top.height)
 
     def _below(self, top: Support) -> list[Instance]:
         """The furniture below a surface, divided into boxes."""
