@@ -95,7 +95,15 @@ def test_a_turned_room_gets_the_smallest_turn_that_aligns_it(angle: float) -> No
         pose((0, 0, 0), Rotation.from_euler("z", angle, degrees=True).as_matrix())
     )
     T = align_to_gravity(cloud, frames)
-    assert np.degrees(np.arctan2(T[1, 0], T[0, 0])) == pytest.approx(-angle, abs=0.3)
+    assert np.degrees(np.arctan2(T[1, 0], T[0, 0])) == pytest.approx(-angle, abs=0.1)
+
+
+def test_planes_tell_how_a_room_is_turned_where_normals_are_biased() -> None:
+    turn = Rotation.from_euler("z", 20.0, degrees=True).as_matrix()
+    cloud, frames = moved(pose((0, 0, 0), turn))
+    bias = Rotation.from_euler("z", 2.0, degrees=True).as_matrix()
+    T = align_to_gravity(replace(cloud, normals=cloud.normals @ bias.T), frames)
+    assert np.degrees(np.arctan2(T[1, 0], T[0, 0])) == pytest.approx(-20.0, abs=0.1)
 
 
 def test_a_cloud_without_frames_is_taken_for_roughly_upright() -> None:

@@ -29,6 +29,8 @@ STEEP = 0.25
 they do [-]."""
 MOST_FRAMES = 100
 """Images that are asked; more add nothing."""
+SEARCHED = ((4.0, 0.25), (0.25, 0.05))
+"""Turns that are tried about the likeliest one, first coarsely: reach and step [degrees]."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +46,8 @@ class GravityConfig:
     """The floor is the lowest plane with this share of the upward points [-]."""
     layer: float = 0.03
     """Half the thickness of a horizontal plane [m]."""
+    plane: float = 0.01
+    """Points of one upright plane share a coordinate to within this [m]."""
     steady: float = 0.5
     """A world that is turned by less is left as it is [degrees]: whoever made it knew better
     than planes in a noisy cloud can tell."""
@@ -79,7 +83,7 @@ def align_to_gravity(
     for _ in range(3):
         up = _fit(points, normals, up, config)
     R_up_cloud = _least_turn(up)
-    offset = _yaw_offset(normals @ R_up_cloud.T, config)
+    offset = _yaw_offset(points @ R_up_cloud.T, normals @ R_up_cloud.T, config)
     R_up_cloud = Rotation.from_euler("z", -offset).as_matrix() @ R_up_cloud
     if np.degrees(Rotation.from_matrix(R_up_cloud).magnitude()) < config.steady:
         R_up_cloud = np.eye(3)
@@ -215,19 +219,42 @@ def _floor_height(z: Float[np.ndarray, " n"], config: GravityConfig) -> float:
     return float(np.median(z[np.abs(z - height) < config.layer]))
 
 
-def _yaw_offset(normals: Float[np.ndarray, "n 3"], config: GravityConfig) -> float:
-    """Turn of vertical surfaces from x and y, counterclockwise, in (-pi/4, pi/4] [rad]."""
-    upright_ones = np.abs(normals[:, 2]) < np.sin(np.radians(2 * config.spread))
-    if upright_ones.sum() < 50:
+def _yaw_offset(
+    points: Float[np.ndarray, "n 3"], normals: Float[np.ndarray, "n 3"], config: GravityConfig
+) -> float:
+    """Turn of vertical surfaces from x and y, counterclockwise, in (-pi/4, pi/4] [rad].
+
+    Normals tell it to a few degrees; then planes along x and y are where most points share a
+    coordinate.
+    """
+    upright = np.abs(normals[:, 2]) < np.sin(np.radians(2 * config.spread))
+    if upright.sum() < 50:
         return 0.0
-    angle = np.arctan2(normals[upright_ones, 1], normals[upright_ones, 0])
+    places, facing = points[upright, :2], normals[upright, :2]
     # Directions 90 degrees apart are one: counted on a circle of a quarter turn.
-    quarter = np.mod(angle, np.pi / 2)
+    quarter = np.mod(np.arctan2(facing[:, 1], facing[:, 0]), np.pi / 2)
     bins = np.bincount((quarter / (np.pi / 2) * 90).astype(int) % 90, minlength=90)
     smooth = sum(np.roll(bins, shift) for shift in range(-2, 3))
-    center = (float(np.argmax(smooth)) + 0.5) / 90 * np.pi / 2
-    for _ in range(5):
-        away = np.mod(quarter - center + np.pi / 4, np.pi / 2) - np.pi / 4
-        near = np.abs(away) < np.radians(config.spread)
-        center += float(np.median(away[near]))
-    return float(np.mod(center + np.pi / 4, np.pi / 2) - np.pi / 4)
+    turn = (float(np.argmax(smooth)) + 0.5) / 90 * np.pi / 2
+    for reach, step in SEARCHED:
+        tried = turn + np.radians(np.arange(-reach, reach + step / 2, step))
+        turn = tried[np.argmax([_sharpness(places, facing, one, config) for one in tried])]
+    return float(np.mod(turn + np.pi / 4, np.pi / 2) - np.pi / 4)
+
+
+def _sharpness(
+    places: Float[np.ndarray, "n 2"],
+    facing: Float[np.ndarray, "n 2"],
+    turn: float,
+    config: GravityConfig,
+) -> float:
+    """How many points share a coordinate across their surface in axes that are turned [rad]."""
+    c, s = np.cos(turn), np.sin(turn)
+    axes = np.array([[c, -s], [s, c]])
+    along = np.abs(facing @ axes) > np.cos(np.radians(2 * config.spread))
+    counts = [
+        _histogram(at[own], config.plane)[1].astype(float)
+        for at, own in zip((places @ axes).T, along.T, strict=True)
+        if own.any()
+    ]
+    return float(sum(count @ count for count in counts))
