@@ -3,7 +3,7 @@
     python benchmarks/scan_objects.py [--half tuned|measured] [--robot segway_ur5e] [--frames 60]
                                       [--folder bench_out/scan_objects] [--no-answers] [--anew]
                                       [--together 1] [--misled 1] [--models FOLDER]
-                                      [--detector FILE]
+                                      [--detector FILE] [--turned DEGREES]
 
 Every object of `objects.py` stands alone in its small room, or, with --together 10, ten of one half
 in a kitchen. The room is scanned, the scan is made
@@ -16,6 +16,8 @@ in the room itself counts. What is done is kept in the folder and not done again
 With --models the objects are those of a folder's models.json, such as sweet_home.py writes it.
 
 With --detector the images are looked at with it, as `momapos scan --detector` does.
+
+With --turned the scan's own world is turned about z, as that of a phone is, which begins somewhere.
 
 With --misled N the robot is led to believe, as firmly as it believed what is right, that the part
 moves in the Nth likely of the other ways: only parts count whose kind and side are right before.
@@ -40,7 +42,7 @@ from momapos.detection.yolox import YoloxDetector
 from momapos.errors import MomaposError
 from momapos.execution.config import ExecutionConfig, FurnitureConfig
 from momapos.execution.true_world import moved as elsewhere
-from momapos.geometry.transforms import invert
+from momapos.geometry.transforms import invert, pose_planar
 from momapos.kinematics.opening import opening_of
 from momapos.manipulation.tasks import make_task
 from momapos.pipeline import plan_base_placement
@@ -55,7 +57,7 @@ from momapos.scene.other_motion import scene_moving_as
 from momapos.scene.scene import Scene
 from momapos.synthetic_scans.depth_sensor import DepthSensor
 from momapos.synthetic_scans.recording import synthetic_scan, write_scan
-from momapos.types import PlacementPlan
+from momapos.types import PlacementPlan, Scan
 from object_kitchens import Place, kitchen
 from object_rooms import listed
 from objects import HALVES, Usual, half_of, objects, parts, room
@@ -173,12 +175,13 @@ def scan_of(place: Place, folder: Path, frames: int, seed: int) -> Path:
 
 
 def measure(
-    place: Place, home: Path, tools: Tools, robot: Robot | None, reach: Any, wrong: int
+    place: Place, home: Path, tools: Tools, robot: Robot | None, reach: Any, wrong: int, turn: float
 ) -> list[Row]:
     """Everything about the objects of a room; only what was seen where there is no robot."""
-    truth = place.scene
+    truth, T_scan_room = place.scene, pose_planar(np.array([0.0, 0.0, np.radians(turn)]))
     try:
-        result = scan_to_scene(read_scan(home / "scan"), home / "found" / "scene.json", tools)
+        scan = moved_scan(read_scan(home / "scan"), T_scan_room)
+        result = scan_to_scene(scan, home / "found" / "scene.json", tools)
     except MomaposError as error:
         print(f"{place.name}: {error}", file=sys.stderr)
         return [
@@ -187,24 +190,31 @@ def measure(
             for j in parts(truth.object(thing).model)
         ]
     scanned = load_scene(str(home / "found" / "scene.json"))
+    T_scene_room = result.T_scene_scan @ T_scan_room
     rows = [
         row
         for thing, (name, T) in place.objects.items()
-        for row in compare(name, thing, truth, scanned, invert(result.T_scene_scan), T)
+        for row in compare(name, thing, truth, scanned, invert(T_scene_room), T)
     ]
     took = {one.detection.name: one.seconds for one in result.decisions}
     rows = [replace(row, seconds=took.get(row.match.partition("/")[0], 0.0)) for row in rows]
     if robot is None:
         return rows
     if not wrong:
-        return [opened(row, truth, scanned, result.T_scene_scan, robot, reach) for row in rows]
+        return [opened(row, truth, scanned, T_scene_room, robot, reach) for row in rows]
     made = []
     for row in filter(lambda row: row.side, rows):
         name, _, joint = row.match.partition("/")
         if len(scanned.object(name).hypotheses[joint]) > wrong:
             taken = misled(scanned, name, joint, wrong)
-            made.append(opened(row, truth, taken, result.T_scene_scan, robot, reach))
+            made.append(opened(row, truth, taken, T_scene_room, robot, reach))
     return made
+
+
+def moved_scan(scan: Scan, T: np.ndarray) -> Scan:
+    """The same images, in another world."""
+    frames = tuple(replace(one, T_world_camera=T @ one.T_world_camera) for one in scan.frames)
+    return replace(scan, frames=frames)
 
 
 def main() -> None:
@@ -220,6 +230,7 @@ def main() -> None:
     parser.add_argument("--anew", action="store_true", help="do again what was done")
     parser.add_argument("--only", help="only rooms with this in their name")
     parser.add_argument("--misled", type=int, default=0, help="believe the Nth of the other ways")
+    parser.add_argument("--turned", type=float, default=0.0, help="the scan's world [degrees]")
     parser.add_argument("--models", type=Path, help="folder with a models.json of other objects")
     parser.add_argument("--detector", type=Path, help="ONNX file; tells what things are")
     args = parser.parse_args()
@@ -246,7 +257,7 @@ def main() -> None:
         name = "seen" if args.no_answers else f"misled_{args.misled}" if args.misled else "answers"
         file = home / f"{name}.json"
         if args.anew or not file.exists():
-            made = measure(place, home, tools, robot, reach, args.misled)
+            made = measure(place, home, tools, robot, reach, args.misled, args.turned)
             file.write_text(json.dumps([asdict(row) for row in made], indent=1) + "\n")
         found = [
             Row(**{**row, "handle": tuple(row["handle"])}) for row in json.loads(file.read_text())
