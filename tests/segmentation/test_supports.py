@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from momapos.segmentation.supports import FloorRaster, Rectangle, rectangles
 
@@ -19,9 +20,10 @@ def covered(*solid: tuple[int, int, int, int]) -> list[Rectangle]:
     return [tuple(row) for row in np.rint(found).astype(int).tolist()]
 
 
-def test_what_is_deeper_than_its_row_reaches_from_its_front_to_the_wall() -> None:
-    row, desk = (30, 66, 45, 150), (12, 6, 45, 66)
-    assert covered(row, desk) == [desk, row]
+@pytest.mark.parametrize("begins", [6, 38])
+def test_what_is_deeper_than_its_row_reaches_from_its_front_to_the_wall(begins: int) -> None:
+    row, desk = (30, 66, 45, 150), (12, begins, 45, 66)
+    assert set(covered(row, desk)) == {desk, row}
 
 
 def test_taller_neighbors_hide_the_rear_of_a_top() -> None:

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 MOST_CELLS = 200_000_000
 """Rooms of more cells are refused: the scan holds something far away."""
+DEEP = 1.2
+"""What is more times as deep as wide is no furniture of a row but the arm of a corner [-]."""
 
 Rectangle = tuple[float, float, float, float]
 """Low x, low y, high x, high y [m]."""
@@ -247,7 +249,7 @@ def rectangles(
         mask: The outline.
         raster: What its cells mean.
         least: Sides are at least this long [m]; smaller remains are left out.
-        deepest: A piece of a row that is wider than deep is as deep as this at most [m].
+        deepest: A piece of a row is as deep as this at most [m].
     """
     rest = mask.copy()
     cells: list[_Cells] = []
@@ -278,7 +280,7 @@ def _to_the_wall(cells: list[_Cells], shortest: int, deepest: float) -> list[_Ce
             size = high - low
             ends = np.abs(np.subtract(box, other)).reshape(2, 2).max(axis=0)
             behind = (size == np.add(_size(box), _size(other))) & (ends[::-1] < shortest)
-            behind &= (size <= deepest) & (size <= size[::-1])
+            behind &= (size <= deepest) & (size <= DEEP * size[::-1])
             rest = np.array([*out[:k], *out[k + 1 :], *cells[j + 1 :]]).reshape(-1, 4)
             free = (rest[:, :2] >= high) | (rest[:, 2:] <= low)
             if behind.any() and free.any(axis=1).all():
