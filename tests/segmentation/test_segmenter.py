@@ -223,6 +223,15 @@ def test_a_side_stands_against_a_wall_that_it_looks_at_from_near() -> None:
     assert not at_wall(room, np.array([1.95, 1.6, 0.5]), toward)
 
 
+def test_deep_furniture_whose_sides_are_hidden_at_the_rear_is_one_thing() -> None:
+    chest: Corners = ((0.0, 0.1, 0.0), (0.85, 1.0, 0.8))
+    cloud = cloud_of([*ROOM, chest], np.random.default_rng(10))
+    x, y, z = cloud.points.T
+    cloud = kept(cloud, ~((np.abs(x - 0.425) > 0.41) & (y > 0.5) & (z < 0.78)))
+    found = boxes(cloud, ClassicalSegmenter()(cloud), find_room(cloud))
+    assert best_overlap(chest, found) > 0.95
+
+
 def test_a_machine_beside_a_taller_one_ends_before_the_gap_between_them() -> None:
     machine: Corners = ((0.0, 0.4, 0.0), (0.6, 1.0, 0.85))
     fridge: Corners = ((0.68, 0.2, 0.0), (1.6, 1.0, 1.75))

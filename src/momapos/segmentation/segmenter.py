@@ -216,7 +216,10 @@ class _Division:
     def _without_corners(self, rectangle: Rectangle, height: float) -> list[Rectangle]:
         """Cut off ends of a row that have no front, as in the corner of a room."""
         points, normals, config = self.cloud.points, self.cloud.normals, self.config
-        across = 0 if rectangle[2] - rectangle[0] < rectangle[3] - rectangle[1] else 1
+        size = rectangle[2] - rectangle[0], rectangle[3] - rectangle[1]
+        if max(size) - min(size) < config.corner:
+            return [rectangle]  # too short for a corner and a piece beside it
+        across = 0 if size[0] < size[1] else 1
         along = 1 - across
         low, high = rectangle[along], rectangle[along + 2]
         below = self.free & (points[:, 2] > 0.15) & (points[:, 2] < height - 0.1)
