@@ -56,9 +56,6 @@ class FrontPlaneConfig:
     of the camera or above is often not seen up to its end [m]. Doors divide such a row later."""
     hung: float = 1.0
     """Fronts whose lower edge is above this hang on the wall [m]."""
-    hung_profile: float = 0.08
-    """The same for the edges of what hangs [m]: they are seen as they chance to be, and what is cut
-    in two is lost, while doors divide a row later."""
     tall: float = 1.2
     """Standing fronts that end above this are tall [m]."""
 
@@ -148,7 +145,8 @@ def _divided(
     axis: int,
     config: FrontPlaneConfig,
 ) -> Iterator[Int[np.ndarray, " k"]]:
-    """Divide a flat surface where its upper or lower edge has a step."""
+    """Divide a flat surface where its upper or lower edge has a step, into pieces that are wide
+    enough for a front: a strip at an end is what was not seen of the edge."""
     along, z = points[:, 1 - axis], points[:, 2]
     strip = 0.03
     low = float(along.min())
@@ -164,39 +162,33 @@ def _divided(
     top = np.array([z[order[starts[k + 1] - 2]] for k in seen])
     bottom = np.array([z[order[starts[k] + 1]] for k in seen])
     hangs = float(np.median(bottom)) > config.hung
-    tall = float(np.median(top)) > config.tall
+    tall = not hangs and float(np.median(top)) > config.tall
+    cuts = _steps(top, config.ragged if tall else config.profile, np.inf if hangs else CLEAR)
+    # Lower edges near the floor are hidden by what stands before them.
     if hangs:
-        cuts = _steps(top, config.hung_profile, even=config.profile)
-        cuts |= _steps(bottom, config.hung_profile, even=config.profile)
-    else:
-        # Lower edges near the floor are hidden by what stands before them.
-        least = config.ragged if tall else config.profile
-        cuts = _steps(top, least, even=least, clear=CLEAR)
-    edges = low + strip * np.array([float(seen[k]) for k in sorted(cuts)])
-    part = np.searchsorted(edges, along)
-    for k in range(len(edges) + 1):
+        cuts |= _steps(bottom, config.profile, np.inf)
+    edges = [low]
+    high = float(along.max())
+    for cut in low + strip * seen[sorted(cuts)]:
+        if cut - edges[-1] > config.side and high - cut > config.side:
+            edges.append(float(cut))
+    part = np.searchsorted(edges[1:], along)
+    for k in range(len(edges)):
         yield members[part == k]
 
 
-def _steps(
-    profile: Float[np.ndarray, " n"],
-    least: float,
-    *,
-    even: float,
-    clear: float = np.inf,
-    side: int = 4,
-) -> set[int]:
+def _steps(profile: Float[np.ndarray, " n"], least: float, clear: float, side: int = 4) -> set[int]:
     """Where a profile changes for good: the medians on both sides differ.
 
-    By more than `least` [m] where both sides are even to within `even` [m], else by more than
-    `clear` times as much as either is ragged [-].
+    By more than `least` [m] where neither side is ragged by that, else by more than `clear` times
+    as much as either is ragged [-].
     """
     n = len(profile)
     jumps = np.zeros(n)
     for k in range(side, n - side + 1):
         before, after = profile[k - side : k], profile[k : k + side]
         jump = abs(float(np.median(after) - np.median(before)))
-        if max(np.ptp(before), np.ptp(after)) < max(even, jump / clear):
+        if max(np.ptp(before), np.ptp(after)) < max(least, jump / clear):
             jumps[k] = jump
     cuts: set[int] = set()
     while jumps.max(initial=0.0) > least:
