@@ -24,9 +24,9 @@ BROKEN = 0.06
 FILLED = 0.3
 """And where they make up more than this share of it: specks in line are no bar [-]."""
 
-FRAYED, GONE = 0.015, 0.05
-"""Where a face ends, and what lies beyond is behind it by the second or not measured, its edge
-frays: what stands out there and is thinner than the first is noise [m]."""
+FRAYED, APART = 0.015, 0.05
+"""Where a face ends, and what lies beyond is before or behind it by the second or not measured, its
+edge frays: what stands out there and is thinner than the first is noise [m]."""
 
 
 @dataclass(frozen=True)
@@ -152,13 +152,13 @@ def bars(
 
 
 def _at_an_end(face: FaceImage, bar: Area, plane: float) -> bool:
-    """Whether a face ends along a side of a bar: beyond it lies what is behind the plane [m]."""
+    """Whether a face ends along a side of a bar: beyond it little is near its plane [m]."""
     upright = bar.height > bar.width
     along = bar if upright else bar.turned()
     for left, right in ((along.left - FRAYED, along.left), (along.right, along.right + FRAYED)):
         strip = Area(left, along.bottom, right, along.top)
         beyond = face.height_map[_pixels(face, strip if upright else strip.turned())]
-        if beyond.size and (beyond > plane - GONE).mean() < 0.5:  # NaN compares as false
+        if beyond.size and (np.abs(beyond - plane) < APART).mean() < 0.5:  # NaN compares as false
             return True
     return False
 
