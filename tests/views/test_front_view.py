@@ -229,6 +229,14 @@ def test_a_part_without_a_handle_gives_way_to_several_with_theirs_in_it() -> Non
     assert surest([theirs, low, high]) == (low, high)
 
 
+def test_a_part_does_not_give_way_to_pieces_of_itself_with_one_handle() -> None:
+    bar = (0.9, 0.35, 0.95, 0.9)
+    door = Part("door_left", (0.0, 0.0, 1.0, 1.0), 0.8, handle=bar)
+    top = Part("door_left", (0.0, 0.0, 1.0, 0.55), 0.7, handle=(0.9, 0.35, 0.95, 0.55))
+    low = Part("door_left", (0.0, 0.45, 1.0, 1.0), 0.7, handle=(0.9, 0.45, 0.95, 0.9))
+    assert surest([door, top, low]) == (door,)
+
+
 def test_a_door_that_only_the_row_showed_makes_a_piece_of_it_a_front() -> None:
     frames = around([0.0, 0.2], FRONT)
     seen, face = sights(FRIDGE, frames), box_faces(FRIDGE)[FRONT]

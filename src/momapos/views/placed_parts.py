@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -84,7 +85,7 @@ def surest(parts: Sequence[Part]) -> tuple[Part, ...]:
     """The surest of parts that were seen twice, as one or as several, the surest first.
 
     What shows no handle, or that of a part in it, is none where several others lie in it that have
-    theirs.
+    theirs: not the same bar, seen in pieces.
     """
 
     def gives_way(part: Part) -> bool:
@@ -92,7 +93,7 @@ def surest(parts: Sequence[Part]) -> tuple[Part, ...]:
         theirs = [one.handle for one in inner if one.handle is not None]
         own = part.handle
         known = own is None or any(common_area(own, handle) for handle in theirs)
-        return len(inner) > 1 and known
+        return known and any(not common_area(*pair) for pair in combinations(theirs, 2))
 
     return _apart([part for part in parts if not gives_way(part)])
 
