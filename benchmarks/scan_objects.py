@@ -255,6 +255,8 @@ def main() -> None:
             continue
         home = scan_of(place, args.folder, args.frames, args.seed)
         name = "seen" if args.no_answers else f"misled_{args.misled}" if args.misled else "answers"
+        if args.turned:
+            name += f"_turned_{args.turned:g}"
         file = home / f"{name}.json"
         if args.anew or not file.exists():
             made = measure(place, home, tools, robot, reach, args.misled, args.turned)
