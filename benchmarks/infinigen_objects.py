@@ -1,16 +1,16 @@
 """Dishwashers that Infinigen draws, as URDFs that `scan_objects.py` takes.
 
     python3.11 -m venv drawn && drawn/bin/pip install infinigen==1.15.5
-    drawn/bin/python -c "from pathlib import Path; from infinigen.core.sim.sim_factory import *;
-    [spawn_simready('dishwasher', 'urdf', Path('drawn'), 64, seed, visual_only=True)
-     for seed in range(14)]"
+    for seed in $(seq 0 13); do drawn/bin/python -c "if True:
+        from infinigen.core.sim.sim_factory import Path, spawn_simready
+        spawn_simready('dishwasher', 'urdf', Path('drawn'), 64, $seed, visual_only=True)"; done
     python benchmarks/infinigen_objects.py drawn/urdf --out FOLDER
     python benchmarks/scan_objects.py --models FOLDER --no-answers
 
-Doors, drawers, handles and materials are drawn by a program of others, so that nothing here was
-tuned to them. What moves and is no door or drawer, a knob, a rack inside, is made fast. Each is as
-high as such a thing is in a kitchen, and has one color a triangle, that of its texture. A hash of
-the name says which half may be looked at, as in `objects.py`.
+Doors, handles, buttons and materials are drawn by a program of others, so that nothing here was
+tuned to them. What moves and is no door, a knob, a rack inside, is made fast. Each is as high as a
+dishwasher is, and has one color a triangle, that of its texture. A hash of the name says which half
+may be looked at, as in `objects.py`.
 """
 
 from __future__ import annotations
@@ -19,135 +19,84 @@ import argparse
 import json
 import sys
 from collections import Counter
-from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
-from xml.etree import ElementTree
 
 import numpy as np
 import trimesh
 from trimesh.visual import ColorVisuals
 
+from momapos.geometry.transforms import pose_planar
+from momapos.kinematics.articulated import Articulated
 from momapos.kinematics.urdf import read_urdf
-from momapos.kinematics.urdf_records import Joint, Link, Urdf
+from momapos.kinematics.urdf_records import Geometry, Joint, Urdf
+from momapos.scene.formats.urdf_text import urdf_text
+from momapos.scene.scene import SceneObject
 from objects import half_of
 
 HEIGHT = 0.85
 """Of a dishwasher [m]; what Infinigen draws is in no unit."""
-MOVES = {"revolute": "door", "prismatic": "drawer"}
-"""What in the name of a mesh says that a joint of a type is one of the object's."""
-BODY, PAINTS = "body", "paints.mtl"
-Color = tuple[int, int, int]
+DOOR = "door"
+"""What in the name of a mesh says that a joint is a door's."""
 LEVELS = 32
 """Shades of each color [-]."""
-_TURNED = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+_TURNED = pose_planar(np.array([0.0, 0.0, -np.pi / 2]))
 """From a front toward +x to one toward -y, as in `object_rooms`."""
 
 
-def write(urdf: Urdf, height: float, home: Path) -> Path:
-    """Write an object of Infinigen as one that stands in a kitchen.
+def write(file: Path, home: Path) -> Path:
+    """Write what Infinigen drew as a dishwasher that stands in a kitchen.
 
     Args:
-        urdf: As drawn; none of its frames is turned.
-        height: That it shall have [m].
+        file: The URDF as drawn.
         home: Folder for the URDF and its meshes.
 
     Returns:
         The URDF file.
     """
     home.mkdir(parents=True, exist_ok=True)
-    places = _origins(urdf)
-    shapes = {name: list(_shapes(link, places[name])) for name, link in urdf.links.items()}
-    scale = height / np.ptp([z for one in shapes.values() for m in one for z in m.bounds[:, 2]])
-    owner = {name: _owner(urdf, name) for name in urdf.links}
-    moving = [joint for joint in urdf.joints if owner[joint.child] == joint.child]
-    places[BODY] = np.zeros(3)
-    robot = ElementTree.Element("robot", name=home.name)
-    colors: set[Color] = set()
-    for name in (BODY, *(joint.child for joint in moving)):
-        link = ElementTree.SubElement(robot, "link", name=name)
-        meshes = [mesh for one, mine in shapes.items() if owner[one] == name for mesh in mine]
-        for k, mesh in enumerate(meshes):
-            points = scale * (mesh.vertices - places[name]) @ _TURNED.T
-            file = home / f"{name}_{k}.obj"
-            file.write_text(_obj(points, mesh, colors), encoding="utf-8")
-            for kind in ("visual", "collision"):
-                shape = ElementTree.SubElement(link, kind, name=file.stem)
-                geometry = ElementTree.SubElement(shape, "geometry")
-                ElementTree.SubElement(geometry, "mesh", filename=file.name)
-    for joint in moving:
-        parent = owner[joint.parent]
-        robot.append(_joint(joint, parent, places[joint.child] - places[parent], scale))
-    paints = (f"newmtl {_paint(c)}\nKd {_words((np.array(c) + 0.5) / LEVELS)}\n" for c in colors)
-    (home / PAINTS).write_text("".join(sorted(paints)), encoding="utf-8")
+    low, high = SceneObject("drawn", "", np.eye(4), Articulated(_solid(read_urdf(file)))).bounds
+    urdf = read_urdf(file, scale=HEIGHT / (high[2] - low[2]))
+    links = {
+        name: replace(link, visuals=tuple(_painted(shape, home) for shape in link.visuals))
+        for name, link in urdf.links.items()
+    }
+    joints = tuple(_joint(joint, urdf) for joint in urdf.joints)
+    made = _solid(replace(urdf, name=home.name, links=links, joints=joints))
     path = home / "model.urdf"
-    ElementTree.indent(robot)
-    ElementTree.ElementTree(robot).write(path)
+    path.write_text(urdf_text(made, {}), encoding="utf-8")
     return path
 
 
-def _joint(joint: Joint, parent: str, at: np.ndarray, scale: float) -> ElementTree.Element:
-    element = ElementTree.Element("joint", name=joint.name, type=joint.kind)
-    ElementTree.SubElement(element, "parent", link=parent)
-    ElementTree.SubElement(element, "child", link=joint.child)
-    ElementTree.SubElement(element, "origin", xyz=_words(scale * _TURNED @ at))
-    ElementTree.SubElement(element, "axis", xyz=_words(_TURNED @ joint.axis))
-    unit = scale if joint.kind == "prismatic" else 1.0
-    limits = {"lower": f"{unit * joint.lower:.6f}", "upper": f"{unit * joint.upper:.6f}"}
-    ElementTree.SubElement(element, "limit", limits, effort="100", velocity="1")
-    return element
+def _joint(joint: Joint, urdf: Urdf) -> Joint:
+    """The joint of a door as it is, others fast; what hangs from the root is turned."""
+    T = _TURNED @ joint.T_parent_joint if joint.parent == urdf.root else joint.T_parent_joint
+    names = [shape.mesh.stem for shape in urdf.links[joint.child].visuals if shape.mesh]
+    turns = joint.kind == "revolute" and any(DOOR in name for name in names)
+    return replace(joint, T_parent_joint=T, kind="revolute" if turns else "fixed")
 
 
-def _origins(urdf: Urdf) -> dict[str, np.ndarray]:
-    """Where the frame of each link is, in the first one [m]."""
-    above = {joint.child: joint for joint in urdf.joints}
-    origins = {}
-    for name in urdf.links:
-        at, link = np.zeros(3), name
-        while link in above:
-            at = at + above[link].T_parent_joint[:3, 3]
-            link = above[link].parent
-        origins[name] = at
-    return origins
+def _solid(urdf: Urdf) -> Urdf:
+    """With what is seen as what is touched: Infinigen draws the one alone."""
+    links = {name: replace(link, collisions=link.visuals) for name, link in urdf.links.items()}
+    return replace(urdf, links=links)
 
 
-def _owner(urdf: Urdf, name: str) -> str:
-    """The door or drawer that a link is part of, or the body."""
-    above = {joint.child: joint for joint in urdf.joints}
-    while name in above:
-        joint = above[name]
-        word = MOVES.get(joint.kind, "")
-        if word and any(word in Path(g.mesh).stem for g in urdf.links[name].visuals if g.mesh):
-            return name
-        name = joint.parent
-    return BODY
-
-
-def _shapes(link: Link, at: np.ndarray) -> Iterable[trimesh.Trimesh]:
-    """The meshes of a link in the first link's frame, each face with a color."""
-    for shape in link.visuals:
-        mesh = trimesh.load(shape.mesh, force="mesh", process=False)
-        mesh.apply_translation(at + shape.T_link_geometry[:3, 3])
-        if len(mesh.faces):
-            yield mesh
-
-
-def _obj(points: np.ndarray, mesh: trimesh.Trimesh, colors: set[Color]) -> str:
-    """A mesh as an OBJ file; its colors are added to `colors`."""
+def _painted(shape: Geometry, home: Path) -> Geometry:
+    """A mesh whose colors are in a material file beside it instead of in a texture."""
+    assert shape.mesh is not None
+    mesh = trimesh.load(shape.mesh, force="mesh", process=False)
     visual = mesh.visual if isinstance(mesh.visual, ColorVisuals) else mesh.visual.to_color()
     shades = visual.vertex_colors[mesh.faces, :3].mean(axis=1)
-    shades = (shades * LEVELS / 256).astype(int)
-    lines = [f"mtllib {PAINTS}", *(f"v {_words(point)}" for point in points)]
-    for color in np.unique(shades, axis=0):
-        r, g, b = color.tolist()
-        colors.add((r, g, b))
-        lines.append(f"usemtl {_paint((r, g, b))}")
-        faces = mesh.faces[(shades == color).all(axis=1)] + 1
-        lines += [f"f {i} {j} {k}" for i, j, k in faces.tolist()]
-    return "\n".join(lines) + "\n"
-
-
-def _paint(color: Color) -> str:
-    return "rgb_{}_{}_{}".format(*color)
+    colors, own = np.unique((shades * LEVELS / 256).astype(int), axis=0, return_inverse=True)
+    paints = shape.mesh.with_suffix(".mtl").name
+    lines = [f"mtllib {paints}", *(f"v {_words(point)}" for point in mesh.vertices)]
+    for k in range(len(colors)):
+        lines += [f"usemtl {k}", *(f"f {a} {b} {c}" for a, b, c in mesh.faces[own == k] + 1)]
+    kinds = [f"newmtl {k}\nKd {_words(c)}\n" for k, c in enumerate((colors + 0.5) / LEVELS)]
+    (home / paints).write_text("".join(kinds), encoding="utf-8")
+    (home / shape.mesh.name).write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return replace(shape, name=shape.mesh.stem, mesh=Path(shape.mesh.name))
 
 
 def _words(values: np.ndarray) -> str:
@@ -163,7 +112,7 @@ def main() -> None:
     rows = []
     for file in sorted(args.drawn.glob("dishwasher/*/dishwasher.urdf")):
         name = f"Infinigen/dishwasher/{file.parent.name}"
-        urdf = write(read_urdf(file), HEIGHT, args.out / name.replace("/", "_"))
+        urdf = write(file, args.out / name.replace("/", "_"))
         path = urdf.relative_to(args.out).as_posix()
         rows.append({"name": name, "urdf": path, "above": 0.0, "counter": False})
     if not rows:
