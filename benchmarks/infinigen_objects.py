@@ -1,16 +1,18 @@
-"""Dishwashers that Infinigen draws, as URDFs that `scan_objects.py` takes.
+"""Appliances that Infinigen draws, as URDFs that `scan_objects.py` takes.
 
     python3.11 -m venv drawn && drawn/bin/pip install infinigen==1.15.5
     for seed in $(seq 0 13); do drawn/bin/python -c "if True:
         from infinigen.core.sim.sim_factory import Path, spawn_simready
         spawn_simready('dishwasher', 'urdf', Path('drawn'), 64, $seed, visual_only=True)"; done
+    drawn/bin/python benchmarks/infinigen_draw.py oven 0 14 --out drawn/urdf
+    drawn/bin/python benchmarks/infinigen_draw.py beveragefridge 0 12 --out drawn/urdf
     python benchmarks/infinigen_objects.py drawn/urdf --out FOLDER
     python benchmarks/scan_objects.py --models FOLDER --no-answers
 
 Doors, handles, buttons and materials are drawn by a program of others, so that nothing here was
-tuned to them. What moves and is no door, a knob, a rack inside, is made fast. Each is as high as a
-dishwasher is, and has one color a triangle, that of its texture. A hash of the name says which half
-may be looked at, as in `objects.py`.
+tuned to them. What moves and is no door, a knob, a rack inside, is made fast. Each is as high as
+such an appliance usually is, and has one color a triangle, that of its texture. A hash of the name
+says which half may be looked at, as in `objects.py`.
 """
 
 from __future__ import annotations
@@ -32,10 +34,14 @@ from momapos.kinematics.urdf import read_urdf
 from momapos.kinematics.urdf_records import Geometry, Joint, Urdf
 from momapos.scene.formats.urdf_text import urdf_text
 from momapos.scene.scene import SceneObject
-from objects import half_of
+from objects import USUAL, Usual, half_of
 
-HEIGHT = 0.85
-"""Of a dishwasher [m]; what Infinigen draws is in no unit."""
+KINDS = {
+    "dishwasher": USUAL["Dishwasher"],
+    "oven": Usual(1.2, 0.0),  # with the panel behind its hob
+    "beveragefridge": USUAL["MiniFridge"],
+}
+"""What is taken, and how large it is and stands; most of what Infinigen draws is in no unit."""
 DOOR = "door"
 """What in the name of a mesh says that a joint is a door's."""
 LEVELS = 32
@@ -44,11 +50,12 @@ _TURNED = pose_planar(np.array([0.0, 0.0, -np.pi / 2]))
 """From a front toward +x to one toward -y, as in `object_rooms`."""
 
 
-def write(file: Path, home: Path) -> Path:
-    """Write what Infinigen drew as a dishwasher that stands in a kitchen.
+def write(file: Path, usual: Usual, home: Path) -> Path:
+    """Write what Infinigen drew as an appliance that stands in a kitchen.
 
     Args:
         file: The URDF as drawn.
+        usual: Its size.
         home: Folder for the URDF and its meshes.
 
     Returns:
@@ -56,7 +63,7 @@ def write(file: Path, home: Path) -> Path:
     """
     home.mkdir(parents=True, exist_ok=True)
     low, high = SceneObject("drawn", "", np.eye(4), Articulated(_solid(read_urdf(file)))).bounds
-    urdf = read_urdf(file, scale=HEIGHT / (high[2] - low[2]))
+    urdf = read_urdf(file, scale=usual.height / (high[2] - low[2]))
     links = {
         name: replace(link, visuals=tuple(_painted(shape, home) for shape in link.visuals))
         for name, link in urdf.links.items()
@@ -110,11 +117,14 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True, help="folder for the URDFs")
     args = parser.parse_args()
     rows = []
-    for file in sorted(args.drawn.glob("dishwasher/*/dishwasher.urdf")):
-        name = f"Infinigen/dishwasher/{file.parent.name}"
-        urdf = write(file, args.out / name.replace("/", "_"))
-        path = urdf.relative_to(args.out).as_posix()
-        rows.append({"name": name, "urdf": path, "above": 0.0, "counter": False})
+    for kind, usual in KINDS.items():
+        for file in sorted(args.drawn.glob(f"{kind}/*/{kind}.urdf")):
+            name = f"Infinigen/{kind}/{file.parent.name}"
+            urdf = write(file, usual, args.out / name.replace("/", "_"))
+            path = urdf.relative_to(args.out).as_posix()
+            rows.append(
+                {"name": name, "urdf": path, "above": usual.above, "counter": usual.counter}
+            )
     if not rows:
         sys.exit(f"{args.drawn}: nothing of Infinigen is there; see --help")
     (args.out / "models.json").write_text(json.dumps(rows, indent=1) + "\n")
