@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
-import numpy as np
-
-from momapos.fusion.free_space import seen_empty
+from momapos.fusion.free_space import SeenThrough
 from momapos.geometry.leaves import OpenLeaf
 from momapos.scan_records import ScanConfig, Tools
 from momapos.segmentation.open_leaves import find_open_leaves
@@ -16,9 +13,6 @@ from momapos.types import Cloud, Frame, Part
 from momapos.views.front_view import Seen
 from momapos.views.projection import area
 from momapos.views.shut_images import ShutLeaf, part_on, shut_frames, shut_leaf
-
-if TYPE_CHECKING:
-    from jaxtyping import Bool, Float
 
 LEAST = 0.5
 """Of a leaf's outer face so much must be seen for its handle to be looked for [-]."""
@@ -40,11 +34,7 @@ def open_leaves(
     """
     if all(frame.depth is None for frame in frames):
         return ()
-    through = config.completion.through
-
-    def free(points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
-        return seen_empty(frames, points, through)
-
+    free = SeenThrough(frames, config.completion.through)
     return tuple(find_open_leaves(cloud, free, walls, config.open_leaves))
 
 

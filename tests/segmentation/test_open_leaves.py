@@ -9,6 +9,7 @@ from tests.segmentation.cupboards import Room, cupboard, leaf_of
 from momapos.segmentation.leaf_evidence import OpenLeafConfig
 from momapos.segmentation.open_leaves import find_open_leaves
 from momapos.segmentation.shut_leaves import shut_cloud
+from momapos.types import Cloud
 
 
 @pytest.mark.parametrize(
@@ -36,6 +37,23 @@ def test_a_leaf_that_stands_open_is_found_with_its_hinge_and_how_far_it_is_open(
     assert np.linalg.norm(off) < 0.02
     np.testing.assert_allclose(leaf.size, true.size, atol=0.04)
     np.testing.assert_allclose(leaf.middle, true.middle, atol=0.03)
+
+
+def test_a_cloud_with_more_points_than_are_needed_has_the_same_leaf() -> None:
+    room = cupboard(leaf_of("door_right", np.radians(65.0)))
+    cloud, rng = room.cloud(), np.random.default_rng(0)
+    along = rng.normal(0.0, 0.004, (8, *cloud.points.shape))
+    along -= (along * cloud.normals).sum(-1, keepdims=True) * cloud.normals
+    dense = Cloud(
+        (cloud.points + along).reshape(-1, 3),
+        np.tile(cloud.normals, (8, 1)),
+        np.tile(cloud.colors, (8, 1)),
+    )
+    (leaf,), (same,) = (find_open_leaves(one, room.free) for one in (cloud, dense))
+    assert same.kind == leaf.kind
+    assert np.degrees(same.value) == pytest.approx(np.degrees(leaf.value), abs=1.0)
+    np.testing.assert_allclose(same.pivot, leaf.pivot, atol=0.01)
+    np.testing.assert_allclose(same.size, leaf.size, atol=0.02)
 
 
 def test_where_all_is_shut_no_leaf_is_found() -> None:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from momapos.fusion.free_space import seen_through
+from momapos.fusion.free_space import SeenThrough
 from momapos.types import Cloud, Frame
 
 if TYPE_CHECKING:
@@ -117,13 +117,11 @@ def complete(
     config = config or CompletionConfig()
     seen = [(i, frame) for i, frame in enumerate(frames) if frame.depth is not None]
     patches = [patch for i, frame in seen for patch in holes(frame, i, config)]
-    parts = [cloud]
+    parts, seen_through = [cloud], SeenThrough(frames, config.through)
     patches = [patch for patch in patches if not _in_wall(patch, walls, config)]
     for group in _coplanar(patches, config.on_plane):
         points, colors = _agreed(group, max(voxel, FINEST), config.images)
-        free = points[:, 2] < 0.0
-        for _, frame in seen:
-            free |= seen_through(frame, points, config.through)
+        free = (points[:, 2] < 0.0) | seen_through(points)
         normal = np.zeros(3)
         normal[group[0].axis] = group[0].sign
         points, colors = points[~free], colors[~free]

@@ -47,6 +47,8 @@ class OpenLeafConfig:
     """And of a front [-]."""
     layer: float = 0.015
     """What is this near to its plane belongs to it, twice that where it is uneven [m]."""
+    dense: float = 0.5
+    """Of clouds of which so few points, at most, are a layer apart only these are looked at [-]."""
     thickness: tuple[float, float] = (0.02, 0.1)
     """Of a leaf of which one side is seen, and of any at most [m]."""
     hinge_depth: float = 0.005

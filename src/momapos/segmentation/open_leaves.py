@@ -49,6 +49,9 @@ def find_open_leaves(
         config: Constants.
     """
     config = config or OpenLeafConfig()
+    coarse = _apart(cloud.points, config.layer)
+    if len(coarse) < config.dense * len(cloud.points):
+        cloud = Cloud(cloud.points[coarse], cloud.normals[coarse], cloud.colors[coarse])
     points = cloud.points
     among = _apart(points, config.cell)
     thin = np.zeros(len(points), bool)
@@ -69,7 +72,9 @@ def find_open_leaves(
 def _apart(points: Float[np.ndarray, "n 3"], cell: float) -> Int[np.ndarray, " m"]:
     """One point of each cell."""
     cells = np.floor(points / cell).astype(np.int64)
-    _, first = np.unique(cells, axis=0, return_index=True)
+    x, y, z = (cells - cells.min(axis=0, initial=0)).T
+    key = (x * (y.max(initial=0) + 1) + y) * (z.max(initial=0) + 1) + z
+    _, first = np.unique(key, return_index=True)
     return np.sort(first)
 
 
@@ -138,8 +143,11 @@ def _leaves_of(
     begins at the front.
     """
     points, normals = cloud.points[patch], cloud.normals[patch]
+    low, high = points.min(0), points.max(0)
     around = max(config.around, float(np.ptp(points, axis=0).max()) + config.beside)
-    cloud = _part(cloud, points.min(0) - around, points.max(0) + around)
+    cloud = _part(cloud, low - around, high + around)
+    reach = config.cell + 2 * config.layer + config.thickness[1]
+    near = _part(cloud, low - reach, high + reach)
     for out in np.concatenate([np.eye(3)[:2], -np.eye(3)[:2]]):
         if abs(out @ hinge) > 0.5 or abs(normals.mean(0) @ out) > np.cos(config.turns[0] - TURN):
             continue
@@ -151,12 +159,12 @@ def _leaves_of(
                 continue
             if (points[ahead] @ out).min() - front > config.beside + config.thickness[1]:
                 continue
-            slab = _slab(cloud, points[ahead], normals[ahead], front, out, hinge, config)
+            slab = _slab(near, points[ahead], normals[ahead], front, out, hinge, config)
             if slab is None:
                 continue
             askew = np.abs(slab.facing).max() < SQUARE
             if askew or thin[patch[ahead]].mean() >= config.thin:
-                for share, leaf in _leaves(slab, cloud, free, config):
+                for share, leaf in _leaves(slab, near, cloud, free, config):
                     yield share + LARGE * likely, leaf
 
 
@@ -210,33 +218,35 @@ def _slab(
     axes = np.stack([along, facing, hinge], axis=1)
     coarse = (kept - middle) @ axes
     low, high = coarse.min(0) - config.cell, coarse.max(0) + config.cell
-    reach = config.cell + 2 * config.layer
-    cloud = _part(cloud, kept.min(0) - reach, kept.max(0) + reach)
-    place = (cloud.points - middle) @ axes
-    on = ((place[:, [0, 2]] > low[[0, 2]]) & (place[:, [0, 2]] < high[[0, 2]])).all(1)
     uneven = 2.0 * float(np.median(np.abs((kept - middle) @ facing)))
-    on &= np.abs(place[:, 1]) < np.clip(uneven, config.layer, 2 * config.layer)
-    on &= (cloud.normals @ facing > config.facing) & (cloud.points @ out > front)
-    if not on.any():
+    flat = np.abs(cloud.points @ facing - middle @ facing) < np.clip(
+        uneven, config.layer, 2 * config.layer
+    )
+    flat[flat] &= cloud.normals[flat] @ facing > config.facing
+    flat[flat] &= cloud.points[flat] @ out > front
+    place = (cloud.points[flat] - middle) @ axes
+    place = place[((place > low) & (place < high))[:, [0, 2]].all(1)]
+    if not len(place):
         return None
-    low, high = np.percentile(place[on], (1.0, 99.0), axis=0)
+    low, high = np.percentile(place, (1.0, 99.0), axis=0)
     width, height = (high - low)[[0, 2]]
     if min(width, height) < config.sides[0] or max(width, height) > config.sides[1]:
         return None
-    if area(place[on, 0], place[on, 2], config.cell) < config.filled * width * height:
+    if area(place[:, 0], place[:, 2], config.cell) < config.filled * width * height:
         return None
-    edge = middle + axes @ [low[0], np.median(place[on, 1]), low[2]]
+    edge = middle + axes @ [low[0], np.median(place[:, 1]), low[2]]
     return _Slab(edge, along, facing, out, hinge, front, (float(width), float(height)))
 
 
 def _leaves(
-    slab: _Slab, cloud: Cloud, free: Free, config: OpenLeafConfig
+    slab: _Slab, near: Cloud, cloud: Cloud, free: Free, config: OpenLeafConfig
 ) -> Iterator[tuple[float, OpenLeaf]]:
     """The leaves that a slab may be, and how much speaks for each."""
+    thickness = _other_side(slab, near, config)
     for along in (np.cross(slab.hinge, slab.out), np.cross(slab.out, slab.hinge)):
         value = float(np.arctan2(slab.open_along @ slab.out, slab.open_along @ along))
         if config.turns[0] < value < config.turns[1]:
-            leaf = _leaf(slab, along, value, cloud, config)
+            leaf = _leaf(slab, along, value, thickness, cloud, config)
             if leaf is None or (leaf.kind == "door_up" and value > config.lifted):
                 continue
             apart = (slab.edge - leaf.pivot) @ slab.open_along / config.beside
@@ -249,11 +259,11 @@ def _leaf(
     slab: _Slab,
     along: Float[np.ndarray, "3"],
     value: float,
+    thickness: float | None,
     cloud: Cloud,
     config: OpenLeafConfig,
 ) -> OpenLeaf | None:
     """A slab as a leaf that is open by a value [rad]; None where it would lie behind its hinge."""
-    thickness = _other_side(slab, cloud, config)
     leaf = _hinged(slab, along, value, thickness or config.thickness[0], config)
     if thickness is None and slab.facing @ leaf.looks < 0.0:
         rim = _rim(leaf, cloud, config)

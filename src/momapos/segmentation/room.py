@@ -135,8 +135,9 @@ def at_wall(room: Room, place: Float[np.ndarray, "3"], outward: Float[np.ndarray
 
 def area(a: Float[np.ndarray, " n"], b: Float[np.ndarray, " n"], cell: float = CELL) -> float:
     """Area that points of a plane cover, as cells of a raster that hold any [m2]."""
-    cells = np.stack([np.floor(a / cell), np.floor(b / cell)], axis=1).astype(np.int64)
-    return len(np.unique(cells, axis=0)) * cell**2
+    rows, columns = (np.floor(along / cell).astype(np.int64) for along in (a, b))
+    wide = int(np.ptp(columns)) + 1 if len(columns) else 1
+    return len(np.unique(rows * wide + columns)) * cell**2
 
 
 def floor_seen(
