@@ -12,7 +12,7 @@ from momapos.reconstruction.build import GivenModel, place_model
 from momapos.reconstruction.model import furniture_model
 from momapos.reconstruction.open_parts import opened_piece
 from momapos.reconstruction.seen_motion import moved_piece
-from momapos.reconstruction.usual_kinds import weighed
+from momapos.reconstruction.usual_kinds import weighed, weighed_by_height
 from momapos.scan_records import Decision, PartSource, ScanConfig, Survey, Tools
 from momapos.scene.library.furniture import Piece
 from momapos.segmentation.room import at_wall
@@ -104,6 +104,8 @@ def _parts(view: View, item: Detection, tools: Tools) -> tuple[tuple[Part, ...],
     same = tools.predict is tools.look
     parts = view.front.parts if same else tools.predict(view.image, item.label).parts
     if parts or tools.guess is None:
+        floor = float(item.box.center[2] - item.box.size[2] / 2)
+        parts = weighed_by_height(parts, view.image, floor)
         return weighed(parts, item.label, _sure_of_label(item)), PartSource.PREDICTED
     return tools.guess(view.image, item.label).parts, PartSource.GUESSED
 

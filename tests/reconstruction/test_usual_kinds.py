@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from momapos.reconstruction import decode
-from momapos.reconstruction.usual_kinds import ANY, USUAL, weighed
-from momapos.types import Part, PartKind
+from momapos.reconstruction.usual_kinds import ANY, EYES, HIGH, USUAL, weighed, weighed_by_height
+from momapos.types import FaceImage, Part, PartKind
 
 BOX = (0.0, 0.0, 1.0, 1.0)
 
@@ -24,7 +25,7 @@ LIKE_A_DRAWER = seen(
 )
 
 
-@pytest.mark.parametrize("shares", [ANY, *USUAL.values()])
+@pytest.mark.parametrize("shares", [ANY, HIGH, *USUAL.values()])
 def test_shares_of_the_kinds_are_of_all_kinds_and_sum_to_one(shares: dict[PartKind, float]) -> None:
     assert set(shares) == set(decode.KINDS)
     assert sum(shares.values()) == pytest.approx(1.0)
@@ -70,3 +71,16 @@ def test_a_label_that_tells_nothing_changes_nothing(label: str, sure: float) -> 
     assert dict(part.odds) == pytest.approx(dict(LIKE_A_DRAWER.odds))
     bare = Part("drawer", BOX, 0.8)
     assert weighed([bare], label, sure) == (bare,)
+
+
+def test_nothing_slides_above_the_eyes_and_below_them_nothing_changes() -> None:
+    face = FaceImage(np.zeros((4, 4, 3), np.uint8), np.zeros((4, 4), np.float32), 0.6, 0.8)
+    level = {"drawer": 0.5, "door_up": 0.3, "door_left": 0.1, "door_right": 0.09, "door_down": 0.01}
+    odds = decode.ranked(level)
+    upper = Part("drawer", (0.0, 0.0, 1.0, 0.5), 0.8, None, odds)
+    lower = Part("drawer", (0.0, 0.5, 1.0, 1.0), 0.8, None, odds)
+    high, low = weighed_by_height([upper, lower], face, EYES - 0.4)
+    assert high.kind == "door_up"
+    assert sum(share for _, share in high.odds) == pytest.approx(1.0)
+    assert low == lower
+    assert weighed_by_height([upper], face, EYES - 0.7) == (upper,)

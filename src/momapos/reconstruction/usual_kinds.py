@@ -2,7 +2,8 @@
 
 A front alone leaves doubt: a level bar near the top is that of a flap or of a drawer, a door
 without a handle may be hinged at either side. Whoever knows that it is an oven or a microwave
-doubts less.
+doubts less, and so does who stands before a wall cabinet: nobody looks into a drawer above the
+eyes.
 """
 
 from __future__ import annotations
@@ -11,8 +12,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from momapos.reconstruction import decode
+from momapos.reconstruction.height_maps import area_of
 from momapos.reconstruction.templates import common_name
-from momapos.types import Part, PartKind
+from momapos.types import FaceImage, Part, PartKind
 
 ANY: Mapping[PartKind, float] = {
     "door_left": 0.3, "door_right": 0.3, "door_down": 0.1, "door_up": 0.05, "drawer": 0.25,
@@ -39,6 +41,13 @@ USUAL: Mapping[str, Mapping[PartKind, float]] = {
 sell: most fridges are hinged on the right and some have drawers for the freezer, nearly all
 microwaves and washing machines are hinged on the left, ovens drop down, a few stand above a drawer
 or are hinged at a side. A cabinet may have anything."""
+EYES = 1.5
+"""Height of the eyes of who stands, a little lower so that it holds for most [m]."""
+HIGH: Mapping[PartKind, float] = {
+    "door_left": 0.4, "door_right": 0.4, "door_down": 0.02, "door_up": 0.16, "drawer": 0.02,
+}  # fmt: skip
+"""Shares of the kinds among what is above the eyes [-]; estimates, too: wall cabinets have doors,
+some of which are lifted."""
 
 
 def weighed(parts: Sequence[Part], label: str, sure: float) -> tuple[Part, ...]:
@@ -54,6 +63,23 @@ def weighed(parts: Sequence[Part], label: str, sure: float) -> tuple[Part, ...]:
         return tuple(parts)
     factors = {kind: 1.0 - sure + sure * usual[kind] / share for kind, share in ANY.items()}
     return tuple(_weighed(part, factors) for part in parts)
+
+
+def weighed_by_height(parts: Sequence[Part], face: FaceImage, floor: float) -> tuple[Part, ...]:
+    """Weigh what is seen of parts above the eyes with how such parts usually open.
+
+    Args:
+        parts: What is on a front; of parts without odds nothing is changed.
+        face: The front.
+        floor: From its lower edge down to the floor [m].
+    """
+    factors = {kind: HIGH[kind] / share for kind, share in ANY.items()}
+
+    def high(part: Part) -> bool:
+        area = area_of(part.box, face)
+        return floor + (area.bottom + area.top) / 2 > EYES
+
+    return tuple(_weighed(part, factors) if high(part) else part for part in parts)
 
 
 def _weighed(part: Part, factors: Mapping[PartKind, float]) -> Part:
