@@ -1,7 +1,7 @@
 """Every door and drawer with a handle in five kitchens of the BestMan simulator, for four robots.
 
     python benchmarks/placement.py [--robots fetch ...] [--scenes kitchen_small ...] [--exhaustive]
-        [--out docs/data]
+        [--only fridge] [--out docs/data]
 
 Prints, and writes as JSON, for each task: the answer, its time, and with --exhaustive whether
 a grid of 5 cm and 10 degrees can solve it.
@@ -77,9 +77,9 @@ def machine() -> str:
 
 
 def run(
-    robots: tuple[str, ...], scenes: tuple[str, ...], *, exhaustive: bool
+    robots: tuple[str, ...], scenes: tuple[str, ...], *, exhaustive: bool, only: str = ""
 ) -> list[dict[str, Any]]:
-    """Answer every task once to warm up and once for the clock."""
+    """Answer every task with a text in its name once to warm up and once for the clock."""
     rows = []
     for robot_name in robots:
         robot = load_robot(robot_name)
@@ -87,6 +87,8 @@ def run(
         for scene_name in scenes:
             scene = scene_of(scene_name)
             for item, joint in openable(scene):
+                if only not in f"{item}/{joint}":
+                    continue
                 row: dict[str, Any] = {
                     "robot": robot_name,
                     "scene": Path(scene_name).stem,
@@ -174,9 +176,13 @@ def main() -> None:
     parser.add_argument("--robots", nargs="+", default=ROBOTS)
     parser.add_argument("--scenes", nargs="+", default=SCENES)
     parser.add_argument("--exhaustive", action="store_true")
+    parser.add_argument("--only", default="", help="only tasks with this in their name")
     parser.add_argument("--out", type=Path)
     args = parser.parse_args()
-    rows = run(tuple(args.robots), tuple(args.scenes), exhaustive=args.exhaustive)
+    robots, scenes = tuple(args.robots), tuple(args.scenes)
+    rows = run(robots, scenes, exhaustive=args.exhaustive, only=args.only)
+    if not rows:
+        parser.error(f"no task of these scenes has {args.only!r} in its name")
     print(report(rows))
     if args.out:
         args.out.mkdir(parents=True, exist_ok=True)

@@ -21,7 +21,7 @@ from momapos.reconstruction.templates import TemplatePredictor
 from momapos.scan_decisions import decide
 from momapos.scan_io.scan import read_scan
 from momapos.scan_pipeline import cloud_after, model_room, scan_to_scene, survey
-from momapos.scan_records import Modeled, ScanConfig, Tools
+from momapos.scan_records import Modeled, ScanConfig, Survey, Tools
 from momapos.scan_report import report_to_dict, write_report
 from momapos.scene.files import load_scene
 from momapos.segmentation.pointing import PointAt
@@ -61,8 +61,13 @@ def tools() -> Tools:
 
 
 @pytest.fixture(scope="module")
-def made(scan: Scan, tools: Tools, tmp_path_factory: pytest.TempPathFactory) -> Modeled:
-    return scan_to_scene(scan, tmp_path_factory.mktemp("made") / "scene.json", tools)
+def seen(scan: Scan, tools: Tools) -> Survey:
+    return survey(scan, tools)
+
+
+@pytest.fixture(scope="module")
+def made(seen: Survey, tools: Tools, tmp_path_factory: pytest.TempPathFactory) -> Modeled:
+    return model_room(seen, tmp_path_factory.mktemp("made") / "scene.json", tools)
 
 
 def true_fridge(folder: Path) -> UprightBox:
@@ -153,8 +158,9 @@ def test_only_what_matters_for_the_target_is_modeled(
     left_out = [d for d in result.decisions if "importance" in d.reason]
     assert left_out
     assert all(d.view is None for d in left_out)
+    few = replace(scan, frames=scan.frames[:12])
     with pytest.raises(UnknownNameError, match="object"):
-        scan_to_scene(scan, tmp_path / "other.json", tools, target="frigde")
+        scan_to_scene(few, tmp_path / "other.json", tools, target="frigde")
     assert not (tmp_path / "other.json").exists()
 
 
@@ -203,7 +209,7 @@ def test_what_a_thing_is_may_be_seen_said_or_pointed_at(
 
 
 def test_how_a_doubtful_part_opens_is_told_by_a_label_that_is_believed(
-    scan: Scan, tools: Tools, folder: Path
+    seen: Survey, tools: Tools, folder: Path
 ) -> None:
     def doubtful(face: FaceImage, label: str) -> Front:
         front = tools.look(face, label)
@@ -213,7 +219,6 @@ def test_how_a_doubtful_part_opens_is_told_by_a_label_that_is_believed(
         )
 
     unsure = replace(tools, look=doubtful, predict=doubtful)
-    seen = survey(scan, unsure)
     gaps = [
         float(np.linalg.norm(item.box.center - true_fridge(folder).center))
         for item in seen.detections
@@ -377,11 +382,10 @@ def test_what_the_scan_does_not_show_is_one_line(
 
 
 def test_a_door_that_stands_open_in_a_second_scan_tells_how_it_moves(
-    scan: Scan, tools: Tools, made: Modeled, folder: Path, tmp_path: Path
+    scan: Scan, tools: Tools, seen: Survey, made: Modeled, folder: Path, tmp_path: Path
 ) -> None:
     kitchen = load_scene("kitchen_small").with_joint("fridge", "door_hinge", np.radians(60.0))
     write_scan(synthetic_scan(kitchen, frames=30, seed=4, sensor=DepthSensor()), tmp_path / "open")
-    seen = survey(scan, tools)
     later = cloud_after(read_scan(tmp_path / "open"), seen, ScanConfig())
     known = {d.detection.name: d for d in made.decisions}
     result = model_room(seen, tmp_path / "scene.json", tools, known=known, later=later)

@@ -30,8 +30,10 @@ for path in sys.argv[1:]:
 print(json.dumps(found))
 """
 SMALLEST = {
-    "placement.py --robots segway_ur5e --scenes kitchen_small --out out": "segway_ur5e: ",
-    "execution.py --robots segway_ur5e --tasks 2 --out out": "noise off: ",
+    "placement.py --robots fetch --scenes kitchen_small --only microwave --out out": "fetch: ",
+    "execution.py --robots segway_ur5e --rooms built-in --tasks 1 --seed 1 --there --out out": (
+        "noise on: 1 of 1 executed"
+    ),
     "drive.py --robots segway_ur5e --drives 1 --layouts 0": "arrived: within",
     "parts.py --drawn 1 --shared nowhere --pictures out": "fronts told: ",
     "importance.py --repeats 1": "| kitchen_small | 17 |",
