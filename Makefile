@@ -58,9 +58,11 @@ check: $(VENV)/.dev
 test: check
 	$(BIN)/pytest
 
-# Every function and record of the package checks types, shapes and dtypes; see tests/shapes.py.
+# Every function and record of the package checks types, shapes and dtypes; see tests/shapes.py. Tests
+# that only start processes, which are not checked, are left out.
+PROCESSES := benchmarks/test_scripts.py examples notebooks test_public_names.py
 test-shapes: $(VENV)/.dev
-	MOMAPOS_SHAPES=1 $(BIN)/pytest
+	MOMAPOS_SHAPES=1 $(BIN)/pytest $(addprefix --ignore=tests/,$(PROCESSES))
 
 # What make test leaves out, since a fresh machine lacks it or it takes minutes.
 # Torch trains the front network and runs URDFormer.
