@@ -234,6 +234,9 @@ def test_how_a_doubtful_part_opens_is_told_by_a_label_that_is_believed(
         item = replace(fridge, label=label, label_from=source, score=1.0)
         parts = decide(item, None, seen, unsure, {}, ScanConfig()).parts
         assert {part.kind for part in parts} == {kind}
+    hung = next(item for item in seen.detections if item.name.startswith("wall"))
+    parts = decide(hung, None, seen, unsure, {}, ScanConfig()).parts
+    assert {part.kind for part in parts} == {"door_left"}  # nothing slides above the eyes
 
 
 def test_how_sure_a_scan_is_stands_in_its_scene(made: Modeled) -> None:
