@@ -1,20 +1,22 @@
 """How well the front network finds doors, drawers and handles on faces it never saw.
 
     PYTHONPATH=. python benchmarks/parts.py [--drawn 100] [--variants 3] [--pictures DIR]
-                                            [--half tuned|measured]
+                                            [--half tuned|measured] [--walls 250]
 
 Four sets: freshly drawn faces, ordinary and hard; the simulator's objects, rendered, of one half
-(`objects.py`) if so asked; and real photos. Of the measured half only sums are printed.
+(`objects.py`) if so asked; and real photos. Of the measured half only sums are printed. With
+--walls it is one set, drawn fronts as of wall cabinets, seen without and with how high they hang.
 A part is located where a predicted one covers it with an IoU of 0.5, whatever its kind; a handle,
 where the middle of the predicted one lies within it.
 """
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
@@ -25,11 +27,14 @@ from training.fronts import generator
 
 from momapos.reconstruction.decode import overlaps
 from momapos.reconstruction.network import FrontNetwork
-from momapos.types import Front
+from momapos.reconstruction.usual_kinds import EYES, weighed_by_height
+from momapos.types import FaceImage, Front
 from objects import HALVES
 from parts_real import TrueFace, TruePart, photo_faces, real_faces
 from placement import shared as default_shared
 
+LOW = 1.05
+"""What is lower than this may hang on a wall [m]."""
 COLORS = {
     "door_left": "red",
     "door_right": "lime",
@@ -110,7 +115,22 @@ def _within(handle: tuple[float, float, float, float], part: TruePart) -> bool:
 
 def drawn_faces(number: int, seed: int, mix: generator.Mix) -> Iterator[TrueFace]:
     """Faces that the generator draws, none of them drawn in training."""
-    for i in range(number):
+    return itertools.islice(_drawn(seed, mix), number)
+
+
+def wall_faces(number: int, seed: int) -> Iterator[TrueFace]:
+    """Drawn cabinets that may hang: low, with doors and flaps alone."""
+
+    def hangs(true: TrueFace) -> bool:
+        kinds = {part.kind for part in true.parts}
+        low = true.name == "cabinet" and true.face.height < LOW
+        return low and bool(kinds) and "drawer" not in kinds
+
+    return itertools.islice(filter(hangs, _drawn(seed, generator.ORDINARY)), number)
+
+
+def _drawn(seed: int, mix: generator.Mix) -> Iterator[TrueFace]:
+    for i in itertools.count():
         drawn = generator.draw(np.random.default_rng([seed, i]), mix)
         parts = tuple(TruePart(p.kind, p.box, (p.handle,) if p.handle else ()) for p in drawn.parts)
         yield TrueFace(drawn.family, drawn.face, parts)
@@ -138,7 +158,7 @@ def picture(true: TrueFace, front: Front, side: int = 320) -> Image.Image:
 def evaluate(
     name: str,
     faces: Iterable[TrueFace],
-    network: FrontNetwork,
+    network: Callable[[FaceImage, str], Front],
     out: Path | None,
     *,
     sums: bool = False,
@@ -179,6 +199,7 @@ def main(
     seed: int = 90001,
     pictures: Path | None = None,
     half: Literal["tuned", "measured"] | None = None,
+    walls: int = 0,
 ) -> None:
     """Print a table of each set.
 
@@ -190,8 +211,18 @@ def main(
         seed: Of drawn faces, light, view and noise; training used others.
         pictures: Folder for a picture of each face.
         half: Of the real objects only those of one half, see `objects.py`.
+        walls: So many drawn cabinets that may hang instead of all else.
     """
     network = FrontNetwork()
+
+    def hung(face: FaceImage, label: str) -> Front:
+        front = network(face, label)
+        return replace(front, parts=weighed_by_height(front.parts, face, EYES))
+
+    if walls:
+        evaluate("wall cabinets", wall_faces(walls, seed), network, pictures)
+        evaluate("wall cabinets, above the eyes", wall_faces(walls, seed), hung, None)
+        return
     evaluate("drawn", drawn_faces(drawn, seed, generator.ORDINARY), network, pictures)
     evaluate("drawn, hard", drawn_faces(drawn, seed + 1, generator.HARD), network, pictures)
     data = default_shared() if shared is None else shared
