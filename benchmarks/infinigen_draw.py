@@ -1,6 +1,6 @@
 """Appliances that Infinigen draws shut, as URDFs with the joint of their door.
 
-    drawn/bin/python benchmarks/infinigen_draw.py oven 0 12 --out drawn/urdf
+    drawn/bin/python benchmarks/infinigen_draw.py oven 0 14 --out drawn/urdf
 
 Runs in the environment with Infinigen, see `infinigen_objects.py`, and knows nothing of momapos.
 Infinigen turns a door only inside what it draws: one mesh, shut. So each is drawn shut and open:
@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial.transform import Rotation
 
 KINDS = {
     "oven": "oven.OvenFactory",
@@ -93,18 +94,16 @@ def _pieces(solid: Any) -> np.ndarray:
 
 
 def _turn(shut: np.ndarray, after: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A point of the axis and its direction, of the turn from some points to others (Kabsch)."""
+    """A point of the axis and its direction, of the turn from some points to others."""
     center, other = shut.mean(axis=0), after.mean(axis=0)
-    left, _, right = np.linalg.svd((after - other).T @ (shut - center))
-    R = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
-    axis = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
-    axis /= np.linalg.norm(axis)
+    turn, _ = Rotation.align_vectors(after - other, shut - center)
+    R, vector = turn.as_matrix(), turn.as_rotvec()
     t = other - R @ center
     pivot = np.linalg.lstsq(np.eye(3) - R, t, rcond=1e-6)[0]
     error = np.abs(shut @ R.T + t - after).max()
     if error > MOVED * 100:
         raise ValueError(f"what moves does not turn as one, {error:g} off")
-    return pivot, axis
+    return pivot, vector / np.linalg.norm(vector)
 
 
 def _urdf(kind: str, pivot: np.ndarray, axis: np.ndarray) -> ET.ElementTree:

@@ -220,8 +220,9 @@ def main(
         return replace(front, parts=weighed_by_height(front.parts, face, EYES))
 
     if walls:
-        evaluate("wall cabinets", wall_faces(walls, seed), network, pictures)
-        evaluate("wall cabinets, above the eyes", wall_faces(walls, seed), hung, None)
+        faces = list(wall_faces(walls, seed))
+        evaluate("wall cabinets", faces, network, pictures)
+        evaluate("wall cabinets, above the eyes", faces, hung, None)
         return
     evaluate("drawn", drawn_faces(drawn, seed, generator.ORDINARY), network, pictures)
     evaluate("drawn, hard", drawn_faces(drawn, seed + 1, generator.HARD), network, pictures)

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from momapos.detection.coco import WITHOUT_DOORS
+from momapos.geometry.upright_boxes import bottom
 from momapos.reconstruction.build import GivenModel, place_model
 from momapos.reconstruction.model import furniture_model
 from momapos.reconstruction.open_parts import opened_piece
@@ -104,8 +105,7 @@ def _parts(view: View, item: Detection, tools: Tools) -> tuple[tuple[Part, ...],
     same = tools.predict is tools.look
     parts = view.front.parts if same else tools.predict(view.image, item.label).parts
     if parts or tools.guess is None:
-        floor = float(item.box.center[2] - item.box.size[2] / 2)
-        parts = weighed_by_height(parts, view.image, floor)
+        parts = weighed_by_height(parts, view.image, bottom(item.box))
         return weighed(parts, item.label, _sure_of_label(item)), PartSource.PREDICTED
     return tools.guess(view.image, item.label).parts, PartSource.GUESSED
 

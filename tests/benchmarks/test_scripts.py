@@ -31,8 +31,8 @@ print(json.dumps(found))
 """
 SMALLEST = {
     "placement.py --robots fetch --scenes kitchen_small --only microwave --out out": "fetch: ",
-    "execution.py --robots segway_ur5e --rooms built-in --tasks 1 --seed 1 --there --out out": (
-        "noise on: 1 of 1 executed"
+    "execution.py --robots segway_ur5e --rooms built-in --tasks 1 --seed 1 --out out": (
+        "noise off: "
     ),
     "drive.py --robots segway_ur5e --drives 1 --layouts 0": "arrived: within",
     "parts.py --drawn 1 --shared nowhere --pictures out": "fronts told: ",

@@ -61,7 +61,7 @@ def weighed(parts: Sequence[Part], label: str, sure: float) -> tuple[Part, ...]:
     usual = USUAL.get(common_name(label))
     if usual is None:
         return tuple(parts)
-    factors = {kind: 1.0 - sure + sure * usual[kind] / share for kind, share in ANY.items()}
+    factors = _factors(usual, sure)
     return tuple(_weighed(part, factors) for part in parts)
 
 
@@ -73,13 +73,18 @@ def weighed_by_height(parts: Sequence[Part], face: FaceImage, floor: float) -> t
         face: The front.
         floor: From its lower edge down to the floor [m].
     """
-    factors = {kind: HIGH[kind] / share for kind, share in ANY.items()}
+    factors = _factors(HIGH, 1.0)
 
     def high(part: Part) -> bool:
         area = area_of(part.box, face)
         return floor + (area.bottom + area.top) / 2 > EYES
 
     return tuple(_weighed(part, factors) if high(part) else part for part in parts)
+
+
+def _factors(usual: Mapping[PartKind, float], sure: float) -> dict[PartKind, float]:
+    """How much likelier each kind is among some parts than among all, if they surely are such."""
+    return {kind: 1.0 - sure + sure * usual[kind] / share for kind, share in ANY.items()}
 
 
 def _weighed(part: Part, factors: Mapping[PartKind, float]) -> Part:

@@ -16,7 +16,7 @@ import numpy as np
 from momapos.geometry.leaves import OpenLeaf
 from momapos.geometry.upright_boxes import between
 from momapos.segmentation.leaf_evidence import Free, OpenLeafConfig, evidence, same
-from momapos.segmentation.room import area, peaks
+from momapos.segmentation.room import area, cell_numbers, peaks
 from momapos.segmentation.supports import components
 from momapos.types import Cloud
 
@@ -71,10 +71,7 @@ def find_open_leaves(
 
 def _apart(points: Float[np.ndarray, "n 3"], cell: float) -> Int[np.ndarray, " m"]:
     """One point of each cell."""
-    cells = np.floor(points / cell).astype(np.int64)
-    x, y, z = (cells - cells.min(axis=0, initial=0)).T
-    key = (x * (y.max(initial=0) + 1) + y) * (z.max(initial=0) + 1) + z
-    _, first = np.unique(key, return_index=True)
+    _, first = np.unique(cell_numbers(points, cell), return_index=True)
     return np.sort(first)
 
 

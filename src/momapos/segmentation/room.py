@@ -135,9 +135,15 @@ def at_wall(room: Room, place: Float[np.ndarray, "3"], outward: Float[np.ndarray
 
 def area(a: Float[np.ndarray, " n"], b: Float[np.ndarray, " n"], cell: float = CELL) -> float:
     """Area that points of a plane cover, as cells of a raster that hold any [m2]."""
-    rows, columns = (np.floor(along / cell).astype(np.int64) for along in (a, b))
-    wide = int(np.ptp(columns)) + 1 if len(columns) else 1
-    return len(np.unique(rows * wide + columns)) * cell**2
+    return len(np.unique(cell_numbers(np.stack([a, b], axis=1), cell))) * cell**2
+
+
+def cell_numbers(points: Float[np.ndarray, "n d"], cell: float) -> Int[np.ndarray, " n"]:
+    """A number of the cell of a raster in which each point is; other cells have others."""
+    cells = np.floor(points / cell).astype(np.int64)
+    cells -= cells.min(axis=0, initial=0)
+    sides = cells.max(axis=0, initial=0) + 1
+    return cells @ np.append(np.cumprod(sides[:0:-1])[::-1], 1)
 
 
 def floor_seen(
