@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from tests import optional
-from training.fronts import generator, layouts, pool
+from training.fronts import cabinets, generator, layouts, pool
 
 from momapos.reconstruction import decode
 
@@ -105,3 +105,15 @@ def test_targets_read_back_as_the_boxes_that_made_them() -> None:
     found, hot = decode.peaks(heat, reach, 0.9, 10)
     assert decode.overlaps(boxes, found)[0].max(axis=1).min() > 0.97
     assert sorted(hot.argmax(axis=1)) == [0, 1, 4]
+
+
+def test_wall_cabinets_lift_some_doors_by_a_handle_below_and_none_of_their_parts_slides() -> None:
+    mix = generator.Mix({cabinets.hung: 1.0})
+    faces = [generator.draw(np.random.default_rng([9, i]), mix) for i in SEEDS]
+    parts = [part for drawn in faces for part in drawn.parts]
+    lifted = [part for part in parts if part.kind == "door_up"]
+    assert 0.1 < len(lifted) / len(parts) < 0.6
+    assert "drawer" not in {part.kind for part in parts}
+    low = [sum(p.handle[1::2]) > sum(p.box[1::2]) for p in lifted if p.handle is not None]
+    assert len(low) > 5
+    assert all(low)

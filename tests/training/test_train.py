@@ -11,6 +11,8 @@ import pytest
 from tests import optional
 from training.fronts import generator, pool
 
+from momapos.reconstruction import decode
+
 FACES = 6
 
 
@@ -54,3 +56,54 @@ def test_some_pictures_of_a_step_have_no_lines_and_some_no_relief(faces: Path) -
     relief = stack[:, 4].max(axis=(1, 2)) > 0
     assert 0.35 < lines.mean() < 0.65
     assert 0.4 < relief.mean() < 0.7
+
+
+def test_a_written_network_is_read_as_it_was(tmp_path: Path) -> None:
+    export = optional.module("training.fronts.export", "torch")
+    networks = optional.module("training.fronts.networks", "torch")
+    weights = resources.files("momapos.reconstruction") / "weights" / "front_part.onnx"
+    written, again = tmp_path / "written.onnx", tmp_path / "again.onnx"
+    written.write_bytes(weights.read_bytes())
+    export.write(export.read(written, networks.PartNetwork()), again)
+    one, two = (looks(path.read_bytes()) for path in (written, again))
+    for name, value in one.items():
+        np.testing.assert_array_equal(value, two[name])
+
+
+def test_training_on_kinds_changes_nothing_but_kinds(faces: Path, tmp_path: Path) -> None:
+    train = optional.module("training.fronts.train", "torch")
+    path = tmp_path / "part.onnx"
+    train.train_part([faces], path, train.Schedule(steps=2, batch=4), seed=3)
+    before = looks(path.read_bytes())
+    train.train_kinds([faces], path, train.Schedule(steps=3, batch=4), seed=3)
+    after = looks(path.read_bytes())
+    for name in ("edges", "heat", "reach"):
+        np.testing.assert_array_equal(before[name], after[name])
+    assert np.abs(before["sure"] - after["sure"]).max() > 1e-4
+
+
+def test_training_on_lifted_doors_changes_nothing_but_their_heat(
+    faces: Path, tmp_path: Path
+) -> None:
+    train = optional.module("training.fronts.train", "torch")
+    path = tmp_path / "face.onnx"
+    train.train_face([faces], path, train.Schedule(steps=2, batch=4), seed=3)
+    before = looks(path.read_bytes())
+    train.train_lifts([faces], path, train.Schedule(steps=3, batch=4), seed=3)
+    after = looks(path.read_bytes())
+    for name in ("reach", "front"):
+        np.testing.assert_array_equal(before[name], after[name])
+    same = (before["heat"] == after["heat"]).all(axis=(0, 2, 3))
+    assert list(np.array(decode.KINDS)[~same]) == ["door_up"]
+
+
+def looks(data: bytes) -> dict[str, np.ndarray]:
+    """What a network says of noise."""
+    session = optional.module("onnxruntime").InferenceSession(data)
+    rng = np.random.default_rng(1)
+    given = {
+        one.name: rng.normal(size=[2 if n == "n" else n for n in one.shape]).astype(np.float32)
+        for one in session.get_inputs()
+    }
+    said = session.run(None, given)
+    return dict(zip([one.name for one in session.get_outputs()], said, strict=True))

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+
+from momapos.types import PartKind
 
 from .canvas import Rect
 from .plans import Cell, Plan, hinged, pair, split
@@ -229,3 +231,44 @@ def niche(rng: np.random.Generator) -> Plan:
     inner = (rect[0], rect[1], rect[2], rect[3])
     cells += stack(rng, inner, habit) if rng.random() < 0.3 else leaf(rng, inner, habit)
     return Plan("niche", width, height, cells)
+
+
+def hung(rng: np.random.Generator) -> Plan:
+    """Wall cabinets in one or two rows: doors with handles low, doors that are lifted."""
+    width, height = rng.uniform(0.35, 2.2), rng.uniform(0.25, 1.1)
+    gap = rng.uniform(0.001, 0.008) if rng.random() < 0.7 else rng.uniform(0.01, 0.05)
+    rim = rng.uniform(0.0, 0.03)
+    habit = replace(Habit.draw(rng, "wall", gap), lift=float(rng.choice([0.1, 0.5, 0.9])))
+    level = bool(rng.random() < 0.3)
+    rows = 1 if height < 0.5 or rng.random() < 0.5 else 2
+    inner = (rim, rim, width - rim, height - rim)
+    cells = []
+    for band in split(rng, inner, rows, gap, rows=True, uneven=0.7):
+        most = max(int((band[2] - band[0]) / 0.35), 1)
+        columns = int(rng.integers(1, min(most, 4) + 1))
+        for field_ in split(rng, band, columns, gap, rows=False, uneven=0.5):
+            cells += _hung_field(rng, field_, habit, level)
+    return Plan("hung", width, height, cells)
+
+
+def _hung_field(rng: np.random.Generator, rect: Rect, habit: Habit, level: bool) -> list[Cell]:
+    """One field of a wall cabinet; level handles of hinged doors sit in the corner that opens."""
+    wide, high = rect[2] - rect[0], rect[3] - rect[1]
+    fill = "glass" if rng.random() < habit.glass else "panel"
+    if rng.random() < habit.open:
+        return [Cell(rect, None, "open")]
+    if wide > max(0.9 * high, 0.4) and rng.random() < habit.lift:
+        kind: PartKind = "door_up" if rng.random() < 0.93 else "door_down"
+        free = "bottom" if kind == "door_up" else "top"
+        return [Cell(rect, kind, fill, free=free)]
+    if wide > 0.6 or (wide > 0.45 and rng.random() < 0.3):
+        doors = pair(rng, rect, min(habit.gap, 0.01), habit.along, fill)
+    else:
+        doors = [Cell(rect, hinged(rng), fill, along=habit.along)]
+    if not level:
+        return doors
+    end = rng.uniform(0.0, 0.2)
+    return [
+        replace(door, free="bottom", along=1 - end if door.kind == "door_left" else end)
+        for door in doors
+    ]

@@ -55,6 +55,51 @@ def write(net: nn.Module, path: Path) -> None:
     _write(_Part(net), _example(net), ["crop", "aspect"], out, path, many)
 
 
+def read(path: Path, net: nn.Module) -> nn.Module:
+    """The network of a file that `write` made, to train it further.
+
+    Its normalizations are part of its convolutions.
+
+    Args:
+        path: The file.
+        net: A new network of the same form; it is changed.
+    """
+    model = onnx.load(path)
+    values = {w.name.removesuffix("_half"): w for w in model.graph.initializer}
+    named = [n for n in values if n.startswith("net.")]
+    state = {n.removeprefix("net."): _tensor(values[n]) for n in named}
+    nodes = iter([node for node in model.graph.node if node.op_type == "Conv"])
+    for name, conv in _convolutions(net):
+        weight, bias = (_tensor(values[n]) for n in next(nodes).input[1:])
+        conv.bias = nn.Parameter(torch.empty_like(bias))
+        state |= {f"{name}.weight": weight, f"{name}.bias": bias}
+    for parent in list(net.modules()):
+        for name, child in parent.named_children():
+            if isinstance(child, nn.BatchNorm2d):
+                setattr(parent, name, nn.Identity())
+    net.load_state_dict(state)
+    return net
+
+
+def _convolutions(net: nn.Module) -> list[tuple[str, nn.Conv1d | nn.Conv2d]]:
+    """All convolutions by name, in the order in which they are applied."""
+    order: list[tuple[str, nn.Conv1d | nn.Conv2d]] = []
+    for name, child in net.named_modules():
+        if isinstance(child, nn.Conv1d | nn.Conv2d):
+            one = (name, child)
+            child.register_forward_hook(lambda *_, one=one: order.append(one))
+    net.eval()
+    with torch.no_grad():
+        net(*_example(net))
+    for _, child in order:
+        child._forward_hooks.clear()
+    return order
+
+
+def _tensor(weight: onnx.TensorProto) -> Tensor:
+    return torch.from_numpy(numpy_helper.to_array(weight).astype(np.float32))
+
+
 def _write(
     net: nn.Module,
     given: tuple[Tensor, ...],

@@ -42,6 +42,8 @@ class Mix:
 ORDINARY = Mix()
 HARD = Mix(layouts.HARD_FAMILIES, uniform=0.5, bare=0.25)
 """Plain fronts without handles, and much that only looks like parts."""
+HUNG = Mix(layouts.HUNG_FAMILIES, bare=0.12)
+"""Wall cabinets, many of whose doors are lifted, among all else."""
 
 
 @dataclass(frozen=True)
@@ -231,7 +233,8 @@ def _handle(
         return None
     free = cell.free or FREE_SIDE[cell.kind]
     upright = free in ("left", "right")
-    along = cell.along if upright else 0.5
+    swings = cell.kind in ("door_left", "door_right")
+    along = cell.along if upright or swings else 0.5
     if not upright and cell.kind in ("door_down", "door_up") and rng.random() < 0.05:
         along = rng.uniform(0.2, 0.8)
     rect = handles.place(rng, style, cell.rect, free, along)

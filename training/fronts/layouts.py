@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from .appliances import dishwasher, fridge, microwave, oven
-from .cabinets import Habit, cabinet, columns_first, desk, niche, rows_first, sink
+from .cabinets import Habit, cabinet, columns_first, desk, hung, niche, rows_first, sink
 from .canvas import Rect
 from .plans import Cell, Plan, hinged, split
 
@@ -110,6 +110,8 @@ HARD_FAMILIES: dict[Maker, float] = {
     nothing: 0.12,
 }
 """What is drawn in the second round: more of what the first makes too little of."""
+HUNG_FAMILIES: dict[Maker, float] = {hung: 0.4, **HARD_FAMILIES}
+"""What is drawn in the third round: wall cabinets, whose lifted doors are seldom in the others."""
 
 
 def random_plan(rng: np.random.Generator, families: dict[Maker, float]) -> Plan:

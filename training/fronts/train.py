@@ -6,8 +6,8 @@ import argparse
 import copy
 import multiprocessing as mp
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -21,10 +21,13 @@ from . import export, generator, networks, pool, targets
 WEIGHTS = Path(__file__).parents[2] / "src" / "momapos" / "reconstruction" / "weights"
 MIRROR = np.array(decode.MIRRORED_KINDS)
 """What each kind is in a mirror."""
-FACES = {"ordinary": 16000, "hard": 10000}
+MIXES = {"ordinary": generator.ORDINARY, "hard": generator.HARD, "hung": generator.HUNG}
+FACES = {"ordinary": 16000, "hard": 10000, "hung": 6000}
 """How many faces are drawn, by mix [-]."""
 FACE_STEPS, PART_STEPS = 12000, 11000
 """How long both networks learn [-]."""
+LIFT_STEPS, KIND_STEPS = 1000, 1600
+"""How long what tells lifted doors in the first and kinds in the second learns more [-]."""
 WITHOUT_LINES = 0.5
 """Share of pictures without dark lines: drawn seams show more often than real ones [-]."""
 NARROW = torch.backends.mkldnn.is_available() and torch.cpu._is_avx512_bf16_supported()
@@ -214,15 +217,45 @@ def _follow(averaged: nn.Module, net: nn.Module, keep: float) -> None:
 def train_face(pools: list[Path], out: Path, plan: Schedule, seed: int) -> None:
     """Train the first network on all faces."""
     _settle(seed)
-    data = [(each, np.arange(len(each.faces))) for each in map(pool.Pool.read, pools)]
-    fit(networks.FaceNetwork(), face_step, data, plan, seed, out)
+    fit(networks.FaceNetwork(), face_step, _faces(pools), plan, seed, out)
 
 
 def train_part(pools: list[Path], out: Path, plan: Schedule, seed: int) -> None:
     """Train the second network on all crops."""
     _settle(seed)
-    data = [(each, np.nonzero(each.crop_kinds[:] >= 0)[0]) for each in map(pool.Pool.read, pools)]
-    fit(networks.PartNetwork(), part_step, data, plan, seed, out)
+    fit(networks.PartNetwork(), part_step, _crops(pools), plan, seed, out)
+
+
+def train_lifts(pools: list[Path], path: Path, plan: Schedule, seed: int) -> None:
+    """Train on what tells lifted doors in the first network; all else of it stays."""
+    _settle(seed)
+    net = networks.FaceNetwork()
+    export.read(path, net).requires_grad_(False)
+    net.heat.requires_grad_(True)
+    lifted = torch.zeros(len(decode.KINDS))
+    lifted[decode.KINDS.index("door_up")] = 1.0
+    net.heat.weight.register_hook(lambda gradient: gradient * lifted[:, None, None, None])
+    net.heat.bias.register_hook(lambda gradient: gradient * lifted)
+    fit(net, face_step, _faces(pools), replace(plan, decay=0.0), seed, path)
+
+
+def train_kinds(pools: list[Path], path: Path, plan: Schedule, seed: int) -> None:
+    """Train on the second network's last layers, which tell kinds; all else of it stays."""
+    _settle(seed)
+    net = networks.PartNetwork()
+    export.read(path, net).requires_grad_(False)
+    net.kind.requires_grad_(True)
+    fit(net, part_step, _crops(pools), plan, seed, path)
+
+
+def _faces(pools: list[Path]) -> list[tuple[pool.Pool, np.ndarray]]:
+    """Pools, each with the indices of its faces."""
+    return [(each, np.arange(len(each.faces))) for each in map(pool.Pool.read, pools)]
+
+
+def _crops(pools: list[Path]) -> list[tuple[pool.Pool, np.ndarray]]:
+    """Pools, each with the indices of its crops."""
+    return [(each, np.nonzero(each.crop_kinds[:] >= 0)[0]) for each in map(pool.Pool.read, pools)]
 
 
 def _settle(seed: int) -> None:
@@ -231,30 +264,17 @@ def _settle(seed: int) -> None:
     torch.manual_seed(seed)
 
 
-def main() -> None:
-    """Do everything with one command."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--pools", type=Path, default=Path("build/fronts"), help="scratch folder")
-    parser.add_argument("--out", type=Path, default=WEIGHTS, help="where the networks go")
-    parser.add_argument("--faces", type=int, nargs=2, default=tuple(FACES.values()), help="to draw")
-    parser.add_argument("--face-steps", type=int, default=FACE_STEPS)
-    parser.add_argument("--part-steps", type=int, default=PART_STEPS)
-    parser.add_argument("--seed", type=int, default=1)
-    given = parser.parse_args()
-    pools = [given.pools / name for name in FACES]
-    mixes = (generator.ORDINARY, generator.HARD)
-    for i, (folder, mix, count) in enumerate(zip(pools, mixes, given.faces, strict=True)):
-        if not (folder / "handles.npy").exists():
-            pool.fill(folder, mix, given.seed + i, count, workers=2)
-    given.out.mkdir(parents=True, exist_ok=True)
-    tasks = [
-        (train_face, "front_face.onnx", Schedule(given.face_steps, 24)),
-        (train_part, "front_part.onnx", Schedule(given.part_steps, 48)),
-    ]
+Train = Callable[[list[Path], Path, Schedule, int], None]
+
+
+def side_by_side(
+    tasks: Sequence[tuple[Train, Path, Schedule]], pools: list[Path], seed: int
+) -> None:
+    """Train in processes of their own; one that fails ends this one, too."""
     context = mp.get_context("spawn")
     jobs = [
-        context.Process(target=target, args=(pools, given.out / name, plan, given.seed))
-        for target, name, plan in tasks
+        context.Process(target=train, args=(pools, path, plan, seed))
+        for train, path, plan in tasks
         if plan.steps
     ]
     for job in jobs:
@@ -263,6 +283,35 @@ def main() -> None:
         job.join()
         if job.exitcode:
             raise SystemExit(job.exitcode)
+
+
+def main() -> None:
+    """Do everything with one command."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--pools", type=Path, default=Path("build/fronts"), help="scratch folder")
+    parser.add_argument("--out", type=Path, default=WEIGHTS, help="where the networks go")
+    parser.add_argument("--faces", type=int, nargs=3, default=tuple(FACES.values()), help="to draw")
+    parser.add_argument("--face-steps", type=int, default=FACE_STEPS)
+    parser.add_argument("--part-steps", type=int, default=PART_STEPS)
+    parser.add_argument("--lift-steps", type=int, default=LIFT_STEPS)
+    parser.add_argument("--kind-steps", type=int, default=KIND_STEPS)
+    parser.add_argument("--seed", type=int, default=1)
+    given = parser.parse_args()
+    for i, (name, count) in enumerate(zip(MIXES, given.faces, strict=True)):
+        if not (given.pools / name / "handles.npy").exists():
+            pool.fill(given.pools / name, MIXES[name], given.seed + i, count, workers=2)
+    given.out.mkdir(parents=True, exist_ok=True)
+    face, part = given.out / "front_face.onnx", given.out / "front_part.onnx"
+    first = [
+        (train_face, face, Schedule(given.face_steps, 24)),
+        (train_part, part, Schedule(given.part_steps, 48)),
+    ]
+    more = [
+        (train_lifts, face, Schedule(given.lift_steps, 24, rate=3e-3)),
+        (train_kinds, part, Schedule(given.kind_steps, 48, rate=1e-3)),
+    ]
+    side_by_side(first, [given.pools / "ordinary", given.pools / "hard"], given.seed)
+    side_by_side(more, [given.pools / "hung"], given.seed)
 
 
 if __name__ == "__main__":

@@ -16,10 +16,11 @@ from momapos.reconstruction.height_maps import area_of
 from momapos.reconstruction.templates import common_name
 from momapos.types import FaceImage, Part, PartKind
 
-ANY: Mapping[PartKind, float] = {
-    "door_left": 0.3, "door_right": 0.3, "door_down": 0.1, "door_up": 0.05, "drawer": 0.25,
+LEARNT: Mapping[PartKind, float] = {
+    "door_left": 0.31, "door_right": 0.31, "door_down": 0.09, "door_up": 0.09, "drawer": 0.2,
 }  # fmt: skip
-"""Shares of the kinds among what opens in a home [-]."""
+"""Shares of the kinds among what the front networks learnt from last, which their odds start
+from; `training.fronts.generator.HUNG` draws them so [-]."""
 USUAL: Mapping[str, Mapping[PartKind, float]] = {
     "fridge": {
         "door_left": 0.38, "door_right": 0.45, "door_down": 0.01, "door_up": 0.01, "drawer": 0.15,
@@ -48,6 +49,10 @@ HIGH: Mapping[PartKind, float] = {
 }  # fmt: skip
 """Shares of the kinds among what is above the eyes [-]; estimates, too: wall cabinets have doors,
 some of which are lifted."""
+LOW: Mapping[PartKind, float] = {
+    "door_left": 0.32, "door_right": 0.32, "door_down": 0.1, "door_up": 0.01, "drawer": 0.25,
+}  # fmt: skip
+"""Shares of the kinds among what is lower [-]; nobody stoops to lift a door."""
 
 
 def weighed(parts: Sequence[Part], label: str, sure: float) -> tuple[Part, ...]:
@@ -66,25 +71,25 @@ def weighed(parts: Sequence[Part], label: str, sure: float) -> tuple[Part, ...]:
 
 
 def weighed_by_height(parts: Sequence[Part], face: FaceImage, floor: float) -> tuple[Part, ...]:
-    """Weigh what is seen of parts above the eyes with how such parts usually open.
+    """Weigh what is seen of parts with how such parts, above the eyes or lower, usually open.
 
     Args:
         parts: What is on a front; of parts without odds nothing is changed.
         face: The front.
         floor: From its lower edge down to the floor [m].
     """
-    factors = _factors(HIGH, 1.0)
+    high, low = _factors(HIGH, 1.0), _factors(LOW, 1.0)
 
-    def high(part: Part) -> bool:
+    def middle(part: Part) -> float:
         area = area_of(part.box, face)
-        return floor + (area.bottom + area.top) / 2 > EYES
+        return floor + (area.bottom + area.top) / 2
 
-    return tuple(_weighed(part, factors) if high(part) else part for part in parts)
+    return tuple(_weighed(part, high if middle(part) > EYES else low) for part in parts)
 
 
 def _factors(usual: Mapping[PartKind, float], sure: float) -> dict[PartKind, float]:
     """How much likelier each kind is among some parts than among all, if they surely are such."""
-    return {kind: 1.0 - sure + sure * usual[kind] / share for kind, share in ANY.items()}
+    return {kind: 1.0 - sure + sure * usual[kind] / share for kind, share in LEARNT.items()}
 
 
 def _weighed(part: Part, factors: Mapping[PartKind, float]) -> Part:
