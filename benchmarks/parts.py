@@ -5,7 +5,8 @@
 
 Four sets: freshly drawn faces, ordinary and hard; the simulator's objects, rendered, of one half
 (`objects.py`) if so asked; and real photos. Of the measured half only sums are printed. With
---walls it is one set, drawn fronts as of wall cabinets, seen without and with how high they hang.
+--walls these are two sets, drawn cabinets that may hang and wall cabinets, many of whose doors are
+lifted, seen without and with how high they hang.
 A part is located where a predicted one covers it with an IoU of 0.5, whatever its kind; a handle,
 where the middle of the predicted one lies within it.
 """
@@ -23,7 +24,7 @@ from typing import Literal
 import numpy as np
 import tyro
 from PIL import Image, ImageDraw
-from training.fronts import generator
+from training.fronts import cabinets, generator
 
 from momapos.reconstruction.decode import overlaps
 from momapos.reconstruction.network import FrontNetwork
@@ -35,6 +36,8 @@ from placement import shared as default_shared
 
 LOW = 1.05
 """What is lower than this may hang on a wall [m]."""
+LIFTED = generator.Mix({cabinets.hung: 1.0}, bare=generator.HUNG.bare)
+"""Wall cabinets alone."""
 COLORS = {
     "door_left": "red",
     "door_right": "lime",
@@ -220,9 +223,13 @@ def main(
         return replace(front, parts=weighed_by_height(front.parts, face, EYES))
 
     if walls:
-        faces = list(wall_faces(walls, seed))
-        evaluate("wall cabinets", faces, network, pictures)
-        evaluate("wall cabinets, above the eyes", faces, hung, None)
+        for name, more in (
+            ("wall cabinets", wall_faces(walls, seed)),
+            ("wall cabinets, many lifted", drawn_faces(walls, seed, LIFTED)),
+        ):
+            faces = list(more)
+            evaluate(name, faces, network, pictures)
+            evaluate(f"{name}, above the eyes", faces, hung, None)
         return
     evaluate("drawn", drawn_faces(drawn, seed, generator.ORDINARY), network, pictures)
     evaluate("drawn, hard", drawn_faces(drawn, seed + 1, generator.HARD), network, pictures)
