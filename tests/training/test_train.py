@@ -71,12 +71,7 @@ def test_a_written_network_is_read_as_it_was(tmp_path: Path) -> None:
 
 
 def test_training_on_kinds_changes_nothing_but_kinds(faces: Path, tmp_path: Path) -> None:
-    train = optional.module("training.fronts.train", "torch")
-    path = tmp_path / "part.onnx"
-    train.train_part([faces], path, train.Schedule(steps=2, batch=4), seed=3)
-    before = looks(path.read_bytes())
-    train.train_kinds([faces], path, train.Schedule(steps=3, batch=4), seed=3)
-    after = looks(path.read_bytes())
+    before, after = trained_further("part", "kinds", faces, tmp_path)
     for name in ("edges", "heat", "reach"):
         np.testing.assert_array_equal(before[name], after[name])
     assert np.abs(before["sure"] - after["sure"]).max() > 1e-4
@@ -85,16 +80,23 @@ def test_training_on_kinds_changes_nothing_but_kinds(faces: Path, tmp_path: Path
 def test_training_on_lifted_doors_changes_nothing_but_their_heat(
     faces: Path, tmp_path: Path
 ) -> None:
-    train = optional.module("training.fronts.train", "torch")
-    path = tmp_path / "face.onnx"
-    train.train_face([faces], path, train.Schedule(steps=2, batch=4), seed=3)
-    before = looks(path.read_bytes())
-    train.train_lifts([faces], path, train.Schedule(steps=3, batch=4), seed=3)
-    after = looks(path.read_bytes())
+    before, after = trained_further("face", "lifts", faces, tmp_path)
     for name in ("reach", "front"):
         np.testing.assert_array_equal(before[name], after[name])
     same = (before["heat"] == after["heat"]).all(axis=(0, 2, 3))
     assert list(np.array(decode.KINDS)[~same]) == ["door_up"]
+
+
+def trained_further(
+    which: str, more: str, faces: Path, folder: Path
+) -> list[dict[str, np.ndarray]]:
+    """What a network says after two steps, and after some of the last round."""
+    train = optional.module("training.fronts.train", "torch")
+    path, said = folder / "net.onnx", []
+    for fit, steps in ((f"train_{which}", 2), (f"train_{more}", 3)):
+        getattr(train, fit)([faces], path, train.Schedule(steps=steps, batch=4), seed=3)
+        said.append(looks(path.read_bytes()))
+    return said
 
 
 def looks(data: bytes) -> dict[str, np.ndarray]:

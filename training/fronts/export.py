@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -68,11 +69,12 @@ def read(path: Path, net: nn.Module) -> nn.Module:
     values = {w.name.removesuffix("_half"): w for w in model.graph.initializer}
     named = [n for n in values if n.startswith("net.")]
     state = {n.removeprefix("net."): _tensor(values[n]) for n in named}
-    nodes = iter([node for node in model.graph.node if node.op_type == "Conv"])
-    for name, conv in _convolutions(net):
-        weight, bias = (_tensor(values[n]) for n in next(nodes).input[1:])
-        conv.bias = nn.Parameter(torch.empty_like(bias))
-        state |= {f"{name}.weight": weight, f"{name}.bias": bias}
+    for node in model.graph.node:
+        if node.op_type == "Conv":
+            name = _module(node.name)
+            weight, bias = (_tensor(values[n]) for n in node.input[1:])
+            net.get_submodule(name).bias = nn.Parameter(torch.empty_like(bias))
+            state |= {f"{name}.weight": weight, f"{name}.bias": bias}
     for parent in list(net.modules()):
         for name, child in parent.named_children():
             if isinstance(child, nn.BatchNorm2d):
@@ -81,19 +83,11 @@ def read(path: Path, net: nn.Module) -> nn.Module:
     return net
 
 
-def _convolutions(net: nn.Module) -> list[tuple[str, nn.Conv1d | nn.Conv2d]]:
-    """All convolutions by name, in the order in which they are applied."""
-    order: list[tuple[str, nn.Conv1d | nn.Conv2d]] = []
-    for name, child in net.named_modules():
-        if isinstance(child, nn.Conv1d | nn.Conv2d):
-            one = (name, child)
-            child.register_forward_hook(lambda *_, one=one: order.append(one))
-    net.eval()
-    with torch.no_grad():
-        net(*_example(net))
-    for _, child in order:
-        child._forward_hooks.clear()
-    return order
+def _module(scope: str) -> str:
+    """The module of a node: /net/pyramid/down.0/down.0.1/first/first.0/Conv is of
+    pyramid.down.0.1.first.0."""
+    names = scope.split("/")[2:-1]
+    return ".".join(a for a, b in pairwise([*names, ""]) if not b.startswith(f"{a}."))
 
 
 def _tensor(weight: onnx.TensorProto) -> Tensor:

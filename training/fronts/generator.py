@@ -233,8 +233,7 @@ def _handle(
         return None
     free = cell.free or FREE_SIDE[cell.kind]
     upright = free in ("left", "right")
-    swings = cell.kind in ("door_left", "door_right")
-    along = cell.along if upright or swings else 0.5
+    along = cell.along
     if not upright and cell.kind in ("door_down", "door_up") and rng.random() < 0.05:
         along = rng.uniform(0.2, 0.8)
     rect = handles.place(rng, style, cell.rect, free, along)

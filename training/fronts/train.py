@@ -22,8 +22,8 @@ WEIGHTS = Path(__file__).parents[2] / "src" / "momapos" / "reconstruction" / "we
 MIRROR = np.array(decode.MIRRORED_KINDS)
 """What each kind is in a mirror."""
 MIXES = {"ordinary": generator.ORDINARY, "hard": generator.HARD, "hung": generator.HUNG}
-FACES = {"ordinary": 16000, "hard": 10000, "hung": 6000}
-"""How many faces are drawn, by mix [-]."""
+FACES = (16000, 10000, 6000)
+"""How many faces are drawn of each [-]."""
 FACE_STEPS, PART_STEPS = 12000, 11000
 """How long both networks learn [-]."""
 LIFT_STEPS, KIND_STEPS = 1000, 1600
@@ -290,7 +290,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--pools", type=Path, default=Path("build/fronts"), help="scratch folder")
     parser.add_argument("--out", type=Path, default=WEIGHTS, help="where the networks go")
-    parser.add_argument("--faces", type=int, nargs=3, default=tuple(FACES.values()), help="to draw")
+    parser.add_argument("--faces", type=int, nargs=3, default=FACES, help="to draw")
     parser.add_argument("--face-steps", type=int, default=FACE_STEPS)
     parser.add_argument("--part-steps", type=int, default=PART_STEPS)
     parser.add_argument("--lift-steps", type=int, default=LIFT_STEPS)
