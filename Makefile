@@ -72,7 +72,7 @@ test-torch: $(VENV)/.torch
 	$(BIN)/pytest $(shell grep -lE '"torch"' $(shell find tests -name 'test_*.py' ! -name test_optional.py))
 
 test-slow: $(VENV)/.dev
-	MOMAPOS_SLOW=1 $(BIN)/pytest --dist load tests/scene/test_kitchens.py tests/docs
+	MOMAPOS_SLOW=1 $(BIN)/pytest -m slow --dist worksteal
 
 test-usd: $(VENV)/.usd
 	$(BIN)/pytest $(shell grep -lE '"pxr"' $(shell find tests -name 'test_*.py' ! -name test_optional.py))
@@ -88,7 +88,7 @@ test-film: $(VENV)/.film
 	$(BIN)/pytest tests/execution/test_film.py tests/execution/test_film_files.py tests/page/test_drawing.py
 
 test-page: $(VENV)/.dev
-	$(BIN)/pytest tests/page
+	MOMAPOS_SLOW=1 $(BIN)/pytest tests/page
 
 docs: $(VENV)/.docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build

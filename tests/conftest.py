@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -33,6 +34,14 @@ def robots() -> Callable[[str], Robot]:
 def robot(request: pytest.FixtureRequest, robots: Callable[[str], Robot]) -> Robot:
     """Each robot of the library in turn."""
     return robots(request.param)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Leave slow tests out unless they are asked for: variants of what other tests try as well."""
+    slow = optional.needs("minutes", "MOMAPOS_SLOW" in os.environ)
+    for item in items:
+        if item.get_closest_marker("slow") is not None:
+            item.add_marker(slow)
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:

@@ -31,10 +31,9 @@ GET = {
     "xacrodoc": ".venv/bin/pip install xacrodoc",
     "EGL": "apt-get install libegl1 libgl1-mesa-dri",
     "Chromium": "make test-page, after apt-get install chromium",
-    "every layout of kitchens": "make test-slow",
+    "minutes": "make test-slow",
     "a wheel": "make test-wheel",
     "rclpy": "make test-ros, with Python 3.11",
-    "slow commands of the site": "make test-slow",
     "real data": f"{SHARED}, where FOLDER holds bestman/",
     "robot descriptions": ".venv/bin/pip install --no-deps example-robot-data "
     "hello-robot-stretch-urdf",

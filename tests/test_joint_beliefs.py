@@ -227,6 +227,7 @@ def test_where_the_likeliest_way_has_no_plan_the_next_is_planned_verified_and_ca
     assert record.success, record.reason
 
 
+@pytest.mark.slow
 def test_a_run_goes_on_to_the_next_way_where_the_likeliest_has_no_plan(tmp_path: Path) -> None:
     odds: Odds = (("drawer", 0.5), ("door_right", 0.3), ("door_left", 0.2))
     guessed = room(tmp_path / "guessed", odds, post=FAR)

@@ -28,6 +28,7 @@ def test_the_page_lists_every_public_name_and_no_other() -> None:
     assert sorted(listed) == sorted(momapos.__all__)
 
 
+@pytest.mark.slow
 def test_a_type_checker_knows_the_public_names(tmp_path: Path) -> None:
     program = tmp_path / "program.py"
     program.write_text("import momapos\nreveal_type(momapos.plan_base_placement)\n")

@@ -47,6 +47,7 @@ def test_the_motion_is_found_everywhere_within_what_was_asked_for(tmp_path: Path
         assert checks(np.array(plan.base_pose) + off).motion is not None
 
 
+@pytest.mark.slow
 def test_where_no_base_pose_has_the_room_the_answer_is_no_and_says_so(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -20,6 +20,7 @@ from momapos.synthetic_scans.depth_sensor import DepthSensor
 from momapos.synthetic_scans.recording import synthetic_scan, write_scan
 from momapos.types import Cloud
 
+pytestmark = pytest.mark.slow
 OPEN = np.radians(65.0)
 
 

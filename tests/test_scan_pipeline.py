@@ -116,7 +116,10 @@ def test_a_scan_becomes_a_scene_in_which_a_robot_opens_the_fridge(
 
 @pytest.mark.parametrize(
     ("thing", "label", "kinds"),
-    [("dishwasher", "cabinet", {"door_down"}), ("fridge", "fridge", {"door_right"})],
+    [
+        ("dishwasher", "cabinet", {"door_down"}),
+        pytest.param("fridge", "fridge", {"door_right"}, marks=pytest.mark.slow),
+    ],
 )
 def test_an_appliance_whose_front_returns_no_depth_is_completed_and_told(
     scan: Scan, tools: Tools, thing: str, label: str, kinds: set[str], tmp_path: Path
@@ -320,6 +323,7 @@ def test_wrong_words_end_in_one_line(
     assert not out.exists()
 
 
+@pytest.mark.slow
 def test_what_fails_is_asked_again_with_more_of_the_scan_until_all_is_modeled(
     made: Modeled, scan: Scan, tools: Tools, tmp_path: Path
 ) -> None:
@@ -372,6 +376,7 @@ def test_one_command_leads_from_a_scan_to_an_opened_door(
     assert json.loads((out / record["run"]).read_text())["success"]
 
 
+@pytest.mark.slow
 def test_what_the_scan_does_not_show_is_one_line(
     made: Modeled, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -384,6 +389,7 @@ def test_what_the_scan_does_not_show_is_one_line(
         assert said.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_a_door_that_stands_open_in_a_second_scan_tells_how_it_moves(
     scan: Scan, tools: Tools, seen: Survey, made: Modeled, folder: Path, tmp_path: Path
 ) -> None:

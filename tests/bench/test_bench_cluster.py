@@ -19,6 +19,7 @@ from momapos.cli.main import main
 from momapos.errors import InputError
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(180)
 def test_a_cluster_answers_every_job_though_jobs_and_a_worker_die(tmp_path: Path) -> None:
     distributed = optional.module("distributed")

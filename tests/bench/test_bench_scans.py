@@ -17,6 +17,7 @@ from momapos.errors import InputError
 from momapos.scene.files import load_scene
 from momapos.scene.scene import Scene
 
+pytestmark = pytest.mark.slow
 FRAMES = 16
 NAME = "kitchen_small"
 FRIDGE = SuiteTask("fridge", "door", NAME, "segway_ur5e", "open", "fridge", "door_hinge")

@@ -77,6 +77,7 @@ def test_make_bench_asks_for_what_there_is(help_of: dict[str, tuple[int, str]]) 
             assert option in help_of[script][1], f"{script} {option}"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", SMALLEST, ids=lambda command: command.split()[0])
 def test_a_measurement_runs_on_its_smallest_input(command: str, tmp_path: Path) -> None:
     script, *options = shlex.split(command)
@@ -84,6 +85,7 @@ def test_a_measurement_runs_on_its_smallest_input(command: str, tmp_path: Path) 
     assert SMALLEST[command] in out
 
 
+@pytest.mark.slow
 def test_the_papers_tasks_run_once(tmp_path: Path) -> None:
     data = optional.there(DATA / "bestman").parent
     options = ("--trials", "1", "--tasks", "open microwave")

@@ -132,6 +132,7 @@ def test_with_noise_the_arm_is_planned_anew_where_the_base_really_stands(
     np.testing.assert_allclose(traces[-1][-1], last.reached)
 
 
+@pytest.mark.slow
 def test_the_furniture_is_the_same_however_far_a_plan_drives(
     plan: PlacementPlan, kitchen: Scene
 ) -> None:

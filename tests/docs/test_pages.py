@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import shlex
 import shutil
@@ -13,7 +12,6 @@ from typing import Any
 
 import docs_hooks
 import pytest
-from tests import optional
 
 import momapos
 from momapos.cli.main import main
@@ -51,8 +49,7 @@ def blocks(page: Path) -> list[Block]:
 
 
 def asked(page: Path) -> pytest.param:  # type: ignore[valid-type]
-    slow = optional.needs("slow commands of the site", "MOMAPOS_SLOW" in os.environ)
-    return pytest.param(page, id=page.stem, marks=[] if page.name in QUICK else [slow])
+    return pytest.param(page, id=page.stem, marks=() if page.name in QUICK else pytest.mark.slow)
 
 
 @pytest.mark.parametrize("page", [asked(page) for page in PAGES])

@@ -22,6 +22,8 @@ SAYS = {
     "08": "solved",
     "09": "(2.00 m, -1.43 m, 0.78 rad) after 0.17 m",
 }
+SLOW = ("08",)
+"""Those that take half a minute; a notebook does the same."""
 LINES = 15
 """Statements and comments of an example, without its docstring and blank lines."""
 
@@ -30,7 +32,13 @@ def test_there_are_examples() -> None:
     assert len(EXAMPLES) == len(SAYS)
 
 
-@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "path",
+    [
+        pytest.param(path, id=path.stem, marks=pytest.mark.slow if path.name[:2] in SLOW else ())
+        for path in EXAMPLES
+    ],
+)
 def test_an_example_runs_and_says_what_it_should(path: Path) -> None:
     done = subprocess.run(
         [sys.executable, str(path)], capture_output=True, text=True, timeout=300,

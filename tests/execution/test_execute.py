@@ -111,6 +111,7 @@ def test_a_stiffer_latch_loads_the_hold_more(tmp_path: Path) -> None:
     assert loads[1] > loads[0] + 20
 
 
+@pytest.mark.slow
 def test_the_same_seed_draws_the_same_furniture_and_another_seed_another(tmp_path: Path) -> None:
     case, config = toy(tmp_path), ExecutionConfig(furniture=FurnitureConfig(spread=0.3))
     runs = [case.run(config=config, rng=np.random.default_rng(seed)) for seed in (1, 1, 2)]

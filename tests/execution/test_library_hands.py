@@ -52,10 +52,13 @@ def leaning(lean: float) -> str:
 @pytest.mark.parametrize(
     ("name", "arm"),
     [
-        ("mobile_panda", None), ("stretch", None), ("tiago", None),
-        ("tiago_dual", "left"), ("tiago_dual", "right"),
+        ("mobile_panda", None),
+        ("stretch", None),
+        pytest.param("tiago", None, marks=pytest.mark.slow),
+        pytest.param("tiago_dual", "left", marks=pytest.mark.slow),
+        pytest.param("tiago_dual", "right", marks=pytest.mark.slow),
     ],
-)  # fmt: skip
+)
 def test_a_robot_of_the_library_opens_a_drawer_in_physics(name: str, arm: str | None) -> None:
     scene, robot = load_scene("kitchen_small"), load_robot(name, arm=arm)
     task = make_task(scene, "open", "cabinet_left", "drawer_slide")

@@ -32,6 +32,7 @@ def test_a_mirrored_joint_is_off_by_as_much_the_other_way() -> None:
     np.testing.assert_allclose(one.axis + other.axis, 2 * np.cos(TILT) * axis, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_drawer_whose_slide_is_tilted_stays_shut_until_it_is_pulled() -> None:
     scene, robot = load_scene("kitchen_small"), load_robot("segway_ur5e")
     task = make_task(scene, "open", "cabinet_right", "drawer_middle_slide")
@@ -58,7 +59,7 @@ def test_a_drawer_whose_slide_is_tilted_stays_shut_until_it_is_pulled() -> None:
         assert max(before) < 0.005
 
 
-@pytest.mark.parametrize("verb", ["open", "close"])
+@pytest.mark.parametrize("verb", [pytest.param("open", marks=pytest.mark.slow), "close"])
 def test_only_what_stands_shut_is_known_not_to_run_by_its_weight(
     verb: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

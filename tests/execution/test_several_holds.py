@@ -32,6 +32,8 @@ from momapos.trajectory import still
 from momapos.types import Hold as Held
 from momapos.types import PlacementPlan
 
+HOLDS = ("contact", pytest.param("weld", marks=pytest.mark.slow))
+
 
 @pytest.fixture(scope="module")
 def kitchen() -> Scene:
@@ -50,7 +52,7 @@ def plans(kitchen: Scene, tmp_path_factory: pytest.TempPathFactory) -> dict[str,
     }
 
 
-@pytest.mark.parametrize("hold", ["contact", "weld"])
+@pytest.mark.parametrize("hold", HOLDS)
 @pytest.mark.parametrize("item", ["cabinet_back", "fridge"])
 def test_a_door_opens_in_two_holds_and_about_a_bar(
     item: str, hold: Hold, kitchen: Scene, plans: dict[str, PlacementPlan]
@@ -69,7 +71,7 @@ def test_a_door_opens_in_two_holds_and_about_a_bar(
     assert done.hold == hold
 
 
-@pytest.mark.parametrize("hold", ["contact", "weld"])
+@pytest.mark.parametrize("hold", HOLDS)
 def test_a_hook_slides_along_a_bar(hold: Hold, tmp_path: Path) -> None:
     scene, robot = load_scene("kitchen_small"), load_robot("segway_ur5e")
     hooked, base = replace(robot, grips=Grip.HOOK), (0.300476, -1.502722, -3.024759)

@@ -28,7 +28,7 @@ from momapos.page.words import escaped
 from momapos.scan_records import Modeled
 from momapos.types import Cloud
 
-pytestmark = optional.needs("Chromium", optional.chromium() is not None)
+pytestmark = [pytest.mark.slow, optional.needs("Chromium", optional.chromium() is not None)]
 LONG = 120_000.0
 """Nothing on the page takes so long [ms]; a software renderer draws few pictures a second."""
 SLOW = 0.05

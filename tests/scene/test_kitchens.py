@@ -6,7 +6,6 @@ The scenes are judged by an independent reader, pinocchio's and coal's.
 from __future__ import annotations
 
 import json
-import os
 import random
 import sys
 import tempfile
@@ -20,7 +19,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
-from tests import optional
 from tests.independent import Item, Placed, Room
 from tests.shapes import unchecked
 
@@ -196,7 +194,7 @@ def test_the_same_seed_gives_the_same_bytes_and_leaves_no_trace(
     assert first == second
 
 
-@optional.needs("every layout of kitchens", "MOMAPOS_SLOW" in os.environ)
+@pytest.mark.slow
 @pytest.mark.parametrize(("layout", "seed"), list(product(LAYOUTS, (0, 1))))
 def test_every_layout_opens_without_hitting_anything(
     layout: str, seed: int, tmp_path: Path
