@@ -21,6 +21,7 @@ from momapos.reconstruction.height_maps import (
     is_flat,
     stands_out,
 )
+from momapos.reconstruction.leaf_frames import with_frames
 from momapos.types import FaceImage, Part, PartKind
 
 if TYPE_CHECKING:
@@ -109,6 +110,7 @@ def align(
         parts = [_snapped(part, config.grid) for part in parts]
     seen = sorted(parts, key=lambda part: -part.score)
     areas = _joined(_separated([area_of(part.box, face) for part in seen], config), face, config)
+    areas = with_frames(areas, face)
     aligned = [
         _aligned(face, part, area, config)
         for part, area in zip(seen, areas, strict=True)

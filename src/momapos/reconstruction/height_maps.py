@@ -85,10 +85,10 @@ def area_of(box: tuple[float, float, float, float], face: FaceImage) -> Area:
 
 def heights_in(face: FaceImage, area: Area, without: Area | None = None) -> Float[np.ndarray, " k"]:
     """The measured height map [m] inside an area, but for what lies in another."""
-    rows, columns = _pixels(face, area)
+    rows, columns = pixels(face, area)
     height_map = np.array(face.height_map[rows, columns], float)
     if without is not None:
-        inner_rows, inner_columns = _pixels(face, without)
+        inner_rows, inner_columns = pixels(face, without)
         r, c = rows.start, columns.start
         height_map[
             max(inner_rows.start - r, 0) : max(inner_rows.stop - r, 0),
@@ -97,7 +97,7 @@ def heights_in(face: FaceImage, area: Area, without: Area | None = None) -> Floa
     return height_map[np.isfinite(height_map)]
 
 
-def _pixels(face: FaceImage, area: Area) -> tuple[slice, slice]:
+def pixels(face: FaceImage, area: Area) -> tuple[slice, slice]:
     """Rows and columns of an area; a pixel belongs to it when its center does."""
     h, w = face.height_map.shape
     x = np.array([area.left, area.right]) / face.width * w
@@ -120,7 +120,7 @@ def bars(
         least: And are this long at least, and at least twice as long as thick [m].
         thickest: And at most this thick [m].
     """
-    rows, columns = _pixels(face, part)
+    rows, columns = pixels(face, part)
     height_map = np.array(face.height_map[rows, columns], float)
     if np.isfinite(height_map).sum() < FEWEST:
         return ()
@@ -157,7 +157,7 @@ def _at_an_end(face: FaceImage, bar: Area, plane: float) -> bool:
     along = bar if upright else bar.turned()
     for left, right in ((along.left - FRAYED, along.left), (along.right, along.right + FRAYED)):
         strip = Area(left, along.bottom, right, along.top)
-        beyond = face.height_map[_pixels(face, strip if upright else strip.turned())]
+        beyond = face.height_map[pixels(face, strip if upright else strip.turned())]
         if beyond.size and (np.abs(beyond - plane) < APART).mean() < 0.5:  # NaN compares as false
             return True
     return False
