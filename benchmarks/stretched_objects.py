@@ -13,13 +13,14 @@ from __future__ import annotations
 import argparse
 import json
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
-from xml.etree import ElementTree
 
 import numpy as np
 
-from momapos.geometry.transforms import apply
-from momapos.kinematics.urdf import Geometry, Link
+from momapos.geometry.transforms import apply, pose
+from momapos.kinematics.urdf_records import Geometry, Link
+from momapos.scene.formats.urdf_text import urdf_text
 from momapos.scene.scene import SceneObject
 from momapos.synthetic_scans.surfaces import Paint, patches, urdf_paints
 from objects import half_of, objects, parts, room
@@ -65,9 +66,9 @@ def write(item: SceneObject, stretch: np.ndarray, turn: np.ndarray, home: Path) 
     }
     paints = urdf_paints(item.model.urdf.path)
     colors: dict[str, tuple[float, float, float]] = {}
-    robot = ElementTree.Element("robot", name=home.name)
+    links = {}
     for name, link in item.model.urdf.links.items():
-        element = ElementTree.SubElement(robot, "link", name=name)
+        made: dict[str, tuple[Geometry, ...]] = {}
         for kind, shapes in _shapes(link):
             known = paints.get(name, []) if kind == "visual" else []
             for k, shape in enumerate(shapes):
@@ -75,28 +76,25 @@ def write(item: SceneObject, stretch: np.ndarray, turn: np.ndarray, home: Path) 
                 text = _mesh(shape, paint, poses[name], turn @ stretch, origins[name], colors)
                 mesh = home / f"{name}_{kind}_{k}.obj"
                 mesh.write_text(text, encoding="utf-8")
-                part = ElementTree.SubElement(element, kind, name=shape.name or name)
-                geometry = ElementTree.SubElement(part, "geometry")
-                ElementTree.SubElement(geometry, "mesh", filename=mesh.name)
-    for joint in joints:
-        element = ElementTree.SubElement(robot, "joint", name=joint.name, type=joint.kind)
-        ElementTree.SubElement(element, "parent", link=joint.parent)
-        ElementTree.SubElement(element, "child", link=joint.child)
-        offset = origins[joint.child] - origins[joint.parent]
-        ElementTree.SubElement(element, "origin", xyz=_words(offset))
-        if joint.kind != "fixed":
-            axis = turn @ own[joint.child][:3, :3] @ joint.axis
-            ElementTree.SubElement(element, "axis", xyz=_words(axis))
-        if joint.kind in ("revolute", "prismatic"):
-            limits = {"lower": f"{joint.lower:.6f}", "upper": f"{joint.upper:.6f}"}
-            ElementTree.SubElement(element, "limit", limits, effort="100", velocity="1")
+                label, file = shape.name or name, Path(mesh.name)
+                one = Geometry("mesh", (1.0, 1.0, 1.0), np.eye(4), label, file)
+                made[kind] = (*made.get(kind, ()), one)
+        links[name] = Link(name, made.get("collision", ()), made.get("visual", ()))
+    placed = tuple(
+        replace(
+            joint,
+            T_parent_joint=pose(origins[joint.child] - origins[joint.parent]),
+            axis=turn @ own[joint.child][:3, :3] @ joint.axis,
+        )
+        for joint in joints
+    )
     (home / "paints.mtl").write_text(
         "".join(f"newmtl {name}\nKd {_words(color)}\n" for name, color in colors.items()),
         encoding="utf-8",
     )
     file = home / "model.urdf"
-    ElementTree.indent(robot)
-    ElementTree.ElementTree(robot).write(file)
+    urdf = replace(item.model.urdf, name=home.name, links=links, joints=placed)
+    file.write_text(urdf_text(urdf, {}), encoding="utf-8")
     return file
 
 

@@ -24,9 +24,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from xml.etree import ElementTree
 
 import numpy as np
+
+from momapos.geometry.transforms import pose
+from momapos.kinematics.urdf_records import Geometry, Joint, JointKind, Link, Urdf
+from momapos.scene.formats.urdf_text import urdf_text
 
 KINDS = frozenset(
     (
@@ -209,32 +212,27 @@ def write(model: Model, home: Path) -> Path:
     home.mkdir(parents=True, exist_ok=True)
     points, groups = model.placed
     moving, _ = model.moving
-    robot = ElementTree.Element("robot", name=model.name)
-    links: dict[str, ElementTree.Element] = {}
-    origins: dict[str, np.ndarray] = {}
-    for key in sorted(moving):
-        links[key] = ElementTree.SubElement(robot, "link", name=key)
-        origins[key] = np.zeros(3)
-    for key in links:
-        if key != "body":
-            origins[key] = _joint(robot, key, points, groups, moving[key])
+    joints = tuple(
+        _joint(key, points, groups, moving[key]) for key in sorted(moving.keys() - {"body"})
+    )
+    origins = {joint.name: joint.T_parent_joint[:3, 3] for joint in joints}
     (home / "paints.mtl").write_text(
         "".join(f"newmtl {name}\nKd {color}\n" for name, color in model.paints.items()),
         encoding="utf-8",
     )
+    links = {}
     for key, own in moving.items():
+        shapes = []
         for k, group in enumerate(own):
             mesh = home / f"{key}_{k}.obj"
-            mesh.write_text(_mesh(points - origins[key], group), encoding="utf-8")
-            for kind in ("visual", "collision"):
-                shape = ElementTree.SubElement(links[key], kind, name=group.name)
-                ElementTree.SubElement(
-                    ElementTree.SubElement(shape, "geometry"), "mesh", filename=mesh.name
-                )
-    file = home / "model.urdf"
-    ElementTree.indent(robot)
-    ElementTree.ElementTree(robot).write(file)
-    return file
+            text = _mesh(points - origins.get(key, np.zeros(3)), group)
+            mesh.write_text(text, encoding="utf-8")
+            file = Path(mesh.name)
+            shapes.append(Geometry("mesh", (1.0, 1.0, 1.0), np.eye(4), group.name, file))
+        links[key] = Link(key, tuple(shapes), tuple(shapes))
+    path = home / "model.urdf"
+    path.write_text(urdf_text(Urdf(model.name, None, "body", links, joints), {}), encoding="utf-8")
+    return path
 
 
 def _key(group: Group) -> str:
@@ -272,10 +270,8 @@ def moving_parts(
     return asked, fixed
 
 
-def _joint(
-    robot: ElementTree.Element, key: str, points: np.ndarray, groups: list[Group], own: list[Group]
-) -> np.ndarray:
-    """Add the joint of a moving part; return its origin [m]."""
+def _joint(key: str, points: np.ndarray, groups: list[Group], own: list[Group]) -> Joint:
+    """The joint of a moving part."""
     part = points[sorted({k for group in own for k in group.corners()})]
     kind = key.split("_")[0]
     origin = np.zeros(3)
@@ -286,21 +282,12 @@ def _joint(
         low, high = fittings.min(axis=0), fittings.max(axis=0)
         origin = (low + high) / 2
         axis, upper = np.eye(3)[np.argmax(high - low)], TURN
-        way = np.cross(axis, (part.min(axis=0) + part.max(axis=0)) / 2 - origin)
+        first = np.cross(axis, (part.min(axis=0) + part.max(axis=0)) / 2 - origin)
         # A door first moves to the front or back, a lid up or down: the larger motion decides.
-        toward = -way[1] if abs(way[1]) >= abs(way[2]) else way[2]
+        toward = -first[1] if abs(first[1]) >= abs(first[2]) else first[2]
         axis = axis if toward > 0 else -axis
-    joint = ElementTree.SubElement(
-        robot, "joint", name=key, type="revolute" if kind == "hinge" else "prismatic"
-    )
-    ElementTree.SubElement(joint, "parent", link="body")
-    ElementTree.SubElement(joint, "child", link=key)
-    ElementTree.SubElement(joint, "origin", xyz=" ".join(f"{v:.6f}" for v in origin))
-    ElementTree.SubElement(joint, "axis", xyz=" ".join(f"{v:g}" for v in axis))
-    ElementTree.SubElement(
-        joint, "limit", lower="0", upper=f"{upper:.6f}", effort="100", velocity="1"
-    )
-    return origin
+    way: JointKind = "revolute" if kind == "hinge" else "prismatic"
+    return Joint(key, way, "body", key, pose(origin), axis, 0.0, upper, velocity=1.0, effort=100.0)
 
 
 def _mesh(points: np.ndarray, group: Group) -> str:
