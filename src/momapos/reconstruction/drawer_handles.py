@@ -10,7 +10,7 @@ import numpy as np
 from scipy import ndimage
 
 from momapos.reconstruction import decode
-from momapos.reconstruction.free_bars import FLUSH, HIDDEN
+from momapos.reconstruction.free_bars import FLUSH, reach
 from momapos.reconstruction.height_maps import area_of
 from momapos.types import FaceImage, Part
 
@@ -116,12 +116,10 @@ def _column(face: FaceImage, part: Part) -> Float[np.ndarray, "4"]:
     if np.isfinite(own).mean() < MEASURED:
         return box
     column = face.height_map[:, left:right]
-    behind = ~(column > np.nanmedian(own) - FLUSH)  # where nothing was measured, too
-    ends = np.flatnonzero(behind.mean(axis=1) > HIDDEN)
+    free = column > np.nanmedian(own) - FLUSH  # not where nothing was measured
     middle = (top + bottom) // 2
-    above, below = ends[ends < middle], ends[ends >= middle]
-    box[1] = min(box[1], (above[-1] + 1) / high if len(above) else 0.0)
-    box[3] = max(box[3], below[0] / high if len(below) else 1.0)
+    highest, lowest = reach(free.mean(axis=1), (middle, middle))
+    box[1], box[3] = min(box[1], highest / high), max(box[3], lowest / high)
     return box
 
 

@@ -103,10 +103,10 @@ def _around(
     columns = (int(np.clip(x[0], 0, w - 1)), int(np.clip(np.ceil(x[1]), 1, w)))
     free = free.copy()
     free[slice(*rows), slice(*columns)] = True  # though a known part may reach over some of the bar
-    wide = _reach(free[slice(*rows)].mean(axis=0), columns)
-    high = _reach(free[:, slice(*columns)].mean(axis=1), rows)
-    first = (wide, _reach(free[:, slice(*wide)].mean(axis=1), rows))
-    second = (_reach(free[slice(*high)].mean(axis=0), columns), high)
+    wide = reach(free[slice(*rows)].mean(axis=0), columns)
+    high = reach(free[:, slice(*columns)].mean(axis=1), rows)
+    first = (wide, reach(free[:, slice(*wide)].mean(axis=1), rows))
+    second = (reach(free[slice(*high)].mean(axis=0), columns), high)
     across, down = max(first, second, key=lambda pair: np.ptp(pair[0]) * np.ptp(pair[1]))
     box = (across[0] / w, down[0] / h, across[1] / w, down[1] / h)
     area = area_of(box, face)
@@ -124,7 +124,7 @@ def _around(
     return replace(decode.told(said, opening(kind, area, bar)), handle=fractions(bar, face))
 
 
-def _reach(share: np.ndarray, start: tuple[int, int]) -> tuple[int, int]:
+def reach(share: np.ndarray, start: tuple[int, int]) -> tuple[int, int]:
     """How far a stretch of pixels can be widened until too few of a row or column are free."""
     blocked = np.flatnonzero(share < 1.0 - HIDDEN)
     before, behind = blocked[blocked < start[0]], blocked[blocked >= start[1]]
