@@ -85,7 +85,7 @@ test-ros: $(ROS)/.ready
 		$(ROS)/bin/python -m pytest -n 0 tests/ros2
 
 test-film: $(VENV)/.film
-	$(BIN)/pytest tests/execution/test_film.py tests/execution/test_film_files.py tests/page/test_drawing.py
+	MOMAPOS_SLOW=1 $(BIN)/pytest tests/execution/test_film.py tests/execution/test_film_files.py tests/page/test_drawing.py
 
 test-page: $(VENV)/.dev
 	MOMAPOS_SLOW=1 $(BIN)/pytest tests/page

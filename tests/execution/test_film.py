@@ -20,6 +20,7 @@ from momapos.execution.shapes import Kind
 from momapos.scene.scene import SceneObject
 
 
+@pytest.mark.slow
 @optional.needs("EGL", optional.draws_off_screen())
 def test_a_filmstrip_shows_the_run(tmp_path: Path) -> None:
     trace = RunTrace()
@@ -35,6 +36,7 @@ def test_a_filmstrip_shows_the_run(tmp_path: Path) -> None:
     assert len(strip.resize((60, 30)).getcolors(10_000)) > 20
 
 
+@pytest.mark.slow
 @optional.needs("EGL", optional.draws_off_screen())
 def test_a_film_moves_and_is_light_and_can_be_read(tmp_path: Path) -> None:
     trace = RunTrace()
@@ -54,6 +56,7 @@ def test_a_film_moves_and_is_light_and_can_be_read(tmp_path: Path) -> None:
     assert caption.max() - caption.min() > 150  # dark on white
 
 
+@pytest.mark.slow
 def test_a_wall_before_the_camera_hides_nothing(tmp_path: Path) -> None:
     run, free, walled = toy(tmp_path), RunTrace(), RunTrace()
     run.run(watch=free)
@@ -101,6 +104,7 @@ def no_canvas(width: int, height: int) -> None:
     raise RuntimeError(f"no canvas of {width} x {height}")
 
 
+@pytest.mark.slow
 @optional.needs("EGL", optional.draws_off_screen())
 def test_the_force_on_the_hand_is_seen_through_all_that_hides_it(tmp_path: Path) -> None:
     trace = RunTrace()
