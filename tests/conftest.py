@@ -37,7 +37,7 @@ def robot(request: pytest.FixtureRequest, robots: Callable[[str], Robot]) -> Rob
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Leave slow tests out unless they are asked for: variants of what other tests try as well."""
+    """Leave slow tests out unless they are asked for, as `make test-slow` does."""
     slow = optional.needs("minutes", "MOMAPOS_SLOW" in os.environ)
     for item in items:
         if item.get_closest_marker("slow") is not None:

@@ -73,4 +73,5 @@ def _twins(face: FaceImage, leaf: Area, edge: float) -> bool:
         near = lines[pixels(face, replace(leaf, left=x - NEAR, right=x + NEAR))]
         return float(np.median(near, axis=0).max(initial=0.0)) if near.size else 0.0
 
-    return at(edge) > LINE and at(leaf.left + leaf.right - edge) > TWIN * at(edge)
+    own = at(edge)
+    return own > LINE and at(leaf.left + leaf.right - edge) > TWIN * own
