@@ -117,7 +117,7 @@ def _column(face: FaceImage, part: Part) -> Float[np.ndarray, "4"]:
         return box
     column = face.height_map[:, left:right]
     free = column > np.nanmedian(own) - FLUSH  # not where nothing was measured
-    middle = (top + bottom) // 2
+    middle = int(top + bottom) // 2
     highest, lowest = reach(free.mean(axis=1), (middle, middle))
     box[1], box[3] = min(box[1], highest / high), max(box[3], lowest / high)
     return box
