@@ -196,6 +196,7 @@ def test_the_arm_finds_home_from_a_grasp_with_the_drawer_half_open(
     assert np.abs(np.diff(way, axis=0)).max() < 0.05
 
 
+@pytest.mark.slow
 def test_where_the_hand_loses_its_hold_another_grasp_does_the_task(
     kitchen: Scene, robot: Robot, plan: PlacementPlan
 ) -> None:

@@ -183,6 +183,7 @@ def test_boxes_that_someone_gives_are_taken_and_given_models_too(
     assert np.abs(found.bounds - kitchen.bounds).max() < 0.06
 
 
+@pytest.mark.slow
 def test_what_a_thing_is_may_be_seen_said_or_pointed_at(
     scan: Scan, tools: Tools, made: Modeled, folder: Path, tmp_path: Path
 ) -> None:
