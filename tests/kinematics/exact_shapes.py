@@ -88,13 +88,30 @@ def link_spheres(robot: Robot, link: str) -> tuple[np.ndarray, np.ndarray]:
     return (spheres.center[of_link] - T[:3, 3]) @ T[:3, :3], spheres.radius[of_link]
 
 
-def hull_pairs(spheres: Spheres) -> list[tuple[int, int]]:
+class HullPairs:
     """Pairs of hulls whose overlap is contact of the robot with itself."""
-    of = [range(*ends) for ends in itertools.pairwise(spheres.hulls.of_group)]
-    arm = [(a, b) for i, j in spheres.pairs for a in of[i] for b in of[j]]
-    against = np.argwhere(spheres.base_pairs)
-    base = [(a, int(spheres.hulls.of_base[b])) for g, b in against for a in of[g]]
-    return [*arm, *dict.fromkeys(base)]
+
+    def __init__(self, spheres: Spheres) -> None:
+        hulls, self.spheres = spheres.hulls, spheres
+        of = [range(*ends) for ends in itertools.pairwise(hulls.of_group)]
+        arm = [(a, b) for i, j in spheres.pairs for a in of[i] for b in of[j]]
+        against = np.argwhere(spheres.base_pairs)
+        base = [(a, int(hulls.of_base[b])) for g, b in against for a in of[g]]
+        self.pairs = np.array([*arm, *dict.fromkeys(base)], int).reshape(-1, 2)
+        bodies = [hulls.vertices[slice(*ends)] for ends in itertools.pairwise(hulls.first)]
+        self.center = np.array([body.mean(0) for body in bodies]).reshape(-1, 3)
+        self.radius = np.array(
+            [np.linalg.norm(b - c, axis=1).max() for b, c in zip(bodies, self.center, strict=True)]
+        )
+
+    def meet(self, Ts: Float[np.ndarray, "segments 4 4"]) -> bool:
+        """Whether any overlap; pairs whose enclosing balls are apart are not asked."""
+        T = Ts[self.spheres.hulls.segment]
+        center = np.einsum("hij,hj->hi", T[:, :3, :3], self.center) + T[:, :3, 3]
+        a, b = self.pairs.T
+        apart = np.linalg.norm(center[a] - center[b], axis=1) > self.radius[a] + self.radius[b]
+        near = self.pairs[~apart].tolist()
+        return any(hulls_meet(self.spheres, Ts, (i, j)) for i, j in near)
 
 
 def hulls_meet(

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import coal
 import numpy as np
 import pytest
-from exact_shapes import hull_pairs, hulls_meet, random_boxes, random_states, rotations
+from exact_shapes import HullPairs, random_boxes, random_states, rotations
 from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
@@ -72,6 +72,7 @@ class Twin:
     def __init__(self, world: CollisionWorld, chain: Chain, spheres: Spheres) -> None:
         self.world, self.chain, self.spheres = world, chain, spheres
         self.group = np.repeat(np.arange(len(spheres.segment)), np.diff(spheres.start))
+        self.hulls = HullPairs(spheres)
 
     def codes(
         self, q: np.ndarray, bases: np.ndarray, value: np.ndarray, holding: np.ndarray
@@ -118,9 +119,7 @@ class Twin:
         back = invert(Ts[0])
         in_base = p @ back[:3, :3].T + back[:3, 3]
         hit = gaps(in_base, s.base.center, s.base.rotation, s.base.half) < s.radius[:, None]
-        return bool((hit & (s.base_pairs & ~s.base_exact)[self.group]).any()) or any(
-            hulls_meet(s, Ts, pair) for pair in hull_pairs(s)
-        )
+        return bool((hit & (s.base_pairs & ~s.base_exact)[self.group]).any()) or self.hulls.meet(Ts)
 
 
 def situations(

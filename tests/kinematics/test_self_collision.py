@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from exact_shapes import hull_pairs, hulls_meet, random_states
+from exact_shapes import HullPairs, random_states
 from jaxtyping import Float
 
 from momapos.kinematics.articulated import Articulated
@@ -82,10 +82,8 @@ def arm_of(model: Articulated, joints: tuple[str, ...]) -> tuple[Chain, Spheres]
 def test_links_overlap_where_the_exact_check_says_so(robot: Robot) -> None:
     q = random_states(robot.chain, 60, np.random.default_rng(0))
     found = contacts(robot.chain, robot.spheres, q).by_hulls.any(1)
-    expected = []
-    for state in q:
-        Ts = segment_poses(robot.chain, state)
-        expected.append(any(hulls_meet(robot.spheres, Ts, p) for p in hull_pairs(robot.spheres)))
+    pairs = HullPairs(robot.spheres)
+    expected = [pairs.meet(segment_poses(robot.chain, state)) for state in q]
     np.testing.assert_array_equal(found, expected)
     assert 0.05 < found.mean() < 0.8
 
