@@ -105,16 +105,22 @@ def test_the_boxes_of_the_gripper_decide_where_its_spheres_touch(
 
 
 def deepest(hand: Boxes, boxes: Boxes) -> float:
-    """How deep points of a hand's boxes are in any other box at most [m]."""
+    """How deep points of a hand's boxes are in any other box at most [m]; 0 far from all."""
+    middle = hand.center.mean(axis=0)
+    reach = np.linalg.norm(hand.center - middle, axis=1) + np.linalg.norm(hand.half, axis=1)
+    apart = np.linalg.norm(boxes.center - middle, axis=1) - np.linalg.norm(boxes.half, axis=1)
+    near = apart < reach.max()
+    if not near.any():
+        return 0.0
     t = np.linspace(-1, 1, 3)
     grid = np.stack(np.meshgrid(t, t, t, indexing="ij"), -1).reshape(-1, 3)
     points = (
         np.einsum("bij,bnj->bni", hand.rotation, grid * hand.half[:, None]) + hand.center[:, None]
     )
     local = np.einsum(
-        "oji,onj->oni", boxes.rotation, points.reshape(1, -1, 3) - boxes.center[:, None]
+        "oji,onj->oni", boxes.rotation[near], points.reshape(1, -1, 3) - boxes.center[near, None]
     )
-    return float((boxes.half[:, None] - np.abs(local)).min(-1).max())
+    return float((boxes.half[near, None] - np.abs(local)).min(-1).max())
 
 
 def by_wrist(robot: Robot, world: CollisionWorld, Ts: np.ndarray) -> np.ndarray:
