@@ -67,7 +67,7 @@ def gaps(
 
 
 class Twin:
-    """`world.check` as numpy writes it: every sphere, every box, no grid and no culling."""
+    """`world.check` as numpy writes it: every sphere, every box, no grid."""
 
     def __init__(self, world: CollisionWorld, chain: Chain, spheres: Spheres) -> None:
         self.world, self.chain, self.spheres = world, chain, spheres
