@@ -29,7 +29,7 @@ class Placed:
     T: pin.SE3
     box: coal.Box
 
-    @property
+    @cached_property
     def corners(self) -> Float[np.ndarray, "8 3"]:
         """Its corners in the world [m]."""
         signs = np.stack(np.meshgrid(*3 * [[-1.0, 1.0]]), -1).reshape(-1, 3)

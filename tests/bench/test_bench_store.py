@@ -20,7 +20,7 @@ from momapos.bench.folder import all_rows, rows_file
 from momapos.bench.store import ADDED, Store, read_rows
 from momapos.errors import FileFormatError, InputError
 
-KILLS, JOBS = 12, 1500
+KILLS, JOBS = 20, 2500
 RUNNER = str(Path(__file__).parent / "killed_runner.py")
 
 

@@ -57,19 +57,16 @@ def kitchen(request: pytest.FixtureRequest) -> Path:
     return LIBRARY / f"{request.param}.json"
 
 
-Bounds = tuple[np.ndarray, np.ndarray]
-
-
-def bounds(shapes: Sequence[Placed]) -> Bounds:
+def bounds(shapes: Sequence[Placed]) -> tuple[np.ndarray, np.ndarray]:
     """Lowest and highest corners [m] of the axis-aligned boxes around shapes."""
     corners = np.array([shape.corners for shape in shapes])
     return corners.min(1), corners.max(1)
 
 
-def least_distance(some: Sequence[Placed], others: Sequence[Placed], around: Bounds) -> float:
+def least_distance(some: Sequence[Placed], others: Sequence[Placed]) -> float:
     """Least signed distance [m] between two sets of shapes that is below 3 mm; else 3 mm."""
     margin, least = 0.003, 0.003
-    low, high = around
+    low, high = bounds(others)
     for shape, its_low, its_high in zip(some, *bounds(some), strict=True):
         near = np.all((low < its_high + margin) & (high > its_low - margin), axis=1)
         least = min([least, *(shape.distance(others[i]) for i in np.flatnonzero(near))])
@@ -110,15 +107,14 @@ def test_every_file_of_a_kitchen_lies_in_its_own_folder(kitchen: Path) -> None:
 
 def test_a_moving_part_hits_nothing_along_its_whole_opening(kitchen: Path) -> None:
     for item, joint, still in moving_parts(kitchen):
-        around = bounds(still)
         for value in np.linspace(*item.limits(joint), 30):
-            least = least_distance(shapes_at(item, joint, value), still, around)
+            least = least_distance(shapes_at(item, joint, value), still)
             assert least >= -1e-3, (item.name, joint, value, least)
 
 
 def test_a_closed_part_leaves_a_gap_all_around(kitchen: Path) -> None:
     for item, joint, still in moving_parts(kitchen):
-        least = least_distance(shapes_at(item, joint, 0.0), still, bounds(still))
+        least = least_distance(shapes_at(item, joint, 0.0), still)
         assert least >= 1e-3, (item.name, joint, least)
 
 
@@ -166,7 +162,7 @@ def test_there_are_things_to_pick_that_rest_on_something(kitchen: Path) -> None:
     assert 3 <= len(things) <= 5
     for item in things:
         others = [s for other in items if other is not item for s in other.shapes()]
-        assert 0 < least_distance(item.shapes(), others, bounds(others)) <= 0.002, item.name
+        assert 0 < least_distance(item.shapes(), others) <= 0.002, item.name
 
 
 def test_the_shipped_kitchens_are_small() -> None:
