@@ -85,10 +85,10 @@ test-ros: $(ROS)/.ready
 		$(ROS)/bin/python -m pytest -n 0 tests/ros2
 
 test-film: $(VENV)/.film
-	MOMAPOS_SLOW=1 $(BIN)/pytest tests/execution/test_film.py tests/execution/test_film_files.py tests/page/test_drawing.py
+	MOMAPOS_SLOW=1 $(BIN)/pytest tests/simulation/test_film.py tests/simulation/test_film_files.py tests/apps/web/test_drawing.py
 
 test-page: $(VENV)/.dev
-	MOMAPOS_SLOW=1 $(BIN)/pytest tests/page
+	MOMAPOS_SLOW=1 $(BIN)/pytest tests/apps/web
 
 docs: $(VENV)/.docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build

@@ -107,7 +107,7 @@ def _fenced(text: str, language: str) -> str:
 
 def playing_plan() -> bytes:
     """The first task of the gallery as `momapos view --static` writes it."""
-    program = [sys.executable, "-c", "from momapos.cli.main import entry; entry()"]
+    program = [sys.executable, "-c", "from momapos.apps.cli.main import entry; entry()"]
     with tempfile.TemporaryDirectory() as folder:
         plan, page = Path(folder) / "plan.json", Path(folder) / "plan.html"
         subprocess.run([*program, *ANSWER, "--out", str(plan)], check=True, capture_output=True)

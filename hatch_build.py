@@ -13,12 +13,12 @@ from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 _RUN = """
 import runpy, sys
 sys.path.insert(0, sys.argv.pop(1))
-runpy.run_module("momapos.compiled.pack", run_name="__main__")
+runpy.run_module("momapos.core.compiled.pack", run_name="__main__")
 """
 
 
 class KernelPack(BuildHookInterface):
-    """Puts `kernels.zip` beside `momapos/compiled/store.py`; without it kernels compile at run."""
+    """Puts `kernels.zip` beside `momapos/core/compiled/code_store.py`; without it kernels compile at run."""
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
         """Build the pack in a process of its own, as numba reads the processor's name once."""
@@ -32,7 +32,7 @@ class KernelPack(BuildHookInterface):
         command = [sys.executable, "-c", _RUN, str(source), str(pack)]
         done = subprocess.run(command, capture_output=True, text=True)
         if done.returncode == 0:
-            build_data["force_include"][str(pack)] = "momapos/compiled/kernels.zip"
+            build_data["force_include"][str(pack)] = "momapos/core/compiled/kernels.zip"
         else:
             reason = (done.stderr.strip().splitlines() or ["no reason given"])[-1]
             self.app.display_warning(f"the wheel brings no compiled kernels: {reason}")

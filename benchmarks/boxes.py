@@ -24,25 +24,26 @@ import numpy as np
 from jaxtyping import Float
 
 from importance_rooms import is_wall
-from momapos.fusion.gravity import align_to_gravity
-from momapos.fusion.tsdf import fuse
-from momapos.geometry.transforms import apply, pose
-from momapos.kinematics.articulated import Articulated
-from momapos.kinematics.urdf import Geometry, Link, Urdf, box_urdf
-from momapos.protocols import ArticulationPredictor
-from momapos.reconstruction.network import FrontNetwork
-from momapos.scan_io.scan import read_scan
-from momapos.scan_pipeline import divide
-from momapos.scan_records import ScanConfig
-from momapos.scene.files import load_scene
-from momapos.scene.kitchens import LAYOUTS, generate_kitchen
-from momapos.scene.scene import Scene, SceneObject
-from momapos.segmentation.boxes import boxes
-from momapos.segmentation.room import find_room
-from momapos.segmentation.segmenter import ClassicalSegmenter
-from momapos.synthetic_scans.depth_sensor import DepthSensor
-from momapos.synthetic_scans.recording import synthetic_scan, write_scan
-from momapos.types import Cloud, Detection, UprightBox
+from momapos.apps.synthetic_scans.depth_sensor import DepthSensor
+from momapos.apps.synthetic_scans.recording import synthetic_scan, write_scan
+from momapos.core.geometry.transforms import apply, pose
+from momapos.core.geometry.upright_boxes import UprightBox
+from momapos.model.records.protocols import ArticulationPredictor
+from momapos.model.records.scans import Cloud, Detection
+from momapos.model.scene.kitchens import LAYOUTS, generate_kitchen
+from momapos.model.scene.scene import Scene, SceneObject
+from momapos.model.scene.scene_files import load_scene
+from momapos.model.urdf.articulated import Articulated
+from momapos.model.urdf.reader import Geometry, Link, Urdf, box_urdf
+from momapos.perception.fusion.gravity import align_to_gravity
+from momapos.perception.fusion.tsdf import fuse
+from momapos.perception.pipeline import divide
+from momapos.perception.reconstruction.front_network import FrontNetwork
+from momapos.perception.recordings.scan_reader import read_scan
+from momapos.perception.records import ScanConfig
+from momapos.perception.segmentation.instance_boxes import boxes
+from momapos.perception.segmentation.room_shell import find_room
+from momapos.perception.segmentation.segmenter import ClassicalSegmenter
 from placement import SCENES, machine, shared
 
 FURNITURE = ("fridge", "oven", "dishwasher", "microwave", "table")

@@ -21,14 +21,14 @@ from typing import Any
 
 import numpy as np
 
-from momapos.bench.disturbances import still_does
-from momapos.cache import default_cache_dir
-from momapos.config import PipelineConfig
-from momapos.manipulation.tasks import make_task
-from momapos.pipeline import plan_base_placement
-from momapos.placement.config import PlaceConfig
-from momapos.reachability.store import load_reach_map
-from momapos.robots.robot import load_robot
+from momapos.apps.bench.disturbances import still_does
+from momapos.core.cache import default_cache_dir
+from momapos.model.robots.robot import load_robot
+from momapos.planning.config import PipelineConfig
+from momapos.planning.grasps.tasks import make_task
+from momapos.planning.placement.config import PlaceConfig
+from momapos.planning.plan import plan_base_placement
+from momapos.planning.reachability.map_store import load_reach_map
 from placement import ROBOTS, machine, openings, scene_of
 from rows import keep_rows
 

@@ -19,16 +19,16 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from momapos.cache import default_cache_dir
-from momapos.config import PipelineConfig
-from momapos.errors import MomaposError
-from momapos.manipulation.tasks import make_task, openable
-from momapos.pipeline import plan_base_placement
-from momapos.placement.config import PlaceConfig
-from momapos.reachability.map import ReachMap
-from momapos.reachability.store import load_reach_map
-from momapos.robots.robot import Robot, load_robot
-from momapos.scene.scene import Scene
+from momapos.core.cache import default_cache_dir
+from momapos.core.errors import MomaposError
+from momapos.model.robots.robot import Robot, load_robot
+from momapos.model.scene.scene import Scene
+from momapos.planning.config import PipelineConfig
+from momapos.planning.grasps.tasks import make_task, openable
+from momapos.planning.placement.config import PlaceConfig
+from momapos.planning.plan import plan_base_placement
+from momapos.planning.reachability.map_store import load_reach_map
+from momapos.planning.reachability.reach_map import ReachMap
 from objects import HALVES, half_of, tasks
 from placement import ROBOTS, SCENES, machine, scene_of
 

@@ -21,13 +21,13 @@ from jaxtyping import Float
 
 from drive_figure import draw_drive
 from drive_rooms import People, Question, connected, questions, rooms
-from momapos.geometry.transforms import wrap_angle
-from momapos.navigation.drive import DriveConfig, drive
-from momapos.navigation.drive_record import DriveEnding, DriveRecord
-from momapos.navigation.footprint_map import NavigationMap, build_navigation_map
-from momapos.robots.names import library_names
-from momapos.robots.robot import Robot, load_robot
-from momapos.scene.scene import Scene
+from momapos.core.geometry.transforms import wrap_angle
+from momapos.model.robots.robot import Robot, load_robot
+from momapos.model.robots.robot_names import library_names
+from momapos.model.scene.scene import Scene
+from momapos.planning.navigation.drive_record import DriveEnding, DriveRecord
+from momapos.planning.navigation.driving import DriveConfig, drive
+from momapos.planning.navigation.footprint_map import NavigationMap, build_navigation_map
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,15 +11,15 @@ from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
 from drive_rooms import Question
-from momapos.geometry.planar import place_points
-from momapos.geometry.transforms import wrap_angle
-from momapos.navigation.drive_record import DriveRecord
-from momapos.navigation.footprint_map import NavigationMap
-from momapos.navigation.global_path import plan_path
-from momapos.scene.scene import Scene
-from momapos.viewer.palette import GOOD, INK, SELECTED, SOFT_INK, WAYPOINT
-from momapos.viewer.robot import draw_footprint
-from momapos.viewer.room import name_objects, room, room_bounds
+from momapos.apps.plots.palette import GOOD, INK, SELECTED, SOFT_INK, WAYPOINT
+from momapos.apps.plots.robot_plot import draw_footprint
+from momapos.apps.plots.room_plot import name_objects, room, room_bounds
+from momapos.core.geometry.planar import place_points
+from momapos.core.geometry.transforms import wrap_angle
+from momapos.model.scene.scene import Scene
+from momapos.planning.navigation.drive_record import DriveRecord
+from momapos.planning.navigation.footprint_map import NavigationMap
+from momapos.planning.navigation.global_path import plan_path
 
 EVERY = 0.25
 """The footprint is drawn after this much way, a radian counting as half a meter [m]."""

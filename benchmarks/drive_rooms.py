@@ -12,16 +12,22 @@ from scipy.ndimage import label
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from momapos.geometry.polygons import inscribed_radius
-from momapos.geometry.transforms import wrap_angle
-from momapos.manipulation.task_boxes import room_boxes
-from momapos.navigation.clearance import gaps
-from momapos.navigation.cost_map import CELL, FloorPlan, base_height, build_cost_map, floor_plan
-from momapos.navigation.footprint_map import HEADINGS, NavigationMap
-from momapos.scene.files import load_scene
-from momapos.scene.kitchens import LAYOUTS, generate_kitchen
-from momapos.scene.names import builtin_names
-from momapos.scene.scene import Scene
+from momapos.core.geometry.polygons import inscribed_radius
+from momapos.core.geometry.transforms import wrap_angle
+from momapos.model.scene.kitchens import LAYOUTS, generate_kitchen
+from momapos.model.scene.scene import Scene
+from momapos.model.scene.scene_files import load_scene
+from momapos.model.scene.scene_names import builtin_names
+from momapos.planning.grasps.task_boxes import room_boxes
+from momapos.planning.navigation.cost_map import (
+    CELL,
+    FloorPlan,
+    base_height,
+    build_cost_map,
+    floor_plan,
+)
+from momapos.planning.navigation.footprint_map import HEADINGS, NavigationMap
+from momapos.planning.navigation.outline_gaps import gaps
 
 FARTHER_THAN = 1.5
 """Geodesic length of a drive at least [m]."""

@@ -28,18 +28,18 @@ from typing import Any
 
 import numpy as np
 
-from momapos.cache import default_cache_dir
-from momapos.config import PipelineConfig
-from momapos.errors import MomaposError
-from momapos.execution.config import ExecutionConfig, FurnitureConfig, ModelErrorConfig
-from momapos.manipulation.tasks import make_task, openable
-from momapos.navigation.drive import DriveConfig
-from momapos.pipeline import plan_base_placement
-from momapos.reachability.store import load_reach_map
-from momapos.robots.robot import Robot, load_robot
-from momapos.run_plan import QUIET, run_plan
-from momapos.scene.files import load_scene
-from momapos.scene.scene import Scene
+from momapos.core.cache import default_cache_dir
+from momapos.core.errors import MomaposError
+from momapos.model.robots.robot import Robot, load_robot
+from momapos.model.scene.scene import Scene
+from momapos.model.scene.scene_files import load_scene
+from momapos.planning.config import PipelineConfig
+from momapos.planning.grasps.tasks import make_task, openable
+from momapos.planning.navigation.driving import DriveConfig
+from momapos.planning.plan import plan_base_placement
+from momapos.planning.reachability.map_store import load_reach_map
+from momapos.simulation.config import ExecutionConfig, FurnitureConfig, ModelErrorConfig
+from momapos.workflows.run import QUIET, run_plan
 from placement import shared
 from rows import keep_rows
 

@@ -17,15 +17,15 @@ from pathlib import Path
 
 from PIL import Image, ImageSequence
 
-from momapos.execution.film import write_film
-from momapos.execution.film_files import GIF, MP4, STRIP
-from momapos.execution.run_trace import RunTrace
-from momapos.manipulation.tasks import make_task
-from momapos.pipeline import plan_base_placement
-from momapos.reachability.store import load_reach
-from momapos.robots.robot import load_robot
-from momapos.run_plan import run_plan
-from momapos.scene.files import load_scene
+from momapos.model.robots.robot import load_robot
+from momapos.model.scene.scene_files import load_scene
+from momapos.planning.grasps.tasks import make_task
+from momapos.planning.plan import plan_base_placement
+from momapos.planning.reachability.map_store import load_reach
+from momapos.simulation.film import write_film
+from momapos.simulation.film_files import GIF, MP4, STRIP
+from momapos.simulation.run_trace import RunTrace
+from momapos.workflows.run import run_plan
 
 PAGE = (640, 360)
 """Size of the README's GIF [px]."""

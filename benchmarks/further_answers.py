@@ -15,13 +15,13 @@ from typing import Any
 
 import numpy as np
 
-from momapos.cache import default_cache_dir
-from momapos.config import PipelineConfig
-from momapos.manipulation.tasks import make_task
-from momapos.placements import iter_placements
-from momapos.reachability.store import load_reach_map
-from momapos.robots.robot import load_robot
-from momapos.scene.files import load_scene
+from momapos.core.cache import default_cache_dir
+from momapos.model.robots.robot import load_robot
+from momapos.model.scene.scene_files import load_scene
+from momapos.planning.config import PipelineConfig
+from momapos.planning.grasps.tasks import make_task
+from momapos.planning.iterate import iter_placements
+from momapos.planning.reachability.map_store import load_reach_map
 from placement import machine
 from rows import keep_rows
 

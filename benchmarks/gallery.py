@@ -25,14 +25,14 @@ import numpy as np
 from PIL import Image
 from playwright.sync_api import sync_playwright
 
-from momapos.cache import user_cache
-from momapos.cli.main import main
-from momapos.cli.view_sources import opened_source
-from momapos.geometry.planar import rotation
-from momapos.page.cameras import viewpoint
-from momapos.page.page import Page
-from momapos.page.saving import render
-from momapos.page.serve import served
+from momapos.apps.cli.main import main
+from momapos.apps.cli.view_sources import opened_source
+from momapos.apps.web.cameras import viewpoint
+from momapos.apps.web.page import Page
+from momapos.apps.web.saving import render
+from momapos.apps.web.serve import served
+from momapos.core.cache import user_cache
+from momapos.core.geometry.planar import rotation
 
 FLAGS = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
          "--no-sandbox"]  # fmt: skip

@@ -17,9 +17,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from momapos.geometry.transforms import apply
-from momapos.kinematics.opening import opening_of
-from momapos.scene.scene import Scene
+from momapos.core.geometry.transforms import apply
+from momapos.model.scene.scene import Scene
+from momapos.model.urdf.joint_opening import opening_of
 from objects import HALVES, half_of, objects, parts, room
 from scan_parts import AXIS, Way, way_of
 

@@ -21,17 +21,17 @@ from typing import cast
 
 import numpy as np
 
-from momapos.geometry.transforms import pose
-from momapos.importance.config import ImportanceConfig, ScorerName
-from momapos.importance.graph import build_graph
-from momapos.importance.rank import rank
-from momapos.importance.relations import KINDS
-from momapos.importance.scorers import SCORERS
-from momapos.kinematics.articulated import Articulated
-from momapos.kinematics.urdf import box_urdf
-from momapos.scene.files import load_scene
-from momapos.scene.names import builtin_names
-from momapos.scene.scene import Scene, SceneObject
+from momapos.core.geometry.transforms import pose
+from momapos.model.scene.scene import Scene, SceneObject
+from momapos.model.scene.scene_files import load_scene
+from momapos.model.scene.scene_names import builtin_names
+from momapos.model.urdf.articulated import Articulated
+from momapos.model.urdf.reader import box_urdf
+from momapos.planning.importance.config import ImportanceConfig, ScorerName
+from momapos.planning.importance.ranking import rank
+from momapos.planning.importance.relations import KINDS
+from momapos.planning.importance.scene_graph import build_graph
+from momapos.planning.importance.scorers import SCORERS
 
 SEEDS = 8
 REAL = (

@@ -15,19 +15,20 @@ from pathlib import Path
 
 import numpy as np
 
-from momapos.cache import default_cache_dir
-from momapos.config import PipelineConfig
-from momapos.errors import MomaposError
-from momapos.importance.config import ImportanceConfig, ScorerName
-from momapos.manipulation.tasks import make_task, openable
-from momapos.pipeline import plan_base_placement
-from momapos.reachability.store import load_reach_map
-from momapos.robots.robot import Robot, load_robot
-from momapos.scene.files import load_scene
-from momapos.scene.names import builtin_names
-from momapos.scene.scene import Scene
-from momapos.types import KeyObjects, Task
-from momapos.verification.exact import PlanVerifier
+from momapos.core.cache import default_cache_dir
+from momapos.core.errors import MomaposError
+from momapos.model.records.plans import KeyObjects
+from momapos.model.records.tasks import Task
+from momapos.model.robots.robot import Robot, load_robot
+from momapos.model.scene.scene import Scene
+from momapos.model.scene.scene_files import load_scene
+from momapos.model.scene.scene_names import builtin_names
+from momapos.planning.config import PipelineConfig
+from momapos.planning.grasps.tasks import make_task, openable
+from momapos.planning.importance.config import ImportanceConfig, ScorerName
+from momapos.planning.plan import plan_base_placement
+from momapos.planning.reachability.map_store import load_reach_map
+from momapos.verification.exact_check import PlanVerifier
 from placement import SCENES, machine, shared
 
 RUNS: tuple[tuple[str, ScorerName, float], ...] = (

@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from momapos.geometry.transforms import pose
-from momapos.kinematics.articulated import Articulated
-from momapos.kinematics.urdf import box_urdf
-from momapos.manipulation.tasks import openable
-from momapos.scene.files import load_scene
-from momapos.scene.kitchens import LAYOUTS, generate_kitchen
-from momapos.scene.scene import Scene, SceneObject
+from momapos.core.geometry.transforms import pose
+from momapos.model.scene.kitchens import LAYOUTS, generate_kitchen
+from momapos.model.scene.scene import Scene, SceneObject
+from momapos.model.scene.scene_files import load_scene
+from momapos.model.urdf.articulated import Articulated
+from momapos.model.urdf.reader import box_urdf
+from momapos.planning.grasps.tasks import openable
 from placement import SCENES, shared
 
 OBJECTS = 30

@@ -28,22 +28,22 @@ from jaxtyping import Float, Int
 
 from importance_metrics import draw, summary, table
 from importance_rooms import Room, built_in_rooms, is_wall, shared_rooms
-from momapos.cache import default_cache_dir
-from momapos.config import PipelineConfig
-from momapos.errors import MomaposError
-from momapos.geometry.planar import compose
-from momapos.importance.config import ImportanceConfig, ScorerName
-from momapos.importance.rank import rank
-from momapos.manipulation.feasibility import Feasibility, collision_free_grasps
-from momapos.manipulation.motion import task_motion
-from momapos.manipulation.tasks import hand_path, make_task
-from momapos.placement.area import BaseStatus, base_pose_status, sampling_box, task_frame
-from momapos.prepare import collision_world, placement_geometry
-from momapos.protocols import ReachScorer
-from momapos.reachability.store import load_reach_map
-from momapos.robots.robot import Robot, load_robot
-from momapos.scene.scene import Scene, SceneObject
-from momapos.types import Task
+from momapos.core.cache import default_cache_dir
+from momapos.core.errors import MomaposError
+from momapos.core.geometry.planar import compose
+from momapos.model.records.protocols import ReachScorer
+from momapos.model.records.tasks import Task
+from momapos.model.robots.robot import Robot, load_robot
+from momapos.model.scene.scene import Scene, SceneObject
+from momapos.planning.arm_motion.feasibility import Feasibility, collision_free_grasps
+from momapos.planning.config import PipelineConfig
+from momapos.planning.grasps.task_motions import task_motion
+from momapos.planning.grasps.tasks import hand_path, make_task
+from momapos.planning.importance.config import ImportanceConfig, ScorerName
+from momapos.planning.importance.ranking import rank
+from momapos.planning.placement.area import BaseStatus, base_pose_status, sampling_box, task_frame
+from momapos.planning.reachability.map_store import load_reach_map
+from momapos.planning.task_setup import collision_world, placement_geometry
 
 CONFIG = PipelineConfig()
 GRASPS = 8

@@ -28,12 +28,12 @@ import numpy as np
 import trimesh
 from trimesh.visual import ColorVisuals
 
-from momapos.geometry.transforms import pose_planar
-from momapos.kinematics.articulated import Articulated
-from momapos.kinematics.urdf import read_urdf
-from momapos.kinematics.urdf_records import Geometry, Joint, Urdf
-from momapos.scene.formats.urdf_text import urdf_text
-from momapos.scene.scene import SceneObject
+from momapos.core.geometry.transforms import pose_planar
+from momapos.model.scene.formats.urdf_writer import urdf_text
+from momapos.model.scene.scene import SceneObject
+from momapos.model.urdf.articulated import Articulated
+from momapos.model.urdf.reader import read_urdf
+from momapos.model.urdf.urdf_records import Geometry, Joint, Urdf
 from objects import USUAL, Usual, half_of
 
 KINDS = {

@@ -17,14 +17,14 @@ from pathlib import Path
 import numpy as np
 import tyro
 
-from momapos.kinematics.articulated import Articulated
-from momapos.kinematics.chain import Chain, build_chain
-from momapos.kinematics.ik import build_ik, solve_ik
-from momapos.kinematics.ik_model import bounded
-from momapos.kinematics.urdf import Mimic
-from momapos.robots.amend import Amendments
-from momapos.robots.names import library_names
-from momapos.robots.robot import load_robot
+from momapos.model.kinematics.chain import Chain, build_chain
+from momapos.model.kinematics.ik import build_ik, solve_ik
+from momapos.model.kinematics.ik_model import bounded
+from momapos.model.robots.amended_urdf import Amendments
+from momapos.model.robots.robot import load_robot
+from momapos.model.robots.robot_names import library_names
+from momapos.model.urdf.articulated import Articulated
+from momapos.model.urdf.reader import Mimic
 
 
 @dataclass(frozen=True)

@@ -17,13 +17,13 @@ from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
-from momapos.detection.yolox import YoloxDetector
-from momapos.errors import InputError
-from momapos.scan_io.scan import read_scan
-from momapos.scan_pipeline import default_tools, survey
-from momapos.scan_records import Survey
-from momapos.segmentation.pointing import PixelOf, pointed_at
-from momapos.types import Detection
+from momapos.core.errors import InputError
+from momapos.model.records.scans import Detection
+from momapos.perception.detection.yolox import YoloxDetector
+from momapos.perception.pipeline import default_tools, survey
+from momapos.perception.recordings.scan_reader import read_scan
+from momapos.perception.records import Survey
+from momapos.perception.segmentation.pointing import PixelOf, pointed_at
 
 THINGS: tuple[tuple[str, str, tuple[int, int, int], tuple[str, ...]], ...] = (
     ("dining table", "table", (0, 454, 300), ("table",)),

@@ -22,17 +22,18 @@ from pathlib import Path
 
 import numpy as np
 
-from momapos.cache import user_cache
-from momapos.page.moving import GAPS, SLOW
-from momapos.page.opened import OpenedScan
-from momapos.page.page import Page
-from momapos.page.panel import POINTS
-from momapos.page.serve import served
-from momapos.scan_records import Decision, Modeled
-from momapos.scene.copies import copied
-from momapos.scene.files import load_scene, save_scene
-from momapos.scene.scene import Scene, SceneObject
-from momapos.types import Cloud, Detection, Scan, UprightBox
+from momapos.apps.web.moving import GAPS, SLOW
+from momapos.apps.web.opened import OpenedScan
+from momapos.apps.web.page import Page
+from momapos.apps.web.panel import POINTS
+from momapos.apps.web.serve import served
+from momapos.core.cache import user_cache
+from momapos.core.geometry.upright_boxes import UprightBox
+from momapos.model.records.scans import Cloud, Detection, Scan
+from momapos.model.scene.model_copies import copied
+from momapos.model.scene.scene import Scene, SceneObject
+from momapos.model.scene.scene_files import load_scene, save_scene
+from momapos.perception.records import Decision, Modeled
 from pages import CAMERA, Tab
 
 QUIET = 2.0

@@ -22,24 +22,24 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.baselines.answer import plan_by_method
-from momapos.bench.containers import without
-from momapos.bench.folder import all_rows, read_folder, scene_path
-from momapos.bench.methods import method_config
-from momapos.bench.records import SuiteTask
-from momapos.cache import default_cache_dir
-from momapos.config import PipelineConfig
-from momapos.manipulation.motion import task_motion
-from momapos.manipulation.tasks import make_task
-from momapos.placement.place import search_in_order
-from momapos.placement_result import PlacementResult
-from momapos.query import PlacementQuery
-from momapos.reachability.store import load_reach_map
-from momapos.ready_search import ready_search
-from momapos.robots.robot import load_robot
-from momapos.scene.files import load_scene
-from momapos.scene.scene import Scene
-from momapos.stopwatch import Stopwatch
+from momapos.apps.bench.bench_records import SuiteTask
+from momapos.apps.bench.containers import without
+from momapos.apps.bench.folder import all_rows, read_folder, scene_path
+from momapos.apps.bench.methods import method_config
+from momapos.core.cache import default_cache_dir
+from momapos.core.stopwatch import Stopwatch
+from momapos.model.robots.robot import load_robot
+from momapos.model.scene.scene import Scene
+from momapos.model.scene.scene_files import load_scene
+from momapos.planning.baselines.by_method import plan_by_method
+from momapos.planning.config import PipelineConfig
+from momapos.planning.grasps.task_motions import task_motion
+from momapos.planning.grasps.tasks import make_task
+from momapos.planning.placement.pose_search import search_in_order
+from momapos.planning.query import PlacementQuery
+from momapos.planning.reachability.map_store import load_reach_map
+from momapos.planning.result import PlacementResult
+from momapos.planning.search_setup import ready_search
 from placement import machine
 from rows import keep_rows
 

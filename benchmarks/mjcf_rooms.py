@@ -24,11 +24,11 @@ from typing import Any
 import mujoco
 
 from mjcf_support import Found, Truth, compare
-from momapos.scene.files import load_scene
-from momapos.scene.formats.importing import write_room
-from momapos.scene.formats.mjcf import read_room
-from momapos.scene.formats.mjcf_writer import write_mjcf
-from momapos.scene.names import builtin_names
+from momapos.model.scene.formats.importing import write_room
+from momapos.model.scene.formats.mjcf import read_room
+from momapos.model.scene.formats.mjcf_writer import write_mjcf
+from momapos.model.scene.scene_files import load_scene
+from momapos.model.scene.scene_names import builtin_names
 
 NEAR = 5e-3
 """A geom is right where it differs by less [m]."""

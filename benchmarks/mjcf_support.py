@@ -16,10 +16,10 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from momapos.geometry.transforms import apply
-from momapos.kinematics.meshes import mesh_points
-from momapos.kinematics.urdf import Geometry
-from momapos.scene.scene import Scene, SceneObject
+from momapos.core.geometry.transforms import apply
+from momapos.model.scene.scene import Scene, SceneObject
+from momapos.model.urdf.meshes import mesh_points
+from momapos.model.urdf.reader import Geometry
 
 DIRECTIONS = np.array([d for d in product((-1, 0, 1), repeat=3) if any(d)], float)
 DIRECTIONS /= np.linalg.norm(DIRECTIONS, axis=1, keepdims=True)

@@ -24,25 +24,25 @@ from pathlib import Path
 
 import numpy as np
 
-from momapos.geometry.transforms import apply, pose
-from momapos.geometry.upright_boxes import top
-from momapos.kinematics.articulated import Articulated
-from momapos.kinematics.urdf import Urdf, box_urdf, read_urdf
-from momapos.manipulation.handle_shapes import WORD
-from momapos.manipulation.handles import has_handle
-from momapos.manipulation.tasks import hand_path
-from momapos.reconstruction.build import build_scene
-from momapos.reconstruction.model import furniture_model
-from momapos.scan_pipeline import scan_to_scene
-from momapos.scan_records import Decision
-from momapos.scene.files import load_scene
-from momapos.scene.scene import Scene, SceneObject
-from momapos.synthetic_scans.depth_sensor import DepthSensor
-from momapos.synthetic_scans.recording import synthetic_scan, true_box
-from momapos.types import Frame, Scan, UprightBox
-from momapos.views.faces import Face
-from momapos.views.front_view import View, cosines_to
-from momapos.views.projection import projection
+from momapos.apps.synthetic_scans.depth_sensor import DepthSensor
+from momapos.apps.synthetic_scans.recording import synthetic_scan, true_box
+from momapos.core.geometry.transforms import apply, pose
+from momapos.core.geometry.upright_boxes import UprightBox, top
+from momapos.model.records.scans import Frame, Scan
+from momapos.model.scene.scene import Scene, SceneObject
+from momapos.model.scene.scene_files import load_scene
+from momapos.model.urdf.articulated import Articulated
+from momapos.model.urdf.reader import Urdf, box_urdf, read_urdf
+from momapos.perception.reconstruction.object_model import furniture_model
+from momapos.perception.reconstruction.scene_builder import build_scene
+from momapos.perception.records import Decision
+from momapos.perception.views.faces import Face
+from momapos.perception.views.front_view import View, cosines_to
+from momapos.perception.views.projection import projection
+from momapos.planning.grasps.handle_shapes import WORD
+from momapos.planning.grasps.handles import has_handle
+from momapos.planning.grasps.tasks import hand_path
+from momapos.workflows.scan import scan_to_scene
 from placement import shared
 
 FRIDGES = ("Fridge/10144", "Fridge/11299", "Fridge/12248", "MiniFridge/10797",

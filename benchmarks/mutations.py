@@ -28,19 +28,19 @@ from typing import Any
 
 import numpy as np
 
-from momapos.cache import default_cache_dir
-from momapos.errors import MomaposError
-from momapos.geometry.transforms import pose_planar
-from momapos.manipulation.tasks import make_task, openable
-from momapos.pipeline import plan_base_placement
-from momapos.plans import write_plan
-from momapos.reachability.store import load_reach_map
-from momapos.robots.robot import Robot, load_robot
-from momapos.scene.copies import copied
-from momapos.scene.files import load_scene, save_scene
-from momapos.scene.names import builtin_names
-from momapos.scene.scene import Scene
-from momapos.verification.files import verify_files
+from momapos.core.cache import default_cache_dir
+from momapos.core.errors import MomaposError
+from momapos.core.geometry.transforms import pose_planar
+from momapos.model.plan_files.plan_format import write_plan
+from momapos.model.robots.robot import Robot, load_robot
+from momapos.model.scene.model_copies import copied
+from momapos.model.scene.scene import Scene
+from momapos.model.scene.scene_files import load_scene, save_scene
+from momapos.model.scene.scene_names import builtin_names
+from momapos.planning.grasps.tasks import make_task, openable
+from momapos.planning.plan import plan_base_placement
+from momapos.planning.reachability.map_store import load_reach_map
+from momapos.verification.plan_check import verify_files
 from objects import CONFIG, HALVES, tasks
 from placement import ROBOTS, machine
 from rows import keep_rows

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from momapos.geometry.transforms import invert, pose_planar
-from momapos.scene.scene import Scene, SceneObject
+from momapos.core.geometry.transforms import invert, pose_planar
+from momapos.model.scene.scene import Scene, SceneObject
 
 BETWEEN = 0.08
 """Free wall between two objects of a kitchen [m]."""

@@ -35,26 +35,26 @@ from typing import Any
 import numpy as np
 
 from execution import ERRORS, SPREAD
-from momapos.cache import default_cache_dir
-from momapos.config import PipelineConfig
-from momapos.errors import MomaposError
-from momapos.execution.config import ExecutionConfig, FurnitureConfig, ModelErrorConfig
-from momapos.geometry.transforms import pose_planar
-from momapos.kinematics.articulated import Articulated
-from momapos.kinematics.urdf import Joint, read_urdf
-from momapos.manipulation.config import GraspConfig
-from momapos.manipulation.handles import has_handle, opening_direction
-from momapos.manipulation.tasks import make_task, slides
-from momapos.pipeline import plan_base_placement
-from momapos.plans import write_plan
-from momapos.reachability.store import load_reach_map
-from momapos.robots.robot import Robot, load_robot
-from momapos.run_plan import run_plan
-from momapos.scene.copies import copied
-from momapos.scene.files import save_scene
-from momapos.scene.scene import Scene, SceneObject
-from momapos.smaller_opening import smaller_opening
-from momapos.types import PlacementPlan
+from momapos.core.cache import default_cache_dir
+from momapos.core.errors import MomaposError
+from momapos.core.geometry.transforms import pose_planar
+from momapos.model.plan_files.plan_format import write_plan
+from momapos.model.records.plans import PlacementPlan
+from momapos.model.robots.robot import Robot, load_robot
+from momapos.model.scene.model_copies import copied
+from momapos.model.scene.scene import Scene, SceneObject
+from momapos.model.scene.scene_files import save_scene
+from momapos.model.urdf.articulated import Articulated
+from momapos.model.urdf.reader import Joint, read_urdf
+from momapos.planning.config import PipelineConfig
+from momapos.planning.grasps.config import GraspConfig
+from momapos.planning.grasps.handles import has_handle, opening_direction
+from momapos.planning.grasps.tasks import make_task, slides
+from momapos.planning.partial_opening import smaller_opening
+from momapos.planning.plan import plan_base_placement
+from momapos.planning.reachability.map_store import load_reach_map
+from momapos.simulation.config import ExecutionConfig, FurnitureConfig, ModelErrorConfig
+from momapos.workflows.run import run_plan
 from placement import ROBOTS, machine, shared
 
 CONFIG = PipelineConfig(timeout=60.0)

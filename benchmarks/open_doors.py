@@ -21,24 +21,25 @@ from typing import Any
 
 import numpy as np
 
-from momapos.cache import default_cache_dir
-from momapos.config import PipelineConfig
-from momapos.errors import MomaposError
-from momapos.geometry.transforms import invert, rotation_about
-from momapos.kinematics.opening import opening_of
-from momapos.manipulation.handles import opening_direction
-from momapos.manipulation.tasks import make_task, openable
-from momapos.pipeline import plan_base_placement
-from momapos.reachability.store import load_reach_map
-from momapos.robots.robot import Robot, load_robot
-from momapos.scan_io.scan import read_scan
-from momapos.scan_pipeline import default_tools, scan_to_scene
-from momapos.scan_records import Modeled, Tools
-from momapos.scene.files import load_scene
-from momapos.scene.kitchens import LAYOUTS, generate_kitchen
-from momapos.scene.scene import Scene
-from momapos.synthetic_scans.depth_sensor import DepthSensor
-from momapos.synthetic_scans.recording import synthetic_scan, write_scan
+from momapos.apps.synthetic_scans.depth_sensor import DepthSensor
+from momapos.apps.synthetic_scans.recording import synthetic_scan, write_scan
+from momapos.core.cache import default_cache_dir
+from momapos.core.errors import MomaposError
+from momapos.core.geometry.transforms import invert, rotation_about
+from momapos.model.robots.robot import Robot, load_robot
+from momapos.model.scene.kitchens import LAYOUTS, generate_kitchen
+from momapos.model.scene.scene import Scene
+from momapos.model.scene.scene_files import load_scene
+from momapos.model.urdf.joint_opening import opening_of
+from momapos.perception.pipeline import default_tools
+from momapos.perception.recordings.scan_reader import read_scan
+from momapos.perception.records import Modeled, Tools
+from momapos.planning.config import PipelineConfig
+from momapos.planning.grasps.handles import opening_direction
+from momapos.planning.grasps.tasks import make_task, openable
+from momapos.planning.plan import plan_base_placement
+from momapos.planning.reachability.map_store import load_reach_map
+from momapos.workflows.scan import scan_to_scene
 from scan import match, moved, why_not
 from scan_parts import AXIS, TILT, off, overlap, way_of
 

@@ -19,14 +19,14 @@ from pathlib import Path
 
 import numpy as np
 
-from momapos.manipulation.tasks import make_task
-from momapos.page.answer_view import READY
-from momapos.page.follow import FOLLOW
-from momapos.page.probe import Probe
-from momapos.pipeline import plan_base_placement
-from momapos.reachability.store import load_reach
-from momapos.robots.robot import load_robot
-from momapos.scene.files import load_scene
+from momapos.apps.web.answer_view import READY
+from momapos.apps.web.follow import FOLLOW
+from momapos.apps.web.probe import Probe
+from momapos.model.robots.robot import load_robot
+from momapos.model.scene.scene_files import load_scene
+from momapos.planning.grasps.tasks import make_task
+from momapos.planning.plan import plan_base_placement
+from momapos.planning.reachability.map_store import load_reach
 from pages import Tab
 
 TASKS = (
@@ -85,7 +85,7 @@ def usable() -> tuple[float, float]:
     """Time from the command until a question can be asked, and processor time of it [s]; kernels
     compiled, and without the time that a browser takes to start and to draw."""
     command = [
-        sys.executable, "-c", "from momapos.cli.main import entry; entry()", "view",
+        sys.executable, "-c", "from momapos.apps.cli.main import entry; entry()", "view",
         "kitchen_small", "--port", "0",
     ]  # fmt: skip
     began = time.perf_counter()

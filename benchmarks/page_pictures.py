@@ -26,12 +26,12 @@ import numpy as np
 
 from gallery import browsing
 from large_page import serving
-from momapos.cache import user_cache
-from momapos.page import moving, room_view
-from momapos.page.page import Page
-from momapos.page.panel import POINTS
-from momapos.page.scan_view import FEW
-from momapos.page.serve import open_server, quiet, served
+from momapos.apps.web import moving, room_view
+from momapos.apps.web.page import Page
+from momapos.apps.web.panel import POINTS
+from momapos.apps.web.scan_view import FEW
+from momapos.apps.web.serve import open_server, quiet, served
+from momapos.core.cache import user_cache
 
 LOOKS = ("nothing", "cloud", "kitchen", "hall")
 SIZES = (0.001, 0.012, 0.024, 0.05)

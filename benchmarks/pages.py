@@ -308,7 +308,7 @@ if __name__ == "__main__":
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args()
     command = [
-        sys.executable, "-c", "from momapos.cli.main import entry; entry()", "view",
+        sys.executable, "-c", "from momapos.apps.cli.main import entry; entry()", "view",
         "kitchen_small", "--port", "0",
     ]  # fmt: skip
     with subprocess.Popen(

@@ -20,21 +20,21 @@ from typing import Any
 
 import numpy as np
 
-from momapos.baselines.answer import plan_by_method
-from momapos.bench.laboratory import ROOM, TASKS, layout, shared_data, things
-from momapos.bench.printed import PRINTED
-from momapos.cache import default_cache_dir
-from momapos.config import PipelineConfig
-from momapos.errors import MomaposError
-from momapos.manipulation.tasks import make_task
-from momapos.placement.config import PlaceConfig
-from momapos.protocols import ReachScorer
-from momapos.reachability.store import load_reach_map
-from momapos.robots.robot import Robot, load_robot
-from momapos.run_plan import run_plan
-from momapos.scene.files import load_scene
-from momapos.scene.scene import Scene
-from momapos.types import Task
+from momapos.apps.bench.laboratory import ROOM, TASKS, layout, shared_data, things
+from momapos.apps.bench.printed import PRINTED
+from momapos.core.cache import default_cache_dir
+from momapos.core.errors import MomaposError
+from momapos.model.records.protocols import ReachScorer
+from momapos.model.records.tasks import Task
+from momapos.model.robots.robot import Robot, load_robot
+from momapos.model.scene.scene import Scene
+from momapos.model.scene.scene_files import load_scene
+from momapos.planning.baselines.by_method import plan_by_method
+from momapos.planning.config import PipelineConfig
+from momapos.planning.grasps.tasks import make_task
+from momapos.planning.placement.config import PlaceConfig
+from momapos.planning.reachability.map_store import load_reach_map
+from momapos.workflows.run import run_plan
 from placement import machine
 from placers import METHODS
 

@@ -26,10 +26,10 @@ import tyro
 from PIL import Image, ImageDraw
 from training.fronts import cabinets, generator
 
-from momapos.reconstruction.decode import overlaps
-from momapos.reconstruction.network import FrontNetwork
-from momapos.reconstruction.usual_kinds import EYES, weighed_by_height
-from momapos.types import FaceImage, Front
+from momapos.model.records.scans import FaceImage, Front
+from momapos.perception.reconstruction.decode import overlaps
+from momapos.perception.reconstruction.front_network import FrontNetwork
+from momapos.perception.reconstruction.usual_kinds import EYES, weighed_by_height
 from objects import HALVES
 from parts_real import TrueFace, TruePart, photo_faces, real_faces
 from placement import shared as default_shared

@@ -18,7 +18,7 @@ import yourdfpy
 from PIL import Image
 from scipy import ndimage
 
-from momapos.types import FaceImage, PartKind
+from momapos.model.records.scans import FaceImage, PartKind
 from objects import half_of
 
 PIXEL = 0.003

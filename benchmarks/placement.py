@@ -21,18 +21,18 @@ from typing import Any
 
 import numpy as np
 
-from momapos.cache import default_cache_dir
-from momapos.config import PipelineConfig
-from momapos.errors import MomaposError
-from momapos.manipulation.tasks import make_task, openable
-from momapos.outcomes import PoseStatus
-from momapos.pipeline import plan_base_placement
-from momapos.placement.config import PlaceConfig
-from momapos.reachability.store import load_reach_map
-from momapos.robots.robot import load_robot
-from momapos.scene.files import load_scene
-from momapos.scene.names import builtin_names
-from momapos.scene.scene import Scene
+from momapos.core.cache import default_cache_dir
+from momapos.core.errors import MomaposError
+from momapos.model.records.outcomes import PoseStatus
+from momapos.model.robots.robot import load_robot
+from momapos.model.scene.scene import Scene
+from momapos.model.scene.scene_files import load_scene
+from momapos.model.scene.scene_names import builtin_names
+from momapos.planning.config import PipelineConfig
+from momapos.planning.grasps.tasks import make_task, openable
+from momapos.planning.placement.config import PlaceConfig
+from momapos.planning.plan import plan_base_placement
+from momapos.planning.reachability.map_store import load_reach_map
 
 SCENES = (
     "Asset/Scene/Scene/Kitchen.json",

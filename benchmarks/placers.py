@@ -21,20 +21,20 @@ from typing import Any, get_args
 
 import numpy as np
 
-from momapos.baselines.answer import plan_by_method
-from momapos.cache import default_cache_dir
-from momapos.config import PipelineConfig
-from momapos.errors import MomaposError
-from momapos.manipulation.tasks import make_task, openable, slides
-from momapos.placement.config import Method, PlaceConfig
-from momapos.placement_result import PlacementResult
-from momapos.protocols import ReachScorer
-from momapos.reachability.store import load_reach_map
-from momapos.robots.robot import Robot, load_robot
-from momapos.scene.names import builtin_names
-from momapos.scene.scene import Scene
-from momapos.types import Task
-from momapos.verification.exact import PlanVerifier
+from momapos.core.cache import default_cache_dir
+from momapos.core.errors import MomaposError
+from momapos.model.records.protocols import ReachScorer
+from momapos.model.records.tasks import Task
+from momapos.model.robots.robot import Robot, load_robot
+from momapos.model.scene.scene import Scene
+from momapos.model.scene.scene_names import builtin_names
+from momapos.planning.baselines.by_method import plan_by_method
+from momapos.planning.config import PipelineConfig
+from momapos.planning.grasps.tasks import make_task, openable, slides
+from momapos.planning.placement.config import Method, PlaceConfig
+from momapos.planning.reachability.map_store import load_reach_map
+from momapos.planning.result import PlacementResult
+from momapos.verification.exact_check import PlanVerifier
 from placement import machine, scene_of
 
 METHODS = tuple(method for method in get_args(Method) if method != "exhaustive")

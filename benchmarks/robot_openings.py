@@ -21,20 +21,20 @@ from typing import Any
 import numpy as np
 
 from inverse import found_of
-from momapos.cache import user_cache
-from momapos.errors import MomaposError
-from momapos.manipulation.hand import empty_handed
-from momapos.manipulation.tasks import make_task, openable
-from momapos.outcomes import PoseStatus
-from momapos.pipeline import plan_base_placement
-from momapos.placement.config import PlaceConfig
-from momapos.protocols import ReachScorer
-from momapos.reachability.evaluation import evaluate
-from momapos.reachability.map import ReachMap
-from momapos.reachability.store import encode, load_reach
-from momapos.robots.robot import Robot, load_robot
-from momapos.run_plan import run_plan
-from momapos.types import PlacementPlan
+from momapos.core.cache import user_cache
+from momapos.core.errors import MomaposError
+from momapos.model.records.outcomes import PoseStatus
+from momapos.model.records.plans import PlacementPlan
+from momapos.model.records.protocols import ReachScorer
+from momapos.model.robots.robot import Robot, load_robot
+from momapos.planning.grasps.hand_boxes import empty_handed
+from momapos.planning.grasps.tasks import make_task, openable
+from momapos.planning.placement.config import PlaceConfig
+from momapos.planning.plan import plan_base_placement
+from momapos.planning.reachability.evaluation import evaluate
+from momapos.planning.reachability.map_store import encode, load_reach
+from momapos.planning.reachability.reach_map import ReachMap
+from momapos.workflows.run import run_plan
 from placement import CONFIG, SCENES, scene_of
 
 POSES, DRAWN = 12_000, 4_000

@@ -45,7 +45,7 @@ PACKAGES = (
     "example-robot-data", "hello-robot-stretch-urdf", "hello-robot-stretch4-urdf", "dexmate-urdf",
     "armar", "mani-skill", "rtb-data", "airo-models",
 )  # fmt: skip
-COMMAND = "from momapos.cli.main import entry; entry()"
+COMMAND = "from momapos.apps.cli.main import entry; entry()"
 OPENINGS = Path(__file__).with_name("robot_openings.py")
 LIMIT, LIMIT_OPENINGS = 180, 900
 """Processor time that a command may take, and all openings of a robot [s]."""

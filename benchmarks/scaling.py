@@ -15,19 +15,19 @@ from pathlib import Path
 
 import numpy as np
 
-from momapos.cache import default_cache_dir
-from momapos.config import PipelineConfig
-from momapos.geometry.transforms import pose
-from momapos.kinematics.articulated import Articulated
-from momapos.kinematics.urdf import box_urdf
-from momapos.manipulation.config import MotionConfig
-from momapos.manipulation.tasks import make_task
-from momapos.pipeline import plan_base_placement
-from momapos.placement.config import PlaceConfig
-from momapos.reachability.store import load_reach_map
-from momapos.robots.robot import load_robot
-from momapos.scene.files import load_scene
-from momapos.scene.scene import Scene, SceneObject
+from momapos.core.cache import default_cache_dir
+from momapos.core.geometry.transforms import pose
+from momapos.model.robots.robot import load_robot
+from momapos.model.scene.scene import Scene, SceneObject
+from momapos.model.scene.scene_files import load_scene
+from momapos.model.urdf.articulated import Articulated
+from momapos.model.urdf.reader import box_urdf
+from momapos.planning.config import PipelineConfig
+from momapos.planning.grasps.config import MotionConfig
+from momapos.planning.grasps.tasks import make_task
+from momapos.planning.placement.config import PlaceConfig
+from momapos.planning.plan import plan_base_placement
+from momapos.planning.reachability.map_store import load_reach_map
 
 REPEATS = 5
 

@@ -19,26 +19,28 @@ from pathlib import Path
 
 import numpy as np
 
-from momapos.cache import default_cache_dir
-from momapos.config import PipelineConfig
-from momapos.geometry.transforms import apply, invert, pose_planar
-from momapos.joint_beliefs import ask_in_turn
-from momapos.kinematics.opening import opening_of
-from momapos.manipulation.handles import opening_direction
-from momapos.manipulation.tasks import hand_path, make_task, openable
-from momapos.pipeline import plan_base_placement
-from momapos.placement.config import PlaceConfig
-from momapos.placement_result import PlacementResult
-from momapos.protocols import ReachScorer
-from momapos.reachability.store import load_reach_map
-from momapos.robots.robot import Robot, load_robot
-from momapos.scan_pipeline import default_tools, scan_to_scene
-from momapos.scan_records import Modeled
-from momapos.scene.files import load_scene
-from momapos.scene.scene import Scene
-from momapos.types import PlacementPlan, Task
-from momapos.verification.exact import PlanVerifier
+from momapos.core.cache import default_cache_dir
+from momapos.core.geometry.transforms import apply, invert, pose_planar
+from momapos.model.records.plans import PlacementPlan
+from momapos.model.records.protocols import ReachScorer
+from momapos.model.records.tasks import Task
+from momapos.model.robots.robot import Robot, load_robot
+from momapos.model.scene.scene import Scene
+from momapos.model.scene.scene_files import load_scene
+from momapos.model.urdf.joint_opening import opening_of
+from momapos.perception.pipeline import default_tools
+from momapos.perception.records import Modeled
+from momapos.planning.config import PipelineConfig
+from momapos.planning.grasps.handles import opening_direction
+from momapos.planning.grasps.tasks import hand_path, make_task, openable
+from momapos.planning.placement.config import PlaceConfig
+from momapos.planning.plan import plan_base_placement
+from momapos.planning.reachability.map_store import load_reach_map
+from momapos.planning.result import PlacementResult
+from momapos.verification.exact_check import PlanVerifier
 from momapos.verification.report import Limits
+from momapos.workflows.joint_belief import ask_in_turn
+from momapos.workflows.scan import scan_to_scene
 from scan_rooms import Room, rooms
 
 MARGIN = 0.02

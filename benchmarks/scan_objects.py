@@ -36,28 +36,30 @@ from typing import Any
 import numpy as np
 
 from execution import SPREAD
-from momapos.cache import default_cache_dir
-from momapos.config import PipelineConfig
-from momapos.detection.yolox import YoloxDetector
-from momapos.errors import MomaposError
-from momapos.execution.config import ExecutionConfig, FurnitureConfig
-from momapos.execution.true_world import moved as elsewhere
-from momapos.geometry.transforms import invert, pose_planar
-from momapos.kinematics.opening import opening_of
-from momapos.manipulation.tasks import make_task
-from momapos.pipeline import plan_base_placement
-from momapos.reachability.store import load_reach_map
-from momapos.robots.robot import Robot, load_robot
-from momapos.run_plan import run_plan
-from momapos.scan_io.scan import read_scan
-from momapos.scan_pipeline import default_tools, scan_to_scene
-from momapos.scan_records import Tools
-from momapos.scene.files import load_scene
-from momapos.scene.other_motion import scene_moving_as
-from momapos.scene.scene import Scene
-from momapos.synthetic_scans.depth_sensor import DepthSensor
-from momapos.synthetic_scans.recording import synthetic_scan, write_scan
-from momapos.types import PlacementPlan, Scan
+from momapos.apps.synthetic_scans.depth_sensor import DepthSensor
+from momapos.apps.synthetic_scans.recording import synthetic_scan, write_scan
+from momapos.core.cache import default_cache_dir
+from momapos.core.errors import MomaposError
+from momapos.core.geometry.transforms import invert, pose_planar
+from momapos.model.records.plans import PlacementPlan
+from momapos.model.records.scans import Scan
+from momapos.model.robots.robot import Robot, load_robot
+from momapos.model.scene.other_motion import scene_moving_as
+from momapos.model.scene.scene import Scene
+from momapos.model.scene.scene_files import load_scene
+from momapos.model.urdf.joint_opening import opening_of
+from momapos.perception.detection.yolox import YoloxDetector
+from momapos.perception.pipeline import default_tools
+from momapos.perception.recordings.scan_reader import read_scan
+from momapos.perception.records import Tools
+from momapos.planning.config import PipelineConfig
+from momapos.planning.grasps.tasks import make_task
+from momapos.planning.plan import plan_base_placement
+from momapos.planning.reachability.map_store import load_reach_map
+from momapos.simulation.config import ExecutionConfig, FurnitureConfig
+from momapos.simulation.true_worlds import moved as elsewhere
+from momapos.workflows.run import run_plan
+from momapos.workflows.scan import scan_to_scene
 from object_kitchens import Place, kitchen
 from object_rooms import listed
 from objects import HALVES, Usual, half_of, objects, parts, room

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from momapos.geometry.transforms import apply
-from momapos.kinematics.opening import opening_of
-from momapos.scene.scene import Scene, SceneObject
+from momapos.core.geometry.transforms import apply
+from momapos.model.scene.scene import Scene, SceneObject
+from momapos.model.urdf.joint_opening import opening_of
 from objects import half_of, parts
 from scan import handle_at
 

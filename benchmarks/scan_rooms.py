@@ -6,13 +6,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from momapos.scan_io.scan import read_scan
-from momapos.scene.files import load_scene
-from momapos.scene.kitchens import LAYOUTS, generate_kitchen
-from momapos.scene.scene import Scene
-from momapos.synthetic_scans.depth_sensor import DepthSensor
-from momapos.synthetic_scans.recording import synthetic_scan, write_scan
-from momapos.types import Scan
+from momapos.apps.synthetic_scans.depth_sensor import DepthSensor
+from momapos.apps.synthetic_scans.recording import synthetic_scan, write_scan
+from momapos.model.records.scans import Scan
+from momapos.model.scene.kitchens import LAYOUTS, generate_kitchen
+from momapos.model.scene.scene import Scene
+from momapos.model.scene.scene_files import load_scene
+from momapos.perception.recordings.scan_reader import read_scan
 
 
 @dataclass(frozen=True)

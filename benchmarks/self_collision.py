@@ -12,10 +12,10 @@ import time
 
 import numpy as np
 
-from momapos.kinematics.self_collision import contacts, decided_by_hulls
-from momapos.robots.names import library_names
-from momapos.robots.robot import Robot, load_arms
-from momapos.robots.states import sample_states, touches
+from momapos.model.collision.self_collision import contacts, decided_by_hulls
+from momapos.model.robots.arm_states import sample_states, touches
+from momapos.model.robots.robot import Robot, load_arms
+from momapos.model.robots.robot_names import library_names
 
 REPEATS = 5
 

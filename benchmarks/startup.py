@@ -47,7 +47,7 @@ def processor_time(command: list[str], source: Path, cache: Path) -> float:
         "PYTHONPATH": os.pathsep.join(filter(None, paths)),
         "MOMAPOS_CACHE": str(cache),
     }
-    call = [sys.executable, "-c", "from momapos.cli.main import entry; entry()", *command]
+    call = [sys.executable, "-c", "from momapos.apps.cli.main import entry; entry()", *command]
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     subprocess.run(call, env=environment, cwd=cache.parent, check=True, capture_output=True)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -80,7 +80,7 @@ def first_from_wheel(folder: Path) -> float | None:
         print(f"no wheel: {done.stderr.strip().splitlines()[-1:]}", file=sys.stderr)
         return None
     with zipfile.ZipFile(wheels[0]) as wheel:
-        if "momapos/compiled/kernels.zip" not in wheel.namelist():
+        if "momapos/core/compiled/kernels.zip" not in wheel.namelist():
             print("the wheel brings no compiled kernels", file=sys.stderr)
             return None
         wheel.extractall(folder / "site")

@@ -18,11 +18,11 @@ from pathlib import Path
 
 import numpy as np
 
-from momapos.geometry.transforms import apply, pose
-from momapos.kinematics.urdf_records import Geometry, Link
-from momapos.scene.formats.urdf_text import urdf_text
-from momapos.scene.scene import SceneObject
-from momapos.synthetic_scans.surfaces import Paint, patches, urdf_paints
+from momapos.apps.synthetic_scans.surfaces import Paint, patches, urdf_paints
+from momapos.core.geometry.transforms import apply, pose
+from momapos.model.scene.formats.urdf_writer import urdf_text
+from momapos.model.scene.scene import SceneObject
+from momapos.model.urdf.urdf_records import Geometry, Link
 from objects import half_of, objects, parts, room
 
 _FRONT = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])

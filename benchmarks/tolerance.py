@@ -17,16 +17,16 @@ from typing import Any
 
 import numpy as np
 
-from momapos.base_pose import BasePoseChecks
-from momapos.cache import default_cache_dir
-from momapos.config import PipelineConfig
-from momapos.manipulation.tasks import make_task
-from momapos.pipeline import plan_base_placement
-from momapos.query import PlacementQuery
-from momapos.reachability.store import load_reach_map
-from momapos.robots.robot import load_robot
-from momapos.robust import unit_offsets
-from momapos.stopwatch import Stopwatch
+from momapos.core.cache import default_cache_dir
+from momapos.core.stopwatch import Stopwatch
+from momapos.model.robots.robot import load_robot
+from momapos.planning.base_pose_check import BasePoseChecks
+from momapos.planning.config import PipelineConfig
+from momapos.planning.grasps.tasks import make_task
+from momapos.planning.plan import plan_base_placement
+from momapos.planning.query import PlacementQuery
+from momapos.planning.reachability.map_store import load_reach_map
+from momapos.planning.robust import unit_offsets
 from placement import ROBOTS, machine, openings, scene_of
 from rows import keep_rows
 

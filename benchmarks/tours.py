@@ -17,16 +17,16 @@ from typing import Any
 
 import numpy as np
 
-from momapos.cache import default_cache_dir
-from momapos.config import PipelineConfig
-from momapos.manipulation.tasks import make_task, openable
-from momapos.pipeline import plan_base_placement
-from momapos.reachability.store import load_reach_map
-from momapos.robots.robot import load_robot
-from momapos.scene.files import load_scene
-from momapos.scene.scene import Scene
-from momapos.tour import Request, Tour, plan_tour
-from momapos.verification.exact import PlanVerifier
+from momapos.core.cache import default_cache_dir
+from momapos.model.robots.robot import load_robot
+from momapos.model.scene.scene import Scene
+from momapos.model.scene.scene_files import load_scene
+from momapos.planning.config import PipelineConfig
+from momapos.planning.grasps.tasks import make_task, openable
+from momapos.planning.plan import plan_base_placement
+from momapos.planning.reachability.map_store import load_reach_map
+from momapos.planning.tour import Request, Tour, plan_tour
+from momapos.verification.exact_check import PlanVerifier
 from placement import ROBOTS, machine
 from rows import keep_rows
 

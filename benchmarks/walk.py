@@ -15,9 +15,9 @@ import sys
 import time
 from pathlib import Path
 
-from momapos.scene.files import load_scene
-from momapos.synthetic_scans.depth_sensor import DepthSensor
-from momapos.synthetic_scans.recording import synthetic_scan, write_scan
+from momapos.apps.synthetic_scans.depth_sensor import DepthSensor
+from momapos.apps.synthetic_scans.recording import synthetic_scan, write_scan
+from momapos.model.scene.scene_files import load_scene
 
 
 def scanned(walk: Path, out: Path) -> tuple[float, float, float]:
@@ -27,7 +27,7 @@ def scanned(walk: Path, out: Path) -> tuple[float, float, float]:
         Time by the clock [s], of the processor [s], and the most memory [GB].
     """
     words = ["scan", str(walk), "--out", str(out), "--json"]
-    code = f"import sys; from momapos.cli.main import main; sys.exit(main({words!r}))"
+    code = f"import sys; from momapos.apps.cli.main import main; sys.exit(main({words!r}))"
     began = time.perf_counter()
     child = os.spawnv(os.P_NOWAIT, sys.executable, [sys.executable, "-c", code])
     _, status, used = os.wait4(child, 0)

@@ -4,9 +4,9 @@ import tempfile
 from pathlib import Path
 
 from momapos import load_robot, load_scene, make_task, openable, plan_base_placement, scan_to_scene
-from momapos.synthetic_scans.depth_sensor import DepthSensor
-from momapos.synthetic_scans.recording import synthetic_scan
-from momapos.types import Scan
+from momapos.apps.synthetic_scans.depth_sensor import DepthSensor
+from momapos.apps.synthetic_scans.recording import synthetic_scan
+from momapos.model.records.scans import Scan
 
 camera = synthetic_scan(load_scene("kitchen_small"), frames=60, seed=0, sensor=DepthSensor())
 scan = Scan("kitchen", tuple(camera.frames()))  # momapos.read_scan reads yours from a folder

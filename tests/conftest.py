@@ -11,7 +11,7 @@ import pytest
 from tests import optional, shapes  # noqa: F401, shapes before what it checks
 from tests.real import DATA
 
-from momapos.robots.robot import Robot, load_robot
+from momapos.model.robots.robot import Robot, load_robot
 
 pytest_plugins = ["pytester"]
 ROBOTS = ("segway_ur5e", "husky_ur5e", "fetch", "ranger_rm63")

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from momapos.types import Cloud, Frame
+from momapos.model.records.scans import Cloud, Frame
 
 Corners = tuple[tuple[float, float, float], tuple[float, float, float]]
 """Low and high corner of a box [m]."""

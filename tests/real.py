@@ -10,7 +10,7 @@ from tests import optional
 _GIVEN = Path(os.environ.get("MOMAPOS_SHARED", Path(__file__).parents[2] / "shared"))
 DATA = _GIVEN / "data" if (_GIVEN / "data").is_dir() else _GIVEN
 """The folder that holds bestman/; it need not exist."""
-LIBRARY = Path(__file__).parents[1] / "src" / "momapos" / "scene" / "library"
+LIBRARY = Path(__file__).parents[1] / "src" / "momapos" / "model" / "scene" / "library"
 BUILT_IN = (
     "kitchen_small/fridge",
     "kitchen_small/cabinet_left",

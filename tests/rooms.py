@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from momapos.geometry.transforms import pose, rotation_about
-from momapos.scene.files import load_scene
-from momapos.scene.scene import Scene
+from momapos.core.geometry.transforms import pose, rotation_about
+from momapos.model.scene.scene import Scene
+from momapos.model.scene.scene_files import load_scene
 
 CABINET = """<robot name="cabinet">
 <link name="body">

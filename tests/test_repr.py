@@ -5,10 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from momapos import load_robot, load_scene
-from momapos.manipulation.motion import MotionConfig, task_motion
-from momapos.manipulation.tasks import make_task
-from momapos.reachability.map import ReachMap
-from momapos.types import Cloud, Frame, Motion, PlacementPlan, Task
+from momapos.model.records.plans import Motion, PlacementPlan
+from momapos.model.records.scans import Cloud, Frame
+from momapos.model.records.tasks import Task
+from momapos.planning.grasps.task_motions import MotionConfig, task_motion
+from momapos.planning.grasps.tasks import make_task
+from momapos.planning.reachability.reach_map import ReachMap
 
 
 def test_records_that_hold_models_and_arrays_have_a_short_repr() -> None:

@@ -13,8 +13,8 @@ REPOSITORY = Path(__file__).parents[1]
 BEFORE = """
 import numpy as np
 from tests import shapes
-from momapos.cli.options import JointsArg
-from momapos.geometry.transforms import pose
+from momapos.apps.cli.options import JointsArg
+from momapos.core.geometry.transforms import pose
 from momapos.types import UprightBox
 """
 

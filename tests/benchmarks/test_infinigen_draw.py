@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from momapos.geometry.transforms import rotation_about
-from momapos.kinematics.urdf import read_urdf
+from momapos.core.geometry.transforms import rotation_about
+from momapos.model.urdf.reader import read_urdf
 
 REPOSITORY = Path(__file__).parents[2]
 PIVOT, AXIS = np.array([0.9, 0.0, 0.1]), np.array([0.0, 1.0, 0.0])

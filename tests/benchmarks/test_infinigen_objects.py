@@ -14,11 +14,11 @@ from PIL import Image
 from trimesh.visual import TextureVisuals
 from trimesh.visual.material import SimpleMaterial
 
-from momapos.geometry.transforms import apply
-from momapos.kinematics.articulated import Articulated
-from momapos.kinematics.urdf import Urdf, read_urdf
-from momapos.scene.scene import SceneObject
-from momapos.synthetic_scans.surfaces import patches
+from momapos.apps.synthetic_scans.surfaces import patches
+from momapos.core.geometry.transforms import apply
+from momapos.model.scene.scene import SceneObject
+from momapos.model.urdf.articulated import Articulated
+from momapos.model.urdf.reader import Urdf, read_urdf
 
 REPOSITORY = Path(__file__).parents[2]
 UNIT = 2.0

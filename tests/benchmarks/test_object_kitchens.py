@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from momapos.scene.scene import Scene, SceneObject
+from momapos.model.scene.scene import Scene, SceneObject
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from momapos.geometry.transforms import apply
-from momapos.kinematics.articulated import Articulated
-from momapos.kinematics.urdf import read_urdf
-from momapos.scene.files import load_scene
-from momapos.scene.scene import SceneObject
+from momapos.core.geometry.transforms import apply
+from momapos.model.scene.scene import SceneObject
+from momapos.model.scene.scene_files import load_scene
+from momapos.model.urdf.articulated import Articulated
+from momapos.model.urdf.reader import read_urdf
 
 REPOSITORY = Path(__file__).parents[2]
 

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from benchmarks.sweet_home import COUNTER, Model, main, models, paints, told, write
 
-from momapos.geometry.transforms import apply
-from momapos.kinematics.articulated import Articulated
-from momapos.kinematics.urdf import Urdf, read_urdf
-from momapos.synthetic_scans.surfaces import patches
+from momapos.apps.synthetic_scans.surfaces import patches
+from momapos.core.geometry.transforms import apply
+from momapos.model.urdf.articulated import Articulated
+from momapos.model.urdf.reader import Urdf, read_urdf
 
 SIZE = (0.6, 0.5, 0.8)
 """Width, depth and height of the cabinet [m]; its OBJ file is in other units."""

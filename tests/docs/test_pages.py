@@ -14,7 +14,7 @@ import docs_hooks
 import pytest
 
 import momapos
-from momapos.cli.main import main
+from momapos.apps.cli.main import main
 
 REPOSITORY = Path(__file__).parents[2]
 DOCS = REPOSITORY / "docs"

@@ -22,12 +22,12 @@ EVERYTHING = """
 import json, sys
 from pathlib import Path
 import momapos
-from momapos.reachability.construct import default_config
-from momapos.reachability.store import map_key, shipped
-from momapos.robots.names import library_names
-from momapos.robots.robot import load_arms
-from momapos.scene.files import load_scene
-from momapos.scene.names import builtin_names
+from momapos.planning.reachability.construct import default_config
+from momapos.planning.reachability.map_store import map_key, shipped
+from momapos.model.robots.robot_names import library_names
+from momapos.model.robots.robot import load_arms
+from momapos.model.scene.scene_files import load_scene
+from momapos.model.scene.scene_names import builtin_names
 
 arms = [arm for name in library_names() for arm in load_arms(name)]
 robots = {f"{arm.name} {arm.arm}".strip(): arm for arm in arms if arm.chain.size >= 6}
@@ -37,7 +37,7 @@ print(json.dumps({"file": momapos.__file__, "maps": maps, "kitchens": boxes}))
 """
 FRONTS = """
 import numpy as np
-from momapos.reconstruction.network import FrontNetwork
+from momapos.perception.reconstruction.front_network import FrontNetwork
 from momapos.types import FaceImage
 
 image, relief = np.full((96, 96, 3), 205, np.uint8), np.full((96, 96), np.nan, np.float32)
@@ -47,8 +47,8 @@ print(type(FrontNetwork()(FaceImage(image, relief, 0.6, 0.6), "cabinet")).__name
 MOST_BYTES = 20_000_000
 KERNELS = """
 import json, sys
-from momapos.compiled.pack import every_entry
-from momapos.compiled.store import store
+from momapos.core.compiled.pack import every_entry
+from momapos.core.compiled.code_store import store
 
 entries = every_entry()
 unlike = [e.name for e in entries if store._packed.get(e.name) != e.stamp]
@@ -113,7 +113,7 @@ def test_every_file_of_the_package_is_in_the_wheel(installed: Installed) -> None
 
 
 def test_every_kernel_comes_compiled_and_is_linked_without_numba(installed: Installed) -> None:
-    assert "momapos/compiled/kernels.zip" in zipfile.ZipFile(installed.wheel).namelist()
+    assert "momapos/core/compiled/kernels.zip" in zipfile.ZipFile(installed.wheel).namelist()
     count, missing, imports_numba = json.loads(installed.run("python", "-c", KERNELS))
     assert count > 20
     assert missing == []

@@ -7,7 +7,7 @@ import pytest
 from tests import optional
 from training.fronts import cabinets, generator, layouts, pool
 
-from momapos.reconstruction import decode
+from momapos.perception.reconstruction import decode
 
 SEEDS = range(40)
 

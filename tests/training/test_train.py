@@ -11,7 +11,7 @@ import pytest
 from tests import optional
 from training.fronts import generator, pool
 
-from momapos.reconstruction import decode
+from momapos.perception.reconstruction import decode
 
 FACES = 6
 
@@ -43,7 +43,9 @@ def test_training_writes_networks_of_the_shipped_form_and_the_same_again(
         fit([faces, faces], tmp_path / f"{name}.onnx", train.Schedule(steps=3, batch=4), seed=3)
         made.append((tmp_path / f"{name}.onnx").read_bytes())
     assert made[0] == made[1]
-    weights = resources.files("momapos.reconstruction") / "weights" / f"front_{which}.onnx"
+    weights = (
+        resources.files("momapos.perception.reconstruction") / "weights" / f"front_{which}.onnx"
+    )
     assert form(made[0]) == form(weights.read_bytes())
 
 
@@ -61,7 +63,7 @@ def test_some_pictures_of_a_step_have_no_lines_and_some_no_relief(faces: Path) -
 def test_a_written_network_is_read_as_it_was(tmp_path: Path) -> None:
     export = optional.module("training.fronts.export", "torch")
     networks = optional.module("training.fronts.networks", "torch")
-    weights = resources.files("momapos.reconstruction") / "weights" / "front_part.onnx"
+    weights = resources.files("momapos.perception.reconstruction") / "weights" / "front_part.onnx"
     written, again = tmp_path / "written.onnx", tmp_path / "again.onnx"
     written.write_bytes(weights.read_bytes())
     export.write(export.read(written, networks.PartNetwork()), again)

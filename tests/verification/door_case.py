@@ -14,11 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from momapos.geometry.transforms import invert, pose, pose_planar, rotation_about
-from momapos.kinematics.articulated import Articulated
-from momapos.kinematics.chain import build_chain
-from momapos.kinematics.ik import build_ik, solve_ik
-from momapos.kinematics.urdf import read_urdf
+from momapos.core.geometry.transforms import invert, pose, pose_planar, rotation_about
+from momapos.model.kinematics.chain import build_chain
+from momapos.model.kinematics.ik import build_ik, solve_ik
+from momapos.model.urdf.articulated import Articulated
+from momapos.model.urdf.reader import read_urdf
 
 JOINTS = ("pan", "lift", "elbow", "roll", "pitch", "twist")
 BASE = (-0.7, 0.15, 0.3)

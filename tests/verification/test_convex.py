@@ -10,13 +10,13 @@ from scipy.optimize import nnls
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from momapos.geometry.transforms import invert, pose
-from momapos.kinematics.articulated import Articulated
-from momapos.kinematics.urdf import Geometry, Link, Urdf
+from momapos.core.geometry.transforms import invert, pose
+from momapos.model.urdf.articulated import Articulated
+from momapos.model.urdf.reader import Geometry, Link, Urdf
 from momapos.verification.convex import Body, overlap
+from momapos.verification.exact_shapes import Shapes, shapes_of
 from momapos.verification.link_bodies import bodies_of
 from momapos.verification.polygon import outside
-from momapos.verification.shapes import Shapes, shapes_of
 from momapos.verification.sweep import all_pairs, deepest
 
 seeds = st.integers(0, 2**32 - 1)

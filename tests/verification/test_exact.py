@@ -19,15 +19,16 @@ from tests import optional
 from tests.real import TOOLS
 from tests.shapes import unchecked
 
-from momapos.errors import TaskError, UnknownNameError
-from momapos.geometry.transforms import pose_planar
-from momapos.kinematics.articulated import Articulated
-from momapos.kinematics.urdf import read_urdf
-from momapos.scene.files import load_scene
-from momapos.types import Motion, Task
-from momapos.verification.exact import PlanVerifier
-from momapos.verification.files import UrdfArm, verify_files
+from momapos.core.errors import TaskError, UnknownNameError
+from momapos.core.geometry.transforms import pose_planar
+from momapos.model.records.plans import Motion
+from momapos.model.records.tasks import Task
+from momapos.model.scene.scene_files import load_scene
+from momapos.model.urdf.articulated import Articulated
+from momapos.model.urdf.reader import read_urdf
+from momapos.verification.exact_check import PlanVerifier
 from momapos.verification.link_bodies import bodies_of, body_poses
+from momapos.verification.plan_check import UrdfArm, verify_files
 from momapos.verification.report import Limits
 from momapos.verification.robot_collision_model import robot_collision_model
 from momapos.verification.sweep import deepest

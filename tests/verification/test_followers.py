@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 from door_case import make_case
 
-from momapos.kinematics.articulated import Articulated
-from momapos.kinematics.urdf import read_urdf
-from momapos.verification.files import verify_files
+from momapos.model.urdf.articulated import Articulated
+from momapos.model.urdf.reader import read_urdf
 from momapos.verification.link_bodies import bodies_of
+from momapos.verification.plan_check import verify_files
 
 FOLLOWS = "joints follow as in the URDF"
 TWO_DRAWERS = """<robot name="chest"><link name="body"/><link name="upper"/><link name="lower"/>

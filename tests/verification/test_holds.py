@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from door_case import UP, Case, make_case
 
-from momapos.errors import FileFormatError
-from momapos.plans import plan_to_dict, read_plan
-from momapos.verification.files import verify_files
+from momapos.core.errors import FileFormatError
+from momapos.model.plan_files.plan_format import plan_to_dict, read_plan
+from momapos.verification.plan_check import verify_files
 from momapos.verification.report import Report
 
 TURN = -0.6

@@ -14,14 +14,14 @@ import numpy as np
 import pytest
 from door_case import JOINTS, make_case
 
-from momapos.errors import LONGEST, MomaposError
-from momapos.kinematics.articulated import Articulated
-from momapos.kinematics.urdf import read_urdf
-from momapos.reachability.map import ReachMap
-from momapos.reachability.store import decode, encode
-from momapos.robots.robot import load_robot
-from momapos.scene.files import load_scene
-from momapos.verification.files import verify_files
+from momapos.core.errors import LONGEST, MomaposError
+from momapos.model.robots.robot import load_robot
+from momapos.model.scene.scene_files import load_scene
+from momapos.model.urdf.articulated import Articulated
+from momapos.model.urdf.reader import read_urdf
+from momapos.planning.reachability.map_store import decode, encode
+from momapos.planning.reachability.reach_map import ReachMap
+from momapos.verification.plan_check import verify_files
 
 COUNT = 60
 """Files of each kind [-]."""

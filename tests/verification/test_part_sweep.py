@@ -8,14 +8,15 @@ import numpy as np
 import pytest
 from door_case import BASE, JOINTS, OPEN, Case, arm_path, make_case, tool_poses
 
-from momapos.geometry.transforms import invert
-from momapos.kinematics.articulated import Articulated
-from momapos.kinematics.urdf import read_urdf
-from momapos.scene.files import load_scene
-from momapos.types import Motion, Task
+from momapos.core.geometry.transforms import invert
+from momapos.model.records.plans import Motion
+from momapos.model.records.tasks import Task
+from momapos.model.scene.scene_files import load_scene
+from momapos.model.urdf.articulated import Articulated
+from momapos.model.urdf.reader import read_urdf
 from momapos.verification.convex import overlap
-from momapos.verification.exact import PlanVerifier
-from momapos.verification.files import UrdfArm
+from momapos.verification.exact_check import PlanVerifier
+from momapos.verification.plan_check import UrdfArm
 from momapos.verification.report import DEFAULT, Check, Limits
 
 DOOR = Task("open", "cupboard", "hinge", OPEN)

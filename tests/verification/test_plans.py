@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 from door_case import make_case
 
-from momapos.cli.main import main
-from momapos.errors import FileFormatError, InputError
-from momapos.plans import plan_to_dict, read_plan, write_plan
-from momapos.types import Motion, PlacementPlan
-from momapos.verification.files import verify_files
+from momapos.apps.cli.main import main
+from momapos.core.errors import FileFormatError, InputError
+from momapos.model.plan_files.plan_format import plan_to_dict, read_plan, write_plan
+from momapos.model.records.plans import Motion, PlacementPlan
+from momapos.verification.plan_check import verify_files
 
 
 @pytest.fixture
@@ -180,7 +180,7 @@ def test_missing_files_and_binaries_are_refused(tmp_path: Path) -> None:
 
 
 def test_a_file_too_large_is_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("momapos.plans.MAX_BYTES", 100)
+    monkeypatch.setattr("momapos.model.plan_files.plan_format.MAX_BYTES", 100)
     with pytest.raises(FileFormatError, match="larger"):
         read_plan(make_case().write(tmp_path))
 

@@ -8,18 +8,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from momapos.config import PipelineConfig
-from momapos.errors import FileFormatError
-from momapos.export.phases import PhaseKind, phases_of
-from momapos.manipulation.config import MotionConfig
-from momapos.manipulation.tasks import make_task
-from momapos.pipeline import plan_base_placement
-from momapos.plans import read_plan, write_plan
-from momapos.robots.robot import Robot, load_robot
-from momapos.scene.files import load_scene
-from momapos.scene.scene import Scene
-from momapos.types import Motion, PlacementPlan, Task
-from momapos.verification.exact import PlanVerifier
+from momapos.apps.export.phases import PhaseKind, phases_of
+from momapos.core.errors import FileFormatError
+from momapos.model.plan_files.plan_format import read_plan, write_plan
+from momapos.model.records.plans import Motion, PlacementPlan
+from momapos.model.records.tasks import Task
+from momapos.model.robots.robot import Robot, load_robot
+from momapos.model.scene.scene import Scene
+from momapos.model.scene.scene_files import load_scene
+from momapos.planning.config import PipelineConfig
+from momapos.planning.grasps.config import MotionConfig
+from momapos.planning.grasps.tasks import make_task
+from momapos.planning.plan import plan_base_placement
+from momapos.verification.exact_check import PlanVerifier
 
 CONFIG = PipelineConfig(motion=MotionConfig(home_again=True))
 ASKED = {

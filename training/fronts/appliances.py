@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from momapos.types import PartKind
+from momapos.model.records.scans import PartKind
 
 from .plans import Cell, Plan, hinged, pair, split
 

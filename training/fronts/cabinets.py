@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from momapos.types import PartKind
+from momapos.model.records.scans import PartKind
 
 from .canvas import Rect
 from .plans import Cell, Plan, hinged, pair, split

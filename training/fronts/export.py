@@ -11,7 +11,7 @@ import torch
 from onnx import helper, numpy_helper
 from torch import Tensor, nn
 
-from momapos.reconstruction import decode
+from momapos.perception.reconstruction import decode
 
 from . import networks
 

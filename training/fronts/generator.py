@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from jaxtyping import Float
 
-from momapos.types import FaceImage, Part, PartKind
+from momapos.model.records.scans import FaceImage, Part, PartKind
 
 from . import camera, fittings, handles, layouts, materials, plans
 from .canvas import Canvas, Rect, inset

@@ -7,7 +7,7 @@ import itertools
 import torch
 from torch import Tensor, nn
 
-from momapos.reconstruction.decode import KINDS
+from momapos.perception.reconstruction.decode import KINDS
 
 PLANES = 7
 

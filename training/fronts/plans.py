@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from momapos.types import PartKind
+from momapos.model.records.scans import PartKind
 
 from .canvas import Rect
 

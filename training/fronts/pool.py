@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
-from momapos.geometry.dark_lines import SEAM_MOST
-from momapos.reconstruction import decode
+from momapos.core.geometry.line_detection import SEAM_MOST
+from momapos.perception.reconstruction import decode
 
 from . import generator
 

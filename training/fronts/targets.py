@@ -8,7 +8,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 from torch.nn import functional as F
 
-from momapos.reconstruction.decode import KINDS
+from momapos.perception.reconstruction.decode import KINDS
 
 
 def bumps(

@@ -14,11 +14,13 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from momapos.reconstruction import decode
+from momapos.perception.reconstruction import decode
 
 from . import export, generator, networks, pool, targets
 
-WEIGHTS = Path(__file__).parents[2] / "src" / "momapos" / "reconstruction" / "weights"
+WEIGHTS = (
+    Path(__file__).parents[2] / "src" / "momapos" / "perception" / "reconstruction" / "weights"
+)
 MIRROR = np.array(decode.MIRRORED_KINDS)
 """What each kind is in a mirror."""
 MIXES = {"ordinary": generator.ORDINARY, "hard": generator.HARD, "hung": generator.HUNG}

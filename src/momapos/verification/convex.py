@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from momapos.compiled import F1, F2, I2, entry, kernel
+from momapos.core.compiled import F1, F2, I2, entry, kernel
 
 TOLERANCE = 1e-6
 """Gap between the bounds at which a distance counts as exact [m]."""

@@ -8,9 +8,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from momapos.kinematics.articulated import Articulated
-from momapos.kinematics.urdf import Joint
-from momapos.kinematics.urdf_records import Mimic
+from momapos.model.urdf import Articulated, Joint, Mimic
 
 if TYPE_CHECKING:
     from jaxtyping import Float

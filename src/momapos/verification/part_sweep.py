@@ -14,12 +14,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.geometry.transforms import invert
-from momapos.verification.convex import overlap
-from momapos.verification.part import MovedPart
-from momapos.verification.report import Limits
-from momapos.verification.shapes import Shapes
-from momapos.verification.sweep import all_pairs, deepest
+from momapos.core.geometry import invert
+
+from .convex import overlap
+from .exact_shapes import Shapes
+from .moved_part import MovedPart
+from .report import Limits
+from .sweep import all_pairs, deepest
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int

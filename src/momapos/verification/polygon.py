@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.geometry.polygons import contains, edge_distances
+from momapos.core.geometry import contains, edge_distances
 
 if TYPE_CHECKING:
     from jaxtyping import Float

@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from momapos.errors import RobotError, unknown_name
-from momapos.geometry.transforms import invert, pose_planar
-from momapos.kinematics.articulated import Articulated
-from momapos.verification.link_bodies import LinkBodies, body_poses
-from momapos.verification.shapes import Shapes, of_bodies, prepared
-from momapos.verification.sweep import all_pairs
+from momapos.core import RobotError, unknown_name
+from momapos.core.geometry import invert, pose_planar
+from momapos.model.urdf import Articulated
+
+from .exact_shapes import Shapes, of_bodies, prepared
+from .link_bodies import LinkBodies, body_poses
+from .sweep import all_pairs
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int

@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.compiled import F4, I2, entry, kernel
-from momapos.verification.convex import TOLERANCE, Body, overlap
-from momapos.verification.shapes import ShapeArrays, Shapes
+from momapos.core.compiled import F4, I2, entry, kernel
+
+from .convex import TOLERANCE, Body, overlap
+from .exact_shapes import ShapeArrays, Shapes
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int

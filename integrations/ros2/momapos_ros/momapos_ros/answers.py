@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 import momapos
-from momapos.errors import TaskError
-from momapos.export.phases import Phase, PhaseKind, phases_of
-from momapos.export.ros2 import messages
+from momapos.apps.export.phases import Phase, PhaseKind, phases_of
+from momapos.apps.export.ros2 import messages
+from momapos.core.errors import TaskError
 
 scene_of = cache(momapos.load_scene)
 robot_of = cache(momapos.load_robot)

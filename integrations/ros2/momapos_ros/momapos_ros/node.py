@@ -21,7 +21,7 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.node import Node
 
-from momapos.errors import MomaposError
+from momapos.core.errors import MomaposError
 from momapos_ros.answers import Answer, Question, answer, answer_at, kinds
 from momapos_ros.messages import fill, planar
 

@@ -1,0 +1,1 @@
+"""What a user starts: the command line, the web page, figures, the benchmark and exports."""

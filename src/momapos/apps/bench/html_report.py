@@ -1,0 +1,139 @@
+"""A report as one HTML page that needs nothing else: each number leads to its rows."""
+
+from __future__ import annotations
+
+from base64 import b64encode
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from html import escape
+
+from .bench_records import Row
+from .cells import Cell, Table
+from .figures import pie_figure, scatter_figure, success_figure
+from .metrics import how_it_ended
+from .printed import pies
+
+STYLE = """
+body { font: 15px/1.45 sans-serif; margin: 2em auto; max-width: 75em; padding: 0 1em; color: #222 }
+table { border-collapse: collapse; margin: .6em 0 }
+th, td { border-bottom: 1px solid #ddd; padding: .2em .7em; text-align: left; vertical-align: top }
+th { background: #f3f3f3 } td { font-variant-numeric: tabular-nums }
+a { color: #1f5f9e; text-decoration: none } a:hover { text-decoration: underline }
+img { max-width: 100% }
+:target { background: #fff3b0 } .note { color: #666 } .rows { font-size: 13px }
+"""
+ROW_COLUMNS = (
+    "task", "class", "robot", "method", "outcome", "reason", "time", "driving", "full checks",
+    "clearance", "stands at", "node",
+)  # fmt: skip
+
+
+def page(
+    heading: Sequence[str],
+    tables: Sequence[Table],
+    rows: Sequence[Row],
+    pictures: Sequence[Picture] = (),
+) -> str:
+    """The page.
+
+    Args:
+        heading: Lines that say what was run.
+        tables: What came of it.
+        rows: All rows, which stand at the end of the page.
+        pictures: Answers to some of the tasks.
+    """
+    anchors = {row.key: f"r{number}" for number, row in enumerate(rows)}
+    names = {row.key: row.task for row in rows}
+    numbers = _Numbers(anchors, names)
+    parts = [f"<h1>{escape(heading[0])}</h1>", *(f"<p>{escape(line)}</p>" for line in heading[1:])]
+    for k, table in enumerate(tables):
+        parts.append(numbers.table(table))
+        if k == 0:
+            parts += ["<h2>Success</h2>", success_figure(rows)]
+            parts += ["<h2>Driving against time</h2>", scatter_figure(rows, anchors)]
+            parts += ["<h2>Shares of the stages</h2>", pie_figure(pies(rows))]
+    if pictures:
+        parts.append("<h2>Potential and candidates</h2>")
+    parts += [_picture(one, anchors) for one in pictures]
+    parts += ["<h2>Rows</h2>", _row_table(rows, anchors)]
+    parts += ["<h2>What each number counts</h2>", *numbers.lists]
+    body = "\n".join(parts)
+    return (
+        f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>'
+        f"{escape(heading[0])}</title><style>{STYLE}</style></head>\n<body>\n{body}\n</body></html>\n"
+    )
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture in the page."""
+
+    title: str
+    key: str
+    """Of the row that it shows."""
+    png: bytes
+
+
+class _Numbers:
+    """Lists the rows that each number counts, once for each set of rows."""
+
+    def __init__(self, anchors: Mapping[str, str], names: Mapping[str, str]) -> None:
+        self.anchors, self.names = anchors, names
+        self.lists: list[str] = []
+        self.known: dict[tuple[str, ...], str] = {}
+
+    def table(self, table: Table) -> str:
+        """A table as HTML."""
+        head = "".join(f"<th>{escape(name)}</th>" for name in table.columns)
+        lines = [
+            "<tr>" + "".join(f"<td>{self.cell(cell, table, line)}</td>" for cell in line) + "</tr>"
+            for line in table.lines
+        ]
+        note = f'<p class="note">{escape(table.note)}</p>' if table.note else ""
+        content = f"<table><tr>{head}</tr>{''.join(lines)}</table>" if lines else "<p>None.</p>"
+        return f"<h2>{escape(table.title)}</h2>\n{content}{note}"
+
+    def cell(self, cell: Cell, table: Table, line: tuple[Cell, ...]) -> str:
+        """What a cell shows; a link, where rows are behind it."""
+        text = escape(cell.text)
+        keys = tuple(key for key in cell.keys if key in self.anchors)
+        if not keys or not text:
+            return text
+        if len(keys) == 1:
+            return f'<a href="#{self.anchors[keys[0]]}">{text}</a>'
+        if keys not in self.known:
+            self.known[keys] = f"n{len(self.known)}"
+            links = ", ".join(
+                f'<a href="#{self.anchors[key]}">{escape(self.names[key])}</a>' for key in keys
+            )
+            what = escape(f"{table.title}, {line[0].text}: {cell.text}")
+            self.lists.append(f'<p class="rows" id="{self.known[keys]}"><b>{what}</b>: {links}</p>')
+        return f'<a href="#{self.known[keys]}">{text}</a>'
+
+
+def _picture(picture: Picture, anchors: Mapping[str, str]) -> str:
+    data = b64encode(picture.png).decode()
+    title = f'<a href="#{anchors[picture.key]}">{escape(picture.title)}</a>'
+    return (
+        f'<p>{title}<br><img src="data:image/png;base64,{data}" alt="{escape(picture.title)}"></p>'
+    )
+
+
+def _row_table(rows: Sequence[Row], anchors: Mapping[str, str]) -> str:
+    head = "".join(f"<th>{escape(name)}</th>" for name in ROW_COLUMNS)
+    lines = [f'<table class="rows"><tr>{head}</tr>']
+    for row in rows:
+        bases = "; ".join(f"({x:.2f}, {y:.2f}, {yaw:.2f})" for x, y, yaw in row.bases)
+        texts = (
+            row.task, row.group, row.robot, row.method, how_it_ended(row), row.reason,
+            _number(row.seconds, "s"), _number(row.driving, "m"),
+            "" if row.checked is None else str(row.checked), _number(row.clearance, "m"), bases,
+            row.host,
+        )  # fmt: skip
+        cells = "".join(f"<td>{escape(text)}</td>" for text in texts)
+        lines.append(f'<tr id="{anchors[row.key]}">{cells}</tr>')
+    return "\n".join([*lines, "</table>"])
+
+
+def _number(value: float | None, unit: str) -> str:
+    return "" if value is None else f"{value:.3f} {unit}"

@@ -1,0 +1,31 @@
+"""A report as Markdown."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from .cells import Table
+
+
+def markdown(heading: Sequence[str], tables: Sequence[Table]) -> str:
+    """The report of a results folder.
+
+    Args:
+        heading: Lines that say what was run.
+        tables: What came of it.
+    """
+    parts = [f"# {heading[0]}", *heading[1:]]
+    for table in tables:
+        lines = [
+            f"| {' | '.join(map(_escaped, table.columns))} |",
+            "|---" * len(table.columns) + "|",
+        ]
+        lines += [f"| {' | '.join(_escaped(cell.text) for cell in line)} |" for line in table.lines]
+        parts += [f"## {table.title}", "\n".join(lines) if table.lines else "None."]
+        if table.note:
+            parts.append(table.note)
+    return "\n\n".join(parts)
+
+
+def _escaped(text: str) -> str:
+    return text.replace("|", "\\|")

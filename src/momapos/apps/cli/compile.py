@@ -1,0 +1,74 @@
+"""Compiling the kernels, once after installation from a clone; a wheel brings them compiled."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+
+from momapos.core.compiled import ENTRIES, store
+
+ANSWER = (
+    "momapos.model.collision.base_collision._hit",
+    "momapos.model.kinematics.chain.forward",
+    "momapos.model.kinematics.chain.stand_at_origin",
+    "momapos.model.kinematics.chain.tool_poses",
+    "momapos.model.collision.self_collision._contacts",
+    "momapos.model.collision.collision_world._fill_buckets",
+    "momapos.model.collision.collision_world._first_hits",
+    "momapos.planning.arm_motion.arm_path._shortest",
+    "momapos.planning.arm_motion.arm_path._track",
+    "momapos.planning.arm_motion.hand_clearance._hand_hits",
+    "momapos.planning.arm_motion.ik_layers._solve_layers",
+    "momapos.planning.grasps.swept_boxes._surface",
+    "momapos.planning.grasps.swept_boxes._touches",
+    "momapos.planning.navigation.outline_gaps._gaps",
+    "momapos.planning.navigation.convex_hull._chain",
+    "momapos.planning.navigation.grid_distance._clearance",
+    "momapos.planning.navigation.grid_distance._path_lengths",
+    "momapos.planning.navigation.lattice.astar",
+    "momapos.planning.navigation.lattice.connections",
+    "momapos.planning.navigation.lattice.shorten",
+    "momapos.planning.navigation.lattice.standable",
+    "momapos.planning.placement.potential._sees",
+    "momapos.planning.reachability.grid.min_line_scores",
+    "momapos.verification.convex.overlap",
+    "momapos.verification.exact_shapes._place",
+    "momapos.verification.sweep._deepest",
+)
+"""The entries that an answer needs."""
+VERIFY = (
+    "momapos.verification.convex.overlap",
+    "momapos.verification.exact_shapes._place",
+    "momapos.verification.sweep._deepest",
+)
+"""Those that checking a plan needs."""
+RANK = (
+    "momapos.planning.importance.relations._hierarchy",
+    "momapos.planning.importance.relations._nearest",
+)
+"""Those that the scene graph and the scores by reach need."""
+WALKS = (
+    "momapos.planning.importance.embedding._train",
+    "momapos.planning.importance.random_walks._walk",
+)
+"""Those that scores by walks need besides."""
+
+
+def compile_once(names: tuple[str, ...] = ANSWER) -> None:
+    """Compile those entries that are not stored, so that no timeout pays for it.
+
+    Says how far it is on stderr: in place on a terminal, else in one line.
+    """
+    for name in names:
+        importlib.import_module(name.rpartition(".")[0])
+    store.prepare([ENTRIES[name] for name in names], _report)
+
+
+def _report(done: int, count: int) -> None:
+    """One line that a terminal shows in place."""
+    line = f"momapos: compiling, once after installation: {done} of {count} kernels"
+    if sys.stderr.isatty():
+        end = "\n" if done == count else ""
+        print(f"\r{line}", end=end, file=sys.stderr, flush=True)
+    elif done == 0:
+        print(line, file=sys.stderr, flush=True)

@@ -1,0 +1,98 @@
+"""`momapos scene convert`: from any kind of scene that is read to the one that is written."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from momapos.apps.export import write_scene
+from momapos.core import InputError, SceneError
+from momapos.model.robots import expand_xacro, is_xacro
+from momapos.model.scene import Scene, copied, load_scene, model_files, save_scene
+from momapos.model.scene.formats import Report, kind_of_file, read_room, write_mjcf, write_room
+
+FORMATS = {".json": "momapos", ".xml": "MJCF", ".scene": "MoveIt"}
+"""What scenes are written as, by the ending of the file's name."""
+
+
+def convert(
+    path: Path, out: Path, *, copy: bool, root: Path | None, without: Sequence[str]
+) -> tuple[Scene, Report | None]:
+    """Convert a scene; the arguments are those of the command.
+
+    Returns:
+        The scene as of the new file, with what its reader had to assume, and what became of what
+        was in a file of another program.
+
+    Raises:
+        MomaposError: It cannot be converted; nothing is written then.
+    """
+    if is_xacro(path):
+        return _convert_xacro(path, out, root=root, without=without)
+    kind, suffix = kind_of_file(path), out.suffix.lower()
+    if suffix not in FORMATS:
+        written = ", ".join(f"{ending} ({name})" for ending, name in FORMATS.items())
+        raise InputError(f"{out}: scenes are written as {written}")
+    if without and kind is None:
+        raise InputError("--without is for rooms of other programs, such as MJCF")
+    if kind is not None and suffix == ".json":
+        room = read_room(kind, path, root).without(without)
+        return write_room(room, path, out), room.told()
+    if kind is not None:
+        with tempfile.TemporaryDirectory() as folder:
+            room = read_room(kind, path, root).without(without)
+            return _write_foreign(
+                write_room(room, path, Path(folder) / "room.json"), out
+            ), room.told()
+    scene = load_scene(path, root=root)
+    if suffix != ".json":
+        return _write_foreign(scene, out), None
+    if copy:
+        with copied(scene, out, root) as moved:
+            save_scene(moved, out)
+    else:
+        _refuse_outside(scene, out)
+        save_scene(scene, out)
+    again = load_scene(out)
+    return replace(again, warnings=(*scene.warnings, *again.warnings)), None
+
+
+def _convert_xacro(
+    path: Path, out: Path, *, root: Path | None, without: Sequence[str]
+) -> tuple[Scene, Report | None]:
+    """Convert what a xacro file expands to; its files are copied, for that lies nowhere else."""
+    text, _ = expand_xacro(path, {}, {})
+    try:
+        with tempfile.TemporaryDirectory(dir=path.parent) as folder:
+            urdf = Path(folder) / path.with_suffix("").with_suffix(".urdf").name
+            urdf.write_text(text)
+            return convert(urdf, out, copy=True, root=root, without=without)
+    except OSError as error:
+        raise InputError(f"{path.parent}: cannot be written ({error.strerror})") from error
+
+
+def _write_foreign(scene: Scene, out: Path) -> Scene:
+    """Write a scene for another program."""
+    if out.suffix.lower() == ".scene":
+        write_scene(scene, np.eye(4), out)
+    else:
+        write_mjcf(scene, out)
+    return scene
+
+
+def _refuse_outside(scene: Scene, out: Path) -> None:
+    """Say where the output could stand when the models are not below its folder."""
+    files = [file.resolve() for item in scene.objects for file in model_files(item.model)]
+    folder = out.resolve().parent
+    if all(file.is_relative_to(folder) for file in files):
+        return
+    place = Path(os.path.commonpath([file.parent for file in files])) / out.name
+    raise SceneError(
+        f"{out}: the scene's URDF files are not below {folder}; "
+        f"write it to {place}, or add --copy to copy them"
+    )

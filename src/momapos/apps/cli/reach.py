@@ -1,0 +1,164 @@
+"""momapos reach: reachability maps."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from tyro.conf import Positional
+
+from momapos.apps.plots import check_picture
+from momapos.model.robots import find_named_robot
+
+from .options import OptionalPath, OptionalText
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from momapos.model.robots import Robot
+    from momapos.planning.reachability import ReachMap
+
+
+def reach_build(
+    robot: Positional[str],
+    /,
+    *,
+    arm: str = "any",
+    cache: OptionalPath = None,
+    out: OptionalPath = None,
+    plot: OptionalPath = None,
+    json: bool = False,
+) -> int:
+    """Build a robot's reachability map, or find it ready.
+
+    Args:
+        robot: A library robot or a robot file.
+        arm: Of a robot with several arms: which, or any for all.
+        cache: Folder of the cache.
+        out: Build it afresh into this file; NAME.reach beside NAME.toml is found by itself, and
+            NAME.ARM.reach for one arm of several.
+        plot: Draw what one arm reaches in slices (PNG, SVG or PDF).
+        json: Print one JSON object.
+    """
+    find_named_robot(robot)  # a mistyped name is told before anything heavy is imported
+    import json as encoder
+    import time
+
+    from momapos.core import Cache, InputError, check_outputs, default_cache_dir, write_atomic
+    from momapos.model.robots import load_arms
+    from momapos.planning.reachability import (
+        build_true_map,
+        default_config,
+        encode,
+        load_reach_map,
+        map_key,
+    )
+
+    from .console import progress
+
+    check_outputs([out, plot], [cache])
+    check_picture(plot)
+    kept = cache or default_cache_dir()
+    machines, where = load_arms(robot, arm, cache=Cache(kept)), out or kept
+    for machine in machines:
+        _check_map(machine)
+    if (out or plot) is not None and len(machines) > 1:
+        names = " or ".join(machine.arm for machine in machines)
+        raise InputError(f"{out or plot} holds the map of one arm: give --arm {names}")
+    began, worked = time.perf_counter(), time.process_time()
+    for machine in machines:
+        with progress(f"reachability map of {machine.title}") as report:
+            if out is None:
+                reach = load_reach_map(machine, where, report)
+            else:
+                key = map_key(machine, default_config(machine))
+                reach = build_true_map(machine, progress=report, key=key)
+                write_atomic(out, encode(reach))
+    if plot is not None:
+        _draw(machines[0], reach, plot)
+    seconds, worked = time.perf_counter() - began, time.process_time() - worked
+    facts = {"path": str(where), "seconds": seconds, "processor_seconds": worked}
+    if json:
+        arms = [machine.arm for machine in machines if machine.arm]
+        print(encoder.dumps({"robot": machines[0].name, "arms": arms, **facts}))
+    else:
+        names = ", ".join(machine.title for machine in machines)
+        print(
+            f"reachability map of {names}: ready after {seconds:.1f} s "
+            f"({worked:.1f} s of processor time) in {where}"
+        )
+    return 0
+
+
+def reach_eval(
+    robot: Positional[str], /, *, arm: OptionalText = None, count: int = 4_000, seed: int = 0,
+    cache: OptionalPath = None, json: bool = False,
+) -> int:  # fmt: skip
+    """Hold a robot's reachability map against exact inverse kinematics.
+
+    Most poses in the ball around the shoulder are out of reach; what a map misses and invents
+    counts among those near reach, which are told first.
+
+    Args:
+        robot: A library robot or a robot file.
+        arm: Of a robot with several arms: which; the first by default.
+        count: Number of random tool poses, of those near reach and of those in the ball.
+        seed: Seed of the poses.
+        cache: Folder of the cache.
+        json: Print one JSON object.
+    """
+    find_named_robot(robot)
+    import json as encoder
+    from dataclasses import asdict
+
+    import numpy as np
+
+    from momapos.core import Cache, InputError, check_outputs, default_cache_dir
+    from momapos.model.robots import load_robot
+    from momapos.planning.reachability import evaluate, load_reach_map
+
+    from .console import progress
+    from .options import check_seed
+
+    if not 0 < count <= 10_000_000:
+        raise InputError("--count must be between 1 and 10000000")
+    check_seed(seed)
+    check_outputs(folders=[cache])
+    kept = cache or default_cache_dir()
+    machine = load_robot(robot, arm=arm, cache=Cache(kept))
+    _check_map(machine)
+    with progress(f"reachability map of {machine.title}") as report:
+        reach = load_reach_map(machine, kept, report)
+    ik = machine.finer.ik
+    near, ball = (
+        asdict(evaluate(reach, machine, np.random.default_rng(seed), count, ik, near=beside))
+        for beside in (True, False)
+    )
+    shares = ("accuracy", "false_positives", "misses", "reachable")
+    facts = {f"{name}_near_reach": near[name] for name in shares} | ball
+    if json:
+        print(encoder.dumps({"robot": machine.name, "arm": machine.arm, **facts}))
+    else:
+        width = max(len(name) for name in facts)
+        for name, value in facts.items():
+            print(f"{name:<{width}}  {value:.4g}")
+    return 0
+
+
+def _draw(robot: Robot, reach: ReachMap, path: Path) -> None:
+    from momapos.apps.plots import draw_reach, tool_axes
+
+    axes = tool_axes(robot.approach_axis, robot.closing_axis)
+    draw_reach(reach, axes, robot.reach, path, title=robot.title, footprint=robot.footprint)
+
+
+def _check_map(robot: Robot) -> None:
+    """Refuse an arm that can have no map.
+
+    Raises:
+        RobotError: It can have none; the message says why.
+    """
+    from momapos.core import RobotError
+    from momapos.planning.reachability import no_map
+
+    if why := no_map(robot):
+        raise RobotError(f"{robot.title} has no reachability map: {why}; place needs none")

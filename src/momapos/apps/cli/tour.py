@@ -1,0 +1,241 @@
+"""momapos place ... then ...: several tasks one after the other, from few base poses."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, get_args
+
+from tyro.conf import Positional
+
+from momapos.core import TaskError, check_outputs, unknown_name
+from momapos.model.records import Verb
+from momapos.model.robots import find_named_robot
+from momapos.model.scene import find_scene, refuse_unknown_object
+from momapos.planning.placement import OURS
+
+from .loading import load_arms_with_maps, load_room
+from .options import EXIT_STATUS, Target, ValueArg
+from .parse import parse
+from .place import DEFAULT, Options, Shared, parse_pose, read_region, tyro_rules
+
+if TYPE_CHECKING:
+    from momapos.model.records import PlacementPlan
+    from momapos.planning import Request, Tour
+
+THEN = "then"
+VERBS = get_args(Verb)
+USAGE = "write each further task as: then VERB OBJECT[/JOINT] [--to VALUE]"
+
+
+def run_tour(words: Sequence[str]) -> int:
+    """Answer `open SCENE OBJECT ... then VERB OBJECT ...`.
+
+    Args:
+        words: What follows `momapos place`.
+
+    Raises:
+        InputError: The words make no tasks.
+    """
+    verb, first, further = split(words)
+    command = _command(verb, further)
+    return parse(command, first, "momapos place", tyro_rules(first))()
+
+
+def split(words: Sequence[str]) -> tuple[str, list[str], list[tuple[str, str, str | None]]]:
+    """Tell the tasks apart.
+
+    Options may stand anywhere; they are of all tasks, but for --to, which is of its own.
+
+    Returns:
+        The first verb, its words and all options, and verb, target and value of every other task.
+
+    Raises:
+        InputError: A task is not complete, or its verb is none.
+    """
+    parts: list[list[str]] = [[]]
+    for word in words:
+        if word == THEN:
+            parts.append([])
+        else:
+            parts[-1].append(word)
+    (verb, *first), further = parts[0] or [""], []
+    _check_verb(verb)
+    for part in parts[1:]:
+        if len(part) < 2 or part[0].startswith("-") or part[1].startswith("-"):
+            raise TaskError(f"then {' '.join(part)}: {USAGE}".replace("  ", " "))
+        _check_verb(part[0])
+        to, rest = _value(part[2:])
+        further.append((part[0], part[1], to))
+        first += rest
+    return verb, first, further
+
+
+def _value(words: list[str]) -> tuple[str | None, list[str]]:
+    """The value of --to, and what else there is."""
+    for i, word in enumerate(words):
+        if word == "--to":
+            if i + 1 == len(words):
+                raise TaskError(f"--to needs a value; {USAGE}")
+            return words[i + 1], [*words[:i], *words[i + 2 :]]
+        if word.startswith("--to="):
+            return word.removeprefix("--to="), [*words[:i], *words[i + 1 :]]
+    return None, words
+
+
+def _check_verb(verb: str) -> None:
+    if verb not in VERBS:
+        raise unknown_name("verb", verb, VERBS, "momapos place")
+
+
+def _command(verb: Verb | str, further: list[tuple[str, str, str | None]]) -> Callable[..., int]:
+    """The command of a first verb, as tyro reads it."""
+
+    def place_tour(
+        scene: Positional[str],
+        target: Positional[Target],
+        /,
+        *,
+        to: ValueArg = None,
+        options: Shared = DEFAULT,
+    ) -> int:
+        """Do several tasks one after the other: one base pose for all, else the fewest stops.
+
+        Args:
+            scene: A scene file or the name of a built-in kitchen.
+            target: The first task's object, and the joint where it has several.
+            to: How far the first part is moved; each further task may have its own.
+        """
+        return _answer(scene, [(verb, target, to), *further], options)
+
+    return place_tour
+
+
+def _request(verb: str, target: str, to: str | None) -> Request:
+    from momapos.planning import Request
+
+    name, _, joint = target.partition("/")
+    return Request(verb, name, joint or None, to)  # type: ignore[arg-type]
+
+
+def _check(options: Options) -> None:
+    """Refuse options that belong to a single task.
+
+    Raises:
+        TaskError: One is given.
+    """
+    one = {"--at": options.at, "--plot": options.plot, "--robust": options.robust}
+    for name, value in one.items():
+        if value is not None:
+            raise TaskError(f"{name} belongs to one task; ask for each by itself, or leave it out")
+    if options.config.place.method not in OURS:
+        raise TaskError(
+            f"several tasks are answered by --method {' or '.join(OURS)}, not by "
+            f"{options.config.place.method}"
+        )
+
+
+def _answer(scene_name: str, tasks: Sequence[tuple[str, str, str | None]], options: Options) -> int:
+    _check(options)
+    start = None if options.start is None else parse_pose(options.start, "start")
+    requests = [_request(*task) for task in tasks]
+    outs = []
+    if options.out is not None:
+        plans = range(1, 1 + len(requests))
+        outs = [
+            options.out,
+            *(options.out.with_name(f"{options.out.stem}_{k}.json") for k in plans),
+        ]
+    check_outputs(outs)
+    find_named_robot(options.robot)
+    for request in requests:
+        refuse_unknown_object(find_scene(scene_name), request.object)
+
+    import numpy as np
+
+    from momapos.core import user_cache
+    from momapos.planning import plan_tour, with_tolerance
+
+    from .compile import ANSWER, compile_once
+    from .console import busy
+
+    cache = user_cache()
+    scene = load_room(scene_name, options.joint, cache)
+    region = read_region(options, scene)
+    compile_once(ANSWER)
+    tours = []
+    for robot, reach in zip(*load_arms_with_maps(options.robot, options.arm, cache), strict=True):
+        with busy(f"{robot.name}: searching", options.config.timeout):
+            tours.append(plan_tour(
+                scene, robot, requests, reach, start=None if start is None else np.array(start),
+                region=region, config=options.config, seed=options.seed,
+            ))  # fmt: skip
+    order = tuple(EXIT_STATUS)
+    tour = min(tours, key=lambda t: (-len(t.steps), order.index(t.status), max(t.stops), t.driving))
+    if options.tolerance:
+        with busy(f"{tour.steps[0].plan.robot_name}: tolerance"):
+            tour = replace(tour, steps=tuple(
+                with_tolerance(step, samples=options.tolerance_samples) for step in tour.steps
+            ))  # fmt: skip
+    _deliver(tour, options)
+    return EXIT_STATUS[tour.status]
+
+
+def _deliver(tour: Tour, options: Options) -> None:
+    import json
+    from pathlib import Path
+
+    from momapos.model import with_times
+    from momapos.model.plan_files import plan_to_dict, tour_of, tour_to_dict, write_tour
+
+    if options.out is not None or options.json:
+        tour = replace(tour, steps=tuple(
+            replace(step, plan=with_times(step.plan, step.prepared.robot)) for step in tour.steps
+        ))  # fmt: skip
+    plans = [step.plan for step in tour.steps]
+    if options.out is not None:
+        write_tour(options.out, plans, tour.stops, tour.assumed)
+    if options.json:
+        record = tour_of(options.out or Path("tour.json"), plans, tour.stops, tour.assumed)
+        print(json.dumps(tour_to_dict(record, [plan_to_dict(plan) for plan in plans])))
+    else:
+        print(_summary(tour, options))
+
+
+def _summary(tour: Tour, options: Options) -> str:
+    """The answer in a few lines: each stop, what is done there; all of a task without an answer."""
+    from .console import asked, summary
+
+    name = tour.steps[0].plan.robot_name
+    done = [step for step in tour.steps if step.plan.status == "solved"]
+    stops = max(tour.stops[: len(done)], default=0)
+    counted = f"{len(done)} tasks from {stops} base pose{'s' if stops != 1 else ''}"
+    lines = [f"{name}: {counted}: {tour.status}", ""]
+    for before, stop, step in zip((0, *tour.stops), tour.stops, done, strict=False):
+        plan = step.plan
+        assert plan.base_pose is not None
+        x, y, yaw = plan.base_pose
+        if stop != before:
+            pose = f"x {x:.3f} m, y {y:.3f} m, yaw {math.degrees(yaw):.1f} deg"
+            here = [one for at, one in zip(tour.stops, done, strict=False) if at == stop]
+            room = room_beside([one.plan for one in here])
+            lines.append(f"  stop {stop}      {pose}; {plan.navigation_cost:.2f} m to drive{room}")
+        lines += [f"    {asked(step)}; {words}" for words in step.holds[:1]]
+    lines += [f"  assumed     {words}" for words in tour.assumed]
+    lines += [f"  time        {1000 * tour.seconds:.0f} ms"]
+    if tour.status != "solved":
+        lines += ["", summary(tour.steps[-1], None)]
+    if options.out is not None:
+        files = [f"{options.out.stem}_{k}.json" for k in range(1, 1 + len(tour.steps))]
+        lines.append(f"  plans       {options.out}, {', '.join(files)}")
+    return "\n".join(lines)
+
+
+def room_beside(plans: Sequence[PlacementPlan]) -> str:
+    """How far beside a stop the robot may stand for all its tasks, where that is known."""
+    known = [plan.tolerance for plan in plans if plan.tolerance is not None]
+    if not known:
+        return ""
+    least = min(known, key=lambda one: one.radius)
+    return f"; {least} beside it" if least.radius > 0.0 else "; no tolerance beside it"

@@ -1,0 +1,96 @@
+"""What `momapos view` can show, and how it is read."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from momapos.core import MomaposError, open_regular
+
+from .loading import tell
+
+if TYPE_CHECKING:
+    from momapos.apps.web import Opened, OpenedScan
+
+Kind = Literal["scene", "plan", "run", "scan"]
+_HEAD = 300
+"""A file says within so many bytes what it is."""
+_SCANS = (b"ply", b"# .PCD", b"#ROSBAG", b"\x89MCAP0", b"SQLite format 3")
+"""How clouds and recordings begin."""
+
+
+def kind_of(source: str) -> Kind:
+    """What a source calls itself; what else is wrong with it its reader says."""
+    path = Path(source)
+    try:
+        if path.is_dir():
+            return "scan"
+        with open_regular(path) as file:
+            head = file.read(_HEAD)
+    except (OSError, ValueError, MomaposError):  # a name, or what the reader of scenes refuses
+        return "scene"
+    if head.startswith(_SCANS):
+        return "scan"
+    kinds: dict[bytes, Kind] = {
+        b'"momapos-plan"': "plan", b'"momapos-run"': "run",
+        b'"momapos-tour"': "plan",
+    }  # fmt: skip
+    return next((kind for word, kind in kinds.items() if word in head), "scene")
+
+
+def source_in(source: str) -> str:
+    """The record or the plan in a folder of `momapos solve`; else the source itself."""
+    inside = (Path(source) / name for name in ("run.json", "plan.json"))
+    return next((str(path) for path in inside if path.is_file()), source)
+
+
+@contextmanager
+def opened_source(
+    source: str, robot: str | None, scene_root: Path | None = None
+) -> Iterator[Opened | OpenedScan | None]:
+    """What the page is opened with; None for a scene, which it loads itself.
+
+    Args:
+        source: A file, a folder, or a name.
+        robot: A library robot or a robot file; None for the one that a plan names.
+        scene_root: Folder for what a plan names and does not lie beside it.
+
+    Raises:
+        MomaposError: It cannot be read.
+    """
+    kind = kind_of(source)
+    if kind == "scene":
+        yield None
+    elif kind != "scan":
+        yield _opened(Path(source), kind, scene_root, robot)
+    else:
+        with tempfile.TemporaryDirectory(prefix="momapos-scan-") as folder:
+            yield _scan(Path(source), Path(folder))
+
+
+def _opened(path: Path, kind: Kind, scene_root: Path | None, robot: str | None) -> Opened:
+    """Read a plan, the plans of a tour, or the record of a run and the plan that it names."""
+    from momapos.apps.web import Opened
+
+    from .plan_sources import open_plans, open_run, plans_of
+
+    if kind == "plan":
+        plans = open_plans(plans_of(path, "to show"), scene_root, robot, "to show")
+        first, *then = (Opened(str(path), scene, one, plan) for plan, scene, one in plans)
+        return replace(first, then=tuple(then))
+    record, plan, scene, machine = open_run(path, scene_root, robot, "to show")
+    return Opened(str(path), scene, machine, plan, record)
+
+
+def _scan(path: Path, folder: Path) -> OpenedScan:
+    """Read a scan, of which the page makes a scene."""
+    from momapos.apps.web import OpenedScan
+    from momapos.perception.recordings import read_scan
+
+    scan = read_scan(path)
+    tell(scan.warnings)
+    return OpenedScan(str(path), scan, folder)

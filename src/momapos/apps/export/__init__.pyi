@@ -1,0 +1,15 @@
+from .attached_object import is_carried as is_carried
+from .attached_object import write_attached as write_attached
+from .carried_object import Carried as Carried
+from .mcap_recording import write_recording as write_recording
+from .phases import PhaseKind as PhaseKind
+from .phases import phases_of as phases_of
+from .planning_scene import write_scene as write_scene
+from .planning_scene import write_srdf as write_srdf
+from .ros2 import write_ros2 as write_ros2
+from .tables import write_csv as write_csv
+from .tables import write_npz as write_npz
+from .timeline import Timeline as Timeline
+from .timeline import executed as executed
+from .timeline import planned as planned
+from .timeline import recorded_motion as recorded_motion

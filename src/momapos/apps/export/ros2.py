@@ -1,0 +1,98 @@
+"""Plans as ROS 2 messages, written as JSON: goals for Nav2, an arm's controller and a gripper.
+
+The members are those of the messages, so that a node fills them in as they are.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from momapos.core import write_atomic
+from momapos.model.records import PlacementPlan
+from momapos.model.robots import Robot
+
+from .phases import Phase, PhaseKind
+
+FORMAT, VERSION = "momapos-ros2", 1
+
+
+def stamp(seconds: float) -> dict[str, int]:
+    """A `builtin_interfaces` Time or Duration."""
+    whole, rest = divmod(round(seconds * 1e9), 1_000_000_000)
+    return {"sec": whole, "nanosec": rest}
+
+
+def pose_stamped(pose: Sequence[float], frame: str) -> dict[str, Any]:
+    """A `geometry_msgs/PoseStamped` on the floor, from x [m], y [m] and yaw [rad]."""
+    x, y, yaw = pose
+    return {
+        "header": {"stamp": stamp(0.0), "frame_id": frame},
+        "pose": {
+            "position": {"x": x, "y": y, "z": 0.0},
+            "orientation": {"x": 0.0, "y": 0.0, "z": math.sin(yaw / 2), "w": math.cos(yaw / 2)},
+        },
+    }
+
+
+def joint_trajectory(phase: Phase, joints: tuple[str, ...]) -> dict[str, Any]:
+    """A `trajectory_msgs/JointTrajectory`."""
+    rows = zip(
+        phase.times.tolist(), phase.positions.tolist(), phase.velocities.tolist(), strict=True
+    )
+    points = [
+        {
+            "positions": q, "velocities": v, "accelerations": [], "effort": [],
+            "time_from_start": stamp(t),
+        }
+        for t, q, v in rows
+    ]  # fmt: skip
+    header = {"stamp": stamp(0.0), "frame_id": ""}
+    return {"header": header, "joint_names": list(joints), "points": points}
+
+
+def messages(
+    plan: PlacementPlan, phases: tuple[Phase, ...], robot: Robot, frame: str
+) -> dict[str, Any]:
+    """Everything that a node needs to carry the plan out, in order."""
+    assert plan.base_pose is not None
+    goal = pose_stamped(plan.base_pose, frame)
+    steps: list[dict[str, Any]] = []
+    if plan.base_path is not None:
+        poses = [pose_stamped(row, frame) for row in plan.base_path.tolist()]
+        header = {"stamp": stamp(0.0), "frame_id": frame}
+        steps.append(
+            {
+                "action": "nav2_msgs/action/NavigateToPose",
+                "goal": {"pose": goal, "behavior_tree": ""},
+                "path": {"header": header, "poses": poses},
+            }
+        )
+    for phase in phases:
+        if phase.kind is PhaseKind.ARM:
+            trajectory = joint_trajectory(phase, plan.joints)
+            action = "control_msgs/action/FollowJointTrajectory"
+            steps.append({"action": action, "goal": {"trajectory": trajectory}})
+        elif phase.kind is not PhaseKind.DRIVE:
+            wide = robot.opening if phase.kind is PhaseKind.OPEN else 0.0
+            command = {"position": wide, "max_effort": robot.grip_force}
+            action = "control_msgs/action/GripperCommand"
+            steps.append({"action": action, "goal": {"command": command}})
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        "robot": plan.robot_name,
+        "base_pose": goal,
+        "steps": steps,
+    }
+
+
+def write_ros2(
+    plan: PlacementPlan, phases: tuple[Phase, ...], robot: Robot, frame: str, path: Path
+) -> None:
+    """Write `messages` as JSON."""
+    text = json.dumps(messages(plan, phases, robot, frame), indent=1) + "\n"
+    write_atomic(path, text.encode())

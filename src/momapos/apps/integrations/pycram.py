@@ -1,0 +1,57 @@
+"""Base poses as a generator back-end of pycram's locations.
+
+A `Location` of pycram (CRAM's Python framework) iterates over its back-end for pose candidates, and
+yields those that its own world and validators accept. A back-end is anything to iterate over.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+from momapos.model.records import ANYWHERE, BaseRegion, ReachScorer, Task
+from momapos.model.robots import Robot
+from momapos.model.scene import Scene
+from momapos.planning import DEFAULT, PipelineConfig, iter_placements
+
+Pose = TypeVar("Pose")
+
+
+@dataclass(frozen=True, eq=False)
+class PlacementBackend(Generic[Pose]):
+    """Base poses from which a task works, in the order of `iter_placements`; each pass begins anew.
+
+    It has no `merge`: whether it would generate what another back-end does is not known. Narrow it
+    by `region`, or give the location more validators.
+    """
+
+    scene: Scene
+    robot: Robot
+    task: Task
+    make_pose: Callable[[float, float, float], Pose]
+    """Makes a pose of pycram from x [m], y [m] and yaw [rad] on the floor of its world, such as
+    `lambda x, y, yaw: Pose.from_xyz_rpy(x, y, 0.0, yaw=yaw, reference_frame=world.root)`."""
+    reach: ReachScorer | None = None
+    """The robot's reachability map; None to load it."""
+    region: BaseRegion = ANYWHERE
+    """Where the base is allowed to stand."""
+    config: PipelineConfig = DEFAULT
+    """How to search, and for how long."""
+    seed: int = 0
+
+    def __iter__(self) -> Iterator[Pose]:
+        """Yield poses until none is left, or the time is over.
+
+        Raises:
+            MomaposError: As `iter_placements`.
+        """
+        answers = iter_placements(
+            self.scene, self.robot, self.task, self.reach,
+            region=self.region, config=self.config, seed=self.seed,
+        )  # fmt: skip
+        with closing(answers):  # type: ignore[type-var]
+            for answer in answers:
+                assert answer.plan.base_pose is not None
+                yield self.make_pose(*answer.plan.base_pose)

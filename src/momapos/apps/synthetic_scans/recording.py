@@ -1,0 +1,209 @@
+"""Scans of scenes, written as a folder of posed frames with the truth beside them."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import tempfile
+import zlib
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from momapos.core import InputError, SceneError, require
+from momapos.core.geometry import UprightBox, pose, upright_frame
+from momapos.model.records import Frame
+from momapos.model.scene import Scene, SceneObject
+
+from .depth_sensor import DepthSensor, drifting, sense
+from .renderer import RenderWorld, pinhole, render_frame, render_world
+from .route import scan_route
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+FORMAT, VERSION = "momapos-scan-truth", 1
+SIZE = (640, 480)
+FOCALS = (525.0, 600.0)
+"""Focal lengths of such cameras [px]; each scan has one of them or between."""
+MAX_FRAMES = 10_000
+
+
+@dataclass(frozen=True, eq=False)
+class SyntheticScan:
+    """A scan that can be rendered, and what is true in it."""
+
+    scene: Scene
+    world: RenderWorld
+    intrinsics: Float[np.ndarray, "3 3"]
+    Ts_world_camera: Float[np.ndarray, "n 4 4"]
+    """True poses in the scene's world."""
+    Ts_scan_camera: Float[np.ndarray, "n 4 4"]
+    """Poses as the scan tells them, in its own world."""
+    T_scan_scene: Float[np.ndarray, "4 4"]
+    """From the scene's world to the scan's; identity unless it was tilted."""
+    sensor: DepthSensor | None
+    """What is wrong with the frames; None for perfect ones."""
+    seed: int
+
+    def frame(self, index: int) -> Frame:
+        """Render one frame, its pose in the scan's world; the same each time."""
+        name = f"frame-{index:06d}"
+        exact = render_frame(self.world, self.Ts_world_camera[index], self.intrinsics, SIZE, name)
+        if self.sensor is not None:
+            exact = sense(exact, np.random.default_rng((self.seed, 2, index)), self.sensor)
+        return replace(exact, T_world_camera=self.Ts_scan_camera[index])
+
+    def frames(self) -> Iterator[Frame]:
+        """Render all frames in order, two at a time."""
+        with ThreadPoolExecutor(max(1, min(4, os.cpu_count() or 1))) as pool:
+            yield from pool.map(self.frame, range(len(self.Ts_scan_camera)))
+
+
+def synthetic_scan(
+    scene: Scene,
+    *,
+    frames: int = 60,
+    seed: int = 0,
+    sensor: DepthSensor | None = None,
+    tilt: bool = False,
+) -> SyntheticScan:
+    """Plan a scan of a scene.
+
+    Args:
+        scene: The room.
+        frames: Number of images.
+        seed: Seed of materials, route and noise.
+        sensor: What is wrong with the frames; None for perfect ones.
+        tilt: Turn the world of the scan at random, so that its z axis is not up.
+
+    Raises:
+        InputError: The number of frames or the seed cannot be used.
+        SceneError: There is nowhere to stand.
+        UrdfError: A mesh cannot be read.
+    """
+    if not 1 <= frames <= MAX_FRAMES:
+        raise InputError(f"a scan has between 1 and {MAX_FRAMES} frames, not {frames}")
+    if seed < 0:
+        raise InputError(f"the seed of a scan must be 0 or more, not {seed}")
+    # two rooms with one seed shall not look alike
+    rng = np.random.default_rng((seed, 1, zlib.crc32(scene.name.encode())))
+    world = render_world(scene, rng)
+    focal = round(float(rng.uniform(*FOCALS)), 1)
+    Ts = scan_route(scene, world, frames, rng, focal=focal, size=SIZE)
+    told = Ts if sensor is None else drifting(Ts, rng, sensor)
+    T = pose((0, 0, 0), Rotation.random(rng=rng).as_matrix()) if tilt else np.eye(4)
+    return SyntheticScan(scene, world, pinhole(SIZE, focal), Ts, T @ told, T, sensor, seed)
+
+
+def truth(scan: SyntheticScan) -> dict[str, Any]:
+    """What is true of a scan, as plain values [m], [rad]; boxes stand in the scene's world."""
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        "scene": None if scan.scene.path is None else str(scan.scene.path),
+        "T_scan_scene": scan.T_scan_scene.tolist(),
+        "objects": [_true_object(scan, k) for k in range(len(scan.scene.objects))],
+    }
+
+
+def true_box(world: RenderWorld, item: SceneObject, number: int) -> UprightBox:
+    """The upright box around what can be seen of an object, turned as the object is."""
+    R = upright_frame(item.T_world_object[:3, :3])
+    local = world.triangles[world.owner == number].reshape(-1, 3) @ R
+    if not len(local):
+        return UprightBox(item.T_world_object[:3, 3].copy(), np.zeros(3))
+    low, high = local.min(0), local.max(0)
+    return UprightBox(R @ ((low + high) / 2), high - low, float(np.arctan2(R[1, 0], R[0, 0])))
+
+
+def _true_object(scan: SyntheticScan, number: int) -> dict[str, Any]:
+    item = scan.scene.objects[number]
+    box = true_box(scan.world, item, number)
+    values = item.values()
+    joints = {
+        name: {
+            "kind": joint.kind,
+            "value": values[name],
+            "lower": joint.lower if np.isfinite(joint.lower) else None,
+            "upper": joint.upper if np.isfinite(joint.upper) else None,
+        }
+        for name, joint in item.model.joints.items()
+    }
+    return {
+        "name": item.name,
+        "category": item.category,
+        "center": box.center.tolist(),
+        "size": box.size.tolist(),
+        "yaw": box.yaw,
+        "joints": joints,
+    }
+
+
+def refuse_used(folder: Path) -> None:
+    """Make sure that a scan can be written to a folder.
+
+    Raises:
+        SceneError: It holds files already, or is a file.
+    """
+    try:
+        if folder.is_dir():
+            if any(folder.iterdir()):
+                raise SceneError(f"{folder}: is not empty; name a new folder for the scan")
+        elif folder.exists():
+            raise SceneError(f"{folder}: is a file; name a new folder for the scan")
+    except OSError as error:
+        raise SceneError(f"{folder}: cannot be looked up ({error.strerror})") from error
+
+
+def write_scan(
+    scan: SyntheticScan, folder: Path, report: Callable[[float], None] = lambda _: None
+) -> None:
+    """Render a scan into a folder in the layout of 7-Scenes, the whole scan or nothing.
+
+    Args:
+        scan: What is rendered.
+        folder: A new or empty folder.
+        report: Is told the share that is done.
+
+    Raises:
+        SceneError: The folder holds files already or cannot be written.
+        MissingExtraError: Pillow is not installed.
+    """
+    with require("scan"):
+        import PIL.Image  # noqa: F401 - asked for before anything is rendered
+    refuse_used(folder)
+    partial: Path | None = None
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        partial = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
+        np.savetxt(partial / "camera-intrinsics.txt", scan.intrinsics)
+        (partial / "truth.json").write_text(json.dumps(truth(scan), indent=1) + "\n")
+        with ThreadPoolExecutor(max(1, min(4, os.cpu_count() or 1))) as pool:
+            jobs = range(len(scan.Ts_scan_camera))
+            for done, _ in enumerate(pool.map(lambda k: _write(scan.frame(k), partial), jobs), 1):
+                report(done / len(jobs))
+        partial.chmod(0o755)
+        os.replace(partial, folder)
+    except OSError as error:
+        raise SceneError(f"{folder}: cannot be written ({error.strerror})") from error
+    finally:
+        if partial is not None:
+            shutil.rmtree(partial, ignore_errors=True)
+
+
+def _write(frame: Frame, folder: Path) -> None:
+    from PIL import Image
+
+    assert frame.depth is not None
+    millimeters = np.clip(np.rint(1000 * frame.depth), 0, 65535).astype(np.uint16)
+    stem = folder / frame.name
+    Image.fromarray(frame.color).save(f"{stem}.color.jpg", quality=95)
+    Image.fromarray(millimeters).save(f"{stem}.depth.png", compress_level=3)
+    np.savetxt(f"{stem}.pose.txt", frame.T_world_camera)

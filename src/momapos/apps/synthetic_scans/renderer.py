@@ -1,0 +1,260 @@
+"""Images of a scene as an ideal camera would take them.
+
+Everything is drawn as triangles on the processor: distances are exact, and colors are good enough
+that seams, edges and handles can be told apart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from momapos.core.geometry import invert, pose, signed_area
+from momapos.model.records import Frame
+from momapos.model.scene import Scene, SceneObject
+
+from .materials import Material, Palette, Role, linear
+from .rasterizer import Appearance, Buffers, Lamps, Surfaces, View, rasterize, shade_image
+from .surfaces import Patch, patches, urdf_paints
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
+
+FLOOR_MARGIN = 2.0
+"""How far the floor reaches beyond the objects where the scene does not say [m]."""
+LAMPS = 6
+LAMP_LIGHT = 1.1
+"""Light of all lamps together on a surface that faces them [-]."""
+LAMP_DISTANCE = 60.0  # [m]: so far that their light is all but parallel
+SHADOW_TEXELS = 768
+BACKGROUND = (0.75, 0.78, 0.80)
+"""Color where there is nothing, as a screen shows it."""
+_TO_SCREEN = np.rint(255 * np.linspace(0, 1, 4097) ** (1 / 2.2)).astype(np.uint8)
+
+
+@dataclass(frozen=True, eq=False)
+class RenderWorld:
+    """A scene as triangles, ready to be drawn from anywhere."""
+
+    triangles: Float[np.ndarray, "n 3 3"]
+    """In the world [m]."""
+    closed: Bool[np.ndarray, " n"]
+    """Those of closed bodies, which are seen from outside only."""
+    owner: Int[np.ndarray, " n"]
+    """Index of the scene's object; -1 for the floor."""
+    surface: Int[np.ndarray, " n"]
+    materials: tuple[Material, ...]
+    """One for each surface."""
+    names: tuple[str, ...]
+    """Of the scene's objects."""
+
+    @cached_property
+    def normals(self) -> Float[np.ndarray, "n 3"]:
+        """Unit normals; zero for triangles without an area."""
+        a, b, c = np.moveaxis(self.triangles, 1, 0)
+        normals = np.cross(b - a, c - a)
+        length = np.linalg.norm(normals, axis=1, keepdims=True)
+        return np.divide(normals, length, out=np.zeros_like(normals), where=length > 0)
+
+    @cached_property
+    def _surfaces(self) -> Surfaces:
+        colors = linear(np.array([m.color for m in self.materials]))
+        grain = np.array([(m.strength, *m.frequency) for m in self.materials])
+        return Surfaces(self.normals, self.surface.astype(np.int32), colors, grain)
+
+    @cached_property
+    def _lamps(self) -> Lamps:
+        """Shadow maps of lamps high above that surround a main direction."""
+        points = self.triangles.reshape(-1, 3)
+        middle = (points.min(0) + points.max(0)) / 2
+        radius = float(np.linalg.norm(points - middle, axis=1).max())
+        turn = np.arange(LAMPS) * np.pi * (3 - np.sqrt(5.0))
+        height = np.linspace(0.25, 0.9, LAMPS)
+        flat = np.sqrt(1 - height**2)
+        toward = np.stack([flat * np.cos(turn), flat * np.sin(turn), height], axis=1)
+        eyes = middle + (LAMP_DISTANCE + radius) * toward
+        Ts_world_lamp = np.stack([look_at(eye, middle) for eye in eyes])
+        scale = SHADOW_TEXELS / 2 * (LAMP_DISTANCE + radius) / radius
+        grid = (np.arange(SHADOW_TEXELS) - (SHADOW_TEXELS - 1) / 2) / scale
+        maps = np.empty((LAMPS, SHADOW_TEXELS, SHADOW_TEXELS), np.float32)
+        ids = np.empty((SHADOW_TEXELS, SHADOW_TEXELS), np.int32)
+        Ts_lamp_world = invert(Ts_world_lamp)
+        for T, image in zip(Ts_lamp_world, maps, strict=True):
+            rasterize(self._seen_from(T), self.closed, grid, grid, Buffers(image, ids))
+        strength = LAMP_LIGHT / LAMPS * np.linspace(1.4, 0.6, LAMPS)
+        return Lamps(Ts_lamp_world, strength, np.full(LAMPS, scale), maps)
+
+    def _seen_from(self, T_camera_world: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "n 3 3"]:
+        return self.triangles @ T_camera_world[:3, :3].T + T_camera_world[:3, 3]
+
+    def trace(
+        self,
+        T_world_camera: Float[np.ndarray, "4 4"],
+        xs: Float[np.ndarray, " w"],
+        ys: Float[np.ndarray, " h"],
+    ) -> Buffers:
+        """What rays (x, y, 1) of a camera meet."""
+        shape = len(ys), len(xs)
+        buffers = Buffers(np.empty(shape, np.float32), np.empty(shape, np.int32))
+        corners = self._seen_from(invert(T_world_camera))
+        rasterize(corners, self.closed, xs, ys, buffers)
+        return buffers
+
+
+def render_world(scene: Scene, rng: np.random.Generator, *, floor: bool = True) -> RenderWorld:
+    """Turn a scene, its joints at their values, into triangles with colors.
+
+    A scene may be one object, as `load_scene` gives for a URDF; numbered PartNet objects then
+    stand upright with their front toward -x.
+
+    Args:
+        scene: What is drawn.
+        rng: Chooses materials where the files give no colors, and small differences.
+        floor: Draw the floor too.
+
+    Raises:
+        UrdfError: A mesh cannot be read.
+    """
+    palette = Palette(rng)
+    found: list[tuple[Patch, int, Material]] = []
+    paints = {item.model.urdf.path: urdf_paints(item.model.urdf.path) for item in scene.objects}
+    for number, item in enumerate(scene.objects):
+        for role, patch in _object_patches(item, paints[item.model.urdf.path]):
+            material = palette.material(item.name, item.category, role, patch.paint)
+            found.append((patch, number, material))
+    if floor:
+        triangles = _floor_triangles(scene, [patch.triangles for patch, _, _ in found])
+        found.append((Patch(triangles, None, closed=False), -1, palette.floor()))
+    counts = [len(patch.triangles) for patch, _, _ in found]
+    return RenderWorld(
+        triangles=np.concatenate([patch.triangles for patch, _, _ in found]),
+        closed=np.repeat([patch.closed for patch, _, _ in found], counts),
+        owner=np.repeat([number for _, number, _ in found], counts),
+        surface=np.repeat(np.arange(len(found)), counts),
+        materials=tuple(material for _, _, material in found),
+        names=tuple(item.name for item in scene.objects),
+    )
+
+
+def _object_patches(
+    item: SceneObject, paints: dict[str, list[tuple[float, float, float] | None]]
+) -> Iterator[tuple[Role, Patch]]:
+    """The shapes of an object in the world: visual ones where a link has any."""
+    model, poses = item.model, item.link_poses()
+    moving = {link for joint in model.joints for link in model.moved_by(joint)}
+    for name, link in model.urdf.links.items():
+        shapes = link.visuals or link.collisions
+        given = paints.get(name, []) if link.visuals else []
+        given = given if len(given) == len(shapes) else [None] * len(shapes)
+        for shape, paint in zip(shapes, given, strict=True):
+            words = f"{name} {shape.name}".lower()
+            held = "handle" in words or "knob" in words
+            role: Role = "handle" if held else "front" if name in moving else "body"
+            for patch in patches(shape, paint):
+                T = poses[name]
+                triangles = patch.triangles @ T[:3, :3].T + T[:3, 3]
+                yield role, Patch(triangles, patch.paint, patch.closed)
+
+
+def _floor_triangles(scene: Scene, parts: list[np.ndarray]) -> Float[np.ndarray, "n 3 3"]:
+    """The floor at height 0: the scene's outline, or a rectangle around everything."""
+    points = np.concatenate([part.reshape(-1, 3) for part in parts] or [np.zeros((1, 3))])
+    if scene.floor_polygon is not None:
+        corners = np.column_stack([scene.floor_polygon, np.zeros(len(scene.floor_polygon))])
+        return corners[ear_clipped(scene.floor_polygon)]
+    low, high = points.min(0), points.max(0)
+    (x0, y0), (x1, y1) = low[:2] - FLOOR_MARGIN, high[:2] + FLOOR_MARGIN
+    corners = np.array([[x0, y0, 0.0], [x1, y0, 0.0], [x1, y1, 0.0], [x0, y1, 0.0]])
+    return corners[[[0, 1, 2], [0, 2, 3]]]
+
+
+def ear_clipped(outline: Float[np.ndarray, "k 2"]) -> Int[np.ndarray, "m 3"]:
+    """Cut a simple polygon into triangles, by the indices of its corners."""
+    index = list(range(len(outline)))
+    if signed_area(outline) < 0:
+        index.reverse()
+    found = []
+    while len(index) > 3:
+        ears = (k for k in range(len(index)) if _is_ear(outline, index, k))
+        k = next(ears, 0)  # corners on one line have no ear, and any cut will do
+        found.append([index[k - 1], index[k], index[(k + 1) % len(index)]])
+        del index[k]
+    return np.array([*found, index])
+
+
+def _is_ear(outline: Float[np.ndarray, "k 2"], index: list[int], k: int) -> bool:
+    ear = [index[k - 1], index[k], index[(k + 1) % len(index)]]
+    triangle = outline[ear]
+    if signed_area(triangle) <= 0:
+        return False
+    others = outline[[i for i in index if i not in ear]]
+    edge = np.roll(triangle, -1, axis=0) - triangle
+    away = others[:, None] - triangle
+    return not (edge[:, 0] * away[..., 1] - edge[:, 1] * away[..., 0] > 0).all(1).any()
+
+
+def look_at(
+    eye: Float[np.ndarray, "3"], target: Float[np.ndarray, "3"], roll: float = 0.0
+) -> Float[np.ndarray, "4 4"]:
+    """Pose in the world of a camera that looks at a target, its image upright.
+
+    Args:
+        eye, target: Where it is and what is in the middle of its image [m].
+        roll: Turn about the view [rad].
+    """
+    forward = (target - eye) / np.linalg.norm(target - eye)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    length = float(np.linalg.norm(right))
+    right = right / length if length > 1e-6 else np.array([1.0, 0.0, 0.0])
+    down = np.cross(forward, right)
+    c, s = np.cos(roll), np.sin(roll)
+    return pose(eye, np.stack([c * right + s * down, c * down - s * right, forward], axis=1))
+
+
+def pinhole(size: tuple[int, int], focal: float) -> Float[np.ndarray, "3 3"]:
+    """Intrinsics of a camera whose optical axis meets the middle of the image [px].
+
+    Args:
+        size: Width and height of the image [px].
+        focal: Focal length [px].
+    """
+    width, height = size
+    return np.array([[focal, 0.0, (width - 1) / 2], [0.0, focal, (height - 1) / 2], [0, 0, 1.0]])
+
+
+def render_frame(
+    world: RenderWorld,
+    T_world_camera: Float[np.ndarray, "4 4"],
+    intrinsics: Float[np.ndarray, "3 3"],
+    size: tuple[int, int],
+    name: str = "",
+) -> Frame:
+    """Draw what a camera sees, without noise; whole numbers are the centers of pixels.
+
+    Args:
+        world: From `render_world`.
+        T_world_camera: Camera axes as in OpenCV: x right, y down, z forward.
+        intrinsics: A pinhole without skew [px].
+        size: Width and height of the image [px].
+        name: Name of the frame.
+
+    Returns:
+        Color, and depth along the optical axis [m], 0 where there is nothing.
+    """
+    width, height = size
+    K = intrinsics
+    # twice as dense, and one ray beyond each border: pixel i is at 2 i + 1
+    xs = (np.arange(2 * width + 1) / 2 - 0.5 - K[0, 2]) / K[0, 0]
+    ys = (np.arange(2 * height + 1) / 2 - 0.5 - K[1, 2]) / K[1, 1]
+    buffers = world.trace(T_world_camera, xs, ys)
+    color = np.empty((height, width, 3), np.uint8)
+    rotation, eye = np.ascontiguousarray(T_world_camera[:3, :3]), T_world_camera[:3, 3].copy()
+    look = Appearance(world._surfaces, world._lamps, linear(np.array(BACKGROUND)))
+    shade_image(View(xs, ys, buffers, rotation, eye), look, _TO_SCREEN, color)
+    inverse = buffers.inverse[1::2, 1::2]
+    depth = np.divide(1.0, inverse, out=np.zeros_like(inverse), where=inverse > 0)
+    return Frame(name, color, depth, np.array(K, float), np.array(T_world_camera, float))

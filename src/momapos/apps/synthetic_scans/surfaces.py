@@ -1,0 +1,202 @@
+"""Triangles and paint of a model's shapes, as far as its files tell."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy.spatial import ConvexHull
+
+from momapos.core import UrdfError, read_xml
+from momapos.core.geometry import apply
+from momapos.model.scene.library import COLORS
+from momapos.model.urdf import MAX_URDF_BYTES, Geometry, mesh_bytes, parse_mesh
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+Paint = tuple[float, float, float] | None
+"""A color in [0, 1] as a screen shows it; None where no file gives one."""
+ROUND = 48
+"""Corners that stand for a circle [-]."""
+MAX_TRIANGLES = 2_000_000
+"""Of one mesh file [-]."""
+_CORNERS = np.array(np.meshgrid([-0.5, 0.5], [-0.5, 0.5], [-0.5, 0.5])).reshape(3, -1).T
+
+
+@dataclass(frozen=True)
+class Patch:
+    """Triangles of one color."""
+
+    triangles: Float[np.ndarray, "n 3 3"]
+    """In the frame of the shape's link [m]."""
+    paint: Paint
+    closed: bool
+    """Whether they run counterclockwise seen from outside and leave no hole."""
+
+
+def patches(shape: Geometry, paint: Paint) -> list[Patch]:
+    """Triangles of a shape, in the frame of its link; a mesh with several colors gives several.
+
+    Args:
+        shape: A box, cylinder, sphere or mesh.
+        paint: Color that its URDF gives, which comes before that of a mesh file.
+
+    Raises:
+        UrdfError: The mesh cannot be read.
+    """
+    if shape.kind != "mesh":
+        triangles = _primitive(shape)
+        return [Patch(_placed(triangles, shape), paint, closed=True)]
+    assert shape.mesh is not None
+    found = _mesh(shape.mesh)
+    size = np.array(shape.size)
+    return [
+        Patch(_placed(triangles * size, shape), paint or own, closed=False)
+        for triangles, own in found
+        if len(triangles)
+    ]
+
+
+def _placed(triangles: Float[np.ndarray, "n 3 3"], shape: Geometry) -> Float[np.ndarray, "n 3 3"]:
+    return apply(shape.T_link_geometry, triangles.reshape(-1, 3)).reshape(-1, 3, 3)
+
+
+def _primitive(shape: Geometry) -> Float[np.ndarray, "n 3 3"]:
+    if shape.kind == "box":
+        points = _CORNERS * np.array(shape.size)
+    elif shape.kind == "cylinder":
+        radius, length = shape.size
+        angle = np.linspace(0, 2 * np.pi, ROUND, endpoint=False)
+        ring = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=-1)
+        ends = [np.column_stack([ring, np.full(ROUND, z)]) for z in (-length / 2, length / 2)]
+        points = np.concatenate(ends)
+    else:
+        import trimesh
+
+        ball = trimesh.creation.icosphere(3, shape.size[0])
+        return np.array(ball.vertices)[np.array(ball.faces)]
+    hull = ConvexHull(points)
+    triangles = points[hull.simplices]
+    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    inward = np.einsum("ij,ij->i", normals, hull.equations[:, :3]) < 0
+    triangles[inward] = triangles[inward, ::-1]
+    return triangles
+
+
+# ------------------------------------------------------------------------------------------ meshes
+
+
+def _mesh(path: Path) -> list[tuple[Float[np.ndarray, "_ 3 3"], Paint]]:
+    data = mesh_bytes(path)
+    if path.suffix.lower() == ".obj":
+        found = _obj(path, data.decode(errors="replace"))
+    else:
+        mesh = parse_mesh(path, data)
+        try:
+            triangles = np.array(mesh.vertices, float)[np.array(mesh.faces, int)]
+        except (ValueError, IndexError, AttributeError) as error:
+            raise UrdfError(f"{path}: not a usable mesh (it has no sound faces)") from error
+        found = [(triangles, None)]
+    count = sum(len(triangles) for triangles, _ in found)
+    if count > MAX_TRIANGLES:
+        raise UrdfError(f"{path}: {count} triangles; at most {MAX_TRIANGLES} can be drawn")
+    if not all(np.isfinite(triangles).all() for triangles, _ in found):
+        raise UrdfError(f"{path}: the mesh holds NaN or infinite vertices")
+    return found
+
+
+def _obj(path: Path, text: str) -> list[tuple[Float[np.ndarray, "_ 3 3"], Paint]]:
+    """Read the triangles of an OBJ file by material; what has textures counts as unpainted."""
+    points: list[list[float]] = []
+    faces: dict[str, list[list[int]]] = {}
+    current = faces.setdefault("", [])
+    paints: dict[str, Paint] = {}
+    try:
+        for line in text.splitlines():
+            head, _, rest = line.strip().partition(" ")
+            if head == "v":
+                points.append([float(word) for word in rest.split()[:3]])
+            elif head == "f":
+                ring = [int(word.split("/", 1)[0]) for word in rest.split()]
+                ring = [k - 1 if k > 0 else len(points) + k for k in ring]
+                current += [[ring[0], b, c] for b, c in pairwise(ring[1:])]
+            elif head == "usemtl":
+                current = faces.setdefault(rest.strip(), [])
+            elif head == "mtllib":
+                paints.update(_mtl(path.parent, rest.strip()))
+        vertices = np.array(points, float).reshape(-1, 3)
+        index = {name: np.array(rows, int).reshape(-1, 3) for name, rows in faces.items()}
+        if any(len(rows) and rows.min() < 0 for rows in index.values()):
+            raise ValueError("a face names a vertex before the first")
+        return [(vertices[rows], paints.get(name)) for name, rows in index.items()]
+    except (ValueError, IndexError, OverflowError) as error:
+        raise UrdfError(f"{path}: not a usable OBJ mesh ({error})") from error
+
+
+def _mtl(folder: Path, name: str) -> dict[str, Paint]:
+    """Diffuse colors of a material file that lies beside its mesh; none where it does not."""
+    file = folder / Path(name).name
+    if not name or not file.is_file() or file.stat().st_size > 1_000_000:
+        return {}
+    paints: dict[str, Paint] = {}
+    textured: set[str] = set()
+    current = ""
+    for line in file.read_text(errors="replace").splitlines():
+        head, _, rest = line.strip().partition(" ")
+        if head == "newmtl":
+            current = rest.strip()
+        elif head == "Kd":
+            paints[current] = _paint(rest)
+        elif head == "map_Kd":
+            textured.add(current)
+    return {name: paint for name, paint in paints.items() if name not in textured}
+
+
+def _paint(text: str) -> Paint:
+    try:
+        r, g, b = (min(max(float(word), 0.0), 1.0) for word in text.split()[:3])
+    except ValueError:
+        return None
+    return r, g, b
+
+
+# --------------------------------------------------------------------------------- paint of a URDF
+
+
+def urdf_paints(path: Path | None) -> dict[str, list[Paint]]:
+    """Colors of the visual shapes of each link, in the file's order.
+
+    The file was read before, so its size and form are known to be sound. The colors that
+    momapos' own kitchens carry say which part is which, the same in every room: they are no paint.
+
+    Args:
+        path: The URDF; None for a box without a file.
+    """
+    if path is None:
+        return {}
+    robot: Any = read_xml(path, MAX_URDF_BYTES, error=UrdfError)
+    named = {m.get("name"): _rgba(m) for m in robot.iter("material") if m.find("color") is not None}
+    return {
+        link.get("name"): [
+            _material(visual.find("material"), named)
+            for visual in link.findall("visual")
+            if visual.find("geometry") is not None
+        ]
+        for link in robot.findall("link")
+    }
+
+
+def _material(element: Any, named: dict[str, Paint]) -> Paint:
+    if element is None:
+        return None
+    own = element.find("color") is not None
+    return _rgba(element) if own else named.get(element.get("name"))
+
+
+def _rgba(material: Any) -> Paint:
+    text = material.find("color").get("rgba", "")
+    return None if COLORS.get(material.get("name")) == text else _paint(text)

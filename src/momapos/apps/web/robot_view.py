@@ -1,0 +1,225 @@
+"""The robot on the page: a base that can be dragged, its arm, its footprint, its spheres."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from viser.transforms import SO3
+
+from momapos.apps.plots import ARM, BAD, GOOD, PART, SOFT_INK, sphere_centers
+from momapos.core.geometry import invert, pose_planar
+from momapos.model.robots import Robot
+
+from .bodies import Surface, joined, looks
+from .room_view import place, rgb, triangulated
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+    from viser import SceneApi
+
+BODY, HAND = "#7d8b98", "#0072b2"
+FORCE = "#cc146b"
+PER_NEWTON, LONGEST, LEAST_FORCE = 0.03, 0.6, 1.0
+"""Length of the arrow of a force [m/N], how long it is at most [m], and from where it is drawn
+[N]."""
+FORCE_ABOVE = 0.15
+"""It is drawn so high above the hand, for the arm often lies along the pull [m]."""
+FLOOR_GAP = 0.006
+"""The footprint lies so high above the floor [m]."""
+VERDICTS = {"": SOFT_INK, "feasible": GOOD, "partly": PART, "infeasible": BAD}
+"""Colors of the footprint, by what is known of the base pose."""
+
+
+def home_values(robot: Robot) -> dict[str, float]:
+    """Values of the arm's joints where it is while the base drives [rad] or [m]."""
+    return joint_values(robot, robot.chain.joint_values(robot.home))
+
+
+def joint_values(robot: Robot, q: Float[np.ndarray, " m"]) -> dict[str, float]:
+    """Values of the arm's joints by name, as a plan has them [rad] or [m]."""
+    return dict(zip(robot.moved_joints, q.tolist(), strict=True))
+
+
+def tool_pose(
+    robot: Robot, base: Float[np.ndarray, "3"], values: dict[str, float]
+) -> Float[np.ndarray, "4 4"]:
+    """The tool's pose in the world.
+
+    Args:
+        robot: The robot.
+        base: x [m], y [m], yaw [rad].
+        values: Of its joints by name [rad] or [m].
+    """
+    poses = robot.model.link_poses(values)
+    T_base_tool = invert(poses[robot.base_link]) @ poses[robot.tool_link]
+    return pose_planar(base) @ T_base_tool
+
+
+class RobotView:
+    """Draws a robot at a base pose; all of it hangs from the handle that drags the base."""
+
+    def __init__(
+        self, api: SceneApi, name: str = "/robot", *, dragged: Callable[[Any], None] | None = None
+    ) -> None:
+        """Draw nothing yet.
+
+        Args:
+            api: Where to draw.
+            name: Of the node.
+            dragged: Is told where the base is dragged; without it there is nothing to drag.
+        """
+        self._api, self.name, self._dragged = api, name, dragged
+        self.robot: Robot | None = None
+        self.base = np.zeros(3)
+        self._values: dict[str, float] = {}
+        self._links: list[tuple[str, Any]] = []
+        self._frame: Any = None
+        self._footprint: Any = None
+        self._spheres: Any = None
+        self._force: Any = None
+        self._verdict = ""
+        self._spheres_shown = False
+
+    def show(self, robot: Robot, base: Float[np.ndarray, "3"], *, opacity: float | None = None,
+             color: str | None = None) -> None:  # fmt: skip
+        """Draw a robot, its arm at home, instead of the last one.
+
+        Args:
+            robot: The robot.
+            base: x [m], y [m], yaw [rad].
+            opacity: How much is seen of it; None: it is solid.
+            color: Of all of it; None for its own.
+        """
+        if self._frame is not None:
+            self._frame.remove()
+        self.robot, self._links, self._spheres = robot, [], None
+        if self._dragged is not None:
+            self._frame = self._api.add_transform_controls(
+                self.name, scale=0.75, line_width=3.5, active_axes=(True, True, False),
+                depth_test=False, opacity=0.85,
+            )  # fmt: skip
+            self._frame.on_update(self._dragged)
+        else:
+            self._frame = self._api.add_frame(self.name, show_axes=False)
+        hand = set(robot.gripper_links)
+        arm = {link for link, segment in robot.segments.of_link.items() if segment > 0}
+        for k, look in enumerate(looks(robot.model)):
+            own = HAND if look.link in hand else ARM if look.link in arm else BODY
+            surface = joined((look.body, look.handle))
+            node = self._api.add_mesh_simple(
+                f"{self.name}/l{k}", surface.vertices.astype(np.float32),
+                surface.faces.astype(np.uint32), color=rgb(color or own), flat_shading=True,
+                opacity=opacity, cast_shadow=opacity is None,
+            )  # fmt: skip
+            self._links.append((look.link, node))
+        self._draw_footprint()
+        self._values = {}
+        self.move(base, home_values(robot))
+
+    def remove(self) -> None:
+        """Draw it no more."""
+        if self._frame is not None:
+            self._frame.remove()
+        if self._force is not None:
+            self._force.remove()
+        self._frame, self._force, self.robot, self._links = None, None, None, []
+
+    def move(
+        self,
+        base: Float[np.ndarray, "3"] | None = None,
+        values: dict[str, float] | None = None,
+    ) -> None:
+        """Move the base, the joints, or both.
+
+        Args:
+            base: x [m], y [m], yaw [rad].
+            values: Of the joints [rad] or [m]; others rest.
+        """
+        if self.robot is None:
+            return
+        if base is not None:
+            self.base = np.asarray(base, float)
+            self._frame.position = np.array([base[0], base[1], 0.0])
+            self._frame.wxyz = SO3.from_z_radians(base[2]).wxyz
+        if values is not None and values != self._values:
+            self._values = values
+            poses = self.robot.model.link_poses(values)
+            T_base_root = invert(poses[self.robot.base_link])
+            for link, node in self._links:
+                place(node, T_base_root @ poses[link])
+            if self._spheres_shown:
+                self._draw_spheres()
+
+    def show_force(self, force: Float[np.ndarray, "3"] | None) -> None:
+        """Draw the force of the hand on what it holds, against what is felt, as an arrow [N]."""
+        size = 0.0 if force is None else float(np.linalg.norm(force))
+        if self.robot is None or force is None or size < LEAST_FORCE:
+            if self._force is not None:
+                self._force.visible = False
+            return
+        hand = tool_pose(self.robot, self.base, self._values)[:3, 3] + [0.0, 0.0, FORCE_ABOVE]
+        arrow = np.stack([hand, hand - force * min(PER_NEWTON, LONGEST / size)])[None]
+        if self._force is None:
+            self._force = self._api.add_arrows(
+                f"{self.name}_force", arrow, rgb(FORCE), shaft_radius=0.015, head_radius=0.04,
+                head_length=0.09,
+            )  # fmt: skip
+        self._force.points = arrow.astype(np.float32)
+        self._force.visible = True
+
+    def show_handle(self, shown: bool) -> None:
+        """Draw what the base is dragged by, or leave it out of a picture."""
+        if self._frame is not None and self._dragged is not None:
+            for part in ("axes", "sliders", "rotations"):
+                setattr(self._frame, f"disable_{part}", not shown)
+
+    def verdict(self, word: str) -> None:
+        """Color the footprint: "feasible", "partly", "infeasible", or "" where it is not known."""
+        if word != self._verdict:
+            self._verdict = word
+            self._draw_footprint()
+
+    def show_spheres(self, shown: bool) -> None:
+        """Draw the spheres that are checked for collision, or do not."""
+        self._spheres_shown = shown
+        if shown:
+            self._draw_spheres()
+        elif self._spheres is not None:
+            self._spheres.remove()
+            self._spheres = None
+
+    def _draw_footprint(self) -> None:
+        if self.robot is None:
+            return
+        xy = self.robot.footprint
+        front = float(xy[:, 0].max())
+        tip = np.array([[front + 0.16, 0.0], [front + 0.03, 0.07], [front + 0.03, -0.07]])
+        points = np.concatenate([xy, tip])
+        faces = np.concatenate([triangulated(xy), [[len(xy), len(xy) + 1, len(xy) + 2]]])
+        corners = np.column_stack([points, np.full(len(points), FLOOR_GAP)])
+        surface = Surface(corners, faces)
+        self._footprint = self._api.add_mesh_simple(
+            f"{self.name}/footprint", surface.vertices.astype(np.float32),
+            surface.faces.astype(np.uint32), color=rgb(VERDICTS[self._verdict]), opacity=0.8,
+            side="double", cast_shadow=False, receive_shadow=False,
+        )  # fmt: skip
+
+    def _draw_spheres(self) -> None:
+        assert self.robot is not None
+        q = np.array([self._values.get(n, 0.0) for n in self.robot.chain.joints])
+        centers, _ = sphere_centers(self.robot, self.robot.chain.freedom_values(q))
+        if self._spheres is not None:  # where they are is all that changes
+            self._spheres.batched_positions = centers.astype(np.float32)
+            return
+        import trimesh
+
+        ball = trimesh.creation.icosphere(2, 1.0)
+        turned = np.tile([1.0, 0.0, 0.0, 0.0], (len(centers), 1))
+        self._spheres = self._api.add_batched_meshes_simple(
+            f"{self.name}/spheres", np.asarray(ball.vertices, np.float32),
+            np.asarray(ball.faces, np.uint32), turned, centers,
+            batched_scales=self.robot.spheres.radius, batched_colors=rgb(PART), opacity=0.45,
+            cast_shadow=False,
+        )  # fmt: skip

@@ -1,0 +1,5 @@
+"""What every package needs: errors, units, files, caches, geometry and compiled kernels."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,134 @@
+"""A folder of results that are dear to compute, each under a key made from what it came from.
+
+Entries carry a checksum and are written in one step, so that a file that is damaged, cut short or
+foreign is never taken for a result, and two processes may use one folder at once.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import logging
+import os
+import re
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from .errors import FileFormatError
+from .files import read_bytes_bounded
+
+log = logging.getLogger(__name__)
+MAX_ENTRY_BYTES = 500_000_000
+_MAGIC = b"momapos-cache 1\n"
+_KEY = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,199}")
+
+
+def default_cache_dir() -> Path:
+    """Where results are kept: $MOMAPOS_CACHE, else `momapos` in the user's cache folder (XDG)."""
+    if folder := os.environ.get("MOMAPOS_CACHE"):
+        return Path(folder).expanduser()
+    home = os.environ.get("XDG_CACHE_HOME")
+    # The XDG specification asks to ignore relative paths.
+    root = Path(home) if home and Path(home).is_absolute() else Path.home() / ".cache"
+    return root / "momapos"
+
+
+def content_key(*parts: object) -> str:
+    """Hash values into a key of 32 hexadecimal digits.
+
+    Args:
+        parts: bytes and arrays by content, all else by `repr`, so that numbers, texts, tuples and
+            frozen records of these can be given.
+    """
+    digest = hashlib.sha256()
+    for part in parts:
+        if isinstance(part, np.ndarray):
+            kind = f"array {part.dtype.str} {part.shape}"
+            data = np.ascontiguousarray(part).tobytes()
+        elif isinstance(part, bytes):
+            kind, data = "bytes", part
+        else:
+            kind, data = type(part).__name__, repr(part).encode()
+        # The length keeps neighbors apart: ("ab", "c") is not ("a", "bc").
+        digest.update(f"{kind} {len(data)}\n".encode())
+        digest.update(data)
+    return digest.hexdigest()[:32]
+
+
+def write_atomic(path: Path, data: bytes) -> None:
+    """Write a file so that readers see the old content or the new, never a part.
+
+    Args:
+        path: The file; its folder is made if it does not exist.
+        data: The content.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name[:100]}.")
+    temporary = Path(name)
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        # mkstemp lets only the owner read; a result is as readable as any file of the user.
+        mask = os.umask(0)
+        os.umask(mask)
+        temporary.chmod(0o666 & ~mask)
+        temporary.replace(path)
+    except BaseException:
+        with contextlib.suppress(OSError):
+            temporary.unlink()
+        raise
+
+
+class Cache:
+    """Checksummed entries in a folder."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def path(self, key: str) -> Path:
+        """File of an entry.
+
+        Raises:
+            ValueError: The key could not be a file name everywhere.
+        """
+        if not _KEY.fullmatch(key):
+            raise ValueError(f"cache key {key!r} must be letters, digits, '.', '_' and '-'")
+        return self.folder / key
+
+    def get(self, key: str) -> bytes | None:
+        """Content of an entry, or None where there is none that is whole."""
+        path = self.path(key)
+        if not path.exists():
+            return None
+        try:
+            data = read_bytes_bounded(path, MAX_ENTRY_BYTES)
+        except FileFormatError as error:
+            log.warning("%s; ignored", error)
+            return None
+        head = len(_MAGIC) + 32
+        body = data[head:]
+        whole = data.startswith(_MAGIC) and data[len(_MAGIC) : head] == _digest(key, body)
+        if not whole:
+            log.warning("%s: damaged or foreign, ignored", path)
+            return None
+        return body
+
+    def put(self, key: str, data: bytes) -> Path:
+        """Keep an entry, in place of an older one; returns its file."""
+        path = self.path(key)
+        write_atomic(path, _MAGIC + _digest(key, data) + data)
+        return path
+
+
+def user_cache() -> Cache:
+    """The cache in the default folder."""
+    return Cache(default_cache_dir())
+
+
+def _digest(key: str, data: bytes) -> bytes:
+    """Checksum over key and content: a file renamed to another key is foreign there."""
+    return hashlib.sha256(key.encode() + b"\n" + data).digest()

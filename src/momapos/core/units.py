@@ -1,0 +1,64 @@
+"""Values as people write them: 90deg, 1.2rad, 0.3m, 30cm."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+
+from .errors import TaskError
+
+ANGLES = {"deg": math.pi / 180, "rad": 1.0}
+LENGTHS = {"cm": 0.01, "mm": 0.001, "m": 1.0}
+MAX = "max"
+"""What is written instead of a value to open a part as far as it can be opened."""
+EXAMPLES = "write it as 90deg, 1.2rad, 0.3m or 30cm"
+_QUANTITY = re.compile(r"\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*([a-z]*)\s*")
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A number and the unit that was written after it."""
+
+    value: float
+    """In SI units where a unit was written, else the number as it is."""
+    unit: str
+    """As written; "" for none."""
+    text: str
+
+    def angle(self, what: str) -> float:
+        """The value as an angle [rad].
+
+        Raises:
+            TaskError: It was written as a length.
+        """
+        return self._of(ANGLES, what, "angle; write it as 90deg or 1.2rad")
+
+    def length(self, what: str) -> float:
+        """The value as a length [m].
+
+        Raises:
+            TaskError: It was written as an angle.
+        """
+        return self._of(LENGTHS, what, "length; write it as 0.3m or 30cm")
+
+    def _of(self, units: dict[str, float], what: str, rule: str) -> float:
+        if self.unit and self.unit not in units:
+            raise TaskError(f"{what} {self.text} is no {rule}")
+        return self.value
+
+
+def parse_quantity(text: str) -> Quantity:
+    """Read a number with or without a unit.
+
+    Raises:
+        TaskError: It is none.
+    """
+    match = _QUANTITY.fullmatch(text)
+    factors = {"": 1.0, **ANGLES, **LENGTHS}
+    try:
+        if match and match[2] in factors:
+            return Quantity(float(match[1]) * factors[match[2]], match[2], text.strip())
+    except ValueError:
+        match = None
+    raise TaskError(f"{text[:80]!r} is no value; {EXAMPLES}")

@@ -1,1 +1,0 @@
-"""From posed depth images to one upright cloud."""

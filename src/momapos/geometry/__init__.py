@@ -1,1 +1,0 @@
-"""Frames, boxes, footprints and grids: geometry without robots or rooms."""

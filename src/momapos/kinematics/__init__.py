@@ -1,1 +1,0 @@
-"""Trees of links and joints: URDF files, forward and inverse kinematics, collision."""

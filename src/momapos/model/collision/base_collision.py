@@ -1,0 +1,162 @@
+"""Where a base can stand: its boxes against the boxes of the room (separating axes)."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from momapos.core.compiled import F1, F2, entry, kernel
+from momapos.model.kinematics import BoxArrays
+from momapos.model.urdf import Boxes
+
+from .arm_collision import FREE
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
+
+
+class OrientedBox(NamedTuple):
+    """An oriented box."""
+
+    center: F1
+    rotation: F2
+    half: F1
+
+
+class BoxBetween(NamedTuple):
+    """Memory of `boxes_apart`: a box as another sees it."""
+
+    offset: F1
+    rotation: F2
+    absolute: F2
+
+
+@kernel
+def boxes_apart(part, boxes, b, scratch):
+    """Whether an oriented box and box b are apart (Gottschalk 1996: 15 axes)."""
+    ca, Ra, ha = part
+    cb, Rb, hb = boxes.center[b], boxes.rotation[b], boxes.half[b]
+    t, C, A = scratch
+    for i in range(3):
+        t[i] = (cb[0] - ca[0]) * Ra[0, i] + (cb[1] - ca[1]) * Ra[1, i] + (cb[2] - ca[2]) * Ra[2, i]
+        for j in range(3):
+            C[i, j] = Ra[0, i] * Rb[0, j] + Ra[1, i] * Rb[1, j] + Ra[2, i] * Rb[2, j]
+            A[i, j] = abs(C[i, j]) + 1e-9
+    for i in range(3):
+        if abs(t[i]) > ha[i] + hb[0] * A[i, 0] + hb[1] * A[i, 1] + hb[2] * A[i, 2]:
+            return True
+    for j in range(3):
+        s = abs(t[0] * C[0, j] + t[1] * C[1, j] + t[2] * C[2, j])
+        if s > hb[j] + ha[0] * A[0, j] + ha[1] * A[1, j] + ha[2] * A[2, j]:
+            return True
+    for i in range(3):
+        i1, i2 = (i + 1) % 3, (i + 2) % 3
+        for j in range(3):
+            j1, j2 = (j + 1) % 3, (j + 2) % 3
+            r = ha[i1] * A[i2, j] + ha[i2] * A[i1, j] + hb[j1] * A[i, j2] + hb[j2] * A[i, j1]
+            if abs(t[i2] * C[i1, j] - t[i1] * C[i2, j]) > r:
+                return True
+    return False
+
+
+@kernel
+def _spread(rotation, half):
+    """Half edges of the upright boxes around oriented boxes (b, 3)."""
+    out = np.zeros((len(half), 3))
+    for b in range(len(half)):
+        for k in range(3):
+            for a in range(3):
+                out[b, k] += abs(rotation[b, k, a]) * half[b, a]
+    return out
+
+
+@entry
+def _hit(
+    bases: F2,
+    base: BoxArrays,
+    boxes: BoxArrays,
+    clearance: float,
+) -> np.ndarray:
+    base_center, base_rotation, base_half = base
+    center, rotation, half = boxes
+    out = np.full(len(bases), FREE, np.int64)
+    spread, tall = _spread(rotation, half), _spread(base_rotation, base_half)
+    radius = np.empty(len(base_center))
+    reach = 0.0
+    for a in range(len(base_center)):
+        # A turn about z leaves heights and this horizontal radius as they are.
+        radius[a] = np.hypot(tall[a, 0], tall[a, 1]) + clearance
+        reach = max(reach, np.hypot(base_center[a, 0], base_center[a, 1]) + radius[a])
+    c0, R0, h0 = np.empty(3), np.empty((3, 3)), np.empty(3)
+    part = OrientedBox(c0, R0, h0)
+    scratch = BoxBetween(np.empty(3), np.empty((3, 3)), np.empty((3, 3)))
+    for n in range(len(bases)):
+        x, y = bases[n, 0], bases[n, 1]
+        cos, sin = np.cos(bases[n, 2]), np.sin(bases[n, 2])
+        for b in range(len(center)):
+            dx, dy = center[b, 0] - x, center[b, 1] - y
+            if abs(dx) > spread[b, 0] + reach or abs(dy) > spread[b, 1] + reach:
+                continue
+            for a in range(len(base_center)):
+                gap = abs(base_center[a, 2] - center[b, 2])
+                if gap > tall[a, 2] + spread[b, 2] + clearance:
+                    continue
+                c0[0] = cos * base_center[a, 0] - sin * base_center[a, 1]
+                c0[1] = sin * base_center[a, 0] + cos * base_center[a, 1]
+                if (
+                    abs(c0[0] - dx) > radius[a] + spread[b, 0]
+                    or abs(c0[1] - dy) > radius[a] + spread[b, 1]
+                ):
+                    continue
+                c0[0] += x
+                c0[1] += y
+                c0[2] = base_center[a, 2]
+                for k in range(3):
+                    R0[0, k] = cos * base_rotation[a, 0, k] - sin * base_rotation[a, 1, k]
+                    R0[1, k] = sin * base_rotation[a, 0, k] + cos * base_rotation[a, 1, k]
+                    R0[2, k] = base_rotation[a, 2, k]
+                    h0[k] = base_half[a, k] + clearance
+                if not boxes_apart(part, boxes, b, scratch):
+                    out[n] = b
+                    break
+            if out[n] != FREE:
+                break
+    return out
+
+
+def base_hits(
+    bases: Float[np.ndarray, "n 3"], base: Boxes, boxes: Boxes, *, clearance: float
+) -> Int[np.ndarray, " n"]:
+    """Index of the first box that each base pose hits, FREE where it stands clear.
+
+    Args:
+        bases: Base poses (x [m], y [m], yaw [rad]).
+        base: The base in its own frame.
+        boxes: The room in the world frame.
+        clearance: Distance to keep [m].
+    """
+    bases = np.ascontiguousarray(bases, float)
+    near = _near(bases, base, boxes, clearance)
+    hits = _hit(
+        bases,
+        BoxArrays(base.center, base.rotation, base.half),
+        BoxArrays(boxes.center[near], boxes.rotation[near], boxes.half[near]),
+        clearance,
+    )
+    return np.append(near, FREE)[hits]
+
+
+def _near(
+    bases: Float[np.ndarray, "n 3"], base: Boxes, boxes: Boxes, clearance: float
+) -> Int[np.ndarray, " k"]:
+    """Boxes that the base can touch from some of its poses: most hang higher or stand elsewhere."""
+    if not len(bases) or not len(base):
+        return np.zeros(0, np.int64)
+    spread = np.einsum("bij,bj->bi", np.abs(boxes.rotation), boxes.half)
+    own = np.einsum("bij,bj->bi", np.abs(base.rotation), base.half) + clearance
+    reach = (np.hypot(*base.center[:, :2].T) + np.hypot(*own[:, :2].T)).max()
+    low = np.append(bases[:, :2].min(0) - reach, (base.center[:, 2] - own[:, 2]).min())
+    high = np.append(bases[:, :2].max(0) + reach, (base.center[:, 2] + own[:, 2]).max())
+    meets = (boxes.center + spread >= low) & (boxes.center - spread <= high)
+    return np.flatnonzero(meets.all(1))

@@ -1,0 +1,358 @@
+"""The room as boxes that the arm can hit: what stands still, and what the task moves.
+
+Standing boxes are found through a bucket grid: each cell lists the boxes that a robot sphere
+centered in it could touch. Moving boxes are few and are tested directly, at each value of the
+object's joint that the motion passes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, TypeAlias
+
+import numpy as np
+
+from momapos.core.compiled import B1, F1, F2, F3, I1, entry, kernel
+from momapos.model.kinematics import (
+    Chain,
+    ChainArrays,
+    CollisionArrays,
+    ObstacleArrays,
+    TaskState,
+    WorldArrays,
+    chain_arrays,
+)
+from momapos.model.urdf import Boxes, MovingBoxes
+
+from .arm_collision import (
+    FLOOR,
+    FREE,
+    KNOWN,
+    SELF,
+    box_gap,
+    hit_boxes,
+    hit_floor,
+    hit_self,
+    place_arm,
+    scratch_of,
+)
+from .hull_overlap import moved
+from .spheres import Spheres
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
+
+CELL = 0.1
+"""Edge of a bucket [m]."""
+CheckMotion: TypeAlias = "Callable[[Float[np.ndarray, ' n'], Float[np.ndarray, ' n']], bool]"
+"""Tell whether the straight motion between two configurations is free, ends included."""
+
+
+@dataclass(frozen=True)
+class CollisionWorld:
+    """What the arm of one robot can hit during one task."""
+
+    static: Boxes
+    labels: tuple[str, ...]
+    """Name of each standing box, then of each moving box."""
+    moving: MovingBoxes
+    grasped: Bool[np.ndarray, " m"]
+    """Moving boxes that the gripper may touch."""
+    clearance: float
+    """Distance that robot spheres keep [m]."""
+    grid_origin: Float[np.ndarray, "3"]
+    grid_shape: Int[np.ndarray, "3"]
+    grid_start: Int[np.ndarray, " cells_plus_1"]
+    grid_index: Int[np.ndarray, " entries"]
+    filled: Int[np.ndarray, "x_plus_1 y_plus_1 z_plus_1"]
+    """How many of the buckets before each corner list a box: sums over any block of buckets."""
+
+    def reason(self, code: int) -> str:
+        """Say what a code of `check` means."""
+        if code == FREE:
+            return "free"
+        if code == SELF:
+            return "the robot itself"
+        return "the floor" if code == FLOOR else self.labels[code]
+
+    @cached_property
+    def arrays(self) -> WorldArrays:
+        """The world as the kernel takes it."""
+        return WorldArrays(
+            self.static.center,
+            self.static.rotation,
+            self.static.half,
+            self.moving.center,
+            self.moving.rotation,
+            self.moving.half,
+            self.grasped,
+            self.grid_origin,
+            self.grid_shape,
+            self.grid_start,
+            self.grid_index,
+            self.filled,
+        )
+
+
+def build_world(
+    static: Boxes,
+    moving: MovingBoxes,
+    grasped: Bool[np.ndarray, " m"],
+    labels: Sequence[str],
+    spheres: Spheres,
+    *,
+    clearance: float,
+) -> CollisionWorld:
+    """Sort the standing boxes into buckets for one robot.
+
+    Args:
+        static: Standing boxes in the world frame.
+        moving: Moving boxes at every value of the joint.
+        grasped: Which moving boxes the gripper may touch.
+        labels: Names of the standing boxes, then of the moving ones.
+        spheres: The robot.
+        clearance: Distance to keep [m].
+    """
+    reach = float(spheres.radius.max()) + clearance
+    corners = np.einsum("bij,bj->bij", static.rotation, static.half)
+    extent = np.abs(corners).sum(2)
+    if len(static):
+        low = (static.center - extent).min(0) - reach
+        high = (static.center + extent).max(0) + reach
+    else:
+        low, high = np.zeros(3), np.full(3, CELL)
+    shape = np.maximum(1, np.ceil((high - low) / CELL)).astype(np.int64)
+    start, index = _fill_buckets(static.center, static.rotation, static.half, low, shape, reach)
+    filled = np.zeros(shape + 1, np.int32)
+    sums = (np.diff(start) > 0).reshape(shape).astype(np.int32)
+    filled[1:, 1:, 1:] = sums.cumsum(0).cumsum(1).cumsum(2)
+    return CollisionWorld(
+        static, tuple(labels), moving, grasped, clearance, low, shape, start, index, filled
+    )
+
+
+@entry
+def _fill_buckets(
+    center: F2,
+    rotation: F3,
+    half: F2,
+    low: F1,
+    shape: I1,
+    reach: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Lists of the boxes that a sphere of radius `reach` in each cell could touch (CSR)."""
+    cells = shape[0] * shape[1] * shape[2]
+    counts = np.zeros(cells + 1, np.int64)
+    index = np.empty(0, np.int64)
+    inflated = reach + CELL * np.sqrt(3.0) / 2
+    for fill in range(2):
+        if fill == 1:
+            for c in range(cells):
+                counts[c + 1] += counts[c]
+            index = np.empty(counts[cells], np.int64)
+            cursor = counts.copy()
+        for b in range(len(center)):
+            lo = np.empty(3, np.int64)
+            hi = np.empty(3, np.int64)
+            for k in range(3):
+                extent = inflated
+                for a in range(3):
+                    extent += abs(rotation[b, k, a]) * half[b, a]
+                lo[k] = max(0, int((center[b, k] - extent - low[k]) / CELL))
+                hi[k] = min(shape[k] - 1, int((center[b, k] + extent - low[k]) / CELL))
+            for i in range(lo[0], hi[0] + 1):
+                for j in range(lo[1], hi[1] + 1):
+                    for k in range(lo[2], hi[2] + 1):
+                        point = (
+                            low[0] + (i + 0.5) * CELL,
+                            low[1] + (j + 0.5) * CELL,
+                            low[2] + (k + 0.5) * CELL,
+                        )
+                        if box_gap(point, inflated, center, rotation, half, b) > 0.0:
+                            continue
+                        cell = (i * shape[1] + j) * shape[2] + k
+                        if fill == 0:
+                            counts[cell + 1] += 1
+                        else:
+                            index[cursor[cell]] = b
+                            cursor[cell] += 1
+    return counts, index
+
+
+@kernel
+def any_filled(c, r, low, shape, filled):
+    """Whether a bucket that the centers of a link's spheres can lie in lists a box."""
+    i0 = min(max(int(np.floor((c[0] - r - low[0]) / CELL)), 0), shape[0])
+    i1 = min(max(int(np.floor((c[0] + r - low[0]) / CELL)) + 1, 0), shape[0])
+    j0 = min(max(int(np.floor((c[1] - r - low[1]) / CELL)), 0), shape[1])
+    j1 = min(max(int(np.floor((c[1] + r - low[1]) / CELL)) + 1, 0), shape[1])
+    k0 = min(max(int(np.floor((c[2] - r - low[2]) / CELL)), 0), shape[2])
+    k1 = min(max(int(np.floor((c[2] + r - low[2]) / CELL)) + 1, 0), shape[2])
+    count = (
+        filled[i1, j1, k1] - filled[i0, j1, k1] - filled[i1, j0, k1] - filled[i1, j1, k0]
+        + filled[i0, j0, k1] + filled[i0, j1, k0] + filled[i1, j0, k0] - filled[i0, j0, k0]
+    )  # fmt: skip
+    return count > 0
+
+
+@kernel
+def _hit_static(R, p, bounds, spheres, world, margin):
+    """First standing box that the arm hits, or FREE."""
+    center, radius, start = spheres.center, spheres.radius, spheres.start
+    segment, bound_radius = spheres.segment, spheres.bound_radius
+    low, shape = world.grid_origin, world.grid_shape
+    grid_start, grid_index = world.grid_start, world.grid_index
+    for g in range(len(segment)):
+        if spheres.gripper[g] == KNOWN:
+            continue
+        if not any_filled(bounds[g], bound_radius[g], low, shape, world.filled):
+            continue
+        for s in range(start[g], start[g + 1]):
+            m = moved(R, p, segment[g], center[s])
+            i = int(np.floor((m[0] - low[0]) / CELL))
+            j = int(np.floor((m[1] - low[1]) / CELL))
+            k = int(np.floor((m[2] - low[2]) / CELL))
+            if not (0 <= i < shape[0] and 0 <= j < shape[1] and 0 <= k < shape[2]):
+                continue
+            cell = (i * shape[1] + j) * shape[2] + k
+            for at in range(grid_start[cell], grid_start[cell + 1]):
+                b = grid_index[at]
+                r = radius[s] + margin
+                if box_gap(m, r, world.center, world.rotation, world.half, b) < 0.0:
+                    return b
+    return FREE
+
+
+@kernel
+def _hit_moving(R, p, bounds, state, room):
+    """First moving box that the arm hits, or FREE."""
+    spheres, world, margin = room
+    boxes = ObstacleArrays(
+        world.moving_center[state.value],
+        world.moving_rotation[state.value],
+        world.moving_half[state.value],
+        world.grasped,
+    )
+    return hit_boxes(R, p, bounds, spheres, boxes, state.holding, margin)
+
+
+@kernel
+def check_one(q, base, state, chain, room, scratch):
+    """What one configuration hits first; scratch is `scratch_of(...)`."""
+    R, p, bounds = scratch
+    spheres, world, margin = room
+    place_arm(q, base, chain, spheres, scratch)
+    if hit_floor(R, p, bounds, spheres) != FREE:
+        return FLOOR
+    code = _hit_moving(R, p, bounds, state, room)
+    if code != FREE:
+        return code + len(world.center)
+    code = _hit_static(R, p, bounds, spheres, world, margin)
+    return code if code != FREE else hit_self(R, p, bounds, spheres)
+
+
+@entry
+def _first_hits(
+    a: F2,
+    b: F2,
+    step: float,
+    bases: F2,
+    value: I1,
+    holding: B1,
+    chain: ChainArrays,
+    room: CollisionArrays,
+) -> np.ndarray:
+    """What each straight motion hits first, or FREE; one that ends where it begins is a state."""
+    scratch = scratch_of(len(chain.slides), room.spheres)
+    q, out = np.empty(a.shape[1]), np.empty(len(a), np.int64)
+    for m in range(len(a)):
+        state, longest = TaskState(value[m], holding[m]), 0.0
+        for k in range(len(q)):
+            longest = max(longest, abs(b[m, k] - a[m, k]))
+        count = int(np.ceil(longest / step - 1e-9))
+        # The end, the start, the middle, then ever finer: what hits is found early.
+        stride, half, hit = 0, max(count, 1), FREE
+        while hit == FREE and half > 0:
+            for i in range(count // half * half, -1, -half):
+                if stride > 0 and (i % stride == 0 or i == count):
+                    continue
+                for k in range(len(q)):
+                    q[k] = a[m, k] + (b[m, k] - a[m, k]) * (i / max(count, 1))
+                hit = check_one(q, bases[m], state, chain, room, scratch)
+                if hit != FREE:
+                    break
+            stride, half = half, (half + 1) // 2 if half > 1 else 0
+        out[m] = hit
+    return out
+
+
+def collision_arrays(spheres: Spheres, world: CollisionWorld) -> CollisionArrays:
+    """What an arm is checked with, as the kernels take it."""
+    return CollisionArrays(spheres.arrays, world.arrays, world.clearance)
+
+
+def check(
+    world: CollisionWorld,
+    chain: Chain,
+    spheres: Spheres,
+    q: Float[np.ndarray, "m n"],
+    bases: Float[np.ndarray, "m 3"],
+    value: Int[np.ndarray, " m"],
+    holding: Bool[np.ndarray, " m"],
+) -> Int[np.ndarray, " m"]:
+    """Say what each configuration hits first: FREE, FLOOR, SELF or an index into the labels.
+
+    Args:
+        q: Arm configurations.
+        bases: Base pose (x, y, yaw) of each.
+        value: Index of the object's joint value at each.
+        holding: Whether the gripper may touch what is grasped.
+    """
+    q = np.ascontiguousarray(q)
+    return _first_hits(
+        q,
+        q,
+        1.0,
+        np.ascontiguousarray(bases),
+        np.ascontiguousarray(value),
+        np.ascontiguousarray(holding),
+        chain_arrays(chain),
+        collision_arrays(spheres, world),
+    )
+
+
+def motion_checker(
+    world: CollisionWorld,
+    chain: Chain,
+    spheres: Spheres,
+    base: Float[np.ndarray, "3"],
+    *,
+    value: int,
+    holding: bool,
+    step: float,
+    room: float = 0.0,
+) -> CheckMotion:
+    """Prepare to ask whether straight motions of the arm are free, ends included.
+
+    Args:
+        base: Base pose (x, y, yaw).
+        value: Index of the object's joint value.
+        holding: Whether the gripper may touch what is grasped.
+        step: Largest joint step between the states that are checked [rad] or [m].
+        room: What the arm keeps from everything, beside the clearance of the world [m].
+    """
+    fixed = (
+        step,
+        np.array([base], float),
+        np.array([value]),
+        np.array([holding]),
+        chain_arrays(chain),
+        collision_arrays(spheres.grown(room) if room else spheres, world),
+    )
+
+    def free(a: Float[np.ndarray, " n"], b: Float[np.ndarray, " n"]) -> bool:
+        return bool(_first_hits(a[None], b[None], *fixed)[0] == FREE)
+
+    return free

@@ -1,0 +1,189 @@
+"""Base poses from which an arm takes several tool poses exactly, beside given ones.
+
+An arm of few degrees of freedom has such base poses on a curve or a surface only, which no sample
+meets. Levenberg-Marquardt steps move the base and the arm's states together until all tool poses
+are met. Source: Nocedal and Wright, Numerical Optimization (2006), chapter 10.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from momapos.core.compiled import B1, F2, F3, entry, kernel
+from momapos.core.geometry import wrap_angle
+
+from .chain import Chain, forward, stand_at_origin
+from .ik import arm_arrays, ik_scratch, nearest_seeds
+from .ik_model import IkModel
+from .kernel_records import ArmArrays
+from .newton_steps import jacobian, rotation_error, solve_spd
+from .subproblems import mul
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
+
+STEPS = 40
+"""Steps from a base pose [-]."""
+STAND = 5
+"""Steps in which the arm comes as near as it can before the base moves [-]."""
+PATIENCE = 5
+"""Steps within which the residual must be halved, or the fit is given up [-]."""
+MET = 1e-12
+"""Squared residual of all tool poses together that counts as met [m^2 + rad^2]."""
+NEAR, NEAR_TURN = 0.15, 0.5
+"""Largest step of the base [m] and of its yaw or a joint [rad]."""
+
+
+@kernel
+def _target(base, T, R, p):
+    """A tool pose in the frame of a base, into R and p."""
+    c, s = np.cos(base[2]), np.sin(base[2])
+    x, y = T[0, 3] - base[0], T[1, 3] - base[1]
+    p[0], p[1], p[2] = c * x + s * y, c * y - s * x, T[2, 3]
+    for j in range(3):
+        R[0, j] = c * T[0, j] + s * T[1, j]
+        R[1, j] = c * T[1, j] - s * T[0, j]
+        R[2, j] = T[2, j]
+
+
+@kernel
+def _equations(base, q, poses, arm, moves, scratch):
+    """Fill the normal equations of all tool poses; returns the squared residual.
+
+    Args:
+        base: x [m], y [m], yaw [rad].
+        q: A state for each of the tool poses (w, n).
+        poses: (w, 4, 4).
+        arm: `ArmArrays`.
+        moves: Whether the base moves too.
+        scratch: `_scratch(arm, w)`.
+    """
+    newton, R_to, p_to, A, g, full = scratch
+    R, p, J, _, e, column = newton
+    chain = arm.chain
+    n, last, size, residual = q.shape[1], len(chain.slides), len(g), 0.0
+    offset = (chain.tool_offset[0], chain.tool_offset[1], chain.tool_offset[2])
+    for a in range(size):
+        g[a] = 0.0
+        for b in range(size):
+            A[a, b] = 0.0
+    stand_at_origin(R, p)
+    c, s = np.cos(base[2]), np.sin(base[2])
+    for m in range(len(poses)):
+        _target(base, poses[m], R_to, p_to)
+        forward(q[m], chain, R, p)
+        tip = mul(R[last], offset)
+        tool = (p[last, 0] + tip[0], p[last, 1] + tip[1], p[last, 2] + tip[2])
+        for k in range(3):
+            e[k] = p_to[k] - tool[k]
+        rotation_error(R[last], chain.tool_rotation, R_to, e)
+        jacobian(chain, R, p, tool, column, n, J)
+        for r in range(6):
+            residual += e[r] * e[r]
+            for a in range(size):
+                full[r, a] = 0.0
+            for k in range(n):
+                full[r, 3 + m * n + k] = J[r, k]
+        if moves:
+            full[0, 0], full[1, 0] = c, -s
+            full[0, 1], full[1, 1] = s, c
+            full[0, 2], full[1, 2], full[5, 2] = -tool[1], tool[0], 1.0
+        for r in range(6):
+            for a in range(size):
+                if full[r, a] == 0.0:
+                    continue
+                g[a] += full[r, a] * e[r]
+                for b in range(a + 1):
+                    A[a, b] += full[r, a] * full[r, b]
+    return residual
+
+
+@kernel
+def _meet(base, q, poses, arm, scratch):
+    """Move a base pose and states of the arm, in place, until all poses are met; whether they are.
+
+    The base stands still until the arm has come near, so that it moves no farther than it must.
+    """
+    A, g, before = scratch[3], scratch[4], np.inf
+    lower, upper = arm.limits.lower, arm.limits.upper
+    for step in range(STEPS + 1):
+        residual = _equations(base, q, poses, arm, step >= STAND, scratch)
+        if residual < MET:
+            return True
+        if step == STEPS or not np.isfinite(residual):
+            return False
+        if step >= STAND and (step - STAND) % PATIENCE == 0:
+            if residual > 0.5 * before:
+                return False
+            before = residual
+        for a in range(len(g)):
+            A[a, a] += 1e-9 + 0.01 * min(residual, 1.0)
+        solve_spd(A, g)
+        for k in range(3):
+            most = NEAR if k < 2 else NEAR_TURN
+            base[k] += min(most, max(-most, g[k]))
+        for m in range(len(q)):
+            for k in range(q.shape[1]):
+                v = q[m, k] + min(NEAR_TURN, max(-NEAR_TURN, g[3 + m * q.shape[1] + k]))
+                q[m, k] = min(max(v, lower[k]), upper[k])
+    return False
+
+
+@entry
+def _fit(bases: F2, poses: F3, tries: int, arm: ArmArrays, moved: F2, met: B1) -> None:
+    """Fill `moved` (k, 3) and `met` (k,), see `fit_bases`."""
+    n, w = len(arm.limits.lower), len(poses)
+    ik, size = ik_scratch(arm), 3 + w * n
+    R_to, p_to, base, q = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty((w, n))
+    A, g, full = np.empty((size, size)), np.empty(size), np.empty((6, size))
+    scratch = (ik.newton, R_to, p_to, A, g, full)
+    for k in range(n):
+        ik.newton.column[k] = k
+    for i in range(len(bases)):
+        met[i], nearest = False, np.inf
+        _target(bases[i], poses[0], R_to, p_to)
+        nearest_seeds(R_to, p_to, arm.ik, ik.order, ik.distance)
+        for t in range(min(tries, len(ik.order))):
+            for k in range(3):
+                base[k] = bases[i, k]
+            # All states begin at one, from which the steps lead them apart.
+            for m in range(w):
+                for k in range(n):
+                    q[m, k] = arm.ik.seeds[ik.order[t], k]
+            if not _meet(base, q, poses, arm, scratch):
+                continue
+            away = 0.0
+            for k in range(3):
+                away += (base[k] - bases[i, k]) ** 2
+            if away < nearest:
+                met[i], nearest = True, away
+                for k in range(3):
+                    moved[i, k] = base[k]
+
+
+def fit_bases(
+    chain: Chain,
+    ik: IkModel,
+    bases: Float[np.ndarray, "k 3"],
+    Ts_world_tool: Float[np.ndarray, "w 4 4"],
+    *,
+    tries: int = 1,
+) -> tuple[Float[np.ndarray, "k 3"], Bool[np.ndarray, " k"]]:
+    """Base poses beside given ones from which an arm takes all of some tool poses.
+
+    Args:
+        chain, ik: The arm.
+        bases: x, y [m], yaw [rad] to begin at.
+        Ts_world_tool: The tool poses.
+        tries: States of the arm to begin at, of which the nearest base pose counts [-].
+
+    Returns:
+        Where each has come to, and whether all tool poses are met there; those that are not stay.
+    """
+    moved, met = np.array(bases, float), np.zeros(len(bases), bool)
+    poses = np.ascontiguousarray(Ts_world_tool, float)
+    _fit(moved.copy(), poses, tries, arm_arrays(chain, ik), moved, met)
+    moved[:, 2] = wrap_angle(moved[:, 2])
+    return moved, met

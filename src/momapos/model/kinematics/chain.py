@@ -1,0 +1,389 @@
+"""The arm as a product of exponentials, and its batched forward kinematics.
+
+At the zero configuration every frame is aligned with the base, so that a chain is three arrays:
+unit axes `h`, offsets `d` from joint to joint, and a joint kind. Segment 0 is the base, segment
+i moves with joint i. Source: Lynch and Park, Modern Robotics, chapter 4.
+
+Each of the m joints moves by a ratio times one of the n degrees of freedom. Most arms have as many
+of both; a telescope is one degree of freedom in several joints.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from momapos.core import RobotError
+from momapos.core.compiled import F1, F2, F3, entry, kernel
+from momapos.core.geometry import invert
+from momapos.model.urdf import Articulated, Joint, Mimic
+
+from .kernel_records import ChainArrays, JointLimits
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
+
+
+@dataclass(frozen=True)
+class Chain:
+    """A serial chain in the base frame: m joints with n degrees of freedom."""
+
+    names: tuple[str, ...]
+    """The joint that stands for each degree of freedom, base to tool."""
+    joints: tuple[str, ...]
+    """All joints that move, base to tool."""
+    dof: Int[np.ndarray, " m"]
+    """The degree of freedom that each joint follows."""
+    ratio: Float[np.ndarray, " m"]
+    """How far each joint moves with it [-]; 1 for the one that stands for it."""
+    offset: Float[np.ndarray, " m"]
+    """Where each joint is when its degree of freedom is at zero [rad] or [m]."""
+    h: Float[np.ndarray, "m 3"]
+    """Unit joint axes at zero, in the base frame."""
+    d: Float[np.ndarray, "m 3"]
+    """Offset of each joint from the one before it (the base's origin for the first) [m]."""
+    slides: Bool[np.ndarray, " m"]
+    """Which joints are prismatic."""
+    lower: Float[np.ndarray, " n"]
+    upper: Float[np.ndarray, " n"]
+    """Limits [rad] or [m]; infinite for continuous joints."""
+    velocity: Float[np.ndarray, " n"]
+    tool_offset: Float[np.ndarray, "3"]
+    """Tool origin from the last joint at zero, in the base frame [m]."""
+    tool_rotation: Float[np.ndarray, "3 3"]
+    """Tool axes at zero, in the base frame."""
+
+    @property
+    def size(self) -> int:
+        """Number of degrees of freedom."""
+        return len(self.names)
+
+    @property
+    def last(self) -> int:
+        """The segment that the tool belongs to: the number of joints."""
+        return len(self.joints)
+
+    @cached_property
+    def leads(self) -> Int[np.ndarray, " n"]:
+        """The joint that stands for each degree of freedom."""
+        return np.array([self.joints.index(name) for name in self.names], np.int64)
+
+    @cached_property
+    def prismatic(self) -> Bool[np.ndarray, " n"]:
+        """Which degrees of freedom slide."""
+        return self.slides[self.leads]
+
+    @property
+    def coupled(self) -> bool:
+        """Whether a joint follows another."""
+        return self.last > self.size
+
+    @property
+    def ends_turning(self) -> bool:
+        """Whether the last joint turns and no other moves with it, so that the rest can stay."""
+        alone = np.count_nonzero(self.dof == self.dof[-1]) == 1
+        return bool(alone and not self.slides[-1])
+
+    @property
+    def upright(self) -> bool:
+        """Whether the first turning axis, and what slides below it, are vertical."""
+        first = self.first_turn
+        return first < self.last and bool(np.abs(self.h[: first + 1, 2]).min() >= 1 - 1e-4)
+
+    @property
+    def first_turn(self) -> int:
+        """The first joint that turns; the number of joints where all slide."""
+        return int(np.argmin(np.append(self.slides, False)))
+
+    @cached_property
+    def middle(self) -> Float[np.ndarray, " m"]:
+        """How far each joint is from zero in the middle of its range; 0 where it is endless."""
+        ends = np.stack([self.lower, self.upper])
+        middle = np.where(np.isfinite(ends), ends, 0.0).sum(0) / 2
+        return self.ratio * middle[self.dof]
+
+    @cached_property
+    def half_travel(self) -> Float[np.ndarray, " m"]:
+        """Half the range of each joint [rad] or [m]."""
+        return np.abs(self.ratio) * (self.upper - self.lower)[self.dof] / 2
+
+    def joint_values(self, q: Float[np.ndarray, "*batch n"]) -> Float[np.ndarray, "*batch m"]:
+        """Values of all joints, from those of the degrees of freedom."""
+        return np.asarray(q, float)[..., self.dof] * self.ratio + self.offset
+
+    def freedom_values(
+        self, values: Float[np.ndarray, "*batch m"]
+    ) -> Float[np.ndarray, "*batch n"]:
+        """Values of the degrees of freedom, from those of all joints."""
+        return np.asarray(values, float)[..., self.leads]
+
+    def tool_poses(self, q: Float[np.ndarray, "*batch n"]) -> Float[np.ndarray, "*batch 4 4"]:
+        """Tool poses in the base frame."""
+        q = np.ascontiguousarray(q, float)  # as the kernel is compiled for
+        flat = tool_poses(
+            q.reshape(-1, self.size),
+            chain_arrays(self),
+        )
+        return flat.reshape(*q.shape[:-1], 4, 4)
+
+
+@dataclass(frozen=True)
+class Segments:
+    """Which segment of the chain each link of the robot moves with."""
+
+    of_link: dict[str, int]
+    T_segment_link: dict[str, Float[np.ndarray, "4 4"]]
+    """Pose of the link relative to its segment's joint origin, base-aligned at zero."""
+
+
+def chain_arrays(chain: Chain) -> ChainArrays:
+    """The chain as the kernels take it."""
+    return ChainArrays(
+        chain.h,
+        chain.d,
+        chain.slides,
+        chain.dof,
+        chain.ratio,
+        chain.tool_offset,
+        chain.tool_rotation,
+    )
+
+
+def chain_limits(chain: Chain) -> JointLimits:
+    """The limits of its degrees of freedom as the kernels take them."""
+    return JointLimits(chain.lower, chain.upper)
+
+
+def build_chain(
+    model: Articulated, base_link: str, tool_link: str, names: Sequence[str]
+) -> tuple[Chain, Segments]:
+    """Cut the arm out of a robot; all joints but its own and those that follow these stay at rest.
+
+    Args:
+        model: The robot.
+        base_link: Where the chain begins.
+        tool_link: Where it ends.
+        names: The joints that stand for its degrees of freedom, base to tool.
+
+    Raises:
+        RobotError: The joints do not form a chain from base to tool, in this order, or one of them
+            follows another.
+    """
+    for link in (base_link, tool_link):
+        if link not in model.urdf.links:
+            from momapos.core import unknown_name
+
+            raise unknown_name("link", link, model.urdf.links, model.urdf.name)
+    leaders = [model.joint(name) for name in names]
+    _check_order(model, base_link, tool_link, names)
+    records = _between(model, tool_link, names)
+    zero = _poses_at_zero(model, base_link, names)
+    origins = []
+    axes = []
+    for joint in records:
+        # At zero a follower stands at its offset, which is what its child's frame holds.
+        T = zero[joint.parent] @ joint.T_parent_joint
+        origins.append(T[:3, 3] if joint.kind != "prismatic" else zero[joint.child][:3, 3])
+        axes.append(T[:3, :3] @ joint.axis)
+    origin = np.array(origins)
+    followed = [joint.mimic or Mimic(joint.name) for joint in records]
+    joints = tuple(joint.name for joint in records)
+    chain = Chain(
+        names=tuple(names),
+        joints=joints,
+        dof=np.array([list(names).index(mimic.joint) for mimic in followed], np.int64),
+        ratio=np.array([mimic.ratio for mimic in followed], float),
+        offset=np.array([mimic.offset for mimic in followed], float),
+        h=np.array(axes),
+        d=np.diff(origin, axis=0, prepend=np.zeros((1, 3))),
+        slides=np.array([j.kind == "prismatic" for j in records]),
+        lower=np.array([j.lower for j in leaders]),
+        upper=np.array([j.upper for j in leaders]),
+        velocity=np.array([j.velocity for j in leaders]),
+        tool_offset=zero[tool_link][:3, 3] - origin[-1],
+        tool_rotation=zero[tool_link][:3, :3].copy(),
+    )
+    return chain, _segments(model, zero, joints, origin)
+
+
+def with_tool_turn(chain: Chain, axis: Float[np.ndarray, "3"], lower: float, upper: float) -> Chain:
+    """The chain with one more degree of freedom: a turn about an axis through the tool's origin.
+
+    Args:
+        chain: The chain.
+        axis: Direction of the axis, in the tool frame.
+        lower, upper: Limits of the turn [rad].
+    """
+    h = chain.tool_rotation @ axis
+    return replace(
+        chain,
+        names=(*chain.names, "hand turn"),
+        joints=(*chain.joints, "hand turn"),
+        dof=np.append(chain.dof, chain.size),
+        ratio=np.append(chain.ratio, 1.0),
+        offset=np.append(chain.offset, 0.0),
+        h=np.vstack([chain.h, h / np.linalg.norm(h)]),
+        d=np.vstack([chain.d, chain.tool_offset]),
+        slides=np.append(chain.slides, False),
+        lower=np.append(chain.lower, lower),
+        upper=np.append(chain.upper, upper),
+        velocity=np.append(chain.velocity, np.inf),
+        tool_offset=np.zeros(3),
+    )
+
+
+def _between(model: Articulated, tool_link: str, names: Sequence[str]) -> list[Joint]:
+    """The joints that move with the given ones, base to tool.
+
+    Raises:
+        RobotError: One of them does not carry the tool.
+    """
+    found = [
+        joint
+        for joint in model.joints.values()
+        if (joint.mimic.joint if joint.mimic else joint.name) in names
+    ]
+    for joint in found:
+        if tool_link not in model.links_below(joint.child):
+            raise RobotError(
+                f"{model.urdf.name}: joint {joint.name!r} follows one of the arm but does not "
+                f"carry {tool_link!r}; only joints between base and tool may follow the arm's"
+            )
+    return found
+
+
+def _poses_at_zero(
+    model: Articulated, base_link: str, joints: Sequence[str]
+) -> Mapping[str, Float[np.ndarray, "4 4"]]:
+    poses = model.link_poses(dict.fromkeys(joints, 0.0))
+    T_base_root = invert(poses[base_link])
+    return {name: T_base_root @ T for name, T in poses.items()}
+
+
+def _check_order(model: Articulated, base_link: str, tool_link: str, joints: Sequence[str]) -> None:
+    if not joints:
+        raise RobotError(f"{model.urdf.name}: arm_joints is empty; name the joints base to tool")
+    if len(set(joints)) != len(joints):
+        raise RobotError(f"{model.urdf.name}: arm_joints names a joint twice")
+    for name in joints:
+        mimic = model.joint(name).mimic
+        if mimic is not None:
+            raise RobotError(
+                f"{model.urdf.name}: joint {name!r} follows {mimic.joint!r}; arm_joints names only "
+                "joints that move by themselves"
+            )
+    if tool_link not in model.links_below(model.joint(joints[-1]).child):
+        raise RobotError(
+            f"{model.urdf.name}: tool link {tool_link!r} does not move with {joints[-1]!r}; "
+            "arm_joints must be the chain from base to tool"
+        )
+    for before, after in pairwise(joints):
+        if model.joint(after).child not in model.links_below(model.joint(before).child):
+            raise RobotError(
+                f"{model.urdf.name}: joint {after!r} does not follow {before!r}; "
+                "arm_joints must be a chain, base first"
+            )
+    if base_link in model.moved_by(joints[0]):
+        raise RobotError(
+            f"{model.urdf.name}: base link {base_link!r} moves with {joints[0]!r}; "
+            "the base must come before the arm"
+        )
+
+
+def _segments(
+    model: Articulated,
+    zero: Mapping[str, Float[np.ndarray, "4 4"]],
+    joints: Sequence[str],
+    origin: Float[np.ndarray, "m 3"],
+) -> Segments:
+    of_link = dict.fromkeys(model.links, 0)
+    for index, name in enumerate(joints):
+        for link in model.links_below(model.joint(name).child):
+            of_link[link] = index + 1
+    shift = np.vstack([np.zeros((1, 3)), origin])
+    local = {}
+    for link, segment in of_link.items():
+        T = zero[link].copy()
+        T[:3, 3] -= shift[segment]
+        local[link] = T
+    return Segments(of_link, local)
+
+
+@kernel
+def rotate_by(R: np.ndarray, axis: np.ndarray, angle: float, out: np.ndarray) -> None:
+    """Write R times the rotation about a unit axis (Rodrigues) to `out` (3, 3)."""
+    c, s = np.cos(angle), np.sin(angle)
+    x, y, z = axis[0], axis[1], axis[2]
+    v = 1.0 - c
+    m00, m01, m02 = c + x * x * v, x * y * v - z * s, x * z * v + y * s
+    m10, m11, m12 = x * y * v + z * s, c + y * y * v, y * z * v - x * s
+    m20, m21, m22 = x * z * v - y * s, y * z * v + x * s, c + z * z * v
+    for i in range(3):
+        a, b, d = R[i, 0], R[i, 1], R[i, 2]
+        out[i, 0] = a * m00 + b * m10 + d * m20
+        out[i, 1] = a * m01 + b * m11 + d * m21
+        out[i, 2] = a * m02 + b * m12 + d * m22
+
+
+@entry
+def stand_at_origin(
+    R: F3,
+    p: F2,
+) -> None:
+    """Put segment 0 at the origin; written out, as array assignment is slow to compile."""
+    for i in range(3):
+        p[0, i] = 0.0
+        for j in range(3):
+            R[0, i, j] = 1.0 if i == j else 0.0
+
+
+@entry
+def forward(
+    q: F1,
+    chain: ChainArrays,
+    R: F3,
+    p: F2,
+) -> None:
+    """Fill rotations R (m + 1, 3, 3) and origins p (m + 1, 3) for values (n,) of the degrees of
+    freedom; entry 0 is the base's pose."""
+    h, d, slides = chain.h, chain.d, chain.slides
+    for i in range(len(slides)):
+        value = chain.ratio[i] * q[chain.dof[i]]
+        for k in range(3):
+            p[i + 1, k] = (
+                p[i, k] + R[i, k, 0] * d[i, 0] + R[i, k, 1] * d[i, 1] + R[i, k, 2] * d[i, 2]
+            )
+        if slides[i]:
+            for k in range(3):
+                p[i + 1, k] += value * (
+                    R[i, k, 0] * h[i, 0] + R[i, k, 1] * h[i, 1] + R[i, k, 2] * h[i, 2]
+                )
+                for j in range(3):
+                    R[i + 1, k, j] = R[i, k, j]
+        else:
+            rotate_by(R[i], h[i], value, R[i + 1])
+
+
+@entry
+def tool_poses(q: F2, chain: ChainArrays) -> np.ndarray:
+    """Tool poses (k, 4, 4) of configurations (k, n), in the base frame."""
+    count, n = len(q), len(chain.slides)
+    tool_offset, tool_rotation = chain.tool_offset, chain.tool_rotation
+    out = np.zeros((count, 4, 4))
+    R, p = np.empty((n + 1, 3, 3)), np.empty((n + 1, 3))
+    stand_at_origin(R, p)
+    for m in range(count):
+        forward(q[m], chain, R, p)
+        for i in range(3):
+            out[m, i, 3] = p[n, i]
+            for k in range(3):
+                out[m, i, 3] += R[n, i, k] * tool_offset[k]
+                for j in range(3):
+                    out[m, i, j] += R[n, i, k] * tool_rotation[k, j]
+        out[m, 3, 3] = 1.0
+    return out

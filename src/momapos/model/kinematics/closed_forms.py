@@ -1,0 +1,169 @@
+"""All branches of a six-joint arm in closed form, by what its axes have in common.
+
+Source: Elias and Wen, IK-Geo: Unified robot inverse kinematics using subproblem decomposition
+(2022).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from momapos.core.compiled import kernel
+
+from .subproblems import add, cross, dot, mul, mul_t, neg, rot, row, sp1, sp3, sp4, sub
+
+NUMERIC, WRIST_PARALLEL, WRIST_MEETING, THREE_PARALLEL = 0, 1, 2, 3
+NAMES = {
+    NUMERIC: "numerical, seeded",
+    WRIST_PARALLEL: "closed form: spherical wrist, axes 2 and 3 parallel",
+    WRIST_MEETING: "closed form: spherical wrist, axes 1 and 2 meet",
+    THREE_PARALLEL: "closed form: axes 2, 3 and 4 parallel",
+}
+MAX_BRANCHES = 8
+"""Most solutions that any of these arms has for one tool pose."""
+
+
+@kernel
+def _first_three_wrist(kind, h, o, c0, c, out):
+    """Joints 1 to 3 that bring the wrist center c0 to c; out (8, 6), returns the count."""
+    h1, h2, h3 = row(h, 0), row(h, 1), row(h, 2)
+    o1, o2, o3 = row(o, 0), row(o, 1), row(o, 2)
+    link, reach = sub(o3, o2), sub(c0, o3)
+    w = sub(c, o1)
+    count = 0
+    if kind == WRIST_PARALLEL:
+        n1, a1, b1 = sp4(h2, w, neg(h1), dot(h2, sub(c0, o1)))
+        for i in range(n1):
+            q1 = a1 if i == 0 else b1
+            v = sub(rot(h1, -q1, w), sub(o2, o1))
+            n3, a3, b3 = sp3(reach, neg(link), h3, np.sqrt(dot(v, v)))
+            for j in range(n3):
+                q3 = a3 if j == 0 else b3
+                out[count, 0], out[count, 2] = q1, q3
+                out[count, 1] = sp1(add(link, rot(h3, q3, reach)), v, h2)
+                count += 1
+        return count
+    n3, a3, b3 = sp3(reach, neg(link), h3, np.sqrt(dot(w, w)))
+    for j in range(n3):
+        q3 = a3 if j == 0 else b3
+        u = add(link, rot(h3, q3, reach))
+        n1, a1, b1 = sp4(h2, w, neg(h1), dot(h2, u))
+        for i in range(n1):
+            q1 = a1 if i == 0 else b1
+            out[count, 0], out[count, 2] = q1, q3
+            out[count, 1] = sp1(u, rot(h1, -q1, w), h2)
+            count += 1
+    return count
+
+
+@kernel
+def spherical(kind, h, o, c0, R06, c, out):
+    """All branches of an arm with a spherical wrist; returns the count."""
+    count = _first_three_wrist(kind, h, o, c0, c, out)
+    h1, h2, h3 = row(h, 0), row(h, 1), row(h, 2)
+    h4, h5, h6 = row(h, 3), row(h, 4), row(h, 5)
+    total = count
+    for i in range(count):
+        q1, q2, q3 = out[i, 0], out[i, 1], out[i, 2]
+        x6 = rot(h3, -q3, rot(h2, -q2, rot(h1, -q1, mul(R06, h6))))
+        x5 = rot(h3, -q3, rot(h2, -q2, rot(h1, -q1, mul(R06, h5))))
+        n5, a5, b5 = sp4(h4, h6, h5, dot(h4, x6))
+        if n5 == 0:
+            out[i, 4] = np.nan
+            continue
+        for j in range(2):
+            q5 = a5 if j == 0 else b5
+            k = i if j == 0 else total
+            out[k, 0], out[k, 1], out[k, 2], out[k, 4] = q1, q2, q3, q5
+            out[k, 3] = sp1(rot(h5, q5, h6), x6, h4)
+            # After q4, not beside it: when axes 4 and 6 align only their sum is told.
+            out[k, 5] = sp1(h5, rot(h5, -q5, rot(h4, -out[k, 3], x5)), h6)
+        total += 1
+    return total
+
+
+@kernel
+def _free_turn(h1, h2, offsets, foot, j, turned, sign):
+    """A value of joint 6 that puts joint 4 in the middle of where the arm can have it.
+
+    Args:
+        h1, h2: Axes 1 and 2.
+        offsets: From joint 2 to 3, 3 to 4, and 4 to the wrist, at zero.
+        foot: The wrist as seen from joint 2.
+        j: Which of the two values, 0 or 1.
+        turned: Where h1 has been turned to about h2 when joint 6 is at zero.
+        sign: Positive where axis 6 points along axis 2.
+    """
+    upper, lower, tip = offsets
+    a, b = _across(upper, h2), _across(lower, h2)
+    c, d = _across(tip, h2), _across(foot, h2)
+    reach = 0.5 * (max(abs(a - b), abs(c - d)) + min(a + b, c + d))
+    along = dot(h2, sub(tip, foot))
+    n, one, other = sp3(tip, foot, h2, np.sqrt(reach * reach + along * along))
+    if n == 0:
+        return 0.0
+    turn = sp1(h1, turned, h2) - (one if j == 0 else other)
+    return turn if sign > 0 else -turn
+
+
+@kernel
+def _across(v, axis):
+    """Length of the part of v that is perpendicular to a unit axis."""
+    part = dot(v, axis)
+    return np.sqrt(max(0.0, dot(v, v) - part * part))
+
+
+@kernel
+def three_parallel(h, o, c0, R06, c, out):
+    """All branches of an arm whose axes 2, 3 and 4 are parallel; returns the count."""
+    h1, h2, h3, h4, h5, h6 = (
+        row(h, 0),
+        row(h, 1),
+        row(h, 2),
+        row(h, 3),
+        row(h, 4),
+        row(h, 5),
+    )
+    o1, o2, o3, o4 = row(o, 0), row(o, 1), row(o, 2), row(o, 3)
+    s3 = 1.0 if dot(h2, h3) > 0 else -1.0
+    s4 = 1.0 if dot(h2, h4) > 0 else -1.0
+    upper, lower, tip = sub(o3, o2), sub(o4, o3), sub(c0, o4)
+    w, z6 = sub(c, o1), mul(R06, h6)
+    total = 0
+    n1, a1, b1 = sp4(h2, w, neg(h1), dot(h2, sub(c0, o1)))
+    for i in range(n1):
+        q1 = a1 if i == 0 else b1
+        n5, a5, b5 = sp4(h2, h6, h5, dot(h2, rot(h1, -q1, z6)))
+        for j in range(n5):
+            q5 = a5 if j == 0 else b5
+            x2 = rot(h5, -q5, h2)
+            across, foot = cross(x2, h6), sub(rot(h1, -q1, w), sub(o2, o1))
+            if dot(across, across) < 1e-13:
+                # Axis 6 is parallel to the three, and any q6 will do that keeps joint 4 in reach.
+                turned = rot(h1, -q1, mul(R06, rot(h5, -q5, h1)))
+                q6 = _free_turn(h1, h2, (upper, lower, tip), foot, j, turned, dot(x2, h6))
+            else:
+                q6 = sp1(x2, mul_t(R06, rot(h1, q1, h2)), neg(h6))
+            turned = rot(h1, -q1, mul(R06, rot(h6, -q6, rot(h5, -q5, h1))))
+            theta = sp1(h1, turned, h2)
+            t = sub(foot, rot(h2, theta, tip))
+            along = dot(h2, t)
+            flat = add(upper, lower)
+            # Components along the axes are carried unchanged; the planar 2R problem is the rest.
+            t = add(
+                t,
+                (
+                    h2[0] * (dot(h2, flat) - along),
+                    h2[1] * (dot(h2, flat) - along),
+                    h2[2] * (dot(h2, flat) - along),
+                ),
+            )
+            n3, a3, b3 = sp3(lower, neg(upper), h3, np.sqrt(dot(t, t)))
+            for m in range(n3):
+                q3 = a3 if m == 0 else b3
+                q2 = sp1(add(upper, rot(h3, q3, lower)), t, h2)
+                out[total, 0], out[total, 1], out[total, 2] = q1, q2, q3
+                out[total, 3] = s4 * (theta - q2 - s3 * q3)
+                out[total, 4], out[total, 5] = q5, q6
+                total += 1
+    return total

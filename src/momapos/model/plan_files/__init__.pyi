@@ -1,0 +1,11 @@
+from .plan_format import check_unchanged as check_unchanged
+from .plan_format import format_of as format_of
+from .plan_format import plan_to_dict as plan_to_dict
+from .plan_format import read_plan as read_plan
+from .plan_format import write_plan as write_plan
+from .tour_format import TourFile as TourFile
+from .tour_format import is_tour as is_tour
+from .tour_format import read_tour as read_tour
+from .tour_format import tour_of as tour_of
+from .tour_format import tour_to_dict as tour_to_dict
+from .tour_format import write_tour as write_tour

@@ -1,0 +1,392 @@
+"""Plan files: momapos-plan, version 1, with the members that `plan_to_dict` writes."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+import numpy as np
+
+from momapos.core import FileFormatError, InputError, read_bytes_bounded, read_text_bounded
+from momapos.model.records import (
+    BaseRegion,
+    Candidates,
+    CostTerm,
+    KeyObjects,
+    Motion,
+    Outline,
+    PlacementPlan,
+    Task,
+    Tolerance,
+)
+from momapos.model.robots import MAX_SRDF_BYTES, portable
+
+from . import plan_members as members
+from .holds import holds_to_dict, read_holds
+from .named_files import portable_name, sha256, sha256_of, write_text
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+FORMAT, VERSION, TOUR = "momapos-plan", 1, "momapos-tour"
+MAX_BYTES = 20_000_000
+"""A plan of 20,000 states, which is what the check takes, has some 10 MB."""
+
+# ------------------------------------------------------------------------------------------ writing
+
+
+def plan_to_dict(plan: PlacementPlan) -> dict[str, Any]:
+    """Turn a plan into what its file holds; paths as the plan has them."""
+    motion = plan.motion
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        "scene": plan.scene,
+        "scene_joints": {name: dict(joints) for name, joints in plan.scene_joints.items()},
+        "scene_hypotheses": {name: dict(taken) for name, taken in plan.scene_hypotheses.items()},
+        "robot": {
+            "name": plan.robot_name,
+            "urdf": plan.robot_urdf,
+            "base_link": plan.base_link,
+            "tool_link": plan.tool_link,
+            "file": plan.robot_file,
+            "srdf": plan.robot_srdf,
+            "rest": dict(plan.robot_rest),
+            "arm": plan.robot_arm,
+        },
+        "task": asdict(plan.task),
+        "status": plan.status,
+        "feasible_to": plan.feasible_to,
+        "feasible_from": _pose_to_dict(plan.feasible_from),
+        "feasible_sure": plan.feasible_sure,
+        "start": _pose_to_dict(plan.start),
+        "base_pose": _pose_to_dict(plan.base_pose),
+        "base_path": None if plan.base_path is None else plan.base_path.tolist(),
+        "joints": list(plan.joints),
+        "approach": [] if motion is None else motion.approach.tolist(),
+        "approach_times": None if motion is None else _times(motion.approach_times),
+        "manipulation": None
+        if motion is None
+        else {
+            "q": motion.q.tolist(),
+            "object_q": motion.object_q.tolist(),
+            "times": _times(motion.times),
+            "T_world_tool": motion.Ts_world_tool.tolist(),
+            **holds_to_dict(motion.holds),
+        },
+        "home": None if motion is None or motion.home is None else motion.home.tolist(),
+        "navigation_cost": plan.navigation_cost,
+        "cost": {name: asdict(term) for name, term in plan.cost.items()},
+        "candidates": {
+            "sampled": plan.candidates.sampled,
+            "checked": plan.candidates.checked,
+            "rejections": dict(plan.candidates.rejections),
+        },
+        "importance": None
+        if plan.key_objects is None
+        else {**asdict(plan.key_objects), "names": list(plan.key_objects.names)},
+        "timing": dict(plan.timing),
+        "region": {
+            **asdict(plan.region),
+            "keep_in": _outlines(plan.region.keep_in),
+            "keep_out": _outlines(plan.region.keep_out),
+        },
+        "tolerance": None if plan.tolerance is None else asdict(plan.tolerance),
+        "method": plan.method,
+        "seed": plan.seed,
+        "versions": dict(plan.versions),
+    }
+
+
+def _outlines(areas: tuple[Outline, ...]) -> list[list[list[float]]]:
+    return [[list(corner) for corner in area] for area in areas]
+
+
+def _times(times: Float[np.ndarray, " m"] | None) -> list[float] | None:
+    return None if times is None else times.tolist()
+
+
+def _pose_to_dict(pose: tuple[float, float, float] | None) -> dict[str, float] | None:
+    return None if pose is None else dict(zip(("x", "y", "yaw"), pose, strict=True))
+
+
+def write_plan(plan: PlacementPlan, path: Path) -> None:
+    """Write a plan, the whole file or nothing.
+
+    Where the robot file adds to the URDF, as a base that carries the arm, the URDF with it is
+    written beside the plan, as NAME.robot.urdf.
+
+    The scene and the URDF are named relative to the plan's folder where they are near, so that
+    the folders can be moved together, and by absolute paths elsewhere.
+
+    Raises:
+        InputError: The plan holds NaN, or names a file that does not exist, so that nobody could
+            verify it; or the file cannot be written.
+    """
+    data = plan_to_dict(plan)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    data["scene"] = portable_name(plan.scene, path, "the scene")
+    amended = None
+    if plan.robot_amended is None:
+        data["robot"]["urdf"] = portable_name(plan.robot_urdf, path, "the robot's URDF")
+        digest = sha256(Path(plan.robot_urdf))
+    else:
+        amended = path.with_name(f"{path.stem}.robot.urdf")
+        content = portable(plan.robot_amended, path.parent, str(path))
+        data["robot"]["urdf"], digest = amended.name, sha256_of(content.encode())
+    if plan.robot_file is not None and plan.robot_file.endswith(".toml"):
+        data["robot"]["file"] = portable_name(plan.robot_file, path, "the robot file")
+    if plan.robot_srdf is not None:
+        srdf = portable_name(plan.robot_srdf, path, "the robot's SRDF")
+        data["robot"]["srdf"] = srdf if amended is None else amended.with_suffix(".srdf").name
+    data["hashes"] = {"scene": sha256(Path(plan.scene)), "robot": digest}
+    try:
+        text = json.dumps(data, allow_nan=False)
+    except ValueError as error:
+        raise InputError(f"{path}: the plan holds NaN or infinity and was not written") from error
+    if amended is not None:
+        write_text(amended, content)
+        if plan.robot_srdf is not None:  # where those look who know nothing of the robot file
+            srdf = read_text_bounded(Path(plan.robot_srdf), MAX_SRDF_BYTES, error=InputError)
+            write_text(amended.with_suffix(".srdf"), srdf)
+    write_text(path, f"{text}\n")
+
+
+# ------------------------------------------------------------------------------------------ reading
+
+
+def format_of(path: Path) -> Any:
+    """What a file calls its format; None where it says nothing. Nothing else is looked at."""
+    content = read_bytes_bounded(path, MAX_BYTES).removeprefix(b"\xef\xbb\xbf")
+    try:
+        return msgspec.json.decode(content, type=members.PlanHead).format
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
+        return None
+
+
+def read_plan(path: Path) -> PlacementPlan:
+    """Read a plan file.
+
+    Paths in it that exist relative to its folder come back absolute, all others as they are.
+
+    Raises:
+        FileFormatError: It is no plan that can be used; one line says what is wrong and where.
+    """
+    content = _content(path)
+    head = _decode(content, members.PlanHead, path)
+    if head.format == TOUR:
+        raise FileFormatError(
+            f"{path}: a tour of several plans, for verify, run, view and export; give one of the "
+            "plans that it names, in order"
+        )
+    if head.format != FORMAT:
+        raise FileFormatError(
+            f'{path}: not a plan; a plan has "format": {FORMAT!r}, this file has '
+            f"{head.format!r:.60}"
+        )
+    if head.version != VERSION or isinstance(head.version, bool):
+        raise FileFormatError(
+            f"{path}: version {head.version!r:.60} of the plan format; this momapos reads version "
+            f"{VERSION}"
+        )
+    data = _decode(content, members.Plan, path)
+    _check(data, path)
+    return _record(data, path)
+
+
+def check_unchanged(path: Path, scene: Path, urdf: Path) -> None:
+    """Make sure that a plan is about the files as they are now.
+
+    Plans hold the SHA-256 of the scene file and of the robot's URDF; those written before that
+    hold none, and pass. Files that these two name in turn are not looked at.
+
+    Args:
+        path: The plan file.
+        scene: The scene that it names, where it was found.
+        urdf: The robot's URDF that it names, where it was found.
+
+    Raises:
+        InputError: One of them has changed since the plan was written.
+    """
+    hashes = _decode(_content(path), members.Hashes, path).hashes
+    for what, file in (("scene", scene), ("robot", urdf)):
+        if what in hashes and hashes[what] != sha256(file):
+            raise InputError(
+                f"{path}: the {what} ({file}) has changed since the plan was written; plan again"
+            )
+
+
+def _content(path: Path) -> bytes:
+    content = read_bytes_bounded(path, MAX_BYTES).removeprefix(b"\xef\xbb\xbf")
+    if not content.strip():
+        raise FileFormatError(f"{path}: is empty; a plan is a JSON object")
+    return content
+
+
+def _decode(content: bytes, kind: type[Any], path: Path) -> Any:
+    try:
+        return msgspec.json.decode(content, type=kind)
+    except msgspec.ValidationError as error:
+        raise FileFormatError(f"{path}: not a usable plan: {error}") from error
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise FileFormatError(
+            f"{path}: damaged JSON ({error}); a plan is a JSON object without NaN"
+        ) from error
+
+
+def _check(data: members.Plan, path: Path) -> None:
+    """What the types do not say."""
+
+    def need(met: bool, message: str) -> None:
+        if not met:
+            raise FileFormatError(f"{path}: {message}")
+
+    names = {
+        "scene": data.scene, "robot.urdf": data.robot.urdf, "robot.base_link": data.robot.base_link,
+        "robot.tool_link": data.robot.tool_link, "task.object": data.task.object,
+        "robot.file": data.robot.file or "-", "robot.srdf": data.robot.srdf or "-",
+    }  # fmt: skip
+    for key, name in names.items():
+        need(0 < len(name) <= 4000 and "\0" not in name, f"{key} must be a name")
+    need(len(set(data.joints)) == len(data.joints), "joints names a joint twice")
+    need(data.task.to is None or math.isfinite(data.task.to), "task.to must be finite")
+    moves = data.task.verb in ("open", "close")
+    need(
+        (data.task.joint is not None or not moves)
+        and (data.task.to is not None or data.task.joint is None),
+        "task must name the joint that moves, and in 'to' the value it reaches",
+    )
+    if data.status == "solved":
+        need(bool(data.joints), "joints is empty; a solved plan names the arm's joints")
+        need(data.base_pose is not None, "base_pose is missing; a solved plan has one")
+        need(data.manipulation is not None, "manipulation is missing; a solved plan has one")
+
+
+def _record(data: members.Plan, path: Path) -> PlacementPlan:
+    robot = data.robot
+    folder = path.resolve().parent
+    return PlacementPlan(
+        scene=_located(data.scene, folder),
+        robot_name=robot.name,
+        robot_urdf=_located(robot.urdf, folder),
+        base_link=robot.base_link,
+        tool_link=robot.tool_link,
+        task=Task(**msgspec.structs.asdict(data.task)),
+        status=data.status,
+        joints=tuple(data.joints),
+        base_pose=_triple(data.base_pose),
+        motion=_motion(data, path),
+        navigation_cost=data.navigation_cost,
+        cost={name: CostTerm(**msgspec.structs.asdict(term)) for name, term in data.cost.items()},
+        candidates=Candidates(**msgspec.structs.asdict(data.candidates)),
+        key_objects=_key_objects(data.importance),
+        timing=data.timing,
+        method=data.method,
+        seed=data.seed,
+        versions=data.versions,
+        start=_triple(data.start),
+        base_path=None
+        if data.base_path is None
+        else _array(data.base_path, (3,), path, "base_path", "x, y, yaw"),
+        robot_file=_robot_file(robot.file, folder),
+        robot_srdf=None if robot.srdf is None else _located(robot.srdf, folder),
+        robot_rest=robot.rest,
+        robot_arm=robot.arm,
+        scene_joints=data.scene_joints,
+        scene_hypotheses=data.scene_hypotheses,
+        feasible_to=data.feasible_to,
+        feasible_from=_triple(data.feasible_from),
+        feasible_sure=data.feasible_sure,
+        tolerance=None
+        if data.tolerance is None
+        else Tolerance(**msgspec.structs.asdict(data.tolerance)),
+        region=BaseRegion(**msgspec.structs.asdict(data.region)),
+    )
+
+
+def _triple(pose: members.Pose | None) -> tuple[float, float, float] | None:
+    return None if pose is None else (pose.x, pose.y, pose.yaw)
+
+
+def _robot_file(name: str | None, folder: Path) -> str | None:
+    """A robot file, absolute where it exists; names of the library robots stay names."""
+    return name if name is None or not name.endswith(".toml") else _located(name, folder)
+
+
+def _key_objects(data: members.Importance | None) -> KeyObjects | None:
+    if data is None:
+        return None
+    return KeyObjects(data.scorer, data.alpha, tuple(data.names), data.scores, data.rounds)
+
+
+def _located(name: str, folder: Path) -> str:
+    return os.path.normpath(folder / name) if _is_file(folder / name) else name
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except (OSError, ValueError):  # a name that no file can have
+        return False
+
+
+def _motion(data: members.Plan, path: Path) -> Motion | None:
+    motion, n = data.manipulation, len(data.joints)
+    if motion is None:
+        return None
+    approach = _array(data.approach, (n,), path, "approach")
+    q = _array(motion.q, (n,), path, "manipulation.q")
+    object_q = _array(motion.object_q, (), path, "manipulation.object_q")
+    Ts_world_tool = _array(motion.T_world_tool, (4, 4), path, "manipulation.T_world_tool")
+    if not len(q) == len(object_q) == len(Ts_world_tool):
+        raise FileFormatError(
+            f"{path}: manipulation has {len(q)} q, {len(object_q)} object_q and "
+            f"{len(Ts_world_tool)} T_world_tool; need one of each at every state"
+        )
+    return Motion(
+        approach=approach,
+        q=q,
+        object_q=object_q,
+        Ts_world_tool=Ts_world_tool,
+        approach_times=_read_times(data.approach_times, len(approach), path, "approach_times"),
+        times=_read_times(motion.times, len(motion.q), path, "manipulation.times"),
+        holds=read_holds(motion, path),
+        home=None if data.home is None else _array(data.home, (n,), path, "home"),
+    )
+
+
+def _read_times(
+    times: list[float] | None, count: int, path: Path, key: str
+) -> Float[np.ndarray, " m"] | None:
+    """Times of states, one each and never falling [s]; None where a plan has none."""
+    if times is None:
+        return None
+    values = _array(times, (), path, key)
+    if len(values) != count or (np.diff(values) < 0).any():
+        raise FileFormatError(f"{path}: {key} must be {count} times that never fall [s]")
+    return values
+
+
+def _array(
+    rows: Sequence[Any], shape: tuple[int, ...], path: Path, key: str, each: str = "one a joint"
+) -> Float[np.ndarray, "..."]:
+    if not rows:
+        return np.empty((0, *shape))
+    size = " x ".join(map(str, shape))
+    try:
+        array = np.array(rows, float)
+    except ValueError as error:
+        raise FileFormatError(f"{path}: {key} has rows of different length; need {size}") from error
+    if array.shape[1:] != shape:
+        found = " x ".join(map(str, array.shape[1:]))
+        raise FileFormatError(
+            f"{path}: {key} has rows of {found} numbers; need {size}"
+            + (f", {each}" if len(shape) == 1 else "")
+        )
+    return array

@@ -1,0 +1,122 @@
+"""Tour files: momapos-tour, version 1; each names the plan files of several tasks in order."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+
+from momapos.core import FileFormatError, read_bytes_bounded
+from momapos.model.records import PlacementPlan, Status
+
+from . import plan_members as members
+from .named_files import write_text
+from .plan_format import MAX_BYTES, TOUR, format_of, write_plan
+
+VERSION = 1
+MOST = 20
+"""Plans that a tour names [-]."""
+
+
+class Step(msgspec.Struct, frozen=True):
+    """One task of a tour."""
+
+    stop: Annotated[int, msgspec.Meta(ge=1, le=MOST)]
+    """At which stop it is done, counted from 1."""
+    plan: Annotated[str, msgspec.Meta(min_length=1, max_length=255)]
+    """Name of its plan file, beside the tour's."""
+
+
+class TourFile(msgspec.Struct, frozen=True):
+    """What a tour file holds."""
+
+    status: Status
+    steps: Annotated[tuple[Step, ...], msgspec.Meta(min_length=1, max_length=MOST)]
+    stops: int
+    driving: float
+    """In all [m]."""
+    assumed: tuple[str, ...] = ()
+    """What is taken for granted between the tasks."""
+
+
+def tour_to_dict(tour: TourFile, plans: Sequence[Any]) -> dict[str, Any]:
+    """What a tour file holds, with names of plan files, or with the plans themselves.
+
+    Args:
+        tour: The tour.
+        plans: What stands for the plan of each step.
+    """
+    data = msgspec.to_builtins(tour)
+    steps = zip(data["steps"], plans, strict=True)
+    return {
+        "format": TOUR,
+        "version": VERSION,
+        **data,
+        "steps": [{**s, "plan": p} for s, p in steps],
+    }
+
+
+def write_tour(
+    path: Path, plans: Sequence[PlacementPlan], stops: Sequence[int], assumed: Sequence[str]
+) -> TourFile:
+    """Write a tour and its plans beside it, as NAME_1.json and so on.
+
+    Args:
+        path: The tour file.
+        plans: One for each task, in order.
+        stops: At which stop each is done, counted from 1.
+        assumed: What is taken for granted between the tasks.
+
+    Raises:
+        InputError: A plan names a file that does not exist, or a file cannot be written.
+    """
+    tour = tour_of(path, plans, stops, assumed)
+    for step, plan in zip(tour.steps, plans, strict=True):
+        write_plan(plan, path.with_name(step.plan))
+    data = tour_to_dict(tour, [step.plan for step in tour.steps])
+    write_text(path, json.dumps(data, indent=1) + "\n")
+    return tour
+
+
+def tour_of(
+    path: Path, plans: Sequence[PlacementPlan], stops: Sequence[int], assumed: Sequence[str]
+) -> TourFile:
+    """The record of a tour file, see `write_tour`."""
+    steps = tuple(
+        Step(stop, f"{path.stem}_{number}.json") for number, stop in enumerate(stops, start=1)
+    )
+    driving = sum(plan.navigation_cost or 0.0 for plan in plans)
+    return TourFile(plans[-1].status, steps, max(stops), driving, tuple(assumed))
+
+
+def is_tour(path: Path) -> bool:
+    """Whether a file says that it is a tour; of what it holds else nothing is looked at."""
+    return bool(format_of(path) == TOUR)
+
+
+def read_tour(path: Path) -> TourFile:
+    """Read a tour file; the plans that it names are not looked at.
+
+    Raises:
+        FileFormatError: It cannot be used; one line says what is wrong.
+    """
+    content = read_bytes_bounded(path, MAX_BYTES).removeprefix(b"\xef\xbb\xbf")
+    try:
+        head = msgspec.json.decode(content, type=members.PlanHead)
+        if head.format != TOUR or head.version != VERSION or isinstance(head.version, bool):
+            raise FileFormatError(
+                f"{path}: not a tour of version {VERSION}; format {head.format!r:.60}, version "
+                f"{head.version!r:.60}"
+            )
+        tour = msgspec.json.decode(content, type=TourFile)
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+        raise FileFormatError(f"{path}: not a usable tour: {error}") from error
+    for step in tour.steps:
+        if Path(step.plan).name != step.plan or step.plan in (".", "..") or "\0" in step.plan:
+            raise FileFormatError(
+                f"{path}: plan {step.plan!r:.80} must be the name of a file beside the tour"
+            )
+    return tour

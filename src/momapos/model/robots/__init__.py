@@ -1,0 +1,5 @@
+"""Mobile manipulators: the robot record, robot files and the library of named robots."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

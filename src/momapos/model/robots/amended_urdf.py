@@ -1,0 +1,239 @@
+"""A URDF as a robot file amends it: more frames, an arm on a base, packages that lie elsewhere,
+joints that follow others."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from xml.etree.ElementTree import Element, SubElement, tostring
+
+from momapos.core import Cache, RobotError, UrdfError, parse_xml, read_text_bounded, unknown_name
+from momapos.model.urdf import (
+    MAX_URDF_BYTES,
+    PARENTS,
+    MeshFinder,
+    Mimic,
+    Urdf,
+    check_coupled,
+    fix_root_joints,
+    leader_of,
+    mimics,
+    read_tree,
+    read_urdf,
+)
+
+Triple = tuple[float, float, float]
+ZERO: Triple = (0.0, 0.0, 0.0)
+BOX = "box_base"
+"""The link of a box that carries an arm; its frame lies on the floor."""
+_PREFIX = "mount_"
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A link without a body, fixed to another one."""
+
+    name: str
+    parent: str
+    xyz: Triple = ZERO
+    """[m]"""
+    rpy: Triple = ZERO
+    """[rad]"""
+
+
+@dataclass(frozen=True)
+class Mount:
+    """What carries an arm: a box, or a base with a URDF of its own."""
+
+    xyz: Triple = ZERO
+    """Origin of the arm's root in the link that carries it [m]."""
+    rpy: Triple = ZERO
+    """[rad]"""
+    box: Triple | None = None
+    """Edges [m]."""
+    urdf: Path | None = None
+    link: str = ""
+    """The link of the base that carries the arm; its root where empty."""
+
+
+@dataclass(frozen=True)
+class Amendments:
+    """What a robot file says about its URDF."""
+
+    frames: tuple[Frame, ...] = ()
+    mount: Mount | None = None
+    packages: Mapping[str, Path] = field(default_factory=dict)
+    """Folders of packages by name."""
+    coupled: Mapping[str, Mimic] = field(default_factory=dict)
+    """Joints that follow others, by name, whatever the URDF says that they follow."""
+    content: str | None = None
+    """The URDF itself, where it is in no file yet."""
+
+    @property
+    def none(self) -> bool:
+        """Whether the URDF is used as it is."""
+        return not (self.frames or self.mount or self.packages or self.coupled or self.content)
+
+    def text(self, urdf: Path) -> str | None:
+        """The URDF with all of it, meshes by their absolute names; None where it is used as it is.
+
+        Raises:
+            UrdfError: A file cannot be used, or names a mesh that is not found.
+            UnknownNameError: A frame or the mount names a link that does not exist, or a coupling a
+                joint.
+            RobotError: Something has a name that is taken, a joint follows itself, or a ratio or
+                an offset is of no use.
+        """
+        if self.none:
+            return None
+        tree = self._read(urdf, self.content)
+        if self.mount is not None:
+            tree = _mounted(tree, self.mount, self._read)
+        links = [link.get("name", "") for link in tree.iter("link") if link.get("name")]
+        for frame in self.frames:
+            if frame.name in links:
+                raise RobotError(f"{urdf}: frame {frame.name!r} is a link of the URDF already")
+            if frame.parent not in links:
+                raise unknown_name("link", frame.parent, links, f"{urdf} (frame {frame.name!r})")
+            tree.append(Element("link", name=frame.name))
+            _fix(tree, frame.parent, frame.name, frame.xyz, frame.rpy)
+            links.append(frame.name)
+        _couple(tree, self.coupled, urdf)
+        return tostring(tree, encoding="unicode")
+
+    def read(self, urdf: Path, cache: Cache | None = None) -> tuple[Urdf, str | None]:
+        """Read a URDF with all of it.
+
+        Returns:
+            The model, and its `text`.
+
+        Raises:
+            UrdfError, UnknownNameError, RobotError: As for `text`, and `read_urdf`.
+        """
+        text = self.text(urdf)
+        if text is None:
+            return read_urdf(urdf, cache=cache, visuals=False), None
+        model = read_urdf(urdf, cache=cache, text=text, find_mesh=Path)
+        check_coupled(model, self.coupled, f"{urdf} (coupled)")
+        return model, text
+
+    def _read(self, urdf: Path, content: str | None = None) -> Element:
+        """The tree of a URDF, meshes by their absolute names."""
+        text = (
+            read_text_bounded(urdf, MAX_URDF_BYTES, error=UrdfError) if content is None else content
+        )
+        tree = read_tree(text, urdf)
+        finder = MeshFinder(urdf, packages=self.packages)
+        for link in tree.iter("link"):
+            for visual in link.findall("visual"):  # not needed, and their meshes are often missing
+                link.remove(visual)
+        for mesh in tree.iter("mesh"):
+            mesh.set("filename", str(finder.find(mesh.get("filename", ""))))
+        return tree
+
+
+def _couple(tree: Element, follows: Mapping[str, Mimic], urdf: Path) -> None:
+    """Let joints follow others: URDF's `mimic` elements."""
+    where = f"{urdf} (coupled)"
+    movable = {j.get("name", ""): j for j in tree.findall("joint") if j.get("type") != "fixed"}
+    for name, mimic in follows.items():
+        for joint in (name, mimic.joint):
+            if joint not in movable:
+                raise unknown_name("movable joint", joint, movable, where)
+        if not (math.isfinite(mimic.ratio) and mimic.ratio and math.isfinite(mimic.offset)):
+            raise RobotError(f"{where}: {name!r} needs a ratio other than 0 and a finite offset")
+        for element in movable[name].findall("mimic"):
+            movable[name].remove(element)
+        numbers = {"multiplier": f"{mimic.ratio:.17g}", "offset": f"{mimic.offset:.17g}"}
+        SubElement(movable[name], "mimic", {"joint": mimic.joint, **numbers})
+    every = mimics(tree, urdf, 1.0)
+    for name in follows:
+        leader_of(name, every, where, RobotError)
+
+
+def portable(text: str, folder: Path, what: str) -> str:
+    """An amended URDF for a file in a folder: meshes by names relative to it.
+
+    Raises:
+        RobotError: A mesh lies where those who read the file would not look.
+    """
+    tree = parse_xml(text, Path(what), error=RobotError)
+    here = folder.resolve()
+    root = [here, *here.parents][: PARENTS + 1][-1]
+    for mesh in tree.iter("mesh"):
+        name = Path(mesh.get("filename", ""))
+        if not name.is_relative_to(root):
+            raise RobotError(
+                f"{what}: the robot's mesh {name} lies outside {root}, so that the plan could not "
+                f"be verified; write the plan within {PARENTS} folders of one that holds both"
+            )
+        mesh.set("filename", Path(os.path.relpath(name, here)).as_posix())
+    return tostring(tree, encoding="unicode")
+
+
+def _mounted(arm: Element, mount: Mount, read: Callable[[Path], Element]) -> Element:
+    """A base with an arm on it, by the arm's name."""
+    fix_root_joints(arm)
+    if mount.urdf is None:
+        assert mount.box is not None
+        base, carrier = _box(mount.box), BOX
+    else:
+        base = read(mount.urdf)
+        carrier = mount.link or _root(base)
+        names = [link.get("name", "") for link in base.findall("link")]
+        if carrier not in names:
+            raise unknown_name("link", carrier, names, f"{mount.urdf} (mount.link)")
+        carrier = _rename(base, arm).get(carrier, carrier)
+    root = _root(arm)
+    base.set("name", arm.get("name", ""))
+    _fix(base, carrier, root, mount.xyz, mount.rpy)
+    base.extend(part for part in arm if part.tag in ("link", "joint"))
+    return base
+
+
+def _box(size: Triple) -> Element:
+    base = Element("robot", name="box")
+    link = SubElement(base, "link", name=BOX)
+    shape = SubElement(link, "collision")
+    SubElement(shape, "origin", xyz=_words((0.0, 0.0, size[2] / 2)), rpy="0 0 0")
+    SubElement(SubElement(shape, "geometry"), "box", size=_words(size))
+    return base
+
+
+def _root(tree: Element) -> str:
+    """The link that no joint moves."""
+    children = {child.get("link") for child in tree.findall("joint/child")}
+    names = [link.get("name", "") for link in tree.findall("link")]
+    return next((name for name in names if name not in children), names[0] if names else "")
+
+
+def _rename(base: Element, arm: Element) -> dict[str, str]:
+    """Give links and joints of the base another name where the arm has one of that name."""
+    renamed: dict[str, dict[str, str]] = {}
+    for tag in ("link", "joint"):
+        taken = {part.get("name") for part in arm.findall(tag)}
+        names = [part.get("name", "") for part in base.findall(tag)]
+        renamed[tag] = {name: f"{_PREFIX}{name}" for name in names if name in taken}
+    places = (
+        ("link", "link", "name"), ("joint", "joint", "name"), ("link", "joint/parent", "link"),
+        ("link", "joint/child", "link"), ("joint", "joint/mimic", "joint"),
+    )  # fmt: skip
+    for tag, place, attribute in places:
+        for element in base.findall(place):
+            name = element.get(attribute, "")
+            element.set(attribute, renamed[tag].get(name, name))
+    return renamed["link"]
+
+
+def _fix(tree: Element, parent: str, child: str, xyz: Triple, rpy: Triple) -> None:
+    joint = SubElement(tree, "joint", name=f"{child}_fixed_to_{parent}", type="fixed")
+    SubElement(joint, "parent", link=parent)
+    SubElement(joint, "child", link=child)
+    SubElement(joint, "origin", xyz=_words(xyz), rpy=_words(rpy))
+
+
+def _words(values: Triple) -> str:
+    return " ".join(f"{value:.9g}" for value in values)

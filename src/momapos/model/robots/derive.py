@@ -1,0 +1,393 @@
+"""A robot file derived from a URDF alone.
+
+URDFs do not say which link stands on the floor, which joints are an arm, or where the tool is.
+This module looks at names and geometry the way a person would, and puts every guess into words,
+so that a wrong one is seen and corrected in the file that it writes.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from momapos.core import Cache, RobotError
+from momapos.model.collision import Spheres, build_spheres, decided
+from momapos.model.kinematics import Chain, build_chain
+from momapos.model.urdf import Articulated, Urdf
+
+from .amended_urdf import BOX, Amendments, Frame, Mount
+from .arm_states import inevitable_pairs, resting_state, sample_states
+from .base_guess import (
+    find_base_link,
+    find_drive,
+    find_footprint,
+    lift_as_base,
+    refuse_without_base,
+)
+from .fingers import find_force, jaws
+from .gripper_guess import find_grip, find_grips, find_tool, listed
+from .joint_tree import LEAST, ArmChain, find_anchor, find_arms
+from .never_checked import NESTED, nested_pairs, rigid_pairs, without
+from .robot_names import library_names
+from .robot_text import ArmText, RobotText
+from .srdf import Srdf, beside, find_srdf
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+MAX_LINKS = 500
+_SIDE = re.compile("left|right", re.I)
+Report = Callable[[float, str], None]
+"""Takes the share of the work that is done, and what is at work."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """What a robot file is derived from."""
+
+    urdf: Path
+    mount: Mount | None = None
+    """What the arm is put on."""
+    packages: Mapping[str, Path] = field(default_factory=dict)
+    """Folders of packages by name."""
+    content: str | None = None
+    """The URDF itself, where it is in no file yet."""
+    near: Path | None = None
+    """The file whose neighbor an SRDF is; the URDF where None."""
+
+
+@dataclass(frozen=True)
+class Derived:
+    """What a URDF says about a robot, and what had to be assumed."""
+
+    toml: str
+    """Text of the robot file."""
+    pairs: Mapping[tuple[str, str], str]
+    """Pairs of links that cannot help touching, with the reason, for an SRDF; those of the URDF's
+    SRDF too, where more are needed."""
+    assumptions: tuple[str, ...]
+    """What was guessed, in words; what may be wrong altogether comes first."""
+
+
+@dataclass(frozen=True)
+class _Arm:
+    """An arm with its tool."""
+
+    chain: ArmChain
+    text: ArmText
+    frame: Frame | None
+
+
+def derive_robot(
+    source: Path | Source,
+    out: Path | None = None,
+    *,
+    seed: int = 0,
+    cache: Cache | None = None,
+    report: Report = lambda _share, _what: None,
+) -> Derived:
+    """Derive a robot file from a URDF.
+
+    Args:
+        source: The URDF, and what is put around it. An SRDF beside it is believed.
+        out: Where the robot file will be; files are named relative to it. Beside the URDF where
+            None.
+        seed: Seed of the sampled arm states.
+        cache: Where geometry is kept, so that it is computed once.
+        report: Is told how far the work is.
+
+    Raises:
+        UrdfError: The URDF cannot be used.
+        RobotError: It has no arm, or no base; the message says what would help.
+    """
+    if isinstance(source, Path):
+        source = Source(source)
+    urdf, out = source.urdf, out or source.urdf.with_suffix(".toml")
+    report(0.0, "reading")
+    amendments = Amendments(mount=source.mount, packages=source.packages, content=source.content)
+    model = Articulated(amendments.read(urdf, cache)[0], cache=cache)
+    if len(model.links) > MAX_LINKS:
+        raise RobotError(f"{urdf}: {len(model.links)} links; a robot has at most {MAX_LINKS}")
+    notes: list[str] = []
+    anchor = find_anchor(model, notes)
+    srdf = find_srdf(source.near or urdf, model.urdf.name)
+    report(0.1, "geometry")
+    chains = _chains(model, anchor, source, srdf, notes)
+    couplings = {name: mimic for chain in chains for name, mimic in chain.coupled}
+    firsts = [chain.joints[0] for chain in chains]
+    base_link, floor = find_base_link(model, anchor, firsts, notes)
+    names = _arm_names(model, chains)
+    arms = {
+        name: _tool(model, chain, name, notes) for name, chain in zip(names, chains, strict=True)
+    }
+    frames = [frame for frame in (floor, *(arm.frame for arm in arms.values())) if frame]
+    record, _ = replace(amendments, frames=tuple(frames), coupled=couplings).read(urdf, cache)
+    model = _same_shapes(record, model, {**model.held, **_resting_fingers(model, arms)})
+    footprint = find_footprint(model, base_link, firsts, notes)
+    drive = find_drive(model, anchor, source.mount is not None, notes)
+    pairs: dict[tuple[str, str], str] = {}
+    for index, name in enumerate(names):
+        report(0.2 + 0.8 * index / len(names), f"states of the arm {name}")
+        arms[name], model, found = _settled(
+            model, base_link, arms, name, srdf, np.random.default_rng(seed), notes
+        )
+        pairs |= found
+    ours = _our_srdf(pairs, srdf, urdf, out, notes)
+    if source.mount is not None and BOX in model.links:
+        notes.append(f"base: a box, {' x '.join(f'{v:g}' for v in _box(source))} m, that drives")
+    notes.sort(key=lambda note: not note.startswith("IMPORTANT"))
+    taken = {joint for arm in arms.values() for joint in arm.text.joints}
+    mount_urdf = None if source.mount is None else source.mount.urdf
+    text = RobotText(
+        name=_name(model, out, notes),
+        urdf=_relative(urdf, out),
+        srdf=ours,
+        base_link=base_link,
+        footprint=footprint,
+        drive=drive,
+        arms={name: arm.text for name, arm in arms.items()},
+        rest={joint: value for joint, value in model.held.items() if joint not in taken},
+        coupled=couplings,
+        frames=frames,
+        mount=source.mount,
+        mount_urdf="" if mount_urdf is None else _relative(mount_urdf, out),
+        packages={name: _relative(folder, out) for name, folder in source.packages.items()},
+    )
+    known = dict(srdf.reasons) if pairs else {}
+    return Derived(text.text(), {**known, **pairs}, tuple(dict.fromkeys(notes)))
+
+
+def _chains(
+    model: Articulated, anchor: str, source: Source, srdf: Srdf, notes: list[str]
+) -> list[ArmChain]:
+    """The arms, with the lift that stands for a part of the base where there is one.
+
+    Raises:
+        RobotError: There is none, or no base below it.
+    """
+    chains = find_arms(model, anchor, _fingers(model, srdf), notes)
+    _note_groups(model, chains, srdf, notes)
+    if source.mount is None:
+        refuse_without_base(model, anchor, [chain.joints[0] for chain in chains])
+    return [replace(chain, joints=lift_as_base(model, chain.joints, notes)) for chain in chains]
+
+
+def _resting_fingers(model: Articulated, arms: dict[str, _Arm]) -> dict[str, float]:
+    """Where fingers rest that do not rest where the URDF has them.
+
+    A gripper that rests open is planned for, drawn and executed as it comes to a handle.
+    """
+    return {
+        name: value
+        for arm in arms.values()
+        for name, value in arm.text.grip.rest.items()
+        if value != model.rest[name]
+    }
+
+
+def _our_srdf(
+    pairs: dict[tuple[str, str], str], srdf: Srdf, urdf: Path, out: Path, notes: list[str]
+) -> str:
+    """The SRDF that the robot file names: ours, or the user's where it is not beside the URDF."""
+    ours = f"{out.stem}.srdf" if pairs else ""
+    _note_pairs(pairs, srdf, ours, notes)
+    if not pairs and srdf.path is not None and srdf.path != beside(urdf.resolve()):
+        return _relative(srdf.path, out)
+    return ours
+
+
+def _fingers(model: Articulated, srdf: Srdf) -> set[str]:
+    """Links below the one that an SRDF's end effector hangs from."""
+    return {
+        link
+        for parent, links in srdf.hands.items()
+        if parent in model.links
+        for link in model.links_below(parent)
+        if link != parent and link in links
+    }
+
+
+def _note_groups(
+    model: Articulated, chains: Sequence[ArmChain], srdf: Srdf, notes: list[str]
+) -> None:
+    """Hold arms against the groups of an SRDF, each against the one that is most like it."""
+    groups = {name: group.members(model) for name, group in srdf.groups.items()}
+    for own in (set(chain.joints) for chain in chains):
+        shared = {name: len(own & group) / len(own | group) for name, group in groups.items()}
+        name = max(shared, key=lambda name: shared[name], default="")
+        if not name or len(own & groups[name]) < LEAST:
+            continue
+        more, less = sorted(groups[name] - own), sorted(own - groups[name])
+        words = [f"{', '.join(more)} too"] * bool(more) + [f"no {', '.join(less)}"] * bool(less)
+        differs = " and ".join(words) or "the same joints"
+        notes.append(f"arm_joints: the SRDF's group {name!r} has {differs}")
+
+
+def _same_shapes(record: Urdf, model: Articulated, held: Mapping[str, float]) -> Articulated:
+    """A model with other joints, frames and rest, that keeps the shapes of its links."""
+    again = Articulated(record, held, model.cache)
+    for what in ("hulls", "boxes"):
+        if what in vars(model):
+            vars(again)[what] = {name: getattr(model, what).get(name, ()) for name in again.links}
+    return again
+
+
+def _arm_names(model: Articulated, chains: list[ArmChain]) -> list[str]:
+    """Names of arms: left and right by their joints' names, or where they begin, y to the left."""
+    if len(chains) == 1:
+        return [""]
+    own = [
+        next(
+            name for name in chain.joints if all(name not in c.joints for c in chains if c != chain)
+        )
+        for chain in chains
+    ]
+    aside = [float(model.rest_poses[model.joint(name).child][1, 3]) for name in own]
+    if len(chains) == 2 and all(_SIDE.search(name) for name in own):
+        sides = ["left" if re.search("left", name, re.I) else "right" for name in own]
+        if sides[0] != sides[1]:
+            return sides
+    if len(chains) == 2 and abs(aside[0] - aside[1]) > 0.02:
+        return ["left" if y == max(aside) else "right" for y in aside]
+    return [f"arm{index + 1}" for index in range(len(chains))]
+
+
+def _tool(model: Articulated, chain: ArmChain, name: str, notes: list[str]) -> _Arm:
+    """The tool of an arm, as far as it does not depend on states of the arm."""
+    mine: list[str] = []
+    link, gripper, fingers = find_tool(model, chain.last, mine)
+    grip = find_grip(model, chain.last, link, fingers, mine)
+    grips = find_grips(model, chain.last, fingers, mine)
+    force = None
+    if fingers and grips == "fingers":
+        sides = jaws(model, link, fingers, grip.closing)
+        force = find_force(model, link, sides, np.stack([grip.closing, grip.approach]), mine)
+    frame = None
+    if grip.grasp is not None:
+        x, y, z = (round(float(v), 4) for v in grip.grasp)
+        frame = Frame(f"{name}_grasp_frame" if name else "grasp_frame", link, (x, y, z))
+    notes += [_of_arm(note, name) for note in mine]
+    tool_link = link if frame is None else frame.name
+    text = ArmText(
+        chain.joints, tool_link, tuple(gripper), np.zeros(len(chain.joints)), grip, grips, force
+    )
+    return _Arm(chain, text, frame)
+
+
+def _settled(
+    model: Articulated,
+    base_link: str,
+    arms: Mapping[str, _Arm],
+    name: str,
+    srdf: Srdf,
+    rng: np.random.Generator,
+    notes: list[str],
+) -> tuple[_Arm, Articulated, dict[tuple[str, str], str]]:
+    """Find where an arm rests while the base drives.
+
+    Returns:
+        The arm, the model with it there, and pairs of links that cannot help touching.
+    """
+    arm = arms[name]
+    text = arm.text
+    chain, segments = build_chain(model, base_link, text.tool_link, text.joints)
+    gripper = text.gripper_links
+    spheres = build_spheres(model, segments, srdf.disabled, gripper)
+    q = np.vstack([sample_states(chain, rng), *_named_states(chain, srdf)])
+    for index, joint in enumerate(text.joints):
+        if joint in model.held:  # shared with an arm that has its home already
+            q[:, index] = model.held[joint]
+    pairs = inevitable_pairs(chain, spheres, q) | nested_pairs(model, arm.chain, spheres)
+    pairs |= rigid_pairs(model, chain, spheres, srdf)
+    spheres = without(spheres, pairs)
+    mine: list[str] = []
+    others = {joint for key, other in arms.items() if key != name for joint in other.text.joints}
+    shared = [index for index, joint in enumerate(text.joints) if joint in others]
+    home = _home(chain, decided(chain, spheres), q, shared, mine)
+    notes += [_of_arm(note, name) for note in mine]
+    held = dict(model.held)
+    if len(arms) > 1:
+        held |= dict(zip(text.joints, map(float, home), strict=True))
+    settled = replace(arm, text=replace(text, home=home))
+    return settled, _same_shapes(model.urdf, model, held), pairs
+
+
+def _named_states(chain: Chain, srdf: Srdf) -> list[Float[np.ndarray, "1 n"]]:
+    """States of the arm that an SRDF names, within its limits."""
+    found = []
+    for state in srdf.states:
+        if all(name in state for name in chain.names):
+            q = np.array([[state[name] for name in chain.names]])
+            if ((chain.lower <= q) & (q <= chain.upper)).all():
+                found.append(q)
+    return found
+
+
+def _home(
+    chain: Chain,
+    spheres: Spheres,
+    q: Float[np.ndarray, "m n"],
+    shared: Sequence[int],
+    notes: list[str],
+) -> Float[np.ndarray, " n"]:
+    found = resting_state(chain, spheres, q, shared)
+    if found is None:
+        notes.append("IMPORTANT: home: no state free of self-collision was found; give one")
+        return q[0]
+    home, reach = found
+    notes.append(
+        f"home: of {len(q)} states the one that keeps the arm within {reach:.2f} m of the "
+        f"base's origin, {listed(home)}"
+    )
+    return home
+
+
+def _of_arm(note: str, name: str) -> str:
+    """A guess with the arm that it is about."""
+    if not name:
+        return note
+    if note.startswith("IMPORTANT: "):
+        return f"IMPORTANT: {name}: {note.removeprefix('IMPORTANT: ')}"
+    return f"{name}: {note}"
+
+
+def _note_pairs(pairs: dict[tuple[str, str], str], srdf: Srdf, ours: str, notes: list[str]) -> None:
+    if srdf.path is not None:
+        notes.append(
+            f"self-collision: the {len(srdf.disabled)} pairs in {srdf.path} are not checked"
+        )
+    if pairs:
+        always = sum(why == "Always" for why in pairs.values())
+        nested = sum(why == NESTED for why in pairs.values())
+        stages = f", {nested} are stages of a telescope" if nested else ""
+        words = f"{always} touch in almost every state, {len(pairs) - always - nested} are"
+        notes.append(
+            f"self-collision: {len(pairs)} pairs of links are never checked, of which {words} "
+            f"neighbors that touch often{stages}; {ours} names them with the reason"
+        )
+
+
+def _name(model: Articulated, out: Path, notes: list[str]) -> str:
+    """The robot's name: the URDF's, unless a robot of the library has it."""
+    name = re.sub(r"\W+", "_", model.urdf.name).strip("_") or "robot"
+    if name not in library_names():
+        return name
+    own = re.sub(r"\W+", "_", out.stem).strip("_")
+    own = own if own and own not in library_names() else f"my_{name}"
+    notes.append(f"name: {own}, as a robot of the library is called {name}")
+    return own
+
+
+def _relative(path: Path, out: Path) -> str:
+    """How a robot file names another one."""
+    return Path(os.path.relpath(path.resolve(), out.resolve().parent)).as_posix()
+
+
+def _box(source: Source) -> tuple[float, ...]:
+    return () if source.mount is None or source.mount.box is None else source.mount.box

@@ -1,0 +1,162 @@
+"""Fingertips that lean where they meet: files draw fingers as stiff links, and they are not.
+
+Strips that bend, linkages and soft cups keep the tips of such fingers facing each other. Planning
+takes them as turned so, physics gives them a joint that does it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from momapos.core.geometry import apply, invert, rotation_of
+from momapos.model.collision import FINGER
+from momapos.model.urdf import Boxes
+
+from .fingers import facing, jaws
+from .robot import Robot
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+SQUARE = 0.9999
+"""Tips with no axis as near to the closing axis are turned until one is [-]."""
+AWRY = 0.7
+"""Unless none of theirs is even so near [-]."""
+ALONG = 0.98
+"""A finger and its tip turn about one axis up to this cosine [-]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pivot:
+    """How a link at the tip of a finger turns on it, so that it faces the other side."""
+
+    link: str
+    """Its joint is named after it, see `name`."""
+    center: Float[np.ndarray, "3"]
+    """A point on the axis, in the link [m]."""
+    axis: Float[np.ndarray, "3"]
+    """Unit vector, in the link; a finger that turns does so about the same one."""
+    joint: str
+    """Of the finger."""
+    ratio: float
+    """-1 where the finger turns: the tip turns back as much; 0 where it slides [-]."""
+    offset: float
+    """The tip's turn where the finger's joint is at zero [rad]."""
+
+    @property
+    def name(self) -> str:
+        """Of the joint that it stands for; no URDF has such a name by chance."""
+        return f"{self.link} pivot"
+
+
+def finger_links(robot: Robot) -> set[str]:
+    """The links of a gripper's fingers: those with a shape that joints beyond the arm's move."""
+    spheres, model = robot.spheres, robot.model
+    arm = {model.joint(name).child for name in robot.moved_joints}
+    moved = {
+        link
+        for joint in model.joints.values()
+        if joint.child in robot.gripper_links and joint.child not in arm
+        for link in model.links_below(joint.child)
+    }
+    roles = zip(spheres.links, spheres.gripper, strict=True)
+    return {link for link, role in roles if role == FINGER and link in moved}
+
+
+def facing_pose(robot: Robot, fingers: set[str]) -> tuple[dict[str, float], float | None]:
+    """Where the joints of fingers that turn are when their pads face each other.
+
+    Returns:
+        Their values, and how far apart the pads are at rest [m]; nothing for fingers that slide,
+        which face each other anyway, and for those that are not two sides.
+    """
+    model = robot.model
+    joints = [joint for joint in model.joints.values() if joint.child in fingers]
+    roots = [joint.child for joint in joints if joint.parent not in fingers]
+    turning = any(j.kind != "prismatic" and j.mimic is None and j.upper > j.lower for j in joints)
+    if not turning or len(roots) < 2:
+        return {}, None
+    axes = np.stack([robot.closing_axis, robot.approach_axis])
+    sides = jaws(model, robot.tool_link, roots, robot.closing_axis)
+    return facing(model, robot.tool_link, sides, axes) if all(sides) else ({}, None)
+
+
+def tips_of(
+    robot: Robot, Ts_tool_link: Mapping[str, Float[np.ndarray, "4 4"]]
+) -> set[tuple[str, int]]:
+    """The shapes that reach farthest along the approach on each side: link, and which of its."""
+    reach: dict[bool, tuple[float, tuple[str, int]]] = {}
+    for link, T in Ts_tool_link.items():
+        for index, hull in enumerate(robot.model.hulls[link]):
+            points = apply(T, hull.vertices)
+            side = bool(points.mean(0) @ robot.closing_axis >= 0)
+            found = float((points @ robot.approach_axis).max()), (link, index)
+            reach[side] = max(reach.get(side, found), found)
+    return {shape for _, shape in reach.values()}
+
+
+def squaring_turn(
+    boxes: Boxes, closing: Float[np.ndarray, "3"]
+) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]] | None:
+    """The turn after which a fingertip faces what is held; None where it does already.
+
+    Returns:
+        A point on its axis [m], and the axis times its angle [rad].
+    """
+    along = np.einsum("bij,i->bj", boxes.rotation, closing)
+    nearest = np.abs(along).max(1)
+    if not ((nearest > AWRY) & (nearest < SQUARE)).any():
+        return None
+    b = int(np.argmax(boxes.half.prod(1)))
+    column = int(np.argmax(np.abs(along[b])))
+    axis = boxes.rotation[b, :, column] * np.sign(along[b, column])
+    turn = np.cross(axis, closing)
+    sine = np.linalg.norm(turn)
+    return boxes.center[b], turn / sine * np.arctan2(sine, axis @ closing)
+
+
+def squared(boxes: Boxes, closing: Float[np.ndarray, "3"]) -> Boxes | None:
+    """The boxes of a fingertip, turned until they face what is held; None where they do."""
+    turn = squaring_turn(boxes, closing)
+    if turn is None:
+        return None
+    middle, R = turn[0], rotation_of(turn[1])
+    return Boxes((boxes.center - middle) @ R.T + middle, R @ boxes.rotation, boxes.half)
+
+
+def pivots(robot: Robot) -> tuple[Pivot, ...]:
+    """The turning tips of a gripper: links of their own, fixed to a finger with a joint.
+
+    A tip that is drawn in one link with its finger leans with it.
+    """
+    model, fingers = robot.model, finger_links(robot)
+    values, _ = facing_pose(robot, fingers)
+    poses = model.link_poses(values)
+    T_tool_root = invert(poses[robot.tool_link])
+    Ts = {link: T_tool_root @ poses[link] for link in fingers}
+    found = []
+    for link, index in sorted(tips_of(robot, Ts)):
+        joint = next(j for j in model.urdf.joints if j.child == link)
+        driver = next((j for j in model.joints.values() if j.child == joint.parent), None)
+        if joint.movable or driver is None or driver.mimic:
+            continue
+        boxes, T = model.boxes[link][index], Ts[link]
+        placed = Boxes(apply(T, boxes.center), T[:3, :3] @ boxes.rotation, boxes.half)
+        turn = squaring_turn(placed, robot.closing_axis)
+        if turn is None:
+            continue
+        center = apply(invert(T), turn[0][None])[0]
+        angle = float(np.linalg.norm(turn[1]))
+        axis, ratio, offset = turn[1] / angle, 0.0, angle
+        if driver.kind != "prismatic":
+            axis = (T_tool_root @ poses[driver.child])[:3, :3] @ driver.axis
+            if abs(axis @ turn[1]) < ALONG * angle:
+                continue
+            value = values.get(driver.name, model.rest[driver.name])
+            ratio, offset = -1.0, float(axis @ turn[1]) + value
+        found.append(Pivot(link, center, T[:3, :3].T @ axis, driver.name, ratio, offset))
+    return tuple(found)

@@ -1,0 +1,90 @@
+"""Write a derived robot file and what belongs to it: all of it at the end, or nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+from momapos.core import Cache, RobotError, write_atomic
+
+from .derive import Derived, Report, Source, derive_robot
+from .robot import load_arms
+from .srdf import srdf_text
+from .xacro import expand_xacro, is_xacro
+
+
+def write_robot(
+    source: Path | Source,
+    out: Path | None = None,
+    *,
+    args: Mapping[str, str] | None = None,
+    seed: int = 0,
+    cache: Cache | None = None,
+    report: Report = lambda _share, _what: None,
+) -> tuple[Path, Derived]:
+    """Derive a robot file from a URDF or xacro file and write it.
+
+    Beside it come an SRDF, if pairs of links cannot help touching that no SRDF of the URDF names,
+    and the URDF that a xacro file expands to.
+
+    Args:
+        source: The URDF or xacro file, and what is put around it.
+        out: The robot file; the URDF's name with `.toml` where None.
+        args: Values of the xacro file's arguments by name.
+        seed: Seed of the sampled arm states.
+        cache: Where geometry is kept, so that it is computed once.
+        report: Is told how far the work is.
+
+    Returns:
+        The robot file, and what was derived.
+
+    Raises:
+        RobotError: A file exists already, cannot be written, or nothing can be derived.
+        UrdfError: The URDF cannot be used.
+    """
+    source = Source(source) if isinstance(source, Path) else source
+    plain = source.urdf.with_suffix("") if is_xacro(source.urdf) else source.urdf
+    out = out or plain.with_suffix(".toml")
+    _refuse_existing(out)
+    if out.parent.exists() and not out.parent.is_dir():
+        raise RobotError(f"{out}: cannot be written ({out.parent} is no folder)")
+    files: dict[Path, str] = {}
+    if is_xacro(source.urdf):
+        expanded = out.with_suffix(".urdf")
+        _refuse_existing(expanded)
+        text, packages = expand_xacro(source.urdf, source.packages, args or {})
+        files[expanded] = text
+        source = replace(source, urdf=expanded, packages=packages, content=text, near=source.urdf)
+    derived = derive_robot(source, out, seed=seed, cache=cache, report=report)
+    if derived.pairs:
+        srdf = out.with_suffix(".srdf")
+        _refuse_existing(srdf)
+        files[srdf] = srdf_text(out.stem, derived.pairs)
+    _write({**files, out: derived.toml}, out, cache)
+    return out, derived
+
+
+def _refuse_existing(path: Path) -> None:
+    if path.exists():
+        raise RobotError(f"{path}: exists already; remove it, or choose another file with --out")
+
+
+def _write(files: Mapping[Path, str], out: Path, cache: Cache | None) -> None:
+    """Write files; the robot file last, and none of them stays if it cannot be read back."""
+    written: list[Path] = []
+    folders = [folder for folder in (out.parent, *out.parent.parents) if not folder.exists()]
+    try:
+        for path, text in files.items():
+            write_atomic(path, text.encode())
+            written.append(path)
+        load_arms(out, cache=cache)
+    except BaseException as error:  # also when it is interrupted
+        for path in written:
+            path.unlink(missing_ok=True)
+        for folder in folders:
+            if folder.is_dir() and not any(folder.iterdir()):
+                folder.rmdir()
+        if isinstance(error, OSError):
+            raise RobotError(f"{error.filename}: cannot be written ({error.strerror})") from error
+        raise

@@ -1,0 +1,269 @@
+"""Scenes in the format of BestMan: a JSON list of models with poses.
+
+`{model_path, object_position, object_orientation (roll, pitch, yaw), scale, obj_name,
+fixed_base}`; numbers may be arithmetic text. Model paths are relative to the folder that holds
+`Asset`. There is no floor and no start in it.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+
+from momapos.core import FileFormatError, SceneError
+from momapos.core.geometry import apply, pose_rpy
+from momapos.model.urdf import Articulated, box_urdf
+
+from .arithmetic import number
+from .scene import SceneObject
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+ReadModel = Callable[[Path, float], Articulated]
+"""Reads a URDF file at a scale; the same file and scale give the same model."""
+Size = tuple[float, float, float]
+Corners: TypeAlias = "tuple[Float[np.ndarray, '3'], Float[np.ndarray, '3']]"
+
+SIZES = "derived/urdf_models_sizes.csv"
+"""Sizes of household models, below the root; read where it exists."""
+DEFAULT_EDGE = 0.08
+"""Edge of the cube that stands for a model of unknown size [m]."""
+MAX_SIZES_BYTES = 10_000_000
+_KEYS = ("obj_name", "model_path", "object_position", "object_orientation")
+_CATEGORIES = (
+    ("minifridge", "fridge"), ("fridge", "fridge"), ("refrigerator", "fridge"),
+    ("microwave", "microwave"), ("mic", "microwave"), ("dishwasher", "dishwasher"),
+    ("oven", "oven"), ("drawer", "drawer"), ("cabinet", "cabinet"), ("sink", "sink"),
+    ("basin", "sink"), ("faucet", "faucet"), ("table", "table"), ("chair", "chair"),
+    ("counter", "counter"), ("kitchen part", "cabinet"), ("element", "counter"),
+)  # fmt: skip
+_FILLER = {
+    "food", "plastic", "utensil", "furniture", "model", "mobility", "urdf", "models", "target",
+    "large", "extra", "medium", "small", "mini", "round", "square", "circle", "rectangle", "flat",
+    "black", "white", "blue", "green", "grey", "orange", "pink", "red", "yellow", "two",
+    "color", "high", "nocolor", "clear",
+}  # fmt: skip
+
+
+def is_bestman(data: object) -> bool:
+    """Tell whether parsed JSON is meant as a BestMan scene."""
+    return isinstance(data, list)
+
+
+def find_root(path: Path) -> Path:
+    """Find the folder that model paths are relative to: the nearest one above with `Asset`.
+
+    Raises:
+        FileFormatError: There is none.
+    """
+    for folder in path.resolve().parents:
+        if (folder / "Asset").is_dir():
+            return folder
+    raise FileFormatError(
+        f"{path}: a BestMan scene must lie below the folder that holds 'Asset', or name that root"
+    )
+
+
+def read_entries(data: Sequence[Any], path: Path) -> list[Entry]:
+    """Check the entries of a BestMan scene.
+
+    Raises:
+        FileFormatError, SceneError: It is none, or contradicts itself; one line says where.
+    """
+    if not data:
+        raise FileFormatError(f"{path}: the list of objects is empty")
+    return [Entry(item, f"{path}: object {i}") for i, item in enumerate(data)]
+
+
+def read_objects(
+    entries: Sequence[Entry], root: Path, read: ReadModel
+) -> tuple[tuple[SceneObject, ...], tuple[str, ...]]:
+    """Read the objects of a BestMan scene.
+
+    A model whose file is missing becomes a box that stands where the model would come to rest.
+
+    Args:
+        entries: What the file says.
+        root: The folder that model paths are relative to, and must not leave.
+        read: Reads a URDF.
+
+    Returns:
+        The objects in the file's order, and what had to be assumed.
+
+    Raises:
+        SceneError, UrdfError: It cannot be used; one line says why.
+    """
+    files = [_file_of(entry, root) for entry in entries]
+    objects = {
+        i: SceneObject(entry.name, entry.category, entry.T, read(file, entry.scale))
+        for i, (entry, file) in enumerate(zip(entries, files, strict=True))
+        if file is not None
+    }
+    warnings = []
+    if len(objects) < len(entries):
+        sizes, solid = _read_sizes(root), _hull_bounds(objects.values())
+        for i, entry in enumerate(entries):
+            if i not in objects:
+                objects[i], warning = _stand_in(entry, sizes, solid)
+                warnings.append(warning)
+    return tuple(objects[i] for i in range(len(entries))), tuple(warnings)
+
+
+class Entry:
+    """One object of the list, checked."""
+
+    def __init__(self, item: Any, where: str) -> None:
+        if not isinstance(item, dict):
+            raise FileFormatError(f"{where} is not a JSON object, as in a BestMan scene")
+        lacking = [key for key in _KEYS if key not in item]
+        if lacking:
+            raise FileFormatError(f"{where} has no {lacking[0]!r}, so this is no BestMan scene")
+        self.where = where
+        self.name, self.model_path = (self._text(item, key) for key in _KEYS[:2])
+        self.where = f"{where} ({self.name!r})"
+        xyz, rpy = (self._triple(item, key) for key in _KEYS[2:])
+        if max(map(abs, xyz)) > 1e4:
+            raise SceneError(f"{self.where}: object_position is more than 10 km away")
+        self.T = pose_rpy(xyz, rpy)
+        self.scale = self._number(item.get("scale", 1.0), "scale")
+        if not 1e-3 <= self.scale <= 1e3:
+            raise SceneError(f"{self.where}: scale {self.scale:g} is not within 0.001 and 1000")
+        self.fixed = bool(item.get("fixed_base", False))
+        self.category = category_of(self.name, self.model_path)
+
+    def _text(self, item: Mapping[str, Any], key: str) -> str:
+        value = item[key]
+        if not isinstance(value, str) or not 0 < len(value) <= 1000 or not value.isprintable():
+            raise SceneError(f"{self.where}: {key} must be a printable text")
+        return value
+
+    def _triple(self, item: Mapping[str, Any], key: str) -> Size:
+        value = item[key]
+        if not isinstance(value, list) or len(value) != 3:
+            raise SceneError(f"{self.where}: {key} must be a list of 3 numbers")
+        x, y, z = (self._number(v, key) for v in value)
+        return x, y, z
+
+    def _number(self, value: object, key: str) -> float:
+        try:
+            return number(value)
+        except ValueError as error:
+            raise SceneError(f"{self.where}: {key}: {error}") from error
+
+
+def _file_of(entry: Entry, root: Path) -> Path | None:
+    """The model's file; None where there is none."""
+    try:
+        file = (root / entry.model_path).resolve()
+        inside, exists = file.is_relative_to(root.resolve()), file.is_file()
+    except (OSError, RuntimeError, ValueError) as error:  # too long, links in a circle, a NUL
+        path = f"{entry.model_path!r:.80}"
+        raise SceneError(f"{entry.where}: model_path {path} cannot be looked up") from error
+    if not inside:
+        raise SceneError(f"{entry.where}: model_path {entry.model_path!r} leaves {root}")
+    return file if exists else None
+
+
+def category_of(name: str, model_path: str) -> str:
+    """Say what an object is, e.g. "fridge" for Fridge/10144/mobility.urdf.
+
+    Args:
+        name: Name of the object; wins where it says something known.
+        model_path: Path of its URDF; only the last folders count.
+    """
+    parts = Path(model_path).with_suffix("").parts[-3:]
+    own, path = _words(name), " ".join(_words(part) for part in reversed(parts))
+    for text in (own, path):
+        for word, known in _CATEGORIES:
+            if re.search(rf"\b{word}", text) and not (word == "element" and text is own):
+                return known
+    for part in (*reversed(parts), name):
+        words = [w for w in _words(part).split() if not w.isdigit()]
+        telling = [w for w in words if w not in _FILLER]
+        if telling:
+            return " ".join(telling)
+        if "orange" in words:
+            return "orange"
+    return "object"
+
+
+def _words(text: str) -> str:
+    """Lower-case words of a name in any of the usual spellings."""
+    return " ".join(re.findall(r"[a-z]+|\d+", re.sub(r"([a-z])([A-Z])", r"\1 \2", text).lower()))
+
+
+# ---------------------------------------------------------------- objects whose files are missing
+
+
+def _read_sizes(root: Path) -> dict[str, Size]:
+    """Sizes of household models by folder name [m]; rows that make no sense are left out."""
+    file = root / SIZES
+    if not file.is_file() or file.stat().st_size > MAX_SIZES_BYTES:
+        return {}
+    sizes: dict[str, Size] = {}
+    with file.open(newline="", encoding="utf-8", errors="replace") as lines:
+        for row in csv.DictReader(lines):
+            try:
+                x, y, z = (float(row[f"size_{axis}"]) for axis in "xyz")
+            except (KeyError, TypeError, ValueError):
+                continue
+            if all(math.isfinite(v) and 0 < v < 100 for v in (x, y, z)):
+                sizes[row.get("subfolder_name") or ""] = (x, y, z)
+    return sizes
+
+
+def _stand_in(
+    entry: Entry, sizes: Mapping[str, Size], solid: Sequence[Corners]
+) -> tuple[SceneObject, str]:
+    """Make the box that stands for a missing model, and the warning about it."""
+    known = sizes.get(Path(entry.model_path).parent.name)
+    size = np.multiply(known or (DEFAULT_EDGE,) * 3, entry.scale)
+    edges = (float(size[0]), float(size[1]), float(size[2]))
+    box = Articulated(box_urdf(entry.name, edges))
+    item = SceneObject(entry.name, entry.category, entry.T, box)
+    if not entry.fixed:
+        item = _set_down(item, size, solid)
+    origin = f"of the size in {SIZES}" if known else "of unknown size"
+    shape = " x ".join(f"{100 * v:.1f}" for v in edges)
+    return item, (
+        f"object {entry.name!r}: {entry.model_path} does not exist; "
+        f"it became a box {origin}, {shape} cm"
+    )
+
+
+def _set_down(
+    item: SceneObject, size: Float[np.ndarray, "3"], solid: Sequence[Corners]
+) -> SceneObject:
+    """Let a loose box rest on what is below its center, or on the floor.
+
+    BestMan drops such objects from their position, which is the center of the household models;
+    a position up to half a height inside the support is lifted out of it.
+    """
+    T = item.T_world_object.copy()
+    half = float(np.abs(T[2, :3]) @ size / 2)
+    tops = [
+        high[2]
+        for low, high in solid
+        if (low[:2] <= T[:2, 3]).all() and (T[:2, 3] <= high[:2]).all()
+    ]
+    T[2, 3] = max([top for top in tops if top <= T[2, 3] + half], default=0.0) + half
+    return replace(item, T_world_object=T)
+
+
+def _hull_bounds(items: Iterable[SceneObject]) -> list[Corners]:
+    """Corners of the axis-aligned box around each collision hull, in the world."""
+    bounds = []
+    for item in items:
+        for link, T in item.link_poses().items():
+            for hull in item.model.hulls[link]:
+                points = apply(T, hull.vertices)
+                bounds.append((points.min(0), points.max(0)))
+    return bounds

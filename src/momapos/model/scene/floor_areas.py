@@ -1,0 +1,109 @@
+"""Areas of the floor: named in a scene, in a file of their own, or written out."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from momapos.core import SceneError, read_text_bounded, unknown_name
+from momapos.core.geometry import signed_area
+from momapos.model.records import Outline
+
+from .scene import Scene
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+MAX_AREAS = 1_000
+MAX_CORNERS = 1_000
+"""Corners of an area or of a floor [-]."""
+MAX_DISTANCE = 1e4
+"""From the world's origin [m]."""
+_MAX_BYTES = 1_000_000
+
+
+def read_areas(value: Any, where: str) -> dict[str, Outline]:
+    """The areas of a scene file, by name.
+
+    Raises:
+        SceneError: They are not {name: [[x, y], ...]}; the message begins with `where`.
+    """
+    if not isinstance(value, dict) or len(value) > MAX_AREAS:
+        raise SceneError(f"{where} must be {{name: [[x, y], ...]}} of at most {MAX_AREAS}")
+    for name in value:
+        if not name or len(name) > 1000 or not name.isprintable():
+            raise SceneError(f"{where}: {name!r:.80} is no name")
+    return {name: read_outline(corners, f"{where}: {name!r}") for name, corners in value.items()}
+
+
+def read_outline(value: Any, where: str) -> Outline:
+    """The corners of one area, or of a floor.
+
+    Raises:
+        SceneError: It is no outline of at least 3 corners that encloses something.
+    """
+    if not isinstance(value, list) or not 3 <= len(value) <= MAX_CORNERS:
+        raise SceneError(f"{where} must be an outline of 3 to {MAX_CORNERS} points [x, y]")
+    points = np.array([read_numbers(p, 2, f"{where} point {i}") for i, p in enumerate(value)])
+    if np.abs(points).max() > MAX_DISTANCE:
+        raise SceneError(f"{where} reaches more than 10 km")
+    if abs(signed_area(points)) < 1e-6:
+        raise SceneError(f"{where} encloses no area")
+    return tuple((float(x), float(y)) for x, y in points)
+
+
+def read_numbers(value: object, count: int, where: str) -> Float[np.ndarray, " count"]:
+    """A list of finite numbers.
+
+    Raises:
+        SceneError: It is none of that length.
+    """
+    values = value if isinstance(value, list) else []
+    if len(values) != count or not all(
+        isinstance(v, int | float) and not isinstance(v, bool) for v in values
+    ):
+        raise SceneError(f"{where} must be {f'{count} numbers' if count > 1 else 'a number'}")
+    try:
+        array = np.array(values, float)
+    except OverflowError:
+        array = np.array([math.inf])
+    if not np.isfinite(array).all():
+        raise SceneError(f"{where} must be finite")
+    return array
+
+
+def find_area(words: str, scene: Scene, where: str) -> Outline:
+    """An area by what was written: the name of one in the scene, a JSON file, or its corners.
+
+    Args:
+        words: Such as "kitchen", "area.json" or "0,0 2,0 2,1".
+        scene: The room.
+        where: What it was written for, for the message.
+
+    Raises:
+        SceneError: It is none of these.
+    """
+    if words in scene.areas:
+        return scene.areas[words]
+    if words.endswith(".json"):
+        text = read_text_bounded(Path(words), _MAX_BYTES, error=SceneError)
+        try:
+            value = json.loads(text)
+        except (ValueError, RecursionError) as error:
+            raise SceneError(f"{where} {words}: damaged JSON ({error})") from error
+        return read_outline(value, f"{where} {words}")
+    pairs = [pair.split(",") for pair in words.split()]
+    try:
+        corners = [[float(v) for v in pair] for pair in pairs]
+    except ValueError:
+        if scene.areas:
+            raise unknown_name("area", words, scene.areas, f"scene {scene.name}") from None
+        raise SceneError(
+            f'{where} {words!r}: the scene names no areas; write its corners, as "0,0 2,0 2,1", '
+            "or name a JSON file of them"
+        ) from None
+    return read_outline(corners, f"{where} {words!r}")

@@ -1,0 +1,6 @@
+from .imported_room import Report as Report
+from .importing import write_room as write_room
+from .kinds import foreign_kind as foreign_kind
+from .kinds import kind_of_file as kind_of_file
+from .kinds import read_room as read_room
+from .mjcf_writer import write_mjcf as write_mjcf

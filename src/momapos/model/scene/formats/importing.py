@@ -1,0 +1,115 @@
+"""Rooms of other formats as momapos scenes: which format a file is, and writing what was read."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from momapos.core import MomaposError, SceneError
+from momapos.model.scene.bestman import category_of
+from momapos.model.scene.scene import Scene
+from momapos.model.scene.scene_files import VERSION, load_scene
+from momapos.model.scene.scene_names import FORMAT
+
+from .imported_room import DECIMALS, Mesh, Names, Room, RoomObject
+from .urdf_writer import urdf_text
+
+_MEMBERS = ("category", "hypotheses", "confidence")
+"""What of an object's extras goes into its entry."""
+
+
+def write_room(room: Room, source: Path, out: Path) -> Scene:
+    """Write a room as a momapos scene, its URDF and mesh files into `<stem>_files` beside it.
+
+    Args:
+        room: The room.
+        source: The file it was read from, for messages.
+        out: The scene file.
+
+    Returns:
+        The scene, as it is read from what was written.
+
+    Raises:
+        SceneError: The folder exists, cannot be written to, or what was read makes no scene;
+            nothing is written then.
+    """
+    target = out.resolve().parent / f"{out.stem}_files"
+    if os.path.lexists(target):
+        raise SceneError(f"{target} exists already; remove it or write to another file")
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=f".{out.stem}_", dir=target.parent) as temporary:
+            new = Path(temporary)
+            (new / target.name).mkdir()
+            file = new / out.name
+            file.write_text(_write_files(room, new / target.name), encoding="utf-8")
+            with _naming(source, new):
+                load_scene(file)
+            (new / target.name).rename(target)
+            try:
+                file.replace(out)
+            except OSError:
+                shutil.rmtree(target)
+                raise
+    except OSError as error:
+        raise SceneError(f"{out}: cannot be written ({error.strerror})") from error
+    return load_scene(out)
+
+
+@contextmanager
+def _naming(source: Path, folder: Path) -> Iterator[None]:
+    """Have errors about files in a temporary folder name the file that these were made from."""
+    try:
+        yield
+    except MomaposError as error:
+        text = str(error).replace(f"{folder}{os.sep}", "")
+        raise SceneError(f"{source}: makes no usable scene: {text}") from error
+
+
+def _write_files(room: Room, folder: Path) -> str:
+    """Write URDF and mesh files, and return the text of the scene beside their folder."""
+    for file, mesh in room.meshes.items():
+        (folder / file).write_text(_obj_text(mesh), encoding="ascii")
+    files = Names()
+    entries = []
+    for item in room.objects:
+        plain = re.sub(r"[^A-Za-z0-9._-]", "_", item.name)[:80]
+        file = folder / f"{files(plain, 'object')}.urdf"
+        file.write_text(urdf_text(item.urdf, item.resistance), encoding="utf-8")
+        entries.append(_entry(item, f"{folder.name}/{file.name}"))
+    head = {"format": FORMAT, "version": VERSION, "name": room.name, **room.extras}
+    objects = ",\n".join(f"  {json.dumps(entry)}" for entry in entries)
+    return f'{json.dumps(head)[:-1]},\n "objects": [\n{objects}\n ]}}\n'
+
+
+def _entry(item: RoomObject, urdf: str) -> dict[str, Any]:
+    """The entry of an object in the scene file."""
+    T = item.T_world_object
+    wxyz = Rotation.from_matrix(T[:3, :3]).as_quat(scalar_first=True)
+    extras: Mapping[str, Any] = {key: item.extras[key] for key in _MEMBERS if key in item.extras}
+    return {
+        "name": item.name,
+        "category": category_of(item.name, item.name),
+        "pose": {"xyz": (T[:3, 3] + 0.0).tolist(), "wxyz": (wxyz + 0.0).tolist()},
+        "urdf": urdf,
+        "joints": dict(item.joints),
+        **extras,
+    }
+
+
+def _obj_text(mesh: Mesh) -> str:
+    """A mesh as an OBJ file."""
+    points = np.round(mesh.vertices, DECIMALS) + 0.0
+    lines = [f"v {x:.{DECIMALS}f} {y:.{DECIMALS}f} {z:.{DECIMALS}f}" for x, y, z in points.tolist()]
+    lines += [f"f {a} {b} {c}" for a, b, c in (mesh.faces + 1).tolist()]
+    return "\n".join([*lines, ""])

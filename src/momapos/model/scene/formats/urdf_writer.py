@@ -1,0 +1,95 @@
+"""Records of links and joints as the text of a URDF."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+from xml.etree.ElementTree import Element, SubElement, indent, tostring
+
+import numpy as np
+
+from momapos.model.urdf import Geometry, Joint, Urdf
+
+from .imported_room import Resistance
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+
+def urdf_text(urdf: Urdf, resistance: Mapping[str, Resistance]) -> str:
+    """Write records as a URDF.
+
+    Args:
+        urdf: The records; meshes are named as they stand there.
+        resistance: Of joints, by name; goes into `<dynamics>`.
+    """
+    robot = Element("robot", name=urdf.name)
+    for link in urdf.links.values():
+        element = SubElement(robot, "link", name=link.name)
+        for tag, shapes in (("visual", link.visuals), ("collision", link.collisions)):
+            for shape in shapes:
+                _shape(SubElement(element, tag), shape)
+    for joint in urdf.joints:
+        _joint(SubElement(robot, "joint", name=joint.name, type=joint.kind), joint, resistance)
+    indent(robot)
+    return f'<?xml version="1.0"?>\n{tostring(robot, encoding="unicode")}\n'
+
+
+def _shape(element: Element, shape: Geometry) -> None:
+    if shape.name:
+        element.set("name", shape.name)
+    _origin(element, shape.T_link_geometry)
+    geometry = SubElement(SubElement(element, "geometry"), shape.kind)
+    if shape.kind == "mesh":
+        assert shape.mesh is not None
+        geometry.set("filename", shape.mesh.as_posix())
+        geometry.set("scale", numbers(shape.size))
+    elif shape.kind == "box":
+        geometry.set("size", numbers(shape.size))
+    else:
+        for key, value in zip(("radius", "length"), shape.size, strict=False):
+            geometry.set(key, numbers([value]))
+
+
+def _joint(element: Element, joint: Joint, resistance: Mapping[str, Resistance]) -> None:
+    _origin(element, joint.T_parent_joint)
+    SubElement(element, "parent", link=joint.parent)
+    SubElement(element, "child", link=joint.child)
+    if not joint.movable:
+        return
+    SubElement(element, "axis", xyz=numbers(joint.axis))
+    bounds = {
+        "lower": joint.lower, "upper": joint.upper,
+        "effort": joint.effort, "velocity": joint.velocity,
+    }  # fmt: skip
+    finite = {key: numbers([value]) for key, value in bounds.items() if math.isfinite(value)}
+    if finite:
+        SubElement(element, "limit", finite)
+    if joint.mimic is not None:
+        multiplier, offset = numbers([joint.mimic.ratio]), numbers([joint.mimic.offset])
+        SubElement(element, "mimic", joint=joint.mimic.joint, multiplier=multiplier, offset=offset)
+    if joint.name in resistance:
+        found = resistance[joint.name]
+        damping, friction = numbers([found.damping]), numbers([found.friction])
+        SubElement(element, "dynamics", damping=damping, friction=friction)
+
+
+def _origin(element: Element, T: Float[np.ndarray, "4 4"]) -> None:
+    if not np.array_equal(T, np.eye(4)):
+        SubElement(element, "origin", xyz=numbers(T[:3, 3]), rpy=numbers(rpy_of(T[:3, :3])))
+
+
+def rpy_of(R: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3"]:
+    """Roll, pitch and yaw about fixed axes of a rotation matrix [rad]."""
+    flat = math.hypot(R[0, 0], R[1, 0])
+    if flat > 1e-6:
+        roll, yaw = math.atan2(R[2, 1], R[2, 2]), math.atan2(R[1, 0], R[0, 0])
+    else:  # only the sum or the difference of roll and yaw is known
+        roll, yaw = 0.0, math.atan2(-R[0, 1], R[1, 1])
+    return np.array([roll, math.atan2(-R[2, 0], flat), yaw])
+
+
+def numbers(values: Float[np.ndarray, " n"] | list[float] | tuple[float, ...]) -> str:
+    """Numbers with all their digits, so that they are read as they were."""
+    return " ".join(repr(value) for value in (np.asarray(values, float) + 0.0).tolist())

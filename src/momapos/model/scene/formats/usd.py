@@ -1,0 +1,341 @@
+"""Rooms in USD with physics: rigid bodies, colliders, revolute and prismatic joints.
+
+USD opens whatever a layer names. So all layers are opened one by one first, without what they
+name, and each name is looked up inside the root.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from momapos.core import FileFormatError, open_regular, require
+from momapos.core.geometry import invert, pose, pose_rpy, pose_wxyz
+from momapos.model.urdf import Joint, JointKind, Link, Urdf
+
+from .confined_files import find_inside
+from .imported_room import Names, Report, Room, RoomObject
+from .usd_shapes import ColliderShapes, matrix, rigid
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+MAX_BYTES = 200_000_000
+"""Of one layer."""
+MAX_LAYERS = 1_000
+MAX_PRIMS = 200_000
+APART = 1e-3
+"""The two frames of a joint that differ by more but along its motion do not meet [m], [rad]."""
+_TOLD = re.compile(r"at line \d+ in file \S+ : '(.*)'", re.S)
+_AXES = {"X": (1.0, 0.0, 0.0), "Y": (0.0, 1.0, 0.0), "Z": (0.0, 0.0, 1.0)}
+
+
+def read_room(path: Path, root: Path) -> Room:
+    """Read a room in USD.
+
+    Args:
+        path: The file; a `.usdz` is to be unpacked first.
+        root: Folder that no layer may leave.
+
+    Raises:
+        FileFormatError: It cannot be used; one line says what is wrong and where.
+        MissingExtraError: What reads USD is not installed.
+    """
+    with require("usd"):
+        from pxr import Tf, Usd
+
+    try:
+        _check_layers(path, root.resolve())
+        stage = Usd.Stage.Open(str(path.resolve()))
+    except Tf.ErrorException as error:
+        told = _TOLD.search(str(error))  # behind the place in USD's own source
+        why = str(error) if told is None else told[1]
+        raise FileFormatError(f"{path}: USD does not take it: {why}") from error
+    return _Reader(path, stage).room()
+
+
+def _check_layers(path: Path, root: Path) -> None:
+    """Refuse layers that name files outside the root.
+
+    Raises:
+        FileFormatError: One does, or a file does not exist or is too large.
+    """
+    from pxr import Sdf
+
+    waiting, seen = [path.resolve()], {path.resolve()}
+    while waiting:
+        file = waiting.pop()
+        open_regular(file, MAX_BYTES).close()
+        layer = Sdf.Layer.OpenAsAnonymous(str(file))
+        if layer is None:
+            raise FileFormatError(f"{file}: is no layer of USD")
+        for name in layer.GetCompositionAssetDependencies():
+            if "://" in name:
+                raise FileFormatError(f"{file}: {name!r:.200} is no file; only files are read")
+            found = find_inside(name, [file.parent / name], root, file)
+            if found.suffix.lower() not in (".usd", ".usda", ".usdc"):
+                raise FileFormatError(f"{file}: {name!r:.200} is no .usd, .usda or .usdc")
+            if found not in seen:
+                seen.add(found)
+                waiting.append(found)
+        if len(seen) > MAX_LAYERS:
+            raise FileFormatError(f"{path}: names more than {MAX_LAYERS} layers")
+
+
+@dataclass
+class _Found:
+    """What belongs to one object: paths of prims."""
+
+    bodies: list[Any] = field(default_factory=list)
+    colliders: list[Any] = field(default_factory=list)
+    joints: list[Any] = field(default_factory=list)
+
+
+class _Reader:
+    """Makes our records of a stage."""
+
+    def __init__(self, path: Path, stage: Any) -> None:
+        from pxr import Usd, UsdGeom, UsdPhysics
+
+        self.path, self.stage, self.report = path, stage, Report()
+        self.unit = float(UsdGeom.GetStageMetersPerUnit(stage))
+        if not 1e-6 < self.unit < 1e6:
+            raise FileFormatError(f"{path}: metersPerUnit is {self.unit:g}")
+        turned = UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.y
+        self.T_world_stage = pose_rpy((0, 0, 0), (math.pi / 2 * turned, 0, 0))
+        self.cache = UsdGeom.XformCache(Usd.TimeCode.Default())
+        self.physics = UsdPhysics
+        self.shapes = ColliderShapes(self.report)
+
+    def room(self) -> Room:
+        """The room; what is not in it is in the report."""
+        from pxr import Usd
+
+        found = _Found()
+        prims = iter(Usd.PrimRange(self.stage.GetPseudoRoot(), Usd.TraverseInstanceProxies()))
+        for count, prim in enumerate(prims):
+            if count > MAX_PRIMS:
+                raise FileFormatError(f"{self.path}: more than {MAX_PRIMS} prims")
+            if prim.IsA(self.physics.Joint):
+                found.joints.append(prim)
+                drives = [s for s in prim.GetAppliedSchemas() if s.startswith("PhysicsDriveAPI")]
+                self.report.dropped["drives"] += len(drives)
+            self.report.dropped["materials"] += prim.GetTypeName() == "Material"
+            if prim.HasAPI(self.physics.RigidBodyAPI):
+                found.bodies.append(prim)
+            if self._collides(prim):
+                found.colliders.append(prim)
+            elif prim.GetTypeName() in self.shapes.kinds:
+                self.report.dropped["drawn shapes"] += 1
+        names = Names()
+        objects = []
+        for top in self._tops(found):
+            item = self._object(top, names(top.GetName(), "object"), found)
+            if item is not None:
+                objects.append(item)
+        return Room(self.path.stem, tuple(objects), self.shapes.meshes, self.report)
+
+    def _collides(self, prim: Any) -> bool:
+        if not prim.HasAPI(self.physics.CollisionAPI):
+            return False
+        enabled = self.physics.CollisionAPI(prim).GetCollisionEnabledAttr().Get()
+        return enabled is not False and prim.GetTypeName() in self.shapes.kinds
+
+    # ------------------------------------------------------------------------------------ objects
+
+    def _tops(self, found: _Found) -> list[Any]:
+        """The prims that become objects: below those that only hold others."""
+        tops = [
+            prim for prim in self.stage.GetPseudoRoot().GetChildren() if self._holds(prim, found)
+        ]
+        while len(tops) == 1:
+            (top,) = tops
+            parts = [prim for prim in top.GetChildren() if self._holds(prim, found)]
+            own = top in found.bodies or top in found.colliders
+            if own or not parts or self._joined(parts, found.joints):
+                break
+            tops = parts
+        return tops
+
+    def _holds(self, prim: Any, found: _Found) -> bool:
+        """Whether anything solid is in a prim."""
+        return any(_within(part, prim) for part in found.colliders)
+
+    def _joined(self, parts: list[Any], joints: list[Any]) -> bool:
+        """Whether a joint goes from one of some prims to another."""
+        for joint in joints:
+            ends = [self._body(joint, end) for end in (0, 1)]
+            owners = {
+                i for end in ends for i, part in enumerate(parts) if end and _within(end, part)
+            }
+            if len(owners) > 1:
+                return True
+        return False
+
+    def _body(self, joint: Any, end: int) -> Any:
+        """The rigid body at one end of a joint; None where that end is held by the world."""
+        rel = (self.physics.Joint(joint).GetBody0Rel, self.physics.Joint(joint).GetBody1Rel)[end]()
+        targets = rel.GetTargets()
+        prim = self.stage.GetPrimAtPath(targets[0]) if targets else None
+        return self._rigid_above(prim) if prim else None
+
+    def _rigid_above(self, prim: Any) -> Any:
+        """The rigid body that a prim belongs to; None where it stands still."""
+        while prim and not prim.IsPseudoRoot():
+            if prim.HasAPI(self.physics.RigidBodyAPI):
+                return prim
+            prim = prim.GetParent()
+        return None
+
+    def _object(self, top: Any, name: str, found: _Found) -> RoomObject | None:
+        T_world = rigid(self._matrix(top))
+        names, joint_names = Names(), Names()
+        base = names("base", "base")
+        bodies = {p.GetPath(): p for p in found.bodies if _within(p, top)}
+        colliders = [prim for prim in found.colliders if _within(prim, top)]
+        links = {path: names(prim.GetName(), "link") for path, prim in bodies.items()}
+        origins = {path: rigid(self._matrix(prim)) for path, prim in bodies.items()}
+        joints: dict[Any, tuple[Any, JointKind]] = {}
+        for prim in found.joints:
+            child = self._body(prim, 1)
+            if child is None or child.GetPath() not in bodies:
+                if child is None:
+                    self.report.dropped["joints without a second body"] += top == prim.GetParent()
+                continue
+            if child.GetPath() in joints:
+                self.report.dropped["joints that make loops"] += 1
+                continue
+            joints[child.GetPath()] = prim, self._kind(prim)
+            origins[child.GetPath()] = self._frame(prim, 1)
+        records: list[Joint] = []
+        values: dict[str, float] = {}
+        for path, link in links.items():
+            if path not in joints:
+                T = invert(T_world) @ origins[path]
+                records.append(_fixed(joint_names(f"{link}_fixed", "fixed"), base, link, T))
+                continue
+            prim, kind = joints[path]
+            parent = self._body(prim, 0)
+            known = parent is not None and parent.GetPath() in links
+            above = links[parent.GetPath()] if known else base
+            T_parent = origins[parent.GetPath()] if known else T_world
+            wanted = joint_names(prim.GetName(), "joint")
+            joint, value = self._joint(prim, kind, wanted, above, link, T_parent)
+            records.append(joint)
+            if joint.movable and value != min(max(0.0, joint.lower), joint.upper):
+                values[wanted] = value
+        shapes: dict[str, list[Any]] = {link: [] for link in (base, *links.values())}
+        for prim in colliders:
+            owner = self._rigid_above(prim)
+            known = owner is not None and owner.GetPath() in links
+            T_link = origins[owner.GetPath()] if known else T_world
+            made = self.shapes.shapes(prim, self._matrix(prim), T_link)
+            shapes[links[owner.GetPath()] if known else base] += made
+        if not any(shapes.values()):
+            return None
+        tree = {link: Link(link, tuple(made), ()) for link, made in shapes.items()}
+        return RoomObject(name, T_world, Urdf(name, None, base, tree, tuple(records)), values)
+
+    # ------------------------------------------------------------------------------------- joints
+
+    def _kind(self, prim: Any) -> JointKind:
+        if prim.IsA(self.physics.RevoluteJoint):
+            return "revolute"
+        if prim.IsA(self.physics.PrismaticJoint):
+            return "prismatic"
+        if not prim.IsA(self.physics.FixedJoint):
+            self.report.approximated[f"{prim.GetTypeName()} as fixed"] += 1
+        return "fixed"
+
+    def _frame(self, prim: Any, end: int) -> Float[np.ndarray, "4 4"]:
+        """The frame of a joint at one of its ends, in the world."""
+        joint = self.physics.Joint(prim)
+        spots = (joint.GetLocalPos0Attr, joint.GetLocalPos1Attr)[end]().Get() or (0, 0, 0)
+        turn = (joint.GetLocalRot0Attr, joint.GetLocalRot1Attr)[end]().Get()
+        wxyz = (1.0, 0.0, 0.0, 0.0) if turn is None else (turn.real, *turn.imaginary)
+        if not (np.isfinite([*spots, *wxyz]).all() and 0.9 < np.linalg.norm(wxyz) < 1.1):
+            raise FileFormatError(f"{self.path}: {prim.GetPath()}: has no usable frame")
+        rel = (joint.GetBody0Rel, joint.GetBody1Rel)[end]()
+        targets = rel.GetTargets()
+        body = self.stage.GetPrimAtPath(targets[0]) if targets else None
+        whole = self._matrix(body) if body else self._matrix(self.stage.GetPseudoRoot())
+        T = rigid(whole) @ pose_wxyz((0.0, 0.0, 0.0), tuple(map(float, wxyz)))
+        T[:3, 3] = whole[:3, :3] @ np.array(spots, float) + whole[:3, 3]
+        return T
+
+    def _joint(
+        self,
+        prim: Any,
+        kind: JointKind,
+        name: str,
+        parent: str,
+        link: str,
+        T_parent: Float[np.ndarray, "4 4"],
+    ) -> tuple[Joint, float]:
+        """A joint, and where it stands."""
+        T_first, T_second = self._frame(prim, 0), self._frame(prim, 1)
+        if kind == "fixed":
+            return _fixed(name, parent, link, invert(T_parent) @ T_second), 0.0
+        schema = self.physics.RevoluteJoint if kind == "revolute" else self.physics.PrismaticJoint
+        typed = schema(prim)
+        axis = np.array(_AXES[str(typed.GetAxisAttr().Get() or "X")])
+        factor = math.pi / 180 if kind == "revolute" else self._scale(prim)
+        ends = [
+            math.inf if value is None else factor * float(value)
+            for value in (typed.GetLowerLimitAttr().Get(), typed.GetUpperLimitAttr().Get())
+        ]
+        lower, upper = ends
+        if not (math.isfinite(lower) and math.isfinite(upper)):
+            lower, upper = -math.inf, math.inf
+            kind = "continuous" if kind == "revolute" else kind
+        if lower > upper:
+            raise FileFormatError(f"{self.path}: {prim.GetPath()}: limits {lower:g} to {upper:g}")
+        T_way = invert(T_first) @ T_second
+        if kind == "prismatic":
+            value = float(T_way[:3, 3] @ axis)
+            rest = pose(value * axis)
+        else:
+            skew = T_way[:3, :3] - T_way[:3, :3].T
+            vector = np.array([skew[2, 1], skew[0, 2], skew[1, 0]]) / 2
+            value = math.atan2(float(vector @ axis), (float(np.trace(T_way[:3, :3])) - 1) / 2)
+            rest = pose_wxyz((0, 0, 0), (math.cos(value / 2), *(math.sin(value / 2) * axis)))
+        if np.abs(invert(rest) @ T_way - np.eye(4)).max() > APART:
+            self.report.approximated["joints whose two frames do not meet"] += 1
+        value = 0.0 if abs(value) < 1e-9 else value
+        clipped = min(max(value, lower), upper)
+        self.report.approximated["joints beyond their limits, put at these"] += clipped != value
+        T = invert(T_parent) @ T_first
+        return Joint(name, kind, parent, link, T, axis, lower, upper, math.inf), clipped
+
+    def _scale(self, prim: Any) -> float:
+        """Length of a unit of a joint's frame [m]."""
+        targets = self.physics.Joint(prim).GetBody0Rel().GetTargets()
+        body = self.stage.GetPrimAtPath(targets[0]) if targets else None
+        whole = self._matrix(body) if body else self._matrix(self.stage.GetPseudoRoot())
+        return float(np.cbrt(abs(np.linalg.det(whole[:3, :3]))))
+
+    def _matrix(self, prim: Any) -> Float[np.ndarray, "4 4"]:
+        """What maps coordinates in a prim to the world in meters; it may scale."""
+        T = (
+            matrix(self.cache.GetLocalToWorldTransform(prim))
+            if not prim.IsPseudoRoot()
+            else np.eye(4)
+        )
+        T[:3] *= self.unit
+        if not np.isfinite(T).all():
+            raise FileFormatError(f"{self.path}: {prim.GetPath()}: stands nowhere")
+        return self.T_world_stage @ T
+
+
+def _fixed(name: str, parent: str, link: str, T: Float[np.ndarray, "4 4"]) -> Joint:
+    none = np.array([1.0, 0.0, 0.0])
+    return Joint(name, "fixed", parent, link, T, none, 0.0, 0.0, math.inf)
+
+
+def _within(prim: Any, top: Any) -> bool:
+    return bool(prim.GetPath().HasPrefix(top.GetPath()))

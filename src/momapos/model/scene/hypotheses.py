@@ -1,0 +1,99 @@
+"""Ways in which a part may move, as scene files hold them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, get_args
+
+import numpy as np
+
+from momapos.core import SceneError, unknown_name
+from momapos.model.records import Hypothesis, PartKind
+
+KINDS: tuple[PartKind, ...] = get_args(PartKind)
+MOST = 16
+"""Of one joint [-]."""
+ROUNDED = 1e-3
+"""Probabilities that are written with few digits sum to one within this [-]."""
+FARTHEST = 1e3
+"""A point on an axis is no farther from its object [m]."""
+
+
+def hypotheses_to_json(found: Sequence[Hypothesis]) -> list[dict[str, Any]]:
+    """What a scene file holds of one joint."""
+    return [
+        {
+            "kind": one.kind,
+            "probability": round(one.probability, 4),
+            "point": list(one.point),
+            "axis": list(one.axis),
+            "upper": round(one.upper, 5),
+        }
+        for one in found
+    ]
+
+
+def read_hypotheses(
+    value: object, joints: Sequence[str], where: str
+) -> dict[str, tuple[Hypothesis, ...]]:
+    """Read the hypotheses of an object's joints.
+
+    Args:
+        value: What the file holds.
+        joints: The object's movable joints.
+        where: The file and the object, for messages.
+
+    Raises:
+        SceneError: They are not written so, or the probabilities of a joint do not sum to one.
+        UnknownNameError: They name a joint that the object does not have.
+    """
+    if not isinstance(value, dict):
+        raise SceneError(f"{where}: hypotheses must be {{joint: [...]}}")
+    found = {}
+    for name, rows in value.items():
+        if name not in joints:
+            raise unknown_name("movable joint", name, joints, f"{where}: hypotheses")
+        at = f"{where}: hypotheses of {name!r}"
+        if not isinstance(rows, list) or not 1 <= len(rows) <= MOST:
+            raise SceneError(f"{at} must be a list of 1 to {MOST}")
+        found[name] = tuple(_hypothesis(row, f"{at}: {k}") for k, row in enumerate(rows))
+        total = sum(one.probability for one in found[name])
+        if abs(total - 1.0) > ROUNDED * len(rows):
+            raise SceneError(f"{at}: the probabilities sum to {total:.4g}; they must sum to 1")
+    return found
+
+
+def _hypothesis(row: object, where: str) -> Hypothesis:
+    if not isinstance(row, dict):
+        raise SceneError(f"{where} must be a JSON object")
+    kind = next((known for known in KINDS if known == row.get("kind")), None)
+    if kind is None:
+        given = f"{row.get('kind')!r:.40}"
+        raise SceneError(f"{where}: kind {given} is none of {', '.join(KINDS)}")
+    point, axis = (_triple(row, key, where) for key in ("point", "axis"))
+    if abs(float(np.linalg.norm(axis)) - 1.0) > ROUNDED:
+        raise SceneError(f"{where}: axis must have length 1")
+    probability, upper = (_number(row, key, where) for key in ("probability", "upper"))
+    if not 0.0 <= probability <= 1.0:
+        raise SceneError(f"{where}: probability {probability:g} is not between 0 and 1")
+    if not 0.0 <= upper <= FARTHEST:
+        raise SceneError(f"{where}: upper {upper:g} must be 0 or more")
+    return Hypothesis(kind, probability, point, axis, upper)
+
+
+def _triple(row: Mapping[str, Any], key: str, where: str) -> tuple[float, float, float]:
+    values = row.get(key)
+    if not isinstance(values, list) or len(values) != 3:
+        raise SceneError(f"{where}: {key} must be 3 numbers")
+    x, y, z = (_number({key: value}, key, where) for value in values)
+    return x, y, z
+
+
+def _number(row: Mapping[str, Any], key: str, where: str) -> float:
+    value = row.get(key)
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise SceneError(f"{where}: {key} must be a number")
+    # Integers of any length are compared before they become a float, which may not hold them.
+    if not -FARTHEST <= value <= FARTHEST:
+        raise SceneError(f"{where}: {key} must be a finite number within {FARTHEST:g}")
+    return float(value)

@@ -1,0 +1,16 @@
+from .box_furniture import Box as Box
+from .box_furniture import FurniturePart as FurniturePart
+from .box_furniture import JointMotion as JointMotion
+from .box_furniture import Obstacles as Obstacles
+from .box_furniture import Piece as Piece
+from .box_furniture import Vec as Vec
+from .box_furniture import bar_handle as bar_handle
+from .box_furniture import ending_before_hits as ending_before_hits
+from .box_furniture import hits as hits
+from .box_furniture import obstacles as obstacles
+from .box_furniture import solid as solid
+from .box_furniture import union as union
+from .box_furniture import vec as vec
+from .kitchen_writer import COLORS as COLORS
+from .kitchen_writer import joint_name as joint_name
+from .kitchen_writer import write_kitchen as write_kitchen

@@ -1,0 +1,290 @@
+"""An object one of whose parts moves otherwise than its URDF says, and the scene file of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+from xml.etree.ElementTree import Element, SubElement, tostring
+
+import numpy as np
+
+from momapos.core import SceneError, UrdfError, parse_xml, read_text_bounded, write_atomic
+from momapos.core.geometry import apply, invert, pose, pose_rpy
+from momapos.model.records import Hypothesis, PartKind, PlacementPlan
+from momapos.model.urdf import MAX_URDF_BYTES, Articulated, opening_of, read_urdf
+
+from .model_copies import copied
+from .scene import Scene, SceneObject
+from .scene_files import save_scene
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+TRAY = 0.08
+"""What of a part reaches farther behind the front of its object is the tray of a drawer [m]."""
+
+
+def moving_as(item: SceneObject, joint: str, way: Hypothesis) -> SceneObject:
+    """The object with a part that moves in another way; it looks the same while it is shut.
+
+    A drawer that turns out to be hinged loses its tray, which could not turn.
+
+    Args:
+        item: The object.
+        joint: The joint of the part; it keeps its name, is shut at 0 and opens to `way.upper`.
+        way: How the part moves, in the object's frame.
+
+    Raises:
+        SceneError: The joint follows another or another follows it, or no file holds it.
+    """
+    path = item.model.urdf.path
+    if path is None:
+        raise SceneError(f"{item.name}: a box has no joint")
+    cache = item.model.cache
+    text = _text(item, joint, way)
+    urdf = read_urdf(path, scale=item.model.urdf.scale, cache=cache, text=text)
+    model = Articulated(urdf, item.model.held, cache)
+    others = {name: value for name, value in item.joints.items() if name != joint}
+    return replace(item, model=model, joints=others)
+
+
+def scene_moving_as(scene: Scene, name: str, joint: str, way: Hypothesis) -> Scene:
+    """The room with one object that is `moving_as`, the part shut."""
+    target = scene.object(name)
+    other = moving_as(target, joint, way)
+    set_here = {k: v for k, v in scene.joints_set.get(name, {}).items() if k != joint}
+    return replace(
+        scene,
+        objects=tuple(other if o is target else o for o in scene.objects),
+        joints_set={**scene.joints_set, name: set_here},
+    )
+
+
+def way_about(
+    item: SceneObject,
+    joint: str,
+    direction: Float[np.ndarray, "3"],
+    point: Float[np.ndarray, "3"],
+    moved: float,
+) -> Hypothesis:
+    """The way in which a part moves about another axis than believed, in its object's frame.
+
+    Args:
+        item: The object as it is believed to be.
+        joint: Its joint.
+        direction: Of the axis in the world; the joint's value rises about it, or along it.
+        point: On the axis, in the world [m].
+        moved: How far the part was opened [rad] or [m].
+    """
+    opening = opening_of(item.model, joint)
+    back = invert(item.T_world_object)
+    axis = opening.sign * back[:3, :3] @ direction
+    upper = max(abs(opening.wide - opening.closed), moved)
+    on_axis = apply(back, point[None])[0]
+    return Hypothesis(_kind(item, joint, axis), 1.0, _triple(on_axis), _triple(axis), upper)
+
+
+def _kind(item: SceneObject, joint: str, axis: Float[np.ndarray, "3"]) -> PartKind:
+    """What kind of part it is, by its joint; of flaps, by what the scene says."""
+    slides = item.joint(joint).kind == "prismatic"
+    ways = item.hypotheses.get(joint, ())
+    near = [way for way in ways if (way.kind == "drawer") == slides]
+    if near:
+        return max(near, key=lambda way: float(np.array(way.axis) @ axis)).kind
+    if slides:
+        return "drawer"
+    return "door_right" if axis[2] >= 0.0 else "door_left"
+
+
+def _triple(values: Float[np.ndarray, "3"]) -> tuple[float, float, float]:
+    x, y, z = values.tolist()
+    return x, y, z
+
+
+def scene_taking(scene: Scene, name: str, joint: str, index: int) -> Scene:
+    """The room with one part taken for another of its hypotheses; likelier ones are ruled out.
+
+    Args:
+        scene: The room.
+        name, joint: The object and the joint of the part, which is shut then.
+        index: Which of the joint's hypotheses, counted from 0.
+
+    Raises:
+        UnknownNameError: There is no such object.
+        SceneError: The joint has no such hypothesis, or see `moving_as`.
+    """
+    ways = scene.object(name).hypotheses.get(joint, ())
+    if not 0 <= index < len(ways):
+        raise SceneError(f"{name}/{joint}: hypothesis {index} of {len(ways)}; they count from 0")
+    left = ways[index:]
+    total = sum(way.probability for way in left)
+    left = tuple(replace(way, probability=way.probability / total) for way in left)
+    other = scene_moving_as(scene, name, joint, left[0])
+    item = other.object(name)
+    known = replace(item, hypotheses={**item.hypotheses, joint: left})
+    taken = scene.hypotheses_set.get(name, {})
+    return replace(
+        other,
+        objects=tuple(known if o is item else o for o in other.objects),
+        hypotheses_set={
+            **scene.hypotheses_set, name: {**taken, joint: taken.get(joint, 0) + index},
+        },
+    )  # fmt: skip
+
+
+def as_planned(scene: Scene, plan: PlacementPlan) -> Scene:
+    """A scene as its file has it, with the hypotheses and the joint values of a plan.
+
+    Raises:
+        UnknownNameError, SceneError: The scene has no such joint, hypothesis or value.
+    """
+    for name, taken in plan.scene_hypotheses.items():
+        for joint, index in taken.items():
+            scene = scene_taking(scene, name, joint, index)
+    return scene.with_joints(plan.scene_joints)
+
+
+def save_moving_as(
+    scene: Scene, name: str, joint: str, way: Hypothesis, value: float, out: Path
+) -> Scene:
+    """Write a scene in which a part is known to move so, with copies of all its files.
+
+    Args:
+        scene: The room as it was believed to be.
+        name, joint, way: See `moving_as`.
+        value: Where the joint is [rad] or [m].
+        out: The new scene file; the copies lie in `<stem>_files` beside it.
+
+    Returns:
+        The scene as of that file.
+
+    Raises:
+        SceneError: The file or that folder exists, or they cannot be written.
+    """
+    if out.exists():
+        raise SceneError(f"{out}: exists already; remove it or name another file")
+    target = scene.object(name)
+    text = _text(target, joint, way)
+    with copied(scene, out) as near:
+        item = near.object(name)
+        assert item.model.urdf.path is not None
+        file = item.model.urdf.path.with_name(f"{name}_{joint}.urdf")
+        try:
+            write_atomic(file, text.encode())
+        except OSError as error:
+            raise SceneError(f"{file}: cannot be written ({error.strerror})") from error
+        model = Articulated(read_urdf(file, root=out.resolve().parent, scale=item.model.urdf.scale))
+        known = replace(
+            item,
+            model=model,
+            joints={**item.joints, joint: value},
+            hypotheses={**item.hypotheses, joint: (replace(way, probability=1.0),)},
+        )
+        objects = tuple(known if o is item else o for o in near.objects)
+        return save_scene(replace(near, objects=objects), out)
+
+
+# ---------------------------------------------------------------------------------------- the URDF
+
+
+def _text(item: SceneObject, joint: str, way: Hypothesis) -> str:
+    """The URDF of an object with the joint of one part replaced."""
+    path, scale = item.model.urdf.path, item.model.urdf.scale
+    assert path is not None
+    # As the file has it: the object may have been made to move in another way before.
+    model = Articulated(
+        read_urdf(path, scale=scale, cache=item.model.cache), item.model.held, item.model.cache
+    )
+    record = model.joint(joint)
+    if record.mimic is not None or model.followers(joint):
+        raise SceneError(f"{item.name}: {joint} moves together with others and is left as it is")
+    tree = parse_xml(read_text_bounded(path, MAX_URDF_BYTES, error=UrdfError), path)
+    slides = way.kind == "drawer"
+    shut = model.link_poses({**item.values(), joint: opening_of(model, joint).closed})
+    T_root_child, T_root_parent = shut[record.child], shut[record.parent]
+    R = (T_root_parent @ record.T_parent_joint)[:3, :3]
+    T_root_joint = pose(np.array(way.point), R)
+    shift = invert(T_root_joint) @ T_root_child
+    child = _named(tree, "link", record.child, path)
+    moved = [child.find("inertial"), *child.findall("collision"), *child.findall("visual")]
+    if not slides and record.kind == "prismatic":
+        for shape in _tray(model, joint, shut, child):
+            child.remove(shape)
+            moved.remove(shape)
+    moved += [j for j in tree.findall("joint") if _link(j, "parent") == record.child]
+    for element in moved:
+        if element is not None:
+            _set_origin(element, shift @ _origin(element, scale), scale)
+    here = _named(tree, "joint", joint, path)
+    here.set("type", "prismatic" if slides else "revolute")
+    _set_origin(here, invert(T_root_parent) @ T_root_joint, scale)
+    _child(here, "axis").set("xyz", _numbers(R.T @ np.array(way.axis)))
+    limit = _child(here, "limit")
+    limit.set("lower", "0")
+    limit.set("upper", f"{way.upper / (scale if slides else 1.0):.9g}")
+    for key in ("effort", "velocity"):
+        limit.set(key, limit.get(key, "1"))
+    return tostring(tree, encoding="unicode")
+
+
+def _tray(
+    model: Articulated,
+    joint: str,
+    shut: Mapping[str, Float[np.ndarray, "4 4"]],
+    child: Element,
+) -> list[Element]:
+    """The collision elements of a drawer that reach far behind the front of the rest."""
+    record = model.joint(joint)
+    out = (shut[record.parent] @ record.T_parent_joint)[:3, :3] @ record.axis
+    out = opening_of(model, joint).sign * out
+    still = [name for name in model.links if name not in model.moved_by(joint)]
+    rest = [float((apply(shut[n], h.vertices) @ out).max()) for n in still for h in model.hulls[n]]
+    front = max(rest, default=-np.inf)
+    elements, hulls = child.findall("collision"), model.hulls[record.child]
+    if len(elements) != len(hulls):
+        return []
+    ends = [float((apply(shut[record.child], h.vertices) @ out).min()) for h in hulls]
+    return [e for e, end in zip(elements, ends, strict=True) if end < front - TRAY]
+
+
+def _named(tree: Element, tag: str, name: str, path: Path) -> Element:
+    for element in tree.findall(tag):
+        if element.get("name") == name:
+            return element
+    raise UrdfError(f"{path}: has no {tag} {name!r}")
+
+
+def _link(joint: Element, tag: str) -> str:
+    found = joint.find(tag)
+    return "" if found is None else found.get("link", "")
+
+
+def _child(element: Element, tag: str) -> Element:
+    found = element.find(tag)
+    return SubElement(element, tag) if found is None else found
+
+
+def _origin(element: Element, scale: float) -> Float[np.ndarray, "4 4"]:
+    """Pose of an element, its place in meters."""
+    origin = element.find("origin")
+    if origin is None:
+        return np.eye(4)
+    xyz, rpy = (
+        np.array([float(v) for v in origin.get(key, "0 0 0").replace(",", " ").split()])
+        for key in ("xyz", "rpy")
+    )
+    return pose_rpy(tuple(scale * xyz), tuple(rpy))
+
+
+def _set_origin(element: Element, T: Float[np.ndarray, "4 4"], scale: float) -> None:
+    from scipy.spatial.transform import Rotation  # takes long to load
+
+    origin = _child(element, "origin")
+    origin.set("xyz", _numbers(T[:3, 3] / scale))
+    origin.set("rpy", _numbers(Rotation.from_matrix(T[:3, :3]).as_euler("xyz")))
+
+
+def _numbers(values: Float[np.ndarray, "3"]) -> str:
+    return " ".join(f"{float(value) + 0.0:.9g}" for value in values)

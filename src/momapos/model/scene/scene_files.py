@@ -1,0 +1,379 @@
+"""Scene files: reading whatever kind is given, and writing momapos scenes.
+
+What a file is, its content says: a JSON object is a momapos scene, a JSON list a BestMan scene,
+XML a URDF, which is a scene of one object.
+"""
+
+from __future__ import annotations
+
+import difflib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
+
+import numpy as np
+
+from momapos.core import (
+    Cache,
+    FileFormatError,
+    SceneError,
+    read_text_bounded,
+    unknown_name,
+    write_atomic,
+)
+from momapos.core.geometry import pose_wxyz
+from momapos.model.scene.formats import foreign_kind
+from momapos.model.urdf import Articulated, box_urdf, read_urdf
+
+from . import bestman
+from .confidence import confidence_to_json, read_confidence
+from .floor_areas import MAX_DISTANCE, read_areas, read_numbers, read_outline
+from .hypotheses import hypotheses_to_json, read_hypotheses
+from .model_copies import model_files
+from .room_limits import refuse_vast
+from .scene import Scene, SceneObject
+from .scene_names import FORMAT, MAX_BYTES, find_scene
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+VERSION = 1
+MAX_OBJECTS = 2_000
+"""Relations are looked for between all pairs of objects: that many take some 5 s [-]."""
+MAX_EDGE = 1e3  # of a box [m]
+_SCENE_KEYS = {"format", "version", "name", "objects", "floor", "start", "areas"}
+_OBJECT_KEYS = {
+    "name", "category", "pose", "urdf", "scale", "joints", "box", "hypotheses", "confidence",
+}  # fmt: skip
+
+
+def load_scene(
+    source: str | Path, *, root: Path | None = None, cache: Cache | None = None
+) -> Scene:
+    """Load a scene.
+
+    Args:
+        source: Name of a built-in kitchen, or a file: a momapos scene, a BestMan scene, or the
+            URDF of a single object, which is put on the floor at the origin.
+        root: Folder that no path in the scene may leave. Where None: the file's own folder; for
+            a BestMan scene the folder above it that holds `Asset`.
+        cache: Where the geometry of its models is kept, so that it is computed once.
+
+    Raises:
+        UnknownNameError, FileFormatError, SceneError, UrdfError: It cannot be used; one line
+            says what is wrong and where.
+    """
+    path = find_scene(source)
+    text = read_text_bounded(path, MAX_BYTES)
+    if not text.strip():
+        raise FileFormatError(f"{path}: is empty")
+    start, kind = text.lstrip("\ufeff \t\r\n")[:1], foreign_kind(text)
+    if kind is not None:
+        raise FileFormatError(
+            f"{path}: is in the format {kind}; convert it first: "
+            f"momapos scene convert {path} {path.stem}.json"
+        )
+    if start == "<":
+        scene = _read_single(path, root, cache)
+    elif start in ("{", "["):
+        data = _parse_json(text, path)
+        read = _read_bestman if bestman.is_bestman(data) else _read_momapos
+        scene = read(data, path, root, cache)
+    else:
+        raise FileFormatError(
+            f"{path}: neither a scene (JSON: a momapos scene or a BestMan list) nor a URDF"
+        )
+    _refuse_twins(scene)
+    refuse_vast(scene)
+    return scene
+
+
+def _parse_json(text: str, path: Path) -> Any:
+    def refuse(constant: str) -> NoReturn:
+        raise FileFormatError(f"{path}: holds {constant}, which is not a finite number")
+
+    try:
+        return json.loads(text.lstrip("\ufeff"), parse_constant=refuse)
+    except (json.JSONDecodeError, RecursionError, ValueError) as error:
+        raise FileFormatError(f"{path}: damaged JSON ({error})") from error
+
+
+def _refuse_twins(scene: Scene) -> None:
+    seen: dict[str, int] = {}
+    for index, item in enumerate(scene.objects):
+        if item.name in seen:
+            raise SceneError(
+                f"{scene.path}: objects {seen[item.name]} and {index} are both named "
+                f"{item.name!r}; names must be unique"
+            )
+        seen[item.name] = index
+
+
+class _Models:
+    """Reads each URDF once per scale, so that objects share their models."""
+
+    def __init__(self, root: Path | None, cache: Cache | None) -> None:
+        self.root, self.cache = root, cache
+        self.read: dict[tuple[Path, float], Articulated] = {}
+
+    def __call__(self, path: Path, scale: float) -> Articulated:
+        key = (path.resolve(), scale)
+        if key not in self.read:
+            urdf = read_urdf(path, root=self.root, scale=scale, cache=self.cache)
+            self.read[key] = Articulated(urdf, cache=self.cache)
+        return self.read[key]
+
+
+# ------------------------------------------------------------------------- the kinds of scene files
+
+
+def _read_single(path: Path, root: Path | None, cache: Cache | None) -> Scene:
+    """A scene of one object, its lowest point on the floor."""
+    model = _Models(root, cache)(path, 1.0)
+    category = bestman.category_of("", str(path.resolve()))
+    plain = path.stem.lower() not in ("mobility", "model", "robot", "object")
+    name = path.stem if plain else category
+    item = SceneObject(name, category, np.eye(4), model)
+    T = np.eye(4)
+    T[2, 3] = -item.bounds[0, 2]
+    return Scene(name, (SceneObject(name, category, T, model),), path)
+
+
+def _read_bestman(data: Sequence[Any], path: Path, root: Path | None, cache: Cache | None) -> Scene:
+    if len(data) > MAX_OBJECTS:
+        raise FileFormatError(f"{path}: more than {MAX_OBJECTS} objects")
+    entries = bestman.read_entries(data, path)
+    root = root or bestman.find_root(path)
+    objects, warnings = bestman.read_objects(entries, root, _Models(root, cache))
+    return Scene(path.stem, objects, path, warnings=warnings)
+
+
+def _read_momapos(
+    data: Mapping[str, Any], path: Path, root: Path | None, cache: Cache | None
+) -> Scene:
+    if data.get("format") != FORMAT:
+        raise FileFormatError(
+            f'{path}: not a scene; a momapos scene has "format": {FORMAT!r}, '
+            f"this file has {data.get('format')!r:.60}"
+        )
+    if data.get("version") != VERSION:
+        raise FileFormatError(
+            f"{path}: version {data.get('version')!r:.60} of the scene format; "
+            f"this momapos reads version {VERSION}"
+        )
+    items = data.get("objects")
+    if not isinstance(items, list) or len(items) > MAX_OBJECTS:
+        raise FileFormatError(f"{path}: 'objects' must be a list of at most {MAX_OBJECTS}")
+    root = (root or path.parent).resolve()
+    models, warnings = _Models(root, cache), _unknown_keys(data, _SCENE_KEYS, f"{path}")
+    objects = []
+    for index, item in enumerate(items):
+        where = f"{path}: object {index}"
+        if not isinstance(item, dict):
+            raise FileFormatError(f"{where} must be a JSON object")
+        reader = _ObjectReader(item, where, path.parent, root, models)
+        objects.append(reader.read())
+        warnings += _unknown_keys(item, _OBJECT_KEYS, reader.where)
+    return Scene(
+        name=_text(data.get("name", path.stem), f"{path}: name"),
+        path=path,
+        objects=tuple(objects),
+        floor_polygon=_floor(data.get("floor"), path),
+        start=_start(data.get("start"), path),
+        areas=read_areas(data.get("areas", {}), f"{path}: areas"),
+        warnings=tuple(warnings),
+    )
+
+
+class _ObjectReader:
+    """One object of a momapos scene."""
+
+    def __init__(
+        self, item: Mapping[str, Any], where: str, folder: Path, root: Path, models: _Models
+    ) -> None:
+        self.item, self.folder, self.root, self.models = item, folder, root, models
+        self.name = _text(item.get("name"), f"{where}: name")
+        self.where = f"{where} ({self.name!r})"
+
+    def read(self) -> SceneObject:
+        category = self.item.get("category", "")
+        if not isinstance(category, str):
+            raise SceneError(f"{self.where}: category must be a text")
+        model = self.model()
+        joints, names = self.joints(model), list(model.joints)
+        found = read_hypotheses(self.item.get("hypotheses", {}), names, self.where)
+        sure = read_confidence(self.item.get("confidence"), names, self.where)
+        return SceneObject(self.name, category, self.pose(), model, joints, found, sure)
+
+    def pose(self) -> Float[np.ndarray, "4 4"]:
+        pose = self.item.get("pose")
+        if not isinstance(pose, dict):
+            raise SceneError(f"{self.where}: pose must be {{'xyz': [...], 'wxyz': [...]}}")
+        xyz = read_numbers(pose.get("xyz"), 3, f"{self.where}: pose.xyz")
+        wxyz = read_numbers(pose.get("wxyz", [1, 0, 0, 0]), 4, f"{self.where}: pose.wxyz")
+        if np.abs(xyz).max() > MAX_DISTANCE:
+            raise SceneError(f"{self.where}: pose.xyz is more than 10 km away")
+        length = float(np.linalg.norm(wxyz))
+        if not 0.9 < length < 1.1:
+            raise SceneError(f"{self.where}: pose.wxyz has length {length:g}; it must be 1")
+        return pose_wxyz(tuple(xyz), tuple(wxyz))
+
+    def model(self) -> Articulated:
+        if ("urdf" in self.item) == ("box" in self.item):
+            raise SceneError(f"{self.where}: needs either 'urdf' or 'box'")
+        if "box" in self.item:
+            size = read_numbers(self.item["box"], 3, f"{self.where}: box")
+            if size.min() <= 0 or size.max() > MAX_EDGE:
+                raise SceneError(
+                    f"{self.where}: box edges must be between 0 and {MAX_EDGE:g} m, not "
+                    f"{', '.join(f'{v:g}' for v in size)}"
+                )
+            x, y, z = map(float, size)
+            return Articulated(box_urdf(self.name, (x, y, z)))
+        scale = float(read_numbers([self.item.get("scale", 1.0)], 1, f"{self.where}: scale")[0])
+        if not 1e-3 <= scale <= 1e3:
+            raise SceneError(f"{self.where}: scale must be between 0.001 and 1000, not {scale:g}")
+        return self.models(self.file(), scale)
+
+    def file(self) -> Path:
+        text = _text(self.item["urdf"], f"{self.where}: urdf")
+        try:
+            file = (self.folder / text).resolve()
+            inside, exists = file.is_relative_to(self.root), file.is_file()
+        except (OSError, RuntimeError, ValueError) as error:  # too long, or links in a circle
+            raise SceneError(f"{self.where}: urdf {text!r:.80} cannot be looked up") from error
+        if Path(text).is_absolute() or not inside:
+            raise SceneError(
+                f"{self.where}: urdf {text!r} leaves the scene's folder {self.root}; "
+                "paths are relative and stay inside it"
+            )
+        if not exists:
+            raise SceneError(f"{self.where}: urdf {text!r} does not exist below {self.folder}")
+        return self.folder / text
+
+    def joints(self, model: Articulated) -> dict[str, float]:
+        joints = self.item.get("joints", {})
+        if not isinstance(joints, dict):
+            raise SceneError(f"{self.where}: joints must be {{name: value}}")
+        values = {}
+        for name, value in joints.items():
+            if name not in model.joints:
+                raise unknown_name("movable joint", name, model.joints, self.where)
+            number = float(read_numbers([value], 1, f"{self.where}: joint {name!r}")[0])
+            joint = model.joint(name)
+            if not joint.lower - 1e-6 <= number <= joint.upper + 1e-6:
+                raise SceneError(
+                    f"{self.where}: joint {name!r} is {number:g}, its limits are "
+                    f"{joint.lower:g} to {joint.upper:g}"
+                )
+            values[name] = number
+        return values
+
+
+def _unknown_keys(item: Mapping[str, Any], known: set[str], where: str) -> list[str]:
+    warnings = []
+    for key in sorted(set(item) - known):
+        near = difflib.get_close_matches(key, known, n=1)
+        hint = f"; is {near[0]!r} meant?" if near else ""
+        warnings.append(f"{where}: {key!r} is not known and was left out{hint}")
+    return warnings
+
+
+def _text(value: object, where: str) -> str:
+    if not isinstance(value, str) or not 0 < len(value) <= 1000 or not value.isprintable():
+        raise SceneError(f"{where} must be a printable text")
+    return value
+
+
+def _floor(value: object, path: Path) -> Float[np.ndarray, "k 2"] | None:
+    return None if value is None else np.array(read_outline(value, f"{path}: floor"))
+
+
+def _start(value: object, path: Path) -> Float[np.ndarray, "3"] | None:
+    if value is None:
+        return None
+    if not isinstance(value, dict) or not {"x", "y", "yaw"} <= set(value):
+        raise SceneError(f"{path}: start must be {{'x', 'y', 'yaw'}}")
+    start = read_numbers([value[k] for k in ("x", "y", "yaw")], 3, f"{path}: start")
+    if np.abs(start).max() > MAX_DISTANCE:
+        raise SceneError(f"{path}: start is more than 10 km away")
+    return start
+
+
+# ------------------------------------------------------------------------------------------ writing
+
+
+def save_scene(scene: Scene, path: Path) -> Scene:
+    """Write a scene in momapos' own format, the whole file or nothing.
+
+    Returns:
+        The scene as of that file, so that plans in it can be verified.
+
+    Raises:
+        SceneError: A URDF or mesh lies outside the file's folder, so that the file could not be
+            read again; the message says which and where the scene could stand.
+    """
+    folder = path.resolve().parent
+    objects = ",\n".join(f"  {json.dumps(_object(item, folder))}" for item in scene.objects)
+    head = {"format": FORMAT, "version": VERSION, "name": scene.name}
+    text = json.dumps(head)[:-1]
+    for key, value in room_members(scene).items():
+        text += f',\n "{key}": {json.dumps(value)}'
+    write_whole(path, f'{text},\n "objects": [\n{objects}\n ]}}\n')
+    return replace(scene, path=path)
+
+
+def room_members(scene: Scene) -> dict[str, Any]:
+    """What a scene file says of the room itself: floor, start and areas, where they are known."""
+    members: dict[str, Any] = {}
+    if scene.floor_polygon is not None:
+        members["floor"] = np.asarray(scene.floor_polygon, float).tolist()
+    if scene.start is not None:
+        members["start"] = dict(zip(("x", "y", "yaw"), map(float, scene.start), strict=True))
+    if scene.areas:
+        members["areas"] = dict(scene.areas)
+    return members
+
+
+def object_members(item: SceneObject) -> dict[str, Any]:
+    """What a scene file says of an object beside its pose and model."""
+    members: dict[str, Any] = {"category": item.category}
+    if item.confidence is not None:
+        members["confidence"] = confidence_to_json(item.confidence)
+    if item.hypotheses:
+        members["hypotheses"] = {
+            name: hypotheses_to_json(rows) for name, rows in item.hypotheses.items()
+        }
+    return members
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Write a text file so that a reader sees the old file or the new one, never half of it."""
+    try:
+        write_atomic(path, text.encode())
+    except OSError as error:
+        raise SceneError(f"{path}: cannot be written ({error.strerror})") from error
+
+
+def _object(item: SceneObject, folder: Path) -> dict[str, Any]:
+    T, urdf = item.T_world_object, item.model.urdf
+    from scipy.spatial.transform import Rotation
+
+    wxyz = Rotation.from_matrix(T[:3, :3]).as_quat(scalar_first=True)
+    entry: dict[str, Any] = {
+        "name": item.name,
+        "pose": {"xyz": (T[:3, 3] + 0.0).tolist(), "wxyz": (wxyz + 0.0).tolist()},
+        **object_members(item),
+    }
+    if urdf.path is None:
+        return {**entry, "box": list(urdf.links[urdf.root].collisions[0].size)}
+    for file in model_files(item.model):
+        if not file.resolve().is_relative_to(folder):
+            raise SceneError(
+                f"object {item.name!r} needs {file}, which is not below {folder}; "
+                "write the scene into a folder above it, or copy the files"
+            )
+    relative = urdf.path.resolve().relative_to(folder).as_posix()
+    return {**entry, "urdf": relative, "scale": urdf.scale, "joints": dict(item.joints)}

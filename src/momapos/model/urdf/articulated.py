@@ -1,0 +1,233 @@
+"""A URDF with its collision geometry: what scenes and robots are made of."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, TypeVar
+
+import numpy as np
+
+from momapos.core import Cache, unknown_name
+from momapos.core.geometry import rotation_about
+
+from .convex_pieces import pieces_of
+from .hulls import Boxes, Hull, cover_shape, fit_box, hull_of
+from .meshes import mesh_digest
+from .model_cache import freeze, once
+from .reader import Geometry, Joint, Urdf
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, eq=False)
+class Articulated:
+    """A tree of links with named joints; geometry is made when it is first asked for."""
+
+    urdf: Urdf
+    held: Mapping[str, float] = field(default_factory=dict)
+    """Where joints rest that do not rest at zero [rad] or [m]."""
+
+    cache: Cache | None = field(default=None, repr=False)
+    """Where its geometry is kept, which is dear to compute."""
+
+    def __repr__(self) -> str:
+        counts = f"{len(self.urdf.links)} links, {len(self.joints)} movable joints"
+        return f"<Articulated {self.urdf.name!r}: {counts}, {self.urdf.path}>"
+
+    @cached_property
+    def links(self) -> tuple[str, ...]:
+        """Link names, the root first, parents before children."""
+        return (self.urdf.root, *(joint.child for joint in self.urdf.joints))
+
+    @cached_property
+    def joints(self) -> dict[str, Joint]:
+        """The movable joints by name, parents before children."""
+        return {joint.name: joint for joint in self.urdf.joints if joint.movable}
+
+    def joint(self, name: str, of: str | None = None) -> Joint:
+        """Look a movable joint up by name.
+
+        Args:
+            name: The joint.
+            of: What a message calls the model; as its file does by default.
+
+        Raises:
+            UnknownNameError: There is none; the message offers the nearest.
+        """
+        if name not in self.joints:
+            raise unknown_name("movable joint", name, self.joints, of or self.urdf.name)
+        return self.joints[name]
+
+    @cached_property
+    def rest(self) -> dict[str, float]:
+        """Where it is held or zero, or the limit nearest to that, for every movable joint; what
+        follows another is where that one has it."""
+        rest = {
+            name: float(np.clip(self.held.get(name, 0.0), joint.lower, joint.upper))
+            for name, joint in self.joints.items()
+        }
+        return rest | {
+            name: joint.mimic.at(rest[joint.mimic.joint])
+            for name, joint in self.joints.items()
+            if joint.mimic is not None
+        }
+
+    def followers(self, joint: str) -> tuple[Joint, ...]:
+        """The joints that follow one."""
+        return tuple(j for j in self.joints.values() if j.mimic and j.mimic.joint == joint)
+
+    def settled(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Where all movable joints are: as named or at rest, what follows others after them."""
+        return {name: self.value_of(joint, values) for name, joint in self.joints.items()}
+
+    def value_of(self, joint: Joint, values: Mapping[str, float]) -> float:
+        """Where a joint is: as the one that it follows has it, as named, or at rest."""
+        if joint.mimic is not None:
+            leader = joint.mimic.joint
+            return joint.mimic.at(values.get(leader, self.rest[leader]))
+        return values.get(joint.name, self.rest[joint.name])
+
+    def link_poses(self, values: Mapping[str, float]) -> dict[str, Float[np.ndarray, "4 4"]]:
+        """Poses of all links in the root's frame; joints not named are at rest."""
+        poses = {self.urdf.root: np.eye(4)}
+        for joint in self.urdf.joints:
+            T = poses[joint.parent] @ joint.T_parent_joint
+            if joint.movable:
+                T = T @ joint_motion(joint, self.value_of(joint, values))
+            poses[joint.child] = T
+        return poses
+
+    @cached_property
+    def rest_poses(self) -> dict[str, Float[np.ndarray, "4 4"]]:
+        """Poses of all links in the root's frame, all joints at rest."""
+        return self.link_poses({})
+
+    @cached_property
+    def _children(self) -> dict[str, list[Joint]]:
+        children: dict[str, list[Joint]] = {}
+        for joint in self.urdf.joints:
+            children.setdefault(joint.parent, []).append(joint)
+        return children
+
+    def links_below(self, link: str) -> tuple[str, ...]:
+        """The link and everything that hangs from it."""
+        below, queue = {link}, [link]
+        while queue:
+            children = [joint.child for joint in self._children.get(queue.pop(), [])]
+            below.update(children)
+            queue += children
+        return tuple(name for name in self.links if name in below)
+
+    def moved_by(self, joint: str) -> tuple[str, ...]:
+        """Names of the links that move when the joint does, and what follows it."""
+        moving = (self.joint(joint), *self.followers(joint))
+        below = {link for one in moving for link in self.links_below(one.child)}
+        return tuple(name for name in self.links if name in below)
+
+    @cached_property
+    def hulls(self) -> dict[str, tuple[Hull, ...]]:
+        """Convex hulls of the collision elements by link, in the link's frame."""
+
+        def compute() -> dict[str, tuple[Hull, ...]]:
+            return {
+                name: tuple(hull_of(shape, name) for shape in link.collisions)
+                for name, link in self.urdf.links.items()
+            }
+
+        return self.kept("hulls", compute)
+
+    @cached_property
+    def boxes(self) -> dict[str, tuple[Boxes, ...]]:
+        """Boxes that cover each hull, by link, in the link's frame."""
+
+        def compute() -> dict[str, tuple[Boxes, ...]]:
+            return {
+                name: tuple(
+                    cover_shape(shape, hull)
+                    for shape, hull in zip(link.collisions, self.hulls[name], strict=True)
+                )
+                for name, link in self.urdf.links.items()
+            }
+
+        return self.kept("boxes", compute)
+
+    def pieces(self, link: str, element: int) -> tuple[Hull, ...]:
+        """Convex pieces of a collision element of a link, made once; see `convex_pieces`.
+
+        Raises:
+            UrdfError: The faces of its mesh cannot be read.
+        """
+        key = link, element
+        if key not in self._pieces:
+            shape, hull = self.urdf.links[link].collisions[element], self.hulls[link][element]
+            self._pieces[key] = self.kept("pieces", lambda: pieces_of(shape, hull), link, element)
+        return self._pieces[key]
+
+    @cached_property
+    def _pieces(self) -> dict[tuple[str, int], tuple[Hull, ...]]:
+        return {}
+
+    def hull(self, link: str, shape: Geometry) -> Hull:
+        """The hull of a shape of a link, visual or for collision."""
+        hulls = zip(self.urdf.links[link].collisions, self.hulls[link], strict=True)
+        return next((hull for known, hull in hulls if known is shape), None) or hull_of(shape, link)
+
+    def box_around(
+        self, points: Float[np.ndarray, "n 3"]
+    ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]:
+        """Fit a box around points of the model, see `fit_box`."""
+        return once(self.cache, "fit", (points,), lambda: fit_box(points))
+
+    def kept(
+        self, what: str, compute: Callable[[], T], *parts: object, records: tuple[type, ...] = ()
+    ) -> T:
+        """Compute something from joints and shapes, or take what was computed from the same.
+
+        Args:
+            what: Begins its key.
+            compute: Makes it; see `once`.
+            parts: What it depends on beside joints and shapes.
+            records: The kinds of records in it, beside hulls and boxes.
+        """
+        if self.cache is None:
+            return compute()
+        return once(self.cache, what, (self._content, *parts), compute, (Hull, Boxes, *records))
+
+    @cached_property
+    def _content(self) -> bytes:
+        """All of the model that its geometry is computed from; meshes by what is in them."""
+        shapes = {name: link.collisions for name, link in self.urdf.links.items()}
+        meshes = [shape.mesh for group in shapes.values() for shape in group if shape.mesh]
+        digests = {mesh: mesh_digest(mesh) for mesh in dict.fromkeys(meshes)}
+        bare = {name: [replace(s, mesh=None) for s in group] for name, group in shapes.items()}
+        held = sorted(self.held.items())
+        return freeze((self.urdf.root, self.urdf.joints, held, bare, [digests[m] for m in meshes]))
+
+    def shapes_named(self, word: str, links: tuple[str, ...]) -> list[tuple[str, Geometry]]:
+        """Shapes whose link, collision or visual is named so, without regard to case."""
+        found = []
+        for name in links:
+            link = self.urdf.links[name]
+            named = word in name.lower()
+            exact = [s for s in (*link.collisions, *link.visuals) if word in s.name.lower()]
+            shapes = list(link.collisions or link.visuals) if named else exact
+            found += [(name, shape) for shape in shapes]
+        return found
+
+
+def joint_motion(
+    joint: Joint, value: float | Float[np.ndarray, " *batch"]
+) -> Float[np.ndarray, "*batch 4 4"]:
+    """Transform of a joint's child at values [rad] or [m], in the joint's frame."""
+    values = np.asarray(value)
+    T = np.tile(np.eye(4), (*values.shape, 1, 1))
+    if joint.kind == "prismatic":
+        T[..., :3, 3] = values[..., None] * joint.axis
+    else:
+        T[..., :3, :3] = rotation_about(joint.axis, values)
+    return T

@@ -1,0 +1,209 @@
+"""The tree of a URDF from strangers: what is refused, and what of it is handed on to be parsed."""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+from typing import Any
+from xml.etree.ElementTree import Element
+
+from momapos.core import UrdfError, parse_xml
+
+from .urdf_records import Mimic
+
+MAX_URDF_BYTES = 20_000_000
+MAX_LINKS = 5_000
+MAX_SHAPES = 2_000
+"""Collision elements of a URDF, and visual ones [-]; detailed furniture has some 150."""
+MAX_SIZE = 1e4
+"""Edge, radius or length of a shape may be this at most [m]; distances too."""
+MAX_DEPTH = 50
+_COUNTS = {
+    "xyz": (3,), "rpy": (3,), "size": (3,), "scale": (1, 3), "radius": (1,), "length": (1,),
+    "lower": (1,), "upper": (1,), "velocity": (1,), "effort": (1,),
+}  # fmt: skip
+"""How many numbers an attribute holds."""
+_LENGTHS = {"xyz", "size", "radius", "length", "scale"}
+_SHAPES = {
+    "box": ("size",), "cylinder": ("radius", "length"), "sphere": ("radius",),
+    "mesh": ("filename",),
+}  # fmt: skip
+"""The shapes of a URDF and the attributes that each must have."""
+_PARTS: dict[str, tuple[str, ...]] = {
+    "robot": ("link", "joint"), "link": ("collision", "visual"),
+    "collision": ("origin", "geometry"), "visual": ("origin", "geometry"),
+    "geometry": tuple(_SHAPES), "joint": ("parent", "child", "origin", "axis", "limit"),
+}  # fmt: skip
+"""The elements that are used, by the one that holds them."""
+_ATTRIBUTES = {*_COUNTS, "name", "type", "link", "filename"}
+"""The attributes that are used."""
+_PREFIXES = re.compile(r"[<\s]([A-Za-z]\w{0,30}):(?=[A-Za-z])")
+_DECLARED = re.compile(r"\bxmlns:(\w+)\s*=")
+_OPTENV = re.compile(r"\$\(optenv\s([^()]{0,1000}+)\)")
+
+
+def read_tree(text: str, path: Path) -> Element:
+    """Parse a URDF and check what the parser of URDFs would choke on or take in silence.
+
+    Raises:
+        UrdfError: It cannot be used.
+    """
+    tree: Element = parse_xml(_declared(_OPTENV.sub(_default, text)), path, error=UrdfError)
+    if tree.tag != "robot":
+        raise UrdfError(f"{path}: the root element is <{tree.tag}>, a URDF has <robot>")
+    _check_tree(path, tree)
+    return tree
+
+
+def _declared(text: str) -> str:
+    """Declare prefixes that a file uses undeclared, as `drake:`; ROS does not mind them."""
+    unknown = set(_PREFIXES.findall(text)) - set(_DECLARED.findall(text)) - {"xmlns", "xml"}
+    names = "".join(f' xmlns:{prefix}="{prefix}"' for prefix in sorted(unknown))
+    return re.sub(r"<robot(?=[\s>])", f"<robot{names}", text, count=1) if names else text
+
+
+def _default(optenv: re.Match[str]) -> str:
+    """What `$(optenv NAME DEFAULT)` says where NAME is not set, which here it never is."""
+    words = optenv[1].split(None, 1)
+    return words[1] if len(words) == 2 else ""
+
+
+def _check_tree(path: Path, tree: Element) -> None:
+    """Refuse what a parser would choke on or, worse, take in silence."""
+    if not tree.get("name"):
+        raise UrdfError(f"{path}: <robot> has no name")
+    if len(tree.findall("link")) > MAX_LINKS or len(tree.findall("joint")) > MAX_LINKS:
+        raise UrdfError(f"{path}: more than {MAX_LINKS} links")
+    for kind in ("collision", "visual"):
+        if len(tree.findall(f"link/{kind}")) > MAX_SHAPES:
+            raise UrdfError(f"{path}: more than {MAX_SHAPES} {kind} elements; use simpler shapes")
+    level = [tree]
+    for _ in range(MAX_DEPTH):
+        level = [child for element in level for child in element]
+    if level:
+        raise UrdfError(f"{path}: elements are nested deeper than {MAX_DEPTH}")
+    for part in tree:
+        if not isinstance(part.tag, str):
+            continue
+        if "xacro" in part.tag:
+            raise UrdfError(f"{path}: holds xacro macros; expand it first: xacro IN > OUT.urdf")
+        if part.tag in ("link", "joint"):
+            name = part.get("name", "")
+            if not name.strip() or not name.isprintable() or len(name) > 500:
+                raise UrdfError(f"{path}: a {part.tag} has no usable name: {name!r:.60}")
+            _check_part(part, f"{path}: {part.tag} {name!r}")
+
+
+def _check_part(part: Any, where: str) -> None:
+    """Check the numbers and shapes of a link or joint; commas stand for spaces."""
+    for element in part.iter():
+        if element.tag == "geometry":
+            _check_geometry(element, where)
+        if element.tag in ("collision", "visual") and element.find("geometry") is None:
+            raise UrdfError(f"{where}: a <{element.tag}> has no <geometry>")
+        for key in _COUNTS.keys() & set(element.keys()):
+            if element.tag in ("texture", "color"):
+                continue
+            text = element.get(key)
+            values = [_float(word) for word in text.replace(",", " ").split()]
+            if len(values) not in _COUNTS[key] or not all(map(math.isfinite, values)):
+                count = " or ".join(map(str, _COUNTS[key]))
+                raise UrdfError(
+                    f"{where}: {key}={text!r:.80} in <{element.tag}> must be {count} finite "
+                    f"number{'s' * (count != '1')}"
+                )
+            if key in _LENGTHS and max(map(abs, values)) > MAX_SIZE:
+                raise UrdfError(f"{where}: {key}={text!r:.80} is larger than {MAX_SIZE:g}")
+            if key in ("size", "radius", "length") and min(values) <= 0:
+                raise UrdfError(f"{where}: {key}={text!r:.80} in <{element.tag}> must be > 0")
+    if part.tag == "joint":
+        for end in ("parent", "child"):
+            element = part.find(end)
+            if element is None:
+                raise UrdfError(f"{where} has no <{end}>")
+            if not element.get("link"):
+                raise UrdfError(f"{where}: <{end}> has no link")
+
+
+def _check_geometry(geometry: Any, where: str) -> None:
+    tags = [child.tag for child in geometry]
+    if len(tags) != 1 or tags[0] not in _SHAPES:
+        found, shapes = ", ".join(map(str, tags)) or "nothing", ", ".join(_SHAPES)
+        raise UrdfError(f"{where}: <geometry> holds {found:.80}; it must be one of {shapes}")
+    for key in _SHAPES[tags[0]]:
+        if not geometry[0].get(key):
+            raise UrdfError(f"{where}: <{tags[0]}> has no {key}")
+
+
+def _float(word: str) -> float:
+    try:
+        return float(word)
+    except ValueError:
+        return math.nan
+
+
+def needed(element: Element) -> Element:
+    """A tree or a part of the tree with what is needed alone, so that no parser meets the rest."""
+    found = Element(element.tag)
+    for key, value in element.items():
+        if key in _ATTRIBUTES:
+            found.set(key, value.replace(",", " ") if key in _COUNTS else value)
+    for child in element:
+        if child.tag in _PARTS.get(element.tag, ()):
+            found.append(needed(child))
+    return found
+
+
+def fix_root_joints(tree: Element) -> tuple[str, ...]:
+    """Fix the planar and floating joints at the root, which stand for a base that drives.
+
+    Returns:
+        Their names.
+    """
+    joints = tree.findall("joint")
+    children = {_link(joint, "child") for joint in joints}
+    loose = [
+        joint
+        for joint in joints
+        if joint.get("type") in ("planar", "floating") and _link(joint, "parent") not in children
+    ]
+    for joint in loose:
+        joint.set("type", "fixed")
+    return tuple(joint.get("name", "") for joint in loose)
+
+
+def _link(joint: Element, end: str) -> str:
+    element = joint.find(end)
+    return "" if element is None else element.get("link", "")
+
+
+def mimics(tree: Element, path: Path, scale: float) -> dict[str, Mimic]:
+    """What each joint follows, by its name, everything scaled.
+
+    Raises:
+        UrdfError: It is no usable number, or no joint.
+    """
+    slides = {
+        joint.get("name", ""): joint.get("type") == "prismatic" for joint in tree.findall("joint")
+    }
+    found = {}
+    for joint in tree.findall("joint"):
+        mimic, name = joint.find("mimic"), joint.get("name", "")
+        if mimic is None or joint.get("type") == "fixed":
+            continue
+        where, other = f"{path}: joint {name!r}", mimic.get("joint", "")
+        if other not in slides:
+            raise UrdfError(f"{where}: mimic names the joint {other!r:.80}, which does not exist")
+        texts = mimic.get("multiplier", "1"), mimic.get("offset", "0")
+        ratio, offset = map(_float, texts)
+        if not (abs(ratio) <= MAX_SIZE and abs(offset) <= MAX_SIZE):
+            raise UrdfError(
+                f"{where}: mimic has multiplier={texts[0]!r:.40} and offset={texts[1]!r:.40}; they "
+                "must be finite numbers"
+            )
+        lengths = scale if slides[name] else 1.0
+        found[name] = Mimic(
+            other, ratio * lengths / (scale if slides[other] else 1.0), offset * lengths
+        )
+    return found

@@ -1,1 +1,0 @@
-"""How the base drives: the cost map and driving lengths over it."""

@@ -1,1 +1,0 @@
-"""The web page: a room, a robot, a question and its answer, moving."""

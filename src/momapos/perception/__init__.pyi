@@ -1,0 +1,15 @@
+from .next_views import scan_again as scan_again
+from .pipeline import cloud_after as cloud_after
+from .pipeline import default_tools as default_tools
+from .pipeline import model_room as model_room
+from .pipeline import name_of as name_of
+from .pipeline import survey as survey
+from .records import Decision as Decision
+from .records import Found as Found
+from .records import Modeled as Modeled
+from .records import Progress as Progress
+from .records import ScanConfig as ScanConfig
+from .records import Survey as Survey
+from .records import Target as Target
+from .records import Tools as Tools
+from .records import silent as silent

@@ -1,0 +1,67 @@
+"""A detector over all images of a scan, each turned so that up is up."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from momapos.model.records import Detector, Frame, ImageDetection
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+Rectangle = tuple[float, float, float, float]
+"""Left, top, right, bottom [px]."""
+
+
+def detect(frames: Sequence[Frame], detector: Detector) -> dict[str, list[ImageDetection]]:
+    """What a detector finds in all images, by the frame's name.
+
+    Detectors learned from upright photographs; a phone is often held on its side.
+
+    Args:
+        frames: With poses in a world whose z points up.
+        detector: Called by several threads.
+    """
+
+    def look(frame: Frame) -> list[ImageDetection]:
+        turns = turns_to_upright(frame.T_world_camera)
+        height, width = frame.color.shape[:2]
+        return [
+            ImageDetection(turned_back(item.box, turns, (width, height)), item.label, item.score)
+            for item in detector(np.ascontiguousarray(np.rot90(frame.color, turns)))
+        ]
+
+    with ThreadPoolExecutor(max_workers=2) as pool:
+        results = list(pool.map(look, frames))
+    return {frame.name: result for frame, result in zip(frames, results, strict=True)}
+
+
+def turns_to_upright(T_world_camera: Float[np.ndarray, "4 4"]) -> int:
+    """Quarter turns counterclockwise that bring an image's top nearest to the world's up."""
+    right, down, _ = T_world_camera[2, :3]  # how much each axis of the camera points up
+    if max(abs(right), abs(down)) < 0.1:  # straight up or down: nothing is upright
+        return 0
+    return int(np.round(np.arctan2(right, -down) / (np.pi / 2))) % 4
+
+
+def turned_back(box: Rectangle, turns: int, size: tuple[int, int]) -> Rectangle:
+    """A rectangle of an image that was turned, in the image as it was taken.
+
+    Args:
+        box: In the turned image.
+        turns: Quarter turns counterclockwise that it was turned by.
+        size: Width and height of the image as it was taken [px].
+    """
+    left, top, right, bottom = box
+    width, height = size
+    if turns == 1:
+        return width - bottom, left, width - top, right
+    if turns == 2:
+        return width - right, height - bottom, width - left, height - top
+    if turns == 3:
+        return top, height - right, bottom, height - left
+    return box

@@ -1,0 +1,203 @@
+"""What a thing is, by the votes of all images that show it.
+
+Each detection in an image votes for the thing whose visible points it holds and whose rectangle
+is its own: rectangle and depth together, since what stands before or behind lies in it as well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from momapos.core.geometry import apply, invert
+from momapos.model.records import Cloud, Detection, Frame, ImageDetection
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
+
+LONGEST_EDGE: Mapping[str, tuple[float, float]] = {
+    "apple": (0.04, 0.15), "backpack": (0.2, 0.8), "banana": (0.08, 0.3), "bed": (0.8, 3.0),
+    "bench": (0.5, 4.0), "book": (0.1, 0.6), "bottle": (0.08, 0.5), "bowl": (0.06, 0.5),
+    "cell phone": (0.06, 0.25), "chair": (0.2, 1.5), "clock": (0.06, 1.2), "couch": (0.6, 4.0),
+    "cup": (0.04, 0.25), "fork": (0.08, 0.35), "fridge": (0.4, 2.5), "handbag": (0.12, 0.7),
+    "keyboard": (0.2, 0.6), "knife": (0.08, 0.5), "laptop": (0.18, 0.6), "microwave": (0.25, 0.9),
+    "mouse": (0.05, 0.2), "orange": (0.04, 0.15), "oven": (0.3, 2.3), "plant": (0.08, 2.5),
+    "remote": (0.06, 0.35), "scissors": (0.06, 0.35), "screen": (0.15, 2.5), "sink": (0.2, 1.5),
+    "spoon": (0.08, 0.4), "suitcase": (0.3, 1.2), "table": (0.35, 5.0), "toaster": (0.15, 0.6),
+    "toilet": (0.3, 1.2), "umbrella": (0.15, 1.5), "vase": (0.06, 0.8), "wine glass": (0.08, 0.35),
+}  # fmt: skip
+"""Least and greatest longest edge of things, of what is seen of them in part as well [m]: to a
+small network a lunch box on a table is a telephone."""
+
+
+Votes = dict[str, dict[str, float]]
+"""Of one thing: weights in [0, 1] by label and by the image's name, one an image."""
+
+
+@dataclass(frozen=True)
+class VoteConfig:
+    """When images are believed."""
+
+    points: int = 400
+    """Points of a thing that are looked up in every image [-]."""
+    near: float = 0.03
+    """Depth agrees with a point within this [m], and 2 % of its distance."""
+    shown: float = 0.2
+    """An image shows a thing where at least this share of its points is visible [-]."""
+    least_pixels: float = 20.0
+    """Things whose image is smaller are not seen in it [px]."""
+    inside: float = 0.5
+    """A detection votes for things with this share of their visible points in it [-]."""
+    overlap: float = 0.25
+    """And whose rectangle it overlaps this much (IoU) [-]."""
+    blur: float = 0.01
+    """Rectangles are widened by this share of the image's width: color and depth of many
+    sensors are a few pixels off [-]."""
+    hits: int = 2
+    """Least number of images that give the label [-]."""
+    sure: float = 0.35
+    """Least confidence of a label [-]."""
+    misses: int = 5
+    """In so many images of a thing a detector would have told what it knows [-]."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What the images say of one thing."""
+
+    label: str
+    """"" where they do not agree on one."""
+    confidence: float
+    """Of the label, in [0, 1]."""
+    hits: int
+    """Images that gave it [-]."""
+    seen: int
+    """Images that show the thing [-]."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Samples:
+    """Some points of all things."""
+
+    points: Float[np.ndarray, "n 3"]
+    owner: Int[np.ndarray, " n"]
+    count: Int[np.ndarray, " things"]
+
+
+def vote(
+    things: Sequence[Detection],
+    cloud: Cloud,
+    frames: Sequence[Frame],
+    found: Mapping[str, Sequence[ImageDetection]],
+    config: VoteConfig | None = None,
+) -> list[Verdict]:
+    """What the images say of each thing.
+
+    Args:
+        things: With members in the cloud; what has none is in no image.
+        cloud: In the world of the frames.
+        frames: The images that were looked at.
+        found: What was found in them, by the frame's name.
+        config: Constants.
+    """
+    config = config or VoteConfig()
+    samples = _sampled(things, cloud, config.points)
+    votes: list[Votes] = [{} for _ in things]
+    seen = np.zeros(len(things), int)
+    if len(samples.points):
+        longest = np.array([item.box.size.max() for item in things])
+        for frame in frames:
+            _count(frame, found.get(frame.name, ()), samples, longest, votes, seen, config)
+    return [_verdict(weights, int(n), config) for weights, n in zip(votes, seen, strict=True)]
+
+
+def _count(
+    frame: Frame,
+    found: Sequence[ImageDetection],
+    samples: _Samples,
+    longest: Float[np.ndarray, " things"],
+    votes: list[Votes],
+    seen: Int[np.ndarray, " things"],
+    config: VoteConfig,
+) -> None:
+    """Add the votes of one image."""
+    pixels, visible = visible_points(frame, samples.points, config.near)
+    owner, at = samples.owner[visible], pixels[visible]
+    number = np.bincount(owner, minlength=len(samples.count))
+    low, high = np.full((len(number), 2), np.inf), np.full((len(number), 2), -np.inf)
+    np.minimum.at(low, owner, at)
+    np.maximum.at(high, owner, at)
+    shown = (number >= 8) & (number >= config.shown * samples.count)
+    shown &= (high - low).max(axis=1) >= config.least_pixels
+    seen += shown
+    if not found or not shown.any():
+        return
+    margin = config.blur * frame.color.shape[1]
+    low, high = low - margin, high + margin
+    for item in found:
+        first, last = np.array(item.box[:2]) - margin, np.array(item.box[2:]) + margin
+        held = ((at >= first) & (at <= last)).all(axis=1)
+        inside = np.bincount(owner[held], minlength=len(number)) / np.maximum(number, 1)
+        both = np.prod(np.maximum(np.minimum(high, last) - np.maximum(low, first), 0), axis=1)
+        alike = both / (np.prod(high - low, axis=1) + np.prod(last - first) - both)
+        least, most = LONGEST_EDGE.get(item.label, (0.0, np.inf))
+        fits = shown & (inside >= config.inside) & (alike >= config.overlap)
+        fits &= (longest >= least) & (longest <= most)
+        for k in np.flatnonzero(fits).tolist() if item.label else ():
+            weight = float(item.score * inside[k] * alike[k])
+            of_label = votes[k].setdefault(item.label, {})
+            of_label[frame.name] = max(weight, of_label.get(frame.name, 0.0))
+
+
+def _verdict(votes: Votes, seen: int, config: VoteConfig) -> Verdict:
+    """The label with most votes, where enough images agree on it.
+
+    Each vote is taken as the probability that it is right, and votes against it as doubt.
+    """
+    if not votes:
+        return Verdict("", 0.0, 0, seen)
+    total = {label: sum(weights.values()) for label, weights in votes.items()}
+    best = max(sorted(total), key=lambda label: total[label])
+    wrong = float(np.prod([1.0 - weight for weight in votes[best].values()]))
+    confidence = (1.0 - wrong) * total[best] / sum(total.values())
+    if len(votes[best]) < config.hits or confidence < config.sure:
+        return Verdict("", 0.0, 0, seen)
+    return Verdict(best, confidence, len(votes[best]), seen)
+
+
+def visible_points(
+    frame: Frame, points: Float[np.ndarray, "n 3"], near: float
+) -> tuple[Float[np.ndarray, "n 2"], Bool[np.ndarray, " n"]]:
+    """Where points are in an image [px], and which of them it shows.
+
+    A point is hidden where something else was measured at its pixel. Where nothing was measured,
+    as on black and mirroring surfaces, it may be seen; an image without depth hides nothing.
+    """
+    local = apply(invert(frame.T_world_camera), points)
+    before = local[:, 2] > 0.05
+    distance = np.where(before, local[:, 2], 1.0)
+    pixels = (local @ frame.intrinsics.T)[:, :2] / distance[:, None]
+    height, width = frame.color.shape[:2]
+    nearest = np.floor(pixels + 0.5)  # intrinsics count from the middle of the first pixel
+    visible = before & (nearest >= 0).all(axis=1) & (nearest < [width, height]).all(axis=1)
+    if frame.depth is not None:
+        x, y = np.where(visible[:, None], nearest, 0).astype(int).T
+        measured = frame.depth[y, x]
+        agree = np.abs(measured - distance) < near + 0.02 * distance
+        visible &= agree | (measured == 0)
+    return pixels, visible
+
+
+def _sampled(things: Sequence[Detection], cloud: Cloud, most: int) -> _Samples:
+    """Points of all things, evenly among those of each."""
+    chosen = []
+    for item in things:
+        members = np.asarray(item.members, int)
+        keep = np.linspace(0, len(members) - 1, min(most, len(members))).astype(int)
+        chosen.append(members[keep])
+    count = np.array([len(members) for members in chosen], int)
+    among = np.concatenate([np.zeros(0, int), *chosen])
+    return _Samples(cloud.points[among], np.repeat(np.arange(len(things)), count), count)

@@ -1,0 +1,260 @@
+"""Turning a scan upright: z up, the floor at z = 0, walls along x and y.
+
+A room is mostly horizontal and vertical surfaces, and cameras are held roughly upright or on their
+side: up is the direction, not far from the cameras' own, that most normals are along or square to.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from momapos.core import InputError
+from momapos.core.geometry import pose
+from momapos.model.records import Cloud, Frame
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
+
+EDGES = np.array([1.0, 0.99, 0.99, 0.98])
+"""How much is believed that the top, right, left and lower edge of an image is up [-]."""
+DOWN = 0.005
+"""And that it was taken looking down [-]."""
+STEEP = 0.25
+"""Of an image taken steeply up or down, its edges tell less: the cosine of its pitch from which on
+they do [-]."""
+MOST_FRAMES = 100
+"""Images that are asked; more add nothing."""
+SEARCHED = ((4.0, 0.25), (0.25, 0.05))
+"""Turns that are tried about the likeliest one, first coarsely: reach and step [degrees]."""
+
+
+@dataclass(frozen=True)
+class GravityConfig:
+    """How up is found."""
+
+    cone: float = 60.0
+    """Up is looked for within this angle of the cameras' mean up direction [degrees]; cameras
+    look down at a kitchen, so that their up leans forward."""
+    spread: float = 6.0
+    """Normals within this angle belong to a direction [degrees]."""
+    floor_share: float = 0.06
+    """The floor is the lowest plane with this share of the upward points [-]."""
+    layer: float = 0.03
+    """Half the thickness of a horizontal plane [m]."""
+    plane: float = 0.01
+    """Points of one upright plane share a coordinate to within this [m]."""
+    steady: float = 0.5
+    """A world that is turned by less is left as it is [degrees]: whoever made it knew better
+    than planes in a noisy cloud can tell."""
+    most_points: int = 40_000
+    """Points that directions are counted over; more add nothing."""
+
+
+def align_to_gravity(
+    cloud: Cloud, frames: Sequence[Frame], config: GravityConfig | None = None
+) -> Float[np.ndarray, "4 4"]:
+    """Find the transform that makes a scan upright.
+
+    Args:
+        cloud: Surfaces with normals, in the world of the scan.
+        frames: Where the cameras were; without any, the world's z axis is taken for roughly up.
+        config: Constants.
+
+    Returns:
+        `T_up_cloud`: z is up, the floor is at z = 0, walls and furniture are along x and y. The
+        turn about z is the smallest that does this, at most 45 degrees.
+
+    Raises:
+        InputError: The cloud has too few points, or no horizontal surface.
+    """
+    config = config or GravityConfig()
+    if len(cloud.points) < 100:
+        raise InputError(f"a cloud of {len(cloud.points)} points cannot be turned upright")
+    step = -(-len(cloud.points) // config.most_points)
+    points, normals = cloud.points[::step], cloud.normals[::step]
+    up = _search(normals, _camera_up(frames), config)
+    if not _along(normals, up, config).any():
+        raise InputError("the scan shows no horizontal surface: up cannot be found")
+    for _ in range(3):
+        up = _fit(points, normals, up, config)
+    R_up_cloud = _least_turn(up)
+    offset = _yaw_offset(points @ R_up_cloud.T, normals @ R_up_cloud.T, config)
+    R_up_cloud = Rotation.from_euler("z", -offset).as_matrix() @ R_up_cloud
+    if np.degrees(Rotation.from_matrix(R_up_cloud).magnitude()) < config.steady:
+        R_up_cloud = np.eye(3)
+    along = _along(normals, R_up_cloud[2], config)
+    z_floor = _floor_height(points[along] @ R_up_cloud[2], config)
+    return pose((0.0, 0.0, -z_floor), R_up_cloud)
+
+
+def _camera_up(frames: Sequence[Frame]) -> Float[np.ndarray, "3"]:
+    """Where up roughly is, if the images were taken upright or with the camera on its side.
+
+    However far cameras look up or down, they are held level: of the four edges of nearly every
+    image one points up, and the two beside it are square to up. Where cameras turn to many sides
+    and look more and less down, that holds for one direction alone; before they have, the top edge
+    is taken, and the one for which the camera looks down.
+    """
+    if not frames:
+        return np.array([0.0, 0.0, 1.0])
+    step = -(-len(frames) // MOST_FRAMES)
+    R = np.array([frame.T_world_camera[:3, :3] for frame in frames[::step]], float)
+    edges = np.stack([-R[:, :, 1], R[:, :, 0], -R[:, :, 0], R[:, :, 1]], axis=1)
+    tried = np.concatenate([edges.reshape(-1, 3), *map(_square_to, (R[:, :, 0], R[:, :, 1]))])
+    along = np.einsum("fek,tk->tfe", edges, tried)
+    in_image = np.hypot(along, along[..., [1, 0, 3, 2]])
+    held = along / np.maximum(in_image, 1e-9) * np.minimum(in_image / STEEP, 1.0)
+    down = -R[:, :, 2] @ tried.T
+    best = tried[np.argmax((held * EDGES).max(axis=2).mean(axis=1) + DOWN * down.mean(axis=0))]
+    own = np.argmax(edges @ best * EDGES, axis=1)
+    mean = edges[np.arange(len(edges)), own].mean(axis=0)
+    length = np.linalg.norm(mean)
+    return mean / length if length > 0.1 else np.array([0.0, 0.0, 1.0])
+
+
+def _square_to(edges: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "2 3"]:
+    """The direction most square to all of some unit vectors, and its opposite."""
+    direction = np.linalg.eigh(edges.T @ edges)[1][:, 0]
+    return np.stack([direction, -direction])
+
+
+def _search(
+    normals: Float[np.ndarray, "n 3"], guess: Float[np.ndarray, "3"], config: GravityConfig
+) -> Float[np.ndarray, "3"]:
+    """The direction near a guess that most normals are along, or square to."""
+    directions = _cap(guess, np.radians(config.cone), 1200)
+    width = np.radians(config.spread)
+    cosines = normals[:: max(1, len(normals) // 5000)] @ directions.T
+    # Both counts fall off smoothly, so that the best of a coarse set is near the best of all.
+    along = np.exp((np.minimum(cosines, 1.0) - 1) / (1 - np.cos(width))).mean(axis=0)
+    square = np.exp(-((cosines / np.sin(width)) ** 2)).mean(axis=0)
+    # Walls show up but do not tell it from any other direction in their plane: they count less.
+    return directions[np.argmax(along + 0.5 * square)]
+
+
+def _cap(axis: Float[np.ndarray, "3"], angle: float, count: int) -> Float[np.ndarray, "count 3"]:
+    """Unit vectors within an angle [rad] of an axis, evenly spread (a spiral)."""
+    k = np.arange(count) + 0.5
+    z = 1 - (1 - np.cos(angle)) * k / count
+    turn = np.pi * (1 + 5**0.5) * k
+    ring = np.sqrt(1 - z * z)
+    local = np.stack([ring * np.cos(turn), ring * np.sin(turn), z], axis=1)
+    return local @ _least_turn(axis)
+
+
+def _least_turn(up: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
+    """The smallest rotation that brings a unit vector to the z axis."""
+    axis = np.cross(up, [0.0, 0.0, 1.0])
+    sine = np.linalg.norm(axis)
+    if sine < 1e-12:
+        return np.eye(3) if up[2] > 0 else np.diag([1.0, -1.0, -1.0])
+    return Rotation.from_rotvec(axis / sine * np.arctan2(sine, up[2])).as_matrix()
+
+
+def _along(
+    normals: Float[np.ndarray, "n 3"], up: Float[np.ndarray, "3"], config: GravityConfig
+) -> Bool[np.ndarray, " n"]:
+    return normals @ up > np.cos(np.radians(2 * config.spread))
+
+
+def _fit(
+    points: Float[np.ndarray, "n 3"],
+    normals: Float[np.ndarray, "n 3"],
+    up: Float[np.ndarray, "3"],
+    config: GravityConfig,
+) -> Float[np.ndarray, "3"]:
+    """Fit parallel planes to all horizontal surfaces at once; their common normal is up."""
+    flat = points[_along(normals, up, config)]
+    layer = _layers(flat @ up, config)
+    flat, layer = flat[layer >= 0], layer[layer >= 0]
+    if not len(flat):
+        return up
+    means = np.stack(
+        [np.bincount(layer, flat[:, a]) / np.maximum(np.bincount(layer), 1) for a in range(3)], 1
+    )
+    spread = flat - means[layer]
+    values, vectors = np.linalg.eigh(spread.T @ spread)
+    fitted = vectors[:, 0] * np.sign(vectors[:, 0] @ up)
+    # One narrow strip of surface leaves a direction open: then the mean normal is the better one.
+    if values[1] < 20 * values[0]:
+        fitted = normals[_along(normals, up, config)].mean(axis=0)
+    return fitted / np.linalg.norm(fitted)
+
+
+def _layers(z: Float[np.ndarray, " n"], config: GravityConfig) -> Int[np.ndarray, " n"]:
+    """Number the planes among heights: the peaks of their histogram; -1 for points between."""
+    low, histogram = _histogram(z, config.layer)
+    out = np.full(len(z), -1)
+    for number in range(8):
+        peak = int(np.argmax(histogram))
+        if histogram[peak] < 0.02 * len(z):
+            break
+        height = low + (peak + 0.5) * config.layer
+        out[(np.abs(z - height) < config.layer) & (out < 0)] = number
+        histogram[max(0, peak - 2) : peak + 3] = 0
+    return out
+
+
+def _histogram(z: Float[np.ndarray, " n"], width: float) -> tuple[float, Int[np.ndarray, " bins"]]:
+    """Count heights in layers: the lower end of the first layer, and the counts."""
+    low = float(np.percentile(z, 0.1)) - width
+    bins = np.floor((z - low) / width).astype(int)
+    return low, np.bincount(bins[bins >= 0], minlength=1)
+
+
+def _floor_height(z: Float[np.ndarray, " n"], config: GravityConfig) -> float:
+    """Height of the lowest large plane among points that face up [m]."""
+    low, histogram = _histogram(z, config.layer)
+    window = np.convolve(histogram, np.ones(2, int), "same")
+    large = window >= config.floor_share * len(z)
+    first = int(np.argmax(large)) if large.any() else int(np.argmax(window))
+    stop = min(first + 3, len(histogram))
+    peak = first + int(np.argmax(histogram[first:stop]))
+    height = low + (peak + 0.5) * config.layer
+    return float(np.median(z[np.abs(z - height) < config.layer]))
+
+
+def _yaw_offset(
+    points: Float[np.ndarray, "n 3"], normals: Float[np.ndarray, "n 3"], config: GravityConfig
+) -> float:
+    """Turn of vertical surfaces from x and y, counterclockwise, in (-pi/4, pi/4] [rad].
+
+    Normals tell it to a few degrees; then planes along x and y are where most points share a
+    coordinate.
+    """
+    upright = np.abs(normals[:, 2]) < np.sin(np.radians(2 * config.spread))
+    if upright.sum() < 50:
+        return 0.0
+    places, facing = points[upright, :2], normals[upright, :2]
+    # Directions 90 degrees apart are one: counted on a circle of a quarter turn.
+    quarter = np.mod(np.arctan2(facing[:, 1], facing[:, 0]), np.pi / 2)
+    bins = np.bincount((quarter / (np.pi / 2) * 90).astype(int) % 90, minlength=90)
+    smooth = sum(np.roll(bins, shift) for shift in range(-2, 3))
+    turn = (float(np.argmax(smooth)) + 0.5) / 90 * np.pi / 2
+    for reach, step in SEARCHED:
+        tried = turn + np.radians(np.arange(-reach, reach + step / 2, step))
+        turn = tried[np.argmax([_sharpness(places, facing, one, config) for one in tried])]
+    return float(np.mod(turn + np.pi / 4, np.pi / 2) - np.pi / 4)
+
+
+def _sharpness(
+    places: Float[np.ndarray, "n 2"],
+    facing: Float[np.ndarray, "n 2"],
+    turn: float,
+    config: GravityConfig,
+) -> float:
+    """How many points share a coordinate across their surface in axes that are turned [rad]."""
+    c, s = np.cos(turn), np.sin(turn)
+    axes = np.array([[c, -s], [s, c]])
+    along = np.abs(facing @ axes) > np.cos(np.radians(2 * config.spread))
+    counts = [
+        _histogram(at[own], config.plane)[1].astype(float)
+        for at, own in zip((places @ axes).T, along.T, strict=True)
+        if own.any()
+    ]
+    return float(sum(count @ count for count in counts))

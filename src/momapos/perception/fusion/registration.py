@@ -1,0 +1,138 @@
+"""Where one upright scan of a room lies in another one of the same room."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.fft import irfft2, rfft2
+from scipy.spatial import cKDTree
+
+from momapos.core import InputError
+from momapos.core.geometry import apply, pose, rotation_about
+from momapos.model.records import Cloud
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+UP = np.array([0.0, 0.0, 1.0])
+TURNS = tuple(np.pi / 2 * k for k in range(4))
+"""Upright scans have walls along x and y, so one is turned by quarters against the other [rad]."""
+
+
+@dataclass(frozen=True)
+class RegistrationConfig:
+    """How two scans are brought together."""
+
+    floor: float = 0.05
+    """What is lower tells nothing: all floors are alike [m]."""
+    cell: float = 0.05
+    """Edge of the cells in which what stands in the room is counted, seen from above [m]."""
+    most_points: int = 20_000
+    """Points of either scan that are compared [-]."""
+    rounds: int = 30
+    """Steps of the fit [-]."""
+    near: tuple[float, float] = (0.25, 0.04)
+    """Points belong together up to this distance in the first and in the last step [m]."""
+    same: float = 0.04
+    """What has a point of the other scan this near is in both [m]."""
+    share: float = 0.6
+    """Two scans are of one room when so much of one of them is in the other [-]."""
+
+
+def register(
+    cloud: Cloud, other: Cloud, config: RegistrationConfig | None = None
+) -> Float[np.ndarray, "4 4"]:
+    """Find where another upright scan of the same room lies.
+
+    Args:
+        cloud: One scan, upright.
+        other: The other one, upright too; it may be turned about z by quarters, and moved.
+        config: Constants.
+
+    Returns:
+        `T_cloud_other`; a turn about z and a shift.
+
+    Raises:
+        InputError: They are not of one room.
+    """
+    config = config or RegistrationConfig()
+    points, normals = _standing(cloud, config)
+    others, _ = _standing(other, config)
+    tree = cKDTree(points)
+    guesses = [np.eye(4), *(_shifted(points, others, turn, config) for turn in TURNS)]
+    shares = [_share(tree, apply(T, others), 2 * config.cell) for T in guesses]
+    T = _fit(tree, normals, others, guesses[int(np.argmax(shares))], config)
+    moved = apply(T, others)
+    share = max(_share(tree, moved, config.same), _share(cKDTree(moved), points, config.same))
+    if share < config.share:
+        raise InputError(
+            f"the two scans are not of one room: {share:.0%} of what stands in one of them is in "
+            f"the other, at least {config.share:.0%} must be"
+        )
+    return T
+
+
+def _standing(
+    cloud: Cloud, config: RegistrationConfig
+) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
+    """Some of the points above the floor, and their normals."""
+    keep = np.flatnonzero(cloud.points[:, 2] > config.floor)
+    if not len(keep):
+        raise InputError("a scan shows nothing but the floor: it cannot be compared with another")
+    keep = keep[:: -(-len(keep) // config.most_points)]
+    return cloud.points[keep], cloud.normals[keep]
+
+
+def _shifted(
+    points: Float[np.ndarray, "n 3"],
+    others: Float[np.ndarray, "m 3"],
+    turn: float,
+    config: RegistrationConfig,
+) -> Float[np.ndarray, "4 4"]:
+    """The shift for which most of two rooms falls on each other, seen from above, after a turn."""
+    R = rotation_about(UP, np.array(turn))
+    turned = others @ R.T
+    low = np.minimum(points.min(0), turned.min(0))[:2]
+    high = np.maximum(points.max(0), turned.max(0))[:2]
+    shape = tuple((2 * np.ceil((high - low) / config.cell).astype(int) + 2).tolist())
+
+    def raster(xyz: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "w h"]:
+        cells = np.floor((xyz[:, :2] - low) / config.cell).astype(int)
+        count = np.zeros(shape)
+        np.add.at(count, (cells[:, 0], cells[:, 1]), 1.0)
+        return np.sqrt(count)  # so that a high wall does not outweigh the rest
+
+    match = irfft2(rfft2(raster(points)) * np.conj(rfft2(raster(turned))), shape)
+    best = np.array(np.unravel_index(int(np.argmax(match)), shape))
+    best = np.where(best > np.array(shape) // 2, best - shape, best)
+    return pose(np.append(best * config.cell, 0.0), R)
+
+
+def _fit(
+    tree: cKDTree,
+    normals: Float[np.ndarray, "n 3"],
+    others: Float[np.ndarray, "m 3"],
+    T: Float[np.ndarray, "4 4"],
+    config: RegistrationConfig,
+) -> Float[np.ndarray, "4 4"]:
+    """Move one cloud until its points lie in the planes of the other's: x, y, z and a turn."""
+    points = np.asarray(tree.data)
+    for near in np.geomspace(*config.near, config.rounds):
+        moved = apply(T, others)
+        away, index = tree.query(moved, distance_upper_bound=near)
+        found = np.isfinite(away)
+        if found.sum() < 4:
+            return T
+        p, q, n = moved[found], points[index[found]], normals[index[found]]
+        J = np.column_stack([n, n[:, 1] * p[:, 0] - n[:, 0] * p[:, 1]])
+        step = np.linalg.lstsq(J, np.sum(n * (q - p), axis=1), rcond=None)[0]
+        T = pose(step[:3], rotation_about(UP, np.array(step[3]))) @ T
+    return T
+
+
+def _share(tree: cKDTree, points: Float[np.ndarray, "n 3"], near: float) -> float:
+    """Share of points that have one of a tree near them."""
+    away, _ = tree.query(points, distance_upper_bound=near)
+    return float(np.isfinite(away).mean())

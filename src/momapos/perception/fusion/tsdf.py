@@ -1,0 +1,399 @@
+"""From posed depth images to one cloud: a sparse field of truncated signed distances.
+
+Space is divided into blocks of 8 x 8 x 8 voxels, and only blocks near a measured surface are
+kept. Every image moves the field of the voxels it sees toward its own surface; noise that
+differs from image to image averages out, and what only one image claims is seen through
+by the others (Curless and Levoy, "A volumetric method for building complex models from range
+images", 1996).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numba import njit
+
+from momapos.core import InputError
+from momapos.core.geometry import invert
+from momapos.model.records import Cloud, Frame
+
+from .slopes import TILE, deepest_of, facing_of
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Float32, Int, UInt8
+
+SIDE = 8  # voxels along a block
+VOXEL_RANGE = (0.001, 1.0)
+"""Edge of a voxel [m]."""
+BYTES_PER_VOXEL = 24  # distance, two weights and three colors, four bytes each
+
+
+class Field(NamedTuple):
+    """The signed distances, block by block, as the kernels take them."""
+
+    distance: Float32[np.ndarray, "b v"]
+    """Signed distance at every voxel of every block [margin], in [-1, 1]."""
+    weight: Float32[np.ndarray, "b v"]
+    """How much has been seen of it; 0 where nothing is known."""
+    seen: Float32[np.ndarray, "b v"]
+    """The part of it from looks at a surface in the voxel."""
+    color: Float32[np.ndarray, "b v 3"]
+    blocks: Int[np.ndarray, "b 3"]
+    """Where each block is in the grid of blocks."""
+    block_at: Int[np.ndarray, "x y z"]
+    """The block at each place of that grid; -1 where none is."""
+    origin: Float[np.ndarray, "3"]
+    """Corner of that grid in the world [m]."""
+    voxel: float
+
+
+class Look(NamedTuple):
+    """One image as the kernels take it, with what `facing_of` and `deepest_of` tell of it."""
+
+    depth: Float32[np.ndarray, "h w"]
+    """0 where it is not trusted [m]."""
+    facing: Float32[np.ndarray, "h w"]
+    deepest: Float32[np.ndarray, "a b"]
+    color: UInt8[np.ndarray, "h w 3"]
+    K: Float[np.ndarray, "3 3"]
+    T_camera_world: Float[np.ndarray, "4 4"]
+
+
+@dataclass(frozen=True)
+class FusionConfig:
+    """How images become a cloud."""
+
+    truncation: float = 4.0
+    """Distance to which a surface acts on the field [voxels]; it must cover the sensor's noise."""
+    nearest: float = 0.15
+    """Depth below this is not trusted [m]."""
+    farthest: float = 5.0
+    """Depth beyond this is not trusted: the noise of stereo grows with its square [m]."""
+    grazing: float = 0.17
+    """Least cosine between a ray and the surface's normal, about 80 degrees [-]."""
+    edge: float = 0.04
+    """Pixels beside a larger step in depth are left out, as a share of the depth [-]."""
+    least_weight: float = 0.08
+    """Voxels of less weight give no surface; one look from z meters weighs about 1/z^2 [-]."""
+    least_seen: float = 0.1
+    """Share of a voxel's weight from looks at a surface in it: what bounds the unseen space behind
+    things was never looked at, and is no surface [-]."""
+    most_bytes: int = 2_000_000_000
+    """A room that would need more memory is refused."""
+
+
+def fuse(
+    frames: Sequence[Frame], voxel: float = 0.015, config: FusionConfig | None = None
+) -> Cloud:
+    """Fuse depth images into a cloud.
+
+    Args:
+        frames: Images; those without depth are left out.
+        voxel: Edge of a voxel [m]; there is about one point for every voxel on a surface.
+        config: Constants.
+
+    Returns:
+        Points where the field changes sign, with normals toward the side that was seen, in the
+        world of the frames.
+
+    Raises:
+        InputError: No frame has depth that can be used, a pose is not finite, the voxel is out of
+            `VOXEL_RANGE`, or the room is too large for the memory allowed.
+    """
+    low, high = VOXEL_RANGE
+    if not low <= voxel <= high:  # NaN too
+        raise InputError(f"voxel is {voxel} m; it must be between {low} and {high} m")
+    config = config or FusionConfig()
+    frames = [frame for frame in frames if frame.depth is not None]
+    for frame in frames:
+        if not (np.isfinite(frame.T_world_camera).all() and np.isfinite(frame.intrinsics).all()):
+            raise InputError(f"frame {frame.name}: its pose or intrinsics are not finite numbers")
+        size = np.asarray(frame.depth).shape
+        if size != frame.color.shape[:2]:
+            raise InputError(
+                f"frame {frame.name}: depth is {size} and color "
+                f"{frame.color.shape[:2]} pixels; depth must be registered to color"
+            )
+    margin = config.truncation * voxel
+    origin, index, count = _allocate(frames, voxel, margin, config)
+    field = _empty(index, count, origin, voxel)
+    for frame in frames:
+        _integrate(field, margin, _look(frame, config))
+    field.weight[field.seen < config.least_seen * field.weight] = 0.0
+    points, normals, colors = _extract(field, np.float32(config.least_weight))
+    if not len(points):
+        raise InputError("the frames agree on no surface: check poses and the unit of depth")
+    return Cloud(points, normals, colors)
+
+
+def _empty(
+    index: Int[np.ndarray, "x y z"], count: int, origin: Float[np.ndarray, "3"], voxel: float
+) -> Field:
+    """The field before any image."""
+    where = np.argwhere(index >= 0)
+    where = where[np.argsort(index[tuple(where.T)])]
+    distance, weight, seen = np.zeros((3, count, SIDE**3), np.float32)
+    color = np.zeros((count, SIDE**3, 3), np.float32)
+    return Field(distance, weight, seen, color, where, index, origin, voxel)
+
+
+def _look(frame: Frame, config: FusionConfig) -> Look:
+    depth = _usable(frame, config)
+    K = np.asarray(frame.intrinsics, float)
+    facing = facing_of(depth, K, config.edge, config.grazing)
+    T_camera_world = invert(np.asarray(frame.T_world_camera, float))
+    return Look(depth, facing, deepest_of(depth), frame.color, K, T_camera_world)
+
+
+def _usable(frame: Frame, config: FusionConfig) -> Float32[np.ndarray, "h w"]:
+    """Depth, with zero where it is not trusted."""
+    depth = np.asarray(frame.depth, np.float32)
+    trusted = (depth > config.nearest) & (depth < config.farthest)  # NaN compares as false
+    return np.where(trusted, depth, np.float32(0.0))
+
+
+def _allocate(
+    frames: Sequence[Frame], voxel: float, margin: float, config: FusionConfig
+) -> tuple[Float[np.ndarray, "3"], Int[np.ndarray, "x y z"], int]:
+    """Find the blocks near measured surfaces.
+
+    Returns:
+        Corner of the grid of blocks [m], the number of each block (-1 where there is none), and
+        how many there are.
+    """
+    size = SIDE * voxel
+    samples = [_samples(frame, config, size) for frame in frames]
+    points = np.concatenate([np.zeros((0, 3)), *samples])
+    if not len(points):
+        raise InputError(
+            f"no depth between {config.nearest} and {config.farthest} m in any of the "
+            f"{len(frames)} frames that have depth; depth must be in meters"
+        )
+    low = points.min(axis=0) - margin - size
+    cells = np.ceil((points.max(axis=0) + margin + size - low) / size).astype(np.int64)
+    most = config.most_bytes // (SIDE**3 * BYTES_PER_VOXEL + 4)
+    if np.prod(cells.astype(float)) * 4 > config.most_bytes:
+        raise InputError(_too_large(cells * size, voxel, config))
+    index = np.full(tuple(cells), -1, np.int32)
+    count = _mark(index, points, low, size, margin)
+    if count > most:
+        raise InputError(_too_large(cells * size, voxel, config))
+    return low, index, count
+
+
+def _too_large(extent: Float[np.ndarray, "3"], voxel: float, config: FusionConfig) -> str:
+    x, y, z = extent
+    return (
+        f"a room of {x:.0f} x {y:.0f} x {z:.0f} m in voxels of {voxel * 1000:.0f} mm needs more "
+        f"than {config.most_bytes / 1e9:.1f} GB; take larger voxels, or check the poses"
+    )
+
+
+def _samples(frame: Frame, config: FusionConfig, size: float) -> Float[np.ndarray, "n 3"]:
+    """Points on the surfaces of an image, denser than the blocks, in the world [m]."""
+    depth, K = _usable(frame, config), frame.intrinsics
+    step = max(1, int(0.4 * size * K[0, 0] / config.farthest))
+    v, u = np.nonzero(depth[::step, ::step])
+    v, u = v * step, u * step
+    z = depth[v, u].astype(float)
+    rays = np.stack([(u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1], np.ones(len(u))], axis=1)
+    T = np.asarray(frame.T_world_camera, float)
+    return (rays * z[:, None]) @ T[:3, :3].T + T[:3, 3]
+
+
+@njit(cache=True)
+def _mark(
+    index: Int[np.ndarray, "x y z"],
+    points: Float[np.ndarray, "n 3"],
+    low: Float[np.ndarray, "3"],
+    size: float,
+    margin: float,
+) -> int:
+    """Number the blocks that come within `margin` of a point, in place; return how many."""
+    count = 0
+    for n in range(len(points)):
+        x, y, z = points[n] - low
+        for i in range(int((x - margin) / size), int((x + margin) / size) + 1):
+            for j in range(int((y - margin) / size), int((y + margin) / size) + 1):
+                for k in range(int((z - margin) / size), int((z + margin) / size) + 1):
+                    if index[i, j, k] < 0:
+                        index[i, j, k] = count
+                        count += 1
+    return count
+
+
+@njit(cache=True)
+def _hidden(
+    center: Float[np.ndarray, "3"],
+    radius: float,
+    margin: float,
+    deepest: Float32[np.ndarray, "a b"],
+    K: Float[np.ndarray, "3 3"],
+) -> bool:
+    """Whether no voxel of a block (in the camera's frame) is in the image and not occluded."""
+    z = center[2] - radius
+    if z < 0.05:
+        return center[2] + radius < 0.05
+    u, v = K[0, 0] * center[0] / center[2] + K[0, 2], K[1, 1] * center[1] / center[2] + K[1, 2]
+    du, dv = 1.5 * K[0, 0] * radius / z, 1.5 * K[1, 1] * radius / z
+    a, b = deepest.shape
+    if u + du < 0 or v + dv < 0 or u - du >= b * TILE or v - dv >= a * TILE:
+        return True
+    limit = np.float32(0.0)
+    for i in range(max(0, int((v - dv) / TILE)), min(a - 1, int((v + dv) / TILE)) + 1):
+        for j in range(max(0, int((u - du) / TILE)), min(b - 1, int((u + du) / TILE)) + 1):
+            limit = max(limit, deepest[i, j])
+    return z > limit + margin
+
+
+@njit(cache=True, fastmath={"nsz", "arcp", "contract"})
+def _integrate(field: Field, margin: float, look: Look) -> None:
+    """Move the field toward one image's surface, in place; `margin` is the truncation [m]."""
+    distance, weight, seen, color = field.distance, field.weight, field.seen, field.color
+    depth, facing, K, T_camera_world = look.depth, look.facing, look.K, look.T_camera_world
+    voxel, image = field.voxel, look.color
+    h, w = depth.shape
+    R = np.ascontiguousarray(T_camera_world[:3, :3])
+    size = SIDE * voxel
+    radius = 0.5 * np.sqrt(3.0) * size
+    for b in range(len(field.blocks)):
+        corner = field.origin + field.blocks[b] * size + 0.5 * voxel
+        start = R @ corner + T_camera_world[:3, 3]
+        middle = R @ (corner + 0.5 * (size - voxel)) + T_camera_world[:3, 3]
+        if _hidden(middle, radius, margin, look.deepest, K):
+            continue
+        for i in range(SIDE):
+            for j in range(SIDE):
+                for k in range(SIDE):
+                    z = start[2] + voxel * (R[2, 0] * i + R[2, 1] * j + R[2, 2] * k)
+                    if z < 0.05:
+                        continue
+                    x = start[0] + voxel * (R[0, 0] * i + R[0, 1] * j + R[0, 2] * k)
+                    y = start[1] + voxel * (R[1, 0] * i + R[1, 1] * j + R[1, 2] * k)
+                    u = int(np.floor(K[0, 0] * x / z + K[0, 2] + 0.5))
+                    v = int(np.floor(K[1, 1] * y / z + K[1, 2] + 0.5))
+                    if u < 0 or v < 0 or u >= w or v >= h or facing[v, u] == 0:
+                        continue
+                    to_surface = (depth[v, u] - z) * facing[v, u]
+                    # along the ray, too: seen at a grazing angle, a plane says nothing about
+                    # what is far behind the edge of a thing
+                    if z - depth[v, u] > margin:
+                        continue
+                    share = facing[v, u] / (depth[v, u] * depth[v, u])
+                    if to_surface < -voxel:
+                        # what lies behind a surface is a guess, and it may be thin
+                        share *= (margin + to_surface) / (margin - voxel)
+                    n = (i * SIDE + j) * SIDE + k
+                    total = weight[b, n] + share
+                    if total <= 0:
+                        continue
+                    new = share / total
+                    distance[b, n] += new * (min(to_surface / margin, 1.0) - distance[b, n])
+                    if abs(depth[v, u] - z) < 2 * voxel:
+                        seen[b, n] += share
+                        tint = share / seen[b, n]
+                        for c in range(3):
+                            color[b, n, c] += tint * (image[v, u, c] - color[b, n, c])
+                    weight[b, n] = total
+
+
+@njit(cache=True)
+def _lookup(
+    index: Int[np.ndarray, "x y z"], weight: Float32[np.ndarray, "b v"],
+    i: int, j: int, k: int, least: float,
+) -> tuple[int, int]:  # fmt: skip
+    """Block and voxel at a cell of the whole grid; block -1 where nothing is known."""
+    b = index[i // SIDE, j // SIDE, k // SIDE]
+    n = ((i % SIDE) * SIDE + j % SIDE) * SIDE + k % SIDE
+    if b < 0 or weight[b, n] < least:
+        return -1, 0
+    return b, n
+
+
+@njit(cache=True)
+def _gradient(
+    distance: Float32[np.ndarray, "b v"],
+    weight: Float32[np.ndarray, "b v"],
+    index: Int[np.ndarray, "x y z"],
+    cell: Int[np.ndarray, "3"],
+    least: float,
+) -> Float[np.ndarray, "3"]:
+    """Slope of the field at a known cell, one-sided where a neighbor is unknown."""
+    out = np.zeros(3)
+    b0, n0 = _lookup(index, weight, cell[0], cell[1], cell[2], least)
+    for axis in range(3):
+        step = np.zeros(3, np.int64)
+        step[axis] = 1
+        after, before = cell + step, cell - step
+        b1, n1 = _lookup(index, weight, after[0], after[1], after[2], least)
+        b2, n2 = _lookup(index, weight, before[0], before[1], before[2], least)
+        center = distance[b0, n0]
+        ahead = distance[b1, n1] - center if b1 >= 0 else np.float32(0.0)
+        behind = center - distance[b2, n2] if b2 >= 0 else np.float32(0.0)
+        out[axis] = (ahead + behind) / max(1, int(b1 >= 0) + int(b2 >= 0))
+    return out
+
+
+@njit(cache=True)
+def _extract(
+    field: Field, least: float
+) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"], UInt8[np.ndarray, "n 3"]]:
+    """Points where the field changes sign between a cell and the next along x, y or z.
+
+    A cell whose field changes sign along several axes gives the mean of these points; voxels of
+    less weight than `least` give none.
+    """
+    distance, weight, color = field.distance, field.weight, field.color
+    blocks, index = field.blocks, field.block_at
+    room, count = 4096, 0
+    points, normals = np.empty((room, 3)), np.empty((room, 3))
+    colors = np.empty((room, 3), np.uint8)
+    for b in range(len(blocks)):
+        for n in range(SIDE**3):
+            if weight[b, n] < least or abs(distance[b, n]) >= 1:
+                continue
+            here = np.array([n // SIDE**2, n // SIDE % SIDE, n % SIDE])
+            cell = blocks[b] * SIDE + here
+            crossings = 0
+            point, normal, tint = np.zeros(3), np.zeros(3), np.zeros(3)
+            for axis in range(3):
+                beyond = cell.copy()
+                beyond[axis] += 1
+                c, m = _lookup(index, weight, beyond[0], beyond[1], beyond[2], least)
+                if c < 0 or abs(distance[c, m]) >= 1:
+                    continue
+                d0, d1 = distance[b, n], distance[c, m]
+                if (d0 > 0) == (d1 > 0):
+                    continue
+                t = d0 / (d0 - d1)
+                slope = (1 - t) * _gradient(distance, weight, index, cell, least)
+                slope += t * _gradient(distance, weight, index, beyond, least)
+                point += cell + t * (beyond - cell)
+                normal += slope / max(np.sqrt((slope * slope).sum()), 1e-12)
+                tint += (1 - t) * color[b, n] + t * color[c, m]
+                crossings += 1
+            length = np.sqrt((normal * normal).sum())
+            if crossings == 0 or length < 1e-6:
+                continue
+            if count == room:
+                room *= 2
+                points, normals = _longer(points, room), _longer(normals, room)
+                longer = np.empty((room, 3), np.uint8)
+                longer[:count] = colors
+                colors = longer
+            points[count] = field.origin + (point / crossings + 0.5) * field.voxel
+            normals[count] = normal / length
+            for a in range(3):
+                colors[count, a] = np.uint8(min(255.0, max(0.0, tint[a] / crossings + 0.5)))
+            count += 1
+    return points[:count].copy(), normals[:count].copy(), colors[:count].copy()
+
+
+@njit(cache=True)
+def _longer(rows: Float[np.ndarray, "n 3"], room: int) -> Float[np.ndarray, "m 3"]:
+    out = np.empty((room, 3))
+    out[: len(rows)] = rows
+    return out

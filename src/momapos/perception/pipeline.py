@@ -1,0 +1,255 @@
+"""From a scan to a scene that moves, one call a stage (MoMa-Pos, sections III-B and III-C)."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from momapos.core import Clock, InputError, Stopwatch
+from momapos.core.geometry import apply
+from momapos.model.records import (
+    ArticulationPredictor,
+    Cloud,
+    Detection,
+    FaceImage,
+    Frame,
+    Front,
+    Instance,
+    Scan,
+)
+from momapos.perception.fusion import align_to_gravity, complete, fuse, register
+from momapos.perception.reconstruction import (
+    FrontNetwork,
+    GivenModel,
+    TemplatePredictor,
+    build_scene,
+)
+from momapos.perception.segmentation import (
+    ClassicalSegmenter,
+    boxes,
+    find_room,
+    inside,
+    pointed_at,
+    wall_detections,
+    with_coverage,
+    without_pieces,
+)
+from momapos.perception.views import Seen, split_row
+
+from .labels import with_labels
+from .modeling import decide, opens, watched
+from .open_doors import open_leaves, shut
+from .records import Decision, Found, Modeled, Progress, ScanConfig, Survey, Target, Tools, silent
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+BUILDING = ("wall", "floor", "ceiling", "window", "door")
+"""Labels of segmenters for what is no furniture."""
+DEFAULT = ScanConfig()
+
+
+def default_tools() -> Tools:
+    """What works without anything from elsewhere: no trained segmenter, our own network.
+
+    Raises:
+        MissingExtraError: onnxruntime is not installed.
+    """
+    network = FrontNetwork()
+    return Tools(ClassicalSegmenter(), network, network, TemplatePredictor())
+
+
+def cloud_after(after: Scan, seen: Survey, config: ScanConfig) -> Cloud:
+    """What stands in a room at a later time, in the frame of its survey.
+
+    Raises:
+        InputError: It is another room, or the scan holds nothing.
+    """
+    cloud = after.cloud or fuse(after.frames, config.voxel, config.fusion)
+    T = align_to_gravity(cloud, after.frames, config.gravity)
+    upright, _ = _turned(cloud, (), T)
+    try:
+        T = register(seen.cloud, upright, config.registration)
+    except InputError as error:
+        raise InputError(f"{after.name}: {error}") from error
+    return _turned(upright, (), T)[0]
+
+
+def survey(
+    scan: Scan,
+    tools: Tools,
+    *,
+    found: Found | None = None,
+    labels: Mapping[str, str] | None = None,
+    config: ScanConfig = DEFAULT,
+    progress: Progress = silent,
+    clock: Clock = time.perf_counter,
+) -> Survey:
+    """Find what stands in a scanned room; arguments are those of `momapos.scan_to_scene`.
+
+    Raises:
+        InputError: The scan holds nothing.
+    """
+    watch = Stopwatch(clock)
+    with watch.stage("fuse"):
+        progress("fusing", 0.0)
+        cloud = scan.cloud or fuse(scan.frames, config.voxel, config.fusion)
+    with watch.stage("boxes"):
+        progress("finding objects", 0.2)
+        T = align_to_gravity(cloud, scan.frames, config.gravity)
+        cloud, frames = _turned(cloud, scan.frames, T)
+        measured = len(cloud.points)
+        room = find_room(cloud, config.room)
+        walls = [(wall.axis, wall.offset) for wall in room.walls]
+        cloud = complete(cloud, frames, walls, config.voxel, config.completion)
+        leaves = open_leaves(cloud, frames, walls, config)
+        cloud, frames, known = shut(leaves, cloud, frames, tools, config)
+        things = [item for item in tools.segment(cloud) if item.label not in BUILDING]
+        detections = boxes(cloud, things, room, config.boxes)
+    with watch.stage("rows"):
+        progress("dividing rows", 0.3)
+        instances, rows = divide(detections, cloud, frames, tools.look, config, known)
+        if len(instances) > len(detections):
+            detections = boxes(cloud, instances, room, config.boxes)
+        detections = without_pieces(detections, cloud)
+    if not detections:
+        raise InputError(f"{scan.name}: nothing was found in the scan but floor and walls")
+    boards = wall_detections(room, config.boxes)
+    seen = Survey(
+        cloud, frames, T, room, tuple(detections), tuple(boards), (*known, *rows), leaves, found,
+        watch.seconds,
+    )  # fmt: skip
+    with watch.stage("labels"):
+        progress("looking what it is", 0.35)
+        detections = with_labels(
+            detections, cloud, frames, tools.detect, found, labels, config,
+            lambda item: opens(item, seen, tools, config),
+        )  # fmt: skip
+        detections = with_coverage(detections, cloud, boards, measured)
+    return replace(seen, detections=tuple(detections))
+
+
+def model_room(
+    seen: Survey,
+    out: Path,
+    tools: Tools,
+    *,
+    scores: Mapping[str, float] | None = None,
+    alpha: float = 0.0,
+    known: Mapping[str, Decision] | None = None,
+    later: Cloud | None = None,
+    given: Mapping[str, GivenModel] | None = None,
+    config: ScanConfig = DEFAULT,
+    progress: Progress = silent,
+    clock: Clock = time.perf_counter,
+) -> Modeled:
+    """Model what matters of a surveyed room, and write the scene.
+
+    Args:
+        seen: The room.
+        out: The scene file to write; URDF files go into a folder beside it.
+        tools: Predictors.
+        scores: Importance of the objects by name; all that have none are modeled.
+        alpha: Objects of less importance stay boxes [-].
+        known: Decisions about objects that were looked at before.
+        later: What stands in the room when some of the parts have been opened.
+        given, config, progress, clock: As for `scan_to_scene`.
+    """
+    watch, scores, known = Stopwatch(clock), scores or {}, known or {}
+    decisions: list[Decision] = []
+    with watch.stage("model"):
+        for k, item in enumerate(seen.detections):
+            progress(item.name, 0.4 + 0.6 * k / len(seen.detections))
+            at, score, decision = clock(), scores.get(item.name), known.get(item.name)
+            if decision is not None and decision.looked:
+                decisions.append(decision)
+            elif score is not None and score < alpha:
+                reason = f"importance {score:.2f} is below alpha {alpha:.2f}"
+                decisions.append(Decision(item, score, None, (), None, reason, looked=False))
+            else:
+                decision = decide(item, score, seen, tools, given or {}, config)
+                decisions.append(replace(decision, seconds=clock() - at))
+        if later is not None:
+            decisions = [watched(d, seen.cloud, later, config) for d in decisions]
+        decisions += [Decision(wall, None, None, (), None, "a wall") for wall in seen.walls]
+    with watch.stage("write"):
+        models = {d.detection.name: d.model for d in decisions if d.model is not None}
+        build_scene([d.detection for d in decisions], models, floor_outline(seen.cloud), out)
+    timing = {**seen.timing, **watch.seconds}
+    timing["total"] = sum(timing.values())
+    return Modeled(out, seen.cloud, seen.frames, seen.T_scene_scan, tuple(decisions), timing)
+
+
+# ----------------------------------------------------------------------------------- what is where
+
+
+def _turned(
+    cloud: Cloud, frames: Sequence[Frame], T: Float[np.ndarray, "4 4"]
+) -> tuple[Cloud, tuple[Frame, ...]]:
+    """Everything in the upright world."""
+    upright_cloud = Cloud(apply(T, cloud.points), cloud.normals @ T[:3, :3].T, cloud.colors)
+    return upright_cloud, tuple(replace(f, T_world_camera=T @ f.T_world_camera) for f in frames)
+
+
+def divide(
+    detections: Sequence[Detection],
+    cloud: Cloud,
+    frames: Sequence[Frame],
+    look: ArticulationPredictor,
+    config: ScanConfig,
+    known: Sequence[Seen] = (),
+) -> tuple[list[Instance], list[Seen]]:
+    """Cut rows of furniture between their fronts.
+
+    Args:
+        detections: Things with their boxes.
+        cloud: In the upright world.
+        frames: In the upright world.
+        look: What is on a face.
+        config: How to cut.
+        known: Parts that are known to be there.
+
+    Returns:
+        All things, the pieces of rows without a label yet; and what was seen on the rows.
+    """
+    instances: list[Instance] = []
+    before: list[Seen] = []
+    for item in detections:
+
+        def seen(face: FaceImage, label: str = item.label) -> Front:
+            return look(face, label)
+
+        pieces, front = split_row(item.box, frames, seen, config.rows, config.view, known)
+        before += [front] if front is not None else []
+        if len(pieces) == 1:
+            instances.append(Instance(item.label, item.score, item.members, item.box, item.guesses))
+            continue
+        for box in pieces:
+            members = item.members[inside(cloud.points[item.members], box)]
+            instances.append(Instance("", 1.0, members, box))
+    return instances, before
+
+
+def floor_outline(cloud: Cloud) -> list[tuple[float, float]]:
+    """The rectangle that was scanned, seen from above [m]."""
+    (x0, y0), (x1, y1) = np.percentile(cloud.points[:, :2], [0.2, 99.8], axis=0).tolist()
+    return [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
+
+
+# ----------------------------------------------------------------------------------- what matters
+
+
+def name_of(target: Target, seen: Survey) -> str:
+    """The name of an object, which may be pointed at.
+
+    Raises:
+        InputError: Nothing is where it is pointed at.
+    """
+    if isinstance(target, str):
+        return target
+    return pointed_at(target, seen.detections, seen.frames).name

@@ -1,0 +1,16 @@
+from .alignment import AlignmentConfig as AlignmentConfig
+from .front_network import FrontNetwork as FrontNetwork
+from .object_model import ModelConfig as ModelConfig
+from .object_model import furniture_model as furniture_model
+from .open_parts import opened_piece as opened_piece
+from .scene_builder import GivenModel as GivenModel
+from .scene_builder import build_scene as build_scene
+from .scene_builder import place_model as place_model
+from .seen_motion import SeenMotion as SeenMotion
+from .seen_motion import SeenMotionConfig as SeenMotionConfig
+from .seen_motion import moved_piece as moved_piece
+from .templates import TemplatePredictor as TemplatePredictor
+from .urdformer import UrdformerPredictor as UrdformerPredictor
+from .urdformer import load_urdformer as load_urdformer
+from .usual_kinds import weighed as weighed
+from .usual_kinds import weighed_by_height as weighed_by_height

@@ -1,0 +1,280 @@
+"""From parts seen on a face, as fractions of it, to parts in meters that fit each other.
+
+Frame of a face: its origin is the lower left corner as seen from the front, x right, z up.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from momapos.core import InputError
+from momapos.model.records import FaceImage, Part, PartKind
+
+from .height_maps import FEWEST, Area, area_of, bars, heights_in, is_flat, stands_out
+from .leaf_frames import with_frames
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+
+@dataclass(frozen=True)
+class AlignmentConfig:
+    """How parts are fitted onto a face."""
+
+    grid: int | None = None
+    """Steps across the face that parts start and end at, 12 as in URDFormer; None: anywhere."""
+    seam: float = 0.015
+    """Edges nearer to each other, or to the rim of the face, become one [m]."""
+    same: float = 0.5
+    """Of two parts that share this much of the smaller one, the less certain is left out [-]."""
+    least_side: float = 0.08
+    """A door of less width or height, or a drawer of less width, is left out [m]."""
+    least_drawer: float = 0.05
+    """A drawer of less height is left out [m]."""
+    most_height_map: float = 0.12
+    """The front of a part lies this far before or behind the face at most [m]."""
+    thickness: tuple[float, float] = (0.008, 0.035)
+    """Least and greatest thickness of a handle, so that a gripper can hold it [m]."""
+    handle_out: float = 0.04
+    """How far a handle stands out where that was not measured [m]."""
+    handle_height_map: tuple[float, float] = (0.015, 0.12)
+    """What is measured below the first counts as not measured, the second is the most [m]."""
+    bar_out: float = 0.03
+    """A bar that stands out by this is the handle, where what was seen as one is flat [m]."""
+    bar_length: float = 0.1
+    """Such a bar is at least this long [m]."""
+    bar_thickness: float = 0.12
+    """And at most this thick [m]."""
+
+
+@dataclass(frozen=True)
+class AlignedHandle:
+    """A handle on a part."""
+
+    area: Area
+    out: float
+    """How far its front stands out of the part's [m]."""
+    measured: bool = True
+    """Whether depth shows that; else it is what is usual."""
+
+
+@dataclass(frozen=True)
+class AlignedPart:
+    """A door or drawer with its place on a face."""
+
+    kind: PartKind
+    area: Area
+    out: float
+    """How far its front stands out of the face's plane [m]."""
+    handle: AlignedHandle | None
+    odds: tuple[tuple[PartKind, float], ...] = ()
+    """How it may open, see `Part`."""
+    score: float = 1.0
+    """Confidence, see `Part`."""
+
+
+def align(
+    face: FaceImage, parts: Sequence[Part], config: AlignmentConfig | None = None
+) -> tuple[AlignedPart, ...]:
+    """Fit the parts that were seen on a face onto it and to each other.
+
+    No two parts overlap, edges that nearly meet do, and every handle lies on its part.
+
+    Args:
+        face: The face, with its size and height map.
+        parts: What was seen on it.
+        config: How to fit.
+
+    Returns:
+        The parts, top to bottom and left to right; what is too small or seen twice is left out.
+
+    Raises:
+        InputError: A rectangle is not finite.
+    """
+    config = config or AlignmentConfig()
+    for index, part in enumerate(parts):
+        if not np.isfinite([*part.box, *(part.handle or ())]).all():
+            raise InputError(f"part {index} of the front ({part.kind}) has a box of {part.box}")
+    if config.grid is not None:
+        parts = [_snapped(part, config.grid) for part in parts]
+    seen = sorted(parts, key=lambda part: -part.score)
+    areas = _joined(_separated([area_of(part.box, face) for part in seen], config), face, config)
+    areas = with_frames(areas, face)
+    aligned = [
+        _aligned(face, part, area, config)
+        for part, area in zip(seen, areas, strict=True)
+        if area is not None and not _too_small(part.kind, area, config)
+    ]
+    return tuple(sorted(aligned, key=lambda part: (-part.area.top, part.area.left)))
+
+
+def front_of(face: FaceImage, area: Area, most: float, without: Area | None = None) -> float:
+    """How far a surface stands out of the face, at most `most` [m] either way; 0 if not known."""
+    height_map = heights_in(face, area, without)
+    return float(np.clip(np.median(height_map), -most, most)) if len(height_map) >= FEWEST else 0.0
+
+
+# ----------------------------------------------------------------------------- parts to each other
+
+
+def _snapped(part: Part, steps: int) -> Part:
+    """Start and end a part on a grid; it is one step long at least and takes its handle along."""
+    old = np.array(part.box).reshape(2, 2)  # (start or end, x or y)
+    new = np.round(old * steps)
+    new[0] = np.minimum(new[0], steps - 1)
+    new[1] = np.maximum(new[1], new[0] + 1)
+    new /= steps
+    handle = None
+    if part.handle is not None:
+        share = (np.array(part.handle).reshape(2, 2) - old[0]) / np.maximum(old[1] - old[0], 1e-9)
+        handle = tuple((new[0] + share * (new[1] - new[0])).ravel().tolist())
+    return replace(part, box=tuple(new.ravel().tolist()), handle=handle)
+
+
+def _separated(areas: Sequence[Area], config: AlignmentConfig) -> list[Area | None]:
+    """Cut overlapping areas at the middle of their overlap; None for one that is seen twice.
+
+    Args:
+        areas: The most certain first.
+        config: When two are the same.
+    """
+    kept: list[Area | None] = []
+    for area in areas:
+        shared = [0.0 if a is None else _overlap(a, area) for a in kept]
+        if max(shared, default=0.0) > config.same:
+            kept.append(None)
+            continue
+        for index, other in enumerate(kept):
+            if other is not None and area.within(other) is not None:
+                kept[index], area = _cut(other, area)
+        kept.append(area)
+    return kept
+
+
+def _overlap(a: Area, b: Area) -> float:
+    """The part of the smaller area that lies in the other [-]."""
+    both = a.within(b)
+    least = min(a.width * a.height, b.width * b.height)
+    return 0.0 if both is None or least <= 0 else both.width * both.height / least
+
+
+def _cut(a: Area, b: Area) -> tuple[Area, Area]:
+    """Divide what two areas share between them, across the way in which they overlap less."""
+    both = a.within(b)
+    assert both is not None
+    if both.width / min(a.width, b.width) < both.height / min(a.height, b.height):
+        middle = (both.left + both.right) / 2
+        if a.left + a.right <= b.left + b.right:
+            return replace(a, right=middle), replace(b, left=middle)
+        return replace(a, left=middle), replace(b, right=middle)
+    middle = (both.bottom + both.top) / 2
+    if a.bottom + a.top <= b.bottom + b.top:
+        return replace(a, top=middle), replace(b, bottom=middle)
+    return replace(a, bottom=middle), replace(b, top=middle)
+
+
+def _joined(
+    areas: Sequence[Area | None], face: FaceImage, config: AlignmentConfig
+) -> list[Area | None]:
+    """Make edges one that are nearly equal; the order of edges stays, so nothing overlaps anew."""
+    there = [area for area in areas if area is not None]
+    x = np.array([[a.left, a.right] for a in there]).ravel()
+    z = np.array([[a.bottom, a.top] for a in there]).ravel()
+    x, z = _seams(x, face.width, config.seam), _seams(z, face.height, config.seam)
+    joined = iter(np.column_stack([x[::2], z[::2], x[1::2], z[1::2]]).tolist())
+    return [None if area is None else Area(*next(joined)) for area in areas]
+
+
+def _seams(edges: Float[np.ndarray, " n"], size: float, near: float) -> Float[np.ndarray, " n"]:
+    """Move edges [m] to the mean of those near them, or to the rim at 0 or `size` [m].
+
+    No group spans more than `near`, so a chain of edges cannot pull a part together.
+    """
+    out = edges.copy()
+    rim = np.where(edges < near, 0.0, np.where(edges > size - near, size, np.nan))
+    out[np.isfinite(rim)] = rim[np.isfinite(rim)]
+    order = np.argsort(edges, kind="stable")
+    order = order[np.isnan(rim[order])]
+    while len(order):
+        group = edges[order] <= edges[order[0]] + near
+        out[order[group]] = edges[order[group]].mean()
+        order = order[~group]
+    return out
+
+
+def _too_small(kind: PartKind, area: Area, config: AlignmentConfig) -> bool:
+    least = config.least_drawer if kind == "drawer" else config.least_side
+    return area.width < config.least_side or area.height < least
+
+
+# ----------------------------------------------------------------------------------- part by part
+
+
+def _aligned(face: FaceImage, part: Part, area: Area, config: AlignmentConfig) -> AlignedPart:
+    """Measure how far a part and its handle stand out."""
+    seen = None if part.handle is None else area_of(part.handle, face)
+    if seen is not None and is_flat(face, area, seen, config.handle_height_map[0]):
+        found = bars(face, area, config.bar_out, config.bar_length, config.bar_thickness)
+        seen = found[0] if found else seen
+    out = front_of(face, area, config.most_height_map, without=seen)
+    handle = None if seen is None else _handle(face, area, seen, out, config)
+    return AlignedPart(part.kind, area, out, handle, part.odds, part.score)
+
+
+def _handle(
+    face: FaceImage, part: Area, seen: Area, behind: float, config: AlignmentConfig
+) -> AlignedHandle | None:
+    """Give a handle its place and a size that can be held; None where it is not on the part."""
+    thinnest, thickest = config.thickness
+    room = min(part.width, part.height) / 4
+    inside = seen.within(part)
+    if inside is None:
+        return None
+    width, height = inside.width, inside.height
+    if width <= height:
+        width = float(np.clip(width, thinnest, thickest))
+        height = max(height, width)
+    else:
+        height = float(np.clip(height, thinnest, thickest))
+        width = max(width, height)
+    margin = min(thinnest, room)  # off the edges, or it would scrape along what is beside it
+    out, measured = _standing_out(face, part, inside, config)
+    x, z = _straight(face, inside, behind + out)
+    left, right = _placed(x, width, part.left + margin, part.right - margin)
+    bottom, top = _placed(z, height, part.bottom + margin, part.top - margin)
+    return AlignedHandle(Area(left, bottom, right, top), out, measured)
+
+
+def _straight(face: FaceImage, area: Area, out: float) -> tuple[float, float]:
+    """The middle of what stands out of a face [m], where it would be seen straight on."""
+    x, z = (area.left + area.right) / 2, (area.bottom + area.top) / 2
+    if face.camera_position is None:
+        return x, z
+    camera_x, camera_z, away = (
+        face.camera_position[0] + face.width / 2,
+        face.camera_position[1] + face.height / 2,
+        face.camera_position[2],
+    )
+    return x + (camera_x - x) * out / away, z + (camera_z - z) * out / away
+
+
+def _placed(middle: float, size: float, low: float, high: float) -> tuple[float, float]:
+    """Start and end of a span of some size about a middle, moved and cut to stay within limits."""
+    size = min(size, high - low)
+    start = float(np.clip(middle - size / 2, low, high - size))
+    return start, start + size
+
+
+def _standing_out(
+    face: FaceImage, part: Area, handle: Area, config: AlignmentConfig
+) -> tuple[float, bool]:
+    """How far a handle stands out of what is around it [m], and whether depth shows that."""
+    least, most = config.handle_height_map
+    out = stands_out(face, part, handle)
+    if out is None or out < least:
+        return config.handle_out, False
+    return min(out, most), True

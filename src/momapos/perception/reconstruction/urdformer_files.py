@@ -1,0 +1,159 @@
+"""Files around URDFormer: the part boxes it is given, and the URDFs its authors' code writes."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from momapos.core import FileFormatError, UrdfError, read_text_bounded, read_xml
+from momapos.model.records import Part
+from momapos.model.urdf import MAX_LINKS, MAX_URDF_BYTES
+
+from .urdformer_format import HANDLES, KINDS, SLOTS, Rectangle, around
+
+if TYPE_CHECKING:
+    from xml.etree.ElementTree import Element
+
+    from jaxtyping import Float
+
+BOXES_KEY = "part_boxes_yxhw_normalized"
+MAX_BOXES_BYTES = 1_000_000
+MESH_EDGE = 0.25
+"""Edge of the authors' meshes of doors and drawers, so a scale of 4 fills the base."""
+GAP = {"drawer": 0.02, "doorL": 0.01, "doorR": 0.01}
+"""What the authors take off the scale of a part, so that neighbors do not touch."""
+HANDLE_SIZES = {"handle": (0.035, 0.125), "knob": (0.069, 0.069)}
+"""Width and height of the authors' meshes, as fractions of a base of scale 1."""
+
+
+def read_part_boxes(path: Path) -> Float[np.ndarray, "n 4"]:
+    """Read part boxes (top, left, height, width) as fractions of the image.
+
+    The file is JSON: `{"part_boxes_yxhw_normalized": [[0.1, 0.2, 0.3, 0.4], ...]}`.
+
+    Raises:
+        FileFormatError: The file cannot be used; the message says why.
+    """
+    try:
+        content = json.loads(read_text_bounded(path, MAX_BOXES_BYTES))
+    except (ValueError, RecursionError) as error:
+        raise FileFormatError(f"{path}: damaged JSON ({error})") from error
+    rows = content.get(BOXES_KEY) if isinstance(content, dict) else None
+    if not isinstance(rows, list):
+        raise FileFormatError(f"{path}: has no list {BOXES_KEY!r}")
+    if len(rows) > SLOTS:
+        raise FileFormatError(f"{path}: holds {len(rows)} boxes; URDFormer takes at most {SLOTS}")
+    for index, row in enumerate(rows):
+        if not _is_box(row):
+            raise FileFormatError(
+                f"{path}: box {index} must be top, left, height, width within 0 to 1, "
+                f"not {row!r:.80}"
+            )
+    return np.array(rows, float).reshape(-1, 4)
+
+
+def read_predicted_urdf(path: Path) -> tuple[Part, ...]:
+    """Read the parts of a URDF that URDFormer's own code wrote; no mesh is needed.
+
+    A part's origin is its lower corner at the hinge, or the upper left one of a door that opens
+    up; its size is in the scale of its mesh. Parts that sit on other parts, handles that sit on
+    none, and what has no width or height are left out. Scores are 1.
+
+    Raises:
+        UrdfError: The file cannot be used; the message says why.
+    """
+    robot = _parse(path)
+    meshes = {link.get("name", ""): _mesh(path, link) for link in robot.findall("link")}
+    joints = [_joint(path, joint) for joint in robot.findall("joint")]
+    roots = meshes.keys() - {child for _, child, _, _ in joints}
+    if len(roots) != 1:
+        raise UrdfError(f"{path}: has {len(roots)} root links, not one")
+    (root,) = roots
+    base = np.array(meshes[root][1][1:])
+    if not (base > 0.0).all():
+        raise UrdfError(f"{path}: the mesh of the base {root!r} has no width or height")
+    origins: dict[str, Float[np.ndarray, "2"]] = {}
+    parts: dict[str, Part] = {}
+    for parent, child, xyz, _ in joints:
+        name, scale = meshes.get(child, ("", (1.0, 1.0, 1.0)))
+        size = (np.array(scale[1:]) + GAP.get(name, 0.0)) * MESH_EDGE / base
+        if parent == root and name in KINDS and (size > 1e-6).all():
+            origins[child] = np.array(xyz[1:]) / base
+            parts[child] = Part(KINDS[name], _rectangle(name, origins[child], size), 1.0)
+    for parent, child, xyz, roll in joints:
+        name, _ = meshes.get(child, ("", None))
+        if name in HANDLES and parent in parts:
+            across, up = (origins[parent] + np.array(xyz[1:]) / base).tolist()
+            lying = abs(math.sin(roll)) > 0.5
+            width, height = (np.array(HANDLE_SIZES[name][:: -1 if lying else 1]) / base).tolist()
+            part = parts[parent]
+            handle = around((across, 1.0 - up), (width, height), part.box)
+            parts[parent] = Part(part.kind, part.box, part.score, handle)
+    return tuple(parts.values())
+
+
+def _rectangle(
+    name: str, origin: Float[np.ndarray, "2"], size: Float[np.ndarray, "2"]
+) -> Rectangle:
+    """Rectangle of a part as fractions of the face; its origin is at the hinge."""
+    low, high = origin.copy(), origin + size
+    if name == "doorR":
+        low[0], high[0] = origin[0] - size[0], origin[0]
+    if name == "doorU":
+        low[1], high[1] = origin[1] - size[1], origin[1]
+    return float(low[0]), 1.0 - float(high[1]), float(high[0]), 1.0 - float(low[1])
+
+
+def _is_box(row: object) -> bool:
+    if not isinstance(row, list) or len(row) != 4:
+        return False
+    if not all(type(v) in (int, float) and -1.0 < v < 2.0 for v in row):
+        return False
+    top, left, height, width = row
+    slack = 1e-6
+    return (
+        min(top, left) >= -slack
+        and min(height, width) > 0.0
+        and max(top + height, left + width) <= 1.0 + slack
+    )
+
+
+def _parse(path: Path) -> Element:
+    robot = read_xml(path, MAX_URDF_BYTES, error=UrdfError)
+    if robot.tag != "robot" or len(robot) > 2 * MAX_LINKS:
+        raise UrdfError(f"{path}: not a <robot> of at most {MAX_LINKS} links")
+    return robot
+
+
+def _mesh(path: Path, link: Element) -> tuple[str, tuple[float, ...]]:
+    """Return the name of a link's mesh, which is its class, and its scale."""
+    mesh = link.find("visual/geometry/mesh")
+    if mesh is None:
+        raise UrdfError(f"{path}: link {link.get('name')!r:.80} has no mesh; is it URDFormer's?")
+    stem = PurePosixPath(mesh.get("filename", "")).stem
+    return stem, _three(path, mesh.get("scale", "1 1 1"))
+
+
+def _joint(path: Path, joint: Element) -> tuple[str, str, tuple[float, ...], float]:
+    """Return parent, child, position and roll of a joint."""
+    ends = [joint.find("parent"), joint.find("child")]
+    origin = joint.find("origin")
+    if ends[0] is None or ends[1] is None or origin is None:
+        raise UrdfError(f"{path}: joint {joint.get('name')!r:.80} lacks parent, child or origin")
+    xyz = _three(path, origin.get("xyz", "0 0 0"))
+    roll = _three(path, origin.get("rpy", "0 0 0"))[0]
+    return ends[0].get("link", ""), ends[1].get("link", ""), xyz, roll
+
+
+def _three(path: Path, text: str) -> tuple[float, ...]:
+    try:
+        values = tuple(float(word) for word in text.split())
+    except ValueError:
+        values = ()
+    if len(values) != 3 or not all(map(math.isfinite, values)):
+        raise UrdfError(f"{path}: {text!r:.80} must be 3 finite numbers")
+    return values

@@ -1,0 +1,5 @@
+"""Readers: recordings of rooms, and what other programs found in them."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,5 @@
+from .bags import BagTopics as BagTopics
+from .clouds import write_cloud as write_cloud
+from .masks import read_instances as read_instances
+from .scan_reader import read_scan as read_scan
+from .validation import rigid_pose as rigid_pose

@@ -1,0 +1,354 @@
+"""Folders of posed images: the 7-Scenes, ScanNet and OpenMask3D layouts.
+
+7-Scenes and 3DMatch keep everything in one folder, `frame-000000.color.jpg` and so on. A ScanNet
+export and OpenMask3D have a folder for each kind, `color/0.jpg` and so on. All poses are from
+camera to world, with OpenCV's camera axes.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
+
+import numpy as np
+
+from momapos.core import FileFormatError, read_bytes_bounded
+from momapos.model.records import Frame
+
+from .images import Size, image_size, match_color, read_color, read_depth, scaled_intrinsics
+from .keyframes import choose, sharpness_of
+from .validation import (
+    Skips,
+    check_depth_unit,
+    check_intrinsics,
+    check_memory,
+    keep_common_size,
+    rigid_pose,
+)
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+MAX_FRAMES_LISTED = 100_000
+MAX_TEXT_BYTES = 10_000
+MILLIMETERS = 1000.0
+SEVEN_SCENES_INTRINSICS = np.array([[585.0, 0, 320], [0, 585.0, 240], [0, 0, 1]])
+_In = TypeVar("_In")
+_Out = TypeVar("_Out")
+_IMAGES = (".jpg", ".jpeg", ".png")
+
+
+@dataclass(frozen=True)
+class FrameFiles:
+    """The files of one frame."""
+
+    name: str
+    color: Path
+    depth: Path | None
+    pose: Path | Float[np.ndarray, "4 4"]
+    """From camera to world, or the file of it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """What a folder of frames holds, before any image is read."""
+
+    folder: Path
+    frames: tuple[FrameFiles, ...]
+    K_color: Float[np.ndarray, "3 3"]
+    K_depth: Float[np.ndarray, "3 3"] | None
+    """None where one matrix is given for both; then it belongs to the color image."""
+    warnings: tuple[str, ...] = ()
+    depth_scale: float = MILLIMETERS
+    """Units of integer depth in a meter, as is usual [-]."""
+
+
+def find_layout(folder: Path) -> Layout | None:
+    """Recognize a folder of frames by the files in it.
+
+    Returns:
+        What it holds; None where it is no such folder.
+
+    Raises:
+        FileFormatError: It is one, but lacks poses or intrinsics, or holds too many files.
+    """
+    names = set(list_names(folder))
+    if any(name.startswith("frame-") and ".color." in name for name in names):
+        return _seven_scenes(folder, names)
+    if "color" in names and names & {"depth", "pose", "intrinsic"}:
+        return _export(folder)
+    return None
+
+
+def read_frames(
+    layout: Layout, *, max_frames: int, depth_scale: float | None = None
+) -> tuple[tuple[Frame, ...], tuple[str, ...]]:
+    """Read the images of a layout.
+
+    Frames without a usable pose are left out before the choice. Images that are not chosen are
+    not kept, so that a walk of any length takes the memory of `max_frames`.
+
+    Args:
+        layout: From `find_layout`.
+        max_frames: How many to read at most, see `keyframes.choose`.
+        depth_scale: Units of a depth image in a meter; those of the layout by default.
+
+    Returns:
+        The frames, and one line for each kind of frame that was skipped.
+
+    Raises:
+        FileFormatError: No frame can be used, sizes differ, or depth is in another unit.
+        InputError: They do not fit into memory.
+    """
+    where, scale = str(layout.folder), depth_scale or layout.depth_scale
+    skips = Skips(len(layout.frames))
+    posed = _with_poses(layout.frames, skips)
+    skips.refuse_none_left(len(posed), where)
+    poses = np.array([T for _, T in posed]).reshape(-1, 4, 4)
+    sharpness = sharpness_of([files.color for files, _ in posed])
+    chosen = [posed[i] for i in choose(poses, max_frames, sharpness)]
+    with ThreadPoolExecutor() as pool:
+        sizes = _collect(pool.map(_attempt(_sizes), [files for files, _ in chosen]), skips)
+        kept = keep_common_size(sizes, skips, where)
+        skips.refuse_none_left(len(kept), where)
+        color_size, depth_size = sizes[kept[0]]
+        check_memory(len(kept), int(np.prod(np.maximum(color_size, depth_size or (0, 0)))), where)
+        K = _common_intrinsics(layout, color_size, depth_size)
+
+        def read(index: int) -> Frame:
+            files, T_world_camera = chosen[index]
+            return _read_frame(files, T_world_camera, layout.K_color, K, scale)
+
+        frames = tuple(_collect(pool.map(_attempt(read), kept), skips).values())
+    skips.refuse_none_left(len(frames), where)
+    check_depth_unit(frames, scale, where)
+    return frames, skips.warnings()
+
+
+def _read_frame(
+    files: FrameFiles,
+    T_world_camera: Float[np.ndarray, "4 4"],
+    K_color: Float[np.ndarray, "3 3"],
+    K: Float[np.ndarray, "3 3"],
+    depth_scale: float,
+) -> Frame:
+    color = read_color(files.color)
+    depth = None if files.depth is None else read_depth(files.depth, depth_scale)
+    if depth is not None and (color.shape[:2] != depth.shape or not np.allclose(K, K_color)):
+        color = match_color(color, K_color, K, (depth.shape[1], depth.shape[0]))
+    return Frame(files.name, color, depth, K, T_world_camera)
+
+
+def _common_intrinsics(
+    layout: Layout, color_size: Size, depth_size: Size | None
+) -> Float[np.ndarray, "3 3"]:
+    """Intrinsics of the frames: those of depth, where there is depth."""
+    K, size = layout.K_color, color_size
+    if depth_size is not None and layout.K_depth is not None:
+        K, size = layout.K_depth, depth_size
+    elif depth_size is not None and depth_size != color_size:
+        ratios = np.array(depth_size) / np.array(color_size)
+        if abs(ratios[0] / ratios[1] - 1) > 0.02:
+            raise FileFormatError(
+                f"{layout.folder}: color is {color_size} and depth {depth_size} pixels, which "
+                "is not the same view; give intrinsic_color.txt and intrinsic_depth.txt"
+            )
+        K, size = scaled_intrinsics(K, color_size, depth_size), depth_size
+    if not (0 < K[0, 2] < size[0] and 0 < K[1, 2] < size[1]):
+        raise FileFormatError(
+            f"{layout.folder}: the intrinsics have their center at ({K[0, 2]:.0f}, {K[1, 2]:.0f}), "
+            f"outside images of {size[0]} x {size[1]}; they belong to another size"
+        )
+    if depth_size is not None and layout.K_depth is not None:
+        try:
+            match_color(np.zeros((*color_size[::-1], 3), np.uint8), layout.K_color, K, size)
+        except ValueError as error:
+            raise FileFormatError(f"{layout.folder}: {error}") from error
+    return K
+
+
+def _with_poses(
+    frames: Sequence[FrameFiles], skips: Skips
+) -> list[tuple[FrameFiles, Float[np.ndarray, "4 4"]]]:
+    posed = []
+    for files in frames:
+        try:
+            T = _numbers(files.pose) if isinstance(files.pose, Path) else files.pose
+            posed.append((files, rigid_pose(T)))
+        except FileFormatError as error:
+            skips.add("pose", str(error))
+        except ValueError as error:
+            where = files.pose if isinstance(files.pose, Path) else files.name
+            skips.add("pose", f"{where}: {error}")
+    return posed
+
+
+def _sizes(files: FrameFiles) -> tuple[Size, Size | None]:
+    depth = None if files.depth is None else image_size(files.depth)
+    return image_size(files.color), depth
+
+
+def _attempt(read: Callable[[_In], _Out]) -> Callable[[_In], _Out | FileFormatError]:
+    """Turn errors about one frame into values, so that the others are still read."""
+
+    def attempt(item: _In) -> _Out | FileFormatError:
+        try:
+            return read(item)
+        except FileFormatError as error:
+            return error
+
+    return attempt
+
+
+def _collect(results: Iterable[_Out | FileFormatError], skips: Skips) -> dict[int, _Out]:
+    good: dict[int, _Out] = {}
+    for index, result in enumerate(results):
+        if isinstance(result, FileFormatError):
+            skips.add("images", str(result))
+        else:
+            good[index] = result
+    return good
+
+
+def _seven_scenes(folder: Path, names: set[str]) -> Layout:
+    colors = {_stem(name): name for name in names if ".color." in name and _is_image(name)}
+    stems = _in_order(stem for stem in colors if stem.startswith("frame-"))
+    has_depth = any(name.endswith(".depth.png") for name in names)
+    frames = tuple(
+        FrameFiles(
+            stem,
+            folder / colors[stem],
+            folder / f"{stem}.depth.png" if has_depth else None,
+            folder / f"{stem}.pose.txt",
+        )
+        for stem in stems
+    )
+    # 3DMatch keeps the matrix beside its sequences.
+    for file in (folder / "camera-intrinsics.txt", folder.parent / "camera-intrinsics.txt"):
+        if file.is_file():
+            K = read_intrinsics(file)
+            return Layout(folder, frames, K, None)
+    assumed = (
+        f"{folder}: no camera-intrinsics.txt; assumed the Kinect of 7-Scenes, "
+        "focal length 585, center (320, 240)"
+    )
+    return Layout(folder, frames, SEVEN_SCENES_INTRINSICS, None, (assumed,))
+
+
+def read_intrinsics(file: Path) -> Float[np.ndarray, "3 3"]:
+    """Read a pinhole camera that is written as 3 x 3.
+
+    Raises:
+        FileFormatError: The file holds something else.
+    """
+    return check_intrinsics(_numbers(file), str(file))
+
+
+def image_names(folder: Path) -> list[str]:
+    """Names of the images in a folder, in order.
+
+    Raises:
+        FileFormatError: It holds none, or too many, or cannot be listed.
+    """
+    found = {Path(name).stem: name for name in list_names(folder) if _is_image(name)}
+    if not found:
+        raise FileFormatError(f"{folder}: holds no images such as 0.jpg")
+    return [found[stem] for stem in _in_order(found)]
+
+
+def _export(folder: Path) -> Layout:
+    if not (folder / "pose").is_dir():
+        raise FileFormatError(f"{folder}: has no poses; expected pose/0.txt, camera to world")
+    colors = {_stem(name): name for name in list_names(folder / "color") if _is_image(name)}
+    has_depth = (folder / "depth").is_dir()
+    frames = tuple(
+        FrameFiles(
+            stem,
+            folder / "color" / colors[stem],
+            folder / "depth" / f"{stem}.png" if has_depth else None,
+            folder / "pose" / f"{stem}.txt",
+        )
+        for stem in _in_order(colors)
+    )
+    if not frames:
+        raise FileFormatError(f"{folder / 'color'}: holds no images such as 0.jpg")
+    K_color, K_depth = _export_intrinsics(folder)
+    return Layout(folder, frames, K_color, K_depth)
+
+
+def _export_intrinsics(
+    folder: Path,
+) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3 3"] | None]:
+    inside = folder / "intrinsic"
+    place = inside if inside.is_dir() else folder
+    color, depth = place / "intrinsic_color.txt", place / "intrinsic_depth.txt"
+    if color.is_file() and depth.is_file():
+        return _matrix(color), _matrix(depth)
+    only = [
+        name
+        for name in _in_order(list_names(place))
+        if name.endswith(".txt") and name.startswith("intrinsic")
+    ]
+    if len(only) != 1:
+        raise FileFormatError(
+            f"{folder}: no intrinsics; expected intrinsic/intrinsic_color.txt, and "
+            "intrinsic/intrinsic_depth.txt where depth has another size"
+        )
+    if only[0] == depth.name:
+        # The only matrix there is counts for both, which is right if they are registered.
+        return _matrix(depth), _matrix(depth)
+    return _matrix(place / only[0]), None
+
+
+def _matrix(file: Path) -> Float[np.ndarray, "3 3"]:
+    """Read intrinsics that are written as 3 x 3 or, as ScanNet does, 4 x 4."""
+    return check_intrinsics(_numbers(file)[:3, :3], str(file))
+
+
+def _numbers(file: Path) -> Float[np.ndarray, "n n"]:
+    """Read a small square matrix from a text file."""
+    data = read_bytes_bounded(file, MAX_TEXT_BYTES)
+    try:
+        values = np.array(data.decode("ascii").split(), float)
+    except ValueError as error:
+        raise FileFormatError(f"{file}: holds more than numbers") from error
+    if len(values) not in (9, 16):
+        raise FileFormatError(f"{file}: holds {len(values)} numbers, not a matrix of 4 x 4")
+    side = 3 if len(values) == 9 else 4
+    return values.reshape(side, side)
+
+
+def list_names(folder: Path) -> list[str]:
+    """Names in a folder, counted while they are listed."""
+    names = []
+    try:
+        with os.scandir(folder) as entries:
+            for entry in entries:
+                names.append(entry.name)
+                if len(names) > 4 * MAX_FRAMES_LISTED:
+                    raise FileFormatError(
+                        f"{folder}: holds more than {MAX_FRAMES_LISTED} frames; give a part of them"
+                    )
+    except OSError as error:
+        raise FileFormatError(f"{folder}: cannot be listed ({error.strerror})") from error
+    return names
+
+
+def _in_order(stems: Iterable[str]) -> list[str]:
+    """Sort by number where names are numbers, as in 9.jpg before 10.jpg."""
+    listed = sorted(stems, key=lambda stem: (len(stem), stem) if stem.isdigit() else (0, stem))
+    if len(listed) > MAX_FRAMES_LISTED:
+        raise FileFormatError(f"{listed[0]}: one of more than {MAX_FRAMES_LISTED} frames")
+    return listed
+
+
+def _stem(name: str) -> str:
+    return name.partition(".")[0]
+
+
+def _is_image(name: str) -> bool:
+    return name.lower().endswith(_IMAGES)

@@ -1,0 +1,258 @@
+"""Instances that another program found in the same cloud.
+
+Read are the ScanNet export of Mask3D, the masks of OpenMask3D, one label per point, and boxes as
+JSON. Which of them a file is, its content says.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, BinaryIO, NoReturn
+
+import numpy as np
+
+from momapos.core import FileFormatError, load_tensors, open_regular, read_bytes_bounded
+from momapos.core.geometry import UprightBox
+from momapos.model.records import Instance
+
+from .scannet import ClassSet, class_name, class_set
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Int
+
+FORMAT, VERSION = "momapos-boxes", 1
+MAX_INSTANCES = 10_000
+MAX_LIST_BYTES = 5_000_000
+MAX_NPY_HEADER = 1_000  # characters; numpy evaluates them
+MAX_EDGE, MAX_DISTANCE = 1e3, 1e4  # [m] of a box, from the world's origin
+_BOX_KEYS = {"label", "center", "size", "yaw", "score"}
+_ACCEPTED = (
+    "expected scene.txt of Mask3D, *_masks.pt of OpenMask3D, labels as .npy or .txt, "
+    "or boxes as JSON"
+)
+
+
+def read_instances(
+    path: Path, cloud_size: int, *, classes: ClassSet | None = None
+) -> list[Instance]:
+    """Read instances for a cloud.
+
+    Args:
+        path: The file.
+        cloud_size: How many points the cloud has, in the order the masks count them.
+        classes: What class numbers mean; guessed from the numbers if None: the 20 classes if all
+            of them are among those, else the 200.
+
+    Returns:
+        The instances in the file's order, with `members`, or with `box` for a JSON of boxes.
+        Empty masks are left out.
+
+    Raises:
+        FileFormatError: It cannot be read, belongs to another cloud, or would run code.
+        MissingExtraError: It is OpenMask3D's, and torch is not installed.
+    """
+    path = Path(path)
+    with open_regular(path) as file:
+        head = file.read(4096)
+    if head.startswith(b"PK\x03\x04"):
+        return _open_masks(path, cloud_size)
+    if head.startswith(b"\x93NUMPY"):
+        return _by_label(_npy_labels(path, cloud_size), path)
+    if head.startswith(b"\x80"):
+        raise FileFormatError(
+            f"{path}: refused, it is a bare pickle, which can run code when loaded; save it with "
+            "PyTorch 1.6 or later"
+        )
+    if head.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"{"):
+        return _boxes(path)
+    if b"\0" in head or not head.strip():
+        raise FileFormatError(f"{path}: holds no instances; {_ACCEPTED}")
+    if len(head.strip().splitlines()[0].split()) == 3:
+        return _mask3d(path, cloud_size, classes)
+    return _by_label(_text_labels(path, cloud_size), path)
+
+
+def _mask3d(path: Path, cloud_size: int, classes: ClassSet | None) -> list[Instance]:
+    rows = [line.split() for line in _text(path, MAX_LIST_BYTES).splitlines() if line.strip()]
+    if len(rows) > MAX_INSTANCES:
+        raise FileFormatError(f"{path}: lists {len(rows)} masks; at most {MAX_INSTANCES} are read")
+    parsed = [_mask3d_row(row, number + 1, path) for number, row in enumerate(rows)]
+    chosen = classes or class_set(label for _, label, _ in parsed)
+    instances = []
+    for mask, label, score in parsed:
+        members = np.flatnonzero(_mask_file(mask, cloud_size))
+        if len(members):
+            instances.append(Instance(class_name(label, chosen), score, members))
+    return instances
+
+
+def _mask3d_row(row: list[str], number: int, path: Path) -> tuple[Path, int, float]:
+    try:
+        name, label, score = row[0], int(row[1]), float(row[2])
+        if len(row) != 3 or not math.isfinite(score):
+            raise ValueError
+    except (ValueError, IndexError):
+        raise FileFormatError(
+            f"{path}: line {number} is not `pred_mask/name.txt class score`"
+        ) from None
+    try:
+        folder = path.parent.resolve()
+        mask = (folder / name).resolve()
+    except (OSError, RuntimeError, ValueError) as error:  # links in a circle, a NUL
+        raise FileFormatError(f"{path}: line {number} names {name!r:.80}, no file") from error
+    if not mask.is_relative_to(folder):
+        raise FileFormatError(f"{path}: line {number} names {name:.80}, outside its folder")
+    return mask, label, min(max(score, 0.0), 1.0)
+
+
+def _mask_file(path: Path, cloud_size: int) -> Bool[np.ndarray, " n"]:
+    """Read one digit a line; far quicker than parsing numbers."""
+    raw = np.frombuffer(_point_lines(path, 8, cloud_size), np.uint8)
+    digit = (raw == ord("0")) | (raw == ord("1"))
+    if np.any(digit[1:] & digit[:-1]) or np.any(~digit & (raw > ord(" "))):
+        raise FileFormatError(f"{path}: holds more than one 0 or 1 a line")
+    mask = raw[digit] == ord("1")
+    return _fitting(mask, cloud_size, path)
+
+
+def _open_masks(path: Path, cloud_size: int) -> list[Instance]:
+    masks = load_tensors(path)
+    shape = tuple(getattr(masks, "shape", ()))
+    if len(shape) != 2:
+        raise FileFormatError(f"{path}: must hold one tensor (vertices, masks); it holds {shape}")
+    _check_size(shape[0], cloud_size, path)
+    if shape[1] > MAX_INSTANCES:
+        raise FileFormatError(f"{path}: holds {shape[1]} masks; at most {MAX_INSTANCES} are read")
+    try:
+        # One at a time: a tensor whose elements share memory may be far larger than its file.
+        members = [np.flatnonzero((masks[:, k] > 0.5).numpy()) for k in range(shape[1])]
+    except (RuntimeError, TypeError, NotImplementedError) as error:  # sparse, quantized, complex
+        raise FileFormatError(f"{path}: must hold one dense tensor of numbers") from error
+    return [Instance("", 1.0, found) for found in members if len(found)]
+
+
+def _npy_labels(path: Path, cloud_size: int) -> Int[np.ndarray, " n"]:
+    with open_regular(path) as file:
+        shape, dtype = _npy_header(file, path)
+        if len(shape) != 1 or not np.issubdtype(dtype, np.integer):
+            raise FileFormatError(
+                f"{path}: is {dtype} of shape {shape}; expected one integer a point"
+            )
+        _check_size(shape[0], cloud_size, path)
+        labels = np.fromfile(file, dtype, cloud_size)
+    if len(labels) < cloud_size:
+        raise FileFormatError(f"{path}: ends after {len(labels)} of {cloud_size} labels")
+    return labels
+
+
+def _npy_header(file: BinaryIO, path: Path) -> tuple[tuple[int, ...], np.dtype]:
+    """Shape and type that a `.npy` file claims; nothing is allocated for them yet."""
+    read = {
+        (1, 0): np.lib.format.read_array_header_1_0,
+        (2, 0): np.lib.format.read_array_header_2_0,
+    }
+    try:
+        version = np.lib.format.read_magic(file)
+        shape, _, dtype = read[version](file, max_header_size=MAX_NPY_HEADER)
+    except Exception as error:  # numpy evaluates the header, which raises whatever it trips over
+        raise FileFormatError(f"{path}: is no array of numbers ({error})") from error
+    return shape, dtype
+
+
+def _text_labels(path: Path, cloud_size: int) -> Int[np.ndarray, " n"]:
+    try:
+        labels = np.array(_point_lines(path, 12, cloud_size).split(), np.int64)
+    except (ValueError, OverflowError) as error:
+        raise FileFormatError(f"{path}: is not one integer a line; {_ACCEPTED}") from error
+    return _fitting(labels, cloud_size, path)
+
+
+def _by_label(labels: Int[np.ndarray, " n"], path: Path) -> list[Instance]:
+    """Split points by label; zero and below are no instance."""
+    order = np.argsort(labels, kind="stable")
+    values, starts = np.unique(labels[order], return_index=True)
+    if np.count_nonzero(values > 0) > MAX_INSTANCES:
+        raise FileFormatError(f"{path}: has {len(values)} labels; at most {MAX_INSTANCES} are read")
+    groups = np.split(order, starts[1:])
+    return [
+        Instance("", 1.0, members)
+        for value, members in zip(values, groups, strict=True)
+        if value > 0
+    ]
+
+
+def _boxes(path: Path) -> list[Instance]:
+    def refuse(constant: str) -> NoReturn:
+        raise ValueError(f"it holds {constant}")
+
+    try:
+        data = json.loads(_text(path, MAX_LIST_BYTES).lstrip("\ufeff"), parse_constant=refuse)
+    except (ValueError, RecursionError) as error:
+        raise FileFormatError(f"{path}: damaged JSON ({error})") from error
+    if data.get("format") != FORMAT or data.get("version") != VERSION:
+        raise FileFormatError(
+            f'{path}: is no file of boxes; expected "format": "{FORMAT}", "version": {VERSION}'
+        )
+    entries = data.get("boxes")
+    if not isinstance(entries, list) or len(entries) > MAX_INSTANCES:
+        raise FileFormatError(f'{path}: "boxes" must be a list of at most {MAX_INSTANCES}')
+    return [_box(entry, f"{path}: box {number}") for number, entry in enumerate(entries)]
+
+
+def _box(entry: Any, where: str) -> Instance:
+    if not isinstance(entry, dict) or not set(entry) <= _BOX_KEYS:
+        raise FileFormatError(f"{where} must have only {', '.join(sorted(_BOX_KEYS))}")
+    label = entry.get("label")
+    if not isinstance(label, str) or len(label) > 100:
+        raise FileFormatError(f'{where} needs a "label" of at most 100 characters')
+    center = _vector(entry, "center", where, lambda v: np.abs(v).max() <= MAX_DISTANCE)
+    size = _vector(entry, "size", where, lambda v: v.min() > 0 and v.max() <= MAX_EDGE)
+    yaw, score = entry.get("yaw", 0.0), entry.get("score", 1.0)
+    if not all(_is_number(value) for value in (yaw, score)) or not 0 <= score <= 1:
+        raise FileFormatError(f'{where} needs "yaw" in radians and "score" in [0, 1]')
+    return Instance(label, float(score), box=UprightBox(center, size, float(yaw)))
+
+
+def _vector(entry: dict[str, Any], key: str, where: str, good: Callable[[Any], bool]) -> np.ndarray:
+    values = entry.get(key)
+    right = isinstance(values, list) and len(values) == 3 and all(map(_is_number, values))
+    if not right or not good(np.array(values, float)):
+        raise FileFormatError(f'{where} needs "{key}" as three numbers, in meters')
+    return np.array(values, float)
+
+
+def _is_number(value: Any) -> bool:
+    return type(value) in (int, float) and abs(value) < 1e9
+
+
+def _fitting(values: np.ndarray, cloud_size: int, path: Path) -> np.ndarray:
+    _check_size(len(values), cloud_size, path)
+    return values
+
+
+def _check_size(count: int, cloud_size: int, path: Path) -> None:
+    if count != cloud_size:
+        raise FileFormatError(
+            f"{path}: is for a cloud of {count} points, and this one has {cloud_size}; "
+            "give the cloud that was segmented"
+        )
+
+
+def _point_lines(path: Path, width: int, cloud_size: int) -> bytes:
+    """Read a file of one line a point; what is far too long belongs to another cloud."""
+    limit = width * cloud_size + 4096
+    with open_regular(path) as file:
+        data = file.read(limit + 1)
+    if len(data) > limit:
+        raise FileFormatError(
+            f"{path}: is for a larger cloud (more than {limit // width} points), and this one has "
+            f"{cloud_size}; give the cloud that was segmented"
+        )
+    return data
+
+
+def _text(path: Path, limit: int) -> str:
+    return read_bytes_bounded(path, limit).decode("utf-8", errors="replace")

@@ -1,0 +1,154 @@
+"""Reading a scan, whatever it was recorded as."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from momapos.core import FileFormatError, InputError, open_regular
+from momapos.model.records import Scan
+
+from .bags import BagTopics, read_bag
+from .clouds import read_cloud
+from .image_folders import find_walk
+from .layouts import MILLIMETERS, find_layout, list_names, read_frames
+from .pose_check import DRIFTED, check_poses
+
+ACCEPTED = (
+    "a folder with frame-000000.color.jpg, .depth.png and .pose.txt (7-Scenes, 3DMatch), or with "
+    "color/, depth/, pose/ and intrinsic/ (ScanNet export, OpenMask3D), or with rgb.txt, depth.txt "
+    "and groundtruth.txt (TUM), or with color/, depth/ and trajectory.log (Open3D); a cloud (.ply, "
+    ".pcd); or a recording (.bag, .mcap, the folder of a ROS 2 bag)"
+)
+_CLOUDS = (".ply", ".pcd")
+_RECORDINGS = (".bag", ".mcap")
+_HEADS = (
+    (b"ply", "cloud"),
+    (b"# .PCD", "cloud"),
+    (b"VERSION", "cloud"),
+    (b"#ROSBAG V2.0", "recording"),
+    (b"\x89MCAP0\r\n", "recording"),
+    (b"SQLite format 3", "recording"),
+)
+
+
+def read_scan(
+    path: Path,
+    *,
+    max_frames: int = 150,
+    depth_scale: float | None = None,
+    topics: BagTopics | None = None,
+) -> Scan:
+    """Read a scan; what it is, its content says.
+
+    Args:
+        path: A folder of posed images, a cloud, or a ROS recording.
+        max_frames: How many frames to read at most; of more, sharp ones are chosen all along the
+            way.
+        depth_scale: How many units of integer depth are a meter; float depth is in meters. By
+            default what is usual: 5000 in TUM's folders, 1000 elsewhere.
+        topics: Which topics of a recording are meant, where their names do not tell.
+
+    Returns:
+        The frames in the order they were recorded, the cloud where there is one, and what was
+        skipped or assumed.
+
+    Raises:
+        FileFormatError: It is no scan, or a damaged one; one line says what is wrong and where.
+        InputError: The frames do not fit into memory, or an argument is out of range.
+        MissingExtraError: A recording is given, and rosbags is not installed.
+    """
+    path = Path(path)
+    if depth_scale is not None and not 0 < depth_scale < float("inf"):
+        raise InputError(f"depth_scale is {depth_scale}; it is the units of depth in a meter")
+    if max_frames < 1:
+        raise InputError(f"max_frames is {max_frames}; at least 1 frame is needed")
+    if path.is_dir():
+        return _read_folder(path, max_frames, depth_scale, topics)
+    if not path.is_file():
+        raise FileFormatError(f"{path}: no such scan; expected {ACCEPTED}")
+    kind = _kind(path)
+    if kind == "cloud":
+        cloud, warnings = read_cloud(path)
+        return Scan(path.stem, (), cloud, warnings)
+    if kind == "recording":
+        frames, warnings = read_bag(
+            path, max_frames=max_frames, depth_scale=depth_scale or MILLIMETERS, topics=topics
+        )
+        return _checked(Scan(path.stem, frames, None, warnings))
+    raise FileFormatError(f"{path}: is no scan; expected {ACCEPTED}")
+
+
+def _read_folder(
+    path: Path, max_frames: int, depth_scale: float | None, topics: BagTopics | None
+) -> Scan:
+    name = path.resolve().name
+    layout = find_walk(path) or find_layout(path)
+    if layout is None:
+        inside = path if (path / "metadata.yaml").is_file() else _only_file(path)
+        if inside == path:
+            frames, warnings = read_bag(
+                path, max_frames=max_frames, depth_scale=depth_scale or MILLIMETERS, topics=topics
+            )
+            return _checked(Scan(name, frames, None, warnings))
+        scan = read_scan(inside, max_frames=max_frames, depth_scale=depth_scale, topics=topics)
+        return replace(scan, name=name)
+    frames, skipped = read_frames(layout, max_frames=max_frames, depth_scale=depth_scale)
+    warnings = (*layout.warnings, *skipped)
+    file = _cloud_beside(path)
+    if file is None:
+        if frames[0].depth is None:
+            raise FileFormatError(f"{path}: has neither depth images nor a cloud (scene.ply)")
+        return _checked(Scan(name, frames, None, warnings))
+    cloud, notes = read_cloud(file, np.array([frame.T_world_camera[:3, 3] for frame in frames]))
+    return Scan(name, frames, cloud, (*warnings, *notes))
+
+
+def _checked(scan: Scan) -> Scan:
+    """A scan whose poses were held against its depth: lost frames are out, drift is told."""
+    check = check_poses(scan.frames)
+    if check is None:
+        return scan
+    warnings = list(scan.warnings)
+    if check.lost:
+        names = ", ".join(scan.frames[k].name for k in check.lost[:3])
+        warnings.append(
+            f"{len(check.lost)} of {len(scan.frames)} frames left out: their poses do not fit to "
+            f"the depth of the frames before and after ({names})"
+        )
+    if check.drift is not None and check.drift > DRIFTED:
+        warnings.append(
+            f"the poses have drifted by {100 * check.drift:.0f} cm where a place was seen again "
+            "later: things come out blurred or twice; scan in one slow round, or align the poses"
+        )
+    frames = tuple(frame for k, frame in enumerate(scan.frames) if k not in check.lost)
+    return replace(scan, frames=frames, warnings=tuple(warnings), notes=(check.text(),))
+
+
+def _kind(path: Path) -> str | None:
+    with open_regular(path) as file:
+        head = file.read(64)
+    return next((kind for start, kind in _HEADS if head.startswith(start)), None)
+
+
+def _only_file(folder: Path) -> Path:
+    """The one cloud or recording in a folder."""
+    names = [n for n in list_names(folder) if n.lower().endswith((*_CLOUDS, *_RECORDINGS))]
+    if len(names) != 1:
+        found = f"holds {', '.join(sorted(names)[:5])}; give one of them" if names else "is no scan"
+        raise FileFormatError(f"{folder}: {found}; expected {ACCEPTED}")
+    return folder / names[0]
+
+
+def _cloud_beside(folder: Path) -> Path | None:
+    """The cloud that belongs to a folder of frames: scene.ply, or the only one."""
+    names = sorted(n for n in list_names(folder) if n.lower().endswith(_CLOUDS))
+    if "scene.ply" in names:
+        return folder / "scene.ply"
+    if len(names) > 1:
+        raise FileFormatError(
+            f"{folder}: holds several clouds ({', '.join(names[:5])}); call the right one scene.ply"
+        )
+    return folder / names[0] if names else None

@@ -1,0 +1,131 @@
+"""What is below a top: how far the body reaches, and whether it is closed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .room_shell import area, ends, peaks
+from .supports import Rectangle
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+LOWEST, LIP = 0.12, 0.1
+"""Sides are looked for this far above the floor, and this far below the top [m]."""
+
+
+@dataclass(frozen=True)
+class CabinetExtentConfig:
+    """What makes a side of furniture."""
+
+    near: float = 0.11
+    """Surfaces this near to an edge of the top may be the side below it [m]."""
+    eaves: tuple[float, float] = (0.05, 0.4)
+    """Tops that hang over by less are flush with their furniture; by more, they do not [m]."""
+    broad: float = 0.25
+    """Share of a side that a surface covers to be that side [-]."""
+    sharp: float = 0.015
+    """Points of one surface are within this of its plane [m]."""
+
+
+@dataclass(frozen=True)
+class _Side:
+    """An upright surface below an edge of a top."""
+
+    depth: float
+    """How far inward of the edge it is [m]."""
+    low: float
+    high: float
+    """Where it begins and ends along the edge [m]."""
+
+
+def cabinet_extent(
+    points: Float[np.ndarray, "n 3"],
+    normals: Float[np.ndarray, "n 3"],
+    rectangle: Rectangle,
+    height: float,
+    config: CabinetExtentConfig,
+) -> Rectangle:
+    """Outline of the furniture below a top that may hang over.
+
+    Each side is the outermost upright surface that faces out and is broad enough, but no farther
+    in than its neighbors end: furniture may be open at a side. Where none is seen, and where the
+    difference is small, it is below the edge of the top.
+
+    Args:
+        points: What is below the top.
+        normals: Of the points.
+        rectangle: The top seen from above.
+        height: Of the top [m].
+        config: Constants.
+    """
+    if height - LOWEST - LIP < 0.1:
+        return rectangle
+    sides = [_side(points, normals, rectangle, height, side, config) for side in range(4)]
+    body = list(rectangle)
+    for side, found in enumerate(sides):
+        if found is None:
+            continue
+        axis, sign = side % 2, 1.0 if side < 2 else -1.0
+        beside = [s for s in (sides[1 - axis], sides[3 - axis]) if s is not None]
+        reached = [sign * ((s.low if side < 2 else s.high) - rectangle[side]) for s in beside]
+        depth = min([found.depth, *reached])
+        if config.eaves[0] < depth < config.eaves[1]:
+            body[side] += sign * depth
+    return (body[0], body[1], body[2], body[3])
+
+
+def _side(
+    points: Float[np.ndarray, "n 3"],
+    normals: Float[np.ndarray, "n 3"],
+    rectangle: Rectangle,
+    height: float,
+    side: int,
+    config: CabinetExtentConfig,
+) -> _Side | None:
+    """The side of the body below one edge of a top."""
+    axis, sign = side % 2, -1.0 if side < 2 else 1.0
+    start, stop = rectangle[1 - axis], rectangle[3 - axis]
+    inward, along = sign * (rectangle[side] - points[:, axis]), points[:, 1 - axis]
+    on = (sign * normals[:, axis] > 0.8) & (along > start) & (along < stop)
+    on &= (points[:, 2] > LOWEST) & (points[:, 2] < height - LIP)
+    on &= (inward > -config.near) & (inward < config.eaves[1])
+    for depth in sorted(peaks(inward[on], config.sharp, 10, 2 * config.sharp)):
+        flat = on & (np.abs(inward - depth) < config.sharp)
+        covered = area(along[flat], points[flat, 2])
+        share = covered / ((stop - start) * (height - LIP - LOWEST))
+        if share > config.broad:
+            return _Side(depth, *ends(along[flat], 2 * config.sharp))
+    return None
+
+
+def closed_share(
+    points: Float[np.ndarray, "n 3"],
+    normals: Float[np.ndarray, "n 3"],
+    rectangle: Rectangle,
+    height: float,
+    near: float,
+) -> float:
+    """Share of the fullest side below a surface on which upright surfaces are seen [-].
+
+    Args:
+        points: What is below it and around.
+        normals: Of the points.
+        rectangle: The surface seen from above.
+        height: Of the surface [m].
+        near: Points this near to a side belong to it [m].
+    """
+    low_z, high_z = LOWEST, height - LIP
+    if high_z - low_z < 0.1:
+        return 0.0
+    shares = []
+    for side in range(4):
+        axis = side % 2
+        at = (np.abs(normals[:, axis]) > 0.8) & (np.abs(points[:, axis] - rectangle[side]) < near)
+        on = points[at & (points[:, 2] > low_z) & (points[:, 2] < high_z)]
+        whole = (rectangle[3 - axis] - rectangle[1 - axis]) * (high_z - low_z)
+        shares.append(area(on[:, 1 - axis], on[:, 2]) / whole)
+    return max(shares)

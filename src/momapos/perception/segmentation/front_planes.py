@@ -1,0 +1,361 @@
+"""Flat fronts of furniture, and how far it reaches back behind them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from momapos.core.geometry import UprightBox, corners, from_corners
+from momapos.model.records import Cloud, Instance
+
+from .room_shell import Room, Wall, area, ends, floor_seen, peaks
+from .supports import components
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
+
+
+CLEAR = 4.0
+"""A step of what stands on the floor is clear that is so many times as high as its edges are
+ragged; the upper edges of what hangs are above the cameras, and seen as they chance to be [-]."""
+
+
+@dataclass(frozen=True)
+class FrontPlaneConfig:
+    """What makes a surface the front of a piece of furniture."""
+
+    area: float = 0.06
+    """Least area [m2]."""
+    side: float = 0.2
+    """Least width and height [m]."""
+    step: float = 0.02
+    """Surfaces with a step of more than twice this are two fronts [m]."""
+    gap: float = 0.04
+    """Gaps of up to twice this, as between doors, are bridged [m]."""
+    depth: float = 0.9
+    """Furniture is at most this deep [m], unless it hides all of the floor back to a wall."""
+    deepest: float = 1.25
+    """That furniture is at most this deep [m]."""
+    open: float = 0.2
+    """Share of a footprint on which the floor is seen, above which nothing fills it: the floor is
+    seen a little way under doors that end above it [-]."""
+    foot: float = 0.25
+    """Fronts whose lower edge is below this stand on the floor, on feet or a plinth [m]."""
+    stands_out: float = 0.15
+    """Handles stand out from fronts by this, at most [m]."""
+    shallow: float = 0.05
+    """And at least this [m]."""
+    stack: float = 0.15
+    """Fronts of one width, one above the other, belong together when no farther apart [m]."""
+    profile: float = 0.03
+    """A step in the upper or lower edge of a front by more than this divides it [m]."""
+    ragged: float = 0.2
+    """The same for the upper edge of tall furniture that stands on the floor: what is at the height
+    of the camera or above is often not seen up to its end [m]. Doors divide such a row later."""
+    hung: float = 1.0
+    """Fronts whose lower edge is above this hang on the wall [m]."""
+    tall: float = 1.2
+    """Standing fronts that end above this are tall [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class FrontPlane:
+    """A flat upright surface and the box behind it."""
+
+    axis: int
+    """0 where it looks along x, 1 along y."""
+    sign: float
+    """+1 where it looks toward larger coordinates, else -1."""
+    box: UprightBox
+    members: Int[np.ndarray, " k"]
+    rank: float
+    """How good a front it is: the seen area, more where a wall is behind."""
+
+
+def find_front_planes(
+    cloud: Cloud, room: Room, among: Int[np.ndarray, " m"], config: FrontPlaneConfig
+) -> list[FrontPlane]:
+    """Find fronts among some points of an upright cloud.
+
+    Returns:
+        Those that look away from a wall near behind them first, then by area.
+    """
+    found = []
+    for axis in (0, 1):
+        for sign in (1.0, -1.0):
+            facing = among[sign * cloud.normals[among, axis] > 0.85]
+            for members in _flat(cloud.points[facing], facing, axis, config):
+                for piece in _divided(cloud.points[members], members, axis, config):
+                    found.append(_front(cloud, room, among, piece, axis, sign, config))
+    return _stacked(sorted((f for f in found if f is not None), key=lambda f: -f.rank), config)
+
+
+def _stacked(fronts: list[FrontPlane], config: FrontPlaneConfig) -> list[FrontPlane]:
+    """Join fronts one above the other in one plane: the doors of a fridge, with a gap for hands."""
+    out: list[FrontPlane] = []
+    for front in fronts:
+        for k, other in enumerate(out):
+            if _one_above_other(front, other, config):
+                (low, high), (low_2, high_2) = corners(front.box), corners(other.box)
+                members = np.concatenate([other.members, front.members])
+                box = from_corners(np.minimum(low, low_2), np.maximum(high, high_2))
+                out[k] = replace(other, box=box, members=members)
+                break
+        else:
+            out.append(front)
+    return out
+
+
+def _one_above_other(a: FrontPlane, b: FrontPlane, config: FrontPlaneConfig) -> bool:
+    if (a.axis, a.sign) != (b.axis, b.sign):
+        return False
+    apart = np.abs(a.box.center - b.box.center) - (a.box.size + b.box.size) / 2
+    faces = [f.box.center[f.axis] + f.sign * f.box.size[f.axis] / 2 for f in (a, b)]
+    across = 1 - a.axis
+    return bool(
+        abs(faces[0] - faces[1]) < config.step
+        and abs(a.box.center[across] - b.box.center[across]) < config.profile
+        and abs(a.box.size[across] - b.box.size[across]) < 2 * config.profile
+        and apart[2] < config.stack
+    )
+
+
+def _flat(
+    points: Float[np.ndarray, "n 3"],
+    members: Int[np.ndarray, " n"],
+    axis: int,
+    config: FrontPlaneConfig,
+) -> Iterator[Int[np.ndarray, " k"]]:
+    """Groups of points that lie in one plane and touch."""
+    cell = [config.gap] * 3
+    cell[axis] = config.step
+    label = components(points, (cell[0], cell[1], cell[2]))
+    for k in range(label.max(initial=-1) + 1):
+        group = label == k
+        if group.sum() < config.area / config.gap**2:
+            return
+        yield members[group]
+
+
+def _divided(
+    points: Float[np.ndarray, "n 3"],
+    members: Int[np.ndarray, " n"],
+    axis: int,
+    config: FrontPlaneConfig,
+) -> Iterator[Int[np.ndarray, " k"]]:
+    """Divide a flat surface where its upper or lower edge has a step, into pieces that are wide
+    enough for a front: a strip at an end is what was not seen of the edge."""
+    along, z = points[:, 1 - axis], points[:, 2]
+    strip = 0.03
+    low = float(along.min())
+    bins = np.floor((along - low) / strip).astype(int)
+    order = np.lexsort((z, bins))
+    counts = np.bincount(bins)
+    starts = np.concatenate([[0], np.cumsum(counts)])
+    seen = np.flatnonzero(counts > 3)
+    if not len(seen):
+        yield members
+        return
+    # One row below the top: a single stray point is no edge.
+    top = np.array([z[order[starts[k + 1] - 2]] for k in seen])
+    bottom = np.array([z[order[starts[k] + 1]] for k in seen])
+    hangs = float(np.median(bottom)) > config.hung
+    tall = not hangs and float(np.median(top)) > config.tall
+    cuts = _steps(top, config.ragged if tall else config.profile, np.inf if hangs else CLEAR)
+    # Lower edges near the floor are hidden by what stands before them.
+    if hangs:
+        cuts |= _steps(bottom, config.profile, np.inf)
+    edges = [low]
+    high = float(along.max())
+    for cut in low + strip * seen[sorted(cuts)]:
+        if cut - edges[-1] > config.side and high - cut > config.side:
+            edges.append(float(cut))
+    part = np.searchsorted(edges[1:], along)
+    for k in range(len(edges)):
+        yield members[part == k]
+
+
+def _steps(profile: Float[np.ndarray, " n"], least: float, clear: float, side: int = 4) -> set[int]:
+    """Where a profile changes for good: the medians on both sides differ.
+
+    By more than `least` [m] where neither side is ragged by that, else by more than `clear` times
+    as much as either is ragged [-].
+    """
+    n = len(profile)
+    jumps = np.zeros(n)
+    for k in range(side, n - side + 1):
+        before, after = profile[k - side : k], profile[k : k + side]
+        jump = abs(float(np.median(after) - np.median(before)))
+        if max(np.ptp(before), np.ptp(after)) < max(least, jump / clear):
+            jumps[k] = jump
+    cuts: set[int] = set()
+    while jumps.max(initial=0.0) > least:
+        k = int(np.argmax(jumps))
+        cuts.add(k)
+        jumps[max(0, k - side) : k + side] = 0
+    return cuts
+
+
+def _front(
+    cloud: Cloud,
+    room: Room,
+    among: Int[np.ndarray, " m"],
+    members: Int[np.ndarray, " k"],
+    axis: int,
+    sign: float,
+    config: FrontPlaneConfig,
+) -> FrontPlane | None:
+    """The box behind a flat surface; None for one that is too small."""
+    points = cloud.points[members]
+    other = 1 - axis
+    if len(points) < 20:
+        return None
+    low, high = points.min(axis=0), points.max(axis=0)
+    for k in (other, 2):
+        low[k], high[k] = ends(points[:, k], config.profile / 2)
+    if high[other] - low[other] < config.side or high[2] - low[2] < config.side:
+        return None
+    size = area(points[:, other], points[:, 2])
+    if size < config.area:
+        return None
+    # The densest plane: of a curved front it is the middle, which stands out farthest.
+    face = peaks(points[:, axis], config.step / 2, 1, config.step)[0]
+    wall = _wall_behind(cloud, room, low, high, face, axis, sign, config)
+    if wall is not None:
+        back = wall.offset
+    else:
+        around, facing = cloud.points[among], sign * cloud.normals[among, axis]
+        away = sign * (face - around[:, axis])
+        column = (around[:, other] > low[other]) & (around[:, other] < high[other])
+        column &= (around[:, 2] > low[2]) & (around[:, 2] < high[2] + 0.03)
+        column &= (away > -0.02) & (away < config.depth)
+        alike = column & (facing > 0.8)
+        end = _next_front(away[alike], around[alike][:, [other, 2]], config)
+        away = away[column & (away < end)]
+        back = face - sign * max(config.shallow, float(np.percentile(away, 98, method="higher")))
+    low[axis], high[axis] = min(face, back), max(face, back)
+    low[2] = 0.0 if low[2] < config.foot else low[2]
+    box = from_corners(low, high)
+    return FrontPlane(axis, sign, box, members, size * (1.0 if wall is None else 3.0))
+
+
+def _next_front(
+    away: Float[np.ndarray, " n"],
+    places: Float[np.ndarray, "n 2"],
+    config: FrontPlaneConfig,
+) -> float:
+    """Behind a front, where the side or front of the next thing is; at most `depth` [m].
+
+    Args:
+        away: How far behind the front surfaces are that look the same way [m].
+        places: Where they are across it [m].
+        config: Constants.
+    """
+    behind = away[away > config.stands_out]
+    for at in sorted(peaks(behind, config.step, 10, 2 * config.step)):
+        flat = np.abs(away - at) < config.step
+        if area(*places[flat].T) > config.area:
+            return at - config.step
+    return config.depth
+
+
+def _wall_behind(
+    cloud: Cloud,
+    room: Room,
+    low: Float[np.ndarray, "3"],
+    high: Float[np.ndarray, "3"],
+    face: float,
+    axis: int,
+    sign: float,
+    config: FrontPlaneConfig,
+) -> Wall | None:
+    """The nearest wall behind a front, within the depth of furniture."""
+    middle = (low + high) / 2
+    middle[axis] = face
+    behind = [
+        wall
+        for wall in room.walls
+        if wall.axis == axis and wall.sign == sign and wall.beside(middle[None], 0.2)[0]
+    ]
+    reach = config.deepest if low[2] < config.foot else config.depth
+    near = [w for w in behind if config.shallow < w.distance(middle[None])[0] < reach]
+    if not near:
+        return None
+    wall = min(near, key=lambda wall: wall.distance(middle[None])[0])
+    if wall.distance(middle[None])[0] < config.depth:
+        return wall
+    start, stop = low[:2].copy(), high[:2].copy()
+    start[axis], stop[axis] = sorted((face, wall.offset))
+    return None if floor_seen(cloud, start, stop) > config.open else wall
+
+
+def hung_together(
+    furniture: Sequence[Instance], rest: Sequence[Instance], cloud: Cloud, near: float
+) -> list[Instance]:
+    """Join a hood's rim with its chimney: a flat thing that hangs right below a narrower one."""
+    out, alone = list(furniture), []
+    for thing in rest:
+        points = cloud.points[thing.members]
+        low, high = points.min(axis=0), points.max(axis=0)
+        for k, body in enumerate(out):
+            if body.box is None:
+                continue
+            start, stop = corners(body.box)
+            both = np.minimum(stop, high)[:2] - np.maximum(start, low)[:2]
+            below = np.prod(both.clip(0.0)) > 0.6 * np.prod((stop - start)[:2])
+            flat = high[2] - low[2] < 0.15 and start[2] > 1.0
+            if flat and below and low[2] - near < start[2] < high[2] + near:
+                box = from_corners(np.minimum(low, start), np.maximum(high, stop))
+                members = np.concatenate([body.members, thing.members])
+                out[k] = replace(body, members=members, box=box)
+                break
+        else:
+            alone.append(thing)
+    return out + alone
+
+
+def without_handles(
+    furniture: Sequence[Instance], rest: Sequence[Instance], cloud: Cloud, config: FrontPlaneConfig
+) -> tuple[list[Instance], list[Instance]]:
+    """Give handles that touch no other points to the furniture that they stand out from.
+
+    What reaches down to the floor stands before the furniture and is no handle.
+    """
+    out, alone = list(furniture), []
+    for thing in rest:
+        points = cloud.points[thing.members]
+        low, high = points.min(axis=0), points.max(axis=0)
+        for k, body in enumerate(out):
+            if (
+                body.box is not None
+                and low[2] > config.foot
+                and _before(body.box, low, high, config)
+            ):
+                out[k] = replace(body, members=np.concatenate([body.members, thing.members]))
+                break
+        else:
+            alone.append(thing)
+    return out, alone
+
+
+def _before(
+    box: UprightBox,
+    low: Float[np.ndarray, "3"],
+    high: Float[np.ndarray, "3"],
+    config: FrontPlaneConfig,
+) -> bool:
+    """Whether something lies before an upright face of a box, near to it."""
+    start, stop = corners(box)
+    out = np.maximum(start - low, high - stop)[:2]  # how far it stands out along x and y
+    beside = (high < start) | (low > stop)
+    return any(
+        0 < out[axis] < config.stands_out
+        and beside[axis]
+        and (np.delete(out, axis) <= 0).all()
+        and low[2] > start[2]
+        and high[2] < stop[2]
+        for axis in (0, 1)
+    )

@@ -1,0 +1,351 @@
+"""Dividing a room into things without a trained network.
+
+Furniture has flat tops and flat fronts. What stands on a top is a thing of its own; what is
+under a top, down to the floor, is a piece of furniture; where no top can be seen, as with tall
+and with hanging furniture, a front reaches back to the wall behind it. What is left over falls
+into groups of points that touch.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy import ndimage
+
+from momapos.core import InputError
+from momapos.core.geometry import UprightBox, corners, from_corners
+from momapos.model.records import Cloud, Instance
+
+from .cabinet_extent import cabinet_extent, closed_share
+from .config import SegmentConfig
+from .front_planes import FrontPlane, find_front_planes, hung_together, without_handles
+from .room_shell import find_room, flat_on_wall, floor_seen, in_room
+from .supports import Rectangle, Support, components, find_supports, floor_raster, rectangles
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Int
+
+
+class ClassicalSegmenter:
+    """Divides an upright cloud by planes and by which points touch; a `Segmenter`.
+
+    A counter's top and what is below it are two instances. What is below is one instance from
+    end to end, or to the corner of the room: `rows.split_row` divides it where images
+    show its fronts to end. Tops at another height, as an oven's between counters, divide it here.
+    """
+
+    def __init__(self, config: SegmentConfig | None = None) -> None:
+        self.config = config or SegmentConfig()
+
+    def __call__(self, cloud: Cloud) -> list[Instance]:
+        """Divide a cloud.
+
+        Args:
+            cloud: z up, floor at z = 0, furniture along x and y; with normals.
+
+        Returns:
+            Instances: furniture first, with boxes; then the rest; then what stands on furniture.
+
+        Raises:
+            InputError: The cloud is empty or holds numbers that are not finite.
+        """
+        if not len(cloud.points):
+            raise InputError("the cloud is empty: there is nothing to divide")
+        if not (np.isfinite(cloud.points).all() and np.isfinite(cloud.normals).all()):
+            raise InputError("the cloud holds points or normals that are not finite numbers")
+        return _Division(cloud, self.config).run()
+
+
+class _Division:
+    """One cloud while it is divided: which of its points are still free."""
+
+    def __init__(self, cloud: Cloud, config: SegmentConfig) -> None:
+        self.cloud, self.config = cloud, config
+        self.room = find_room(cloud, config.room)
+        self.free = ~in_room(self.room, cloud, config.room)
+        self.raster = floor_raster(cloud.points, config.support.cell)
+
+    def run(self) -> list[Instance]:
+        among = np.flatnonzero(self.free)
+        if not len(among):
+            return []
+        supports = find_supports(self.cloud, self.room, among, self.raster, self.config.support)
+        supports = self._lengthened(supports, self._fronts())
+        things = [thing for support in supports for thing in self._things_on(support, supports)]
+        tops = [support for support in supports if self.free[support.members].mean() > 0.5]
+        fronts = self._fronts()  # without those of what stands on a top
+        tops = self._lengthened(tops, fronts)
+        furniture = [body for top in tops for body in self._below(top)]
+        furniture += self._behind_fronts(fronts)
+        rest = self._rest([body.box for body in furniture if body.box is not None])
+        furniture, rest = without_handles(furniture, rest, self.cloud, self.config.front)
+        return hung_together(furniture, rest, self.cloud, self.config.touching) + things
+
+    def _fronts(self) -> list[FrontPlane]:
+        among = np.flatnonzero(self.free)
+        return find_front_planes(self.cloud, self.room, among, self.config.front)
+
+    # ------------------------------------------------------------ what stands on a surface
+
+    def _things_on(self, support: Support, supports: Sequence[Support]) -> list[Instance]:
+        """Groups of points that stand on a surface and do not reach beyond it."""
+        config, points = self.config, self.cloud.points
+        if self._is_seat(support):
+            return []
+        above = points[:, 2] - support.height
+        possible = self.free & (above > config.lift) & (above < config.reach)
+        for other in supports:
+            if 0 < other.height - support.height < 0.08:
+                possible[other.members] = False  # a neighbor's top, one step higher
+        # At the edge of the surface, sides of taller furniture begin.
+        inner = ndimage.binary_erosion(support.outline)
+        inside = np.flatnonzero(possible & self.raster.within(inner, points))
+        label = components(points[inside], config.touching_small)
+        found = []
+        for k in range(label.max(initial=-1) + 1):
+            members = inside[label == k]
+            if len(members) < config.least_small:
+                break
+            if above[members].min() < 2 * config.touching_small:
+                members = self._with_edges(members, possible)
+                self.free[members] = False
+                found.append(Instance("", 0.5, members))
+        return found
+
+    def _is_seat(self, support: Support) -> bool:
+        height, size = self.config.seat
+        covers = support.outline.sum() * self.config.support.cell**2
+        return bool(support.height < height and covers < size)
+
+    def _with_edges(
+        self, members: Int[np.ndarray, " k"], possible: Bool[np.ndarray, " n"]
+    ) -> Int[np.ndarray, " m"]:
+        """Add what the erosion of the surface cut off a thing."""
+        points, margin = self.cloud.points, 1.5 * self.config.support.cell
+        low, high = points[members].min(axis=0) - margin, points[members].max(axis=0) + margin
+        low[2], high[2] = low[2] + margin, high[2]
+        near = np.flatnonzero(possible & ((points > low) & (points < high)).all(axis=1))
+        label = components(points[near], self.config.touching_small)
+        own = np.isin(near, members)
+        return near[np.isin(label, np.unique(label[own]))]
+
+    # ------------------------------------------------------------ furniture with a visible top
+
+    def _lengthened(self, tops: Sequence[Support], fronts: Sequence[FrontPlane]) -> list[Support]:
+        """Tops that reach as far as the fronts that end just below them; of one front they are one.
+
+        A camera held low sees a counter's front, but little of its top, and what stands on it hides
+        the middle.
+        """
+        config, found = self.config.support, list(tops)
+        for front in fronts:
+            low, high = corners(front.box)
+            mask = self.raster.filled((low[0], low[1], high[0], high[1]))
+            level = [top for top in found if abs(top.height - high[2]) < self.config.lip]
+            below = [top for top in level if (top.outline & mask).any()]
+            if not below or low[2] >= config.lowest:
+                continue
+            height = min(below, key=lambda top: abs(top.height - high[2])).height
+            own = [top for top in below if abs(top.height - height) < config.layer]
+            others = np.any([~mask, *(top.outline for top in level if top not in own)], axis=0)
+            outline = np.any([~others, *(top.outline for top in own)], axis=0)
+            members = np.concatenate([top.members for top in own])
+            found = [top for top in found if top not in own]
+            found.append(Support(height, outline, members))
+        return sorted(found, key=lambda top: -top.height)
+
+    def _below(self, top: Support) -> list[Instance]:
+        """The furniture below a surface, divided into boxes."""
+        if top.height > self.config.tall:
+            return []
+        out = []
+        pieces = [
+            piece
+            for rectangle in rectangles(top.outline, self.raster)
+            for piece in self._without_corners(rectangle, top.height)
+        ]
+        shares = [self._closed_share(piece, top.height) for piece in pieces]
+        for piece, share in zip(pieces, shares, strict=True):
+            # A corner shows no side: it is closed when the rest is and no floor is seen below it.
+            hidden = max(shares) >= self.config.closed and not self._shows_floor(piece)
+            seen = share >= self.config.closed
+            label = "cabinet" if hidden and not seen else ""
+            out += self._body(piece, top.height, label, closed=bool(seen or hidden))
+        return [self._with_back(body) for body in out] if self._is_seat(top) else out
+
+    def _with_back(self, seat: Instance) -> Instance:
+        """A chair: its seat and the thin back that rises from an edge of it."""
+        assert seat.box is not None
+        config, points = self.config, self.cloud.points
+        low, high = corners(seat.box)
+        column = self._column((low[0], low[1], high[0], high[1]), high[2] + config.back)
+        rising = column[points[column, 2] > high[2]]
+        if len(rising) < config.least_points or self._goes_on(rising, column):
+            return seat
+        start, stop = points[rising].min(axis=0), points[rising].max(axis=0)
+        thin, wide = np.sort((stop - start)[:2])
+        if (
+            thin > config.back_thick
+            or wide < float(max((high - low)[:2])) / 2
+            or start[2] - high[2] > 0.1
+        ):
+            return seat
+        self.free[rising] = False
+        box = from_corners(np.minimum(low, start), np.maximum(high, stop))
+        return replace(seat, members=np.concatenate([seat.members, rising]), box=box)
+
+    def _shows_floor(self, rectangle: Rectangle) -> bool:
+        """Whether the floor inside a rectangle was seen."""
+        low, high = np.array(rectangle[:2]), np.array(rectangle[2:])
+        return floor_seen(self.cloud, low, high) > self.config.open
+
+    def _without_corners(self, rectangle: Rectangle, height: float) -> list[Rectangle]:
+        """Cut off ends of a row that have no front, as in the corner of a room."""
+        points, normals, config = self.cloud.points, self.cloud.normals, self.config
+        size = rectangle[2] - rectangle[0], rectangle[3] - rectangle[1]
+        if max(size) - min(size) < config.corner:
+            return [rectangle]  # too short for a corner and a piece beside it
+        across = 0 if size[0] < size[1] else 1
+        along = 1 - across
+        low, high = rectangle[along], rectangle[along + 2]
+        below = self.free & (points[:, 2] > 0.15) & (points[:, 2] < height - 0.1)
+        best = (0.0, low, high)
+        for side, sign in ((across, -1.0), (across + 2, 1.0)):
+            on = below & (sign * normals[:, across] > 0.8)
+            on &= np.abs(points[:, across] - rectangle[side]) < config.overhang
+            at = points[on, along]
+            at = at[(at > low) & (at < high)]
+            if len(at) > 4 * config.least_points:
+                first, last = np.percentile(at, [1, 99])
+                best = max(best, (float(len(at)), float(first), float(last)))
+        count, first, last = best
+        if not count or last - first < config.corner:
+            return [rectangle]
+        edges = [low]
+        edges += [first] if first - low > config.corner else []
+        edges += [last] if high - last > config.corner else []
+        pieces = []
+        for a, b in zip(edges, [*edges[1:], high], strict=True):
+            piece = list(rectangle)
+            piece[along], piece[along + 2] = a, b
+            pieces.append((piece[0], piece[1], piece[2], piece[3]))
+        return pieces
+
+    def _body(
+        self, rectangle: Rectangle, height: float, label: str, *, closed: bool
+    ) -> list[Instance]:
+        config, points = self.config, self.cloud.points
+        low, high = np.array(rectangle[:2]), np.array(rectangle[2:])
+        members = self._column(rectangle, height)
+        if len(members) < config.least_points:
+            return []
+        if not closed:
+            return self._open(members, rectangle, height)
+        self.free[members] = False
+        normals = self.cloud.normals
+        body = cabinet_extent(points[members], normals[members], rectangle, height, config.extent)
+        if max(high - low) < config.slab_length and body == rectangle:
+            return [Instance(label, 0.7, members, _box(rectangle, 0.0, height))]
+        split = height - config.slab
+        is_slab = points[members, 2] > split
+        return [
+            Instance(label, 0.7, members[~is_slab], _box(body, 0.0, split)),
+            Instance("counter", 0.7, members[is_slab], _box(rectangle, split, height)),
+        ]
+
+    def _column(self, rectangle: Rectangle, height: float) -> Int[np.ndarray, " k"]:
+        """Free points below a top, and a little in front of it."""
+        points, margin = self.cloud.points, self.config.overhang
+        low, high = np.array(rectangle[:2]) - margin, np.array(rectangle[2:]) + margin
+        near = self.free & (points[:, 2] < height + self.config.lift)
+        near &= ((points[:, :2] > low) & (points[:, :2] < high)).all(axis=1)
+        return np.flatnonzero(near)
+
+    def _closed_share(self, rectangle: Rectangle, height: float) -> float:
+        """Share of the fullest side of a box that surfaces are seen on [-]."""
+        members = self._column(rectangle, height)
+        points, normals = self.cloud.points[members], self.cloud.normals[members]
+        return closed_share(points, normals, rectangle, height, self.config.extent.near)
+
+    def _open(
+        self, members: Int[np.ndarray, " k"], rectangle: Rectangle, height: float
+    ) -> list[Instance]:
+        """A table with what of its legs is seen, or a shelf; chairs below a table stay free."""
+        config, points = self.config, self.cloud.points
+        upper = points[members, 2] > height - 0.12
+        below = members[~upper]
+        label = components(points[below], config.touching)
+        low, high = np.array(rectangle[:2]) - 0.05, np.array(rectangle[2:]) + 0.05
+        inside = np.all((points[below, :2] > low) & (points[below, :2] < high), axis=1)
+        legs = []
+        for k in range(label.max(initial=-1) + 1):
+            group = label == k
+            if inside[group].mean() > 0.95 and not self._goes_on(below[group], members):
+                legs.append(below[group])
+        own = np.concatenate([members[upper], *legs])
+        self.free[own] = False
+        corner, far = np.array(rectangle[:2]), np.array(rectangle[2:])
+        middle = np.array([[*(corner + far) / 2, height]])
+        at_wall = any(
+            bool(wall.beside(middle)[0])
+            and wall.distance(middle)[0] < (far - corner)[wall.axis] / 2 + 0.12
+            for wall in self.room.walls
+        )
+        if at_wall and min(far - corner) < config.shelf:
+            thick = min(float(np.ptp(points[members[upper], 2])), 0.12)
+            return [Instance("shelf", 0.5, own, _box(rectangle, height - thick, height))]
+        return [Instance("", 0.7, own, _box(rectangle, 0.0, height))]
+
+    def _goes_on(self, group: Int[np.ndarray, " k"], column: Int[np.ndarray, " m"]) -> bool:
+        """Whether a group of points is part of something that reaches out of a column."""
+        points = self.cloud.points
+        margin = self.config.touching
+        low, high = points[group].min(axis=0) - margin, points[group].max(axis=0) + margin
+        near = self.free & ((points > low) & (points < high)).all(axis=1)
+        near[column] = False
+        return int(near.sum()) > 20
+
+    # ------------------------------------------------------------ furniture without a visible top
+
+    def _behind_fronts(self, fronts: Sequence[FrontPlane]) -> list[Instance]:
+        """Boxes behind flat fronts, back to the wall."""
+        out = []
+        for front in fronts:
+            if self.free[front.members].mean() < 0.6:
+                continue
+            box = front.box
+            members = self._inside(box, self.config.overhang)
+            self.free[members] = False
+            out.append(Instance("", 0.6, members, box))
+        return out
+
+    def _inside(self, box: UprightBox, margin: float) -> Int[np.ndarray, " k"]:
+        """Free points in a box that is made larger all around."""
+        near = np.abs(self.cloud.points - box.center) < box.size / 2 + margin
+        return np.flatnonzero(near.all(axis=1) & self.free)
+
+    # ------------------------------------------------------------ the rest
+
+    def _rest(self, boxes: Sequence[UprightBox]) -> list[Instance]:
+        """Groups of points that touch and are not just the edges of what was found."""
+        points, config = self.cloud.points, self.config
+        for box in boxes:
+            self.free[self._inside(box, config.overhang)] = False
+        among = np.flatnonzero(self.free)
+        label = components(points[among], config.touching)
+        out = []
+        for k in range(label.max(initial=-1) + 1):
+            members = among[label == k]
+            if len(members) < config.least_points:
+                break
+            if not flat_on_wall(self.room, points[members], config.flat):
+                out.append(Instance("", 0.4, members))
+        return out
+
+
+def _box(rectangle: Rectangle, bottom: float, top: float) -> UprightBox:
+    x0, y0, x1, y1 = rectangle
+    return from_corners(np.array([x0, y0, bottom]), np.array([x1, y1, top]))

@@ -1,0 +1,125 @@
+"""How much of a thing was seen: on which of its faces surfaces were measured."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from momapos.core.geometry import UprightBox, along_edges, to_local
+from momapos.model.records import Cloud, Detection
+
+from .room_shell import CELL, area
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
+
+SIDES = ((0, 1.0), (1, 1.0), (0, -1.0), (1, -1.0), (2, 1.0))
+"""Axis and sign of the faces that count: outward along x, y, -x, -y, up."""
+NEAR = 0.08
+"""Surfaces this near to a face's plane belong to it: doors stand out, handles more [m]."""
+BEFORE = 0.05
+"""A place this far before a face must be free for it to be seen [m]."""
+FACING = 0.5
+"""Cosine between the normal of such a surface and the face's, at least [-]."""
+PLACES = 6
+"""Places a side of a face that are looked up [-]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Coverage:
+    """What was seen of a box; faces are outward along its x, y, -x, -y, and up."""
+
+    open: Float[np.ndarray, "5"]
+    """Share of each face that nothing stands against [-]."""
+    seen: Float[np.ndarray, "5"]
+    """Share of each face on which surfaces were measured [-]."""
+    areas: Float[np.ndarray, "5"]
+    """[m2]"""
+
+    @property
+    def share(self) -> float:
+        """Share of the surface that can be seen that was seen, in [0, 1]; 0 where none can."""
+        can = self.open * self.areas
+        if not can.any():
+            return 0.0
+        return float((np.minimum(self.seen, self.open) * self.areas).sum() / can.sum())
+
+
+def coverage(cloud: Cloud, item: Detection, others: Sequence[UprightBox]) -> Coverage:
+    """Measure how much of a thing was seen.
+
+    Args:
+        cloud: Upright, floor at z = 0.
+        item: With members in the cloud.
+        others: Boxes of everything else, walls among them.
+    """
+    box, size = item.box, np.asarray(item.box.size)
+    local = to_local(cloud.points[item.members], box)
+    facing = along_edges(cloud.normals[item.members], box.yaw)
+    cell = min(CELL, float(size.min()) / 3)
+    seen, areas = [], []
+    for axis, sign in SIDES:
+        a, b = (k for k in range(3) if k != axis)
+        away = np.abs(sign * local[:, axis] - size[axis] / 2)
+        on = local[(away < min(NEAR, size[axis] / 2)) & (sign * facing[:, axis] > FACING)]
+        areas.append(float(size[a] * size[b]))
+        seen.append(min(1.0, area(on[:, a], on[:, b], cell) / areas[-1]) if len(on) else 0.0)
+    free = ~_taken(_places(box), others).reshape(len(SIDES), -1)
+    return Coverage(free.mean(axis=1), np.array(seen), np.array(areas))
+
+
+def with_coverage(
+    things: Sequence[Detection],
+    cloud: Cloud,
+    walls: Sequence[Detection],
+    measured: int | None = None,
+) -> list[Detection]:
+    """Things that know how much of them was seen.
+
+    Args:
+        things: With members in the cloud.
+        cloud: Upright, floor at z = 0.
+        walls: Of the room.
+        measured: How many points of the cloud were measured; the others, behind them, were
+            completed. All by default.
+    """
+    found = []
+    for item in things:
+        others = [one.box for one in (*things, *walls) if one is not item]
+        seen = replace(item, members=item.members[item.members < (measured or len(cloud.points))])
+        share = coverage(cloud, seen, others).share
+        lacking = 1.0 - len(seen.members) / max(len(item.members), 1)
+        found.append(replace(item, seen=share, completed=lacking))
+    return found
+
+
+def _places(box: UprightBox) -> Float[np.ndarray, "n 3"]:
+    """Places just before the faces of a box, side by side, as many for each face."""
+    steps = (np.arange(PLACES) + 0.5) / PLACES - 0.5
+    local = np.zeros((len(SIDES), PLACES, PLACES, 3))
+    for places, (axis, sign) in zip(local, SIDES, strict=True):
+        a, b = (k for k in range(3) if k != axis)
+        places[..., a], places[..., b] = (steps * box.size[a])[:, None], (steps * box.size[b])[None]
+        places[..., axis] = sign * (box.size[axis] / 2 + BEFORE)
+    return along_edges(local.reshape(-1, 3), -box.yaw) + box.center
+
+
+def _taken(
+    places: Float[np.ndarray, "n 3"], others: Sequence[UprightBox]
+) -> Bool[np.ndarray, " n"]:
+    """Which places are below the floor or in a box."""
+    below = places[:, 2] < 0.0
+    if not others:
+        return below
+    center = np.array([box.center for box in others])
+    half = np.array([box.size for box in others]) / 2
+    yaw = np.array([box.yaw for box in others])
+    away = places[:, None] - center
+    c, s = np.cos(yaw), np.sin(yaw)
+    inside = np.abs(c * away[..., 0] + s * away[..., 1]) < half[:, 0]
+    inside &= np.abs(c * away[..., 1] - s * away[..., 0]) < half[:, 1]
+    inside &= np.abs(away[..., 2]) < half[:, 2]
+    return below | inside.any(axis=1)

@@ -1,0 +1,17 @@
+from .closed_images import ShutLeaf as ShutLeaf
+from .closed_images import part_on as part_on
+from .closed_images import shut_frames as shut_frames
+from .closed_images import shut_leaf as shut_leaf
+from .faces import Face as Face
+from .faces import box_faces as box_faces
+from .faces import standing_beside as standing_beside
+from .front_view import Seen as Seen
+from .front_view import View as View
+from .front_view import ViewConfig as ViewConfig
+from .front_view import choose_view as choose_view
+from .front_view import handle_evidence as handle_evidence
+from .projection import area as area
+from .projection import corners as corners
+from .projection import sights as sights
+from .rows import RowConfig as RowConfig
+from .rows import split_row as split_row

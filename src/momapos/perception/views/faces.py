@@ -1,0 +1,359 @@
+"""The upright faces of a box, and what images show of them when they are seen straight on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numba import njit
+
+from momapos.core.geometry import UprightBox, along_edges, apply, invert, pose, to_local
+from momapos.model.records import FaceImage, Frame
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Float32, Int, Int16, UInt8
+
+FACES = 4
+"""Upright faces of a box: outward along its x, y, -x, -y."""
+NEAREST = 0.1
+"""Surfaces nearer to a camera are not looked at [m]."""
+APART = 0.15
+"""What lies farther before or behind a face is another thing, which hides it or is seen past it
+[m]."""
+ALIKE = 0.2
+"""Lines of sight are alike when their slopes differ by this, one standard deviation: a handle that
+stands out by 4 cm is displaced by less than 1 cm between them [-]."""
+BESIDE = 0.08
+"""What stands beside a thing is nearer to it [m]."""
+HIDDEN, CLEAR = 1, 2
+"""What frames showed of a place: another thing, or the face."""
+PLANE_STEP = 4
+"""Every so many pixels of a face tell where its plane is [-]."""
+FLAT = 0.1
+"""Doors, handles and frames stay within this of a front's plane; legs and shelves do not [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Face:
+    """One upright face of a box."""
+
+    index: int
+    """0 to 3: outward along the box's x, y, -x, -y."""
+    T_world_face: Float[np.ndarray, "4 4"]
+    """Origin in the middle; x to the right as seen from outside, y up, z outward."""
+    width: float
+    """Along x [m]."""
+    height: float
+    """Along y [m]."""
+
+    @property
+    def outward(self) -> Float[np.ndarray, "3"]:
+        """Unit normal in the world."""
+        return self.T_world_face[:3, 2]
+
+    @property
+    def opposite(self) -> int:
+        """Index of the face on the other side."""
+        return (self.index + FACES // 2) % FACES
+
+    @property
+    def beside(self) -> tuple[int, int]:
+        """Indices of the faces to the left and right, as seen from outside."""
+        return (self.index - 1) % FACES, (self.index + 1) % FACES
+
+
+def box_faces(box: UprightBox) -> tuple[Face, ...]:
+    """The four upright faces of a box."""
+    c, s = np.cos(box.yaw), np.sin(box.yaw)
+    along = np.array([[c, s, 0.0], [-s, c, 0.0], [-c, -s, 0.0], [s, -c, 0.0]])
+    up = np.array([0.0, 0.0, 1.0])
+    faces = []
+    for index, outward in enumerate(along):
+        depth, width = (0, 1) if index % 2 == 0 else (1, 0)
+        center = box.center + outward * box.size[depth] / 2
+        R = np.stack([np.cross(up, outward), up, outward], axis=1)
+        faces.append(Face(index, pose(center, R), float(box.size[width]), float(box.size[2])))
+    return tuple(faces)
+
+
+def standing_beside(side: Face, front: Face, others: Sequence[UprightBox]) -> float | None:
+    """How far what stands close before one face of a thing stands out of another face of it.
+
+    Args:
+        side: Before which others may stand, nearer than `BESIDE`.
+        front: Out of which they may stand, another face of the same box.
+        others: What may stand there.
+
+    Returns:
+        Of what stands out farthest [m], negative where that ends behind the front; None where
+        nothing stands before the side.
+    """
+    across, up, out = np.meshgrid([-0.45, -0.2, 0.0, 0.2, 0.45], [-0.4, 0.0, 0.4], [0.02, BESIDE])
+    local = np.stack([across * side.width, up * side.height, out], axis=-1).reshape(-1, 3)
+    points = apply(side.T_world_face, local)
+    plane = float(front.outward @ front.T_world_face[:3, 3])
+    reaches = [
+        float(front.outward @ box.center + np.abs(along_edges(front.outward[None], box.yaw)[0])
+              @ box.size / 2)
+        for box in others
+        if (np.abs(to_local(points, box)) < box.size / 2).all(axis=1).any()
+    ]  # fmt: skip
+    return max(reaches) - plane if reaches else None
+
+
+def face_image(face: Face, frames: Sequence[Frame], *, pixels: int = 384) -> FaceImage:
+    """Look straight at a face, as `Sampled.image` does.
+
+    Args:
+        face: Where to look.
+        frames: Images that show the face, the best first.
+        pixels: Length of the longer side of the result [px].
+    """
+    return Sampled.of(face, frames, pixels=pixels).image(range(len(frames)))
+
+
+@dataclass(frozen=True, eq=False)
+class Sampled:
+    """What each of several frames shows at every pixel of a face.
+
+    Their depth is looked up once, however many images of the face are made of it.
+    """
+
+    face: Face
+    frames: Sequence[Frame]
+    cameras: Float[np.ndarray, "n 3"]
+    """Where they were taken, in the frame of the face [m]."""
+    heights: Float32[np.ndarray, "n h w"]
+    """What lies at a place, out of the face [m]; NaN where that was not measured."""
+    states: UInt8[np.ndarray, "n h w"]
+    """0 where a frame does not look, `HIDDEN` where it shows something else, `CLEAR` elsewhere."""
+
+    @staticmethod
+    def of(face: Face, frames: Sequence[Frame], *, pixels: int = 384) -> Sampled:
+        """Look along the rays of all frames.
+
+        Args:
+            face: Where to look.
+            frames: Images that show the face.
+            pixels: Along its longer side [px].
+        """
+        shape = (len(frames), *_shape(face, pixels))
+        heights, states = np.full(shape, np.nan, np.float32), np.zeros(shape, np.uint8)
+        for frame, height_map, state in zip(frames, heights, states, strict=True):
+            photo = _photo(face, frame)
+            if photo is not None:
+                _sample(photo, face.width, face.height, height_map, state)
+        cameras = np.array([camera_position_of(face, frame) for frame in frames]).reshape(-1, 3)
+        return Sampled(face, frames, cameras, heights, states)
+
+    def image(self, order: Sequence[int]) -> FaceImage:
+        """The face, seen straight on.
+
+        Color comes from the first frame that shows a place with nothing before it. The height map
+        is the mean of what all such frames measured there, since one depth image alone is too noisy
+        to tell a handle from a door. Each counts by the inverse variance of a stereo camera at its
+        distance, and the more the nearer its line of sight is to that of the first: what stands out
+        is seen displaced. Only where something else hides a place in all frames is that looked at.
+
+        Args:
+            order: Indices of the frames to make it of, the best first.
+        """
+        face, chosen = self.face, np.array(order, int)
+        cameras = self.cameras[chosen]
+        weights = np.array([_weight(camera, cameras[0]) for camera in cameras])
+        height_map, source = _merged(self.heights, self.states, chosen, weights)
+        color = np.zeros((*source.shape, 3), np.uint8)
+        for k in np.unique(source[source >= 0]).tolist():
+            photo = _photo(face, self.frames[k])
+            assert photo is not None
+            _paint(photo, face.width, face.height, source, k, color)
+        seen_from = cameras[0] if len(cameras) else None
+        return FaceImage(color, height_map, face.width, face.height, seen_from)
+
+
+def camera_position_of(face: Face, frame: Frame) -> Float[np.ndarray, "3"]:
+    """Where an image was taken, in the frame of a face [m]."""
+    return (invert(face.T_world_face) @ frame.T_world_camera)[:3, 3]
+
+
+def _weight(camera: Float[np.ndarray, "3"], first: Float[np.ndarray, "3"]) -> float:
+    """How much the depth of one camera counts beside that of another, by where they are [m]."""
+    slopes = camera[:2] / max(camera[2], NEAREST) - first[:2] / max(first[2], NEAREST)
+    length = max(float(np.linalg.norm(camera)), NEAREST)
+    return float(np.exp(-(slopes @ slopes) / (2 * ALIKE**2))) / length**4
+
+
+def solid(image: FaceImage, box: tuple[float, float, float, float] | None = None) -> float:
+    """Part of what was measured of a face that lies in one plane, in [0, 1]; 1 without depth.
+
+    The plane is that of what was measured near the face: below a top that stands out a front lies
+    behind the face.
+
+    Args:
+        image: The face.
+        box: Only within this rectangle, (left, top, right, bottom) as fractions of the face.
+    """
+    height_map = image.height_map
+    sparse = height_map[::PLANE_STEP, ::PLANE_STEP]
+    near = sparse[np.abs(sparse) < APART]  # NaN compares as false
+    plane = float(np.median(near)) if len(near) else 0.0
+    if box is not None:
+        h, w = height_map.shape
+        left, top, right, bottom = np.round(np.array(box) * [w, h, w, h]).astype(int)
+        height_map = height_map[top : bottom + 1, left : right + 1]
+    measured = height_map[np.isfinite(height_map)]
+    return float((np.abs(measured - plane) < FLAT).mean()) if len(measured) else 1.0
+
+
+def shown(face: Face, frame: Frame, *, pixels: int = 48) -> float:
+    """Part of a face that a frame shows with nothing before it, in [0, 1].
+
+    Of what is not open: where a frame sees through the face, as into the room for knees at a desk,
+    there is nothing to show.
+    """
+    seen = Sampled.of(face, [frame], pixels=pixels)
+    through = seen.heights < -APART  # NaN compares as false
+    return float((seen.states == CLEAR).sum() / max((~through).sum(), 1))
+
+
+def _shape(face: Face, pixels: int) -> tuple[int, int]:
+    scale = pixels / max(face.width, face.height)
+    return max(8, round(face.height * scale)), max(8, round(face.width * scale))
+
+
+class _Photo(NamedTuple):
+    """One frame, seen from a face, as the kernel takes it."""
+
+    image: UInt8[np.ndarray, "h w 3"]
+    depth: Float32[np.ndarray, "h w"]
+    has_depth: bool
+    """Whether the depth was measured; it is not looked at otherwise."""
+    intrinsics: Float[np.ndarray, "3 3"]
+    T_camera_face: Float[np.ndarray, "4 4"]
+
+
+def _photo(face: Face, frame: Frame) -> _Photo | None:
+    """A frame as the kernels take it; None where its camera is not on the outer side."""
+    T_camera_face = invert(frame.T_world_camera) @ face.T_world_face
+    if T_camera_face[:3, 2] @ T_camera_face[:3, 3] >= 0:
+        return None
+    depth = np.zeros((1, 1), np.float32) if frame.depth is None else frame.depth
+    intrinsics, T = map(np.ascontiguousarray, (frame.intrinsics, T_camera_face))
+    return _Photo(frame.color, depth, frame.depth is not None, intrinsics, T)
+
+
+@njit(cache=True)
+def _pixel(
+    photo: _Photo, width: float, height: float, shape: tuple[int, int], i: int, j: int
+) -> tuple[bool, float, float, float, float, float]:
+    """Where a pixel of a face is in a photo: whether there, u, v [px], x, y, z [m].
+
+    Args:
+        photo: What is looked at.
+        width, height: Size of the face [m].
+        shape: Rows and columns of the face.
+        i, j: Row and column of the pixel.
+    """
+    K, T = photo.intrinsics, photo.T_camera_face
+    tall, wide = photo.image.shape[:2]
+    x, y = width * ((j + 0.5) / shape[1] - 0.5), height * (0.5 - (i + 0.5) / shape[0])
+    pz = T[2, 0] * x + T[2, 1] * y + T[2, 3]
+    if pz < NEAREST:
+        return False, 0.0, 0.0, 0.0, 0.0, 0.0
+    px = T[0, 0] * x + T[0, 1] * y + T[0, 3]
+    py = T[1, 0] * x + T[1, 1] * y + T[1, 3]
+    u, v = K[0, 0] * px / pz + K[0, 2], K[1, 1] * py / pz + K[1, 2]
+    there = u >= 0.0 and v >= 0.0 and u <= wide - 1.001 and v <= tall - 1.001
+    return there, u, v, px, py, pz
+
+
+@njit(cache=True)
+def _sample(
+    photo: _Photo,
+    width: float,
+    height: float,
+    height_map: Float32[np.ndarray, "h w"],
+    state: UInt8[np.ndarray, "h w"],
+) -> None:
+    """Look along the ray through every pixel of a face of a size [m]; the last two in place."""
+    T, shape = photo.T_camera_face, state.shape
+    for i in range(shape[0]):
+        for j in range(shape[1]):
+            there, u, v, px, py, pz = _pixel(photo, width, height, shape, i, j)
+            if not there:
+                continue
+            state[i, j] = CLEAR
+            if photo.has_depth:
+                z = photo.depth[int(v + 0.5), int(u + 0.5)]
+                if z > 0.0:
+                    # The measured point lies on the same ray, at z instead of pz.
+                    out = T[0, 2] * px + T[1, 2] * py + T[2, 2] * pz
+                    height_map[i, j] = (z / pz - 1.0) * out
+                    if abs(height_map[i, j]) > APART:
+                        state[i, j] = HIDDEN
+
+
+@njit(cache=True)
+def _merged(
+    heights: Float32[np.ndarray, "n h w"],
+    states: UInt8[np.ndarray, "n h w"],
+    order: Int[np.ndarray, " m"],
+    weights: Float[np.ndarray, " m"],
+) -> tuple[Float32[np.ndarray, "h w"], Int16[np.ndarray, "h w"]]:
+    """Mean height map of a face, and which frame shows the color of each place, -1 where none.
+
+    Args:
+        heights, states: Of all frames.
+        order: Those that count, the best first.
+        weights: By which their depth counts.
+    """
+    _, rows, columns = heights.shape
+    height_map = np.full((rows, columns), np.nan, np.float32)
+    source = np.full((rows, columns), -1, np.int16)
+    for i in range(rows):
+        for j in range(columns):
+            best = 0
+            near, near_weight, far, far_weight = 0.0, 0.0, 0.0, 0.0
+            for m in range(len(order)):
+                state, out = states[order[m], i, j], heights[order[m], i, j]
+                if state > best:
+                    best = state
+                    source[i, j] = order[m]
+                if not np.isnan(out):
+                    if state == CLEAR:
+                        near += weights[m] * out
+                        near_weight += weights[m]
+                    else:
+                        far += weights[m] * out
+                        far_weight += weights[m]
+            if near_weight > 0.0:
+                height_map[i, j] = near / near_weight
+            elif far_weight > 0.0:
+                height_map[i, j] = far / far_weight
+    return height_map, source
+
+
+@njit(cache=True)
+def _paint(
+    photo: _Photo,
+    width: float,
+    height: float,
+    source: Int16[np.ndarray, "h w"],
+    index: int,
+    color: UInt8[np.ndarray, "h w 3"],
+) -> None:
+    """Color the places of a face of a size [m] that a photo is the source of, in place."""
+    image, shape = photo.image, source.shape
+    for i in range(shape[0]):
+        for j in range(shape[1]):
+            if source[i, j] != index:
+                continue
+            _, u, v, _, _, _ = _pixel(photo, width, height, shape, i, j)
+            a, b = int(u), int(v)
+            s, t = u - a, v - b
+            for k in range(3):
+                top = (1 - s) * image[b, a, k] + s * image[b, a + 1, k]
+                low = (1 - s) * image[b + 1, a, k] + s * image[b + 1, a + 1, k]
+                color[i, j, k] = np.uint8((1 - t) * top + t * low + 0.5)

@@ -1,1 +1,0 @@
-"""Where the base may stand: free area, potential, candidates, their order, and the search."""

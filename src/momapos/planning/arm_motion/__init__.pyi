@@ -1,0 +1,16 @@
+from .arm_planner import RESOLUTION as RESOLUTION
+from .arm_planner import brief as brief
+from .arm_planner import interpolate as interpolate
+from .arm_planner import plan_with_room as plan_with_room
+from .carried_motion import carried as carried
+from .config import PlannerConfig as PlannerConfig
+from .feasibility import Feasibility as Feasibility
+from .feasibility import collision_free_grasps as collision_free_grasps
+from .feasibility import near_home as near_home
+from .feasibility import with_payload as with_payload
+from .free_turn import fitted_bases as fitted_bases
+from .hand_clearance import arm_spheres as arm_spheres
+from .ik_layers import solve_layers as solve_layers
+from .nearness import boxes_near_base as boxes_near_base
+from .nearness import boxes_near_swept_volume as boxes_near_swept_volume
+from .nearness import near_boxes as near_boxes

@@ -1,0 +1,367 @@
+"""One continuous arm path over the waypoints: all branches, a graph over them, a dense check."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypeAlias
+
+import numpy as np
+
+from momapos.core.compiled import B1, F1, F2, F3, I1, I2, entry
+from momapos.core.geometry import invert, pose_planar
+from momapos.model.collision import FREE, CollisionWorld, check
+from momapos.model.kinematics import (
+    EXACT,
+    ArmArrays,
+    NewtonRule,
+    arm_arrays,
+    newton,
+    newton_scratch,
+)
+from momapos.planning.grasps import TaskMotion
+
+from .hand_clearance import arm_spheres, hits_on_the_way
+from .ik_layers import (
+    CUT_OFF,
+    MAX_STEP,
+    NOWHERE,
+    Layers,
+    full_turns,
+    joint_scale,
+    joint_step,
+    solve_layers,
+)
+from .turning_arm import Arm, hand_poses, robot_of
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
+
+HandCodes: TypeAlias = "dict[int, Int[np.ndarray, ' d']]"
+"""What the hand by itself hits at every step of a motion, of grasps that it keeps all the way."""
+UNREACHABLE, HIT, BROKEN, FOUND = 0, 1, 2, 3
+MAX_TURN = float(np.radians(25.0))
+"""Largest turn of the hand about a bar between waypoints [rad]."""
+MAX_DENSE_STEP = 0.25
+"""Largest joint step between states [rad]; see `SLIDE` for sliding joints."""
+
+
+@dataclass(frozen=True)
+class ArmPath:
+    """What came of one grasp at one base pose."""
+
+    status: int
+    """UNREACHABLE, HIT, BROKEN (no continuous branch) or FOUND."""
+    waypoint: int
+    """The waypoint at which it failed; the number of waypoints when it did not."""
+    passed: int
+    """How many waypoints had a free configuration before that."""
+    obstacle: int
+    """What was hit, a code of the world; FREE where nothing was."""
+    q: Float[np.ndarray, "d n"] | None = None
+    """Arm states at every step of the motion."""
+
+
+def find_paths(
+    robot: Arm,
+    world: CollisionWorld,
+    motion: TaskMotion,
+    bases: Float[np.ndarray, "j 3"],
+    ways: Int[np.ndarray, " j"],
+    hand: HandCodes,
+) -> list[ArmPath]:
+    """Look for an arm path for each pair of base pose and way of holding.
+
+    A way is a grasp, or beyond their number one of the motion's turns, in which the hand goes from
+    grasp to grasp of a group. The ends and the middle of the motion are looked at first, since
+    they fail most; a pair that fails at one waypoint is not carried on.
+
+    Args:
+        robot, world, motion: Whose arm, in which room, for what.
+        bases: Base poses.
+        ways: The way of holding at each.
+        hand: What is known of this hand in this room and motion; it is added to.
+    """
+    waypoint_of = np.unique(motion.layer_of, return_index=True)[1]
+    order = np.array(_ends_first(len(waypoint_of)))
+    layers = solve_layers(
+        robot, world, motion, bases, motion.turning.members(ways), waypoint_of, order
+    )
+    return [
+        _connect(robot, world, motion, bases[j], _Graph.of(layers, motion, j), hand)
+        if passed == len(order)
+        else _failure(int(layers.codes[j]), int(order[passed]), passed)
+        for j, passed in enumerate(layers.passed.tolist())
+    ]
+
+
+@dataclass(frozen=True)
+class _Graph:
+    """The configurations of a job at every waypoint, those of a waypoint together."""
+
+    q: Float[np.ndarray, "m n"]
+    grasps: Int[np.ndarray, " m"]
+    checked: Bool[np.ndarray, " m"]
+    """Whether it is known what a configuration hits; added to."""
+    banned: Bool[np.ndarray, " m"]
+    """Those that are on no path; added to."""
+    first: Int[np.ndarray, " w_plus_1"]
+    """Where those of each waypoint begin, and where the last end."""
+
+    @classmethod
+    def of(cls, layers: Layers, motion: TaskMotion, job: int) -> _Graph:
+        """What was found for a job."""
+        counts = layers.counts[job, motion.layer_of]
+        first = np.append(0, np.cumsum(counts))
+        begin = layers.first[job, motion.layer_of] - first[:-1]
+        which = np.arange(first[-1]) + np.repeat(begin, counts)
+        q, grasps, checked = (x[which] for x in (layers.q, layers.grasps, layers.checked))
+        return cls(q, grasps, checked, np.zeros(len(q), bool), first)
+
+
+def _failure(code: int, waypoint: int, passed: int) -> ArmPath:
+    """What a waypoint without configurations means for a job."""
+    if code == CUT_OFF:
+        return ArmPath(BROKEN, waypoint, passed, FREE)
+    return ArmPath(UNREACHABLE if code == NOWHERE else HIT, waypoint, passed, code)
+
+
+def _ends_first(count: int) -> list[int]:
+    """All of range(count): the grasp, last, first, then ever finer between them."""
+    order, stride = [1, count - 1, 0], count - 1
+    order = list(dict.fromkeys(order))
+    while stride > 1:
+        stride = (stride + 1) // 2
+        order += [i for i in range(0, count, stride) if i not in order]
+    return order
+
+
+def _connect(
+    robot: Arm,
+    world: CollisionWorld,
+    motion: TaskMotion,
+    base: np.ndarray,
+    graph: _Graph,
+    hand: HandCodes,
+) -> ArmPath:
+    """Shortest path through the waypoints of one job, then every state between, checked."""
+    chain, grasps = robot.chain, graph.grasps
+    full_turn, scale = full_turns(chain), joint_scale(chain)
+    # The turn of the hand is one more joint of the path.
+    states = np.column_stack([graph.q, motion.turning.angles[grasps]])
+    free, steps = np.append(full_turn, False), np.append(scale, MAX_STEP / MAX_TURN)
+    count, number = len(motion.layer_of), motion.layer_of
+    lanes, row = motion.lanes
+    lane = np.ascontiguousarray(lanes[:, grasps])
+    worst = ArmPath(BROKEN, 0, count, FREE)
+    for _ in range(4):
+        chosen = np.full(count, -1)
+        reached = _shortest(states, graph.first, lane, row, graph.banned, free, steps, chosen)
+        if reached == count and _hits(robot, world, motion, base, graph, chosen):
+            reached = _shortest(states, graph.first, lane, row, graph.banned, free, steps, chosen)
+        if reached < count:
+            broken = ArmPath(BROKEN, int(number[reached]), count, FREE)
+            return worst if worst.obstacle != FREE else broken
+        q = _unwrap(graph.q[chosen], full_turn, chain.lower, chain.upper)
+        tools = motion.tool_poses(grasps[chosen])
+        targets = invert(pose_planar(base)) @ tools
+        dense = np.empty((len(motion.object_q), chain.size))
+        bad = _track(
+            q,
+            motion.waypoint_steps,
+            targets,
+            arm_arrays(chain, robot.ik),
+            scale,
+            dense,
+        )
+        if bad < 0:
+            codes = check(
+                world, chain, arm_spheres(robot_of(robot)), dense, np.tile(base, (len(dense), 1)),
+                motion.value, motion.holding,
+            )  # fmt: skip
+            if (codes == FREE).all():
+                codes = _hand_codes(robot, world, motion, base, dense, tools, grasps[chosen], hand)
+            hit = np.flatnonzero(codes != FREE)
+            if not len(hit):
+                return ArmPath(FOUND, count, count, FREE, dense)
+            bad = int(hit[0])
+            step = int(np.searchsorted(motion.waypoint_steps, bad))
+            worst = ArmPath(HIT, int(number[step]), count, int(codes[bad]))
+        # Without the node after the failure the next path must take another way.
+        at = min(int(np.searchsorted(motion.waypoint_steps, bad)), count - 1)
+        graph.banned[chosen[at]] = True
+    return worst
+
+
+def _hits(
+    robot: Arm,
+    world: CollisionWorld,
+    motion: TaskMotion,
+    base: np.ndarray,
+    graph: _Graph,
+    chosen: Int[np.ndarray, " w"],
+) -> bool:
+    """Whether a node of a path hits something; then all others are checked as well."""
+    step = np.repeat(motion.waypoint_steps, np.diff(graph.first))
+
+    def check_those(nodes: Int[np.ndarray, " k"]) -> None:
+        graph.checked[nodes] = True
+        graph.banned[nodes] |= check(
+            world, robot.chain, arm_spheres(robot_of(robot)), graph.q[nodes],
+            np.tile(base, (len(nodes), 1)), motion.value[step[nodes]], motion.holding[step[nodes]],
+        ) != FREE  # fmt: skip
+
+    check_those(chosen[~graph.checked[chosen]])
+    if not graph.banned[chosen].any():
+        return False
+    check_those(np.flatnonzero(~graph.checked))
+    return True
+
+
+def _hand_codes(
+    robot: Arm,
+    world: CollisionWorld,
+    motion: TaskMotion,
+    base: Float[np.ndarray, "3"],
+    states: Float[np.ndarray, "d n"],
+    tools: Float[np.ndarray, "d 4 4"],
+    grasps: Int[np.ndarray, " w"],
+    known: HandCodes,
+) -> Int[np.ndarray, " d"]:
+    """What the hand hits at every step, see `hits_on_the_way`.
+
+    A hand that does not turn in what it holds goes the same way from every base pose.
+    """
+    grasp = int(grasps[0])
+    still = robot is robot_of(robot) and bool((grasps == grasp).all())
+    if still and grasp in known:
+        return known[grasp]
+    codes = hits_on_the_way(
+        robot_of(robot), world, motion, hand_poses(robot, base, states, tools),
+        np.arange(len(states)), np.full(len(states), motion.grasps.width[grasp]),
+    )  # fmt: skip
+    if still:
+        known[grasp] = codes
+    return codes
+
+
+@entry
+def _shortest(
+    q: F2,
+    start: I1,
+    lane: I2,
+    row: I1,
+    banned: B1,
+    full_turn: B1,
+    scale: F1,
+    chosen: I1,
+) -> int:
+    """Path with the smallest sum of steps through the layers; returns the layers reached.
+
+    To a layer the hand comes from states of the same lane, in the row of lanes that is the layer's.
+    """
+    count, layers = len(q), len(start) - 1
+    cost, parent = np.full(count, np.inf), np.full(count, -1)
+    for i in range(start[0], start[1]):
+        if not banned[i]:
+            cost[i] = 0.0
+    for w in range(1, layers):
+        any_reached = False
+        for i in range(start[w], start[w + 1]):
+            if banned[i]:
+                continue
+            for j in range(start[w - 1], start[w]):
+                if cost[j] >= cost[i] or lane[row[w], i] != lane[row[w], j]:
+                    continue
+                d = joint_step(q[j], q[i], full_turn, scale, MAX_STEP)
+                if d < MAX_STEP and cost[j] + d < cost[i]:
+                    cost[i], parent[i] = cost[j] + d, j
+                    any_reached = True
+        if not any_reached:
+            return w
+    best = -1
+    for i in range(start[layers - 1], start[layers]):
+        if cost[i] < np.inf and (best < 0 or cost[i] < cost[best]):
+            best = i
+    if best < 0:
+        return layers - 1
+    for w in range(layers - 1, -1, -1):
+        chosen[w] = best
+        best = parent[best]
+    return layers
+
+
+def _unwrap(
+    q: np.ndarray, full_turn: np.ndarray, lower: np.ndarray, upper: np.ndarray
+) -> np.ndarray:
+    """Follow joints that turn fully across the cut at pi, inside their limits if possible."""
+    out = q.copy()
+    out[:, full_turn] = np.unwrap(q[:, full_turn], axis=0)
+    turn = 2 * np.pi
+    for k in np.flatnonzero(full_turn & np.isfinite(upper)):
+        over = max(0.0, out[:, k].max() - upper[k])
+        under = max(0.0, lower[k] - out[:, k].min())
+        out[:, k] -= turn * np.ceil(over / turn) - turn * np.ceil(under / turn)
+    return out
+
+
+def follow(
+    arm: Arm, states: Float[np.ndarray, "d n"], targets: Float[np.ndarray, "d 4 4"]
+) -> Float[np.ndarray, "d n"] | None:
+    """Arm states with the tool at given poses, each found from one nearby.
+
+    Args:
+        arm: Whose arm.
+        states: States of the arm with the tool beside those poses.
+        targets: Tool poses in the base frame.
+
+    Returns:
+        None where the arm does not come there within its limits and in small steps.
+    """
+    chain, near = arm.chain, np.ascontiguousarray(states)
+    found = np.empty_like(near)
+    bad = _track(
+        near, np.arange(len(near)), np.ascontiguousarray(targets), arm_arrays(chain, arm.ik),
+        joint_scale(chain), found,
+    )  # fmt: skip
+    return found if bad < 0 else None
+
+
+@entry
+def _track(
+    q: F2,
+    coarse: I1,
+    targets: F3,
+    arm: ArmArrays,
+    scale: F1,
+    dense: F2,
+) -> int:
+    """Fill the states between waypoints by Newton steps; returns the step that fails, or -1."""
+    n = q.shape[1]
+    # A literal would have Newton compiled once more.
+    rule = NewtonRule(np.int64(8), 1e-6, EXACT, False)  # type: ignore[arg-type]
+    lower, upper = arm.limits
+    scratch = newton_scratch(arm.chain, n)
+    for w in range(len(coarse)):
+        first = coarse[w - 1] + 1 if w > 0 else 0
+        for s in range(first, coarse[w] + 1):
+            t = (s - coarse[w - 1]) / (coarse[w] - coarse[w - 1]) if w > 0 else 1.0
+            for k in range(n):
+                dense[s, k] = (1.0 - t) * q[max(w - 1, 0), k] + t * q[w, k]
+            residual = newton(
+                dense[s],
+                arm.ik.active,
+                arm.chain,
+                arm.limits,
+                targets[s, :3, :3],
+                targets[s, :3, 3],
+                rule,
+                scratch,
+            )
+            if residual > 1e-9:
+                return s
+            for k in range(n):
+                if dense[s, k] < lower[k] - 1e-6 or dense[s, k] > upper[k] + 1e-6:
+                    return s
+                if s > 0 and abs(dense[s, k] - dense[s - 1, k]) * scale[k] > MAX_DENSE_STEP:
+                    return s
+    return -1

@@ -1,0 +1,360 @@
+"""Is a base pose feasible? Path over the waypoints, approach from home, exact check."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from functools import cache, cached_property, partial
+from typing import TYPE_CHECKING, TypeAlias
+
+import numpy as np
+
+from momapos.core.geometry import apply, invert, pose_planar
+from momapos.model.collision import (
+    FLOOR,
+    FREE,
+    CollisionWorld,
+    Spheres,
+    box_spheres,
+    carry,
+    check,
+    motion_checker,
+    place_segments,
+)
+from momapos.model.kinematics import chain_arrays
+from momapos.model.records import ArmPathResult, Attempt, Motion, PoseOutcome, PoseStatus
+from momapos.model.robots import Robot
+from momapos.planning.grasps import FULL, TaskMotion
+
+from .arm_path import FOUND, HIT, UNREACHABLE, ArmPath, HandCodes, find_paths
+from .arm_planner import RESOLUTION, brief, interpolate, plan_with_room
+from .config import PlannerConfig
+from .free_turn import find_short_paths
+from .hand_clearance import hits_on_the_way
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
+
+Refusal: TypeAlias = "Callable[[Float[np.ndarray, '3'], Motion], str | None]"
+"""The exact check: None where a motion holds, else what is wrong with it."""
+_BATCH = 256
+"""Pairs of base pose and grasp that a thread looks at together [-]."""
+_WIDER = 4
+"""How many times more grasps are tried in each round than in the one before [-]."""
+_THREADS = 2
+
+
+@dataclass(frozen=True)
+class Feasibility:
+    """Checks base poses for one robot, room and task."""
+
+    robot: Robot
+    world: CollisionWorld
+    motion: TaskMotion
+    planner: PlannerConfig
+    refuse: Refusal
+    seed: int
+    out_of_time: Callable[[], bool]
+    """Asked between steps of the work."""
+    home_again: bool = False
+    """Whether the arm comes home at the end."""
+
+    def __call__(
+        self, base: Float[np.ndarray, "3"], screened: ArmPathResult, grasps: Int[np.ndarray, " k"]
+    ) -> Attempt:
+        """Complete a motion at a base pose: the way from home, then the exact check.
+
+        Args:
+            base: Base pose x [m], y [m], yaw [rad].
+            screened: An arm path there.
+            grasps: Ways of holding to be tried, best first, when that one cannot be completed.
+        """
+        assert screened.q is not None
+        motion, outcome = self._complete(base, screened.q, screened.grasp)
+        others = grasps[grasps != screened.grasp]
+        for chunk in np.split(others, range(_WIDER, len(others), _WIDER)):
+            if motion is not None or not len(chunk):
+                break
+            for grasp, path in zip(
+                chunk.tolist(), self._paths(np.tile(base, (len(chunk), 1)), chunk) or [],
+                strict=False,
+            ):  # fmt: skip
+                if path.q is not None and motion is None:
+                    motion, outcome = self._complete(base, path.q, grasp)
+        return Attempt(motion, outcome)
+
+    def screen(
+        self, bases: Float[np.ndarray, "n 3"], scores: Float[np.ndarray, "n g"], most: int | None
+    ) -> list[ArmPathResult] | None:
+        """Look for an arm path at each of many base poses, the best reached grasps first.
+
+        Args:
+            bases: Base poses that stand clear.
+            scores: Reachability of each way of holding from each; only those above 0 are tried.
+            most: How many ways are tried at one pose; None for all.
+
+        Returns:
+            What came of each, or None when the time was up before all had been tried.
+        """
+        order = np.argsort(-scores, axis=1, kind="stable")[:, :most]
+        reached = np.minimum((scores > 0).sum(1), order.shape[1])
+        home = self._check(np.tile(self.robot.home, (len(bases), 1)), bases, self.robot.spheres)
+        best: list[tuple[int, ArmPath | None]] = [(-1, None)] * len(bases)
+        undecided = home == FREE
+        first, width = 0, 1
+        while first < order.shape[1]:
+            ranks = np.arange(first, min(first + width, order.shape[1]))
+            base, rank = np.nonzero(undecided[:, None] & (ranks < reached[:, None]))
+            grasps = order[base, ranks[rank]]
+            paths = self._paths(bases[base], grasps)
+            if paths is None:
+                return None
+            for i, grasp, path in zip(base.tolist(), grasps.tolist(), paths, strict=True):
+                held = best[i][1]
+                if held is None or (held.status != FOUND and _farther(path, held)):
+                    best[i] = (grasp, path)
+                undecided[i] &= path.status != FOUND
+            first, width = first + width, _WIDER * width
+        return [
+            ArmPathResult(grasp, None if path is None else path.q, self._outcome(path, int(code)))
+            for (grasp, path), code in zip(best, home, strict=True)
+        ]
+
+    def _paths(
+        self, bases: Float[np.ndarray, "j 3"], grasps: Int[np.ndarray, " j"]
+    ) -> list[ArmPath] | None:
+        """Arm paths of pairs of base pose and way of holding; None when out of time."""
+        pieces = np.array_split(np.arange(len(grasps)), max(_THREADS, len(grasps) // _BATCH))
+
+        def work(part: Int[np.ndarray, " p"]) -> list[ArmPath] | None:
+            if self.out_of_time():
+                return None
+            asked = self.robot, self.world, self.motion, bases[part], grasps[part]
+            if self.robot.chain.size < FULL:
+                return find_short_paths(*asked)
+            return find_paths(*asked, self._hand)
+
+        found = list(_threads().map(work, pieces))
+        done = [paths for paths in found if paths is not None]
+        return [path for paths in done for path in paths] if len(done) == len(found) else None
+
+    @cached_property
+    def _hand(self) -> HandCodes:
+        """What is known of the hand so far; two threads that find out the same do no harm."""
+        return {}
+
+    def _check(
+        self, q: Float[np.ndarray, "m n"], base: Float[np.ndarray, "*m 3"], spheres: Spheres
+    ) -> Int[np.ndarray, " m"]:
+        """What states on the way from home hit; a carried object is already in the hand.
+
+        The base pose is one for all states, or one for each.
+        """
+        return check(
+            self.world, self.robot.chain, spheres, np.ascontiguousarray(q),
+            np.array(np.broadcast_to(base, (len(q), 3))),
+            np.full(len(q), self.motion.value[0]),
+            np.full(len(q), self._carrying),
+        )  # fmt: skip
+
+    @property
+    def _carrying(self) -> bool:
+        """Whether the object is in the hand from the beginning."""
+        return self.motion.task.verb == "place"
+
+    def _complete(
+        self, base: Float[np.ndarray, "3"], q: Float[np.ndarray, "d n"], grasp: int
+    ) -> tuple[Motion | None, PoseOutcome]:
+        """Add the approach from home, and let the exact check decide."""
+        chain, hold = self.robot.chain, self.motion.grasp_step
+        spheres = self.robot.spheres
+        if self._carrying:
+            spheres = with_payload(self.robot, self.motion, self.motion.Ts_world_tool[grasp, 0], 0)
+        q = near_home(q, self.robot.home, chain.lower, chain.upper)
+        checker = partial(
+            motion_checker, self.world, chain, spheres, base, value=int(self.motion.value[0]),
+            holding=self._carrying, step=RESOLUTION,
+        )  # fmt: skip
+        way = plan_with_room(
+            self.robot.home, q[0], chain.lower, chain.upper, checker,
+            config=self.planner, seed=self.seed + grasp,
+        )  # fmt: skip
+        if way is None:
+            return None, PoseOutcome(PoseStatus.NO_APPROACH)
+        approach = np.concatenate([interpolate(way), q[1 : hold + 1]])
+        Ts_world_tool = self._tools(q, base)
+        steps, holds = self.motion.carried_out(grasp, Ts_world_tool)
+        steps = steps[hold:]
+        motion = Motion(
+            chain.joint_values(approach), chain.joint_values(q[steps]),
+            self.motion.object_q[steps], Ts_world_tool[steps], holds=holds,
+        )  # fmt: skip
+        if self.home_again:
+            home = self.way_home(base, q[-1], grasp)
+            if home is None:
+                return None, PoseOutcome(PoseStatus.NO_WAY_HOME)
+            motion = replace(motion, home=home)
+        refusal = self.refuse(base, motion)
+        if refusal is not None:
+            return None, PoseOutcome(PoseStatus.EXACT_CHECK, refusal)
+        return motion, PoseOutcome(PoseStatus.FEASIBLE)
+
+    def way_home(
+        self, base: Float[np.ndarray, "3"], q: Float[np.ndarray, " n"], grasp: int
+    ) -> Float[np.ndarray, "h m"] | None:
+        """States of all joints from the end of the motion home, the end left out, or None.
+
+        What was picked comes along; a part stays where it was moved to.
+
+        Args:
+            base: Base pose x [m], y [m], yaw [rad].
+            q: Degrees of freedom at the end.
+            grasp: How it was held; for rigid objects.
+        """
+        motion, chain, spheres, last = self.motion, self.robot.chain, self.robot.spheres, -1
+        if motion.task.verb == "pick":
+            T = motion.Ts_world_tool[grasp, last]
+            spheres = with_payload(self.robot, motion, T, last)
+        # A hand that pushed has not drawn back from what it pushed.
+        pushes = motion.task.joint is not None and motion.release_step is None
+        checker = partial(
+            motion_checker, self.world, chain, spheres, base, value=int(motion.value[last]),
+            holding=pushes or motion.task.verb == "pick", step=RESOLUTION,
+        )  # fmt: skip
+        way = plan_with_room(
+            q, self.robot.home, chain.lower, chain.upper, lambda room: checker(room=room),
+            config=brief(self.planner), seed=self.seed + grasp,
+        )  # fmt: skip
+        return None if way is None else chain.joint_values(interpolate(way)[1:])
+
+    def _tools(self, q: np.ndarray, base: np.ndarray) -> Float[np.ndarray, "m 4 4"]:
+        return pose_planar(base) @ self.robot.chain.tool_poses(q)
+
+    def _outcome(self, path: ArmPath | None, at_home: int) -> PoseOutcome:
+        """What became of a base pose whose best path is given."""
+        if at_home != FREE:
+            return PoseOutcome(PoseStatus.HOME_COLLISION, self.world.reason(at_home))
+        if path is None:
+            return PoseOutcome(PoseStatus.NO_GRASP_IN_REACH)
+        where = "the pre-grasp" if path.waypoint == 0 else f"waypoint {path.waypoint}"
+        if path.status == FOUND:
+            return PoseOutcome(PoseStatus.PATH_FOUND)
+        if path.status == UNREACHABLE:
+            return PoseOutcome(PoseStatus.WAYPOINT_OUT_OF_REACH, where=where)
+        if path.status == HIT:
+            obstacle = self.world.reason(path.obstacle)
+            return PoseOutcome(PoseStatus.ARM_COLLISION, obstacle, where)
+        return PoseOutcome(PoseStatus.NO_CONTINUOUS_PATH)
+
+
+@cache
+def _threads() -> ThreadPoolExecutor:
+    """Threads for arm paths: to start one takes as long as some paths."""
+    return ThreadPoolExecutor(_THREADS, "arm paths")
+
+
+def with_payload(
+    robot: Robot, motion: TaskMotion, T_world_tool: Float[np.ndarray, "4 4"], step: int
+) -> Spheres:
+    """The robot's spheres, with the object in its hand.
+
+    Args:
+        robot: The robot.
+        motion: The task.
+        T_world_tool: Where the tool is when it holds the object.
+        step: The step of the motion at which that is so.
+    """
+    chain = robot.chain
+    center, radius = _object_spheres(motion, step)
+    in_tool = apply(invert(T_world_tool), center)
+    return carry(
+        robot.spheres, chain.last, chain.tool_offset + in_tool @ chain.tool_rotation.T, radius
+    )
+
+
+def _object_spheres(
+    motion: TaskMotion, step: int
+) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, " k"]]:
+    """Spheres of what is moved, in the world at a step of the motion [m]."""
+    return box_spheres(motion.moving.at(int(motion.value[step])))
+
+
+def _farther(path: ArmPath, other: ArmPath) -> bool:
+    """Whether a path came farther than another."""
+    return path.status == FOUND or path.passed > other.passed
+
+
+def collision_free_grasps(
+    robot: Robot, world: CollisionWorld, motion: TaskMotion
+) -> tuple[Bool[np.ndarray, " g"], str]:
+    """Which grasps the hand itself has room for at every waypoint, wherever the base stands.
+
+    Returns:
+        A mask over the grasps, and what stops most of the others.
+    """
+    alive, hits = np.arange(len(motion.Ts_world_tool)), []
+    # Most that fail do so at the grasp itself; only the others are looked at farther on.
+    for steps in (motion.waypoint_steps[1:2], np.delete(motion.waypoint_steps, 1)):
+        Ts = motion.Ts_world_tool[alive[:, None], steps].reshape(-1, 4, 4)
+        width = np.repeat(motion.grasps.width[alive], len(steps))
+        codes = hits_on_the_way(robot, world, motion, Ts, np.tile(steps, len(alive)), width)
+        hits.append(codes[codes != FREE])
+        alive = alive[(codes.reshape(len(alive), len(steps)) == FREE).all(1)]
+    free = np.isin(np.arange(len(motion.Ts_world_tool)), alive)
+    counts = np.bincount(np.concatenate(hits) - FLOOR)
+    obstacle = world.reason(int(counts.argmax()) + FLOOR) if len(counts) else ""
+    if motion.task.verb == "place" and free.any():
+        touched = touched_at_home(robot, motion)
+        free &= touched < 0
+        if not free.any():
+            names = (*robot.spheres.links, robot.base_link)
+            worst = names[np.bincount(touched[touched >= 0]).argmax()]
+            obstacle = f"{worst} at home with {motion.task.object} in it"
+    return free, obstacle
+
+
+def touched_at_home(robot: Robot, motion: TaskMotion) -> Int[np.ndarray, " g"]:
+    """What an object in the hand touches of its robot with the arm at home, for every grasp.
+
+    The way of a placed object begins there, so such a grasp helps at no base pose.
+
+    Returns:
+        An index into the groups of the robot's spheres, their number for the base, -1 for nothing.
+    """
+    chain, spheres = robot.chain, robot.spheres
+    center, radius = _object_spheres(motion, 0)
+    in_tool = np.linalg.inv(motion.Ts_world_tool[:, 0])
+    Ts = chain.tool_poses(robot.home[None])[0] @ in_tool
+    points = np.einsum("gij,kj->gki", Ts[:, :3, :3], center) + Ts[:, None, :3, 3]
+    touched = np.full(len(points), -1)
+    R, p = np.empty((chain.last + 1, 3, 3)), np.empty((chain.last + 1, 3))
+    place_segments(robot.home, np.zeros(3), chain_arrays(chain), R, p)
+    for k, segment in enumerate(spheres.segment):
+        if segment == chain.last:
+            continue
+        rows = slice(spheres.start[k], spheres.start[k + 1])
+        links = spheres.center[rows] @ R[segment].T + p[segment]
+        gap = np.linalg.norm(points[:, :, None] - links, axis=-1) - radius[:, None]
+        touched[(gap < spheres.radius[rows]).any((1, 2))] = k
+    base = robot.base
+    local = np.abs(np.einsum("bij,gkbi->gkbj", base.rotation, points[:, :, None] - base.center))
+    apart = np.linalg.norm(np.maximum(local - base.half, 0.0), axis=-1)
+    touched[(apart < radius[:, None]).any((1, 2))] = len(spheres.segment)
+    return touched
+
+
+def near_home(
+    q: Float[np.ndarray, "d n"], home: np.ndarray, lower: np.ndarray, upper: np.ndarray
+) -> Float[np.ndarray, "d n"]:
+    """Shift joints that turn fully by whole turns, so that a path starts as near home as it can."""
+    out = q.copy()
+    turn = 2 * np.pi
+    for k in np.flatnonzero(upper - lower > turn + 0.1):
+        wanted = np.round((home[k] - q[0, k]) / turn)
+        for shift in sorted((-1, 0, 1), key=lambda s: abs(s - wanted)):
+            low, high = q[:, k].min() + shift * turn, q[:, k].max() + shift * turn
+            if low >= lower[k] and high <= upper[k]:
+                out[:, k] += shift * turn
+                break
+    return out

@@ -1,0 +1,73 @@
+"""Push a part that is ajar from behind: the fingers reach in past its free edge."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from momapos.core.geometry import rotation_about, rotation_of
+from momapos.model.robots import Robot
+from momapos.model.urdf import Articulated
+
+from .config import GraspConfig
+from .hand_boxes import Hand, hand_of
+from .handles import FACE_INSIDE, Handle, front_face
+from .part_grasps import grasp_frames
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+LEANS = (0.0, 20.0, 40.0)
+"""Angles from the panel to the fingers [deg]."""
+
+
+def push_from_behind(
+    robot: Robot, model: Articulated, joint: str, sign: float, config: GraspConfig
+) -> tuple[Handle, Float[np.ndarray, "g 4 4"], Float[np.ndarray, " g"]] | None:
+    """Tool poses in which the side of a finger touches the back of a part near its free edge.
+
+    The palm stays beyond the edge, so that the arm need not reach around the part.
+
+    Args:
+        robot: Whose hand.
+        model, joint: The part.
+        sign: Direction of the joint in which it opens (+1 or -1).
+        config: Points along the edge, and tilts.
+
+    Returns:
+        The back of the part, the poses in its frame, and how far from plain each is; None where
+        the part has no back or the robot no fingers.
+    """
+    back, hand = front_face(model, joint, -sign), hand_of(robot)
+    if back is None or not (hand.side != 0).any():
+        return None
+    record = model.joint(joint)
+    inward = np.cross(back.long, back.out)
+    to_hinge = -back.center + record.axis * float(back.center @ record.axis)
+    inward = inward * (1.0 if inward @ to_hinge > 0 else -1.0)
+    usable = max(back.half_length - 0.03, 0.0)
+    grid = np.meshgrid(
+        np.radians(LEANS), np.radians(config.tilts), np.array(config.points) * usable,
+        np.arange(4) * np.pi / 2, indexing="ij",
+    )  # fmt: skip
+    lean, tilt, point, roll = (g.ravel() for g in grid)
+    # From along the panel the fingers lean into it, which is against its outward normal there.
+    R = rotation_about(np.cross(inward, -back.out), lean) @ rotation_about(back.out, tilt)
+    approach = R @ inward
+    closing = np.einsum("gij,gj->gi", rotation_of(approach * roll[:, None]), R @ back.long)
+    T = grasp_frames(robot, point[:, None] * back.long, approach, closing)
+    T[:, :3, 3] += _touching(hand, back, inward, T[:, :3, :3])
+    return back, T, np.abs(lean - np.radians(LEANS[1])) + np.abs(tilt) + 5 * np.abs(point)
+
+
+def _touching(
+    hand: Hand, back: Handle, inward: Float[np.ndarray, "3"], R: Float[np.ndarray, "g 3 3"]
+) -> Float[np.ndarray, "g 3"]:
+    """Tool origins at which the fingers touch the back, their tips at its middle point.
+
+    What of them stays beyond the free edge does not touch: knuckles may stand out there.
+    """
+    reach = hand.finger_reach(inward @ R)
+    toward = hand.finger_reach(-back.out @ R, inward @ R, reach - FACE_INSIDE)
+    return back.center - reach[:, None] * inward + toward[:, None] * back.out

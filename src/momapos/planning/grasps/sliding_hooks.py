@@ -1,0 +1,286 @@
+"""Hooks that slide along what they hold, and turn about it.
+
+While the part rests, the fingers open, the hand goes on along the handle, and the fingers close
+there. At every waypoint the hand may go so from one grasp to another: to slide is a step of the
+path over the waypoints. Between waypoints a hand that holds a bar may turn about it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, fields, replace
+from functools import partial
+from itertools import pairwise
+from typing import TYPE_CHECKING, TypeAlias
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from momapos.core.geometry import invert, rotation_about
+from momapos.model.records import Hold
+from momapos.model.robots import Grip, Robot
+from momapos.model.scene import SceneObject
+
+from .config import GraspConfig
+from .hand_boxes import Hand, hand_of
+from .handle_shapes import Element
+from .handles import Handle
+from .part_grasps import FAMILIES, Family, surroundings
+from .pinch_grasps import stands_clear
+from .resistance import stays
+from .task_motions import TaskMotion
+from .turning_grasps import Turning
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
+
+STATES = 6
+"""States of a slide, the last of which takes hold anew [-]."""
+STEP = 0.01
+"""A slide is looked at in steps of this [m]."""
+MOVED = 1e-3
+"""A hand that is farther along the handle has slid [m]."""
+_HOOK = FAMILIES.index(Family.HOOK)
+_DIGITS = 4
+
+
+@dataclass(frozen=True, repr=False)
+class SlidingMotion(TaskMotion):
+    """A motion on which the part rests at waypoints, so that the hand can slide there.
+
+    Such a waypoint comes twice, before and after. The groups of `turning` are grasps between which
+    the hand may slide and turn.
+    """
+
+    turn_lane: Int[np.ndarray, " g"] = field(default_factory=lambda: np.zeros(0, np.int64))
+    """Grasps with the same number differ by a turn about the handle alone."""
+    slide_lane: Int[np.ndarray, " g"] = field(default_factory=lambda: np.zeros(0, np.int64))
+    """Grasps with the same number differ by a free way along the handle alone."""
+    after: Bool[np.ndarray, " w"] = field(default_factory=lambda: np.zeros(0, bool))
+    """Waypoints that come after a slide; the one before each is the same without it."""
+
+    @property
+    def lanes(self) -> tuple[Int[np.ndarray, "k g"], Int[np.ndarray, " w"]]:
+        """The hand turns between waypoints and slides at them."""
+        approach = np.arange(len(self.turn_lane))
+        row = np.where(self.after, 2, 1)
+        row[1] = 0
+        return np.stack([approach, self.turn_lane, self.slide_lane]), row
+
+    @property
+    def layer_of(self) -> Int[np.ndarray, " w"]:
+        """The two of a slide have the same states of the arm."""
+        return np.cumsum(~self.after) - 1
+
+    @property
+    def closed(self) -> Bool[np.ndarray, " d"]:
+        """Fingers are open while the hand slides."""
+        return super().closed & ~self._inside(1, STATES)
+
+    @property
+    def closes(self) -> Bool[np.ndarray, " d"]:
+        """They open before a slide and close after it."""
+        ends = self._inside(0, 1) | self._inside(STATES, STATES + 1)
+        return super().closes | ends
+
+    def _inside(self, first: int, last: int) -> Bool[np.ndarray, " d"]:
+        """States of the slides, from one of each up to another."""
+        begins = self.waypoint_steps[:-1][self.after[1:]]
+        return np.isin(
+            np.arange(len(self.object_q)), begins[:, None] + np.arange(first, last)[None]
+        )
+
+    def tool_poses(self, grasps: Int[np.ndarray, " w"]) -> Float[np.ndarray, "d 4 4"]:
+        """Tool poses at every step; the tool goes straight along the handle and turns about it."""
+        steps, turning = np.arange(len(self.object_q)), self.turning
+        next_one = np.searchsorted(self.waypoint_steps, steps)
+        before, after = grasps[np.maximum(next_one - 1, 0)], grasps[next_one]
+        share = np.interp(steps, self.waypoint_steps, np.arange(len(grasps))) - next_one + 1.0
+        Ts, goal = self.Ts_world_tool[before, steps], self.Ts_world_tool[after, steps, :3, 3]
+        Ts[:, :3, 3] += share[:, None] * (goal - Ts[:, :3, 3])
+        axis = turning.axis @ turning.R_part_tool[grasps[0]]
+        turn = share * (turning.angles[after] - turning.angles[before])
+        Ts[:, :3, :3] = Ts[:, :3, :3] @ rotation_about(axis, turn)
+        return Ts
+
+    def carried_out(
+        self, way: int, Ts_world_tool: Float[np.ndarray, "d 4 4"]
+    ) -> tuple[Int[np.ndarray, " k"], tuple[Hold, ...]]:
+        """The steps of a motion without the slides that it does not need, and its holds."""
+        begins, ends = self.waypoint_steps[:-1][self.after[1:]], self.waypoint_steps[self.after]
+        along = Ts_world_tool[ends, :3, 3] - Ts_world_tool[begins, :3, 3]
+        slid = np.linalg.norm(along, axis=1) > MOVED
+        kept = np.ones(len(self.object_q), bool)
+        for begin, end in zip(begins[~slid], ends[~slid], strict=True):
+            kept[begin + 1 : end + 1] = False
+        last = len(kept) - 1 if self.release_step is None else self.release_step
+        firsts = [self.grasp_step, *ends[slid].tolist()]
+        lasts = [*begins[slid].tolist(), last]
+        grasps = self.turning.members(np.array([way]))[0]
+        grasps = grasps[grasps >= 0]
+        turns = len(np.unique(self.turn_lane[grasps])) < len(grasps)
+        axis = self.turning.axis_of(way) if turns else None
+        number = np.cumsum(kept) - 1 - self.grasp_step
+        holds: list[Hold] = []
+        for first, end in zip(firsts, lasts, strict=True):
+            away = self.Ts_world_tool[grasps, first, :3, 3] - Ts_world_tool[first, :3, 3]
+            grasp = int(grasps[np.linalg.norm(away, axis=1).argmin()])
+            words = self.grasps.describe(grasp, turns=turns) + (", after a slide" if holds else "")
+            range_ = int(number[first]), int(number[end])
+            holds.append(Hold(*range_, axis, str(self.grasps.family[grasp]), words))
+        return np.flatnonzero(kept), tuple(holds)
+
+
+def sliding_motion(
+    motion: TaskMotion, robot: Robot, target: SceneObject, config: GraspConfig
+) -> SlidingMotion | None:
+    """The same motion, on which a hook may slide along the handle.
+
+    Args:
+        motion: Of a joint, by one handle.
+        robot: Whose hand.
+        target: The object with the joint.
+        config: Which clearance the open hand keeps.
+
+    Returns:
+        None where no two hooks have a free way between them along the handle, or where the part
+        rests at no waypoint between its ends.
+    """
+    if motion.task.joint is None or motion.handle is None or not config.sliding:
+        return None
+    rests = _rests(motion, target, config)
+    joint, handle = target.joint(motion.task.joint), motion.handle
+    T_part = target.link_poses()[joint.child]
+    Ts_part_tool = invert(T_part) @ motion.Ts_world_tool[:, motion.grasp_step]
+    hooks = motion.grasps.code == _HOOK
+    hooks &= motion.grasps.handle == motion.grasps.handle[0]
+    if not len(rests) or hooks.sum() < 2:
+        return None
+    elements, held = surroundings(target.model, joint.name, handle)
+    if robot.grips is Grip.HOOK:  # it is behind what it holds, and does not open
+        elements = tuple(e for e, own in zip(elements, held, strict=True) if not own)
+        held = np.zeros(len(elements), bool)
+    way = partial(_way_is_free, hand_of(robot), elements, held, config)
+    turn_lane = _turn_lanes(motion.turning, len(hooks))
+    slide_lane = _slide_lanes(Ts_part_tool, hooks, handle, way)
+    groups = _groups(hooks, turn_lane, slide_lane)
+    if not groups:
+        return None
+    kept = np.isin(np.arange(len(hooks)), np.concatenate(groups))
+    number = np.cumsum(kept) - 1
+    table = np.full((len(groups), max(map(len, groups))), -1)
+    for row, group in zip(table, groups, strict=True):
+        row[: len(group)] = number[group]
+    turning = replace(
+        motion.turning, angles=motion.turning.angles[kept], groups=table,
+        R_part_tool=Ts_part_tool[kept, :3, :3],
+    )  # fmt: skip
+    Ts_world_tool, grasps = motion.Ts_world_tool[kept], motion.grasps.take(kept)
+    alone = replace(motion, Ts_world_tool=Ts_world_tool, grasps=grasps, turning=turning)
+    return _with_rests(alone, rests, turn_lane[kept], slide_lane[kept])
+
+
+def _rests(motion: TaskMotion, target: SceneObject, config: GraspConfig) -> Int[np.ndarray, " r"]:
+    """Waypoints between the ends of a part's way at which it stays where it is let go."""
+    joint, released = motion.task.joint, 1 if motion.release_step is None else 2
+    assert joint is not None
+    between = np.arange(2, len(motion.waypoint_steps) - released)
+    values = motion.object_q[motion.waypoint_steps[between]].tolist()
+    stay = [stays(target, joint, value, config.resistance) for value in values]
+    return between[np.array(stay, bool)]
+
+
+Way: TypeAlias = "Callable[[Float[np.ndarray, '4 4'], Float[np.ndarray, '4 4']], bool]"
+"""Whether an open hand finds its way from one pose in the part to another free."""
+
+
+def _turn_lanes(turning: Turning, count: int) -> Int[np.ndarray, " g"]:
+    """A number for the grasps of each group that turns, one for each other grasp."""
+    lanes = np.arange(count) + len(turning.groups)
+    for number, group in enumerate(turning.groups):
+        lanes[group[group >= 0]] = number
+    return lanes
+
+
+def _slide_lanes(
+    Ts: Float[np.ndarray, "g 4 4"], hooks: Bool[np.ndarray, " g"], handle: Handle, is_free: Way
+) -> Int[np.ndarray, " g"]:
+    """A number for hooks that differ by a free way along the handle, one for each other grasp."""
+    away = Ts[:, :3, 3] - handle.grip
+    along = away @ handle.long
+    beside = away - along[:, None] * handle.long
+    keys = np.round(np.column_stack([Ts[:, :3, :3].reshape(-1, 9), beside]), _DIGITS) + 0.0
+    _, alike = np.unique(keys, axis=0, return_inverse=True)
+    lanes = np.arange(len(Ts))
+    for group in np.unique(alike[hooks]):
+        mine = np.flatnonzero(hooks & (alike.ravel() == group))
+        for one, next_one in pairwise(mine[np.argsort(along[mine], kind="stable")]):
+            if is_free(Ts[one], Ts[next_one]):
+                lanes[next_one] = lanes[one]
+    return lanes
+
+
+def _groups(
+    hooks: Bool[np.ndarray, " g"],
+    turn_lane: Int[np.ndarray, " g"],
+    slide_lane: Int[np.ndarray, " g"],
+) -> list[Int[np.ndarray, " k"]]:
+    """Hooks that some slides and turns join; each group has a slide."""
+    rows = np.flatnonzero(hooks)
+    first = len(turn_lane)
+    lanes = [turn_lane[rows] + first, slide_lane[rows] + first + int(turn_lane.max()) + 1]
+    count = int(lanes[1].max()) + 1
+    ends = np.tile(rows, 2), np.concatenate(lanes)
+    joined = coo_array((np.ones(len(ends[0])), ends), (count, count))
+    label = connected_components(joined, directed=False)[1][rows]
+    groups = [rows[label == number] for number in np.unique(label)]
+    return [group for group in groups if len(np.unique(slide_lane[group])) < len(group)]
+
+
+def _way_is_free(
+    hand: Hand,
+    elements: tuple[Element, ...],
+    held: Bool[np.ndarray, " e"],
+    config: GraspConfig,
+    one: Float[np.ndarray, "4 4"],
+    other: Float[np.ndarray, "4 4"],
+) -> bool:
+    """Whether an open hand can go straight from one pose in the part to another, and could draw
+    back from anywhere between them."""
+    count = 1 + int(np.ceil(np.linalg.norm(other[:3, 3] - one[:3, 3]) / STEP))
+    p = np.linspace(one[:3, 3], other[:3, 3], count)
+    R = np.tile(one[:3, :3], (count, 1, 1))
+    return bool(stands_clear(hand, elements, held, R, p, config).all())
+
+
+def _with_rests(
+    motion: TaskMotion,
+    rests: Int[np.ndarray, " r"],
+    turn_lane: Int[np.ndarray, " g"],
+    slide_lane: Int[np.ndarray, " g"],
+) -> SlidingMotion:
+    """A motion on which the part rests at some waypoints for as long as a slide takes."""
+    copies = np.ones(len(motion.object_q), np.int64)
+    copies[motion.waypoint_steps[rests]] += STATES
+    old = np.repeat(np.arange(len(copies)), copies)
+    first = np.cumsum(copies) - copies
+    twice = np.sort(np.append(np.arange(len(motion.waypoint_steps)), rests))
+    after = np.append(False, np.diff(twice) == 0)
+    steps = first[motion.waypoint_steps[twice]] + STATES * after
+    same = {f.name: getattr(motion, f.name) for f in fields(motion)}
+    release = motion.release_step
+    return SlidingMotion(
+        **same
+        | {
+            "Ts_world_tool": np.ascontiguousarray(motion.Ts_world_tool[:, old]),
+            "object_q": motion.object_q[old],
+            "holding": motion.holding[old],
+            "value": motion.value[old],
+            "waypoint_steps": steps,
+            "release_step": None if release is None else int(first[release]),
+            "turn_lane": turn_lane,
+            "slide_lane": slide_lane,
+            "after": after,
+        }
+    )

@@ -1,0 +1,9 @@
+from .config import ImportanceConfig as ImportanceConfig
+from .config import ScorerName as ScorerName
+from .config import WeightsName as WeightsName
+from .key_objects import Selection as Selection
+from .key_objects import everything as everything
+from .key_objects import start_of as start_of
+from .ranking import Importance as Importance
+from .ranking import rank as rank
+from .relations import KINDS as KINDS

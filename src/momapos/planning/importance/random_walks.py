@@ -1,0 +1,97 @@
+"""Biased random walks over the scene graph, all of them in one kernel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from momapos.core.compiled import F1, F2, I1, entry
+
+from .scene_graph import SceneGraph
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
+
+
+@dataclass(frozen=True)
+class Transitions:
+    """Where a walk goes next: the neighbors of each object in one list, row after row."""
+
+    start: Int[np.ndarray, " n_plus_1"]
+    target: Int[np.ndarray, " m"]
+    probability: Float[np.ndarray, " m"]
+    """Sums to 1 over each row that is not empty."""
+
+    def dense(self) -> Float[np.ndarray, "n n"]:
+        """The whole matrix P(i, j); a row of zeros for an object without neighbors."""
+        n = len(self.start) - 1
+        matrix = np.zeros((n, n))
+        matrix[np.repeat(np.arange(n), np.diff(self.start)), self.target] = self.probability
+        return matrix
+
+
+def transitions(graph: SceneGraph, *, k0: float, printed: bool = False) -> Transitions:
+    """Chances of the next object: P(i, j) = w(i, j) / sum over the neighbors u of w(i, u).
+
+    MoMa-Pos, section III-A, prints w = k0 / dist_xy(i, j) + (1 - k0) size(j). The terms have
+    different units, so that k0 means little; scaled, each lies in (0, 1], the first by the
+    closest pair of neighbors, the second by the largest object. Edges are walked both ways, or a
+    cup on a table would be a dead end.
+
+    Args:
+        graph: Relations, distances and sizes.
+        k0: Weight of the distance against the size, in [0, 1].
+        printed: Whether the terms are taken as they are, in 1/m and m.
+    """
+    edges = graph.adjacency
+    edge = edges.data - 1
+    closest = 1.0 if printed else graph.dist_xy.min(initial=np.inf)
+    largest = 1.0 if printed else graph.size.max()
+    near, large = closest / graph.dist_xy[edge], graph.size[edges.indices] / largest
+    weight = k0 * near + (1 - k0) * large
+    row = np.repeat(np.arange(len(graph)), np.diff(edges.indptr))
+    total = np.bincount(row, weight, minlength=len(graph))
+    return Transitions(
+        edges.indptr.astype(np.int64), edges.indices.astype(np.int64), weight / total[row]
+    )
+
+
+@entry
+def _walk(
+    start: I1,
+    target: I1,
+    cumulative: F1,
+    first: I1,
+    draws: F2,
+) -> np.ndarray:
+    out = np.empty((len(first), draws.shape[1] + 1), np.int64)
+    for w in range(len(first)):
+        here = first[w]
+        out[w, 0] = here
+        for s in range(draws.shape[1]):
+            low, high = start[here], start[here + 1]
+            if high > low:
+                next_edge = low + np.searchsorted(cumulative[low:high], draws[w, s], side="right")
+                here = target[min(next_edge, high - 1)]
+            out[w, s + 1] = here
+    return out
+
+
+def walk(
+    steps: Transitions, first: Int[np.ndarray, " w"], length: int, rng: np.random.Generator
+) -> Int[np.ndarray, "w length"]:
+    """Walk from each given object; one without neighbors stays where it is.
+
+    Args:
+        steps: Chances of the next object.
+        first: Where each walk begins.
+        length: Objects in a walk, the first included.
+        rng: Draws the steps; the same state gives the same walks.
+    """
+    row = np.repeat(np.arange(len(steps.start) - 1), np.diff(steps.start))
+    total = np.r_[0.0, np.cumsum(steps.probability)]
+    cumulative = total[1:] - total[steps.start[row]]
+    draws = rng.random((len(first), length - 1))
+    return _walk(steps.start, steps.target, cumulative, np.asarray(first, np.int64), draws)

@@ -1,0 +1,162 @@
+"""The ways to score objects against a target; all have one signature."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from functools import lru_cache
+from pathlib import Path as FilePath
+from typing import TYPE_CHECKING, TypeAlias
+
+import numpy as np
+
+from momapos.core import InputError
+from momapos.model.scene import builtin_names, load_scene
+
+from .config import ImportanceConfig
+from .embedding import SkipGram, cosine, embed_walks, embed_words
+from .random_walks import transitions, walk
+from .scene_graph import SceneGraph
+from .word_vectors import read_word_vectors
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+LEAST = 1e-6
+"""The lowest score there is: Lemma 1 of MoMa-Pos excludes 0 [-]."""
+KNEE = 0.05
+"""Cosines from here up are scores as they are; lower ones are squeezed in below [-]."""
+
+Path: TypeAlias = "Float[np.ndarray, 'k 3'] | None"
+Scorer: TypeAlias = (
+    "Callable[[SceneGraph, int, ImportanceConfig, int, Path], Float[np.ndarray, ' n']]"
+)
+"""Scores of all objects in (0, 1] from the graph, the target's index, the configuration, a seed."""
+
+
+def deepwalk(
+    graph: SceneGraph, target: int, config: ImportanceConfig, seed: int, path: Path = None
+) -> Float[np.ndarray, " n"]:
+    """Cosine similarity of skip-gram vectors over biased walks (MoMa-Pos, section III-A).
+
+    Objects more than two windows away share no company with the target: their cosine is chance,
+    and they have the lowest score.
+    """
+    del path
+    steps = graph.steps(target)
+    rng = np.random.default_rng(seed)
+    first = np.repeat(np.arange(len(graph)), config.walks)
+    rng.shuffle(first)
+    steps_on = transitions(graph, k0=config.k0, printed=config.weights == "printed")
+    walks = walk(steps_on, first, config.length, rng)
+    vectors = embed_walks(walks, len(graph), _skip_gram(config, seed))
+    scores = score_of_cosine(cosine(vectors, target))
+    return np.where((steps >= 0) & (steps <= 2 * config.window), scores, LEAST)
+
+
+def distance(
+    graph: SceneGraph, target: int, config: ImportanceConfig, seed: int, path: Path = None
+) -> Float[np.ndarray, " n"]:
+    """1 / (1 + d / 1 m), where d is the horizontal gap between the boxes [m]."""
+    del config, seed, path
+    return np.maximum(1 / (1 + graph.gaps(target)), LEAST)
+
+
+def size(
+    graph: SceneGraph, target: int, config: ImportanceConfig, seed: int, path: Path = None
+) -> Float[np.ndarray, " n"]:
+    """s / (s + d): the size s over the gap d of `distance`, r = s / d, mapped to r / (1 + r)."""
+    del config, seed, path
+    return np.maximum(graph.size / (graph.size + graph.gaps(target)), LEAST)
+
+
+def reach(
+    graph: SceneGraph, target: int, config: ImportanceConfig, seed: int, path: Path = None
+) -> Float[np.ndarray, " n"]:
+    """s / (s + d) with the distance d, heights included, from a box to where the hand goes [m].
+
+    What is in the way depends on where the handle goes, not on where the target stands. Without a
+    path it is the `size` scorer.
+    """
+    if path is None:
+        return size(graph, target, config, seed)
+    box = graph.upright
+    local = np.einsum("nji,nkj->nki", box.rotation, path[None] - box.center[:, None])
+    gaps = np.linalg.norm(np.maximum(np.abs(local) - box.half[:, None], 0.0), axis=-1).min(1)
+    return np.maximum(graph.size / (graph.size + gaps), LEAST)
+
+
+def names(
+    graph: SceneGraph, target: int, config: ImportanceConfig, seed: int, path: Path = None
+) -> Float[np.ndarray, " n"]:
+    """Cosine similarity of the mean vectors of the objects' words.
+
+    The paper tried word vectors and found them inadequate. Where the configuration names no file,
+    they are learnt from which words occur in one room, over the built-in kitchens and this one;
+    geometry plays no part. What the file has no word of gets the lowest score.
+
+    Raises:
+        FileFormatError: The file cannot be used.
+        InputError: It has no word of the target.
+    """
+    del path
+    own = [words(name, kind) for name, kind in zip(graph.names, graph.categories, strict=True)]
+    if config.vectors is not None:
+        return _by_file(config.vectors, own, target)
+    rooms = [*_library_words(), tuple(dict.fromkeys(word for some in own for word in some))]
+    rng = np.random.default_rng(seed)
+    # In random order, for company is the room and not the order in its file.
+    sentences = [
+        [str(word) for word in rng.permutation(room)] for room in rooms for _ in range(config.walks)
+    ]
+    vectors = embed_words(sentences, _skip_gram(config, seed))
+    mean = np.array([np.mean([vectors[word] for word in some], axis=0) for some in own])
+    return score_of_cosine(cosine(mean, target))
+
+
+def _by_file(file: str, own: list[tuple[str, ...]], target: int) -> Float[np.ndarray, " n"]:
+    """Scores of objects by their words, with the vectors of a file."""
+    known = read_word_vectors(FilePath(file), {word for some in own for word in some})
+    if not any(word in known for word in own[target]):
+        raise InputError(f"{file}: has none of the target's words: {', '.join(own[target])}")
+    zero = np.zeros(len(next(iter(known.values()))))
+    vectors = [[known[word] for word in some if word in known] for some in own]
+    mean = np.array([np.mean(some, axis=0) if some else zero for some in vectors])
+    scores = score_of_cosine(cosine(mean, target))
+    return np.where([bool(some) for some in vectors], scores, LEAST)
+
+
+SCORERS: dict[str, Scorer] = {
+    "reach": reach, "deepwalk": deepwalk, "distance": distance, "size": size, "names": names,
+}  # fmt: skip
+
+
+def score_of_cosine(value: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    """Map a cosine in [-1, 1] to a score in (0, 1], in the same order.
+
+    From `KNEE` up the score is the cosine, so that the paper's alpha keeps its meaning; [-1, KNEE]
+    goes to [LEAST, KNEE]. Lemma 1 needs every object to be in S for some alpha above 0.
+    """
+    share = (1 + value) / (1 + KNEE)
+    return np.where(value >= KNEE, value, LEAST + (KNEE - LEAST) * share)
+
+
+def words(name: str, category: str) -> tuple[str, ...]:
+    """The words of an object's name and category in lower case, without digits."""
+    text = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", f"{category} {name}")
+    found = re.findall(r"[^\W\d_]+", text)
+    return tuple(dict.fromkeys(word.lower() for word in found)) or (name,)
+
+
+@lru_cache(maxsize=1)
+def _library_words() -> tuple[tuple[str, ...], ...]:
+    """The words of each built-in kitchen."""
+    rooms = [load_scene(name).objects for name in builtin_names()]
+    return tuple(
+        tuple(dict.fromkeys(word for item in room for word in words(item.name, item.category)))
+        for room in rooms
+    )
+
+
+def _skip_gram(config: ImportanceConfig, seed: int) -> SkipGram:
+    return SkipGram(config.dimensions, config.window, config.epochs, seed)

@@ -1,0 +1,112 @@
+"""Plans that move a part as far as it can be moved."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TYPE_CHECKING, TypeAlias
+
+import numpy as np
+
+from momapos.core import Stopwatch
+from momapos.planning.grasps import slides
+from momapos.planning.placement import Method
+
+from .config import PipelineConfig
+from .max_opening import farthest_answer, values_before, values_per_waypoint
+from .query import PlacementQuery
+from .result import PlacementResult
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+Answer: TypeAlias = "Callable[[PlacementQuery], PlacementResult]"
+LEAST_TIMEOUT = 0.001
+"""No search is begun with less time than this [s]."""
+
+
+def as_far_as_possible(query: PlacementQuery, answer: Answer) -> PlacementResult:
+    """The answer for the farthest value up to the task's that has one.
+
+    Args:
+        query: What is asked.
+        answer: Answers it for the value that a task names.
+    """
+    task, config, watch = query.task, query.config, query.watch
+    assert task.to is not None
+    at_once = _answer_to(query, answer, task.to, _by_samples(config))
+    if at_once.plan.status == "solved":
+        best, sure = at_once, True
+    else:
+        values = np.append(values_short_of(query), task.to)
+        found, sure = farthest_plan(query, answer, values, within=1, timeout=config.timeout)
+        left = max(config.timeout - watch.total, LEAST_TIMEOUT)
+        best = found or _answer_to(query, answer, task.to, replace(config, timeout=left))
+    known = replace(best.plan.task, farthest=sure and best.plan.status == "solved")
+    timing = watch.timing
+    return replace(best, plan=replace(best.plan, task=known, timing=timing))
+
+
+def farthest_plan(
+    query: PlacementQuery,
+    answer: Answer,
+    values: Float[np.ndarray, " k"],
+    *,
+    within: int,
+    timeout: float,
+) -> tuple[PlacementResult | None, bool]:
+    """Find the farthest of some values for which there is a plan.
+
+    Args:
+        query: What is asked; the value of its task does not count.
+        answer: Answers it for the value that a task names.
+        values: The values, the nearest to where the part is first [rad] or [m].
+        within: The answer is at most so many values before one that the grid rules out [-].
+        timeout: Time for it, counted by the query's stopwatch from its beginning [s].
+
+    Returns:
+        The answer to that value, if any has one; and whether the time was enough.
+    """
+    config, in_time = query.config, True
+
+    def ask(value: float, thorough: bool) -> PlacementResult | None:
+        nonlocal in_time
+        left = timeout - query.watch.total
+        if left < LEAST_TIMEOUT:
+            in_time = False
+            return None
+        how = replace(config if thorough else _by_samples(config), timeout=left)
+        result = _answer_to(query, answer, value, how)
+        in_time &= result.plan.status != "timeout"
+        return result if result.plan.status == "solved" else None
+
+    waypoint = values_per_waypoint(config.motion, slides=slides(query.scene, query.task))
+    return farthest_answer(ask, values, waypoint=waypoint, within=within), in_time
+
+
+def values_short_of(query: PlacementQuery) -> Float[np.ndarray, " k"]:
+    """Whole degrees or centimeters between where the part is and where it shall go [rad] or [m]."""
+    task = query.task
+    assert task.joint is not None
+    assert task.to is not None
+    begin = query.scene.object(task.object).values()[task.joint]
+    return values_before(begin, task.to, slides=slides(query.scene, task))
+
+
+def _answer_to(
+    query: PlacementQuery, answer: Answer, value: float, config: PipelineConfig
+) -> PlacementResult:
+    """The answer to the same question about another value; its time is added to the query's."""
+    task = replace(query.task, to=float(value), farthest=False)
+    watch = Stopwatch(query.watch.clock)
+    result = answer(replace(query, task=task, config=config, watch=watch))
+    for stage, seconds in watch.seconds.items():
+        query.watch.seconds[stage] = query.watch.seconds.get(stage, 0.0) + seconds
+    return result
+
+
+def _by_samples(config: PipelineConfig) -> PipelineConfig:
+    """A quick search: one round of samples, and no grid where none of them works."""
+    place = config.place
+    method: Method = "ours" if place.method == "exhaustive" else place.method
+    return replace(config, place=replace(place, rounds=1, grid=False, method=method))

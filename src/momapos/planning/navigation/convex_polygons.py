@@ -1,0 +1,272 @@
+"""The robot and the room as upright prisms: convex outlines on the floor, with heights.
+
+A robot is a stack of prisms, with its arm at home; the lowest one is its footprint. So a low base
+may pass under a table that the arm does not touch, an arm over a worktop that the base does not,
+and nothing between the floor and the top of the robot is left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache, cached_property, lru_cache
+from itertools import pairwise
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from momapos.core.compiled import F1, F2, I1
+from momapos.core.geometry import all_inside, apply, edge_normals, invert, place_points, signed_area
+from momapos.model.robots import Robot
+from momapos.model.scene import Scene
+
+from .convex_hull import convex_hull
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
+
+STEP = 0.005
+"""What is no higher than this is driven over [m]."""
+PRISMS = 5
+"""A robot is so many prisms at most [-]."""
+
+
+class PrismArrays(NamedTuple):
+    """The prisms of a robot as kernels take them, one after the other, base frame."""
+
+    corner: F2
+    """(b, 2) [m]"""
+    normal: F2
+    """(b, 2), outward, of the edge from each corner to the next."""
+    level: F1
+    """The edge lies where normal . x is this [m]."""
+    first: I1
+    """Index of each prism's first corner, and the number of corners."""
+    radius: float
+    """Distance from the base's origin to the farthest corner [m]."""
+
+
+class PolygonArrays(NamedTuple):
+    """Convex polygons as kernels take them; see `ConvexPolygons`."""
+
+    corner: F2
+    normal: F2
+    level: F1
+    first: I1
+    layer: I1
+    bounds: F2
+
+
+@dataclass(frozen=True, eq=False)
+class RobotPrisms:
+    """What drives: the robot with its arm at home."""
+
+    outlines: tuple[Float[np.ndarray, "_ 2"], ...]
+    """From the floor up, convex and counterclockwise, in the base frame [m]."""
+    heights: Float[np.ndarray, " k_plus_1"]
+    """Where each begins, and the top of the robot [m]."""
+
+    @cached_property
+    def radius(self) -> float:
+        """Distance from the base's origin to the farthest corner [m]."""
+        return float(max(np.linalg.norm(outline, axis=1).max() for outline in self.outlines))
+
+    @cached_property
+    def inside(self) -> Bool[np.ndarray, "k k"]:
+        """Whether the outline of the first index lies within that of the second."""
+        within = [
+            [bool((a @ n.T <= np.einsum("ki,ki->k", b, n) + 1e-9).all()) for a in self.outlines]
+            for b, n in ((b, edge_normals(b)) for b in self.outlines)
+        ]
+        return np.array(within).T
+
+    @cached_property
+    def arrays(self) -> PrismArrays:
+        """All of them, as the kernels take them."""
+        layers = range(len(self.outlines))
+        packed = pack(self.outlines, layers, ["robot"] * len(self.outlines))
+        return PrismArrays(packed.corner, packed.normal, packed.level, packed.first, self.radius)
+
+
+@dataclass(frozen=True, eq=False)
+class ConvexPolygons:
+    """Convex polygons on the floor, counterclockwise, one after the other."""
+
+    corner: Float[np.ndarray, "p 2"]
+    normal: Float[np.ndarray, "p 2"]
+    """Outward, of the edge from each corner to the next."""
+    level: Float[np.ndarray, " p"]
+    """The edge lies where normal . x is this [m]."""
+    first: Int[np.ndarray, " o_plus_1"]
+    """Index of each polygon's first corner, and the number of corners."""
+    layer: Int[np.ndarray, " o"]
+    """Which prism of the robot each is in the way of, from the floor up."""
+    bounds: Float[np.ndarray, "o 4"]
+    """Low x, low y, high x, high y [m]."""
+    names: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.layer)
+
+    @property
+    def arrays(self) -> PolygonArrays:
+        """All of it but the names, as the kernels take it."""
+        return PolygonArrays(
+            self.corner, self.normal, self.level, self.first, self.layer, self.bounds
+        )
+
+    def polygon(self, index: int) -> Float[np.ndarray, "k 2"]:
+        """Corners of one polygon [m]."""
+        return self.corner[self.first[index] : self.first[index + 1]]
+
+    def only(self, which: Bool[np.ndarray, " o"]) -> ConvexPolygons:
+        """Some of the polygons."""
+        lengths = np.diff(self.first)
+        corners = np.repeat(which, lengths)
+        return ConvexPolygons(
+            self.corner[corners],
+            self.normal[corners],
+            self.level[corners],
+            np.concatenate([[0], np.cumsum(lengths[which])]),
+            self.layer[which],
+            self.bounds[which],
+            tuple(name for name, kept in zip(self.names, which, strict=True) if kept),
+        )
+
+    def of(self, name: str) -> Bool[np.ndarray, " o"]:
+        """Which polygons are those of an object's links."""
+        return np.array([one.startswith(f"{name}/") for one in self.names], bool)
+
+
+def joined(parts: Sequence[ConvexPolygons]) -> ConvexPolygons:
+    """All polygons of several, in order."""
+    lengths = np.concatenate([np.diff(part.first) for part in parts])
+    return ConvexPolygons(
+        np.concatenate([part.corner for part in parts]),
+        np.concatenate([part.normal for part in parts]),
+        np.concatenate([part.level for part in parts]),
+        np.concatenate([[0], np.cumsum(lengths)]),
+        np.concatenate([part.layer for part in parts]),
+        np.concatenate([part.bounds for part in parts]),
+        tuple(name for part in parts for name in part.names),
+    )
+
+
+def pack(
+    polygons: Sequence[Float[np.ndarray, "_ 2"]], layers: Sequence[int], names: Sequence[str]
+) -> ConvexPolygons:
+    """Put polygons one after the other."""
+    first = np.concatenate([[0], np.cumsum([len(p) for p in polygons])]).astype(np.int64)
+    if not len(polygons):
+        none = np.zeros((0, 2))
+        return ConvexPolygons(
+            none, none, np.zeros(0), first, np.zeros(0, np.int64), np.zeros((0, 4)), ()
+        )
+    corner, normal = np.concatenate(polygons), np.concatenate(list(map(edge_normals, polygons)))
+    bounds = np.array([[*p.min(0), *p.max(0)] for p in polygons])
+    level = np.einsum("pi,pi->p", corner, normal)
+    return ConvexPolygons(
+        corner, normal, level, first, np.array(layers, np.int64), bounds, tuple(names)
+    )
+
+
+@lru_cache(maxsize=8)
+def prisms_of(robot: Robot) -> RobotPrisms:
+    """Cut a robot at the heights where prisms hold it most tightly.
+
+    The lowest prism is never less than the footprint of the robot file. Cuts are added one by one,
+    each where it saves most.
+    """
+    poses = robot.model.link_poses(dict(zip(robot.arm_joints, robot.home, strict=True)))
+    T_base_root = invert(poses[robot.base_link])
+    shapes = [
+        apply(T_base_root @ poses[link], hull.vertices)
+        for link, hulls in robot.model.hulls.items()
+        for hull in hulls
+    ]
+    low = np.array([points[:, 2].min() for points in shapes])
+    high = np.array([points[:, 2].max() for points in shapes])
+    flat = [convex_hull(points[:, :2]) for points in shapes]
+
+    @cache
+    def outline(begin: float, end: float) -> np.ndarray:
+        met = [flat[i] for i in np.flatnonzero((low < end) & (high > begin))]
+        given = [robot.footprint, *met] if begin == 0.0 or not met else met
+        return convex_hull(np.concatenate(given))
+
+    @cache
+    def area(begin: float, end: float) -> float:
+        return float(signed_area(outline(begin, end)))
+
+    def volume(heights: list[float]) -> float:
+        return sum(area(begin, end) * (end - begin) for begin, end in pairwise(heights))
+
+    top = float(high.max(initial=0.3))
+    heights = [0.0, top]
+    at = np.unique(np.round(np.concatenate([low, high]), 3))
+    cuts = at[(at > STEP) & (at < top - STEP)].tolist()
+    for _ in range(min(PRISMS - 1, len(cuts))):
+        heights = min((sorted({*heights, cut}) for cut in cuts), key=volume)
+    outlines = tuple(outline(begin, end) for begin, end in pairwise(heights))
+    return RobotPrisms(outlines, np.array(heights))
+
+
+def obstacles_of(scene: Scene, prisms: RobotPrisms) -> ConvexPolygons:
+    """Everything between the floor and the robot's top, for each prism that it is in the way of."""
+    hulls = [
+        (f"{item.name}/{link}", apply(T, hull.vertices))
+        for item in scene.objects
+        for link, T in item.link_poses().items()
+        for hull in item.model.hulls[link]
+    ]
+    if not hulls:
+        return pack([], [], [])
+    low = np.array([points[:, 2].min() for _, points in hulls])[:, None]
+    high = np.array([points[:, 2].max() for _, points in hulls])[:, None]
+    met = (low < prisms.heights[1:]) & (high > np.maximum(prisms.heights[:-1], STEP))
+    # Within a wider prism that is met as well, a prism asks nothing more.
+    index = np.arange(len(prisms.outlines))
+    wider = prisms.inside & ~(prisms.inside.T & (index[:, None] <= index))
+    which, layers = np.nonzero(met & ~(met[:, None] & wider).any(axis=2))
+    outlines = {i: convex_hull(hulls[i][1][:, :2]) for i in dict.fromkeys(which.tolist())}
+    return pack(
+        [outlines[i] for i in which.tolist()], layers.tolist(), [hulls[i][0] for i in which]
+    )
+
+
+def thinned(outlines: ConvexPolygons, floor: Float[np.ndarray, "k 2"] | None) -> ConvexPolygons:
+    """What suffices to plan with: no outline inside another, and the floor's edges as well."""
+    kept = np.flatnonzero(~_covered(outlines))
+    polygons = [outlines.polygon(int(i)) for i in kept]
+    layers = outlines.layer[kept].tolist()
+    names = [outlines.names[i] for i in kept]
+    if floor is not None:
+        polygons += list(np.stack([floor, np.roll(floor, -1, axis=0)], axis=1))
+        layers += [0] * len(floor)
+        names += ["the edge of the floor"] * len(floor)
+    return pack(polygons, layers, names)
+
+
+def _covered(outlines: ConvexPolygons) -> Bool[np.ndarray, " o"]:
+    """Which outlines lie inside another one of their layer; of equal ones the first is kept."""
+    covered = np.zeros(len(outlines), bool)
+    for i in range(len(outlines)):
+        box = outlines.bounds
+        inner = (box[:, :2] >= box[i, :2] - 1e-9).all(1) & (box[:, 2:] <= box[i, 2:] + 1e-9).all(1)
+        inner &= (outlines.layer == outlines.layer[i]) & ~covered
+        inner[i] = False
+        if covered[i] or not inner.any():
+            continue
+        edge = slice(outlines.first[i], outlines.first[i + 1])
+        beyond = (outlines.corner @ outlines.normal[edge].T > outlines.level[edge] + 1e-9).any(1)
+        covered |= inner & ~np.logical_or.reduceat(beyond, outlines.first[:-1])
+    return covered
+
+
+def on_floor(
+    prisms: RobotPrisms, floor: Float[np.ndarray, "k 2"] | None, poses: Float[np.ndarray, "n 3"]
+) -> Bool[np.ndarray, " n"]:
+    """Whether the footprint lies on the floor at base poses."""
+    if floor is None:
+        return np.ones(len(poses), bool)
+    return all_inside(floor, place_points(poses, prisms.outlines[0]))

@@ -1,0 +1,153 @@
+"""Driving lengths over a cost map."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from PIL import Image, ImageDraw
+
+from momapos.model.robots import Robot
+from momapos.model.urdf import Boxes
+
+from .convex_hull import convex_hull
+from .grid_distance import clearance, path_lengths
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
+
+CELL = 0.05
+"""Edge of a cell [m]."""
+ROOM_MARGIN = 2.0
+"""Free border that is mapped around a room without a known floor [m]."""
+_NEIGHBORS = np.array([(dj, di) for di in (-1, 0, 1) for dj in (-1, 0, 1)])
+"""Steps (columns, rows) to a cell and those around it."""
+_TO_START = 10.0
+"""The border is wider where a start lies beyond it, at most so much [m]."""
+
+
+@dataclass(frozen=True)
+class CostMap:
+    """Geodesic distance from the start to every cell, for a disc that fits into the base."""
+
+    origin: Float[np.ndarray, "2"]
+    """World position of the corner of cell (0, 0) [m]."""
+    distance: Float[np.ndarray, "rows columns"]
+    """Driving length to the center of each cell [m], infinite where there is no path."""
+    free: Bool[np.ndarray, "rows columns"]
+
+    def lengths(self, xy: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
+        """Driving lengths to positions [m]; infinite where there is no path.
+
+        A position is served by the best of the cells around it, since a base can stand
+        closer to furniture than the disc's cell center does.
+        """
+        rows, columns = self.distance.shape
+        x, y = np.ascontiguousarray(xy.T, float)
+        j = np.floor((x - self.origin[0]) / CELL).astype(int) + _NEIGHBORS[:, :1]
+        i = np.floor((y - self.origin[1]) / CELL).astype(int) + _NEIGHBORS[:, 1:]
+        dx = self.origin[0] + (j + 0.5) * CELL - x
+        dy = self.origin[1] + (i + 0.5) * CELL - y
+        # What is off the map falls into its border.
+        value = self._bordered[np.clip(i + 1, 0, rows + 1), np.clip(j + 1, 0, columns + 1)]
+        return (value + np.sqrt(dx * dx + dy * dy)).min(axis=0)
+
+    @cached_property
+    def _bordered(self) -> Float[np.ndarray, "rows_and_2 columns_and_2"]:
+        """The distances, with a border of cells to which there is no path [m]."""
+        return np.pad(self.distance, 1, constant_values=np.inf)
+
+
+@dataclass(frozen=True)
+class FloorPlan:
+    """Cells of the floor on which something stands, or which are no floor."""
+
+    origin: Float[np.ndarray, "2"]
+    blocked: Bool[np.ndarray, "rows columns"]
+
+
+def base_height(robot: Robot) -> float:
+    """Height up to which things are in the way of the base [m]."""
+    return float((robot.base.center + robot.base.half)[:, 2].max(initial=0.3))
+
+
+def floor_plan(
+    boxes: Boxes,
+    *,
+    height: float,
+    floor_polygon: Float[np.ndarray, "k 2"] | None,
+    margin: float = ROOM_MARGIN,
+    start: Float[np.ndarray, "2"] | None = None,
+) -> FloorPlan:
+    """Project what stands in the way of a base onto the floor.
+
+    Args:
+        boxes: The room, world frame.
+        height: Height of the base; what hangs above it is no obstacle [m].
+        floor_polygon: Outline of the floor; None where it has no known end.
+        margin: Width of the free border around everything that is mapped [m].
+        start: Where a base comes from, which is mapped too where the floor has no known end [m].
+    """
+    low_z = boxes.center[:, 2] - np.einsum("bj,bj->b", np.abs(boxes.rotation[:, 2]), boxes.half)
+    outlines = _outlines(boxes, np.flatnonzero(low_z < height))
+    points = np.concatenate(outlines) if outlines else np.zeros((1, 2))
+    if floor_polygon is not None:
+        points = floor_polygon
+    low, high = points.min(0) - margin, points.max(0) + margin
+    if start is not None and floor_polygon is None:
+        low = np.minimum(low, np.maximum(start - CELL, low - _TO_START))
+        high = np.maximum(high, np.minimum(start + CELL, high + _TO_START))
+    low = np.floor(low / CELL) * CELL
+    columns, rows = (int(np.ceil(v)) for v in (high - low) / CELL)
+    image = Image.new("L", (columns, rows), 0 if floor_polygon is None else 1)
+    draw = ImageDraw.Draw(image)
+
+    def fill(outline: Float[np.ndarray, "k 2"], value: int) -> None:
+        draw.polygon((((outline - low) / CELL) - 0.5).ravel().tolist(), fill=value)
+
+    if floor_polygon is not None:
+        fill(floor_polygon, 0)
+    for outline in outlines:
+        fill(outline, 1)
+    return FloorPlan(low, np.array(image, bool))
+
+
+def _outlines(boxes: Boxes, which: Int[np.ndarray, " k"]) -> list[Float[np.ndarray, "_ 2"]]:
+    """Projections of boxes onto the floor, as convex polygons."""
+    R, h, c = boxes.rotation[which], boxes.half[which], boxes.center[which, :2]
+    if not len(which):
+        return []
+    up = np.argmax(np.abs(R[:, 2]), axis=1)
+    upright = np.abs(R[np.arange(len(up)), 2, up]) > 1 - 1e-9
+    sides = np.stack([(up + 1) % 3, (up + 2) % 3], -1)
+    edges = np.take_along_axis(R[:, :2] * h[:, None], sides[:, None], axis=2)
+    signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    rectangles = c[:, None] + np.einsum("bij,kj->bki", edges, signs)
+    found = list(rectangles[upright])
+    if upright.all():
+        return found
+    cube = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
+    for b in np.flatnonzero(~upright):
+        corners = c[b] + (cube * h[b]) @ R[b, :2].T
+        found.append(convex_hull(corners))
+    return found
+
+
+def build_cost_map(plan: FloorPlan, start: Float[np.ndarray, "2"], *, radius: float) -> CostMap:
+    """Measure driving lengths from a start.
+
+    Args:
+        plan: What is blocked.
+        start: Where the base is [m]; from beyond the map the way to it is straight.
+        radius: Radius of the disc that must fit: the base's inscribed circle [m].
+    """
+    rows, columns = plan.blocked.shape
+    free = clearance(plan.blocked, most=radius / CELL + 1.0) * CELL > radius
+    j, i = np.clip(((start - plan.origin) / CELL).astype(int), 0, [columns - 1, rows - 1])
+    free[i, j] = True
+    distance = path_lengths(free, np.array([i * columns + j]), CELL)
+    edge = plan.origin + np.array([columns, rows]) * CELL
+    beyond = float(np.linalg.norm(start - np.clip(start, plan.origin, edge)))
+    return CostMap(plan.origin, distance + beyond, free)

@@ -1,0 +1,252 @@
+"""Cheapest paths over cells and headings (A*), and their shortening: the compiled part."""
+
+from __future__ import annotations
+
+import heapq
+from typing import NamedTuple
+
+import numpy as np
+
+from momapos.core.compiled import B2, F1, F2, I2, S3, entry, kernel
+
+from .outline_gaps import CostWeights, Surroundings, connect, gap, leg, scratch_for, select, wrapped
+
+
+class PathModel(NamedTuple):
+    """What decides which paths there are, and what they cost."""
+
+    omni: bool
+    """Whether the base can move sideways."""
+    surroundings: Surroundings
+    cost_weights: CostWeights
+
+
+class Lattice(NamedTuple):
+    """The states of the search: cells of the floor, with headings."""
+
+    origin: F1
+    """World position of the corner of cell (0, 0) [m]."""
+    cell: float
+    """Edge of a cell [m]."""
+    moves: I2
+    """Steps (columns, rows) along each heading."""
+    headings: F1
+    """[rad]"""
+    farthest: float
+    """Gaps are told apart up to this [m]."""
+
+
+@entry
+def connections(a: F2, b: F2, model: PathModel) -> tuple[np.ndarray, np.ndarray]:
+    """Cost of the simple path between each pair of poses (n, 3), and whether it is backwards."""
+    scratch = scratch_for(model.surroundings)
+    cost, backwards = np.empty(len(a)), np.empty(len(a), np.bool_)
+    for k in range(len(a)):
+        cost[k], backwards[k] = connect(
+            a[k], b[k], model.omni, model.surroundings, model.cost_weights, np.inf, scratch
+        )
+    return cost, backwards
+
+
+@entry
+def standable(inside: B2, lattice: Lattice, model: PathModel) -> np.ndarray:
+    """Where the base can be with some heading (rows, columns), of the cells on the floor."""
+    surroundings, need = model.surroundings, model.cost_weights.needed_clearance
+    prisms, obstacles = surroundings.prisms, surroundings.obstacles
+    origin, cell = lattice.origin, lattice.cell
+    # A circle about the origin within a prism is clear of what the prism is clear of.
+    inner = np.empty(len(prisms.first) - 1)
+    for layer in range(len(inner)):
+        inner[layer] = np.inf
+        for e in range(prisms.first[layer], prisms.first[layer + 1]):
+            inner[layer] = min(inner[layer], prisms.level[e])
+    scratch = scratch_for(surroundings)
+    out = np.zeros(inside.shape, np.bool_)
+    for i in range(inside.shape[0]):
+        for j in range(inside.shape[1]):
+            if not inside[i, j]:
+                continue
+            x, y = origin[0] + (j + 0.5) * cell, origin[1] + (i + 0.5) * cell
+            count = select(x, y, prisms.radius + need, obstacles.bounds, scratch.near)
+            blocked = False
+            for o in scratch.near[:count]:
+                circle = inner[obstacles.layer[o]]
+                if circle > 0 and _within(x, y, circle + need, obstacles, o):
+                    blocked = True
+                    break
+            if blocked:
+                continue
+            for yaw in lattice.headings:
+                if gap(x, y, yaw, surroundings, count, need, scratch) >= need:
+                    out[i, j] = True
+                    break
+    return out
+
+
+@kernel
+def _within(x, y, distance, obstacles, o):
+    """Whether a point is closer to a convex polygon than a distance."""
+    corner, first, last = obstacles.corner, obstacles.first[o], obstacles.first[o + 1]
+    outside = False
+    for e in range(first, last):
+        beyond = obstacles.normal[e, 0] * x + obstacles.normal[e, 1] * y - obstacles.level[e]
+        if beyond >= distance:
+            return False
+        outside = outside or beyond > 0
+    if not outside:
+        return True
+    for e in range(first, last):
+        f = e + 1 if e + 1 < last else first
+        ax, ay = x - corner[e, 0], y - corner[e, 1]
+        bx, by = corner[f, 0] - corner[e, 0], corner[f, 1] - corner[e, 1]
+        share = min(1.0, max(0.0, (ax * bx + ay * by) / max(bx * bx + by * by, 1e-18)))
+        dx, dy = ax - share * bx, ay - share * by
+        if dx * dx + dy * dy < distance * distance:
+            return True
+    return False
+
+
+@kernel
+def _gap_at(h, i, j, known, lattice, surroundings, scratch):
+    """Gap at a state [m], computed when it is first asked for."""
+    if np.isnan(known[h, i, j]):
+        x = lattice.origin[0] + (j + 0.5) * lattice.cell
+        y = lattice.origin[1] + (i + 0.5) * lattice.cell
+        reach, bounds = surroundings.prisms.radius + lattice.farthest, surroundings.obstacles.bounds
+        count = select(x, y, reach, bounds, scratch.near)
+        known[h, i, j] = gap(
+            x, y, lattice.headings[h], surroundings, count, lattice.farthest, scratch
+        )
+    return known[h, i, j]
+
+
+@entry
+def astar(
+    known: S3, ahead: F2, first: F1, last: F1, lattice: Lattice, model: PathModel
+) -> np.ndarray:
+    """Find the cheapest path over the lattice (Hart, Nilsson, Raphael 1968).
+
+    Args:
+        known: Gap at every state (headings, rows, columns) [m]; NaN where it is not known yet, and
+            then written down.
+        ahead: Lower bound of the cost from every cell to the goal (rows, columns) [m].
+        first: Cost from the start to every state it is attached to, infinite elsewhere, flat.
+        last: Cost from every state to the goal, likewise.
+        lattice: See `Lattice`.
+        model: See `PathModel`.
+
+    Returns:
+        The states of the path, from first to last, as flat indices; empty where there is none.
+    """
+    origin, cell = lattice.origin, lattice.cell
+    moves, headings = lattice.moves, lattice.headings
+    omni, weights = model.omni, model.cost_weights
+    radius = model.surroundings.prisms.radius
+    turns, rows, columns = known.shape
+    area = rows * columns
+    scratch = scratch_for(model.surroundings)
+    cost, parent = first.copy(), np.full(first.size, -1, np.int64)
+    done = np.zeros(first.size, np.bool_)
+    queue = [(np.inf, np.int64(-1))]
+    for attached in range(first.size):
+        bound = ahead[(attached % area) // columns, attached % columns]
+        if np.isfinite(first[attached]) and np.isfinite(bound):
+            heapq.heappush(queue, (first[attached] + bound, np.int64(attached)))
+    best, end = np.inf, np.int64(-1)
+    a, b = np.zeros(3), np.zeros(3)
+    directions = turns if omni else 2
+    while True:
+        estimate, state = heapq.heappop(queue)
+        if estimate >= best or state < 0:
+            break
+        if done[state]:
+            continue
+        done[state] = True
+        if cost[state] + last[state] < best:
+            best, end = cost[state] + last[state], state
+        h, i, j = state // area, (state % area) // columns, state % columns
+        a[0], a[1] = origin[0] + (j + 0.5) * cell, origin[1] + (i + 0.5) * cell
+        a[2] = headings[h]
+        here = _gap_at(h, i, j, known, lattice, model.surroundings, scratch)
+        for move in range(directions + 2):
+            g, di, dj, factor = h, 0, 0, 1.0
+            if move < 2:
+                g = (h + 1 - 2 * move) % turns
+            else:
+                along = move - 2 if omni else (h + (move - 2) * (turns // 2)) % turns
+                dj, di = moves[along, 0], moves[along, 1]
+                factor = weights.reversing if move == 3 and not omni else 1.0
+            ni, nj = i + di, j + dj
+            if ni < 0 or nj < 0 or ni >= rows or nj >= columns:
+                continue
+            after = g * area + ni * columns + nj
+            if done[after] or not np.isfinite(ahead[ni, nj]):
+                continue
+            turn = wrapped(headings[g] - headings[h]) if g != h else 0.0
+            length = cell * np.hypot(di, dj)
+            step = factor * (length + weights.turning * abs(turn))
+            if cost[state] + step >= cost[after]:
+                continue
+            there = _gap_at(g, ni, nj, known, lattice, model.surroundings, scratch)
+            if there < weights.needed_clearance:
+                continue
+            between = (here + there) / 2
+            if 2 * between - length - radius * abs(turn) > weights.needed_clearance:
+                near = max(0.0, 1 - between / weights.preferred_clearance)
+                step *= 1 + weights.proximity * near**2
+            else:
+                b[0], b[1] = a[0] + dj * cell, a[1] + di * cell
+                step = factor * leg(a, b, turn, model.surroundings, weights, scratch)
+            if cost[state] + step < cost[after]:
+                cost[after], parent[after] = cost[state] + step, state
+                heapq.heappush(queue, (cost[after] + ahead[ni, nj], after))
+    path = [np.int64(end)]
+    while path[-1] >= 0:
+        path.append(parent[path[-1]])
+    return np.array(path[:-1][::-1], np.int64)
+
+
+@entry
+def shorten(poses: F2, needs: F1, model: PathModel) -> np.ndarray:
+    """Leave poses out of a path where a simple path past them is cheaper.
+
+    Args:
+        poses: The path (n, 3).
+        needs: Gaps needed on the path to and from the first and last two poses, where there may be
+            little room [m].
+        model: See `PathModel`.
+
+    Returns:
+        Indices of the poses that stay, in order; empty where even neighbors do not connect.
+    """
+    n, weights = len(poses), model.cost_weights
+    scratch = scratch_for(model.surroundings)
+    cost, parent = np.full(n, np.inf), np.full(n, -1, np.int64)
+    cost[0] = 0.0
+    for j in range(1, n):
+        for i in range(j):
+            limit = cost[j] - cost[i]
+            if np.isfinite(cost[i]) and limit > 0:
+                need = weights.needed_clearance
+                if i <= 1:
+                    need = min(need, needs[0])
+                if j >= n - 2:
+                    need = min(need, needs[1])
+                local = CostWeights(
+                    need,
+                    weights.preferred_clearance,
+                    weights.proximity,
+                    weights.turning,
+                    weights.reversing,
+                )
+                found = connect(
+                    poses[i], poses[j], model.omni, model.surroundings, local, limit, scratch
+                )[0]
+                if found < limit:
+                    cost[j], parent[j] = cost[i] + found, i
+    kept = [n - 1]
+    while parent[kept[-1]] >= 0:
+        kept.append(parent[kept[-1]])
+    if kept[-1] != 0:
+        return np.zeros(0, np.int64)
+    return np.array(kept[::-1], np.int64)

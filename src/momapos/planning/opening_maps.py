@@ -1,0 +1,184 @@
+"""How far a part can be moved from everywhere: a grid over the floor, each cell at its best yaw."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from momapos.model.records import ReachScorer, Task
+from momapos.model.robots import Robot
+from momapos.model.scene import Scene
+from momapos.planning.arm_motion import Feasibility
+from momapos.planning.grasps import slides
+from momapos.planning.placement import BaseStatus, base_pose_status, reachable_rectangle
+
+from .config import PipelineConfig
+from .task_setup import PreparedTask, prepare
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
+
+DEFAULT = PipelineConfig()
+YAWS = 16
+"""Yaws that are tried in each cell [-]."""
+TURNING = 1e-6
+"""What the score of a way of holding that turns is multiplied by: it costs more to try [-]."""
+WAVES = (1, 4, YAWS)
+"""So many of the yaws of a cell, best reached first, are tried before the others are [-]."""
+
+
+@dataclass(frozen=True)
+class OpeningMap:
+    """The farthest value of a joint from each cell of the floor."""
+
+    scene: Scene
+    """The room."""
+    task: Task
+    begin: float
+    """Where the part is at first [rad] or [m]."""
+    farthest: Float[np.ndarray, "rows columns"]
+    """Farthest value that works [rad] or [m]; NaN where not even the first one does."""
+    yaw: Float[np.ndarray, "rows columns"]
+    """The yaw at which it does [rad]; NaN likewise."""
+    low: Float[np.ndarray, "2"]
+    """Corner of cell (0, 0) [m]."""
+    cell: float
+    """Edge of a cell [m]."""
+    values: Float[np.ndarray, " k"]
+    """Values that were tried, the nearest to where the part is first [rad] or [m]."""
+
+    @property
+    def extent(self) -> tuple[float, float, float, float]:
+        """Left, right, bottom, top [m]."""
+        rows, columns = self.farthest.shape
+        right, top = self.low + self.cell * np.array([columns, rows])
+        return (float(self.low[0]), float(right), float(self.low[1]), float(top))
+
+    def _repr_png_(self) -> bytes:
+        """The picture that a notebook shows."""
+        # By name: what draws records is downstream of them.
+        png: bytes = import_module("momapos.apps.plots.notebook_images").opening_png(self)
+        return png
+
+
+def opening_map(
+    scene: Scene,
+    robot: Robot,
+    task: Task,
+    reach: ReachScorer,
+    *,
+    cell: float = 0.1,
+    config: PipelineConfig = DEFAULT,
+    seed: int = 0,
+    report: Callable[[float], None] = lambda _: None,
+) -> OpeningMap:
+    """Find how far a part can be moved from each cell of the floor.
+
+    At the middle of a cell, with all objects modeled, every value is checked in full, way from
+    home and exact check included, from the farthest down; whether a way leads there is not asked.
+
+    Args:
+        scene: The room.
+        robot: The robot.
+        task: What is moved; its value is the farthest that is tried.
+        reach: The robot's reachability map.
+        cell: Edge of a cell [m].
+        config: How to plan.
+        seed: Same seed, same map.
+        report: Is told the share that is done, in [0, 1].
+    """
+    values = waypoint_values(scene, task, config)
+    nearest = _prepared(scene, robot, task, float(values[0]), config)
+    low, shape = _grid(nearest, cell)
+    x, y = (low[k] + cell * (np.arange(shape[1 - k]) + 0.5) for k in (0, 1))
+    middle = np.stack(np.meshgrid(x, y))
+    poses = np.empty((shape[0] * shape[1], YAWS, 3))
+    poses[..., :2] = middle.reshape(2, -1).T[:, None]
+    poses[..., 2] = 2 * np.pi / YAWS * np.arange(YAWS) - np.pi
+    farthest, yaw = np.full(len(poses), np.nan), np.full(len(poses), np.nan)
+    for done, value in enumerate(values[::-1].tolist()):
+        report(done / len(values))
+        left = np.flatnonzero(np.isnan(farthest))
+        prepared = nearest if value == values[0] else _prepared(scene, robot, task, value, config)
+        if prepared.infeasible_reason or not len(left):
+            continue
+        feasible = prepared.feasibility(config, seed)
+        best = _best_yaws(prepared, feasible, reach, poses[left])
+        works = best >= 0
+        farthest[left[works]] = value
+        yaw[left[works]] = poses[0, best[works], 2]
+    grids = (farthest.reshape(shape), yaw.reshape(shape))
+    begin = scene.object(task.object).values()[task.joint or ""]
+    return OpeningMap(scene, task, begin, *grids, low, cell, values)
+
+
+def waypoint_values(scene: Scene, task: Task, config: PipelineConfig) -> Float[np.ndarray, " k"]:
+    """Values of a task's joint a waypoint apart, the nearest to where the part is first."""
+    assert task.joint is not None
+    assert task.to is not None
+    begin = scene.object(task.object).values()[task.joint]
+    motion = config.motion
+    step = motion.waypoint_slide if slides(scene, task) else np.radians(motion.waypoint_angle)
+    count = max(1, int(np.ceil(abs(task.to - begin) / step - 1e-9)))
+    return np.linspace(begin, task.to, count + 1)[1:]
+
+
+def _prepared(
+    scene: Scene, robot: Robot, task: Task, value: float, config: PipelineConfig
+) -> PreparedTask:
+    one = replace(task, to=value, farthest=False)
+    return prepare(scene, robot, one, config, clearance=config.place.clearance)
+
+
+def _grid(prepared: PreparedTask, cell: float) -> tuple[Float[np.ndarray, "2"], tuple[int, int]]:
+    """Corner of the grid [m], and its rows and columns; no cells where nothing is in reach."""
+    corners = reachable_rectangle(prepared.geometry)
+    if corners is None:
+        return np.zeros(2), (0, 0)
+    low = np.floor(corners[0] / cell) * cell
+    columns, rows = np.ceil((corners[1] - low) / cell).astype(int).tolist()
+    return low, (rows, columns)
+
+
+def _best_yaws(
+    prepared: PreparedTask,
+    feasible: Feasibility,
+    reach: ReachScorer,
+    poses: Float[np.ndarray, "c y 3"],
+) -> Int[np.ndarray, " c"]:
+    """For each cell the first of its yaws, best reached first, that works; -1 where none does."""
+    flat, geometry = poses.reshape(-1, 3), prepared.geometry
+    scores = np.zeros((len(flat), prepared.motion.turning.ways), np.float32)
+    clear = np.flatnonzero(base_pose_status(geometry, flat)[0] == BaseStatus.CLEAR)
+    scores[clear] = _scores(reach, flat[clear], prepared)
+    best = scores.max(1, initial=0.0).reshape(poses.shape[:2])
+    order = np.argsort(-best, axis=1, kind="stable")
+    found = np.full(len(poses), -1)
+    for first, last in zip((0, *WAVES[:-1]), WAVES, strict=True):
+        yaws = order[:, first:last]
+        promising = (np.take_along_axis(best, yaws, 1) > 0) & (found < 0)[:, None]
+        cells, rank = np.nonzero(promising)
+        rows = cells * poses.shape[1] + yaws[cells, rank]
+        screened = feasible.screen(flat[rows], scores[rows], None)
+        assert screened is not None  # nothing stops it
+        for row, cell, one in zip(rows.tolist(), cells.tolist(), screened, strict=True):
+            if found[cell] >= 0 or one.q is None:
+                continue
+            ways = np.argsort(-scores[row], kind="stable")[: int((scores[row] > 0).sum())]
+            if feasible(flat[row], one, ways).motion is not None:
+                found[cell] = row - cell * poses.shape[1]
+    return found
+
+
+def _scores(
+    reach: ReachScorer, poses: Float[np.ndarray, "n 3"], prepared: PreparedTask
+) -> Float[np.ndarray, "n h"]:
+    """Scores of all ways of holding; those that turn come after all grasps that do not."""
+    grasps, *turning = (score(reach, poses).scores for score in prepared.ways)
+    if not turning:
+        return grasps
+    return np.concatenate([grasps, TURNING * turning[0][:, grasps.shape[1] :]], axis=1)

@@ -1,0 +1,55 @@
+"""Where the base is allowed to stand: areas, facing, length of the drive."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from momapos.core.geometry import all_inside, any_overlap, place_points, wrap_angle
+from momapos.model.records import BaseRegion, PoseOutcome, PoseStatus
+
+from .area import PlacementGeometry
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
+
+
+class Rule(NamedTuple):
+    """One condition on base poses."""
+
+    keeps: Callable[[Float[np.ndarray, "n 3"], Float[np.ndarray, " n"]], Bool[np.ndarray, " n"]]
+    """Which base poses keep it, by the poses and the driving length to each [m]."""
+    otherwise: PoseOutcome
+    """What becomes of the others."""
+
+
+def rules(region: BaseRegion, geometry: PlacementGeometry) -> list[Rule]:
+    """The conditions of a region, for a robot and where its hand takes hold."""
+
+    def inside(poses: Float[np.ndarray, "n 3"], _: Float[np.ndarray, " n"]) -> np.ndarray:
+        outlines = place_points(poses, geometry.robot.footprint)
+        each = [all_inside(np.array(area), outlines) for area in region.keep_in]
+        return np.asarray(np.array(each).any(0))
+
+    def outside(poses: Float[np.ndarray, "n 3"], _: Float[np.ndarray, " n"]) -> np.ndarray:
+        outlines = place_points(poses, geometry.robot.footprint)
+        each = [any_overlap(np.array(area), outlines) for area in region.keep_out]
+        return np.asarray(~np.array(each).any(0))
+
+    def faces(poses: Float[np.ndarray, "n 3"], _: Float[np.ndarray, " n"]) -> np.ndarray:
+        toward = geometry.Ts_world_tool[0, 1, :2, 3] - poses[:, :2]
+        turn = wrap_angle(np.arctan2(toward[:, 1], toward[:, 0]) - poses[:, 2])
+        return np.asarray(np.abs(turn) <= region.facing)
+
+    def is_near(_: Float[np.ndarray, "n 3"], travel: Float[np.ndarray, " n"]) -> np.ndarray:
+        return np.asarray(travel <= region.most_driving)
+
+    every = (
+        (bool(region.keep_in), inside, PoseStatus.NOT_KEPT_IN),
+        (bool(region.keep_out), outside, PoseStatus.NOT_KEPT_OUT),
+        (region.facing is not None, faces, PoseStatus.NOT_FACING),
+        (region.most_driving is not None, is_near, PoseStatus.TOO_LONG_A_DRIVE),
+    )
+    return [Rule(keeps, PoseOutcome(otherwise)) for asked, keeps, otherwise in every if asked]

@@ -1,0 +1,11 @@
+from .arm_axes import no_map as no_map
+from .arm_length import ArmLength as ArmLength
+from .construct import default_config as default_config
+from .evaluation import evaluate as evaluate
+from .map_store import build_true_map as build_true_map
+from .map_store import encode as encode
+from .map_store import load_reach as load_reach
+from .map_store import load_reach_map as load_reach_map
+from .map_store import map_key as map_key
+from .reach_map import ReachConfig as ReachConfig
+from .reach_map import ReachMap as ReachMap

@@ -1,0 +1,338 @@
+"""One line of the last axis at a time: bring an arm onto it from a state near by, and tell which
+turns of the tool about it are free.
+
+The last joint turns the tool about the line and moves nothing else of it, so that one state serves
+an arc of turns: a word of `TURNS` bits.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from momapos.core.compiled import F1, F2, I1, S2, U1, entry, kernel
+from momapos.model.collision import FREE, hit_floor, hit_self, moved, place_bounds
+from momapos.model.kinematics import (
+    ChainArrays,
+    JointLimits,
+    NewtonScratch,
+    SphereArrays,
+    cross,
+    dot,
+    forward,
+    jacobian,
+    mul,
+    newton_scratch,
+    rotate_by,
+    stand_at_origin,
+    step_toward,
+)
+
+from .grid import TURNS, oct_decode, relative_line, turns_of
+
+SPAN = 8
+"""Turns that one check for collision stands for [-]."""
+ALL = np.uint64((1 << TURNS) - 1)
+STEPS, ENOUGH = 8, 1e-6
+"""Newton steps from a neighbor's state, and the squared residual that will do [m^2 + rad^2]."""
+EARLY, SLOW = 3, 0.5
+"""After so many steps one is given up that does not leave at most this share of the squared
+residual [-]: of those that arrive hardly one in a hundred is so slow."""
+
+
+class LineTool(NamedTuple):
+    """Where the line is on the last segment."""
+
+    direction: F1
+    across: F1
+    """A unit vector across it, whose angle about the line is the tool's turn."""
+    point: F1
+
+
+class AimedArm(NamedTuple):
+    """An arm, its line and what it may touch: itself and the floor."""
+
+    chain: ChainArrays
+    limits: JointLimits
+    line: LineTool
+    turns: bool
+    """Whether the last joint turns about the line; else the tool's turn is that of the state."""
+    still: SphereArrays
+    """What the last joint does not move, to be held against each other."""
+    turned: SphereArrays
+    """What it moves, to be held against all."""
+    own: I1
+    """The groups of spheres that it moves."""
+    foot: F1
+    """Foot of the axis that the grid stands around, in the base frame [m]."""
+
+
+class LineGrid(NamedTuple):
+    """The grid of lines, see `grid`."""
+
+    low: float
+    cell: float
+    directions: int
+    azimuths: int
+
+
+@kernel
+def line_at(place, grid):
+    """Point relative to the foot, and direction, of a line in the base frame.
+
+    Args:
+        place: z, r, u, v and azimuth in steps of the grid; fractions lie between its points.
+        grid: `LineGrid`.
+    """
+    half = 0.5 * (grid.directions - 1)
+    x, y, w = oct_decode(place[2] / half - 1.0, place[3] / half - 1.0)
+    angle = 2.0 * math.pi * place[4] / grid.azimuths
+    c, s = math.cos(angle), math.sin(angle)
+    r = place[1] * grid.cell
+    point = (r * c, r * s, grid.low + place[0] * grid.cell)
+    return point, (c * x - s * y, s * x + c * y, w)
+
+
+@kernel
+def horizontal_across(d):
+    """Unit vector across a direction and level, from which the tool's turn is counted."""
+    n = math.hypot(d[0], d[1])
+    return (-d[1] / n, d[0] / n, 0.0) if n > 1e-6 else (0.0, 1.0, 0.0)
+
+
+@kernel
+def _aim(q, active, point, direction, arm, scratch):
+    """Bring the line of the arm onto a line; True where it gets there within the limits.
+
+    R and p of the scratch memory are then as `forward` leaves them at q.
+    """
+    chain, limits = arm.chain, arm.limits
+    R, p, J, A, e, column = scratch
+    last, m = len(chain.slides), len(active)
+    for i in range(len(q)):
+        column[i] = -1
+    for a in range(m):
+        column[active[a]] = a
+    stand_at_origin(R, p)
+    before = math.inf
+    for step in range(STEPS + 1):
+        forward(q, chain, R, p)
+        d = mul(R[last], (arm.line.direction[0], arm.line.direction[1], arm.line.direction[2]))
+        t = mul(R[last], (arm.line.point[0], arm.line.point[1], arm.line.point[2]))
+        tool = (p[last, 0] + t[0], p[last, 1] + t[1], p[last, 2] + t[2])
+        w = cross(d, direction)
+        residual = 0.0
+        for k in range(3):
+            e[k] = point[k] + arm.foot[k] - tool[k]
+            e[k + 3] = w[k]
+            residual += e[k] * e[k] + w[k] * w[k]
+        if dot(d, direction) < 0.0:
+            residual += 1.0
+        if residual < ENOUGH:
+            return True
+        if step == STEPS or (step >= EARLY and residual > SLOW * before):
+            return False
+        before = residual
+        jacobian(chain, R, p, tool, column, m, J)
+        for a in range(m):
+            # Turns about the line change nothing.
+            about = J[3, a] * d[0] + J[4, a] * d[1] + J[5, a] * d[2]
+            for k in range(3):
+                J[k + 3, a] -= about * d[k]
+        _hold_at_limits(q, active, limits, J, e)
+        step_toward(q, active, limits, J, A, e, 1e-7 + 0.1 * residual, True)
+    return False
+
+
+@kernel
+def _hold_at_limits(q, active, limits, J, e):
+    """Leave out the joints that stand at a limit and would go beyond it, by their columns of J.
+
+    A step that counts on them falls short of the line by what their limit cuts off, again and
+    again: of the lines beside a reached one it finds two thirds of those that it finds without.
+    """
+    for a in range(len(active)):
+        j = active[a]
+        below, above = q[j] <= limits.lower[j], q[j] >= limits.upper[j]
+        if not (below or above):
+            continue
+        toward = 0.0
+        for k in range(6):
+            toward += J[k, a] * e[k]
+        if (above and toward > 0.0) or (below and toward < 0.0):
+            for k in range(6):
+                J[k, a] = 0.0
+
+
+@kernel
+def _turn_of(R, direction, arm):
+    """The tool's turn about its line [turns], in [0, 1)."""
+    a = mul(R, (arm.line.across[0], arm.line.across[1], arm.line.across[2]))
+    e = horizontal_across(direction)
+    f = cross(direction, e)
+    turn = math.atan2(dot(a, f), dot(a, e)) / (2.0 * math.pi)
+    return turn - math.floor(turn)
+
+
+@kernel
+def _free_turns(held, known, direction, arm, R, p, bounds):
+    """Turns that this state serves beyond the known ones: a word.
+
+    Args:
+        held: Value of the last joint of a state on the line, at which R and p are.
+        known: The turns that are known.
+        direction: Of the line.
+        arm: `AimedArm`.
+        R, p: As `forward` leaves them; the last segment is turned.
+        bounds: Memory.
+    """
+    chain, spheres = arm.chain, arm.turned
+    last, n = len(chain.slides), len(arm.limits.lower) - 1
+    now = _turn_of(R[last], direction, arm)
+    lower, upper = arm.limits.lower[n], arm.limits.upper[n]
+    place_bounds(R, p, spheres, bounds)
+    word, looked = np.uint64(0), False
+    for group in range(TURNS // SPAN):
+        wanted, middle, count = np.uint64(0), 0.0, 0
+        for i in range(group * SPAN, (group + 1) * SPAN):
+            bit = np.uint64(1) << np.uint64(i)
+            if known & bit:
+                continue
+            off = (i + 0.5) / TURNS - now
+            if not arm.turns:
+                if abs(off - math.floor(off + 0.5)) > 0.5 / TURNS + 1e-9:
+                    continue
+                value = held
+            else:
+                value = held + 2.0 * math.pi * off
+                if not math.isinf(lower):
+                    value -= 2.0 * math.pi * math.floor((value - lower) / (2.0 * math.pi))
+                if value > upper:
+                    continue
+            wanted |= bit
+            # Any one of them will do; the last that is wanted stands for all.
+            middle = value
+            count += 1
+        if count:
+            if arm.turns:
+                # It moves no other segment, nor the origin of its own.
+                turned = chain.ratio[last - 1] * middle
+                rotate_by(R[last - 1], chain.h[last - 1], turned, R[last])
+                for g in arm.own:
+                    bounds[g, 0], bounds[g, 1], bounds[g, 2] = moved(
+                        R, p, last, spheres.bound_center[g]
+                    )
+            # What the turn does not move touches at each of them or at none.
+            if not looked and _hit(R, p, bounds, arm.still):
+                break
+            looked = True
+            if not _hit(R, p, bounds, spheres):
+                word |= wanted
+    return word
+
+
+@kernel
+def _hit(R, p, bounds, spheres):
+    """Whether the arm touches the floor or itself."""
+    return hit_floor(R, p, bounds, spheres) != FREE or hit_self(R, p, bounds, spheres) != FREE
+
+
+class Memory(NamedTuple):
+    """What one aim after another needs; see `memory`."""
+
+    newton: NewtonScratch
+    bounds: F2
+    """Where the spheres of each link are."""
+    active: I1
+    """The joints that are moved toward a line: the last one only where it does more than turn."""
+    q: F1
+    """The state that the last aim came to."""
+
+
+@kernel
+def memory(arm):
+    """Memory for `aim_from`."""
+    n = len(arm.limits.lower)
+    return Memory(
+        newton_scratch(arm.chain, n),
+        np.empty((len(arm.turned.segment), 3)),
+        np.arange(n - 1 if arm.turns else n),
+        np.empty(n),
+    )
+
+
+@kernel
+def aim_from(place, start, known, arm, grid, own):
+    """Bring an arm onto a line from a state near it: the turns beyond the known ones, a word.
+
+    Args:
+        place: z, r, u, v, azimuth of the line in steps of the grid.
+        start: The state to begin at (n,).
+        known: Turns that need no look.
+        arm: `AimedArm`.
+        grid: `LineGrid`.
+        own: `Memory`; its q is the state on the line then, where the word is not 0.
+    """
+    for k in range(len(start)):
+        own.q[k] = start[k]
+    point, direction = line_at(place, grid)
+    if not _aim(own.q, own.active, point, direction, arm, own.newton):
+        return np.uint64(0)
+    return _free_turns(
+        own.q[len(start) - 1], known, direction, arm, own.newton.R, own.newton.p, own.bounds
+    )
+
+
+@entry
+def aim_all(
+    places: F2,
+    starts: S2,
+    known: U1,
+    arm: AimedArm,
+    grid: LineGrid,
+    words: U1,
+    states: S2,
+) -> None:
+    """Bring an arm onto lines, each from one state.
+
+    Args:
+        places: Lines (k, 5): z, r, u, v, azimuth in steps of the grid.
+        starts: The state of each to begin at (k, n).
+        known: Turns of each that need no look (k,).
+        arm: The arm.
+        grid: The grid.
+        words: New turns of each, to be filled (k,).
+        states: The state on each line, to be filled (k, n).
+    """
+    own = memory(arm)
+    for i in range(len(places)):
+        words[i] = aim_from(places[i], starts[i], known[i], arm, grid, own)
+        for k in range(starts.shape[1]):
+            states[i, k] = own.q[k]
+
+
+@entry
+def lines_of(
+    q: F2,
+    arm: AimedArm,
+    grid: LineGrid,
+    places: F2,
+) -> None:
+    """The lines of states (k, n), as places (k, 5) of the grid; see `line_at`."""
+    last = len(arm.chain.slides)
+    R, p = np.empty((last + 1, 3, 3)), np.empty((last + 1, 3))
+    stand_at_origin(R, p)
+    half = 0.5 * (grid.directions - 1)
+    for i in range(len(q)):
+        forward(q[i], arm.chain, R, p)
+        d = mul(R[last], (arm.line.direction[0], arm.line.direction[1], arm.line.direction[2]))
+        t = mul(R[last], (arm.line.point[0], arm.line.point[1], arm.line.point[2]))
+        x = p[last, 0] + t[0] - arm.foot[0]
+        y = p[last, 1] + t[1] - arm.foot[1]
+        r, u, v = relative_line(x, y, d[0], d[1], d[2])
+        places[i, 0] = (p[last, 2] + t[2] - arm.foot[2] - grid.low) / grid.cell
+        places[i, 1] = r / grid.cell
+        places[i, 2], places[i, 3] = (u + 1.0) * half, (v + 1.0) * half
+        places[i, 4] = turns_of(y, x) * grid.azimuths

@@ -1,0 +1,93 @@
+"""The values at which a longer arm's redundant joints are locked, in the order of trying them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from momapos.model.kinematics import Chain, IkArrays, IkModel, build_ik, ik_arrays
+
+from .arm_axes import ArmAxes
+from .map_kernels import ShoulderSamples, arc_mask
+
+Samples = tuple[IkArrays, ShoulderSamples]
+MOST = 100_000
+"""Samples of the inverse that the values are taken from [-]."""
+HALVINGS = 2
+"""How often the spacing of the first joint's values is halved where they disagree."""
+
+
+def locked_samples(chain: Chain, frame: ArmAxes, count: int, heights: int) -> Samples:
+    """How the freed arm is inverted, and its samples in the order in which they are tried.
+
+    Where a longer arm is inverted with its first joint locked, the values of that joint tell which
+    azimuths a sample can serve. Straight ahead comes first, then the values farthest to the sides:
+    what lies between them adds nothing. Then the values between are tried where it changes, at
+    half the spacing each time.
+
+    Args:
+        chain: The arm with its first turning joint freed.
+        frame: Its first and last axis.
+        count: Values of a redundant turning joint that are always tried [-].
+        heights: Values of a torso [-].
+
+    Returns:
+        The IK model as the kernels take it, and each sample's `shoulder_samples`, see
+        `line_masks`.
+    """
+    first = frame.first
+    # That many values of a turning joint give `heights` of a torso.
+    # A grid of them, however many: samples that are spread would have one height at each value.
+    ik = build_ik(chain, samples_per_joint=2 * heights - 1, most_samples=MOST)
+    if first in ik.active:
+        # One solution is enough for a map: no seeds are tried.
+        ik = replace(build_ik(chain, samples_per_joint=count), tries=0)
+        zero = np.zeros(len(ik.samples), np.int64)
+        return ik_arrays(ik), ShoulderSamples(zero.astype(np.uint64), zero, zero)
+    values = count << HALVINGS
+    # Straight ahead is 0; the spacing at which a value is the first to be tried tells its turn.
+    offset = np.arange(values) - values // 2
+    step = np.where(offset % (1 << HALVINGS) == 0, 0, offset & -offset)
+    pan = offset * (2 * np.pi / values)
+    order = np.lexsort((pan, np.where(offset == 0, -np.inf, -np.abs(pan)), -step, step > 0))
+    ik, repeat = _turned(replace(ik, tries=0), frame, pan[order])
+    order = np.repeat(order, repeat)
+    return ik_arrays(ik), ShoulderSamples(
+        _arcs(pan[order], frame, np.pi / values), order, step[order]
+    )
+
+
+def _turned(ik: IkModel, frame: ArmAxes, pan: np.ndarray) -> tuple[IkModel, int]:
+    """The samples at one value of the first joint, turned to others; and how many each has.
+
+    Turning the model is a hundred times quicker than deriving it at every value.
+    """
+    held = ik.samples[:, frame.first]
+    one = np.flatnonzero(held == held.min())
+    angle = frame.turn * (pan - held.min())
+    c, s, zero = np.cos(angle), np.sin(angle), np.zeros(len(pan))
+    R = np.array([[c, -s, zero], [s, c, zero], [zero, zero, zero + 1]]).transpose(2, 0, 1)
+    samples = np.tile(ik.samples[one], (len(pan), 1, 1))
+    samples[..., frame.first] = pan[:, None]
+
+    def point(p: np.ndarray) -> np.ndarray:
+        return np.einsum("vij,s...j->vs...i", R, p - frame.axis) + frame.axis
+
+    turned = {
+        "samples": samples,
+        "h": np.einsum("vij,saj->vsai", R, ik.h[one]),
+        "o": point(ik.o[one]),
+        "wrist": point(ik.wrist[one]),
+        "R_tool": np.einsum("vij,sjk->vsik", R, ik.R_tool[one]),
+        "p_tool": point(ik.p_tool[one]),
+    }
+    flat = {name: a.reshape(-1, *a.shape[2:]) for name, a in turned.items()}
+    return replace(ik, **flat), len(one)
+
+
+def _arcs(pan: np.ndarray, frame: ArmAxes, slack: float) -> np.ndarray:
+    """Azimuths that values of the first joint can serve; half a step more at both ends, since
+    the last value that works lies half a step, on average, before the last that would."""
+    lower, upper = frame.limits[0] - slack, frame.limits[1] + slack
+    return np.array([arc_mask(q, float(frame.turn), lower, upper) for q in pan], np.uint64)

@@ -1,1 +1,0 @@
-"""Stage 2b: how the important things move."""

@@ -1,1 +1,0 @@
-"""Readers: recordings of rooms, and what other programs found in them."""

@@ -1,1 +1,0 @@
-"""Rooms: the scene record, scene files, importers and built-in kitchens."""

@@ -1,1 +1,0 @@
-"""Rooms in the formats of other programs: read into ours, and written from ours."""

@@ -1,1 +1,0 @@
-"""From a cloud to things, each with its box and label."""

@@ -1,0 +1,5 @@
+"""Do it: the arm's motion in a physics engine, and what came of it."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,138 @@
+"""Masses, inertias and efforts of a robot, from its URDF."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from momapos.core import UrdfError, read_xml
+from momapos.core.geometry import pose_rpy
+from momapos.model.urdf import MAX_URDF_BYTES, Geometry, Hull, hull_of
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+_MATRIX = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+
+
+@dataclass(frozen=True)
+class Inertia:
+    """How a link resists being moved."""
+
+    mass: float
+    """[kg]"""
+    T_link_inertia: Float[np.ndarray, "4 4"]
+    """Of the frame of `matrix`; its origin is the center of mass."""
+    matrix: tuple[float, float, float, float, float, float]
+    """xx, yy, zz, xy, xz, yz [kg m^2]."""
+
+
+@dataclass(frozen=True)
+class Mimic:
+    """A joint that follows another one."""
+
+    joint: str
+    """The one it follows."""
+    multiplier: float
+    offset: float
+    """[rad] or [m]"""
+
+    def at(self, value: float) -> float:
+        """Where it is when the other one is at a value."""
+        return self.multiplier * value + self.offset
+
+
+@dataclass(frozen=True)
+class Dynamics:
+    """What a URDF says of masses and motors."""
+
+    inertias: Mapping[str, Inertia]
+    """By link; links that the file gives no mass for are left out."""
+    efforts: Mapping[str, float]
+    """Largest torque or force by joint [Nm] or [N]; joints without one are left out."""
+    mimics: Mapping[str, Mimic]
+    """By joint that follows."""
+
+
+def read_dynamics(path: Path) -> Dynamics:
+    """Read what `read_urdf`, which has accepted the file before, leaves out.
+
+    Raises:
+        UrdfError: A mass or an effort is no usable number.
+    """
+    root: Any = read_xml(path, MAX_URDF_BYTES, error=UrdfError)
+    inertias = {}
+    for link in root.iter("link"):
+        inertial = link.find("inertial")
+        if inertial is not None and inertial.find("mass") is not None:
+            inertias[link.get("name")] = _inertia(inertial, f"{path}: link {link.get('name')!r}")
+    efforts, mimics = {}, {}
+    for joint in root.iter("joint"):
+        mimic = joint.find("mimic")
+        if mimic is not None and mimic.get("joint"):
+            where = f"{path}: joint {joint.get('name')!r}: mimic"
+            factor = _number(mimic.get("multiplier", "1"), where)
+            offset = _number(mimic.get("offset", "0"), where)
+            mimics[joint.get("name")] = Mimic(mimic.get("joint"), factor, offset)
+        limit = joint.find("limit")
+        if limit is not None and limit.get("effort") is not None:
+            where = f"{path}: joint {joint.get('name')!r}"
+            effort = _number(limit.get("effort"), f"{where}: effort")
+            if effort > 0:
+                efforts[joint.get("name")] = effort
+    return Dynamics(inertias, efforts, mimics)
+
+
+def _inertia(element: Any, where: str) -> Inertia:
+    mass = _number(element.find("mass").get("value"), f"{where}: mass")
+    if mass < 0:
+        raise UrdfError(f"{where}: mass {mass:g} is negative")
+    origin, matrix = element.find("origin"), element.find("inertia")
+    xyz, rpy = (
+        _triple(None if origin is None else origin.get(key), f"{where}: {key}")
+        for key in ("xyz", "rpy")
+    )
+    values = [
+        _number("0" if matrix is None else matrix.get(key, "0"), f"{where}: {key}")
+        for key in _MATRIX
+    ]
+    return Inertia(mass, pose_rpy(xyz, rpy), tuple(values))  # type: ignore[arg-type]
+
+
+def _triple(text: str | None, where: str) -> tuple[float, ...]:
+    values = [_number(word, where) for word in (text or "0 0 0").replace(",", " ").split()]
+    if len(values) != 3:
+        raise UrdfError(f"{where} {text!r:.80} must be 3 numbers")
+    return tuple(values)
+
+
+def _number(text: str | None, where: str) -> float:
+    try:
+        value = float(text or "")
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value) or abs(value) > 1e6:
+        raise UrdfError(f"{where} {text!r:.80} must be a number of reasonable size")
+    return value
+
+
+def volume(shape: Geometry) -> float:
+    """Volume of a shape, of a mesh that of its convex hull [m^3]."""
+    if shape.kind == "box":
+        return float(np.prod(shape.size))
+    if shape.kind == "cylinder":
+        return math.pi * shape.size[0] ** 2 * shape.size[1]
+    if shape.kind == "sphere":
+        return 4 / 3 * math.pi * shape.size[0] ** 3
+    return hull_volume(hull_of(shape))
+
+
+def hull_volume(hull: Hull) -> float:
+    """Volume of a convex hull [m^3]."""
+    a, b, c = (hull.vertices[hull.faces[:, k]] for k in range(3))
+    return float(np.einsum("fi,fi->", np.cross(a, b), c)) / 6

@@ -1,0 +1,213 @@
+"""Remembers a run while it goes on: its drives and what physics did, in the order they happened."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, NamedTuple
+
+import mujoco
+import numpy as np
+
+from momapos.core.geometry import compose, local_points
+
+from .config import Stage
+from .feel import feel
+from .run_motion import DIGITS, DRIVE, RunMotion, Triple, rounded
+from .simulated_robot import BASE_JOINTS
+from .simulation import Simulation
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+INTERVAL = 0.05
+"""Time between remembered states [s]."""
+EVERY = 0.1
+"""Time between the moments of a record [s]."""
+HOLDING = (Stage.GRIP, Stage.MANIPULATE, Stage.DWELL)
+"""Stages in which the hand holds something."""
+_STILL = np.zeros(3)
+
+
+class State(NamedTuple):
+    """What a world was like."""
+
+    time: float
+    """Since the beginning of its act [s]."""
+    stage: str
+    q: np.ndarray
+    """Coordinates of the engine."""
+    force: np.ndarray
+    """Of what is held on the hand, in the world [N]."""
+
+
+@dataclass
+class Act:
+    """A motion in physics, and the drives that led there."""
+
+    times: list[Float[np.ndarray, " t"]] = field(default_factory=list)
+    """Of each drive, from its beginning [s]."""
+    poses: list[Float[np.ndarray, "t 3"]] = field(default_factory=list)
+    """Of the base in each drive: x [m], y [m], yaw [rad]."""
+    world: Simulation | None = None
+    """None where the arm found no motion after the last drive."""
+    states: list[State] = field(default_factory=list)
+
+    @property
+    def drove(self) -> float:
+        """How long all drives took [s]."""
+        return sum(float(times[-1]) for times in self.times)
+
+    @property
+    def duration(self) -> float:
+        """How long it took [s]."""
+        return self.drove + (self.states[-1].time if self.states else 0.0)
+
+    @property
+    def way(self) -> tuple[Float[np.ndarray, " t"], Float[np.ndarray, "t 3"]]:
+        """Times [s] and poses of all drives, one after the other."""
+        ends = np.cumsum([0.0, *(times[-1] for times in self.times)])
+        shifted = [t + end for t, end in zip(self.times, ends[:-1], strict=True)]
+        return np.concatenate([np.zeros(0), *shifted]), np.concatenate(
+            [np.zeros((0, 3)), *self.poses]
+        )
+
+    def standing_at(self, pose: Float[np.ndarray, "3"]) -> np.ndarray:
+        """Coordinates of the first state, with the base elsewhere."""
+        assert self.world is not None
+        q, stands = self.states[0].q.copy(), stand(self.world)
+        q[self.world.base_q] = [*local_points(stands, pose[None, :2])[0], pose[2] - stands[2]]
+        return q
+
+
+@dataclass
+class RunTrace:
+    """Give it to `run_plan` as `watch`, and its `drive` as `trace`."""
+
+    acts: list[Act] = field(default_factory=list)
+
+    def __call__(self, world: Simulation, time: float, stage: str) -> None:
+        """Remember a state, if the last one is long enough ago."""
+        if not self.acts or self.acts[-1].world not in (None, world):
+            self.acts.append(Act())
+        act = self.acts[-1]
+        act.world = world
+        if not act.states or time - act.states[-1].time >= INTERVAL - 1e-9:
+            force = feel(world).force if stage in HOLDING else _STILL
+            act.states.append(State(time, str(stage), world.data.qpos.copy(), force))
+
+    def drive(self, times: Float[np.ndarray, " t"], poses: Float[np.ndarray, "t 3"]) -> None:
+        """Remember a drive.
+
+        Args:
+            times: From its beginning [s].
+            poses: True poses of the base: x [m], y [m], yaw [rad].
+        """
+        if not self.acts or self.acts[-1].world is not None:
+            self.acts.append(Act())
+        self.acts[-1].times.append(times)
+        self.acts[-1].poses.append(poses)
+
+    @property
+    def played(self) -> list[Act]:
+        """The acts in which something was executed."""
+        return [act for act in self.acts if act.states]
+
+    def motion(self) -> RunMotion:
+        """What moved, for the record."""
+        rows = list(self._rows())
+        worlds = [row.world for row in rows if row.world is not None]
+        names = joints_of(worlds[0]) if worlds else []
+        values = {name: [_joint(row, name) for row in rows] for name in names}
+        parts = [_part(row) for row in rows]
+        loose = bool(worlds) and _loose(worlds[0])
+        return RunMotion(
+            times=rounded([row.time for row in rows], 3),
+            stages=tuple(row.stage for row in rows),
+            bases=tuple(_triple(row.base) for row in rows),
+            joints={name: rounded(each) for name, each in values.items()},
+            part=() if loose else rounded([p[0] for p in parts]),
+            poses=tuple(rounded(p) for p in parts) if loose else (),
+            forces=tuple(_triple(row.force, 1) for row in rows),
+        )
+
+    def _rows(self) -> Iterator[_Row]:
+        """The moments of a record. While the base drives the arm is where physics begins."""
+        began, before = 0.0, _Row(0.0, DRIVE, _STILL, None, np.zeros(0), _STILL)
+        for act in self.acts:
+            if act.world is not None:
+                before = before._replace(world=act.world, q=act.states[0].q)
+            times, poses = act.way
+            for i in _every(times):
+                yield before._replace(time=began + float(times[i]), base=poses[i])
+            for i in _every(np.array([state.time for state in act.states])):
+                assert act.world is not None
+                time, stage, q, force = act.states[i]
+                base = base_pose(act.world, q)
+                yield _Row(began + act.drove + time, stage, base, act.world, q, force)
+            if act.states:
+                before = before._replace(q=act.states[-1].q)
+            began += act.duration
+
+
+class _Row(NamedTuple):
+    """One moment of a record."""
+
+    time: float
+    stage: str
+    base: np.ndarray
+    world: Simulation | None
+    q: np.ndarray
+    force: np.ndarray
+
+
+def stand(world: Simulation) -> Float[np.ndarray, "3"]:
+    """Where the base stood when a world was built: x [m], y [m], yaw [rad]."""
+    body = world.model.body("base")
+    w, _, _, z = body.quat
+    return np.array([body.pos[0], body.pos[1], 2 * np.arctan2(z, w)])
+
+
+def base_pose(world: Simulation, q: np.ndarray) -> Float[np.ndarray, "3"]:
+    """Pose of the base in a state: x [m], y [m], yaw [rad]."""
+    return compose(stand(world), q[world.base_q][None])[0]
+
+
+def joints_of(world: Simulation) -> list[str]:
+    """Names of the robot's joints that move: arm and fingers."""
+    model, part = world.model, world.model.body_jntadr[world.part_body]
+    return [
+        model.joint(k).name
+        for k in range(model.njnt)
+        if k != part and model.joint(k).name not in (*BASE_JOINTS, "")
+    ]
+
+
+def _every(times: Float[np.ndarray, " t"]) -> Iterator[int]:
+    """Numbers of the times that are kept: one every so often, and the last."""
+    if len(times):
+        wanted = np.arange(times[0], times[-1], EVERY)
+        yield from np.unique([*np.searchsorted(times, wanted), len(times) - 1]).tolist()
+
+
+def _joint(row: _Row, name: str) -> float:
+    return 0.0 if row.world is None else float(row.q[row.world.model.joint(name).qposadr[0]])
+
+
+def _loose(world: Simulation) -> bool:
+    joint = world.model.body_jntadr[world.part_body]
+    return bool(world.model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE)
+
+
+def _part(row: _Row) -> list[float]:
+    """Value of the part's joint; of a loose object x, y, z, w, x, y, z of its pose."""
+    if row.world is None:
+        return [0.0]
+    at = row.world.part_q
+    values: list[float] = row.q[at : at + (7 if _loose(row.world) else 1)].tolist()
+    return values
+
+
+def _triple(values: np.ndarray, digits: int = DIGITS) -> Triple:
+    x, y, z = rounded(values.tolist(), digits)
+    return x, y, z

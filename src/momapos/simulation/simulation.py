@@ -1,0 +1,343 @@
+"""The world of one run: room, part and robot, compiled, with names turned into indices."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import mujoco
+import numpy as np
+
+from momapos.core import InputError
+from momapos.core.geometry import invert
+from momapos.model.records import Task
+from momapos.model.robots import Robot
+from momapos.model.scene import Scene, SceneObject
+
+from .config import ExecutionConfig
+from .dynamics import Dynamics
+from .geoms import HAND, ROBOT, Kind, matrix_quat
+from .simulated_hand import Finger, Hand
+from .simulated_robot import BASE_JOINTS, TOOL_POINT, add_robot, body_of, tune
+from .simulated_room import PART, Deviation, Resistance, add_part, add_room
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
+
+WELD = "hold"
+_VALUES = 30
+"""Values of the part's joint at which it is looked at what touches it [-]."""
+_AT_REST = 1e-3
+"""A joint rests where it is this near to its value at rest [rad] or [m]."""
+_NOSLIP = 5
+"""Rounds that take the creep out of friction, which soft contacts have [-]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Simulation:
+    """A compiled world; its state is in `data`."""
+
+    model: Any
+    data: Any
+    kinds: Int[np.ndarray, " g"]
+    """Kind of each geom."""
+    names: tuple[str, ...]
+    """What each geom belongs to: OBJECT/LINK, or a link of the robot."""
+    arm_q: Int[np.ndarray, " n"]
+    """Addresses of the arm's joints in the state."""
+    arm_v: Int[np.ndarray, " n"]
+    """Addresses of their speeds."""
+    arm_motor: Int[np.ndarray, " n"]
+    base_q: Int[np.ndarray, "3"]
+    base_motor: Int[np.ndarray, "3"]
+    part_q: int
+    part_v: int
+    part_body: int
+    tool_body: int
+    weld: int
+    hand: Hand
+    hand_bodies: Int[np.ndarray, " b"]
+    """Bodies of the gripper."""
+    pad_side: Int[np.ndarray, " g"]
+    """On which side of the tool's middle the geom of a pad is, 1 or -1; 0 for all others."""
+    fingers: tuple[tuple[Finger, int], ...]
+    """The fingers that move, with their motors."""
+    loose: tuple[str, ...]
+    """What touches the part in the scene, and is left out against it."""
+    balanced: tuple[str, ...]
+    """Joints whose efforts do not bear the arm's weight, so that something else must."""
+
+    @property
+    def weight_on_part(self) -> float:
+        """What its weight does to the joint of the part as it stands, positive to larger values
+        [Nm] or [N]."""
+        return -float(self.data.qfrc_bias[self.part_v])
+
+    @property
+    def T_world_tool(self) -> Float[np.ndarray, "4 4"]:
+        """Pose of the tool link."""
+        return self._pose(self.tool_body)
+
+    @property
+    def T_world_part(self) -> Float[np.ndarray, "4 4"]:
+        """Pose of the part."""
+        return self._pose(self.part_body)
+
+    def _pose(self, body: int) -> Float[np.ndarray, "4 4"]:
+        T = np.eye(4)
+        T[:3, :3] = self.data.xmat[body].reshape(3, 3)
+        T[:3, 3] = self.data.xpos[body]
+        return T
+
+    def grip_gap(self, most: float) -> float:
+        """Distance from the gripper, or the tool's origin, to the part [m]; at most `most`."""
+        hand = np.isin(self.kinds, HAND)
+        hand[self.model.geom(TOOL_POINT).id] = True
+        return min(
+            float(mujoco.mj_geomDistance(self.model, self.data, one, other, most, None))
+            for one in np.flatnonzero(hand).tolist()
+            for other in np.flatnonzero(self.kinds == Kind.PART).tolist()
+        )
+
+    def attach(self, *, turns: bool = False) -> None:
+        """Weld the part to the tool as they are; where it turns, by the tool's origin alone."""
+        T_tool_part = invert(self.T_world_tool) @ self.T_world_part
+        values = self.model.eq_data[self.weld]
+        values[:3] = invert(T_tool_part)[:3, 3]  # the tool's origin, in the part
+        values[3:6] = 0.0  # and in the tool
+        values[6:10] = matrix_quat(T_tool_part[:3, :3])
+        values[10] = 0.0 if turns else 1.0
+        self.data.eq_active[self.weld] = 1
+
+    @property
+    def welded(self) -> bool:
+        """Whether the weld is closed."""
+        return bool(self.data.eq_active[self.weld])
+
+    def release(self) -> None:
+        """Open the weld."""
+        self.data.eq_active[self.weld] = 0
+
+
+def build_simulation(
+    scene: Scene,
+    robot: Robot,
+    base_pose: tuple[float, float, float],
+    states: Float[np.ndarray, "k n"],
+    task: Task,
+    hand: Hand,
+    dynamics: Dynamics,
+    resistance: Resistance,
+    deviation: Deviation | None,
+    config: ExecutionConfig,
+    *,
+    begin: float | None = None,
+    reached: Collection[tuple[str, int]] = (),
+) -> Simulation:
+    """Build the world of a run, with the arm at the first of some states.
+
+    Furniture that touches the part in the scene, elements of the part's own object that touch it
+    anywhere on its way while all else of the object is closed, and links of the robot that touch
+    where its joints rest, do so by design or for want of exact models: these pairs are left out.
+
+    Args:
+        scene: The room.
+        robot: The robot.
+        base_pose: x [m], y [m], yaw [rad] of its base.
+        states: Of the arm, for which its motors are tuned [rad] or [m].
+        task: Names what moves.
+        hand: What the robot holds with.
+        dynamics: Masses and efforts of the robot.
+        resistance: Of the part.
+        deviation: How the task's object differs from the scene; None where it does not.
+        config: How to model it.
+        begin: Value of the part's joint, where that is no longer the scene's [rad] or [m].
+        reached: Elements of the part that the hand meets, see `add_part`.
+
+    Raises:
+        InputError: The engine refuses the model.
+    """
+    spec = _spec(config)
+    add_room(spec, scene, task, deviation)
+    add_part(spec, scene, task, resistance, deviation, config, reached)
+    add_robot(spec, robot, base_pose, hand, dynamics, config)
+    _add_weld(spec, robot, config)
+    fingers = hand.fingers if config.hold == "contact" else ()
+    item = scene.object(task.object)
+    value = None if task.joint is None else item.values()[task.joint]
+    try:
+        model = spec.compile()
+        touching = _touching(model, _values(model, {PART: value}), config)
+        if task.joint is not None:
+            touching += _bearings(model, item, task.joint, config)
+        touching = list(dict.fromkeys(touching))
+        apart = touching
+        if deviation is not None and task.joint is not None:
+            # Where a joint is not as modeled, its true frame leaves the part free.
+            apart = list(dict.fromkeys([*touching, *((PART, name) for name in _standing(model))]))
+        for one, other in apart:
+            spec.add_exclude(bodyname1=one, bodyname2=other)
+        model = spec.compile()
+        model.geom_solref[kinds_of(model) == Kind.PAD] = (config.gripper.pad_time, 1.0)
+    except ValueError as error:
+        raise InputError(
+            f"the physics engine refuses the model of {robot.name} in {scene.name}: {error}"
+        ) from error
+    driven = {finger.joint: finger.open for finger in fingers}
+    at = {**driven, **dict(zip(robot.moved_joints, states[0].tolist(), strict=True))}
+    followers = {n: m.at(driven[m.joint]) for n, m in hand.followers.items() if m.joint in driven}
+    values = {PART: value if begin is None else begin, **at, **followers}
+    balanced = tune(model, _values(model, values), robot, states, fingers, config)
+    data = _values(model, values)
+    for name, rest in at.items():
+        data.ctrl[model.actuator(name).id] = rest
+    loose = [one if other == PART else other for one, other in touching if PART in (one, other)]
+    names = tuple(dict.fromkeys("floor" if n == "world" else n.split("#")[0] for n in loose))
+    return _index(model, data, robot, hand, fingers, names, balanced)
+
+
+def _spec(config: ExecutionConfig) -> Any:
+    spec = mujoco.MjSpec()
+    spec.compiler.balanceinertia = True
+    spec.compiler.boundmass, spec.compiler.boundinertia = 1e-4, 1e-7
+    spec.compiler.degree = False
+    option = spec.option
+    option.timestep = config.timestep
+    option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    if config.hold == "contact":
+        option.cone, option.impratio = mujoco.mjtCone.mjCONE_ELLIPTIC, 10.0
+        option.noslip_iterations = _NOSLIP
+    spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [0.45] * 3, [0.55] * 3
+    spec.visual.global_.offwidth, spec.visual.global_.offheight = 1280, 960
+    return spec
+
+
+def _add_weld(spec: Any, robot: Robot, config: ExecutionConfig) -> None:
+    weld = spec.add_equality(
+        name=WELD, type=mujoco.mjtEq.mjEQ_WELD, objtype=mujoco.mjtObj.mjOBJ_BODY, active=False
+    )
+    weld.name1, weld.name2 = body_of(robot.tool_link), PART
+    weld.solref = [config.gripper.time_constant, 1.0]
+
+
+def _values(model: Any, values: dict[str, float | None]) -> Any:
+    """A state with some joints set; those without a value stay as they are."""
+    data = mujoco.MjData(model)
+    for name, value in values.items():
+        if value is not None:
+            data.qpos[model.joint(name).qposadr[0]] = value
+    mujoco.mj_forward(model, data)
+    return data
+
+
+def _touching(model: Any, data: Any, config: ExecutionConfig) -> list[tuple[str, str]]:
+    """Pairs of bodies that touch at rest: links of the robot, the part on its joint and the room.
+
+    A loose object rests on something, and stays as it is.
+    """
+    kinds = kinds_of(model)
+    fixed = model.joint(PART).type[0] != mujoco.mjtJoint.mjJNT_FREE
+    pairs = []
+    for one, other in _near_pairs(model, data, config.touch if fixed else 0.0):
+        both = {kinds[one], kinds[other]}
+        own = both <= set(ROBOT) and _gap(data, one, other) < 0.0
+        furniture = fixed and both in ({Kind.PART, Kind.ROOM}, {Kind.PART, Kind.FLOOR})
+        if own or furniture:
+            bodies = sorted(model.body(model.geom_bodyid[g]).name for g in (one, other))
+            pairs.append((bodies[0], bodies[1]))
+    return list(dict.fromkeys(pairs))
+
+
+def _bearings(
+    model: Any, item: SceneObject, joint: str, config: ExecutionConfig
+) -> list[tuple[str, str]]:
+    """The part and those elements of its own object that touch it somewhere on its way.
+
+    A door moves freely in its frame; the hull of a hollow frame does not let it. What another joint
+    of the object has moved from where it rests may really be in the way, and counts.
+    """
+    values, rest = item.values(), item.model.rest
+    moved = {
+        link
+        for name in item.model.joints
+        if name != joint and abs(values[name] - rest[name]) > _AT_REST
+        for link in item.model.moved_by(name)
+    }
+    own = {f"{item.name}/{link}" for link in item.model.links if link not in moved}
+    record = item.model.joint(joint)
+    low, high = (
+        float(np.clip(end, rest[joint] - np.pi, rest[joint] + np.pi))
+        for end in (record.lower, record.upper)
+    )
+    way = [rest[joint], *np.linspace(low, high, _VALUES).tolist()]
+    pairs = [p for v in way for p in _touching(model, _values(model, {PART: v}), config)]
+    return [
+        pair for pair in pairs if PART in pair and any(n.rpartition("#")[0] in own for n in pair)
+    ]
+
+
+def _near_pairs(model: Any, data: Any, gap: float) -> list[tuple[int, int]]:
+    kept = model.geom_gap.copy()
+    model.geom_gap[:] = gap
+    mujoco.mj_collision(model, data)
+    model.geom_gap[:] = kept
+    return [(int(a), int(b)) for a, b in np.unique(data.contact.geom, axis=0)]
+
+
+def _gap(data: Any, one: int, other: int) -> float:
+    rows = (data.contact.geom == [one, other]).all(1)
+    return float(data.contact.dist[rows].min())
+
+
+def _standing(model: Any) -> list[str]:
+    """Names of the bodies that stand still."""
+    still = np.isin(kinds_of(model), (Kind.ROOM, Kind.FLOOR))
+    return [model.body(body).name for body in np.unique(model.geom_bodyid[still]).tolist()]
+
+
+def kinds_of(model: Any) -> Int[np.ndarray, " g"]:
+    """Kind of each geom of a model."""
+    return np.array(model.geom_contype, int)
+
+
+def _index(
+    model: Any,
+    data: Any,
+    robot: Robot,
+    hand: Hand,
+    fingers: tuple[Finger, ...],
+    loose: tuple[str, ...],
+    balanced: tuple[str, ...],
+) -> Simulation:
+    def addresses(names: tuple[str, ...], key: str) -> Int[np.ndarray, " n"]:
+        return np.array([int(getattr(model.joint(name), key)[0]) for name in names])
+
+    def motors(names: tuple[str, ...]) -> Int[np.ndarray, " n"]:
+        return np.array([model.actuator(name).id for name in names])
+
+    names = [model.geom(i).name.split("#")[0] for i in range(model.ngeom)]
+    sides = {body_of(link): int(side) for link, side in hand.pads.items()}
+    return Simulation(
+        model=model,
+        data=data,
+        kinds=kinds_of(model),
+        names=tuple(name.removeprefix(body_of("")) for name in names),
+        arm_q=addresses(robot.moved_joints, "qposadr"),
+        arm_v=addresses(robot.moved_joints, "dofadr"),
+        arm_motor=motors(robot.moved_joints),
+        base_q=addresses(BASE_JOINTS, "qposadr"),
+        base_motor=motors(BASE_JOINTS),
+        part_q=int(model.joint(PART).qposadr[0]),
+        part_v=int(model.joint(PART).dofadr[0]),
+        part_body=model.body(PART).id,
+        tool_body=model.body(body_of(robot.tool_link)).id,
+        weld=model.equality(WELD).id,
+        hand=hand,
+        hand_bodies=np.array([model.body(body_of(n)).id for n in robot.gripper_links], int),
+        pad_side=np.array([sides.get(name, 0) for name in names]),
+        fingers=tuple((finger, model.actuator(finger.joint).id) for finger in fingers),
+        loose=loose,
+        balanced=balanced,
+    )

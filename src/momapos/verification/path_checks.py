@@ -1,0 +1,358 @@
+"""Checks of a motion that need no collision geometry."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from momapos.core.geometry import invert, rotation_about, rotation_angle, wrap_angle
+from momapos.model.records import Hold, Motion
+
+from .link_bodies import following
+from .moved_part import MovedPart
+from .report import Check, Limits, at_most, verdict
+from .robot_collision_model import RobotCollisionModel
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
+
+STEP_BACK = 1e-6
+STILL = 1e-9
+"""A part that nothing holds moves by no more [rad] or [m]."""
+LARGEST = 1e6
+"""Numbers from here on cannot be meant."""
+RIGID = 1e-3
+"""How far a tool pose may be from a rigid transform, entry by entry."""
+
+
+@dataclass(frozen=True)
+class DensePath:
+    """A motion with no step above the limit, the approach first."""
+
+    q: Float[np.ndarray, "s n"]
+    object_q: Float[np.ndarray, " s"]
+    at: Float[np.ndarray, " s"]
+    """Index of each state in the plan, with its fraction."""
+    approach: int
+    """How many of the states belong to the approach."""
+
+    @property
+    def planned(self) -> Int[np.ndarray, " m"]:
+        """Indices of the states of the manipulation that the plan itself has."""
+        held = np.arange(self.approach, len(self.at))
+        return np.asarray(held[self.at[held] == np.floor(self.at[held])])
+
+    def where(self, state: int) -> str:
+        """Name a state in the plan's own numbers."""
+        part = "approach" if state < self.approach else "manipulation"
+        return f"{part} {self.at[state]:.2f}"
+
+
+def from_grasp(motion: Motion) -> Float[np.ndarray, "s n"]:
+    """Arm states of the manipulation, and of the way home after it."""
+    return motion.q if motion.home is None else np.concatenate([motion.q, motion.home])
+
+
+def home_checks(motion: Motion, limits: Limits) -> Iterator[Check]:
+    """Whether the way home ends where the approach began."""
+    if motion.home is not None and len(motion.approach):
+        gap = np.abs(motion.home[-1] - motion.approach[0]).max()
+        yield at_most("way home ends where the approach starts", gap, limits.join, "rad|m")
+
+
+def count_states(motion: Motion, step: float) -> float:
+    """How many states a dense path would have, before it is made."""
+    both = motion.approach, from_grasp(motion)
+    return float(sum(_pieces(q, step).sum() + 1 for q in both if len(q)))
+
+
+def count_cuts(values: Float[np.ndarray, " s"], step: float, least: int) -> float:
+    """Into how many parts the way of a joint is cut, a multiple of the least number."""
+    return float(max(1.0, np.ceil(np.ptp(values) / step / least)) * least)
+
+
+def dense_path(motion: Motion, step: float) -> DensePath:
+    """Fill in states so that no joint moves more than a step [rad] or [m].
+
+    On the way home the object's joint rests where it was left.
+    """
+    q, at = _densify(from_grasp(motion), step)
+    object_q = np.interp(at, np.arange(len(motion.object_q)), motion.object_q)
+    if not len(motion.approach):
+        return DensePath(q, object_q, at, 0)
+    before, at_before = _densify(motion.approach, step)
+    return DensePath(
+        q=np.concatenate([before, q]),
+        object_q=np.concatenate([np.full(len(before), motion.object_q[0]), object_q]),
+        at=np.concatenate([at_before, at]),
+        approach=len(before),
+    )
+
+
+def _pieces(q: Float[np.ndarray, "s n"], step: float) -> Float[np.ndarray, " t"]:
+    """Into how many pieces each step is cut."""
+    largest = np.abs(np.diff(q, axis=0)).max(1, initial=0.0)
+    return np.asarray(np.maximum(1.0, np.ceil(largest / step - 1e-9)))
+
+
+def _densify(
+    q: Float[np.ndarray, "s n"], step: float
+) -> tuple[Float[np.ndarray, "t n"], Float[np.ndarray, " t"]]:
+    pieces = _pieces(q, step).astype(np.int64)
+    segment = np.repeat(np.arange(len(pieces)), pieces)
+    within = np.arange(len(segment)) - np.repeat(np.cumsum(pieces) - pieces, pieces)
+    share = within / pieces[segment]
+    states = q[segment] + (q[segment + 1] - q[segment]) * share[:, None]
+    return np.vstack([states, q[-1:]]), np.append(segment + share, len(q) - 1.0)
+
+
+def part_poses(
+    part: MovedPart, verb: str, path: DensePath, Ts_world_tool: Float[np.ndarray, "s 4 4"]
+) -> Float[np.ndarray, "s 4 4"]:
+    """World poses of the part along a path: by its joint's value, or as the tool carries it.
+
+    An object is picked where the manipulation begins, and carried from then on; one that is placed
+    is carried until then, and stays.
+    """
+    if part.joint is not None:
+        return part.poses(path.object_q)
+    Ts = part.poses(np.zeros(len(path.q)))
+    carried = slice(path.approach) if verb == "place" else slice(path.approach, None)
+    T_tool_part = invert(Ts_world_tool[path.approach]) @ part.T_world_joint
+    Ts[carried] = Ts_world_tool[carried] @ T_tool_part
+    return Ts
+
+
+def number_checks(
+    part: MovedPart, motion: Motion, base_pose: tuple[float, float, float]
+) -> Iterator[Check]:
+    """Whether the arrays fit together and are finite; nothing else makes sense before."""
+    lengths = [len(motion.q), len(motion.Ts_world_tool), len(motion.object_q)]
+    least = 1 if part.joint is None else 2
+    yield verdict(
+        f"same number ({least} or more) of q, object_q, T_world_tool",
+        min(lengths) == max(lengths) >= least,
+        str(lengths),
+    )
+    home = () if motion.home is None else (motion.home,)
+    if motion.home is not None:
+        yield verdict("way home is not empty", len(motion.home) > 0)
+    arrays = (motion.q, motion.approach, motion.object_q, motion.Ts_world_tool, *home)
+    largest = max(float(np.abs(a).max(initial=0.0)) for a in (*arrays, np.array(base_pose)))
+    finite = all(np.isfinite(array).all() for array in (*arrays, np.array(base_pose)))
+    yield verdict("numbers are finite", finite and largest < LARGEST, f"largest {largest:g}")
+
+
+def object_checks(part: MovedPart, motion: Motion, limits: Limits) -> Iterator[Check]:
+    """Whether the object's joint goes where the task asks, without turning back."""
+    if part.joint is None:
+        return
+    values, span = motion.object_q, part.goal - part.start
+    slack = limits.goal * max(abs(span), 1e-9)
+    yield at_most(
+        "object starts at the scene's value", abs(values[0] - part.start), slack, "rad|m",
+        f"{values[0]:.4f}, scene {part.start:.4f}",
+    )  # fmt: skip
+    yield at_most(
+        "object ends at task.to", abs(values[-1] - part.goal), slack, "rad|m",
+        f"{values[-1]:.4f}, task {part.goal:g}",
+    )  # fmt: skip
+    back = float((-np.sign(span) * np.diff(values)).max(initial=0.0))
+    yield at_most("object moves monotonically (largest step back)", back, STEP_BACK, "rad|m")
+    excess = max(part.joint.lower - values.min(), values.max() - part.joint.upper, 0.0)
+    yield at_most("object within its joint limits (excess)", excess, limits.joint, "rad|m")
+
+
+def joint_checks(machine: RobotCollisionModel, motion: Motion, limits: Limits) -> Iterator[Check]:
+    """Whether the arm's states are within limits and connected."""
+    held = from_grasp(motion)
+    both = np.vstack([motion.approach, held])
+    excess = np.maximum(machine.lower - both, both - machine.upper).max(0)
+    worst = machine.joints[int(excess.argmax())]
+    yield at_most(
+        "joint limits (excess)", max(0.0, excess.max()), limits.joint, "rad|m", worst, worst
+    )
+    yield from _follower_checks(machine, both, limits)
+    if len(held) > 1:
+        steps = np.abs(np.diff(held, axis=0))
+        state, joint = np.unravel_index(int(steps.argmax()), steps.shape)
+        yield at_most(
+            "largest step of the manipulation", steps.max(), limits.jump, "rad|m",
+            f"state {state}, {machine.joints[joint]}", machine.joints[joint],
+        )  # fmt: skip
+    yield verdict("approach present", len(motion.approach) > 0)
+    if len(motion.approach):
+        gap = np.abs(motion.approach[-1] - motion.q[0]).max()
+        yield at_most("approach ends where the manipulation starts", gap, limits.join, "rad|m")
+
+
+def _follower_checks(
+    machine: RobotCollisionModel, states: Float[np.ndarray, "m n"], limits: Limits
+) -> Iterator[Check]:
+    """Whether joints that the URDF has follow others do so in the plan."""
+    column = {name: i for i, name in enumerate(machine.joints)}
+    errors: dict[str, float] = {}
+    for joint in machine.bodies.joints:
+        if joint is None or joint.mimic is None or joint.name not in column:
+            continue
+        if joint.mimic.joint in column:
+            there = following(joint.mimic, states[:, column[joint.mimic.joint]])
+            errors[joint.name] = float(np.abs(states[:, column[joint.name]] - there).max())
+    if errors:
+        worst = max(errors, key=errors.__getitem__)
+        yield at_most(
+            "joints follow as in the URDF", errors[worst], limits.joint, "rad|m", worst, worst
+        )
+
+
+def tool_checks(
+    Ts_world_tool: Float[np.ndarray, "m 4 4"], motion: Motion, limits: Limits
+) -> Iterator[Check]:
+    """Whether the plan's tool poses are those of its joints."""
+    planned = motion.Ts_world_tool
+    apart = np.linalg.norm(Ts_world_tool[:, :3, 3] - planned[:, :3, 3], axis=1)
+    angle = rotation_angle(Ts_world_tool[:, :3, :3], planned[:, :3, :3])
+    yield at_most(
+        "FK position against T_world_tool", 1000 * apart.max(), 1000 * limits.fk_position, "mm",
+        f"state {int(apart.argmax())}",
+    )  # fmt: skip
+    yield at_most(
+        "FK rotation against T_world_tool", math.degrees(angle.max()),
+        math.degrees(limits.fk_rotation), "deg", f"state {int(angle.argmax())}",
+    )  # fmt: skip
+    R = planned[:, :3, :3]
+    off = max(
+        np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)).max(),
+        np.abs(np.linalg.det(R) - 1.0).max(),
+        np.abs(planned[:, 3] - [0.0, 0.0, 0.0, 1.0]).max(),
+    )
+    yield at_most("T_world_tool is a rigid transform", off, RIGID)
+
+
+def holds_of(motion: Motion) -> tuple[Hold, ...]:
+    """When the hand holds the part; all along, without turning, where the motion says nothing."""
+    return motion.holds or (Hold(0, len(motion.q) - 1),)
+
+
+def hold_checks(part: MovedPart, motion: Motion) -> Iterator[Check]:
+    """Whether the holds are ranges of states in order, and the part rests between them."""
+    if not motion.holds or part.joint is None:
+        return
+    ends = np.array([(hold.first, hold.last) for hold in motion.holds])
+    order = np.concatenate([[-1], ends.ravel(), [len(motion.q)]])
+    fits = (np.diff(order)[::2] > 0).all() and (ends[:, 0] <= ends[:, 1]).all()
+    axes = np.array([hold.turn_axis for hold in motion.holds if hold.turn_axis is not None], float)
+    unit = np.isfinite(axes).all() and np.allclose(np.linalg.norm(axes.reshape(-1, 3), axis=1), 1.0)
+    yield verdict("holds are ranges of states in order, with unit axes", bool(fits and unit))
+    if not fits:
+        return
+    held = np.zeros(max(len(motion.q) - 1, 0), bool)
+    for first, last in ends:
+        held[first:last] = True
+    loose = np.abs(np.diff(motion.object_q))[~held]
+    yield at_most("object moves while nothing holds it", loose.max(initial=0.0), STILL, "rad|m")
+
+
+def grasp_checks(
+    part: MovedPart,
+    path: DensePath,
+    Ts_world_tool: Float[np.ndarray, "s 4 4"],
+    holds: tuple[Hold, ...],
+    limits: Limits,
+) -> Iterator[Check]:
+    """Whether the tool keeps its place in the part while it holds it.
+
+    It may turn about the axis that the hold names, which is fixed in the part. Tool poses are of
+    the dense path.
+    """
+    if part.joint is None:
+        return
+    states, slips, turns = [], [], []
+    for hold in holds:
+        inside = (path.at >= hold.first) & (path.at <= hold.last)
+        inside[: path.approach] = False
+        held = np.flatnonzero(inside)
+        T = invert(part.poses(path.object_q[held])) @ Ts_world_tool[held]
+        states.append(held)
+        slips.append(np.linalg.norm(T[:, :3, 3] - T[0, :3, 3], axis=1))
+        turns.append(_turn_beside(T[:, :3, :3], hold.turn_axis))
+    state, slip, turn = (np.concatenate(values) for values in (states, slips, turns))
+    yield at_most(
+        "grasp slips: translation in the moved part", 1000 * slip.max(),
+        1000 * limits.slip_position, "mm", path.where(int(state[slip.argmax()])),
+    )  # fmt: skip
+    yield at_most(
+        "grasp slips: rotation in the moved part", math.degrees(turn.max()),
+        math.degrees(limits.slip_rotation), "deg", path.where(int(state[turn.argmax()])),
+    )  # fmt: skip
+
+
+def _turn_beside(
+    R: Float[np.ndarray, "s 3 3"], axis: tuple[float, float, float] | None
+) -> Float[np.ndarray, " s"]:
+    """Angle from the first rotation to each, less what is about the axis (swing and twist)."""
+    if axis is None:
+        return np.asarray(rotation_angle(R[:1], R))
+    M, a = R @ R[0].T, np.array(axis)
+    sine = np.stack([M[:, 2, 1] - M[:, 1, 2], M[:, 0, 2] - M[:, 2, 0], M[:, 1, 0] - M[:, 0, 1]], 1)
+    # Half angles: w = cos(t / 2) and n sin(t / 2) of the quaternion, both times 4 w.
+    twist = 2.0 * np.arctan2(sine @ a, 1.0 + np.trace(M, axis1=1, axis2=2))
+    return np.asarray(rotation_angle(rotation_about(a, twist) @ R[0], R))
+
+
+def reach_check(
+    part: MovedPart,
+    verb: str,
+    motion: Motion,
+    Ts_world_tool: Float[np.ndarray, "m 4 4"],
+    limits: Limits,
+) -> Check:
+    """Whether the tool is at the part while it holds it; at the end for a pick.
+
+    A distance changes by no more than the point moves, so that few points are computed.
+    """
+    states = np.concatenate([np.arange(h.first, h.last + 1) for h in holds_of(motion)])
+    if part.joint is None:
+        states = np.array([0 if verb == "place" else len(motion.q) - 1])
+    T = invert(part.poses(motion.object_q[states]))
+    points = (T @ Ts_world_tool[states])[:, :3, 3]
+    bounds, worst, where = np.full(len(points), np.inf), -np.inf, 0
+    while bounds.max() > worst + 1e-6:
+        i = int(bounds.argmax())
+        distance = part.distance(points[i])
+        if distance > worst:
+            worst, where = distance, i
+        moved = np.linalg.norm(points - points[i], axis=1)
+        bounds = np.minimum(bounds, distance + moved)
+    detail = f"state {states[where]}"
+    return at_most("grasp point to the moved part", 1000 * worst, 1000 * limits.reach, "mm", detail)
+
+
+WAY_STEP, WAY_TURN = 0.05, 0.1
+"""Poses of a base path are no farther apart than this [m], [rad]."""
+
+
+def way_checks(
+    way: Float[np.ndarray, "k 3"], ends: Float[np.ndarray, "2 3"], limits: Limits
+) -> Iterator[Check]:
+    """A base path leads from the start to the base pose, in small steps."""
+    if not len(way) or len(way) > limits.states or np.abs([*way, *ends]).max() > LARGEST:
+        yield verdict("base path has one to 20 000 poses", False)
+        return
+    off = _apart(way[[0, -1]], ends)
+    yield at_most("base path from start to base pose", 1000 * off[0], 1000 * limits.join, "mm")
+    yield at_most("base path from start to base pose, turn", off[1], limits.join, "rad")
+    step, turn = _apart(way[1:], way[:-1])
+    yield at_most("step of the base path", 1000 * step, 1000 * WAY_STEP, "mm")
+    yield at_most("turn of the base path", turn, WAY_TURN, "rad")
+
+
+def _apart(a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "n 3"]) -> tuple[float, float]:
+    """Largest distance [m] and turn [rad] between poses."""
+    away = a - b
+    distance = np.hypot(away[:, 0], away[:, 1]).max(initial=0.0)
+    return float(distance), float(np.abs(wrap_angle(away[:, 2])).max(initial=0.0))

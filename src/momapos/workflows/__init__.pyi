@@ -1,0 +1,8 @@
+from .joint_belief import ask_in_turn as ask_in_turn
+from .joint_belief import save_learned as save_learned
+from .run import QUIET as QUIET
+from .run import run_plan as run_plan
+from .scan import scan_to_scene as scan_to_scene
+from .solve import ScanAnswer as ScanAnswer
+from .solve import ScanTask as ScanTask
+from .solve import solve_scan as solve_scan

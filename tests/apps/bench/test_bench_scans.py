@@ -1,0 +1,136 @@
+"""Rooms that are known by a scan: made once, and asked what the true room is asked."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from momapos.apps.bench import job as answer
+from momapos.apps.bench import scanned_rooms as scans
+from momapos.apps.bench.bench_records import Job, Settings, SuiteTask
+from momapos.apps.bench.job import NOT_SEEN, answer_job
+from momapos.apps.bench.scanned_rooms import ScannedRoom, scanned_room
+from momapos.apps.cli.main import main
+from momapos.core.errors import InputError
+from momapos.model.scene.scene import Scene
+from momapos.model.scene.scene_files import load_scene
+
+pytestmark = pytest.mark.slow
+FRAMES = 16
+NAME = "kitchen_small"
+FRIDGE = SuiteTask("fridge", "door", NAME, "segway_ur5e", "open", "fridge", "door_hinge")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("results")
+
+
+@pytest.fixture(scope="module")
+def room(folder: Path) -> ScannedRoom:
+    return scanned_room(folder, NAME, load_scene(NAME), FRAMES, 0)
+
+
+def test_a_room_is_scanned_once(
+    room: ScannedRoom, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delattr(scans, "synthetic_scan")
+    again = scanned_room(folder, NAME, load_scene(NAME), FRAMES, 0)
+    assert again.record == room.record
+    assert [path.name for path in (folder / "scans").iterdir()] == [NAME]
+
+
+def test_a_scan_that_is_cut_short_leaves_nothing_that_is_taken_for_one(
+    room: ScannedRoom, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    half = tmp_path / "scans" / NAME
+    half.mkdir(parents=True)
+    (half / scans.SCENE).write_text("{}")
+    monkeypatch.setattr(scans, "_modeled", full)
+    with pytest.raises(InputError, match=r"scans/kitchen_small: cannot be written \(No space"):
+        scanned_room(tmp_path, NAME, load_scene(NAME), 1, 0)
+    assert [path.name for path in (tmp_path / "scans").iterdir()] == [NAME]
+    assert not (half / scans.RECORD).exists()
+    monkeypatch.setattr(scans, "_modeled", lambda *_: room.record)
+    monkeypatch.setattr(scans, "load_scene", lambda *_, **__: room.scene)
+    assert scanned_room(tmp_path, NAME, load_scene(NAME), 1, 0).record == room.record
+
+
+def test_a_task_means_what_stands_in_the_scan_where_it_is_in_the_room(room: ScannedRoom) -> None:
+    opening = room.task("open", "fridge", "door_hinge", 1.0)
+    assert opening is not None
+    assert opening.joint is not None
+    truth, found = room.truth.object("fridge"), room.scene.object(opening.object)
+    (low, high), middle = found.bounds, np.mean(truth.bounds, 0)
+    assert (low < middle).all()
+    assert (middle < high).all()
+    value = found.values()[opening.joint]
+    assert abs(float(opening.to or 0.0) - value) == pytest.approx(1.0, abs=1e-6)
+
+
+def test_what_the_scan_does_not_show_is_no_task(room: ScannedRoom) -> None:
+    bare = replace(room, scene=Scene("bare", ()))
+    assert bare.task("open", "fridge", "door_hinge", None) is None
+    assert bare.task("pick", "cup", None, None) is None
+
+
+def test_poses_go_from_the_room_to_the_scan_and_back(room: ScannedRoom) -> None:
+    turned = replace(room, record=replace(room.record, room=(1.0, -2.0, 2.5)))
+    pose = np.array([0.3, 0.7, -3.0])
+    there = turned.start(pose)
+    assert there is not None
+    x, y, yaw = there.tolist()
+    assert turned.in_room((x, y, yaw)) == pytest.approx(pose.tolist())
+    assert turned.start(None) is None
+
+
+def test_modeling_counts_what_was_modeled(room: ScannedRoom) -> None:
+    names = list(room.record.models)
+    everything, nothing = room.modeling(None), room.modeling(())
+    assert everything == pytest.approx(nothing + sum(room.record.models.values()))
+    assert room.modeling(names) == everything
+    assert nothing == pytest.approx(sum(room.record.survey.values()))
+
+
+def test_a_room_without_walls_does_not_end_where_the_scan_does(
+    room: ScannedRoom, folder: Path
+) -> None:
+    open_room = replace(load_scene(NAME), floor_polygon=None)
+    assert scanned_room(folder, NAME, open_room, FRAMES, 0).scene.floor_polygon is None
+    assert room.scene.floor_polygon is not None
+
+
+def test_a_row_from_a_scan_counts_its_modeling(
+    folder: Path, room: ScannedRoom, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    job = Job("key", str(folder), FRIDGE, "ours", Settings(timeout=10.0, scan=FRAMES))
+    row = answer_job(job)
+    assert (row.outcome, row.verified) == ("solved", True)
+    assert row.seconds == pytest.approx(sum(row.stages.values()), abs=0.05)
+    assert row.stages["modeling"] > 0.5 * row.seconds
+    bare = replace(room, scene=Scene("bare", ()))
+    monkeypatch.setattr(answer, "scanned_room", lambda *_: bare)
+    unseen = answer_job(job)
+    assert (unseen.outcome, unseen.reason) == ("gave up", NOT_SEEN)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["paper-sim", "--scan", "60"], "no scan shows what is in the drawers of paper-sim"),
+        (["smoke", "--scan", "-1"], "--scan must be between 0 and 1000, not -1"),
+        (["smoke", "--disturbances", "1001"], "--disturbances must be between 0 and 1000"),
+    ],
+)
+def test_what_cannot_be_scanned_is_told_in_one_line(
+    words: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["bench", "run", *words, "--out", str(tmp_path / "out")]) == 2
+    assert said in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,61 @@
+"""Compiling once after installation."""
+
+from __future__ import annotations
+
+import importlib
+from pathlib import Path
+
+import pytest
+
+from momapos.apps.cli import compile as compiling
+from momapos.apps.cli.compile import ANSWER, RANK, VERIFY, WALKS, compile_once
+from momapos.apps.cli.main import main
+from momapos.core.compiled.code_store import Store
+from momapos.core.compiled.entries import ENTRIES
+
+
+def test_what_an_answer_needs_is_compiled_once_with_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    store = Store(tmp_path, tmp_path / "no pack")
+    monkeypatch.setattr(compiling, "store", store)
+    short = (
+        "momapos.model.kinematics.chain.stand_at_origin",
+        "momapos.verification.exact_shapes._place",
+    )
+    for name in short:  # as in a new process
+        importlib.import_module(name.rpartition(".")[0])
+        monkeypatch.setattr(ENTRIES[name], "_native", None)
+    monkeypatch.setattr("momapos.core.compiled.code_store.store", store)
+    compile_once(short)
+    assert capsys.readouterr().err.splitlines() == [
+        "momapos: compiling, once after installation: 0 of 2 kernels"
+    ]
+    compile_once(short)
+    assert capsys.readouterr().err == ""
+    assert all(store.find(ENTRIES[name]) is not None for name in short)
+
+
+def test_every_kernel_of_an_answer_is_an_entry() -> None:
+    compile_once()
+    assert set(ANSWER) <= set(ENTRIES)
+
+
+@pytest.mark.parametrize("command", ["rank", "walks", "verify"])
+def test_checking_and_ranking_compile_nothing_but_what_they_announce(
+    command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plan = tmp_path / "plan.json"
+    words, announced = {
+        "rank": (["rank", "kitchen_small", "fridge"], RANK),
+        "walks": (["rank", "kitchen_small", "fridge", "--scorer", "deepwalk"], RANK + WALKS),
+        "verify": (["verify", str(plan)], VERIFY),
+    }[command]
+    if command == "verify":
+        question = ["place", "open", "kitchen_small", "fridge/door_hinge", "--out", str(plan)]
+        assert main(question) == 0
+    for kernel in ENTRIES.values():  # as in a new process
+        monkeypatch.setattr(kernel, "_native", None)
+    assert main(words) == 0
+    used = {name for name, kernel in ENTRIES.items() if kernel._native is not None}
+    assert used == set(announced)

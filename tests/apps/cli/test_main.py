@@ -1,0 +1,160 @@
+"""The command line: exit statuses, one line for what cannot be used, one object for --json."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from momapos.apps.cli.main import COMMANDS, SHELLS, main
+from momapos.apps.cli.place import parse_pose
+from momapos.core.errors import TaskError
+from momapos.core.units import parse_quantity
+
+
+@pytest.fixture(autouse=True)
+def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MOMAPOS_CACHE", str(tmp_path / "cache"))
+
+
+def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--help"]) == 0
+    shown = capsys.readouterr().out
+    assert all(name in shown for name in COMMANDS)
+
+
+GROUPS = {name: group for name, (_, group) in COMMANDS.items() if isinstance(group, dict)}
+
+
+@pytest.mark.parametrize("name", GROUPS)
+def test_every_subcommand_has_help(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([name, "--help"]) == 0
+    shown = capsys.readouterr().out
+    for sub in GROUPS[name]:
+        assert f"  {sub} " in shown
+        assert main([name, sub, "--help"]) == 0
+        assert f"momapos {name} {sub}" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("shell", SHELLS)
+def test_every_shell_completes_every_command(
+    shell: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["--tyro-print-completion", shell]) == 0
+    shown = capsys.readouterr().out
+    assert all(name in shown for name in COMMANDS)
+    assert all(sub in shown for group in GROUPS.values() for sub in group)
+    assert "--method" in shown
+    assert "RRTConnect" in shown
+
+
+@pytest.mark.parametrize(
+    ("words", "hint"),
+    [
+        (["plaec"], "did you mean place"),
+        (["place", "opne"], "did you mean open"),
+        (["--tyro-print-completion"], "followed by one of bash, zsh"),
+        (["--tyro-print-completion", "basch"], "followed by one of bash, zsh"),
+        (["place", "open", "kitchen_smal", "fridge"], "kitchen_small"),
+        (["place", "open", "kitchen_small", "fridg"], "did you mean fridge"),
+        (["place", "open", "kitchen_small", "fridge"], "several moving parts"),
+        (["place", "open", "kitchen_small", "microwave", "--robot", "fetsh"], "fetch"),
+        (["place", "open", "kitchen_small", "microwave", "--to", "500deg"], "outside its limits"),
+        (["place", "open", "kitchen_small", "microwave", "--to", "wide"], "no value"),
+        (["place", "open", "kitchen_small", "microwave", "--start", "1,2"], "X,Y,YAW"),
+        (
+            ["place", "open", "kitchen_small", "microwave", "--at", "1,2"],
+            "--at '1,2' is not X,Y,YAW",
+        ),
+        (
+            [
+                "place",
+                "close",
+                "kitchen_small",
+                "microwave",
+                "--joint",
+                "microwave/door_hinge=60deg",
+                "--to",
+                "max",
+            ],
+            "close shuts it all the way",
+        ),
+        (["place", "pick", "kitchen_small", "cup", "--at", "1,2,90"], "did you mean 90deg"),
+        (["place", "open", "kitchen_small", "microwave", "--timeout", "0"], "timeout"),
+        (["verify", "no_such_plan.json"], "no_such_plan.json"),
+    ],
+)
+def test_what_cannot_be_used_is_one_line_and_status_2(
+    words: list[str], hint: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(words) == 2
+    shown = capsys.readouterr()
+    assert hint in shown.err
+    assert shown.err.count("\n") == 1
+    assert "Traceback" not in shown.err
+
+
+def test_an_input_that_memory_cannot_hold_is_one_line_and_status_2(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def too_large(**_: object) -> int:
+        return len(np.zeros(2**62, np.uint8))
+
+    monkeypatch.setattr("momapos.apps.cli.robot.robot_list", too_large)
+    assert main(["robot", "list"]) == 2
+    said = capsys.readouterr().err
+    assert "not enough memory" in said
+    assert said.count("\n") == 1
+
+
+def test_a_solved_question_is_status_0_and_verifies(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plan = tmp_path / "plan.json"
+    words = ["place", "open", "kitchen_small", "microwave", "--robot", "segway_ur5e"]
+    assert main([*words, "--out", str(plan), "--json"]) == 0
+    shown = json.loads(capsys.readouterr().out)
+    assert shown["status"] == "solved"
+    written = json.loads(plan.read_text())
+    assert set(written.pop("hashes")) == {"scene", "robot"}  # of the files, which only it names
+    assert shown == written | {key: shown[key] for key in ("scene", "robot")}
+    assert main(["verify", str(plan)]) == 0
+    assert "VALID" in capsys.readouterr().out
+
+
+def test_an_infeasible_question_is_status_3_with_reasons(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    words = ["place", "open", "kitchen_small", "cabinet_right/drawer_bottom_slide"]
+    assert main([*words, "--robot", "segway_ur5e"]) == 3
+    shown = capsys.readouterr().out
+    assert "infeasible" in shown
+    assert "out of reach" in shown
+
+
+def test_values_and_starts_take_units() -> None:
+    assert parse_quantity("90deg").angle("a") == pytest.approx(math.pi / 2)
+    assert parse_quantity("30cm").length("a") == pytest.approx(0.3)
+    assert parse_quantity("-1.2").angle("a") == parse_quantity("-1.2").length("a") == -1.2
+    assert parse_pose("1, 2.5, 180deg", "start") == pytest.approx([1.0, 2.5, math.pi])
+    for wrong in ("", "90 degrees", "nan", "1..2", "9m9"):
+        with pytest.raises(TaskError):
+            parse_quantity(wrong)
+
+
+@pytest.mark.parametrize(
+    ("start", "words"),
+    [
+        ("1,2", "not X,Y,YAW"),
+        ("1,2,90", "did you mean 90deg?"),
+        ("1deg,2,0", "start: X 1deg is no length"),
+        ("1,2,30cm", "start: YAW 30cm is no angle"),
+    ],
+)
+def test_a_start_in_the_wrong_units_is_refused(start: str, words: str) -> None:
+    with pytest.raises(TaskError, match=re.escape(words)):
+        parse_pose(start, "start")

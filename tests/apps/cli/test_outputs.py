@@ -1,0 +1,95 @@
+"""Where a result cannot go, and options that mean nothing, are refused before the work."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from momapos.apps.cli.main import main
+
+COMMANDS = {
+    "place --out": ["place", "open", "kitchen_small", "fridge/door_hinge", "--out", "{}"],
+    "place --plot": ["place", "open", "kitchen_small", "fridge/door_hinge", "--plot", "{}"],
+    "run --out": ["run", "plan.json", "--out", "{}"],
+    "run --record": ["run", "plan.json", "--record", "{}"],
+    "rank --plot": ["rank", "kitchen_small", "fridge", "--plot", "{}"],
+    "scene show --plot": ["scene", "show", "kitchen_small", "--plot", "{}"],
+    "scene new --out": ["scene", "new", "galley", "--out", "{}"],
+    "scene convert OUT": ["scene", "convert", "kitchen_small", "{}", "--copy"],
+    "robot check --out": ["robot", "check", "r.urdf", "--out", "{}"],
+    "robot check --plot": ["robot", "check", "r.toml", "--plot", "{}"],
+    "reach build --out": ["reach", "build", "fetch", "--out", "{}"],
+    "scan --out": ["scan", "scans", "--out", "{}"],
+}
+FOLDERS = {
+    "reach build --cache": ["reach", "build", "fetch", "--cache", "{}"],
+    "reach eval --cache": ["reach", "eval", "fetch", "--cache", "{}"],
+    "robot export DIR": ["robot", "export", "fetch", "{}"],
+    "scene scan --out": ["scene", "scan", "kitchen_small", "--out", "{}"],
+}
+
+
+def refused(args: list[str], where: Path, capsys: pytest.CaptureFixture[str], *words: str) -> None:
+    before = sorted(where.rglob("*"))
+    assert main(args) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.count("\n") == 1
+    for word in words:
+        assert word in said.err
+    assert sorted(where.rglob("*")) == before
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_file_is_not_written_over_a_folder_nor_below_a_file(
+    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").write_text("")
+    for place, word in ((tmp_path, "is a folder"), (tmp_path / "file" / "x", "is no folder")):
+        args = [arg.format(place) for arg in COMMANDS[command]]
+        refused(args, tmp_path, capsys, str(place), word)
+
+
+@pytest.mark.parametrize("command", FOLDERS)
+def test_files_are_not_written_below_a_file(
+    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").write_text("")
+    args = [arg.format(tmp_path / "file") for arg in FOLDERS[command]]
+    refused(args, tmp_path, capsys, str(tmp_path / "file"), "no folder")
+
+
+@pytest.mark.parametrize(
+    "args",
+    [
+        ["reach", "eval", "fetch", "--seed", "-1"],
+        ["rank", "kitchen_small", "fridge", "--seed", "-1"],
+        ["place", "open", "kitchen_small", "fridge", "--seed", "-1"],
+        ["place", "open", "kitchen_small", "fridge", "--seed", f"1{'0' * 30}"],
+        ["run", "plan.json", "--seed", "-1"],
+        ["scene", "new", "galley", "--seed", "-1", "--out", "{}/a.json"],
+        ["scene", "scan", "kitchen_small", "--seed", "-1", "--out", "{}/a"],
+        ["scene", "scan", "kitchen_small", "--frames", "0", "--out", "{}/a"],
+        ["scan", "scans", "--voxel", "nan", "--out", "{}/a.json"],
+        ["scan", "scans", "--voxel", "0", "--out", "{}/a.json"],
+        ["scan", "scans", "--depth-scale", "inf", "--out", "{}/a.json"],
+        ["scan", "scans", "--max-frames", "-5", "--out", "{}/a.json"],
+    ],
+)
+def test_an_option_without_meaning_is_refused(
+    args: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    option = next(arg for arg in args if arg.startswith("--") and arg != "--out")
+    refused([arg.format(tmp_path) for arg in args], tmp_path, capsys, option)
+
+
+def test_what_is_no_regular_file_is_refused_as_input(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for args in (
+        ["scene", "show", "/dev/zero"],
+        ["verify", "/dev/zero"],
+        ["robot", "show", "/dev/zero"],
+    ):
+        refused(args, tmp_path, capsys, "/dev/zero")

@@ -1,0 +1,90 @@
+"""momapos rank: a table for people, one object for programs, one line for what cannot be used."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from momapos.apps.cli.main import main
+
+
+def test_the_table_has_every_object_with_its_score_its_relation_and_s(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main(["rank", "kitchen_small", "counter"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    rows = {line.split()[2 if "*" in line else 1]: line for line in lines[3:]}
+    assert len(rows) == 17
+    assert "1.000  *  counter" in rows["counter"]
+    assert rows["counter"].endswith("the target")
+    assert rows["microwave"].endswith("on it")
+    assert rows["dishwasher"].endswith("carries it")
+    assert rows["chair"].endswith("not related")
+
+
+def test_json_is_one_object_and_nothing_else(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["rank", "kitchen_small", "fridge", "--json", "--seed", "4", "--alpha", "0.6"]
+    assert main(words) == 0
+    shown = json.loads(capsys.readouterr().out)
+    assert (shown["target"], shown["seed"], shown["config"]["alpha"]) == ("fridge", 4, 0.6)
+    scores = [item["score"] for item in shown["objects"]]
+    assert scores == sorted(scores, reverse=True)
+    assert [item["selected"] for item in shown["objects"]] == [score >= 0.6 for score in scores]
+    assert {"child": "cup", "parent": "table", "kind": "on"}.items() <= next(
+        edge for edge in shown["edges"] if edge["child"] == "cup" and edge["kind"] == "on"
+    ).items()
+
+
+def test_long_work_says_that_it_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    said = []
+
+    @contextmanager
+    def note(title: str) -> Iterator[None]:
+        said.append(title)
+        yield
+
+    for module in ("rank", "scene"):
+        monkeypatch.setattr(f"momapos.cli.{module}.busy", note)
+    path = tmp_path / "graph.png"
+    assert main(["rank", "kitchen_small", "cup", "--scorer", "size", "--plot", str(path)]) == 0
+    assert said == ["kitchen_small: scoring 17 objects", "drawing graph.png"]
+    assert main(["scene", "show", "kitchen_small", "--plot", str(path)]) == 0
+    assert said[2:] == ["drawing graph.png"]
+
+
+def test_the_picture_is_written_where_it_is_asked_for(tmp_path: Path) -> None:
+    path = tmp_path / "graph.png"
+    assert main(["rank", "kitchen_small", "cup", "--scorer", "size", "--plot", str(path)]) == 0
+    assert path.read_bytes()[:4] == b"\x89PNG"
+
+
+@pytest.mark.parametrize(
+    ("words", "hint"),
+    [
+        (["fridg"], "did you mean fridge"),
+        (["fridge", "--alpha", "1.5"], "alpha must be between 0 and 1"),
+        (["fridge", "--k0", "-0.1"], "k0 must be between 0 and 1"),
+        (["fridge", "--k0", "nan"], "k0 must be between 0 and 1"),
+        (["fridge", "--seed", "-1"], "seed must be"),
+        (["fridge", "--walks", "0"], "walks must be between 1"),
+        (["fridge", "--near", "-1"], "must not be negative"),
+    ],
+)
+def test_what_cannot_be_used_is_one_line_and_status_2(
+    words: list[str], hint: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["rank", "kitchen_small", *words]) == 2
+    shown = capsys.readouterr()
+    assert hint in shown.err
+    assert shown.err.count("\n") == 1
+    assert shown.out == ""
+
+
+def test_rank_help_says_what_every_option_does(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["rank", "--help"]) == 0
+    shown = capsys.readouterr().out
+    assert all(f"--{name}" in shown for name in ("scorer", "alpha", "k0", "seed", "plot", "json"))

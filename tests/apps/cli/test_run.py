@@ -1,0 +1,388 @@
+"""momapos run: from a plan file to a record, and one line for what cannot be used."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from jaxtyping import Float
+from tests.rooms import Everywhere
+from tests.verification.door_case import make_case
+
+from momapos.apps.cli.main import main
+from momapos.apps.cli.run import summary
+from momapos.core.errors import InputError
+from momapos.core.geometry.transforms import pose_planar, wrap_angle
+from momapos.model.plan_files.plan_format import write_plan
+from momapos.model.records.outcomes import PoseOutcome, PoseStatus
+from momapos.model.records.plans import Attempt, Motion, PlacementPlan
+from momapos.model.records.tasks import Task
+from momapos.model.robots.robot import Robot, load_robot
+from momapos.model.scene.scene import Scene
+from momapos.model.scene.scene_files import load_scene
+from momapos.planning.base_pose_check import check_base_pose
+from momapos.planning.config import PipelineConfig
+from momapos.planning.grasps.tasks import make_task
+from momapos.planning.navigation.driving import DriveRecord
+from momapos.planning.navigation.footprint_map import NavigationMap
+from momapos.planning.placement.config import PlaceConfig
+from momapos.planning.plan import plan_base_placement
+from momapos.simulation.config import ExecutionConfig, FurnitureConfig
+from momapos.simulation.run_record import RunRecord, read_run
+from momapos.simulation.true_worlds import moved
+from momapos.verification.exact_check import PlanVerifier
+from momapos.workflows.replanning import APART, NONE_LEFT, TURN, Drive
+from momapos.workflows.run import run_plan
+
+CONFIG = PipelineConfig(place=PlaceConfig(count=256, improve=1), timeout=300.0)
+Pose3 = Float[np.ndarray, "3"]
+START = np.array([1.9, -1.6, 1.5708])
+"""Of the small kitchen."""
+
+
+@pytest.fixture(scope="module")
+def kitchen() -> Scene:
+    return load_scene("kitchen_small")
+
+
+@pytest.fixture(scope="module")
+def plan(kitchen: Scene) -> PlacementPlan:
+    """How the Segway opens the fridge of the small kitchen."""
+    task = make_task(kitchen, "open", "fridge", "door_hinge")
+    plan = plan_base_placement(
+        kitchen, load_robot("segway_ur5e"), task, Everywhere(), config=CONFIG
+    ).plan
+    assert plan.status == "solved"
+    return plan
+
+
+def refused(words: list[str], hint: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """The command ends with status 2 and one line that holds the hint."""
+    assert main(["run", *words]) == 2
+    shown = capsys.readouterr().err
+    assert hint in shown
+    assert shown.count("\n") == 1
+
+
+def test_a_plan_for_the_small_kitchen_opens_its_fridge_and_the_record_says_so(
+    plan: PlacementPlan, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, out = tmp_path / "plan.json", tmp_path / "run.json"
+    write_plan(plan, path)
+    assert main(["run", str(path), "--no-noise", "--out", str(out), "--json"]) == 0
+    shown = json.loads(capsys.readouterr().out)
+    record = read_run(out)
+    assert shown["success"]
+    assert record.success
+    assert not record.noise
+    assert record.execution is not None
+    assert record.execution.reached == pytest.approx(np.pi / 2, rel=0.05)
+    last = record.visits[-1]
+    assert last.arrived
+    assert last.clearance is not None
+    assert last.clearance > 0
+    assert record.driven >= np.hypot(*(np.array(last.reached) - START)[:2])
+    assert np.hypot(*np.subtract(last.reached, last.planned)[:2]) < 0.02
+    assert "open fridge/door_hinge: done" in summary(record)
+
+
+def test_no_tries_at_all_are_refused(
+    plan: PlacementPlan, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_plan(plan, tmp_path / "plan.json")
+    refused([str(tmp_path / "plan.json"), "--tries", "0"], "--tries 0", capsys)
+
+
+def test_a_world_that_is_not_there_or_lies_nowhere_is_refused(
+    plan: PlacementPlan, kitchen: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_plan(plan, tmp_path / "plan.json")
+    refused([str(tmp_path / "plan.json"), "--world-at", "0,0,0"], "--world-at", capsys)
+    there = tmp_path / "scene.json"
+    there.write_text("{}")
+    refused([str(tmp_path / "plan.json"), "--out-scene", str(there)], "exists already", capsys)
+    assert there.read_text() == "{}"
+    refused([str(tmp_path / "plan.json"), "--world", "no_such_room"], "no_such_room", capsys)
+    far = moved(kitchen, np.array([9.0, 0.0, 0.0]))
+    with pytest.raises(InputError, match="no part that opens"):
+        run_plan(plan, kitchen, load_robot("segway_ur5e"), Everywhere(), world=far, config=CONFIG)
+
+
+def test_with_noise_the_arm_is_planned_anew_where_the_base_really_stands(
+    plan: PlacementPlan, kitchen: Scene
+) -> None:
+    traces: list[np.ndarray] = []
+    record = run_plan(
+        plan, kitchen, load_robot("segway_ur5e"), Everywhere(), config=CONFIG, seed=3,
+        trace=lambda _, poses: traces.append(poses),
+    )  # fmt: skip
+    assert record.success, record.reason
+    assert record.noise
+    last = record.visits[-1]
+    off = np.subtract(last.reached, last.planned)
+    assert 0 < np.hypot(off[0], off[1]) <= 0.03
+    assert abs(off[2]) <= np.radians(2.0)
+    assert len(traces) == len(record.visits)
+    np.testing.assert_allclose(traces[0][0], START)
+    np.testing.assert_allclose(traces[-1][-1], last.reached)
+
+
+@pytest.mark.slow
+def test_the_furniture_is_the_same_however_far_a_plan_drives(
+    plan: PlacementPlan, kitchen: Scene
+) -> None:
+    def run(go: Drive) -> RunRecord:
+        furniture = FurnitureConfig(spread=0.3)
+        return run_plan(
+            plan, kitchen, load_robot("segway_ur5e"), Everywhere(), config=CONFIG, seed=5, go=go,
+            physics=ExecutionConfig(furniture=furniture),
+        )  # fmt: skip
+
+    def near(_: NavigationMap, start: Pose3, goal: Pose3, __: np.random.Generator) -> DriveRecord:
+        return ended(start, goal, goal)
+
+    def far(_: NavigationMap, start: Pose3, goal: Pose3, rng: np.random.Generator) -> DriveRecord:
+        rng.normal(size=1000)
+        return ended(start, goal, goal)
+
+    one, other = run(near).execution, run(far).execution
+    assert one is not None
+    assert other is not None
+    assert one.resistance == other.resistance
+
+
+def test_a_motion_for_one_base_pose_holds_the_exact_check(
+    plan: PlacementPlan, kitchen: Scene
+) -> None:
+    robot = load_robot("segway_ur5e")
+    base = np.array(plan.base_pose)
+    found = check_base_pose(kitchen, robot, plan.task, base, Everywhere()).motion
+    assert found is not None
+    x, y, yaw = base.tolist()
+    assert PlanVerifier(kitchen, robot, plan.task).check((x, y, yaw), found).valid
+    tools = pose_planar(base) @ robot.chain.tool_poses(found.q)
+    np.testing.assert_allclose(tools, found.Ts_world_tool, atol=1e-6)
+
+
+def test_where_the_arm_finds_no_motion_the_next_cheapest_base_pose_is_driven_to(
+    plan: PlacementPlan, kitchen: Scene
+) -> None:
+    goals: list[np.ndarray] = []
+    record = run_plan(
+        plan, kitchen, load_robot("segway_ur5e"), Everywhere(), go=astray_at_first(goals),
+        config=CONFIG,
+    )  # fmt: skip
+    assert record.success, record.reason
+    assert len(record.visits) == len(goals) >= 2
+    assert record.visits[0].reason
+    assert record.visits[0].arrived
+    assert record.driven == pytest.approx(sum(visit.length for visit in record.visits))
+    assert apart(goals)
+
+
+def test_where_no_other_base_pose_is_left_the_robot_docks_once_more(
+    plan: PlacementPlan, kitchen: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    goals: list[np.ndarray] = []
+    monkeypatch.setattr("momapos.workflows.replanning.Trip._another", lambda *_: None)
+    record = run_plan(
+        plan, kitchen, load_robot("segway_ur5e"), Everywhere(), go=astray_at_first(goals),
+        config=CONFIG,
+    )  # fmt: skip
+    assert record.success, record.reason
+    assert NONE_LEFT in record.visits[0].reason
+    np.testing.assert_array_equal(goals, [plan.base_pose, plan.base_pose])
+
+
+def test_a_drive_that_does_not_arrive_leads_to_other_base_poses_and_then_to_a_failure(
+    plan: PlacementPlan, kitchen: Scene
+) -> None:
+    goals: list[np.ndarray] = []
+
+    def stuck(_: NavigationMap, start: Pose3, goal: Pose3, __: np.random.Generator) -> DriveRecord:
+        goals.append(goal)
+        return ended(start, goal, start, "a wheel is stuck")
+
+    record = run_plan(
+        plan, kitchen, load_robot("segway_ur5e"), Everywhere(), go=stuck, config=CONFIG
+    )
+    assert not record.success
+    assert record.reason == "a wheel is stuck"
+    assert record.execution is None
+    assert len(goals) == len(record.visits) == 3
+    assert not any(visit.arrived for visit in record.visits)
+    assert apart(goals)
+
+
+def test_a_base_that_touched_something_is_driven_no_further(
+    plan: PlacementPlan, kitchen: Scene
+) -> None:
+    def bump(_: NavigationMap, start: Pose3, goal: Pose3, __: np.random.Generator) -> DriveRecord:
+        return replace(ended(start, goal, start, "it hit a chair"), hit="a chair")
+
+    record = run_plan(
+        plan, kitchen, load_robot("segway_ur5e"), Everywhere(), go=bump, config=CONFIG
+    )
+    assert not record.success
+    assert record.reason == "it hit a chair"
+    assert [visit.hit for visit in record.visits] == ["a chair"]
+
+
+def astray_at_first(goals: list[np.ndarray]) -> Drive:
+    """Drives of which the first ends far from its goal; tells the goals."""
+
+    def go(_: NavigationMap, start: Pose3, goal: Pose3, __: np.random.Generator) -> DriveRecord:
+        goals.append(goal)
+        return ended(start, goal, goal if len(goals) > 1 else np.array([1.9, -1.6, 1.5]))
+
+    return go
+
+
+def ended(start: np.ndarray, goal: np.ndarray, pose: np.ndarray, reason: str = "") -> DriveRecord:
+    """A drive in a straight line that ended at a pose."""
+    length = float(np.hypot(*(pose - start)[:2]))
+    return DriveRecord(
+        arrived=not reason, reason=reason, goal=goal, pose=pose, believed=pose, hit="",
+        planned=length, length=length, time=1.0, clearance=0.1, clearance_moving=np.inf, ways=1,
+        times=np.array([0.0, 1.0]), poses=np.array([start, pose]), velocities=np.zeros((2, 3)),
+        step_times=np.zeros(1),
+    )  # fmt: skip
+
+
+def apart(goals: list[np.ndarray]) -> bool:
+    """Whether every goal is another one than those before."""
+    return all(
+        np.hypot(*(one - other)[:2]) + TURN * abs(wrap_angle(one[2] - other[2])) >= APART
+        for i, one in enumerate(goals)
+        for other in goals[:i]
+    )
+
+
+def test_a_pose_in_which_the_physics_find_the_robot_in_something_is_a_failure(
+    plan: PlacementPlan, kitchen: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def go(_: NavigationMap, start: Pose3, goal: Pose3, __: np.random.Generator) -> DriveRecord:
+        return ended(start, goal, np.array([1.0, 0.0, 1.57]))
+
+    motion = plan.motion
+    monkeypatch.setattr(
+        "momapos.workflows.replanning.check_base_pose",
+        lambda *_, **__: Attempt(motion, PoseOutcome(PoseStatus.FEASIBLE)),
+    )
+    record = run_plan(plan, kitchen, load_robot("segway_ur5e"), Everywhere(), go=go, config=CONFIG)
+    assert not record.success
+    assert record.execution is None
+    assert "start in collision" in record.reason
+
+
+def test_a_scene_that_changed_since_is_refused(
+    robots: Callable[[str], Robot], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    robot = robots("fetch")
+    made = PlacementPlan(
+        scene=str(make_case().write(tmp_path).with_name("scene.json")),
+        robot_name="fetch", robot_urdf=str(robot.model.urdf.path), base_link=robot.base_link,
+        tool_link=robot.tool_link, task=Task("open", "cupboard", "hinge", 1.0), status="solved",
+        joints=robot.arm_joints, base_pose=(-1.5, 0.0, 0.0), motion=still(robot),
+    )  # fmt: skip
+    write_plan(made, tmp_path / "plan.json")
+    (tmp_path / "scene.json").write_text((tmp_path / "scene.json").read_text() + " ")
+    refused([str(tmp_path / "plan.json")], "scene.json) has changed since", capsys)
+
+
+def test_a_robot_that_changed_since_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    case = make_case()
+    case.write(tmp_path)
+    digests = {
+        key: hashlib.sha256((tmp_path / name).read_bytes()).hexdigest()
+        for key, name in (("scene", "scene.json"), ("robot", "robot.urdf"))
+    }
+    case.plan["hashes"] = digests
+    path = case.write(tmp_path)
+    (tmp_path / "robot.urdf").write_text((tmp_path / "robot.urdf").read_text() + "<!-- -->")
+    refused([str(path)], "robot.urdf) has changed since", capsys)
+
+
+def still(robot: Robot) -> Motion:
+    """An arm that stays at home."""
+    return Motion(robot.home[None], robot.home[None], np.zeros(1), np.eye(4)[None])
+
+
+@pytest.mark.parametrize(
+    ("change", "hint"),
+    [
+        ({"version": 7}, "version 7"),
+        ({"status": "infeasible", "manipulation": None}, "'infeasible'"),
+        ({"format": "cake"}, "not a plan"),
+        ({"scene": "nowhere.json"}, "nowhere.json"),
+    ],
+)
+def test_a_plan_that_cannot_be_executed_is_refused(
+    change: dict[str, object], hint: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    case = make_case()
+    case.plan |= change
+    refused([str(case.write(tmp_path))], hint, capsys)
+
+
+def test_a_plan_without_a_robot_file_asks_for_one(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = make_case().write(tmp_path)
+    refused([str(path)], "give --robot", capsys)
+    refused([str(path), "--robot", "fetch"], "another robot", capsys)
+
+
+def test_a_start_in_collision_is_refused(
+    plan: PlacementPlan, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_plan(plan, tmp_path / "plan.json")
+    refused([str(tmp_path / "plan.json"), "--start", "1,0,0"], "would hit", capsys)
+
+
+def test_a_base_pose_in_furniture_is_driven_to_in_vain_and_the_next_one_does_it(
+    plan: PlacementPlan, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_plan(replace(plan, base_pose=(1.0, 0.0, 1.57)), tmp_path / "plan.json")
+    assert main(["run", str(tmp_path / "plan.json"), "--no-noise"]) == 0
+    assert "the goal is in collision with" in capsys.readouterr().out
+
+
+def test_a_base_that_is_fenced_in_fails_with_that_reason(
+    plan: PlacementPlan, kitchen: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert kitchen.path is not None
+    room = json.loads(kitchen.path.read_text())
+    models = "kitchen_small_urdf"
+    shutil.copytree(kitchen.path.parent / models, tmp_path / models)
+    for k, (dx, dy) in enumerate([(0.45, 0.0), (-0.45, 0.0), (0.0, 0.6), (0.0, -0.6)]):
+        room["objects"].append({
+            "name": f"fence_{k}", "category": "fence",
+            "box": [0.04 if dx else 0.94, 0.04 if dy else 1.24, 0.5],
+            "pose": {
+                "xyz": [START[0] + dx, START[1] + dy, 0.25], "wxyz": [1.0, 0.0, 0.0, 0.0],
+            },
+        })  # fmt: skip
+    (tmp_path / "room.json").write_text(json.dumps(room))
+    write_plan(replace(plan, scene=str(tmp_path / "room.json")), tmp_path / "plan.json")
+    out = tmp_path / "run.json"
+    assert main(["run", str(tmp_path / "plan.json"), "--out", str(out), "--json"]) == 1
+    record = read_run(out)
+    assert record.execution is None
+    assert record.reason == f"there is no way for the footprint; {NONE_LEFT}"
+    assert json.loads(capsys.readouterr().out)["reason"] == record.reason
+
+
+def test_a_film_is_a_png_a_gif_or_an_mp4(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = make_case().write(tmp_path)
+    refused([str(path), "--record", "film.mov"], "PNG", capsys)

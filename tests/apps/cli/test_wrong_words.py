@@ -1,0 +1,55 @@
+"""Words that make no call of a command: one line that says what, where and where help is."""
+
+from __future__ import annotations
+
+import pytest
+
+from momapos.apps.cli.main import main
+from momapos.apps.cli.parse import in_one_line
+
+DOOR = ("place", "open", "kitchen_small", "fridge/door_hinge")
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (
+            (*DOOR, "--robto", "fetch"),
+            ["Unrecognized options: --robto", "mean --robot or --robust?"],
+        ),
+        ((*DOOR, "again"), ["Unrecognized options: again"]),
+        ((*DOOR, "--robot"), ["--robot", "Missing value"]),
+        ((*DOOR, "--count", "three"), ["--count", "'three'"]),
+        ((*DOOR, "--method", "gess"), ["--method", "'gess'", "habitat"]),
+        (("place", "open"), ["Missing", "OBJECT[/JOINT]", "built-in kitchen"]),
+        (("rank",), ["Missing", "OBJECT[/JOINT]"]),
+    ],
+)
+@pytest.mark.parametrize("columns", ["40", "200"])
+def test_wrong_words_are_told_in_one_line(
+    words: tuple[str, ...],
+    told: list[str],
+    columns: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setenv("COLUMNS", columns)
+    assert main(words) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.count("\n") == 1
+    prog = " ".join(["momapos", *words[: 2 if words[0] == "place" else 1]])
+    assert said.err.endswith(f"; see {prog} --help\n")
+    assert [text for text in told if text not in said.err] == []
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [
+        ["╭─ Title ──╮", "│ what is  │", "│ wrong.   │", "│ ──────── │", "│ more     │", "╰──╯"],
+        [" Title    ", " -------- ", "  what is ", "  wrong.  ", "  --------", "  more    "],
+        ["\x1b[31m╭─\x1b[0m Title", "\x1b[31m│\x1b[0m what is wrong.", "│ ──────── │", "│ more │"],
+    ],
+)  # fmt: skip
+def test_neither_frame_nor_color_is_left(lines: list[str]) -> None:
+    assert in_one_line("\n".join(lines)) == "what is wrong"

@@ -1,0 +1,420 @@
+"""The page in a real Chromium: ask, drag, play, reload, look with two."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+from playwright.sync_api import Browser, ConsoleMessage, Error, Locator, expect, sync_playwright
+from playwright.sync_api import Page as Tab
+from playwright.sync_api import TimeoutError as NotInTime
+from tests import optional
+from viser.transforms import SO3
+
+from momapos.apps.web import moving
+from momapos.apps.web.page import Page
+from momapos.apps.web.playback import Story
+from momapos.apps.web.scan_view import FEW
+from momapos.apps.web.serve import served
+from momapos.apps.web.static import write_page
+from momapos.apps.web.words import escaped
+from momapos.core.cache import user_cache
+from momapos.model.records.scans import Cloud
+from momapos.perception.records import Modeled
+
+pytestmark = [pytest.mark.slow, optional.needs("Chromium", optional.chromium() is not None)]
+LONG = 120_000.0
+"""Nothing on the page takes so long [ms]; a software renderer draws few pictures a second."""
+SLOW = 0.05
+"""So fast the motion plays that no machine is too slow to stop it before it ends [-]."""
+SIZE = {"width": 820, "height": 520}
+SMALL = {"width": 620, "height": 240}
+"""Of a window in which only the controls are used: a software renderer's time goes by pixels."""
+FLAGS = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
+         "--no-sandbox"]  # fmt: skip
+
+
+WATCH_POINTS = """() => {
+  window.clouds = [];
+  const gl = WebGL2RenderingContext.prototype, draw = gl.drawArrays;
+  gl.drawArrays = function (mode, first, count) {
+    if (mode === gl.POINTS) window.clouds.push(count);
+    return draw.call(this, mode, first, count);
+  };
+}"""
+"""Has a page remember how many points each cloud has that it draws."""
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with sync_playwright() as playwright:
+        chromium = playwright.chromium.launch(executable_path=optional.chromium(), args=FLAGS)
+        yield chromium
+        chromium.close()
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Page, str]]:
+    with served(
+        host="127.0.0.1", port=0, scenes=("kitchen_small",), robots=("segway_ur5e",),
+        scene="kitchen_small", robot="segway_ur5e", cache=user_cache(),
+        folder=tmp_path_factory.mktemp("files"),
+    ) as (page, address):  # fmt: skip
+        # Shadows take most of a software renderer's time.
+        page.server.scene.configure_default_lights(cast_shadow=False)
+        yield page, address
+
+
+@pytest.fixture
+def complaints() -> list[str]:
+    return []
+
+
+@pytest.fixture
+def opened(browser: Browser, complaints: list[str]) -> Iterator[Callable[[str], Tab]]:
+    """Opens a tab; what its console complains about is remembered."""
+    tabs: list[Tab] = []
+
+    def heard(message: ConsoleMessage) -> None:
+        if message.type == "error":
+            complaints.append(message.text)
+
+    def open_tab(address: str) -> Tab:
+        tab = browser.new_page(viewport=SMALL)  # type: ignore[arg-type]
+        tab.on("console", heard)
+        tab.on("pageerror", lambda error: complaints.append(str(error)))
+        tab.goto(address)
+        tabs.append(tab)
+        return tab
+
+    yield open_tab
+    for tab in tabs:
+        tab.close()
+
+
+def until(true: Callable[[], bool], most: float = LONG / 1000) -> bool:
+    """Wait for something on this side of the wire, so long at most [s]."""
+    ends = time.monotonic() + most
+    while not true() and time.monotonic() < ends:
+        time.sleep(0.02)
+    return true()
+
+
+def press(tab: Tab, role: Any, name: str) -> None:
+    """Click a control at once: a software renderer leaves no time to see that it stands still."""
+    found = tab.get_by_role(role, name=name, exact=True)
+    found.wait_for(timeout=LONG)
+    tried = time.monotonic()
+    while not clicked(found) or (role == "tab" and found.get_attribute("aria-selected") != "true"):
+        # What is drawn meanwhile may move a tab from under the click.
+        if time.monotonic() - tried > LONG / 1000:
+            raise NotInTime(f"the {role} {name!r} is not taken")
+        tab.wait_for_timeout(200)
+
+
+def clicked(found: Locator) -> bool:
+    """Click a control; not where the page has not yet laid it out within the viewport."""
+    try:
+        found.click(force=True, timeout=LONG)
+    except Error as error:
+        if "outside of the viewport" not in error.message:
+            raise
+        return False
+    return True
+
+
+def choose(tab: Tab, name: str, value: str) -> None:
+    """Choose a value from a list, which closes again where the page is drawn anew meanwhile."""
+    option = tab.get_by_role("option", name=value, exact=True)
+    tried = time.monotonic()
+    while True:
+        clicked(tab.get_by_label(name, exact=True))
+        try:
+            option.click(force=True, timeout=LONG / 12)
+            return
+        except NotInTime:
+            if time.monotonic() - tried > LONG / 1000:
+                raise
+
+
+def drawn(tab: Tab) -> None:
+    """Wait until a tab has drawn what it was told so far."""
+    tab.evaluate(
+        "() => new Promise(done => { let left = 3; const next = () => "
+        "left-- ? requestAnimationFrame(next) : done(); next(); })"
+    )
+
+
+def pixel(camera: Any, point: np.ndarray) -> tuple[float, float]:
+    """Where a browser shows a point of the world [px]."""
+    x, y, z = SO3(camera.wxyz).as_matrix().T @ (point - camera.position)
+    width, height = SIZE["width"], SIZE["height"]
+    scale = height / 2 / math.tan(camera.fov / 2)
+    return width / 2 + scale * x / z, height / 2 + scale * y / z
+
+
+def ahead(page: Page, distance: float) -> np.ndarray:
+    """A point on the arrow by which the base is dragged forward [m]."""
+    x, y, yaw = page.robot.base
+    return np.array([x + distance * math.cos(yaw), y + distance * math.sin(yaw), 0.0])
+
+
+def pick_in_the_picture(page: Page, tab: Tab) -> None:
+    """Click one object after the other, where neither another nor the controls are before it."""
+    scene = page.shown.scene
+    assert scene is not None
+    tab.set_viewport_size(SIZE)  # type: ignore[arg-type]
+    (client,) = page.server.get_clients().values()
+    assert until(lambda: client.camera.image_height == SIZE["height"])
+    drawn(tab)
+    for name in ("microwave", "fridge"):
+        low, high = scene.object(name).bounds
+        tab.mouse.move(*pixel(client.camera, np.append((low + high)[:2] / 2, high[2])))
+        for act in (tab.mouse.down, tab.mouse.up):
+            drawn(tab)  # a click is one where the page has seen what the mouse is on
+            act()
+        assert until(lambda name=name: page.panel.target.value.startswith(f"{name}/"))  # type: ignore[misc]
+        assert page.work.wait(LONG / 1000)
+    tab.set_viewport_size(SMALL)  # type: ignore[arg-type]
+    drawn(tab)  # the controls have moved
+
+
+def test_a_person_asks_drags_plays_and_reloads(
+    site: tuple[Page, str], opened: Callable[[str], Tab], complaints: list[str]
+) -> None:
+    page, address = site
+    tab = opened(address)
+    tab.get_by_text("Press Place").wait_for(timeout=LONG)
+    pick_in_the_picture(page, tab)
+    other = opened(address)
+    press(tab, "button", "Place")
+    for one in (tab, other):  # both see the answer
+        one.get_by_text("Solved").wait_for(timeout=LONG)
+    answer = page.shown.answer
+    assert answer is not None
+    assert answer.plan.task.object == "fridge"
+    np.testing.assert_allclose(page.robot.base, answer.plan.base_pose)
+
+    other.close()
+    before = page.robot.base.copy()
+    assert until(lambda: len(page.server.get_clients()) == 1)
+    (client,) = page.server.get_clients().values()
+    tab.set_viewport_size(SIZE)  # type: ignore[arg-type]
+    places = [pixel(client.camera, ahead(page, d)) for d in np.linspace(0.7, 1.4, 40)]
+    drawn(tab)
+    tab.mouse.move(*places[0])
+    drawn(tab)
+    tab.mouse.down()
+    drawn(tab)
+    for place in places:  # the page tells where the base is dragged a few times a second
+        tab.mouse.move(*place)
+        if until(lambda: np.linalg.norm(page.robot.base[:2] - before[:2]) > 0.1, 0.25):
+            break
+    tab.mouse.up()
+    assert np.linalg.norm(page.robot.base[:2] - before[:2]) > 0.1
+
+    tab.set_viewport_size(SMALL)  # type: ignore[arg-type]
+    tab.reload()
+    tab.get_by_text("answered in").wait_for(timeout=LONG)  # as it was left
+    press(tab, "button", "Place")
+    tab.get_by_text("Solved").wait_for(timeout=LONG)
+    press(tab, "tab", "Motion")
+    page.motion.set_speed(SLOW)
+    press(tab, "button", "Play")
+    assert until(lambda: 0.0 < page.motion.player.now < page.motion.player.duration)
+    press(tab, "button", "Pause")
+    assert until(lambda: not page.motion.player.playing)
+    page.motion.set_speed(1.0)
+    assert len(tab.screenshot()) > 10_000
+    assert complaints == []
+
+
+def look_at_a_candidate(page: Page, client: Any) -> np.ndarray:
+    """Bring the camera of a browser over a candidate that no thing is before; where it lies [m]."""
+    scene, above = page.shown.scene, np.array([0.0, -0.5, 1.5])
+    assert scene is not None
+    assert scene.floor_polygon is not None
+    node = page.server.scene.get_handle_by_name("/layers/candidates/all")
+    points = np.array(node.batched_positions)  # type: ignore[union-attr]
+    things = np.array([item.bounds for item in scene.objects])
+    things += [[-0.3, -0.3, 0.0], [0.3, 1.0, 0.0]]  # what stands before them, seen from there
+    free = (scene.floor_polygon.min(0) < points[:, :2]) & (
+        points[:, :2] < scene.floor_polygon.max(0)
+    )
+    over = (points[:, None, :2] > things[None, :, 0, :2]) & (
+        points[:, None, :2] < things[None, :, 1, :2]
+    )
+    away = np.linalg.norm(points[:, :2] - page.robot.base[:2], axis=1) > 0.8
+    (point, *_) = points[free.all(1) & ~over.all(2).any(1) & away]
+    client.camera.position, client.camera.look_at = point + above, point
+    middle = np.array([SIZE["width"], SIZE["height"]]) / 2
+    assert until(lambda: bool(np.abs(np.array(pixel(client.camera, point)) - middle).max() < 3))
+    return np.array(point)
+
+
+def test_a_candidate_that_is_clicked_says_why_and_the_speed_is_chosen(
+    site: tuple[Page, str], opened: Callable[[str], Tab], complaints: list[str]
+) -> None:
+    page, address = site
+    page.place()
+    assert page.work.wait(LONG / 1000)
+    answer = page.shown.answer
+    assert answer is not None
+    tab = opened(address)
+    press(tab, "tab", "Motion")
+    choose(tab, "Speed", "4")
+    assert until(lambda: page.motion.player.speed == 4.0)
+    page.panel.speed.value = "1"
+    page.motion.set_speed(1.0)
+
+    press(tab, "tab", "Layers")
+    tab.get_by_label("Candidates", exact=True).click(force=True)
+    assert until(lambda: "candidates" in page.layers.drawn)
+    assert until(lambda: len(page.server.get_clients()) == 1)
+    (client,) = page.server.get_clients().values()
+    tab.set_viewport_size(SIZE)  # type: ignore[arg-type]
+    assert until(lambda: client.camera.image_height == SIZE["height"])
+    drawn(tab)
+    point = look_at_a_candidate(page, client)
+    drawn(tab)
+    tab.mouse.move(*pixel(client.camera, point))
+    for act in (tab.mouse.down, tab.mouse.up):
+        drawn(tab)
+        act()
+    assert until(lambda: bool(page.panel.clicked.content))
+    every = [outcome for block in answer.search.outcomes for outcome in block]
+    away = np.linalg.norm(np.concatenate(answer.search.poses)[:, :2] - point[:2], axis=1)
+    reasons = {escaped(str(every[k])) for k in np.flatnonzero(away < 0.1)}
+    assert page.panel.clicked.content in {f"This candidate: **{words}**" for words in reasons}
+    tab.get_by_text("This candidate:").wait_for(timeout=LONG)
+    tab.get_by_label("Candidates", exact=True).click(force=True)
+    assert until(lambda: not page.panel.layers["candidates"].value)
+    assert complaints == []
+
+
+def test_two_pages_act_on_one_state(
+    site: tuple[Page, str], opened: Callable[[str], Tab], complaints: list[str]
+) -> None:
+    page, address = site
+    page.motion.set_speed(SLOW)
+    one, two = opened(address), opened(address)
+    for tab in (one, two):
+        tab.get_by_text("Solved").wait_for(timeout=LONG)
+        press(tab, "tab", "Motion")
+    press(one, "button", "Play")
+    two.get_by_role("button", name="Pause", exact=True).wait_for(timeout=LONG)
+    two.keyboard.press("k")
+    one.get_by_role("button", name="Play", exact=True).wait_for(timeout=LONG)
+    at = page.motion.player.now
+    one.keyboard.press("l")
+    assert until(lambda: page.motion.player.now == pytest.approx(at + 1.0))
+    page.motion.set_speed(1.0)
+    press(one, "tab", "Layers")
+    one.get_by_label("Potential", exact=True).click(force=True)
+    assert until(lambda: "potential" in page.layers.drawn)
+    press(two, "tab", "Layers")
+    expect(two.get_by_label("Potential", exact=True)).to_be_checked(timeout=LONG)
+    assert complaints == []
+
+
+def test_a_page_gives_its_picture_and_film_and_keeps_its_plan(
+    site: tuple[Page, str], opened: Callable[[str], Tab], complaints: list[str]
+) -> None:
+    page, address = site
+    tab = opened(address)
+    press(tab, "tab", "Files")
+    with tab.expect_download(timeout=LONG) as download:
+        press(tab, "button", "Picture (PNG)")
+    with Image.open(download.value.path()) as picture:
+        assert picture.size == (1280, 720)
+        assert len(picture.convert("RGB").getcolors(1280 * 720) or ()) > 20
+    duration, page.motion.player.duration = page.motion.player.duration, 0.4
+    with tab.expect_download(timeout=LONG) as download:
+        press(tab, "button", "Film (GIF)")
+    page.motion.player.duration = duration
+    with Image.open(download.value.path()) as film:
+        assert film.n_frames >= 2  # type: ignore[attr-defined]
+        assert film.size == (640, 360)
+    press(tab, "button", "Save the plan")
+    tab.get_by_text("Saved as plan.json").wait_for(timeout=LONG)
+    assert (page.folder / "plan.json").is_file()
+    assert complaints == []
+
+
+def of_points(tab: Tab) -> set[int]:
+    """How many points the clouds have that a tab has drawn since this was last asked."""
+    return set(tab.evaluate("() => { const all = window.clouds; window.clouds = []; return all; }"))
+
+
+def test_few_points_of_a_scan_are_drawn_while_a_slow_camera_moves_and_all_at_rest(
+    site: tuple[Page, str],
+    opened: Callable[[str], Tab],
+    complaints: list[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    page, address = site
+    monkeypatch.setattr(moving, "SLOW", 0.0)  # whatever draws here
+    monkeypatch.setattr(moving, "REST", 5.0)  # however slow the mouse is
+    points = np.random.default_rng(0).uniform([0.0, -3.0, 0.0], [4.0, 0.0, 2.0], (60_000, 3))
+    cloud = Cloud(points, np.tile([0.0, 0.0, 1.0], (len(points), 1)),
+                  np.zeros((len(points), 3), np.uint8))  # fmt: skip
+    page.scan.show(Modeled(Path("scan.json"), cloud, (), np.eye(4), ()))
+    shown, few = {50_000}, {FEW}
+    tab = opened(address)
+    tab.locator("canvas").first.wait_for(timeout=LONG)
+    tab.evaluate(WATCH_POINTS)
+
+    def become(look: Callable[[], set[int]], wanted: set[int]) -> bool:
+        """Wait until what is drawn is this; each look sees what the one before has not."""
+        ends = time.monotonic() + LONG / 1000
+        while (seen := look() & (shown | few)) != wanted and time.monotonic() < ends:
+            time.sleep(0.05)
+        return seen == wanted
+
+    assert become(lambda: of_points(tab), shown)
+    x, y = 100, 200  # below what the browser says of its graphics
+    tab.mouse.move(x, y)
+    tab.mouse.down()
+
+    def turned(times: int) -> set[int]:
+        """Move the camera by so many pictures; the clouds that were drawn."""
+        for k in range(times):
+            tab.mouse.move(x + 5 * k, y)
+            drawn(tab)
+        return of_points(tab)
+
+    assert become(lambda: turned(6), few)
+    assert turned(10) & (shown | few) == few
+    tab.mouse.up()
+    assert become(lambda: of_points(tab), shown)
+    page.scan.show(None)
+    assert complaints == []
+
+
+def test_a_written_page_plays_without_a_network(
+    site: tuple[Page, str],
+    browser: Browser,
+    tmp_path: Path,
+) -> None:
+    page, _ = site
+    answer = page.shown.answer
+    assert answer is not None
+    plan, robot = answer.plan, answer.prepared.robot
+    write_page(answer.prepared.scene, robot, plan, tmp_path / "page.html")
+    asked: list[str] = []
+    with browser.new_context(viewport=SMALL, offline=True) as context:  # type: ignore[arg-type]
+        tab = context.new_page()
+        tab.on("request", lambda request: asked.append(request.url))
+        tab.goto((tmp_path / "page.html").as_uri())
+        tab.locator("canvas").first.wait_for(timeout=LONG)
+        time_shown = tab.locator("input").first
+        first = time_shown.input_value(timeout=LONG)
+        assert until(lambda: time_shown.input_value() != first)
+    assert [url for url in asked if not url.startswith(("file:", "data:", "blob:"))] == []
+    assert Story.of(plan, robot, answer.prepared.scene).duration > 1.0

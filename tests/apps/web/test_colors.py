@@ -1,0 +1,81 @@
+"""What colors tell apart, people who lack a kind of cones tell apart, too."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+from momapos.apps.plots.candidate_markers import KINDS
+from momapos.apps.plots.palette import (
+    BAD,
+    GOOD,
+    HANDLE,
+    INK,
+    PART,
+    RELATIONS,
+    SOFT_INK,
+    TARGET,
+    WAYPOINT,
+)
+from momapos.apps.web.compare import COLORS
+from momapos.apps.web.robot_view import VERDICTS
+from momapos.apps.web.room_view import rgb
+from momapos.apps.web.scan_view import ROOM, THINGS
+
+SEEN = {
+    "all cones": np.eye(3),
+    # Machado, Oliveira, Fernandes: A physiologically-based model for simulation of color vision
+    # deficiency, 2009, severity 1; of linear red, green and blue.
+    "protanopia": np.array([[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216],
+                            [-0.003882, -0.048116, 1.051998]]),
+    "deuteranopia": np.array([[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413],
+                              [-0.011820, 0.042940, 0.968881]]),
+    "tritanopia": np.array([[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602],
+                            [0.004733, 0.691367, 0.303900]]),
+}  # fmt: skip
+XYZ = np.array([[0.4124564, 0.3575761, 0.1804375], [0.2126729, 0.7151522, 0.0721750],
+                [0.0193339, 0.1191920, 0.9503041]])  # fmt: skip
+WHITE = XYZ.sum(1)
+LEAST = 13.0
+"""Distance in CIELAB; one of 2.3 is just noticed."""
+TOGETHER = {
+    "candidates": [kind.color for kind in KINDS],
+    "verdicts on the base": list(VERDICTS.values()),
+    "things of a scan": [*THINGS, ROOM],
+    "answers that are kept": list(COLORS),
+    "relations": [line.color for line in RELATIONS.values()],
+    "lines of an answer": [INK, SOFT_INK, WAYPOINT, HANDLE, GOOD],
+    "objects": [TARGET, PART, BAD],
+}
+"""What is seen side by side, and means something else by its color."""
+
+
+def lab(color: str, vision: str) -> np.ndarray:
+    """A color as somebody sees it, in CIELAB."""
+    coded = np.array(rgb(color)) / 255.0
+    linear = np.where(coded <= 0.04045, coded / 12.92, ((coded + 0.055) / 1.055) ** 2.4)
+    x, y, z = XYZ @ np.clip(SEEN[vision] @ linear, 0.0, 1.0) / WHITE
+    fx, fy, fz = (np.cbrt(t) if t > 216 / 24389 else (24389 / 27 * t + 16) / 116 for t in (x, y, z))
+    return np.array([116 * fy - 16, 500 * (fx - fy), 200 * (fy - fz)])
+
+
+def test_colors_are_measured_as_they_are_defined() -> None:
+    np.testing.assert_allclose(lab("#ffffff", "all cones"), [100.0, 0.0, 0.0], atol=1e-3)
+    np.testing.assert_allclose(lab("#ff0000", "all cones"), [53.24, 80.09, 67.20], atol=0.02)
+    red_green = [np.linalg.norm(lab("#b00000", v) - lab("#506a00", v)) for v in SEEN]
+    assert red_green[0] > 70.0
+    assert min(red_green[1:3]) < 20.0  # what those who lack red or green cones mix up
+
+
+@pytest.mark.parametrize("vision", SEEN)
+@pytest.mark.parametrize("group", TOGETHER)
+def test_what_is_seen_together_is_told_apart(group: str, vision: str) -> None:
+    colors = {color: lab(color, vision) for color in TOGETHER[group]}
+    assert len(colors) == len(TOGETHER[group])
+    near = {
+        pair: np.linalg.norm(colors[pair[0]] - colors[pair[1]]) for pair in combinations(colors, 2)
+    }
+    pair = min(near, key=lambda one: float(near[one]))
+    assert near[pair] >= LEAST, pair

@@ -1,0 +1,148 @@
+"""What the page is opened with is shown: what a run did, what a scan holds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from momapos.apps.cli.main import main
+from momapos.apps.cli.view_sources import kind_of, source_in
+from momapos.apps.web.opened import Opened, far_text
+from momapos.apps.web.run_story import RunStory
+from momapos.apps.web.static import page_of
+from momapos.apps.web.words import run_words
+from momapos.core.errors import InputError
+from momapos.core.units import parse_quantity
+from momapos.model.records.tasks import Task
+from momapos.model.robots.robot import Robot
+from momapos.model.scene.scene_files import load_scene
+from momapos.planning.grasps.tasks import make_task
+from momapos.planning.plan import plan_base_placement
+from momapos.simulation.run_motion import RunMotion
+from momapos.simulation.run_record import Execution, Load, RunRecord, write_run
+
+DONE = Execution(True, "", "contact", 0.0, 1.5, 1.5, load=Load(31.0, 2.0), ending="it went well")
+MOTION = RunMotion(
+    (0.0, 1.0, 3.0), ("drive", "manipulate", "dwell"),
+    ((0.0, 0.0, 3.0), (1.0, 0.0, -3.0), (1.0, 2.0, -3.0)),
+    {"elbow_joint": (0.0, 1.0, 3.0)}, (0.0, 0.0, 1.5), (),
+    ((0.0, 0.0, 0.0), (0.0, 30.0, 0.0), (0.0, 1.0, 0.0)),
+)  # fmt: skip
+RECORD = RunRecord(
+    "kitchen_small", "segway_ur5e", Task("open", "fridge", "door_hinge", 1.5), (), DONE,
+    motion=MOTION,
+)  # fmt: skip
+
+
+def test_a_run_is_shown_as_physics_did_it(robots: Callable[[str], Robot]) -> None:
+    story = RunStory.of(RECORD, robots("segway_ur5e"))
+    assert story.duration == 3.0
+    np.testing.assert_allclose(story.at(-1.0).base, MOTION.bases[0])
+    last = story.at(9.0)
+    np.testing.assert_allclose(last.base, MOTION.bases[-1])
+    assert last.object_q == {"door_hinge": 1.5}
+    between = story.at(2.0)
+    np.testing.assert_allclose(between.base, [1.0, 1.0, -3.0])
+    assert between.joints["elbow_joint"] == pytest.approx(2.0)
+    assert between.object_q == {"door_hinge": pytest.approx(0.75)}
+    yaw = story.at(0.5).base[2]  # the short way round
+    assert np.cos(yaw) == pytest.approx(-1.0, abs=1e-6)
+    now = story.at(1.0)
+    assert now.force is not None
+    assert (now.words, now.force.tolist()) == ("manipulate", [0.0, 30.0, 0.0])
+
+
+def test_a_loose_object_goes_along(robots: Callable[[str], Robot]) -> None:
+    poses = ((0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0),
+             (0.5, 0.0, 1.2, 0.0, 0.0, 0.0, 1.0))  # fmt: skip
+    motion = replace(MOTION, part=(), poses=poses)
+    record = replace(RECORD, task=Task("pick", "cup"), motion=motion)
+    moment = RunStory.of(record, robots("segway_ur5e")).at(3.0)
+    T = moment.T_world_object
+    assert T is not None
+    np.testing.assert_allclose(T[:3, 3], [0.5, 0.0, 1.2])
+    np.testing.assert_allclose(T[:3, :3], np.diag([-1.0, -1.0, 1.0]), atol=1e-12)
+    assert moment.object_q == {}
+
+
+def test_a_record_without_motion_or_of_another_robot_is_refused(
+    robots: Callable[[str], Robot],
+) -> None:
+    with pytest.raises(InputError, match="does not say what moved"):
+        RunStory.of(replace(RECORD, motion=None), robots("segway_ur5e"))
+    with pytest.raises(InputError, match="elbow_joint"):
+        RunStory.of(RECORD, robots("fetch"))
+
+
+def test_a_run_ends_in_words() -> None:
+    words = run_words(RECORD)
+    assert words.startswith("**Done**")
+    assert "31 N at most" in words
+    failed = replace(RECORD, execution=replace(DONE, success=False, reason="the hold *broke*"))
+    assert "because the hold \\*broke\\*" in run_words(failed)
+
+
+def test_sources_are_known_by_what_they_hold(tmp_path: Path) -> None:
+    held = {
+        "a.json": (b'{"format": "momapos-plan", "version": 1}', "plan"),
+        "b.json": (b'{"format": "momapos-run", "version": 1}', "run"),
+        "c.json": (b'{"format": "momapos-scene", "version": 1}', "scene"),
+        "d.bin": (b"ply\nformat ascii 1.0\n", "scan"),
+        "e.bin": (b"\x89MCAP0\r\n", "scan"),
+    }
+    for name, (content, kind) in held.items():
+        (tmp_path / name).write_bytes(content)
+        assert kind_of(str(tmp_path / name)) == kind
+    assert kind_of(str(tmp_path)) == "scan"
+    assert kind_of("kitchen_small") == "scene"
+
+
+def test_a_record_that_cannot_be_shown_is_told_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_run(replace(RECORD, motion=None), tmp_path / "old.json")
+    write_run(replace(RECORD, plan="gone.json"), tmp_path / "run.json")
+    (tmp_path / "no_scan").mkdir()
+    for name, words in (
+        ("old.json", "does not say what moved"),
+        ("run.json", "gone.json"),
+        ("no_scan", "is no scan"),
+    ):
+        assert main(["view", str(tmp_path / name), "--port", "0"]) == 2
+        shown = capsys.readouterr().err
+        assert words in shown
+        assert shown.count("\n") == 1
+
+
+def test_a_folder_of_solve_is_shown_by_its_run_else_by_its_plan(tmp_path: Path) -> None:
+    assert source_in(str(tmp_path)) == str(tmp_path)
+    (tmp_path / "plan.json").touch()
+    assert source_in(str(tmp_path)) == str(tmp_path / "plan.json")
+    (tmp_path / "run.json").touch()
+    assert source_in(str(tmp_path)) == str(tmp_path / "run.json")
+
+
+def test_a_run_in_a_world_of_its_own_is_written_as_a_page_of_that_world(
+    robots: Callable[[str], Robot],
+) -> None:
+    scene, robot = load_scene("kitchen_small"), robots("segway_ur5e")
+    plan = plan_base_placement(scene, robot, make_task(scene, "open", "fridge", "door_hinge")).plan
+    other = replace(plan, task=replace(plan.task, object="what the robot took it for"))
+    world = replace(RECORD, true_task=plan.task)
+    opened = Opened("world", scene, robot, other, world)
+    assert opened.answer() is None
+    assert opened.question.target == "fridge/door_hinge"
+    page = page_of(scene, robot, other, opened.story(), "fridge")
+    assert page.startswith("<!")
+    assert len(page) > 100_000
+
+
+@pytest.mark.parametrize("to", [np.pi / 2, np.pi / 3, 1.2345678901234567, -0.1])
+def test_how_far_is_typed_so_that_it_is_read_the_same(to: float) -> None:
+    assert parse_quantity(far_text(to, slides=False)).value == pytest.approx(to, rel=1e-12)
+    assert far_text(np.pi / 2, slides=False) == "90deg"
+    assert far_text(0.25, slides=True) == "0.25m"

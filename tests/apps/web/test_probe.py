@@ -1,0 +1,86 @@
+"""The base that is dragged: the quick answer is the one that `check_base_pose` gives."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from momapos.apps.web.probe import Probe, named_in
+from momapos.apps.web.work import Stop, Stopped
+from momapos.model.records.outcomes import PoseStatus
+from momapos.model.robots.robot import Robot
+from momapos.model.scene.scene_files import load_scene
+from momapos.planning.base_pose_check import check_base_pose
+from momapos.planning.grasps.tasks import make_task
+from momapos.planning.reachability.map_store import load_reach
+
+
+@pytest.fixture(scope="module")
+def probe(robots: Callable[[str], Robot]) -> Probe:
+    scene, robot = load_scene("kitchen_small"), robots("segway_ur5e")
+    return Probe(scene, robot, make_task(scene, "open", "fridge", "door_hinge"), load_reach(robot))
+
+
+def test_a_dragged_base_gets_the_answer_of_one_that_is_asked_about(probe: Probe) -> None:
+    rng = np.random.default_rng(3)
+    seen = set()
+    for _ in range(12):
+        base = np.array([0.654, -1.650, -2.08]) + rng.normal(0, [0.15, 0.15, 0.4])
+        found = probe.at(base, time.perf_counter)
+        told = check_base_pose(
+            probe.scene, probe.robot, probe.task, base, probe.reach, how_far=False
+        )
+        assert found.sure
+        assert found.feasible == (told.motion is not None)
+        if found.outcome.status is not PoseStatus.EXACT_CHECK:
+            assert found.outcome == told.outcome
+        seen.add(found.feasible)
+    assert seen == {True, False}
+
+
+def test_a_base_from_which_the_door_opens_in_part_says_how_far(probe: Probe) -> None:
+    rng = np.random.default_rng(1)
+    partly = []
+    for _ in range(40):
+        base = np.array([0.6 + rng.uniform(-0.6, 0.6), -1.3 + rng.uniform(-0.4, 0.2), 1.0])
+        found = probe.at(base, time.perf_counter)
+        if found.value is not None and not found.feasible:
+            partly.append((base, found))
+    assert partly
+    base, found = partly[0]
+    assert found.motion is not None
+    assert found.value in probe.values[:-1]
+    assert found.motion.object_q[-1] == pytest.approx(found.value)
+    farther = check_base_pose(probe.scene, probe.robot, probe.task, base, probe.reach)
+    assert farther.motion is None
+    assert farther.farthest is not None
+    assert farther.farthest >= found.value - 0.02  # whole degrees lie beside the waypoints
+
+
+def test_what_a_base_stands_in_is_named(probe: Probe) -> None:
+    found = probe.at(np.array([1.2, -0.9, 1.5]), time.perf_counter)
+    assert not found.feasible
+    assert found.in_the_way
+    assert found.in_the_way[0].partition("/")[0] in {o.name for o in probe.scene.objects}
+
+
+def test_a_question_that_nobody_waits_for_ends(probe: Probe) -> None:
+    stop = Stop()
+    stop.asked.set()
+    with pytest.raises(Stopped):
+        probe.at(np.array([0.654, -1.650, -2.08]), stop.clock)
+
+
+def test_without_time_it_does_not_call_itself_sure(probe: Probe) -> None:
+    found = probe.at(np.array([0.654, -1.650, -2.08]), time.perf_counter, within=-1.0)
+    assert not found.sure
+    assert found.motion is None
+
+
+def test_names_in_reasons_are_found_the_longest_first() -> None:
+    labels = ("oven/door", "oven/door_handle", "oven/body")
+    assert named_in("arm hits oven/door_handle at waypoint 3", labels) == ("oven/door_handle",)
+    assert named_in("no continuous branch", labels) == ()

@@ -1,0 +1,207 @@
+"""The room is drawn in few nodes, and of what stays as it is nothing is drawn again."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import trimesh
+from viser import SceneApi
+
+from momapos.apps.web.bodies import Surface
+from momapos.apps.web.crowd import MOST_TRIANGLES, Part, batched, thing_hit
+from momapos.apps.web.room_view import RoomView
+from momapos.apps.web.serve import open_server
+from momapos.model.scene.scene import Scene, SceneObject
+from momapos.model.scene.scene_files import load_scene
+
+KITCHEN = load_scene("kitchen_small")
+DRAWER = ("cabinet_right", "drawer_top_slide")
+
+
+@pytest.fixture(scope="module")
+def api() -> Iterator[SceneApi]:
+    server = open_server("127.0.0.1", 0)
+    yield server.scene
+    server.stop()
+
+
+@pytest.fixture
+def picked() -> list[str]:
+    return []
+
+
+@pytest.fixture
+def room(api: SceneApi, picked: list[str]) -> Iterator[RoomView]:
+    view = RoomView(api, picked.append)
+    yield view
+    view.remove()
+
+
+def crates(count: int) -> tuple[SceneObject, ...]:
+    return tuple(
+        SceneObject.box(f"crate_{k}", (0.5, 0.4, 0.9), (k % 40, k // 40, 0.45))
+        for k in range(count)
+    )
+
+
+HALL = Scene("hall", (*KITCHEN.objects, *crates(1000)))
+
+
+def crowd(room: RoomView) -> set[str]:
+    """The objects that are seen in the nodes of many."""
+    return {part.thing for parts, node in room._crowd._drawn if node is not None for part in parts}
+
+
+def test_a_thousand_things_are_few_nodes(room: RoomView) -> None:
+    room.show(HALL, "fridge")
+    assert len(room._crowd.nodes) < 30
+    assert {name for name, nodes in room._nodes.items() if nodes} == {" floor", "fridge"}
+    assert crowd(room) == {item.name for item in HALL.objects} - {"fridge"}
+    drawn = sum(len(node.faces) for node in room._crowd.nodes)
+    parts = [part for item in HALL.objects for part in room._standing[item.name]]
+    assert drawn == sum(len(part.surface.faces) for part in parts if part.thing != "fridge")
+    assert all(len(node.faces) <= MOST_TRIANGLES for node in room._crowd.nodes)
+
+
+@pytest.mark.parametrize(("checked", "hulls"), [("box", 12), ("ball", 1280)])
+def test_in_a_large_room_a_thing_of_many_triangles_is_drawn_as_what_has_few(
+    room: RoomView, tmp_path: Path, checked: str, hulls: int
+) -> None:
+    shapes = {"box": '<box size="1 1 1"/>', "ball": '<mesh filename="ball.obj"/>'}
+    trimesh.creation.icosphere(3, 0.5).export(tmp_path / "ball.obj")
+    (tmp_path / "ball.urdf").write_text(
+        '<robot name="ball"><link name="base">'
+        f"<visual><geometry>{shapes['ball']}</geometry></visual>"
+        f"<collision><geometry>{shapes[checked]}</geometry></collision></link></robot>"
+    )
+    ball = SceneObject.from_urdf("ball", tmp_path / "ball.urdf", (3.0, -4.0, 0.5))
+    scene = Scene("hall", (*HALL.objects, ball))
+
+    def triangles() -> int:
+        return sum(len(part.surface.faces) for part in room._standing["ball"])
+
+    room.show(scene, "fridge")
+    assert triangles() == 12
+    corners = room._standing["ball"][0].surface.vertices
+    np.testing.assert_allclose(np.stack([corners.min(0), corners.max(0)]), ball.bounds, atol=1e-3)
+    room.show(scene, "fridge", collision=True)
+    assert triangles() == hulls  # as it is checked, whatever that costs
+    room.show(scene, "ball", collision=False)
+    assert sum(len(node.faces) for node in room._nodes["ball"]) == 1280  # it is asked about
+
+
+def test_what_has_many_triangles_is_drawn_by_itself() -> None:
+    def part(name: str, count: int, color: int = 0) -> Part:
+        return Part(name, Surface(np.eye(3), np.tile([0, 1, 2], (count, 1))), (color, 0, 0))
+
+    small, large, other = part("small", 10), part("large", MOST_TRIANGLES + 1), part("other", 1, 9)
+    assert batched([small, large, small, other]) == [[small], [large], [small], [other]]
+    half = part("half", MOST_TRIANGLES // 2)
+    assert batched([half, other, half, half]) == [[half, half], [half], [other]]
+    assert batched([]) == []
+
+
+def test_in_a_large_room_another_active_object_leaves_most_alone(room: RoomView) -> None:
+    room.show(HALL, "crate_7")
+    before = room._crowd.nodes
+    room.show(HALL, "crate_8")
+    assert "crate_7" in crowd(room)
+    assert "crate_8" not in crowd(room)
+    assert sum(one is not other for one, other in zip(before, room._crowd.nodes, strict=True)) == 1
+    room.show(KITCHEN, "fridge")
+    assert room._crowd.nodes == ()
+    assert all(room._nodes[item.name] for item in KITCHEN.objects)
+
+
+def test_a_click_in_a_large_room_is_one_on_the_first_thing_in_its_way(
+    room: RoomView, picked: list[str]
+) -> None:
+    room.show(HALL, "crate_45")
+    rng = np.random.default_rng(0)
+    for x, y in rng.integers([6, 0], [40, 25], (20, 2)).tolist():
+        down = SimpleNamespace(ray_origin=(x, y, 5.0), ray_direction=(0.0, 0.0, -1.0))
+        room._crowd._clicked(down)
+        assert picked.pop() == f"crate_{40 * y + x}"
+        along = SimpleNamespace(ray_origin=(x, -50.0, 0.5), ray_direction=(0.0, 1.0, 0.0))
+        room._crowd._clicked(along)
+        assert picked.pop() == f"crate_{x}"
+    up = SimpleNamespace(ray_origin=(0.3, -20.0, 0.6), ray_direction=(0.0, 0.0, 1.0))
+    room._crowd._clicked(up)
+    # What is asked about already hides what is behind it.
+    active = SimpleNamespace(ray_origin=(5.0, 1.0, 5.0), ray_direction=(0.0, 0.0, -1.0))
+    room._crowd._clicked(active)
+    assert picked == []
+
+
+def test_a_ray_meets_what_is_nearest_of_all_that_it_crosses() -> None:
+    rng = np.random.default_rng(1)
+    parts = [
+        Part(item.name, Surface(*_soup(rng)), (0, 0, 0)) for item in crates(30)
+    ]  # fmt: skip
+    for _ in range(200):
+        origin, direction = rng.uniform(-3, 3, 3), rng.normal(size=3)
+        best, name = np.inf, ""
+        for part in parts:
+            for a, b, c in part.surface.vertices[part.surface.faces]:
+                m = np.stack([b - a, c - a, -direction], 1)
+                if np.linalg.det(m) > 1e-12:  # it is seen from its front
+                    u, v, t = np.linalg.solve(m, origin - a)
+                    if min(u, v, t) >= 0 and u + v <= 1 and t < best:
+                        best, name = t, part.thing
+        assert thing_hit(parts, origin, direction) == name
+
+
+def _soup(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Triangles here and there."""
+    return rng.uniform(-1, 1, (12, 3)) + rng.uniform(-3, 3, 3), np.arange(12).reshape(4, 3)
+
+
+def test_another_active_object_leaves_all_others_alone(room: RoomView) -> None:
+    room.show(KITCHEN, "fridge")
+    before = dict(room._nodes)
+    room.show(KITCHEN, "oven")
+    again = {name for name, nodes in room._nodes.items() if nodes is not before[name]}
+    assert again == {"fridge", "oven"}
+    assert {key.partition("|")[0] for key in room._links} <= set(KITCHEN.object("oven").model.links)
+
+
+def test_a_room_in_which_one_drawer_is_open_is_drawn_anew_in_this_alone(room: RoomView) -> None:
+    room.show(KITCHEN, "fridge")
+    before = dict(room._nodes)
+    room.show(KITCHEN.with_joint(*DRAWER, 0.3), "fridge")
+    again = {name for name, nodes in room._nodes.items() if nodes is not before[name]}
+    assert again == {DRAWER[0], " floor"}
+    # Where the room ends is not known of every scene, so that the floor may be another.
+
+
+def test_an_open_door_stays_open_when_its_collision_shapes_are_drawn(room: RoomView) -> None:
+    def doors() -> np.ndarray:
+        return np.array([[*node.position, *node.wxyz] for node in room._links.values()])
+
+    room.show(KITCHEN, "fridge")
+    shut = doors()
+    room.move({"door_hinge": 1.0})
+    opened = doors()
+    assert np.abs(opened - shut).max() > 0.3
+    room.show(KITCHEN, "fridge", collision=True)
+    room.show(KITCHEN, "fridge", collision=False)
+    np.testing.assert_allclose(doors(), opened)
+    room.show(KITCHEN, "oven")
+    room.show(KITCHEN, "fridge")
+    np.testing.assert_allclose(doors(), shut)
+
+
+def test_a_loose_thing_follows_a_drawer_as_what_is_asked_about(room: RoomView) -> None:
+    room.show(KITCHEN, DRAWER[0])
+    room.show(KITCHEN, "cup")
+    T = np.eye(4)
+    T[:3, 3] = (1.0, 2.0, 3.0)
+    room.carry(T)
+    room.move({})  # it has no joint
+    (node,) = room._nodes["cup"]
+    root = KITCHEN.object("cup").link_poses()[KITCHEN.object("cup").model.urdf.root]
+    np.testing.assert_allclose(np.array(node.position), T[:3, 3] - root[:3, 3], atol=1e-6)

@@ -1,0 +1,42 @@
+"""Files that are named on the page stay in the working folder, and overwrite nothing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from momapos.apps.web.saving import file_in, save_plan, save_room
+from momapos.core.errors import InputError
+from momapos.model.scene.scene_files import load_scene
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["../plan.json", "/tmp/plan.json", "a/b.json", "..", ".json", ".hidden.json", "plan", "plan.py",
+     "plan.json\n", "a\0.json", "C:\\plan.json", "x" * 200 + ".json", "", "~/plan.json"],
+)  # fmt: skip
+def test_names_that_lead_elsewhere_are_refused(tmp_path: Path, name: str) -> None:
+    with pytest.raises(InputError, match="cannot be the name"):
+        file_in(tmp_path, name)
+
+
+def test_nothing_is_overwritten(tmp_path: Path) -> None:
+    (tmp_path / "plan.json").write_text("mine")
+    (tmp_path / "link.json").symlink_to(tmp_path / "elsewhere.json")
+    for name in ("plan.json", "link.json"):
+        with pytest.raises(InputError, match="exists already"):
+            file_in(tmp_path, name)
+    assert (tmp_path / "plan.json").read_text() == "mine"
+
+
+def test_without_an_answer_there_is_no_plan_to_save(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no answer yet"):
+        save_plan(tmp_path, "plan.json", None)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_saved_scene_has_its_doors_as_they_stand_on_the_page(tmp_path: Path) -> None:
+    scene = load_scene("kitchen_small")
+    path = save_room(tmp_path, "room.json", scene, "fridge", {"door_hinge": 0.5})
+    assert load_scene(path).object("fridge").values()["door_hinge"] == pytest.approx(0.5)

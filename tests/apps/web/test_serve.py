@@ -1,0 +1,192 @@
+"""The page is served on this machine alone, and says in one line why it is not served."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from viser import _messages as messages
+from viser.infra import ClientId
+
+from momapos.apps.cli.main import main
+from momapos.apps.web.page import Page
+from momapos.apps.web.playback import Player
+from momapos.apps.web.question import VERBS, Machines, targets
+from momapos.apps.web.serve import check_free, open_server, quiet, served
+from momapos.apps.web.static import check_page
+from momapos.core.cache import user_cache
+from momapos.core.errors import InputError
+from momapos.model.scene.scene_files import load_scene
+
+LONG = 60.0
+
+
+@pytest.fixture
+def busy_port() -> Iterator[int]:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        yield taken.getsockname()[1]
+
+
+def test_a_port_in_use_is_told_in_one_line(
+    busy_port: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["view", "--port", str(busy_port)]) == 2
+    assert (
+        capsys.readouterr()
+        .err.strip()
+        .endswith(f"--port {busy_port} is in use; give another one, or 0 for any that is free")
+    )
+
+
+@pytest.mark.parametrize(("host", "port"), [("no.such.host.invalid", 0), ("127.0.0.1", 70000)])
+def test_an_address_that_is_none_is_refused(host: str, port: int) -> None:
+    with pytest.raises(InputError):
+        check_free(host, port)
+
+
+def test_an_address_of_another_machine_is_told_as_one() -> None:
+    with pytest.raises(InputError, match=r"--host 192\.0\.2\.1: is no address of this machine"):
+        check_free("192.0.2.1", 0)
+
+
+def test_a_server_opens_no_tunnel_to_the_outside() -> None:
+    server = open_server("127.0.0.1", 0)
+    try:
+        assert server.request_share_url() is None
+        assert server.get_host() == "127.0.0.1"
+    finally:
+        server.stop()
+
+
+def test_files_that_no_control_asks_for_are_not_kept() -> None:
+    server = open_server("127.0.0.1", 0)
+    gui = server.gui
+    start = messages.FileTransferStartUpload(
+        gui.add_text("Name", "")._impl.uuid, "transfer", "a.bin", "", 2, 10**12
+    )
+    part = messages.FileTransferPart("", "transfer", 0, b"x" * 1000)
+    for message in (start, part):
+        asyncio.run(gui._websock_interface._handle_incoming_message(ClientId(0), message))
+    assert gui._current_file_upload_states == {}
+    with quiet():
+        server.stop()
+
+
+def test_a_page_is_written_for_a_plan_only(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["view", "kitchen_small", "--static", str(tmp_path / "page.html")]) == 2
+    assert "--static shows a plan" in capsys.readouterr().err
+    with pytest.raises(InputError, match="a page ends in"):
+        check_page(tmp_path / "page.png")
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
+    """A page that nobody looks at; its scenes are a good one and a damaged one."""
+    folder = tmp_path_factory.mktemp("page")
+    damaged = folder / "damaged.json"
+    damaged.write_text('{"format": "momapos-scene", "version": 1, "name": "x", "objects": [{}]}')
+    with served(
+        host="127.0.0.1", port=0, scenes=("kitchen_small", str(damaged)), robots=("segway_ur5e",),
+        scene="kitchen_small", robot="segway_ur5e", cache=user_cache(), folder=folder,
+    ) as (page, _):  # fmt: skip
+        assert page.work.wait(LONG)
+        yield page
+
+
+def test_a_scene_that_cannot_be_loaded_is_told_on_page_and_terminal_which_go_on(
+    page: Page, caplog: pytest.LogCaptureFixture
+) -> None:
+    good, damaged = page.panel.scene.options
+    page.panel.scene.value = damaged
+    page.change()
+    assert page.work.wait(LONG)
+    assert "cannot be done" in page.panel.result.content
+    assert "damaged" in page.panel.result.content
+    (line,) = caplog.messages
+    assert line.startswith(f"momapos: {damaged}")
+    assert "\n" not in line
+    page.panel.scene.value = good
+    page.change()
+    assert page.work.wait(LONG)
+    assert "Press **Place**" in page.panel.result.content
+
+
+def test_a_question_that_makes_no_sense_is_told_on_the_page(page: Page) -> None:
+    page.panel.to.value = "400deg"
+    page.place()
+    assert page.work.wait(LONG)
+    assert "outside its limits" in page.panel.result.content
+    page.panel.to.value = ""
+
+
+def test_when_nobody_looks_any_more_work_ends(page: Page) -> None:
+    begun = threading.Event()
+
+    def endless(clock: Callable[[], float]) -> None:
+        begun.set()
+        while True:
+            clock()
+
+    page.work.put(endless)
+    assert begun.wait(LONG)
+    page.browsers._alone()
+    assert page.work.wait(LONG)
+
+
+def test_an_answer_stays_with_its_question(page: Page) -> None:
+    for k in range(6):
+        page.panel.target.value = ("fridge/door_hinge", "oven/door_hinge")[k % 2]
+        page.place()
+    assert page.work.wait(LONG)
+    answer = page.shown.answer
+    assert answer is not None
+    assert answer.plan.task.object == "oven"
+    assert page.panel.target.value == "oven/door_hinge"
+
+
+def test_every_verb_has_something_to_be_about() -> None:
+    scene = load_scene("kitchen_small")
+    for verb in VERBS:
+        assert targets(scene, verb)
+    assert targets(scene, "open")[0] == "fridge/door_hinge"
+    assert "wall_back" not in targets(scene, "pick")
+
+
+def test_a_player_stops_at_the_end_and_begins_anew() -> None:
+    shown: list[float] = []
+    ended = threading.Event()
+
+    def show(seconds: float, playing: bool) -> None:
+        shown.append(seconds)
+        if not playing and seconds >= 0.2:
+            ended.set()
+
+    player = Player(show)
+    player.load(0.2)
+    for _ in range(2):
+        ended.clear()
+        player.play()
+        assert ended.wait(LONG)
+        assert not player.playing
+    assert shown[-1] == pytest.approx(0.2)
+    assert (np.diff(shown) < 0).sum() == 1
+    player.seek(9.0)
+    assert player.now == pytest.approx(0.2)
+
+
+def test_a_robot_that_is_chosen_again_is_not_loaded_again() -> None:
+    machines = Machines(user_cache())
+    told: list[str] = []
+    first = machines.load("segway_ur5e", "any", time.perf_counter, told.append)
+    machines.load("fetch", "any", time.perf_counter, told.append)
+    assert machines.load("segway_ur5e", "any", time.perf_counter, told.append) is first

@@ -1,0 +1,286 @@
+"""Kernels as stored machine code: found by what they are made from, run without numba."""
+
+from __future__ import annotations
+
+import json
+import resource
+import subprocess
+import sys
+import zipfile
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from momapos.apps.cli.compile import compile_once
+from momapos.core.compiled import F1, F2, arrays, entry, kernel
+from momapos.core.compiled import code_store as stores
+from momapos.core.compiled.code_store import Store, decode, encode
+from momapos.core.compiled.entries import Kernel
+from momapos.core.compiled.pack import every_entry
+
+_FACTOR = 2.0
+
+
+class Line(NamedTuple):
+    """A record."""
+
+    slope: float
+    offsets: F1
+
+
+@kernel
+def _scaled(x):
+    return _FACTOR * x
+
+
+@entry
+def _along(line: Line, x: F1, squared: bool):
+    out = np.empty((len(x), len(line.offsets)))
+    for i in range(len(x)):
+        for k in range(len(line.offsets)):
+            value = _scaled(x[i]) * line.slope + line.offsets[k]
+            out[i, k] = value * value if squared else value
+    return out
+
+
+LINE = Line(3.0, np.array([0.0, 1.0]))
+X = np.linspace(-1.0, 1.0, 5)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("kernels")
+
+
+@pytest.mark.parametrize("squared", [False, True])
+def test_machine_code_does_what_the_python_does(folder: Path, squared: bool) -> None:
+    native = Store(folder).native(_along)
+    np.testing.assert_array_equal(native(LINE, X, squared), _along.py_func(LINE, X, squared))
+
+
+def test_code_is_compiled_once_and_found_again(folder: Path) -> None:
+    Store(folder).native(_along)
+    reports: list[tuple[int, int]] = []
+    Store(folder).prepare([_along], lambda done, count: reports.append((done, count)))
+    assert reports == []
+    found = Store(folder).find(_along)
+    assert found is not None
+    assert decode(encode(found)) == found
+
+
+def test_damaged_code_is_not_found(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    store.native(_along)
+    (file,) = tmp_path.iterdir()
+    file.write_bytes(file.read_bytes()[:-1] + b"?")
+    assert store.find(_along) is None
+
+
+def test_a_pack_of_another_compiler_is_left_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pack = tmp_path / "kernels.zip"
+    with zipfile.ZipFile(pack, "w") as file:
+        file.writestr(_along.name, b"")
+        about = f'{{"made by": ["numba 0"], "stamps": {{"{_along.name}": "{_along.stamp}"}}}}'
+        file.writestr("pack.json", about)
+    assert Store(tmp_path / "none", pack).find(_along) is None
+    monkeypatch.setattr(stores, "compiler_version", lambda: ["numba 0"])
+    monkeypatch.setattr(stores.llvm, "get_host_cpu_features", lambda: {"avx2": False})
+    assert Store(tmp_path / "none", pack)._packed == {}
+
+
+def test_a_damaged_pack_is_left_alone(tmp_path: Path) -> None:
+    pack = tmp_path / "kernels.zip"
+    pack.write_bytes(b"no archive")
+    assert Store(tmp_path, pack).find(_along) is None
+
+
+def _stamp(source: str) -> str:
+    """Stamp of `outer` in a module of this source."""
+    module = {"__name__": "some", "kernel": kernel, "Kernel": Kernel}
+    exec(compile(source, "some.py", "exec"), module)
+    outer = module["outer"]
+    assert isinstance(outer, Kernel)
+    return outer.stamp
+
+
+_SOURCE = """
+FACTOR = 2.0
+@kernel
+def inner(x):
+    return x + 1
+@kernel
+def outer(x):
+    return FACTOR * inner(x)
+"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [("x + 1", "x + 2"), ("2.0", "3.0"), ("FACTOR * inner", "inner"), ("@kernel\ndef inner",
+     "@kernel(fastmath=True)\ndef inner")],
+)  # fmt: skip
+def test_a_changed_callee_constant_or_option_changes_the_stamp(old: str, new: str) -> None:
+    assert _stamp(_SOURCE) != _stamp(_SOURCE.replace(old, new))
+
+
+def test_where_a_kernel_stands_does_not_change_its_stamp() -> None:
+    assert _stamp(_SOURCE) == _stamp("# a comment\n\n" + _SOURCE)
+
+
+@pytest.mark.parametrize(
+    "x",
+    [X.astype(np.float32), X[::2], X[None], [1.0, 2.0]],
+    ids=["dtype", "stride", "ndim", "list"],
+)
+def test_an_array_of_another_type_is_refused(x: object) -> None:
+    assert arrays.checker(F1)(X)
+    assert not arrays.checker(F1)(x)
+
+
+def test_what_cannot_be_written_is_refused_where_it_would_be() -> None:
+    still = X.copy()
+    still.flags.writeable = False
+    assert not arrays.checker(F1)(still)
+    assert not arrays.checker(F2)(X)
+
+
+def test_arguments_of_other_types_are_served_by_the_dispatcher(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(stores, "store", Store(folder))
+    strided = np.linspace(-1.0, 1.0, 9)[::2]
+    np.testing.assert_array_equal(_along(LINE, strided, False), _along(LINE, X, False))
+
+
+def test_every_entry_names_types_that_can_be_compiled() -> None:
+    from momapos.core.compiled.compiler import numba_type
+
+    entries = every_entry()
+    assert len(entries) > 20
+    for one in entries:
+        assert [numba_type(hint) for hint in one.types]
+        assert [arrays.checker(hint) for hint in one.types]
+
+
+_WITHOUT_NUMBA = """
+import sys
+from momapos.apps.cli.main import main
+status = main(sys.argv[1:])
+sys.exit(9 if "numba" in sys.modules else status)
+"""
+
+
+def test_answers_and_checks_run_without_numba(tmp_path: Path) -> None:
+    compile_once()
+    plan = tmp_path / "plan.json"
+    answer = ["place", "open", "kitchen_small", "fridge/door_hinge", "--robot", "segway_ur5e"]
+    for command in ([*answer, "--out", str(plan)], ["verify", str(plan)]):
+        call = [sys.executable, "-c", _WITHOUT_NUMBA, *command]
+        done = subprocess.run(call, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+
+
+@entry
+def _careful(x: F1, by: float):
+    if len(x) == 0:
+        raise ValueError("nothing to divide")
+    out = np.empty(len(x))
+    for i in range(len(x)):
+        out[i] = x[i] / by
+    return out
+
+
+def test_errors_of_a_kernel_arrive_as_in_python(folder: Path) -> None:
+    native = Store(folder).native(_careful)
+    with pytest.raises(ZeroDivisionError):
+        native(X, 0.0)
+    with pytest.raises(ValueError, match="nothing to divide"):
+        native(X[:0], 1.0)
+    np.testing.assert_array_equal(native(X, 2.0), X / 2.0)
+
+
+def test_returned_arrays_are_freed(folder: Path) -> None:
+    native, x = Store(folder).native(_careful), np.ones(10_000)
+    native(x, 2.0)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    for _ in range(20_000):  # 1.6 GB if they were kept
+        native(x, 2.0)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 40_000  # KiB
+
+
+def test_threads_that_call_an_entry_first_at_once_get_the_same_answer(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(stores, "store", Store(tmp_path))
+    fresh = Kernel(_careful.py_func, False, {})
+    fresh.is_entry = True
+    with ThreadPoolExecutor(4) as pool:
+        answers = list(pool.map(lambda _: fresh(X, 2.0), range(8)))
+    np.testing.assert_array_equal(answers, np.tile(X / 2.0, (8, 1)))
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_a_cache_folder_that_cannot_be_used_only_costs_compiling(tmp_path: Path) -> None:
+    blocked = tmp_path / "file"
+    blocked.write_bytes(b"")  # neither folders nor files can be made in a file
+    native = Store(blocked / "cache").native(_careful)
+    np.testing.assert_array_equal(native(X, 2.0), X / 2.0)
+    assert blocked.read_bytes() == b""
+
+
+@pytest.mark.parametrize("damage", ["cut", "foreign key", "empty"])
+def test_a_stored_file_that_is_not_whole_is_compiled_anew(tmp_path: Path, damage: str) -> None:
+    store = Store(tmp_path)
+    store.native(_careful)
+    (file,) = tmp_path.iterdir()
+    whole = file.read_bytes()
+    if damage == "foreign key":
+        other = Store(tmp_path / "other")
+        other.native(_along)
+        (foreign,) = (tmp_path / "other").iterdir()
+        file.write_bytes(foreign.read_bytes())
+    else:
+        file.write_bytes(whole[: len(whole) // 2] if damage == "cut" else b"")
+    assert store.find(_careful) is None
+    np.testing.assert_array_equal(Store(tmp_path).native(_careful)(X, 2.0), X / 2.0)
+    assert store.find(_careful) is not None
+
+
+@pytest.mark.parametrize("other", [["numba 0"], ["another Python"]])
+def test_code_of_another_compiler_is_not_found(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, other: list[str]
+) -> None:
+    Store(tmp_path).native(_careful)
+    monkeypatch.setattr(stores, "compiler_version", lambda: other)
+    assert Store(tmp_path).find(_careful) is None
+
+
+def test_code_of_another_processor_is_not_found(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    Store(tmp_path).native(_careful)
+    monkeypatch.setattr(stores.llvm, "get_host_cpu_name", lambda: "another")
+    assert Store(tmp_path).find(_careful) is None
+
+
+def test_a_damaged_member_of_a_pack_is_left_alone(tmp_path: Path) -> None:
+    pack = tmp_path / "kernels.zip"
+    about = {"made by": stores.compiler_version(), "stamps": {_careful.name: _careful.stamp}}
+    for body in (b"no code", b"{}\n"):
+        with zipfile.ZipFile(pack, "w") as file:
+            file.writestr(_careful.name, body)
+            file.writestr("pack.json", json.dumps(about))
+        assert Store(tmp_path / "none", pack).find(_careful) is None
+
+
+@pytest.mark.parametrize("about", ["{}", "[]", '{"made by": [], "stamps": 3}'])
+def test_a_pack_that_says_nothing_of_itself_is_left_alone(tmp_path: Path, about: str) -> None:
+    pack = tmp_path / "kernels.zip"
+    with zipfile.ZipFile(pack, "w") as file:
+        file.writestr("pack.json", about)
+    assert Store(tmp_path / "none", pack).find(_careful) is None

@@ -1,0 +1,38 @@
+"""Planar poses, held to rigid transforms of three dimensions."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.testing import assert_allclose
+
+from momapos.core.geometry.planar import compose, local_points, place_points
+from momapos.core.geometry.transforms import apply, pose_planar, wrap_angle
+
+RNG = np.random.default_rng(0)
+POSES = RNG.uniform(-4, 4, (30, 3))
+POINTS = RNG.normal(size=(9, 2))
+
+
+def test_points_are_placed_as_by_rigid_transforms() -> None:
+    lifted = np.column_stack([POINTS, np.zeros(len(POINTS))])
+    expected = apply(pose_planar(POSES), lifted)[..., :2]
+    assert_allclose(place_points(POSES, POINTS), expected, atol=1e-12)
+
+
+def test_points_of_a_frame_return_to_themselves() -> None:
+    for pose in POSES:
+        placed = place_points(pose[None], POINTS)[0]
+        assert_allclose(local_points(pose, placed), POINTS, atol=1e-12)
+
+
+def test_poses_compose_as_rigid_transforms_do() -> None:
+    frame = POSES[0]
+    poses = compose(frame, POSES)
+    assert_allclose(pose_planar(poses), pose_planar(frame) @ pose_planar(POSES), atol=1e-12)
+    assert_allclose(poses[:, 2], wrap_angle(poses[:, 2]))
+
+
+def test_poses_compose_with_a_frame_each_as_with_that_frame_alone() -> None:
+    poses = POSES[::-1]
+    each = [compose(POSES[k], poses[k : k + 1])[0] for k in range(len(poses))]
+    assert_allclose(compose(POSES, poses), each, atol=1e-12)

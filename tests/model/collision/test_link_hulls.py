@@ -1,0 +1,78 @@
+"""Hulls of meshes with thousands of vertices, over which kernels climb."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+from exact_shapes import directions, hulls_meet, random_states
+
+from momapos.model.collision.arm_collision import place_segments
+from momapos.model.collision.hull_overlap import FEW, PARTS, climbed, hulls_overlap, part_of_space
+from momapos.model.collision.link_hulls import MIDDLES
+from momapos.model.collision.self_collision import arm_spheres
+from momapos.model.collision.spheres import Spheres
+from momapos.model.kinematics.chain import Chain, build_chain, chain_arrays
+from momapos.model.urdf.articulated import Articulated
+from momapos.model.urdf.reader import read_urdf
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory: pytest.TempPathFactory) -> tuple[Chain, Spheres]:
+    """A drum with flat ends that swings on a box beside an egg that does."""
+    folder = tmp_path_factory.mktemp("arm")
+    trimesh.creation.icosphere(4).apply_scale((0.1, 0.2, 0.3)).export(folder / "egg.stl")
+    trimesh.creation.cylinder(0.2, 0.3, sections=500).export(folder / "drum.stl")
+    parts = ['<link name="base_link"/>']
+    for name, parent in (("arm", "base_link"), ("egg", "arm"), ("wrist", "arm"), ("drum", "wrist")):
+        shape = f'<mesh filename="{name}.stl"/>' if name in ("egg", "drum") else ""
+        collision = f"<collision><geometry>{shape}</geometry></collision>" if shape else ""
+        parts += [
+            f'<link name="{name}">{collision}</link>',
+            f'<joint name="{name}_joint" type="revolute"><parent link="{parent}"/>'
+            f'<child link="{name}"/><origin xyz="0.3 0.15 0.1"/><axis xyz="0.48 0.6 0.64"/>'
+            '<limit lower="-3" upper="3" effort="1" velocity="1"/></joint>',
+        ]
+    file = folder / "arm.urdf"
+    file.write_text(f'<robot name="arm">{"".join(parts)}</robot>')
+    model = Articulated(read_urdf(file))
+    joints = tuple(f"{name}_joint" for name in ("arm", "wrist", "drum"))
+    chain, segments = build_chain(model, "base_link", "drum", joints)
+    return chain, arm_spheres(model, chain, segments, frozenset(), ["drum"])
+
+
+def test_climbing_ends_at_a_vertex_as_far_out_as_any(arm: tuple[Chain, Spheres]) -> None:
+    hulls = arm[1].hulls
+    arrays = hulls.arrays
+    large = np.flatnonzero(np.diff(hulls.first) > FEW)
+    assert len(large) == 2
+    axes = np.vstack([np.eye(3), -np.eye(3), np.zeros((1, 3))])
+    for h in large:
+        own = hulls.vertices[hulls.first[h] : hulls.first[h + 1]]
+        for direction in np.vstack([axes, directions(300, np.random.default_rng(0))]):
+            v = climbed(arrays, hulls.begin[h, part_of_space(direction)], direction)
+            assert hulls.first[h] <= v < hulls.first[h + 1]
+            assert hulls.vertices[v] @ direction >= (own @ direction).max() - 1e-12
+
+
+def test_each_part_of_space_holds_its_middle_and_directions_of_no_length_have_one() -> None:
+    assert [part_of_space(tuple(middle)) for middle in MIDDLES] == list(range(PARTS))
+    for direction in ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), (-1.0, 1.0, -1.0), (1e-310, 0.0, 0.0)):
+        assert 0 <= part_of_space(direction) < PARTS
+
+
+def test_hulls_of_many_vertices_overlap_where_the_exact_check_says_so(
+    arm: tuple[Chain, Spheres],
+) -> None:
+    chain, spheres = arm
+    egg, drum = (spheres.links.index(name) for name in ("egg", "drum"))
+    hulls, meet = spheres.hulls, []
+    pair = int(hulls.of_group[egg]), int(hulls.of_group[drum])
+    R, p = np.empty((chain.last + 1, 3, 3)), np.empty((chain.last + 1, 3))
+    Ts = np.tile(np.eye(4), (chain.last + 1, 1, 1))
+    for q in random_states(chain, 200, np.random.default_rng(0)):
+        place_segments(q, np.zeros(3), chain_arrays(chain), R, p)
+        Ts[:, :3, :3], Ts[:, :3, 3] = R, p
+        meet.append(hulls_overlap(R, p, hulls.arrays, egg, pair[1], pair[1] + 1))
+        assert meet[-1] == hulls_meet(spheres, Ts, pair)
+    assert 0.05 < np.mean(meet) < 0.95

@@ -1,0 +1,126 @@
+"""Forward kinematics, held to pinocchio."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from exact_shapes import random_states
+from numpy.testing import assert_allclose
+from tests.real import BUILT_IN, furniture
+
+from momapos.core.errors import RobotError, UnknownNameError
+from momapos.core.geometry.transforms import invert
+from momapos.model.kinematics.chain import build_chain
+from momapos.model.robots.robot import Robot
+from momapos.model.urdf.articulated import Articulated
+from momapos.model.urdf.reader import read_urdf
+
+
+class Twin:
+    """A URDF as pinocchio reads it."""
+
+    def __init__(self, path: Path) -> None:
+        # Pinocchio insists on an effort and a speed in every limit.
+        text = re.sub(
+            r"<limit (?![^>]*effort)", '<limit effort="1" velocity="1" ', path.read_text()
+        )
+        self.model = pin.buildModelFromXML(text)
+        self.data = self.model.createData()
+
+    def poses(self, values: dict[str, float]) -> dict[str, np.ndarray]:
+        """Link poses in the root's frame; joints not named are at zero."""
+        q = pin.neutral(self.model)
+        for name, value in values.items():
+            joint = self.model.joints[self.model.getJointId(name)]
+            turn = [np.cos(value), np.sin(value)]
+            q[joint.idx_q : joint.idx_q + joint.nq] = turn if joint.nq == 2 else value
+        pin.framesForwardKinematics(self.model, self.data, q)
+        return {
+            frame.name: self.data.oMf[i].homogeneous
+            for i, frame in enumerate(self.model.frames)
+            if frame.type == pin.FrameType.BODY
+        }
+
+
+def random_values(model: Articulated, rng: np.random.Generator) -> dict[str, float]:
+    lower = {n: max(j.lower, -np.pi) for n, j in model.joints.items()}
+    upper = {n: min(j.upper, np.pi) for n, j in model.joints.items()}
+    return {n: rng.uniform(lower[n], upper[n]) for n in model.joints}
+
+
+def test_tool_poses_of_a_batch_are_those_of_pinocchio(robot: Robot) -> None:
+    q = random_states(robot.chain, 60, np.random.default_rng(0)).reshape(3, 20, -1)
+    twin, expected = Twin(robot.model.urdf.path), np.empty((3, 20, 4, 4))
+    for index in np.ndindex(3, 20):
+        values = robot.model.rest | dict(zip(robot.arm_joints, q[index], strict=True))
+        poses = twin.poses(values)
+        expected[index] = invert(poses[robot.base_link]) @ poses[robot.tool_link]
+    assert_allclose(robot.chain.tool_poses(q), expected, atol=1e-9)
+
+
+def test_link_poses_of_a_robot_are_those_of_pinocchio(robot: Robot) -> None:
+    rng, twin = np.random.default_rng(1), Twin(robot.model.urdf.path)
+    for _ in range(5):
+        values = random_values(robot.model, rng)
+        expected = twin.poses(values)
+        for link, T in robot.model.link_poses(values).items():
+            assert_allclose(T, expected[link], atol=1e-9)
+
+
+@pytest.mark.parametrize("name", [*BUILT_IN, "OvenCounter/101773", "Microwave/7128"])
+@pytest.mark.parametrize("scale", [1.0, 0.7])
+def test_link_poses_of_furniture_grow_with_its_scale(name: str, scale: float) -> None:
+    path, rng = furniture(name), np.random.default_rng(2)
+    model, twin = Articulated(read_urdf(path, scale=scale)), Twin(path)
+    for _ in range(10):
+        values = random_values(model, rng)
+        plain = {
+            n: v / scale if model.joints[n].kind == "prismatic" else v for n, v in values.items()
+        }
+        expected = twin.poses(plain)
+        for link, T in model.link_poses(values).items():
+            assert_allclose(T[:3, :3], expected[link][:3, :3], atol=1e-9)
+            assert_allclose(T[:3, 3], scale * expected[link][:3, 3], atol=1e-9)
+
+
+def test_segments_carry_their_links(robot: Robot) -> None:
+    """Each link keeps its pose relative to the joint origin that its segment stands for."""
+    rng, chain = np.random.default_rng(3), robot.chain
+    q = random_states(chain, 1, rng)[0]
+    still = robot.model.link_poses(robot.model.rest | dict.fromkeys(robot.arm_joints, 0.0))
+    moved = robot.model.link_poses(robot.model.rest | dict(zip(robot.arm_joints, q, strict=True)))
+    T_base_root = invert(moved[robot.base_link])
+    for link, segment in robot.segments.of_link.items():
+        T_base_link = T_base_root @ moved[link]
+        T_segment_link = robot.segments.T_segment_link[link]
+        assert_allclose(T_segment_link[:3, :3], (T_base_root @ still[link])[:3, :3], atol=1e-9)
+        T_base_segment = T_base_link @ invert(T_segment_link)
+        if segment == 0:
+            assert_allclose(T_base_segment, np.eye(4), atol=1e-9)
+        else:
+            joint = robot.model.joints[robot.arm_joints[segment - 1]]
+            origin = T_base_root @ moved[joint.child]
+            assert_allclose(T_base_segment[:3, 3], origin[:3, 3], atol=1e-9)
+
+
+def test_a_chain_that_is_none_is_refused_in_words(robot: Robot) -> None:
+    model, joints = robot.model, list(robot.arm_joints)
+    ends = robot.base_link, robot.tool_link
+    for wrong, words in (
+        ([], "empty"),
+        (joints[::-1], "does not follow"),
+        ([joints[1], joints[0], *joints[2:]], "does not follow"),
+        ([*joints, joints[-1]], "twice"),
+    ):
+        with pytest.raises(RobotError, match=words):
+            build_chain(model, *ends, wrong)
+    with pytest.raises(RobotError, match="does not move with"):
+        build_chain(model, robot.base_link, robot.base_link, joints)
+    with pytest.raises(RobotError, match="base must come before"):
+        build_chain(model, model.joints[joints[0]].child, robot.tool_link, joints)
+    with pytest.raises(UnknownNameError, match="did you mean"):
+        build_chain(model, robot.base_link, robot.tool_link + "x", joints)

@@ -1,0 +1,257 @@
+"""What is derived of fingers: how far they open, where they rest, how hard they close."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from tests.urdf_parts import box, joint, link, mobile_manipulator, telescope
+
+from momapos.core.geometry.transforms import apply, invert
+from momapos.model.robots.fingers import LEAN
+from momapos.model.robots.robot import Robot, load_robot
+from momapos.model.robots.robot_writer import write_robot
+from momapos.model.urdf.hulls import hull_around, slab
+from momapos.planning.grasps.hand_boxes import empty_handed, hand_of
+
+STRONG = '<limit lower="{}" upper="{}" effort="{}" velocity="1"/>'
+FINGER = 0.15
+"""Length of the fingers that turn [m]."""
+
+
+def with_fingers(*parts: str) -> str:
+    """The mobile manipulator with other fingers."""
+    text = mobile_manipulator(fingers=False, tool=False)
+    more = [*parts, link("tcp"), joint("tcp_joint", "fixed", "palm", "tcp", "0.2 0 0")]
+    return text.replace("</robot>", "".join(more) + "</robot>")
+
+
+def turning(lower: float, upper: float, effort: float = 20.0) -> str:
+    """Fingers that turn about axes beside each other, parallel and 3 cm apart at zero."""
+    parts = []
+    for side, sign in (("left", 1), ("right", -1)):
+        limit = STRONG.format(lower, upper, effort)
+        name = f"{side}_finger"
+        parts += [
+            link(name, box(FINGER, 0.01, 0.02), f"{FINGER / 2} 0 0"),
+            joint(
+                f"{name}_joint", "revolute", "palm", name, f"0.06 {0.02 * sign} 0",
+                f"0 0 {sign}", limit,
+            ),
+        ]  # fmt: skip
+    return with_fingers(*parts)
+
+
+def sliding(tip: str, effort: float = 50.0) -> str:
+    """Fingers that slide, with a link of some kind at their tips."""
+    parts = []
+    for side, sign in (("left", 1), ("right", -1)):
+        parts += [
+            link(f"{side}_finger", box(0.04, 0.01, 0.02), f"0.02 {0.02 * sign} 0"),
+            joint(
+                f"{side}_finger_joint", "prismatic", "palm", f"{side}_finger", "0.06 0 0",
+                f"0 {sign} 0", STRONG.format(0, 0.04, effort),
+            ),
+            link(f"{side}_tip", box(0.05, 0.01, 0.02), rpy=f"0 0 {tip}"),
+            joint(
+                f"{side}_tip_joint", "fixed", f"{side}_finger", f"{side}_tip",
+                f"0.06 {0.02 * sign} 0",
+            ),
+        ]  # fmt: skip
+    return with_fingers(*parts)
+
+
+def derived(folder: Path, text: str) -> Robot:
+    (folder / "robot.urdf").write_text(text)
+    return load_robot(write_robot(folder / "robot.urdf")[0])
+
+
+def tips(robot: Robot) -> list[np.ndarray]:
+    """Corners of the fingers' boxes in the tool's frame, left and right, where they rest."""
+    T = invert(robot.model.rest_poses[robot.tool_link])
+    return [
+        np.concatenate(
+            [
+                apply(T @ robot.model.rest_poses[name], hull.vertices)
+                for hull in robot.model.hulls[name]
+            ]
+        )
+        for name in ("left_finger", "right_finger")
+    ]
+
+
+def test_fingers_that_turn_rest_open_where_their_pads_still_face_each_other(tmp_path: Path) -> None:
+    robot = derived(tmp_path, turning(-0.6, 0.6))
+    rest = tomllib.loads(robot.path.read_text())["rest"]
+    assert rest["left_finger_joint"] == rest["right_finger_joint"] > 0.0
+    meet = -np.arcsin(0.015 / FINGER)
+    assert rest["left_finger_joint"] - meet <= LEAN + 0.02
+    left, right = tips(robot)
+    ends = (
+        left[left[:, 0] > left[:, 0].max() - 0.015, 1],
+        right[right[:, 0] > right[:, 0].max() - 0.015, 1],
+    )
+    assert robot.opening > 0.04, "they are 3 cm apart at zero"
+    assert robot.opening <= ends[0].min() - ends[1].max() + 1e-3
+
+
+@pytest.mark.parametrize("ends", [(-0.3, 0.1), (0.0, 0.5), (-0.6, 0.6)])
+def test_a_hand_that_turns_its_fingers_has_pads_its_opening_apart(
+    tmp_path: Path, ends: tuple[float, float]
+) -> None:
+    robot = derived(tmp_path, turning(*ends))
+    hand = hand_of(robot)
+    assert hand.closes
+    assert hand.inner(1)[0] - hand.inner(-1)[0] == pytest.approx(robot.opening, abs=2e-3)
+    assert hand.rest == pytest.approx(0.0, abs=2e-3), "it rests open"
+
+
+def test_the_force_of_fingers_that_turn_is_effort_over_their_length(tmp_path: Path) -> None:
+    robot = derived(tmp_path, turning(-0.6, 0.6, effort=15.0))
+    assert robot.grip_force == pytest.approx(15.0 / FINGER, rel=0.1)
+
+
+def test_a_joint_that_spreads_fingers_does_not_say_how_hard_they_close(tmp_path: Path) -> None:
+    parts = []
+    for side, sign in (("left", 1), ("right", -1)):
+        parts += [
+            link(f"{side}_knuckle", box(0.01, 0.01, 0.01)),
+            joint(
+                f"{side}_spread", "revolute", "palm", f"{side}_knuckle", "0.06 0 0", "0 1 0",
+                STRONG.format(-0.2, 0.2, 1),
+            ),
+            link(f"{side}_finger", box(0.06, 0.01, 0.02), f"0.03 {sign * 0.005} 0"),
+            joint(
+                f"{side}_finger_joint", "prismatic", f"{side}_knuckle", f"{side}_finger", "0 0 0",
+                f"0 {sign} 0", STRONG.format(0, 0.045, 55),
+            ),
+        ]  # fmt: skip
+    assert derived(tmp_path, with_fingers(*parts)).grip_force == pytest.approx(55.0)
+
+
+def one_jaw(side: int, effort: float = 50.0) -> str:
+    """A jaw that slides to and from one that does not move, on either side; closed at zero."""
+    return with_fingers(
+        link("fixed_jaw", box(0.06, 0.01, 0.02), "0.03 0 0"),
+        joint("jaw_mount", "fixed", "palm", "fixed_jaw", f"0.06 {0.05 * side} 0"),
+        link("moving_jaw", box(0.06, 0.01, 0.02), "0.03 0 0"),
+        joint(
+            "jaw_joint", "prismatic", "palm", "moving_jaw", f"0.06 {0.04 * side} 0",
+            f"0 {-side} 0", STRONG.format(0, 0.08, effort),
+        ),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_a_jaw_that_closes_on_a_fixed_one_is_a_gripper(tmp_path: Path, side: int) -> None:
+    robot = derived(tmp_path, one_jaw(side))
+    assert robot.opening == pytest.approx(0.08, abs=2e-3)
+    assert robot.grip_force == pytest.approx(50.0)
+    assert robot.model.rest["jaw_joint"] == pytest.approx(0.08), "it rests open"
+    assert not empty_handed(robot)
+    hand = hand_of(robot)
+    assert hand.closes
+    assert hand.fixed == side * np.sign(robot.closing_axis[1])
+    assert hand.inner(1)[0] - hand.inner(-1)[0] == pytest.approx(robot.opening, abs=2e-3)
+    assert hand.rest == pytest.approx(0.0, abs=2e-3)
+    assert hand.closed_to(np.array([0.03]))[0] == pytest.approx(0.05, abs=4e-3)
+
+
+def test_a_jaw_closes_on_what_is_drawn_in_one_with_the_last_link_of_the_arm(
+    tmp_path: Path,
+) -> None:
+    text = one_jaw(1)
+    for name in ("palm", "fixed_jaw"):
+        text = re.sub(f'<link name="{name}">.*?</link>', "", text)
+    for name in ("mount", "jaw_mount"):
+        text = re.sub(f'<joint name="{name}".*?</joint>', "", text)
+    text = text.replace('<parent link="palm"/>', '<parent link="arm_5"/>')
+    jaw = link("arm_5", box(0.06, 0.01, 0.02), "0.09 0.05 0").removesuffix("</link>")
+    text = text.replace('<link name="arm_5">', jaw)
+    robot = derived(tmp_path, text)
+    assert "arm_5" in robot.gripper_links
+    assert robot.model.rest["jaw_joint"] == pytest.approx(0.08), "it rests open"
+    hand = hand_of(robot)
+    assert hand.closes
+    assert hand.fixed != 0
+    assert hand.inner(1)[0] - hand.inner(-1)[0] == pytest.approx(robot.opening, abs=2e-3)
+
+
+def test_a_hand_closes_until_both_sides_meet_what_they_hold(tmp_path: Path) -> None:
+    way = np.array([[0.03, 0.01], [0.002, 0.001], [0.0, 0.05]])
+    for side in (1, -1, 0):
+        text = one_jaw(side) if side else sliding("0")
+        folder = tmp_path / f"{side}"
+        folder.mkdir()
+        hand = hand_of(derived(folder, text))
+        shift, travel = hand.meeting(way, 0.004)
+        assert_allclose(travel[:, 0] + shift, way[:, 0], atol=1e-12)
+        assert_allclose(travel[:, 1] - shift, way[:, 1], atol=1e-12)
+        if side:
+            assert (travel[:, 0 if hand.fixed > 0 else 1] <= 0.004 + 1e-12).all()
+        else:
+            assert_allclose(travel[:, 0], travel[:, 1])
+
+
+@pytest.mark.parametrize("turn", ["0.5", "-0.4", "0.1"])
+def test_tips_that_lean_are_pads_that_face_what_they_hold(tmp_path: Path, turn: str) -> None:
+    hand = hand_of(derived(tmp_path, sliding(turn)))
+    assert hand.closes
+    along = np.einsum("bij,i->bj", hand.boxes.rotation[hand.pad], hand.closing)
+    assert_allclose(np.abs(along).max(1), 1.0)
+
+
+def test_links_of_a_hand_that_touch_at_rest_are_not_checked_against_each_other(
+    tmp_path: Path,
+) -> None:
+    text = sliding("0").replace('size="0.04 0.01 0.02"', 'size="0.04 0.06 0.02"')
+    text = text.replace('upper="0.04"', 'upper="0.0"')
+    disabled = derived(tmp_path, text).disabled
+    assert frozenset(("left_finger", "right_finger")) in disabled
+    assert frozenset(("left_tip", "right_tip")) not in disabled
+
+
+def test_stages_of_a_telescope_are_never_checked_against_each_other(tmp_path: Path) -> None:
+    robot = derived(tmp_path, telescope(4))
+    stages = ["torso", *(f"stage_{k}" for k in range(4))]
+    checked = {
+        frozenset((robot.spheres.links[i], robot.spheres.links[j])) for i, j in robot.spheres.pairs
+    }
+    assert not {pair for pair in checked if pair <= set(stages)}
+    assert frozenset(("stage_0", "arm_4")) in checked
+
+
+def test_neighbors_that_touch_in_most_states_of_the_arm_are_not_checked(tmp_path: Path) -> None:
+    fat = link("arm_5", '<sphere radius="0.1"/>')  # touches arm_3 once the wrist is bent by 50 deg
+    coarse = re.sub('<link name="arm_5">.*?</link>', fat, mobile_manipulator())
+    robot = derived(tmp_path, coarse)
+    assert frozenset(("arm_3", "arm_5")) in robot.disabled
+    assert frozenset(("torso", "arm_5")) not in robot.disabled
+
+
+def test_a_flange_without_fingers_is_told_to_hold_nothing(tmp_path: Path) -> None:
+    text = mobile_manipulator(fingers=False)
+    (tmp_path / "robot.urdf").write_text(text)
+    made, found = write_robot(tmp_path / "robot.urdf")
+    assert any(note.startswith("IMPORTANT: grips") for note in found.assumptions)
+    assert "nothing to hold with" in empty_handed(load_robot(made))
+    made.write_text(made.read_text().replace('grips = "fingers"', 'grips = "hook"'))
+    assert empty_handed(load_robot(made)) == ""
+
+
+def test_a_slab_of_a_body_is_what_lies_between_its_planes() -> None:
+    rng = np.random.default_rng(3)
+    hull = hull_around(rng.normal(size=(40, 3)), "body")
+    axis = np.array([0.6, 0.0, 0.8])
+    part = slab(hull.vertices, hull.faces, axis, -0.3, 0.4)
+    assert -0.3 - 1e-9 <= (part @ axis).min() <= (part @ axis).max() <= 0.4 + 1e-9
+    weights = rng.dirichlet(np.full(len(hull.vertices), 0.2), 20_000)
+    inside = weights @ hull.vertices
+    inside = inside[(inside @ axis >= -0.3) & (inside @ axis <= 0.4)]
+    for way in rng.normal(size=(20, 3)):
+        assert (inside @ way).max() <= (part @ way).max() + 1e-9
+    assert len(slab(hull.vertices, hull.faces, axis, 50.0)) == 0

@@ -1,0 +1,103 @@
+"""Xacro files: expanded, with their packages, in a process with limits."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from importlib.util import find_spec
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests import optional
+from tests.urdf_parts import mobile_manipulator
+
+from momapos.core.errors import MomaposError, RobotError
+from momapos.model.robots import xacro
+from momapos.model.robots.derive import Source
+from momapos.model.robots.robot import load_robot
+from momapos.model.robots.robot_writer import write_robot
+from momapos.model.robots.xacro import expand_xacro
+
+HEAD = '<robot xmlns:xacro="http://www.ros.org/wiki/xacro" name="r">'
+needs_xacrodoc = optional.needs("xacrodoc", find_spec("xacrodoc") is not None)
+
+
+@needs_xacrodoc
+def test_a_xacro_file_becomes_a_urdf_beside_the_robot_file(tmp_path: Path) -> None:
+    package = tmp_path / "robots" / "my_description"
+    macro, main = package / "parts" / "all.xacro", package / "robots" / "main.urdf.xacro"
+    for path in (macro, main):
+        path.parent.mkdir(parents=True)
+    body = mobile_manipulator().removeprefix('<robot name="test robot">').removesuffix("</robot>")
+    macro.write_text(f'{HEAD}<xacro:macro name="all" params="">{body}</xacro:macro></robot>')
+    main.write_text(
+        f'{HEAD}<xacro:include filename="$(find my_description)/parts/all.xacro"/>'
+        "<xacro:all/></robot>"
+    )
+    made, _ = write_robot(main, tmp_path / "mine" / "robot.toml")
+    assert sorted(path.name for path in made.parent.iterdir()) == ["robot.toml", "robot.urdf"]
+    assert load_robot(made).arm_joints[0] == "lift"
+    assert [path.name for path in main.parent.iterdir()] == ["main.urdf.xacro"]
+
+
+@needs_xacrodoc
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (f'{HEAD}<xacro:include filename="$(find nobody)/x.xacro"/></robot>', "--package nobody"),
+        (f"{HEAD}<xacro:nothing/></robot>", "cannot be expanded"),
+        ("<robot", "cannot be expanded"),
+        (f'{HEAD}<xacro:property name="x" value="${{9**9**9**9}}"/>${{x}}</robot>', "expand"),
+    ],
+)
+def test_what_cannot_be_expanded_is_refused_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str, words: str
+) -> None:
+    monkeypatch.setattr(xacro, "SECONDS", 5)
+    path = tmp_path / "robot.xacro"
+    path.write_text(text)
+    with pytest.raises(RobotError, match=words) as caught:
+        write_robot(path)
+    assert "\n" not in str(caught.value)
+    assert list(tmp_path.iterdir()) == [path]
+
+
+@needs_xacrodoc
+def test_all_runs_of_one_file_share_its_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    names, given = ("a_description", "b_description", "c_description"), []
+    for name in names:
+        (tmp_path / name).mkdir()
+    path = tmp_path / "robot.xacro"
+    path.write_text(HEAD + "".join(f'<link name="$(find {name})"/>' for name in names) + "</robot>")
+    run = subprocess.run
+
+    def noted(*words: Any, **options: Any) -> subprocess.CompletedProcess[str]:
+        given.append(options["timeout"])
+        return run(*words, **options)
+
+    monkeypatch.setattr(xacro.subprocess, "run", noted)
+    expand_xacro(path, {}, {})
+    assert len(given) == 1 + len(names)
+    assert all(later < earlier for earlier, later in pairwise([xacro.SECONDS, *given]))
+
+
+@needs_xacrodoc
+def test_arguments_reach_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "robot.xacro"
+    path.write_text(f'{HEAD}<xacro:arg name="a" default="x"/><link name="$(arg a)"/></robot>')
+    assert 'name="x"' in expand_xacro(path, {}, {})[0]
+    assert 'name="chosen"' in expand_xacro(path, {}, {"a": "chosen"})[0]
+
+
+def test_without_the_program_that_expands_it_says_how_to_get_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "xacrodoc", None)
+    path = tmp_path / "robot.xacro"
+    path.write_text(HEAD + "</robot>")
+    with pytest.raises(MomaposError, match=r"pip install 'momapos\[xacro\]'"):
+        write_robot(Source(path))

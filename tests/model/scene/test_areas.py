@@ -1,0 +1,80 @@
+"""Laws of areas of the floor: named, in a file, or written out."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from momapos.apps.cli.main import main
+from momapos.core.errors import MomaposError, SceneError
+from momapos.model.plan_files.plan_format import read_plan
+from momapos.model.scene.floor_areas import find_area, read_areas
+from momapos.model.scene.scene import Scene
+from momapos.model.scene.scene_files import load_scene, save_scene
+
+TRIANGLE = ((0.0, 0.0), (2.0, 0.0), (2.0, 1.0))
+
+
+@pytest.fixture
+def room() -> Scene:
+    return Scene("room", (), areas={"aisle": TRIANGLE})
+
+
+def test_a_scene_file_keeps_the_names_of_its_areas(room: Scene, tmp_path: Path) -> None:
+    save_scene(room, tmp_path / "room.json")
+    again = load_scene(tmp_path / "room.json")
+    assert again.areas == {"aisle": TRIANGLE}
+    assert again.warnings == ()
+
+
+def test_an_area_is_found_by_name_in_a_file_or_by_its_corners(room: Scene, tmp_path: Path) -> None:
+    (tmp_path / "area.json").write_text(json.dumps(TRIANGLE))
+    for words in ("aisle", str(tmp_path / "area.json"), "0,0 2,0 2,1"):
+        assert find_area(words, room, "--keep-in") == TRIANGLE
+
+
+@pytest.mark.parametrize(
+    ("words", "hint"),
+    [
+        ("asle", "aisle"),
+        ("0,0 1,1", "3 to"),
+        ("0,0 1,1 2,2", "no area"),
+        ("0,0 1,nan 2,2", "point 1 must be finite"),
+        ("0,0 1,0,3 2,2", "point 1 must be 2 numbers"),
+        ("nowhere.json", "nowhere.json"),
+    ],
+)
+def test_what_is_no_area_is_refused_in_one_line(words: str, hint: str, room: Scene) -> None:
+    with pytest.raises(MomaposError, match=hint) as refused:
+        find_area(words, room, "--keep-in")
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("value", [[], {"": TRIANGLE}, {"a": [[0, 0], [1, 0], [True, 1]]}, 3])
+def test_areas_of_another_form_are_refused(value: object) -> None:
+    with pytest.raises(SceneError, match="areas"):
+        read_areas(value, "room.json: areas")
+
+
+def test_the_answer_keeps_to_the_areas_and_the_plan_names_them(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    kitchen = load_scene("kitchen_small")
+    question = ["place", "open", "kitchen_small", "fridge/door_hinge", "--robot", "segway_ur5e"]
+    assert main([*question, "--out", str(tmp_path / "free.json")]) == 0
+    free = read_plan(tmp_path / "free.json")
+    assert free.base_pose is not None
+    x, y, _ = free.base_pose
+    area = f"{x - 0.2},{y - 0.2} {x + 0.2},{y - 0.2} {x + 0.2},{y + 0.2} {x - 0.2},{y + 0.2}"
+    assert main([*question, "--keep-out", area, "--out", str(tmp_path / "plan.json")]) == 0
+    plan = read_plan(tmp_path / "plan.json")
+    assert plan.base_pose is not None
+    assert plan.region.keep_out == (find_area(area, kitchen, "--keep-out"),)
+    assert max(abs(plan.base_pose[0] - x), abs(plan.base_pose[1] - y)) > 0.2
+    capsys.readouterr()
+    assert main([*question, "--most-driving", "10cm"]) == 3
+    assert "farther to drive than allowed" in capsys.readouterr().out
+    assert replace(plan.region, keep_out=()) == free.region

@@ -1,0 +1,87 @@
+"""Joints that are set on the command line, and remembered by the plan."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.rooms import Everywhere, cabinet_room
+
+from momapos.apps.cli.main import main
+from momapos.core.errors import MomaposError
+from momapos.model.plan_files.plan_format import plan_to_dict, read_plan, write_plan
+from momapos.model.robots.robot import load_robot
+from momapos.model.scene.joint_values import set_joints
+from momapos.model.scene.scene_files import load_scene
+from momapos.planning.config import PipelineConfig
+from momapos.planning.grasps.tasks import make_task
+from momapos.planning.placement.config import PlaceConfig
+from momapos.planning.plan import plan_base_placement
+from momapos.verification.plan_check import verify_files
+
+CONFIG = PipelineConfig(place=PlaceConfig(count=256, improve=1), timeout=300.0)
+
+
+def test_a_joint_that_is_set_stands_so_and_is_remembered() -> None:
+    scene = load_scene("kitchen_small")
+    ajar = set_joints(scene, ["fridge/door_hinge=60deg", "cabinet_left/drawer_slide=10cm"])
+    assert ajar.object("fridge").values()["door_hinge"] == pytest.approx(np.pi / 3)
+    assert ajar.object("cabinet_left").values()["drawer_slide"] == pytest.approx(0.1)
+    assert scene.joints_set == {}
+    assert ajar.joints_set == {
+        "fridge": {"door_hinge": pytest.approx(np.pi / 3)},
+        "cabinet_left": {"drawer_slide": pytest.approx(0.1)},
+    }
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("fridge/door_hinge", "not OBJECT/JOINT=VALUE"),
+        ("fridge=60deg", "not OBJECT/JOINT=VALUE"),
+        ("fridge/door_hinge=30cm", "30cm is no angle"),
+        ("fridge/door_hinge=300deg", "outside its limits"),
+        ("fridge/door_hinge=1e999", "no finite number"),
+        ("fridge/dor_hinge=1", "did you mean door_hinge"),
+        ("frige/door_hinge=1", "did you mean fridge"),
+    ],
+)
+def test_a_joint_that_cannot_be_set_is_refused_in_one_line(
+    text: str, words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(MomaposError, match=words):
+        set_joints(load_scene("kitchen_small"), [text])
+    for command in (["scene", "show", "kitchen_small"], ["rank", "kitchen_small", "fridge"]):
+        assert main([*command, "--joint", text]) == 2
+        assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_a_scene_is_shown_with_its_doors_open(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["--joint", "fridge/door_hinge=60deg", "--joint", "cabinet_left/drawer_slide=10cm"]
+    assert main(["scene", "show", "kitchen_small", *words, "--json"]) == 0
+    objects = {item["name"]: item for item in json.loads(capsys.readouterr().out)["objects"]}
+    at = {joint["name"]: joint["value"] for joint in objects["fridge"]["joints"]}
+    assert at["door_hinge"] == pytest.approx(np.pi / 3)
+
+
+def test_a_plan_to_close_a_door_that_was_set_open_is_verified_and_comes_back_whole(
+    tmp_path: Path,
+) -> None:
+    ajar = set_joints(cabinet_room(tmp_path), ["cabinet/hinge=60deg"])
+    robot = load_robot("segway_ur5e")
+    task = make_task(ajar, "close", "cabinet")
+    plan = plan_base_placement(ajar, robot, task, Everywhere(), config=CONFIG).plan
+    assert plan.status == "solved"
+    path = tmp_path / "plan.json"
+    write_plan(plan, path)
+    again = read_plan(path)
+    assert again.scene_joints == {"cabinet": {"hinge": pytest.approx(np.pi / 3)}}
+    assert plan_to_dict(again) == plan_to_dict(plan)
+    assert verify_files(path).valid
+    # Without the joint that was set, the door does not stand where the plan takes hold.
+    data = json.loads(path.read_text())
+    del data["scene_joints"]
+    path.write_text(json.dumps(data))
+    assert not verify_files(path).valid

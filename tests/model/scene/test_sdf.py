@@ -1,0 +1,183 @@
+"""Rooms in SDF: joints move as in the URDF of the same thing; what is not kept is counted."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from tests.model.scene.cabinet import assert_moves_alike, assert_refused, expected
+
+from momapos.apps.cli.main import main
+from momapos.model.scene.formats.importing import write_room
+from momapos.model.scene.formats.kinds import kind_of_file
+from momapos.model.scene.formats.sdf import read_room
+from momapos.model.scene.scene import Scene
+from momapos.model.scene.scene_files import load_scene
+
+# The same cabinet 0.4 m up: its links stand elsewhere than their joints, and poses are said in
+# other frames.
+ROOM = """<?xml version="1.0"?>
+<sdf version="1.9"><world name="room">
+  <physics type="ode"/><light name="sun" type="directional"/><plugin name="p" filename="p.so"/>
+  <model name="ground"><static>true</static><link name="l"><collision name="c"><geometry>
+    <plane><normal>0 0 1</normal><size>9 9</size></plane></geometry></collision></link></model>
+  <model name="cabinet"><pose>1 2 0.4 0 0 0.5</pose>
+    <frame name="front"><pose>0.21 0 0 0 0 0</pose></frame>
+    <link name="body"><collision name="b"><geometry><box><size>0.4 0.6 0.8</size></box></geometry></collision>
+      <sensor name="s" type="camera"/></link>
+    <link name="door"><pose relative_to="hinge">0 0.3 0 0 0 0</pose>
+      <collision name="door_handle"><geometry><box><size>0.02 0.6 0.3</size></box></geometry></collision></link>
+    <link name="drawer"><pose relative_to="front" degrees="true">0 0 -0.2 0 0 90</pose>
+      <collision name="d"><pose>0 0 0 0 0 -1.5707963267948966</pose>
+        <geometry><box><size>0.02 0.6 0.3</size></box></geometry></collision>
+      <collision name="e"><pose relative_to="">0 -0.03 0 0 -1.5 0</pose>
+        <geometry><cylinder><radius>0.01</radius><length>0.2</length></cylinder></geometry></collision>
+      <visual name="v"><geometry><mesh><uri>gone.dae</uri></mesh></geometry></visual></link>
+    <joint name="hinge" type="revolute"><pose relative_to="front">0 -0.3 0.2 0 0 0.3</pose>
+      <parent>body</parent><child>door</child><axis><xyz>0 0.6 0.8</xyz>
+      <limit><lower>-0.2</lower><upper>1.5</upper></limit>
+      <dynamics><damping>2</damping><friction>1</friction></dynamics></axis></joint>
+    <joint name="slide" type="prismatic"><parent>body</parent><child>drawer</child>
+      <axis><xyz expressed_in="__model__">1 0 0</xyz>
+      <limit><lower>0</lower><upper>0.4</upper></limit></axis></joint>
+  </model>
+  <include><uri>model://cup</uri><pose>0 1 0.5 0 0 0</pose><name>my_cup</name></include>
+  <model name="wall"><link name="l"><pose>0 3 1 1.5707963267948966 0 0</pose><collision name="c">
+    <geometry><plane><size>4 2</size></plane></geometry></collision></link>
+    <link name="ring"><pose>0 2.9 1 0 0 0</pose><collision name="c"><geometry><capsule><radius>0.05</radius>
+    <length>0.3</length></capsule></geometry></collision></link>
+    <joint name="spin" type="revolute"><parent>world</parent><child>ring</child><axis><xyz>0 0 1</xyz>
+    <limit><lower>-1e16</lower><upper>1e16</upper></limit></axis></joint>
+    <joint name="ball" type="ball"><parent>ring</parent><child>l</child></joint></model>
+</world></sdf>"""  # noqa: E501
+CUP = """<sdf version="1.6"><model name="cup"><pose>9 9 9 0 0 0</pose><link name="l">
+  <collision name="c"><geometry><mesh><uri>model://cup/cup.obj</uri><scale>0.1 0.1 0.1</scale></mesh></geometry>
+  </collision></link></model></sdf>"""  # noqa: E501
+WEDGE = "v 0 0 0\nv 0.3 0 0\nv 0 0.2 0\nv 0 0 0.1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"
+
+
+def write(folder: Path, text: str = ROOM) -> Path:
+    (folder / "cup").mkdir(exist_ok=True)
+    (folder / "cup/model.sdf").write_text(CUP)
+    (folder / "cup/cup.obj").write_text(WEDGE)
+    (folder / "room.sdf").write_text(text)
+    return folder / "room.sdf"
+
+
+def read(folder: Path, text: str = ROOM) -> Scene:
+    path = write(folder, text)
+    return write_room(read_room(path, folder), path, folder / "out.json")
+
+
+def test_joints_move_parts_as_in_the_urdf_of_the_same_cabinet(tmp_path: Path) -> None:
+    truth = expected(
+        tmp_path, (1, 2, 0.4), 0.5, bar=1.5, turn=0.3, axis="0 0.6 0.8", lower=-0.2, upper=1.5
+    )
+    found = read(tmp_path).object("cabinet")
+    assert_moves_alike(found, truth, ((0.0, 0.0), (-0.2, 0.1), (1.5, 0.4)))
+
+
+def test_models_that_are_included_stand_where_the_include_says(tmp_path: Path) -> None:
+    cup = read(tmp_path).object("my_cup")
+    assert_allclose(cup.bounds, [[0, 1, 0.5], [0.03, 1.02, 0.51]], atol=1e-6)
+
+
+def test_a_joint_that_follows_another_is_counted(tmp_path: Path) -> None:
+    path = write(tmp_path, ROOM.replace("</axis>", "<mimic joint='hinge'/></axis>", 1))
+    assert read_room(path, tmp_path).told().dropped["mimicked joints"] == 1
+
+
+def test_what_is_not_kept_is_counted(tmp_path: Path) -> None:
+    path = write(tmp_path)
+    report = read_room(path, tmp_path).told()
+    assert {key: count for key, count in report.dropped.items() if count} == {
+        "lights": 1, "plugins": 1, "sensors": 1, "drawn meshes": 1, "floors": 1,
+        "objects that nothing can touch": 1,
+    }  # fmt: skip
+    assert {key: count for key, count in report.approximated.items() if count} == {
+        "planes with edges as boxes": 1,
+        "ball joints as fixed": 1,
+    }
+    scene = write_room(read_room(path, tmp_path), path, tmp_path / "out.json")
+    wall = scene.object("wall")
+    assert_allclose(np.ptp(wall.bounds, axis=0)[[0, 2]], [4, 2], atol=1e-6)
+    assert wall.model.joint("spin").kind == "continuous"
+    text = (tmp_path / "out_files/cabinet.urdf").read_text()
+    assert '<dynamics damping="2.0" friction="1.0" />' in text
+
+
+def test_older_files_may_say_axes_in_the_frame_of_the_model(tmp_path: Path) -> None:
+    text = ROOM.replace('version="1.9"', 'version="1.6"').replace(
+        '<xyz expressed_in="__model__">1 0 0</xyz>',
+        "<xyz>1 0 0</xyz><use_parent_model_frame>1</use_parent_model_frame>",
+    )
+    slid = [
+        read(folder, t).object("cabinet").link_poses({"slide": 0.3})["drawer"]
+        for folder, t in ((tmp_path / "a", ROOM), (tmp_path / "b", text))
+        if folder.mkdir() is None
+    ]
+    assert_allclose(slid[0], slid[1], atol=1e-12)
+
+
+def test_the_command_converts_a_world(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path, out = write(tmp_path), tmp_path / "out.json"
+    assert kind_of_file(path) == "SDF"
+    assert main(["scene", "convert", str(path), str(out), "--without", "wall"]) == 0
+    assert "objects, as asked 1" in capsys.readouterr().out
+    assert {item.name for item in load_scene(out).objects} == {"cabinet", "my_cup"}
+
+
+MODEL = '<sdf version="1.9"><model name="m"><link name="a">{}</link>{}</model></sdf>'
+BOX = '<collision name="c"><geometry><box><size>1 1 1</size></box></geometry></collision>'
+JOINT = '<joint name="j" type="revolute"><parent>{}</parent><child>{}</child>{}</joint>'
+MESH = '<collision name="c"><geometry><mesh><uri>{}</uri></mesh></geometry></collision>'
+BAD = {
+    "damaged": (ROOM[:200], "not well-formed XML"),
+    "an entity": ('<!DOCTYPE m [<!ENTITY a "b">]>' + MODEL.format("&a;", ""), "DTDs and entities"),
+    "a mesh outside": (MODEL.format(MESH.format("../../m.stl"), ""), "leaves"),
+    "a model outside": (
+        '<sdf version="1.9"><world name="w"><include><uri>model://../x</uri></include></world></sdf>',
+        "leaves",
+    ),
+    "a mesh that is not there": (MODEL.format(MESH.format("model://m/m.stl"), ""), "not exist"),
+    "a mesh of another machine": (MODEL.format(MESH.format("https://x/m.stl"), ""), "only model://"),
+    "itself": (
+        '<sdf version="1.9"><world name="w"><include><uri>room.sdf</uri></include></world></sdf>',
+        "includes itself",
+    ),
+    "models in a model": (MODEL.format(BOX, '<model name="n"/>'), "holds other models"),
+    "a frame that is not there": (
+        MODEL.format('<pose relative_to="x">0 0 0 0 0 0</pose>' + BOX, ""),
+        "there is no frame 'x'",
+    ),
+    "a frame in itself": (
+        MODEL.format('<pose relative_to="a">0 0 0 0 0 0</pose>' + BOX, ""),
+        "relative to itself",
+    ),
+    "a joint of nothing": (MODEL.format(BOX, JOINT.format("a", "b", "")), "link 'b' that is not"),
+    "a loop": (
+        MODEL.format(BOX, '<link name="b"/>' + JOINT.format("a", "b", "<axis/>")
+                     + JOINT.format("b", "a", "<axis/>").replace('"j"', '"k"')),
+        "loop",
+    ),
+    "no axis": (MODEL.format(BOX, '<link name="b"/>' + JOINT.format("a", "b", "")), "has no axis"),
+    "a zero axis": (
+        MODEL.format(BOX, '<link name="b"/>'
+                     + JOINT.format("a", "b", "<axis><xyz>0 0 0</xyz></axis>")),
+        "is zero",
+    ),
+    "no size": (MODEL.format(BOX.replace("1 1 1", "1 1 0"), ""), "sizes must be > 0"),
+    "two numbers": (MODEL.format(BOX.replace("1 1 1", "1 1"), ""), "makes no usable scene"),
+    "no number": (MODEL.format("<pose>0 0 x 0 0 0</pose>" + BOX, ""), "'x' is no number"),
+    "nothing finite": (MODEL.format("<pose>0 0 nan 0 0 0</pose>" + BOX, ""), "no finite number"),
+    "deep": (MODEL.format("<a>" * 60 + "</a>" * 60, ""), "nested deeper"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_files_are_refused_in_one_line_and_leave_nothing(tmp_path: Path, case: str) -> None:
+    text, message = BAD[case]
+    (tmp_path / "m.stl").write_text("solid")
+    assert_refused(tmp_path, read, text, message)

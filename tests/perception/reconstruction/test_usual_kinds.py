@@ -1,0 +1,93 @@
+"""What a thing is called tells how its doors usually open."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from momapos.model.records.scans import FaceImage, Part, PartKind
+from momapos.perception.reconstruction import decode
+from momapos.perception.reconstruction.usual_kinds import (
+    EYES,
+    HIGH,
+    LEARNT,
+    LOW,
+    USUAL,
+    weighed,
+    weighed_by_height,
+)
+
+BOX = (0.0, 0.0, 1.0, 1.0)
+
+
+def seen(odds: dict[PartKind, float]) -> Part:
+    """A part that opens by these odds."""
+    ranked = decode.ranked(odds)
+    return Part(ranked[0][0], BOX, 0.8, None, ranked)
+
+
+LIKE_A_DRAWER = seen(
+    {"drawer": 0.6, "door_down": 0.3, "door_left": 0.05, "door_right": 0.04, "door_up": 0.01}
+)
+
+
+@pytest.mark.parametrize("shares", [LEARNT, HIGH, LOW, *USUAL.values()])
+def test_shares_of_the_kinds_are_of_all_kinds_and_sum_to_one(shares: dict[PartKind, float]) -> None:
+    assert set(shares) == set(decode.KINDS)
+    assert sum(shares.values()) == pytest.approx(1.0)
+    assert min(shares.values()) > 0.0
+
+
+def test_what_looks_like_a_drawer_is_the_flap_of_an_oven() -> None:
+    (part,) = weighed([LIKE_A_DRAWER], "Stove", 1.0)
+    assert part.kind == "door_down"
+    odds = dict(part.odds)
+    before, usual = dict(LIKE_A_DRAWER.odds), USUAL["oven"]
+    # Bayes' rule: ratios of two kinds change by the ratio of how much likelier each has become.
+    ratio = (usual["door_down"] / LEARNT["door_down"]) / (usual["drawer"] / LEARNT["drawer"])
+    assert odds["door_down"] / odds["drawer"] == pytest.approx(
+        ratio * before["door_down"] / before["drawer"]
+    )
+
+
+def test_what_is_clear_is_not_changed_by_a_label_that_may_be_wrong() -> None:
+    clear = seen({"door_left": 0.95, "door_right": 0.02, "drawer": 0.02, "door_down": 0.01})
+    (part,) = weighed([clear], "oven", 0.4)
+    assert part.kind == "door_left"
+
+
+@given(
+    st.lists(st.floats(1e-3, 1.0), min_size=5, max_size=5),
+    st.sampled_from(sorted(USUAL)),
+    st.floats(0.0, 1.0),
+)
+def test_odds_stay_odds_and_their_first_is_the_kind(
+    raw: list[float], label: str, sure: float
+) -> None:
+    odds = {kind: value / sum(raw) for kind, value in zip(decode.KINDS, raw, strict=True)}
+    (part,) = weighed([seen(odds)], label, sure)
+    assert sum(share for _, share in part.odds) == pytest.approx(1.0)
+    assert part.kind == part.odds[0][0]
+    assert part.odds == decode.ranked(dict(part.odds))
+
+
+@pytest.mark.parametrize(("label", "sure"), [("cabinet", 1.0), ("", 1.0), ("microwave", 0.0)])
+def test_a_label_that_tells_nothing_changes_nothing(label: str, sure: float) -> None:
+    (part,) = weighed([LIKE_A_DRAWER], label, sure)
+    assert dict(part.odds) == pytest.approx(dict(LIKE_A_DRAWER.odds))
+    bare = Part("drawer", BOX, 0.8)
+    assert weighed([bare], label, sure) == (bare,)
+
+
+def test_nothing_slides_above_the_eyes_and_nothing_is_lifted_below_them() -> None:
+    face = FaceImage(np.zeros((4, 4, 3), np.uint8), np.zeros((4, 4), np.float32), 0.6, 0.8)
+    level = {"drawer": 0.4, "door_up": 0.4, "door_left": 0.1, "door_right": 0.09, "door_down": 0.01}
+    odds = decode.ranked(level)
+    upper = Part("drawer", (0.0, 0.0, 1.0, 0.5), 0.8, None, odds)
+    lower = Part("door_up", (0.0, 0.5, 1.0, 1.0), 0.8, None, odds)
+    high, low = weighed_by_height([upper, lower], face, EYES - 0.4)
+    assert (high.kind, low.kind) == ("door_up", "drawer")
+    assert sum(share for _, share in high.odds) == pytest.approx(1.0)
+    assert weighed_by_height([upper], face, EYES - 0.7)[0].kind == "drawer"

@@ -1,0 +1,59 @@
+"""Pointing: a place and a pixel name the same thing."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tests.perception.views.painted_box import FRIDGE, camera, image
+
+from momapos.core.errors import InputError, UnknownNameError
+from momapos.core.geometry.upright_boxes import UprightBox
+from momapos.model.records.scans import Detection
+from momapos.perception.segmentation.pointing import PixelOf, PointAt, pointed_at
+
+CUP = UprightBox(np.array([2.0, 0.5, 1.85]), np.array([0.1, 0.1, 0.1]))
+
+
+def thing(name: str, box: UprightBox) -> Detection:
+    return Detection(name, name, 1.0, box, np.zeros(0, int))
+
+
+THINGS = [thing("fridge", FRIDGE), thing("cup", CUP)]
+FRAME = image(
+    camera((-0.5, 0.4, 1.2), tuple(FRIDGE.center)),
+    FRIDGE,
+    lambda world, _: np.zeros((len(world), 3)),
+    name="f",
+)
+
+
+def test_a_place_names_the_smallest_thing_around_it_or_the_nearest() -> None:
+    assert pointed_at(PointAt((2.0, 0.5, 1.0)), THINGS, ()).name == "fridge"
+    assert pointed_at(PointAt((2.0, 0.5, 1.85)), THINGS, ()).name == "cup"
+    nested = [*THINGS, thing("shelf", UprightBox(FRIDGE.center, np.array([0.2, 0.2, 0.2])))]
+    assert pointed_at(PointAt(tuple(FRIDGE.center)), nested, ()).name == "shelf"
+    assert pointed_at(PointAt((2.0, 0.5, 1.99)), THINGS, ()).name == "cup"
+    with pytest.raises(InputError, match="the nearest is fridge"):
+        pointed_at(PointAt((0.0, 0.5, 1.0)), THINGS, ())
+
+
+@pytest.mark.parametrize("blind", [False, True])
+def test_a_pixel_names_what_it_shows_with_depth_and_without(blind: bool) -> None:
+    frame = replace(FRAME, depth=None) if blind else FRAME
+    assert pointed_at(PixelOf("f", 320, 240), THINGS, [frame]).name == "fridge"
+    behind = [
+        thing("behind", replace(FRIDGE, center=FRIDGE.center + np.array([1.0, 0, 0]))),
+        *THINGS,
+    ]
+    assert pointed_at(PixelOf("f", 320, 240), behind, [frame]).name == "fridge"
+    with pytest.raises(InputError, match="holds no object"):
+        pointed_at(PixelOf("f", 2, 2), THINGS, [frame])
+
+
+def test_a_pixel_of_nothing_is_refused() -> None:
+    with pytest.raises(InputError, match="640 x 480"):
+        pointed_at(PixelOf("f", 640, 0), THINGS, [FRAME])
+    with pytest.raises(UnknownNameError, match="no frame"):
+        pointed_at(PixelOf("g", 0, 0), THINGS, [FRAME])

@@ -1,0 +1,138 @@
+"""Arm paths over the waypoints, of which only what a path needs is checked."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+
+from momapos.model.collision.arm_collision import FREE
+from momapos.model.collision.collision_world import check
+from momapos.model.robots.robot import Robot, load_robot
+from momapos.model.scene.scene_files import load_scene
+from momapos.planning.arm_motion import arm_path
+from momapos.planning.arm_motion.arm_path import BROKEN, FOUND, HIT, ArmPath, find_paths
+from momapos.planning.arm_motion.hand_clearance import arm_spheres
+from momapos.planning.arm_motion.ik_layers import Layers, solve_layers
+from momapos.planning.config import PipelineConfig
+from momapos.planning.grasps.tasks import make_task
+from momapos.planning.task_setup import PreparedTask, prepare
+
+TASKS = [
+    ("fridge", "door_hinge"),
+    ("cabinet_right", "drawer_top_slide"),
+    ("microwave", "door_hinge"),
+]
+
+
+@pytest.fixture(scope="module")
+def robot() -> Robot:
+    return load_robot("fetch")
+
+
+def _prepared(robot: Robot, name: str, joint: str) -> PreparedTask:
+    scene = load_scene("kitchen_small")
+    task = make_task(scene, "open", name, joint)
+    return prepare(scene, robot, task, PipelineConfig(), clearance=0.0)
+
+
+def _before(ready: PreparedTask, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Base poses that face the handle, and a way of holding for each."""
+    rng, motion = np.random.default_rng(0), ready.motion
+    handle = motion.Ts_world_tool[0, motion.grasp_step, :2, 3]
+    out = motion.Ts_world_tool[0, motion.grasp_step, :2, 3] - motion.Ts_world_tool[0, -1, :2, 3]
+    toward = np.arctan2(out[1], out[0]) + rng.uniform(-0.9, 0.9, count)
+    way = rng.uniform(0.6, 1.0, count)[:, None]
+    xy = handle - way * np.column_stack([np.cos(toward), np.sin(toward)])
+    yaw = toward + rng.uniform(-0.4, 0.4, count)
+    return np.column_stack([xy, yaw]), rng.integers(0, motion.turning.ways, count)
+
+
+def _only_free(ready: PreparedTask, robot: Robot, bases: np.ndarray, found: Layers) -> Layers:
+    """The same with every configuration checked, and none left that hits something."""
+    motion, (jobs, layers) = ready.motion, found.counts.shape
+    job, layer = np.divmod(np.repeat(np.arange(jobs * layers), found.counts.ravel()), layers)
+    which = np.concatenate([
+        np.arange(first, first + count)
+        for first, count in zip(found.first.flat, found.counts.flat, strict=True)
+    ])  # fmt: skip
+    step = motion.waypoint_steps[layer]
+    free = FREE == check(  # noqa: SIM300
+        ready.world, robot.chain, arm_spheres(robot), found.q[which], bases[job],
+        motion.value[step], motion.holding[step],
+    )  # fmt: skip
+    counts = np.zeros_like(found.counts)
+    np.add.at(counts, (job[free], layer[free]), 1)
+    assert (found.checked[which] <= free).all()
+    assert ((counts > 0) == (found.counts > 0)).all()
+    first = (np.cumsum(counts) - counts.ravel()).reshape(counts.shape)
+    kept = which[free]
+    return replace(
+        found, q=found.q[kept], grasps=found.grasps[kept], checked=np.ones(len(kept), bool),
+        first=first, counts=counts,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "joint"), TASKS)
+def test_a_path_is_the_one_that_checking_every_configuration_gives(
+    robot: Robot, name: str, joint: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ready = _prepared(robot, name, joint)
+    bases, ways = _before(ready, 120)
+    find = partial(find_paths, robot, ready.world, ready.motion, bases, ways)
+    lazy = find({})
+
+    def checked(*args: object) -> Layers:
+        return _only_free(ready, robot, bases, solve_layers(*args))  # type: ignore[arg-type]
+
+    monkeypatch.setattr(arm_path, "solve_layers", checked)
+    for one, other in zip(lazy, find({}), strict=True):
+        assert one.status == other.status
+        if one.status == FOUND:
+            np.testing.assert_array_equal(one.q, other.q)
+    assert sum(path.status == FOUND for path in lazy) >= 1
+
+
+def test_a_path_goes_around_configurations_that_hit(
+    robot: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Else the checks of what a path goes through could be left out unseen."""
+    ready = _prepared(robot, "microwave", "door_hinge")
+    bases, ways = _before(ready, 120)
+    turned_away = 0
+    hits = arm_path._hits
+
+    def counted(*args: object) -> bool:
+        nonlocal turned_away
+        hit = hits(*args)  # type: ignore[arg-type]
+        turned_away += hit
+        return hit
+
+    monkeypatch.setattr(arm_path, "_hits", counted)
+    paths = find_paths(robot, ready.world, ready.motion, bases, ways, {})
+    assert turned_away > 0
+    motion = ready.motion
+    for base, path in zip(bases, paths, strict=True):
+        if path.q is not None:
+            codes = check(
+                ready.world, robot.chain, arm_spheres(robot), path.q,
+                np.tile(base, (len(path.q), 1)), motion.value, motion.holding,
+            )  # fmt: skip
+            assert (codes == FREE).all()
+
+
+def test_what_failed_says_where_and_on_what(robot: Robot) -> None:
+    ready = _prepared(robot, "fridge", "door_hinge")
+    bases, ways = _before(ready, 120)
+    paths = find_paths(robot, ready.world, ready.motion, bases, ways, {})
+    failed = [path for path in paths if path.status in (HIT, BROKEN)]
+    assert failed
+    for path in failed:
+        assert path.q is None
+        assert 0 <= path.waypoint < len(ready.motion.waypoint_steps)
+        assert (path.obstacle == FREE) == (path.status == BROKEN)
+    far = bases + np.array([50.0, 0.0, 0.0])
+    nowhere = find_paths(robot, ready.world, ready.motion, far, ways, {})
+    assert all(path == ArmPath(arm_path.UNREACHABLE, 1, 0, FREE) for path in nowhere)

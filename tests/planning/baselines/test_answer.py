@@ -1,0 +1,156 @@
+"""Laws of every method: its plan holds, repeats, and is named."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+import pytest
+from tests.rooms import Everywhere, cabinet_room
+
+from momapos.core.errors import InputError
+from momapos.model.plan_files.plan_format import plan_to_dict
+from momapos.model.robots.robot import Robot
+from momapos.model.scene.scene import Scene
+from momapos.model.scene.scene_files import load_scene
+from momapos.planning.arm_motion import arm_planner as planner
+from momapos.planning.arm_motion.arm_planner import plan_motion
+from momapos.planning.baselines.by_method import PLACERS, plan_by_method
+from momapos.planning.config import PaperConfig, PipelineConfig
+from momapos.planning.grasps.tasks import make_task
+from momapos.planning.placement.config import OURS, Method, PlaceConfig
+from momapos.planning.plan import plan_base_placement
+from momapos.planning.result import PlacementResult
+from momapos.verification.exact_check import PlanVerifier
+
+
+def ask(scene: Scene, robot: Robot, method: Method, *, seed: int = 0) -> PlacementResult:
+    place = PlaceConfig(method=method, count=256, improve=1, grid_cell=0.2, grid_turn=90.0)
+    config = PipelineConfig(place=place, timeout=120.0)
+    task = make_task(scene, "open", "cabinet", to=0.8)
+    return plan_by_method(scene, robot, task, Everywhere(), config=config, seed=seed)
+
+
+def test_every_name_of_a_method_has_its_placer() -> None:
+    assert set(get_args(Method)) == {*OURS, *PLACERS, "paper"}
+
+
+@pytest.mark.parametrize("method", get_args(Method))
+def test_every_method_answers_with_a_plan_that_holds_and_repeats(
+    method: Method, robots: Callable[[str], Robot], tmp_path: Path
+) -> None:
+    scene, robot = cabinet_room(tmp_path), robots("segway_ur5e")
+    first, second = ask(scene, robot, method), ask(scene, robot, method)
+    plan = first.plan
+    assert plan.status == "solved", plan.candidates
+    assert plan.method == method
+    assert plan.base_pose is not None
+    assert plan.motion is not None
+    assert PlanVerifier(scene, robot, plan.task).check(plan.base_pose, plan.motion).valid
+    records = [plan_to_dict(replace(one.plan, timing={})) for one in (first, second)]
+    assert records[0] == records[1]
+
+
+@pytest.mark.parametrize("method", [*PLACERS, "paper"])
+def test_no_method_moves_a_handle_above_all_arms(
+    method: Method, robots: Callable[[str], Robot], tmp_path: Path
+) -> None:
+    scene, robot = cabinet_room(tmp_path), robots("segway_ur5e")
+    cabinet = scene.object("cabinet")
+    T = cabinet.T_world_object.copy()
+    T[2, 3] = 2.5
+    plan = ask(replace(scene, objects=(replace(cabinet, T_world_object=T),)), robot, method).plan
+    assert plan.status == "infeasible"
+    assert any("reach" in reason for reason in plan.candidates.rejections)
+
+
+def test_the_pipeline_refuses_what_only_baselines_know(
+    robots: Callable[[str], Robot], tmp_path: Path
+) -> None:
+    scene = cabinet_room(tmp_path)
+    config = PipelineConfig(place=PlaceConfig(method="habitat"))
+    task = make_task(scene, "open", "cabinet")
+    with pytest.raises(InputError, match="'habitat'; plan_by_method"):
+        plan_base_placement(scene, robots("fetch"), task, Everywhere(), config=config)
+
+
+def test_poses_that_are_ruled_out_are_no_answer_of_a_baseline(
+    robots: Callable[[str], Robot], tmp_path: Path
+) -> None:
+    scene, robot = cabinet_room(tmp_path), robots("segway_ur5e")
+    config = PipelineConfig(place=PlaceConfig(method="rm4d"))
+    task = make_task(scene, "open", "cabinet", to=0.8)
+    free = plan_by_method(scene, robot, task, Everywhere(), config=config).plan
+    assert free.base_pose is not None
+    taken = np.array(free.base_pose[:2])
+
+    def near(poses: np.ndarray) -> np.ndarray:
+        return np.linalg.norm(poses[:, :2] - taken, axis=1) < 0.1
+
+    plan = plan_by_method(scene, robot, task, Everywhere(), config=config, pose_filter=near).plan
+    assert plan.base_pose is not None
+    assert np.linalg.norm(np.array(plan.base_pose[:2]) - taken) >= 0.1
+
+
+def test_the_paper_models_what_its_walks_call_important_and_plans_with_rrt_star(
+    robots: Callable[[str], Robot], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    planners = []
+
+    def note(*args: Any, **kwargs: Any) -> Any:
+        planners.append(kwargs["config"].planner)
+        return plan_motion(*args, **kwargs)
+
+    monkeypatch.setattr(planner, "plan_motion", note)
+    extra = (
+        ', {"name": "pile", "category": "pile", "pose": {"xyz": [3, 2, 0.2],'
+        ' "wxyz": [1, 0, 0, 0]}, "box": [0.4, 0.4, 0.4]}'
+    )
+    scene = cabinet_room(tmp_path, extra=extra)
+    plan = ask(scene, robots("segway_ur5e"), "paper").plan
+    assert plan.key_objects is not None
+    assert plan.key_objects.scorer == "deepwalk"
+    assert set(planners) == {"RRTstar"}
+
+
+def test_the_paper_lowers_alpha_until_all_is_modeled_before_it_gives_up(
+    robots: Callable[[str], Robot], tmp_path: Path
+) -> None:
+    extra = (
+        ', {"name": "pile", "category": "pile", "pose": {"xyz": [0, -1.2, 0.2],'
+        ' "wxyz": [1, 0, 0, 0]}, "box": [6, 1.4, 0.4]}'
+    )
+    scene = cabinet_room(tmp_path, extra=extra)
+    config = PipelineConfig(
+        place=PlaceConfig(method="paper"), paper=PaperConfig(samples=8, batches=1)
+    )
+    task = make_task(scene, "open", "cabinet", to=0.8)
+    answer = plan_by_method(scene, robots("segway_ur5e"), task, Everywhere(), config=config)
+    assert answer.plan.status == "infeasible"
+    assert answer.plan.key_objects is not None
+    assert set(answer.plan.key_objects.names) == {"cabinet", "pile"}
+
+
+def test_a_baseline_is_asked_where_no_single_hold_can_work(robots: Callable[[str], Robot]) -> None:
+    scene, robot = load_scene("kitchen_island"), robots("segway_ur5e")
+    task = make_task(scene, "open", "sink", "door_left_hinge")
+    config = PipelineConfig(place=PlaceConfig(method="habitat"))
+    plan = plan_by_method(scene, robot, task, Everywhere(), config=config).plan
+    assert plan.motion is not None, plan.candidates
+    assert len(plan.motion.holds) == 2
+
+
+def test_a_baseline_answers_how_far_a_part_can_be_moved_and_is_named(
+    robots: Callable[[str], Robot], tmp_path: Path
+) -> None:
+    scene, robot = cabinet_room(tmp_path), robots("segway_ur5e")
+    task = make_task(scene, "open", "cabinet", to="max")
+    config = PipelineConfig(place=PlaceConfig(method="habitat"), timeout=60.0)
+    plan = plan_by_method(scene, robot, task, Everywhere(), config=config).plan
+    assert plan.status == "solved"
+    assert plan.method == "habitat"
+    assert plan.task.to is not None
+    assert plan.task.to > 0.8

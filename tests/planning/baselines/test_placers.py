@@ -1,0 +1,214 @@
+"""Laws of what base placers propose, before anything is checked."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from jaxtyping import Float
+from tests.rooms import Everywhere, cabinet_room, move_scene
+
+from momapos.core.geometry.planar import compose, local_points, place_points
+from momapos.model.collision.arm_collision import FREE
+from momapos.model.collision.base_collision import base_hits
+from momapos.model.robots.robot import Robot
+from momapos.model.scene.scene import Scene
+from momapos.planning.baselines.by_method import PLACERS
+from momapos.planning.baselines.habitat_placer import HINGED, habitat
+from momapos.planning.baselines.m3_placer import HINGED as REGIONS
+from momapos.planning.baselines.m3_placer import NOISE, m3
+from momapos.planning.baselines.map_placers import reuleaux, rm4d
+from momapos.planning.baselines.paper_placer import PaperPlacer, in_area, potential, whole_boxes
+from momapos.planning.baselines.placer_room import GRASP, BasePlacer, Room
+from momapos.planning.baselines.samplers import FARTHEST, behavior, momagen, pycram
+from momapos.planning.config import PaperConfig, PipelineConfig
+from momapos.planning.grasps.tasks import make_task
+from momapos.planning.placement.area import base_pose_status
+from momapos.planning.task_setup import driving_lengths, prepare
+
+START = np.array([0.0, -2.5, np.pi / 2])
+
+
+class OneSide:
+    """A reach scorer that reaches from the left of the room's middle alone."""
+
+    def min_score(
+        self, bases: Float[np.ndarray, "n 3"], Ts_world_tool: Float[np.ndarray, "g w 4 4"]
+    ) -> Float[np.ndarray, "n g"]:
+        """Score 1 on the left, else 0."""
+        return np.repeat((bases[:, :1] < 0.0).astype(np.float32), len(Ts_world_tool), 1)
+
+
+def room_of(scene: Scene, robot: Robot, start: np.ndarray = START) -> Room:
+    task = make_task(scene, "open", "cabinet", to=1.2)
+    prepared = prepare(scene, robot, task, PipelineConfig(), clearance=0.01)
+    return Room(prepared, Everywhere(), driving_lengths(prepared, start), start, 24)
+
+
+@pytest.fixture(scope="module")
+def room(tmp_path_factory: pytest.TempPathFactory, robots: Callable[[str], Robot]) -> Room:
+    return room_of(cabinet_room(tmp_path_factory.mktemp("room")), robots("segway_ur5e"))
+
+
+def proposed(placer: BasePlacer, room: Room, *, seed: int = 0) -> Float[np.ndarray, "n 3"]:
+    return np.concatenate(list(placer(room, np.random.default_rng(seed))))
+
+
+PAPER = PaperPlacer(PaperConfig(samples=40, batches=2))
+
+
+@pytest.mark.parametrize("name", [*PLACERS, "paper"])
+def test_proposals_stand_clear_of_what_stands_and_repeat_with_the_seed(
+    room: Room, name: str
+) -> None:
+    placer = PLACERS.get(name, PAPER)
+    poses = proposed(placer, room)
+    assert len(poses)
+    if name == "paper":  # it asks for a free base; the others have the arm at home as well
+        assert len(in_area(room, whole_boxes(room), poses)) == len(poses)
+    else:
+        assert room.stands_clear(poses).all()
+    np.testing.assert_array_equal(poses, proposed(placer, room))
+
+
+@pytest.mark.parametrize("placer", [habitat, m3, rm4d, behavior, momagen])
+def test_proposals_move_with_the_room(
+    placer: BasePlacer, robots: Callable[[str], Robot], tmp_path: Path
+) -> None:
+    shift = np.array([0.5, -0.25, np.pi / 2])
+    scene, robot = cabinet_room(tmp_path), robots("segway_ur5e")
+    moved = room_of(move_scene(scene, *shift), robot, compose(shift, START[None])[0])
+    here, there = proposed(placer, room_of(scene, robot)), proposed(placer, moved)
+    front, back = room_of(scene, robot).handle_frame, moved.handle_frame
+    np.testing.assert_allclose(compose(shift, front[None])[0], back, atol=1e-9)
+    low, high = local_points(front, here[:, :2]), local_points(back, there[:, :2])
+    np.testing.assert_allclose(low.mean(0), high.mean(0), atol=0.15)
+
+
+def test_habitat_stands_in_the_middle_of_its_area_first_and_looks_at_the_object(
+    room: Room,
+) -> None:
+    poses = proposed(habitat, room)
+    local = local_points(room.object_frame, poses[:, :2])
+    np.testing.assert_allclose(local[0], HINGED.mean(0), atol=0.05)
+    assert (local > HINGED[0] - 0.1).all()
+    assert (local < HINGED[1] + 0.1).all()
+    away = room.object_frame[:2] - poses[:, :2]
+    np.testing.assert_allclose(np.arctan2(away[:, 1], away[:, 0]), poses[:, 2], atol=1e-9)
+
+
+def test_m3_stays_in_its_region_but_for_its_noise(room: Room) -> None:
+    local = local_points(room.object_frame, proposed(m3, room)[:, :2])
+    margin = 2 * NOISE[0] * np.sqrt(2) + 1e-9
+    assert (local > REGIONS[0][0] - margin).all()
+    assert (local < REGIONS[0][1] + margin).all()
+
+
+@pytest.mark.parametrize("placer", [reuleaux, rm4d])
+def test_maps_propose_only_what_reaches_the_handle(room: Room, placer: BasePlacer) -> None:
+    half = Room(room.prepared, OneSide(), room.travel_cost, room.start, room.grasps)
+    assert (proposed(placer, half)[:, 0] < 0.0).all()
+    assert (proposed(placer, room)[:, 0] > 0.0).any()
+
+
+def test_rm4d_proposes_the_cells_that_reach_most_grasps_first(room: Room) -> None:
+    class Share:
+        def min_score(self, bases: np.ndarray, Ts_world_tool: np.ndarray) -> np.ndarray:
+            """The more grasps, the farther left."""
+            order = np.linspace(-1.0, 1.0, len(Ts_world_tool))
+            return (order[None] > bases[:, :1]).astype(np.float32)
+
+    poses = proposed(rm4d, Room(room.prepared, Share(), room.travel_cost, room.start, 24))
+    grasps = len(room.Ts_world_tool)
+    count = (np.linspace(-1.0, 1.0, grasps)[None] > poses[:, :1]).sum(1)
+    assert (np.diff(count) <= 0).all()
+
+
+def test_samplers_hold_the_handle_with_exact_inverse_kinematics(room: Room) -> None:
+    for placer in (behavior, momagen, pycram):
+        poses = proposed(placer, room)[:5]
+        assert room.holds_at(poses, [GRASP]).all()
+    away = np.linalg.norm(proposed(behavior, room)[:, :2] - room.target[:2], axis=1)
+    assert away.max() <= FARTHEST
+
+
+def test_nothing_is_held_from_across_the_room(room: Room) -> None:
+    far = room.facing(np.array([[0.0, -4.0]]), room.target[:2])
+    assert not room.holds_at(far, [GRASP]).any()
+
+
+def test_other_placers_do_not_know_where_the_door_goes(room: Room) -> None:
+    """That is what ours is better at: it never proposes a base in the way of the part."""
+    geometry = room.prepared.geometry
+    blocked = [
+        (base_pose_status(geometry, proposed(placer, room))[0] == 1).any()
+        for placer in (habitat, m3, rm4d, behavior)
+    ]
+    assert any(blocked)
+
+
+def test_the_area_of_the_paper_keeps_clear_of_whole_boxes(room: Room) -> None:
+    boxes = whole_boxes(room)
+    cells = room.facing(room.cells(room.target[:2], 1.0, 0.1), room.target[:2])
+    inside = in_area(room, boxes, cells)
+    assert 0 < len(inside) < len(cells)
+    assert (base_hits(inside, room.robot.base, boxes, clearance=0.0) == FREE).all()
+
+
+def test_the_potential_is_summed_over_waypoints_and_heights(room: Room) -> None:
+    boxes = whole_boxes(room)
+    poses = in_area(
+        room, boxes, room.facing(room.cells(room.target[:2], 1.0, 0.2), room.target[:2])
+    )
+    waypoints = room.Ts_world_tool.shape[1]
+    scores = np.random.default_rng(0).uniform(size=(len(poses), waypoints))
+    low, high = np.array([0.4]), np.array([1.4])
+    both = potential(room, boxes, poses, scores, np.append(low, high))
+    each = [potential(room, boxes, poses, scores, z) for z in (low, high)]
+    np.testing.assert_allclose(both, each[0] + each[1])
+    blind = potential(room, boxes, poses, 0 * scores, low)
+    np.testing.assert_allclose(each[0], blind + scores[:, GRASP:].sum(1))
+
+
+def test_without_the_field_or_the_map_the_other_decides_alone(room: Room) -> None:
+    def proposed(**changes: bool) -> np.ndarray:
+        config = PaperConfig(samples=64, batches=1, group=1, **changes)
+        return np.vstack(list(PaperPlacer(config)(room, np.random.default_rng(0))))
+
+    boxes, heights = whole_boxes(room), np.array(PaperConfig().heights)
+    by_map, by_field = proposed(field=False), proposed(inverse_map=False)
+    scores = room.scores(by_map, range(room.Ts_world_tool.shape[1])).max(1)
+    assert (np.diff(scores[:, GRASP:].sum(1)) <= 1e-5).all()
+    nothing = np.zeros((len(by_field), room.Ts_world_tool.shape[1]))
+    assert (np.diff(potential(room, boxes, by_field, nothing, heights)) <= 1e-9).all()
+    assert len(by_field) >= len(by_map) == len(proposed())
+
+
+def test_the_field_is_one_over_the_distance_where_nothing_hides_the_handle(room: Room) -> None:
+    boxes = whole_boxes(room)
+    targets = room.Ts_world_tool[0, GRASP:, :3, 3]
+    in_front_and_behind = room.target[:2] + np.array([[0.0, -0.8], [0.0, 1.5]])
+    poses = room.facing(in_front_and_behind, room.target[:2])
+    axes = place_points(poses, room.prepared.geometry.shoulder[None, :2])[:, 0]
+    nothing = np.zeros((2, room.Ts_world_tool.shape[1]))
+    seen, hidden = potential(room, boxes, poses, nothing, room.target[2:])
+    away = np.linalg.norm(targets[:, :2] - axes[:1], axis=1)
+    assert seen == pytest.approx((1 / away).sum())
+    assert hidden < (1 / np.linalg.norm(targets[:, :2] - axes[1:], axis=1)).sum()
+
+
+def test_the_paper_tries_groups_of_the_highest_potential_first(room: Room) -> None:
+    config = PaperConfig(samples=64, batches=1, group=4)
+    groups = list(PaperPlacer(config)(room, np.random.default_rng(0)))
+    assert all(len(group) == 4 for group in groups[:-1])
+    boxes = whole_boxes(room)
+    ones = np.ones((4, room.Ts_world_tool.shape[1]))
+    values = [
+        potential(room, boxes, group, ones[: len(group)], np.array(config.heights))
+        for group in groups
+    ]
+    for better, worse in pairwise(values):
+        assert better.min() >= worse.max() - 1e-9

@@ -1,0 +1,166 @@
+"""Handles that are part of their panel's mesh are found by its shape, and held as it is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tests.meshes as given
+from tests.rooms import cabinet_room
+
+from momapos.model.robots.robot import Robot
+from momapos.model.scene.scene import Scene
+from momapos.model.scene.scene_files import load_scene
+from momapos.model.urdf.articulated import Articulated
+from momapos.model.urdf.reader import read_urdf
+from momapos.planning.grasps.config import GraspConfig, MotionConfig
+from momapos.planning.grasps.hand_boxes import hand_of
+from momapos.planning.grasps.handle_core import HandleKind
+from momapos.planning.grasps.handle_shapes import part_elements
+from momapos.planning.grasps.handles import HandleSource, find_handle, find_handles, handles_in_turn
+from momapos.planning.grasps.part_grasps import grasps_of
+from momapos.planning.grasps.task_motions import task_motion
+from momapos.planning.grasps.tasks import make_task
+
+CONFIG = GraspConfig()
+
+
+def part(
+    folder: Path, boxes: tuple[given.Box, ...], *, slides: bool, name: str = ""
+) -> Articulated:
+    """A part of one mesh, of a drawer that opens toward -y or of a door that turns about z."""
+    given.write_obj(folder / "part.obj", given.triangles_of(boxes))
+    kind, axis = ("prismatic", "0 -1 0") if slides else ("revolute", "0 0 -1")
+    (folder / "part.urdf").write_text(
+        f'<robot name="one"><link name="body"/><link name="part"><collision name="{name}">'
+        '<geometry><mesh filename="part.obj"/></geometry></collision></link>'
+        f'<joint name="j" type="{kind}"><parent link="body"/><child link="part"/>'
+        f'<axis xyz="{axis}"/><limit lower="0" upper="0.4" effort="1" velocity="1"/>'
+        "</joint></robot>"
+    )
+    return Articulated(read_urdf(folder / "part.urdf"))
+
+
+def one_mesh(folder: Path) -> Scene:
+    """The room with the cabinet, whose door and handle are one mesh."""
+    cabinet_room(folder)
+    file, x = folder / "cabinet.urdf", -1.0
+    text = file.read_text()
+    mirrored = tuple(
+        ((x * b[0], a[1], a[2]), (x * a[0], b[1], b[2])) for a, b in given.DOOR_WITH_BOW
+    )
+    given.write_obj(folder / "door.obj", given.triangles_of(mirrored))
+    start, end = text.index('<link name="door">'), text.index('<joint name="hinge"')
+    door = '<link name="door"><collision><geometry><mesh filename="door.obj"/></geometry>'
+    text = text[:start] + door + "</collision></link>\n" + text[end:]
+    grip = text.index('<joint name="grip"')
+    file.write_text(text[:grip] + "</robot>")
+    return load_scene(folder / "room.json")
+
+
+def test_the_bow_of_a_door_of_one_mesh_is_found_as_the_bar_it_is(tmp_path: Path) -> None:
+    model = part(tmp_path, given.DOOR_WITH_BOW, slides=False)
+    assert len(part_elements(model, "j")) == 1
+    bar, *others = find_handles(model, "j", 1.0)
+    assert (bar.found, bar.kind) == (HandleSource.SHAPE, HandleKind.BAR)
+    np.testing.assert_allclose(bar.grip, np.mean(given.BAR, axis=0), atol=1e-3)
+    assert bar.half_length == pytest.approx(0.1, abs=1e-3)
+    assert bar.thickness == pytest.approx(0.016, abs=1e-3)
+    np.testing.assert_allclose(bar.out, [0, -1, 0], atol=1e-6)
+    assert all(h.edge for h in others)
+
+
+def test_a_bow_of_one_mesh_that_is_named_a_handle_has_room_behind_it_in_pieces(
+    tmp_path: Path,
+) -> None:
+    model = part(tmp_path, (*given.BOW, given.PANEL), slides=False, name="handle")
+    kinds = [(h.found, h.in_pieces) for h in handles_in_turn(model, "j", 1.0)]
+    assert kinds[:2] == [(HandleSource.NAME, False), (HandleSource.SHAPE, True)]
+    assert kinds[-1] == (HandleSource.EDGE, False)
+
+
+def test_fingers_reach_behind_a_bow_and_touch_the_real_mesh_alone(
+    robot: Robot, tmp_path: Path
+) -> None:
+    model = part(tmp_path, given.DOOR_WITH_BOW, slides=False)
+    bar = find_handle(model, "j", 1.0)
+    found = grasps_of(robot, model, "j", 1.0, bar, CONFIG)
+    assert len(found.code) > 20
+    hand, surface = hand_of(robot), given.triangles_of(given.DOOR_WITH_BOW)
+    points = given.points_on(surface, 40, np.random.default_rng(0))
+    behind = 0
+    for T, width in zip(found.Ts_part_tool[::5], found.width[::5], strict=True):
+        for travel in (0.0, (robot.opening - width) / 2):
+            center = hand.boxes.center - (hand.side * travel)[:, None] * hand.closing
+            local = (points - T[:3, 3]) @ T[:3, :3]
+            away = np.einsum("nbi,bij->nbj", local[:, None] - center, hand.boxes.rotation)
+            deep = (hand.boxes.half - np.abs(away)).min(-1)
+            assert deep.max() < 1e-3
+        tips = hand.tip * (T[:3, :3] @ robot.approach_axis) + T[:3, 3]
+        behind += tips[1] > given.BAR[1][1]
+    assert behind > 0
+
+
+def test_the_hull_of_the_mesh_fills_the_room_that_the_hand_uses(
+    robot: Robot, tmp_path: Path
+) -> None:
+    model = part(tmp_path, given.DOOR_WITH_BOW, slides=False)
+    bar = find_handle(model, "j", 1.0)
+    in_pieces = grasps_of(robot, model, "j", 1.0, bar, CONFIG)
+    in_hulls = grasps_of(robot, model, "j", 1.0, replace(bar, in_pieces=False), CONFIG)
+    assert len(in_pieces.code) > 0
+    assert len(in_hulls.code) == 0
+    assert in_hulls.reason
+
+
+def test_a_grip_profile_is_a_lip_and_the_rim_of_a_pocket_a_recessed_pull(tmp_path: Path) -> None:
+    lip = part(tmp_path, given.FRONT_WITH_LIP, slides=True)
+    assert find_handle(lip, "j", 1.0).kind is HandleKind.LIP
+    (tmp_path / "pocket").mkdir()
+    pocket = part(tmp_path / "pocket", given.FRONT_WITH_POCKET, slides=True)
+    found = find_handle(pocket, "j", 1.0)
+    assert found.kind is HandleKind.RECESS
+    np.testing.assert_allclose(found.center[[0, 2]], [0.0, 0.09], atol=5e-3)
+    assert str(found) == "recessed pull 'part', by its shape"
+
+
+def test_a_recessed_pull_is_held_by_a_finger_in_the_pocket(robot: Robot, tmp_path: Path) -> None:
+    model = part(tmp_path, given.FRONT_WITH_POCKET, slides=True)
+    found = [grasps_of(robot, model, "j", 1.0, h, CONFIG) for h in find_handles(model, "j", 1.0)]
+    T = np.concatenate([g.Ts_part_tool for g in found[:-2]])
+    tips = T[:, :3, 3] + hand_of(robot).tip * (T[:, :3, :3] @ robot.approach_axis)
+    low, high = np.array(given.POCKET)
+    assert ((tips[:, 1] > low[1]) & (np.abs(tips[:, 0]) < high[0])).any()
+
+
+def test_a_door_is_not_pulled_at_a_strip_beside_its_hinge(tmp_path: Path) -> None:
+    """Two slots leave a strip at the hinge and one at the free edge: the latter alone is held."""
+    plates = (((0.0, 0.04), 0.3), ((0.1, 0.46), 0.3), ((0.52, 0.56), 0.3))
+    front = tuple(((x[0], -0.03, -z), (x[1], -0.01, z)) for x, z in plates)
+    back = ((0.0, -0.01, -0.3), (0.56, 0.0, 0.3))
+    model = part(tmp_path, (back, *front), slides=False)
+    found = [h for h in handles_in_turn(model, "j", 1.0) if h.kind is HandleKind.RECESS]
+    assert found
+    assert all(h.center[0] > 0.5 for h in found)
+
+
+def test_a_solid_front_shows_no_handle(tmp_path: Path) -> None:
+    model = part(tmp_path, (given.PANEL,), slides=False)
+    assert all(h.edge for h in handles_in_turn(model, "j", 1.0))
+
+
+def test_a_cabinet_of_one_mesh_a_door_opens_as_one_of_many_does(
+    robot: Robot, tmp_path: Path
+) -> None:
+    scene = one_mesh(tmp_path)
+    motion = task_motion(scene, robot, make_task(scene, "open", "cabinet"), MotionConfig())
+    assert not motion.refusal
+    assert motion.handle is not None
+    assert str(motion.handle) == "bar 'door', by its shape"
+    many = cabinet_room(tmp_path / "many")
+    known = task_motion(many, robot, make_task(many, "open", "cabinet"), MotionConfig())
+    assert known.handle is not None
+    off = motion.handle.grip - known.handle.grip
+    assert np.linalg.norm(off - off @ motion.handle.out * motion.handle.out) < 0.01

@@ -1,0 +1,278 @@
+"""What may be asked, and where things can be held."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.rooms import cabinet_room
+
+from momapos.core.errors import TaskError, UnknownNameError
+from momapos.model.robots.arm_states import touches
+from momapos.model.robots.robot import Robot
+from momapos.model.scene.scene_files import load_scene
+from momapos.model.urdf.joint_opening import opening_of
+from momapos.planning.arm_motion.feasibility import touched_at_home, with_payload
+from momapos.planning.grasps.config import MotionConfig
+from momapos.planning.grasps.handles import find_handle
+from momapos.planning.grasps.task_motions import task_motion
+from momapos.planning.grasps.tasks import make_task, openable
+
+KITCHENS = ("kitchen_small", "kitchen_island")
+
+
+def test_a_door_is_opened_a_quarter_turn_and_a_drawer_all_the_way() -> None:
+    scene = load_scene("kitchen_small")
+    assert make_task(scene, "open", "microwave").to == pytest.approx(np.pi / 2)
+    drawer = scene.object("cabinet_left").model.joint("drawer_slide")
+    assert make_task(scene, "open", "cabinet_left", "drawer_slide").to == drawer.upper
+
+
+def test_closing_leads_back_to_where_opening_began() -> None:
+    scene = load_scene("kitchen_small")
+    opened = make_task(scene, "open", "microwave")
+    assert opened.joint is not None
+    assert opened.to is not None
+    ajar = scene.with_joint("microwave", opened.joint, opened.to)
+    assert make_task(ajar, "close", "microwave").to == 0.0
+
+
+@pytest.mark.parametrize(
+    ("verb", "target", "joint", "to", "words"),
+    [
+        ("open", "fridge", None, None, "several moving parts"),
+        ("open", "cup", None, None, "no movable joint"),
+        ("open", "microwave", "door_hinge", 9.0, "outside its limits"),
+        ("open", "microwave", "door_hinge", 0.0, "already at"),
+        ("open", "microwave", "door_hinge", float("nan"), "finite"),
+        ("close", "microwave", "door_hinge", 1.0, "means to open"),
+        ("close", "microwave", "door_hinge", None, "already at"),
+        ("pick", "fridge", None, None, "rigid objects"),
+        ("pick", "cup", "door", None, "leave out"),
+        ("turn", "microwave", None, None, "one of open, close, pick, place"),
+    ],
+)
+def test_a_senseless_request_is_refused_in_one_line(
+    verb: str, target: str, joint: str | None, to: float | None, words: str
+) -> None:
+    with pytest.raises(TaskError, match=words) as caught:
+        make_task(load_scene("kitchen_small"), verb, target, joint, to)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("kind", ["continuous", "prismatic"])
+def test_a_part_that_nothing_stops_is_not_moved_without_end(kind: str, tmp_path: Path) -> None:
+    cabinet_room(tmp_path)
+    text = (tmp_path / "cabinet.urdf").read_text()
+    endless = text.replace('type="revolute"', f'type="{kind}"')
+    endless = endless.replace('upper="1.9"', 'upper="1e12"')
+    assert endless != text
+    (tmp_path / "cabinet.urdf").write_text(endless)
+    scene = load_scene(tmp_path / "room.json")
+    assert make_task(scene, "open", "cabinet", "hinge", 1.0).to == 1.0
+    with pytest.raises(TaskError, match="moves at most"):
+        make_task(scene, "open", "cabinet", "hinge", 1e9)
+
+
+def test_a_wrong_joint_names_the_object_and_not_the_file_of_its_model(tmp_path: Path) -> None:
+    room = cabinet_room(tmp_path)
+    item = room.objects[0]
+    room = replace(room, objects=(replace(item, name="elementE"), *room.objects[1:]))
+    assert item.model.urdf.name != "elementE"
+    with pytest.raises(UnknownNameError, match=r"movable joint 'dor'.*elementE"):
+        make_task(room, "open", "elementE", "dor", None)
+
+
+def test_a_wrong_name_is_answered_with_the_nearest() -> None:
+    scene = load_scene("kitchen_small")
+    with pytest.raises(UnknownNameError, match="did you mean microwave"):
+        make_task(scene, "open", "micowave")
+    with pytest.raises(UnknownNameError, match="door_hinge"):
+        make_task(scene, "open", "fridge", "dor_hinge")
+
+
+@pytest.mark.parametrize("name", KITCHENS)
+def test_handles_face_the_way_the_part_moves_off(name: str) -> None:
+    scene = load_scene(name)
+    found = openable(scene)
+    assert len(found) > 10
+    for item, joint in found:
+        target = scene.object(item)
+        record = target.model.joint(joint)
+        handle = find_handle(target.model, joint, opening_of(target.model, joint).sign)
+        velocity = (
+            record.axis if record.kind == "prismatic" else np.cross(record.axis, handle.center)
+        )
+        velocity = opening_of(target.model, joint).sign * velocity / np.linalg.norm(velocity)
+        assert handle.out @ velocity > 0.8, (item, joint)
+        assert abs(handle.out @ handle.long) < 1e-6
+        assert not handle.edge
+        assert 0.005 < handle.thickness < 0.05
+
+
+def test_a_part_without_handle_is_held_at_the_edge_far_from_its_hinge(tmp_path: Path) -> None:
+    cabinet_room(tmp_path)
+    text = (tmp_path / "cabinet.urdf").read_text().replace("door_handle", "trim")
+    bare = text.replace('size="0.016 0.016 0.2"', 'size="0.001 0.001 0.001"')
+    (tmp_path / "cabinet.urdf").write_text(bare)
+    model = load_scene(tmp_path / "room.json").object("cabinet").model
+    handle = find_handle(model, "hinge", 1.0)
+    assert handle.edge
+    assert abs(handle.long[2]) > 0.99
+    assert handle.center[0] < -0.45
+
+
+def test_the_grasp_is_carried_along_rigidly_by_the_joint(robot: Robot, tmp_path: Path) -> None:
+    scene = cabinet_room(tmp_path)
+    task = make_task(scene, "open", "cabinet")
+    motion = task_motion(scene, robot, task, MotionConfig())
+    target = scene.object("cabinet")
+    hold = motion.grasp_step
+    poses = [target.link_poses({"hinge": v})["door"] for v in motion.object_q[hold:]]
+    grasps = np.linalg.inv(poses)[:, None] @ np.swapaxes(motion.Ts_world_tool[:, hold:], 0, 1)
+    np.testing.assert_allclose(grasps, np.broadcast_to(grasps[:1], grasps.shape), atol=1e-9)
+    assert motion.object_q[hold] == 0.0
+    assert motion.object_q[-1] == task.to
+
+
+def test_the_straight_approach_moves_along_the_approach_axis(robot: Robot, tmp_path: Path) -> None:
+    scene = cabinet_room(tmp_path)
+    motion = task_motion(scene, robot, make_task(scene, "open", "cabinet"), MotionConfig())
+    before, grasp = motion.Ts_world_tool[:, 0], motion.Ts_world_tool[:, motion.grasp_step]
+    travel = grasp[:, :3, 3] - before[:, :3, 3]
+    wanted = MotionConfig().grasps.pregrasp * (grasp[:, :3, :3] @ robot.approach_axis)
+    np.testing.assert_allclose(travel, wanted, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("target", "joint", "to", "words"),
+    [
+        ("microwave", "door_hinge", "30cm", "--to 30cm is no angle; write it as 90deg"),
+        ("cabinet_left", "drawer_slide", "20deg", "--to 20deg is no length; write it as 0.3m"),
+        ("microwave", "door_hinge", "90", "did you mean 90deg?"),
+        ("microwave", "door_hinge", 90.0, "did you mean 90deg?"),
+        ("cabinet_left", "drawer_slide", "30", "did you mean 30cm?"),
+    ],
+)
+def test_a_value_in_the_wrong_unit_or_none_is_refused_with_the_right_one(
+    target: str, joint: str, to: float | str, words: str
+) -> None:
+    with pytest.raises(TaskError, match=re.escape(words)) as caught:
+        make_task(load_scene("kitchen_small"), "open", target, joint, to)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("digits", [3, 4, 5])
+def test_a_limit_written_with_fewer_digits_is_that_limit(tmp_path: Path, digits: int) -> None:
+    cabinet_room(tmp_path)
+    text = (tmp_path / "cabinet.urdf").read_text()
+    upper = np.pi / 2
+    (tmp_path / "cabinet.urdf").write_text(text.replace('upper="1.9"', f'upper="{upper}"'))
+    scene = load_scene(tmp_path / "room.json")
+    assert make_task(scene, "open", "cabinet", "hinge", f"{upper:.{digits}f}").to == upper
+    with pytest.raises(TaskError, match="outside its limits"):
+        make_task(scene, "open", "cabinet", "hinge", upper + 0.01)
+
+
+def test_ninety_degrees_are_a_limit_of_1_57(tmp_path: Path) -> None:
+    cabinet_room(tmp_path)
+    text = (tmp_path / "cabinet.urdf").read_text()
+    (tmp_path / "cabinet.urdf").write_text(text.replace('upper="1.9"', 'upper="1.57"'))
+    scene = load_scene(tmp_path / "room.json")
+    assert make_task(scene, "open", "cabinet", "hinge", "90deg").to == 1.57
+
+
+def test_as_far_as_possible_ends_at_the_limit_and_is_no_way_to_close(tmp_path: Path) -> None:
+    scene = cabinet_room(tmp_path)
+    task = make_task(scene, "open", "cabinet", to="max")
+    assert (task.to, task.farthest) == (1.9, True)
+    assert not make_task(scene, "open", "cabinet", to="1.9rad").farthest
+    ajar = scene.with_joint("cabinet", "hinge", 1.0)
+    with pytest.raises(TaskError, match="close shuts it all the way"):
+        make_task(ajar, "close", "cabinet", to="max")
+    with pytest.raises(TaskError, match="nothing to open"):
+        make_task(scene.with_joint("cabinet", "hinge", 1.9), "open", "cabinet", to="max")
+
+
+def test_a_door_that_turns_without_end_is_opened_by_a_full_turn_at_most(tmp_path: Path) -> None:
+    cabinet_room(tmp_path)
+    text = (tmp_path / "cabinet.urdf").read_text().replace("revolute", "continuous")
+    (tmp_path / "cabinet.urdf").write_text(text)
+    scene = load_scene(tmp_path / "room.json")
+    assert make_task(scene, "open", "cabinet", to="max").to == pytest.approx(2 * np.pi)
+
+
+@pytest.mark.parametrize("shut", ["lower", "upper"])
+def test_a_door_whose_zero_is_halfway_can_be_opened_and_closed(tmp_path: Path, shut: str) -> None:
+    """The joint's frame is turned, so that the door is shut at a limit and half open at zero."""
+    cabinet_room(tmp_path)
+    text = (tmp_path / "cabinet.urdf").read_text()
+    # It opens with growing values: shut at the lower limit as it is, at the upper one mirrored.
+    lower, upper, axis = (-1.05, 1.92, 1) if shut == "lower" else (-1.92, 1.05, -1)
+    text = text.replace('<axis xyz="0 0 1.0"/>', f'<axis xyz="0 0 {axis}"/>')
+    text = text.replace('-0.25 0.8"/>', '-0.25 0.8" rpy="0 0 1.05"/>')
+    text = text.replace('lower="0" upper="1.9"', f'lower="{lower}" upper="{upper}"')
+    (tmp_path / "cabinet.urdf").write_text(text)
+    scene = load_scene(tmp_path / "room.json")
+    closed = lower if shut == "lower" else upper
+    way = 1.0 if shut == "lower" else -1.0
+    assert make_task(scene, "close", "cabinet").to == closed
+    assert make_task(scene, "open", "cabinet").to == pytest.approx(closed + way * np.pi / 2)
+    ajar = scene.with_joint("cabinet", "hinge", closed)
+    assert make_task(ajar, "open", "cabinet", "hinge", "0deg").to == 0.0
+    model = scene.object("cabinet").model
+    assert opening_of(model, "hinge").sign == way
+
+
+def test_a_door_that_is_shut_at_zero_stays_so_whatever_lies_behind_it(tmp_path: Path) -> None:
+    """A limit that lets it swing into its cupboard makes it no less shut at zero."""
+    cabinet_room(tmp_path)
+    text = (tmp_path / "cabinet.urdf").read_text()
+    (tmp_path / "cabinet.urdf").write_text(text.replace('lower="0"', 'lower="-1.0"'))
+    model = load_scene(tmp_path / "room.json").object("cabinet").model
+    assert (opening_of(model, "hinge").closed, opening_of(model, "hinge").wide) == (0.0, 1.9)
+
+
+def test_knobs_stand_apart_from_doors_when_a_joint_must_be_named(tmp_path: Path) -> None:
+    cabinet_room(tmp_path)
+    text = (tmp_path / "cabinet.urdf").read_text()
+    knob = (
+        '<link name="knob_handle"><collision><geometry><box size="0.04 0.02 0.02"/></geometry>'
+        '</collision></link><joint name="a_knob" type="revolute"><parent link="body"/>'
+        '<child link="knob_handle"/><origin xyz="0 -0.3 0.45"/><axis xyz="0 1 0"/>'
+        '<limit lower="0" upper="3" effort="1" velocity="1"/></joint></robot>'
+    )
+    (tmp_path / "cabinet.urdf").write_text(text.replace("</robot>", knob))
+    with pytest.raises(TaskError, match="with one of hinge; knobs: a_knob"):
+        make_task(load_scene(tmp_path / "room.json"), "open", "cabinet")
+
+
+@pytest.mark.parametrize("verb", ["pick", "place"])
+def test_a_robot_without_a_gripper_picks_and_places_nothing(verb: str, robot: Robot) -> None:
+    scene = load_scene("kitchen_small")
+    task = make_task(scene, verb, "cup")
+    assert robot.has_gripper
+    assert len(task_motion(scene, robot, task, MotionConfig()).Ts_world_tool)
+    last = robot.model.joint(robot.arm_joints[-1]).child
+    bare = replace(robot, gripper_links=(last,))
+    # The Fetch's last link is its wrist, the others' the flange.
+    assert not bare.has_gripper
+    with pytest.raises(TaskError, match="has no gripper, so it cannot"):
+        task_motion(scene, bare, task, MotionConfig())
+
+
+@pytest.mark.parametrize("name", ["cup", "cereal_box"])
+def test_a_thing_that_would_touch_the_arm_at_home_is_not_carried_by_that_grasp(
+    robot: Robot, name: str
+) -> None:
+    """The way of a placed thing begins at home; its spheres and the robot's tell."""
+    scene = load_scene("kitchen_small")
+    motion = task_motion(scene, robot, make_task(scene, "place", name), MotionConfig())
+    touched = touched_at_home(robot, motion)
+    for g in range(0, len(touched), 7):
+        spheres = with_payload(robot, motion, motion.Ts_world_tool[g, 0], 0)
+        hits = touches(robot.chain, spheres, robot.home[None])[0]
+        assert hits == (touched[g] >= 0)

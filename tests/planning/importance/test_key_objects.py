@@ -1,0 +1,140 @@
+"""The set S in an answer: what is modeled, what joins, and that nothing is ever missed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from momapos.model.plan_files.plan_format import read_plan, write_plan
+from momapos.model.robots.robot import Robot
+from momapos.model.scene.scene import Scene
+from momapos.model.scene.scene_files import load_scene
+from momapos.planning.config import PipelineConfig
+from momapos.planning.grasps.tasks import make_task
+from momapos.planning.importance.config import ImportanceConfig
+from momapos.planning.importance.key_objects import Selection, everything
+from momapos.planning.importance.ranking import rank
+from momapos.planning.placement.config import PlaceConfig
+from momapos.planning.plan import plan_base_placement
+from momapos.planning.result import PlacementResult
+from momapos.verification.exact_check import PlanVerifier
+from rooms import Everywhere, cabinet_room
+
+QUICK = PipelineConfig(place=PlaceConfig(count=256, improve=1), timeout=600.0)
+PORCH = """, {"name": "porch", "category": "porch", "urdf": "porch.urdf", "scale": 1.0,
+ "joints": {}, "pose": {"xyz": [0, -1.2, 0], "wxyz": [1, 0, 0, 0]}}"""
+"""Four thin posts: the box around them fills the floor before the cabinet."""
+
+
+def porch_room(folder: Path) -> Scene:
+    posts = "".join(
+        f'<collision><origin xyz="{x} {y} 1"/><geometry><box size="0.04 0.04 2"/></geometry>'
+        "</collision>"
+        for x in (-1.8, 1.8)
+        for y in (-0.9, 0.9)
+    )
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "porch.urdf").write_text(
+        f'<robot name="porch"><link name="posts">{posts}</link></robot>'
+    )
+    return cabinet_room(folder, extra=PORCH)
+
+
+def ask(
+    scene: Scene, robot: Robot, target: str, alpha: float, scorer: str = "distance"
+) -> PlacementResult:
+    importance = ImportanceConfig(scorer=scorer, alpha=alpha)  # type: ignore[arg-type]
+    config = replace(QUICK, importance=importance)
+    start = np.array([0.0, -3.2, np.pi / 2]) if target == "cabinet" else None
+    name, _, joint = target.partition("/")
+    task = make_task(scene, "open", name, joint or None)
+    return plan_base_placement(scene, robot, task, Everywhere(), start=start, config=config)
+
+
+def test_lowering_alpha_ends_with_everything_and_never_loses_an_object() -> None:
+    ranked = rank(load_scene("kitchen_small"), "fridge")
+    selection, sizes = Selection(ranked, 1.0), []
+    while selection.boxes:
+        before, selection = set(selection.names), selection.relax_alpha()
+        assert before < set(selection.names)
+        sizes.append(len(selection.names))
+    assert sizes[-1] == len(ranked.names)
+    assert len(sizes) <= np.ceil(np.log2(len(ranked.names)))
+    assert everything(ranked).names == ranked.names
+
+
+def test_what_joins_stays_whatever_its_score() -> None:
+    ranked = rank(load_scene("kitchen_small"), "fridge")
+    selection = Selection(ranked, 1.0).join(["cup"])
+    assert set(selection.names) == {"fridge", "cup"}
+    assert "cup" not in selection.boxes
+    assert "cup" in selection.relax_alpha().names
+
+
+def test_a_box_that_is_in_the_way_falls_and_its_object_does_not(
+    tmp_path: Path, robots: Callable[[str], Robot]
+) -> None:
+    """Among four posts there is room; in the box around them there is none."""
+    scene, robot = porch_room(tmp_path), robots("segway_ur5e")
+    assert (
+        ask(scene.with_box_proxies({"cabinet"}), robot, "cabinet", 0.0).plan.status == "infeasible"
+    )
+    answer = ask(scene, robot, "cabinet", 1.0)
+    assert answer.plan.status == "solved"
+    assert answer.plan.key_objects is not None
+    assert set(answer.plan.key_objects.names) == {"cabinet", "porch"}
+
+
+@pytest.mark.parametrize("scorer", ["deepwalk", "distance", "size"])
+@pytest.mark.parametrize("target", ["fridge/door_hinge", "microwave"])
+def test_a_plan_made_among_boxes_holds_among_the_objects(
+    robots: Callable[[str], Robot], scorer: str, target: str
+) -> None:
+    scene, robot = load_scene("kitchen_small"), robots("segway_ur5e")
+    answer = ask(scene, robot, target, 1.0, scorer)
+    plan, key = answer.plan, answer.plan.key_objects
+    assert plan.status == "solved"
+    assert plan.base_pose is not None
+    assert plan.motion is not None
+    assert key is not None
+    assert (
+        PlanVerifier(scene, robot, plan.task).first_violation(plan.base_pose, plan.motion) is None
+    )
+    assert plan.task.object in key.names
+    assert len(key.names) < len(scene.objects)
+    assert set(key.scores) == {item.name for item in scene.objects}
+
+
+def test_a_box_that_a_plan_comes_near_joins_and_the_plan_is_checked_again(
+    robots: Callable[[str], Robot],
+) -> None:
+    """By walks the counter below the microwave does not score 1; the hand passes over it."""
+    key = ask(load_scene("kitchen_small"), robots("segway_ur5e"), "microwave", 1.0, "deepwalk")
+    joined = key.plan.key_objects
+    assert joined is not None
+    assert joined.rounds > 0
+    assert {"microwave", "counter"} <= set(joined.names)
+    assert joined.scores["counter"] < joined.alpha
+
+
+def test_the_plan_file_says_what_was_modeled(
+    tmp_path: Path, robots: Callable[[str], Robot]
+) -> None:
+    answer = ask(load_scene("kitchen_small"), robots("segway_ur5e"), "microwave", 0.9)
+    write_plan(answer.plan, tmp_path / "plan.json")
+    assert read_plan(tmp_path / "plan.json").key_objects == answer.plan.key_objects
+
+
+def test_what_is_free_among_boxes_is_free_among_objects() -> None:
+    """Each box holds its object's every corner, whatever way the object is turned."""
+    scene = load_scene("kitchen_island")
+    for item in scene.objects:
+        box = item.box_proxy
+        half = np.array(box.model.urdf.links["box"].collisions[0].size) / 2
+        local = (item.vertices - box.T_world_object[:3, 3]) @ box.T_world_object[:3, :3]
+        assert (np.abs(local) <= half + 1e-9).all()
+        assert not box.model.joints

@@ -1,0 +1,237 @@
+"""Importance: scores in (0, 1] with the target's at 1, the same for a seed, never NaN."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from tests.planning.importance.things import box, room
+from tests.rooms import move_scene
+from tests.shapes import unchecked
+
+from momapos.core.errors import InputError, UnknownNameError
+from momapos.model.scene.scene import Scene
+from momapos.model.scene.scene_files import load_scene
+from momapos.planning.importance.config import GraphConfig, ImportanceConfig
+from momapos.planning.importance.ranking import rank
+from momapos.planning.importance.scorers import KNEE, LEAST, SCORERS, score_of_cosine, words
+
+WALKS = ImportanceConfig(scorer="deepwalk")
+PRINT = (
+    "from momapos.model.scene import load_scene; from momapos.planning.importance import rank;"
+    "from momapos.planning.importance.config import ImportanceConfig as C;"
+    "room = load_scene('kitchen_island');"
+    "print(*(rank(room, 'cup', C(scorer=s), seed=3).scores.tobytes().hex()"
+    " for s in ('deepwalk', 'reach', 'names')))"
+)
+
+
+def crowd(count: int, seed: int = 0) -> Scene:
+    rng = np.random.default_rng(seed)
+    side = 0.8 * np.sqrt(count)
+    return room(
+        *(
+            box(f"b{k}", tuple(rng.uniform(0.1, 0.8, 3)), (*rng.uniform(0, side, 2), 0.0))
+            for k in range(count)
+        )
+    )
+
+
+@pytest.mark.parametrize("scorer", SCORERS)
+@pytest.mark.parametrize("kitchen", ["kitchen_small", "kitchen_island"])
+def test_scores_are_above_zero_at_most_one_and_the_target_leads_with_one(
+    scorer: str, kitchen: str
+) -> None:
+    scene = load_scene(kitchen)
+    for item in scene.objects[::4]:
+        found = rank(scene, item.name, ImportanceConfig(scorer=scorer))
+        assert found.names[0] == item.name
+        assert found.scores[0] == 1.0
+        assert (found.scores > 0).all()
+        assert (found.scores <= 1).all()
+        assert (np.diff(found.scores[1:]) <= 0).all()
+        assert sorted(found.names) == sorted(o.name for o in scene.objects)
+
+
+def test_s_grows_as_alpha_falls_and_holds_everything_at_zero() -> None:
+    found = rank(load_scene("kitchen_small"), "fridge", WALKS)
+    sets = [set(found.selected(alpha)) for alpha in (1.0, 0.7, 0.45, 0.2, 0.0)]
+    assert all(a <= b for a, b in itertools.pairwise(sets))
+    assert "fridge" in sets[0]
+    assert sets[-1] == set(found.names)
+    assert found.selected() == found.selected(found.alpha)
+
+
+def test_every_object_is_in_s_for_some_alpha_above_zero() -> None:
+    """What Lemma 1 of the paper asks of a score."""
+    found = rank(load_scene("kitchen_island"), "cup", WALKS)
+    assert set(found.selected(LEAST)) == set(found.names)
+
+
+def test_the_same_seed_gives_the_same_scores_and_another_seed_others() -> None:
+    scene = load_scene("kitchen_small")
+    a, b, c = (rank(scene, "fridge", WALKS, seed=seed) for seed in (5, 5, 6))
+    assert a.names == b.names
+    assert np.array_equal(a.scores, b.scores)
+    assert not np.array_equal(a.scores, c.scores)
+
+
+def test_scores_do_not_depend_on_the_hash_seed_nor_on_the_processor() -> None:
+    def scores(**change: str) -> str:
+        done = subprocess.run(
+            [sys.executable, "-c", PRINT], capture_output=True, text=True, check=True,
+            env={**os.environ, **change},
+        )  # fmt: skip
+        return done.stdout
+
+    kitchen = load_scene("kitchen_island")
+    raw = [
+        rank(kitchen, "cup", ImportanceConfig(scorer=name), seed=3).scores.tobytes().hex()
+        for name in ("deepwalk", "reach", "names")
+    ]
+    here = " ".join(raw) + "\n"
+    assert scores(PYTHONHASHSEED="1") == here
+    assert scores(PYTHONHASHSEED="2", OPENBLAS_CORETYPE="Nehalem") == here
+
+
+def test_moving_and_turning_the_whole_room_leaves_s_as_it_is() -> None:
+    scene = load_scene("kitchen_small")
+    for scorer in SCORERS:
+        config = ImportanceConfig(scorer=scorer)
+        moved = rank(move_scene(scene, 3.0, -2.0, 0.7), "fridge", config)
+        assert set(moved.selected()) == set(rank(scene, "fridge", config).selected())
+
+
+def test_noise_between_seeds_is_small_against_the_spread_of_scores() -> None:
+    scene = load_scene("kitchen_small")
+    runs = [rank(scene, "fridge", WALKS, seed=seed) for seed in range(5)]
+    scores = np.array([[run.score(item.name) for item in scene.objects] for run in runs])
+    assert scores.std(axis=0).mean() < 0.05 < scores.mean(axis=0).std()
+
+
+def test_the_neighbor_is_more_important_than_what_stands_far_away() -> None:
+    line = room(*(box(f"b{k}", (0.5, 0.5, 0.8), (0.6 * k, 0, 0)) for k in range(12)))
+    config = ImportanceConfig(graph=GraphConfig(neighbors=2, near=0.3))
+    for scorer in ("deepwalk", "distance", "size"):
+        found = rank(line, "b0", replace(config, scorer=scorer))
+        scores = [found.score(f"b{k}") for k in (1, 5, 10)]
+        assert scores == sorted(scores, reverse=True)
+
+
+def test_what_is_not_related_has_the_lowest_score_and_is_still_there() -> None:
+    scene = room(*(box(f"b{k}", (0.5, 0.5, 0.5), (5.0 * k, 0, 0)) for k in range(4)))
+    found = rank(scene, "b1", WALKS)
+    assert found.names[0] == "b1"
+    assert found.scores.tolist() == [1.0, LEAST, LEAST, LEAST]
+    assert found.relations == ("", "", "", "")
+    assert found.steps == (0, -1, -1, -1)
+    assert found.selected() == ("b1",)
+
+
+@pytest.mark.parametrize("scorer", SCORERS)
+def test_one_object_alone_is_the_answer(scorer: str) -> None:
+    found = rank(room(box("b", (1, 1, 1), (0, 0, 0))), "b", ImportanceConfig(scorer=scorer))
+    assert found.names == ("b",)
+    assert found.scores.tolist() == [1.0]
+
+
+@pytest.mark.parametrize("scorer", SCORERS)
+def test_a_thousand_objects_at_one_place_have_finite_scores(scorer: str) -> None:
+    model = box("b", (0.3, 0.3, 0.3), (0, 0, 0))
+    scene = room(*(replace(model, name=f"b{k}") for k in range(1000)))
+    found = rank(scene, "b7", ImportanceConfig(scorer=scorer, walks=2, epochs=1))
+    assert np.isfinite(found.scores).all()
+    assert (found.scores > 0).all()
+    assert found.names[0] == "b7"
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.integers(1, 40), st.integers(0, 1000), st.sampled_from([0.0, 0.5, 1.0]))
+def test_no_random_room_gives_a_nan(count: int, seed: int, k0: float) -> None:
+    found = rank(crowd(count, seed), "b0", replace(WALKS, k0=k0, walks=2, epochs=1))
+    assert np.isfinite(found.scores).all()
+    assert found.scores[0] == 1.0
+
+
+def test_relations_are_told_from_the_side_of_the_object() -> None:
+    found = rank(load_scene("kitchen_small"), "counter", WALKS)
+    told = dict(zip(found.names, found.relations, strict=True))
+    assert told["microwave"] == "on"
+    assert told["cabinet_left"] == "carries"
+    assert told["oven"] == "near"
+    assert told["counter"] == ""
+
+
+@pytest.mark.parametrize("name", ["alpha", "k0"])
+@pytest.mark.parametrize("value", [-0.1, 1.1, float("nan"), float("inf")])
+def test_alpha_and_k0_outside_zero_to_one_are_refused_in_one_line(name: str, value: float) -> None:
+    with pytest.raises(InputError, match=rf"^{name} must be between 0 and 1, not .*$"):
+        ImportanceConfig(**{name: value})
+    with pytest.raises(InputError):
+        rank(load_scene("kitchen_small"), "fridge", WALKS).selected(2.0)
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"walks": 0}, {"length": 1}, {"window": 0}, {"epochs": 10**9}, {"scorer": "best"}]
+)
+def test_counts_and_scorers_that_cannot_be_used_are_refused(wrong: dict[str, object]) -> None:
+    with pytest.raises(InputError), unchecked():
+        ImportanceConfig(**wrong)  # type: ignore[arg-type]
+
+
+def test_unknown_objects_and_useless_seeds_are_refused() -> None:
+    scene = load_scene("kitchen_small")
+    with pytest.raises(UnknownNameError, match="did you mean fridge"):
+        rank(scene, "fridg")
+    for seed in (-1, 2**32):
+        with pytest.raises(InputError, match="seed"):
+            rank(scene, "fridge", seed=seed)
+
+
+@given(st.lists(st.floats(-1, 1), min_size=2, max_size=9))
+def test_scores_keep_the_order_of_the_cosines(values: list[float]) -> None:
+    cosines = np.sort(np.array(values))
+    scores = score_of_cosine(cosines)
+    assert (np.diff(scores) >= 0).all()
+    assert ((scores > 0) & (scores <= 1)).all()
+    assert np.array_equal(scores[cosines >= KNEE], cosines[cosines >= KNEE])
+
+
+def test_words_of_a_name_are_lower_case_without_digits() -> None:
+    assert words("elementB2", "range hood") == ("range", "hood", "element", "b")
+    assert words("42", "") == ("42",)
+
+
+def test_names_alone_know_nothing_of_places() -> None:
+    scene = load_scene("kitchen_small")
+    cup = scene.object("cup")
+    away = replace(cup, T_world_object=cup.T_world_object + np.diag([1.0, 1.0, 1.0], 1))
+    other = replace(scene, objects=tuple(away if o is cup else o for o in scene.objects))
+    config = ImportanceConfig(scorer="names")
+    assert rank(other, "fridge", config).score("cup") == rank(scene, "fridge", config).score("cup")
+
+
+def test_what_is_on_the_hand_s_way_matters_more_the_nearer_and_the_larger_it_is() -> None:
+    """A box at the path scores 1 whatever its size; farther off, size and distance decide."""
+    scene = room(
+        box("target", (0.5, 0.5, 0.5), (0.0, 3.0, 0.0)),
+        box("at", (0.1, 0.1, 0.1), (0.0, 0.0, 0.0)),
+        box("near", (0.5, 0.5, 0.5), (1.0, 0.0, 0.0)),
+        box("far", (0.5, 0.5, 0.5), (2.0, 0.0, 0.0)),
+        box("small", (0.1, 0.1, 0.1), (-1.0, 0.0, 0.0)),
+    )
+    path = np.array([[0.0, 0.0, 0.05], [0.0, 0.02, 0.05]])
+    found = rank(scene, "target", ImportanceConfig(scorer="reach"), path=path)
+    assert found.score("at") == 1.0
+    assert found.score("near") > found.score("far") > found.score("small")
+    without = rank(scene, "target", ImportanceConfig(scorer="reach"))
+    as_size = rank(scene, "target", ImportanceConfig(scorer="size"))
+    assert without.names == as_size.names
+    np.testing.assert_array_equal(without.scores, as_size.scores)

@@ -1,0 +1,80 @@
+"""Word vectors of the user's: both text formats, and files that are none."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.planning.importance.things import box, room
+
+from momapos.apps.cli.main import main
+from momapos.core.errors import FileFormatError, InputError
+from momapos.model.scene.scene import Scene
+from momapos.planning.importance.config import ImportanceConfig
+from momapos.planning.importance.ranking import rank
+from momapos.planning.importance.scorers import LEAST
+from momapos.planning.importance.word_vectors import LONGEST, read_word_vectors
+
+GLOVE = "the 0.1 0.2 0.3\nfridge 1 0 0\ncup 0.6 0.8 0\nshoe -1 0 0\n"
+
+
+@pytest.fixture
+def kitchen() -> Scene:
+    names = ("fridge", "cup_1", "shoe", "thing")
+    return room(*(box(n, (0.1, 0.1, 0.1), (float(k), 0.0, 0.0)) for k, n in enumerate(names)))
+
+
+@pytest.mark.parametrize("head", ["", "4 3\n"])
+def test_a_word_and_its_numbers_a_line_with_or_without_a_head(head: str, tmp_path: Path) -> None:
+    path = tmp_path / "vectors.txt"
+    path.write_text(head + GLOVE)
+    found = read_word_vectors(path, {"cup", "fridge", "spoon"})
+    assert set(found) == {"cup", "fridge"}
+    np.testing.assert_array_equal(found["cup"], [0.6, 0.8, 0.0])
+
+
+def test_scores_are_cosines_of_the_files_vectors(kitchen: Scene, tmp_path: Path) -> None:
+    path = tmp_path / "vectors.txt"
+    path.write_text(GLOVE)
+    found = rank(kitchen, "fridge", ImportanceConfig(scorer="names", vectors=str(path)))
+    assert found.score("cup_1") == pytest.approx(0.6)
+    assert found.score("shoe") == LEAST == found.score("thing")
+    with pytest.raises(InputError, match="has none of the target's words: thing"):
+        rank(kitchen, "thing", ImportanceConfig(scorer="names", vectors=str(path)))
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("fridge 1 x 0\n", "line 1: 'fridge' is followed by what is no number"),
+        ("the 1 2\nfridge 1 2 3\n", "line 2: 'fridge' has 3 numbers, and the file's first word 2"),
+        ("fridge\n", "'fridge' has 0 numbers"),
+        ("fridge 1 inf 0\n", "not finite"),
+        ("a" * LONGEST, "line 1: longer than"),
+    ],
+)
+def test_what_is_no_such_file_is_told_with_its_line(text: str, said: str, tmp_path: Path) -> None:
+    path = tmp_path / "vectors.txt"
+    path.write_text(text)
+    with pytest.raises(FileFormatError, match=said):
+        read_word_vectors(path, {"fridge"})
+
+
+def test_a_fifo_is_refused_and_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "fifo")
+    with pytest.raises(FileFormatError, match="is a fifo"):
+        read_word_vectors(tmp_path / "fifo", {"fridge"})
+
+
+def test_vectors_are_an_option_of_rank(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "vectors.txt"
+    path.write_text(GLOVE)
+    command = ["rank", "kitchen_small", "fridge", "--vectors", str(path)]
+    assert main([*command, "--scorer", "names"]) == 0
+    assert "cup" in capsys.readouterr().out
+    assert main(command) == 2
+    assert "word vectors are for the scorer names" in capsys.readouterr().err
+    assert main([*command[:-1], str(tmp_path / "none.txt"), "--scorer", "names"]) == 2
+    assert "none.txt: no such file" in capsys.readouterr().err

@@ -1,0 +1,165 @@
+"""Where the real footprint fits: the map and its kernels against plain outlines."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tests.planning.navigation.boxes import room, square
+
+from momapos.core.errors import SceneError
+from momapos.core.geometry.polygons import edge_normals
+from momapos.core.geometry.transforms import apply, invert
+from momapos.model.robots.robot import Robot
+from momapos.model.scene.scene_files import load_scene
+from momapos.planning.navigation.convex_polygons import obstacles_of, prisms_of, thinned
+from momapos.planning.navigation.cost_map import CELL
+from momapos.planning.navigation.footprint_map import (
+    HEADINGS,
+    build_navigation_map,
+    navigation_map_of,
+    with_object_moved,
+)
+from momapos.planning.navigation.judge import FootprintCollisionChecker
+from momapos.planning.navigation.outline_gaps import gaps
+
+CLUTTER = [
+    (0.5, 0.3, 0.6, 0.4, 0.3),
+    (0.5, 0.3, 0.2, 0.2, 0.3),
+    (-1.2, 0.9, 0.8, 0.3, -0.7),
+    (0.1, -1.4, 0.05, 1.0, 1.0),
+    (1.9, -1.7, 0.5, 0.5, 0.0),
+]
+
+
+def test_a_gap_is_positive_where_outlines_do_not_overlap_and_never_above_the_distance(
+    robot: Robot,
+) -> None:
+    nav_map = build_navigation_map(room(CLUTTER), robot)
+    judge = FootprintCollisionChecker(nav_map.prisms, nav_map.obstacles, None)
+    rng = np.random.default_rng(0)
+    poses = np.column_stack([rng.uniform(-2.5, 2.5, (400, 2)), rng.uniform(-3.14, 3.14, 400)])
+    found = gaps(poses, nav_map.prisms, nav_map.obstacles, cap=0.5)
+    distance, touched = judge.distance(poses)
+    free = np.array([not name for name in touched])
+    assert 50 < free.sum() < 350
+    assert ((found > 0) == free).all()
+    assert (found[free] <= distance[free] + 1e-9).all()
+
+
+def test_a_cell_of_the_map_is_free_where_the_footprint_stands_clear_and_on_the_floor(
+    robots: Callable[[str], Robot],
+) -> None:
+    nav_map = build_navigation_map(room(CLUTTER), robots("husky_ur5e"))
+    judge = FootprintCollisionChecker(nav_map.prisms, nav_map.obstacles, nav_map.floor_polygon)
+    rng = np.random.default_rng(1)
+    h, i, j = (rng.integers(n, size=500) for n in nav_map.gap.shape)
+    centers = nav_map.origin + (np.stack([j, i], -1) + 0.5) * CELL
+    _, touched = judge.distance(np.column_stack([centers, HEADINGS[h]]))
+    free = np.array([not name for name in touched])
+    assert 50 < free.sum() < 450
+    assert (nav_map.free[h, i, j] == free).all()
+
+
+def test_leaving_out_what_lies_inside_other_things_changes_no_gap(
+    robots: Callable[[str], Robot],
+) -> None:
+    body = prisms_of(robots("fetch"))
+    everything = obstacles_of(room(CLUTTER), body)
+    fewer = thinned(everything, None)
+    assert len(fewer) < len(everything)
+    rng = np.random.default_rng(2)
+    poses = np.column_stack([rng.uniform(-2, 2, (200, 2)), rng.uniform(-3.14, 3.14, 200)])
+    full = gaps(poses, body, everything)
+    outside = full > 0
+    np.testing.assert_allclose(gaps(poses, body, fewer)[outside], full[outside], atol=1e-12)
+
+
+def test_only_what_is_between_the_floor_and_the_top_of_the_robot_is_in_the_way(
+    robot: Robot,
+) -> None:
+    body = prisms_of(robot)
+    box = [(0.0, 0.0, 1.0, 1.0, 0.0)]
+    assert len(obstacles_of(room(box), body)) > 0
+    above = room(box, low=body.heights[-1] + 0.01, high=body.heights[-1] + 1.0)
+    mat = room(box, low=0.0, high=0.003)
+    assert len(obstacles_of(above, body)) == len(obstacles_of(mat, body)) == 0
+
+
+def test_a_low_base_goes_under_what_its_arm_does_not_touch(
+    robots: Callable[[str], Robot],
+) -> None:
+    husky = robots("husky_ur5e")
+    body = prisms_of(husky)
+    fronts = [float(outline[:, 0].max()) for outline in body.outlines]
+    thin = int(np.argmin(fronts))
+    assert fronts[thin] < fronts[0] - 0.05
+    slab, (low, high) = [(0.0, 0.0, 2.0, 0.1, 0.0)], body.heights[thin : thin + 2]
+    shelf = room(slab, low=low + 0.01, high=high - 0.01)
+    pose = np.array([[0.0, -0.05 - fronts[thin] - 0.01, np.pi / 2]])
+    assert gaps(pose, body, obstacles_of(shelf, body))[0] > 0
+    step = room(slab, high=body.heights[1])
+    assert gaps(pose, body, obstacles_of(step, body))[0] < 0
+
+
+def test_the_prisms_of_a_robot_hold_all_of_it(robots: Callable[[str], Robot]) -> None:
+    for name in ("fetch", "husky_ur5e", "ranger_rm63", "segway_ur5e"):
+        robot = robots(name)
+        body = prisms_of(robot)
+        poses = robot.model.link_poses(dict(zip(robot.arm_joints, robot.home, strict=True)))
+        T_base_root = invert(poses[robot.base_link])
+        assert (np.diff(body.heights) > 0).all()
+        for link, hulls in robot.model.hulls.items():
+            for hull in hulls:
+                points = apply(T_base_root @ poses[link], hull.vertices)
+                for k, outline in enumerate(body.outlines):
+                    low, high = body.heights[k : k + 2]
+                    within = (points[:, 2] > low) & (points[:, 2] < high)
+                    corner, normal = outline, edge_normals(outline)
+                    level = np.einsum("ki,ki->k", corner, normal)
+                    assert (points[within, :2] @ normal.T <= level + 1e-9).all()
+
+
+def test_what_a_wider_prism_meets_as_well_is_asked_of_that_alone(robot: Robot) -> None:
+    body = prisms_of(robot)
+    pillar = room([(0.0, 0.0, 0.1, 0.1, 0.0)], low=0.0, high=body.heights[-1])
+    layers = set(obstacles_of(pillar, body).layer.tolist())
+    for k in range(len(body.outlines)):
+        held = any(body.inside[k, j] for j in layers)
+        assert held or k in layers
+    assert all(not body.inside[a, b] for a in layers for b in layers if a != b)
+
+
+def test_a_room_too_large_to_be_mapped_is_refused(robots: Callable[[str], Robot]) -> None:
+    robot = robots("fetch")
+    body = prisms_of(robot)
+    with pytest.raises(SceneError, match="can be mapped"):
+        navigation_map_of(robot, body, obstacles_of(room([]), body), square(1000.0))
+
+
+@pytest.mark.parametrize("back", [False, True])
+def test_a_map_in_which_an_object_has_moved_is_that_of_the_room_after(
+    robots: Callable[[str], Robot], back: bool
+) -> None:
+    """A drawer is pulled out, or shut; what lies in it stays where it is."""
+    scene, robot = load_scene("kitchen_small"), robots("segway_ur5e")
+    name, joint = "cabinet_right", "drawer_middle_slide"
+    after = scene.with_joint(name, joint, 0.4)
+    if back:
+        scene, after = after, scene
+    outlines = obstacles_of(replace(after, objects=(after.object(name),)), prisms_of(robot))
+    before = build_navigation_map(scene, robot)
+    moved, anew = with_object_moved(before, name, outlines), build_navigation_map(after, robot)
+    rng = np.random.default_rng(2)
+    low, high = anew.obstacles.bounds[:, :2].min(0), anew.obstacles.bounds[:, 2:].max(0)
+    xy = rng.uniform(low - 0.5, high + 0.5, (4000, 2))
+    poses = np.column_stack([xy, rng.uniform(-3.14, 3.14, 4000)])
+    free = gaps(poses, anew.prisms, anew.planning_obstacles) > 0
+    assert (free == (gaps(poses, moved.prisms, moved.planning_obstacles) > 0)).all()
+    every = [gaps(poses, one.prisms, one.obstacles) > 0 for one in (anew, moved)]
+    assert (every[0] == every[1]).all()
+    assert (free != (gaps(poses, before.prisms, before.planning_obstacles) > 0)).any()
+    assert sorted(moved.obstacles.names) == sorted(anew.obstacles.names)
+    assert moved.shape == before.shape

@@ -1,0 +1,191 @@
+"""Where a robot starts: nothing may touch it, its arm at home included."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tests.rooms import Everywhere, cabinet_room
+
+from momapos.core.cache import default_cache_dir
+from momapos.core.errors import SceneError
+from momapos.model.records.plans import PlacementPlan
+from momapos.model.records.tasks import Task
+from momapos.model.robots.robot import Robot, load_robot, read_robot
+from momapos.model.scene.scene import Scene
+from momapos.model.scene.scene_files import load_scene
+from momapos.planning.config import PipelineConfig
+from momapos.planning.grasps.tasks import make_task
+from momapos.planning.navigation.footprint_map import build_navigation_map
+from momapos.planning.navigation.judge import FootprintCollisionChecker
+from momapos.planning.navigation.start import (
+    check_arm_at_home,
+    clear_at_home,
+    outlines_after,
+    touched_at_home,
+)
+from momapos.planning.placement.config import PlaceConfig
+from momapos.planning.plan import plan_base_placement
+from momapos.planning.reachability.map_store import load_reach
+from momapos.verification.exact_check import PlanVerifier
+
+CONFIG = PipelineConfig(place=PlaceConfig(count=256, improve=1), timeout=300.0)
+STRETCHED = np.array([0.15, 0.0, -0.1, 0.0, 0.2, 0.0, 0.2, 0.0])
+"""A state of the Fetch with its arm out in front."""
+
+
+@pytest.fixture(scope="module")
+def wide(tmp_path_factory: pytest.TempPathFactory) -> Robot:
+    """A Fetch that drives with its arm stretched out."""
+    fetch = load_robot("fetch")
+    folder = tmp_path_factory.mktemp("wide")
+    text = fetch.path.read_text()
+    home = next(line for line in text.splitlines() if line.startswith("home"))
+    text = text.replace(home, f"home = {STRETCHED.tolist()}")
+    text = text.replace('"fetch.urdf"', f'"{fetch.model.urdf.path}"')
+    (folder / "wide.toml").write_text(text)
+    return read_robot(folder / "wide.toml")
+
+
+@pytest.fixture
+def room(tmp_path: BasePath) -> Scene:
+    return cabinet_room(tmp_path)
+
+
+def touching(ground_robot: Robot, scene: Scene, pose: np.ndarray) -> str:
+    ground = build_navigation_map(scene, ground_robot)
+    checker = FootprintCollisionChecker(ground.prisms, ground.obstacles, ground.floor_polygon)
+    return checker.distance(pose[None])[1][0]
+
+
+def test_a_start_where_the_arm_at_home_hits_is_refused_though_the_base_is_free(
+    wide: Robot, room: Scene
+) -> None:
+    start = np.array([0.0, -1.0, np.pi / 2])
+    assert touching(wide, room, start).startswith("cabinet/")
+    task = make_task(room, "open", "cabinet")
+    with pytest.raises(SceneError, match="with its arm at home would touch cabinet/"):
+        plan_base_placement(room, wide, task, Everywhere(), start=start, config=CONFIG)
+
+
+def test_a_start_that_is_chosen_leaves_room_for_the_arm_at_home(
+    wide: Robot, tmp_path: BasePath
+) -> None:
+    """A board at the height of the arm is farther from the base than the start's clearance."""
+    board = (
+        ', {"name": "board", "category": "board", "pose": {"xyz": [0.95, -1.5, 0.9], '
+        '"wxyz": [1, 0, 0, 0]}, "box": [0.1, 2.0, 1.2]}'
+    )
+    cabinet_room(tmp_path, extra=board)
+    text = (tmp_path / "room.json").read_text()
+    start = '"start": {"x": 0, "y": -2.5, "yaw": 1.57},'
+    assert start in text
+    (tmp_path / "room.json").write_text(text.replace(start, ""))
+    room = load_scene(tmp_path / "room.json")
+    answer = plan_base_placement(
+        room, wide, make_task(room, "open", "cabinet"), Everywhere(), config=CONFIG
+    )
+    assert touching(wide, room, answer.start) == ""
+
+
+def test_a_plan_holds_its_start_and_a_free_way_to_its_base_pose(
+    robots: Callable[[str], Robot], room: Scene
+) -> None:
+    robot = robots("segway_ur5e")
+    plan = plan_base_placement(
+        room, robot, make_task(room, "open", "cabinet"), Everywhere(), config=CONFIG
+    ).plan
+    assert plan.status == "solved"
+    assert plan.base_path is not None
+    assert room.start is not None
+    np.testing.assert_allclose(plan.start, room.start)
+    np.testing.assert_allclose(plan.base_path[0], plan.start)
+    np.testing.assert_allclose(plan.base_path[-1], plan.base_pose)
+    assert all(touching(robot, room, pose) == "" for pose in plan.base_path[::5])
+    checks = PlanVerifier(room, robot, plan.task).drive_checks(plan)
+    assert len(checks) == 5
+    assert all(check.ok for check in checks)
+
+
+@pytest.mark.parametrize(
+    ("change", "name"),
+    [
+        ({"start": (0.0, -0.3, 0.0), "base_path": None}, "start and way, arm at home"),
+        ({"start": (0.0, -2.6, 1.57)}, "base path from start to base pose"),
+        ({"base_path": np.zeros((0, 3))}, "base path has one to 20 000 poses"),
+    ],
+)
+def test_a_start_or_way_that_is_not_free_fails_the_check(
+    robots: Callable[[str], Robot], room: Scene, change: dict[str, object], name: str
+) -> None:
+    robot = robots("segway_ur5e")
+    plan = plan_base_placement(
+        room, robot, make_task(room, "open", "cabinet"), Everywhere(), config=CONFIG
+    ).plan
+    wrong: PlacementPlan = replace(plan, **change)  # type: ignore[arg-type]
+    checks = PlanVerifier(room, robot, plan.task).drive_checks(wrong)
+    assert name in [check.name for check in checks if not check.ok]
+
+
+def test_a_base_pose_that_cannot_be_driven_to_with_the_arm_at_home_is_no_answer(
+    robots: Callable[[str], Robot], tmp_path: BasePath
+) -> None:
+    """Bars at the height of the arm close the room off; the base would pass under them."""
+    bars = "".join(
+        f', {{"name": "bar{k}", "category": "bar", "pose": {{"xyz": [{x}, {y}, 1.1], '
+        f'"wxyz": [1, 0, 0, 0]}}, "box": [{dx}, {dy}, 0.5]}}'
+        for k, (x, y, dx, dy) in enumerate(
+            [(0, -1.9, 6, 0.05), (0, 0.9, 6, 0.05), (-3, -0.5, 0.05, 2.9), (3, -0.5, 0.05, 2.9)]
+        )
+    )
+    shut = cabinet_room(tmp_path, extra=bars)
+    robot = robots("ranger_rm63")
+    start = np.array([0.0, -3.0, np.pi / 2])
+    config = PipelineConfig(place=PlaceConfig(count=64, rounds=1, grid=False), timeout=60.0)
+    plan = plan_base_placement(
+        shut, robot, make_task(shut, "open", "cabinet"), Everywhere(), start=start, config=config
+    ).plan
+    assert plan.status == "infeasible"
+    reasons = " ".join(plan.candidates.rejections)
+    assert "no way to drive there" in reasons
+
+
+def test_outlines_after_a_task_are_what_the_room_has_of_the_object_then(
+    robots: Callable[[str], Robot], room: Scene
+) -> None:
+    robot, task = robots("segway_ur5e"), make_task(room, "open", "cabinet", to=1.2)
+    assert task.joint is not None
+    after = room.with_joint("cabinet", task.joint, 1.2)
+    nav_map = build_navigation_map(after, robot)
+    rng = np.random.default_rng(0)
+    poses = rng.uniform([-1.5, -1.5, -np.pi], [1.5, 0.5, np.pi], (200, 3))
+    outlines = outlines_after(room, robot, task)
+    clear = clear_at_home(poses, robot, outlines)
+    judge = FootprintCollisionChecker(nav_map.prisms, nav_map.obstacles, None)
+    touched = judge.distance(poses)[1]
+    assert 20 < clear.sum() < 180
+    assert [not name for name in touched] == clear.tolist()
+    assert [touched_at_home(pose, robot, outlines) for pose in poses] == touched
+
+
+def test_a_task_without_a_joint_leaves_nothing_in_the_way(robots: Callable[[str], Robot]) -> None:
+    scene, robot = load_scene("kitchen_small"), robots("segway_ur5e")
+    thing = next(item.name for item in scene.objects if not item.model.joints)
+    outlines = outlines_after(scene, robot, Task("pick", thing))
+    assert not len(outlines)
+    assert clear_at_home(np.zeros((3, 3)), robot, outlines).all()
+    assert touched_at_home(np.zeros(3), robot, outlines) == ""
+
+
+def test_the_next_task_starts_where_a_door_was_opened(robots: Callable[[str], Robot]) -> None:
+    scene, robot = load_scene("kitchen_small"), robots("segway_ur5e")
+    reach = load_reach(robot, default_cache_dir())
+    task = make_task(scene, "open", "fridge", "door_hinge")
+    answer = plan_base_placement(scene, robot, task, reach)
+    assert answer.plan.base_pose is not None
+    assert task.to is not None
+    assert answer.touched_after == ""
+    opened = scene.with_joint("fridge", "door_hinge", task.to)
+    check_arm_at_home(build_navigation_map(opened, robot), np.array(answer.plan.base_pose))

@@ -1,0 +1,25 @@
+"""The cabinet of `rooms.cabinet_room`, as placement wants it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from momapos.model.robots.robot import Robot
+from momapos.planning.config import PipelineConfig
+from momapos.planning.grasps.task_motions import task_motion
+from momapos.planning.grasps.tasks import make_task
+from momapos.planning.placement.area import PlacementGeometry
+from rooms import cabinet_room
+
+
+@pytest.fixture(scope="module")
+def geometry(
+    tmp_path_factory: pytest.TempPathFactory, robots: Callable[[str], Robot]
+) -> PlacementGeometry:
+    scene, robot = cabinet_room(tmp_path_factory.mktemp("room")), robots("segway_ur5e")
+    motion = task_motion(scene, robot, make_task(scene, "open", "cabinet"), PipelineConfig().motion)
+    Ts = np.ascontiguousarray(motion.Ts_world_tool[:, motion.waypoint_steps])
+    return PlacementGeometry(robot, Ts, motion.static, motion.sweep(), scene.floor_polygon, 0.01)

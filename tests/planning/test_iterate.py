@@ -1,0 +1,93 @@
+"""Laws of answers that come one after the other."""
+
+from __future__ import annotations
+
+from itertools import islice, pairwise
+
+import numpy as np
+import pytest
+from tests.rooms import Everywhere
+
+from momapos.core.errors import InputError
+from momapos.model.records.tasks import BaseRegion, Task
+from momapos.model.robots.robot import Robot, load_robot
+from momapos.model.scene.scene import Scene
+from momapos.model.scene.scene_files import load_scene
+from momapos.planning.config import PipelineConfig
+from momapos.planning.grasps.tasks import make_task
+from momapos.planning.iterate import iter_placements
+from momapos.planning.placement.config import PlaceConfig
+from momapos.planning.plan import plan_base_placement
+from momapos.verification.exact_check import PlanVerifier
+
+CONFIG = PipelineConfig(place=PlaceConfig(count=1024), timeout=300.0)
+
+
+@pytest.fixture(scope="module")
+def kitchen() -> Scene:
+    return load_scene("kitchen_small")
+
+
+@pytest.fixture(scope="module")
+def robot() -> Robot:
+    return load_robot("segway_ur5e")
+
+
+@pytest.fixture(scope="module")
+def task(kitchen: Scene) -> Task:
+    return make_task(kitchen, "open", "cabinet_right", "drawer_middle_slide")
+
+
+def test_the_first_is_the_answer_and_the_others_differ_in_order_and_hold(
+    kitchen: Scene, robot: Robot, task: Task
+) -> None:
+    one = plan_base_placement(kitchen, robot, task, Everywhere(), config=CONFIG).plan
+    given = iter_placements(kitchen, robot, task, Everywhere(), config=CONFIG)
+    plans = [answer.plan for answer in islice(given, 6)]
+    given.close()  # type: ignore[attr-defined]
+    assert plans[0].base_pose == one.base_pose
+    assert len({plan.base_pose for plan in plans}) == len(plans) == 6
+    for before, after in pairwise(plans[1:]):
+        assert before.navigation_cost is not None
+        assert after.navigation_cost is not None
+        assert before.navigation_cost <= after.navigation_cost
+    verifier = PlanVerifier(kitchen, robot, task)
+    for plan in plans:
+        assert plan.base_pose is not None
+        assert plan.motion is not None
+        assert verifier.check(plan.base_pose, plan.motion).valid
+        assert plan.base_path is not None
+        np.testing.assert_allclose(plan.base_path[-1], plan.base_pose)
+
+
+def test_they_end_where_the_region_ends(kitchen: Scene, robot: Robot, task: Task) -> None:
+    config = PipelineConfig(place=PlaceConfig(count=512, rounds=1, grid=False), timeout=300.0)
+    every = list(iter_placements(kitchen, robot, task, Everywhere(), config=config))
+    costs = [answer.plan.navigation_cost or 0.0 for answer in every]
+    most = float(np.median(costs))
+    region = BaseRegion(most_driving=most)
+    near = list(iter_placements(kitchen, robot, task, Everywhere(), region=region, config=config))
+    assert 0 < len(near) < len(every)
+    assert all((answer.plan.navigation_cost or 0.0) <= most for answer in near)
+    nowhere = BaseRegion(most_driving=0.0)
+    assert not list(
+        iter_placements(kitchen, robot, task, Everywhere(), region=nowhere, config=config)
+    )
+
+
+def test_the_time_with_the_caller_does_not_count(kitchen: Scene, robot: Robot, task: Task) -> None:
+    now = 0.0
+    config = PipelineConfig(place=PlaceConfig(count=64), timeout=1.0)
+    given = iter_placements(kitchen, robot, task, Everywhere(), config=config, clock=lambda: now)
+    for answer in islice(given, 3):
+        assert answer.plan.status == "solved"
+        now += 100.0
+
+
+def test_a_question_without_a_value_is_refused(kitchen: Scene, robot: Robot) -> None:
+    most = make_task(kitchen, "open", "cabinet_right", "drawer_middle_slide", "max")
+    with pytest.raises(InputError, match="needs a value"):
+        next(iter_placements(kitchen, robot, most, Everywhere(), config=CONFIG))
+    other = PipelineConfig(place=PlaceConfig(method="habitat"))
+    with pytest.raises(InputError, match="habitat"):
+        next(iter_placements(kitchen, robot, most, Everywhere(), config=other))

@@ -1,0 +1,121 @@
+"""How far a part opens from every cell of the floor."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.apps.plots.test_plot import answer_of, size_of, unsolved
+
+from momapos.apps.cli.main import main
+from momapos.apps.plots.opening_plot import (
+    _picture,
+    _picture_alone,
+    draw_opening_map,
+    draw_opening_map_alone,
+)
+from momapos.model.records.tasks import Task
+from momapos.model.robots.robot import Robot, load_robot
+from momapos.model.scene.scene import Scene
+from momapos.model.scene.scene_files import load_scene
+from momapos.planning.base_pose_check import check_base_pose
+from momapos.planning.grasps.tasks import make_task
+from momapos.planning.opening_maps import YAWS, OpeningMap, opening_map
+from momapos.planning.placement.problem import Search
+from momapos.planning.reachability.map_store import load_reach_map
+
+
+@pytest.fixture(scope="module")
+def kitchen() -> Scene:
+    return load_scene("kitchen_small")
+
+
+@pytest.fixture(scope="module")
+def fetch() -> Robot:
+    return load_robot("fetch")
+
+
+@pytest.fixture(scope="module")
+def task(kitchen: Scene) -> Task:
+    return make_task(kitchen, "open", "dishwasher", "door_hinge")
+
+
+@pytest.fixture(scope="module")
+def seen(kitchen: Scene, fetch: Robot, task: Task) -> OpeningMap:
+    return opening_map(kitchen, fetch, task, load_reach_map(fetch), cell=0.4)
+
+
+def pose_of(seen: OpeningMap, row: int, column: int) -> tuple[float, float, float]:
+    x, y = seen.low + seen.cell * (np.array([column, row]) + 0.5)
+    return float(x), float(y), float(seen.yaw[row, column])
+
+
+def test_from_every_colored_cell_the_part_opens_to_its_value(
+    kitchen: Scene, fetch: Robot, task: Task, seen: OpeningMap
+) -> None:
+    cells = np.argwhere(np.isfinite(seen.farthest))
+    assert len(cells) > 3
+    assert len(np.unique(seen.farthest[np.isfinite(seen.farthest)])) > 1
+    for row, column in cells.tolist():
+        assert seen.farthest[row, column] in seen.values
+        one = replace(task, to=float(seen.farthest[row, column]))
+        pose = pose_of(seen, row, column)
+        assert check_base_pose(kitchen, fetch, one, pose, how_far=False).motion is not None
+
+
+def test_a_waypoint_beyond_its_value_no_yaw_of_a_cell_works(
+    kitchen: Scene, fetch: Robot, task: Task, seen: OpeningMap
+) -> None:
+    row, column = np.argwhere(seen.farthest == np.nanmax(seen.farthest))[0].tolist()
+    x, y, _ = pose_of(seen, row, column)
+    beyond = seen.values[np.searchsorted(seen.values, seen.farthest[row, column]) + 1]
+    one = replace(task, to=float(beyond))
+    for yaw in (2 * np.pi / YAWS * np.arange(YAWS) - np.pi).tolist():
+        assert check_base_pose(kitchen, fetch, one, (x, y, yaw), how_far=False).motion is None
+
+
+def test_a_cell_has_the_color_that_stands_beside_its_value(
+    kitchen: Scene, fetch: Robot, seen: OpeningMap, tmp_path: Path
+) -> None:
+    answer = answer_of(kitchen, fetch, "open", "dishwasher", "door_hinge")
+    figure = _picture(kitchen, answer, seen)
+    cells, bar = (axes.images[0] for axes in figure.axes)
+    colors, beside = cells.to_rgba(cells.get_array()), bar.to_rgba(bar.get_array())
+    ticks = figure.axes[1].get_yticks().astype(int)
+    words = [label.get_text() for label in figure.axes[1].get_yticklabels()]
+    assert words == [f"{np.degrees(seen.values[k]):.4g}°" for k in ticks]
+    for row, column in np.argwhere(np.isfinite(seen.farthest)).tolist():
+        k = int(np.searchsorted(seen.values, seen.farthest[row, column]))
+        np.testing.assert_array_equal(colors[row, column], beside[k, 0])
+    assert (colors[np.isnan(seen.farthest)][:, 3] == 0).all()
+    assert len(np.unique(beside[:, 0], axis=0)) == len(seen.values)
+    alone = _picture_alone(seen).axes[0].images[0]
+    np.testing.assert_array_equal(alone.to_rgba(alone.get_array()), colors)
+    path = tmp_path / "map.png"
+    draw_opening_map(kitchen, answer, seen, path)
+    assert size_of(path) == (1600, 1120)
+
+
+def test_a_part_that_opens_from_nowhere_has_a_picture_too(
+    kitchen: Scene, fetch: Robot, seen: OpeningMap, tmp_path: Path
+) -> None:
+    answer = answer_of(kitchen, fetch, "open", "dishwasher", "door_hinge")
+    none = np.empty((0, 0))
+    empty = replace(seen, farthest=none, yaw=none)
+    path = tmp_path / "map.svg"
+    draw_opening_map(kitchen, unsolved(answer, Search()), empty, path)
+    assert path.read_bytes().startswith(b"<?xml")
+    draw_opening_map_alone(empty, path)
+    assert path.read_bytes().startswith(b"<?xml")
+
+
+def test_the_map_is_drawn_only_where_it_is_asked_for(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["place", "open", "kitchen_small", "cabinet_left/drawer_slide", "--to", "5cm"]
+    assert main([*words, "--map", str(tmp_path / "map.txt")]) == 2
+    assert "a picture ends in" in capsys.readouterr().err
+    assert main([*words, "--map", str(tmp_path / "map.png")]) == 0
+    assert size_of(tmp_path / "map.png") == (1600, 1120)

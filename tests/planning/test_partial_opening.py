@@ -1,0 +1,205 @@
+"""Where a part cannot be opened as far as asked, the answer says how far it can, and from where."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.rooms import Everywhere, cabinet_room
+
+from momapos.apps.cli.main import main
+from momapos.core.stopwatch import Stopwatch
+from momapos.model.plan_files.plan_format import read_plan, write_plan
+from momapos.model.records.plans import PlacementPlan
+from momapos.model.robots.robot import Robot, load_robot
+from momapos.model.scene.scene import Scene
+from momapos.model.scene.scene_files import load_scene
+from momapos.planning.base_pose_check import check_base_pose
+from momapos.planning.config import PipelineConfig
+from momapos.planning.grasps.tasks import make_task
+from momapos.planning.max_opening import last_that_works
+from momapos.planning.max_opening_plan import farthest_plan
+from momapos.planning.partial_opening import smaller_opening
+from momapos.planning.placement.config import PlaceConfig
+from momapos.planning.plan import answer, plan_base_placement
+from momapos.planning.query import PlacementQuery
+from momapos.planning.reachability.map_store import load_reach_map
+from momapos.verification.plan_check import verify_files
+
+LID = ["place", "open", "kitchen_small", "dishwasher/door_hinge", "--robot", "fetch"]
+"""The Fetch stands in the way of the dishwasher's lid before it is all the way down."""
+
+
+@pytest.fixture(scope="module")
+def kitchen() -> Scene:
+    return load_scene("kitchen_small")
+
+
+@pytest.fixture(scope="module")
+def fetch() -> Robot:
+    return load_robot("fetch")
+
+
+@pytest.fixture(scope="module")
+def refused(kitchen: Scene, fetch: Robot) -> PlacementPlan:
+    """The lid cannot be opened to 90 degrees."""
+    task, reach = make_task(kitchen, "open", "dishwasher", "door_hinge"), load_reach_map(fetch)
+    answer = plan_base_placement(kitchen, fetch, task, reach)
+    return smaller_opening(answer.plan, kitchen, fetch, reach)
+
+
+def test_an_opening_that_is_too_wide_is_answered_with_one_that_works(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([*LID, "--json", "--out", str(tmp_path / "plan.json")]) == 3
+    shown = json.loads(capsys.readouterr().out)
+    asked = make_task(load_scene("kitchen_small"), "open", "dishwasher", "door_hinge").to
+    assert asked is not None
+    assert 0.2 * asked < shown["feasible_to"] < 0.8 * asked
+    plan = read_plan(tmp_path / "plan.json")
+    assert plan.feasible_to == shown["feasible_to"]
+    assert plan.feasible_from == tuple(shown["feasible_from"].values())
+    degrees = f"{np.degrees(shown['feasible_to']):.0f}"
+    assert main([*LID, "--to", f"{degrees}deg"]) == 0
+    assert f"to {degrees} deg: solved" in capsys.readouterr().out
+
+
+def test_words_say_to_which_value_it_is_infeasible_and_to_which_from_where(
+    capsys: pytest.CaptureFixture[str], refused: PlacementPlan
+) -> None:
+    assert main(LID) == 3
+    assert refused.feasible_to is not None
+    assert refused.feasible_from is not None
+    x, y, yaw = refused.feasible_from
+    to = f"{math.degrees(refused.feasible_to):.0f} deg"
+    pose = f"({x:.3f}, {y:.3f}, {math.degrees(yaw):.1f} deg)"
+    assert f"infeasible  to 90 deg; to {to} from {pose}\n" in capsys.readouterr().out
+
+
+def test_an_answer_says_whether_the_time_was_enough_to_rule_out_more(
+    kitchen: Scene, fetch: Robot, refused: PlacementPlan, tmp_path: Path
+) -> None:
+    reach, found = load_reach_map(fetch), {}
+    for tick in (0.001, 0.1):
+        ticks = itertools.count()
+        plan = smaller_opening(
+            refused, kitchen, fetch, reach, clock=lambda tick=tick, ticks=ticks: tick * next(ticks)
+        )
+        write_plan(plan, tmp_path / "plan.json")
+        assert read_plan(tmp_path / "plan.json").feasible_sure == plan.feasible_sure
+        found[plan.feasible_sure] = plan.feasible_to
+    assert found[False] < found[True]
+
+
+def test_the_base_pose_that_is_named_opens_to_the_value_that_is_named(
+    kitchen: Scene, fetch: Robot, refused: PlacementPlan
+) -> None:
+    assert refused.feasible_from is not None
+    task = replace(refused.task, to=refused.feasible_to)
+    assert check_base_pose(kitchen, fetch, task, refused.feasible_from).motion is not None
+
+
+def test_a_waypoint_beyond_the_value_that_is_named_the_whole_grid_finds_nothing(
+    kitchen: Scene, fetch: Robot, refused: PlacementPlan
+) -> None:
+    assert refused.feasible_to is not None
+    config = PipelineConfig(place=PlaceConfig(method="exhaustive"))
+    step = math.radians(config.motion.waypoint_angle)
+    task = replace(refused.task, to=refused.feasible_to + step)
+    assert plan_base_placement(kitchen, fetch, task, config=config).plan.status == "infeasible"
+
+
+def test_as_far_as_possible_is_a_plan_that_holds_and_no_degree_farther_is_one(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], kitchen: Scene, fetch: Robot
+) -> None:
+    path = tmp_path / "plan.json"
+    assert main([*LID, "--to", "max", "--out", str(path)]) == 0
+    assert "deg, the farthest: solved" in capsys.readouterr().out
+    plan = read_plan(path)
+    assert plan.motion is not None
+    assert plan.task.to == plan.motion.object_q[-1]
+    assert plan.task.farthest
+    assert verify_files(path).valid
+    beyond = replace(plan.task, to=plan.motion.object_q[-1] + math.radians(1.0), farthest=False)
+    assert plan_base_placement(kitchen, fetch, beyond).plan.status == "infeasible"
+
+
+def test_a_part_that_opens_all_the_way_is_opened_to_its_limit(kitchen: Scene, fetch: Robot) -> None:
+    task = make_task(kitchen, "open", "cabinet_left", "drawer_slide", "max")
+    plan = plan_base_placement(kitchen, fetch, task).plan
+    assert plan.status == "solved"
+    assert plan.task.to == kitchen.object("cabinet_left").model.joint("drawer_slide").upper
+
+
+def test_a_search_for_the_farthest_says_whether_its_time_was_enough(tmp_path: Path) -> None:
+    room, robot = cabinet_room(tmp_path), load_robot("segway_ur5e")
+    task, config = make_task(room, "open", "cabinet", "hinge"), PipelineConfig()
+    watch = Stopwatch(lambda: 0.0)
+    query = PlacementQuery(room, robot, task, Everywhere(), None, None, config, 0, watch)
+    values = np.radians([10.0])
+    none, enough = farthest_plan(query, answer, values, within=1, timeout=0.0)
+    assert none is None
+    assert not enough
+    found, enough = farthest_plan(query, answer, values, within=1, timeout=100.0)
+    assert found is not None
+    assert found.plan.task.to == values[0]
+    assert enough
+
+
+def test_a_pose_says_how_far_it_goes_from_there_and_a_bad_one_that_it_does_not(
+    kitchen: Scene, fetch: Robot, refused: PlacementPlan
+) -> None:
+    assert refused.feasible_from is not None
+    assert refused.feasible_to is not None
+    found = check_base_pose(kitchen, fetch, refused.task, refused.feasible_from)
+    assert found.motion is None
+    assert found.farthest is not None
+    assert found.farthest >= refused.feasible_to - 1e-9
+    blocked = check_base_pose(kitchen, fetch, refused.task, (0.6, -0.3, np.pi / 2))
+    assert (blocked.motion, blocked.farthest) == (None, None)
+    brief = check_base_pose(kitchen, fetch, refused.task, refused.feasible_from, how_far=False)
+    assert brief.farthest is None
+    assert brief.reason == found.reason
+
+
+def test_one_base_pose_is_answered_with_its_plan_or_with_the_reason(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], refused: PlacementPlan
+) -> None:
+    assert refused.feasible_from is not None
+    assert refused.feasible_to is not None
+    at = ["--at", ",".join(f"{v:.9f}" for v in refused.feasible_from)]
+    assert main([*LID, *at, "--json"]) == 3
+    no = json.loads(capsys.readouterr().out)
+    assert tuple(no["base_pose"].values()) == pytest.approx(refused.feasible_from)
+    assert no["feasible_to"] >= refused.feasible_to - 1e-9
+    assert no["feasible_from"] == no["base_pose"]
+    assert list(no["candidates"]["rejections"].values()) == [1]
+    to, path = f"{math.degrees(refused.feasible_to):.0f}deg", tmp_path / "plan.json"
+    assert main([*LID, *at, "--to", to, "--out", str(path)]) == 0
+    assert verify_files(path).valid
+    capsys.readouterr()
+    assert main([*LID, "--at", "0.6,-0.3,90deg"]) == 3
+    said = "from (0.600, -0.300, 90.0 deg): the hand hits the floor in every grasp\n"
+    assert said in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("last", range(-1, 20))
+@pytest.mark.parametrize("step", [None, 1, 7])
+@pytest.mark.parametrize("within", [1, 7])
+def test_the_last_index_that_works_is_found(last: int, step: int | None, within: int) -> None:
+    asked: list[int] = []
+
+    def ask(index: int) -> str | None:
+        asked.append(index)
+        return f"{index}" if index <= last else None
+
+    found, answer = last_that_works(ask, -1, 20, within=within, first_step=step)
+    assert last - within < found <= last
+    assert answer == (None if found < 0 else f"{found}")
+    assert len(set(asked)) == len(asked)
+    assert all(0 <= index < 20 for index in asked)

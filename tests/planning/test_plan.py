@@ -1,0 +1,201 @@
+"""Laws of the whole: answers that hold, that repeat, and that move with the room."""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.rooms import Everywhere, cabinet_room, move_scene
+
+from momapos.core.errors import SceneError
+from momapos.model.plan_files.plan_format import plan_to_dict, write_plan
+from momapos.model.robots.robot import Robot
+from momapos.model.scene.scene import Scene
+from momapos.model.scene.scene_files import save_scene
+from momapos.planning.config import PipelineConfig
+from momapos.planning.grasps.tasks import make_task
+from momapos.planning.placement.config import Method, PlaceConfig
+from momapos.planning.plan import plan_base_placement
+from momapos.planning.result import PlacementResult
+from momapos.verification.exact_check import PlanVerifier
+from momapos.verification.plan_check import verify_files
+
+QUICK = PlaceConfig(count=256, improve=1)
+
+
+def ask(
+    scene: Scene, robot: Robot, *, to: float = 1.2, method: Method = "ours", seed: int = 0,
+    verb: str = "open",
+) -> PlacementResult:  # fmt: skip
+    task = make_task(scene, verb, "cabinet", to=to)
+    config = PipelineConfig(place=replace(QUICK, method=method), timeout=120.0)
+    return plan_base_placement(scene, robot, task, Everywhere(), config=config, seed=seed)
+
+
+def test_every_robot_opens_the_cabinet_and_the_plan_holds_from_its_files(
+    robot: Robot, tmp_path: Path
+) -> None:
+    answer = ask(cabinet_room(tmp_path), robot)
+    assert answer.plan.status == "solved", answer.plan.candidates
+    write_plan(answer.plan, tmp_path / "plan.json")
+    report = verify_files(tmp_path / "plan.json")
+    assert report.valid, report.violations
+
+
+def test_the_same_seed_gives_the_same_plan(robots: Callable[[str], Robot], tmp_path: Path) -> None:
+    scene, robot = cabinet_room(tmp_path), robots("segway_ur5e")
+    plans = [plan_to_dict(ask(scene, robot, seed=3).plan) for _ in range(2)]
+    for plan in plans:
+        plan.pop("timing")
+    assert plans[0] == plans[1]
+
+
+def test_an_answer_moves_with_its_room(robots: Callable[[str], Robot], tmp_path: Path) -> None:
+    scene, robot = cabinet_room(tmp_path), robots("segway_ur5e")
+    here = ask(scene, robot)
+    assert here.plan.motion is not None
+    assert here.plan.base_pose is not None
+    x, y, yaw = here.plan.base_pose
+    for shift in ((2.0, -1.0, 0.0), (0.3, 0.7, 0.4)):
+        moved = move_scene(scene, *shift)
+        c, s = np.cos(shift[2]), np.sin(shift[2])
+        carried = (shift[0] + c * x - s * y, shift[1] + s * x + c * y, yaw + shift[2])
+        T = np.eye(4)
+        T[:2, :2], T[:2, 3] = [[c, -s], [s, c]], shift[:2]
+        motion = replace(here.plan.motion, Ts_world_tool=T @ here.plan.motion.Ts_world_tool)
+        assert PlanVerifier(moved, robot, here.plan.task).check(carried, motion).valid
+        there = ask(moved, robot)
+        assert there.plan.base_pose is not None
+        np.testing.assert_allclose(there.plan.base_pose[:2], carried[:2], atol=1e-6)
+
+
+def test_an_opened_plan_closes_backwards(robots: Callable[[str], Robot], tmp_path: Path) -> None:
+    scene, robot = cabinet_room(tmp_path), robots("segway_ur5e")
+    opened = ask(scene, robot).plan
+    assert opened.motion is not None
+    assert opened.base_pose is not None
+    ajar = scene.with_joint("cabinet", "hinge", 1.2)
+    task = make_task(ajar, "close", "cabinet")
+    m = opened.motion
+    back = replace(
+        m, approach=m.q[-1:], q=m.q[::-1], object_q=m.object_q[::-1],
+        Ts_world_tool=m.Ts_world_tool[::-1],
+    )  # fmt: skip
+    assert PlanVerifier(ajar, robot, task).check(opened.base_pose, back).valid
+    closing = ask(ajar, robot, to=0.0, verb="close").plan
+    assert closing.status == "solved"
+
+
+def test_a_handle_above_all_arms_is_infeasible_with_the_reason(
+    robot: Robot, tmp_path: Path
+) -> None:
+    scene = cabinet_room(tmp_path)
+    cabinet = scene.object("cabinet")
+    T = cabinet.T_world_object.copy()
+    T[2, 3] = 2.5
+    high = replace(scene, objects=(replace(cabinet, T_world_object=T),))
+    plan = ask(high, robot).plan
+    assert plan.status == "infeasible"
+    assert plan.motion is None
+    assert any("reach" in reason for reason in plan.candidates.rejections)
+
+
+def test_a_room_with_no_place_to_stand_is_infeasible_because_the_base_is_blocked(
+    robots: Callable[[str], Robot], tmp_path: Path
+) -> None:
+    pile = (
+        ', {"name": "pile", "category": "pile", "pose": {"xyz": [0, -1.5, 0.2],'
+        ' "wxyz": [1, 0, 0, 0]}, "box": [6, 2.4, 0.4]}'
+    )
+    behind = pile.replace("pile", "back").replace("-1.5", "1.5")
+    scene = replace(cabinet_room(tmp_path, extra=pile + behind), start=np.array([6.0, 6.0, 0.0]))
+    plan = ask(scene, robots("segway_ur5e")).plan
+    assert plan.status == "infeasible"
+    assert max(plan.candidates.rejections, key=plan.candidates.rejections.get) in (  # type: ignore[arg-type]
+        "base blocked", "farther than the arm",
+    )  # fmt: skip
+    assert "base blocked" in plan.candidates.rejections
+
+
+@pytest.mark.parametrize("verb", ["open", "pick"])
+def test_a_part_without_room_on_its_way_is_infeasible_with_the_reason(
+    verb: str, robots: Callable[[str], Robot], tmp_path: Path
+) -> None:
+    item = (
+        ', {{"name": "{}", "category": "thing", "pose": {{"xyz": {}, "wxyz": [1, 0, 0, 0]}},'
+        ' "box": {}}}'
+    )
+    extra = {  # a post before the door; a cup 2 cm below a board
+        "open": item.format("post", [-0.1, -0.6, 0.6], [0.04, 0.04, 0.04]),
+        "pick": item.format("cup", [0, -1.5, 0.75], [0.05, 0.05, 0.1])
+        + item.format("board", [0, -1.5, 0.83], [0.3, 0.3, 0.02])
+        + item.format("table", [0, -1.5, 0.35], [0.6, 0.6, 0.7]),
+    }[verb]
+    scene = cabinet_room(tmp_path, extra=extra)
+    task = make_task(scene, verb, "cabinet" if verb == "open" else "cup")
+    plan = plan_base_placement(scene, robots("ranger_rm63"), task, Everywhere()).plan
+    assert plan.status == "infeasible"
+    (reason,) = plan.candidates.rejections
+    if verb == "open":
+        assert reason.startswith("cabinet/door hits post/box at ")
+        assert reason.endswith(" deg on its way from 0 to 90 deg")
+    else:
+        assert reason == "cup/box hits board/box when lifted by 0.03 of 0.05 m"
+
+
+def test_no_time_is_no_answer_and_says_so(robots: Callable[[str], Robot], tmp_path: Path) -> None:
+    scene = cabinet_room(tmp_path)
+    task = make_task(scene, "open", "cabinet")
+    ticks = iter(np.arange(0.0, 1e6, 10.0))
+    answer = plan_base_placement(
+        scene, robots("segway_ur5e"), task, Everywhere(), config=PipelineConfig(timeout=1.0),
+        clock=lambda: float(next(ticks)),
+    )  # fmt: skip
+    assert answer.plan.status == "timeout"
+    assert answer.plan.base_pose is None
+
+
+def test_what_is_read_and_compiled_before_the_search_is_not_its_time(
+    robots: Callable[[str], Robot], tmp_path: Path
+) -> None:
+    scene = cabinet_room(tmp_path)
+    task = make_task(scene, "open", "cabinet")
+    waits = itertools.chain(np.arange(0.0, 8000.0, 1000.0), itertools.repeat(8000.0))
+    config = PipelineConfig(place=QUICK, timeout=120.0)
+    answer = plan_base_placement(
+        scene, robots("segway_ur5e"), task, Everywhere(), config=config,
+        clock=lambda: time.perf_counter() + float(next(waits)),
+    )  # fmt: skip
+    assert answer.plan.status == "solved"
+    assert answer.plan.timing["total"] > 7000.0
+
+
+def test_a_start_inside_furniture_is_refused(
+    robots: Callable[[str], Robot], tmp_path: Path
+) -> None:
+    box = (
+        ', {"name": "table", "category": "table", "pose": {"xyz": [2, -2, 0.3],'
+        ' "wxyz": [1, 0, 0, 0]}, "box": [1, 1, 0.6]}'
+    )
+    scene = cabinet_room(tmp_path, extra=box)
+    task = make_task(scene, "open", "cabinet")
+    with pytest.raises(SceneError, match="would hit table"):
+        plan_base_placement(
+            scene, robots("fetch"), task, Everywhere(), start=np.array([2.0, -2.0, 0.0])
+        )
+
+
+def test_a_saved_scene_gives_the_same_answer(
+    robots: Callable[[str], Robot], tmp_path: Path
+) -> None:
+    from momapos.model.scene.scene_files import load_scene
+
+    scene, robot = cabinet_room(tmp_path), robots("segway_ur5e")
+    save_scene(scene, tmp_path / "again.json")
+    again = load_scene(tmp_path / "again.json")
+    assert ask(scene, robot).plan.base_pose == ask(again, robot).plan.base_pose

@@ -1,0 +1,230 @@
+"""Doors that no single hold opens: pulled ajar, then pushed on from behind."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from tests.rooms import cabinet_room
+
+from momapos.apps.cli.console import summary
+from momapos.apps.plots.answer_plot import waypoints_by_hold
+from momapos.model.plan_files.plan_format import read_plan, write_plan
+from momapos.model.records.plans import Motion, PlacementPlan
+from momapos.model.robots.robot import Robot, load_robot
+from momapos.model.scene.scene import Scene
+from momapos.model.scene.scene_files import load_scene
+from momapos.planning.base_pose_check import check_base_pose
+from momapos.planning.config import PipelineConfig
+from momapos.planning.grasps.config import GraspConfig, MotionConfig
+from momapos.planning.grasps.tasks import make_task
+from momapos.planning.placement.config import PlaceConfig
+from momapos.planning.plan import plan_base_placement
+from momapos.planning.reachability.map_store import load_reach_map
+from momapos.planning.reachability.reach_map import ReachMap
+from momapos.planning.regrasp import every_two_holds, two_hold_searches
+from momapos.planning.result import PlacementResult
+from momapos.planning.robust import unit_offsets
+from momapos.planning.task_setup import PreparedTask, prepare
+from momapos.verification.exact_check import PlanVerifier
+from momapos.verification.plan_check import verify_files
+
+CONFIG = PipelineConfig()
+
+
+@pytest.fixture(scope="module")
+def robot() -> Robot:
+    return load_robot("segway_ur5e")
+
+
+@pytest.fixture(scope="module")
+def reach(robot: Robot, tmp_path_factory: pytest.TempPathFactory) -> ReachMap:
+    return load_reach_map(robot, tmp_path_factory.mktemp("maps"))
+
+
+@pytest.fixture(scope="module")
+def kitchen() -> Scene:
+    return load_scene("kitchen_island")
+
+
+@pytest.fixture(scope="module")
+def answer(kitchen: Scene, robot: Robot, reach: ReachMap) -> PlacementResult:
+    task = make_task(kitchen, "open", "cabinet_back", "door_hinge")
+    return plan_base_placement(kitchen, robot, task, reach)
+
+
+@pytest.fixture(scope="module")
+def plan(answer: PlacementResult) -> PlacementPlan:
+    return answer.plan
+
+
+def motion_of(plan: PlacementPlan) -> Motion:
+    assert plan.motion is not None, plan.status
+    return plan.motion
+
+
+def ready(kitchen: Scene, robot: Robot, item: str, joint: str) -> PreparedTask:
+    task = make_task(kitchen, "open", item, joint)
+    return prepare(kitchen, robot, task, CONFIG, clearance=0.0)
+
+
+def test_a_door_is_pulled_ajar_and_pushed_open_from_one_base_pose(plan: PlacementPlan) -> None:
+    motion = motion_of(plan)
+    pull, push = motion.holds
+    assert (pull.family, push.family) == ("pinch", "push")
+    assert pull.first == 0
+    assert push.last == len(motion.q) - 1
+    between = motion.object_q[pull.last : push.first + 1]
+    assert np.ptp(between) == 0.0
+    assert 0.0 < between[0] < motion.object_q[-1]
+
+
+def test_the_hand_draws_back_before_it_goes_behind_the_door(plan: PlacementPlan) -> None:
+    motion = motion_of(plan)
+    pull, push = motion.holds
+    tool = motion.Ts_world_tool[pull.last : push.first + 1, :3, 3]
+    away = np.linalg.norm(tool - tool[0], axis=1)
+    assert away.max() > CONFIG.motion.grasps.pregrasp - 1e-6
+
+
+def test_both_holds_pass_the_check_of_files(plan: PlacementPlan, tmp_path: Path) -> None:
+    write_plan(plan, tmp_path / "plan.json")
+    report = verify_files(tmp_path / "plan.json")
+    assert not report.violations
+    names = {check.name for check in report.checks}
+    assert "object moves while nothing holds it" in names
+    assert read_plan(tmp_path / "plan.json").motion is not None
+
+
+def test_one_base_pose_is_asked_for_two_holds_as_well(
+    plan: PlacementPlan, kitchen: Scene, robot: Robot, reach: ReachMap
+) -> None:
+    assert plan.base_pose is not None
+    attempt = check_base_pose(kitchen, robot, plan.task, plan.base_pose, reach, how_far=False)
+    assert attempt.motion is not None
+    assert len(attempt.motion.holds) == 2
+
+
+def test_beside_its_base_pose_the_door_opens_in_two_holds_as_well(
+    answer: PlacementResult, kitchen: Scene, robot: Robot, reach: ReachMap
+) -> None:
+    found = answer.tolerance
+    assert found is not None
+    assert found.radius > 0.0
+    size = np.array([found.radius, found.radius, found.turn])
+    for offset in unit_offsets(4, np.random.default_rng(1)):
+        base = np.array(answer.plan.base_pose) + offset * size
+        attempt = check_base_pose(kitchen, robot, answer.plan.task, base, reach, how_far=False)
+        assert attempt.motion is not None, attempt.reason
+        assert len(attempt.motion.holds) == 2
+
+
+def test_a_door_that_would_fall_is_not_let_go(kitchen: Scene, robot: Robot) -> None:
+    assert not list(every_two_holds(ready(kitchen, robot, "dishwasher", "door_hinge"), CONFIG, 0))
+
+
+def test_a_drawer_is_not_pushed_from_behind(kitchen: Scene, robot: Robot) -> None:
+    prepared = ready(kitchen, robot, "cabinet_left", "drawer_top_slide")
+    assert not list(every_two_holds(prepared, CONFIG, 0))
+
+
+def test_a_door_that_is_opened_a_little_needs_no_second_hold(kitchen: Scene, robot: Robot) -> None:
+    task = make_task(kitchen, "open", "cabinet_back", "door_hinge", "25deg")
+    prepared = prepare(kitchen, robot, task, CONFIG, clearance=0.0)
+    assert not list(every_two_holds(prepared, CONFIG, 0))
+
+
+def test_a_door_beside_a_wall_is_pushed_where_no_hand_has_room_to_pull(
+    robot: Robot, reach: ReachMap, tmp_path: Path
+) -> None:
+    wall = (
+        ', {"name": "wall", "category": "wall", "box": [0.1, 0.4, 1.1],'
+        ' "pose": {"xyz": [0.41, -0.6, 0.85], "wxyz": [1, 0, 0, 0]}}'
+    )
+    scene = cabinet_room(tmp_path, extra=wall)
+    task = make_task(scene, "open", "cabinet", to=np.pi / 2)
+    prepared = prepare(scene, robot, task, CONFIG, clearance=0.0)
+    assert "wall" in prepared.no_grasp
+    assert prepared.blocked == ""
+    found = plan_base_placement(scene, robot, task, reach).plan
+    assert [hold.family for hold in motion_of(found).holds] == ["pinch", "push"]
+    assert found.base_pose is not None
+    assert check_base_pose(scene, robot, task, found.base_pose, reach).motion is not None
+
+
+def test_after_a_push_the_arm_comes_home_where_that_is_asked_for(
+    kitchen: Scene, robot: Robot, reach: ReachMap
+) -> None:
+    task = make_task(kitchen, "open", "cabinet_back", "door_hinge")
+    config = PipelineConfig(motion=MotionConfig(home_again=True))
+    plan = plan_base_placement(kitchen, robot, task, reach, config=config).plan
+    motion = motion_of(plan)
+    assert len(motion.holds) == 2
+    assert motion.home is not None
+    np.testing.assert_allclose(motion.home[-1], robot.chain.joint_values(robot.home))
+    assert plan.base_pose is not None
+    assert PlanVerifier(kitchen, robot, task).check(plan.base_pose, motion).valid
+
+
+def test_an_answer_tells_and_draws_both_holds(answer: PlacementResult, tmp_path: Path) -> None:
+    motion = motion_of(answer.plan)
+    words = summary(answer, None)
+    assert "  hold        pinch of bar 'door_handle', by its name;" in words
+    assert "  then        from 40 deg, push at the face of 'door'" in words
+    write_plan(answer.plan, tmp_path / "plan.json")
+    assert motion_of(read_plan(tmp_path / "plan.json")).holds == motion.holds
+    drawn = waypoints_by_hold(answer)
+    assert len(drawn) == len(motion.holds)
+    for points, hold in zip(drawn, motion.holds, strict=True):
+        held = motion.Ts_world_tool[hold.first : hold.last + 1, :3, 3]
+        np.testing.assert_array_equal(points[[0, -1]], held[[0, -1]])
+        assert len(points) == 1 + np.ceil((len(held) - 1) / 4)
+    feasible = [
+        o for outcomes in answer.search.outcomes for o in outcomes if o.status.value == "feasible"
+    ]
+    assert len(feasible) == 1
+
+
+@pytest.mark.parametrize("in_reach", [True, False])
+def test_values_are_asked_in_turn_while_some_base_pose_reaches_both_holds(in_reach: bool) -> None:
+    searches = asked(in_reach, ends=[{b"a"}, {b"a"}, {b"a"}])
+    if in_reach:
+        samples = [(value, "samples", 2) for value in range(3)]
+        assert searches == samples + [(value, "grid", 0) for value in range(3)]
+    else:
+        assert searches == [(0, "samples", 2), (0, "grid", 0)]
+
+
+def test_a_value_that_adds_an_end_is_asked_though_the_one_before_is_out_of_reach() -> None:
+    assert asked(False, ends=[{b"a"}, {b"a", b"b"}, {b"b"}]) == [
+        (0, "samples", 2), (0, "grid", 0), (1, "samples", 2), (1, "grid", 0),
+    ]  # fmt: skip
+
+
+def asked(in_reach: bool, ends: list[set[bytes]]) -> list[tuple[int, str, int]]:
+    """Value, kind and rounds of the searches for values whose second holds have these ends."""
+    ready = (
+        SimpleNamespace(in_reach=in_reach, value=value, ends=frozenset(end))
+        for value, end in enumerate(ends)
+    )
+    return [
+        (two.value, "grid" if place.grid else "samples", place.rounds)  # type: ignore[attr-defined]
+        for two, place in two_hold_searches(ready, PlaceConfig(rounds=2))  # type: ignore[arg-type]
+    ]
+
+
+def test_without_pushing_there_is_no_second_hold_and_no_other_family(
+    kitchen: Scene, robot: Robot
+) -> None:
+    grasps = GraspConfig(families=("pinch",), turning=False)
+    config = PipelineConfig(motion=MotionConfig(grasps=grasps))
+    task = make_task(kitchen, "open", "cabinet_back", "door_hinge")
+    prepared = prepare(kitchen, robot, task, config, clearance=0.0)
+    assert set(prepared.motion.grasps.family) == {"pinch"}
+    assert not len(prepared.motion.turning.groups)
+    assert not list(every_two_holds(prepared, config, 0))
+    hooks = PipelineConfig(motion=MotionConfig(grasps=GraspConfig(families=("suction",))))
+    refused = prepare(kitchen, robot, task, hooks, clearance=0.0)
+    assert "by other grasps than those allowed" in refused.no_grasp

@@ -1,0 +1,48 @@
+"""Films play as they were drawn."""
+
+from __future__ import annotations
+
+import io
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from tests import optional
+
+from momapos.core.errors import InputError, MissingExtraError
+from momapos.simulation.film_files import GIF, MP4, check_film, encoded
+
+RATE = 10.0
+PICTURES = [np.full((48, 64, 3), shade, np.uint8) for shade in (20, 120, 220)]
+
+
+def test_a_gif_has_all_pictures_at_their_rate() -> None:
+    with Image.open(io.BytesIO(encoded(iter(PICTURES), GIF, RATE))) as film:
+        assert film.n_frames == len(PICTURES)
+        assert film.info["duration"] == 1000 / RATE
+        film.seek(2)
+        assert film.convert("L").getpixel((5, 5)) == 220
+
+
+def test_an_mp4_has_all_pictures_at_their_rate() -> None:
+    av = optional.module("av")
+    with av.open(io.BytesIO(encoded(iter(PICTURES), MP4, RATE))) as film:
+        stream = film.streams.video[0]
+        assert stream.codec_context.name == "h264"
+        assert stream.average_rate == RATE
+        shades = [frame.to_ndarray(format="rgb24").mean() for frame in film.decode(video=0)]
+    np.testing.assert_allclose(shades, [20, 120, 220], atol=4)
+
+
+def test_before_the_work_it_is_told_what_no_film_can_be_written_to(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setitem(sys.modules, "av", None)
+    with pytest.raises(MissingExtraError, match=r"pip install 'momapos\[film\]'"):
+        check_film(Path("film.mp4"))
+    with pytest.raises(InputError, match="name it so"):
+        check_film(Path("film.mov"))
+    for name in ("film.gif", "film.PNG"):
+        check_film(Path(name))

@@ -1,0 +1,148 @@
+"""Motions in which the hand lets go, turns, or pushes, in physics."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.simulation.toy import gripping
+from tests.verification.door_case import BASE
+
+from momapos.model.records.plans import Hold as Held
+from momapos.model.records.plans import PlacementPlan
+from momapos.model.robots.robot import Grip, load_robot
+from momapos.model.scene.scene import Scene
+from momapos.model.scene.scene_files import load_scene
+from momapos.model.trajectory import still
+from momapos.planning.base_pose_check import check_base_pose
+from momapos.planning.config import PipelineConfig
+from momapos.planning.grasps.config import GraspConfig, MotionConfig
+from momapos.planning.grasps.tasks import make_task
+from momapos.planning.plan import plan_base_placement
+from momapos.planning.reachability.map_store import load_reach_map
+from momapos.simulation.approach import PacedTrajectory
+from momapos.simulation.config import Ending, ExecutionConfig, Hold, Stage
+from momapos.simulation.dynamics import read_dynamics
+from momapos.simulation.execute import execute
+from momapos.simulation.geoms import HAND, Kind
+from momapos.simulation.simulated_hand import find_hand
+from momapos.simulation.simulated_room import Resistance, Seal
+from momapos.simulation.simulation import Simulation, build_simulation
+from momapos.simulation.stages import ExecutionRun, Stretch
+
+HOLDS = ("contact", pytest.param("weld", marks=pytest.mark.slow))
+
+
+@pytest.fixture(scope="module")
+def kitchen() -> Scene:
+    return load_scene("kitchen_island")
+
+
+@pytest.fixture(scope="module")
+def plans(kitchen: Scene, tmp_path_factory: pytest.TempPathFactory) -> dict[str, PlacementPlan]:
+    robot = load_robot("segway_ur5e")
+    reach = load_reach_map(robot, tmp_path_factory.mktemp("maps"))
+    return {
+        name: plan_base_placement(
+            kitchen, robot, make_task(kitchen, "open", name, "door_hinge"), reach
+        ).plan
+        for name in ("cabinet_back", "fridge")
+    }
+
+
+@pytest.mark.parametrize(
+    ("item", "hold"),
+    [
+        ("fridge", "contact"),
+        pytest.param("fridge", "weld", marks=pytest.mark.slow),
+        pytest.param("cabinet_back", "weld", marks=pytest.mark.slow),
+    ],
+)
+def test_a_door_opens_in_two_holds_and_about_a_bar(
+    item: str, hold: Hold, kitchen: Scene, plans: dict[str, PlacementPlan]
+) -> None:
+    plan = plans[item]
+    assert plan.motion is not None
+    assert plan.base_pose is not None
+    two, turns = len(plan.motion.holds) == 2, plan.motion.holds[0].turn_axis is not None
+    assert (two, turns) == ((True, False) if item == "cabinet_back" else (False, True))
+    done = execute(
+        kitchen, load_robot("segway_ur5e"), plan.base_pose, plan.motion, plan.task,
+        ExecutionConfig(hold=hold), np.random.default_rng(0),
+    )  # fmt: skip
+    assert done.success, done.reason
+    assert done.ending in (Ending.DONE, Ending.STOPPED_AT_END)
+    assert done.hold == hold
+
+
+@pytest.mark.parametrize("hold", HOLDS)
+def test_a_hook_slides_along_a_bar(hold: Hold, tmp_path: Path) -> None:
+    scene, robot = load_scene("kitchen_small"), load_robot("segway_ur5e")
+    hooked, base = replace(robot, grips=Grip.HOOK), (0.300476, -1.502722, -3.024759)
+    config = PipelineConfig(motion=MotionConfig(grasps=GraspConfig(turning=False)))
+    task, reach = make_task(scene, "open", "fridge", "door_hinge"), load_reach_map(robot, tmp_path)
+    motion = check_base_pose(
+        scene, hooked, task, base, reach, how_far=False, config=config
+    ).motion  # fmt: skip
+    assert motion is not None
+    assert "after a slide" in motion.holds[1].words
+    done = execute(
+        scene, hooked, base, motion, task, ExecutionConfig(hold=hold), np.random.default_rng(0)
+    )
+    assert done.success, done.reason
+    assert all(touch.force < 150.0 for touch in done.collisions)
+
+
+def test_a_hand_that_found_a_handle_beside_the_plan_pushes_from_the_plan_later(
+    tmp_path: Path,
+) -> None:
+    toy, config = gripping(tmp_path), ExecutionConfig()
+    assert toy.robot.model.urdf.path is not None
+    dynamics, q = read_dynamics(toy.robot.model.urdf.path), toy.motion.q[0]
+    hand = find_hand(toy.robot, dynamics.mimics)
+    light = Resistance(mass=5.0, friction=0.1, damping=0.1, pull=0.0)
+    world = build_simulation(
+        toy.scene, toy.robot, BASE, q[None], toy.task, hand, dynamics, light, None, config
+    )
+    free = Seal(0.0, 0.0, 0.0, 1.0)
+    run = ExecutionRun(world, toy.motion, toy.task, config, free, None, world, None)
+    run.aside, run.ahead = 0.024, np.array([0.03, 0.0, 0.0])  # as it was found by the first hold
+    there = PacedTrajectory(still(q, 1), np.ones(1), np.zeros(1), np.ones(1))
+    push = Stretch(still(q, 1), toy.motion, Held(0, 0, None, "push"))
+    assert run.go(there, [push]) is Ending.DONE
+
+
+def test_in_two_holds_a_door_opens_and_the_hand_is_slow_beside_things(
+    kitchen: Scene, plans: dict[str, PlacementPlan]
+) -> None:
+    plan, config = plans["cabinet_back"], ExecutionConfig()
+    assert plan.motion is not None
+    assert plan.base_pose is not None
+    ways: list[tuple[float, np.ndarray, bool]] = []
+
+    def watch(world: Simulation, time: float, stage: Stage) -> None:
+        contact = world.data.contact
+        kinds = world.kinds[contact.geom[contact.dist < config.near]]
+        beside = np.isin(kinds, HAND).any(1) & np.isin(kinds, (Kind.PART, Kind.ROOM)).any(1)
+        near = bool(beside.any()) and stage is Stage.MANIPULATE
+        ways.append((time, world.T_world_tool[:3, 3], near))
+
+    assert len(plan.motion.holds) == 2
+    done = execute(
+        kitchen, load_robot("segway_ur5e"), plan.base_pose, plan.motion, plan.task, config,
+        np.random.default_rng(0), watch=watch,
+    )  # fmt: skip
+    assert done.success, done.reason
+    assert done.ending in (Ending.DONE, Ending.STOPPED_AT_END)
+    times, points = np.array([w[0] for w in ways]), np.array([w[1] for w in ways])
+    speed = np.linalg.norm(np.diff(points, axis=0), axis=1) / np.diff(times)
+    beside = np.array([w[2] for w in ways[1:]])
+    assert beside.sum() > 100
+    # It takes some time to brake when it comes beside something, and returns to the plan meanwhile,
+    # where what it then meets was not looked at.
+    came = np.maximum.accumulate(np.where(beside, -np.inf, times[1:]))
+    braked = beside & (times[1:] - came > 0.05)
+    assert speed[braked].max() < 1.5 * config.compliance.beside_speed
+    assert speed.max() > 3.0 * config.compliance.beside_speed

@@ -1,0 +1,182 @@
+"""Laws of the world: the engine's robot and furniture are those of the files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+import trimesh
+from tests.simulation.toy import toy
+from tests.verification.door_case import make_case
+
+from momapos.core.errors import UrdfError
+from momapos.core.geometry.transforms import invert, pose_planar
+from momapos.model.records.tasks import Task
+from momapos.model.robots.robot import Robot
+from momapos.model.scene.scene_files import load_scene
+from momapos.model.urdf.reader import Geometry
+from momapos.simulation.config import ExecutionConfig
+from momapos.simulation.dynamics import read_dynamics, volume
+from momapos.simulation.geoms import Kind, masks
+from momapos.simulation.simulated_hand import find_hand
+from momapos.simulation.simulated_robot import body_of
+from momapos.simulation.simulated_room import Resistance
+from momapos.simulation.simulation import Simulation, build_simulation
+
+BASE = (1.9, -1.6, 1.5)
+LIGHT = Resistance(mass=5.0, friction=0.1, damping=0.1, pull=0.0)
+
+
+def world_of(
+    robot: Robot, efforts: dict[str, float] | None = None, **options: object
+) -> Simulation:
+    """A robot in the small kitchen, in front of its fridge, with other efforts of some joints."""
+    scene, task = load_scene("kitchen_small"), Task("open", "fridge", "door_hinge", 1.0)
+    dynamics = read_dynamics(robot.model.urdf.path)  # type: ignore[arg-type]
+    dynamics = replace(dynamics, efforts={**dynamics.efforts, **(efforts or {})})
+    config = ExecutionConfig(**options)  # type: ignore[arg-type]
+    hand = find_hand(robot, dynamics.mimics)
+    return build_simulation(
+        scene, robot, BASE, robot.home[None], task, hand, dynamics, LIGHT, None, config
+    )
+
+
+def test_links_are_where_the_urdf_has_them(robot: Robot) -> None:
+    world, rng = world_of(robot), np.random.default_rng(0)
+    chain = robot.chain
+    low, high = np.maximum(chain.lower, -3.0), np.minimum(chain.upper, 3.0)
+    for _ in range(5):
+        q = rng.uniform(low, high)
+        world.data.qpos[world.arm_q] = q
+        mujoco.mj_forward(world.model, world.data)
+        poses = robot.model.link_poses(dict(zip(robot.arm_joints, q, strict=True)))
+        T_world_root = pose_planar(np.array(BASE)) @ invert(poses[robot.base_link])
+        for link, T in poses.items():
+            body = world.model.body(body_of(link)).id
+            np.testing.assert_allclose(world.data.xpos[body], (T_world_root @ T)[:3, 3], atol=1e-6)
+            np.testing.assert_allclose(
+                world.data.xmat[body].reshape(3, 3), (T_world_root @ T)[:3, :3], atol=1e-6
+            )
+
+
+def test_the_door_is_where_the_scene_has_it_at_every_opening(
+    robots: Callable[[str], Robot],
+) -> None:
+    world, item = world_of(robots("segway_ur5e")), load_scene("kitchen_small").object("fridge")
+    for value in (0.0, 0.4, 1.2):
+        world.data.qpos[world.part_q] = value
+        mujoco.mj_forward(world.model, world.data)
+        T = item.link_poses({"door_hinge": value})[item.model.joint("door_hinge").child]
+        np.testing.assert_allclose(world.T_world_part, T, atol=1e-6)
+
+
+def test_nothing_touches_where_the_robot_stands_free_at_home(robot: Robot) -> None:
+    world = world_of(robot)
+    assert (world.data.contact.efc_address < 0).all()
+
+
+def test_a_robot_at_rest_stays_where_it_is(robot: Robot) -> None:
+    world = world_of(robot)
+    mujoco.mj_step(world.model, world.data, nstep=250)
+    np.testing.assert_allclose(world.data.qpos[world.arm_q], robot.home, atol=1e-4)
+    np.testing.assert_allclose(world.data.qpos[world.base_q], 0.0, atol=1e-4)
+
+
+def test_an_arm_that_weighs_more_than_its_efforts_bear_is_balanced_and_stays(
+    robots: Callable[[str], Robot],
+) -> None:
+    fetch = robots("fetch")
+    assert world_of(fetch).balanced == ()
+    world = world_of(fetch, {"torso_lift_joint": 30.0})
+    assert world.balanced == ("torso_lift_joint",)
+    mujoco.mj_step(world.model, world.data, nstep=250)
+    np.testing.assert_allclose(world.data.qpos[world.arm_q], fetch.home, atol=1e-3)
+
+
+def test_masses_are_those_of_the_urdf(robot: Robot) -> None:
+    world = world_of(robot)
+    for link, inertia in read_dynamics(robot.model.urdf.path).inertias.items():  # type: ignore[arg-type]
+        assert world.model.body(body_of(link)).mass[0] == pytest.approx(inertia.mass)
+
+
+def test_the_grippers_of_the_library_close_toward_their_middle(robot: Robot) -> None:
+    fingers = find_hand(robot, {}).fingers
+    assert len(fingers) == 2
+    assert all(f.closed != f.open for f in fingers)
+    assert sum(abs(f.closed - f.open) for f in fingers) == pytest.approx(robot.opening, rel=0.05)
+
+
+def test_kinds_meet_both_ways_or_not_at_all() -> None:
+    for touched in (False, True):
+        for one in Kind:
+            for other in Kind:
+                (type_a, with_a), (type_b, with_b) = (
+                    masks(kind, touched=touched) for kind in (one, other)
+                )
+                if {one, other} != {Kind.PAD, Kind.PART}:
+                    assert bool(type_a & with_b) == bool(type_b & with_a)
+                meet = bool(type_a & with_b) or bool(type_b & with_a)
+                assert meet or {one, other} != {Kind.ARM, Kind.ROOM}
+
+
+def test_furniture_that_touches_the_door_in_the_scene_does_not_hold_it(tmp_path: Path) -> None:
+    case = make_case()
+    case.cupboard = case.cupboard.replace('xyz="-0.215', 'xyz="-0.209')
+    done = toy(tmp_path, case).run()
+    assert any("cupboard/body" in note for note in done.notes)
+    assert done.success
+
+
+def test_an_element_of_its_own_object_on_its_way_does_not_hold_a_door_and_another_object_does(
+    tmp_path: Path,
+) -> None:
+    """As the hull of a hollow frame, into which a door swings a little before it comes out."""
+    size, place = "0.06 0.06 0.3", "-0.42 -0.15 -0.2"
+    own = make_case()
+    lump = (
+        f'<collision><origin xyz="{place}"/><geometry><box size="{size}"/></geometry></collision>'
+    )
+    own.cupboard = own.cupboard.replace('<link name="body">', f'<link name="body">{lump}')
+    free = toy(tmp_path / "own", own).run()
+    assert free.success, free.reason
+    assert any("cupboard/body" in note for note in free.notes)
+    other = make_case()
+    at = np.array(place.split(), float) + np.array([0.4, 0.0, 0.8])  # where the cupboard stands
+    other.obstacle([float(v) for v in size.split()], at.tolist())
+    assert not toy(tmp_path / "other", other).run().success
+
+
+@pytest.mark.parametrize(
+    ("shape", "mesh"),
+    [
+        (Geometry("box", (0.2, 0.3, 0.5), np.eye(4)), trimesh.creation.box((0.2, 0.3, 0.5))),
+        (
+            Geometry("cylinder", (0.1, 0.4), np.eye(4)),
+            trimesh.creation.cylinder(0.1, 0.4, sections=256),
+        ),
+        (Geometry("sphere", (0.2,), np.eye(4)), trimesh.creation.icosphere(4, 0.2)),
+    ],
+)
+def test_volumes_are_those_of_meshes(shape: Geometry, mesh: trimesh.Trimesh) -> None:
+    assert volume(shape) == pytest.approx(mesh.volume, rel=0.01)
+
+
+def test_the_volume_of_a_mesh_is_that_of_its_hull(tmp_path: Path) -> None:
+    trimesh.creation.box((0.2, 0.3, 0.5)).export(tmp_path / "box.stl")
+    shape = Geometry("mesh", (1.0, 1.0, 2.0), np.eye(4), mesh=tmp_path / "box.stl")
+    assert volume(shape) == pytest.approx(0.2 * 0.3 * 0.5 * 2.0, rel=1e-4)
+
+
+@pytest.mark.parametrize("value", ["nan", "-3", "1e30", "heavy"])
+def test_a_mass_that_is_none_is_refused(value: str, tmp_path: Path) -> None:
+    path = tmp_path / "robot.urdf"
+    path.write_text(
+        '<robot name="r"><link name="a">'
+        f'<inertial><mass value="{value}"/></inertial></link></robot>'
+    )
+    with pytest.raises(UrdfError, match="mass"):
+        read_dynamics(path)

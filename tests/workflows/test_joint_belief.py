@@ -1,0 +1,257 @@
+"""Laws of what a hand that pulls a part learns of how it moves."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from tests.rooms import Everywhere
+
+from momapos.apps.cli.console import summary
+from momapos.apps.cli.plan_sources import open_plan
+from momapos.core.errors import TaskError
+from momapos.core.geometry.transforms import apply
+from momapos.core.geometry.upright_boxes import UprightBox
+from momapos.model.plan_files.plan_format import write_plan
+from momapos.model.records.scans import Detection, FaceImage, Part, PartKind
+from momapos.model.records.tasks import Task
+from momapos.model.robots.robot import load_robot
+from momapos.model.scene.scene import Scene
+from momapos.model.scene.scene_files import load_scene
+from momapos.perception.reconstruction.object_model import ModelConfig, furniture_model
+from momapos.perception.reconstruction.scene_builder import build_scene
+from momapos.planning.config import PipelineConfig
+from momapos.planning.grasps.tasks import make_task
+from momapos.planning.plan import plan_base_placement
+from momapos.planning.result import PlacementResult
+from momapos.simulation.config import ComplianceConfig, Ending
+from momapos.verification.plan_check import verify_files
+from momapos.workflows.joint_belief import (
+    PROBABLE,
+    JointBeliefs,
+    ask_in_turn,
+    joint_beliefs,
+    save_learned,
+)
+from momapos.workflows.run import run_plan
+
+CONFIG = ComplianceConfig()
+Odds = tuple[tuple[PartKind, float], ...]
+MIDDLE = (0.6, 0.4, 0.66, 0.6)
+NEAR, FAR = 0.87, 0.75
+
+
+def room(
+    folder: Path,
+    odds: Odds,
+    handle: tuple[float, float, float, float] = MIDDLE,
+    *,
+    post: float | None = None,
+    turn: float = np.pi / 2,
+) -> Scene:
+    """A cupboard before a robot, its one part believed to move in some ways.
+
+    A post stands before it at an x [m]: at `NEAR` in the way of a drawer and of a door hinged at
+    the right, at `FAR` of such a door alone. A hinged part turns by `turn` at most [rad].
+    """
+    pixels = (240, 240)
+    color = np.full((*pixels, 3), 200, np.uint8)
+    face = FaceImage(color, np.full(pixels, np.nan, np.float32), 0.6, 0.6)
+    part = Part(odds[0][0], (0.0, 0.0, 1.0, 1.0), 0.9, handle, odds)
+    box = UprightBox(np.array([1.5, 0.0, 0.8]), np.array([0.6, 0.5, 0.6]), -np.pi / 2)
+    found = Detection("cupboard", "cabinet", 0.9, box, np.arange(3))
+    piece = furniture_model(found, np.pi, face, [part], ModelConfig(turn=turn), beside=(None, None))
+    floor = [(-2.0, -2.0), (2.0, -2.0), (2.0, 2.0), (-2.0, 2.0)]
+    box = UprightBox(np.array([post or 0.0, -0.21, 0.75]), np.array([0.04, 0.04, 1.5]), 0.0)
+    posts = [Detection("post", "post", 0.9, box, np.arange(3))]
+    folder.mkdir()
+    out = folder / "scene.json"
+    posts = [] if post is None else posts
+    build_scene([found, *posts], {"cupboard": piece}, floor, out, start=(0.0, 0.0, 0.0))
+    return load_scene(out)
+
+
+def beliefs_of(scene: Scene) -> JointBeliefs:
+    (joint,) = scene.object("cupboard").model.joints
+    return JointBeliefs(joint_beliefs(scene, make_task(scene, "open", "cupboard", joint)), CONFIG)
+
+
+ALL: Odds = (("door_right", 0.55), ("door_left", 0.25), ("drawer", 0.12), ("door_down", 0.08))
+
+
+@pytest.fixture(scope="module")
+def guessed(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    return room(tmp_path_factory.mktemp("beliefs") / "guessed", ALL)
+
+
+@settings(max_examples=20, deadline=None)
+@given(
+    index=st.integers(0, 3), length=st.floats(0.15, 0.25), seed=st.integers(0, 1000),
+    handle=st.tuples(st.floats(-0.2, 0.2), st.floats(-0.05, 0.2)),
+)  # fmt: skip
+def test_a_hand_that_goes_the_way_of_a_joint_makes_it_the_likeliest(
+    guessed: Scene, index: int, length: float, seed: int, handle: tuple[float, float]
+) -> None:
+    beliefs = beliefs_of(guessed)
+    axis = beliefs.beliefs[index].axis
+    start = np.array([1.22, handle[0], 0.8 + handle[1]])
+    values = np.linspace(0.0, length / axis.lever_at(start), 30)
+    if values[-1] > 1.5:  # no part opens so far
+        return
+    noise = np.random.default_rng(seed).normal(0.0, 1e-3, (30, 3))
+    way = [apply(axis.moved(v), start[None])[0] + e for v, e in zip(values, noise, strict=True)]
+    other = beliefs.fail(way)
+    weights = [belief.log_weight for belief in beliefs.beliefs]
+    if index == 0:
+        assert not beliefs_of(guessed).speaks_against(way)
+    else:
+        assert other is not None
+        assert (other.way.kind, int(np.argmax(weights))) == (ALL[index][0], index)
+        assert other.moved == pytest.approx(values[-1], abs=0.03 / axis.lever_at(start))
+
+
+def test_a_part_that_does_not_yield_is_taken_for_the_next_likely_kind(guessed: Scene) -> None:
+    beliefs, held = beliefs_of(guessed), [np.array([1.22, 0.1, 0.8])]
+    tried = [beliefs.kind]
+    for _ in range(3):
+        beliefs.fail(held)
+        tried.append(beliefs.kind)
+    assert tried == ["door_right", "door_left", "drawer", "door_down"]
+
+
+def test_a_hand_that_does_not_find_the_part_again_learns_no_way_but_doubts(guessed: Scene) -> None:
+    beliefs = beliefs_of(guessed)
+    assert not beliefs.moved
+    before = beliefs.beliefs
+    other = beliefs.fail(())
+    assert other is not None
+    assert other.way.kind == "door_left"
+    assert [b.moved for b in beliefs.beliefs] == [b.moved for b in before]
+    beliefs.fail([np.array([1.22 - 0.01 * k, 0.1, 0.8]) for k in range(10)])
+    assert beliefs.moved
+
+
+def test_the_ways_are_ranked_by_what_the_hand_did_and_the_one_tried_is_marked(
+    guessed: Scene,
+) -> None:
+    beliefs = beliefs_of(guessed)
+    pulled = [np.array([1.22 - 0.01 * k, 0.1, 0.8]) for k in range(25)]
+    ranked = beliefs.ranked(pulled)
+    assert len(ranked) == len(ALL)
+    assert ranked.count(None) == 1
+    assert ranked[0] is not None
+    assert ranked[0].way.kind == "drawer"
+    weights = [belief.log_weight for belief in ranked if belief is not None]
+    assert weights == sorted(weights, reverse=True)
+
+
+def test_a_way_that_is_given_up_is_not_tried_again(guessed: Scene) -> None:
+    beliefs, held = beliefs_of(guessed), [np.array([1.22, 0.1, 0.8])]
+    tried = [beliefs.kind]
+    while (other := beliefs.give_up()) is not None:
+        tried.append(other.way.kind)
+        assert beliefs.kind == tried[-1]
+    assert tried == [kind for kind, _ in ALL]
+    assert beliefs.fail(held) is None
+
+
+def test_an_improbable_way_is_not_tried_where_the_others_are_given_up(tmp_path: Path) -> None:
+    beliefs = beliefs_of(room(tmp_path / "sure", (("door_right", 0.995), ("drawer", 0.005))))
+    assert beliefs.give_up() is None
+    assert beliefs.kind == "door_right"
+
+
+def test_where_the_scene_knows_how_a_part_moves_nothing_else_is_tried(tmp_path: Path) -> None:
+    beliefs = beliefs_of(room(tmp_path / "known", (("door_left", 1.0),)))
+    way = [np.array([1.22 - 0.01 * k, 0.001 * k, 0.8]) for k in range(20)]
+    assert beliefs.kind == ""
+    assert not beliefs.speaks_against(way)
+    assert beliefs.ranked(way) == [None]
+    assert beliefs.fail(way) is None
+    assert beliefs.give_up() is None
+
+
+def test_a_door_hinged_at_the_other_side_than_believed_is_opened_and_remembered(
+    tmp_path: Path,
+) -> None:
+    guessed = room(tmp_path / "guessed", (("door_right", 0.7), ("door_left", 0.3)))
+    really = room(tmp_path / "really", (("door_left", 1.0),))
+    robot = load_robot("segway_ur5e")
+    task = make_task(guessed, "open", "cupboard", "door_hinge")
+    plan = plan_base_placement(guessed, robot, task, Everywhere(), config=PipelineConfig()).plan
+    record = run_plan(plan, guessed, robot, Everywhere(), world=really)
+    assert record.success, record.reason
+    assert record.kinds[0] == "door_right"
+    assert record.kinds[-1] == "door_left"
+    assert [one.ending for one in record.failed] == [Ending.OTHERWISE]
+    assert record.failed[0].reached == pytest.approx(0.0, abs=0.02)  # brought back
+    assert record.execution is not None
+    learned = save_learned(record, guessed, tmp_path / "learned" / "scene.json")
+    assert learned is not None
+    item = load_scene(tmp_path / "learned" / "scene.json").object("cupboard")
+    ((way,),) = item.hypotheses.values()
+    assert (way.kind, way.probability) == ("door_left", 1.0)
+    true = really.object("cupboard").model.joint("door_hinge")
+    assert np.linalg.norm(np.array(way.point[:2]) - true.T_parent_joint[:2, 3]) < 0.01
+    assert np.array(way.axis) @ true.axis > np.cos(np.radians(2.0))
+    assert item.values()["door_hinge"] == pytest.approx(record.execution.reached, abs=0.02)
+    failed = replace(record, execution=record.failed[0])
+    assert save_learned(failed, guessed, tmp_path / "none.json") is None
+    assert not (tmp_path / "none.json").exists()
+
+
+def test_where_the_likeliest_way_has_no_plan_the_next_is_planned_verified_and_carried_out(
+    tmp_path: Path,
+) -> None:
+    odds: Odds = (("drawer", 0.5), ("door_right", 0.3), ("door_left", 0.2))
+    guessed = room(tmp_path / "guessed", odds, post=NEAR)
+    really = room(tmp_path / "really", (("door_left", 1.0),), post=NEAR)
+    robot, asked = load_robot("segway_ur5e"), list[str]()
+
+    def ask(scene: Scene, task: Task) -> list[PlacementResult]:
+        asked.append(scene.object("cupboard").hypotheses["drawer_slide"][0].kind)
+        return [plan_base_placement(scene, robot, task, Everywhere())]
+
+    first = make_task(guessed, "open", "cupboard", "drawer_slide")
+    _, _, (answer,) = ask_in_turn(guessed, first, ask)
+    assert asked == ["drawer", "door_right", "door_left"]
+    assert answer.plan.scene_hypotheses == {"cupboard": {"drawer_slide": 2}}
+    assert "taken       for a door_left" in summary(answer, None)
+    write_plan(answer.plan, tmp_path / "plan.json")
+    assert verify_files(tmp_path / "plan.json").valid
+    plan, again, _ = open_plan(tmp_path / "plan.json", None, None, "to execute")
+    assert again.object("cupboard").model.joint("drawer_slide").kind == "revolute"
+    record = run_plan(plan, again, robot, Everywhere(), world=really)
+    assert record.success, record.reason
+
+
+@pytest.mark.slow
+def test_a_run_goes_on_to_the_next_way_where_the_likeliest_has_no_plan(tmp_path: Path) -> None:
+    odds: Odds = (("drawer", 0.5), ("door_right", 0.3), ("door_left", 0.2))
+    guessed = room(tmp_path / "guessed", odds, post=FAR)
+    stuck = room(tmp_path / "stuck", (("door_right", 1.0),), turn=0.01)
+    robot = load_robot("segway_ur5e")
+    task = make_task(guessed, "open", "cupboard", "drawer_slide")
+    plan = plan_base_placement(guessed, robot, task, Everywhere(), config=PipelineConfig()).plan
+    assert plan.status == "solved"
+    record = run_plan(plan, guessed, robot, Everywhere(), world=stuck, tries=2)
+    assert record.kinds == ("drawer", "door_left")
+
+
+def test_where_no_way_has_a_plan_the_answer_is_about_the_likeliest(guessed: Scene) -> None:
+    task = make_task(guessed, "open", "cupboard", "door_hinge")
+    asked = list[str]()
+
+    def refuse(scene: Scene, _: Task) -> list[PlacementResult]:
+        asked.append(scene.object("cupboard").hypotheses["door_hinge"][0].kind)
+        raise TaskError(f"no hand holds a {asked[-1]}")
+
+    with pytest.raises(TaskError, match="no hand holds a door_right"):
+        ask_in_turn(guessed, task, refuse)
+    assert asked == [kind for kind, share in ALL if share >= PROBABLE]
+    likely = guessed.object("cupboard").hypotheses["door_hinge"]
+    assert len(asked) == len(likely)

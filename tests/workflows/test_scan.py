@@ -1,0 +1,421 @@
+"""A kitchen is rendered, scanned, made into a scene, and opened."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from momapos import PipelineConfig, PlaceConfig, load_reach_map, load_robot
+from momapos.apps.cli.main import main
+from momapos.apps.cli.scan_report import report_to_dict, write_report
+from momapos.apps.synthetic_scans.depth_sensor import DepthSensor
+from momapos.apps.synthetic_scans.recording import synthetic_scan, write_scan
+from momapos.core.errors import InputError, UnknownNameError
+from momapos.core.geometry.transforms import apply
+from momapos.core.geometry.upright_boxes import UprightBox
+from momapos.model.records.scans import Cloud, FaceImage, Front, ImageDetection, Instance, Scan
+from momapos.model.scene.scene_files import load_scene
+from momapos.perception.modeling import decide
+from momapos.perception.pipeline import cloud_after, model_room, survey
+from momapos.perception.reconstruction.front_network import FrontNetwork
+from momapos.perception.reconstruction.scene_builder import GivenModel
+from momapos.perception.reconstruction.templates import TemplatePredictor
+from momapos.perception.recordings.scan_reader import read_scan
+from momapos.perception.records import Modeled, ScanConfig, Survey, Tools
+from momapos.perception.segmentation.pointing import PointAt
+from momapos.perception.segmentation.segmenter import ClassicalSegmenter
+from momapos.planning.grasps.tasks import hand_path, openable
+from momapos.planning.importance.config import ImportanceConfig
+from momapos.workflows.scan import scan_to_scene
+from momapos.workflows.solve import ScanTask, solve_scan
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A scan of a built-in kitchen in a folder."""
+    path = tmp_path_factory.mktemp("scan") / "kitchen"
+    kitchen = load_scene("kitchen_small")
+    write_scan(synthetic_scan(kitchen, frames=40, seed=3, sensor=DepthSensor()), path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def scan(folder: Path) -> Scan:
+    return read_scan(folder)
+
+
+@pytest.fixture(scope="module")
+def tools() -> Tools:
+    network = FrontNetwork()
+    return Tools(ClassicalSegmenter(), network, network, TemplatePredictor())
+
+
+@pytest.fixture(scope="module")
+def seen(scan: Scan, tools: Tools) -> Survey:
+    return survey(scan, tools)
+
+
+@pytest.fixture(scope="module")
+def made(seen: Survey, tools: Tools, tmp_path_factory: pytest.TempPathFactory) -> Modeled:
+    return model_room(seen, tmp_path_factory.mktemp("made") / "scene.json", tools)
+
+
+def true_fridge(folder: Path) -> UprightBox:
+    truth = json.loads((folder / "truth.json").read_text())
+    fridge = next(o for o in truth["objects"] if o["category"] == "fridge")
+    return UprightBox(np.array(fridge["center"]), np.array(fridge["size"]), fridge["yaw"])
+
+
+def nearest(made: Modeled, box: UprightBox) -> str:
+    gaps = {
+        d.detection.name: np.linalg.norm(d.detection.box.center - box.center)
+        for d in made.decisions
+    }
+    return min(gaps, key=lambda name: gaps[name])
+
+
+def same_door(made: Modeled, folder: Path) -> tuple[str, str, float]:
+    """The fridge of the scan, its door that is the true one, and how far its handle strays [m]."""
+    truth, scene = load_scene("kitchen_small"), load_scene(str(made.scene))
+    name = nearest(made, true_fridge(folder))
+    ours = apply(made.T_scene_scan, hand_path(truth, "fridge", "door_hinge", np.pi / 2))
+    gaps = {
+        joint: float(np.linalg.norm(hand_path(scene, name, joint, np.pi / 2) - ours, axis=1).max())
+        for item, joint in openable(scene)
+        if item == name
+    }
+    door = min(gaps, key=lambda joint: gaps[joint])
+    return name, door, gaps[door]
+
+
+def test_the_fridge_of_a_scan_opens_where_the_true_one_does(made: Modeled, folder: Path) -> None:
+    _, _, gap = same_door(made, folder)
+    assert gap < 0.06
+
+
+def test_a_scan_becomes_a_scene_in_which_a_robot_opens_the_fridge(
+    made: Modeled, folder: Path, tmp_path: Path
+) -> None:
+    name, door, _ = same_door(made, folder)
+    plan = tmp_path / "plan.json"
+    what = f"{name}/{door}"
+    words = ["place", "open", str(made.scene), what, "--robot", "segway_ur5e", "--out", str(plan)]
+    assert main(words) == 0
+    assert json.loads(plan.read_text())["status"] == "solved"
+
+
+@pytest.mark.parametrize(
+    ("thing", "label", "kinds"),
+    [
+        ("dishwasher", "cabinet", {"door_down"}),
+        pytest.param("fridge", "fridge", {"door_right"}, marks=pytest.mark.slow),
+    ],
+)
+def test_an_appliance_whose_front_returns_no_depth_is_completed_and_told(
+    scan: Scan, tools: Tools, thing: str, label: str, kinds: set[str], tmp_path: Path
+) -> None:
+    low, high = load_scene("kitchen_small").object(thing).bounds
+    front = np.array([low - 0.02, [high[0] + 0.02, low[1] + 0.14, high[2] + 0.02]])
+    dark = []
+    for frame in scan.frames:
+        assert frame.depth is not None
+        v, u = np.nonzero(frame.depth)
+        rays = np.column_stack([u, v, np.ones(len(u))]) @ np.linalg.inv(frame.intrinsics).T
+        points = apply(frame.T_world_camera, rays * frame.depth[v, u][:, None])
+        on = ((points > front[0]) & (points < front[1])).all(axis=1)
+        depth = frame.depth.copy()
+        depth[v[on], u[on]] = 0.0
+        dark.append(replace(frame, depth=depth))
+    made = scan_to_scene(replace(scan, frames=tuple(dark)), tmp_path / "scene.json", tools)
+    middle = apply(made.T_scene_scan, ((low + high) / 2)[None])[0]
+    name = nearest(made, UprightBox(middle, high - low))
+    (found,) = [d for d in made.decisions if d.detection.name == name]
+    assert found.detection.label == label
+    assert np.abs(found.detection.box.center - middle)[:2].max() < 0.05
+    assert found.detection.seen is not None
+    assert found.detection.seen < 0.2
+    assert {part.kind for part in found.parts} == kinds
+    assert any("no depth" in text and name in text for text in found.warnings)
+    told = next(o for o in report_to_dict(made, scan, None)["objects"] if o["name"] == name)
+    assert told["completed"] == pytest.approx(found.detection.completed, abs=1e-3)
+
+
+def test_only_what_matters_for_the_target_is_modeled(
+    made: Modeled, scan: Scan, tools: Tools, folder: Path, tmp_path: Path
+) -> None:
+    target = nearest(made, true_fridge(folder))
+    result = scan_to_scene(scan, tmp_path / "scene.json", tools, target=target)
+    assert result.decisions[[d.detection.name for d in result.decisions].index(target)].model
+    for decision in result.decisions:
+        assert decision.model is None or (decision.importance or 0.0) >= 0.45
+    left_out = [d for d in result.decisions if "importance" in d.reason]
+    assert left_out
+    assert all(d.view is None for d in left_out)
+    few = replace(scan, frames=scan.frames[:12])
+    with pytest.raises(UnknownNameError, match="object"):
+        scan_to_scene(few, tmp_path / "other.json", tools, target="frigde")
+    assert not (tmp_path / "other.json").exists()
+
+
+def test_boxes_that_someone_gives_are_taken_and_given_models_too(
+    scan: Scan, tools: Tools, folder: Path, tmp_path: Path
+) -> None:
+    box = true_fridge(folder)
+    given = Tools(lambda _: [Instance("fridge", 1.0, box=box)], tools.look, tools.predict)
+    kitchen = load_scene("kitchen_small").object("fridge")
+    assert kitchen.model.urdf.path is not None
+    models = {"fridge": GivenModel(kitchen.model.urdf.path)}
+    result = scan_to_scene(scan, tmp_path / "scene.json", given, given=models)
+    scene = load_scene(str(result.scene))
+    assert [d.source for d in result.decisions if not d.reason] == ["given"]
+    found = scene.object("fridge_1")
+    assert set(found.model.joints) == set(kitchen.model.joints)
+    assert np.abs(found.bounds - kitchen.bounds).max() < 0.06
+
+
+@pytest.mark.slow
+def test_what_a_thing_is_may_be_seen_said_or_pointed_at(
+    scan: Scan, tools: Tools, made: Modeled, folder: Path, tmp_path: Path
+) -> None:
+    fridge = true_fridge(folder)
+    name, at = nearest(made, fridge), apply(made.T_scene_scan, fridge.center[None])[0]
+    there = PointAt((float(at[0]), float(at[1]), float(at[2])))
+
+    class Blind:
+        labels = frozenset({"fridge", "oven", "microwave", "cup", "apple", "bottle", "bowl"})
+
+        def __call__(self, color: np.ndarray) -> list[ImageDetection]:
+            del color
+            return []
+
+    only = ImportanceConfig(alpha=1.0)
+    unseen = scan_to_scene(
+        scan, tmp_path / "a.json", replace(tools, detect=Blind()), target=there, importance=only
+    )
+    assert not {d.detection.label for d in unseen.decisions} & Blind.labels
+    assert unseen.target == nearest(unseen, fridge)
+    said = scan_to_scene(
+        scan,
+        tmp_path / "b.json",
+        tools,
+        target=there,
+        labels={name: "wine cellar"},
+        importance=only,
+    )
+    assert said.target == "wine_cellar_1"
+    (item,) = (d.detection for d in said.decisions if d.detection.name == said.target)
+    assert (item.label_from, item.score) == ("given", 1.0)
+
+
+def test_how_a_doubtful_part_opens_is_told_by_a_label_that_is_believed(
+    seen: Survey, tools: Tools, folder: Path
+) -> None:
+    def doubtful(face: FaceImage, label: str) -> Front:
+        front = tools.look(face, label)
+        odds = (("drawer", 0.5), ("door_down", 0.4), ("door_left", 0.1))
+        return replace(
+            front, parts=tuple(replace(part, kind="drawer", odds=odds) for part in front.parts)
+        )
+
+    unsure = replace(tools, look=doubtful, predict=doubtful)
+    gaps = [
+        float(np.linalg.norm(item.box.center - true_fridge(folder).center))
+        for item in seen.detections
+    ]
+    fridge = seen.detections[int(np.argmin(gaps))]
+    for label, source, kind in (
+        ("oven", "given", "door_down"),
+        ("oven", "detector", "door_down"),
+        ("oven", "size", "drawer"),
+        ("fridge", "detector", "drawer"),
+        ("cabinet", "given", "drawer"),
+    ):
+        item = replace(fridge, label=label, label_from=source, score=1.0)
+        parts = decide(item, None, seen, unsure, {}, ScanConfig()).parts
+        assert {part.kind for part in parts} == {kind}
+    hung = next(item for item in seen.detections if item.name.startswith("wall"))
+    parts = decide(hung, None, seen, unsure, {}, ScanConfig()).parts
+    assert {part.kind for part in parts} == {"door_left"}  # nothing slides above the eyes
+
+
+def test_how_sure_a_scan_is_stands_in_its_scene(made: Modeled) -> None:
+    scene = load_scene(str(made.scene))
+    assert scene.warnings == ()
+    for decision in made.decisions:
+        sure = scene.object(decision.detection.name).confidence
+        if decision.reason == "a wall":
+            assert sure is None
+            continue
+        assert sure is not None
+        assert sure.object == pytest.approx(decision.detection.seen, abs=1e-3)
+        assert sure.label == pytest.approx(decision.detection.score, abs=1e-3)
+        joints = scene.object(decision.detection.name).model.joints
+        assert set(sure.joints) == set(joints)
+        assert all(0 < value <= 1 for value in (*sure.joints.values(), *sure.handles.values()))
+
+
+def test_the_report_says_why_everything_is_what_it_is(
+    made: Modeled, scan: Scan, tmp_path: Path
+) -> None:
+    data = report_to_dict(made, scan, None)
+    out = tmp_path / "scene.json"
+    folder = write_report(replace(made, scene=out), data, made.scene, pictures=True)
+    assert folder is not None
+    report = json.loads((made.scene.parent / "scan_report.json").read_text())
+    assert report["format"] == "momapos-scan-report"
+    looked_at = [item for item in report["objects"] if item["view"] is not None]
+    assert {f"{item['name']}.png" for item in looked_at} == {p.name for p in folder.glob("*.png")}
+    for item in report["objects"]:
+        assert item["modelled"] == (item["reason"] is None)
+        assert len(item["parts"]) > 0 or not item["modelled"]
+
+
+def test_an_empty_room_is_refused(scan: Scan, tools: Tools, tmp_path: Path) -> None:
+    nothing = replace(tools, segment=lambda _: [])
+    with pytest.raises(InputError, match="nothing was found"):
+        scan_to_scene(scan, tmp_path / "scene.json", nothing)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_command_prints_one_object_of_json(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "scene.json"
+    words = [
+        "scan",
+        str(folder),
+        "--out",
+        str(out),
+        "--json",
+        "--no-pictures",
+        "--max-frames",
+        "20",
+    ]
+    assert main(words) == 0
+    data = json.loads(capsys.readouterr().out)
+    assert data["frames"] == 20
+    assert len(load_scene(str(out)).objects) == len(data["objects"])
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["nowhere"], "nowhere"),
+        (["SCAN", "--predictor", "urdformer"], "--checkpoint"),
+        (["SCAN", "--models", "fridge"], "NAME=FILE"),
+        (["SCAN", "--instances", "missing.json"], "missing.json"),
+        (["SCAN", "--target", "frigde"], "frigde"),
+    ],
+)
+def test_wrong_words_end_in_one_line(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], words: list[str], says: str
+) -> None:
+    given = [str(folder) if word == "SCAN" else word for word in words]
+    out = tmp_path / "scene.json"
+    assert main(["scan", *given, "--out", str(out), "--max-frames", "12"]) == 2
+    err = capsys.readouterr().err.strip().splitlines()[-1]
+    assert err.startswith("momapos: ")
+    assert says in err
+    assert not out.exists()
+
+
+@pytest.mark.slow
+def test_what_fails_is_asked_again_with_more_of_the_scan_until_all_is_modeled(
+    made: Modeled, scan: Scan, tools: Tools, tmp_path: Path
+) -> None:
+    looks = 0
+
+    def counted(face: FaceImage, label: str) -> Front:
+        nonlocal looks
+        looks += 1
+        return tools.look(face, label)
+
+    name, joint = next(x for x in openable(load_scene(made.scene)) if x[0].startswith("wall"))
+    robot = load_robot("husky_ur5e")  # its arm stands too low for wall cabinets
+    config = PipelineConfig(
+        place=PlaceConfig(grid=False, rounds=1), importance=ImportanceConfig(alpha=0.9)
+    )
+    counting = replace(tools, look=counted, predict=counted)
+    out = tmp_path / "scene.json"
+    scan_to_scene(scan, out, counting)
+    all_at_once, looks = looks, 0
+    answer = solve_scan(
+        scan, [(robot, load_reach_map(robot))], ScanTask("open", name, joint), out,
+        tools=counting, config=config,
+    )  # fmt: skip
+    assert answer.result.plan.status == "infeasible"
+    assert len(answer.alphas) > 1
+    assert list(answer.alphas) == sorted(answer.alphas, reverse=True)
+    assert all(decision.looked for decision in answer.modeled.decisions)
+    assert looks == all_at_once  # nothing is looked at twice
+
+
+def test_one_command_leads_from_a_scan_to_an_opened_door(
+    made: Modeled, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    name, door, _ = same_door(made, folder)
+    out = tmp_path / "new" / "solved"
+    words = ["solve", str(folder), "open", f"{name}/{door}", "--robot", "segway_ur5e"]
+    assert main([*words, "--out", str(out), "--json", "--no-pictures"]) == 0
+    record = json.loads(capsys.readouterr().out)
+    assert (record["status"], record["done"]) == ("solved", True)
+    assert record == json.loads((out / "solve.json").read_text())
+    assert name in record["modeled"]
+    assert len(record["modeled"]) < sum(d.model is not None for d in made.decisions)
+    stages = {k: v for k, v in record["timing"].items() if k != "total"}
+    assert {"fuse", "boxes", "rows", "importance", "model", "place", "execute"} <= set(stages)
+    assert sum(stages.values()) <= record["timing"]["total"] + 0.01
+    plan = json.loads((out / record["plan"]).read_text())
+    assert plan["tolerance"]["samples"] == 100
+    assert plan["tolerance"]["radius"] > 0.0
+    assert main(["verify", str(out / record["plan"])]) == 0
+    assert json.loads((out / record["run"]).read_text())["success"]
+
+
+@pytest.mark.slow
+def test_what_the_scan_does_not_show_is_one_line(
+    made: Modeled, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    box = next(d.detection.name for d in made.decisions if d.looked and d.view is None)
+    for target, told in ((box, "no door or drawer as far as the scan shows"), ("frigde", "mean")):
+        words = ["solve", str(folder), "open", target, "--out", str(tmp_path / "solved")]
+        assert main(words) == 2
+        said = capsys.readouterr().err
+        assert told in said
+        assert said.count("\n") == 1
+
+
+@pytest.mark.slow
+def test_a_door_that_stands_open_in_a_second_scan_tells_how_it_moves(
+    scan: Scan, tools: Tools, seen: Survey, made: Modeled, folder: Path, tmp_path: Path
+) -> None:
+    kitchen = load_scene("kitchen_small").with_joint("fridge", "door_hinge", np.radians(60.0))
+    write_scan(synthetic_scan(kitchen, frames=30, seed=4, sensor=DepthSensor()), tmp_path / "open")
+    later = cloud_after(read_scan(tmp_path / "open"), seen, ScanConfig())
+    known = {d.detection.name: d for d in made.decisions}
+    result = model_room(seen, tmp_path / "scene.json", tools, known=known, later=later)
+    moved = {(d.detection.name, name): m for d in result.decisions for name, m in d.moved.items()}
+    (((name, part), door),) = moved.items()
+    assert name == nearest(made, true_fridge(folder))
+    assert door.kind == "door_right"
+    assert door.value == pytest.approx(np.radians(60.0), abs=np.radians(2.0))
+    item = load_scene(tmp_path / "scene.json").object(name)
+    assert item.values()[f"{part}_hinge"] == pytest.approx(door.value, abs=1e-4)
+    record = item.model.joint(f"{part}_hinge")
+    place = (item.link_poses()[record.parent] @ record.T_parent_joint)[:2, 3]
+    fridge = kitchen.object("fridge")
+    true = fridge.model.joint("door_hinge")
+    T = result.T_scene_scan @ fridge.link_poses()[true.parent] @ true.T_parent_joint
+    assert np.linalg.norm(place - T[:2, 3]) < 0.02
+    data = report_to_dict(result, scan, None)
+    told = next(entry for entry in data["objects"] if entry["name"] == name)
+    assert told["moved"][part]["kind"] == "door_right"
+    near = later.points[:, 0] < np.median(later.points[:, 0])
+    bare = Cloud(later.points[near], later.normals[near], later.colors[near])
+    other = Cloud(0.6 * bare.points, later.normals[: len(bare.points)], bare.colors)
+    with pytest.raises(InputError, match="elsewhere: the two scans are not of one room"):
+        cloud_after(Scan("elsewhere", (), other), seen, ScanConfig())
